@@ -3,7 +3,7 @@
     python benchmarks/bounds.py --episodes 1000
 
 Random small worlds of three kinds, starts, rules, scanners and strategies without noise; prints how many complete
-episodes were set beside `low_any_m`, how many were shorter (none may be), and how tight the bounds are.
+episodes were compared with `low_any_m`, how many were shorter (none may be), and how tight the bounds are.
 """
 
 import argparse
@@ -20,7 +20,7 @@ STARTS = 4  # in each world
 
 
 def some(draw, number):
-    """Episodes in one random world beside the bounds of their starts."""
+    """Compare episodes in one random world with the bounds of their starts."""
     kind = KINDS[number % len(KINDS)].format(w=round(draw.uniform(6, 8), 1), h=round(draw.uniform(6, 8), 1))
     name, _, rest = kind.partition(":")
     lidar = jx.Lidar(n_beams=61, range_m=float(draw.choice([1.0, 1.5, 2.5])))

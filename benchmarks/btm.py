@@ -1,4 +1,4 @@
-"""What is claimed of Behavioral Trace Maps, measured: repeatability, ablations, accuracy, buildings, sensors, speed.
+"""Measure the claims about trace maps: repeatability, ablations, accuracy, buildings, sensors, speed.
 
     python benchmarks/btm.py [--runs 1000] [--parts repeat ablation place robots]
     python benchmarks/btm.py [--runs 1000] [--parts buildings halls furniture sensors steps speed] [--seed 0]
@@ -174,7 +174,7 @@ def robots(runs):
 
 
 def buildings(runs, seed=0, worlds=BUILDINGS):
-    """Buildings, each from a twenty-fifth of so many starts, beside what the true map holds.
+    """Run in buildings, each from a twenty-fifth of `runs` starts, and compare with the true map.
 
     Truth: `extract` of the true map, as far as the robot gets; doors are those of the generator.
     """
@@ -224,8 +224,10 @@ def drawn_hall(seed, low_m, high_m):
 
 
 def halls(runs, seed=0):
-    """Halls that are drawn, too wide to be places: nodes of the robot's map with a single way beside passages, and all
-    beside those of a ring of gateways, the passages' ends and the start. A fiftieth of so many halls, two starts each.
+    """Run in drawn halls that are too wide to be places, a fiftieth of `runs` halls, two starts each.
+
+    Counted are nodes of the robot's map with a single way next to passages, and all but those of a ring of gateways,
+    the passages' ends and the start.
     """
     n = max(4, runs // 50)
     head(
@@ -331,7 +333,7 @@ def loops(runs, first=21):
 
 
 def off_m(found: BtmMap, true: BtmMap):
-    """How far nodes lie from the nearest true one of their type, root mean square."""
+    """Compute the distance of nodes from the nearest true one of their type, root mean square."""
     off = [
         min(np.hypot(node.x_m - o.x_m, node.y_m - o.y_m) for o in true.nodes if o.type == node.type)
         for node in found.nodes

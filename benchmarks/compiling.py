@@ -1,4 +1,4 @@
-"""What compiling costs: a command with an empty cache of compiled programs, and once more with what that has kept.
+"""Measure the cost of compiling: a command with an empty cache of compiled programs, and again with a full one.
 
     python benchmarks/compiling.py                                       # the default comparison
     python benchmarks/compiling.py --worlds cave --strategies closest+recheck

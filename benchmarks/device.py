@@ -1,4 +1,4 @@
-"""Measure whole episodes on this machine's GPU: equal results, and episodes/s beside all its CPU cores.
+"""Measure whole episodes on this machine's GPU: equal results, and episodes/s compared with all its CPU cores.
 
     python benchmarks/device.py [--seconds 400] [--episodes 65536] [--lanes]
 

@@ -1,4 +1,4 @@
-"""What drift does to maps, and how many bytes they take, measured.
+"""Measure the effect of drift on maps, and their bytes.
 
     python benchmarks/drift.py [--runs 16] [--world course] [--parts drift memory paths] [--out FOLDER]
 
@@ -84,7 +84,7 @@ def memory(given):
 
 
 def paths(given):
-    """Ways of a robot that traces beside those of frontier strategies and of one that knows the map, from one start."""
+    """Compare the ways of a tracing robot with frontier strategies and one that knows the map, from one start."""
     head("building", "starts", "who", "way m", "times the shortest known", "ended complete")
     for name in given.buildings:
         world = load_world(name)

@@ -2,7 +2,7 @@
 
     python benchmarks/fuzz.py --cases 1000 --seed 0
     python benchmarks/fuzz.py --first 137 --cases 1    # a case alone
-    python benchmarks/fuzz.py --native --cases 10000   # native code beside JAX, without the oracle
+    python benchmarks/fuzz.py --native --cases 10000   # native code and JAX, without the oracle
 
 Prints how many cases of each kind were equal, and a line for every one that was not; exit status 1 if there was any.
 """

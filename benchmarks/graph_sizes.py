@@ -1,10 +1,9 @@
-"""How large rooms' structures become on the maps that an exploring robot plans on: nodes and critical points of Voronoi
-graphs; peaks, passes and edges of watersheds.
+"""Measure the size of rooms' structures on the maps that an exploring robot plans on.
 
     python benchmarks/graph_sizes.py [CELL_M...]
 
-`segment.form_for` and `watershed.form_for` must have room for them. Built-in worlds of several sizes, for cells of 0.05
-to 0.3 m.
+Counted are nodes and critical points of Voronoi graphs; peaks, passes and edges of watersheds. `segment.form_for` and
+`watershed.form_for` must have room for them. Built-in worlds of several sizes, for cells of 0.05 to 0.3 m.
 """
 
 import functools

@@ -1,4 +1,4 @@
-"""What Holz et al. 2010 leave open, read in another way: does an ordering that does not hold depend on it?
+"""Test other readings of points that Holz et al. 2010 leave open: does an ordering that does not hold depend on them?
 
     python benchmarks/holz2010_readings.py [MAP@SCALE | WORLD] [EPISODES]
 
@@ -7,7 +7,7 @@
 - `decision-theoretic` that looks ahead, not all round, along the way by which it comes, and that ends when no view
   point shows enough, instead of going to the nearest frontier (section 3.2).
 
-Ratios of mean paths, paired, beside those as reproduced; of episodes that end early also at equal coverage.
+Ratios of mean paths, paired, next to the reproduced ones; of episodes that end early also at equal coverage.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""How often intervals cover, by the size of the sample; beside a bootstrap's.
+"""Measure how often intervals cover, by the size of the sample; compared with a bootstrap's.
 
     python benchmarks/intervals.py [--world cave] [--episodes 1000] [--repetitions 2000] [--seed 0]
     python benchmarks/intervals.py --over worlds [--worlds 150] [--repetitions 1000]
@@ -8,13 +8,13 @@ Over pairs: the 95 % interval of a paired ratio. The pairs are drawn, with repla
 own ratio of means is the truth:
 
 - *strategies*: `closest+recheck` and `closest` from the same starts of the world;
-- *half identical*, *70 %*, *90 % identical*: the same, with so many of the pairs made equal, as strategies often drive
-  the very same path;
+- *half identical*, *70 %*, *90 % identical*: the same, with this share of the pairs made equal, as strategies often
+  drive identical paths;
 - *skewed*: the reference times a log-normal factor of standard deviation 0.6.
 
 A sample without an interval (pairs that are all equal) counts as not covered; how many had none stands in brackets.
 
-Over worlds: the intervals of what is said over many worlds: n small ones, of three kinds or of one, are drawn, with
+Over worlds: the intervals of statistics over many worlds: n small ones, of three kinds or of one, are drawn, with
 replacement, from many, whose own numbers are the truth.
 
 Over sizes: from pilots of few pairs of the same populations, how many pairs are asked for to tell the ratio within 5 %,
@@ -165,7 +165,7 @@ def covered_over_worlds(estimate, chosen, n, given, rng):
 
 
 def over_worlds(given):
-    """The table of what is said over many worlds."""
+    """Tabulate the statistics over many worlds."""
     paths, rng, rows = small_worlds(given), np.random.default_rng(given.seed), []
     for name, other in (("closest+recheck", "closest"), ("random+recheck", "closest+recheck")):
         for what, estimate in estimates(paths[name], paths[other]).items():

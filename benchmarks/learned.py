@@ -1,11 +1,11 @@
-"""What a learned strategy is worth: beside every other one of a comparison, where it loses, and what is left.
+"""Compare a learned strategy with every other one of a comparison: where it loses, and the remaining gap.
 
     python benchmarks/learned.py DIR [STRATEGY]
 
 DIR: what `jexplore compare` wrote, best of many worlds, with `--bounds` for the last table. Prints ratios of the paths
 of STRATEGY (default learned+recheck) to those of every other strategy there, over worlds and by kind, with 95 %
-intervals; the worlds in which it loses most against the best of the others; and all beside the shortest walk found with
-the map.
+intervals; the worlds in which it loses most against the best of the others; and all compared with the shortest walk
+found with the map.
 """
 
 import sys
@@ -22,7 +22,7 @@ from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, m
 
 
 def beside(episodes, name, other):
-    """Logarithms of one strategy's mean paths beside another's: a Series by world."""
+    """Compute logarithms of one strategy's mean paths relative to another's: a Series by world."""
     some = pd.concat([episodes[episodes["strategy"] == one] for one in (other, name)])
     found = paths_by_world(some)
     return found[found["strategy"] == name].set_index("world")["log_ratio"]
@@ -52,7 +52,7 @@ def main(arguments):
 
 
 def competitive(episodes, bounds, names):
-    """Paths beside the shortest walks found with the map, where there is one."""
+    """Compute paths relative to the shortest walks found with the map, where known."""
     paths = comparable_paths(episodes).reset_index()
     keys = ["world", *START]
     starts = episodes.drop_duplicates(["world", "episode"])[["episode", *keys]]

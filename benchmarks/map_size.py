@@ -1,4 +1,4 @@
-"""What a larger map costs where no more of it is explored: the same episode in a world that is padded ever further.
+"""Measure the cost of a larger map with the same explored part: one episode in a world with growing padding.
 
     taskset -c 0 python benchmarks/map_size.py
     taskset -c 0 python benchmarks/map_size.py --worlds MAPS/stage/hospital.png@141.5x54 --cell-m 0.05 --sides 0
@@ -25,10 +25,10 @@ from jexplore.worlds.starts import draw_starts
 
 
 def episode(world, strategy, side, repeat):
-    """Episode 0 in a square of a side, or in the world's own padding for 0.
+    """Run episode 0 in a square of a side, or in the world's own padding for 0.
 
     Returns:
-      its result, the padded shape, and processor ms of its first step with all that begins and ends it, and of it all.
+      its result, the padded shape, and processor ms of its first step with begin and end, and of the whole.
     """
     site = prepare_site(world, LIDAR, RULES, (side, side) if side else None)
     tasks = np.zeros((one_by_one.CHUNK, 3), np.int32)

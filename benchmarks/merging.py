@@ -1,4 +1,4 @@
-"""How often maps without a common frame are merged right: parts of true maps of courses, each with a drift of its own.
+"""Measure how often maps without a common frame are merged right: drifting parts of true maps of courses.
 
     python benchmarks/merging.py [--pairs 400] [--first 0] [--part overlap | apart | alike | driven | all]
     python benchmarks/merging.py --part picture [--worlds office] --out FOLDER
@@ -190,7 +190,7 @@ def main():
 
 
 def _group(name, one, other):
-    """What the rows of a kind of pairs are told apart by."""
+    """Return the key of a kind of pairs in the rows."""
     n = len(common(one, other))
     if name == "overlap":
         return "3 or 4 nodes in common" if n < 5 else "5 or 6" if n < 7 else "7 and more"

@@ -4,7 +4,7 @@
 
 Of the best targets by `small-first` each is driven to and `closest+recheck` goes on from there, in a simulation on a
 map that is completed from the robot's own: by the true one (which no robot has), by free cells up to some metres from
-known free ones and walls beyond, or by copies of what is known elsewhere, turned over and shifted to a frontier. The
+known free ones and walls beyond, or by copies of parts known elsewhere, turned over and shifted to a frontier. The
 target of the shortest simulated path is taken, if it is shorter by a margin than that of the best target's. Worlds
 #1000 and #1001.
 """

@@ -1,4 +1,4 @@
-"""Routes over a map: what planning costs, and how many another robot drives to their end.
+"""Routes over a map: the cost of planning, and the share that another robot drives to their end.
 
     python benchmarks/routes.py [--parts planning driven] [--routes 400] [--seed 0 1] [--repeat 7]
                                 [--buildings courses office]
@@ -8,9 +8,9 @@ nodes; the first call compiles. Lengths are held against networkx, for the narro
 
 Driven: a crawler writes the map, a wheeled robot follows routes over it in the building. Half of the routes lie on
 courses without an obstacle (#0 to #9), half in the office; each seed has maps of its own. The crawler's own run, 1 cm
-of range noise, gives the map; routes are drawn among all that the wheeled robot may use between nodes of it. Arrived:
-the robot says so and truly stands within 1.5 m of where the map has the end. Where it does not fit at the start, for
-the map has drifted, it has not arrived. Printed as Markdown.
+of range noise, gives the map; routes are drawn among all that the wheeled robot may use between its nodes. Arrived: the
+robot says so and truly stands within 1.5 m of where the map has the end. Where it does not fit at the start, for the
+map has drifted, it has not arrived. Printed as Markdown.
 """
 
 import argparse
@@ -57,7 +57,7 @@ def streets(rng: np.random.Generator) -> BtmMap:
 
 
 def planning(seed: int, repeat: int) -> str:
-    """What many robots and pairs cost: a table."""
+    """Measure the cost of many robots and pairs: a table."""
     rng = np.random.default_rng(seed)
     btm = streets(rng)
     robots = [f"kamui:width_m={width:.2f}" for width in np.linspace(0.3, 0.9, ROBOTS)]
@@ -106,7 +106,7 @@ def driven(world: str, n: int, seed: int):
 
 
 def fits(world: World, building: Building, btm: BtmMap, route: routes.Route) -> bool:
-    """Whether the robot fits where a route begins: the map is off by as much as its writer's odometry."""
+    """Return whether the robot fits at the beginning of a route: the map is off by its writer's odometry."""
     try:
         following.start_of(world, building, routes.robot_of("wheeled"), btm, route)
     except jx.InputError:
@@ -115,7 +115,7 @@ def fits(world: World, building: Building, btm: BtmMap, route: routes.Route) -> 
 
 
 def drives(n_routes: int, seeds: list[int], buildings: list[str]) -> str:
-    """How many routes are driven to their end: a table."""
+    """Count the routes that are driven to their end: a table."""
     rows = []
     for name in buildings:
         each = -(-n_routes // len(buildings) // len(WORLDS[name]) // len(seeds))

@@ -1,4 +1,4 @@
-"""Whether two result folders hold equal results, bit by bit: `python benchmarks/same_results.py BEFORE AFTER`.
+"""Check that two result folders hold equal results, bit by bit: `python benchmarks/same_results.py BEFORE AFTER`.
 
 Compares every table (`*.parquet`) and every Behavioral Trace Map (`btm.json`, `btm.geojson`) of the first folder with
 that of the second. Columns that only the second has are told and do not count. Exit status 1 if anything differs.
@@ -16,7 +16,7 @@ MAPS = ("btm.json", "btm.geojson")
 
 
 def compare_tables(before, after):
-    """What differs between two tables, as text; "equal" for nothing."""
+    """Describe the differences of two tables, as text; "equal" for none."""
     ours, theirs = pd.read_parquet(before), pd.read_parquet(after)
     if missing := [name for name in ours if name not in theirs]:
         return f"columns are missing: {', '.join(missing)}"

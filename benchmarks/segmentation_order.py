@@ -1,8 +1,8 @@
-"""How far the choices that the paper leaves open move the segmentation: order of merging, metric, splitter, prominence.
+"""Measure the effect of choices that the paper leaves open: order of merging, metric, splitter, prominence.
 
     python benchmarks/segmentation_order.py MAP.png...
 
-Maps at 0.05 m a pixel with ground truth beside them (`NAME_gt_segmentation.png`). One row a choice, all by `holz`.
+Maps at 0.05 m a pixel with ground truth next to them (`NAME_gt_segmentation.png`). One row a choice, all by `holz`.
 """
 
 import os

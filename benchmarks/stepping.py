@@ -1,4 +1,4 @@
-"""What a decision costs, step by step: `jx.Environment` under vmap, and beside `jx.compare`.
+"""Measure the cost of a decision, step by step: `jx.Environment` under vmap, and compared with `jx.compare`.
 
     python benchmarks/stepping.py                       # 256 lanes of 64 x 64 rooms
     python benchmarks/stepping.py --lanes 64 --decisions 50 --worlds cave

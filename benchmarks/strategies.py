@@ -1,4 +1,4 @@
-"""What a plan of each strategy costs on one core, on maps of 160 x 160 and 256 x 256 cells.
+"""Measure the cost of a plan of each strategy on one core, on maps of 160 x 160 and 256 x 256 cells.
 
     taskset -c 0 python benchmarks/strategies.py
     taskset -c 0 python benchmarks/strategies.py closest utility     # of these alone

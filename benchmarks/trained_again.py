@@ -1,4 +1,4 @@
-"""Whether a model's weights are what its training makes: trains again to its first check and compares the hashes.
+"""Check a model's weights by its training: train again to its first check and compare the hashes.
 
     python benchmarks/trained_again.py [MODEL]
 

@@ -1,9 +1,9 @@
-"""What a strategy's parameters are worth, on worlds that the league does not have.
+"""Measure the effect of a strategy's parameters, on worlds that the league does not have.
 
     python benchmarks/tuning.py [FIRST] [WORLDS OF EACH KIND]
 
-`small-first+recheck` beside `closest+recheck`, six kinds of worlds from #1000 on (or FIRST), one start each: mean ratio
-of paths with its standard error over worlds, and by kind. The defaults were chosen by such tables.
+`small-first+recheck` and `closest+recheck`, six kinds of worlds from #1000 on (or FIRST), one start each: mean ratio of
+paths with its standard error over worlds, and by kind. The defaults were chosen by such tables.
 """
 
 import sys

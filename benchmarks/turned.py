@@ -1,4 +1,4 @@
-"""How much a mean path changes when the map is turned or mirrored: what ties, which are decided by position, are worth.
+"""Measure the change of a mean path when the map is turned or mirrored: the effect of ties decided by position.
 
     python benchmarks/turned.py [--worlds W...] [--strategies S...] [--episodes 50]
 

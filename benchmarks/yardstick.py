@@ -1,4 +1,4 @@
-"""Whole episodes beside a yardstick: an episode simulator written by hand in numba, from the same starts on one core.
+"""Compare whole episodes with a yardstick: a simulator written by hand in numba, from the same starts on one core.
 
     python benchmarks/yardstick.py --out yardstick.json
 
@@ -33,7 +33,7 @@ WALL_M = 0.4  # distance of the yardstick's starts from walls
 
 
 def load_yardstick(path):
-    """The yardstick's module, by its file's own name: what numba keeps beside it serves its command line as well."""
+    """Load the yardstick's module by its file's own name: numba's cache then serves its command line as well."""
     try:
         spec = importlib.util.spec_from_file_location(Path(path).stem, path)
         if spec is None or spec.loader is None:

@@ -1,4 +1,4 @@
-"""For mkdocstrings: the comment behind a field is what the reference says of it, where it has no docstring."""
+"""Comments behind fields for mkdocstrings: the reference shows them for fields without a docstring."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ class Comments(griffe.Extension):
     """Gives fields of classes their comments as docstrings."""
 
     def on_attribute_instance(self, *, attr: griffe.Attribute, **more: Any) -> None:
-        """Called with every attribute that is found."""
+        """Take the comment of an attribute, for every attribute that is found."""
         file, last = attr.filepath, attr.endlineno
         if attr.docstring is not None or attr.parent is None or not attr.parent.is_class or last is None:
             return
@@ -22,7 +22,7 @@ class Comments(griffe.Extension):
 
 
 def comment_of(lines: list[str], first: int, last: int) -> str:
-    """The comment behind a statement, else the comment lines above it; without its `#`.
+    """Return the comment behind a statement, else the comment lines above it; without its `#`.
 
     Args:
       lines: of the file.

@@ -41,7 +41,7 @@ _PART = re.compile(r"<!-- begin (\w+)(?:: ([\w. ]+))? -->\n.*?<!-- end -->\n", r
 
 
 def generated() -> dict[str, str]:
-    """The pages that this script writes or has parts in, path below `docs/` -> text, as they should be."""
+    """Return the pages with generated parts, path below `docs/` -> text, as they should be."""
     from jexplore.cli.main import COMMANDS
 
     pages = {COMMANDS_PAGE: commands_page(COMMANDS)}
@@ -53,14 +53,14 @@ def generated() -> dict[str, str]:
 
 
 def _filled(part):
-    """A part of a page between its two marks, made anew."""
+    """Fill in a part of a page between its two marks."""
     name, given = part[1], (part[2] or "").split()
     begin = part[0].splitlines()[0]
     return f"{begin}\n\n{PARTS[name](*given)}\n<!-- end -->\n"
 
 
 def write_site(folder: Path) -> None:
-    """Write all files of the site into a folder, which is emptied.
+    """Write all pages of the site into a folder, which is emptied.
 
     Args:
       folder: as `docs_dir` of mkdocs.yml has it.
@@ -148,18 +148,18 @@ def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
 
 
 def _whole(part):
-    """What mkdocstrings makes whole docstrings of, where the repository's page has a line for every name."""
+    """Return the directives for whole docstrings, in place of the repository's line for every name."""
     if part[1] != "api":
         return part[0]
     return "\n\n".join(f"::: jexplore.{name}" for name in part[2].split()) + "\n"
 
 
 def rewritten(text: str, source: str, here: str | None = None) -> str:
-    """Turn the links of a file to other files of the repository into links to their pages.
+    """Rewrite links of a Markdown file to other files of the repository as links to their pages.
 
     Args:
-      text: Markdown. What is fenced in it stays.
-      source: where it stands in the repository.
+      text: Markdown. Fenced parts stay.
+      source: its path in the repository.
       here: the page that the text is for; by default that of the source.
     """
     here = here or page_of(source)
@@ -175,7 +175,7 @@ def rewritten(text: str, source: str, here: str | None = None) -> str:
 
 
 def page_of(path: str, anchor: str = "") -> str | None:
-    """Find the page of a file of the repository, or of an anchor in a file by subject; None where there is none."""
+    """Return the site's page of a file of the repository; None without one."""
     if path.startswith("notebooks/") and path.endswith(".ipynb"):
         return path.removesuffix(".ipynb") + ".md"
     if path == BY_SUBJECT and anchor:
@@ -186,7 +186,7 @@ def page_of(path: str, anchor: str = "") -> str | None:
 
 
 def generators_table() -> str:
-    """The generators of worlds and their parameters."""
+    """Tabulate the generators of worlds and their parameters."""
     from jexplore.worlds import GENERATORS, generator_parameters
 
     def parameters(name):
@@ -196,7 +196,7 @@ def generators_table() -> str:
 
 
 def strategies_table() -> str:
-    """The strategies and modifiers of this package, their parameters and sources."""
+    """Tabulate the strategies and modifiers of this package, their parameters and sources."""
     from jexplore.policies import MODIFIERS
     from jexplore.policies.catalogue.grammar import listing
 
@@ -211,12 +211,12 @@ def strategies_table() -> str:
 
 
 def notebooks() -> list[Path]:
-    """The notebooks of the repository, in order."""
+    """List the notebooks of the repository, in order."""
     return sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
 def notebooks_table() -> str:
-    """The notebooks, and what each says of itself: its first heading and the first paragraph below."""
+    """Tabulate the notebooks with their first heading and the first paragraph below."""
     rows = []
     for path in notebooks():
         cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
@@ -227,7 +227,7 @@ def notebooks_table() -> str:
 
 
 def api_table(*names: str) -> str:
-    """Python names, where each is defined, and the first sentence of what is said of it there.
+    """Tabulate Python names, the modules that define them, and the first sentence of their docstrings.
 
     Args:
       *names: below `jexplore`, dotted where they are not the package's own.
@@ -245,7 +245,7 @@ def api_table(*names: str) -> str:
 
 
 def defined(module: str, name: str) -> tuple[Path, str | None]:
-    """The file that defines a name of a module, and its docstring there; nothing is imported.
+    """Return the file that defines a name of a module, and its docstring there; nothing is imported.
 
     Args:
       module: dotted.
@@ -283,13 +283,13 @@ PARTS = {
 
 
 def table_of(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table."""
+    """Format a Markdown table."""
     lines = [head, ["---"] * len(head), *([_safe(cell) for cell in row] for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
 def commands_page(commands: Mapping[str, type]) -> str:
-    """The reference of every command, from the records of their options.
+    """Write the reference of every command, from the records of their options.
 
     Args:
       commands: name -> class of its options.
@@ -314,7 +314,7 @@ def _summary(kind):
 
 
 def _table(kind, prefix, shared):
-    """The options of a record as a table; those that are records go to `shared`."""
+    """Tabulate the options of a record; those that are records go to `shared`."""
     from jexplore.cli.options import field_texts
 
     texts, hints = field_texts(kind), typing.get_type_hints(kind, include_extras=True)
@@ -333,7 +333,7 @@ def _table(kind, prefix, shared):
 
 
 def _option(field, hint, settings, prefix):
-    """How an option is written, and what it is without."""
+    """Return the form of an option, and its default."""
     default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
     metavar = next((one.metavar for one in settings if getattr(one, "metavar", None)), None)
     own = next((one.name for one in settings if getattr(one, "name", None)), field.name)
@@ -349,7 +349,7 @@ def _option(field, hint, settings, prefix):
 
 
 def _unwrapped(hint):
-    """A type without what is said about it, and what is said: also of the types that it is a choice of."""
+    """Return a type without its annotations, and these: also of the types that it is a choice of."""
     if typing.get_origin(hint) is typing.Annotated:
         inner, *settings = typing.get_args(hint)
         deeper, more = _unwrapped(inner)
@@ -364,18 +364,18 @@ def _default(value):
 
 
 def _safe(text):
-    """Text for a cell of a table."""
+    """Escape text for a cell of a table."""
     return _escaped(text).replace("|", "\\|")
 
 
 def _escaped(text):
-    """Text whose angle brackets are no HTML; what is set as code stays."""
+    """Escape text so that its angle brackets are no HTML; code stays."""
     parts = re.split(r"(`[^`]*`)", text)
     return "".join(part if part.startswith("`") else part.replace("<", "&lt;") for part in parts)
 
 
 def main() -> None:
-    """What the command line asks for."""
+    """Run the command line's request."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--site", type=Path, metavar="DIR", help="all pages of the site into this folder")
     site = parser.parse_args().site

@@ -35,7 +35,7 @@ MOST_LONGER = 0.03
 
 
 class Drawn(NamedTuple):
-    """What draws some pictures of one folder of docs/images."""
+    """Script for some pictures of one folder of docs/images."""
 
     command: str  # run in an empty folder; empty: the blocks of the tutorial
     files: Mapping[str, str]  # picture in docs/images -> the file that the command writes
@@ -91,7 +91,7 @@ DRAWN = {
 
 
 def draw(name: str, folder: Path) -> dict[str, Path]:
-    """Runs what draws some pictures, in an empty folder.
+    """Run the script of some pictures, in an empty folder.
 
     Returns:
       Picture in docs/images -> the file that was drawn now, with few colours.
@@ -108,7 +108,7 @@ def draw(name: str, folder: Path) -> dict[str, Path]:
 
 
 def run(line: str, folder: Path) -> None:
-    """Runs a command of the documentation with this Python and this checkout."""
+    """Run a command of the documentation with this Python and this checkout."""
     words = shlex.split(line)
     start = {"jexplore": ["-m", "jexplore"], "python": []}[words[0]]
     files = [str(ROOT / word) if word.startswith("benchmarks/") else word for word in words[1:]]
@@ -117,7 +117,7 @@ def run(line: str, folder: Path) -> None:
 
 
 def tutorial(folder: Path) -> Iterator[str]:
-    """Writes the tutorial's files into a folder, and yields its commands; a file is there once its turn has come."""
+    """Write the tutorial's files into a folder, and yield its commands; a file exists once its turn has come."""
     text = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
     for language, body in re.findall(r"^```(\w+)\n(.*?)^```$", text, re.S | re.M):
         name = re.match(r"# (\w+\.(?:py|yaml))\n", body)
@@ -129,7 +129,7 @@ def tutorial(folder: Path) -> Iterator[str]:
 
 
 def blocks(path: Path) -> tuple[tuple[int, int], np.ndarray]:
-    """Width and height of a picture, and its grey, 0 to 1, in blocks of `BLOCK` pixels; an animation's last frame."""
+    """Return size and mean greys, 0 to 1, of a picture in blocks of `BLOCK` pixels; an animation's last frame."""
     with Image.open(path) as image:
         image.seek(getattr(image, "n_frames", 1) - 1)
         small = [max(1, round(side / BLOCK)) for side in image.size]
@@ -138,7 +138,7 @@ def blocks(path: Path) -> tuple[tuple[int, int], np.ndarray]:
 
 
 def difference(old: Path, new: Path) -> str | None:
-    """How a picture differs from one that was drawn now, a line; None if it does not."""
+    """Describe the difference of a picture from one drawn now, a line; None without any."""
     (size, was), (other, now) = blocks(old), blocks(new)
     if any(abs(a - b) > MOST_LONGER * b for a, b in zip(size, other)):
         return f"{size[0]} x {size[1]} pixels, drawn now {other[0]} x {other[1]}"
@@ -150,7 +150,7 @@ def difference(old: Path, new: Path) -> str | None:
 
 
 def main() -> int:
-    """What the command line asks for; 1 if a picture is stale."""
+    """Run the command line's request; return 1 if a picture is stale."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("names", nargs="*", choices=[*DRAWN, []], metavar="NAME", help=", ".join(DRAWN))
     parser.add_argument("--check", action="store_true", help="compare with those in docs/images instead")

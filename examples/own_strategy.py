@@ -1,4 +1,4 @@
-"""An own map, an own strategy, two scanners: is it better to drive on than to turn back?
+"""An own map, an own strategy, two scanners: drive on before turning back.
 
     python examples/own_strategy.py [PICTURE]
 
@@ -33,14 +33,14 @@ BLOCK = 4  # cells of 10 cm along each side of a character: openings of two are 
 
 
 def map_of(plan: str) -> jx.World:
-    """A world from a drawing, `#` is wall."""
+    """Make a world from a drawing, `#` is wall."""
     walls = np.array([[sign == "#" for sign in line] for line in plan.splitlines()])
     occupied = np.kron(walls[::-1], np.ones((BLOCK, BLOCK))).astype(bool)  # row 0 of a world is at the bottom
     return jx.occupancy_to_world(occupied, cell_m=0.1, name="my floor")
 
 
 def ahead(view: jx.View, turn_m: float = 1.0):
-    """Near is good; what lies behind the robot counts as `turn_m` metres farther."""
+    """Score near cells high; those behind the robot count as `turn_m` metres farther."""
     robot = view.belief
     rows, cols = jnp.indices(view.cost.shape)
     bearing = jnp.arctan2(rows - robot.row, cols - robot.col) - robot.heading * jnp.pi / 4
@@ -48,7 +48,7 @@ def ahead(view: jx.View, turn_m: float = 1.0):
 
 
 def main(picture: str | None = None) -> None:
-    """Compares the strategy with the plain one, for each scanner."""
+    """Compare the strategy with the plain one, for each scanner."""
     world = map_of(PLAN)
     strategies = ["closest+recheck", jx.strategy(ahead, recheck=True), jx.strategy(ahead, recheck=True, turn_m=3.0)]
     for range_m in (2.0, 8.0):

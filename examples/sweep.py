@@ -1,9 +1,9 @@
-"""A sweep over a strategy's own parameter: how much should a robot fear to leave something behind?
+"""A sweep over a strategy's own parameter: the weight of frontiers left behind.
 
     python examples/sweep.py [PICTURE]
 
-`distance-advantage` goes to what is near to the robot and far from all other frontiers; its weight says how much the
-second counts. Prints the summary; with the name of a file it also draws the response.
+`distance-advantage` goes to frontiers near the robot and far from all others; its weight says how much the second
+counts. Prints the summary; with the name of a file it also draws the response.
 """
 
 import sys
@@ -23,7 +23,7 @@ SPEC = {
 
 
 def main(picture: str | None = None) -> None:
-    """Runs the sweep."""
+    """Run the sweep."""
     found = jx.sweep(SPEC)
     shown = found.summary.groupby(["lidar.range_m", "strategy"], sort=False)[["mean", "ratio", "complete"]]
     print(f"{len(found.episodes):,} episodes; means over {len(SPEC['worlds'])} worlds:\n\n{shown.mean().round(3)}")

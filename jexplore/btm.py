@@ -50,7 +50,7 @@ class Btm:
     end_bearing: Array  # [M] float32, radians
     opening_m: Array  # [M] float32
     moved_x_m: Array  # [M] float32, from its first node to the other as the odometry had it, in the first's frame
-    moved_y_m: Array  # [M] float32, likewise
+    moved_y_m: Array  # [M] float32, y of the same
     turned: Array  # [M] float32, how far the other end's frame is turned against the first's, radians; NaN: unknown
     n_nodes: Array  # int32, nodes in use
     n_links: Array  # int32, links in use
@@ -59,7 +59,7 @@ class Btm:
 
 
 def empty(n_nodes: int, n_links: int) -> Btm:
-    """A map without nodes, for at most so many nodes and links. Both static."""
+    """Return a map without nodes, with room for `n_nodes` nodes and `n_links` links. Both static."""
 
     def full(n, value, dtype):
         return jnp.full(n, value, dtype)
@@ -82,7 +82,7 @@ def empty(n_nodes: int, n_links: int) -> Btm:
 
 
 def _put(array, at, value):
-    """`array` with one entry replaced; beyond the last nothing is.
+    """Replace one entry of `array`; an index beyond the last does nothing.
 
     Of so few entries all are looked at: a scatter each, a hundred of them, takes long to compile.
     """
@@ -90,7 +90,7 @@ def _put(array, at, value):
 
 
 def add_node(btm: Btm, kind: Array | int, x_m: Array | float, y_m: Array | float, **fields: Any) -> tuple[Btm, Array]:
-    """Adds a node.
+    """Add a node.
 
     Args:
       btm: `Btm`.
@@ -113,7 +113,7 @@ def add_node(btm: Btm, kind: Array | int, x_m: Array | float, y_m: Array | float
 def add_link(
     btm: Btm, start: Array | int, bearing: Array | float, *, when: Array | bool = True, **fields: Any
 ) -> tuple[Btm, Array]:
-    """Adds a link that has not been followed.
+    """Add a link that has not been followed.
 
     Args:
       btm: `Btm`.
@@ -139,7 +139,7 @@ def add_link(
 def end_link(
     btm: Btm, link: Array | int, end: Array | int, bearing: Array | float, *, when: Array | bool = True, **fields: Any
 ) -> Btm:
-    """Ends a link at a node: it has been followed.
+    """End a link at a node: it has been followed.
 
     Args:
       btm: `Btm`.
@@ -158,18 +158,18 @@ def end_link(
 
 
 def wrapped(angle: Any) -> Any:
-    """An angle in [-pi, pi), radians."""
+    """Return an angle in [-pi, pi), radians."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 def turned_left(bearing: Array | float, reference: Array | float) -> Array:
-    """How far counter-clockwise a bearing lies from another: in (0, 2 pi], radians; 2 pi where they are equal."""
+    """Return the counter-clockwise angle from `reference` to a bearing: in (0, 2 pi], radians; 2 pi if equal."""
     angle = (bearing - reference) % (2 * math.pi)
     return jnp.where(angle <= 1e-6, 2 * math.pi, angle)
 
 
 def nearest_node(btm: Btm, x_m: Array | float, y_m: Array | float, kind: Array | int) -> tuple[Array, Array]:
-    """The nearest node of a kind: `(id, distance_m)`; `NONE` and `FAR_M` where there is none."""
+    """Return the nearest node of a kind: `(id, distance_m)`; `NONE` and `FAR_M` without one."""
     d2 = (btm.x_m - x_m) ** 2 + (btm.y_m - y_m) ** 2
     d2 = jnp.where(btm.kind == kind, d2, FAR_M)
     at = jnp.argmin(d2).astype(jnp.int32)
@@ -178,15 +178,15 @@ def nearest_node(btm: Btm, x_m: Array | float, y_m: Array | float, kind: Array |
 
 
 def open_links(btm: Btm) -> Array:
-    """Links that nobody has followed though one could: `[M] bool`."""
+    """Return links that nobody has followed though one could: `[M] bool`."""
     return (btm.status == UNSEARCHED) & ~btm.blocked
 
 
 def first_open(btm: Btm, node: Array | int, entry: Array | float) -> Array:
-    """The first un-searched link of a node, counter-clockwise from the bearing of the way in (Mano et al., V.A).
+    """Return the first un-searched link of a node, counter-clockwise from the way in's bearing (Mano et al., V.A).
 
     Returns:
-      id of the link, int32; `NONE` where there is none.
+      id of the link, int32; `NONE` without one.
     """
     angle = jnp.where(open_links(btm) & (btm.start == node), turned_left(btm.start_bearing, entry), jnp.inf)
     at = jnp.argmin(angle).astype(jnp.int32)
@@ -194,10 +194,10 @@ def first_open(btm: Btm, node: Array | int, entry: Array | float) -> Array:
 
 
 def hops_to_open(btm: Btm) -> Array:
-    """Length of the shortest way along followed links from every node to one with an un-searched link.
+    """Compute the length of the shortest way along followed links from every node to one with an un-searched link.
 
     Returns:
-      `[N]` float32, metres; `FAR_M` where there is none.
+      `[N]` float32, metres; `FAR_M` without one.
     """
     n = btm.kind.shape[0]
     size = btm.start.shape[0]
@@ -218,7 +218,7 @@ def hops_to_open(btm: Btm) -> Array:
 
 
 def next_hop(btm: Btm, node: Array | int) -> tuple[Array, Array, Array]:
-    """The link by which the shortest way to an un-searched link leaves a node.
+    """Return the link by which the shortest way to an un-searched link leaves a node.
 
     Returns:
       `(link, bearing, to)`: int32, radians, int32 node at its other end; `NONE`, 0 and `NONE` where there is no way.
@@ -240,7 +240,7 @@ def next_hop(btm: Btm, node: Array | int) -> tuple[Array, Array, Array]:
 
 
 def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes: Any) -> BtmMap:
-    """The map as a record on the host.
+    """Convert the map to a record on the host.
 
     Args:
       btm: `Btm` of one run, on the host or a device.
@@ -301,12 +301,12 @@ def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes
 
 
 def _bearing_deg(bearing):
-    """A bearing in radians, NaN for none, in degrees."""
+    """Convert a bearing in radians, NaN for none, to degrees."""
     return direction_deg(math.degrees(bearing)) if math.isfinite(bearing) else None
 
 
 def _moved(fields, i):
-    """How the odometry moved along a link: x, y, metres; turn, degrees, where it is known; none of one not followed."""
+    """Return the odometry along a link: x, y, metres; turn, degrees, if known; empty for a link not followed."""
     x_m, y_m, turned = (float(fields[name][i]) for name in ("moved_x_m", "moved_y_m", "turned"))
     if not math.isfinite(x_m):
         return []

@@ -50,19 +50,19 @@ BOUNDS: dict[str, tuple[float, float]] = {
 
 
 class InputError(ValueError):
-    """Wrong input from outside: a file, a name, a number. The message is one line that says what would be right."""
+    """Wrong input from outside: a file, a name, a number. The message says in one line what would be right."""
 
     def _render_traceback_(self):
-        """What a notebook shows instead of a traceback: the one line."""
+        """Return the one line that a notebook shows instead of a traceback."""
         return [f"{type(self).__name__}: {self}"]
 
 
 class InputWarning(UserWarning):
-    """What was given can be used, but hardly means what its author thinks. One line that says what to do."""
+    """Usable input that hardly means what its author thinks. The message says the remedy in one line."""
 
 
 def shown(value: Any) -> str:
-    """What a message shows of a value: its `repr` on one line, cut short, whatever the value is."""
+    """Return a value for messages: its `repr` on one line, cut short, whatever the value is."""
     try:
         text = _SHORT.repr(value)
     except Exception:  # whole numbers of more digits than Python writes out
@@ -77,10 +77,10 @@ _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
 
 
 def require_kind(name: str, given: object, kind: type) -> None:
-    """Refuse what is no record of a kind, and show how one is written.
+    """Refuse a value that is not a record of a kind, and show how one is written.
 
     Raises:
-      InputError: what should be a record is something else, such as a dict of its fields.
+      InputError: not such a record, but for example a dict of its fields.
     """
     if isinstance(given, kind):
         return
@@ -96,7 +96,7 @@ _Record = TypeVar("_Record")
 
 
 def as_record(name: str, given: Any, kind: type[_Record]) -> _Record:
-    """A record of settings, which a mapping of some of its fields stands for: `{"range_m": 4}` for `Lidar(range_m=4)`.
+    """Make a record of settings from a mapping of some of its fields: `{"range_m": 4}` for `Lidar(range_m=4)`.
 
     Raises:
       InputError: neither, a field that the record does not have, or a value that it refuses.
@@ -112,7 +112,7 @@ def as_record(name: str, given: Any, kind: type[_Record]) -> _Record:
 
 
 def require_whole(name: str, value: Any, low: int, high: int) -> int:
-    """`value` as an int within the bounds, both inclusive.
+    """Return `value` as an int within the bounds, both inclusive.
 
     Raises:
       InputError: not a whole number, or outside the bounds.
@@ -190,7 +190,7 @@ def require_different(kind: str, names: Sequence[str], hint: str = "") -> None:
 def unknown(
     kind: str, word: str, known: Collection[str], synonyms: Mapping[str, str] = MappingProxyType({})
 ) -> InputError:
-    """The error for a word that is not among those known: says which exist and which was probably meant.
+    """Return the error for an unknown word: names the known ones and the one probably meant.
 
     `synonyms`: what others call some of them -> their names.
     """
@@ -205,7 +205,7 @@ _Called = TypeVar("_Called", bound=Callable[..., Any])
 
 
 def checked_names(called: _Called, own: str = "") -> _Called:
-    """Makes a public function or class refuse keyword arguments that it does not take, with the nearest that it does.
+    """Make a public function or class refuse keyword arguments that it does not take, with the nearest that it does.
 
     Of a class that holds for making one and for its own public methods. Signatures stay as they are. `own` is what a
     message calls it, by default its name.
@@ -221,7 +221,7 @@ def checked_names(called: _Called, own: str = "") -> _Called:
 
 
 def _checked_function(function, own=""):
-    """A function whose unknown keyword arguments are an `InputError`."""
+    """Make unknown keyword arguments of a function an `InputError`."""
     parameters = inspect.signature(function).parameters
     kinds = {parameter.kind for parameter in parameters.values()}
     known = [name for name, parameter in parameters.items() if parameter.kind not in _NAMELESS]
@@ -244,12 +244,12 @@ _NAMELESS = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.VAR_POSITIONAL
 
 
 def _name_of(function):
-    """What a user calls a function: of one that makes an object the class."""
+    """Return a user's name for a function; for a method that makes an object, the class."""
     return re.sub(r"\.__(init|new)__$", "", function.__qualname__).rpartition(".")[2]
 
 
 def _unknown_argument(own, name, known, parameters):
-    """The error for an argument that a function does not take; a field of one of its records is told as such."""
+    """Return the error for an argument that a function does not take, with a hint for a field of one of its records."""
     records = {key: parameters[key].default for key in known if dataclasses.is_dataclass(parameters[key].default)}
     inside = {field.name: key for key, record in records.items() for field in dataclasses.fields(record)}
     without_unit = [one for one in (*known, *inside) if one.startswith(f"{name}_")]
@@ -260,10 +260,10 @@ def _unknown_argument(own, name, known, parameters):
 
 
 class Settings:
-    """What records of settings have in common."""
+    """Common base of records of settings."""
 
     def replace(self, **changes: Any) -> Self:
-        """The same settings with some fields changed.
+        """Return the same settings with some fields changed.
 
         Raises:
           InputError: no such field, or a value that it refuses.
@@ -304,7 +304,7 @@ class Lidar(Settings):
 
     @property
     def mount_m(self) -> float:
-        """Distance of the scanner from the robot's centre, metres."""
+        """Return distance of the scanner from the robot's centre, metres."""
         return math.hypot(self.forward_m, self.left_m)
 
     def without_noise(self) -> Self:

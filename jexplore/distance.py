@@ -14,7 +14,7 @@ CODES = 2 * (REACH + 1)  # a candidate in one number: its squared distance times
 
 
 def nearest_offset(sites: Array) -> tuple[Array, Array, Array]:
-    """Squared distance to the nearest site of every cell, and how far away that is in rows and columns.
+    """Compute squared distance and offset from every cell to its nearest site.
 
     Ties go to the lowest column, then to the lowest row. Exact: integers throughout.
 
@@ -27,7 +27,7 @@ def nearest_offset(sites: Array) -> tuple[Array, Array, Array]:
 
     Source:
       Saito and Toriwaki 1994: columns first, then along the rows. Changed: the search along the rows stops as soon as
-        no offset can bring anything nearer; distance and site are one number, so that a comparison is one minimum.
+        no offset can bring anything nearer; distance and site share one number, so that a comparison takes one minimum.
     """
     height, width = sites.shape
     rows = lax.broadcasted_iota(jnp.int32, (height, width), 0)
@@ -59,7 +59,7 @@ def nearest_offset(sites: Array) -> tuple[Array, Array, Array]:
 
 @jax.jit
 def nearest_site(sites: Array) -> tuple[Array, Array]:
-    """Squared distance to the nearest site of every cell, and which site it is.
+    """Compute the squared distance to the nearest site of every cell, and which site it is.
 
     Args:
       sites: `[H, W]` bool, True at a site. H * W below 2**31.
@@ -79,7 +79,7 @@ def nearest_site(sites: Array) -> tuple[Array, Array]:
 
 
 def within(mask: Array, d2: int) -> Array:
-    """Cells that have a True cell within a distance: the test behind clearance.
+    """Return cells that have a True cell within a distance: the test behind clearance.
 
     Args:
       mask: `[H, W]` bool.
@@ -92,9 +92,9 @@ def within(mask: Array, d2: int) -> Array:
 
 
 def within_packed(words: Array, d2: int) -> Array:
-    """`within` for packed masks: `[K, W]` uint32 to the same."""
+    """Compute `within` for packed masks: `[K, W]` uint32 to the same."""
     radius = math.isqrt(d2)
-    # spread[w]: True within w columns of a True cell; a disc is one such row for every row offset.
+    # spread[w]: True within w columns of a True cell; a disc needs one such row for every row offset.
     spread = [words]
     for w in range(1, radius + 1):
         spread.append(spread[-1] | bits.shifted(words, 0, w) | bits.shifted(words, 0, -w))

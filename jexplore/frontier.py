@@ -1,6 +1,4 @@
-"""Where a robot may go and where the unknown begins: clear, traversable and frontier cells, and clusters of
-frontier cells.
-"""
+"""Clear, traversable and frontier cells of a map, and clusters of frontier cells."""
 
 from typing import NamedTuple
 
@@ -16,7 +14,7 @@ from jexplore.grid import Grid, any_within_one_packed, is_free, is_known, is_occ
 
 
 def clear_cells(grid: Grid, *, p_free: Array | float, clearance_d2: int) -> Array:
-    """Free cells with no occupied cell within the clearance.
+    """Return free cells with no occupied cell within the clearance.
 
     Args:
       grid: `Grid`, `[H, W]`.
@@ -33,7 +31,7 @@ def clear_cells(grid: Grid, *, p_free: Array | float, clearance_d2: int) -> Arra
 
 
 def disc(shape: tuple[int, ...], row: Array | int, col: Array | int, d2: Array | float) -> Array:
-    """Cells within a distance of a cell.
+    """Return cells within a distance of a cell.
 
     Args:
       shape: `(H, W)`. Static.
@@ -49,7 +47,7 @@ def disc(shape: tuple[int, ...], row: Array | int, col: Array | int, d2: Array |
 
 
 class Masks(NamedTuple):
-    """What a plan needs to know of every cell, packed (see bits.py)."""
+    """Masks for planning, packed (see bits.py)."""
 
     traversable: Array  # [ceil(H / 32), W] uint32
     frontier: Array  # [ceil(H / 32), W] uint32, exhausted targets left out
@@ -68,7 +66,7 @@ def plan_masks(
     clearance_d2: int,
     stays_inside: bool = False,
 ) -> Masks:
-    """Traversable and frontier cells at once, packed.
+    """Compute traversable and frontier cells at once, packed.
 
     Traversable: clear cells, free ones near the robot, and the way that it has driven; without the last two, walls
     that are seen late close the way behind the robot. Frontier: clear cells that are 8-adjacent to an unknown cell
@@ -110,17 +108,17 @@ def plan_masks(
 class Clusters:
     """8-connected groups of frontier cells, in the order of their lowest flat index. M slots, `count` of them used."""
 
-    label: Array  # [H, W] int32, number of the cell's cluster; -1 where there is none, or it did not fit
+    label: Array  # [H, W] int32, number of the cell's cluster; -1 without one, or if it did not fit
     size: Array  # [M] int32, cells; 0 in an unused slot
     row: Array  # [M] int32, of the member cell that stands for the cluster; -1 in an unused slot
-    col: Array  # [M] int32, likewise
+    col: Array  # [M] int32, column of the same
     count: Array  # int32, clusters on the map, whether they fit or not
     overflow: Array  # int32, clusters that did not fit into M slots
     left_out: Array  # int32, frontier cells that were not looked at, because there were too many
 
 
 def label_clusters(cells: sparse.Cells) -> Array:
-    """For every cell of a list the lowest slot of its 8-connected group: `[K]` int32; its own in an unused slot.
+    """Return for every cell of a list the lowest slot of its 8-connected group: `[K]` int32; its own in an unused slot.
 
     Args:
       cells: `sparse.Cells`.
@@ -149,7 +147,7 @@ def frontier_clusters(
     max_cells: int | None = None,
     part: int = groups.PART,
 ) -> Clusters:
-    """Groups of frontier cells that touch each other along edges or corners.
+    """Group frontier cells that touch each other along edges or corners.
 
     Args:
       frontier: `[H, W]` bool.
@@ -184,8 +182,11 @@ def frontier_clusters(
 
 
 def _sizes(cells, width, max_clusters):
-    """The number of each listed cell's cluster, `[K]` int32, `max_clusters` for one that does not fit; how many
-    clusters there are; and their cells, the sum of their rows, and of their columns, `[3, M]` int32.
+    """Label the listed cells by cluster, and sum the clusters up.
+
+    Returns:
+      `(number, n, sums)`: `[K]` int32, `max_clusters` for one that does not fit; int32, clusters; `[3, M]` int32, their
+        cells, the sum of their rows, and of their columns.
     """
 
     def add(slot, used, state):
@@ -208,13 +209,15 @@ def _sizes(cells, width, max_clusters):
 
 
 def _members(cells, number, total, cost, shape):
-    """The flat index of the cell that stands for each cluster, `[M]` int32, and the cluster of every cell of the map,
-    `[H * W]` int32; arguments from `_sizes` and `frontier_clusters`.
+    """Choose the cell that stands for each cluster; arguments from `_sizes` and `frontier_clusters`.
+
+    Returns:
+      `(member, label)`: `[M]` int32, flat index; `[H * W]` int32, the cluster of every cell of the map.
     """
     none, width, max_clusters = shape[0] * shape[1], shape[1], total.shape[1]
 
     def off(slot, which):
-        """How badly the cells of a part stand for their clusters."""
+        """Return the misfit of the cells of a part as representatives of their clusters."""
         at = groups.read(cells.cell, slot)
         if cost is not None:
             return sparse.at(cost, at, 0)

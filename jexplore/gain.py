@@ -1,4 +1,4 @@
-"""What a look all round from a view point would tell: scans simulated on the map so far.
+"""Expected gain of a look-around at a view point: scans simulated on the present map.
 
 Unknown cells let beams through, and count as information.
 """
@@ -17,7 +17,7 @@ from jexplore.raycast import BLOCK, HEADINGS, Beams, fold, scan
 
 @struct.dataclass
 class Prospect:
-    """A map made ready for simulated scans. M slots for the cells at which beams have disagreed so far."""
+    """Map prepared for simulated scans. M slots for the cells at which beams have disagreed until now."""
 
     stops: Array  # [H, W] bool, cells that stop a beam
     unknown: Array  # [H, W] bool, cells that nobody has observed, inside the world
@@ -29,17 +29,17 @@ class Prospect:
 
 
 class ViewGain(NamedTuple):
-    """What a look all round from a cell would tell."""
+    """Expected gain of a look-around at a cell."""
 
     gain: Array  # float32, bits: entropy of the map before less that after the simulated scan
-    unknown: Array  # int32, unknown cells that its beams would pass; each is one bit of the gain
-    known: Array  # int32, known cells likewise
+    unknown: Array  # int32, unknown cells that its beams would pass; each adds one bit to the gain
+    known: Array  # int32, known cells that its beams would pass
 
 
 def stops_and_unknown(
     grid: Grid, extent: Array | tuple[Array | int, Array | int], p_free: Array | float, within: Array | None = None
 ) -> tuple[Array, Array]:
-    """Cells that stop a simulated beam, and cells of which it would tell something new.
+    """Return cells that stop a simulated beam, and cells that it would observe.
 
     Beams end at the world's outermost cells, known or not.
 
@@ -60,7 +60,7 @@ def stops_and_unknown(
 def prospect(
     grid: Grid, extent: Array | tuple[Array | int, Array | int], p_free: Array | float, within: Array | None = None
 ) -> Prospect:
-    """`Prospect` of a map. Arguments as for `stops_and_unknown`. One cell in 16 may be mixed."""
+    """Make the `Prospect` of a map. Arguments as for `stops_and_unknown`. One cell in 16 may be mixed."""
     stops, unknown = stops_and_unknown(grid, extent, p_free, within)
     mixed = (grid.hits > 0) & (grid.misses > 0)
     none = mixed.size
@@ -73,18 +73,18 @@ def prospect(
 
 
 def window_of(beams: Beams, shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Sides of the square, at most the map, that holds all that a look from its middle can reach: `(h, w)`, static."""
+    """Return the sides of the square, at most the map, that a look-around from its middle can reach: `(h, w)`."""
     radius = math.ceil(beams.offset.shape[1] / math.sqrt(2)) + 1
     return tuple(min(2 * radius + 1, n) for n in shape)
 
 
 def _corner(row, col, size, shape):
-    """Where the window of a look from a cell begins: `(row, col)`."""
+    """Return the corner of the window of a look-around at a cell: `(row, col)`."""
     return [jnp.clip(at - m // 2, 0, n - m) for at, n, m in zip((row, col), shape, size)]
 
 
 def most(prospect: Prospect, row: Array, col: Array, beams: Beams) -> Array:
-    """What looks from some cells can tell at most: the entropy of all that lies in reach, walls or not.
+    """Bound the gain of look-arounds at some cells: the entropy of all cells in reach, walls or not.
 
     Args:
       prospect: `Prospect`.
@@ -106,9 +106,7 @@ def most(prospect: Prospect, row: Array, col: Array, beams: Beams) -> Array:
 
 
 def _passed(prospect, row, col, beams, scratch):
-    """A look all round on a scratch: the scratch, the corner of the window that it can reach, and in that window what
-    its beams passed and what is unknown.
-    """
+    """Cast a look-around on a scratch: scratch, corner of the window, and there the passed and unknown cells."""
     shape, zero = prospect.stops.shape, jnp.int32(0)
     found = scan(prospect.stops, row, col, zero, beams)
     scratch = fold(scratch, row, col, zero, found, beams)
@@ -119,13 +117,13 @@ def _passed(prospect, row, col, beams, scratch):
 
 
 def _wiped(scratch, corner, size):
-    """A scratch with zeros in a window again."""
+    """Reset a window of a scratch to zeros."""
     blank = jnp.zeros(size, jnp.int32)
     return Grid(*(lax.dynamic_update_slice(a, blank, corner) for a in (scratch.hits, scratch.misses)))
 
 
 def look(prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid) -> tuple[ViewGain, Grid]:
-    """What a look all round from a cell would tell.
+    """Compute the expected gain of a look-around at a cell.
 
     Args:
       prospect: `Prospect`.
@@ -163,7 +161,7 @@ def unknown_near(
     beams: Beams,
     within: Array | None = None,
 ) -> Array:
-    """The most unknown cells that one beam of a look all round from a cell shows in its first `raycast.BLOCK` steps.
+    """Return the most unknown cells that a beam of a look-around shows in its first `raycast.BLOCK` steps.
 
     Args:
       grid, extent, p_free, within: as for `stops_and_unknown`.
@@ -190,7 +188,7 @@ def unknown_near(
 def unknown_within(
     prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid, d2: Array
 ) -> tuple[Array, Grid]:
-    """How many unknown cells a look all round from a cell would show within some distances.
+    """Count the unknown cells that a look-around at a cell would show within some distances.
 
     Args:
       prospect, row, col, beams, scratch: as for `look`.
@@ -215,7 +213,7 @@ def unknown_seen(
     beams: Beams,
     within: Array | None = None,
 ) -> Array:
-    """How many unknown cells a look all round from a cell would show: int32, the `unknown` of a `look`.
+    """Count the unknown cells that a look-around at a cell would show: int32, the `unknown` of a `look`.
 
     Args:
       grid, extent, p_free, within: as for `stops_and_unknown`.

@@ -25,7 +25,7 @@ class Grid:
 
 
 def empty_grid(shape: tuple[int, ...]) -> Grid:
-    """A map in which nothing has been seen.
+    """Return a map without observations.
 
     Args:
       shape: `(H, W)`. Static.
@@ -37,7 +37,7 @@ def empty_grid(shape: tuple[int, ...]) -> Grid:
 
 
 def probability(grid: Grid) -> Array:
-    """Reflection probability of every cell.
+    """Compute the reflection probability of every cell.
 
     Args:
       grid: `Grid`, `[H, W]`.
@@ -50,24 +50,24 @@ def probability(grid: Grid) -> Array:
 
 
 def is_known(grid: Grid) -> Array:
-    """Cells with at least one observation: `[H, W]` bool. A cell at p = 0.5 with observations is known."""
+    """Return cells with at least one observation: `[H, W]` bool. A cell at p = 0.5 with observations is known."""
     return (grid.hits | grid.misses) != 0
 
 
 def is_free(grid: Grid, p_free: Array | float) -> Array:
-    """Known cells whose reflection probability is at most `p_free` (number or scalar), in float32: `[H, W]` bool."""
+    """Return known cells with a reflection probability of at most `p_free`, in float32: `[H, W]` bool."""
     n = grid.hits + grid.misses
     return (n > 0) & (grid.hits.astype(jnp.float32) <= p_free * n.astype(jnp.float32))
 
 
 def is_occupied(grid: Grid, p_free: Array | float) -> Array:
-    """Known cells whose reflection probability is above `p_free`, in float32: `[H, W]` bool."""
+    """Return known cells whose reflection probability is above `p_free`, in float32: `[H, W]` bool."""
     n = grid.hits + grid.misses
     return (n > 0) & (grid.hits.astype(jnp.float32) > p_free * n.astype(jnp.float32))
 
 
 def entropy(grid: Grid) -> Array:
-    """Entropy of every cell, bits.
+    """Compute the entropy of every cell, bits.
 
     Args:
       grid: `Grid`, `[H, W]`.
@@ -87,12 +87,12 @@ def entropy(grid: Grid) -> Array:
 
 
 def bordered(array: Array, fill: float) -> Array:
-    """The array with a border of `fill`, one cell wide: `[H + 2, W + 2]`. Neighbours are taken from it by `beside`."""
+    """Add a border of `fill`, one cell wide: `[H + 2, W + 2]`. Neighbours are taken from it by `beside`."""
     return jnp.pad(array, 1, constant_values=fill)
 
 
 def beside(bordered_array: Array, drow: int, dcol: int) -> Array:
-    """What lies at `(row + drow, col + dcol)` of every cell.
+    """Return the neighbours at `(row + drow, col + dcol)` of every cell.
 
     Args:
       bordered_array: `[H + 2, W + 2]`, from `bordered`.
@@ -106,7 +106,7 @@ def beside(bordered_array: Array, drow: int, dcol: int) -> Array:
 
 
 def any_within_one(mask: Array) -> Array:
-    """Cells that are True or have a True cell among their 8 neighbours; outside the map counts as False.
+    """Return cells that are True or have a True cell among their 8 neighbours; outside the map counts as False.
 
     Args:
       mask: `[H, W]` bool.
@@ -118,13 +118,13 @@ def any_within_one(mask: Array) -> Array:
 
 
 def any_within_one_packed(words: Array) -> Array:
-    """`any_within_one` for packed masks: `[K, W]` uint32 to the same."""
+    """Compute `any_within_one` for packed masks: `[K, W]` uint32 to the same."""
     words = words | bits.shifted(words, 0, 1) | bits.shifted(words, 0, -1)
     return words | bits.shifted(words, 1, 0) | bits.shifted(words, -1, 0)
 
 
 def count(mask: Array) -> Array:
-    """How many cells of a matrix are True: int32.
+    """Count the True cells of a matrix: int32.
 
     Row onto row first, then across: on a CPU that vectorises, both at once does not (measured: a quarter of the time).
     """
@@ -132,12 +132,12 @@ def count(mask: Array) -> Array:
 
 
 def lowest(values: Array) -> Array:
-    """The smallest value of a matrix, in the same two steps as `count`."""
+    """Return the smallest value of a matrix, in the same two steps as `count`."""
     return jnp.min(lax.optimization_barrier(jnp.min(values, axis=0)))
 
 
 def radius_d2(radius_m: float, cell_m: float) -> int:
-    """The largest squared distance in cells that counts as within `radius_m`.
+    """Return the largest squared distance in cells that counts as within `radius_m`.
 
     Args:
       radius_m: radius, metres. A Python number.
@@ -150,10 +150,10 @@ def radius_d2(radius_m: float, cell_m: float) -> int:
 
 
 def centre_of(row: Any, col: Any, *, cell_m: float, origin_m: tuple[float, float] = (0.0, 0.0)) -> tuple[Any, Any]:
-    """The centre of a cell: `(x_m, y_m)`, metres."""
+    """Return the centre of a cell: `(x_m, y_m)`, metres."""
     return (col + 0.5) * cell_m + origin_m[0], (row + 0.5) * cell_m + origin_m[1]
 
 
 def in_cells(length_m: float, cell_m: float) -> float:
-    """A length in cells: a Python float, rounded to 1e-9 so that 0.3 m / 0.1 m is 3."""
+    """Convert a length to cells: a Python float, rounded to 1e-9 so that 0.3 m / 0.1 m is 3."""
     return round(length_m / cell_m, 9)

@@ -33,7 +33,7 @@ class Beams:
     offset: Array  # [K, S, B] int32, flat cell entered at this step, relative to the robot's: drow * W + dcol
     by_beam: Array  # [K, S / BLOCK, B, BLOCK] int32, the same numbers, block by block, beam after beam
     drow: Array  # [K, S, B] int32, row of the cell entered at this step, relative to the robot's; 0 beyond the range
-    dcol: Array  # [K, S, B] int32, column, likewise
+    dcol: Array  # [K, S, B] int32, column of the same
     entry: Array  # [K, S, B] float32, distance at which it is entered, cells; inf beyond the range
     length: Array  # [K, B] int32, cells entered at a distance below the range
     blind: Array  # [K, B] int32, of these the first ones: a beam that is stopped there says nothing
@@ -44,14 +44,14 @@ class Beams:
 
 @struct.dataclass
 class Scan:
-    """Where the beams of one scan ended."""
+    """Ends of the beams of one scan."""
 
     end: Array  # [B] int32, cells passed; also the step at which the beam was stopped, if it was
     hit: Array  # [B] bool, stopped by an occupied cell (else the range ended it)
 
 
 def exact_direction(deg: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vector of an angle, free of rounding where the sine or cosine is 0, 1/2, 1 or sqrt(1/2).
+    """Return the unit vector of an angle, exact where the sine or cosine is 0, 1/2, 1 or sqrt(1/2).
 
     Args:
       deg: `[...]` float, degrees. Host.
@@ -69,7 +69,7 @@ def exact_direction(deg: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def beam_angles_deg(lidar: Lidar) -> np.ndarray:
-    """Angles of a scanner's beams relative to the robot's heading.
+    """Compute the angles of a scanner's beams relative to the robot's heading.
 
     Returns:
       `[B]` float64, degrees, from right to left. At a field of view of 360 degrees the last beam stops one step short
@@ -83,10 +83,10 @@ def beam_angles_deg(lidar: Lidar) -> np.ndarray:
 
 
 def advance_beams(xp: Any, state: Any, geometry: Any) -> tuple[Any, Any]:
-    """One step of Amanatides and Woo's traversal for every beam; through an exact corner it steps in x first.
+    """Advance every beam by one step of Amanatides and Woo's traversal; through an exact corner it steps in x first.
 
-    `xp` is numpy or jax.numpy; `state` counts the crossings so far, `(0, 0)` at first. Returns the next state, and the
-    cell entered with the distance at which: `(drow, dcol, entry)`, relative to the first cell, in cells.
+    `xp` is numpy or jax.numpy; `state` counts the crossings, `(0, 0)` at first. Returns the next state, and the cell
+    entered with the distance at which: `(drow, dcol, entry)`, relative to the first cell, in cells.
     """
     nx, ny = state
     sign_x, sign_y, to_x, to_y, per_x, per_y = geometry
@@ -99,7 +99,7 @@ def advance_beams(xp: Any, state: Any, geometry: Any) -> tuple[Any, Any]:
 
 
 def beam_geometry(xp: Any, dx: Any, dy: Any, x: Any, y: Any, far: Any) -> Any:
-    """Signs, distance to the first crossing in units of the crossings' spacing, and that spacing, on each axis.
+    """Return signs, distance to the first crossing in units of the crossings' spacing, and that spacing, on each axis.
 
     `dx`, `dy` are the beams' directions, `x`, `y` where in its cell, 0 to 1, a beam begins, `far` a spacing beyond all.
     """
@@ -112,12 +112,12 @@ def beam_geometry(xp: Any, dx: Any, dy: Any, x: Any, y: Any, far: Any) -> Any:
 
 
 def n_steps(range_cells: float) -> int:
-    """Steps that a beam can need from anywhere in a cell, and one more that ends it, in whole blocks. A Python int."""
+    """Return the steps that a beam can need from anywhere in a cell, and one more to end it, in whole blocks."""
     return -(-(math.floor(range_cells * math.sqrt(2)) + 3) // BLOCK) * BLOCK
 
 
 def by_beam(offset: np.ndarray) -> np.ndarray:
-    """Cell numbers block by block, beam after beam: `[K, S, B]` as `[K, S / BLOCK, B, BLOCK]`.
+    """Reorder cell numbers block by block, beam after beam: `[K, S, B]` as `[K, S / BLOCK, B, BLOCK]`.
 
     Counted in this order, two beams side by side, which enter the same cells near the robot, add to a cell one long
     after the other. In the order of steps they do so one right after the other, and each waits for the one before
@@ -128,7 +128,7 @@ def by_beam(offset: np.ndarray) -> np.ndarray:
 
 
 def scans_all_round(fov_deg: float) -> int:
-    """How many scans, evenly turned, see all round: the next of 1, 2, 4, 8, so that every heading is on the lattice.
+    """Return the number of evenly turned scans of a look-around: 1, 2, 4 or 8, so that every heading is on the lattice.
 
     Args:
       fov_deg: field of view, degrees. A Python number.
@@ -140,7 +140,7 @@ def scans_all_round(fov_deg: float) -> int:
 
 
 def all_round(beams: Beams) -> Beams:
-    """The beams of a look all round, from scans at evenly turned headings, as those of one scan.
+    """Merge the beams of a look-around, from scans at evenly turned headings, into one scan.
 
     Args:
       beams: `Beams` of 8 headings.
@@ -171,7 +171,7 @@ def farthest(lidar: Lidar, cell_m: float) -> float:
 
 
 def _cells_to(x, y):
-    """Cells entered on the way from a cell's centre to a point, cells: `[(drow, dcol), ...]` relative to it."""
+    """Return cells entered on the way from a cell's centre to a point, cells: `[(drow, dcol), ...]` relative to it."""
     col, row = math.floor(x + 0.5), math.floor(y + 0.5)
     # Where the way crosses edges of columns and of rows, as parts of its length; through a corner in x first.
     columns = [(round((i + 0.5) / abs(x), 9), 0, (0, int(math.copysign(1, x)))) for i in range(abs(col))]
@@ -181,7 +181,7 @@ def _cells_to(x, y):
 
 @functools.lru_cache(maxsize=8)
 def beam_table(lidar: Lidar, cell_m: float, width: int, longest: float = 0.0) -> Beams:
-    """The beams of a robot that stands on a cell's centre with a heading that is a multiple of 45 degrees.
+    """Compute the beams of a robot on a cell's centre with a heading that is a multiple of 45 degrees.
 
     A beam begins at the robot's centre, goes to the scanner and on from there; what stops it before the scanner, or
     nearer than the least range, makes it silent.
@@ -239,7 +239,7 @@ def beam_table(lidar: Lidar, cell_m: float, width: int, longest: float = 0.0) ->
 
 @jax.jit
 def scan(occupied: Array, row: Array | int, col: Array | int, heading: Array | int, beams: Beams) -> Scan:
-    """Where beams end in a true map.
+    """Cast the beams of one scan in a true map.
 
     Args:
       occupied: `[H, W]` bool. Its outermost rows and columns must be occupied: beams are not tested against the edge.
@@ -257,7 +257,7 @@ def scan(occupied: Array, row: Array | int, col: Array | int, heading: Array | i
         return flat.at[here + offset].get(mode="clip", wrap_negative_indices=False)
 
     def first_stop(offset, first):
-        """The first step of some, `[n, B]`, at which each beam is stopped or ends."""
+        """Return the first step of some, `[n, B]`, at which each beam is stopped or ends."""
         step = first + lax.broadcasted_iota(jnp.int32, (offset.shape[0], 1), 0)
         stopped = blocked(offset) | (step >= length)
         return jnp.min(jnp.where(stopped, step, NOT_ENDED), axis=0)
@@ -268,7 +268,7 @@ def scan(occupied: Array, row: Array | int, col: Array | int, heading: Array | i
 
     def look(state):
         j, end = state
-        # Sliced before it is reshaped: a reshape of the whole table inside a loop is a copy of it.
+        # Sliced before it is reshaped: reshaping the whole table inside a loop would copy it.
         offset = lax.dynamic_slice(beams.offset, (heading, j * BLOCK, 0), (1, BLOCK, length.shape[0]))[0]
         return j + 1, jnp.minimum(end, first_stop(offset, j * BLOCK))
 
@@ -287,7 +287,7 @@ def fold(
     *,
     when: Array | bool = True,
 ) -> Grid:
-    """Counts one scan into the map: a miss for every cell passed, a hit where a beam was stopped.
+    """Count one scan into the map: a miss for every cell passed, a hit where a beam was stopped.
 
     Args:
       grid: `Grid`, `[H, W]`.
@@ -308,7 +308,7 @@ def fold(
     misses = grid.misses.reshape(-1).at[here].add(jnp.asarray(when, jnp.int32))
 
     def cells(offset, first):
-        """Cells that some blocks of steps pass; a cell that is not there where the beam has ended."""
+        """Return the cells that some blocks of steps pass; an invalid one beyond the end of the beam."""
         step = first + lax.broadcasted_iota(jnp.int32, offset.shape, offset.ndim - 1)
         return jnp.where(step < end[:, None], here + offset, outside)
 
@@ -332,10 +332,10 @@ def steps_inside(
     heading: Array | int,
     extent: Array | tuple[Array | int, Array | int],
 ) -> Array:
-    """How many steps each beam can make before it leaves the map.
+    """Count the steps that each beam can make before it leaves the map.
 
     Args:
-      row, col, heading: int32, where the beams start.
+      row, col, heading: int32, start of the beams.
       extent: `(height, width)` of the map without padding, int32 scalars.
 
     Returns:
@@ -360,7 +360,7 @@ def disturb(
     sigma_cells: Array | float,
     dropout: Array | float,
 ) -> Scan:
-    """A scan as a noisy scanner reports it.
+    """Add noise to a scan.
 
     A beam that was stopped reports its distance plus Gaussian noise; it is read as a hit in the cell at that distance,
     or as passing everything where that lies beyond the range. A beam that was not stopped is not disturbed. A beam that

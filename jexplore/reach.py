@@ -1,7 +1,7 @@
-"""The reachability map: the cost of the shortest path from the robot to every cell, and the way there.
+"""The reachability map: the cost of the shortest path from the robot to every cell, and its predecessors.
 
 Costs are int32 fixed point, so that every algorithm, batch and device gives the same bits: 2**16 a straight step,
-round(sqrt(2) * 2**16) a diagonal one. A diagonal step needs both cells beside it traversable.
+round(sqrt(2) * 2**16) a diagonal one. A diagonal step needs both orthogonal neighbours traversable.
 """
 
 import jax
@@ -23,20 +23,18 @@ STEPS = (STRAIGHT, DIAGONAL)
 
 
 def motions_into(words):
-    """For each motion, the cells into which a robot can make it: list of 8 packed masks, from the packed
-    traversable cells.
-    """
+    """Return the cells into which a robot can make each motion: list of 8 packed masks, from traversable cells."""
     diagonal = [words & bits.shifted(words, -drow, 0) & bits.shifted(words, 0, -dcol) for drow, dcol in MOTIONS[4:]]
     return [words] * 4 + diagonal
 
 
 def source(shape, row, col):
-    """FAR everywhere but 0 at one cell: `[H, W]` int32."""
+    """Return FAR everywhere but 0 at one cell: `[H, W]` int32."""
     return lax.dynamic_update_slice(jnp.full(shape, FAR, jnp.int32), jnp.zeros((1, 1), jnp.int32), (row, col))
 
 
 def _sweep(cost, possible, rows, steps, reverse):
-    """Motions from each row into the next (or the one before, if `reverse`), row after row.
+    """Move from each row into the next (or the one before, if `reverse`), row after row.
 
     One buffer, read and written in place a row at a time: half the time of a scan that stacks its rows.
 
@@ -45,7 +43,7 @@ def _sweep(cost, possible, rows, steps, reverse):
       possible: three of `[H / 32, W]` uint32, the cells into which a robot can move straight ahead, ahead and to higher
         columns, ahead and to lower columns. Packed, as a barrier of a whole map costs more to make than to use.
       rows: `(first, last)` int32, rows to be entered.
-      steps: what a straight and a diagonal step cost. Static.
+      steps: costs of a straight and a diagonal step. Static.
       reverse: whether rows are taken from the last to the first. Static.
     """
     width = cost.shape[1] - 2
@@ -64,7 +62,7 @@ def _sweep(cost, possible, rows, steps, reverse):
 
 
 def _lowest_change(cost, motions, goals, rows, steps):
-    """The cheapest cost that one more motion would make lower, and the cheapest goal, FAR for none: `(int32, int32)`.
+    """Return the least cost that one more motion lowers, and the cheapest goal, FAR for none: `(int32, int32)`.
 
     Row by row, of motions only those that a sweep to lower rows has not made. `cost`, `steps` as for `_sweep`;
     `motions` from `motions_into`; `goals` `[H, W]` bool, or None; `rows` `(first, last)` int32, that are looked at.
@@ -94,7 +92,7 @@ def _lowest_change(cost, motions, goals, rows, steps):
 
 @jax.jit
 def reach(traversable: Array, row: Array | int, col: Array | int, goals: Array | None = None) -> Array:
-    """Cost of the shortest path from a cell to every cell: the reachability map.
+    """Compute the cost of the shortest path from a cell to every cell: the reachability map.
 
     Args:
       traversable: `[H, W]` bool; the start need not be.
@@ -128,7 +126,7 @@ def reach_packed(
     *,
     limit: Array | int = FAR,
 ) -> Array:
-    """`reach` with packed traversable cells.
+    """Compute `reach` with packed traversable cells.
 
     Args:
       words: `[K, W]` uint32.
@@ -143,11 +141,11 @@ def reach_packed(
 
 
 def nearest_source(words: Array, sources: Array, n: int) -> Array:
-    """Which of many sources is the nearest, along paths.
+    """Return the nearest of many sources, along paths.
 
     Args:
       words: `[K, W]` uint32, packed traversable cells.
-      sources: `[32 K, W]` int32, number of the source in each cell, at least 0 and less than n; -1 where there is none.
+      sources: `[32 K, W]` int32, number of the source in each cell, at least 0 and less than n; -1 elsewhere.
       n: sources, at most 4096. Static.
 
     Returns:
@@ -163,14 +161,14 @@ def nearest_source(words: Array, sources: Array, n: int) -> Array:
 
 
 def _sweeps(words, start, at, goals, limit, steps):
-    """Costs of the cheapest paths, row by row in turn upwards, downwards, and across.
+    """Compute costs of the cheapest paths, row by row in turn upwards, downwards, and across.
 
     Args:
       words: `[K, W]` uint32, packed traversable cells.
-      start: `[32 K, W]` int32, costs to begin with, FAR where there is none; None for 0 at one cell.
+      start: `[32 K, W]` int32, initial costs, FAR elsewhere; None for 0 at one cell.
       at: `(row, col)` int32, that cell.
       goals, limit: as for `reach_packed`; None and FAR if `start` is given.
-      steps: what a straight and a diagonal step cost. Static.
+      steps: costs of a straight and a diagonal step. Static.
     """
     height, width = bits.WORD * words.shape[0], words.shape[1]
     if spare := -width % bits.WORD:
@@ -185,7 +183,7 @@ def _sweeps(words, start, at, goals, limit, steps):
     motions, across, rows, cols = stored(words[0, 0] >= 0, prepare)
 
     def up_and_down(cost, motions, extent, middle, far):
-        """Two sweeps, of the rows that hold traversable cells no further than `far`."""
+        """Make two sweeps, of the rows that hold traversable cells no further than `far`."""
         rows = jnp.maximum(extent[0], middle - far), jnp.minimum(extent[1], middle + far)
         ahead, (ne, nw, sw, se) = motions[0], motions[4:]
         cost = _sweep(cost, (ahead, ne, nw), rows, steps, reverse=False)
@@ -219,7 +217,7 @@ def spread(
     limit: Array | int,
     steps: tuple[int, int],
 ) -> Array:
-    """`_sweeps` as one piece of code: the rows are many small operations."""
+    """Run `_sweeps` as one piece of code: the rows are many small operations."""
 
     def run(words, start, at, goals, limit):
         return _sweeps(words, start, at, goals, limit, steps)
@@ -228,7 +226,7 @@ def spread(
 
 
 def flood(words: Array, row: Array | int, col: Array | int) -> Array:
-    """The cells to which a path leads, however long.
+    """Return the cells that a path reaches, however long.
 
     Args:
       words: `[K, W]` uint32, packed traversable cells; the start need not be one.
@@ -240,19 +238,19 @@ def flood(words: Array, row: Array | int, col: Array | int) -> Array:
     at = jnp.stack([lax.broadcasted_iota(jnp.int32, words.shape, axis) for axis in (0, 1)])
     here = (at[0] == row // bits.WORD) & (at[1] == col)
     start = jnp.where(here, jnp.uint32(1) << jnp.uint32(row % bits.WORD), jnp.uint32(0))
-    # Straight motions do: a diagonal one needs both cells beside it.
+    # Straight motions do: a diagonal one needs both orthogonal neighbours.
     return one_kernel(bits.filled, words | start, start)
 
 
 def _extent(words):
-    """`(first, last)` column with a True cell; `last < first` if there is none. int32 scalars."""
+    """Return the `(first, last)` column with a True cell; `last < first` without one. int32 scalars."""
     width = words.shape[1]
     used, at = jnp.any(words != 0, axis=0), lax.iota(jnp.int32, width)
     return jnp.min(jnp.where(used, at, width)), jnp.max(jnp.where(used, at, -1))
 
 
 def saturated(cost: Array, traversable: Array) -> Array:
-    """Cells one motion beyond those with a cost that hold FAR, because their cost would not fit.
+    """Return cells one motion beyond those with a cost that hold FAR, because their cost would not fit.
 
     Args:
       cost: `[H, W]` int32, from `reach`.

@@ -25,7 +25,7 @@ LINE = 256  # cells of a splitting line, at most
 
 @struct.dataclass
 class Criteria:
-    """What makes a critical point. Numbers that may be swept without compiling anew."""
+    """Criteria of a critical point. Numbers that may be swept without compiling anew."""
 
     max_hops: Array  # int32, nodes of the reduced graph up to a junction
     prominence: Array  # float32, cells: how much the clearance must rise on both sides; 0: any local minimum
@@ -35,7 +35,7 @@ class Criteria:
 
 
 class Form(NamedTuple):
-    """What fixes shapes and code. Hashable."""
+    """Static config: shapes and code. Hashable."""
 
     nodes: int  # cells of the Voronoi graph, at most
     splits: int  # critical points, at most
@@ -58,7 +58,7 @@ class Segments:
 
 
 def form_for(shape: tuple[int, ...], *, coarse: bool = False, **changes: Any) -> Form:
-    """The `Form` that suits a map of a shape.
+    """Return the `Form` that suits a map of a shape.
 
     One cell in 8 may lie on the Voronoi graph and one in 400 be critical, on small maps more; on coarse maps, where
     corridors are only a few cells wide, one in 4 and one in 96. The most that built-in worlds have on an exploring
@@ -83,7 +83,7 @@ def criteria(
     max_clearance: float = float("inf"),
     longest_first: bool = True,
 ) -> Criteria:
-    """`Criteria` of a variant. Lengths in cells."""
+    """Return `Criteria` of a variant. Lengths in cells."""
     return Criteria(
         max_hops=jnp.int32(VARIANTS[variant]),
         prominence=jnp.float32(prominence),
@@ -109,7 +109,7 @@ NO_KEY = 2**31 - 1
 
 
 def _chains(graph):
-    """The next node of every state, and the state that follows it: `([2 K + 1], [2 K + 1])` int32."""
+    """Return the next node of every state, and the state that follows it: `([2 K + 1], [2 K + 1])` int32."""
     size = graph.cell.shape[0]
     nodes = lax.iota(jnp.int32, size)
     order = jnp.where(graph.link < size, lax.broadcasted_iota(jnp.int32, graph.link.shape, 1), 8)
@@ -126,7 +126,7 @@ def _chains(graph):
 
 
 def _doubled(head, after, keys):
-    """`_Walks` of a graph's chains: as many levels as the longest chain needs."""
+    """Build the `_Walks` of a graph's chains: as many levels as the longest chain needs."""
     size = keys.shape[0]
     at = jnp.minimum(head, size - 1)
     tables = after, jnp.where(head < size, keys[at], -1), jnp.where(head < size, keys[at], NO_KEY)
@@ -146,10 +146,10 @@ def _doubled(head, after, keys):
 
 
 def _barrier(walks, keys, upwards):
-    """For every state the largest key that is met before one smaller than the node's own, or before the chain ends.
+    """Return for every state the largest key met before one smaller than the node's own, or before the chain ends.
 
-    `[2 K]` int32; -1 where the very next key is smaller or there is none. With `upwards` False the other way round:
-    the smallest before a larger one, NO_KEY where the next is larger.
+    `[2 K]` int32; -1 where the next key is smaller already or the chain is empty. With `upwards` False the reverse: the
+    smallest before a larger one, NO_KEY where the next is larger.
     """
     own = jnp.repeat(keys, 2)
 
@@ -169,7 +169,7 @@ def _barrier(walks, keys, upwards):
 
 
 def critical_points(graph: Graph, criteria: Criteria) -> Array:
-    """Nodes at which free space is narrow.
+    """Find nodes at which free space is narrow.
 
     A node of degree 2 whose clearance is a local minimum along its chain: on either side the clearance rises by the
     prominence before it falls below the node's, or the chain ends. On the way to a junction there are fewer than
@@ -207,7 +207,7 @@ def critical_points(graph: Graph, criteria: Criteria) -> Array:
 
     def hop(i, state):
         ahead, hops, last = state
-        # What the walk so far says and what it says from where it has come to.
+        # Combine the walk up to here with the walk from its end.
         return ahead[ahead], hops + hops[ahead], jnp.where(ahead < 2 * size, last[ahead], last)
 
     at = jnp.minimum(head, size - 1)
@@ -222,7 +222,7 @@ def critical_points(graph: Graph, criteria: Criteria) -> Array:
 
 
 def borders(label: Array, n: int) -> Array:
-    """How many pairs of cells side by side belong to each pair of labels: `[n, n]` int32, at (lower, higher)."""
+    """Count the pairs of adjacent cells for each pair of labels: `[n, n]` int32, at (lower, higher)."""
     b = bordered(label, -1)
     total = jnp.zeros((n * n,), jnp.int32)
     for drow, dcol in ((0, 1), (1, 0)):
@@ -234,7 +234,7 @@ def borders(label: Array, n: int) -> Array:
 
 
 def merged(shared: Array, start: Array, longest_first: Array | bool, keep_apart: bool = True) -> Array:
-    """Joins segments that touch and do not come from the same split, the longest shared border first.
+    """Join segments that touch and do not come from the same split, the longest shared border first.
 
     Segments 2 k and 2 k + 1 come from split k: no two groups that hold opposite sides of one split are joined.
 
@@ -271,7 +271,7 @@ def merged(shared: Array, start: Array, longest_first: Array | bool, keep_apart:
 
 
 def _line_cells(drow, dcol, cell):
-    """Cells of the lines from critical points to their two nearest obstacles, at either side.
+    """Return the cells of the lines from critical points to their two nearest obstacles, at either side.
 
     Args:
       drow, dcol: `[H, W]` int32, how far away the nearest obstacle is.
@@ -309,7 +309,7 @@ def _check(free, form):
 
 
 def _fill_lines(label, free):
-    """Labels with splitting lines given to the segments beside them."""
+    """Assign splitting lines to the adjacent segments."""
     for _ in range(2):
         b = bordered(label, -1)
         around = [beside(b, *step) for step in sparse.NEIGHBOURS[:4]]
@@ -319,7 +319,7 @@ def _fill_lines(label, free):
 
 @functools.partial(jax.jit, static_argnames=("form",))
 def segment(free: Array, criteria: Criteria, *, form: Form) -> Segments:
-    """Divides free space into segments, roughly rooms.
+    """Divide free space into segments, roughly rooms.
 
     Args:
       free: `[H, W]` bool, cells known to be free; all others count as obstacles. What lies outside the map is no

@@ -27,7 +27,7 @@ class Graph:
 
 
 def medial_axis(d2: Array, drow: Array, dcol: Array, gamma2: Array | float) -> Array:
-    """Cells on a boundary between the regions of two obstacles: up to two cells wide.
+    """Return cells on a boundary between the regions of two obstacles: up to two cells wide.
 
     Args:
       d2, drow, dcol: `[H, W]` int32, from `nearest_offset` of the obstacles.
@@ -52,7 +52,7 @@ def medial_axis(d2: Array, drow: Array, dcol: Array, gamma2: Array | float) -> A
 
 
 def thin(words: Array) -> Array:
-    """Lines one cell wide with the same connections: cells are taken from both sides until none can go.
+    """Thin to lines one cell wide with the same connections: cells are taken from both sides until none can go.
 
     Args:
       words: `[K, W]` uint32, packed mask.
@@ -90,13 +90,13 @@ def _exactly_one(masks):
 
 
 def _two_and_four(masks):
-    """Where at least two of four masks hold, and where all do."""
+    """Return the cells where at least two of four masks hold, and where all do."""
     a, b, c, d = masks
     return (a & b) | (c & d) | ((a | b) & (c | d)), a & b & c & d
 
 
 def graph(skeleton: Array, d2: Array, *, size: int) -> Graph:
-    """Links the cells of a thin skeleton.
+    """Link the cells of a thin skeleton.
 
     Args:
       skeleton: `[H, W]` bool.
@@ -121,7 +121,7 @@ def graph(skeleton: Array, d2: Array, *, size: int) -> Graph:
 
 
 def voronoi_graph(obstacle: Array, gamma2: Array | float, *, size: int) -> tuple[Graph, Array, Array]:
-    """The Voronoi graph of the space between obstacles.
+    """Compute the Voronoi graph of the space between obstacles.
 
     Args:
       obstacle: `[H, W]` bool.

@@ -24,7 +24,7 @@ KERNEL = {"display_name": "Python 3", "language": "python", "name": "python3"}
 
 
 def executed(path: Path, folder: str | os.PathLike[str], **variables: str) -> nbformat.NotebookNode:
-    """A notebook after it has run in another folder, as one without the repository would.
+    """Run a notebook in another folder, as one without the repository would.
 
     Args:
       path: the notebook.
@@ -45,7 +45,7 @@ def executed(path: Path, folder: str | os.PathLike[str], **variables: str) -> nb
 
 
 def stripped(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
-    """The same notebook with nothing in it but cells, outputs and the name of its kernel; its pictures small files."""
+    """Strip a notebook to cells, outputs and the name of its kernel; its pictures small files."""
     notebook.metadata = nbformat.from_dict({"kernelspec": KERNEL, "language_info": {"name": "python"}})
     for number, cell in enumerate(notebook.cells):
         cell.id, cell.metadata = f"cell-{number:02}", nbformat.from_dict({})
@@ -57,7 +57,7 @@ def stripped(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
 
 
 def main(names: list[str]) -> None:
-    """Runs the notebooks whose names contain one of these; by default all."""
+    """Run the notebooks whose names contain one of these; by default all."""
     for path in sorted(HERE.glob("*.ipynb")):
         if names and not any(name in path.name for name in names):
             continue

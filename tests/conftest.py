@@ -26,7 +26,7 @@ hypothesis.settings.register_profile("jexplore", deadline=None, print_blob=True)
 hypothesis.settings.load_profile("jexplore")
 
 
-try:  # the C library keeps what is freed, in pieces; this gives it back
+try:  # the C library keeps freed memory in pieces; this returns it
     _trim = ctypes.CDLL(None).malloc_trim
 except AttributeError:  # another C library
     _trim = int
@@ -63,7 +63,7 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """What tests are made of stays: garbage is not looked for in it, and less often while programs are traced."""
+    """Freeze the garbage collector's view of the collected tests, and collect less often while programs are traced."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
@@ -102,7 +102,7 @@ def _jit_as_marked(request):
 
 @pytest.fixture(autouse=True, scope="module")
 def _garbage():
-    """What a module has compiled goes with it; what it has traced is not looked at again by every later collection."""
+    """Drop a module's compiled programs; later collections skip what it has traced."""
     yield
     devices._compiled.cache_clear()
     jax.clear_caches()
@@ -118,7 +118,7 @@ def jit_on():
 
 @pytest.fixture(scope="session")
 def maps():
-    """The folder of downloaded maps, `shared/maps` beside the checkout."""
+    """Return the folder of downloaded maps, `shared/maps` next to the checkout."""
     folder = Path(__file__).resolve().parents[2] / "shared" / "maps"
     if not folder.is_dir():
         pytest.skip(f"the maps are not there: no folder {folder}")

@@ -91,7 +91,7 @@ def test_interval_of_a_share_holds_it_and_agrees_with_its_p(values):
 
 
 def test_worlds_of_one_kind_that_agree_make_it_narrow():
-    """What kinds differ in does not make it wide."""
+    """Differences between kinds do not make it wide."""
     shares = [0.9, 0.8, 0.9, 0.2, 0.3, 0.2]
     _, low, high, _ = share_over_worlds(shares, ["a"] * 3 + ["b"] * 3)
     _, wide_low, wide_high, _ = share_over_worlds(shares, ["a"] * 6)

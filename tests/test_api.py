@@ -16,7 +16,7 @@ HEAVY = ("jax", "numpy", "scipy", "pandas", "matplotlib", "flax", "PIL", "tqdm")
 
 
 def loaded_after(code):
-    """Which heavy packages a fresh interpreter holds after some code."""
+    """Return the heavy packages that a fresh interpreter holds after some code."""
     tail = f"\nimport sys\nprint(*(name for name in {HEAVY} if name in sys.modules))"
     done = subprocess.run([sys.executable, "-c", code + tail], capture_output=True, text=True, check=True)
     return done.stdout.splitlines()[-1].split()
@@ -53,7 +53,7 @@ def test_every_name_exists_and_is_told():
 
 @pytest.mark.parametrize("gymnasium", ["None", "types.ModuleType('gymnasium')"])
 def test_a_missing_or_old_extra_costs_only_its_own_names(gymnasium):
-    """One without the package, and one with a version that lacks what is needed."""
+    """Once without the package, and once with a version that lacks a needed part."""
     code = f"""
 import inspect, pydoc, sys, types
 sys.modules["gymnasium"] = {gymnasium}

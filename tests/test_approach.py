@@ -1,4 +1,4 @@
-"""How a robot that has looked round finds the middle of a place that it knows, at a junction to check with a pencil."""
+"""The middle of a known place, found by a robot that has looked round, at a junction to check with a pencil."""
 
 import math
 from types import SimpleNamespace
@@ -28,8 +28,10 @@ Y_M, RADIUS_M = 0.16, 1.16
 
 
 def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None, looked=math.pi, seen=511):
-    """What a robot finds that has looked round at `(robot_x_m, Y_M)`, by so many radians, where it has seen a circle of
-    `RADIUS_M`, if not elsewhere, and whose map has a divergence at a place, with a circle so large: `Latched`.
+    """Return `Latched` of a robot that has looked round.
+
+    It stands at `(robot_x_m, Y_M)`, has turned by `looked` radians, has seen a circle of `RADIUS_M` there, and its map
+    has a divergence `node` with a circle of `radius_m`.
     """
     pose = jnp.array([robot_x_m, Y_M, 0.0])
     angles = np.radians(np.arange(SECTORS) - SECTORS // 2).astype(np.float32)
@@ -77,7 +79,7 @@ def test_the_robot_goes_to_where_it_sees_that_circle():
     ],
 )
 def test_where_it_sees_no_place_that_all_scans_have_shown_it_looks_a_little_longer(robot_x_m, looked, seen, goes_on):
-    """In the passage there is none: what it took for one was noise, or noise hides it now."""
+    """In the passage no place exists: the one seen was noise, or noise hides it now."""
     found = looked_round((0.0, 50.0), RADIUS_M, robot_x_m, looked=looked, seen=seen)
     assert (int(found.drive.latch) == Latch.LOOK) == goes_on
     assert bool(found.gives_up) == (not goes_on and robot_x_m > 0)
@@ -127,8 +129,9 @@ def test_a_place_that_a_robot_sees_from_afar_as_it_looks_round_is_gone_to():
 
 
 def leaving(track_xy, target, out_m, latch=Latch.LEAVE, passed=None, guide=None):
-    """Whether a robot that leaves a place, so far beyond its circle, for a target begins to approach a place it has
-    seen: all along an axis that is turned by 40 degrees. `passed`: x and radius of a place that was none.
+    """Return whether a robot that leaves a place, `out_m` beyond its circle, begins to approach a place it has seen.
+
+    All lie along an axis that is turned by 40 degrees. `passed`: x and radius of a rejected candidate.
     """
     cos, sin = math.cos(0.7), math.sin(0.7)
 
@@ -153,7 +156,7 @@ def leaving(track_xy, target, out_m, latch=Latch.LEAVE, passed=None, guide=None)
     [
         ((4.0, 0.3), (7.0, 0.0), 0.8, True),
         ((4.0, 0.3), (7.0, 0.0), 0.3, False),  # it has not left yet
-        ((4.0, 0.7), (7.0, 0.0), 0.8, False),  # beside its way
+        ((4.0, 0.7), (7.0, 0.0), 0.8, False),  # abeam of its way
         ((8.0, 0.0), (7.0, 0.0), 0.8, False),  # behind the opening
         ((1.5, 0.0), (7.0, 0.0), 0.8, False),  # it has gone past it
         ((2.0, 0.0), (2.7, 0.0), 0.8, False),  # it is there in a moment
@@ -173,7 +176,7 @@ def test_a_robot_that_follows_a_route_heeds_none_on_the_way():
     assert not leaving((4.0, 0.3), (7.0, 0.0), 0.8, guide=object())
 
 
-# A corridor along y, and doors 0.9 m wide on both sides of it, not quite opposite, into wide rooms.
+# A corridor along y, and doors 0.9 m wide on both sides, not quite opposite, into wide rooms.
 CORRIDOR = Walls(
     x=jnp.array([[0.0, -9, -0.45], [0.0, 0.45, 9], [2.35, -9, -0.05], [2.35, 0.85, 9], [-6.0, -4, 4], [7.0, -4, 4]]),
     y=jnp.array([[-4.0, -6, 0], [4.0, -6, 0], [-4.0, 2.35, 7], [4.0, 2.35, 7]]),

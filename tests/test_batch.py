@@ -170,7 +170,7 @@ def test_another_seed_draws_other_targets(jobs, one_worker):
 
 @pytest.mark.jit
 def test_paths_at_marks_are_those_of_the_trail(jobs, one_worker):
-    """The first step after which so many cells were known, of the episode's own record; what can be known by hand."""
+    """The first step after which a share of the cells was known, by the episode's record; knowable cells by hand."""
     found = run_jobs(jobs[:3], LIDAR, RULES, keep="paths").outcomes
     for job, same, (result, _, records) in zip(jobs[:3], one_worker, found):
         jax.tree.map(np.testing.assert_array_equal, result, same.result)

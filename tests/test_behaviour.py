@@ -462,7 +462,7 @@ def test_the_nearer_wall_is_followed_at_the_distance_it_had(left_m, right_m, asi
         (2.4, 1.0, 0.7),
         (2.6, 1.0, 0.1),
         (1.0, 2.6, 0.2),
-        (INF, INF, 0.7),  # both sides open: the middle between what is known
+        (INF, INF, 0.7),  # both sides open: the middle of the known
         (2.6, 2.6, 0.7),
     ],
 )

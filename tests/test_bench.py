@@ -199,7 +199,7 @@ def test_same_sees_one_bit():
 
 
 def test_dijkstra_round_a_corner():
-    # From (0, 0), beside a wall at (0, 1): the diagonal past it is no way, north and then east is.
+    # From (0, 0), next to a wall at (0, 1): the diagonal past it is no way, north and then east is.
     traversable = np.array([[1, 0, 1], [1, 1, 1]], bool)
     cost, target = oracles.dijkstra(traversable, 0, 0, np.zeros((2, 3), bool), False)
     one, far = 2**16, 2**30

@@ -47,7 +47,7 @@ def flat_of(made, row, col):
 
 
 def seen_from(made, cells):
-    """What robots on some cells see: a mask of the padded map."""
+    """Return the cells seen by robots on some cells: a mask of the padded map."""
     found = np.zeros(len(made.occupied), bool)
     for cell in cells:
         found[made.sights.seen(int(cell))] = True
@@ -173,7 +173,7 @@ def test_low_never_falls_as_witnesses_are_added_and_pieces_are_no_better_than_th
 
 
 def test_a_corridor_by_hand():
-    """A dead-end corridor of 3 x 30 cells: what is nearest its ends must be driven up to."""
+    """A dead-end corridor of 3 x 30 cells: the cells at its ends must be approached."""
     occupied = np.ones((5, 32), bool)
     occupied[1:4, 1:31] = False
     world = World(occupied=occupied, cell_m=0.1, name="corridor")

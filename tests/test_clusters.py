@@ -1,4 +1,4 @@
-"""Strategies that choose among frontier clusters: by hand on small maps, and their parts beside brute force."""
+"""Strategies that choose among frontier clusters: by hand on small maps, and their parts compared with brute force."""
 
 import itertools
 
@@ -49,7 +49,7 @@ A, B, C = (1, 3), (1, 9), (1, 13)  # paths from the robot 4, 2, 6; A to B 6, B t
 @pytest.mark.parametrize(
     ("name", "numbers"),
     [
-        # 1 - beta beside 3 - 6 beta: the same at beta = 0.4. By default 5.
+        # 1 - beta and 3 - 6 beta: the same at beta = 0.4. By default 5.
         ("utility", {"beta=0": FAR_OFF, "beta=0.39": FAR_OFF, "beta=0.41": NEAR, "": NEAR,
                      "min_gain=2": FAR_OFF, "beta=0,min_gain=4": NEAR}),
         # Both are alike in known cells. The near one is best in d and o, the far one in a and o.
@@ -61,7 +61,7 @@ def test_much_to_see_far_off_or_little_near_by(name, numbers):
     for text, want in numbers.items():
         assert beliefs.target_of(f"{name}:{text}".rstrip(":"), belief, CROSS) == want
     if name == "utility":
-        # Area in square metres: with cells of half a metre 1/4 - beta / 2 beside 3/4 - 3 beta, the same at beta = 0.2.
+        # Area in square metres: with cells of half a metre 1/4 - beta / 2 and 3/4 - 3 beta, the same at beta = 0.2.
         metres = belief.model.replace(cell_m=jnp.float32(0.5))
         belief, lidar = belief.replace(model=metres), Lidar(n_beams=4, fov_deg=360, range_m=2.0)
         for text, want in {"beta=0.19": FAR_OFF, "beta=0.21": NEAR}.items():
@@ -70,7 +70,7 @@ def test_much_to_see_far_off_or_little_near_by(name, numbers):
 
 @pytest.mark.jit
 def test_small_first_puts_off_what_draws_the_robot_in():
-    """One step to the right 3 unknown cells, six to the left 1: -1 - s sqrt(3) beside -6 - s, the same at s = 6.83."""
+    """One step to the right 3 unknown cells, six to the left 1: -1 - s sqrt(3) and -6 - s, the same at s = 6.83."""
     belief = beliefs.belief_of("############## #?......R.???# ##############", **ONE_METRE)
     for text, want in {"": (1, 9), "side_weight=6.8": (1, 9), "side_weight=6.9": (1, 2)}.items():
         assert beliefs.target_of(f"small-first:{text}".rstrip(":"), belief, CROSS) == want
@@ -78,7 +78,7 @@ def test_small_first_puts_off_what_draws_the_robot_in():
 
 @pytest.mark.jit
 def test_every_pair_of_criteria_has_a_weight_of_its_own():
-    """The near one is best in unknown cells (3 beside 1) and path, the far one in known cells (6 beside 5)."""
+    """The near one is best in unknown cells (3 to 1) and path, the far one in known cells (6 to 5)."""
     belief = beliefs.belief_of("############# ##########.## #???.R.....?# #############", **ONE_METRE)
     near, far_off = (1, 4), (1, 10)
     for text, want in {"": near, "o=0.6,ao=0.6,do=0.6,ad=0.61": near, "o=0.6,ao=0.6,do=0.6,ad=0.59": far_off}.items():
@@ -107,7 +107,7 @@ BETWEEN = jax.jit(clusters.costs_between)
 
 @jax.jit
 def everything(belief, beams):
-    """`Targets`, what is seen from them, how far apart they are, and traversable cells."""
+    """Return `Targets`, the cells seen from them, their distances, and traversable cells."""
     known = field(belief)
     at = clusters.targets(belief, known)
     return at, clusters.seen_from(belief, at, beams), clusters.apart(belief, at), known.traversable
@@ -164,7 +164,7 @@ def test_what_shows_less_than_enough_is_counted(enough):
 @given(st.integers(0, 2**30), st.integers(0, 12))
 @settings(max_examples=40, deadline=None)
 def test_costs_between_cells_are_those_from_each(seed, n):
-    """More cells than maps that stand beside each other, and fewer."""
+    """More cells than copies of the map in the tiling, and fewer."""
     draw = np.random.default_rng(seed)
     passable = draw.random((7, 9)) < 0.75
     row, col = (draw.integers(0, size, 12).astype(np.int32) for size in passable.shape)
@@ -183,7 +183,7 @@ def test_costs_between_cells_are_those_from_each(seed, n):
 @pytest.mark.jit
 @pytest.mark.parametrize("clearance_d2", [0, 9])
 def test_distances_on_blocks_are_near_the_exact_ones(clearance_d2):
-    """And what is seen from the targets is what a look from each of them tells."""
+    """And the cells seen from the targets are those of a look-around at each."""
     shape, compared, lidar = (60, 70), 0, Lidar(n_beams=12, fov_deg=360, range_m=0.5)
     side = clusters.blocks_of(clearance_d2)
     assert side == (1 if clearance_d2 == 0 else 4)

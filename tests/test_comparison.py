@@ -1,4 +1,4 @@
-"""Comparisons: the table, its order and pairing, what a larger or smaller run changes, and what is refused."""
+"""Comparisons: the table, its order and pairing, effects of a larger or smaller run, and refusals."""
 
 import dataclasses
 import math

@@ -30,7 +30,7 @@ def types(world):
 
 
 def is_free(world, x, y):
-    """Whether the cell of a point is free, from the convention of `Course`."""
+    """Return whether the cell of a point is free, from the convention of `Course`."""
     row = math.floor((y - world.origin_m[1]) / world.cell_m + 1e-6)
     col = math.floor((x - world.origin_m[0]) / world.cell_m + 1e-6)
     return not world.occupied[row, col]

@@ -180,7 +180,7 @@ def test_a_link_is_a_passage_of_its_length_and_width(courses):
 
 
 def test_all_free_cells_are_passages_of_the_topology(courses):
-    """Passages drawn again from the topology alone cover what is free, but for the corners beyond the nodes."""
+    """Passages drawn again from the topology alone cover the free cells, but for the corners beyond the nodes."""
     for world in courses.values():
         free = ~world.occupied
         rows, cols = np.nonzero(free)
@@ -308,7 +308,7 @@ def test_the_obstacle_lies_on_the_way_in(obstacle, letters):
 
 
 def test_many_plans_keep_clear_of_themselves():
-    """What must fit is drawn without another try."""
+    """Elements that must fit are drawn without another try."""
     for seed, loops, repeat, width_m in itertools.product(range(40), (1, 2, 3), (0, 10), (1.2, 3.0)):
         plan = network(np.random.default_rng(seed), width_m, 3, loops, repeat, True)
         fifths = np.array(plan.areas) / 0.2

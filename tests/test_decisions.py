@@ -1,4 +1,4 @@
-"""The environment of decisions, what brax makes of it, and lessons: equal to what strategies drive in a comparison."""
+"""The environment of decisions, its form in brax, and lessons: equal to strategies in a comparison."""
 
 import functools
 from pathlib import Path

@@ -134,14 +134,14 @@ def clusters(rng):
 
 
 def thin(points, triangle):
-    """Whether a triangle has hardly any height: with rounded numbers it may be there or not."""
+    """Return whether a triangle has hardly any height: with rounded numbers it may exist or not."""
     a, b, c = points[list(triangle)]
     area2 = abs((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])
     return area2 < 1e-4 * max(np.sum((p - q) ** 2) for p, q in ((a, b), (b, c), (c, a)))
 
 
 def is_close_call(points, triangle):
-    """Whether a fourth point lies on its circle, as near as numbers tell."""
+    """Return whether a fourth point lies on its circle, within rounding."""
     centre, radius = circle(points, triangle)
     return np.sort(np.abs(np.hypot(*(points - centre).T) - radius))[3] < 1e-4 * radius
 

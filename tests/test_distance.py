@@ -82,7 +82,7 @@ def test_nearest_site_is_brute_force_and_scipy(sites):
 @given(masks(0.15), st.integers(1, 3))
 @settings(max_examples=40, deadline=None)
 def test_distances_turn_with_the_map(sites, quarters):
-    """Which of equally near sites is named does not: that is settled by the column."""
+    """The choice among equally near sites does not: it depends on the column."""
     turned = nearest_site(jnp.asarray(np.rot90(sites, quarters)))[0]
     np.testing.assert_array_equal(turned, np.rot90(nearest_site(jnp.asarray(sites))[0], quarters))
 

@@ -1,4 +1,4 @@
-"""What the documentation shows runs, its commands parse, its links lead somewhere, and its lists are complete."""
+"""The code in the documentation runs, its commands parse, its links lead somewhere, and its lists are complete."""
 
 import importlib.util
 import itertools
@@ -72,7 +72,7 @@ def text_of(page):
 
 
 def blocks(text):
-    """Fenced blocks: pairs of the language and what is fenced; `excerpt` as language of what says that it is one."""
+    """Return fenced blocks: pairs of the language and the content; `excerpt` as language of a block marked so."""
     for before, spaces, language, body in re.findall(r"([^\n]*)\n( *)```(\w*)\n(.*?)^ *```$", text, re.S | re.M):
         body = re.sub(rf"^{spaces}", "", body, flags=re.M)
         yield "excerpt" if before.startswith(EXCERPT) else language, body
@@ -118,7 +118,7 @@ def made_small(words):
 
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
-    """An empty folder to work in, in which modules are found, and no trace of it afterwards."""
+    """Return an empty folder to work in, in which modules are found, and no trace remains afterwards."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     before = set(sys.modules)
@@ -446,7 +446,7 @@ def test_every_picture_is_drawn_by_the_script_and_shown():
 
 @pytest.mark.parametrize("name", [name for name, drawn in script("pictures").DRAWN.items() if drawn.command])
 def test_what_draws_a_picture_is_told(name):
-    """Beside the picture, as one would type it."""
+    """Next to the picture, as one would type it."""
     command = script("pictures").DRAWN[name].command.removesuffix(" --out drawn")
     told = [" ".join(text_of(page).replace("\\\n", " ").split()) for page in PAGES]
     assert any(command in text for text in told), command

@@ -1,4 +1,4 @@
-"""What drift does to maps: where nodes truly lie, what is summed up, what is drawn; and how many bytes maps take."""
+"""Effects of drift on maps: true positions of nodes, summaries, pictures; and the bytes of maps."""
 
 import dataclasses
 import math

@@ -41,7 +41,7 @@ needs_compiler = pytest.mark.skipif(not build.find_compiler(), reason="no C++ co
 
 @pytest.fixture(scope="module", autouse=True)
 def _folder(tmp_path_factory):
-    """A folder of its own for what is built."""
+    """Use a separate folder for built libraries."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("native")))
         yield
@@ -67,7 +67,7 @@ def setting(native, occupied=ROOM, lidar=RIGHT_ANGLES, start=(1, 2, 0)):
 
 
 def without_tally(state):
-    """What JAX counts known cells by is of no use to native code, and not kept by it."""
+    """Remove the tally by which JAX counts known cells: native code neither uses nor keeps it."""
     return state.replace(tally=())
 
 
@@ -156,7 +156,7 @@ def test_a_map_without_walls_all_round_is_refused(target):
         jax.block_until_ready(begun(*setting(target, occupied)))
 
 
-# ---------------------------------------------------------------- beside JAX
+# ---------------------------------------------------------------- compared with JAX
 
 
 @needs_compiler
@@ -267,7 +267,7 @@ def test_no_compiler_is_told_once_and_jax_drives(monkeypatch, tmp_path):
 def test_a_compiler_that_fails_is_told_in_one_line(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     compiler = tmp_path / "fails"
-    # Its first line is none of UTF-8.
+    # Its first line is not UTF-8.
     compiler.write_text("#!/bin/sh\nprintf '\\377\\n' >&2\necho 'look.cpp:1: error: no such thing' >&2\nexit 1\n")
     compiler.chmod(0o755)
     for command, why in (

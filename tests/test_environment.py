@@ -133,7 +133,7 @@ def test_any_cell_of_finite_cost_can_be_gone_to(env):
     state, view = env.reset(key)
     free = np.argwhere((np.asarray(view.cost) < 2**30) & ~np.asarray(view.frontier))
     far = free[np.argmax(np.asarray(view.cost)[tuple(free.T)])]
-    for recheck in (False, True):  # what is no frontier cell is not given up for being none
+    for recheck in (False, True):  # a target other than a frontier cell is not given up for that
         one = jx.Environment(two_rooms(), lidar=Lidar(n_beams=37, range_m=1.0), recheck=recheck, paths=True)
         new, _, reward, _, info = one.step(key, one.reset(key, view.belief.start * jnp.int32([1, 1, 45]))[0], far)
         assert bool(info["valid"])

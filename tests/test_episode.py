@@ -1,4 +1,4 @@
-"""Whole episodes beside the plain-numpy simulator: same counts, same way, same map, same outcome."""
+"""Whole episodes compared with the plain-numpy simulator: same counts, same way, same map, same outcome."""
 
 import jax
 import numpy as np
@@ -35,7 +35,7 @@ def test_a_corridor_by_hand():
         #######
     """)
     result, state = play(occupied, (1, 1, 0), "closest", CROSS, ONE_CELL, cell_m=1.0)
-    # The start is beside no unknown cell but (0, 2) and (2, 2) above and below the next one: it is a frontier itself.
+    # The start is next to no unknown cell but (0, 2) and (2, 2) above and below the next one: it is a frontier itself.
     want = replay(occupied, (1, 1, 0), "closest", CROSS, ONE_CELL, cell_m=1.0)
     assert Outcome(int(result.outcome)) == Outcome.COMPLETE
     assert_equal_episodes(result, state, want, cell_m=1.0)
@@ -158,7 +158,7 @@ BLOCKED = """
 
 @pytest.mark.jit
 def test_a_start_near_walls_can_end_blocked_or_stuck():
-    """In the doorway both rooms are connected by what is near the start, which no plan from afar may use."""
+    """In the doorway both rooms are connected by cells near the start, which no plan from afar may use."""
     rules, outcomes = Rules(near_m=0.4), set()
     lidar = Lidar(range_m=0.7, n_beams=11, fov_deg=90)
     occupied = np.repeat(np.repeat(maps.walls(BLOCKED), 3, axis=0), 3, axis=1)

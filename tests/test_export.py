@@ -74,7 +74,7 @@ def refuse(constant):
 
 
 def check_plain(value):
-    """What a reader of metadata takes as a value or as an element of a list."""
+    """Check a value as a reader of metadata takes it, alone or as an element of a list."""
     assert isinstance(value, (str, bool, float)), f"cannot be converted: {value!r}"
     assert not isinstance(value, float) or abs(value) < 3.4e38
 
@@ -271,20 +271,20 @@ def test_the_checker_stumbles(old, new):
 
 
 def scored(nodes, edge):
-    """What the distance and the penalty scorer say of an edge, both of weight 1."""
+    """Return the scores of an edge by the distance and the penalty scorer, both of weight 1."""
     a, b = (nodes[edge[end]] for end in ("startid", "endid"))
     chord = np.hypot(np.float32(b["x"]) - np.float32(a["x"]), np.float32(b["y"]) - np.float32(a["y"]))
     return chord + np.float32(edge["metadata"].get("penalty", 0.0))
 
 
 def own_cost(nodes, edge):
-    """What an edge costs without scorers; the planner gives up over one that costs nothing."""
+    """Return the cost of an edge without scorers; the planner gives up over one without cost."""
     assert edge["cost"] > 0
     return np.float32(edge["cost"])
 
 
 def planned(nodes, edges, start, goal, cost_of):
-    """The cost of the cheapest way and its edges; None where there is none, or nowhere to go: the planner says so."""
+    """Return the cost of the cheapest way and its edges; None without one, as the planner reports."""
     cost, parent, queue = {start: np.float32(0)}, {}, [(np.float32(0), start)]
     while queue:
         here_cost, here = heapq.heappop(queue)

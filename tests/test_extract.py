@@ -140,7 +140,7 @@ def test_the_doors_of_a_hall_are_linked_in_a_ring():
         assert min(abs(one.x_m - two.x_m), abs(one.y_m - two.y_m)) > 2  # never straight across
 
 
-# ---------------------------------------------------------------- what is not known, and what is closed
+# ---------------------------------------------------------------- unknown and closed parts
 
 
 @pytest.mark.jit

@@ -37,7 +37,7 @@ SCREEN = 60  # lines of a function
 
 
 def room_of(parts):
-    """Where a module stands: its folder; a top-level module's own name; the kernels together."""
+    """Return the room of a module: its folder; a top-level module's own name; the kernels together."""
     return "kernels" if parts[0] in KERNELS else parts[0]
 
 

@@ -170,7 +170,7 @@ def test_at_a_place_that_the_map_does_not_have_the_robot_goes_towards_the_next()
     [(2, (12.5, -6.2), 4.6), (2, (10.5, -5.0), 347.5), (1, (10.0, -5.0), 348.7), (1, (8.5, -3.0), 296.6)],
 )
 def test_past_the_last_place_it_goes_towards_the_end(size, at, centre, toward):
-    """Which lies at (15, -6); so it does near the last place, at (10, -6)."""
+    """The end lies at (15, -6), also near the last place, at (10, -6)."""
     guide = a_guide(size=size).replace(at=jnp.int32(at), from_xy=jnp.array([10.0, (0.0, -6.0)[at - 1]]))
     after, bearing = met(guide, 20.0, centre, place(WEST, NORTH))
     assert counts(after) == (at, 0, 1)
@@ -214,7 +214,7 @@ def test_a_heading_that_is_off_turns_legs_and_places_beside_the_route():
     guide = a_guide().replace(turned=jnp.float32(math.pi / 2))
     np.testing.assert_allclose(guides.next_of(guide)[0], (0.0, -10.0), atol=1e-4)
     ways = [way - math.pi / 2 for way in T]
-    others = (((0.0, -1.2),), ())  # south of the first place: west of it, by the odometry
+    others = (((0.0, -1.2),), ())  # south of the first place: west by the odometry
     for beside, at in (((), 1), (others, 0)):
         guide = a_guide(others=beside).replace(turned=jnp.float32(math.pi / 2))
         assert int(met(guide, 9.0, (-0.9, -10.0), place(*ways))[0].at) == at
@@ -251,7 +251,7 @@ ONE = {"out": (SOUTH,), "ways": (T,), "leg": ((10.0, 0.0),), "length_m": (10.0,)
 
 @pytest.mark.parametrize("tail_m", [0.0, 5.0])
 def test_a_route_ends_where_the_map_has_its_end(tail_m):
-    """At the last place, or five metres south of it; the farther the robot has gone, the less near it need be."""
+    """At the last place, or five metres south; the tolerance grows with the way."""
     guide, y = a_guide(**ONE, tail_m=tail_m), -tail_m
     if tail_m:
         guide, _ = met(guide, 9.0, (10.0, 0.0), place(*T))
@@ -408,7 +408,7 @@ def test_a_link_that_is_blocked_loses_what_maps_said_about_that(walled):
 
 
 def steered(guide, at, *, ways_m=FAR, mode=RunMode.CENTRAL, latch=Latch.FREE, track=None, odometer_m=1.0, **more):
-    """What the robot does at x, y, heading in degrees: the guide, the `Drive`, the `Track`."""
+    """Return the result of steering at x, y, heading in degrees: the guide, the `Drive`, the `Track`."""
     x, y, heading = at
     space = behaviour.no_free_space().replace(inside=jnp.bool_(more.get("inside", False)))
     state = types.SimpleNamespace(odometer_m=jnp.float32(odometer_m), mode=jnp.int32(mode), space=space)
@@ -431,7 +431,7 @@ STRAY = {"strays": jnp.bool_(True), "at": jnp.int32(1), "from_xy": jnp.array([10
 
 def test_a_robot_astray_steers_for_the_next_place_by_the_free_way_nearest_to_it():
     guide = a_guide().replace(**STRAY)
-    after, drive, _ = steered(guide, (8.0, -6.0, 90))  # two metres west of it, which it sees
+    after, drive, _ = steered(guide, (8.0, -6.0, 90))  # two metres west of the visible place
     assert (int(drive.latch), bool(after.steers)) == (Latch.LEAVE, True)
     assert bears(drive) == pytest.approx(0, abs=1e-3)
     np.testing.assert_allclose(drive.target, (9.0, -6.0), atol=1e-5)
@@ -581,7 +581,7 @@ def test_what_is_put_right_at_a_place_moves_the_route_with_the_odometry(share):
 
 @pytest.mark.parametrize(("aside", "is_open"), [(-0.6, True), (0.6, True), (-0.75, False), (0.75, False)])
 def test_a_way_on_without_a_link_is_open_where_the_node_has_an_opening(aside, is_open):
-    """Towards an end that lies south of a place that the map does not have; an opening lies so far beside that way."""
+    """Towards an end that lies south of a place missing in the map; an opening lies `aside` of that way."""
     shut = walls(*((x, -1.0) for x in np.arange(9.0, 11.0, 0.2)))
     guide = a_guide().replace(**STRAY)
     ways = WEST + 0.2, EAST + 0.2

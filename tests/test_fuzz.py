@@ -27,7 +27,7 @@ def test_a_number_stands_for_one_case():
 
 
 def test_cases_fit_their_programs():
-    """What is drawn is what the program was compiled for, and every kind of case is drawn."""
+    """Every case fits its compiled program, and every kind of case is drawn."""
     kinds, nothing = set(), fuzz.Verdict([], "", 0, 0, 0)
     for number in range(20 * len(fuzz.MANY)):
         case = fuzz.draw_case(SEED, number)

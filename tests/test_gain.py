@@ -1,4 +1,4 @@
-"""What a look all round would tell: by hand, and beside the whole map's entropy computed cell by cell."""
+"""Gain of a look-around: by hand, and compared with the whole map's entropy computed cell by cell."""
 
 import math
 
@@ -117,7 +117,7 @@ def test_the_window_holds_all_that_a_look_can_reach():
         )
 
 
-# ---------------------------------------------------------------- beside the oracle
+# ---------------------------------------------------------------- compared with the oracle
 
 CASES = {
     "half plane": (Lidar(n_beams=19, range_m=0.6), (11, 14), (0, 0)),

@@ -53,7 +53,7 @@ def doorways(world):
 
 
 def assert_sound(world):
-    """What holds for every generated world."""
+    """Check the laws of every generated world."""
     occupied, free = world.occupied, ~world.occupied
     assert occupied.dtype == bool
     assert occupied[[0, -1], :].all()
@@ -69,7 +69,7 @@ def assert_sound(world):
     assert (world.rooms[occupied] == -1).all()
     n = world.rooms.max() + 1
     np.testing.assert_array_equal(np.unique(world.rooms[clear & (world.rooms >= 0)]), np.arange(n))
-    spaces = label_components(free & (world.rooms >= 0))  # what is left when every doorway is closed
+    spaces = label_components(free & (world.rooms >= 0))  # with every doorway closed
     assert spaces.max() + 1 == n, "closing the doorways parts every room from every other"
     for space in range(n):
         assert len(np.unique(world.rooms[spaces == space])) == 1, "and no space has two numbers"

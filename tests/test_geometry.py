@@ -1,4 +1,4 @@
-"""What kind of building a map is: maps that one can measure with a pencil, then generated ones and the command."""
+"""Geometry of maps: some that one can measure with a pencil, then generated ones and the command."""
 
 import json
 import math

@@ -50,7 +50,7 @@ def envs(jit_on):
 
 
 def nearest(seen):
-    """What `closest` would choose, from an observation, or from many."""
+    """Return the choice of `closest`, from an observation, or from many."""
     cost = np.where(seen["frontier"] > 0, seen["path_m"], np.inf)
     return np.argmin(cost.reshape(*cost.shape[:-2], -1), axis=-1)
 

@@ -28,7 +28,7 @@ def turned(xy, angle):
 
 
 def surround_of(*walls, seed=None):
-    """What a robot at the origin knows that has looked all round: walls are `(x0, y0, x1, y1)`."""
+    """Return the `Surround` of a robot at the origin that has looked all round: walls are `(x0, y0, x1, y1)`."""
     angle = np.radians(np.arange(SECTORS) * (360 / SECTORS) - 180)
     way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     range_m = np.full(SECTORS, math.inf)
@@ -101,7 +101,7 @@ def test_a_gateway_in_any_direction(turn):
         with_gap(1.5, 1.2, deep_m=0.4),  # a recess
         with_gap(1.5, 0.3),  # too narrow for any robot
         with_gap(1.5, 5.5),  # the hall itself
-        with_gap(1.5, 1.2, at_m=2.5),  # not beside the robot
+        with_gap(1.5, 1.2, at_m=2.5),  # not abeam of the robot
         [],
         [(-9.0, -1.5, 0.0, -1.5)],  # the wall's end
     ],
@@ -172,8 +172,9 @@ def test_which_wall_is_followed_from_a_gateway_on(bearing, inside, side):
 
 
 def crossing(inside, width_m, node, *, pose=(10.0, 4.0, math.pi / 2)):
-    """Of a robot that has driven north for two metres past the border at a place, with walls so far apart before that,
-    and a divergence somewhere as its last node.
+    """Return the result for a robot that has driven north for two metres past the border at a place.
+
+    Walls before that are `width_m` apart, and the last node is a divergence somewhere.
     """
     writer = mapping.begin(mapping.LEAN_STEPS, 4, 4, jnp.array([0.0, 0.0, 0.0]), False)
     map_, last = btm.add_node(writer.map, btm.DIVERGENCE, *node, radius_m=1.6)
@@ -213,7 +214,7 @@ def test_where_there_is_no_such_gateway(inside, width_m, node):
 def gone_round(
     turned_deg, *, gone_m=20.0, off_m=0.5, side=-1, at_node=False, inside=True, latch=Latch.FREE, n_nodes=1, heading=0.1
 ):
-    """`(drive, is_round)` of a robot that is so far past where it began to follow a wall."""
+    """Return `(drive, is_round)` of a robot some way past where it began to follow a wall."""
     began = jnp.array([2.0, 3.0, math.radians(turned_deg), 50.0, heading])
     drive = behaviour.at_rest().replace(side=jnp.int32(side), latch=jnp.int32(latch), began=began)
     writer = mapping.begin(mapping.LEAN_STEPS, 4, 4, jnp.array([0.0, 0.0, 0.0]), False)

@@ -84,7 +84,7 @@ def test_a_file_is_added_whole_or_not_at_all(tmp_path):
 
 @pytest.mark.parametrize("moved", range(5))
 def test_a_holder_that_is_killed_while_files_are_moved_leaves_one_whole_run(tmp_path, moved):
-    """Of the moves (old run.json away, old table away, new table in, new run.json in) so many have been made."""
+    """The first `moved` moves (old run.json away, old table away, new table in, new run.json in) have been made."""
     stage = tmp_path / f".123-ab{PART}"
     (stage / OLD).mkdir(parents=True)
     for name in ("run.json", "episodes.parquet"):

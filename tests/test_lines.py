@@ -71,7 +71,7 @@ LONG, MIDDLE = 201, 100  # cells of the passage, and the one from which the bran
 
 
 def branch_of(spread_deg, length=12, tip=12.0, here=60.0):
-    """Corners that are counted where a branch leaves a passage, the walls beside it at some angle; and what is left."""
+    """Return counted corners where a branch leaves a passage between walls at some angle, and the rest."""
     cells = [(0, k - MIDDLE) for k in range(LONG)] + [(k, 0) for k in range(1, length + 1)]
     n = len(cells)
     near = [{i for i in (k - 1, k + 1) if 0 <= i < LONG} for k in range(LONG)]

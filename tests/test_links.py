@@ -1,4 +1,4 @@
-"""Which known node a place is by its ways, where the odometry is off: cases one can check with a pencil."""
+"""Matching of known nodes by their exits with a drifting odometry: cases one can check with a pencil."""
 
 import math
 from types import SimpleNamespace
@@ -72,7 +72,7 @@ def test_how_a_place_is_turned_and_how_well_its_ways_agree(openings_deg, turn_de
 
 
 def test_how_a_node_lies_is_said_in_the_frame_of_the_last_one():
-    """What the odometry calls north is west there; the new one is turned by 20 degrees less."""
+    """North by odometry is west there; the new one is turned by 20 degrees less."""
     writer = a_writer().replace(origin=jnp.array([1.0, 2.0, math.radians(90)]))
     found = mapping.moved(writer, jnp.array([1.0, 5.0]), math.radians(20))
     np.testing.assert_allclose(found, [-3, 0, math.radians(70)], atol=1e-6)

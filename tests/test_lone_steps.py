@@ -58,7 +58,7 @@ def test_both_edges_of_a_sill_are_one_step(height):
 
 
 def test_the_ground_hidden_behind_an_edge_does_not_matter():
-    """What looks down at 45 degrees sees the ground again as far behind an edge as that is high."""
+    """A scanner that looks down at 45 degrees sees the ground again as far behind an edge as that is high."""
     now = lone_steps.none()
     x = np.array([3.6, 3.64, 3.68, 3.72, 3.76, 3.93, 3.97, 4.01], np.float32)
     z = np.where(x < 3.8, 0.15, 0.0).astype(np.float32)

@@ -43,7 +43,7 @@ def driven(now, around=None, ways=FREE, pose=HERE, bearing=0.0, turning=0, touch
 
 
 def gone(*poses):
-    """What a robot remembers that has come along some poses."""
+    """Return the memory of a robot that has come along some poses."""
     now = manoeuvre.at_rest(jnp.asarray(poses[0], jnp.float32))
     for pose in poses[1:]:
         now = _remembered(now, jnp.asarray(pose, jnp.float32))
@@ -270,7 +270,7 @@ def test_what_it_tries_leads_away_from_what_is_nearest(side):
 
 
 def test_where_nothing_is_free_it_goes_where_most_is():
-    """A wall half a centimetre beside it, another one behind."""
+    """A wall half a centimetre away, another one behind."""
     now = along_x(1.0).replace(backing=jnp.bool_(True))
     after, v, _ = driven(now, of((0, 0.2), (-0.355, 0.1), (-0.355, -0.1)), bearing=-2.0)
     assert after.backing
@@ -293,7 +293,7 @@ def test_where_it_leans_it_is_past_a_pose_of_the_trail_that_it_does_not_stand_on
 
 
 def beside_a_wall(side, gap_m, error_m=0.0, noise_m=0.0, unseen_m=math.inf, steps=150):
-    """A robot that wants to turn away from a wall beside it: `(y, contacts)`, how far it has come, of so many steps.
+    """Let a robot turn away from a wall next to it: `(y, contacts)`, the distance made good in some steps.
 
     It sees the wall too far away by `error_m`, every point off by `noise_m`; behind its middle there is another wall,
     `unseen_m` away.
@@ -332,7 +332,7 @@ def test_close_along_a_wall_it_gets_away(side, error_m, noise_m):
 
 @pytest.mark.parametrize("unseen_m", [0.36, 0.6])
 def test_it_does_not_go_round_in_circles_where_something_unseen_is_behind_it(unseen_m):
-    """What it has tried ahead it does not undo before it tries the next way."""
+    """It does not undo an attempt ahead before it tries the next way."""
     y, contacts = beside_a_wall(1, 0.15, unseen_m=unseen_m)
     assert y > 0.5, (y, contacts)
 
@@ -353,7 +353,7 @@ def test_it_goes_back_no_farther_where_that_leads_nowhere():
 
 @pytest.mark.parametrize("left_m", [0.1, -0.1])
 def test_going_back_it_comes_over_to_the_trail(left_m):
-    """It stands beside its trail, heading alike, with a wall on either side too near to turn."""
+    """It stands next to its trail, heading alike, with a wall on either side too near to turn."""
     now = gone(*[(x, left_m, 0) for x in np.arange(-2, 0.001, 0.05)]).replace(backing=jnp.bool_(True))
     pose = np.zeros(3)
     for _ in range(40):
@@ -366,7 +366,7 @@ def test_going_back_it_comes_over_to_the_trail(left_m):
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_robot_that_goes_back_along_a_wall_leans_away_from_it(side):
-    """Half a centimetre beside it: its outline never meets the wall, and soon has room to turn."""
+    """At half a centimetre: its outline never meets the wall, and soon has room to turn."""
     now = along_x(4.0).replace(backing=jnp.bool_(True))
     pose, along = np.zeros(3), np.arange(-6, 0.36, 0.05)
     corners = [(x, y) for x in (-0.35, 0.35) for y in (-0.195, 0.195)]

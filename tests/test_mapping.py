@@ -1,4 +1,4 @@
-"""How a map is written: changes of level from pitch alone, and every kind of node by hand."""
+"""Writing a map: changes of level from pitch alone, and every kind of node by hand."""
 
 import dataclasses
 import math
@@ -64,7 +64,7 @@ def way_of(pitch, roll, heading):
 
 
 def test_a_robot_that_turns_on_a_slope_stands_on_the_same_ground():
-    """It rises to the east by 10 degrees: ahead, beside and behind."""
+    """It rises to the east by 10 degrees: ahead, abeam and behind."""
     for heading, pitch, roll in ((0, -10, 0), (90, 0, -10), (180, 10, 0), (-90, 0, 10)):
         lean, odometer_m = mapping.lean_of(way_of([pitch] * 40, [roll] * 40, [heading] * 40), jnp.int32(39))
         np.testing.assert_allclose(np.degrees(lean), [10, 0], atol=1e-4)
@@ -159,7 +159,7 @@ def test_a_crease_lies_half_way_for_a_robot_of_any_length():
         assert at[0] == pytest.approx(4 + 0.75 * length, abs=0.15)
 
 
-# ---------------------------------------------------------------- what is kept of the way
+# ---------------------------------------------------------------- record of the way
 
 STEPS, POINTS, NODES, LINKS = 160, 512, 8, 12
 BEGIN = jax.jit(mapping.begin, static_argnums=(0, 1, 2))
@@ -341,7 +341,7 @@ def test_a_t_is_left_to_the_right_whichever_way_it_lies(turn):
     onto = int(writer.link)
     assert bearings[onto - 1] == pytest.approx(270, abs=3)
     assert latch == Latch.LEAVE
-    # Beyond the middle of that: 0.25 m east of the centre, and between 1 m south of it, where the passage begins, and
+    # Beyond the middle: 0.25 m east of the centre, and between 1 m south, where the passage begins, and
     # 1.56 m, as far south as both walls lie in the search circle of 1.875 m on an average.
     x, y = turned(target, -turn) - T_CENTRE
     assert x == pytest.approx(0.25, abs=0.05)
@@ -510,7 +510,7 @@ def test_a_dead_end_sends_back_until_nothing_is_left():
 
 @pytest.mark.parametrize(("turn_deg", "centre"), [(5, T_CENTRE), (-12, T_CENTRE), (8, (3.95, 0.1))])
 def test_where_a_node_is_met_again_the_heading_is_corrected(turn_deg, centre):
-    """What lies round it is turned against its links: by so much the odometry is off."""
+    """The openings are turned against its links by the error of the odometry."""
     t, *_ = at_the_t()
     dead, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
     turn = math.radians(turn_deg)
@@ -522,7 +522,7 @@ def test_where_a_node_is_met_again_the_heading_is_corrected(turn_deg, centre):
     want = [*SHIFT_SHARE * np.subtract(T_CENTRE, centre), -TURN_SHARE * turn]
     np.testing.assert_allclose(correction, want, atol=math.radians(1))
     np.testing.assert_allclose(correction[:2], want[:2], atol=1e-6)
-    # What is to be driven lies where it is seen, which is as if it had not been off but for what is left uncorrected.
+    # The robot drives to where it sees the target, as if the odometry had not been off but for the uncorrected rest.
     left = turn - TURN_SHARE * turn
     target = turned(np.subtract(target, T_CENTRE), -left) + T_CENTRE
     level, plain, *_ = back_at_the_t(dead, 15.5, (3.85, -4.0))
@@ -542,7 +542,7 @@ def test_where_all_ways_of_a_node_agree_more_of_the_heading_is_put_right(agree_d
     tuning = dataclasses.replace(TUNING, agree_deg=agree_deg, agree_share=0.75)
     writer, *_, correction = nodes.write(dead, due, around, tuning, KAMUI)
     assert degrees(correction[2]) == pytest.approx(-8 * share, abs=1)
-    assert degrees(writer.origin[2]) == pytest.approx(-8 * (1 - share), abs=1)  # what is left
+    assert degrees(writer.origin[2]) == pytest.approx(-8 * (1 - share), abs=1)  # the rest
 
 
 def test_a_heading_that_is_off_too_far_is_left_alone():
@@ -562,9 +562,9 @@ STRAIGHT = np.concatenate([wall((-3, 3), (1, 1)), wall((-3, 3), (-1, -1))])
 
 
 def bend(by_deg):
-    """Walls of one that leads on so far to the left, about the middle of the circle between them, and its radius.
+    """Return walls of a bend to the left by an angle, about the middle of the circle between them, and its radius.
 
-    That touches the two walls outside and the corner inside.
+    The circle touches the two walls outside and the corner inside.
     """
     turn, half = math.radians(by_deg), math.tan(math.radians(by_deg) / 2)
     west = [wall((-3, -half), (1, 1)), wall((-3, half), (-1, -1))]
@@ -710,7 +710,7 @@ def test_a_searched_link_that_leads_elsewhere_is_followed_no_more():
     assert int(elsewhere.fails[south]) == 1
     there, *_ = back_at_the_t(writer.replace(fails=writer.fails.at[south].set(2)), 15.5, (3.9, -4.0))
     assert int(there.fails[south]) == 0
-    # From the dead end there is no other way to what is left to be searched.
+    # From the dead end there is no other way to the un-searched links.
     for fails, exhausted in ((1, False), (2, True)):
         lost = writer.replace(fails=writer.fails.at[south].set(fails), last_chance=jnp.int32(2))
         after, *_ = at_a_dead_end(lost, (4.1, -6.1), SOUTH, 20)
@@ -757,7 +757,7 @@ def test_what_else_is_seen_at_a_known_place_is_tried_once():
     assert links_of(after)[3:] == [(1, NONE, UNSEARCHED)]
     assert degrees(after.map.start_bearing[3]) == pytest.approx(90, abs=3)
     assert (int(after.link), int(after.tries[3]), latch) == (3, links.TRIES, Latch.LEAVE)
-    # From 0.75 m beside it, where ways would bear otherwise, none is added.
+    # From 0.75 m aside, where ways would bear otherwise, none is added.
     beside, *_ = back_at_the_t(writer.replace(map=map_), *came, centre=(T_CENTRE[0] + 0.75, T_CENTRE[1]))
     assert int(beside.map.n_links) == 3
     # A link that bears no farther from it is the one.
@@ -774,7 +774,7 @@ def test_only_the_link_by_which_it_came_is_taken_away():
     assert links_of(aside) == [*links_of(writer)[:3], (2, 1, SEARCHED)]
     came = (3.9, 4.0), (3.65, -0.2)
     back = back_at_the_t(writer, 20, *came)[0].map.end_bearing[3]
-    map_, other = btm.add_link(writer.map, 0, back)  # the very bearing, at another node
+    map_, other = btm.add_link(writer.map, 0, back)  # the same bearing, at another node
     after, *_ = back_at_the_t(writer.replace(map=map_), 20, *came)
     assert links_of(after)[int(other)] == (0, NONE, UNSEARCHED)
     assert links_of(after)[3 - int(t.link)] == (NONE, NONE, NONE)
@@ -1080,7 +1080,7 @@ def test_a_blocked_obstacle_on_the_only_way_is_the_end():
 
 
 def test_an_obstacle_met_again_leaves_other_nodes_alone():
-    """Over a slope to a dead end and back: the nodes of the slope are met again, the dead end is none of them."""
+    """Over a slope to a dead end and back: the nodes of the slope are met again, the dead end is not."""
     writer, *_ = over(slope)
     writer, *_ = at_a_dead_end(writer, (6.0, 0.0), EAST, 5.8)
     writer = writer.replace(link=jnp.int32(2), left_bearing=jnp.float32(WEST))
@@ -1098,7 +1098,7 @@ def test_an_obstacle_met_again_leaves_other_nodes_alone():
 
 
 def room_for(links):
-    """A start with room for so many links more; the others have been withdrawn."""
+    """Return a start with room for a number of further links; the others have been withdrawn."""
 
     def start(pose=(0.0, 0.0, 0.0)):
         writer = begun(pose)
@@ -1164,7 +1164,7 @@ def test_a_divergence_just_left_is_known():
     small = writer.replace(map=writer.map.replace(radius_m=writer.map.radius_m.at[1].set(0.1)))
     near = jnp.asarray([[3.75, 0.45], [3.75, 0.55]])
     assert mapping.is_near_known(small, near, jnp.float32(3.5), TUNING.leave_m).tolist() == [True, False]
-    assert known(0.5, begun()) == [False] * 5  # the start is none
+    assert known(0.5, begun()) == [False] * 5  # the start is not among them
 
 
 # ---------------------------------------------------------------- laws

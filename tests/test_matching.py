@@ -166,7 +166,7 @@ def test_walls_and_encoders_are_weighed_by_their_variances():
     before[beams] = 2 / np.cos(ANGLES_RAD[beams])
     guess = 0.04  # of more the match would be none
     doubt = DOUBT_M + DOUBT * guess
-    # The points are symmetric about the axis: what is ahead does not mix with the turn.
+    # The points are symmetric about the axis: those ahead do not mix with the turn.
     walls = len(beams) / matching.RANGE_SD_M**2
     want = guess * doubt**-2 / (doubt**-2 + walls)
     found = matched(before, before, (guess, 0, 0))
@@ -176,7 +176,7 @@ def test_walls_and_encoders_are_weighed_by_their_variances():
 
 @pytest.mark.parametrize("turn", [0.0, 0.3])
 def test_the_turn_is_weighed_likewise(turn):
-    """The same wall, and the encoders say a turn that was not, beside a true motion of nothing."""
+    """The same wall, and the encoders report a turn that was not, with no true motion."""
     before = np.full(BEAMS, NAN)
     beams = np.arange(BEAMS // 2 - 20, BEAMS // 2 + 21)
     before[beams] = 2 / np.cos(ANGLES_RAD[beams])

@@ -423,7 +423,7 @@ def test_who_found_a_link_blocked_for_all_is_not_forgotten_beside_who_did_for_on
 
 
 def slow_gain(pair, guess):
-    """What a guess is worth, by plain loops over all that is not matched."""
+    """Compute the evidence of a guess, by plain loops over everything unmatched."""
     darts = [(part, a, i) for part in (pair.one, pair.other) for a in part.ways for i in range(len(part.ways[a]))]
     ways = [one for part in (pair.one, pair.other) for one in evidence.whole_ways(part)]
     first = [(one, other) for one, other in guess.ways if one.is_whole and other.is_whole]
@@ -480,7 +480,7 @@ def slow_gain(pair, guess):
 
 
 def twins(one, other):
-    """Whether two ways are one, seen from its ends."""
+    """Return whether two ways are equal, seen from their ends."""
     return {id(link) for link, _ in one.steps} == {id(link) for link, _ in other.steps}
 
 
@@ -682,7 +682,7 @@ def test_a_map_in_a_mirror_by_hand():
 
 
 def test_a_building_in_a_mirror_is_another_one():
-    # Parts of it look the same in a mirror, once turned; beyond them ways leave otherwise.
+    # Parts look the same in a mirror, once turned; beyond them ways leave otherwise.
     other = moved(mirrored(passage()), QUARTER)
     found = match(passage(), other)
     assert found.outcome is Merging.AMBIGUOUS

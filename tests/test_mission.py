@@ -195,7 +195,7 @@ def test_a_noisy_sensor_makes_the_same_map(noise):
 
 @pytest.mark.jit
 def test_a_riser_that_the_ground_refuses_is_an_obstacle():
-    # The scanner looks over the stairs: what is higher than it looks like the end of the passage.
+    # The scanner looks over the stairs: higher ground looks like the end of the passage.
     robot = "kamui:scan_height_m=2"
     found = ran(job.prepare_trace("course:obstacle=stairs,riser_m=0.25", robot=robot, noise=Noise(range_m=0.01)))
     assert kinds(found.first) == "TO"
@@ -326,7 +326,7 @@ def test_a_robot_that_drives_up_and_down_is_helped(course):
 
 
 def seen_at(state, building):
-    """What a robot sees where a state has it: `(writer, walls, around, ways_m, placed)`."""
+    """Return the perception of a robot in a state: `(writer, walls, around, ways_m, placed)`."""
     senses = mission.sense(vehicle.draw_one(jax.random.key(0), STILL), building, KAMUI, STILL, state.body)
     senses, _ = mission.steadied(senses, KAMUI)
     walls = events.walls_of_scan(senses.ranges_m, TUNING, KAMUI)
@@ -337,7 +337,7 @@ def seen_at(state, building):
 
 @pytest.mark.jit
 def test_a_robot_that_has_turned_towards_what_is_none_goes_on_as_it_came(course):
-    """What it took for a divergence lay behind it, and is no longer seen: it would drive back the way it came."""
+    """The false divergence lay behind it, and is no longer seen: it would drive back the way it came."""
     building = jax.tree.map(jnp.asarray, course.plan.building)
     state = mission.at_start(mission.Setup(700), building, KAMUI, course.plan.begins[0])
     x, y, heading = (float(v) for v in state.estimate)
@@ -560,7 +560,7 @@ def test_a_building_keeps_the_worlds_measures():
     world = load_world("course", 0.1)
     building = building_of(world, world.course.goal_m, np.array([[2.5, 27, 0.5]]))
     assert building.walls.x.shape == building.walls.y.shape == (32, 3)
-    assert building.terrain.height_m.shape == (FINER * 512, FINER * 512)  # likewise
+    assert building.terrain.height_m.shape == (FINER * 512, FINER * 512)  # the same size
     assert building_of(load_world("rooms", 0.1)).terrain.height_m.shape == (2, 2)  # level
     assert building.marks.shape == (64, 3)  # padded, so that buildings share programs
     assert building.marks[0].tolist() == pytest.approx([2.5, 27, 0.5])

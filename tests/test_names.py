@@ -1,4 +1,4 @@
-"""World names: the grammar, and what load_world makes of it."""
+"""World names: the grammar, and `load_world`."""
 
 import subprocess
 import sys

@@ -30,7 +30,7 @@ ROOMS = "rooms:width_m=6,height_m=5"
 
 @pytest.fixture(scope="module", autouse=True)
 def _folder(tmp_path_factory):
-    """A folder of its own for what is built."""
+    """Use a separate folder for built libraries."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("native")))
         yield

@@ -1,4 +1,4 @@
-"""The notebooks: what is committed is small, clean and shown; and, where nbclient is installed, every one runs.
+"""The notebooks: committed files are small, clean and shown; and, with nbclient, every one runs.
 
 Running them needs `pip install '.[notebooks]'`; without it these tests are skipped.
 """
@@ -35,7 +35,7 @@ def outputs(notebook):
 
 
 def faults(notebook):
-    """What must not be among the outputs of a notebook: errors, and what goes to the error stream."""
+    """Return forbidden outputs of a notebook: errors, and text on the error stream."""
     for output in outputs(notebook):
         if output["output_type"] == "error":
             yield f"{output['ename']}: {output['evalue']}"

@@ -110,7 +110,7 @@ def test_a_wall_farther_in_does_not_divide_an_opening():
             assert max(widths) == pytest.approx(scale * math.sqrt(2), abs=1e-5)
     far = np.concatenate([polar([angle], 1.3 + angle / 2000) for angle in (-120, 0, 120)])  # none comes nearer
     assert len(bearings_of(far, radius_m=1.0, circle=1.5)[0]) == 3
-    # A wall that leads from near to far is one.
+    # A wall that leads from near to far counts once.
     wall = np.stack([np.linspace(0.8, 1.4, 20), np.full(20, 0.6)], 1)
     bearings, widths, _ = bearings_of(np.concatenate([wall, polar([-60, 180])]), radius_m=1.0, circle=1.5)
     assert len(bearings) == 3
@@ -192,7 +192,7 @@ def test_the_middle_lies_where_the_walls_are_nearest():
 
 
 def room(length_m, *doors, side=()):
-    """A room 3 m wide, from 1.5 m east of the middle to so far west; doors 0.5 m wide there and in the north."""
+    """Return a room 3 m wide, from 1.5 m east of the middle to `length_m` west; doors 0.5 m wide there and north."""
     north, west = [(-length_m, 1.5)], [(-1.5, 1.5)]
 
     def cut(parts, at):
@@ -212,8 +212,8 @@ def room(length_m, *doors, side=()):
 def test_the_rest_of_a_room_is_no_opening_where_it_is_a_corner(length_m, n):
     """A circle of 1.5 m touches three of its walls; the search circle leaves a gap of 3 m at 1.68 m to the west.
 
-    It is one where the wall beyond is farther behind it than 0.65 of that, 3.63 m from the centre, and where there is
-    no other, as the one of 1.1 m to the east.
+    The gap counts if the wall beyond is farther behind it than 0.65 of that, 3.63 m from the centre, and if there is no
+    other, as the one of 1.1 m to the east.
     """
     xy = room(length_m)
     door = xy[(xy[:, 0] < 1.4) | (np.abs(xy[:, 1]) > 0.5)]
@@ -252,9 +252,9 @@ def test_a_door_bears_as_its_passage_does_if_it_is_seen_nearly_so():
 
 
 def test_a_door_counts_however_far_the_wall_behind_it_is():
-    """A hall's circle of 2 m touches its east wall; the door in that lies aside, the wall beyond it 2.5 m away.
+    """A hall's circle of 2 m touches its east wall; the door in that lies aside, the wall beyond 2.5 m away.
 
-    Seen from the middle, what lies beyond the door is far away. Where it is the corner of the hall, it is none.
+    Seen from the middle, the area beyond the door is far away. A corner of the hall there does not count.
     """
     y = np.arange(-3.0, 3.0, 0.03)
     wall = np.stack([np.full(len(y), 2.0), y], axis=1)
@@ -279,7 +279,7 @@ def test_of_more_doors_than_fit_the_rest_is_counted():
 
 @functools.partial(jax.jit, static_argnames="far_m")
 def look_round(walls_, poses, noise_m, far_m=4.0):
-    """What lies round a robot at the last of some poses, in the world: `(points, which there are)`."""
+    """Return points round a robot at the last of some poses, in the world: `(points, valid)`."""
 
     def looked(carry, at):
         around, before = carry
@@ -295,7 +295,7 @@ def look_round(walls_, poses, noise_m, far_m=4.0):
 
 
 def on_the_way(arms, width_m, where, rng=None, sigma_m=0.0):
-    """What a robot knows that has come from the west to a place and turned there, relative to the axes' crossing."""
+    """Return the points known to a robot that came from the west and turned, relative to the axes' crossing."""
     walls_, middle = building(arms, width_m)
     x, y = middle + np.array(where) * width_m
     poses = [(x - back, y, 0.0) for back in np.linspace(2.2, 0, 23)]
@@ -341,7 +341,7 @@ def test_noise_miscounts_hardly_any_corner(circle):
 
 
 def seen_from(occupied, centre, cell_m=0.1):
-    """What beams a degree apart meet all round a place: `[360, 2]`."""
+    """Return the ends of beams a degree apart round a place: `[360, 2]`."""
     made = jax.tree.map(np.asarray, walls.walls_of(occupied, cell_m))
     angles = np.radians(np.arange(360)).astype(np.float32)
     ranges = np.asarray(walls.cast(made, (*np.float32(centre), np.float32(0)), angles, 20.0))
@@ -581,8 +581,7 @@ def drawn_room(rng, sides=drawn_sides):
 
 
 def counted(rng, sides, n, aside_of=lambda w, h: 0.0, farther=False):
-    """How many of n rooms have just their doors, and how many doors are missed, at 1 cm of range noise, from a place so
-    far aside of the middle.
+    """Count the rooms, of n, with exactly their doors, and missed doors, at 1 cm of range noise, from a shifted place.
 
     Args:
       sides: function from `rng` to width and height, decimetres.

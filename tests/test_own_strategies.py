@@ -1,4 +1,4 @@
-"""Strategies that a user brings: scores, constructors, policies, names, modules; what is wrong with one in a line."""
+"""Strategies that a user brings: scores, constructors, policies, names, modules; errors in one line."""
 
 import collections
 import dataclasses
@@ -56,7 +56,7 @@ def nearest(view):
 
 
 def equal(table, one, other):
-    """Whether two strategies have the same rows but for their names."""
+    """Return whether two strategies have the same rows but for their names."""
     rows = [table[table["strategy"] == name].drop(columns="strategy").reset_index(drop=True) for name in (one, other)]
     assert len(rows[0]) > 0
     return rows[0].equals(rows[1])
@@ -68,7 +68,7 @@ def site():
 
 
 def program(one):
-    """What a strategy's program is told from others by."""
+    """Return the identity of a strategy's program."""
     return site().with_strategy(strategy(one))[0].policy
 
 
@@ -80,7 +80,7 @@ def compare(strategies, *, lidar=LIDAR, **how):
 
 
 def chosen(score, text="...?\n.R..\n...?", **how):
-    """Row and column that a score chooses in a drawn belief; the frontier cells of it."""
+    """Return row and column that a score chooses in a drawn belief; its frontier cells."""
     belief = beliefs.belief_of(text, **how)
     policy = strategy(score, name="score").policy
     route = jnp.full(belief.driven.shape, -1, jnp.int8)
@@ -260,12 +260,12 @@ def test_a_module_is_as_it_is_now_and_here(module, tmp_path_factory, monkeypatch
 
 
 def number_of(text):
-    """What a function of a module returns: as it is written now."""
+    """Return the result of a function of a module, in its present form."""
     return own.import_object(*text.split(":"))()
 
 
 def test_modules_are_read_from_their_source(module):
-    """Neither bytecode, which knows files by size and second, nor what is imported stands for what is written."""
+    """Neither bytecode, which knows files by size and second, nor an imported module replaces the present source."""
     (module / "helper_of_tests.py").write_text("W = 1\n")
     (module / "asking_of_tests.py").write_text("import helper_of_tests\ndef weight():\n    return helper_of_tests.W\n")
     assert own.import_object("asking_of_tests", "weight") is own.import_object("asking_of_tests", "weight")
@@ -592,7 +592,7 @@ def test_sets_have_no_order():
         sweep_from({"worlds": ["cave"], "strategies": {"closest", "random"}})
 
 
-# ---------------------------------------------------------------- what is wrong with one
+# ---------------------------------------------------------------- errors
 
 
 def policy(select, init=lambda params, belief: (), **more):

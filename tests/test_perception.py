@@ -1,4 +1,4 @@
-"""What a robot makes of a scan: pencil scans, maps drawn by hand for every kind of divergence, height profiles."""
+"""Perception of a scan: pencil scans, maps drawn by hand for every kind of divergence, height profiles."""
 
 import dataclasses
 import itertools
@@ -444,7 +444,7 @@ def test_circles_as_large_as_free_space_are_left_out():
 
 @jax.jit
 def driven_along(walls_, start, noise_m):
-    """How many triangles a robot that drives straight on sees beside and before itself, step by step."""
+    """Count the triangles that a robot driving straight on sees abeam and ahead, step by step."""
 
     def step(carry, noise):
         around, pose = carry
@@ -457,7 +457,7 @@ def driven_along(walls_, start, noise_m):
 
 
 def test_noise_makes_fewer_circles_that_touch_one_wall_twice():
-    """What lies behind is known from one scan, in few directions: a bulge of a wall there does not change any more."""
+    """The wall behind is known from one scan, in few directions: a bulge there does not change any more."""
     walls_, middle = building("we", 2.0)
     rng = np.random.default_rng(4)
     shown = []
@@ -469,7 +469,7 @@ def test_noise_makes_fewer_circles_that_touch_one_wall_twice():
 
 
 def one_wall_by_angles(xy, valid, centre, corner, spacing_m, recess_m):
-    """Whether a circle touches one wall twice, a triangle at a time, by angles in double precision."""
+    """Return whether a circle touches one wall twice, a triangle at a time, by angles in double precision."""
     xy = xy.astype(float)
     angle = np.arctan2(*(xy - centre)[:, ::-1].T)
     corner = sorted(corner, key=lambda k: angle[k])
@@ -816,7 +816,7 @@ def test_noise_shows_as_its_square_and_hardly_moves_the_step():
 @pytest.mark.parametrize("riser_m", [0.06, 0.12, 0.2])
 @pytest.mark.parametrize("tread_m", [0.24, 0.3])
 def test_noise_does_not_make_a_riser_higher(riser_m, tread_m):
-    """Where its flanks differ most is where noise makes them so; treads differ by its height."""
+    """The place where its flanks differ most is selected by noise; treads differ by its height."""
     rng = np.random.default_rng(8)
     stairs = [staircase(WAY, tread_m, riser_m) + rng.normal(scale=0.01, size=len(WAY)) for _ in range(60)]
     found = [profile_of(WAY, sign * z) for z in stairs for sign in (1, -1)]
@@ -877,7 +877,7 @@ def test_the_step_is_the_median_of_all_and_small_ones_do_not_count():
 
 
 def test_a_long_slope_has_no_step():
-    """15 m: longer than what is looked at for steps."""
+    """15 m: longer than the part that is searched for steps."""
     way = np.arange(0, 15.5, 0.04)
     found = profile_of(way, way * math.tan(TEN))
     assert float(found.step_m) <= 0.17 * math.tan(TEN)

@@ -1,4 +1,4 @@
-"""What strategies ask of a belief: pencil cases, the oracle, and windows that never change the answer."""
+"""Queries of strategies to a belief: pencil cases, the oracle, and windows that never change the answer."""
 
 import jax
 import jax.numpy as jnp

@@ -6,7 +6,7 @@ from jexplore.engine import plugins
 
 
 def test_a_plugin_without_a_gpu_is_kept_quiet(monkeypatch, tmp_path):
-    """Where a plugin lies and no driver, JAX is kept to the CPU, unless somebody has said what it is to use."""
+    """With a plugin and no driver, JAX is kept to the CPU, unless a platform is set."""
     (tmp_path / "jax_plugins" / "xla_cuda13").mkdir(parents=True)
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     monkeypatch.setattr(sys, "platform", "linux")

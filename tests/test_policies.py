@@ -125,9 +125,7 @@ def test_wrong_names_are_refused_in_one_line(text, message):
     ],
 )
 def test_every_strategy_keeps_the_contract(name):
-    """A candidate or a view point with its cost and a route; -1 and FAR where there is none; the same for the same key;
-    traced once.
-    """
+    """A candidate or a view point with its cost and a route; -1 and FAR without one; traced once."""
     entry = name.partition("+")[0]
     assert all(isinstance(v, int | float | Path) for v in parameters_of(entry).values())
     assert STRATEGIES[entry].summary

@@ -160,7 +160,7 @@ def test_results_are_those_of_one_process(workers, planned, want):
 
 
 def test_a_task_may_have_a_gpu(workers, planned, want):
-    """As far as it can be seen where there is none: a task has many units, and leaves it to JAX where they run."""
+    """As far as it can be tested without one: a task has many units, and leaves their device to JAX."""
     taken, told = Taken(), []
     numbers = [1, 4, 5]
     costs = cluster.run_units(planned, numbers, taken.__setitem__, on_progress=told.append, gpus=1)

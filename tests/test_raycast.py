@@ -266,7 +266,7 @@ unit = st.integers(1, 1023).map(lambda n: n / 1024)
 @given(unit, unit, st.floats(-7, 7, width=32))
 @settings(max_examples=100, deadline=None)
 def test_a_beam_from_any_pose_is_the_oracles(x, y, heading):
-    """Where float64 itself leaves no doubt which line is crossed first."""
+    """Only if float64 itself leaves no doubt about the line crossed first."""
     angles = np.arange(12, dtype=np.float32) * np.float32(0.5)
     got = any_pose.beams_from((x + 3, y + 5, heading), angles, max_range_m=6.0, cell_m=1.0, width=40)
     compared = 0

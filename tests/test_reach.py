@@ -265,7 +265,7 @@ def test_costs_saturate_below_far_and_are_counted():
     np.testing.assert_array_equal(cost[0, :16384], S * np.arange(16384))
     assert (np.asarray(cost[0, 16384:]) == FAR).all()
     assert SATURATED(cost, row) == 1
-    cost = reach(row.at[0, 16384].set(False), 0, 0)  # what is not traversable would not have been reached anyway
+    cost = reach(row.at[0, 16384].set(False), 0, 0)  # a wall would not have been reached anyway
     assert (int(cost[0, 16383]), int(SATURATED(cost, row.at[0, 16384].set(False)))) == (FAR - S, 0)
     row = jnp.ones((1, 40000), bool)
     assert SATURATED(reach(row, 0, 20000), row) == 2
@@ -364,7 +364,7 @@ def test_a_goal_behind_a_wall_is_found_however_far_the_way_round_is(turns, wide)
 @settings(max_examples=100, deadline=None)
 def test_a_flood_reaches_what_has_a_cost(place, stands):
     passable, row, col = place
-    passable[row, col] = stands  # a start that is none of the cells
+    passable[row, col] = stands  # a start outside the cells
     want = np.asarray(reach(jnp.asarray(passable), row, col)) < FAR
     np.testing.assert_array_equal(flooded(jnp.asarray(passable), row, col), want)
 
@@ -479,7 +479,7 @@ def test_cells_that_cost_too_much_by_hand():
     alone = jnp.asarray([[far, far, far], [far, f, far], [far, far, far]], jnp.int32)
     everywhere = jnp.ones((3, 3), bool)
     assert saturated(alone, everywhere) == 8
-    assert saturated(alone, everywhere.at[0, 1].set(False)) == 5  # nor the two corners beside it
+    assert saturated(alone, everywhere.at[0, 1].set(False)) == 5  # nor the two adjacent corners
     assert saturated(alone, ~everywhere) == 0
     assert saturated(jnp.full((3, 3), far), everywhere) == 0
     assert saturated(jnp.asarray([[f, far, far]], jnp.int32), jnp.ones((1, 3), bool)) == 1

@@ -216,7 +216,7 @@ def test_a_coloured_block_marks_the_start(tmp_path):
     pixels[0], pixels[9] = 127, 195
     pixels[5, 5] = (255, 216, 0)
     assert load_world(f"{save(tmp_path / 'two.png', pixels)}@0.1:free=150").start is None
-    pixels[2:6, 5:10] = (255, 0, 0)  # grey 76: a start in a wall is none
+    pixels[2:6, 5:10] = (255, 0, 0)  # grey 76: a start in a wall does not count
     assert load_world(f"{save(tmp_path / 'red.png', pixels)}@0.1:free=150").start is None
 
 
@@ -633,7 +633,7 @@ def test_a_ros_map_turned_by_right_angles_moves_cell_for_cell(tmp_path, yaw, qua
 @settings(max_examples=60, deadline=None)
 @given(pictures, st.floats(-7, 7), st.sampled_from([(-3.0, 2.0), (0.0, 0.0)]))
 def test_a_grid_at_any_angle_keeps_its_places_and_opens_no_wall(occupied, yaw, origin_m):
-    """What is free lies over free cells alone, and what is connected there was connected in the grid."""
+    """Free cells lie over free cells alone, and connected ones were connected in the grid."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         turned, (x_m, y_m) = upright("m", np.where(occupied, 100, 0), yaw, 0.5, origin_m)
@@ -957,7 +957,7 @@ def test_houseexpo_of_equal_boxes_the_first_counts(tmp_path):
 
 
 def test_houseexpo_keeps_a_wall_that_is_thinner_than_a_cell(tmp_path):
-    """Two rooms beside each other, joined round the end of a slit of 1 cm."""
+    """Two rooms side by side, joined round the end of a slit of 1 cm."""
     verts = [[0, 0], [2, 0], [2, 2], [1.01, 2], [1.01, 0.5], [1, 0.5], [1, 2], [0, 2]]
     world = load_world(plan(tmp_path / "p.json", verts), cell_m=0.1)
     assert world.occupied[5:, 10].all()

@@ -422,7 +422,7 @@ CORRIDOR = """
 )
 def test_a_corridor_with_and_without_rechecking(recheck, plans):
     # From column c the robot knows rows 1 to 3 up to column c + 3 and the walls up to c + 2. So (2, c + 3) is the
-    # nearest frontier, is none any more after one step, and every step shows five cells. Column 8 sees the end wall.
+    # nearest frontier, is exhausted after one step, and every step shows five cells. Column 8 sees the end wall.
     result = simulate(world(CORRIDOR), 2, 2, recheck=recheck)
     assert [(p.robot, p.target) for p in result.log] == plans
     assert all(p.cost == 3 * S for p in result.log[:-1])
@@ -437,7 +437,7 @@ def test_a_corridor_with_and_without_rechecking(recheck, plans):
 
 
 def test_corners_that_no_beam_reaches_exhaust_their_frontiers():
-    # Without clearance both end cells stay beside a corner that nothing can show: two look-arounds, both in vain.
+    # Without clearance both end cells stay next to a corner that nothing can show: two look-arounds, both in vain.
     result = simulate(world("####### #.....# #######"), 1, 2, range_m=2.0, clearance_m=0.0, near_m=0.0)
     assert result.visited == [(1, 2), (1, 1), (1, 2), (1, 3), (1, 4), (1, 5)]
     assert result.headings == [0, 180, 180, 270, 0, 90, 0, 0, 0, 0, 90, 180, 270]
@@ -524,7 +524,7 @@ def test_a_step_into_a_wall_that_the_scanner_misses_is_refused():
         return beams.scan(believed, row, col, heading_deg, 181, 180.0, 20.0)
 
     result = simulate(truth, 1, 2, clearance_m=0.0, near_m=0.0, sense=blind, max_plans=5)
-    # The end cells are beside unseen corners. (1, 1) is exhausted first; then three plans lead to (1, 5), all in vain.
+    # The end cells adjoin unseen corners. (1, 1) is exhausted first; then three plans lead to (1, 5), all in vain.
     assert [p.target for p in result.log] == [(1, 1), (1, 5), (1, 5), (1, 5), (1, 5)]
     assert result.visited == [(1, 2), (1, 1), (1, 2), (1, 3)]
     assert (result.outcome, result.refused, result.steps) == ("PLAN_LIMIT", 4, 3)
@@ -549,7 +549,7 @@ def test_choose_sees_the_candidates_and_is_obeyed():
         return candidates[-1]
 
     result = simulate(world(CORRIDOR), 2, 2, choose=last)
-    # (1, 5), (2, 5) and (3, 5) are beside unknown cells, and no wall is known yet above or below column 5. The way to
+    # (1, 5), (2, 5) and (3, 5) adjoin unknown cells, and no wall is known yet above or below column 5. The way to
     # the outer two leads through (2, 5): (1, 4) and (3, 4) are not clear, so there is no diagonal past them.
     assert seen[0] == ([17, 29, 41], [4 * S, 3 * S, 4 * S], 0)
     assert result.log[0].target == (3, 5)

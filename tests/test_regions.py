@@ -1,4 +1,4 @@
-"""Outside and inside of a plan, floor out of reach, and what is said of both."""
+"""Outside and inside of a plan, floor out of reach, and the messages about both."""
 
 from typing import Any
 
@@ -166,7 +166,7 @@ def test_an_environment_says_so_too():
 
 
 def closed_room():
-    """6 x 4 m in walls, a third of it a room without a door."""
+    """Return 6 x 4 m in walls, a third of them a room without a door."""
     walls = np.pad(np.zeros((40, 60), bool), 1, constant_values=True)
     walls[1:41, 40] = True
     return walls

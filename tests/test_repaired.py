@@ -218,7 +218,7 @@ def test_repairing_twice_is_repairing_once():
     assert code(once) == code(a_map(ROW, [(0, 1), (1, 2)]))
 
 
-# What is there twice
+# Duplicates
 
 
 def a_link(number, start, end, bearing, back, length_m, *moved):
@@ -226,7 +226,7 @@ def a_link(number, start, end, bearing, back, length_m, *moved):
 
 
 def test_a_link_on_which_the_robot_turned_back_goes():
-    """It has left node 1 northwards and come back by the same opening; none of it where another link leaves by that."""
+    """It has left node 1 northwards and come back by the same opening, dropped if another link leaves by it."""
     line = a_map(ROW, [(0, 1), (1, 2)])
     back = a_link(5, 1, 1, 90.0, 95.0, 6.0, 0.4, -0.3, 2.0)
     found = repaired(dataclasses.replace(line, links=(*line.links, back)))

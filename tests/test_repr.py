@@ -1,4 +1,4 @@
-"""How worlds, episodes, comparisons and trace maps show themselves: pictures by their pixels, tables, lines."""
+"""Display of worlds, episodes, comparisons and trace maps: pictures by their pixels, tables, lines."""
 
 import base64
 import dataclasses
@@ -307,7 +307,7 @@ def test_only_failures_are_swallowed():
     class Thing:
         @pictures.or_text
         def shown(self):
-            """What it shows."""
+            """Return the value."""
             return self.value
 
         @pictures.or_text
@@ -318,6 +318,6 @@ def test_only_failures_are_swallowed():
     assert thing.shown() is None
     thing.value = "a"  # type: ignore[attr-defined]
     assert thing.shown() == "a"
-    assert Thing.shown.__doc__ == "What it shows."
+    assert Thing.shown.__doc__ == "Return the value."
     with pytest.raises(KeyboardInterrupt):
         thing.stopped()

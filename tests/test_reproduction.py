@@ -1,4 +1,4 @@
-"""Papers reproduced: their figures, their claims on tables by hand, small real runs, what is refused."""
+"""Papers reproduced: their figures, their claims on tables by hand, small real runs, refusals."""
 
 import json
 import math

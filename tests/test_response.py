@@ -1,4 +1,4 @@
-"""How paths answer to settings: means and paired ratios by hand, cuts of many values, and bad input."""
+"""Paths as functions of settings: means and paired ratios by hand, bins of many values, and bad input."""
 
 import math
 
@@ -54,7 +54,7 @@ def test_ratios_are_paired_within_a_setting():
 
 
 def test_other_settings_do_not_make_more_starts():
-    """An episode at three clearances is one start, with its mean over them: not three."""
+    """An episode at three clearances counts as a single start, with its mean over them: not three."""
     table = sweep(clearances=(0.2, 0.3, 0.4))
     found = response(table, RANGE)
     assert found["n"].tolist() == [4] * 4

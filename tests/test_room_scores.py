@@ -52,7 +52,7 @@ def test_rooms_of_100_pixels_are_dropped():
 
 def test_regions_by_hand():
     labels, free = image("77.. 22.. 77.5"), image("11.1 1111 .1.1") > 0
-    # 7 is one region in two parts, less the pixel that is not free; so is the bare patch at the right; 5 stays
+    # 7 forms a region of two parts, less the pixel that is not free; so does the bare patch at the right; 5 stays
     np.testing.assert_array_equal(regions_of(labels, free, min_px=0), image("00.1 2211 .0.3"))
     np.testing.assert_array_equal(regions_of(labels, free, min_px=2), image("00.1 ..11 .0.."))
 

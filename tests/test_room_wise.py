@@ -79,7 +79,7 @@ KINDS = {
     "=rooms:door_m=0.41": OWN,
     "=rooms:door_m=0.39": OTHER,
     "=rooms:room_m2=2.5": OTHER,
-    ":prominence_m=100": OTHER,  # no critical point: all is one segment
+    ":prominence_m=100": OTHER,  # no critical point: a single segment
     ":gamma=4": OTHER,  # both sides of the door count as one obstacle
 }
 
@@ -122,7 +122,7 @@ def test_the_own_segment_is_the_room():
 
 @pytest.mark.jit
 def test_views_are_taken_from_the_own_room():
-    """Although paths weigh so much that it would be the other room."""
+    """Although paths weigh enough to favour the other room."""
     belief = belief_of()
     mine = own(parse_strategy("closest+segment").policy.params, belief)[0]
     policy = parse_strategy("decision-theoretic+segment:min_gain=1,lam=5").policy
@@ -136,7 +136,7 @@ def test_views_are_taken_from_the_own_room():
 
 @pytest.mark.jit
 def test_the_kinds_share_a_program():
-    """What makes them differ are numbers, so that a sweep over them is compiled once."""
+    """They differ by numbers only, so that a sweep over them is compiled once."""
     policies = [parse_strategy(f"closest+segment{k}").policy for k in ("", "=holz", "=wurm", "=thrun", "=auto")]
     policies += [parse_strategy("closest+segment=auto:prominence_m=1,gamma=2,door_m=1,room_m2=1").policy]
     chex.clear_trace_counter()

@@ -84,7 +84,7 @@ def test_doors_found_missed_and_extra():
 
 
 def clearance_of(inside):
-    """From the middle of every cell to the edge of the nearest wall; far where there is none. The oracle."""
+    """Compute the distance from every cell to the edge of the nearest wall; far without one. The oracle."""
     return np.sqrt(basins.squared(~inside, 2**20)) - 0.5
 
 

@@ -1,4 +1,4 @@
-"""Routes over a map for another robot: by pencil, beside networkx, laws, and what is refused."""
+"""Routes over a map for another robot: by pencil, compared with networkx, laws, and refusals."""
 
 import dataclasses
 import itertools
@@ -93,7 +93,7 @@ def test_the_crawler_takes_the_step_and_the_wheeled_robot_goes_round():
 
 
 def test_ways_are_counted_counter_clockwise_from_the_way_in():
-    # at 1 there is one other way, to the left: 270 degrees counter-clockwise from behind
+    # at 1 the only other way is to the left: 270 degrees counter-clockwise from behind
     first, second = jx.route(SQUARE, "wheeled", 0, 2).steps
     assert (first.bearing_deg, first.turn_deg, first.way, first.ways) == (0.0, None, None, 3)
     assert (second.bearing_deg, second.turn_deg, second.way, second.ways) == (90.0, 270.0, 1, 1)
@@ -338,7 +338,7 @@ def test_places_may_be_given_by_coordinates():
     assert jx.route(SQUARE, "kamui", (-30, 40), 3, within_m=50).nodes == (3,)
 
 
-# Beside networkx, and laws
+# Compared with networkx, and laws
 
 
 @st.composite
@@ -448,7 +448,7 @@ def test_the_kernel_side_by_side_in_a_batch_and_with_jit():
     assert around.node.tolist() == [[1, 2], [0, 2], [1, 0], [NONE, NONE]]
     length, is_open = np.array([1, 1, 3, 0], np.int32), np.ones(4, bool)
     barriers = np.array([[False] * 4, [False, True, False, False]])
-    target = np.array([[False, False], [False, False], [True, False], [False, True]])  # 2, and 3 beside it
+    target = np.array([[False, False], [False, False], [True, False], [False, True]])  # 2, and 3 next to it
     free, round_ = ([np.asarray(a) for a in shortest_ways(around, length, is_open, row, target)] for row in barriers)
     assert [a[:, 0].tolist() for a in free] == [[2, 1, 0, FAR], [2, 1, 0, FAR], [0, 1, NONE, NONE]]
     assert [a[:, 0].tolist() for a in round_] == [[3, 1, 0, FAR], [1, 1, 0, FAR], [2, 1, NONE, NONE]]

@@ -87,7 +87,7 @@ def test_two_rooms_and_a_door_by_hand(variant):
 @pytest.mark.jit
 @pytest.mark.parametrize("form", [LINES, BY_AIR])
 def test_two_rooms_divided_in_other_ways(form):
-    """By air the seed in the lower column is the nearer of two; a splitting line goes to the higher label beside it."""
+    """By air the seed in the lower column is the nearer of two; a splitting line goes to the higher adjacent label."""
     check(TWO_ROOMS.replace("baaaaaaaa", "bbaaaaaaa"), criteria("thrun"), form)
 
 
@@ -209,7 +209,7 @@ BULGES = """
 @pytest.mark.jit
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_a_critical_point_may_be_some_nodes_away_from_a_junction(variant):
-    """The left door: from there to the T the middle of a bulge lies on the way. The right one is beside a junction."""
+    """The left door: from there to the T the middle of a bulge lies on the way. The right one is next to a junction."""
     expected = BULGES.replace("b", "a") if variant == "wurm" else BULGES
     assert int(check(expected, criteria(variant)).count) == (1 if variant == "wurm" else 2)
 

@@ -1,4 +1,4 @@
-"""Maps divided into rooms and scored: the command, the table, the pictures, what is refused."""
+"""Maps divided into rooms and scored: the command, the table, the pictures, refusals."""
 
 import numpy as np
 import pandas as pd

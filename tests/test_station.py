@@ -1,4 +1,4 @@
-"""The station's page: what it holds, its script beside the rules of `passable` and `routes`, and how it is used."""
+"""The station's page: its content, its script compared with the rules of `passable` and `routes`, and its use."""
 
 import dataclasses
 import html
@@ -211,7 +211,7 @@ def test_nothing_outside_is_asked_for():
     assert "{{" not in text
 
 
-# The script beside the rules in Python
+# The script compared with the rules in Python
 
 OWN = dataclasses.replace(ROBOTS["kamui"], name="own robot", width_m=0.7, max_step_m=0.125, max_slope_deg=17.5)
 # Ways from 0 to 3 over 1 and over 2 are as long and have as many links; 1 cannot be passed by all. At 2 the way back
@@ -293,7 +293,7 @@ def random_map(rng):
 
 @pytest.fixture(scope="module")
 def both(tmp_path_factory, jit_on):
-    """What Python and the script say of random maps: `[(map, pairs, routes by robot and known_only), ...]`, answers."""
+    """Return Python's and the script's answers about random maps: `(map, pairs, routes by robot and known_only)`."""
     rng, robots = random.Random(5), [*ROBOTS.values(), OWN]
     maps, panels = [], []
     with jit_on():

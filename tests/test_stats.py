@@ -330,7 +330,7 @@ def test_markdown_small_p_missing_sd_and_bars_in_names():
 
 
 def progress(final, metres_a_mark=1.0):
-    """An episode that drives so far for every mark and gets as far as `final` of 100."""
+    """Return the progress of an episode with a path per mark, which gets to `final` of 100."""
     marks = np.arange(1, 101)
     return np.where(marks <= final, marks * metres_a_mark, np.nan)
 

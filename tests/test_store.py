@@ -382,7 +382,7 @@ def test_an_interruption_while_files_are_moved_undoes_all_of_it(tmp_path, monkey
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(5, "Input/output error")])
 def test_an_old_run_that_cannot_be_moved_back_is_not_lost(tmp_path, monkeypatch, error):
-    """From the fifth move on nothing can be moved any more: what is left of the old run is where the message says."""
+    """From the fifth move on nothing can be moved any more: the rest of the old run is where the message says."""
     for name in ("run.json", "episodes.parquet", "paths.png"):
         (tmp_path / name).write_text("old")
     real, made = os.replace, []

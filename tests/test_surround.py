@@ -1,4 +1,4 @@
-"""What lies round the robot: pencil places, parity with plain numpy, and that a memory does not drift."""
+"""Points around the robot: pencil places, parity with plain numpy, and that a memory does not drift."""
 
 import math
 
@@ -193,7 +193,7 @@ def test_a_full_turn_in_place_keeps_every_point_at_its_place(goes_on_seeing):
 
 
 def beside(left_m, right_m, turn=0.0):
-    """A passage along x whose walls are so far away; the robot is turned to the left in it."""
+    """Return a passage along x with walls at these distances; the robot is turned to the left in it."""
     x = np.arange(-3, 3, 0.02)
     walls = [(x, np.full_like(x, left_m)), (x, np.full_like(x, -right_m))]
     z = np.concatenate([x + 1j * y for x, y in walls]) * np.exp(-1j * turn)
@@ -225,13 +225,13 @@ def test_the_edge_is_square_to_the_difference_of_both_directions():
 
 
 def meets(xy, turn, length_m, width_m):
-    """Whether a rectangle, turned, has a point inside."""
+    """Return whether a rectangle, turned, has a point inside."""
     z = xy @ (1, 1j) * np.exp(-1j * turn)
     return bool(np.any((np.abs(z.real) < length_m / 2) & (np.abs(z.imag) < width_m / 2)))
 
 
 def free_until(xy, sign, step, margin_m):
-    """How far a rectangle with a margin turns in steps before it has a point inside, radians."""
+    """Compute the turn of a rectangle with a margin, in steps, before it has a point inside, radians."""
     turns = np.arange(1, round(math.pi / step) + 1)
     met = (n for n in turns if meets(xy, sign * n * step, KAMUI.length_m + 2 * margin_m, KAMUI.width_m + 2 * margin_m))
     return (next(met, turns[-1] + 1) - 1) * step

@@ -1,4 +1,4 @@
-"""What commands print: tables that fit a terminal, Markdown elsewhere, bars and lines, help texts, warnings."""
+"""Output of commands: tables that fit a terminal, Markdown elsewhere, bars and lines, help texts, warnings."""
 
 import io
 import os
@@ -41,7 +41,7 @@ class Screen(io.StringIO):
 
 @pytest.fixture
 def shown(monkeypatch):
-    """A function: what a terminal of so many columns gets to see, without colours."""
+    """Return a function for the text shown by a terminal with a number of columns, without colours."""
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("NO_COLOR", "1")
 
@@ -159,7 +159,7 @@ def test_no_table_is_wider_than_the_terminal_or_loses_a_character(data, width):
 
 
 def on_terminal(columns, *command, **environment):
-    """What a command writes on a terminal of so many columns: its status, and all lines."""
+    """Run a command on a terminal with a number of columns: its status, and all lines."""
     pty, fcntl, termios = (pytest.importorskip(name) for name in ("pty", "fcntl", "termios"))
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 50, columns, 0, 0))
@@ -338,7 +338,7 @@ def test_a_text_over_several_lines_is_one_paragraph():
 
 
 def told(monkeypatch, capsys, compiled_s, seconds=0.1):
-    """What is said of work that has lasted for some time, of which so many seconds went into a program."""
+    """Return the lines about work that has lasted for some time, `compiled_s` spent in a program."""
     monkeypatch.setattr(console, "TICK_S", 0.01)
     monkeypatch.setattr(console, "PATIENCE_S", 0.02)
     monkeypatch.setattr(backend, "compiling_s", lambda: compiled_s)

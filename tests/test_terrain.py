@@ -376,7 +376,7 @@ def test_ranges_to_slopes_and_stairs_are_those_of_small_steps():
                 np.minimum(np.asarray(ranges), 9)
                 for ranges in (one_look_at(terrain, origin, direction), marched(terrain, origin, direction))
             )
-            # A beam may pass an edge so near that two of its samples lie on both sides of it: it sees what is behind.
+            # A beam may pass an edge so closely that two of its samples lie on both sides: it sees the ground behind.
             assert (got >= want - 1e-3).all()
             grazed += int((np.abs(got - want) > 1e-3).sum())
             beams += got.size

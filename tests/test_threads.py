@@ -1,4 +1,4 @@
-"""Threads that share work: what is done, what is kept when it is stopped."""
+"""Threads that share work: its results, and those of an interrupted one."""
 
 import signal
 import threading

@@ -1,4 +1,4 @@
-"""What a run should have found: rooms drawn by hand, what a robot cannot reach, the course, and what is counted."""
+"""Truth for a run: rooms drawn by hand, unreachable places, the course, and counts."""
 
 import math
 
@@ -38,7 +38,7 @@ def truth(world, start_rc=CORNER, width_m=WIDTH_M):
 
 
 def near(marks, *places):
-    """Whether marks lie at places, in whatever order, within some two cells."""
+    """Return whether marks lie at places, in whatever order, within some two cells."""
     off = np.hypot(*(marks[:, None, :2] - np.array(places)[None]).transpose(2, 0, 1))
     return len(marks) == len(places) and set(off.argmin(axis=1)) == set(range(len(places))) and off.min(1).max() <= 0.25
 
@@ -208,7 +208,7 @@ def test_where_there_is_no_junction_every_divergence_is_false():
 
 
 def test_nodes_are_looked_up_by_their_numbers():
-    """What the robot made second stands first in the map."""
+    """The robot's second node stands first in the map."""
     nodes = tuple(Node(id=i, x_m=0.0, y_m=0.0, type=kind) for i, kind in ((1, "divergence"), (0, "terminal")))
     node_at = np.array([(20.0, 20.0), (1.0, 2.0), (math.nan, math.nan)])  # unused slots do not matter
     assert false_divergences(BtmMap(nodes, ()), node_at, TRUTH) == 0

@@ -21,7 +21,7 @@ from jexplore.tracemap.merging.rigid import Move, moved
 from jexplore.tracemap.record import BtmMap, Link, Node, check
 from jexplore.tracemap.similarity import code
 
-AWAY_M = 100.0  # by so much the corrected map is shifted here, so that it is known again
+AWAY_M = 100.0  # m; the corrected map is shifted by this here, so that it is known again
 
 
 @pytest.fixture(scope="module")
@@ -275,7 +275,7 @@ def test_on_a_course_without_a_goal_every_start_has_its_own_truth():
 
 
 def summed(true):
-    """Lines about runs of two settings of which so many made the true map."""
+    """Return lines about runs of two settings of which `true` made the true map."""
     n = len(true)
     table = pd.DataFrame({name: np.zeros(n, int) for name in trace_tables.NOTED} | {
         "run": range(n), "outcome": "EXHAUSTED", "code": "T", "setting": np.arange(n) % 2, "nodes": 1,

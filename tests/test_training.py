@@ -1,4 +1,4 @@
-"""Training: a toy whose answer is known, what is kept on the way, wrong input."""
+"""Training: a toy whose answer is known, stored rounds, wrong input."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""What a CPU makes of many elements at a time, beside NumPy."""
+"""Vectorised kernels on a CPU compared with NumPy."""
 
 import numpy as np
 import pytest

@@ -37,11 +37,11 @@ ONE_METRE = {"cell_m": 1.0}
 @pytest.mark.parametrize(
     ("name", "numbers"),
     [
-        # 1 exp(-lam) beside 3 exp(-6 lam): the same at lam = ln 3 / 5 = 0.2197. What shows too little is not
+        # 1 exp(-lam) and 3 exp(-6 lam): the same at lam = ln 3 / 5 = 0.2197. A view that shows too little is not
         # considered; where nothing shows enough, the nearest frontier is.
         ("decision-theoretic", {"lam=0": FAR_OFF, "lam=0.21": FAR_OFF, "lam=0.23": NEAR, "lam=5": NEAR,
                                 "lam=5,min_gain=2": FAR_OFF, "lam=0,min_gain=4": NEAR}),
-        # 1 / (plus + 1) beside 3 / (plus + 6): the same at plus = 1.5.
+        # 1 / (plus + 1) and 3 / (plus + 6): the same at plus = 1.5.
         ("gain-rate", {"plus_m=0": NEAR, "plus_m=1.4": NEAR, "plus_m=1.6": FAR_OFF,
                        "plus_m=0,min_gain=3": FAR_OFF, "plus_m=100,min_gain=4": NEAR}),
     ],
@@ -106,7 +106,7 @@ def test_samples_can_be_reached_and_lie_near_frontiers(seed):
     d2 = ((np.stack([row, col], axis=1)[:, None] - frontier) ** 2).sum(-1).min(1)
     assert d2.max() <= (4 + 0.5 * 2**0.5) ** 2  # rounded to the centre of a cell
     assert d2.max() > 3**2
-    # Every frontier cell is drawn from, and so is what is none.
+    # Every frontier cell is drawn from, and so are others.
     row, col, _ = jax.tree.map(np.asarray, drawn(jax.random.key(seed), belief, numbers(spread_m=0)))
     assert set(zip(row.tolist(), col.tolist())) <= set(map(tuple, frontier.tolist()))
     assert len(set(zip(row, col))) > 0.9 * len(frontier)

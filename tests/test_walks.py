@@ -1,4 +1,4 @@
-"""Walks of bounds: what is seen from where by hand, orders beside brute force, walks that see everything."""
+"""Walks of bounds: visibility by hand, orders compared with brute force, walks that see everything."""
 
 import itertools
 
@@ -177,7 +177,7 @@ def test_walks_see_everything_and_become_shorter(name):
 
 
 def test_a_bad_walk_is_mended_from_a_good_order(monkeypatch):
-    """Without any improving: what is put in one after the other is longer than what was found before."""
+    """Without any improving: putting in one after the other is longer than the walk found before."""
     own = searched()
     good, bad = walks_of(own), walks_of(own)
     good.find(lambda: False)
@@ -210,7 +210,7 @@ def test_what_tells_most_comes_first():
     assert chosen[:2] == [cells[4], cells[2]]
     assert len(chosen) == 3
     assert stops.telling(found, cells, 3, rng, lambda: True) == []
-    # 18 cells to the left, all the way back and to the right, less what is seen ahead (3 cells, at both ends).
+    # 18 cells to the left, all the way back and to the right, less those seen ahead (3 cells, at both ends).
     walk = walks_of(own)
     assert walk.find(lambda: False)
     walk.shorten(lambda: False)

@@ -143,7 +143,7 @@ def by_cells(occupied, pose):
 
 @pytest.mark.jit
 def test_ranges_are_those_of_the_cells():
-    """Beams that pass a corner or the end of the range by a hair may go either way: as a beam a hair beside them."""
+    """Beams that pass a corner or the end of the range by a hair may go either way: as a beam next to them."""
     rng = np.random.default_rng(1)
     direct = 0
     for _ in range(25):

@@ -1,4 +1,4 @@
-"""Where path is wasted, by hand and in a comparison."""
+"""Wasted path, by hand and in a comparison."""
 
 import numpy as np
 import pytest

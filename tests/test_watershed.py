@@ -254,7 +254,7 @@ def test_turning_a_building_leaves_its_rooms():
         found = watershed(jnp.asarray(turned), jnp.zeros(turned.shape, bool), criteria(0.1), form=form)
         label = undo(np.asarray(found.label))
         first = label if first is None else first
-        # Where clearance is even, ties go another way round: single cells beside a door may change sides.
+        # Where clearance is even, ties go another way round: single cells next to a door may change sides.
         agreement = score(first, label)
         assert agreement["room_count_error"] == 0
         assert agreement["mcc"] >= 0.97

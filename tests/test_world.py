@@ -29,7 +29,7 @@ def picture(*rows, **fields):
 
 
 def room(rows, cols, **fields):
-    """An empty room of so many free cells inside its ring."""
+    """Return an empty room with a number of free cells inside its ring."""
     return with_ring(World(occupied=np.zeros((rows, cols), bool), **fields))
 
 
@@ -86,7 +86,7 @@ def test_a_world_of_lists_is_one_of_arrays():
     ],
 )
 def test_a_world_of_numbers_is_refused_when_it_is_made(occupied, line):
-    """What is free is `~occupied`: of the integers 0 and 1 it would be -1 and -2, everywhere and without a word."""
+    """Free cells are `~occupied`: of the integers 0 and 1 that would be -1 and -2, everywhere and without a word."""
     with pytest.raises(InputError, match=line):
         World(occupied=occupied, name="mine")
 

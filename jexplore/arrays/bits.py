@@ -13,7 +13,7 @@ WORD = 32  # rows a word
 
 
 def pack(mask: Array) -> Array:
-    """A mask as words: bit i of word (k, c) is the cell at row 32 k + i, column c.
+    """Return a mask as words: bit i of word (k, c) is the cell at row 32 k + i, column c.
 
     Args:
       mask: `[H, W]` bool.
@@ -29,21 +29,21 @@ def pack(mask: Array) -> Array:
 
 
 def unpack(words: Array, height: int | None = None) -> Array:
-    """The mask that `pack` packed: `[height, W]` bool; by default with all 32 rows of every word."""
+    """Return the mask that `pack` packed: `[height, W]` bool; by default with all 32 rows of every word."""
     n, width = words.shape
     shift = lax.broadcasted_iota(jnp.uint32, (n, WORD, width), 1)
     return ((words[:, None, :] >> shift) & 1 != 0).reshape(n * WORD, width)[:height]
 
 
 def transposed(words: Array) -> Array:
-    """The packed mask with rows and columns exchanged: `[K, W]` to `[ceil(W / 32), 32 K]` uint32."""
+    """Return the packed mask with rows and columns exchanged: `[K, W]` to `[ceil(W / 32), 32 K]` uint32."""
     n, width = words.shape
     shift = lax.broadcasted_iota(jnp.uint32, (width, n, WORD), 2)
     return pack(((words.T[:, :, None] >> shift) & 1 != 0).reshape(width, n * WORD))
 
 
 def shifted(words: Array, drow: int, dcol: int) -> Array:
-    """What lies at `(row + drow, col + dcol)` of every cell; False outside the map.
+    """Shift a mask: the value at `(row + drow, col + dcol)` for every cell; False outside the map.
 
     Args:
       words: `[K, W]` uint32.
@@ -64,7 +64,7 @@ def shifted(words: Array, drow: int, dcol: int) -> Array:
 
 
 def _nth_bit(word, n):
-    """Position of the n-th set bit of a word, counted from 0; arbitrary if it has no more than n."""
+    """Return position of the n-th set bit of a word, counted from 0; arbitrary if it has no more than n."""
     at = jnp.zeros_like(n)
     for width in (16, 8, 4, 2, 1):
         low = lax.population_count(word & jnp.uint32(2**width - 1)).astype(jnp.int32)
@@ -82,13 +82,13 @@ class Order(NamedTuple):
 
 
 def in_order(words: Array) -> Order:
-    """`Order` of a mask: `[K, W]` uint32, packed."""
+    """Return the `Order` of a mask: `[K, W]` uint32, packed."""
     across = transposed(words).T.reshape(-1)
     return Order(across, jnp.cumsum(lax.population_count(across).astype(jnp.int32)))
 
 
 def nth_of(order: Order, n: Array, width: int) -> Array:
-    """True cells by their number.
+    """Return true cells by their number.
 
     Args:
       order: `Order`.
@@ -96,7 +96,7 @@ def nth_of(order: Order, n: Array, width: int) -> Array:
       width: W, columns of the mask. Static.
 
     Returns:
-      `[m]` int32, flat index (row * W + col); arbitrary where there are not so many.
+      `[m]` int32, flat index (row * W + col); arbitrary if n is too large.
     """
     across, until = order
     per_row = -(-width // WORD)
@@ -106,26 +106,26 @@ def nth_of(order: Order, n: Array, width: int) -> Array:
 
 
 def nth_cells(words: Array, n: Array) -> Array:
-    """True cells of a mask by their number in (row, col) order.
+    """Return true cells of a mask by their number in (row, col) order.
 
     Args:
       words: `[K, W]` uint32, packed.
       n: `[m]` int32, counted from 0.
 
     Returns:
-      `[m]` int32, flat index (row * W + col); 32 K * W where there are not so many.
+      `[m]` int32, flat index (row * W + col); 32 K * W if n is too large.
     """
     order = in_order(words)
     return jnp.where(n < order.until[-1], nth_of(order, n, words.shape[1]), WORD * words.size)
 
 
 def first_cells(words: Array, size: int) -> Array:
-    """The first True cells of a mask in (row, col) order: `nth_cells` of 0 to `size` - 1 (static)."""
+    """Return the first True cells of a mask in (row, col) order: `nth_cells` of 0 to `size` - 1 (static)."""
     return nth_cells(words, lax.iota(jnp.int32, size))
 
 
 def filled(words: Array, start: Array) -> Array:
-    """The cells of a packed mask to which straight steps over its cells lead, by sweeps up and down.
+    """Return the cells of a packed mask to which straight steps over its cells lead, by sweeps up and down.
 
     A row fills whole runs of its cells at once, 32 columns a word.
 
@@ -140,7 +140,7 @@ def filled(words: Array, start: Array) -> Array:
     n_rows, n_words = possible.shape
 
     def fill(i, reached, before):
-        """A row, from the one before it and from the words beside: `i + before` is that row in a border."""
+        """Fill a row from the one before it and from the adjacent words: `i + before` is that row in a border."""
         open_ = lax.dynamic_slice(possible, (i, 0), (1, n_words))
         own = lax.dynamic_slice(reached, (i + 1, 0), (1, n_words + 2))
         came = lax.dynamic_slice(reached, (i + before, 1), (1, n_words))

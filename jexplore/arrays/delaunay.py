@@ -8,7 +8,7 @@ from jax import Array, lax
 from jexplore.arrays import bits
 
 NONE = np.int32(2**31 - 1)  # the key of no point
-ROW = 64  # slots of triangles are looked through in rows of so many
+ROW = 64  # triangle slots per row of the search
 BETWEEN = -1e30  # a cotangent below all
 
 
@@ -22,13 +22,13 @@ class Triangles:
 
 
 def _ordered(values):
-    """float32 as int32 of the same order."""
+    """Return float32 as int32 of the same order."""
     bits = lax.bitcast_convert_type(values, jnp.int32)
     return jnp.where(bits < 0, bits ^ 0x7FFFFFFF, bits)
 
 
 def delaunay(points: Array, valid: Array) -> Triangles:
-    """The Delaunay triangulation.
+    """Compute the Delaunay triangulation.
 
     On each side of a pair of points the apex is the point that sees them under the largest angle; the pair is an edge
     if both angles together are at most 180 degrees. Of points on one circle all triangles may be valid.
@@ -80,7 +80,7 @@ def delaunay(points: Array, valid: Array) -> Triangles:
 
 
 def circumcircles(points: Array, corner: Array) -> tuple[Array, Array, Array]:
-    """Circles through three points each.
+    """Compute circles through three points each.
 
     Args:
       points: `[n, 2]` float32.
@@ -103,11 +103,11 @@ def circumcircles(points: Array, corner: Array) -> tuple[Array, Array, Array]:
 
 
 def _apexes(x, y, valid, first, second):
-    """The points that see every pair under the largest angle, on either side of it.
+    """Find the points that see every pair under the largest angle, on either side.
 
     Returns:
-      `(apex, there, broken)`: `[2, E]` int32, number of the point; `[2, E]` bool, whether there is one; `[E]` bool,
-        whether one lies on the straight line between both.
+      `(apex, there, broken)`: `[2, E]` int32, number of the point; `[2, E]` bool, valid; `[E]` bool, a point lies on
+        the straight line between both.
     """
     n = x.shape[0]
     codes = 1 << max(n - 1, 1).bit_length()
@@ -121,8 +121,8 @@ def _apexes(x, y, valid, first, second):
     here = valid[:, None] & ((cross != 0) | between)
     cotangent = jnp.where(between, BETWEEN, dot / jnp.where(cross == 0, 1, jnp.abs(cross)))
     # The last bits of a cotangent give way to the number of its point, so that one minimum finds both (of 64 points 16
-    # bits of its fraction are left, of 256 14); one more to the side, so that both sides are one array: on the right
-    # what is least is the largest of what is negative.
+    # bits of its fraction are left, of 256 14); one more to the side, so that both sides fit in one array: on the right
+    # the least is the largest negative one.
     key = (_ordered(cotangent) >> 1) + (1 << 30) & ~(codes - 1) | jnp.arange(n, dtype=jnp.int32)[:, None]
     keys = jnp.where(here, jnp.where(cross >= 0, key, ~key), NONE)
     left, right = jnp.min(jnp.where(keys >= 0, keys, NONE), axis=0), ~jnp.max(jnp.where(keys < 0, keys, ~NONE), axis=0)

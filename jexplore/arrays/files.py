@@ -23,13 +23,13 @@ MOST_SPEC_BYTES = 2**20
 
 @contextlib.contextmanager
 def opened(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """A regular file, open for reading.
+    """Open a regular file for reading.
 
     Args:
       path: the file.
 
     Returns:
-      What a `with` statement takes; what goes wrong within it is told likewise.
+      A context manager; errors within it are reported in the same form.
 
     Raises:
       InputError: no such file, a directory or another thing that is no file, or not readable.
@@ -53,7 +53,7 @@ def opened(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
-    """The content of a regular file.
+    """Read a regular file.
 
     Args:
       path: the file.
@@ -77,7 +77,7 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
 
 
 def told_kind(content: bytes) -> str:
-    """What a file is by its first bytes, and what to do with it; empty where they do not tell."""
+    """Describe the kind of a file by its first bytes, and what to do with it; empty if unknown."""
     return next((what for start, what in _KINDS.items() if content.startswith(start)), "")
 
 
@@ -95,7 +95,7 @@ _KINDS = {
 
 
 def read_text(path: str | os.PathLike[str], max_bytes: int) -> str:
-    """The content of a text file in UTF-8.
+    """Read a text file in UTF-8.
 
     Raises:
       InputError: as `read_bytes`, or not UTF-8 text.
@@ -110,11 +110,11 @@ def read_text(path: str | os.PathLike[str], max_bytes: int) -> str:
 
 
 def json_of(text: str, told: str) -> Any:
-    """What a text in JSON holds, nested no deeper than `MOST_LEVELS`.
+    """Parse a text in JSON, nested no deeper than `MOST_LEVELS`.
 
     Args:
-      text: what to read.
-      told: what the message calls it.
+      text: input.
+      told: its name in messages.
 
     Raises:
       InputError: no JSON, with the line, or of unusual numbers or depth.
@@ -132,7 +132,7 @@ def json_of(text: str, told: str) -> Any:
 
 
 def read_json(path: str | os.PathLike[str], max_bytes: int) -> Any:
-    """What a file in JSON holds.
+    """Read a JSON file.
 
     Raises:
       InputError: as `read_text` and `json_of`.
@@ -155,14 +155,14 @@ def require_shallow(value: Any, told: str) -> None:
 
 
 def yaml_of(text: str, told: str) -> Any:
-    """What a text in YAML holds, see `plain_yaml.Loader`, nested no deeper than `MOST_LEVELS`.
+    """Parse a text in YAML, see `plain_yaml.Loader`, nested no deeper than `MOST_LEVELS`.
 
     Args:
-      text: what to read.
-      told: what the message calls it.
+      text: input.
+      told: its name in messages.
 
     Raises:
-      InputError: none of that, with line and column.
+      InputError: no such YAML, with line and column.
     """
     import yaml
 
@@ -182,7 +182,7 @@ def yaml_of(text: str, told: str) -> Any:
 
 
 def read_yaml(path: str | os.PathLike[str], max_bytes: int = MOST_SPEC_BYTES) -> Any:
-    """What a file in YAML holds.
+    """Read a YAML file.
 
     Raises:
       InputError: as `read_text` and `yaml_of`.
@@ -191,11 +191,11 @@ def read_yaml(path: str | os.PathLike[str], max_bytes: int = MOST_SPEC_BYTES) ->
 
 
 def read_npz(path: str | os.PathLike[str], max_bytes: int) -> dict[str, Any]:
-    """The arrays of a file in numpy's format NPZ, by name; objects of Python are not read.
+    """Read the arrays of a file in numpy's format NPZ, by name; Python objects are refused.
 
     Args:
       path: the file.
-      max_bytes: all arrays together may take so much, unpacked.
+      max_bytes: most bytes of all arrays together, unpacked.
 
     Raises:
       InputError: as `opened`, no such file of numpy, damaged, or too large.
@@ -219,13 +219,13 @@ def read_npz(path: str | os.PathLike[str], max_bytes: int) -> dict[str, Any]:
 
 
 def missing(path: str) -> InputError:
-    """The error for the path of a file that is not there."""
+    """Return the error for a missing file."""
     where = "" if os.path.isabs(path) else f" (looked in {os.getcwd()!r})"
     return InputError(f"{path!r}: there is no such file{where}")
 
 
 def first_line(error: BaseException) -> str:
-    """The first line of what an exception says, or the name of its type."""
+    """Return the first line of an exception's message, or the name of its type."""
     try:
         return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
     except Exception:  # of a user's class, whose `__str__` raises

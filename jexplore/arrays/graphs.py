@@ -15,7 +15,7 @@ ROUNDS = 4  # between two looks at whether anything changes: a look costs as muc
 
 
 class Around(NamedTuple):
-    """What leaves every node, links in the order of the list; `NONE` in places without one."""
+    """Links around every node, in the order of the list; `NONE` in empty places."""
 
     link: np.ndarray  # [N, K] int32
     node: np.ndarray  # [N, K] int32, the one that it leads to
@@ -24,16 +24,16 @@ class Around(NamedTuple):
 class Ways(NamedTuple):
     """The best way from every node to the nearest target of every set."""
 
-    length: Array  # [N, B] int32, `FAR` where there is none
-    hops: Array  # [N, B] int32, its links; `FAR` where there is none
-    link: Array  # [N, B] int32, by which it leaves; `NONE` at targets, and where there is none
+    length: Array  # [N, B] int32, `FAR` without a way
+    hops: Array  # [N, B] int32, its links; `FAR` without a way
+    link: Array  # [N, B] int32, first link; `NONE` at targets, and without a way
 
 
 def links_around(ends: np.ndarray, n: int) -> Around:
-    """What leaves every node of a graph, on the host.
+    """List the links around every node of a graph, on the host.
 
     Args:
-      ends: `[M, 2]` int, the nodes that a link joins, each below n; none leads from a node to itself and counts.
+      ends: `[M, 2]` int, the nodes that a link joins, each below n.
       n: nodes.
 
     Returns:
@@ -53,7 +53,7 @@ def links_around(ends: np.ndarray, n: int) -> Around:
 
 
 def shortest_ways(around: Around, length: Array, is_open: Array, barrier: Array, target: Array) -> Ways:
-    """The shortest way from every node to a target over links that lead both ways.
+    """Compute the shortest way from every node to a target over links that lead both ways.
 
     Of ways of equal length the one with the fewest links counts, and of those the one whose links, in their order, have
     the lowest places in the list. Whole numbers make that exact. Sets of targets lie side by side in the last axis,
@@ -72,12 +72,12 @@ def shortest_ways(around: Around, length: Array, is_open: Array, barrier: Array,
     link, node = jnp.asarray(around.link), jnp.asarray(around.node)
     at = jnp.clip(link, 0, length.shape[0] - 1)
     leads = (link >= 0) & is_open[at]
-    node = jnp.where(leads, node, jnp.arange(link.shape[0])[:, None])  # what is shut leads back at no cost: no gain
+    node = jnp.where(leads, node, jnp.arange(link.shape[0])[:, None])  # a shut link leads back at no cost: no gain
     cost = jnp.where(leads, length[at], 0)[:, :, None]
     ends_here = jnp.where(target, 0, FAR)
 
     def beyond(value):
-        """What is left of the way at the far end of every link, `[N, K, B]`; a barrier there ends it."""
+        """Return the remaining way at the far end of every link, `[N, K, B]`; a barrier ends it."""
         return jnp.where(barrier[:, None] & ~target, FAR, value)[node]
 
     def nearer(state):

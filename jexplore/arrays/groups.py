@@ -24,11 +24,11 @@ class Groups:
     lowest: Array  # [K] int32, lowest slot of the cell's group; its own in an unused slot
     count: Array  # int32, used slots
     overflow: Array  # int32, cells that did not fit
-    part: int = struct.field(pytree_node=False)  # slots that are worked on at a time; K is a multiple of it
+    part: int = struct.field(pytree_node=False)  # slots processed at a time; divides K
 
 
 def by_parts(groups: Groups, work: Callable[[Array, Array, Any], Any], state: Any) -> Any:
-    """The state after `work(slot, used, state)` for every part of a list, the first one first.
+    """Return the state after `work(slot, used, state)` for every part of a list, the first one first.
 
     Args:
       groups: `Groups`.
@@ -40,7 +40,7 @@ def by_parts(groups: Groups, work: Callable[[Array, Array, Any], Any], state: An
 
 
 def _by_parts(count, size, part, work, state):
-    """`by_parts` of a list of `size` slots, the first `count` of them used."""
+    """Return `by_parts` of a list of `size` slots, the first `count` of them used."""
     slots = lax.iota(jnp.int32, part)
     if part == size:
         return work(slots, slots < count, state)
@@ -54,18 +54,18 @@ def _by_parts(count, size, part, work, state):
 
 
 def read(values: Array, slot: Array) -> Array:
-    """A part of a list: `[..., K]` to `[..., part]`."""
+    """Return a part of a list: `[..., K]` to `[..., part]`."""
     return lax.dynamic_slice_in_dim(values, slot[0], slot.shape[0], axis=values.ndim - 1)
 
 
 def write(values: Array, slot: Array, used: Array, new: Array) -> Array:
-    """A list with the used slots of a part replaced: `[..., K]`."""
+    """Return a list with the used slots of a part replaced: `[..., K]`."""
     new = jnp.where(used, new, read(values, slot))
     return lax.dynamic_update_slice_in_dim(values, new, slot[0], axis=values.ndim - 1)
 
 
 def grouped(mask: Array, size: int, *, part: int = PART) -> Groups:
-    """`Groups` of a mask.
+    """Return `Groups` of a mask.
 
     Args:
       mask: `[H, W]` bool.

@@ -18,11 +18,11 @@ from jax.custom_batching import custom_vmap
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import jaxpr_as_fun
 
-SHARE = 8  # a condition under vmap is worked off by groups of one lane in so many
+SHARE = 8  # a condition under vmap is processed by groups of one in this many lanes
 
 
 def _hoisted(function, *examples):
-    """A function with what it closes over as an argument: `(f, closed)` with `f(closed, *args)` = `function(*args)`."""
+    """Turn closed-over values of a function into an argument: `(f, closed)`, `f(closed, *args)` = `function(*args)`."""
     leaves, tree = jax.tree.flatten(examples)
     jaxpr, shapes = jax.make_jaxpr(lambda *leaves: function(*jax.tree.unflatten(tree, leaves)), return_shape=True)(
         *leaves
@@ -40,7 +40,7 @@ def _axes(batched):
 
 
 def _wide(n, tree, batched):
-    """A pytree with a leading axis of n on every leaf."""
+    """Add a leading axis of n to every leaf of a pytree."""
     return jax.tree.map(lambda a, b: a if b else jnp.broadcast_to(a, (n, *jnp.shape(a))), tree, batched)
 
 
@@ -49,32 +49,32 @@ def _all_batched(tree):
 
 
 def take(tree: Any, at: Array) -> Any:
-    """Lanes `at` (`[m]` int32) of a pytree; a lane beyond the last gives the last."""
+    """Return lanes `at` (`[m]` int32) of a pytree; a lane beyond the last gives the last."""
     return jax.tree.map(lambda a: a.at[at].get(mode="clip", wrap_negative_indices=False), tree)
 
 
 def put(tree: Any, at: Array, values: Any) -> Any:
-    """A pytree with its lanes `at` (`[m]` int32) replaced, none of them twice; what lies beyond the last is dropped.
+    """Replace lanes `at` (`[m]` int32) of a pytree, none of them twice; indices beyond the last are dropped.
 
     An accelerator is told that no lane comes twice: it would write bools and bytes one after the other.
     """
     own = jax.tree.leaves(tree)
     n = own[0].shape[0] if own else 0
-    at = jnp.where(at < n, at, n + lax.iota(jnp.int32, at.shape[0]))  # what is dropped comes only once as well
+    at = jnp.where(at < n, at, n + lax.iota(jnp.int32, at.shape[0]))  # dropped indices are unique as well
     return jax.tree.map(lambda a, new: a.at[at].set(new, mode="drop", unique_indices=True), tree, values)
 
 
 def first_lanes(mask: Array, m: int) -> Array:
-    """The first m lanes of a mask: `[m]` int32; the number of lanes where there are fewer."""
+    """Return the first m lanes of a mask: `[m]` int32; the number of lanes where there are fewer."""
     n = mask.shape[0]
     rank, lane = jnp.cumsum(mask, dtype=jnp.int32) - 1, lax.iota(jnp.int32, n)
-    # As `jnp.nonzero`, by fewer kernels; what is dropped goes to places of its own.
+    # Same as `jnp.nonzero`, by fewer kernels; dropped values go to places of their own.
     at = jnp.where(mask & (rank < m), rank, m + lane)
     return jnp.full(m, n, jnp.int32).at[at].set(lane, mode="drop", unique_indices=True)
 
 
 def run_if(predicate: Array | bool, function: Callable[[Any], Any], otherwise: Any) -> Any:
-    """`function(otherwise)` if a condition holds, else `otherwise`.
+    """Return `function(otherwise)` if a condition holds, else `otherwise`.
 
     Under `vmap` the lanes for which it holds are gathered, one in `SHARE` of all at a time, until none is left.
 
@@ -120,13 +120,13 @@ def run_if(predicate: Array | bool, function: Callable[[Any], Any], otherwise: A
 
 
 def _on_cpu():
-    """Whether what is traced now is for a CPU."""
+    """Return whether the function being traced is for a CPU."""
     device: Any = jax.config.values["jax_default_device"]  # None, a device, or a platform's name
     return (getattr(device, "platform", device) or jax.default_backend()) == "cpu"
 
 
 def alone_on_cpu(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of pytrees that under `vmap` on a CPU works on one lane after the other.
+    """Make a function of pytrees work on one lane after the other under `vmap` on a CPU.
 
     Conditions and loops are then true control flow, as for one robot; on other devices lanes go together.
     """
@@ -156,7 +156,7 @@ def alone_on_cpu(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def repeat(going: Callable[[Any], Array | bool], body: Callable[[Any], Any], state: Any) -> Any:
-    """`body` applied to a state for as long as `going(state)` holds.
+    """Apply `body` to a state for as long as `going(state)` holds.
 
     Args:
       going: takes the state, returns a bool scalar.
@@ -191,10 +191,10 @@ def repeat(going: Callable[[Any], Array | bool], body: Callable[[Any], Any], sta
 
 
 def settled(step: Callable[[Array], Array], start: Array) -> Array:
-    """What an array becomes when a step is taken until it changes nothing any more.
+    """Iterate a step until the array stays the same (fixed point).
 
     Args:
-      step: takes and returns an array.
+      step: function from array to array.
       start: array of whole numbers, none below 0, not empty.
     """
 
@@ -208,7 +208,7 @@ def settled(step: Callable[[Array], Array], start: Array) -> Array:
 
 
 def stored(truth: Array | bool, function: Callable[[], Any]) -> Any:
-    """The value of `function()`, computed once and kept.
+    """Return the value of `function()`, computed once and kept (materialised).
 
     Args:
       truth: bool scalar, always True, in a way that the compiler cannot tell.
@@ -242,7 +242,7 @@ def stored(truth: Array | bool, function: Callable[[], Any]) -> Any:
 
 
 def one_kernel(function: Callable[..., Any], *args: Any) -> Any:
-    """`function(*args)`, compiled on a CPU as one piece of code, loops and all, instead of a call for every operation.
+    """Call `function(*args)`, compiled on a CPU as one piece of code, loops included, not operation by operation.
 
     For kernels of many small operations. No scatter, sort or custom call may be in it. Under `vmap`, where an update
     becomes a scatter, it is a plain call.

@@ -9,7 +9,7 @@ from jexplore.arrays.bits import WORD
 
 
 def bucket(n: int) -> int:
-    """The size to which a side of n cells is padded: of 4, 5, 6 or 7 times a power of two the next, in multiples of 32.
+    """Return the padded size of a side of n cells: the next of 4, 5, 6 or 7 times a power of two, in multiples of 32.
 
     So that maps of similar size share a compiled program, at the price of at most a quarter more rows and columns.
     """
@@ -18,7 +18,7 @@ def bucket(n: int) -> int:
 
 
 def number(value: Any) -> np.ndarray:
-    """A parameter as an array: integers as int32, others as float32, so that it is the same in every program."""
+    """Convert a parameter to an array: integers to int32, others to float32, so that all programs agree."""
     value = np.asarray(value)
     return value.astype(
         np.int32 if value.dtype.kind in "iu" else value.dtype if value.dtype.kind == "b" else np.float32
@@ -26,10 +26,10 @@ def number(value: Any) -> np.ndarray:
 
 
 def framed(mask: np.ndarray) -> np.ndarray:
-    """A mask padded to sizes of `bucket`, with False cells all round: it begins at row 1, column 1."""
+    """Pad a mask to sizes of `bucket`, with False cells all round: it begins at row 1, column 1."""
     return np.pad(mask, [(1, bucket(n + 2) - n - 1) for n in mask.shape])
 
 
 def within(array: np.ndarray, shape: tuple[int, ...], ring: int) -> np.ndarray:
-    """The cells of a world of this shape in a padded map, whose indices are larger by `ring`."""
+    """Return the cells of a world of this shape in a padded map, whose indices are larger by `ring`."""
     return array[ring : ring + shape[0], ring : ring + shape[1]]

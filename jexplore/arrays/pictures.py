@@ -1,4 +1,4 @@
-"""How objects show themselves in a notebook: small PNG pictures, and HTML of a picture, a line and a table.
+"""Display of objects in a notebook: small PNG pictures, and HTML of a picture, a line and a table.
 
 Plain Python: importing this loads neither numpy nor Pillow.
 """
@@ -21,7 +21,7 @@ _GOLDEN = 0.618034  # of a turn: hues of neighbours in number lie far apart
 
 
 def or_text(method: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A method that shows an object: where it fails it returns None, and a notebook shows the object's text."""
+    """Make a method show an object; if it fails it returns None, and a notebook shows the object's text."""
 
     @functools.wraps(method)
     def shown(self):
@@ -34,7 +34,7 @@ def or_text(method: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 def html_of(picture: bytes, caption: str, head: Sequence[str] = (), lines: Iterable[Sequence[str]] = ()) -> str:
-    """A PNG picture, a line below it, and a table, as HTML that needs no other file.
+    """Return HTML of a PNG picture, a line below it, and a table, which needs no other file.
 
     Args:
       picture: the bytes of the PNG.
@@ -70,7 +70,7 @@ class Listing:
         return len(self.rows)
 
     def to_pandas(self) -> Any:
-        """The same as a `pandas.DataFrame`."""
+        """Return the same as a `pandas.DataFrame`."""
         import pandas as pd
 
         return pd.DataFrame(self.rows, columns=list(self.head))
@@ -94,7 +94,7 @@ def _row(tag, cells):
 
 
 def axes_of(ax: Any = None) -> Any:
-    """matplotlib `Axes`: those given, else those of a new figure of pyplot, which a notebook shows."""
+    """Return matplotlib `Axes`: those given, else those of a new figure of pyplot, which a notebook shows."""
     if ax is None:
         from matplotlib import pyplot
 
@@ -103,14 +103,14 @@ def axes_of(ax: Any = None) -> Any:
 
 
 def shown_figure(figure: Any) -> Any:
-    """A matplotlib `Figure` that a notebook shows at the end of a cell."""
+    """Return a matplotlib `Figure` that a notebook shows at the end of a cell."""
     from matplotlib import pyplot  # noqa: F401  (by which a notebook learns how)
 
     return figure
 
 
 def png_of(figure: Any, *, dpi: float = 72) -> bytes:
-    """A matplotlib `Figure` as the bytes of a small PNG."""
+    """Convert a matplotlib `Figure` to the bytes of a small PNG."""
     from PIL import Image
 
     file = io.BytesIO()
@@ -119,13 +119,13 @@ def png_of(figure: Any, *, dpi: float = 72) -> bytes:
 
 
 def written(image: Any) -> bytes:
-    """A Pillow image as the bytes of a PNG of at most 128 colours."""
+    """Convert a Pillow image to the bytes of a PNG of at most 128 colours."""
     file = io.BytesIO()
     image.convert("RGB").quantize(128, kmeans=1).save(file, format="png", optimize=True)
     return file.getvalue()
 
 
 def soft_colours(count: int) -> list[tuple[int, int, int]]:
-    """`count` soft colours, red, green and blue from 0 to 255; neighbours in number are far apart in hue."""
+    """Return `count` soft colours, red, green and blue from 0 to 255; neighbours in number are far apart in hue."""
     turns = [[i * _GOLDEN + third / 3 for third in range(3)] for i in range(count)]
     return [tuple(round(215 + 30 * math.cos(math.tau * turn)) for turn in own) for own in turns]  # type: ignore[misc]

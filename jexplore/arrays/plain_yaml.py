@@ -56,5 +56,5 @@ class _Dumper(yaml.SafeDumper):
 
 
 def dump(value: Any) -> str:
-    """Plain values as text that `Loader` reads back as the same."""
+    """Write plain values as text that `Loader` reads back as the same."""
     return yaml.dump(value, Dumper=_Dumper, sort_keys=False)

@@ -11,22 +11,22 @@ LEAST = 1e-4  # added to the diagonal: what nothing is known of stays where it i
 
 
 class Settled(NamedTuple):
-    """What fits best."""
+    """Best fit of a pose graph."""
 
     pose: Array  # [N, 3] float32, x, y, heading, radians
     misfit: Array  # [M, 3] float32, of every measurement, in its standard deviations; 0 in a place without one
 
 
 def settle(pose: Array, ends: Array, moved: Array, spread: Array) -> Settled:
-    """Least squares of measured moves between poses, by Gauss-Newton from a first guess.
+    """Fit poses to measured moves between them: least squares by Gauss-Newton from a first guess.
 
-    Pose 0 stays where it is, and so does what is not joined with it by measurements. A step is halved until the misfit
-    shrinks, `HALVINGS` times at most; where none does, the poses stay.
+    Pose 0 and poses not joined with it by measurements stay in place. A step is halved until the misfit shrinks,
+    `HALVINGS` times at most; otherwise the poses stay.
 
     Args:
       pose: `[N, 3]` float32, first guess: x, y, heading, radians.
-      ends: `[M, 2]` int32, from which pose to which a move was measured; below 0 in a place without one.
-      moved: `[M, 3]` float32, x, y, in the frame of the first; how far the second is turned against it, radians.
+      ends: `[M, 2]` int32, first and second pose of a measured move; below 0: empty.
+      moved: `[M, 3]` float32, x, y, in the frame of the first; turn of the second against it, radians.
       spread: `[M, 2]` float32, standard deviations of a place and of a turn, above 0; inf: says nothing.
 
     Returns:
@@ -45,7 +45,7 @@ def settle(pose: Array, ends: Array, moved: Array, spread: Array) -> Settled:
         return weight * off.at[:, 2].set((off[:, 2] + jnp.pi) % (2 * jnp.pi) - jnp.pi)
 
     def slopes(pose):
-        """`[M, 3, N, 3]`: of every misfit by every pose but the first."""
+        """Return the derivatives `[M, 3, N, 3]` of every misfit by every pose but the first."""
         d = jnp.zeros((m, 3, n, 3)).at[edge[:, None], jnp.arange(3), first[:, None], jnp.arange(3)].add(1.0)
         d = d.at[edge[:, None], jnp.arange(3), second[:, None], jnp.arange(3)].add(-1.0)
         aside = _turned(moved[:, :2], pose[first, 2] + jnp.pi / 2)
@@ -64,6 +64,6 @@ def settle(pose: Array, ends: Array, moved: Array, spread: Array) -> Settled:
 
 
 def _turned(xy, angle):
-    """`[M, 2]` vectors turned by `[M]` angles."""
+    """Return `[M, 2]` vectors turned by `[M]` angles."""
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     return jnp.stack([cos * xy[:, 0] - sin * xy[:, 1], sin * xy[:, 0] + cos * xy[:, 1]], axis=1)

@@ -21,7 +21,7 @@ class Cells:
 
 
 def listed(mask: Array, size: int) -> Cells:
-    """`Cells` of a mask.
+    """List the `Cells` of a mask.
 
     Args:
       mask: `[H, W]` bool.
@@ -43,5 +43,5 @@ def listed(mask: Array, size: int) -> Cells:
 
 
 def at(array: Array, cell: Array, fill: float) -> Array:
-    """Values of a map, or of a list, at listed places: of their shape; `fill` beyond the last."""
+    """Return values of a map, or of a list, at listed places: of their shape; `fill` beyond the last."""
     return array.reshape(-1).at[cell].get(mode="fill", fill_value=fill)

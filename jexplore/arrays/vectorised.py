@@ -10,7 +10,7 @@ _ARCTAN = 0.99997726, -0.33262347, 0.19354346, -0.11643287, 0.05265332, -0.01172
 
 
 def arctan2(y: Array, x: Array) -> Array:
-    """The angle of a point, to 4e-6 radians: `[...]` float32, 0 at the origin; the sign of a zero does not count.
+    """Compute the angle of a point, to 4e-6 radians: `[...]` float32, 0 at the origin; signs of zeros do not count.
 
     Args:
       y, x: `[...]` float32, finite.
@@ -28,6 +28,6 @@ def arctan2(y: Array, x: Array) -> Array:
 
 
 def argmin(values: Array) -> Array:
-    """The place of the first of the least of `[n]` float32 without NaN: int32; of NaN it makes the last place."""
+    """Return the place of the first least value of `[n]` float32 without NaN: int32; with NaN it returns the last."""
     n = values.shape[0]
     return jnp.min(jnp.where(values == jnp.min(values), lax.iota(jnp.int32, n), n - 1))

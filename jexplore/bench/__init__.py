@@ -1,7 +1,6 @@
-"""What everything costs: kernels, whole episodes by both engines, an episode's parts, memory, compiling.
+"""Measurements: kernels, whole episodes by both engines, an episode's parts, memory, compiling.
 
-`prepare_bench` refuses what cannot be measured, `run_bench` measures, `tables.tables` and `plots.figure` show what
-was found.
+`prepare_bench` refuses invalid requests, `run_bench` measures, `tables.tables` and `plots.figure` show the results.
 """
 
 import contextlib
@@ -39,7 +38,7 @@ GENERATOR, LEAST_M, CELL_M = "cave", 6.4, 0.1  # of the worlds of a given side
 
 @dataclasses.dataclass(frozen=True)
 class Agenda:
-    """What is to be measured."""
+    """Planned measurements."""
 
     worlds: list[World]
     strategies: list[Strategy]
@@ -52,14 +51,14 @@ class Agenda:
 
     @property
     def total(self) -> int:
-        """Measurements, of which `run_bench` tells when one is done."""
+        """Return the number of measurements that `run_bench` reports one by one."""
         n_kernels = 1 + len(self.sized)
         n_episodes = (len(self.worlds) + len(self.sized)) * len(self.strategies)
         return n_kernels + n_episodes + len(self.worlds) * len(self.strategies)
 
 
 def sized_name(side: int) -> tuple[str, float]:
-    """The name of a world of so many cells a side, and the edge of its cells in metres."""
+    """Return the name of a world with a number of cells a side, and the edge of its cells in metres."""
     cell_m = max(CELL_M, LEAST_M / side)
     return f"{GENERATOR}:width_m={side * cell_m:g},height_m={side * cell_m:g}", cell_m
 
@@ -72,7 +71,7 @@ def _numbers(name, values) -> tuple[int, ...]:
 
 
 def _worlds_of(names, cell_m):
-    """Worlds that episodes can be run in."""
+    """Load worlds that episodes can be run in."""
     worlds = [with_ring(world) for world in ready_worlds(names, cell_m)]
     for world in worlds:
         require_memory(world, LIDAR, RULES)
@@ -91,7 +90,7 @@ def prepare_bench(
     repeat: int | None = None,
     quick: bool = False,
 ) -> Agenda:
-    """Checks and loads everything, and starts JAX with one thread. What is None has a default.
+    """Check and load everything, and start JAX with one thread. None means the default.
 
     Args:
       worlds, strategies: names.
@@ -100,7 +99,7 @@ def prepare_bench(
       sides: of the maps by which cost is measured, cells.
       episodes: by map size; in lanes the least number.
       repeat: turns of every measurement.
-      quick: whether the defaults are small.
+      quick: bool, use small defaults.
 
     Returns:
       `Agenda`.
@@ -131,7 +130,7 @@ def prepare_bench(
 
 @contextlib.contextmanager
 def _compiling(cache):
-    """Compiled programs are neither read from disk nor kept there, unless they may be."""
+    """Compile without reading or keeping programs on disk, unless that is allowed."""
     if cache:
         use_compilation_cache()
         yield
@@ -149,13 +148,12 @@ def _compiling(cache):
 def run_bench(
     plan: Agenda, *, cache: bool = False, on_progress: Callable[[int], Any] = lambda done: None
 ) -> dict[str, Any]:
-    """Measures everything.
+    """Measure everything.
 
     Args:
       plan: `Agenda`.
-      cache: whether compiled programs may be read from disk, and are kept there: times of compiling are then those of
-        loading.
-      on_progress: called with the number of measurements done so far.
+      cache: bool, read compiled programs from disk and keep them there: compile times are then loading times.
+      on_progress: called with the number of finished measurements.
 
     Returns:
       The report: dicts and lists that JSON can hold.
@@ -199,7 +197,7 @@ def _settings(plan, cache):
 
 
 def _episodes(plan: Agenda, compiler, report, one_more):
-    """Whole episodes by world and batch size, and by map size."""
+    """Measure whole episodes by world and batch size, and by map size."""
     for world, strategy in itertools.product(plan.worlds, plan.strategies):
         wanted = [(engine, size) for engine in plan.engines for size in plan.batches[engine]]
         report["batches"] += engines.measure_episodes(compiler, world, strategy, wanted, plan.episodes, plan.repeat)
@@ -215,7 +213,7 @@ def _episodes(plan: Agenda, compiler, report, one_more):
 
 
 def _parts(plan, compiler, report, one_more):
-    """Kernels along the way of an episode of `closest` in the first world, and, on a CPU, shares of every episode."""
+    """Measure kernels along an episode of `closest` in the first world and, on a CPU, shares of every episode."""
     seen = beliefs.record(compiler, plan.worlds[0], parse_strategy("closest+recheck"))
     report["kernels"] += [kernels.measure_kernel(kernel, plan.repeat) for kernel in kernels.scans(seen)]
     report["kernels"].append(plans.measure_nearest(seen, shares.cells_of(seen.beliefs), plan.repeat))

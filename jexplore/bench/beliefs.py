@@ -16,7 +16,7 @@ from jexplore.worlds.world import World
 
 
 class Recording(NamedTuple):
-    """What an episode met."""
+    """Scans, plans and motions of an episode."""
 
     world: World
     strategy: str
@@ -29,7 +29,7 @@ class Recording(NamedTuple):
 
 
 def record(compiler: Compiler, world: World, strategy: Strategy) -> Recording:
-    """Runs episode 0 of a strategy in a world and keeps its scans, and its belief at every plan: a `Recording`.
+    """Run episode 0 of a strategy in a world and keep its scans, and its belief at every plan: a `Recording`.
 
     Args:
       compiler: `Compiler`.

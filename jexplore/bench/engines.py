@@ -31,7 +31,7 @@ REFILLS = 2  # episodes a lane at least, so that lanes are filled again
 
 
 class Run(NamedTuple):
-    """What a program returned."""
+    """Results of a program."""
 
     result: object  # `Result`, numpy, `[N]`
     last: object = None  # what `trail.kept` has of the last episode; of programs one by one only
@@ -48,19 +48,19 @@ class Compiled(NamedTuple):
 
 
 def size_of(tree: Any) -> int:
-    """Bytes of a pytree of arrays, or of their shapes."""
+    """Return the bytes of a pytree of arrays, or of their shapes."""
     return sum(math.prod(leaf.shape) * np.dtype(leaf.dtype).itemsize for leaf in jax.tree.leaves(tree))
 
 
 def _headings(starts):
-    """Starts with their heading in units of 45 degrees."""
+    """Convert the heading of starts to units of 45 degrees."""
     starts = np.array(starts, np.int32)
     starts[:, 2] //= 45
     return starts
 
 
 def free_bytes() -> int | None:
-    """Free memory of the first device; of the machine where the device does not tell; None where neither does."""
+    """Return free memory of the first device, else of the machine; None if neither is known."""
     stats = jax.local_devices()[0].memory_stats()
     if stats:
         return stats["bytes_limit"] - stats["bytes_in_use"]
@@ -71,7 +71,7 @@ def free_bytes() -> int | None:
 
 
 def _memory(program):
-    """Bytes by the compiler's own account; None where it gives none."""
+    """Return bytes by the compiler's own account; None without one."""
     found = program.memory_analysis()
     names = ("argument", "output", "temp", "alias")
     return None if found is None else {name: int(getattr(found, f"{name}_size_in_bytes")) for name in names}
@@ -88,7 +88,7 @@ class Compiler:
         self.programs = []  # what every compiled program took
 
     def _program(self, key, about, lowering, lane_bytes, device, options):
-        """The compiled program of a key, and what it took; `lane_bytes` makes a lane's from the compiler's account."""
+        """Return the compiled program of a key and its costs; `lane_bytes` computes a lane's share."""
         if key not in self.made:
             program, took = compiled(lowering, options, device.platform)
             memory = _memory(program)
@@ -108,11 +108,11 @@ class Compiler:
         function = functools.partial(one_by_one.chunk, line.program)
 
         def one_episode(memory):
-            """An episode's buffers: without the room for the results of the rest of a chunk."""
+            """Return the size of an episode's buffers, without the results of the rest of a chunk."""
             results = jax.eval_shape(function, *blank, *shared)[0]
             return memory["temp"] + memory["output"] - (n - 1) * size_of(results) // n
 
-        with jax.default_device(device):  # which may be a CPU beside an accelerator
+        with jax.default_device(device):  # may be a CPU although an accelerator exists
             call, about = self._program(
                 str(("one by one", line.program, jax.tree.map(np.shape, shared))),
                 _about("native driving" if native else "JAX", world, strategy, site),
@@ -168,14 +168,14 @@ class Compiler:
         return Compiled(run, about, n_lanes, episodes)
 
     def _untold(self, key, lowering):
-        """A program that is too small to be told of."""
+        """Return a stand-in for a program too small for a report."""
         if key not in self.made:
             self.made[key] = compiled(lowering)
         return self.made[key]
 
 
 def _line(world, strategy, native, starts):
-    """A world's `Site` and the `Line` of a strategy's episodes in it."""
+    """Return a world's `Site` and the `Line` of a strategy's episodes in it."""
     site = prepare_site(world, LIDAR, RULES, native=native)
     return site, line_of(site, site.with_strategy(strategy), starts, SEED, np.arange(len(starts)))
 
@@ -230,14 +230,14 @@ def program_of(
 
 
 def same(results: Sequence[Result]) -> bool:
-    """Whether `Result`s are equal to the last bit, as far as the shortest goes."""
+    """Return whether `Result`s are equal to the last bit, up to the length of the shortest."""
     n = min(len(result.outcome) for result in results)
     first, *others = ([np.asarray(a)[:n] for a in jax.tree.leaves(result)] for result in results)
     return all(all(np.array_equal(a, b) for a, b in zip(first, other)) for other in others)
 
 
 def quality(result: Result, cell_m: float) -> dict[str, Any]:
-    """What the episodes found: a dict."""
+    """Return the measured quality of episodes, a dict."""
     return {
         "path_m": mean_and_se(path_m(result.straight, result.diagonal, cell_m)),
         "explored_fraction": float(np.mean(result.explored / np.maximum(result.explorable, 1))),
@@ -251,7 +251,7 @@ def quality(result: Result, cell_m: float) -> dict[str, Any]:
 def measure_episodes(
     compiler: Compiler, world: World, strategy: Strategy, wanted: Sequence[tuple[str, int]], episodes: int, repeat: int
 ) -> list[dict[str, Any]]:
-    """Times whole episodes of a world and a strategy: a list of dicts, one for each of `wanted`.
+    """Time whole episodes of a world and a strategy: a list of dicts, one for each of `wanted`.
 
     Args:
       compiler: `Compiler`.

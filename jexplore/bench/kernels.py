@@ -1,4 +1,4 @@
-"""Kernels one by one, on one map, each beside other answers to the same question and beside its floor."""
+"""Kernels one by one, on one map, compared with other implementations and with their floor."""
 
 import math
 import statistics
@@ -56,12 +56,12 @@ class Kernel(NamedTuple):
 
 
 def never(out: Any) -> Array:
-    """False, but only known when the output is."""
+    """Return False in a way that the compiler cannot know before the output exists."""
     return jax.tree.leaves(out)[0].reshape(-1)[-1] == NEVER
 
 
 def _looped(kernel):
-    """The kernel in a loop inside a program, so that calling it is not measured: `f(passes, units, out, arguments)`.
+    """Put a kernel into a loop in a program, so that its call is not measured: `f(passes, units, out, arguments)`.
 
     What it works on is varied in every round, by nothing in fact, so that no part of the work leaves the loop.
     """
@@ -78,19 +78,19 @@ def _looped(kernel):
 
 
 def _as_it_is(_, arguments):
-    """For kernels that meet another pose in every round."""
+    """Return arguments unchanged, for kernels that get another pose in every round."""
     return arguments
 
 
 def blank(tree: Any) -> Any:
-    """Zeros like shapes, numpy."""
+    """Return zeros of given shapes, numpy."""
     return jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), tree)
 
 
 def microseconds(
     runs: Mapping[str, Sequence[tuple[Any, Seconds]]], units: Mapping[str, int]
 ) -> dict[str, dict[str, list[float]]]:
-    """Times of `interleaved` runs by name, and by clock: `{name: {"wall": [...], "cpu": [...]}}` a unit."""
+    """Return times of `interleaved` runs by name, and by clock: `{name: {"wall": [...], "cpu": [...]}}` a unit."""
     return {
         name: {clock: [1e6 * getattr(took, clock) / units[name] for _, took in turns] for clock in ("wall", "cpu")}
         for name, turns in runs.items()
@@ -106,7 +106,7 @@ def row_of(
     references: Sequence[tuple[str, Any, Mapping[str, Sequence[float]] | None]],
     work: Effort,
 ) -> dict[str, Any]:
-    """A kernel's entry of the report."""
+    """Return a kernel's entry of the report."""
     median = statistics.median(ours[speed_clock()])
     floor_us = 1e6 * floor_s(work)
     return {
@@ -135,7 +135,7 @@ def row_of(
 
 
 def measure_kernel(kernel: Kernel, repeat: int) -> dict[str, Any]:
-    """Times one kernel: a dict for the report."""
+    """Time one kernel: a dict for the report."""
     start, arguments = jax.device_put((kernel.start, kernel.arguments))
     units = np.int32(kernel.units)
     program, took = compiled(lambda: _looped(kernel).lower(np.int32(1), units, start, arguments))
@@ -155,7 +155,7 @@ def measure_kernel(kernel: Kernel, repeat: int) -> dict[str, Any]:
 
 
 def scans(recording: Recording) -> list[Kernel]:
-    """Ranges, and scans counted into the map, along an episode's whole way: list of `Kernel`."""
+    """Return the kernels of scanning and counting along an episode's whole way: list of `Kernel`."""
     truth, beams = recording.site.truth.occupied, recording.site.beams
     offset, length, occupied = (np.asarray(a) for a in (beams.offset, beams.length, truth))
     row, col, heading = recording.poses.T.copy()
@@ -202,7 +202,7 @@ def scans(recording: Recording) -> list[Kernel]:
 
 
 def half_known(world: World) -> tuple[Any, ...]:
-    """What a robot knows of a world within half its longer side round a drawn start: arguments of `plan_masks`."""
+    """Return a world known within half its longer side round a drawn start: arguments of `plan_masks`."""
     row, col, _ = draw_start(world, SEED, 0, RULES.clearance_m)
     rows, cols = np.indices(world.shape)
     known = (rows - row) ** 2 + (cols - col) ** 2 <= (max(world.shape) // 2) ** 2
@@ -222,7 +222,7 @@ def _mask_numbers(world):
 
 
 def vary_masks(never: Any, arguments: Any) -> tuple[Any, ...]:
-    """Arguments of `plan_masks`, varied by nothing."""
+    """Return arguments of `plan_masks` unchanged."""
     grid, driven, exhausted, inside, row, col = arguments
     grid = grid.replace(hits=grid.hits.at[0, 0].add(never))
     driven, exhausted, inside = (a.at[0, 0].set(a[0, 0] ^ never) for a in (driven, exhausted, inside))
@@ -276,7 +276,7 @@ def _first_cell_never(never, mask):
 
 
 def _reach_kernel(world, shared):
-    """The whole reachability map of a world's clear cells by each method."""
+    """Return the `Kernel` of the reachability map of a world's clear cells, with every method."""
     row, col, _ = draw_start(world, SEED, 0, RULES.clearance_m)
     clear = clear_cells(world.occupied, RULES.clearance_m, world.cell_m)
     graph, nothing = oracles.motion_graph(clear), np.zeros_like(clear)
@@ -317,7 +317,7 @@ def _flood_kernel(world, shared):
 
 
 def _site_kernel(world, shared):
-    """Distance to the nearest wall, and which cell that is."""
+    """Return the `Kernel` of the distance to the nearest wall, and which cell that is."""
     walls = world.occupied
 
     def agree(out, expected):
@@ -335,7 +335,7 @@ def _site_kernel(world, shared):
 
 
 def whole_map(world: World) -> list[Kernel]:
-    """The kernels that work on a whole map, on a world: list of `Kernel`."""
+    """Return the kernels that work on a whole map, on a world: list of `Kernel`."""
     height, width = world.shape
     shared = {"on": f"{world.name.partition(':')[0]}, {height} x {width}", "shape": world.shape, "units": 1}
     return [

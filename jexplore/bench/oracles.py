@@ -19,7 +19,7 @@ except ImportError:
     NATIVE = False
 
     def njit(function: Any) -> Any:
-        """Without numba the loops run as they are: the same answers, but not worth timing."""
+        """Return the loops unchanged if numba is missing: the same answers, but not worth timing."""
         return function
 
 
@@ -67,7 +67,7 @@ def _pop(heap, size):
 
 @njit
 def dijkstra(traversable: np.ndarray, row: int, col: int, goals: np.ndarray, stop: bool) -> tuple[np.ndarray, int]:
-    """Dijkstra's algorithm with a binary heap; a diagonal step needs both cells beside it traversable.
+    """Run Dijkstra's algorithm with a binary heap; a diagonal step needs both orthogonal neighbours traversable.
 
     Args:
       traversable, goals: `[H, W]` bool.
@@ -76,7 +76,7 @@ def dijkstra(traversable: np.ndarray, row: int, col: int, goals: np.ndarray, sto
 
     Returns:
       `cost`: `[H, W]` int32; FAR where no path leads, and at first where `stop` ended the search.
-      `target`: flat index of the nearest goal, the lowest among equals; -1 if there is none.
+      `target`: flat index of the nearest goal, the lowest among equals; -1 without one.
     """
     height, width = traversable.shape
     cost = np.full((height, width), FAR, np.int32)
@@ -118,7 +118,7 @@ def walk(
     misses: np.ndarray,
     update: bool,
 ) -> tuple[np.ndarray, int]:
-    """Scans, beam by beam and cell by cell along the beam table; counted into a map if `update`.
+    """Cast scans, beam by beam and cell by cell along the beam table; count them into a map if `update`.
 
     Args:
       occupied: `[N]` bool, flat.
@@ -166,7 +166,7 @@ def masks(
     near_d2: int,
     clearance_d2: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Traversable and frontier cells by scipy, arguments as for `frontier.plan_masks`: two `[H, W]` bool."""
+    """Compute traversable and frontier cells by scipy, arguments as for `frontier.plan_masks`: two `[H, W]` bool."""
 
     def near_walls(occupied):
         if not occupied.any():
@@ -193,7 +193,7 @@ def masks_skimage(
     near_d2: int,
     clearance_d2: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same by scikit-image: clearance as a dilation by a disc."""
+    """Compute the same by scikit-image: clearance as a dilation by a disc."""
     radius = math.isqrt(clearance_d2)
     rows, cols = np.ogrid[-radius : radius + 1, -radius : radius + 1]
     disc = rows**2 + cols**2 <= clearance_d2
@@ -218,19 +218,19 @@ def _masks(hits, misses, driven, exhausted, inside, row, col, p_free, near_d2, n
 
 
 def clusters(frontier: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """8-connected groups by scipy, as `in_order`."""
+    """Compute 8-connected groups by scipy, as `in_order`."""
     labels, count = ndimage.label(frontier, np.ones((3, 3), int))  # type: ignore[misc]
     return in_order(labels, count)
 
 
 def clusters_skimage(frontier: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same by scikit-image."""
+    """Compute the same by scikit-image."""
     labels, count = skimage.measure.label(frontier, connectivity=2, return_num=True)  # type: ignore[misc]
     return in_order(labels, count)
 
 
 def in_order(labels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Labels from 1 to count (0: none) as numbers in the order of their lowest flat index (-1: none), and sizes."""
+    """Renumber labels 1 to count (0: none) in the order of their lowest flat index (-1: none), and return sizes."""
     first = np.full(count + 1, labels.size)
     np.minimum.at(first, labels.reshape(-1), np.arange(labels.size))
     order = np.full(count + 1, -1)
@@ -240,7 +240,7 @@ def in_order(labels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def motion_graph(traversable: np.ndarray) -> Any:
-    """Cells as nodes, motions as edges with their cost: a scipy sparse matrix `[H * W, H * W]`, float64."""
+    """Build the graph of cells and motions with their cost: a scipy sparse matrix `[H * W, H * W]`, float64."""
     height, width = traversable.shape
     index = np.arange(height * width).reshape(height, width)
     ends, costs = [], []
@@ -258,20 +258,20 @@ def motion_graph(traversable: np.ndarray) -> Any:
 
 
 def graph_costs(graph: Any, shape: tuple[int, int], row: int, col: int) -> np.ndarray:
-    """Dijkstra's algorithm of scipy on a `motion_graph`, from a traversable cell: `[H, W]` int32, FAR as above."""
+    """Run scipy's Dijkstra on a `motion_graph`, from a traversable cell: `[H, W]` int32, FAR as above."""
     cost = csgraph.dijkstra(graph, indices=row * shape[1] + col)
     return np.where(np.isinf(cost), FAR, cost).astype(np.int32).reshape(shape)
 
 
 def flooded(clear: np.ndarray, row: int, col: int) -> np.ndarray:
-    """The 4-connected component of a True cell, by scipy: `[H, W]` bool.
+    """Return the 4-connected component of a True cell, by scipy: `[H, W]` bool.
 
-    A diagonal step needs both cells beside it, so that steps in 8 directions lead no further.
+    A diagonal step needs both orthogonal neighbours, so that steps in 8 directions lead no further.
     """
     labels = np.asarray(ndimage.label(clear)[0])  # type: ignore[index]
     return labels == labels[row, col]
 
 
 def flooded_skimage(clear: np.ndarray, row: int, col: int) -> np.ndarray:
-    """The same by scikit-image."""
+    """Compute the same by scikit-image."""
     return skimage.segmentation.flood(clear, (row, col), connectivity=1)

@@ -1,4 +1,4 @@
-"""What a plan of each strategy costs, on one core: all on the same beliefs, those of one episode."""
+"""Cost of a plan of each strategy, on one core: all on the same beliefs, those of one episode."""
 
 import statistics
 from collections.abc import Callable, Iterable, Mapping
@@ -30,7 +30,7 @@ RECORDED = "closest+recheck"
 def plan_program(
     policy: Any, params: Any, beams: Beams, shape: tuple[int, ...], passes: int
 ) -> Callable[[planning.Belief], Any]:
-    """Function of a belief that plans so many times from it."""
+    """Return a function that plans a number of times from a belief."""
     route = jnp.full(shape, NO_MOTION, jnp.int8)
 
     @jax.jit
@@ -58,12 +58,12 @@ def plan_costs(
     others: Mapping[str, Callable[[planning.Belief], Any]] | None = None,
     repeat: int = 3,
 ) -> dict[str, float]:
-    """Milliseconds a plan, each strategy on the same beliefs: those at the plans of an episode of `closest+recheck`.
+    """Measure milliseconds a plan, each strategy on the same beliefs: those of an episode of `closest+recheck`.
 
     Args:
       world: `World`.
       names: strategies. Modifiers that do not change how a plan is made cost nothing here.
-      others: `{name: function of a belief}`, timed beside them, or None.
+      others: `{name: function of a belief}`, timed as well, or None.
       repeat: turns.
 
     Returns:
@@ -96,7 +96,7 @@ def plan_costs(
 
 @jax.jit
 def _plans(passes, belief, route):
-    """`passes` plans from the same belief."""
+    """Make `passes` plans from the same belief."""
 
     def body(_, state):
         choice, route, grid = state
@@ -110,7 +110,7 @@ def _plans(passes, belief, route):
 
 
 def _judged(belief):
-    """Traversable and frontier cells of a belief by scipy."""
+    """Compute traversable and frontier cells of a belief by scipy."""
     shape = belief.driven.shape
     rows, cols = np.ogrid[: shape[0], : shape[1]]
     inside = (rows < int(belief.extent[0])) & (cols < int(belief.extent[1]))
@@ -127,7 +127,7 @@ def _judged(belief):
 
 
 def measure_nearest(recording: Recording, cells: float, repeat: int) -> dict[str, Any]:
-    """Times the nearest frontier and the route to it at every plan of an episode: a dict for the report.
+    """Time the nearest frontier and the route to it at every plan of an episode: a dict for the report.
 
     Args:
       recording: `Recording` of a strategy that goes there.

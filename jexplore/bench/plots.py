@@ -14,7 +14,7 @@ MARKERS = "osD^vP*X<>"
 
 
 def _lines(rows, x_of, y_of, name_of):
-    """Points by line: `{name: (xs, ys)}`, in ascending order of x."""
+    """Group points by line: `{name: (xs, ys)}`, in ascending order of x."""
     found = {}
     for row in sorted(rows, key=x_of):
         xs, ys = found.setdefault(name_of(row), ([], []))
@@ -44,7 +44,7 @@ def _draw(ax, lines, title, x_label, y_label):
 
 
 def _stack(ax, rows):
-    """Shares of time as stacked bars; a part that came out below nothing is drawn as nothing."""
+    """Draw shares of time as stacked bars; a negative part is not drawn."""
     names = [wrapped(f"{row['world'].rpartition('/')[2]}, {row['strategy']}", 24, max_lines=2) for row in rows]
     left = [0.0] * len(rows)
     for part, colour in zip(PARTS, PALETTE):
@@ -60,7 +60,7 @@ def _stack(ax, rows):
 
 
 def figure(report: Mapping[str, Any]) -> Figure:
-    """The report as a matplotlib `Figure`."""
+    """Draw the report as a matplotlib `Figure`."""
     figure = Figure(figsize=(13, 8), layout="constrained")
     ((by_batch, by_side), (by_kernel, by_part)) = figure.subplots(2, 2)
 

@@ -1,4 +1,4 @@
-"""What the machine does at best: the rates from which a kernel's floor is computed."""
+"""Peak rates of the machine, from which a kernel's floor is computed."""
 
 import functools
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ TURNS = 5
 
 
 class Effort(NamedTuple):
-    """What a kernel cannot do without, a unit."""
+    """Least work of a kernel, a unit."""
 
     bytes: float = 0  # of its input and its output, each touched once
     ops: float = 0  # cells visited, one minimum and one addition each
@@ -24,7 +24,7 @@ class Effort(NamedTuple):
 
 
 def _seconds(body, state):
-    """Seconds of one round of a loop in a compiled program: the least of some turns."""
+    """Return the seconds of one round of a loop in a compiled program: the least of some turns."""
     program = jax.jit(lambda n, state: lax.fori_loop(0, n, lambda _, s: body(s), state))
     state = jax.device_put(state)
     jax.block_until_ready(program(np.int32(1), state))
@@ -36,44 +36,44 @@ def _seconds(body, state):
 
 @functools.cache
 def _copy_s(exponent):
-    """Seconds to touch 2**exponent bytes, half of them read and half written, again and again."""
+    """Return the seconds to touch 2**exponent bytes, half of them read and half written, again and again."""
     return _seconds(lambda x: x + 1, np.zeros(max(1, 2**exponent // 8), np.int32))
 
 
 def copy_s(n_bytes: float) -> float:
-    """Seconds to touch so many bytes, by the speed of a copy that touches as many (up to a factor of 2)."""
+    """Return the seconds to touch a number of bytes, by the speed of a copy of as many (up to a factor of 2)."""
     exponent = min(30, max(10, round(np.log2(max(n_bytes, 1)))))
     return _copy_s(exponent) * n_bytes / 2**exponent
 
 
 @functools.cache
 def op_s() -> float:
-    """Seconds of one minimum and one addition on an element of a small array."""
+    """Return the seconds of one minimum and one addition on an element of a small array."""
     return _seconds(lambda x: lax.min(x + 1, np.int32(2**30)), np.zeros(CELLS, np.int32)) / CELLS
 
 
 @functools.cache
 def gather_s() -> float:
-    """Seconds to read one element of a small array at a place that no other reading depends on."""
+    """Return the seconds to read one element of a small array at a place that no other reading depends on."""
     table = np.random.default_rng(0).permutation(CELLS).astype(np.int32)
     return _seconds(lambda s: (s[0], s[0].at[s[1]].get(mode="clip")), (table, table)) / CELLS
 
 
 @functools.cache
 def scatter_s() -> float:
-    """Seconds to count up one element of a small array."""
+    """Return the seconds to count up one element of a small array."""
     at = np.random.default_rng(0).permutation(CELLS).astype(np.int32)
     return _seconds(lambda s: (s[0].at[s[1]].add(1, mode="drop"), s[1]), (np.zeros(CELLS, np.int32), at)) / CELLS
 
 
 def floor_s(work: Effort) -> float:
-    """The least time in which a unit of `Effort` could be done: that of its bytes or that of its operations."""
+    """Return the least time of a unit of `Effort`: that of its bytes or that of its operations."""
     ops = ((work.ops, op_s), (work.gathers, gather_s), (work.scatters, scatter_s))
     return max(copy_s(work.bytes) if work.bytes else 0.0, sum(n * rate() for n, rate in ops if n))
 
 
 def rates() -> dict[str, Any]:
-    """The rates, as a dict."""
+    """Return the rates, as a dict."""
     return {
         "copy_bytes_per_s": {str(2**e): 2**e / _copy_s(e) for e in (14, 18, 22, 26)},
         "ops_per_s": 1 / op_s(),

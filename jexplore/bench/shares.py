@@ -1,4 +1,4 @@
-"""Where an episode's time goes, on one core: every part in a loop of its own, on what the episode met."""
+"""Shares of an episode's time, on one core: every part in a loop of its own, on the episode's data."""
 
 import functools
 import statistics
@@ -30,7 +30,7 @@ PARTS = ("ranges", "map update", "masks and distance", "reachability", "selectio
 
 
 class Look(NamedTuple):
-    """What one plan works on at a time: a window round the robot, or the whole map."""
+    """Part of the map that one plan works on: a window round the robot, or the whole map."""
 
     masks: tuple[Any, ...]  # arguments of `plan_masks`
     words: np.ndarray  # [K, W] uint32, packed traversable cells
@@ -64,7 +64,7 @@ def _costs(passes, words, row, col, goals, limit):
 
 
 def _cut(belief, side):
-    """Arguments of `plan_masks` for a window of a belief; for the whole map where `side` is None."""
+    """Return arguments of `plan_masks` for a window of a belief; for the whole map if `side` is None."""
     full = belief.driven.shape
     shape = full if side is None else tuple(min(n, side) for n in full)
     at = int(belief.row), int(belief.col)
@@ -81,7 +81,7 @@ def _cut(belief, side):
 
 
 def _look(belief, side, nearest_only):
-    """A `Look` of a belief, as `planning` takes it."""
+    """Make a `Look` of a belief, as `planning` does."""
     cut = _cut(belief, side)
     shape, row, col = cut[1].shape, cut[4], cut[5]
     found = _masks(np.int32(1), cut, belief.model.p_free, belief.model.near_d2, clearance_d2=belief.model.clearance_d2)
@@ -100,7 +100,7 @@ def _look(belief, side, nearest_only):
 
 
 def looks(belief: Belief, nearest_only: bool) -> list[Look]:
-    """What a plan from a belief works on: list of `Look`; windows first where only the nearest frontier is wanted."""
+    """List the parts of the map that a plan works on; windows first if only the nearest frontier is needed."""
     found, shape = [], belief.driven.shape
     for side in windows(shape, belief.model.clearance_d2) if nearest_only else ():
         found.append(_look(belief, side, True))
@@ -110,17 +110,17 @@ def looks(belief: Belief, nearest_only: bool) -> list[Look]:
 
 
 def wants_nearest(strategy: Strategy) -> bool:
-    """Whether a strategy goes to the nearest frontier, which `planning` finds in windows."""
+    """Return whether a strategy goes to the nearest frontier, which `planning` finds in windows."""
     return strategy.name.partition(":")[0].partition("+")[0] == "closest"
 
 
 def cells_of(beliefs: Iterable[Belief]) -> float:
-    """Cells that the nearest frontier's plans from some beliefs look at, on average."""
+    """Return the average number of cells that the nearest frontier's plans examine."""
     return statistics.fmean(sum(look.masks[1].size for look in looks(belief, True)) for belief in beliefs)
 
 
 def _scan_programs(recording):
-    """`(ranges, update)`: functions of no arguments that make all scans of the episode, and count them in."""
+    """Return `(ranges, update)`: functions of no arguments that make all scans of the episode, and count them in."""
     truth, beams, poses = jax.device_put((recording.site.truth.occupied, recording.site.beams, recording.poses))
     n, shape = len(recording.poses), truth.shape
 
@@ -145,7 +145,7 @@ def _scan_programs(recording):
 
 
 def measure_shares(compiler: Compiler, recording: Recording, strategy: Strategy, repeat: int) -> dict[str, Any]:
-    """Shares of an episode's time: a dict for the report.
+    """Measure the shares of an episode's time: a dict for the report.
 
     Args:
       compiler: `Compiler`.
@@ -194,7 +194,7 @@ def measure_shares(compiler: Compiler, recording: Recording, strategy: Strategy,
 
 
 def _shares(recording, runs, timed, scans, plans):
-    """What timed parts say of an episode: a dict for the report.
+    """Return the shares of an episode's time by timed parts: a dict for the report.
 
     Args:
       recording: `Recording`.

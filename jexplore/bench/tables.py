@@ -10,7 +10,7 @@ MIB = 2**20
 
 
 def markdown(header: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
-    """A Markdown table.
+    """Format a Markdown table.
 
     Args:
       header: column names.
@@ -30,12 +30,12 @@ def markdown(header: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
 
 
 def plus_minus(value: Mapping[str, Any]) -> str:
-    """Mean and standard error, as text."""
+    """Format mean and standard error."""
     return f"{value['mean']:.1f}" + ("" if value["se"] is None else f" ± {value['se']:.1f}")
 
 
 def percent(value: float | None) -> str | None:
-    """A share, as text."""
+    """Format a share."""
     return None if value is None else f"{100 * value:.0f} %"
 
 
@@ -44,7 +44,7 @@ def _mib(n_bytes):
 
 
 def kernels(rows: Iterable[Mapping[str, Any]]) -> str:
-    """The kernels beside their references: a row each."""
+    """Tabulate kernels and their references: a row each."""
     header = [
         "kernel", "on", "compile s", "CPU µs", "least", "µs by the clock", "floor µs", "k", "reference",
         "its CPU µs", "ratio", "equal",
@@ -63,7 +63,7 @@ def kernels(rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def episodes(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Whole episodes: a row each."""
+    """Tabulate whole episodes: a row each."""
     header = [
         "world", "cells", "strategy", "engine", "level", "batch", "lanes", "episodes", "ms/episode", "CPU ms",
         "episodes/s", "steps/s", "useful", "path m", "explored", "COMPLETE", "MiB", "estimated", "equal",
@@ -82,7 +82,7 @@ def episodes(rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def shares(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Where an episode's time goes: a row each."""
+    """Tabulate the shares of an episode's time: a row each."""
     header = ["world", "strategy", "ms", "scans", "plans", *PARTS]
     return markdown(header, [
         [row["world"].rpartition("/")[2], row["strategy"], 1e3 * row["episode_s"], row["scans"], row["plans"],
@@ -103,7 +103,7 @@ def programs(rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def tables(report: Mapping[str, Any]) -> str:
-    """The whole report."""
+    """Format the whole report."""
     parts = [
         ("Kernels", kernels(report["kernels"])),
         ("Episodes by batch size", episodes(report["batches"])),

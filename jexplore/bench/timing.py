@@ -27,7 +27,7 @@ class Seconds(NamedTuple):
 
 
 def timed(function: Callable[[], _T]) -> tuple[_T, Seconds]:
-    """Calls a function: `(what it returned, Seconds)`."""
+    """Call a function: `(what it returned, Seconds)`."""
     wall, cpu = time.perf_counter(), time.process_time()
     out = function()
     return out, Seconds(time.perf_counter() - wall, time.process_time() - cpu)
@@ -36,7 +36,7 @@ def timed(function: Callable[[], _T]) -> tuple[_T, Seconds]:
 def compiled(
     lowering: Callable[[], Any], options: Any = (), backend: str | None = None
 ) -> tuple[Any, dict[str, float]]:
-    """Traces and compiles a program.
+    """Trace and compile a program.
 
     Args:
       lowering: function of no arguments that returns what `jax.jit(...).lower(...)` does.
@@ -53,7 +53,7 @@ def compiled(
 
 
 def interleaved(functions: dict[_K, Any], repeat: int) -> dict[_K, list[tuple[Any, Seconds]]]:
-    """Times functions in turn, so that a slow spell of the machine meets all of them; every other turn backwards.
+    """Time functions in turn, so that a slow spell of the machine meets all; every other turn backwards.
 
     On one core, where there is a CPU only.
 
@@ -74,34 +74,34 @@ def interleaved(functions: dict[_K, Any], repeat: int) -> dict[_K, list[tuple[An
 
 
 def spread(values: Collection[float]) -> dict[str, float]:
-    """Median and least of some numbers, as a dict."""
+    """Return median and least of some numbers, as a dict."""
     return {"median": statistics.median(values), "min": min(values)}
 
 
 def ratio(numerators: Iterable[float], denominators: Iterable[float]) -> float:
-    """Median of the turn-by-turn ratios."""
+    """Return the median of the turn-by-turn ratios."""
     return statistics.median(a / b for a, b in zip(numerators, denominators))
 
 
 def mean_and_se(values: Iterable[float]) -> dict[str, float | None]:
-    """Mean and its standard error (None for one value), as a dict."""
+    """Return the mean and its standard error (None for one value), as a dict."""
     values = [float(v) for v in values]
     se = statistics.stdev(values) / math.sqrt(len(values)) if len(values) > 1 else None
     return {"mean": statistics.fmean(values), "se": se}
 
 
 def speed_clock() -> str:
-    """Which of `Seconds` tells the speed: processor time on a CPU, which others may use as well; else the clock."""
+    """Return the field of `Seconds` for speed: processor time on a CPU, which may be shared, else wall time."""
     return "cpu" if jax.default_backend() == "cpu" else "wall"
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return the cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _threads():
-    """Ids of this process's threads; 0, the calling one, where the system does not list them."""
+    """Return the ids of this process's threads; 0, the calling one, if the system does not list them."""
     with contextlib.suppress(OSError):
         return [int(name) for name in os.listdir("/proc/self/task")]
     return [0]
@@ -109,7 +109,7 @@ def _threads():
 
 @contextlib.contextmanager
 def one_core() -> Iterator[bool]:
-    """Keeps every thread that this process has on one core, where JAX computes on a CPU and the system can do that.
+    """Keep every thread that this process has on one core, where JAX computes on a CPU and the system can do that.
 
     Yields whether it does.
     """
@@ -145,7 +145,7 @@ def _version(package):
 
 
 def surroundings() -> dict[str, Any]:
-    """Versions, device, processor, and how busy the machine is: a dict."""
+    """Describe versions, device, processor, and how busy the machine is: a dict."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {
         **store.environment(),

@@ -10,11 +10,11 @@ from jexplore.cli.output.terminal import show_table
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
-    """Measure what everything costs on this machine.
+    """Measure kernels, episodes and memory on this machine.
 
-    Kernels beside other libraries, episodes by batch size and by map size, an episode's parts, memory, compiling. Runs
-    on one core, or on the first accelerator. Prints Markdown tables and writes bench.json, bench.png and run.json. A
-    quiet machine gives good figures.
+    Kernels compared with other libraries, episodes by batch size and by map size, an episode's parts, memory,
+    compiling. Runs on one core, or on the first accelerator. Prints Markdown tables and writes bench.json, bench.png
+    and run.json. A quiet machine gives good figures.
     """
 
     worlds: OwnNames = None
@@ -24,13 +24,13 @@ class Bench:
     batch_sizes: Numbers = None
     """Run so many episodes, or lanes of the engine jax on an accelerator (default: 1 4 16 64; up to 4096 lanes)."""
     sides: Numbers = None
-    """Measure how the cost grows by maps of so many cells a side, 32 to 2048 (default: 64 128 256 512)."""
+    """Measure the cost by map size, cells a side, 32 to 2048 (default: 64 128 256 512)."""
     engine: OwnNames = None
     """Measure these engines: auto, jax or both, as for `jexplore compare` (default: both)."""
     episodes: Number = None
     """Run so many episodes for each map size, in lanes at least so many (default: 16)."""
     repeat: Number = None
-    """Take every measurement so many times (default: 5)."""
+    """Repetitions of every measurement (default: 5)."""
     quick: bool = False
     """Take smaller defaults: the cave, batches of 1 and 4, sides 64 and 128, 4 episodes, 2 turns."""
     cache: bool = False
@@ -41,7 +41,7 @@ class Bench:
     """Replace the run that the folder holds."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore import bench
         from jexplore.bench import plots, tables
         from jexplore.report import plot, store

@@ -27,30 +27,30 @@ class Bound:
     worlds: tyro.conf.Positional[Names] = ()
     """Worlds, as for `jexplore compare`."""
     starts: int = 5
-    """Bound so many starts in each world: those of the first episodes of `jexplore compare`."""
+    """Number of starts to bound in each world: those of the first episodes of `jexplore compare`."""
     seed: int = 0
     """Draw the starts from this seed."""
     seconds: float = 10.0
-    """Spend so many seconds on each start, compiling apart."""
+    """Seconds spent on each start, compiling apart."""
     max_floods: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
-    """Spend so many shortest-path maps on each start instead of seconds: then results are the same everywhere."""
+    """Number of shortest-path maps spent on each start instead of seconds: then results are the same everywhere."""
     cell_m: float = 0.1
     """Make the edge of a cell this long, in metres."""
     start: Literal["random", "world"] = "random"
     """Draw the starts from the seed, or take every world's own start."""
     workers: int | None = None
-    """Work on so many cores; by default on all that this process may use."""
+    """Number of cores; by default all that this process may use."""
     out: OutFolder = None
     """Write into this folder."""
     overwrite: bool = False
     """Replace the run that the folder holds."""
     resume: bool = False
-    """Go on with the run that the folder holds, if there is one: what is finished is not computed again."""
+    """Continue the run in the folder, if any: finished parts are not computed again."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.report import plot, store
         from jexplore.studies.bounds import bound
 

@@ -43,7 +43,7 @@ class Compare:
     """Compare strategies in worlds, all from the same starts.
 
     Prints a table and writes episodes.parquet, details.npz, run.json, compare.png, coverage.png, paths.png and
-    report.html. What is finished is kept on the way: a run that was ended, in whatever way, goes on with --resume.
+    report.html. Finished episodes are stored on the way: --resume continues a run that was ended in any way.
     """
 
     worlds: OwnNames = None
@@ -53,7 +53,7 @@ class Compare:
     """Compare these strategies, the others with the first; see `jexplore strategies` (default: closest closest+recheck
     random)."""
     episodes: int = dataclasses.field(default_factory=default_episodes)
-    """Run so many episodes of each strategy in each world."""
+    """Number of episodes of each strategy in each world."""
     seed: int = 0
     """Draw starts and all that is random from this seed."""
     cell_m: float = 0.1
@@ -73,14 +73,14 @@ class Compare:
     say otherwise. Print who ranks where over all worlds, and what a plan costs, and write league.png instead of the
     pictures of single worlds."""
     league_seeds: int = 8
-    """Take so many worlds of each kind for the league, #0 and on."""
+    """Number of worlds of each kind for the league, #0 and on."""
     waste: bool = False
     """Also say where path is wasted: what shows nothing new, and visits to leftovers; keeps every way until then."""
     bounds: bool = False
-    """Also find how short a robot that knows the map could have driven from each start, as `jexplore bound` does, and
-    set every path beside it; writes bounds.parquet."""
+    """Also find the shortest path of a robot that knows the map from each start, as `jexplore bound` does, and compare
+    every path with it; writes bounds.parquet."""
     bound_seconds: float = 10.0
-    """Spend so many seconds on the bounds of each start."""
+    """Seconds spent on the bounds of each start."""
     engine: EngineName = "auto"
     """Run episodes in native code where it can, on a GPU or a CPU, and in JAX for the rest (auto), or in JAX alone, on
     the GPU if there is one (jax). The results are equal."""
@@ -95,15 +95,15 @@ class Compare:
     report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
     """Write report.html, the whole run in one page with replays."""
     resume: bool = False
-    """Go on with the run that the folder holds, if there is one: what is finished is not computed again. Asked
-    for more episodes than it had, it keeps the earlier ones."""
+    """Continue the run in the folder, if any: finished episodes are not computed again. With a larger number of
+    episodes it keeps the earlier ones."""
     trust: bool = False
     """Let --resume take strategies of your own for what they were when the run began, even where nothing tells."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.studies.results.comparison import assemble, prepare_jobs
         from jexplore.studies.results.saving import figures_of
         from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
@@ -145,7 +145,7 @@ class Compare:
                 return finish(out, found, ran, text, figures_of(found, league=self.league), record, reported, files)
 
     def _bound_tasks(self, jobs):
-        """What is to be bounded, if bounds are asked for."""
+        """Return the starts to be bounded, if bounds are asked for."""
         from jexplore.studies.bounds.bound import tasks_of
 
         if not self.bounds:
@@ -154,7 +154,7 @@ class Compare:
         return tasks_of(pairs, self.lidar, self.rules, self.bound_seconds)
 
     def _beside(self, found, tasks, out, ran):
-        """A comparison with what is asked besides, and the tables and files of that: `(found, text, files)`."""
+        """Complete a comparison by the extra requests, with their tables and files: `(found, text, files)`."""
         from jexplore.report import store
         from jexplore.studies.bounds.bound import run_bounds
 
@@ -175,7 +175,7 @@ class Compare:
 
 
 def _more_tables(episodes, league):
-    """What is said besides of episodes with columns of waste or bounds: text; a league's by strategy."""
+    """Format tables of waste or bounds, if episodes have their columns: text; a league's by strategy."""
     from jexplore.studies.bounds import beside
     from jexplore.studies.statistics import waste
 
@@ -188,7 +188,7 @@ def _more_tables(episodes, league):
 
 
 def _tables(found, record):
-    """The tables of a comparison that has been finished before."""
+    """Format the tables of a comparison that has been finished before."""
     from jexplore.studies.statistics.league import standings_table
 
     league = record["configuration"].get("league")
@@ -197,7 +197,7 @@ def _tables(found, record):
 
 
 def _league(found, ran):
-    """Standings, and what a plan costs: `(text, entries of run.json)`."""
+    """Format standings, and the cost of a plan: `(text, entries of run.json)`."""
     from jexplore.bench.plans import plan_costs
     from jexplore.studies.statistics.league import standings_table
 
@@ -219,11 +219,11 @@ def _league(found, ran):
 
 
 def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequence[Task]" = ()) -> "Ran | None":
-    """Compiles and runs what is not finished yet, with a note and a bar: a `Ran`; None if nothing is left to do.
+    """Compile and run the unfinished part, with a note and a bar: a `Ran`; None if everything is finished.
 
     Args:
       options: of the command.
-      jobs: what is to be run.
+      jobs: to be run.
       out: `Out`.
       starts: that are bounded afterwards; the last units of the run.
     """
@@ -253,12 +253,12 @@ def show_finished(
     figures: "Callable[..., Mapping[str, Callable[[], Figure]]]",
     jobs: "Sequence[Job] | None" = None,
 ) -> int:
-    """What `--resume` says of a run that is finished; pictures that are not there are drawn. Returns the exit status.
+    """Print the results of a finished run for `--resume`, draw missing pictures and return the exit status.
 
     Args:
       out: `Out`.
-      tables: called with what was found and what run.json holds.
-      figures: called with what was found and whether it is a league's, as for `finish`.
+      tables: called with the results and the content of run.json.
+      figures: called with the results and whether they are a league's, as for `finish`.
       jobs: of the run, for a report; None for none.
     """
     from jexplore.studies.results import saving
@@ -282,7 +282,7 @@ def finish(
     jobs: "Sequence[Job] | None" = None,
     more: Mapping[str, Callable[..., Any]] = MappingProxyType({}),
 ) -> int:
-    """Writes, prints and draws what comparisons and reproductions have in common. Returns the exit status.
+    """Write, print and draw the common output of comparisons and reproductions; return the exit status.
 
     Args:
       out: `Out`.

@@ -15,8 +15,7 @@ class Explore:
     """Run one episode and draw it.
 
     Writes episode.png, episode.gif (known map, frontiers, target, path), explored.yaml and explored.pgm (the map at the
-    end, for ROS's map_server), report.html and run.json. It is one of the episodes of a comparison with the same
-    options.
+    end, for ROS's map_server), report.html and run.json. The episode is that of a comparison with the same options.
     """
 
     world: OneWorld = "cave"
@@ -39,7 +38,7 @@ class Explore:
     """Go on from a partial map of the same cells, such as explored.yaml of `jexplore explore`: what it shows is known
     from the beginning, and drawn starts lie where it shows free floor."""
     frames: int = 300
-    """Give the animation at most so many frames, evenly spaced."""
+    """Most frames of the animation, evenly spaced."""
     out: OutFolder = None
     """Write into this folder."""
     overwrite: bool = False
@@ -50,7 +49,7 @@ class Explore:
     rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.report import store
         from jexplore.studies.explore import prepare_job, run_job
 
@@ -81,7 +80,7 @@ class Explore:
             print(f"wrote {', '.join([*self._draw(out, found, record), 'run.json'])} to {out.run.path}{os.sep}")
 
     def _draw(self, out, found, record):
-        """Pictures, animation and page. Returns the names of those written."""
+        """Draw pictures, animation and page; return the names of those written."""
         from jexplore.exploration.results import map_state, to_occupancy
         from jexplore.report import plot
         from jexplore.studies.replays import replay_of

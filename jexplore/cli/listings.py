@@ -40,7 +40,7 @@ class Worlds:
     """Replace the run that the folder holds."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.worlds import GENERATORS, generator_parameters
 
         if not self.worlds and self.out is None and not self.geometry:
@@ -99,7 +99,7 @@ class Strategies:
     """List strategies, modifiers, their parameters and sources."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.policies import MODIFIERS
         from jexplore.policies.catalogue.grammar import strategies
 
@@ -112,7 +112,7 @@ class Strategies:
 
 
 def measure(worlds: "Sequence[World]", clearance_m: float) -> "list[Geometry]":
-    """The geometry of worlds, with progress on stderr."""
+    """Measure the geometry of worlds, with progress on stderr."""
     from jexplore.engine.backend import use_compilation_cache
     from jexplore.studies.geometry import geometry
 
@@ -126,7 +126,7 @@ def measure(worlds: "Sequence[World]", clearance_m: float) -> "list[Geometry]":
 
 
 def describe(world: "World") -> dict[str, Any]:
-    """What a table of worlds says about one."""
+    """Return a world's entries in a table of worlds."""
     from jexplore.studies.results import provenance
 
     return provenance.describe(world)

@@ -1,9 +1,9 @@
 """The command line: `jexplore compare`, `explore`, `bound`, `train`, `reproduce`, `segment`, `trace`, `route`,
 `merge-maps`, `station`, `worlds`, `strategies`, `bench`.
 
-Importing this loads neither jax nor numpy; every command imports what it needs when it runs. Wrong input ends with one
+Importing this loads neither jax nor numpy; every command imports its modules when it runs. Wrong input ends with one
 line and status 2 and leaves no files, an interruption with one line and status 130; a comparison or reproduction then
-keeps what is finished.
+keeps its finished part.
 """
 
 import contextlib
@@ -57,7 +57,7 @@ COMMANDS: dict[str, type] = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs a command.
+    """Run a command.
 
     Args:
       argv: list of text; by default the arguments of this process.
@@ -74,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments, signals, own):
-    """Runs a command; `own`: as that of this process, not of a program that calls it."""
+    """Run a command; `own`: as that of this process, not of a program that calls it."""
     ended_by = signals.ended_by
     keep_to_cpu()
     keep_compiler_quiet()
@@ -106,7 +106,7 @@ def _run(arguments, signals, own):
 
 
 def _share_heap():
-    """Has all threads share one heap, where glibc manages the memory and its variable does not say otherwise.
+    """Make all threads share one heap, if glibc manages the memory and its variable is not set.
 
     By default it has several, and each keeps what threads that compile have freed: a fifth of what a run takes. Workers
     that run at once would wait for each other.

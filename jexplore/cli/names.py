@@ -1,7 +1,7 @@
-"""What names, files and numbers must be, told in a moment: before jax is imported and a world is built.
+"""Fast checks of names, files and numbers, before jax is imported and a world is built.
 
-What the package itself offers is read off its source, for importing a strategy or a generator would load jax. All of it
-is checked once more where it is used; what cannot be told from text alone is left to that.
+Names that the package offers are read from its source, as importing a strategy or a generator would load jax.
+Everything is checked again where it is used; what text alone does not decide is left to that.
 """
 
 import ast
@@ -40,7 +40,7 @@ _FOREIGN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?=$|[
 
 
 def check_names(command: str, options: Any) -> None:
-    """Refuses names, files and numbers among a command's options that can stand for nothing.
+    """Refuse names, files and numbers among a command's options that can stand for nothing.
 
     Args:
       command: its name.
@@ -68,7 +68,7 @@ def check_names(command: str, options: Any) -> None:
 
 
 def _check_one(check, text, option, is_alone):
-    """Checks a value; of several in one text, it is told how they are written."""
+    """Check a value; explain how several are written if there are several in one text."""
     try:
         check(text)
     except InputError:
@@ -88,7 +88,7 @@ def _passes(check, text):
 
 
 def check_world(name: str) -> None:
-    """Refuses a name that no world has, a parameter that its generator does not take, a file that is not there."""
+    """Refuse an unknown world, a parameter that its generator does not take, a missing file."""
     _require_text(name)
     parsed, _ = read_name(name, _parameters_of)
     if parsed.kind != "generator":
@@ -96,13 +96,13 @@ def check_world(name: str) -> None:
 
 
 def _parameters_of(generator):
-    """The parameters of a generator with their defaults, read off its source."""
+    """Return the parameters of a generator with their defaults, read from its source."""
     module, _, function = GENERATORS[generator].partition(":")
     return {key: value for key, value in signature(module, function).items() if key not in ("seed", "cell_m")}
 
 
 def _require_text(name):
-    """Refuses a name that tables cannot hold."""
+    """Refuse a name that tables cannot hold."""
     try:
         name.encode()
     except UnicodeEncodeError:
@@ -110,13 +110,13 @@ def _require_text(name):
 
 
 def check_file(path: str) -> None:
-    """Refuses the path of a file that is not there."""
+    """Refuse the path of a missing file."""
     if not os.path.exists(os.path.expanduser(path)):
         raise missing(path)
 
 
 def check_strategy(text: str) -> None:
-    """Refuses a strategy's name that stands for nothing: no such strategy, module, modifier or parameter."""
+    """Refuse a strategy's name that stands for nothing: no such strategy, module, modifier or parameter."""
     _require_text(text)
     foreign = _FOREIGN.match(text)
     if foreign and not foreign["module"].endswith(".py") and foreign["module"] not in known_strategies():
@@ -146,7 +146,7 @@ def check_strategy(text: str) -> None:
 
 
 def check_spec(path: str) -> None:
-    """Refuses the file of a sweep that cannot be read, or that names what is not there."""
+    """Refuse the file of a sweep that cannot be read, or that names missing things."""
     from jexplore.studies.sweeps.spec import read_spec
 
     spec = read_spec(path)
@@ -159,13 +159,13 @@ def check_spec(path: str) -> None:
 
 
 def require_ray() -> None:
-    """Refuses the engine ray where Ray is not installed."""
+    """Refuse the engine ray where Ray is not installed."""
     if importlib.util.find_spec("ray") is None:
         raise InputError("the engine ray needs Ray: pip install 'jexplore[ray]'")
 
 
 def check_trace(options: Any) -> None:
-    """Refuses thresholds that a trace cannot have or sweep, and attributes that no node can have."""
+    """Refuse thresholds that a trace cannot have or sweep, and attributes that no node can have."""
     is_course = grammar.parse(options.world, generators=tuple(GENERATORS)).base == "course"
     require_tuning(for_world(options.tuning, is_course=is_course))
     from jexplore.studies.trace_options import attributes_of, require_start_pose, swept_values
@@ -193,7 +193,7 @@ CHECKS: dict[str, Callable[[Any], object]] = {
 
 
 def known_strategies() -> dict[str, dict[str, Any] | None]:
-    """Strategies that have a name -> their parameters with their defaults; None where these cannot be told."""
+    """Return the named strategies -> their parameters with their defaults; None if unknown."""
     loaded = sys.modules.get(ENTRIES)
     others = [point.name for point in importlib.metadata.entry_points(group="jexplore.strategies")]
     return {**dict.fromkeys((*others, *(loaded.STRATEGIES if loaded else ()))), **catalogue()["STRATEGIES"]}
@@ -201,7 +201,7 @@ def known_strategies() -> dict[str, dict[str, Any] | None]:
 
 @functools.cache
 def catalogue() -> dict[str, Any]:
-    """The tables of the catalogue: its modifiers and synonyms, and its strategies with their parameters."""
+    """Return the tables of the catalogue: its modifiers and synonyms, and its strategies with their parameters."""
     tree = _tree(ENTRIES)
     homes = {alias.name: node.module for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names}
     tables = {}
@@ -218,7 +218,7 @@ def catalogue() -> dict[str, Any]:
 
 @functools.cache
 def signature(module: str, function: str) -> dict[str, Any]:
-    """Parameters of a function of this package -> their defaults, `UNREAD` where that is no plain value."""
+    """Return the parameters of a function of this package -> their defaults, `UNREAD` for other than plain values."""
     (found,) = (node for node in _tree(module).body if isinstance(node, ast.FunctionDef) and node.name == function)
     plain = found.args.posonlyargs + found.args.args
     defaults = [None] * (len(plain) - len(found.args.defaults)) + list(found.args.defaults)
@@ -247,7 +247,7 @@ def _is_number(text):
 
 
 def _require_module(module):
-    """Refuses a module that neither lies in the current folder nor is installed."""
+    """Refuse a module that neither lies in the current folder nor is installed."""
     here, top = os.getcwd(), module.partition(".")[0]
     if importlib.machinery.PathFinder.find_spec(top, [here]) is None and importlib.util.find_spec(top) is None:
         raise InputError(f"no module {module!r}, neither installed nor in {here}")

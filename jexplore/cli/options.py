@@ -1,4 +1,4 @@
-"""What the options of commands have in common, and their parsing: every mistake becomes one line."""
+"""Common options of commands, and their parsing: every mistake becomes one line."""
 
 import ast
 import codecs
@@ -33,7 +33,7 @@ def is_small() -> bool:
 
 
 STRATEGIES = ("closest", "closest+recheck", "random")
-"""What `jexplore compare` compares by default."""
+"""Default strategies of `jexplore compare`."""
 
 
 def default_worlds() -> tuple[str, ...]:
@@ -56,7 +56,7 @@ EngineName = Literal["auto", "jax"]
 
 
 def help_text(commands: Mapping[str, type]) -> str:
-    """What `jexplore --help` prints. `commands`: name -> class of its options."""
+    """Return the text of `jexplore --help`. `commands`: name -> class of its options."""
     lines = ["usage: jexplore {" + ",".join(commands) + "} [options]", ""]
     lines += ["A laboratory for mobile-robot exploration.", "", "commands:"]
     lines += [f"  {name:<12}{(command.__doc__ or '').splitlines()[0]}" for name, command in commands.items()]
@@ -86,7 +86,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
 
 
 def completion_text(commands: Mapping[str, type]) -> str:
-    """A script by which bash, and zsh after `bashcompinit`, complete commands, options and files."""
+    """Return a script by which bash, and zsh after `bashcompinit`, complete commands, options and files."""
     cases = "\n".join(f'    {name}) words="{" ".join(option_names(kind))}" ;;' for name, kind in commands.items())
     return f"""_jexplore() {{
   local words
@@ -101,7 +101,7 @@ complete -o default -F _jexplore jexplore
 
 
 def option_names(kind: type, prefix: str = "--") -> list[str]:
-    """The options of a command, in order, those of the records in it as `--lidar.range-m`."""
+    """Return the options of a command, in order, those of the records in it as `--lidar.range-m`."""
     names = []
     for field in dataclasses.fields(kind):
         name = prefix + field.name.rstrip("_").replace("_", "-")
@@ -114,7 +114,7 @@ def option_names(kind: type, prefix: str = "--") -> list[str]:
 
 
 def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
-    """The record of a command and its options.
+    """Parse the command line into a command's record and its options.
 
     Args:
       arguments: list of text, the command first.
@@ -158,7 +158,7 @@ def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
 
 
 def _stray(arguments, line):
-    """What is said of an unknown option; of a value that the option before it does not take, it is told."""
+    """Explain an unknown option; name the option before it that does not take the value."""
     word = line.removeprefix("unknown option ").partition(";")[0]
     if word == line or word.startswith("-") or word not in arguments:
         return line
@@ -167,7 +167,7 @@ def _stray(arguments, line):
 
 
 def _show_help(read):
-    """Prints the help that was asked for: once more, now with the colours and the characters of the standard output."""
+    """Print the requested help again, with the colours and the characters of the standard output."""
     page = _Page()
     page.encoding = codecs.lookup(sys.stdout.encoding or "utf-8").name  # some say UTF-8, which tyro does not know
     page.coloured = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
@@ -195,7 +195,7 @@ _REGISTRY = ConstructorRegistry()
 
 @_REGISTRY.struct_rule
 def _records(info: StructTypeInfo) -> StructConstructorSpec | None:
-    """How a record becomes options: its docstrings as running text, and no defaults that say nothing."""
+    """Convert a record to options: its docstrings as running text, and no empty defaults."""
     if not dataclasses.is_dataclass(info.type):
         return None
     kind: Any = info.type
@@ -226,7 +226,7 @@ def _hints(kind):
 
 
 def _with(hint: Any, settings: Any) -> Any:
-    """A type with settings for its option, those that it has already before these."""
+    """Add settings for its option to a type, after those that it has already."""
     inner, *own = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint,)
     return Annotated[inner, settings, *own]
 
@@ -236,7 +236,7 @@ def _default_text(default):
 
 
 def field_texts(kind: type) -> dict[str, str]:
-    """The docstrings below the fields of a record, `{name: text}`, each on one line."""
+    """Return the docstrings below the fields of a record, `{name: text}`, each on one line."""
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
     assert isinstance(body, ast.ClassDef)
     texts = {}
@@ -289,7 +289,7 @@ _REWORDED = (
 
 
 def one_line(box: str) -> str:
-    """What tyro's box of several lines says, as one line."""
+    """Convert tyro's box of several lines to one line."""
     rows = [row.strip("│ ").strip() for row in box.splitlines() if row.strip() and row.strip()[0] not in "╭╰"]
     parts = [[]]
     for row in rows:

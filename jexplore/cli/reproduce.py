@@ -19,9 +19,9 @@ def default_paper_episodes() -> int:
 
 @dataclasses.dataclass(frozen=True)
 class Reproduce:
-    """Reproduce a paper's tables: its strategies in its environments, beside its own figures.
+    """Reproduce a paper's tables: its strategies in its environments, next to its own figures.
 
-    Prints a Markdown table an environment, and which of the orderings that the paper claims hold here. Writes
+    Prints a Markdown table an environment, and the orderings claimed by the paper that hold here. Writes
     episodes.parquet, run.json and reproduce.png.
     """
 
@@ -31,8 +31,8 @@ class Reproduce:
     """Read the paper's maps from this folder: stage/cave_filled.png, avz/avz5floor_open.yaml,
     stage/hospital_section.png. By default built-in counterparts stand in for them."""
     episodes: int = dataclasses.field(default_factory=default_paper_episodes)
-    """Run so many episodes of each strategy in each environment. The first are also reported alone, as many as the
-    paper's runs."""
+    """Number of episodes of each strategy in each environment. The first ones, as many as in the paper, are also
+    reported alone."""
     seed: int = 0
     """Draw starts and all that is random from this seed."""
     cell_m: float = 0.1
@@ -42,18 +42,18 @@ class Reproduce:
     lanes: int | None = None
     """With --engine jax on a GPU, run so many episodes at a time, as for `jexplore compare`."""
     workers: int | None = None
-    """Run episodes on so many cores, as for `jexplore compare`."""
+    """Number of cores, as for `jexplore compare`."""
     out: OutFolder = None
     """Write into this folder."""
     overwrite: bool = False
     """Replace the run that the folder holds."""
     resume: bool = False
-    """Go on with the run that the folder holds, if there is one: what is finished is not computed again."""
+    """Continue the run in the folder, if any: finished episodes are not computed again."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.studies import reproduction
 
         with Out(self, "reproduce") as out:

@@ -58,7 +58,7 @@ class Segment:
     """Replace the run that the folder holds."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.config import require_whole
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.report import plot, store

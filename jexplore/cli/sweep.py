@@ -30,15 +30,14 @@ FINISHING = "jexplore: computing statistics and drawing"
 class Sweep:
     """Compare strategies over many settings of scanner, rules, worlds and parameters.
 
-    Reads what is varied from a YAML file, in which a list is an axis of the product: worlds: [cave, office],
+    Reads the varied settings from a YAML file, in which a list is an axis of the product: worlds: [cave, office],
     strategies: [closest, closest+recheck], episodes: 20, lidar: {range_m: [4, 8]}, rules: {clearance_m: [0.2, 0.3]}.
     Prints a table and writes episodes.parquet (a row an episode, settings as columns), summary.csv, asked.yaml,
-    run.json and sweep.png. What is finished is kept on the way: a run that was ended, in whatever way, goes on with
-    --resume.
+    run.json and sweep.png. Finished units are stored on the way: --resume continues a run that was ended in any way.
     """
 
     spec: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SPEC.yaml", help_behavior_hint="(required)")] = ""
-    """The file that says what is varied."""
+    """File with the varied settings."""
     dry_run: bool = False
     """Only say how much work it is: units, compiled programs, time."""
     yes: bool = False
@@ -60,13 +59,13 @@ class Sweep:
     report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
     """Write report.html, the whole run in one page with replays."""
     resume: bool = False
-    """Go on with the run that the folder holds, if there is one: what is finished is not computed again. With more
-    episodes than it had, the earlier ones are kept."""
+    """Continue the run in the folder, if any: finished units are not computed again. With a larger number of episodes
+    it keeps the earlier ones."""
     trust: bool = False
     """Let --resume take strategies of your own for what they were when the run began, even where nothing tells."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.engine.runner import own_cores
         from jexplore.studies.sweeps import plan as plans
         from jexplore.studies.sweeps.run import ready, run_sweep
@@ -102,7 +101,7 @@ class Sweep:
 
 
 def shard_of(text: str | None) -> tuple[int, int] | None:
-    """`(i, n)` of `I/N`, i from 0; None for None.
+    """Parse `I/N` to `(i, n)`, i from 0; None for None.
 
     Raises:
       InputError: not of this form.
@@ -116,7 +115,7 @@ def shard_of(text: str | None) -> tuple[int, int] | None:
 
 
 def _show_finished(out, plan):
-    """What `--resume` says of a sweep that is finished; pictures that are not there are drawn."""
+    """Print the results of a finished sweep for `--resume`, and draw missing pictures."""
     from jexplore.studies.results.loading import load, record_of
 
     found = load(out.run.path)
@@ -126,7 +125,7 @@ def _show_finished(out, plan):
 
 
 def _pictures(out, found, record, plan):
-    """Pictures of a sweep and, with a plan, its page: name -> what writes it."""
+    """Return pictures of a sweep and, with a plan, its page: name -> writer."""
     drawn = {f"sweep{tail}.png": functools.partial(_picture, make) for tail, make in found.figures().items()}
     if plan is not None and not found.missing and not found.spec.robots:
         drawn["report.html"] = functools.partial(_report, out, found, record, plan, list(drawn))
@@ -134,7 +133,7 @@ def _pictures(out, found, record, plan):
 
 
 def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, plan: Any, **entries: Any) -> int:
-    """Writes, prints and draws. Returns the exit status."""
+    """Write, print and draw; return the exit status."""
     from jexplore.arrays.plain_yaml import dump
     from jexplore.report import store
     from jexplore.studies.results.saving import engine_of
@@ -177,7 +176,7 @@ def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, pl
 
 
 def _picture(make, path):
-    """Draws a picture, as PNG and as SVG."""
+    """Draw a picture, as PNG and as SVG."""
     from jexplore.report import plot
 
     figure = make()
@@ -186,7 +185,7 @@ def _picture(make, path):
 
 
 def _report(out, found, record, plan, names, path):
-    """Writes the page of a sweep, with those of its pictures that are there."""
+    """Write the page of a sweep, with its existing pictures."""
     from jexplore.studies.results.report import replays_for, write_report
     from jexplore.studies.sweeps.run import labels_of
 
@@ -218,7 +217,7 @@ class Merge:
     """Write report.html, the whole run in one page with replays."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.studies.results.loading import merge
 
         with Out(self, "sweep") as out:

@@ -15,8 +15,8 @@ class Train:
     """Train a strategy that scores frontier clusters, and write its model.
 
     Prints the checks and writes model.msgpack, model.json, curve.parquet, curve.png and run.json. The model is a
-    strategy: learned+recheck:path=DIR/model.msgpack. What is checked is kept on the way: training that was ended goes
-    on with --resume.
+    strategy: learned+recheck:path=DIR/model.msgpack. Checked rounds are stored on the way: --resume continues training
+    that was ended.
     """
 
     algo: str = "es"
@@ -31,14 +31,14 @@ class Train:
     validation: OwnNames = None
     """Watch on these worlds (default: four of each kind, #2000 to #2003)."""
     starts: int = 1
-    """Watch from so many starts in each."""
+    """Number of starts in each."""
     rounds: int = 40
-    """Train for so many rounds."""
+    """Number of training rounds."""
     check_every: int = 5
-    """Check on the validation worlds every so many rounds, or after the last of fewer; the best model by these checks
-    is written."""
+    """Rounds between checks on the validation worlds, the last at the end; the best model by these checks is written.
+    """
     patience: int = 0
-    """End after so many checks without a better one; 0: never."""
+    """End after this many checks without a better one; 0: never."""
     set: tuple[str, ...] = ()
     """Settings of the algorithm, such as pairs=8 episodes=20 sigma=0.1 rate=0.05 of es; an unknown one lists all."""
     seed: int = 0
@@ -46,18 +46,18 @@ class Train:
     cell_m: float = 0.1
     """Make the edge of a cell this long, in metres."""
     workers: int | None = None
-    """Run episodes on so many cores; by default on all that this process may use."""
+    """Number of cores; by default all that this process may use."""
     out: OutFolder = None
     """Write into this folder."""
     overwrite: bool = False
     """Replace the run that the folder holds."""
     resume: bool = False
-    """Go on with the run that the folder holds, if there is one."""
+    """Continue the run in the folder, if any."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.learn import bank, training
         from jexplore.policies.learned.model import load_model
@@ -121,7 +121,7 @@ class Train:
 
 
 def _settings(items):
-    """`{name: number}` of texts `name=number`."""
+    """Parse texts `name=number` to `{name: number}`."""
     from jexplore.config import InputError
 
     found = {}

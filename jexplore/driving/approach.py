@@ -23,37 +23,37 @@ from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, Building, Senses, to_robot, touches, towards
 
-LOOK_RAD = math.pi - 0.05  # the robot looks round by turning so far: the scanner sees half of what there is
-LOOK_ON_RAD = 0.5  # and by so much more while it sees no place where all scans have shown one
-LOOK_STEP_RAD = 0.2  # it stops where it cannot turn so far on
+LOOK_RAD = math.pi - 0.05  # rad; the robot looks round by turning this far: the scanner covers half of the surroundings
+LOOK_ON_RAD = 0.5  # rad; additional turn while it sees no place although every scan on the way has shown one
+LOOK_STEP_RAD = 0.2  # rad; it stops looking where it cannot turn this much further
 THERE_M = 0.1  # where it cannot turn at a place, it goes on as near as this
 SURVEY_M = 1.0  # a place so near may be the one that is meant; and way between two looks round where the way is shut
-AT_PLACE = 2.0  # a robot is at a place within so many times the distance at which it stops there
+AT_PLACE = 2.0  # a robot is at a place within this multiple of the distance at which it stops there
 SURVEYS = 2  # so often a robot that has looked round goes to a better place than the one where it is
-SAME_PLACE_M, SAME_PLACE = 0.4, 0.4  # a place is the one that was meant within this, or so many radii
+SAME_PLACE_M, SAME_PLACE = 0.4, 0.4  # m and radii; a place within either distance is the intended one
 LARGER = 1.15  # a place is better if its circle is larger by this
 AS_LARGE = 0.1  # of a node's radius: a circle that differs from it by less is as large
 OUT_RAD = math.radians(60)  # a link has been taken when the robot's heading is so near to its direction
 STUCK_STEPS = 150  # without going on or finding a node: the operator helps
 STUCK_M = 0.3
-STRAY_STEPS, STRAY_M = 600, 3.0  # likewise where it has driven up and down for so long within so far of one place
+STRAY_STEPS, STRAY_M = 600, 3.0  # steps, m; the operator also helps after these steps this near to one place
 HELPS_KEPT = 16  # helps of which place, time and run mode are kept
 ONWARD_M = 1.0  # a robot that leaves a place, and has farther than this to go, heeds what it passes on the way
-LOST_M = 0.5  # a divergence farther ahead than this and its radius, and no longer seen, is none
+LOST_M = 0.5  # m; a divergence farther ahead than this plus its radius, and no longer seen, is dropped
 
 
 class Latched(NamedTuple):
-    """What branch selection makes of a step."""
+    """Outcome of one step of branch selection."""
 
     drive: Drive
     track: Track
     begins: Array  # bool, it begins to approach a divergence
     arrives: Array  # bool, it is in its middle and has looked round
-    gives_up: Array  # bool, there is none, or it cannot be reached
+    gives_up: Array  # bool, the place does not exist or cannot be reached
 
 
 class _Look(NamedTuple):
-    """What a robot that has looked round finds."""
+    """Result of looking round at a place."""
 
     ends: Array  # bool, it has just done so
     track: Track  # the place where it is, or to which it goes
@@ -71,7 +71,7 @@ def latched(
     tuning: Tuning,
     robot: Robot,
 ) -> Latched:
-    """A latch begins and ends.
+    """Begin, continue and end a latch of branch selection.
 
     Args:
       state: `mission.State` before this step.
@@ -105,7 +105,7 @@ def latched(
     latch = jnp.where(ends, jnp.where(look.goes_on, Latch.APPROACH, jnp.where(none, Latch.LEAVE, Latch.FREE)), latch)
     aligned = jnp.abs(btm.wrapped(drive.out - state.estimate[2])) < OUT_RAD
     has_left = (drive.latch == Latch.LEAVE) & ((near & aligned) | late)
-    turned = lost & ~aligned  # towards what is none: it would go back the way it came
+    turned = lost & ~aligned  # the target does not exist: a turn towards it would send the robot back
     latch = jnp.where(turned, Latch.LEAVE, jnp.where(has_left | lost | too_late, Latch.FREE, latch))
     from_ = jnp.where(turned, state.estimate[:2], track.centre)
     onward = from_ + tuning.leave_m * towards(drive.out)
@@ -129,7 +129,7 @@ def _away_m(state, place):
 
 
 def _is_on_way(state, track, tuning):
-    """Whether a place lies on the way to an opening far from the place that the robot leaves: it is passed before.
+    """Return whether a place lies on the way to a distant exit of the place being left.
 
     A robot that follows a route looks for its own places.
     """
@@ -147,9 +147,10 @@ def _is_on_way(state, track, tuning):
 
 
 def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot):
-    """What the robot finds where it has looked round, a `_Look`; elsewhere nothing of it counts but the track.
+    """Return the `_Look` of a robot that has looked round; in any other step only its `track` is valid.
 
-    While it sees no place where all scans on the way have shown one, it looks on: noise may hide it for a moment.
+    While it sees no place where every scan on the way has shown one, it keeps looking: noise may hide the place
+    briefly.
     """
     drive, map_, had = state.drive, state.writer.map, track.age > 0
     ends = looks & ((drive.looked >= LOOK_RAD) | (left < LOOK_STEP_RAD))
@@ -186,7 +187,7 @@ def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot)
 
 
 def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
-    """The largest place that the robot sees round itself when it has looked.
+    """Find the largest place that the robot sees around itself after looking round.
 
     Returns:
       `(track, better, there_is, middle)`: whether it is another than the one where the robot is, or the first; whether
@@ -213,11 +214,10 @@ def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
 
 
 def _middle(in_map, centres, found):
-    """Where the robot sees the middle of a node in whose circle it is: `[2]` float32, odometry.
+    """Return the observed centre of a node whose circle the robot is in: `[2]` float32, odometry.
 
-    The odometry is off: the node is where a circle as large as its own is seen, no farther than that from where the map
-    has it, and of several, as at doors along a passage, the nearest to that. Where none is seen, it is where the map
-    has it.
+    Odometry drifts, so the node is taken to be at the nearest circle of the same size seen within one radius of its
+    mapped position. Without such a circle the mapped position is returned.
     """
     place, radius_m = in_map
     off_m = jnp.hypot(*(centres - place).T)
@@ -228,7 +228,7 @@ def _middle(in_map, centres, found):
 
 
 def helped(state: Any, senses: Senses, makes_node: Array, building: Building, robot: Robot) -> Any:
-    """Where the robot does not get on, or drives up and down, the operator turns it to where the way is longest.
+    """Turn a robot that makes no progress, or drives to and fro, towards the longest free way: operator help.
 
     Args:
       state: `mission.State` after a step.

@@ -1,7 +1,6 @@
 """Many runs of one building, one by one or in lanes, with results that are equal but for rounding.
 
-Robot, thresholds and noise differ from run to run as the caller likes: they are arrays, so that a sweep over any of
-them is one program.
+Robot, thresholds and noise are arrays and may differ between runs: a sweep over any of them takes a single program.
 """
 
 import dataclasses
@@ -30,22 +29,22 @@ NO_RUN = -1  # number of a run that none has
 # Two thirds of the time of compiling and two fifths of its memory, for steps that take 7 % longer. XLA of JAX 0.12 does
 # not have it any more.
 CPU_OPTIONS = (("xla_cpu_use_fusion_emitters", False),)
-MARKS = 64  # places to be at are padded to multiples of this, likewise
+MARKS = 64  # numbers of places to visit are padded to multiples of this
 
 _Settings = TypeVar("_Settings", Robot, Tuning, Noise)
 
 
 class Driven(NamedTuple):
-    """The way of one run, step by step, on the host."""
+    """Trajectory of one run, step by step, on the host."""
 
     truth: np.ndarray  # [n, 3] float32, x, y, metres; heading, radians
-    estimate: np.ndarray  # [n, 3] float32, likewise, odometry
+    estimate: np.ndarray  # [n, 3] float32, as `truth`, by odometry
     mode: np.ndarray  # [n] int32, `RunMode`
     pitch: np.ndarray  # [n] float32, measured, radians
 
 
 class Finished(NamedTuple):
-    """What `run_missions` returns."""
+    """Results of `run_missions`."""
 
     result: Result  # numpy, with a leading axis; outcome RUNNING where it was interrupted before, or not asked for
     driven: Driven | None  # the way of run 0, if that was made
@@ -53,12 +52,12 @@ class Finished(NamedTuple):
 
 
 def building_of(world: World, goal_m: tuple[float, float] | None = None, marks_m: np.ndarray | None = None) -> Building:
-    """A world made ready for runs.
+    """Prepare a world for runs.
 
     Args:
       world: `World`.
       goal_m: x, y, metres, in the world's frame; None: the run goes on until nothing is left.
-      marks_m: `[K, 3]`, places of which it is counted which ones a run has been at: x, y, radius, metres, likewise.
+      marks_m: `[K, 3]`, places whose visits are recorded: x, y, radius, metres, in the world's frame.
 
     Returns:
       `Building` of numpy arrays, padded; its cell (0, 0) begins at (0, 0).
@@ -81,7 +80,7 @@ def building_of(world: World, goal_m: tuple[float, float] | None = None, marks_m
 
 
 def pose_in(world: World, start_pose: tuple[float, float, float]) -> np.ndarray:
-    """A pose in a building: `[3]` float32, x, y, metres from cell (0, 0); heading, radians.
+    """Convert a pose to a building's frame: `[3]` float32, x, y, metres from cell (0, 0); heading, radians.
 
     Args:
       world: `World`.
@@ -113,8 +112,9 @@ def require_start(world: World, building: Building, robot: Robot, start: np.ndar
 
 
 def numbers_of(record: _Settings, n: int) -> _Settings:
-    """A record of settings as arrays with a leading axis of n: what is declared as an int int32, others float32, so
-    that 0 and 0.0 share a program.
+    """Convert a record of settings to arrays with a leading axis of n.
+
+    Fields declared as int become int32, others float32, so that 0 and 0.0 share a program.
     """
 
     def wide(field):
@@ -146,7 +146,7 @@ def run_missions(
     on_block: Callable[[int, Result, Driven | None], object] | None = None,
     ways: bool = False,
 ) -> Finished:
-    """Makes runs, each with its own robot, thresholds and noise.
+    """Make runs, each with its own robot, thresholds and noise.
 
     Args:
       building: `Building`.
@@ -158,7 +158,7 @@ def run_missions(
       engine, lanes, workers: see `runner.find_resources`.
       max_steps: steps after which a run ends as STEP_LIMIT.
       size: most nodes and links of a map; static.
-      on_progress: called with the number of runs finished so far.
+      on_progress: called with the number of finished runs.
       blocks: list of `(first, n)`: the runs that are to be made, in this order; by default all.
       on_block: called with the number of a block, its `Result` and the way of run 0, if it has it, once its runs have
         ended, soon after, from the calling thread.
@@ -189,12 +189,12 @@ def run_missions(
 
 
 def room_for(max_steps: int) -> int:
-    """Steps that there is room for: few sizes, so that buildings share programs."""
+    """Round a number of steps up to one of few buffer sizes, so that buildings share programs."""
     return MAX_STEPS << (-(-max_steps // MAX_STEPS) - 1).bit_length() if max_steps > MAX_STEPS else MAX_STEPS
 
 
 def _together(lines, blocks, n, costs):
-    """What blocks of n runs have found, as one."""
+    """Merge the results of blocks of n runs."""
     result = jax.tree.map(lambda a: np.zeros((n, *a.shape[1:]), a.dtype), lines[0].results)
     for (first, some), line in zip(blocks, lines):
         jax.tree.map(lambda whole, own, at=slice(first, first + some): whole.__setitem__(at, own), result, line.results)
@@ -203,12 +203,12 @@ def _together(lines, blocks, n, costs):
 
 
 def _driven(line):
-    """The way of run 0; None where the line does not have it, or it was interrupted before."""
+    """Return the trajectory of run 0; None if the group does not hold it or it was interrupted before."""
     if line.kept is None:
         return None
     return Driven(*(np.asarray(a)[: int(line.results.steps[0])] for a in line.kept))
 
 
 def outcome_names(result: Result) -> list[str]:
-    """Names of the outcomes of a `Result` of many runs: list of text."""
+    """Return the names of the outcomes of a `Result` of many runs."""
     return [Outcome(int(value)).name for value in result.outcome]

@@ -1,4 +1,4 @@
-"""How a robot drives along passages: which run mode it is in, and where its target point is.
+"""Driving along passages: the run mode and the target point.
 
 The modes, highest priority first (Mano et al., section IV.B and Fig. 8; a figure that did not survive): contact guard,
 branch selection, dead end run, wall following, central run. All states have a fixed size; all functions are pure.
@@ -22,17 +22,17 @@ DOUBT = 2  # votes up to which another triangle takes the place of one that a sc
 DEBOUNCE = 3  # steps that a free space must be seen, or not seen, in a row
 HYSTERESIS_M = 0.3  # a free space ends where both sides have a wall this much nearer than where it began
 GUARD_M = 0.1  # a wall this near to the robot's front stops it, if there is no way past it
-ROOM_M = 0.1  # a wall is followed at so much more than it takes to turn in place
+ROOM_M = 0.1  # m; a wall is followed at this more than the clearance for turning in place
 GETS_PAST = 1.75, manoeuvre.GO_M  # bearing, radians, within which a way so long, metres, leads past it
-GETS_ON = 1.0, 0.8  # likewise past what seems to close a passage
-LATCH_STEPS = 200  # a target that is not reached in so many steps is given up
-SLOWER = 1.5  # or in so many times those that it takes at full speed, if these are more
-BEFORE_M = 0.6  # a wide place is left by way of a point so far before the opening
-BESIDE_M = 0.25  # unless the robot is no farther beside its axis
+GETS_ON = 1.0, 0.8  # factors; also past an apparent end of a passage
+LATCH_STEPS = 200  # steps; a target not reached within these is given up
+SLOWER = 1.5  # or within this multiple of the steps at full speed, if larger
+BEFORE_M = 0.6  # m; a wide place is left via a point this far before the exit
+BESIDE_M = 0.25  # m; unless the robot is within this of the exit's axis
 
 
 class RunMode(enum.IntEnum):
-    """What the robot is doing."""
+    """Run mode of the robot."""
 
     CENTRAL = 0
     WALL_FOLLOWING = 1
@@ -42,7 +42,7 @@ class RunMode(enum.IntEnum):
 
 
 class Latch(enum.IntEnum):
-    """What branch selection is held by, until its target is reached."""
+    """State of branch selection until its target is reached."""
 
     FREE = 0
     APPROACH = 1  # the centre of a divergence
@@ -57,29 +57,29 @@ class Track:
     centre: Array  # [2] float32, metres, in the odometry's frame
     radius: Array  # float32, metres
     seen: Array  # uint32, a bit a scan, the last one lowest: whether it showed the triangle
-    age: Array  # int32, scans since it was first seen; 0: there is none
+    age: Array  # int32, scans since it was first seen; 0: no divergence
     out: Array  # float32, radians, odometry: of a place before a gateway of a hall, where that leads; NaN: of no other
     replace: ClassVar[Callable[..., Self]]
 
 
 def no_track() -> Track:
-    """Nothing ahead."""
+    """Return a `Track` with nothing ahead."""
     return Track(jnp.zeros(2), jnp.float32(0), jnp.uint32(0), jnp.int32(0), jnp.float32(jnp.nan))
 
 
 def believed(centre: Array, radius: Array | float, out: Array | float = jnp.nan) -> Track:
-    """What lies ahead as if every scan had shown it: see `Track`."""
+    """Return a `Track` for a divergence as if every scan had shown it."""
     full = jnp.uint32(2**WINDOW - 1)
     return Track(centre, jnp.float32(1) * radius, full, jnp.int32(1), jnp.float32(1) * out)
 
 
 def votes(track: Track) -> Array:
-    """Of the last `WINDOW` scans, how many showed it: int32."""
+    """Count the scans among the last `WINDOW` that showed the divergence: int32."""
     return lax.population_count(track.seen).astype(jnp.int32)
 
 
 def is_believed(track: Track, needed: Array | int) -> Array:
-    """Whether enough scans have shown it."""
+    """Return whether enough scans have shown the divergence."""
     return (track.age > 0) & (votes(track) >= needed)
 
 
@@ -90,7 +90,7 @@ def follow(
     same_m: Array | float,
     may_begin: Array | bool,
 ) -> Track:
-    """Takes one more scan into account.
+    """Update a track with one more scan.
 
     The largest triangle that is near enough to the one followed goes on with it; else the triangle nearest to the
     robot begins a new one, but not while one is being followed that more than `DOUBT` scans have shown. One that
@@ -144,18 +144,18 @@ class FreeSpace:
 
 
 def no_free_space() -> FreeSpace:
-    """Not in free space."""
+    """Return the `FreeSpace` of a robot outside free space."""
     return FreeSpace(inside=jnp.bool_(False), streak=jnp.int32(0), since_m=jnp.float32(0))
 
 
 def is_free(left_m: Array | float, right_m: Array | float, open_m: Array | float) -> Array:
-    """Whether walls so far to the left and right are those of free space: bool.
+    """Return whether walls at these distances to the left and right are those of free space: bool.
 
     Between them there is room for a circle whose radius is `open_m` [C1].
 
     Source:
-      Mano et al., section III.A.2. Changed: there one of them is farther than C1; a room that is entered beside a wall
-      would be free space.
+      Mano et al., section III.A.2. Changed: there one wall is farther than C1; a room entered along a wall would be
+      free space.
     """
     return jnp.asarray(left_m + right_m > 2 * open_m)
 
@@ -170,7 +170,7 @@ def watch_free_space(
     roomy: Array | bool = True,
     coast_m: Array | float = 0.0,
 ) -> tuple[FreeSpace, Array, Array]:
-    """Takes one more look at the walls on both sides.
+    """Update the hysteresis of free space with the walls of one more scan.
 
     Args:
       space: `FreeSpace`.
@@ -197,19 +197,19 @@ def watch_free_space(
 def border_ahead(
     border_m: Array, since_m: Array, enters: Array, leaves: Array, region: tuple[Any, Any]
 ) -> tuple[Array, Array]:
-    """Where the robot comes to the border of a free space that it sees ahead.
+    """Track the border of a free space that the robot sees ahead.
 
-    A free space that is seen to begin anew before the robot has come to where it ended has not ended: a stretch of
-    walls shorter than the region that is watched divides none.
+    If the free space begins again before the robot has come to its end, it has not ended: a stretch of walls shorter
+    than the observed region does not divide it.
 
     Args:
-      border_m: float32, odometer at the border seen before, inf where there is none ahead.
-      since_m: float32, odometer since which the walls have said otherwise, `FreeSpace.since_m`.
+      border_m: float32, odometer at the border seen before, inf without one.
+      since_m: float32, odometer at which the walls changed, `FreeSpace.since_m`.
       enters, leaves: bools, from `watch_free_space`.
-      region: where the region that is watched begins and ends, metres ahead.
+      region: begin and end of the observed region, metres ahead.
 
     Returns:
-      `(border_m, missed)`: likewise; bool, where it begins has not been reached before it ends.
+      `(border_m, missed)`: updated; bool, the free space ended before the robot reached its beginning.
     """
     waits = jnp.isfinite(border_m)
     after_m = jnp.where(enters, jnp.where(waits, jnp.inf, since_m + region[0]), border_m)
@@ -218,7 +218,7 @@ def border_ahead(
 
 @struct.dataclass
 class Drive:
-    """What driving remembers from step to step."""
+    """Memory of driving between steps."""
 
     latch: Array  # int32, `Latch`
     target: Array  # [2] float32, of the latch, metres, in the odometry's frame
@@ -233,13 +233,13 @@ class Drive:
     began: Array  # [5] float32, where it began to follow that since the last node: x, y, metres; how far it has turned
     # as it followed it, radians; odometer there; heading at the step before; NaN: it does not
     turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
-    left_m: Array  # float32, last distance of a wall on the left within C1, or of one beside which it can turn
-    right_m: Array  # float32, likewise on the right
+    left_m: Array  # float32, last distance of a left wall within C1, or of one next to which it can turn
+    right_m: Array  # float32, as `left_m`, on the right
     replace: ClassVar[Callable[..., Self]]
 
 
 def at_rest() -> Drive:
-    """Nothing remembered; a passage two metres wide is assumed until a wall is seen."""
+    """Return an empty memory; passages count as two metres wide until a wall is seen."""
     return Drive(
         latch=jnp.int32(Latch.FREE),
         target=jnp.zeros(2),
@@ -261,7 +261,7 @@ def at_rest() -> Drive:
 def choose_mode(
     drive: Drive, space: FreeSpace, walls: Any, ways_m: Array, tuning: Tuning, robot: Robot
 ) -> tuple[Array, Drive]:
-    """The run mode of this step.
+    """Choose the run mode of this step.
 
     Args:
       drive: `Drive`.
@@ -310,7 +310,7 @@ def target_of(
     to_robot: Callable[[Array], Array],
     tuning: Tuning,
 ) -> Array:
-    """The target point in the robot's frame: `[2]` float32, metres.
+    """Compute the target point in the robot's frame: `[2]` float32, metres.
 
     In a passage it lies on the middle between the walls, in free space in the direction `coast`, from
     `surround.along_wall`; or, where that is NaN, at the distance from the followed wall that the passage before had:
@@ -335,13 +335,13 @@ def target_of(
 
 
 def begun(away_m: Array, tuning: Tuning) -> Array:
-    """What `Drive.since` begins with for a target so far away, metres: int32."""
+    """Return the initial value of `Drive.since` for a target at this distance, metres: int32."""
     steps = SLOWER * away_m / (tuning.speed_m_s * DT_S)
     return jnp.minimum(LATCH_STEPS - steps, 0).astype(jnp.int32)
 
 
 def is_aside(target: Array, out: Array, radius_m: Array) -> Array:
-    """Whether a target beyond an opening of a place is seen from the side from its middle, and the place is wide: bool.
+    """Return whether a target beyond an exit is seen obliquely from the middle of a wide place: bool.
 
     Args:
       target: `[2]` float32, from the middle, metres.
@@ -353,8 +353,9 @@ def is_aside(target: Array, out: Array, radius_m: Array) -> Array:
 
 
 def _selected(drive, to_robot, tuning):
-    """Target point of branch selection, robot's frame: on the way to one beyond an opening that it sees from the side,
-    the robot comes before it first, so that it does not meet the jamb.
+    """Return the target point of branch selection, robot's frame.
+
+    On the way to one beyond an opening seen obliquely, the robot first drives to a point before it, clear of the jamb.
     """
     target = to_robot(drive.target)
     axis = to_robot(drive.target + towards(drive.out)) - target

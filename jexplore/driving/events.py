@@ -1,4 +1,4 @@
-"""What lies ahead of the robot, and which node of the map is due."""
+"""Perception ahead of the robot, and the node of the map that is due."""
 
 import dataclasses
 import math
@@ -25,8 +25,8 @@ DRIVE = 1.5  # length of the stretch in which walls are steered by, in look-ahea
 CROSSING_M = 0.1  # but no nearer than this to a wall across the way
 EVERY = 3  # steps between two looks for triangles
 SCAN_POINTS = 64  # of a scan that are made into triangles
-NEAR_M = 4.0  # a robot that looks farther than this looks at what is nearer once more
-BESIDE_M = -0.2  # a divergence is looked for so far ahead of the robot's middle or farther
+NEAR_M = 4.0  # m; a robot that looks farther than this searches near points once more
+BESIDE_M = -0.2  # m; a divergence is searched from this far ahead of the robot's middle
 GOAL_M = 0.5  # a run ends where it hears its goal's beacon within this
 RISES_M = 0.1  # where the profile ahead rises by more, what looks like a wall may be stairs
 STEP_SLACK_M = 0.03  # a step ahead may be lower than it looks by this
@@ -38,7 +38,7 @@ ALONG = 0.7  # cosine of the angle between a robot's heading and a link along wh
 
 
 class Walls(NamedTuple):
-    """What a scan tells of the walls."""
+    """Walls seen in one scan."""
 
     xy: Array  # [B, 2] float32, points in the robot's frame, metres
     valid: Array  # [B] bool
@@ -48,12 +48,12 @@ class Walls(NamedTuple):
     closed: Any  # bool, whether the way ahead is closed
     fronts_m: Any  # pair: how far the way is free ahead, in the left and right half of the robot's width
     left_m: Array  # float32, clearance by which it steers
-    right_m: Array  # float32, likewise
-    beside: Array  # [2] float32, clearance beside the robot
+    right_m: Array  # float32, as `left_m`
+    beside: Array  # [2] float32, clearance to the left and right of the robot
 
 
 def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> Walls:
-    """`Walls` of a scan: `[B]` float32 ranges, NaN for none."""
+    """Find the `Walls` of a scan: `[B]` float32 ranges, NaN for none."""
     xy, valid = perception.points(ranges_m, ANGLES_RAD)
     region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
     region_sides = perception.sides(xy, valid, *region)
@@ -68,7 +68,7 @@ def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> Walls:
 
 
 class Ahead(NamedTuple):
-    """What lies ahead, and what has just been passed."""
+    """Divergences, free space and ground ahead, and the nodes just passed."""
 
     leans: Array  # bool, the robot stands otherwise than where it last stood evenly, or the ground rises before it
     track: Track
@@ -84,7 +84,7 @@ class Ahead(NamedTuple):
     blocked: Array  # int32, steps in a row with ground ahead that the robot cannot climb
     lone_step: LoneStep  # that is ahead, under the robot or just passed
     is_lone: Array  # bool, whether it has just passed it
-    lone_step_after: LoneStep  # what is left of it once the node is made
+    lone_step_after: LoneStep  # remaining state once the node is made
     beyond: Any  # pair: height of the step and inclination of the slope that stop it, see `_ground_ahead`
 
 
@@ -98,7 +98,7 @@ def look_ahead(
     robot: Robot,
     is_blind: Array | bool,
 ) -> Ahead:
-    """`Ahead` of one step.
+    """Compute `Ahead` of one step.
 
     Args:
       state: `mission.State` before it.
@@ -114,7 +114,7 @@ def look_ahead(
     lean, lean_m = mapping.lean_of(writer.way, state.step)
     ground_x, ground_z, posture = _recent_ground(writer.way, state)
     rise, stops, beyond = _ground_ahead(ground_x, ground_z, robot, state)
-    # What is seen from ground of another inclination, or where the ground rises, may be ground.
+    # Points seen from ground of another inclination, or where the ground rises, may be ground.
     tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
     leans = tips | (rise > RISES_M)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
@@ -149,7 +149,7 @@ def look_ahead(
 
 
 def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot):
-    """`(lone_step, is_lone, after)`: see `Ahead`. Where the ground's inclination changes, that makes the node."""
+    """Return `(lone_step, is_lone, after)`, see `Ahead`; a change of the ground's inclination makes the node itself."""
     # What it saw as it tipped over the last step is off.
     map_ = writer.map
     is_step = map_.obstacle[jnp.minimum(writer.node, map_.kind.shape[0] - 1)] == btm.STAIRS
@@ -181,10 +181,10 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
 
 
 def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) -> perception.Divergence:
-    """The triangles of a scan, `wall_m` from the nearer wall: `perception.Divergence`.
+    """Find the triangles of a scan, `wall_m` from the nearer wall: `perception.Divergence`.
 
-    Where the robot looks far, it looks once more at what is near alone: of all that it sees at once, points would lie
-    too far apart to show a door.
+    If the robot looks far, near points are searched once more on their own: among all points, those of a door would lie
+    too far apart.
     """
     far_m = perception.far_bound(tuning.far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m)
     views = jnp.stack([far_m, jnp.minimum(far_m, NEAR_M)])
@@ -214,9 +214,9 @@ def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) ->
 
 
 def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
-    """Looks for triangles, in every `EVERY`-th step: `(track, overflow)`."""
+    """Search triangles, in every `EVERY`-th step: `(track, overflow)`."""
     approaches, turns = state.drive.latch == Latch.APPROACH, state.drive.latch == Latch.LOOK
-    # Once the robot is in the circle that it approaches, a wall that the circle touches lies beside or behind it.
+    # Once the robot is in the circle that it approaches, a wall touched by the circle lies abeam or behind.
     is_in = approaches & (jnp.hypot(*(state.track.centre - state.estimate[:2])) < state.track.radius)
 
     def looked(carry):
@@ -233,9 +233,7 @@ def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
 
 
 def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, tuning):
-    """`FreeSpace` after one more look, the border that is ahead and whether it was missed, see `Ahead`, and the `Track`
-    of the gateway of a hall, if there is one.
-    """
+    """Update `FreeSpace`, the border ahead and whether it was missed (see `Ahead`), and the `Track` of a gateway."""
     is_hall = tuning.coast_m > 0
     # One that is still ahead is watched ahead.
     within = is_hall & state.space.inside & ~jnp.isfinite(writer.border_m)
@@ -259,8 +257,10 @@ def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, t
 
 
 def _recent_ground(way, state):
-    """The last points of the profile and how the robot leant there: `(x_m, z_m, posture)`, `[RECENT]` each, metres and
-    radians, x inf where there is none.
+    """Return the last points of the height profile and the robot's attitude there.
+
+    Returns:
+      `(x_m, z_m, posture)`, `[RECENT]` each, metres and radians; x is inf where no point exists.
     """
     first = jnp.clip(state.step + 1 - RECENT, 0, way.ground_x_m.shape[0] - RECENT)
     arrays = way.ground_x_m, way.ground_z_m, way.posture
@@ -269,8 +269,7 @@ def _recent_ground(way, state):
 
 
 def _ground_ahead(x, z, robot, state):
-    """How far the ground ahead rises, and whether that is more than the robot can climb, as it looks or as the robot
-    has just found.
+    """Return the rise of the ground ahead and whether the robot can climb it, as seen or as just experienced.
 
     Returns:
       `(rise_m, stops, beyond)`: float32; bool; pair, height of the step that stops it, 0 for none, and inclination of
@@ -299,9 +298,9 @@ def _ground_ahead(x, z, robot, state):
 
 
 def _passes_start(state):
-    """Whether the robot has come by the node where it started since it was at another one, along its link.
+    """Return whether the robot has passed its start node since the last node, along its link.
 
-    A start in the circle of a divergence is on no link, nor is a robot that leaves a place that was none.
+    A start in the circle of a divergence is on no link; nor is a robot that leaves a rejected candidate.
     """
     map_ = state.writer.map
     followed, to, there = links.led_to(state.writer)
@@ -323,7 +322,7 @@ def _passes_start(state):
 
 
 def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array, arrives: Array) -> Event:
-    """The node that is due, an `Event`; of several the one that lies first on the way.
+    """Return the node that is due, an `Event`; of several the one that lies first on the way.
 
     Args:
       state, writer, ahead: `mission.State`, `Writer`, `Ahead`.

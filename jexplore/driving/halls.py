@@ -24,17 +24,17 @@ from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import to_robot, towards
 
 MOUTH_M = 1.0  # before the border of a hall its gateway is narrowest within this
-ABEAM_M = 0.4  # a gateway is beside the robot if its middle is no farther ahead or behind
-ROUND_M, ROUND_RAD = 6.0, 4.5  # a robot that has gone and turned so far, and passes where it began, has been round
+ABEAM_M = 0.4  # m; a gateway is abeam if its middle is no farther ahead or behind
+ROUND_M, ROUND_RAD = 6.0, 4.5  # m, rad; a robot back at its starting point after this way and turn has been round
 BEGAN_M = 2.0  # within this: it may have begun in a corner
-AWAY_M = 4.0  # from an island it goes so far away
+AWAY_M = 4.0  # m; distance driven away from an island
 OUT_COS = 0.7  # of the angle between a way and a gateway's axis from which on it leads out
 
 
 def sides(within: Array, walls: Any) -> tuple[Array, Array]:
-    """How far the walls are to the left and right by which free space is watched: float32, metres.
+    """Return the distances of the left and right walls that decide about free space: float32, metres.
 
-    A hall is left where both its walls are beside the robot: those before it may be its corner's.
+    A hall is left where both its walls are abeam of the robot: walls ahead may be those of a corner.
 
     Args:
       within: bool, whether the robot is in a hall.
@@ -44,7 +44,7 @@ def sides(within: Array, walls: Any) -> tuple[Array, Array]:
 
 
 def coast(mode: Array, side: Array, around: Surround, tuning: Tuning, robot: Robot) -> Array:
-    """The direction in which the robot follows the wall of a hall: float32, radians; NaN where it follows none.
+    """Return the direction in which the robot follows the wall of a hall: float32, radians; NaN where it follows none.
 
     Args:
       mode: int32, `RunMode`.
@@ -65,7 +65,7 @@ def abeam(
     placed: Callable[[Array], Array],
     tuning: Tuning,
 ) -> Track:
-    """The place before a gateway in the wall that the robot follows, once that is abeam, or else the one given.
+    """Return the place before a gateway in the followed wall, once it is abeam; else the given one.
 
     Args:
       state, writer: `mission.State`, `Writer`.
@@ -84,14 +84,14 @@ def abeam(
 
 
 def crossed(writer: Writer, inside: Array, border_m: Array, tuning: Tuning) -> Track:
-    """The place before the gateway by which the robot has come into a hall or out of one.
+    """Return the place before the gateway by which the robot has entered or left a hall.
 
-    There is none where it has not just come between walls as near as a gateway's, nor where it comes out by a gateway
-    before which it has just been.
+    No place results if the robot has not just passed between walls as near as a gateway's, or if it comes out by a
+    gateway before which it has just been.
 
     Args:
       writer: `Writer` with this step.
-      inside: bool, whether the robot is in the hall now.
+      inside: bool, the robot is in the hall now.
       border_m: float32, odometer where it came to the border.
       tuning: `Tuning`.
     """
@@ -110,11 +110,11 @@ def crossed(writer: Writer, inside: Array, border_m: Array, tuning: Tuning) -> T
 def looked(
     state: Any, track: Track, around: Surround, placed: Callable[[Array], Array], tuning: Tuning
 ) -> tuple[Track, Array]:
-    """The gateway before which the robot is, once it has looked round: `(track, whether there is one)`.
+    """Return the gateway before which the robot is, once it has looked round: `(track, bool: a gateway exists)`.
 
     Args:
       state: `mission.State`.
-      track: `Track`, where it was expected.
+      track: `Track`, its expected position.
       around: `Surround`.
       placed: function from the robot's frame into the odometry's.
       tuning: `Tuning`.
@@ -128,7 +128,7 @@ def looked(
 
 
 def _before(middle, out, width_m, tuning):
-    """The place before a gateway, believed, a `Track`: so far before it as walls are followed at."""
+    """Return a believed `Track` of the place before a gateway, at the distance at which walls are followed."""
     centre = middle - tuning.coast_m * towards(out)
     return behaviour.believed(centre, jnp.hypot(tuning.coast_m, width_m / 2), out)
 
@@ -143,7 +143,7 @@ def gone_on(
     estimate: Array,
     tuning: Tuning,
 ) -> tuple[FreeSpace, Drive, Writer]:
-    """How the robot goes on in a hall once a node has been made, or none was due.
+    """Choose how the robot continues in a hall once a node has been made, or none was due.
 
     Args:
       state: `mission.State` before the step.
@@ -154,8 +154,8 @@ def gone_on(
       tuning: `Tuning`.
 
     Returns:
-      `(space, drive, writer)`: whether it stays in the hall, and which wall it follows; a hall that has no gateway is
-        exhausted once the robot has been all round.
+      `(space, drive, writer)`: with the hall it stays in and the wall it follows; a hall without a gateway is exhausted
+        once the robot has been all round.
     """
     space, drive = from_gateway(space, drive, event.out)
     drive, is_round = circled(state, drive, space, writer, around, estimate, event.kind != btm.NONE, tuning)
@@ -163,11 +163,11 @@ def gone_on(
 
 
 def from_gateway(space: FreeSpace, drive: Drive, out: Array) -> tuple[FreeSpace, Drive]:
-    """Whether the robot stays in the hall, and which wall it follows, once it has been before a gateway.
+    """Decide at a gateway whether the robot stays in the hall, and which wall it follows.
 
     Args:
       space, drive: `FreeSpace`, `Drive` with the link that is taken.
-      out: float32, radians, where the gateway leads; NaN: the robot has been before none.
+      out: float32, radians, direction of the gateway; NaN: the robot is at no gateway.
 
     Returns:
       `(space, drive)`.
@@ -190,10 +190,10 @@ def circled(
     at_node: Array,
     tuning: Tuning,
 ) -> tuple[Drive, Array]:
-    """What the robot does once it has followed a wall all round and made no node.
+    """Continue after a wall has been followed all round without making a node.
 
-    What stands in the hall it leaves straight across, for another wall. If it has been in no place but the hall where
-    it began, and follows no route, that is exhausted; else it goes across as well.
+    The robot leaves an island in the hall straight across, for another wall. If it knows no place but the hall where it
+    began, and follows no route, that hall is exhausted; otherwise it crosses as well.
 
     Args:
       state: `mission.State` before the step.
@@ -204,7 +204,7 @@ def circled(
       tuning: `Tuning`.
 
     Returns:
-      `(drive, is_round)`: bool, the hall where the robot began has been gone round and holds nothing.
+      `(drive, is_round)`: bool, the robot has been round the hall where it began and found no exit.
     """
     xy, known = surround.points(around)
     beside = jnp.any(known & (jnp.hypot(*xy.T) < 2 * tuning.coast_m))

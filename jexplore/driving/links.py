@@ -26,7 +26,7 @@ TURN_RAD = math.radians(20)  # the odometry's heading is corrected by no more, w
 
 
 def turn_to(map_: Btm, node: Array, found: Openings) -> tuple[Array, Array]:
-    """By how much the openings of a known node are turned against its links, and how well they agree.
+    """Return the turn of a known node's openings against its links, and how well they agree.
 
     Returns:
       `(turn, spread)`: radians, to be added; the farthest that a link lies from its opening once that is done, radians,
@@ -47,7 +47,7 @@ def turn_to(map_: Btm, node: Array, found: Openings) -> tuple[Array, Array]:
 
 
 def withdraw_double(map_: Btm, node: Array, back: Array, when: Array) -> Btm:
-    """Takes away the un-searched link of a node by which the robot has just come in from its other end."""
+    """Take away the un-searched link of a node by which the robot has just come in from its other end."""
     off = jnp.abs(btm.wrapped(map_.start_bearing - back))
     off = jnp.where((map_.start == node) & (map_.status == btm.UNSEARCHED), off, jnp.inf)
     at = jnp.argmin(off)
@@ -58,17 +58,17 @@ def withdraw_double(map_: Btm, node: Array, back: Array, when: Array) -> Btm:
 
 
 def other_link(map_: Btm, node: Array, link: Array) -> Array:
-    """The link of a node that is not the one given; the same where it is the only one."""
+    """Return the link of a node that is not the one given; the same if it is the only one."""
     touches = ((map_.start == node) | (map_.end == node)) & (map_.status != btm.NONE)
     others = touches & (jnp.arange(touches.shape[0]) != link)
     return jnp.where(jnp.any(others), jnp.argmax(others).astype(jnp.int32), link)
 
 
 def toward(map_: Btm, node: Array, bearing: Array) -> tuple[Array, Array, Array]:
-    """The link of a node that leaves it nearest to a direction.
+    """Return the link of a node whose bearing is nearest to a direction.
 
     Returns:
-      `(link, bearing, off)`: int32; its bearing there and how far that lies off, radians; inf where there is none.
+      `(link, bearing, off)`: int32; its bearing at the node and the difference, radians; inf without a link.
     """
     n, (ends, bearings) = map_.start.shape[0], ends_at(map_, node)
     off = jnp.where(ends, jnp.abs(btm.wrapped(bearings - bearing)), jnp.inf)
@@ -77,10 +77,10 @@ def toward(map_: Btm, node: Array, bearing: Array) -> tuple[Array, Array, Array]
 
 
 def reach_m(points: tuple[Array, Array], place: Array, bearing: Array, width_m: Array | float) -> Array:
-    """How far a strip is free from a place in a direction: metres; inf: all the way.
+    """Compute the free length of a strip from a place in a direction: metres; inf: unlimited.
 
     Args:
-      points: `[P, 2]` float32, odometry; `[P]` bool, whether there is one.
+      points: `[P, 2]` float32, odometry; `[P]` bool, valid.
       place, bearing: `[2]` float32, odometry; radians.
       width_m: of the strip.
     """
@@ -89,29 +89,27 @@ def reach_m(points: tuple[Array, Array], place: Array, bearing: Array, width_m: 
 
 
 def ends_at(map_: Btm, node: Array) -> tuple[Array, Array]:
-    """Which ends of links a node has, and how they bear: `[2M]` bool, of the first ends, then of the others; `[2M]`
-    float32, radians.
-    """
+    """Return the link ends at a node, `[2M]` bool, first ends before second ones, and bearings, `[2M]`, radians."""
     there = (jnp.arange(map_.start.shape[0]) < map_.n_links) & (map_.status != btm.NONE)
     own = [there & (map_.start == node), there & (map_.end == node) & (map_.status == btm.SEARCHED)]
     return jnp.concatenate(own), jnp.concatenate([map_.start_bearing, map_.end_bearing])
 
 
 def _needed(map_, own):
-    """The ends of links without which a place is not that node: those not given up, or all where these are too few."""
+    """Return the link ends that a place must have to be that node: those not given up, or all if these are too few."""
     needed = own & ~jnp.tile(map_.blocked, 2)
     return jnp.where(jnp.sum(needed) > 1, needed, own)
 
 
 def is_alike(map_: Btm, node: Array, found: Openings, back: Array, leads: Array) -> Array:
-    """Whether a place may be a node: all openings are among its links, and these, but for some given up, among them.
+    """Return whether a place may be a node: its openings and the node's links match, but for links given up.
 
     Args:
       map_: `Btm`.
       node: int32.
       found: `Openings` of the place.
       back: float32, bearing of the way in, radians.
-      leads: bool, the robot follows a link to that node; else one of the node's own must wait to be searched there.
+      leads: bool, the robot follows a link to that node; else one of the node's links must be un-searched there.
 
     Returns:
       bool.
@@ -126,7 +124,7 @@ def is_alike(map_: Btm, node: Array, found: Openings, back: Array, leads: Array)
 
 
 def leads_to(writer: Writer) -> tuple[Array, Array]:
-    """Whether the robot follows a link that is known, and to which node: `(followed, to)`."""
+    """Return whether the robot follows a known link, and the node at its end: `(followed, to)`."""
     map_, size = writer.map, writer.map.start.shape[0]
     link = jnp.minimum(writer.link, size - 1)
     to = jnp.where(map_.start[link] == writer.node, map_.end[link], map_.start[link])
@@ -134,17 +132,17 @@ def leads_to(writer: Writer) -> tuple[Array, Array]:
 
 
 def way_along(map_: Btm, link: Array, forward: Array) -> Array:
-    """How the odometry has moved along a searched link, in the frame of the node where that begins: `[2]`, metres."""
+    """Return the odometry displacement along a searched link, in the frame of its first node: `[2]`, metres."""
     there = jnp.stack([map_.moved_x_m[link], map_.moved_y_m[link]])
     turned = jnp.nan_to_num(map_.turned[link])
     return jnp.where(forward, there, to_odometry(jnp.stack([0.0, 0.0, -turned]))(-there))
 
 
 def led_to(writer: Writer) -> tuple[Array, Array, Array]:
-    """Where the link that the robot follows has ended, laid out from the last node as the odometry has that.
+    """Return the end of the followed link, laid out from the odometry position of the last node.
 
     Returns:
-      `(followed, to, place)`: whether it follows one that is known; int32, node at its other end; `[2]` float32.
+      `(followed, to, place)`: bool, the followed link is known; int32, node at its other end; `[2]` float32.
     """
     followed, to = leads_to(writer)
     link = jnp.minimum(writer.link, writer.map.start.shape[0] - 1)
@@ -153,9 +151,9 @@ def led_to(writer: Writer) -> tuple[Array, Array, Array]:
 
 
 def is_led_to(writer: Writer, centre: Array, odometer_m: Array, reach: Array | float) -> tuple[Array, Array]:
-    """Whether a place is where the link leads that the robot follows, as far as the way can tell: `(node, whether)`.
+    """Decide whether a place is the end of the followed link, judged by the length of the way: `(node, bool)`.
 
-    The node must be no farther from it than `reach`, metres, and a share of the way along the link.
+    The node must lie within `reach`, metres, plus a share of the way along the link.
     """
     followed, to, place = led_to(writer)
     limit_m = reach + WAY_DRIFT * (odometer_m - writer.node_m)
@@ -165,19 +163,18 @@ def is_led_to(writer: Writer, centre: Array, odometer_m: Array, reach: Array | f
 def recognised(
     writer: Writer, place: tuple[Array, Array], found: Openings, back: Array, reach: Array, when: Array
 ) -> tuple[Array, Array]:
-    """A known divergence that seems to lie elsewhere, for the odometry is off: `(node, whether there is one)`.
+    """Match a place to a known divergence that lies elsewhere by odometry, which drifts: `(node, bool: matched)`.
 
-    It has the very ways that are seen, and the one by which the robot has come waits to be searched; or it is
-    where the link leads that the robot follows, as the last node has it. The nearest counts, where no other is nearly
-    as near.
+    Either the node has exactly the observed exits and the one by which the robot came is un-searched, or it is the end
+    of the followed link, as seen from the last node. The nearest match counts, if no other is nearly as near.
 
     Args:
       writer: `Writer`.
       place: `[2]` float32, its centre, odometry; float32, odometer there.
-      found: `Openings` of it.
+      found: its `Openings`.
       back: float32, bearing of the way in, radians.
-      reach: float32, metres: a node so near is taken for the place without all this.
-      when: bool, whether to look at all.
+      reach: float32, metres: a node within it is matched without these conditions.
+      when: bool, False: do nothing.
     """
     map_, (centre, odometer_m) = writer.map, place
     n = map_.kind.shape[0]
@@ -200,17 +197,19 @@ def recognised(
 
 
 def doubts_of(writer: Writer, centre: Array, odometer_m: Array, found: Openings, when: Array) -> Array:
-    """Which known divergences a place may be that is written as a new one: hypotheses, until one more node decides.
+    """Return loop-closure hypotheses for a place written as a new node: known divergences that it may be.
+
+    One more node decides among them.
 
     Args:
       writer: `Writer` before the place was written.
       centre: `[2]` float32, of the place, odometry.
       odometer_m: float32, there.
-      found: `Openings` of it.
-      when: bool, whether to look at all.
+      found: its `Openings`.
+      when: bool, False: do nothing.
 
     Returns:
-      `[N]` float32: by how much its frame is turned if it is that node, radians; NaN: it is not.
+      `[N]` float32: turn of its frame if it is that node, radians; NaN: no hypothesis.
     """
     map_, n = writer.map, writer.map.kind.shape[0]
     off_m = jnp.hypot(map_.x_m - centre[0], map_.y_m - centre[1])
@@ -225,21 +224,21 @@ def doubts_of(writer: Writer, centre: Array, odometer_m: Array, found: Openings,
 
 
 def decided(writer: Writer, kind: Array, centre: Array, odometer_m: Array, found: Openings) -> Writer:
-    """Takes the last node for a known one if the way from there on, and the place to which it has led, say so.
+    """Resolve the hypotheses about the last node by the way from there and the place at its end.
 
-    A hypothesis holds if a known link leaves that node in the direction in which the robot has left this one, gets on
-    as far, and leads to a node of the kind, and with the ways, of the place where the robot is now. If just one holds,
-    the last node is that one, and the robot has followed the known link: what it has written since goes. All others are
-    dropped and counted.
+    A hypothesis holds if a known link leaves its node in the direction in which the robot has left this one, has the
+    same length, and leads to a node of the same kind and exits as the robot's place. If exactly one holds, the last
+    node is that node and the robot has followed the known link: what it has written since is removed. All other
+    hypotheses are dropped and counted.
 
     Source:
       Choset and Nagatani 2001, Topological simultaneous localization and mapping.
 
     Args:
       writer: `Writer` with `doubts` of its last node.
-      kind, centre, odometer_m: of the place where the robot is now: int32, `NONE` where it can be none that is known;
-        `[2]` float32, odometry; float32.
-      found: `Openings` of it, if it is a divergence.
+      kind, centre, odometer_m: of the robot's place: int32, `NONE` where it cannot be a known one; `[2]` float32,
+        odometry; float32.
+      found: its `Openings`, if it is a divergence.
 
     Returns:
       `Writer`, without doubts.
@@ -275,7 +274,7 @@ def decided(writer: Writer, kind: Array, centre: Array, odometer_m: Array, found
 
 
 def _holds(writer, node, turn, kind, centre, odometer_m, found):
-    """Whether the last node may be another one, and the robot has followed a known link of that: `(holds, link)`."""
+    """Return whether the last node may be another one, reached along a known link of that node: `(holds, link)`."""
     map_, size = writer.map, writer.map.start.shape[0]
     ends, bearings = ends_at(map_, node)
     off = jnp.where(ends, jnp.abs(btm.wrapped(bearings - writer.left_bearing - turn)), jnp.inf)
@@ -292,9 +291,7 @@ def _holds(writer, node, turn, kind, centre, odometer_m, found):
 
 
 def _joined(map_, last, node, turn):
-    """The map without its last node, which is another one: the link that led there leads to that, whose frame is turned
-    so far, radians.
-    """
+    """Replace the last node by a known one, at which its link then ends and whose frame differs by `turn`, radians."""
     size = map_.start.shape[0]
     comes = (map_.end == last) & (map_.status == btm.SEARCHED)
     link = jnp.where(jnp.any(comes), jnp.argmax(comes), size)
@@ -319,7 +316,7 @@ def _joined(map_, last, node, turn):
 
 
 def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array, Array]:
-    """The searched link from another node that a node has where the robot comes in: `(link, whether there is one)`.
+    """Find the searched link from another node at the side where the robot comes in: `(link, bool: found)`.
 
     Args:
       map_: `Btm`.
@@ -335,7 +332,7 @@ def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array,
 
 
 def is_any_open(map_: Btm, tries: Array) -> Array:
-    """Whether a link is un-searched and not given up, as that on which the robot arrives is until it ends: bool.
+    """Return whether any link is un-searched and not given up, such as the one the robot arrives on: bool.
 
     Args:
       map_: `Btm`.
@@ -345,7 +342,7 @@ def is_any_open(map_: Btm, tries: Array) -> Array:
 
 
 def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Writer, Btm, Array, Array]:
-    """The link by which the robot goes on from a place.
+    """Choose the link by which the robot goes on from a place.
 
     Un-searched links that it has set off on in vain are given up, and searched ones that lead elsewhere are followed no
     more; when nothing else is left, all of them get another chance. After that the searched ones get one whenever
@@ -389,7 +386,7 @@ def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Write
 
 
 def _failed(writer, node):
-    """`Writer.fails` with the link that the robot has come by to a node."""
+    """Return `Writer.fails` with the link by which the robot has come to a node."""
     size = writer.map.start.shape[0]
     link = jnp.minimum(writer.link, size - 1)
     followed, to = leads_to(writer)

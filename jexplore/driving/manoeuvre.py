@@ -1,4 +1,4 @@
-"""How the robot gets round what stands in its way: past it, by turning where there is room, or by backing out.
+"""Obstacle avoidance: driving past, turning where there is room, or backing out.
 
 Between a target point and the wheels. A direction is taken in which the robot's width fits, the nearest to the target
 (target approach, wall following while the way is blocked, target approach; Mano et al., Fig. 7). Before it turns in
@@ -28,18 +28,18 @@ ASIDE_RAD = 1.0  # the robot goes straight back from a pose from which it has tu
 STOP_M = 0.25  # a direction is blocked whose way is no longer than this
 GO_M = 0.4  # another one is taken whose way is as long as this
 GLANCE_RAD = 0.2  # a turn is begun that can be gone on with for so long
-STEER, MOST_STEER_RAD = 3.0, 0.25  # it heads so far to the side for each metre that it is beside the trail
-BACK_M = 0.15  # the robot goes back so far at least
+STEER, MOST_STEER_RAD = 3.0, 0.25  # rad/m, rad; steering per metre of offset from the trail, and its maximum
+BACK_M = 0.15  # m; least distance of backing up
 MOST_BACK_M = 8.0
-AWAY_M = 0.4  # where it can go back no farther it goes ahead so far, and as much to the side that it wants as is free
+AWAY_M = 0.4  # m; distance driven ahead where it cannot back farther, and as much to the wanted side as is free
 AWAY_RAD_S = 0.0, 0.1, 0.2, 0.5, 1.0  # turning so fast
-LEAST_BACK_M = 0.005  # a step counts so much, turns too
-AHEAD_S = 0.2  # a step is looked at so far ahead
+LEAST_BACK_M = 0.005  # m; progress counted for a step, turning included
+AHEAD_S = 0.2  # s; look-ahead of a step
 FREES = 8  # steps for which it goes on with what gets it away from what it has touched
 AGAIN = 12  # and steps after these within which the next way is tried where it touches again: more than lead back
-LEAN = 0.1  # turn rate, radians a second: close beside a wall its outline allows no larger one
+LEAN = 0.1  # turn rate, rad/s: next to a wall the outline allows no larger one
 LEAST_LEAN = LEAN / 8
-# What it tries: speeds, in halves of its speed, and turn rates away from what is nearest.
+# Recovery attempts: speeds, in halves of its speed, and turn rates away from the nearest point.
 WAYS = *((v, turn) for turns in ((0, LEAN), (0.5, -0.5), (1, -1)) for v in (-1, 1) for turn in turns), (0, 1), (0, -1)
 SLACK_M = 0.01  # between a wall and the robot's outline after a step
 STICK = 0.3  # weight of the direction taken before
@@ -47,14 +47,14 @@ STICK = 0.3  # weight of the direction taken before
 
 @struct.dataclass
 class Manoeuvre:
-    """What the robot remembers of how it gets round things."""
+    """Memory of obstacle avoidance between steps."""
 
     trail: Array  # [TRAIL, 3] float32, poses of the way here, odometry without corrections; a ring
     length: Array  # int32, place of the next one, counted on
     kept: Array  # int32, poses that it holds
     backing: Array  # bool, it is going back
     backed_m: Array  # float32, how far
-    away_m: Array  # float32, so far it still goes ahead, for there is no room behind it; 0: it does not
+    away_m: Array  # float32, distance still to drive ahead because there is no room behind; 0: none
     tried: Array  # int32, which of `WAYS` it tries to get away from what it has touched
     frees: Array  # int32, steps left: above `AGAIN` it still goes that way, below a touch makes it try the next one
     avoiding: Array  # bool, it goes round something
@@ -63,7 +63,7 @@ class Manoeuvre:
 
 
 def at_rest(pose: Array) -> Manoeuvre:
-    """Nothing in the way, at a pose `[3]`."""
+    """Return an empty memory at a pose `[3]`."""
     return Manoeuvre(
         trail=jnp.zeros((TRAIL, 3)).at[0].set(pose),
         length=jnp.int32(1),
@@ -79,12 +79,12 @@ def at_rest(pose: Array) -> Manoeuvre:
 
 
 def is_open(ways_m: Array, within_rad: float, long_m: float) -> Array:
-    """Whether some direction near straight ahead has a way so long: bool."""
+    """Return whether some direction near straight ahead is free over a length: bool."""
     return jnp.any((ways_m >= long_m) & (jnp.abs(DIRECTION) <= within_rad))
 
 
 def remembered(now: Manoeuvre, pose: Array) -> Manoeuvre:
-    """With the pose on the trail, if the robot has moved on since the last one; none while it goes back."""
+    """Add the pose to the trail, if the robot has moved on since the last one; not while it goes back."""
     last = now.trail[(now.length - 1) % TRAIL]
     adds = (jnp.hypot(pose[0] - last[0], pose[1] - last[1]) >= TRAIL_M) & ~now.backing
     at = jnp.where(adds, now.length % TRAIL, TRAIL)
@@ -103,7 +103,7 @@ def drive(
     tuning: Tuning,
     robot: Robot,
 ) -> tuple[Manoeuvre, Array, Array]:
-    """Speed and turn rate towards a target, round what stands in the way.
+    """Compute speed and turn rate towards a target, round obstacles.
 
     Args:
       now: `Manoeuvre`.
@@ -155,7 +155,7 @@ def drive(
 
 
 def _tries(now, touched):
-    """With the way that it tries to get away from what it has touched: the next one, if it still tried one."""
+    """Advance the recovery: the next attempt, if it still tried one."""
     return now.replace(
         tried=jnp.where(touched, jnp.where(now.frees > 0, (now.tried + 1) % len(WAYS), 0), now.tried),
         frees=jnp.where(touched, FREES + AGAIN, jnp.maximum(now.frees - 1, 0)),
@@ -163,7 +163,7 @@ def _tries(now, touched):
 
 
 def _round(now, ways_m, pose, bearing, turning):
-    """The direction in which to drive, and whether it is another than that of the target."""
+    """Return the direction in which to drive, and whether it differs from that of the target."""
     off = jnp.abs(wrapped(DIRECTION - bearing))
     here = ways_m[jnp.argmin(off)]
     free = ways_m >= GO_M
@@ -174,20 +174,21 @@ def _round(now, ways_m, pose, bearing, turning):
 
 
 def _room_m(around, robot, ahead_m, turn):
-    """How far the nearest point is outside the robot's outline after a short way, or inside if below 0, metres."""
+    """Compute the distance of the nearest point from the robot's outline after a motion, metres; below 0: inside."""
     xy, known = surround.points(surround.moved(around, ahead_m, jnp.float32(0), turn))
     outside = jnp.maximum(jnp.abs(xy[:, 0]) - robot.length_m / 2, jnp.abs(xy[:, 1]) - robot.width_m / 2)
     return jnp.min(jnp.where(known, outside, jnp.inf))
 
 
 def _meets(around, robot, ahead_m, turn):
-    """Whether the robot's outline meets a point after a short way."""
+    """Return whether the robot's outline meets a point after a short motion."""
     return _room_m(around, robot, ahead_m, turn) < SLACK_M
 
 
 def _backs(now, around, robot, in_place, wanted, omega, touched):
-    """Whether the robot begins to go back, as it cannot turn as it wants or has touched something; and whether it has
-    gone back far enough: `(starts, enough)`.
+    """Decide about backing up: `(starts, enough)`.
+
+    It starts when the robot cannot turn as wanted or has touched something; `enough`: it has backed far enough.
     """
     margin_m = jnp.where(now.backing, 2 * surround.MARGIN_M, surround.MARGIN_M)
     needed = jnp.where(now.backing, jnp.pi, jnp.minimum(wanted, GLANCE_RAD))
@@ -202,9 +203,11 @@ def _backs(now, around, robot, in_place, wanted, omega, touched):
 
 
 def _beside(around, robot):
-    """Where something is nearest beside the robot, 1 to the left and -1 to the right; how near to its front half; and
-    whether it leaves no room to turn in place, while there is room between it and the other side, and behind: `(side,
-    off_m, leans)`.
+    """Find the nearest obstacle to either side of the robot.
+
+    Returns:
+      `(side, off_m, leans)`: 1 left, -1 right; distance from the robot's front half; bool, it leaves no room to turn in
+        place while there is room on the other side and behind.
     """
     xy, known = surround.points(around)
     x, y = xy.T
@@ -228,17 +231,17 @@ def _beside(around, robot):
 
 
 def _gets_free(speed, side):
-    """`WAYS` as `[K, 2]`, metres and radians a second."""
-    # Going ahead, it leaves what is to the left by turning right; going back, by turning left.
+    """Return `WAYS` as `[K, 2]`, metres and radians a second."""
+    # Going ahead, it leaves an obstacle on the left by turning right; going back, by turning left.
     return jnp.stack([jnp.stack([v * speed / 2, jnp.float32(turn) * side * (-1 if v > 0 else 1)]) for v, turn in WAYS])
 
 
 def _back(now, around, robot, pose, speed):
-    """Speed and turn rate to the pose before, how many poses are left, and whether it can neither go so, nor straight
-    back, nor lean: `(v, omega, length, wedged)`.
+    """Return speed and turn rate to the previous pose: `(v, omega, length, wedged)`.
 
-    Where that would touch, it goes straight back, and where that would, by whatever leads farthest away. Along a wall
-    it leans away from that, else it would be as near after any way back.
+    `length` is the number of poses left; `wedged`: the robot can go neither there, nor straight back, nor along a wall.
+    If that would touch, it goes straight back, else by the motion that leads farthest. Along a wall it leans away, to
+    gain distance.
     """
     goal = now.trail[(now.length - 1) % TRAIL]
     offset = goal[:2] - pose[:2]
@@ -258,8 +261,8 @@ def _back(now, around, robot, pose, speed):
     ways = jnp.concatenate([ways, _gets_free(speed, side)])
     room_m = jax.vmap(lambda way: _room_m(around, robot, way[0] * AHEAD_S, way[1] * AHEAD_S))(ways)
     leans &= (now.frees <= AGAIN) & (room_m[0] > jnp.minimum(off_m, 0) - SLACK_M)
-    # As planned, or straight back; where neither is free, by what leads farthest away; where a step has met what is not
-    # seen, by one after the other.
+    # As planned, or straight back; where neither is free, the motion that leads farthest; after contact with something
+    # unseen, one attempt after the other.
     free = room_m[1:3] >= SLACK_M
     best = jnp.where(jnp.any(free), 1 + jnp.argmax(free), jnp.argmax(room_m))
     best = jnp.where(now.frees > AGAIN, 2 + now.tried, jnp.where(leans, 0, best))
@@ -269,7 +272,7 @@ def _back(now, around, robot, pose, speed):
 
 
 def _back_or_away(now, around, robot, pose, speed, side):
-    """`_back`, and how far it still goes ahead: where there is no room behind it goes away from there."""
+    """Return `_back`, and the distance still to drive ahead: without room behind the robot drives away."""
     back_v, back_omega, length, wedged = _back(now, around, robot, pose, speed)
     away_v, away_omega, is_free = _away(around, robot, speed, side)
     away = is_free & (now.frees <= AGAIN) & (wedged | (now.away_m > 0))
@@ -279,7 +282,7 @@ def _back_or_away(now, around, robot, pose, speed, side):
 
 
 def _away(around, robot, speed, side):
-    """Speed and turn rate ahead, as much to one side as is free, and whether any way is: `(v, omega, is_free)`."""
+    """Return speed and turn rate ahead, with as much to one side as is free: `(v, omega, is_free)`."""
     omega = jnp.concatenate([side * jnp.asarray(AWAY_RAD_S), -side * jnp.asarray(AWAY_RAD_S[1:])])
     room_m = jax.vmap(lambda omega: _room_m(around, robot, speed / 2 * AHEAD_S, omega * AHEAD_S))(omega)
     free = room_m >= SLACK_M

@@ -1,4 +1,4 @@
-"""How the robot writes its map while it drives: what it remembers of the way, and when a node is made.
+"""Writing the map while driving: the record of the way, and the moment at which a node is made.
 
 A node is made on arrival, never from afar: a divergence at the middle of its circle, free space where the robot enters
 and leaves it, an obstacle where the ground's inclination changes or a single step lies, known once the robot stands
@@ -39,7 +39,7 @@ class Way:
     odometer_m: Array  # [T] float32, inf where there was no step yet
     pose: Array  # [T, 3] float32, odometry: x, y, metres; heading, radians
     pitch: Array  # [T] float32, measured, radians
-    roll: Array  # [T] float32, likewise
+    roll: Array  # [T] float32, as `pitch`
     posture: Array  # [T] float32, inclination of the body, radians
     width_m: Array  # [T] float32, of the passage; inf where a side is open
     ground_x_m: Array  # [T] float32, odometer at the point that the downward scanner saw; inf for none
@@ -49,7 +49,7 @@ class Way:
 
 
 def no_way(size: int) -> Way:
-    """A way of no steps; `size` static."""
+    """Return a way of no steps; `size` static."""
     return Way(
         odometer_m=jnp.full(size, jnp.inf),
         pose=jnp.zeros((size, 3)),
@@ -77,7 +77,7 @@ class Level:
 
 @struct.dataclass
 class Writer:
-    """What the robot knows while it writes."""
+    """State of writing a map."""
 
     map: Btm
     way: Way
@@ -105,7 +105,7 @@ class Writer:
 def begin(
     n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array | bool, guide: Guide | None = None
 ) -> Writer:
-    """A map of the node where the robot starts, the link on which it sets off and, if there is one, the one behind.
+    """Return a map with the start node, the link on which the robot sets off and, if it exists, the one behind.
 
     Sizes static.
     """
@@ -145,25 +145,23 @@ def begin(
 
 
 def lean(pitch: Array, roll: Array, heading: Array) -> Array:
-    """Which way the ground rises under a robot, and by what angle: `[2, ...]`, radians. Heading and result are in the
-    same frame, such as the odometry's.
-    """
+    """Return direction and angle of the slope under a robot: `[2, ...]`, radians, in the frame of the heading."""
     cos, sin = jnp.cos(heading), jnp.sin(heading)
     return jnp.stack([-pitch * cos - roll * sin, -pitch * sin + roll * cos])
 
 
 def lean_of(way: Way, step: Array) -> tuple[Array, Array]:
-    """How the ground leans on which the robot stands: which way it rises in the odometry's frame, and by what angle.
+    """Estimate direction (odometry frame) and angle of the slope on which the robot stands.
 
-    A robot that turns on a slope pitches and rolls otherwise than before; the lean of the slope stays what it is.
+    A robot that turns on a slope changes pitch and roll; the estimated slope stays the same.
 
     Args:
       way: `Way`, with this step.
       step: int32.
 
     Returns:
-      `(lean, odometer_m)`: `[2]` float32, radians, averaged over as many steps as the attitude's noise asks for, which
-        is told by the pitch; float32, in the middle of them.
+      `(lean, odometer_m)`: `[2]` float32, radians, averaged over as many steps as the noise of the pitch requires;
+        float32, in the middle of these steps.
     """
     first = jnp.clip(step + 1 - LEAN_STEPS, 0, way.pitch.shape[0] - LEAN_STEPS)
     pitch, roll, odometer_m = (
@@ -178,7 +176,7 @@ def lean_of(way: Way, step: Array) -> tuple[Array, Array]:
 def watch_level(
     level: Level, lean: Array, odometer_m: Array | float, threshold: Array | float, even_m: Array | float
 ) -> tuple[Level, Array, Array, Array]:
-    """Takes one more lean into account.
+    """Take one more lean into account.
 
     Args:
       level: `Level`.
@@ -219,13 +217,15 @@ def watch_level(
 
 
 def moved(writer: Writer, centre: Array, turn: Array | float) -> Array:
-    """How a node lies from the last one as the odometry has it, in the frame of that one: `[3]` float32, x, y, metres;
-    how far its own frame is turned, radians, NaN where nobody knows.
+    """Return the odometry pose of a node in the frame of the last one.
 
     Args:
       writer: `Writer`.
       centre: `[2]` float32, odometry, of the node.
       turn: of its own frame against the odometry's, radians.
+
+    Returns:
+      `[3]` float32: x, y, metres; turn of its own frame, radians, NaN if unknown.
     """
     cos, sin = jnp.cos(writer.origin[2]), jnp.sin(writer.origin[2])
     x, y = centre - writer.origin[:2]
@@ -233,13 +233,14 @@ def moved(writer: Writer, centre: Array, turn: Array | float) -> Array:
 
 
 def pose_at(way: Way, odometer_m: Array | float) -> Array:
-    """The pose when the odometer had a value: `[3]` float32."""
+    """Return the pose when the odometer had a value: `[3]` float32."""
     return way.pose[jnp.argmax(way.odometer_m >= odometer_m)]
 
 
 def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array, Array]:
-    """Narrowest passage, largest inclination of the body and largest roll between two places: `(metres, degrees,
-    degrees)`; inf, 0 and 0 for no step.
+    """Return extremes between two places: `(metres, degrees, degrees)`; inf, 0 and 0 for no step.
+
+    They are the narrowest passage, the largest inclination of the body and its largest roll.
     """
     within = (way.odometer_m >= from_m) & (way.odometer_m <= to_m)
     known = within & jnp.isfinite(way.width_m)
@@ -252,14 +253,15 @@ def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, 
 
 
 def has_left(writer: Writer, odometer_m: Array | float, leave_m: Array | float) -> Array:
-    """Whether the robot has gone twice as far as it takes to leave the last node: it may come back to it."""
+    """Return whether the robot has gone twice the distance for leaving the last node: it may return to it."""
     last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
     return odometer_m - writer.node_m >= 2 * (writer.map.radius_m[last] + leave_m)
 
 
 def came_from(writer: Writer, centre: Array, radius: Array) -> Array:
-    """Where the robot was last, since the last node, before it came into a circle; if it never was outside, where it
-    began to approach: `[2]` float32, odometry.
+    """Return the last position outside a circle since the last node: `[2]` float32, odometry.
+
+    If the robot never was outside: the position where it began to approach.
     """
     outside = jnp.hypot(*(writer.way.pose[:, :2] - centre).T) >= radius
     last = jnp.max(jnp.where(outside & _since_node(writer), jnp.arange(outside.shape[0]), -1))
@@ -267,7 +269,7 @@ def came_from(writer: Writer, centre: Array, radius: Array) -> Array:
 
 
 def came_through(writer: Writer, middles: Array, across: Array, width_m: Array) -> Array:
-    """The last step since the last node at which the robot was just beyond an opening: `[K]` int32, -1 for none.
+    """Return the last step since the last node at which the robot was just beyond an opening: `[K]` int32, -1 for none.
 
     Args:
       writer: `Writer`.
@@ -282,14 +284,13 @@ def came_through(writer: Writer, middles: Array, across: Array, width_m: Array) 
 
 
 def broken_off(writer: Writer, pose: Array, odometer_m: Array, steps: Array, when: Array) -> tuple[Btm, Array]:
-    """The map of a run that breaks off on a link that it had not searched: this ends where the robot stands, and what
-    lies before it has not been searched.
+    """End the map of a run that breaks off on an un-searched link: it ends at the robot and continues un-searched.
 
     Args:
       writer: `Writer`.
       pose: `[3]` float32, odometry.
       odometer_m: float32.
-      steps: int32, of the run: what the way holds from there on is none of it.
+      steps: int32, of the run: later entries of the way are not part of the run.
       when: bool, whether the run breaks off.
 
     Returns:
@@ -318,10 +319,9 @@ def _since_node(writer):
 
 
 def is_near_known(writer: Writer, centres: Array, odometer_m: Array | float, leave_m: Array | float) -> Array:
-    """Which places are the divergence that the robot has just left, or one that was none: `[T]` bool.
+    """Return which places are the divergence just left, or a candidate just rejected: `[T]` bool.
 
-    No second node is made within half a metre, or the circle's radius, of the last one, until the robot has gone so far
-    that it may come back.
+    No second node is made within half a metre, or the circle's radius, of the last one until the robot may return.
     """
     last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
     is_divergence = writer.map.kind[last] == btm.DIVERGENCE
@@ -337,7 +337,7 @@ def is_near_known(writer: Writer, centres: Array, odometer_m: Array | float, lea
 
 
 def note(state: Any, senses: Senses, width_m: Array, robot: Robot) -> Writer:
-    """Keeps what a step measured; no width where the robot turns in place.
+    """Record the measures of a step; no width where the robot turns in place.
 
     Args:
       state: `mission.State`.
@@ -373,16 +373,15 @@ def note(state: Any, senses: Senses, width_m: Array, robot: Robot) -> Writer:
 
 
 def truly_at(node_at: Array, before: Writer, after: Writer, at: Array) -> tuple[Array, Array]:
-    """Keeps where the robot truly is when it makes a node, and tells when it takes a place for another one.
+    """Record the true position at which a node is made, and report wrong node matches.
 
     Args:
-      node_at: `[N, 2]` float32, metres, of the nodes so far.
+      node_at: `[N, 2]` float32, metres, of the existing nodes.
       before, after: `Writer` before and after the step.
-      at: `[2]` float32, where the robot truly is.
+      at: `[2]` float32, true position of the robot.
 
     Returns:
-      `(node_at, is_elsewhere)`: with the nodes that are new in this step; bool, whether the node that it is at again
-        truly lies elsewhere.
+      `(node_at, is_elsewhere)`: with the new nodes of this step; bool, the matched node truly lies elsewhere.
     """
     here, was = (jnp.stack([writer.map.x_m, writer.map.y_m]) for writer in (after, before))
     is_new = jnp.any(here != was, axis=0) & (jnp.arange(node_at.shape[0]) < after.map.n_nodes)  # its number may be old

@@ -50,7 +50,7 @@ BLIND_STEPS = 20  # scans in a row, most of whose beams give no number, that end
 
 
 class Outcome(enum.IntEnum):
-    """How a run ended."""
+    """Outcome of a run."""
 
     RUNNING = 0
     GOAL = 1
@@ -67,7 +67,7 @@ class Outcome(enum.IntEnum):
     ARRIVED = 7
     """The end of the route that the robot follows is reached."""
     LOST = 8
-    """What the robot finds is not what its route says, or it cannot pass there."""
+    """The observations contradict the route, or the robot cannot pass there."""
 
 
 BROKEN_OFF = (Outcome.STUCK, Outcome.BLIND, Outcome.STEP_LIMIT)
@@ -80,7 +80,7 @@ class State:
 
     body: Body
     estimate: Array  # [3] float32, odometry, corrected where a node is met again
-    odometry: Array  # [3] float32, likewise without corrections
+    odometry: Array  # [3] float32, odometry without corrections
     around: Surround  # where the last scan was taken
     scanned: Array  # [3] float32, odometry without corrections there
     key: Key
@@ -116,7 +116,7 @@ class State:
 
 
 class Setup(NamedTuple):
-    """What is fixed before a run is compiled. Hashable."""
+    """Static config of a run. Hashable."""
 
     room: int  # T, steps that there is room for
     n_nodes: int = SIZE[0]  # N, most of a map
@@ -125,7 +125,7 @@ class Setup(NamedTuple):
 
 @struct.dataclass
 class Result:
-    """What is kept of a run."""
+    """Result of a run."""
 
     map: Btm
     outcome: Array  # int32, `Outcome`
@@ -146,12 +146,12 @@ class Result:
 
 
 def _is_open(building):
-    """Whether a run has no goal: it goes on until nothing is left, behind its start as well."""
+    """Return whether a run has no goal: it continues until nothing is left, behind its start as well."""
     return jnp.isnan(building.goal[0])
 
 
 def at_start(setup: Setup, building: Building, robot: Robot, start: Array, guide: Guide | None = None) -> State:
-    """The state before the first step, without random numbers. `setup` static; `start` from `batch.pose_in`."""
+    """Return the state before the first step, without random numbers. `setup` static; `start` from `batch.pose_in`."""
     zero, none = jnp.float32(0), jnp.int32(0)
     start = jnp.asarray(start, jnp.float32)
     return State(
@@ -193,12 +193,12 @@ def at_start(setup: Setup, building: Building, robot: Robot, start: Array, guide
 
 
 def steadied(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
-    """What the scanner that looks ahead says, its noise averaged, in the plane: see `vehicle.levelled`."""
+    """Return the forward scan in the plane with its noise averaged: see `vehicle.levelled`."""
     return levelled(senses.replace(ranges_m=steadying.scan(senses.ranges_m)), robot)
 
 
 def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: Noise, state: State) -> State:
-    """One step of a run: sense, perceive, write, decide, move.
+    """Make one step of a run: sense, perceive, write, decide, move.
 
     Args:
       draws, state: `Draws`, `State`.
@@ -256,7 +256,7 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
 
 
 def _decided(state, writer, ahead, at, at_goal, is_open, tuning, robot):
-    """What branch selection does, and the node that is due: `(writer, drive, ahead, event)`."""
+    """Run branch selection and find the node that is due: `(writer, drive, ahead, event)`."""
     around, ways_m, placed = at
     drive, track, begins, arrives, gives_up = approach.latched(state, ahead, around, ways_m, placed, tuning, robot)
     none = jnp.stack([*ahead.track.centre, ahead.track.radius, state.odometer_m])
@@ -291,7 +291,7 @@ def _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot)
 
 
 def _moved(draws, building, robot, noise, state, estimate, senses, speed):
-    """The state once the robot has moved: its body and its odometry."""
+    """Return the state once the robot has moved: its body and its odometry."""
     body, gone_to, gone_m = move(draws, building, robot, noise, state.body, estimate, senses, speed[0], speed[1])
     step_m, turn = to_robot(estimate)(gone_to[:2]), gone_to[2] - estimate[2]
     return state.replace(
@@ -327,7 +327,7 @@ def _draws_from(key, first, noise):  # of `BLOCK` steps
 
 
 def begin(setup: Setup, given: Given) -> State:
-    """A run before its first step.
+    """Return the state of a run before its first step.
 
     Args:
       setup: `Setup`. Static.
@@ -344,7 +344,7 @@ def begin(setup: Setup, given: Given) -> State:
 
 
 def advance(setup: Setup, given: Given, state: State) -> State:
-    """One step of a run: a `State`. Arguments as for `begin`.
+    """Make one step of a run: a `State`. Arguments as for `begin`.
 
     A run that is done writes on beyond its last step, where nobody looks.
     """
@@ -358,7 +358,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
 
 
 def finish(setup: Setup, given: Given, state: State) -> Result:
-    """The `Result` of a run that has ended. Arguments as for `begin`."""
+    """Return the `Result` of a run that has ended. Arguments as for `begin`."""
     del setup, given
     body, breaks_off = state.body, jnp.isin(state.outcome, jnp.array(BROKEN_OFF, jnp.int32))
     map_, node = mapping.broken_off(state.writer, state.estimate, state.odometer_m, state.step, breaks_off)
@@ -383,7 +383,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
 
 
 def _keep(state):
-    """The way of a run, step by step: poses, estimates, run modes, pitch."""
+    """Return the way of a run, step by step: poses, estimates, run modes, pitch."""
     return state.truth, state.writer.way.pose, state.writer.way.mode, state.writer.way.pitch
 
 
@@ -392,7 +392,7 @@ def _is_done(state):
 
 
 def program_of(setup: Setup) -> Program:
-    """A run as a `Program`.
+    """Return a run as a `Program`.
 
     Source:
       Mano et al., sections 2 and 3.

@@ -1,4 +1,4 @@
-"""How a node of the map is made: which one it is, the links that end and begin there, and where to go on."""
+"""Making a node: its identity, the links that end and begin there, and the choice of the next link."""
 
 import dataclasses
 import math
@@ -22,12 +22,12 @@ from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import to_odometry, towards
 
 OPENINGS = 8  # of a divergence
-DOOR_BEFORE_M = 3.0  # a door that was passed so far before another opening is the way in
-NEW_RAD = math.radians(25)  # an opening of a known place that bears farther from all its links is one more
+DOOR_BEFORE_M = 3.0  # m; a door passed within this before another opening is the way in
+NEW_RAD = math.radians(25)  # an opening of a known place that bears farther from all its links is a new one
 SHIFT_M = 0.7  # the odometry's place is corrected by half at a node met again no farther than this away, metres
 SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
 LED_M = 1.5  # and so near to where a known link leads to one
-TURN_SHARE, SHIFT_SHARE = 0.2, 0.5  # of what is found there: it is less sure than what scans have said on the way
+TURN_SHARE, SHIFT_SHARE = 0.2, 0.5  # applied shares of the correction: scan matching is more certain
 
 
 @struct.dataclass
@@ -64,7 +64,7 @@ class Arrival(NamedTuple):
 
 
 def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
-    """The node that is due: one that is known, or a new one."""
+    """Return the node that is due: one that is known, or a new one."""
     is_obstacle = event.kind == btm.OBSTACLE
     near, distance = btm.nearest_node(writer.map, event.centre[0], event.centre[1], event.kind)
     # A place is in the circle of a node, and the node in that of the place.
@@ -100,11 +100,12 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
 
 
 def _find_openings(writer, event, points, tuning, is_divergence):
-    """Openings of a divergence, and the way in: the one by which the robot came last, else the nearest to where it came
-    from. There is none where it started within.
+    """Find the openings of a divergence and the way in: the last one used, else the nearest to the robot's way.
+
+    A robot that started inside has no way in.
 
     Returns:
-      `(found, others, back)`: `openings.Openings`; which of them are not the way in; bearing of that way, radians.
+      `(found, others, back)`: `openings.Openings`; `[K]` bool, all but the way in; its bearing, radians.
     """
     came = jnp.where(
         is_divergence, came_from(writer, event.centre, event.radius) - event.centre, -towards(event.pose[2])
@@ -133,8 +134,9 @@ def _find_openings(writer, event, points, tuning, is_divergence):
 
 
 def _by_door(passed, width_m, odometer_m):
-    """Steps at which openings were passed, -1 for none: of doors alone, if the robot has just passed one. Who comes by
-    a door passes a wider opening that lies before it as well.
+    """Return the steps at which openings were passed, -1 for none: of doors alone, if the robot has just passed one.
+
+    A robot that comes by a door passes a wider opening before it as well.
     """
     gone_m = odometer_m[jnp.max(passed)] - odometer_m[passed]
     door = (passed >= 0) & (gone_m < DOOR_BEFORE_M) & (width_m <= openings.DOOR_M)
@@ -142,18 +144,18 @@ def _by_door(passed, width_m, odometer_m):
 
 
 def _holds_start(writer, event):
-    """Whether the robot comes from its start, which lies in the circle."""
+    """Return whether the robot comes from its start, which lies in the circle."""
     off_m = jnp.hypot(event.centre[0] - writer.map.x_m[0], event.centre[1] - writer.map.y_m[0])
     return (writer.node == 0) & (off_m < event.radius)
 
 
 def _end_way_here(map_, writer, event, at, back, step_m):
-    """Ends the link that led here: `(map, link)`.
+    """End the link that led here: `(map, link)`.
 
-    On a known link to a known node nothing is new; a new node on it shows that the robot has left it unawares: it came
-    by a way of its own. On a new link to a known node, the node's own record of it goes; where it comes in by a known
-    link from the same node, it has left the new one unawares. A new link that leads back to its own opening is none
-    that could be followed.
+    On a known link to a known node nothing is new; a new node on it shows that the robot has left the link unawares, by
+    a way of its own. On a new link to a known node, the node's own record is removed; if the robot comes in by a known
+    link from the same node, it has left the new one unawares. A new link that leads back to its own opening could not
+    be followed and is dropped.
     """
     size = map_.start.shape[0]
     on_known = map_.status[jnp.minimum(writer.link, size - 1)] == btm.SEARCHED
@@ -174,11 +176,11 @@ def _end_way_here(map_, writer, event, at, back, step_m):
 def write(
     writer: Writer, event: Event, points: tuple[Array, Array], tuning: Tuning, robot: Robot
 ) -> tuple[Writer, Array, Array, Array, Array]:
-    """Makes the node that is due, ends the link that led to it, and chooses where to go on.
+    """Make the node that is due, end the link that led to it, and choose the next link.
 
     Args:
       writer, event: `Writer`; `Event`, of any kind but `NONE`.
-      points: what lies round the robot: `[P, 2]` float32, odometry; `[P]` bool, whether there is one.
+      points: around the robot: `[P, 2]` float32, odometry; `[P]` bool, valid.
       tuning, robot: `Tuning`, `Robot`.
 
     Returns:
@@ -233,7 +235,7 @@ def write(
 
 
 def _way_out(event, found, left, turn, leave_m, is_divergence):
-    """From the centre to a point on the link that is taken: `[2]`; and its direction there, radians."""
+    """Return the vector from the centre to a point on the link taken: `[2]`; and its direction there, radians."""
     bearing = left.bearing
     ways = leave_m * towards(bearing), bearing
     ways = _either_of(is_divergence, passing.through(event, found, bearing, turn, leave_m), ways)
@@ -244,9 +246,11 @@ def _way_out(event, found, left, turn, leave_m, is_divergence):
 
 
 def _turns(writer, event, at, found, tuning):
-    """How a node's openings are turned against its links: `(at, event, turn, applied, turned)`: the `Arrival` with how
-    it lies from the last node; the `Event` turned; radians: where it puts the odometry right, 0 elsewhere; how much of
-    that is done; of any node, NaN where nobody knows.
+    """Compare the bearings of a node's openings with its links.
+
+    Returns:
+      `(at, event, turn, applied, turned)`: `Arrival` with its pose from the last node; `Event`, turned; float32,
+        radians, turn that corrects the odometry, 0 elsewhere; its applied share; turn of any node, NaN if unknown.
     """
     turned, spread = links.turn_to(at.map, at.node, found)
     turn = jnp.where(at.met, turned, 0.0)
@@ -267,7 +271,7 @@ def made(
     tuning: Tuning,
     robot: Robot,
 ) -> tuple[Writer, Drive, Track, Array]:
-    """Makes the node that is due, if one is.
+    """Make the node that is due, if one is.
 
     Args:
       state: `mission.State`.
@@ -308,7 +312,7 @@ def made(
 
 
 def _add_openings(writer, map_, event, at, found, others, when):
-    """A divergence's links: `(writer, map)`.
+    """Add a divergence's links: `(writer, map)`.
 
     A new one has all its openings but the way in. One that is met again has those besides that bear otherwise than any
     of its links, for from elsewhere more may be seen; each is given up after one try. Not so before the gateways of a
@@ -341,13 +345,13 @@ def _either_of(condition, yes, no):
 
 
 def _border_left(writer, event):
-    """The border of a free space that is still ahead once a node has been made."""
+    """Return the border of a free space that is still ahead once a node has been made."""
     reached = (event.kind == btm.FREE_SPACE) & (event.odometer_m >= writer.border_m)
     return jnp.where(reached | (event.kind == btm.DIVERGENCE), jnp.inf, writer.border_m)
 
 
 def _end_link(map_, writer, event, at_node, back, step_m, link, when):
-    """Ends a link at a node."""
+    """End a link at a node."""
     found = {
         "length_m": event.odometer_m - writer.node_m,
         "min_width_m": at_node.width,

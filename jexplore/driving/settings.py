@@ -1,7 +1,7 @@
-"""Settings of a Behavioral Trace Map run: the robot, its sensors' noise, and every threshold of its perception.
+"""Settings of a trace run: the robot, its sensors' noise, and every threshold of its perception.
 
-Plain Python: importing this loads neither jax nor numpy. Every number is a leaf of the compiled run: a sweep over it is
-one batch. The docstrings are the command line's help texts.
+Plain Python: importing this loads neither jax nor numpy. Every number is a leaf of the compiled run: each sweep is a
+single batch. The docstrings are the command line's help texts.
 """
 
 import dataclasses
@@ -13,7 +13,7 @@ from jexplore.config import BOUNDS, InputError, Settings, checked_names, require
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Robot(Settings):
-    """What a robot is and what it can do."""
+    """Dimensions and limits of a robot."""
 
     name: str
     length_m: float
@@ -28,13 +28,13 @@ class Robot(Settings):
     scanner_height_m: float
     """Height of the downward scanner above the ground, metres."""
     scanner_x_m: float
-    """How far the downward scanner is before the robot's middle, metres."""
+    """Distance of the downward scanner before the robot's middle, metres."""
     scanner_angle_deg: float
     """Mount of the downward scanner: angle from the vertical, degrees."""
     scan_height_m: float
     """Height of the scanner that looks ahead above the ground, metres."""
     scan_pitch_deg: float = 0.0
-    """Mount of the scanner that looks ahead: how far it looks down, degrees."""
+    """Mount of the scanner that looks ahead: downward pitch, degrees."""
 
 
 ROBOTS = {
@@ -58,9 +58,9 @@ class Noise(Settings):
     odometry: float = 0.01
     """An encoder step has this standard deviation, relative to the step."""
     length_scale: float = 1.0
-    """The encoders report so many times the length of every step."""
+    """The encoders report the length of every step scaled by this."""
     turn_scale: float = 1.0
-    """The encoders report so many times every turn."""
+    """The encoders report every turn scaled by this."""
     heading_bias_deg_m: float = 0.0
     """The odometry's heading turns by this on every metre of way, in degrees, counter-clockwise."""
     heading_deg_sqrt_m: float = 0.5
@@ -78,8 +78,8 @@ class Tuning(Settings):
     """Thresholds of perception and behaviour. Letters in brackets are those of Mano et al."""
 
     width_m: float = 0.39
-    """What is narrower than this reference width [W], in metres, is no opening, and no side of a triangle. The default
-    is that of the narrowest robot, so that every robot makes the same map."""
+    """A gap narrower than this reference width [W], in metres, is no opening, and no side of a triangle. The default is
+    that of the narrowest robot, so that every robot makes the same map."""
     far_m: float = 0.0
     """Points farther away than this [D2], in metres, are left out of the triangles; less where the beams are too far
     apart on the walls. 0: 4 on courses, 8 in other worlds."""
@@ -106,7 +106,7 @@ class Tuning(Settings):
     obtuse_tol_deg: float = 10.0
     """A triangle is kept if no angle is more than this above 90 degrees; the paper's letter is 0."""
     votes: int = 5
-    """So many of the last nine scans, 1 to 9, must show a triangle before it is believed; 1 means no voting."""
+    """This many of the last nine scans, 1 to 9, must show a triangle before it is believed; 1 means no voting."""
     same_m: float = 0.4
     """Two circle centres nearer than this, in metres, are one."""
     tread_wave_m2: float = 2e-5
@@ -117,12 +117,11 @@ class Tuning(Settings):
     speed_m_s: float = 0.4
     """The robot approaches a target at this speed [Vc], in metres a second."""
     agree_deg: float = 0.0
-    """Where a place is met again and all its ways are turned alike within this, in degrees, the heading is put right by
-    `agree_share`."""
+    """Turns of all exits of a known place that agree within this, in degrees, correct the heading by `agree_share`."""
     agree_share: float = 1.0
-    """So much of the turn that such a place shows is put right; at others it is a fifth."""
+    """Share of the turn seen at such a place by which the heading is corrected; at other places it is a fifth."""
     helps: int = 3
-    """The run ends as STUCK when the operator has helped so many times since the last node."""
+    """The run ends as STUCK after this many times of operator help since the last node."""
     turn_gain: float = 1.5
     """The robot turns at this rate for each radian of bearing of the target point [kw], in 1/s."""
 
@@ -140,7 +139,7 @@ WHOLE = {"votes": 9, "helps": 100}
 
 
 def for_world(tuning: Tuning, *, is_course: bool) -> Tuning:
-    """Thresholds with the numbers for which 0 stands.
+    """Replace thresholds of 0 by the numbers that they stand for.
 
     Args:
       tuning: `Tuning` of numbers; anything else is returned as it is.
@@ -223,7 +222,7 @@ def require_robot(robot: Robot) -> None:
 
 
 def robot_of(name: str) -> Robot:
-    """A robot by name, with other measures where they are given: `kamui`, `kamui:width_m=0.6`.
+    """Make a robot by name, with other measures if given: `kamui`, `kamui:width_m=0.6`.
 
     Raises:
       InputError: no such robot or measure, or a value out of range.

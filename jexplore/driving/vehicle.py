@@ -1,4 +1,4 @@
-"""The robot as a body: where it stands in a building with height, what its sensors say, and how it moves.
+"""The robot as a body: pose and attitude in a building with height, sensor readings, and motion.
 
 A unicycle on two rigid tracks, with a scanner that looks ahead, one that looks down, an attitude sensor and encoders.
 """
@@ -37,7 +37,7 @@ FLOOR_M = 0.1  # a point no higher than this above the level on which the robot 
 
 @struct.dataclass
 class Building:
-    """Where a run takes place; cell (0, 0) begins at (0, 0)."""
+    """Building of a run; cell (0, 0) begins at (0, 0)."""
 
     walls: Walls
     terrain: Terrain
@@ -47,7 +47,7 @@ class Building:
 
 @struct.dataclass
 class Body:
-    """The robot in truth."""
+    """True state of the robot."""
 
     pose: Array  # [3] float32, x, y, metres; heading, radians
     pitch: Array  # float32, radians
@@ -62,10 +62,10 @@ class Body:
 
 @struct.dataclass
 class Senses:
-    """What the sensors say in one step."""
+    """Sensor readings of one step."""
 
     ranges_m: Array  # [B] float32, inf: no return; NaN: no reading
-    down_m: Array  # [D] float32, likewise
+    down_m: Array  # [D] float32, as `ahead_m`
     pitch: Array  # float32, radians
     roll: Array  # float32, radians
     beacon_m: Array  # float32, distance of the goal; inf: not heard
@@ -74,7 +74,7 @@ class Senses:
 
 @struct.dataclass
 class Draws:
-    """The random numbers of one step, standard normal but for the last."""
+    """Random numbers of one step, standard normal but for the last."""
 
     ranges: Array  # [B] float32
     down: Array  # [D] float32
@@ -85,7 +85,7 @@ class Draws:
 
 
 def draw(keys: Array, noise: Noise) -> Draws:
-    """Random numbers of steps.
+    """Draw the random numbers of steps.
 
     Args:
       keys: `[n]`, one a step; they are consumed.
@@ -112,26 +112,26 @@ def draw(keys: Array, noise: Noise) -> Draws:
 
 
 def draw_one(key: Array, noise: Noise) -> Draws:
-    """`draw` of one step: `Draws` without a leading axis."""
+    """Draw the random numbers of one step: `Draws` without a leading axis."""
     return jax.tree.map(lambda a: a[0], draw(key[None], noise))
 
 
 def down_directions(robot: Robot) -> Array:
-    """Unit vectors of the downward scanner's beams in the robot's frame: `[D, 3]` float32."""
+    """Return unit vectors of the downward scanner's beams in the robot's frame: `[D, 3]` float32."""
     tilt = jnp.radians(robot.scanner_angle_deg)
     ahead = jnp.cos(DOWN_RAD)
     return jnp.stack([jnp.sin(tilt) * ahead, jnp.sin(DOWN_RAD), -jnp.cos(tilt) * ahead], axis=1)
 
 
 def at_rest(building: Building, robot: Robot, pose: Array) -> Body:
-    """`Body` of a robot that has not moved yet."""
+    """Return the `Body` of a robot that has not moved yet."""
     pitch, roll, height, rise = attitude(building.terrain, pose, robot.length_m, robot.width_m)
     zero, none = jnp.float32(0), jnp.int32(0)
     return Body(pose, pitch, roll, height, rise, path_m=zero, contacts=none, refused=none)
 
 
 def sense(draws: Draws, building: Building, robot: Robot, noise: Noise, body: Body) -> Senses:
-    """What the sensors say.
+    """Compute the sensor readings of one step.
 
     Args:
       draws: `Draws`.
@@ -153,23 +153,23 @@ def sense(draws: Draws, building: Building, robot: Robot, noise: Noise, body: Bo
 
 
 def _mounted(body, x_m, height_m, direction):
-    """Where a scanner is, `(x, y, z)`, and the directions of its beams, `[D, 3]`, in the building."""
+    """Return the position of a scanner, `(x, y, z)`, and the directions of its beams, `[D, 3]`, in the building."""
     mount = turned(jnp.stack([jnp.float32(1) * x_m, 0.0, height_m])[None], body.pitch, body.roll, body.pose[2])[0]
     origin = body.pose[0] + mount[0], body.pose[1] + mount[1], body.height_m + mount[2]
     return origin, turned(direction, body.pitch, body.roll, body.pose[2])
 
 
 def ahead_directions(robot: Robot) -> Array:
-    """Unit vectors of the beams of the scanner that looks ahead in the robot's frame: `[B, 3]` float32."""
+    """Return unit vectors of the beams of the scanner that looks ahead in the robot's frame: `[B, 3]` float32."""
     pitch = jnp.radians(robot.scan_pitch_deg)
     ahead = np.cos(ANGLES_RAD)
     return jnp.stack([jnp.cos(pitch) * ahead, np.sin(ANGLES_RAD), -jnp.sin(pitch) * ahead], axis=1)
 
 
 def scan(draws: Draws, building: Building, robot: Robot, noise: Noise, body: Body) -> Array:
-    """What the scanner that looks ahead says: `[B]` float32, metres, see `Senses`. Arguments as for `sense`.
+    """Compute the ranges of the forward scanner: `[B]` float32, metres, see `Senses`. Arguments as for `sense`.
 
-    Its beams lean as the robot does: they meet walls, which are as high as need be, and the ground.
+    Its beams lean with the robot: they meet walls, which have no upper end, and the ground.
     """
     origin, direction = _mounted(body, 0.0, robot.scan_height_m, ahead_directions(robot))
     flat = jnp.maximum(jnp.hypot(direction[:, 0], direction[:, 1]), 1e-6)
@@ -189,7 +189,7 @@ def scan(draws: Draws, building: Building, robot: Robot, noise: Noise, body: Bod
 
 
 def _beacon(building, body):
-    """Distance of the goal where its beacon is heard, else inf."""
+    """Return the distance of the goal if its beacon is heard, else inf."""
     offset = building.goal - body.pose[:2]
     off_m = jnp.hypot(*offset)
     dx, dy = offset[:, None] / jnp.maximum(off_m, 1e-6)
@@ -198,14 +198,14 @@ def _beacon(building, body):
 
 
 def levelled(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
-    """What the scanner that looks ahead says, in the plane: distances in it, as the attitude sensor has it.
+    """Project the forward scan to the plane, by the measured attitude.
 
-    A beam that ends no higher than `FLOOR_M` above the level on which the robot stands has met ground: it says nothing
-    of walls. Bearings are left as they are, and so is the scanner's place, which leans out with the robot: at 10
-    degrees bearings are off by half a degree, and places by 17 cm for each metre of the mount's height.
+    A beam that ends no higher than `FLOOR_M` above the robot's level has met ground and tells nothing of walls.
+    Bearings are not corrected, nor is the scanner's position, which leans with the robot: at 10 degrees bearings are
+    off by half a degree, and positions by 17 cm for each metre of the mount's height.
 
     Returns:
-      `(senses, is_ground)`: ranges are NaN where a beam has met ground; `[B]` bool, where.
+      `(senses, is_ground)`: ranges are NaN where a beam has met ground; `[B]` bool, those beams.
     """
     direction = turned(ahead_directions(robot), senses.pitch, senses.roll, 0.0)
     mount_m = robot.scan_height_m * jnp.cos(senses.pitch) * jnp.cos(senses.roll)
@@ -216,7 +216,7 @@ def levelled(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
 
 
 def touches(building: Building, robot: Robot, pose: Array) -> Array:
-    """Whether a robot at a pose touches a wall: bool."""
+    """Return whether a robot at a pose touches a wall: bool."""
     return meets(building.walls, pose, robot.length_m, robot.width_m)
 
 
@@ -231,10 +231,10 @@ def move(
     v: Array | float,
     omega: Array | float,
 ) -> tuple[Body, Array, Array]:
-    """One step of the unicycle, and what the encoders make of it.
+    """Move the unicycle by one step and update the odometry.
 
-    A step into a wall is refused, and one onto a slope that is too steep, if not less steep than where the robot
-    stands, or up or down a step that is too high, if not one that it stands on.
+    A step is refused into a wall, onto a slope that is too steep, unless less steep than the present one, and up or
+    down a step that is too high, unless the robot stands on it.
 
     Args:
       draws, building, robot, noise, body: as in `sense`.
@@ -243,7 +243,7 @@ def move(
       v, omega: metres a second, below 0 backwards; radians a second.
 
     Returns:
-      `(body, estimate, gone_m)`; `gone_m` is what the odometer adds, in the plane, backwards as well.
+      `(body, estimate, gone_m)`; `gone_m` is added to the odometer: way in the plane, backwards as well.
     """
     ahead, turn = v * DT_S, omega * DT_S
     heading = body.pose[2] + turn * (1 - noise.slip)
@@ -277,12 +277,12 @@ def move(
 
 
 def towards(angle: Array | float) -> Array:
-    """The unit vector of a direction, radians: `[2]` float32."""
+    """Return the unit vector of a direction, radians: `[2]` float32."""
     return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
 
 def to_odometry(estimate: Array) -> Callable[[Array], Array]:
-    """A function from points `[..., 2]` in the robot's frame to the odometry's."""
+    """Return a function from points `[..., 2]` in the robot's frame to the odometry's."""
     cos, sin = jnp.cos(estimate[2]), jnp.sin(estimate[2])
 
     def placed(xy):
@@ -293,7 +293,7 @@ def to_odometry(estimate: Array) -> Callable[[Array], Array]:
 
 
 def to_robot(estimate: Array) -> Callable[[Array], Array]:
-    """A function from points `[..., 2]` in the odometry's frame to the robot's."""
+    """Return a function from points `[..., 2]` in the odometry's frame to the robot's."""
     cos, sin = jnp.cos(estimate[2]), jnp.sin(estimate[2])
 
     def seen(xy):

@@ -18,9 +18,9 @@ _since: dict[int, float] = {}  # thread that waits for a program -> since when
 
 
 def compiling_s() -> float | None:
-    """Seconds that the program has taken so far which has been compiled for the longest time; None for none.
+    """Return the seconds of the longest compilation in progress; None without one.
 
-    One that comes from the folder of compiled programs counts until it is found.
+    A program from the folder of compiled programs counts until it is found.
     """
     times = list(_since.values())
     return time.monotonic() - min(times) if times else None
@@ -28,7 +28,7 @@ def compiling_s() -> float | None:
 
 @functools.cache
 def _watch_compiler():
-    """Has JAX tell when a program is compiled."""
+    """Make JAX report when a program is compiled."""
 
     def begin(event, **_):
         if event == ASKED:
@@ -46,13 +46,13 @@ def _watch_compiler():
 
 
 def start_backend(workers: int) -> None:
-    """Starts JAX with as many threads as there are to be workers.
+    """Start JAX with as many threads as there will be workers.
 
     XLA runs programs on a pool of its own, which must have a thread for every worker. It also splits operations of a
     few thousand elements over the threads of that pool, which costs a lone worker more than it gains (measured: a tenth
-    of an episode's time on a quiet machine, a third beside other work): so one worker gets one thread. The size of the
-    pool is read from the variable NPROC when JAX starts; this must come before JAX is first used, and changes nothing
-    later, as in a notebook that has used JAX before: that costs speed, never results.
+    of an episode's time on a quiet machine, a third on a busy one): so one worker gets one thread. The size of the pool
+    is read from the variable NPROC when JAX starts; this must come before JAX is first used, and changes nothing later,
+    as in a notebook that has used JAX before: that costs speed, never results.
 
     Args:
       workers: threads that will call compiled programs at the same time.
@@ -71,7 +71,7 @@ def start_backend(workers: int) -> None:
 
 
 def cache_folder() -> Path:
-    """The folder for what is compiled, made if need be: `$XDG_CACHE_HOME/jexplore` (`~/.cache/jexplore`).
+    """Return the folder of compiled programs, made if missing: `$XDG_CACHE_HOME/jexplore` (`~/.cache/jexplore`).
 
     Raises:
       OSError: it cannot be made.
@@ -83,7 +83,7 @@ def cache_folder() -> Path:
 
 
 def use_compilation_cache() -> None:
-    """Keeps compiled programs on disk, so that a later process need not compile them again.
+    """Keep compiled programs on disk, so that a later process need not compile them again.
 
     In `$JAX_COMPILATION_CACHE_DIR` if that is set, else in `cache_folder()`. No home or a folder that cannot be written
     means no cache.

@@ -21,7 +21,7 @@ def _mesh(devices):
 
 
 def on_devices(function: Callable[..., Any], devices: Sequence[Any], n_own: int) -> Callable[..., Any]:
-    """A function of arrays as one of arrays with a leading axis of D devices, one part for each.
+    """Turn a function of arrays into one of arrays with a leading axis of D devices, one part for each.
 
     Nothing is exchanged: automatically split loops would put an exchange into every iteration.
 
@@ -51,12 +51,12 @@ def on_devices(function: Callable[..., Any], devices: Sequence[Any], n_own: int)
 
 
 def whole(tree: Any, devices: Sequence[Any]) -> Any:
-    """A pytree of arrays, all of it on every device."""
+    """Put a pytree of arrays on every device, unsplit."""
     return jax.device_put(tree, devices[0] if len(devices) == 1 else NamedSharding(_mesh(devices), PartitionSpec()))
 
 
 def parted(tree: Any, devices: Sequence[Any]) -> Any:
-    """A pytree of arrays with a leading axis of the devices, each part on its device."""
+    """Put a pytree of arrays with a leading axis of the devices on them, each part on its device."""
     return jax.device_put(tree, devices[0] if len(devices) == 1 else NamedSharding(_mesh(devices), PartitionSpec(AXIS)))
 
 
@@ -82,7 +82,7 @@ def compiled(
     donate: tuple[int, ...] = (),
     cpu_options: tuple[tuple[str, Any], ...] = (),
 ) -> tuple[Callable[..., Any], Any]:
-    """A compiled function and the shapes of what it returns. Compiled once in a process for equal names and shapes.
+    """Compile a function, once in a process for equal names and shapes: the function, and its result's shapes.
 
     Args:
       function: to be compiled.
@@ -104,7 +104,7 @@ def compiled(
 
 @functools.cache
 def _is_option(option):
-    """Whether this version of XLA has an option, a pair of name and value: they come and go."""
+    """Return whether this version of XLA knows an option, a pair of name and value."""
     try:
         with jax.default_device(jax.local_devices(backend="cpu")[0]):
             jax.jit(lambda: 0).lower().compile(compiler_options=dict([option]))
@@ -118,7 +118,7 @@ def _is_option(option):
 @functools.lru_cache(maxsize=PROGRAMS)
 def _compiled(made, tree, leaves, devices, donate, options, configuration):
     del configuration  # it only tells programs apart
-    other = devices[0].platform != jax.default_backend()  # a CPU beside an accelerator
+    other = devices[0].platform != jax.default_backend()  # a CPU in addition to an accelerator
     with pinned_draws(), jax.default_device(devices[0]) if other else contextlib.nullcontext():
         lowered = jax.jit(made.function, donate_argnums=donate).lower(*jax.tree.unflatten(tree, leaves))
     return lowered.compile(compiler_options=dict(options)), lowered.out_info

@@ -11,13 +11,13 @@ from jexplore.config import GENERATOR
 
 
 def random_key(seed: Any) -> Array:
-    """A key of `GENERATOR`. `seed`: uint32, or a whole number."""
+    """Return a key of `GENERATOR`. `seed`: uint32, or a whole number."""
     return jax.random.key(seed, impl=GENERATOR)
 
 
 @contextlib.contextmanager
 def pinned_draws() -> Iterator[None]:
-    """Within the block, or the function that this decorates, what is traced draws as by JAX's defaults.
+    """Trace with JAX's default generators within the block, or the function that this decorates.
 
     `JAX_DEFAULT_PRNG_IMPL` and `JAX_THREEFRY_PARTITIONABLE` name others for keys without a generator of their own, as a
     user's strategy may make them, and for the order in which a key's numbers come.

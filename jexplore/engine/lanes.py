@@ -32,7 +32,7 @@ GROWTH = 4  # by how much longer a call may be than the one before
 
 
 class Runs(NamedTuple):
-    """What makes runs differ: of N runs, or of those in L lanes."""
+    """Inputs that differ between runs: of N runs, or of those in L lanes."""
 
     seed: Any  # [N] uint32
     draw: Any  # [N] int32, with the seed it makes the run's key
@@ -63,7 +63,7 @@ class Group:
     # ---- on a device: pure functions
 
     def _each(self, function, common, runs, *own):
-        """`function(given, *own)` of some runs; what they share, `common`, is not copied."""
+        """Call `function(given, *own)` for some runs; their `common` data are not copied."""
         shared, scenes, arrays = common
 
         def one(run, *own):
@@ -79,13 +79,13 @@ class Group:
         return lanes.busy & jax.vmap(self.program.is_done)(lanes.state)
 
     def empty(self, runs: Runs, common: Any, n_lanes: int) -> Lanes:
-        """So many `Lanes` without a run; `runs` are looked at for shapes only."""
+        """Return `n_lanes` `Lanes` without a run; `runs` gives shapes only."""
         shapes = runs, jax.eval_shape(self._begun, common, runs)
         runs, state = jax.tree.map(lambda a: jnp.zeros((n_lanes, *a.shape[1:]), a.dtype), shapes)
         return Lanes(runs, jnp.zeros(n_lanes, bool), state)
 
     def fill(self, lanes: Lanes, which: Array, runs: Runs, real: Array, common: Any) -> tuple[Lanes, Any]:
-        """Measures the runs in lanes `which`, `[m]` int32, and begins `runs` there where they are `real`, `[m]` bool.
+        """Measure the runs in lanes `which`, `[m]` int32, and begin `runs` there where they are `real`, `[m]` bool.
 
         Returns:
           `(lanes, found)`: of the m lanes what `Program.measure` and `keep` return; something where there is no run.
@@ -97,7 +97,7 @@ class Group:
         return Lanes(put(lanes.runs, begins, runs), put(lanes.busy, which, real), state), (found, kept)
 
     def _turn(self, common, lanes):
-        """A turn of all lanes: `(lanes, how many advanced)`."""
+        """Advance all lanes by a turn: `(lanes, how many advanced)`."""
         program, setup, state = self.program, self.program.setup, lanes.state
         if program.decide is not None:
             alive = lanes.busy & ~self._done(lanes)
@@ -115,10 +115,10 @@ class Group:
         return lanes._replace(state=keep(goes, new, state)), _count(goes)
 
     def go_on(self, lanes: Lanes, turns: Array, common: Any) -> tuple[Lanes, Array, Array]:
-        """So many turns, int32, or as many as it takes until enough runs are done, or all.
+        """Advance by a number of turns, int32, or until enough runs are done, or all.
 
         Returns:
-          `(lanes, done, use)`: `[L]` bool, whether a lane's run is done; `[2]` int32, turns, and lanes that advanced.
+          `(lanes, done, use)`: `[L]` bool, a lane's run is done; `[2]` int32, turns, and lanes that advanced.
         """
 
         def goes_on(state):
@@ -135,9 +135,9 @@ class Group:
     # ---- on the host
 
     def queue(self) -> tuple[np.ndarray, np.ndarray, Runs]:
-        """What is left: `[N]` int, the line of each run, its number there, and `Runs` of numpy arrays.
+        """Return the remaining runs: `[N]` int, the line of each run, its number there, and `Runs` of numpy arrays.
 
-        By their draws, so that what is interrupted has pairs.
+        Sorted by draws, so that an interrupted comparison has pairs.
         """
         left = [line.left for line in self.lines]
         draw = np.concatenate([line.draws[which] for line, which in zip(self.lines, left)])
@@ -153,12 +153,12 @@ class Group:
         return line, np.concatenate(left)[order], runs
 
     def lane_bytes(self) -> int:
-        """An estimate of what a lane needs on a device."""
+        """Estimate the bytes that a lane needs on a device."""
         lanes = jax.eval_shape(functools.partial(self.empty, n_lanes=1), self.queue()[2], self.common)
         return COPIES * sum(math.prod(a.shape) * a.dtype.itemsize for a in jax.tree.leaves(lanes))
 
     def fitting_lanes(self) -> int:
-        """Lanes that a device's memory holds: a power of two; fewer if there are not so many runs."""
+        """Return the number of lanes that a device's memory holds: a power of two; fewer for fewer runs."""
         most = LANES if self.devices[0].platform != "cpu" else CPU_LANES
         memory = [device.memory_stats() for device in self.devices]
         if all(memory):
@@ -168,10 +168,13 @@ class Group:
         return min(2 ** max(0, most.bit_length() - 1), -(-left // len(self.devices)))
 
     def compile(self, n_lanes: int, compiled: Callable[..., tuple[Any, Any]] = compiled) -> tuple[Any, ...]:
-        """`(make, fill, go_on, found)`: what makes `empty` lanes, `fill` and `go_on`, compiled for so many lanes on
-        each device; and the shapes of what `fill` finds of a run.
+        """Compile for a number of lanes on each device.
 
         `compiled`: as `devices.compiled`.
+
+        Returns:
+          `(make, fill, go_on, found)`: makers of `empty` lanes, `fill` and `go_on`; and the shapes of the results of
+            `fill`.
         """
         kind, devices, options = self.lines[0].kind, self.devices, self.program.cpu_options
         d, m = len(devices), _part(n_lanes)
@@ -194,7 +197,7 @@ class Group:
     def run(
         self, n_lanes: int, costs: Any, on_progress: Callable[[int], object], programs: tuple[Any, ...] | None = None
     ) -> None:
-        """Makes what is left in so many lanes on each device, by what `compile` returns."""
+        """Make the remaining runs in `n_lanes` lanes on each device, by the programs of `compile`."""
         began = time.perf_counter()
         make, fill, go_on, shapes = programs or self.compile(n_lanes)
         for one in self.lines:
@@ -233,7 +236,7 @@ class Group:
             costs.run_s += time.perf_counter() - began
 
     def _collect(self, line, number, ended, found):
-        """Hands what was found to its lines, of runs whose line and number these are, at `ended` among `[D, m]`."""
+        """Hand results to their lines, for runs with these lines and numbers, at `ended` among `[D, m]`."""
         found, kept = jax.tree.map(np.asarray, found[0]), found[1]
         where = np.argwhere(ended)
         for i in np.unique(line):
@@ -244,7 +247,7 @@ class Group:
 
 
 def _to_fill(at, done, first, total):
-    """The lanes to be measured or filled next, those whose runs are done first, and the runs to begin there.
+    """Choose the lanes to be measured or filled next, those with finished runs first, and the runs to begin there.
 
     Args:
       at, done: `[D, L]`, of each lane the place of its run in the queue, -1 for none, and whether that is done.
@@ -278,17 +281,17 @@ def run_in_lanes(
     costs: Any,
     on_progress: Callable[[int], object],
 ) -> None:
-    """Makes every run of some lines.
+    """Make every run of some lines.
 
     Args:
       lines: list of `Line`; results are put there as they come.
       devices: list of JAX devices of one kind.
       n_lanes: lanes on every device; None for as many as its memory holds, at most `LANES`.
       costs: `Costs`, added to.
-      on_progress: called with the number of runs finished so far.
+      on_progress: called with the number of finished runs.
 
     Raises:
-      KeyboardInterrupt: what calls before it found has been kept.
+      KeyboardInterrupt: results of earlier calls are kept.
     """
     groups = {}
     for line in lines:
@@ -301,7 +304,7 @@ def run_in_lanes(
 
 
 def _run_group(lines, devices, n_lanes, costs, on_progress):
-    """Lines of one kind: how many runs they were. Memory that runs out halves the lanes, once."""
+    """Run lines of one kind: how many runs they were. Memory that runs out halves the lanes, once."""
     group, total = Group(lines, devices), sum(len(line.which) for line in lines)
     n_lanes = min(n_lanes or group.fitting_lanes(), -(-total // len(devices)))
     for n in (n_lanes, n_lanes // 2):

@@ -23,7 +23,7 @@ CHUNK = 64  # most runs in one call of the compiled program on one device
 
 
 def run_one(program: Program, given: Given) -> Any:
-    """One run from its beginning to its end: the state at the end."""
+    """Make one run from its beginning to its end: the state at the end."""
 
     def advance(state):
         return program.advance(program.setup, given, state)
@@ -41,7 +41,7 @@ def run_one(program: Program, given: Given) -> Any:
 def chunk(
     program: Program, draws: Array, tasks: Any, count: Array, seed: Array, scenes: Any, shared: Any, numbers: Any
 ) -> tuple[Any, Any]:
-    """Up to C runs of one line, one after the other.
+    """Make up to C runs of one line, one after the other.
 
     Args:
       program: `Program`. Static.
@@ -52,7 +52,7 @@ def chunk(
       scenes, shared, numbers: as in `Given`.
 
     Returns:
-      results with a leading axis C, zeros from `count` on; and what is kept of the last run made.
+      results with a leading axis C, zeros from `count` on; and the record of the last run made.
     """
 
     def one(i):
@@ -72,12 +72,12 @@ def chunk(
 
 
 def _with(all_, i, new):
-    """An array with entry i replaced. As a scatter, one for every part of a result, it would take longer to compile."""
+    """Replace entry i of an array. A scatter, one for every part of a result, would take longer to compile."""
     return lax.dynamic_update_index_in_dim(all_, jnp.asarray(new, all_.dtype), i, 0, allow_negative_indices=False)
 
 
 def compile_chunk(line: Line, devices: Sequence[Any]) -> tuple[Callable[..., Any], Any]:
-    """The program of a line's kind, compiled: `(call, shapes of a result)`.
+    """Compile the program of a line's kind: `(call, shapes of a result)`.
 
     `call(draws, tasks, count, seed, scenes, shared, numbers)`, the first three with a leading axis of the devices.
     """
@@ -92,7 +92,7 @@ def compile_chunk(line: Line, devices: Sequence[Any]) -> tuple[Callable[..., Any
 
 
 def _pieces(line, call, place, d, pace):
-    """The runs of a line as `Pieces`: device i takes runs i, i + d, ..., so the first comes alone on device 0."""
+    """Divide the runs of a line into `Pieces`: device i takes runs i, i + d, ...; the first comes alone on device 0."""
     arguments, size = (np.uint32(line.seed), *place, line.numbers), CHUNK
 
     def parts(first, n):
@@ -135,17 +135,17 @@ def run_one_by_one(
     costs: Any,
     on_progress: Callable[[int], object],
 ) -> None:
-    """Makes every run of some lines.
+    """Make every run of some lines.
 
     Args:
       lines: list of `Line`; results are put there as they come.
       devices: list of JAX devices of one kind.
       workers: threads; 1 where there are several devices.
       costs: `Costs`, added to.
-      on_progress: called with the number of runs finished so far, from the calling thread.
+      on_progress: called with the number of finished runs, from the calling thread.
 
     Raises:
-      KeyboardInterrupt: after the calls under way have ended; what they found has been kept.
+      KeyboardInterrupt: after running calls have ended; their results are kept.
     """
     began = time.perf_counter()
     kinds, places = {line.kind: line for line in lines}, {}

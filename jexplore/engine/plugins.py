@@ -11,10 +11,10 @@ DRIVER = ("/dev/nvidiactl", "/dev/dxg", "/dev/nvhost-gpu", "/proc/driver/nvidia/
 
 
 def is_idle(driver: tuple[str, ...] = DRIVER) -> bool:
-    """Whether JAX's CUDA plugin is installed on a machine without an NVIDIA driver, as for compiling only.
+    """Return whether JAX's CUDA plugin is installed on a machine without an NVIDIA driver, as for compiling only.
 
     Args:
-      driver: paths of which one is there where a driver is.
+      driver: paths of which one exists with a driver.
     """
     spec = importlib.util.find_spec("jax_plugins") if sys.platform == "linux" else None
     folders = (spec and spec.submodule_search_locations) or ()
@@ -23,7 +23,7 @@ def is_idle(driver: tuple[str, ...] = DRIVER) -> bool:
 
 
 def keep_to_cpu() -> None:
-    """Keeps JAX to the CPU where its CUDA plugin would only complain, unless `JAX_PLATFORMS` says what is wanted.
+    """Restrict JAX to the CPU if its CUDA plugin could only fail, unless `JAX_PLATFORMS` is set.
 
     This must come before jax is imported.
     """
@@ -32,9 +32,8 @@ def keep_to_cpu() -> None:
 
 
 def keep_compiler_quiet() -> None:
-    """Keeps what XLA writes to stderr from users, such as that a slow compilation might be a bug of it, unless
-    `TF_CPP_MIN_LOG_LEVEL` says what is wanted. What fails is raised in Python all the same.
+    """Silence XLA's messages on stderr, such as about slow compilation, unless `TF_CPP_MIN_LOG_LEVEL` is set.
 
-    This must come before jax is imported.
+    Errors are raised in Python all the same. This must come before jax is imported.
     """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", FATAL)

@@ -21,7 +21,7 @@ from jexplore.engine.draws import random_key
 
 @struct.dataclass
 class Given:
-    """What a run has besides its state."""
+    """Run context: data of a run apart from its state."""
 
     key: Array  # of the run; its parts draw from streams of their own
     shared: Any  # pytree that all lanes share: beams, tables
@@ -33,41 +33,41 @@ class Given:
 
     @property
     def own_scene(self) -> Any:
-        """The run's own scene. Where there is only one, all lanes share it."""
+        """Return the run's own scene. If there is only one, all lanes share it."""
         if jax.tree.leaves(self.scenes)[0].shape[0] == 1:
             return jax.tree.map(lambda a: a[0], self.scenes)
         return jax.tree.map(lambda a: a[self.scene], self.scenes)
 
 
 class Program(NamedTuple):
-    """The life of one robot as pure functions. Hashable: equal programs share what is compiled.
+    """Definition of one robot's life as pure functions. Hashable: equal programs share compiled code.
 
     A run begins, and then decides and advances until it is done. Deciding is what few robots do at a time and costs
     much: in lanes those that must are gathered. There every function is called on runs that it does not concern as
     well, and what it makes of them is left out.
     """
 
-    setup: Hashable  # what is fixed before compiling; the first argument of the functions
+    setup: Hashable  # static config; the first argument of the functions
     begin: Callable[[Any, Given], Any]  # (setup, given) -> state
     advance: Callable[[Any, Given, Any], Any]  # (setup, given, state) -> state
     is_done: Callable[[Any], Any]  # (state) -> bool
     finish: Callable[[Any, Given, Any], Any]  # (setup, given, state) -> result, a pytree of arrays
-    keep: Callable[[Any], Any]  # (state) -> pytree of arrays: what is kept of one run besides its result
+    keep: Callable[[Any], Any]  # (state) -> pytree of arrays: record of one run in addition to its result
     decide: Callable[[Any, Given, Any], Any] | Any = None  # (setup, given, state) -> state; or None
     must_decide: Callable[[Any], Any] | None = None  # (state) -> bool, for runs that are not done
-    # (setup, given, state that has decided) -> state that must decide or is done: what `advance` makes of it turn by
+    # (setup, given, state that has decided) -> state that must decide or is done: same as `advance` turn by
     # turn, for one run on a CPU; None: `advance` does
     drive: Callable[[Any, Given, Any], Any] | None = None
-    # (state) -> pytree of arrays: what is kept of every run besides its result
+    # (state) -> pytree of arrays: record of every run in addition to its result
     record: Callable[[Any], Any] | None = None
     cpu_options: tuple[tuple[str, Any], ...] = ()  # pairs of name and value: options of XLA's compiler on a CPU
 
     def measure(self, given: Given, state: Any) -> tuple[Any, Any]:
-        """What a run that is done found, and what is kept of every run: `(result, record)`."""
+        """Return result and record of a finished run: `(result, record)`."""
         return self.finish(self.setup, given, state), () if self.record is None else self.record(state)
 
     def is_under_way(self, state: Any) -> Array:
-        """Whether a run is to advance: bool."""
+        """Return whether a run is to advance: bool."""
         waits = False if self.must_decide is None else self.must_decide(state)
         return ~(self.is_done(state) | waits)
 
@@ -86,13 +86,13 @@ class Line:
     keeps: int = 0  # number of the run of which more than the result is kept; where it is made, it is the first
     draws: Any = None  # [N] int32, what makes a run's key, with the seed; by default its number
     turn: int = 0  # lines of a later turn are begun when all of this one has been, where runs come one after the other
-    # (result, record) -> what is kept of a run on the host; of numpy arrays
+    # (result, record) -> record of a run on the host; of numpy arrays
     trim: Callable[[Any, Any], Any] | None = None
-    # number of a run -> what `trim` made of it
+    # number of a run -> result of `trim`
     records: dict[int, Any] = dataclasses.field(default_factory=dict, init=False)
     results: Any = dataclasses.field(default=None, init=False)  # pytree of `[N, ...]` numpy arrays; zeros where unknown
     finished: np.ndarray = dataclasses.field(init=False)  # [N] bool
-    kept: Any = dataclasses.field(default=None, init=False)  # what is kept of run `keeps`, numpy; None before
+    kept: Any = dataclasses.field(default=None, init=False)  # record of run `keeps`, numpy; None before
     lock: threading.Lock = dataclasses.field(default_factory=threading.Lock, init=False)
 
     def __post_init__(self) -> None:
@@ -101,12 +101,12 @@ class Line:
         self.draws = np.arange(len(self.finished), dtype=np.int32) if self.draws is None else self.draws
 
     def make_room(self, shapes: Any) -> None:
-        """Makes room for results like those of `Program.measure`, of which these are the shapes, if there is none."""
+        """Allocate results with the shapes of `Program.measure`, if not done."""
         if self.results is None:
             self.results = jax.tree.map(lambda a: np.zeros((len(self.finished), *a.shape), a.dtype), shapes[0])
 
     def put(self, which: np.ndarray, found: tuple[Any, Any]) -> None:
-        """Keeps what `Program.measure` found: `[k]` numbers of runs, a pytree of `[k, ...]`. Any thread may call it."""
+        """Store results of `Program.measure`: `[k]` numbers of runs, a pytree of `[k, ...]`. Any thread may call it."""
         results, records = found
         new = {}
         if self.trim is not None:
@@ -119,18 +119,18 @@ class Line:
 
     @property
     def left(self) -> np.ndarray:
-        """`[m]` int32, numbers of the runs that have no result yet."""
+        """Return `[m]` int32, numbers of the runs that have no result yet."""
         return self.which[~self.finished[self.which]]
 
     @property
     def kind(self) -> Hashable:
-        """What must be equal for two lines to share a compiled program. Hashable."""
+        """Return the key that two lines must share for a common compiled program. Hashable."""
         task = jax.tree.map(lambda a: a[0], self.tasks)
         leaves, tree = jax.tree.flatten((self.scene, self.shared, self.numbers, task))
         return self.program, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
 
     def shapes(self) -> tuple[tuple[Any, Any], Any]:
-        """What `measure` and `keep` return: `((result, record), kept)`, pytrees of shapes."""
+        """Return the shapes of `measure` and `keep`: `((result, record), kept)`, pytrees."""
         given = given_of(self)
 
         def one():
@@ -141,7 +141,7 @@ class Line:
 
 
 def given_of(line: Line, number: int = 0) -> Given:
-    """The `Given` of one of a line's runs."""
+    """Make the `Given` of one of a line's runs."""
     # Ignored types: numpy on the host, where the record says what it is on the device.
     return Given(
         key=jax.random.fold_in(random_key(np.uint32(line.seed)), line.draws[number]),
@@ -154,7 +154,7 @@ def given_of(line: Line, number: int = 0) -> Given:
 
 
 def split(numbers: Any) -> tuple[list[Any], list[Any], Callable[[Iterable[Any], Iterable[Any]], Any]]:
-    """The scalars and the arrays of a pytree, two lists, and what joins such lists: `(scalars, arrays, join)`."""
+    """Split a pytree into scalars and arrays, two lists, and a function that joins them: `(scalars, arrays, join)`."""
     leaves, tree = jax.tree.flatten(numbers)
     is_scalar = [jnp.ndim(leaf) == 0 for leaf in leaves]
 

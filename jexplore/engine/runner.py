@@ -23,7 +23,7 @@ from jexplore.engine.program import Line
 
 @dataclasses.dataclass
 class Costs:
-    """What runs cost, and how well their lanes were used."""
+    """Costs of runs, and the use of their lanes."""
 
     compile_s: float = 0.0  # seconds spent compiling, or loading compiled programs
     run_s: float = 0.0  # seconds in which compiled programs ran
@@ -37,7 +37,7 @@ class Costs:
     room: int = 0  # lanes that could have
 
     def plus(self, later: "Costs") -> "Costs":
-        """Those of two runs, one after the other."""
+        """Add the costs of two runs, one after the other."""
         total = dataclasses.replace(later)
         for name in ("compile_s", "run_s", "advanced", "room"):
             setattr(total, name, getattr(self, name) + getattr(later, name))
@@ -59,7 +59,7 @@ def _joined(*lists):
 
 
 class Resources(NamedTuple):
-    """What runs are made with."""
+    """Resources for making runs."""
 
     devices: list[Any]  # `jax.Device`
     in_lanes: bool  # whether runs advance together in lanes; else they come one after the other
@@ -69,17 +69,17 @@ class Resources(NamedTuple):
     processes: int
 
     def own(self, n: int) -> np.ndarray:
-        """Numbers of the runs, of n, that this process makes: int array."""
+        """Return numbers of the runs, of n, that this process makes: int array."""
         return np.arange(self.process, n, self.processes)
 
 
 def own_cores() -> int:
-    """CPU cores that this process may use."""
+    """Return CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def cpu_devices() -> list[Any]:
-    """The CPU as JAX devices; none where JAX is kept from it by `JAX_PLATFORMS`."""
+    """Return the CPU as JAX devices; none if `JAX_PLATFORMS` excludes it."""
     try:
         return jax.local_devices(backend="cpu")
     except RuntimeError:
@@ -150,19 +150,19 @@ def run_all(
     on_progress: Callable[[int], object] | None = None,
     on_line: Callable[[int], object] | None = None,
 ) -> Costs:
-    """Makes every run of every line.
+    """Make every run of every line.
 
     A run's result depends on its scene, program, numbers, task and key, not on what else runs, nor on the number
     of lanes, cores, devices or processes.
 
-    Ctrl-C ends it early: the lines then hold what was finished. Where nothing was, it is raised.
+    Ctrl-C ends it early: the lines then hold the finished runs; without any, the interruption is raised.
 
     Args:
       lines: list of `Line`, each with at least one run. In every process the same, but for `which`.
       resources: `Resources`.
-      on_progress: called with the number of runs finished so far, now and then, from the calling thread.
-      on_line: called, likewise, with the number of a line once all its runs have come back: soon after, or, where
-        several processes share the work, at the end.
+      on_progress: called regularly with the number of finished runs, from the calling thread.
+      on_line: called from the calling thread with the number of a line once all its runs have come back: soon after,
+        or, if several processes share the work, at the end.
 
     Returns:
       `Costs`.
@@ -207,7 +207,7 @@ def run_all(
 
 
 def _make_room(lines, with_kept):
-    """Room for the results of lines of which nothing has come back; and for what is kept of them."""
+    """Allocate results of untouched lines, and their records."""
     known = {}
     for line in lines:
         if line.results is None or (with_kept and line.kept is None):
@@ -220,7 +220,7 @@ def _make_room(lines, with_kept):
 
 
 def _across_processes(lines):
-    """What all processes found, in every process."""
+    """Gather the results of all processes in every process."""
     from jax.experimental import multihost_utils
 
     def total(parts):  # every run was made in one process, zeros elsewhere

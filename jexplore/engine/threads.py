@@ -39,7 +39,7 @@ interruption = Interruption()
 
 @dataclasses.dataclass
 class Pace:
-    """How long a piece takes; shared by work of one sort."""
+    """Duration of a piece; shared by work of one sort."""
 
     piece_s: float | None = None  # seconds a piece and device, once known
 
@@ -60,7 +60,7 @@ class Pieces:
     next: int = dataclasses.field(default=0, init=False)
 
     def take(self, workers: int) -> tuple[int, int]:
-        """The next pieces, `(first, number)`: one a device at first, then as many as take about a second."""
+        """Return the next pieces, `(first, number)`: one a device at first, then as many as take about a second."""
         left, d = self.total - self.next, self.n_devices
         piece_s = self.pace.piece_s
         is_alone = piece_s is None or (self.first_alone and self.next == 0)
@@ -77,19 +77,19 @@ def share_out(
     on_progress: Callable[[int], object],
     give_up: Callable[[], object] = lambda: None,
 ) -> None:
-    """Does all pieces of some kinds.
+    """Process all pieces of some kinds.
 
-    Those of a turn are done in rotation, `IN_ROTATION` at a time: what is interrupted has done a part of each, or,
-    where there are very many, has ended some.
+    Those of a turn are processed in rotation, `IN_ROTATION` at a time: an interrupted one has a part of each, or, with
+    very many kinds, some whole ones.
 
     Args:
       kinds: list of `Pieces`.
       workers: threads.
-      on_progress: called with the number of pieces done so far, from the calling thread.
-      give_up: called when it ends early: has the calls under way return.
+      on_progress: called with the number of finished pieces, from the calling thread.
+      give_up: called when it ends early, to make running calls return.
 
     Raises:
-      KeyboardInterrupt: after the calls under way have ended; what they found has been kept.
+      KeyboardInterrupt: after running calls have ended; their results are kept.
     """
     waiting, running, done = collections.deque(), {}, 0
     later = collections.deque(sorted((pieces for pieces in kinds if pieces.total), key=lambda pieces: pieces.turn))

@@ -38,7 +38,7 @@ class Job(NamedTuple):
 
 
 class Outcomes(NamedTuple):
-    """What `run_jobs` returns for one job."""
+    """Results of `run_jobs` for one job."""
 
     result: Result  # numpy, with a leading axis N; outcome RUNNING where the run was interrupted before
     # the map and the way of episode 0, or of the only one; None where that is not here, or was interrupted before
@@ -47,7 +47,7 @@ class Outcomes(NamedTuple):
 
 
 class Finished(NamedTuple):
-    """What `run_jobs` returns."""
+    """Result of `run_jobs`."""
 
     outcomes: list[Outcomes]  # in the order of the jobs
     costs: Costs
@@ -60,14 +60,14 @@ def run_jobs(
     keep: str | None = None, on_job: Callable[[int, Outcomes], object] | None = None,
     alike: Sequence[tuple[Lidar, Rules]] = (),
 ) -> Finished:  # fmt: skip
-    """Runs every episode of every job.
+    """Run every episode of every job.
 
     An episode's result depends on its world, start, strategy, seed and number, not on what else runs, nor on the
     engine, or the number of lanes, cores, devices or processes. Between kinds of devices that holds for a
     scanner without noise and strategies that compare whole numbers (`closest`, `random`): noise is drawn, and the
     others choose, in floating point, which devices may round differently.
 
-    Ctrl-C ends the run early: the report then holds what was finished. Where nothing was, it is raised.
+    Ctrl-C ends the run early: the report then holds the finished episodes; without any, the interruption is raised.
 
     Args:
       jobs: list of `Job`, each with at least one start. In every process the same.
@@ -78,7 +78,7 @@ def run_jobs(
       lanes, workers, in_lanes: of what runs in JAX, see `runner.find_resources`; native code has `workers` threads.
       on_progress: called with the number of episodes finished so far, now and then, from the calling thread.
       only: number of the one episode of every job that is run; None: all are.
-      keep: one of `trail.RECORDS`, what is kept of every episode; None: nothing but results.
+      keep: one of `trail.RECORDS`, the record of every episode; None: results only.
       on_job: called with the number of a job and its `Outcomes` once all its episodes have ended, soon after, from the
         calling thread.
       alike: scanners and rules of other runs that are to share this one's programs, see `site.prepare_site`.
@@ -115,7 +115,7 @@ def run_jobs(
 
 
 def _run_rest(jobs, rest, lines, resources, costs, on_progress, on_job):
-    """Runs what there is no native code for; `Costs` of all."""
+    """Run the jobs without native code; `Costs` of all."""
     done = sum(len(job.starts) for i, job in enumerate(jobs) if i not in rest)
     progress = None if on_progress is None else (lambda n: on_progress(done + n))
     tell = None if on_job is None else (lambda i: on_job(rest[i], _outcomes(jobs[rest[i]], lines[i])))
@@ -138,7 +138,7 @@ def _levels_of(pairs):
 
 
 def _nothing(job):
-    """What there is of a job that nothing was done for."""
+    """Return the empty outcomes of a job of which no episode was run."""
     blank = result_of(np.zeros((len(job.starts), RESULT), np.int32))
     return Outcomes(blank, None, {})
 
@@ -214,7 +214,7 @@ def _in_jax(jobs, lidar, rules, only, keep, alike, how, why_not):
 
 
 def _lines_of(jobs, lidar, rules, resources, native, only, keep, alike):
-    """A `Line` for every job. What jobs have in common is made once."""
+    """Make a `Line` for every job. Common parts are made once."""
     settings = [(job.lidar or lidar, job.rules or rules) for job in jobs]
     alike = [*alike, *dict.fromkeys(settings)]
     sites, fitted, lines = {}, {}, []
@@ -234,7 +234,7 @@ def _lines_of(jobs, lidar, rules, resources, native, only, keep, alike):
 
 
 def _checked(job):
-    """The job, its headings from 0 to 315 degrees; refuses starts and a seed that cannot be used."""
+    """Check the job's starts and seed; headings become 0 to 315 degrees."""
     seed, starts = require_whole("seed", job.seed, 0, MAX_SEED), np.asarray(job.starts)
     if starts.ndim != 2 or starts.shape[1] != 3 or not len(starts) or starts.dtype.kind not in "iu":
         form = "[N, 3] integers (row, col, heading_deg), N >= 1"

@@ -31,10 +31,9 @@ LOOK_AROUND = 4  # looks, at least, with which a robot looks all round on arriva
 
 
 def _mark(mask, rows, cols, when: Array | bool = True):
-    """The mask with some cells set where `when`, none of them twice; a scatter, because it updates the mask in place.
+    """Set some cells of a mask where `when`, none of them twice; a scatter, because it updates the mask in place.
 
-    What is left out goes to rows beyond the last, each to its own: an accelerator writes what may meet in a cell one
-    after the other.
+    Skipped cells go to rows beyond the last, each to its own: an accelerator serialises writes that may meet in a cell.
     """
     rows, cols = jnp.atleast_1d(rows), jnp.atleast_1d(cols)
     outside = mask.shape[0] + lax.iota(jnp.int32, rows.shape[0])
@@ -42,12 +41,12 @@ def _mark(mask, rows, cols, when: Array | bool = True):
 
 
 def _n_looks(setup):
-    """Looks that make a look all round on arrival: as many as see all round, at least `LOOK_AROUND`."""
+    """Return the number of scans of a look-around on arrival: enough to see all round, at least `LOOK_AROUND`."""
     return jnp.maximum(setup.first_scans, LOOK_AROUND)
 
 
 def _move(setup, given, state, motion):
-    """The next motion of a plan under way, before its scan: a step along the route, or a turn in place.
+    """Return the next motion of a plan under way, before its scan: a step along the route, or a turn in place.
 
     A step into a cell that is not free is refused: the robot only turns towards it. A plan whose next step would be one
     too many ends the episode. Does nothing once the plan is done. `motion` is the route's in the robot's cell.
@@ -93,10 +92,10 @@ def _move(setup, given, state, motion):
 
 
 def _arrive(setup, state, arrived, live, numbers):
-    """What follows on arrival: a look around if the target is live and the rules say so; else the plan is done.
+    """Handle an arrival: a look-around if the target is live and the rules say so; else the plan is done.
 
     Returns:
-      `(state, spent)`: `spent`, bool, whether the target is live after that, and so is to be marked as exhausted.
+      `(state, spent)`: `spent`, bool, the target is live even then and becomes exhausted.
     """
     looks = arrived & live & numbers.look_around & (state.looked < _n_looks(setup) - 1)
     spent = arrived & live & ~looks
@@ -114,16 +113,16 @@ def _mark_exhausted(state, spent):
 
 
 def _limit_plans(numbers, state):
-    """Ends an episode whose plan is done and that may make no other."""
+    """End an episode whose plan is done and that may make no other."""
     spent = (state.outcome == Outcome.RUNNING) & ~state.walking & (state.plans >= numbers.max_plans)
     return state.replace(outcome=jnp.where(spent, Outcome.PLAN_LIMIT, state.outcome))
 
 
 def advance(setup: Setup, given: Given, state: State) -> State:
-    """One scan of a plan under way, what it means for the plan, and the next motion if it goes on.
+    """Make one scan of a plan under way, update the plan, and make the next motion if it goes on.
 
-    Scan first, motion last: everything that is read from the map is then read after its update, which can so be made
-    in place. Does nothing to the maps, the trail and what is counted once the plan is done.
+    Scan first, motion last: everything is then read from the map after its update, which can so be made in place. Once
+    the plan is done, maps, trail and counters stay the same.
 
     Args:
       setup: `Setup`. Static.
@@ -134,7 +133,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
       `State`.
     """
     belief, walking, numbers = state.belief, state.walking, given.numbers
-    # Both cells beside a diagonal step belong to the way driven.
+    # Both orthogonal neighbours of a diagonal step belong to the driven way.
     (row, col), (row_before, col_before) = (belief.row, belief.col), state.came_from
     diagonal = (row != row_before) & (col != col_before)
     beside = jnp.stack([row, row, row_before]), jnp.stack([col, col_before, col])
@@ -163,7 +162,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
 
 
 def drive(setup: Setup, given: Given, state: State) -> State:
-    """Advances until the plan under way is done.
+    """Advance until the plan under way is done.
 
     Args:
       setup, given, state: as for `advance`.
@@ -186,12 +185,12 @@ def drive(setup: Setup, given: Given, state: State) -> State:
 
 
 def _is_native(setup):
-    """Whether native code drives; not where every operation runs by itself, which is for finding faults."""
+    """Return whether native code drives; not if every operation runs by itself, as for debugging."""
     return setup.native is not None and not jax.config.values["jax_disable_jit"]
 
 
 def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array]:
-    """Asks the strategy for a target.
+    """Ask the strategy for a target.
 
     Args:
       setup, given, state: as for `advance`; a running episode that carries out no plan.
@@ -204,7 +203,7 @@ def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array
 
 
 def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Array, live: Array | bool = True) -> State:
-    """Makes a choice the plan and makes its first motion; none ends the episode as complete, as far as is known here.
+    """Turn a choice into the plan and make its first motion; none ends the episode as complete, as far as is known.
 
     A target that no path leads to is refused: the strategy is asked again, and the third in a row ends the episode.
 
@@ -242,7 +241,7 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
 
 
 def _find_goal(given, row, col):
-    """What is to be known in the end, and whether the start is enclosed.
+    """Return the cells to be known in the end, and whether the start is enclosed.
 
     Returns:
       `(goal, stuck)`: `[ceil(H / 32), W]` uint32, packed cells that are clear in the true world and connected to the
@@ -263,7 +262,7 @@ def _find_goal(given, row, col):
 
 
 def blank_belief(given: Given) -> Belief:
-    """The `Belief` of a robot that has seen nothing yet; `given` as for `begin`.
+    """Return the `Belief` of a robot that has seen nothing yet; `given` as for `begin`.
 
     What it knows all the same counts as seen once.
     """
@@ -288,13 +287,13 @@ def blank_belief(given: Given) -> Belief:
 
 
 def outcome_of(state: State) -> Array:
-    """How an episode has ended: `COMPLETE` becomes `BLOCKED` where something that should be known is not. int32."""
+    """Return the outcome of an episode: `COMPLETE` becomes `BLOCKED` if a cell of the goal is unknown. int32."""
     missed = (state.outcome == Outcome.COMPLETE) & jnp.any(state.goal & ~bits.pack(is_known(state.belief.grid)))
     return jnp.where(missed, Outcome.BLOCKED, state.outcome)
 
 
 def begin(setup: Setup, given: Given) -> State:
-    """An episode that has made its first scans.
+    """Return the state of an episode that has made its first scans.
 
     Args:
       setup: `Setup`. Static.

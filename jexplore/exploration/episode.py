@@ -14,19 +14,19 @@ CPU_OPTIONS = (("xla_disable_hlo_passes", "while-loop-invariant-code-motion"),)
 
 
 def plan(setup: Setup, given: Given, state: State) -> State:
-    """`environment.decide` and `commit`: a `State` with the next plan under way, or the episode's end."""
+    """Run `environment.decide` and `commit`: a `State` with the next plan under way, or the episode's end."""
     carry, choice, route = environment.decide(setup, given, state)
     return environment.commit(setup, given, state.replace(carry=carry), choice, route)
 
 
 def _shares(parts, whole, n):
-    """The least counts that are at least `parts / whole` of n: int32. No product overflows."""
+    """Return the least counts that are at least `parts / whole` of n: int32. No product overflows."""
     quotient, rest = n // whole, n % whole
     return parts * quotient + -(-parts * rest // whole)
 
 
 def _knowable(explorable, occupied, within):
-    """How many cells a scanner without noise can come to know: the free ones and the walls at their sides."""
+    """Count the cells that a scanner without noise can come to know: the free ones and their walls."""
     occupied = occupied if within is None else occupied & within
     near = bordered(explorable, False)
     above, right, below, left = (beside(near, *step) for step in ((1, 0), (0, 1), (-1, 0), (0, -1)))
@@ -34,7 +34,7 @@ def _knowable(explorable, occupied, within):
 
 
 def finish(setup: Setup, given: Given, state: State) -> Result:
-    """The `Result` of an episode that has ended.
+    """Return the `Result` of an episode that has ended.
 
     Args:
       setup: `Setup`. Static.
@@ -97,11 +97,11 @@ def _must_plan(state):
 
 
 def program_of(setup: Setup, keep: str | None = None) -> Program:
-    """Exploration as a `Program`; its `Setup` has a policy.
+    """Return exploration as a `Program`; its `Setup` has a policy.
 
     Args:
       setup: `Setup`.
-      keep: what is kept of every episode, one of `trail.RECORDS`; None: nothing but its result.
+      keep: the record of every episode, one of `trail.RECORDS`; None: its result only.
 
     Source:
       Holz et al. 2010, Figure 3 and section 2.3.

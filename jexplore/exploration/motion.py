@@ -14,7 +14,7 @@ EIGHTH_TURN_RAD = 0.7853981633974483
 
 
 def motion_step(motion: Any) -> tuple[Array, Array, Array]:
-    """What a motion does to the robot.
+    """Return the displacement and heading of a motion.
 
     Args:
       motion: int, index into `reach.MOTIONS`; any shape.
@@ -28,6 +28,6 @@ def motion_step(motion: Any) -> tuple[Array, Array, Array]:
 
 
 def turn_between(heading: Any, new_heading: Any) -> Array:
-    """The smaller turn from one heading to another, in units of 45 degrees: int32, 0 to 4."""
+    """Return the smaller turn from one heading to another, in units of 45 degrees: int32, 0 to 4."""
     turn = (new_heading - heading) % 8
     return jnp.minimum(turn, 8 - turn)

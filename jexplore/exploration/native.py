@@ -127,22 +127,22 @@ class NativeRun:
 
     @property
     def results(self) -> Result:
-        """`Result` of numpy arrays with a leading axis N; zeros where an episode has not come back."""
+        """Return a `Result` of numpy arrays with a leading axis N; zeros for an episode that has not come back."""
         return result_of(self.table)
 
     @property
     def left(self) -> np.ndarray:
-        """`[m]` int32, numbers of the episodes that have not come back."""
+        """Return `[m]` int32, numbers of the episodes that have not come back."""
         return self.which[self.table[self.which, _OUTCOME] == Outcome.RUNNING]
 
     @property
     def is_done(self) -> bool:
-        """Whether all episodes have come back."""
+        """Return whether all episodes have come back."""
         return not self.left.size
 
     @property
     def has_some(self) -> bool:
-        """Whether any episode has come back."""
+        """Return whether any episode has come back."""
         return bool((self.table[:, _OUTCOME] != Outcome.RUNNING).any())
 
     def play(self, numbers: np.ndarray, stop: np.ndarray) -> episodes.Played:
@@ -244,14 +244,14 @@ def play_all(
     Args:
       runs: list of `NativeRun`.
       workers: threads.
-      on_progress: called with the number of episodes done so far, from the calling thread.
-      on_run: called, likewise, with the number of a run once all of its episodes have come back.
+      on_progress: called with the number of finished episodes, from the calling thread.
+      on_run: called from the calling thread with the number of a run once all its episodes have come back.
 
     Returns:
       why no GPU ran what it should have; "" otherwise.
 
     Raises:
-      KeyboardInterrupt: after what was under way has been given up; what had ended is kept.
+      KeyboardInterrupt: after running episodes have been given up; finished ones are kept.
     """
     stop, told = np.zeros(1, np.int32), set()
 
@@ -292,14 +292,14 @@ def show_episode(
     shown: Sequence[int],
     frontier: int,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Show what a robot knew as it left some places of a recorded episode; of any strategy.
+    """Return the known map at some steps of a recorded episode, of any strategy.
 
     Args:
       world, strategy, lidar, rules: those of the episode.
       start: row, col, heading in degrees.
       final: the record, with its plans.
-      shown: steps made before it left, ascending.
-      frontier: what is added to the codes of frontier cells.
+      shown: numbers of steps, ascending.
+      frontier: added to the codes of frontier cells.
 
     Returns:
       `(codes, headings)`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can

@@ -46,12 +46,12 @@ _candidates = jax.jit(lambda belief: field(belief).candidates)
 
 
 def frontier(belief: Belief) -> np.ndarray:
-    """Frontier cells that can be reached and are not exhausted: `[H, W]` bool, numpy."""
+    """Return frontier cells that can be reached and are not exhausted: `[H, W]` bool, numpy."""
     return np.asarray(_candidates(belief))
 
 
 def moments(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: int, plans: Any) -> Iterator[Moment]:
-    """Every scan of an episode after those at the start.
+    """Yield every scan of an episode after those at the start.
 
     Args:
       site: `Site`, with the kernels of one robot.
@@ -77,7 +77,7 @@ class Turn(NamedTuple):
 
 
 def turns(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: int, plans: Any) -> Iterator[Turn]:
-    """The plans of an episode, that which ended it included; arguments as for `moments`.
+    """Yield the plans of an episode, that which ended it included; arguments as for `moments`.
 
     Yields:
       `Turn`s, whose moments must be taken before the next turn is.
@@ -103,7 +103,7 @@ def turns(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: i
 
 
 def target_of(plan: Plan, ring: int) -> tuple[int, int]:
-    """The target of a plan in the maps of a site with this ring; some cell for one that was refused, -1 for none."""
+    """Return the target of a plan in the maps of a site with this ring; some cell if it was refused, -1 for none."""
     if plan.target is None:
         return (0, 0) if plan.is_bad else (-1, -1)
     return plan.target[0] + ring, plan.target[1] + ring
@@ -117,7 +117,7 @@ def _moment(before, state, ring):
 
 
 def _route(state, motions):
-    """The map of motions of a way that begins at the robot: `[H, W]` int8."""
+    """Return the map of motions of a way that begins at the robot: `[H, W]` int8."""
     route = np.full(state.shape, NO_MOTION, np.int8)
     row, col = int(state.belief.row), int(state.belief.col)
     for motion in motions:

@@ -1,4 +1,4 @@
-"""What an episode measured, in metres, radians and words. The only place where the device's integers become those."""
+"""Measures of an episode in metres, radians and words, converted from the device's integers here only."""
 
 import math
 from typing import Any
@@ -13,26 +13,26 @@ UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
 
 def path_m(straight: ArrayLike, diagonal: ArrayLike, cell_m: float) -> Any:
-    """Length of a path of so many straight and diagonal steps, metres: float64, of the shape of the arguments."""
+    """Return the length of a path of straight and diagonal steps, metres: float64, of the shape of the arguments."""
     return (np.asarray(straight, np.float64) + np.asarray(diagonal, np.float64) * math.sqrt(2)) * cell_m
 
 
 def progress_m(result: Result, cell_m: float) -> np.ndarray:
-    """Path driven when each 1 / `MARKS` of the cells that can be known in the world was first known.
+    """Return the path driven when each 1 / `MARKS` of the world's knowable cells was first known.
 
     Args:
       result: `state.Result` of numpy arrays with a leading axis N.
       cell_m: edge of a cell, metres.
 
     Returns:
-      `[N, MARKS]` float64, metres; NaN where so much was never known.
+      `[N, MARKS]` float64, metres; NaN where that share was never known.
     """
     metres = path_m(result.straight_along, result.diagonal_along, cell_m)
     return np.where(np.asarray(result.straight_along) < 0, np.nan, metres)
 
 
 def length_along_m(rows: np.ndarray, cols: np.ndarray, cell_m: float) -> np.ndarray:
-    """Length of a walk from its first cell to each of its cells, metres.
+    """Compute the length of a walk from its first cell to each of its cells, metres.
 
     Args:
       rows, cols: `[N]` int, neighbouring cells in the order driven, N >= 1.
@@ -46,7 +46,7 @@ def length_along_m(rows: np.ndarray, cols: np.ndarray, cell_m: float) -> np.ndar
 
 
 def map_state(hits: np.ndarray, misses: np.ndarray, p_free: float) -> np.ndarray:
-    """A reflection map as unknown, free and occupied cells.
+    """Classify the cells of a reflection map as unknown, free and occupied.
 
     Args:
       hits, misses: `[H, W]` int32.
@@ -61,12 +61,12 @@ def map_state(hits: np.ndarray, misses: np.ndarray, p_free: float) -> np.ndarray
 
 
 def to_occupancy(state: np.ndarray) -> np.ndarray:
-    """A map of `map_state` as ROS counts: `[H, W]` int8, -1 unknown, 0 free, 100 occupied."""
+    """Convert a map of `map_state` to ROS counts: `[H, W]` int8, -1 unknown, 0 free, 100 occupied."""
     return np.array([-1, 0, 100], np.int8)[state]
 
 
 def columns(result: Result, starts: np.ndarray, *, seed: int, cell_m: float, has_rooms: bool) -> dict[str, Any]:
-    """The columns of a table of episodes: one entry an episode.
+    """Return the columns of a table of episodes: one entry an episode.
 
     Args:
       result: `state.Result` of numpy arrays with a leading axis N.

@@ -1,4 +1,4 @@
-"""What a scan tells a robot: it is made where the robot stands, and counted into its map where it believes to be.
+"""Sensing: a scan at the robot's true pose, counted into its map at the estimated pose.
 
 Known cells are counted as they come to be known.
 """
@@ -20,12 +20,12 @@ STRIDE = 16  # cells by which the square moves in which known cells are counted
 
 
 def stacked(given: Given, maps: Array) -> tuple[Array, Array]:
-    """Maps of all worlds as one, one above the other, and the row where the run's own begins: `([M * H, W], int32)`."""
+    """Stack maps of all worlds, and return the row where the run's own begins: `([M * H, W], int32)`."""
     return maps.reshape(-1, maps.shape[-1]), given.scene * maps.shape[-2]
 
 
 def square(row: Any, col: Any, shape: tuple[int, ...], window: int) -> tuple[Array, tuple[int, ...]]:
-    """The corner of a square that holds every cell that a scan can change, and its shape: `((row, col), (h, w))`.
+    """Return corner and shape of a square that holds every cell that a scan can change: `((row, col), (h, w))`.
 
     It moves by `STRIDE` cells at a time, so that its known cells need not be counted anew for every scan.
     """
@@ -42,7 +42,7 @@ class Square(NamedTuple):
 
 
 def first_tally(setup: Setup, belief: Belief, *, is_blank: bool) -> tuple[Square, Array]:
-    """Known cells of a belief before its first scan, and by what they are counted from then on.
+    """Return known cells of a belief before its first scan, and the tally for counting from then on.
 
     Args:
       setup: as for `sense`.
@@ -61,17 +61,17 @@ def first_tally(setup: Setup, belief: Belief, *, is_blank: bool) -> tuple[Square
 
 
 def uncounted(state: State) -> State:
-    """A `State` whose map is about to change otherwise than by `sense`, which will then count known cells anew."""
+    """Mark a `State` whose map is about to change otherwise than by `sense`, which then counts known cells anew."""
     return state.replace(tally=Square(jnp.full(2, -1, jnp.int32), jnp.int32(0)))
 
 
 def _counted(grid, within):
-    """The known cells that count: those that are to be known."""
+    """Return the known cells that count: those of the goal."""
     return is_known(grid) if within is None else is_known(grid) & within
 
 
 def known_in(grid: Grid, corner: Array, size: tuple[int, ...], within: Array | None = None) -> Array:
-    """Known cells in a square.
+    """Return known cells in a square.
 
     Args:
       grid: `Grid`.
@@ -114,7 +114,7 @@ def without_silent(seen: Scan, blind: Array, no_echo_is_free: Array | bool) -> S
 
 
 def _told(setup, state, seen, beams, when):
-    """A scan counted into the map: `(grid, tally, known)`."""
+    """Count a scan into the map: `(grid, tally, known)`."""
     belief = state.belief
     corner, size = square(belief.row, belief.col, state.shape, setup.window)
     # Known cells outside the square, counted before the update. The number is added where it changes nothing (it is
@@ -131,13 +131,13 @@ def _told(setup, state, seen, beams, when):
 
 
 def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
-    """One scan where the robot stands, counted into its map where it believes to be, or nothing.
+    """Make one scan at the true pose and count it into the map at the estimated pose, if `when`.
 
     Args:
       setup: `Setup`. Static.
       given: as for `environment.begin`.
       state: `State`.
-      when: bool scalar, whether there is one.
+      when: bool scalar, False: do nothing.
 
     Returns:
       `State`.

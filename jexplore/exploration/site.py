@@ -53,14 +53,14 @@ class Site(NamedTuple):
     ring: int  # cells by which indices in these maps are larger than the world's
 
     def with_strategy(self, strategy: Strategy) -> tuple[Setup, Numbers]:
-        """The `Setup` and the `Numbers` of a strategy here: `(setup, numbers)`."""
+        """Return the `Setup` and the `Numbers` of a strategy here: `(setup, numbers)`."""
         params = _numbers(strategy)
         numbers = self.numbers.replace(recheck=np.bool_(strategy.recheck), params=params)
         return self.setup._replace(policy=_traced(self, strategy, numbers)._replace(params=())), numbers
 
 
 def _numbers(strategy):
-    """A strategy's parameters as arrays."""
+    """Convert a strategy's parameters to arrays."""
     try:
         return jax.tree.map(number, strategy.policy.params)
     except (TypeError, ValueError):
@@ -68,7 +68,7 @@ def _numbers(strategy):
 
 
 def _traced(site, strategy, numbers):
-    """The policy of a strategy; a user's is traced here, and refused where it returns what it should not."""
+    """Return the policy of a strategy; a user's is traced here, and refused if its result is wrong."""
     if not adapt.is_theirs(strategy.policy):
         return strategy.policy
     truth = jax.tree.map(lambda a: a[None], site.truth)
@@ -89,7 +89,7 @@ def prepare_site(
     native: str | None = None,
     alike: Sequence[tuple[Lidar, Rules]] = (),
 ) -> Site:
-    """Puts a ring round a world that needs one, pads it and traces the scanner's beams.
+    """Prepare a world: add a ring if needed, pad it and trace the scanner's beams.
 
     Args:
       world: `World`.
@@ -97,9 +97,9 @@ def prepare_site(
       rules: `Rules`.
       shape: `(H, W)` to which the world is padded; by default the next that many worlds share.
       native: target of the kernel in C++ that scans and counts, see `sensing`, for one robot on a CPU; None: those in
-        JAX. A noisy scanner, and a world of which only a part is to be known, have none.
-      alike: scanners and rules of other runs. What is fixed before compiling then suits all of them whose scanner has
-        as many beams, so that they share a program; results are the same.
+        JAX. A noisy scanner, and a world with a partial goal, have none.
+      alike: scanners and rules of other runs. The static config then suits all of them whose scanner has as many beams,
+        so that they share a program; results are the same.
 
     Returns:
       `Site` of numpy arrays.
@@ -147,12 +147,12 @@ def alike(truths: Sequence[Truth]) -> list[Truth]:
 
 
 def cost_of(length_m: float, cell_m: float) -> int:
-    """A length as a cost of `reach`, rounded; at most FAR."""
+    """Convert a length to a cost of `reach`, rounded; at most FAR."""
     return round(min(in_cells(length_m, cell_m) * reach.STRAIGHT, reach.FAR))
 
 
 def _truth(world, shape):
-    """The `Truth` of a world with its ring, padded."""
+    """Make the `Truth` of a world with its ring, padded."""
     pad = [(0, full - n) for full, n in zip(shape, world.shape)]
     rooms = world.rooms if world.rooms is not None else np.full(world.shape, -1, np.int32)
     # Ignored types: numpy on the host, where the record says what it is on the device.
@@ -172,7 +172,7 @@ def limit_of(shape: tuple[int, ...]) -> int:
 
 
 def regions_of(world: World) -> np.ndarray:
-    """Number each 4-connected region of free cells within: `[H, W]` int32."""
+    """Label each 4-connected region of free cells within: `[H, W]` int32."""
     from scipy import ndimage
 
     free = ~world.occupied if world.within is None else ~world.occupied & world.within
@@ -180,7 +180,7 @@ def regions_of(world: World) -> np.ndarray:
 
 
 def _setup(everyone, cell_m, shape, limit, native):
-    """What is fixed before compiling, such that it suits several scanners and rules, those of the site first."""
+    """Make a static config that suits several scanners and rules, those of the site first."""
     lidar, _ = everyone[0]
     max_steps = max(rules.max_steps or limit for _, rules in everyone)
     most = max(farthest(one, cell_m) + 4 * in_cells(one.sigma_m, cell_m) for one, _ in everyone)
@@ -196,14 +196,15 @@ def _setup(everyone, cell_m, shape, limit, native):
 
 
 def _beams(everyone, cell_m, shape):
-    """The same table for all rules and noise: megabytes."""
+    """Return the beam table, the same for all rules and noise: megabytes."""
     lidar, _ = everyone[0]
     return beam_table(lidar.without_noise(), cell_m, shape[1], max(farthest(one, cell_m) for one, _ in everyone))
 
 
 def tasks_of(starts: ArrayLike, ring: int) -> np.ndarray:
-    """What runs are given of starts in a world: `[N, 3]` int32, row and col in the maps of a site with this ring,
-    heading in units of 45 degrees.
+    """Convert starts in a world to tasks of runs: `[N, 3]` int32.
+
+    Row and col in the maps of a site with this ring, heading in units of 45 degrees.
     """
     row, col, heading_deg = np.array(starts, np.int32).T
     return np.stack([row + ring, col + ring, heading_deg // 45], axis=1)
@@ -219,16 +220,16 @@ def line_of(
     keeps: int = 0,
     keep: str | None = None,
 ) -> Line:
-    """The `Line` of a strategy's episodes.
+    """Make the `Line` of a strategy's episodes.
 
     Args:
       site: `Site`.
-      fitted: what `site.with_strategy` made of the strategy.
+      fitted: from `site.with_strategy`.
       starts: `[N, 3]` int, row, col, heading_deg (multiples of 45).
       seed: int.
-      which: `[n]` int, numbers of the episodes to be run here.
+      which: `[n]` int, numbers of the episodes to run here.
       keeps: number of the episode whose map and way are kept whole.
-      keep: what is kept of every episode, see `episode.program_of`.
+      keep: record of every episode, see `episode.program_of`.
     """
     setup, numbers = fitted
     trim = None

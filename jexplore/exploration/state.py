@@ -1,4 +1,4 @@
-"""What an exploration episode is made of: its setting, its state, its result."""
+"""Records of an exploration episode: its static config, its state, its result."""
 
 import enum
 import math
@@ -18,7 +18,7 @@ MARKS = 100
 
 
 class Outcome(enum.IntEnum):
-    """How an episode ended."""
+    """Outcome of an episode."""
 
     RUNNING = 0
     COMPLETE = 1  # no frontier left, and every cell that is clear and connected to the start is known
@@ -38,7 +38,7 @@ class Stream(enum.IntEnum):
 
 
 def steps_m(straight: Any, diagonal: Any, cell_m: Any) -> Array:
-    """How long some steps are, metres: float32. A cost of `reach` would not hold the longest ways."""
+    """Return the length of some steps, metres: float32. A cost of `reach` would not hold the longest ways."""
     return (straight + jnp.float32(math.sqrt(2)) * diagonal) * cell_m
 
 
@@ -56,7 +56,7 @@ class Truth:
 
 
 class Setup(NamedTuple):
-    """What is fixed before an episode is compiled. Hashable."""
+    """Static config of an episode. Hashable."""
 
     policy: Any  # `Policy` without its parameters; None: the site of no strategy yet
     first_scans: int  # scans all round at the start: 1, 2, 4 or 8
@@ -86,9 +86,7 @@ class Numbers:
 
 @struct.dataclass
 class Result:
-    """What an episode measured: integers, so that equal results are equal bits. Metres and radians are made on
-    the host.
-    """
+    """Measures of an episode: integers, so that equal results have equal bits. The host makes metres and radians."""
 
     straight: Array  # int32, straight steps
     diagonal: Array  # int32, diagonal steps
@@ -102,9 +100,9 @@ class Result:
     explorable: Array  # int32, free cells 4-connected to the start in the true world
     room_entries: Array  # int32
     straight_at: Array  # [4] int32, straight steps when 50, 90, 95, 99 % of `known` were known
-    diagonal_at: Array  # [4] int32, likewise
+    diagonal_at: Array  # [4] int32, as `straight_at`
     straight_along: Array  # [MARKS] int32, straight steps when 1, 2, ... 100 % of what can be known was; -1: never
-    diagonal_along: Array  # [MARKS] int32, likewise
+    diagonal_along: Array  # [MARKS] int32, as `straight_along`
     saturated: Array  # int32, cells out of reach at the end because their cost does not fit (see `reach.saturated`)
     refused: Array  # int32, steps refused because the cell ahead was not free
     overflow: Array  # int32, things that the strategy had no room for, all plans together
@@ -150,22 +148,22 @@ class State:
 
     @property
     def steps(self) -> Array:
-        """Steps made: int32."""
+        """Return the number of steps: int32."""
         return self.straight + self.diagonal
 
     @property
     def path_m(self) -> Array:
-        """Way driven, metres: float32."""
+        """Return the driven way, metres: float32."""
         return steps_m(self.straight, self.diagonal, self.belief.model.cell_m)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """`(H, W)` of the maps."""
+        """Return `(H, W)` of the maps."""
         return self.belief.driven.shape
 
 
 def no_counts() -> Any:
-    """The counts of a `State` in which nothing has been done: dict."""
+    """Return the counts of a `State` at zero: dict."""
     names = "straight diagonal turns scans plans exhausted saturated refused overflow bad_targets"
     names += " known looking looked unscanned"
     return dict.fromkeys(names.split(), jnp.int32(0))

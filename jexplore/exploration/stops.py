@@ -59,7 +59,7 @@ def _never(key, params, carry, belief, beams, route):
 
 
 def _bare(setup, numbers):
-    """A strategy here of which only `live` is left, so that all without one share what is compiled."""
+    """Strip a strategy to `live`, so that all strategies without one share a compiled program."""
     live = setup.policy.live
     params = () if live is None else numbers.params
     return setup._replace(policy=Policy(_nothing, _never, (), live)), numbers.replace(params=params)
@@ -93,10 +93,10 @@ _begin = pinned_draws()(jax.jit(environment.begin, static_argnums=0))
 @pinned_draws()
 @functools.partial(jax.jit, static_argnums=0, donate_argnums=3)
 def _go_on(setup, given, script, state, step):
-    """The state as the robot leaves the place where it is after some steps, and how it was turned there."""
+    """Return the state as the robot leaves its place after some steps, and its turn there."""
 
     def ahead(state, plan):
-        """The route of the state with the next motion of a plan laid where the robot is."""
+        """Return the route of the state with the next motion of a plan laid at the robot."""
         motion = jnp.where(state.steps < script.until[plan], script.motions[state.steps], script.refused[plan])
         return state.route.at[state.belief.row, state.belief.col].set(motion)
 
@@ -129,7 +129,7 @@ def _go_on(setup, given, script, state, step):
 def stops(
     site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: int, final: Final, steps: Iterable[int]
 ) -> Iterator[Stop]:
-    """An episode as it was after some numbers of steps.
+    """Yield an episode as it was after some numbers of steps.
 
     Args:
       site: `Site`, with the kernels of one robot.

@@ -18,7 +18,7 @@ from jexplore.planning import Choice
 from jexplore.reach import HEADING, MOTIONS, NO_MOTION
 
 LOOKS = 8  # scans made in place at a spot, less than that
-CHOICES = 4  # one plan is recorded for so many steps that there is room for
+CHOICES = 4  # room for one recorded plan per this many steps
 _HEADING_OF = dict(zip(MOTIONS, HEADING))
 
 
@@ -37,13 +37,13 @@ class Choices(enum.IntEnum):
 
 
 def blank(capacity: int) -> tuple[Array, Array]:
-    """A trail and a record of plans with room for so many steps: `[T + 1, 2]`, `[P, 2]` int32."""
+    """Return an empty trail and record of plans with room for a number of steps: `[T + 1, 2]`, `[P, 2]` int32."""
     steps, plans = (capacity + 1, len(Trail)), (-(-capacity // CHOICES), len(Choices))
     return jnp.zeros(steps, jnp.int32), jnp.zeros(plans, jnp.int32)
 
 
 def note_step(state: State, when: Array | bool = True) -> State:
-    """A `State` with the trail's entry for the present step, or as it is."""
+    """Add the present step to the trail of a `State`, unless there is nothing to add."""
     cell = state.row * state.shape[1] + state.col
     entry = jnp.stack([LOOKS * cell + state.looked, state.known])
     step = jnp.where(when, state.steps, state.trail.shape[0])
@@ -51,7 +51,7 @@ def note_step(state: State, when: Array | bool = True) -> State:
 
 
 def choice_of(state: State, choice: Choice, bad: Array) -> Array:
-    """The entry of a choice in the record of plans, `bad` if it was refused: `[2]` int32."""
+    """Return the entry of a choice in the record of plans, `bad` if it was refused: `[2]` int32."""
     cell = 2 * (choice.row * state.shape[1] + choice.col) + choice.is_view
     return jnp.stack([jnp.where(choice.row < 0, -1, jnp.where(bad, -2, cell)), 16 * state.steps + state.bumped + 1])
 
@@ -78,13 +78,13 @@ class Final(NamedTuple):
     plans: list[Plan] | None  # every choice; None where there was no room for all of them
 
     def target_after(self, step: int) -> tuple[int, int] | None:
-        """Row and column of what the robot went to next after some steps; None in the end."""
+        """Return row and column of the robot's next target after some steps; None in the end."""
         later = [plan for plan in self.plans or () if plan.step <= step]
         return later[-1].target if later else None
 
 
 def kept(state: State) -> tuple[Array, Array, Array, Array, Array]:
-    """What is kept of an episode: map, trail, choices, and the motion that was refused last."""
+    """Return the record of an episode: map, trail, choices, and the last refused motion."""
     return state.belief.grid.hits, state.belief.grid.misses, state.trail, state.choices, state.bumped
 
 
@@ -98,18 +98,18 @@ def _steps_and_map(state):
 
 
 RECORDS: dict[str, Callable[[State], tuple[Array, ...]]] = {"paths": _steps, "maps": _steps_and_map}
-"""What can be kept of every episode: its way; its way and its last map."""
+"""Possible records of every episode: its way; its way and its last map."""
 
 
 class Record(NamedTuple):
-    """What is kept of every episode, on the host."""
+    """Record of every episode, on the host."""
 
     path: np.ndarray  # [n + 1, 3] int32, row, col and known cells, at the start and after each of n steps
     state: np.ndarray | None  # [H, W] uint8, the last map: 0 unknown, 1 free, 2 occupied; the world's cells
 
 
 def record_of(result: Result, found: tuple[np.ndarray, ...], shape: tuple[int, ...], width: int, ring: int) -> Record:
-    """The `Record` of an episode.
+    """Return the `Record` of an episode.
 
     Args:
       result: `Result` of scalars.
@@ -127,7 +127,7 @@ def record_of(result: Result, found: tuple[np.ndarray, ...], shape: tuple[int, .
 
 
 def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int], ring: int = 0) -> Final:
-    """`Final` of what was kept of an episode.
+    """Make `Final` of the record of an episode.
 
     Args:
       found: what `kept` gave, numpy.

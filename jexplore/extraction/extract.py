@@ -36,12 +36,12 @@ def extract(
     clutter_m: float = CLUTTER_M,
     origin_m: tuple[float, float] = (0.0, 0.0),
 ) -> BtmMap:
-    """The Behavioral Trace Map of a grid map, on the host.
+    """Extract the trace map of a grid map, on the host.
 
     Divergence nodes are junctions of the Voronoi graph with a dead end, a corner or three and more passages; those
-    nearer to each other than their clearance are one. Where the clearance is above `open_m` there is free space: one
-    node at the mouth of each passage into it, the nodes linked in a ring. A way into what is not known is an
-    un-searched link. Passages narrower than `width_m` are closed. Without obstacle nodes: a grid has no heights.
+    nearer to each other than their clearance are merged. A clearance above `open_m` means free space: one node at the
+    mouth of each passage into it, the nodes linked in a ring. A way into unknown space is an un-searched link. Passages
+    narrower than `width_m` are closed. Without obstacle nodes: a grid has no heights.
 
     Args:
       free: `[H, W]` bool, cells known to be free.
@@ -87,7 +87,7 @@ def extract(
 
 
 def _checked(free, known, cell_m, start_rc, trail, width_m, open_m, clutter_m):
-    """`(free, obstacle, ends)`: masks with small unseen patches and clutter free, and name -> cell of the terminals."""
+    """Check the input: `(free, obstacle, ends)`, small unseen patches and clutter free, and name -> terminal cell."""
     free, known = np.asarray(free), np.asarray(known)
     if free.ndim != 2 or free.shape != known.shape or free.dtype != bool or known.dtype != bool:
         raise InputError(
@@ -127,7 +127,7 @@ def _counts(lines, cell):
 
 
 def _attached(lines, corners, ends, free):
-    """The cell of the graph that each terminal belongs to: the nearest in sight, no junction if that can be."""
+    """Return the cell of the graph that each terminal belongs to: the nearest in sight, no junction if that can be."""
     found, parts = {}, label_components(free)
     for name, (row, col) in ends.items():
         same = parts[lines.row, lines.col] == parts[row, col]
@@ -150,7 +150,7 @@ def _in_sight(free, row, col, to_row, to_col):
 
 
 def _numbered(places, ways, first, lines, cell_m, origin_m):
-    """`BtmMap` of places and ways, numbered as one meets them from the place `first`."""
+    """Renumber places and ways as one meets them from the place `first`: a `BtmMap`."""
     bearing, leaving = {}, {key: [] for key in places}  # of ends of ways: number, whether it is the last end
     for n, way in enumerate(ways):
         for last, key, path in ((False, way.start, way.path), (True, way.end, way.path[::-1])):
@@ -185,7 +185,7 @@ def _numbered(places, ways, first, lines, cell_m, origin_m):
 
 
 def _link(number, ends, bearings, way, places, lines, cell_m):
-    """A `Link` between the nodes `ends`, along a way that may run from the last of them to the first."""
+    """Make a `Link` between the nodes `ends`, along a way that may run from the last of them to the first."""
     (start, end), (start_deg, end_deg) = ends, bearings
     from_place, to_place = places[way.start], places.get(way.end)
     if to_place is None:
@@ -199,7 +199,7 @@ def _link(number, ends, bearings, way, places, lines, cell_m):
 
 
 def _narrowest(lines, path):
-    """Least width along a path, cells. A line of cells may stray from the axis for one of them."""
+    """Return the least width along a path, cells. A line of cells may stray from the axis for one of them."""
     radius = lines.radius[path]
     if len(path) > 2:
         radius = np.maximum(radius, np.maximum(np.roll(radius, 1), np.roll(radius, -1)))
@@ -207,7 +207,7 @@ def _narrowest(lines, path):
 
 
 def _leaves(lines, place, path):
-    """Direction in which a path leaves a place: to where it crosses the search circle about the place, degrees."""
+    """Return the direction in which a path leaves a place: to where it crosses its search circle, degrees."""
     rows, cols = (lines.at[path] - place[:2]).T
     away = np.hypot(rows, cols)
     out = away >= SEARCH * place.radius

@@ -13,7 +13,7 @@ CLOSING = 0.9  # free space, once entered, ends where the clearance falls below 
 def free_spaces(
     lines: Lines, near: dict[int, set[int]], special: set[int], open_cells: float
 ) -> tuple[list[set[int]], set[int]]:
-    """Parts of the graph in free space, up to the mouths of the passages.
+    """Return parts of the graph in free space, up to the mouths of the passages.
 
     Args:
       lines: `Lines`.
@@ -53,7 +53,7 @@ def free_spaces(
 
 
 def _leading_out(near, inside, special):
-    """Paths from cells of a set to the next special cell outside or back into the set."""
+    """Yield paths from cells of a set to the next special cell outside or back into the set."""
     for cell in sorted(inside):
         for first in sorted(near[cell] - inside):
             path = [cell, first]
@@ -64,7 +64,7 @@ def _leading_out(near, inside, special):
 
 
 def through(lines: Lines, near: dict[int, set[int]], space: set[int], ports: set[int]) -> list[list[int]]:
-    """Paths through one space, from each of its ports to the next one counter-clockwise and to what is not known.
+    """Find paths through one free space, from each port to the next one counter-clockwise and to unknown space.
 
     Args:
       lines: `Lines`.
@@ -86,7 +86,7 @@ def through(lines: Lines, near: dict[int, set[int]], space: set[int], ports: set
 
 
 def _around(lines, near, first, wanted):
-    """Those cells of a set that one meets along the wall, counter-clockwise, from the first."""
+    """Return those cells of a set that one meets along the wall, counter-clockwise, from the first."""
     found, seen, stack = [], set(), [(first, None)]
     while stack:
         cell, before = stack.pop()
@@ -102,7 +102,7 @@ def _around(lines, near, first, wanted):
 
 
 def _shortest(near, start, goal):
-    """Cells of a shortest path, in steps."""
+    """Return the cells of a shortest path, in steps."""
     before, queue = {goal: goal}, collections.deque([goal])
     while start not in before:
         cell = queue.popleft()

@@ -41,7 +41,7 @@ class Lines(NamedTuple):
 
 
 def lines_of(obstacle: np.ndarray, free: np.ndarray, *, width: float) -> Lines:
-    """`Lines` of the space that is not known to be occupied.
+    """Return `Lines` of the space that is not known to be occupied.
 
     Args:
       obstacle: `[H, W]` bool.
@@ -67,7 +67,7 @@ def lines_of(obstacle: np.ndarray, free: np.ndarray, *, width: float) -> Lines:
 
 
 def _axis(off, row, col):
-    """`at`, `radius` and `spread_deg` of `Lines`, from the offsets of all cells to their nearest obstacles.
+    """Compute `at`, `radius` and `spread_deg` of `Lines`, from the offsets of all cells to their nearest obstacles.
 
     The axis lies between a cell and its neighbours: in a passage of an even number of cells, on the edge of two.
     """
@@ -97,7 +97,7 @@ def _axis(off, row, col):
 
 
 def distance(lines: Lines, a: int, b: int) -> float:
-    """From one cell to another, cells."""
+    """Return the distance from one cell to another, cells."""
     return float(math.dist(lines.at[a], lines.at[b]))
 
 
@@ -108,7 +108,7 @@ def bearing_deg(lines: Lines, a: int, b: int) -> float:
 def chains(
     near: list[set[int]] | dict[int, set[int]], cells: Iterable[int], keys: Container[int]
 ) -> Iterator[list[int]]:
-    """Paths between cells that are in `keys` or have not two neighbours, each once, in the order of `cells`."""
+    """Yield paths between cells that are in `keys` or have not two neighbours, each once, in the order of `cells`."""
     seen = set()
     for a in cells:
         if a not in keys and len(near[a]) == 2:
@@ -124,7 +124,7 @@ def chains(
 
 
 def components(near: list[set[int]] | dict[int, set[int]], cells: Collection[int]) -> list[set[int]]:
-    """Sets of connected cells that hold any of `cells`, in their order."""
+    """Return sets of connected cells that hold any of `cells`, in their order."""
     left, found = set(cells), []
     for cell in cells:
         if cell in left:
@@ -142,7 +142,7 @@ def components(near: list[set[int]] | dict[int, set[int]], cells: Collection[int
 
 
 def take_corners(lines: Lines) -> dict[int, int]:
-    """Takes the branches that end at a wall off `lines.near`, and says how many corners each junction had.
+    """Take the branches that end at a wall off `lines.near`; return how many corners each junction had.
 
     A branch whose far end has lost its own branches is looked at in turn: a corner may be cut off.
 
@@ -175,15 +175,13 @@ def take_corners(lines: Lines) -> dict[int, int]:
 
 
 def _is_one_place(lines, path):
-    """Whether the end of a branch lies in the disc of its junction and has about its clearance."""
+    """Return whether the end of a branch lies in the disc of its junction and has about the same clearance."""
     here, tip = lines.radius[path[0]], lines.radius[path[-1]]
     return tip >= NECK * here and distance(lines, path[0], path[-1]) <= here
 
 
 def _branch(lines, path, has_corners):
-    """What a branch from a junction to a loose end, which may have corners of its own, is: "rough", "corner" or
-    "passage".
-    """
+    """Classify a branch from a junction to a loose end, possibly with corners: "rough", "corner" or "passage"."""
     here, tip = lines.radius[path[0]], lines.radius[path[-1]]
     is_room = has_corners and lines.radius[path].min() < NECK * tip
     radius, spread = lines.radius[path[1:]], lines.spread_deg[path[1:]]

@@ -33,7 +33,7 @@ class Passage(NamedTuple):
 def places_and_passages(
     lines: Lines, corners: dict[int, int], alive: set[int], terminals: dict[int, Place], *, open_cells: float
 ) -> tuple[dict[int, Place], list[Passage]]:
-    """The places of a graph and the ways between them.
+    """Return the places of a graph and the ways between them.
 
     Args:
       lines: `Lines`.
@@ -80,7 +80,7 @@ def _place(lines, cells, kind, corners=0):
 
 
 def _close_gaps(lines, near, corners, keys, open_cells):
-    """Takes ways through gaps of walls off `near`: far walls are seen as single points.
+    """Take ways through gaps of walls off `near`: far walls are seen as single points.
 
     Of the ways into the unknown a junction keeps those that are seen beyond its disc and beyond their narrowest place
     near it. One without any other way out keeps the one that is seen furthest. In free space all count.
@@ -102,7 +102,7 @@ def _close_gaps(lines, near, corners, keys, open_cells):
 
 
 def _merged(lines, junctions, paths):
-    """Junctions nearer to each other than the smaller of their clearances are one: sorted lists of them."""
+    """Merge junctions nearer to each other than the smaller of their clearances: sorted lists."""
     close = {cell: set() for cell in sorted(junctions)}
     for path in paths:
         a, b = path[0], path[-1]
@@ -114,7 +114,7 @@ def _merged(lines, junctions, paths):
 
 
 def _tidied(places, ways):
-    """Without junctions that are passed straight on, and without the dead end in which a terminal stands."""
+    """Remove junctions that are passed straight on, and the dead end in which a terminal stands."""
     for key in [key for key, place in places.items() if place.type == "divergence"]:
         own = [way for way in ways if key in (way.start, way.end)]
         degree = sum((way.start == key) + (way.end == key) for way in own)
@@ -136,5 +136,5 @@ def _tidied(places, ways):
 
 
 def _away(way, key):
-    """The way as one that starts at `key`."""
+    """Return the way as one that starts at `key`."""
     return way if way.start == key else Passage(way.end, way.start, way.path[::-1])

@@ -1,9 +1,8 @@
-"""Regression on what choices turned out to cost: lessons are collected with the present weights, and the scores fitted
-to all lessons so far, in rounds.
+"""Regression on the observed costs of choices: rounds of lessons with the present weights, and fits to all lessons.
 
 Rounds as in Ross, Gordon, Bagnell, "A Reduction of Imitation Learning and Structured Prediction to No-Regret Online
 Learning" (DAgger), AISTATS 2011; costs of every action from rollouts as in Ross, Bagnell, "Reinforcement and Imitation
-Learning via Interactive No-Regret Learning", 2014. Rollouts know the true map, what is learned does not.
+Learning via Interactive No-Regret Learning", 2014. Rollouts know the true map; the learned strategy does not.
 """
 
 import functools
@@ -30,7 +29,7 @@ class Settings(NamedTuple):
     episodes: int = 20  # of a round
     share: float = 0.1  # of the decisions that are asked about
     tried: int = 8  # most candidates of one
-    margin_m: float = 10.0  # a try ends when it has cost so much more than the best before it
+    margin_m: float = 10.0  # a rollout ends when it costs this much more than the best before it
     stray: float = 0.1  # share of the decisions at which the robot does not follow the policy
     steps: int = 500  # of the fit of a round
     batch: int = 128
@@ -60,7 +59,7 @@ class State(NamedTuple):
 
 
 def begin(weights: Any, settings: Settings) -> State:
-    """A search that begins at some weights."""
+    """Return the state of a search that begins at some weights."""
     del settings
     return State(weights, no_lessons(), 0)
 
@@ -68,7 +67,7 @@ def begin(weights: Any, settings: Settings) -> State:
 def step(
     state: State, network: str, bank: Bank, settings: Settings, seed: int, workers: int | None = None
 ) -> tuple[State, float]:
-    """One round. Arguments and result as of `es.step`; the ratio is that of the paths on which lessons were given."""
+    """Make one round. Arguments and result as of `es.step`; the ratio is that of the paths with lessons."""
     draw = np.random.default_rng([seed, int(state.generation)])
     which = bank.some(draw, settings.episodes)
     starts = int(draw.integers(2**31))
@@ -88,11 +87,11 @@ def step(
 
 
 def loss(network: str, weights: Any, some: Lessons, delta: Array | float) -> Array:
-    """How far scores are from minus the costs, both beside their means over the candidates tried: float32, Huber's.
+    """Compute Huber's loss of scores against minus the costs, both centred over the candidates tried: float32.
 
     Args:
       network: one of `networks.NETWORKS`.
-      weights: of it.
+      weights: of that network.
       some: `Lessons`, B of them.
       delta: errors beyond it count linearly, UNIT_M.
     """
@@ -106,7 +105,7 @@ def loss(network: str, weights: Any, some: Lessons, delta: Array | float) -> Arr
 
 @functools.partial(jax.jit, static_argnums=0)
 def _fitted(network, weights, lessons, at, rate, delta):
-    """Weights after some steps of Adam, on `at`: `[steps, batch]` int32."""
+    """Return weights after some steps of Adam, on `at`: `[steps, batch]` int32."""
     optimiser = optax.adam(rate)
 
     def one(carry, at):

@@ -1,4 +1,4 @@
-"""Worlds to learn in, and how long the paths of strategies are there beside those of the reference."""
+"""Worlds for training, and the path lengths of strategies in them relative to the reference."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
@@ -48,12 +48,12 @@ class Bank:
     def log_ratios(
         self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None
     ) -> np.ndarray:
-        """How long the paths of strategies are beside those of the reference, from the same starts.
+        """Compute path lengths of strategies relative to the reference, from the same starts.
 
         Args:
           strategies: N of them.
-          which: K numbers of worlds; an episode in each, of one that is there twice from two starts.
-          seed: of the starts and of all that is random.
+          which: K numbers of worlds; an episode in each, from another start if a world occurs twice.
+          seed: of the starts and all other draws.
           workers: cores; by default all.
 
         Returns:
@@ -66,12 +66,12 @@ class Bank:
     def lengths(
         self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None
     ) -> np.ndarray:
-        """How long the paths of strategies are, from the same starts: `[N, K]` float64, metres.
+        """Compute path lengths of strategies, from the same starts: `[N, K]` float64, metres.
 
         inf where an episode did not end COMPLETE. Arguments as of `log_ratios`.
 
         Raises:
-          KeyboardInterrupt: not all could be made.
+          KeyboardInterrupt: not all were made.
         """
         jobs, places = [], []
         for number, place, starts in self.episodes(which, seed):
@@ -88,18 +88,18 @@ class Bank:
         return table
 
     def some(self, draw: np.random.Generator, n: int) -> list[int]:
-        """n numbers of worlds, each as often as any other, or once more; in an order that is drawn."""
+        """Draw n numbers of worlds in a random order, each as often as any other, or once more."""
         return draw.permutation(np.resize(draw.permutation(len(self.worlds)), n)).tolist()
 
     def episodes(self, which: Sequence[int], seed: int) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """Worlds and starts: `(number of the world, its places in which, [n, 3] starts)` for each world."""
+        """Yield worlds and starts: `(number of the world, its places in `which`, [n, 3] starts)` for each world."""
         numbers, counts = np.unique(which, return_counts=True)
         for number, n in zip(numbers.tolist(), counts.tolist()):
             place = np.flatnonzero(np.asarray(which) == number)
             yield number, place, ready_starts(self.worlds[number], self.start, n, seed=seed, rules=self.rules)
 
     def site(self, number: int) -> Site:
-        """A world made ready, once."""
+        """Prepare a world, once."""
         if number not in self._sites:
             native = drive_for("cpu").name
             self._sites[number] = prepare_site(self.worlds[number], self.lidar, self.rules, native=native)
@@ -107,8 +107,9 @@ class Bank:
 
 
 def log_ratio(lengths: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Logarithms of paths beside the reference's; that of `FAILED` where one is inf and the reference's is not, 0 where
-    the reference's is inf or 0.
+    """Compute logarithms of paths relative to the reference's.
+
+    The value is that of `FAILED` where a path is inf and the reference's finite, 0 where the reference's is inf or 0.
 
     Args:
       lengths: `[..., K]` metres.
@@ -127,7 +128,7 @@ def prepare_bank(
     rules: RulesLike = RULES,
     start: str = "random",
 ) -> Bank:
-    """A `Bank`.
+    """Make a `Bank`.
 
     Raises:
       InputError: a world that cannot be loaded, or is too large, or in which no robot can stand.
@@ -141,7 +142,7 @@ def prepare_bank(
 
 
 def require_apart(training: Bank, validation: Bank) -> None:
-    """Refuse to watch on what is trained on.
+    """Refuse validation worlds that are training worlds.
 
     Raises:
       InputError: naming the world.

@@ -23,13 +23,13 @@ WIDTH = len(features.NAMES) + 1  # numbers of a slot in an observation
 
 
 def flat(told: Told) -> Array:
-    """An observation: `[..., K * (F + 1)]` float32, of every slot its features and whether it is used."""
+    """Flatten an observation: `[..., K * (F + 1)]` float32, of every slot its features and whether it is used."""
     both = jnp.concatenate([told.features, told.used[..., None].astype(jnp.float32)], axis=-1)
     return both.reshape(*both.shape[:-2], -1)
 
 
 def unflat(observation: Array) -> Told:
-    """The `Told` of an observation."""
+    """Convert a flat observation to `Told`."""
     both = observation.reshape(*observation.shape[:-1], -1, WIDTH)
     return Told(both[..., :-1], both[..., -1] > 0)
 
@@ -49,8 +49,10 @@ class BraxDecisions(Env):
         return State(whole, flat(told), zero, state.is_over.astype(jnp.float32), metrics, {})
 
     def step(self, state: Any, action: Array) -> State:
-        """See `Decisions.step`. Metrics: `ratio`, the whole path beside the reference's, 0 before the end; `invalid`, 1
-        where the action was an unused slot; `overflow`, clusters that had no room, 0 before the end.
+        """See `Decisions.step`.
+
+        Metrics: `ratio`, the whole path relative to the reference's, 0 before the end; `invalid`, 1 where the action
+        was an unused slot; `overflow`, clusters that did not fit, 0 before the end.
         """
         now, told, reward, done, info = self.decisions.step(state.pipeline_state, action.astype(jnp.int32))
         metrics = {
@@ -63,17 +65,17 @@ class BraxDecisions(Env):
 
     @property
     def observation_size(self) -> int:
-        """K * (F + 1)."""
+        """Return K * (F + 1)."""
         return self.decisions.n_choices * WIDTH
 
     @property
     def action_size(self) -> int:
-        """K."""
+        """Return K."""
         return self.decisions.n_choices
 
     @property
     def backend(self) -> str:
-        """brax asks for the name of a physics engine; there is none."""
+        """Return no physics engine: brax asks for its name."""
         return "none"
 
 
@@ -84,15 +86,17 @@ class RenewWrapper(Wrapper):
     """
 
     def reset(self, rng: Array) -> State:
-        """Lanes; one legacy key each, as brax has them: `[n, 2]` uint32."""
+        """Reset the lanes; one legacy key each, as brax has them: `[n, 2]` uint32."""
         both = jax.vmap(lambda key: jax.random.split(key))(rng)
         state = self.env.reset(both[:, 0])
         state.info["key"] = both[:, 1]
         return state
 
     def step(self, state: Any, action: Array) -> State:
-        """A step of every lane. Where an episode ends, `done` and `reward` are those of its last step, the observation
-        the first of the next episode.
+        """Make a step of every lane.
+
+        At the end of an episode, `done` and `reward` are those of its last step, the observation the first of the next
+        one.
         """
         keys, over = state.info["key"], state.done
         state.info["steps"] = jnp.where(over > 0, 0.0, state.info["steps"])
@@ -112,7 +116,7 @@ class RenewWrapper(Wrapper):
 
 
 def wrapped(env: Env, episode_length: int = 1000, action_repeat: int = 1, randomization_fn: Any = None) -> Wrapper:
-    """What `brax.training` calls `wrap_env_fn`."""
+    """Wrap an environment: `wrap_env_fn` of `brax.training`."""
     del randomization_fn
     return RenewWrapper(EpisodeWrapper(VmapWrapper(env), episode_length, action_repeat))
 

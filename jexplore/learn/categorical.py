@@ -20,30 +20,30 @@ class Categorical:
     logits: Array
 
     def sample(self, seed: Array) -> Array:
-        """`[...]` int32."""
+        """Draw choices: `[...]` int32."""
         return jax.random.categorical(seed, self.logits).astype(jnp.int32)
 
     def mode(self) -> Array:
-        """`[...]` int32."""
+        """Return the most likely choice: `[...]` int32."""
         return jnp.argmax(self.logits, axis=-1).astype(jnp.int32)
 
     def log_prob(self, slot: Array) -> Array:
-        """`[...]` float32."""
+        """Return log probabilities: `[...]` float32."""
         return jnp.take_along_axis(jax.nn.log_softmax(self.logits), slot[..., None].astype(jnp.int32), axis=-1)[..., 0]
 
     def entropy(self) -> Array:
-        """`[...]` float32, nats."""
+        """Return the entropy: `[...]` float32, nats."""
         logs = jax.nn.log_softmax(self.logits)
         return -jnp.sum(jnp.exp(logs) * logs, axis=-1)
 
     def kl_divergence(self, old: "Categorical") -> Array:
-        """Of the old one from this: `[...]` float32, nats."""
+        """Return the divergence of the old one from this: `[...]` float32, nats."""
         ours, theirs = jax.nn.log_softmax(self.logits), jax.nn.log_softmax(old.logits)
         return jnp.sum(jnp.exp(theirs) * (theirs - ours), axis=-1)
 
     @property
     def loc(self) -> Array:
-        """brax reports a mean of every distribution; a choice has none: zeros."""
+        """Return zeros: brax reports a mean of every distribution, and a choice has none."""
         return jnp.zeros(self.logits.shape[:-1])
 
     scale = loc
@@ -56,5 +56,5 @@ class Slots(ParametricDistribution):
         super().__init__(n, IdentityPostprocessor(), event_ndims=0, reparametrizable=False)
 
     def create_dist(self, parameters: Array) -> Any:
-        """The `Categorical` of some logits."""
+        """Return the `Categorical` of some logits."""
         return Categorical(parameters)

@@ -1,5 +1,6 @@
-"""Exploration as a problem of choosing: an action is one of the nearest frontier clusters, a step the way to the next
-decision. Where there is nothing to decide, the robot drives on by itself.
+"""Exploration as a decision problem: an action is a frontier cluster nearby, a step the way to the next decision.
+
+Between decisions the robot drives on its own.
 """
 
 from collections.abc import Callable
@@ -25,7 +26,7 @@ from jexplore.studies.environment import Environment, EnvState
 
 
 class Told(NamedTuple):
-    """What is decided by."""
+    """Observation at a decision."""
 
     features: Array  # [K, F] float32, see `features.NAMES`
     used: Array  # [K] bool, which slots hold a cluster: what may be chosen. The nearest is slot 0
@@ -46,7 +47,7 @@ class DecisionState:
 
     @property
     def is_over(self) -> Array:
-        """bool."""
+        """Return whether the episode is over: bool."""
         return self.env.episode.outcome != Outcome.RUNNING
 
 
@@ -61,7 +62,7 @@ class Decisions:
     """K, slots."""
 
     def __init__(self, bank: Bank, *, starts: int = 16, seed: int = 0, workers: int | None = None) -> None:
-        """Draws the starts and drives the reference from each.
+        """Draw the starts and drive the reference from each.
 
         Args:
           bank: `Bank`.
@@ -89,7 +90,7 @@ class Decisions:
         self._starts = tuple(a[decides] for a in self._starts)
 
     def reset(self, key: Array) -> tuple[DecisionState, Told]:
-        """An episode from a start of the bank, drawn with its world, at its first decision.
+        """Begin an episode from a start of the bank, drawn with its world, at its first decision.
 
         Args:
           key: of the episode; consumed.
@@ -100,7 +101,7 @@ class Decisions:
         return alone_on_cpu(self._begun)(key)
 
     def step(self, state: DecisionState, action: Array) -> tuple[DecisionState, Told, Array, Array, dict[str, Array]]:
-        """Drives to a cluster, with re-checking, and on to the next decision.
+        """Drive to a cluster, with re-checking, and on to the next decision.
 
         Args:
           state: `DecisionState`.
@@ -109,17 +110,17 @@ class Decisions:
         Returns:
           state: `DecisionState`; as it was once the episode is over.
           told: `Told`.
-          reward: float32, minus the metres driven since the last decision (at the first since the start), beside those
-            of the whole path of `closest+recheck` from the same start. An episode that does not end COMPLETE has cost
-            at least `bank.FAILED` of these paths in the end.
+          reward: float32, minus the metres driven since the last decision (at the first since the start), divided by
+            the whole path of `closest+recheck` from the same start. An episode that does not end COMPLETE has cost at
+            least `bank.FAILED` of these paths in the end.
           done: bool.
-          info: dict of `valid`, bool; `outcome`, int32, an `Outcome`; `path_m`, float32, metres driven since the
-            start; `overflow`, int32, clusters that had no room, all plans together.
+          info: dict of `valid`, bool; `outcome`, int32, an `Outcome`; `path_m`, float32, metres driven since the start;
+            `overflow`, int32, clusters that did not fit, all plans together.
         """
         return alone_on_cpu(self._chosen)(state, action)
 
     def _decides(self, i):
-        """Whether there is anything to decide from start i."""
+        """Return whether any decision arises from start i."""
         return ~self._begun_at(random_key(0), i).is_over
 
     def _begun(self, key):
@@ -147,7 +148,7 @@ class Decisions:
         return new, _told(self.env, new), jnp.where(valid, reward, 0.0), new.is_over, info
 
     def _drive_on(self, state, action, first):
-        """Drives to a slot's target if that is to be done first, and then on until there is something to decide."""
+        """Drive to a slot's target, if requested, and then on to the next decision."""
 
         def drive(carry):
             state, slot, _ = carry

@@ -1,6 +1,6 @@
-"""What a model says: how its score of a cluster changes with each feature, all others as they were at decisions it met.
+"""Partial dependence of a model: its score of a cluster as a function of each feature, the others as observed.
 
-Partial dependence: Friedman, "Greedy Function Approximation", Annals of Statistics 29(5), 2001.
+Friedman, "Greedy Function Approximation", Annals of Statistics 29(5), 2001.
 """
 
 from typing import TYPE_CHECKING
@@ -22,7 +22,7 @@ QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 def decisions_met(env: Decisions, model: Model, n: int, key: Array) -> Told:
-    """What is told at n decisions of episodes that a model drives: `Told` of `[n, K, F]` and `[n, K]`, numpy.
+    """Collect the observations at n decisions of a model's episodes: `Told` of `[n, K, F]` and `[n, K]`, numpy.
 
     Args:
       env: `Decisions`.
@@ -48,7 +48,7 @@ def decisions_met(env: Decisions, model: Model, n: int, key: Array) -> Told:
 
 
 def dependence(model: Model, met: Told) -> "pd.DataFrame":
-    """How the score of a cluster changes with each feature.
+    """Compute the partial dependence of a cluster's score on each feature.
 
     Args:
       model: `Model`.
@@ -56,7 +56,7 @@ def dependence(model: Model, met: Told) -> "pd.DataFrame":
 
     Returns:
       A DataFrame: `feature`; `quantile`, of its values at the clusters met; `value`; `score`, the mean over these
-        clusters of the cluster's score with the feature set to that value in it alone, less the mean as it was.
+        clusters of the cluster's score with the feature set to that value in it alone, less the mean without it.
     """
     import pandas as pd
 

@@ -41,14 +41,14 @@ BOUNDS = {
 class State(NamedTuple):
     """A search under way."""
 
-    weights: Any  # the running mean, what is handed out
+    weights: Any  # the running mean, which is returned
     theta: np.ndarray  # [D] float32, the latest weights as one vector
     moments: Any  # of the optimiser
     generation: Any  # int
 
 
 def begin(weights: Any, settings: Settings) -> State:
-    """A search that begins at some weights."""
+    """Return the state of a search that begins at some weights."""
     theta = np.asarray(ravel_pytree(weights)[0], np.float32)
     return State(weights, theta, jax.tree.map(np.asarray, optax.adam(settings.rate).init(jnp.asarray(theta))), 0)
 
@@ -56,7 +56,7 @@ def begin(weights: Any, settings: Settings) -> State:
 def step(
     state: State, network: str, bank: Bank, settings: Settings, seed: int, workers: int | None = None
 ) -> tuple[State, float]:
-    """One generation.
+    """Make one generation.
 
     Args:
       state: `State`.

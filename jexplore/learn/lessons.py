@@ -1,8 +1,8 @@
-"""Lessons: what each choice at a decision would have cost, found by driving every one of them to the end.
+"""Lessons: the cost of each choice at a decision, found by driving every one of them to the end.
 
-The true map is at hand in training: from the state of an episode under way, every candidate is tried with the present
-policy after it, until all is seen or it has cost so much more than the best so far that no more is asked. A lesson is a
-program of the engine, one robot that now and then goes back to where it decided.
+Training knows the true map: from the state of an episode under way, every candidate is tried with the present policy
+after it, until all is seen or its cost exceeds the best by a margin. A lesson is a program of the engine, one robot
+that returns to its decisions.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ from jexplore.policies.learned.model import Model
 from jexplore.policies.learned.strategy import is_forced, judged, policy_of
 
 DECISIONS = 64  # most decisions of an episode whose candidates are tried
-NEAREST = 6  # the robot strays to one of so many targets
+NEAREST = 6  # the robot strays to one of this many targets
 STREAM = 4  # of random numbers, besides those of an episode and of `jx.Environment`
 
 
@@ -41,15 +41,15 @@ class Lessons(NamedTuple):
     features: Any  # [D, K, F] float32
     used: Any  # [D, K] bool
     costs: Any  # [D, K] float32, what a choice cost beyond the best, UNIT_M; nan: not tried
-    weight: Any  # [D] float32, UNIT_M beside the whole path of the episode
+    weight: Any  # [D] float32, UNIT_M divided by the whole path of the episode
 
 
 class Asking(NamedTuple):
-    """What is asked, and how the robot goes on."""
+    """Static config of lessons, and how the robot continues."""
 
     share: float  # of the decisions, the first `DECISIONS` so chosen
     tried: int  # most candidates of one, the nearest and those of the best scores
-    margin_m: float  # a try ends when it has cost so much more than the best before it
+    margin_m: float  # a rollout ends when it costs this much more than the best before it
     stray: float  # share of the decisions at which the robot goes elsewhere than the policy would
 
 
@@ -69,8 +69,8 @@ class _Lesson:
     trying: Array  # int32, which of `order` is being tried; -1: none, the robot goes on
     order: Array  # [K] int32, slots
     n: Array  # int32, candidates that are to be tried
-    best_m: Array  # float32, least cost so far
-    asked: Array  # int32, decisions asked about so far
+    best_m: Array  # float32, least cost until now
+    asked: Array  # int32, decisions tried until now
     features: Array  # [DECISIONS, K, F]
     used: Array  # [DECISIONS, K]
     costs_m: Array  # [DECISIONS, K], inf where a try was ended, nan where there was none
@@ -83,7 +83,7 @@ class _Setup(NamedTuple):
 
 
 def _driven_m(lesson):
-    """Metres since the decision."""
+    """Return the metres driven since the decision."""
     return lesson.state.path_m - lesson.saved.path_m
 
 
@@ -117,13 +117,13 @@ def _drive(setup, given, lesson):
 
 
 def _has_ended(given, lesson):
-    """Whether a try has ended."""
+    """Return whether a rollout has ended."""
     cut = _driven_m(lesson) > lesson.best_m + given.numbers.margin_m
     return (lesson.trying >= 0) & (cut | (lesson.state.outcome != Outcome.RUNNING))
 
 
 def _ended(lesson):
-    """A try that has ended: its cost is kept, and the robot is where it decided."""
+    """End a rollout: its cost is kept, and the robot is back at its decision."""
     complete = environment.outcome_of(lesson.state) == Outcome.COMPLETE
     cost = jnp.where(complete, _driven_m(lesson), jnp.inf)
     following = lesson.trying + 1
@@ -210,21 +210,21 @@ def _program(setup, network):
 
 
 def no_lessons() -> Lessons:
-    """None."""
+    """Return empty lessons."""
     size = 0, features.MOST
     blank = np.zeros((*size, len(features.NAMES)), np.float32), np.zeros(size, bool), np.zeros(size, np.float32)
     return Lessons(*blank, np.zeros(0, np.float32))
 
 
 def together(parts: Sequence[Lessons]) -> Lessons:
-    """All of some lessons, at least one."""
+    """Join lessons, at least one."""
     return Lessons(*(np.concatenate(column).astype(column[0].dtype) for column in zip(*parts)))
 
 
 def give_lessons(
     bank: Bank, model: Model, which: Sequence[int], seed: int, asking: Asking, *, workers: int | None = None
 ) -> tuple[Lessons, np.ndarray]:
-    """Lessons from episodes of a policy.
+    """Collect lessons from episodes of a policy.
 
     Args:
       bank: `Bank`.

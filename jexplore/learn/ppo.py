@@ -37,7 +37,7 @@ class Settings(NamedTuple):
     updates: int = 4  # passes over what was seen
     rate: float = 3e-4  # of Adam
     entropy: float = 1e-3
-    sharpness: float = 10.0  # logits are so many times the scores
+    sharpness: float = 10.0  # ratio of logits and scores
     gae: float = 0.95  # lambda of the advantages; nothing is discounted
     clip: float = 0.2
 
@@ -61,18 +61,18 @@ class State(NamedTuple):
     """A search under way."""
 
     weights: Any  # of the policy
-    value: Any  # of the network that foretells what is left to drive
+    value: Any  # of the network that predicts the remaining way
     generation: Any  # int
 
 
 class Value(nn.Module):
-    """What is left to drive: a perceptron for each cluster, their mean and greatest, another perceptron."""
+    """Network for the remaining way: a perceptron for each cluster, their mean and maximum, another perceptron."""
 
     width: int = 64
 
     @nn.compact
     def __call__(self, told: Array, used: Array) -> Array:
-        """`[...]` float32, of `[..., K, F]` features and `[..., K]` bool."""
+        """Compute values `[...]` float32, of `[..., K, F]` features and `[..., K]` bool."""
         x, on = nn.relu(nn.Dense(self.width)(told)), used[..., None]
         mean = jnp.sum(jnp.where(on, x, 0.0), axis=-2) / jnp.maximum(jnp.sum(on, axis=-2), 1)
         most = jnp.max(jnp.where(on, x, 0.0), axis=-2)
@@ -81,7 +81,7 @@ class Value(nn.Module):
 
 
 def check(bank: Bank, settings: Settings) -> None:
-    """Refuses what brax or `Decisions` would.
+    """Refuse settings that brax or `Decisions` would refuse.
 
     Raises:
       InputError: worlds of different cells; lanes that cannot be shared out to the devices.
@@ -96,7 +96,7 @@ def check(bank: Bank, settings: Settings) -> None:
 
 
 def begin(weights: Any, settings: Settings) -> State:
-    """A search that begins at some weights."""
+    """Return the state of a search that begins at some weights."""
     del settings
     blank = jnp.zeros((features.MOST, len(features.NAMES))), jnp.zeros(features.MOST, bool)
     value = Value().init(random_key(0), *blank)
@@ -108,7 +108,7 @@ def begin(weights: Any, settings: Settings) -> State:
 def step(
     state: State, network: str, bank: Bank, settings: Settings, seed: int, workers: int | None = None
 ) -> tuple[State, float]:
-    """One round of brax's `ppo.train`, from the weights of the last, with moments of the optimiser of its own.
+    """Make one round of brax's `ppo.train`, from the weights of the last, with new moments of the optimiser.
 
     Arguments and result as of `es.step`; the ratio is that of the weights after the round, from new starts.
     """
@@ -157,7 +157,7 @@ def _decisions(bank, starts, seed, workers):
 
 
 def _networks(network, sharpness, observation_size, action_size, preprocess_observations_fn=None):
-    """What brax calls a network factory."""
+    """Build the networks: brax's network factory."""
     del preprocess_observations_fn
     from jexplore.learn.brax_env import unflat
     from jexplore.learn.categorical import Slots

@@ -1,6 +1,6 @@
-"""What brax 0.14.2 needs of its surroundings: a function that newer versions of JAX have not, and silence.
+"""Shim for brax 0.14.2: a function that newer versions of JAX lack, and silence.
 
-It goes when brax does without.
+Remove it once brax works without.
 """
 
 import contextlib
@@ -18,14 +18,14 @@ NAME = "device_put_replicated"
 
 
 def replicated(tree: Any, devices: Any) -> Any:
-    """A pytree with a leading axis of the devices on every leaf, a copy on each."""
+    """Copy a pytree to each device, with a leading axis of the devices on every leaf."""
     each = NamedSharding(Mesh(np.asarray(devices), ("device",)), PartitionSpec("device"))
     return jax.tree.map(lambda leaf: jax.device_put(jnp.stack([jnp.asarray(leaf)] * len(devices)), each), tree)
 
 
 @contextlib.contextmanager
 def quietly() -> Iterator[None]:
-    """Without what brax and what it imports print and warn of: engines of physics that are not installed."""
+    """Silence brax and its imports, which warn of physics engines that are not installed."""
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
         warnings.simplefilter("ignore")
         yield
@@ -33,8 +33,9 @@ def quietly() -> Iterator[None]:
 
 @contextlib.contextmanager
 def device_put_replicated() -> Iterator[None]:
-    """While it lasts, `jax.device_put_replicated` is there: JAX 0.10 took it out, and `brax.training` calls it
-    (github.com/google/brax/issues/671).
+    """Provide `jax.device_put_replicated` for the block.
+
+    JAX 0.10 took it out, and `brax.training` calls it (github.com/google/brax/issues/671).
     """
     if hasattr(jax, NAME):
         yield

@@ -1,4 +1,4 @@
-"""Training from beginning to end: rounds of a trainer, checks on worlds that it does not train in, what is kept.
+"""Training from beginning to end: rounds of a trainer, checks on validation worlds, stored results.
 
 pandas and matplotlib are imported by the functions that need them.
 """
@@ -60,7 +60,7 @@ TRAINERS: dict[str, Trainer] = {
 
 
 class Plan(NamedTuple):
-    """What is to be trained."""
+    """Settings of a training."""
 
     algo: str
     network: str
@@ -76,14 +76,14 @@ class Plan(NamedTuple):
 
     @property
     def units(self) -> int:
-        """Checks."""
+        """Return the number of checks."""
         return self.rounds // self.check_every
 
 
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Trained:
-    """What `run_training` found."""
+    """Result of `run_training`."""
 
     model: Model
     """The best model by the checks."""
@@ -95,11 +95,11 @@ class Trained:
     """Why training ended: "rounds", "patience", "not finite" or "interrupted"."""
 
     def strategy(self, *, recheck: bool = True, name: str = "learned") -> Strategy:
-        """The model as a strategy, for `jx.compare` and others."""
+        """Return the model as a strategy, for `jx.compare` and others."""
         return Strategy(f"{name}+recheck" if recheck else name, policy_of(self.model), recheck)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the model, for `learned:path=`: `PATH.msgpack`, and `PATH.json` beside it. The path of the former."""
+        """Write the model, for `learned:path=`: `PATH.msgpack`, and `PATH.json` next to it; return the former path."""
         file = Path(os.path.expanduser(path))
         file = file if file.suffix == ".msgpack" else file.with_name(f"{file.name}.msgpack")
         if not file.parent.is_dir():
@@ -109,7 +109,7 @@ class Trained:
         return file
 
     def figure(self) -> "Figure":
-        """The curve as a picture."""
+        """Draw the curve."""
         from jexplore.report.plots import training
 
         return training.figure(self.curve, self.best)
@@ -129,7 +129,7 @@ def prepare_training(
     seed: int,
     model: Model | None = None,
 ) -> Plan:
-    """A `Plan`, checked.
+    """Check the input and make a `Plan`.
 
     Args:
       model: where training begins; its network is `network`, or `linear`, whose weighted sum every network has. Without
@@ -165,7 +165,7 @@ def prepare_training(
 
 
 def _numbers(algo, settings):
-    """The settings of a trainer, checked."""
+    """Check the settings of a trainer."""
     known, bounds = TRAINERS[algo].settings(), TRAINERS[algo].bounds
     found = {}
     for key, value in settings.items():
@@ -215,34 +215,33 @@ def train(
     on_progress: Callable[[int], object] | None = None,
     progress: bool | None = None,
 ) -> Trained:
-    """Trains a strategy that scores frontier clusters: `jexplore train` as a function.
+    """Train a strategy that scores frontier clusters: `jexplore train` as a function.
 
     Args:
       algo: one of `TRAINERS`.
       network: one of `networks.NETWORKS`.
       worlds: names or `World`s to train in.
-      validation: names or `World`s to watch on, none of them among `worlds`.
-      model: where training begins: a `Model`, or the path of one. Without it, at `closest`, or near it for `attention`.
+      validation: names or `World`s for validation, none of them among `worlds`.
+      model: initial `Model`, or its path. Default: equal to `closest`, or near it for `attention`.
       settings: of the algorithm, by name.
       rounds: of training.
       check_every: rounds from one check on the validation worlds to the next, of which `rounds` is a multiple unless it
         is smaller; the best model by them is the result.
       patience: checks without a better one after which training ends; 0: never.
       starts: on each validation world.
-      seed: of all that is random.
+      seed: of all draws.
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
       lidar: `Lidar`, or a mapping of some of its fields.
-      rules: `Rules`, likewise.
+      rules: `Rules`, or a mapping of some of its fields.
       workers: cores; by default all.
       on_progress: called with the number of rounds made.
-      progress: whether a bar shows that; by default in notebooks.
+      progress: show a bar; by default in notebooks.
 
     Returns:
       `Trained`.
 
     Raises:
-      InputError: a world, number or name that cannot be used; weights that became no finite numbers before the first
-        check.
+      InputError: a world, number or name that cannot be used; weights that are not finite before the first check.
     """
     use_compilation_cache()
     trained, watched = (prepare_bank(some, cell_m=cell_m, lidar=lidar, rules=rules) for some in (worlds, validation))
@@ -256,7 +255,7 @@ def train(
 
 
 def asked(plan: Plan) -> dict[str, Any]:
-    """All that the result depends on, as plain values."""
+    """Return all that the result depends on, as plain values."""
     worlds = {"training": plan.training.worlds, "validation": plan.validation.worlds}
     digests = hashlib.sha256("".join(digest(w) for own in worlds.values() for w in own).encode())
     return {
@@ -282,7 +281,7 @@ def run_training(
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
 ) -> Trained:
-    """Trains, or goes on with training.
+    """Train, or continue a training.
 
     Args:
       plan: `Plan`.
@@ -357,7 +356,7 @@ def _trained(plan, tables, kept, ended):
 
 
 def _checked(plan, weights, workers):
-    """Ratio of some weights on the validation worlds."""
+    """Compute the ratio of some weights on the validation worlds."""
     strategy = Strategy("learned", policy_of(Model(plan.network, weights)), True)
     which = [i for i in range(len(plan.validation.worlds)) for _ in range(plan.starts)]
     return float(np.exp(plan.validation.log_ratios([strategy], which, plan.seed, workers=workers).mean()))

@@ -1,7 +1,7 @@
-"""Libraries in C++ and CUDA, built once with the compiler that is there.
+"""Libraries in C++ and CUDA, built once with the installed compiler.
 
-A library is kept beside compiled programs, under a name that changes with its sources, the machine and the command of
-the compiler.
+Libraries lie in the cache of compiled programs, under a name that changes with the sources, the machine and the command
+of the compiler.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ BUILD_S = 300  # seconds that building may take
 
 
 class Library(NamedTuple):
-    """A library, or why there is none."""
+    """A library, or the reason for having none."""
 
     loaded: ctypes.CDLL | None
     why_not: str = ""  # one line
@@ -38,7 +38,7 @@ class Library(NamedTuple):
 
 @functools.cache
 def warn_once(why_not: str, instead: str = "JAX does without native code") -> None:
-    """Say, once in a process, why there is no library.
+    """Warn, once in a process, why there is no library.
 
     Warns:
       InputWarning: saying so in a line.
@@ -60,15 +60,15 @@ def find_compiler() -> list[str]:
 def load_library(
     sources: Sequence[Path], flags: Sequence[str] = (), check: Callable[[ctypes.CDLL], str] | None = None
 ) -> Library:
-    """Load a C++ library, built if need be. Once in a process for each compiler.
+    """Load a C++ library, built if missing. Once in a process for each compiler.
 
     Args:
-      sources: what it is made of; the first is compiled, the others are what it includes.
-      flags: of the compiler, besides `FLAGS`.
-      check: returns what is wrong with a library, or "". A library that has just been built and fails is not kept.
+      sources: the first is compiled, the others are included by it.
+      flags: of the compiler, in addition to `FLAGS`.
+      check: returns the error of a library, or "". A newly built library that fails is not kept.
 
     Returns:
-      `Library`. There is none without a compiler, where building fails, or where nothing can be written.
+      `Library`; without one if the compiler is missing, building fails, or nothing can be written.
     """
     try:
         compiler = tuple(find_compiler())
@@ -98,11 +98,11 @@ def build_library(
 
 
 def _load(source, library, command, check):
-    """The library, which is built where there is none, or one that does not load."""
+    """Return the library, built if it is missing or does not load."""
     if library.is_file():
         with contextlib.suppress(OSError, AttributeError):  # not whole, or built against other libraries
             return ctypes.CDLL(str(library))
-    # Built and loaded beside its place, then moved there: whoever else builds it at the same time does no harm.
+    # Built and loaded next to its place, then moved there: concurrent builds do no harm.
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         made = Path(folder) / library.name
         subprocess.run(

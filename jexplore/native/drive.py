@@ -22,7 +22,7 @@ CHANGED = (
 
 
 class Stage(enum.IntEnum):
-    """Where driving sets in."""
+    """Stage at which driving sets in."""
 
     FIRST_SCANS = 0  # with those at the start, and no other
     NEXT_SCAN = 1  # with that which belongs to the last motion
@@ -59,7 +59,7 @@ def find_target() -> Library:
     """Return the library, as `load` does, and say once in a process why there is none.
 
     Warns:
-      InputWarning: no compiler, one that fails, or nowhere to keep what it makes.
+      InputWarning: no compiler, one that fails, or no writable folder for its output.
     """
     found = load()
     if found.loaded is None:
@@ -105,12 +105,12 @@ def drive(setup: Any, given: Any, state: Any, stage: Stage, live: Array | bool =
 
 
 def _numbers(values):
-    """Scalars as one array of int32."""
+    """Return scalars as one array of int32."""
     return jnp.stack([jnp.asarray(value, jnp.int32) for value in values])
 
 
 def _terms(setup, given, state, stage, live):
-    """What driving reads of numbers, in the order of `Terms` in drive.cc."""
+    """Return the numbers that driving reads, in the order of `Terms` in drive.cc."""
     rules = given.numbers
     return _numbers(
         [

@@ -1,4 +1,4 @@
-"""Batches of whole episodes by the native library: what goes in and comes out of it, as numpy arrays."""
+"""Batches of whole episodes by the native library: its inputs and outputs as numpy arrays."""
 
 import ctypes
 from ctypes import POINTER, Structure, c_float, c_int, c_int32, c_int64, c_uint8, c_void_p
@@ -19,7 +19,7 @@ TASK = np.dtype(
 
 
 class Spec(Structure):
-    """What all episodes of a world have in common; `Spec` in rules.h."""
+    """Common data of all episodes of a world; `Spec` in rules.h."""
 
     _fields_ = [
         *((name, c_int32) for name in (
@@ -74,7 +74,7 @@ class Given(NamedTuple):
 
 
 class Played(NamedTuple):
-    """What some episodes came to."""
+    """Results of some episodes."""
 
     results: np.ndarray  # [n, RESULT] int32
     paths: list[np.ndarray] | None  # [steps + 1, 2] int32 of each: spot (`trail.Trail.SPOT`), known cells
@@ -101,7 +101,7 @@ def _declare(loaded):
 
 
 def _pointer(array: np.ndarray | None, dtype: Any, keep: list[Any]) -> int | None:
-    """The address of an array as a C array of a dtype; `keep` holds what must not be let go."""
+    """Return the address of an array as a C array of a dtype; `keep` holds arrays that must stay alive."""
     if array is None:
         return None
     keep.append(np.ascontiguousarray(array, dtype))
@@ -156,7 +156,7 @@ class World:
           whole: number of the episode of which counts and choices are kept; -1: none. Its path is kept as well.
 
         Raises:
-          MemoryError: there is too little.
+          MemoryError: too little memory.
         """
         n, tasks = len(tasks), np.ascontiguousarray(tasks)
         results, steps = np.zeros((n, RESULT), np.int32), np.zeros(n, np.int64)
@@ -211,7 +211,7 @@ class World:
           task: `[1]` of `TASK`.
           script: `Script`.
           shown: `[F]` int, steps made before it leaves, ascending, from 0 to those of the episode.
-          frontier: what is added to the codes of frontier cells.
+          frontier: added to the codes of frontier cells.
 
         Returns:
           `codes`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can be
@@ -219,7 +219,7 @@ class World:
           `headings`: `[F]` int32, units of 45 degrees, at the last scan there.
 
         Raises:
-          MemoryError: there is too little.
+          MemoryError: too little memory.
         """
         keep: list[Any] = []
         codes, headings = np.zeros((len(shown), *self.shape), np.uint8), np.zeros(len(shown), np.int32)
@@ -246,7 +246,7 @@ _EXPECTED = {NEAREST: (19, 6, 45, 42, 14, 5, 1, 65, 810), UNIFORM: (35, 4, 63, 5
 
 
 def check(loaded: ctypes.CDLL) -> str:
-    """Return what is wrong with a library by a small episode of each kind, or ""."""
+    """Test a library by a small episode of each kind; return its error, or ""."""
     _declare(loaded)
     occupied = np.array([[cell == "#" for cell in row] for row in _ROOM])
     region = np.where(occupied, 0, 1).astype(np.int32)

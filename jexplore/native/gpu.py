@@ -21,7 +21,7 @@ PARTS = ("scan", "masks", "search", "way")  # `Part` in warp.h
 
 
 class Measured(Structure):
-    """What a run was like."""
+    """Measures of a run."""
 
     _fields_ = [
         ("prepare_s", c_double), ("views_s", c_double), ("run_s", c_double), ("views_bytes", c_int64),
@@ -31,7 +31,7 @@ class Measured(Structure):
 
 
 class Played(NamedTuple):
-    """What some episodes came to."""
+    """Results of some episodes."""
 
     results: np.ndarray  # [n, RESULT] int32; outcome 0 where an episode was given up, which a CPU then runs
     measured: Measured
@@ -83,17 +83,17 @@ def play(
 
     Args:
       loaded: of `library`.
-      spec, given: what they have in common.
+      spec, given: their common data.
       tasks: `[n]` of `episodes.TASK`; goal and region are found here.
       stop: `[1]` int32; once it is not 0, the rest is given up.
-      warps: at most so many on a multiprocessor; 0: as many as fit.
+      warps: most on a multiprocessor; 0: as many as fit.
 
     Returns:
-      `Played`; None where the world does not suit.
+      `Played`; None if the world does not suit.
 
     Raises:
       MemoryError: the GPU has too little.
-      RuntimeError: CUDA says what is wrong.
+      RuntimeError: an error of CUDA.
     """
     keep, tasks = [], np.ascontiguousarray(tasks, TASK)
     results, measured, why = np.zeros((len(tasks), RESULT), np.int32), Measured(), ctypes.create_string_buffer(500)

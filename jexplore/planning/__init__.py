@@ -1,8 +1,7 @@
-"""What a strategy may ask of the robot's belief: where frontiers are, what they cost to reach, and the way to one of
-them.
+"""Queries of a strategy to the robot's belief: frontiers, their cost, and the path to one of them.
 
-`nearest_frontier` looks into growing windows round the robot and fills the whole map only where these do not decide;
-its answer is always that of the whole map. `field` is the whole map at once, for strategies that compare all
+`nearest_frontier` searches growing windows round the robot and computes the whole map only if these do not decide; its
+answer always equals that of the whole map. `field` is the whole map at once, for strategies that compare all
 candidates.
 """
 
@@ -30,7 +29,7 @@ WINDOWS = {0: (64, 128), 1024: (64, 256), 2048: (64, 256, 512)}
 
 @struct.dataclass
 class MapModel:
-    """By what a robot tells from counts what is free, clear and near."""
+    """Thresholds by which a robot tells from counts which cells are free, clear and near."""
 
     p_free: Array  # float32, largest reflection probability of a free cell
     near_d2: Array  # int32, cells^2, free cells this near to the robot are traversable
@@ -42,14 +41,14 @@ class MapModel:
 @checked_names
 @struct.dataclass
 class Belief:
-    """What the robot knows: its map, and where it believes to be in it."""
+    """Belief of the robot: its map and estimated pose."""
 
     grid: Grid  # [H, W]
-    driven: Array  # [H, W] bool, cells stood on, and those beside each diagonal step
+    driven: Array  # [H, W] bool, cells stood on, and the orthogonal neighbours of each diagonal step
     exhausted: Array  # [H, W] bool, targets that stayed live however much they were looked at
     row: Array  # int32, the robot's cell, as estimated
     col: Array  # int32
-    heading: Array  # int32, units of 45 degrees, likewise
+    heading: Array  # int32, units of 45 degrees, estimated
     start: Array  # [3] int32, row, col and heading at the beginning
     extent: Array  # [2] int32, height and width of the world without padding
     model: MapModel
@@ -87,7 +86,7 @@ class Field:
 @checked_names
 @struct.dataclass
 class View:
-    """What a strategy sees of a belief.
+    """View of a belief for a strategy.
 
     `path_m` is infinite where no path leads: a gradient through it must mask these cells before it computes with them.
     """
@@ -101,18 +100,18 @@ class View:
 
 @checked_names
 def metres(cost: Array, cell_m: Array | float) -> Array:
-    """A path's cost (see `reach`) as a length, metres: float32."""
+    """Convert a path's cost (see `reach`) to a length, metres: float32."""
     return cost.astype(jnp.float32) * (cell_m / STRAIGHT)
 
 
 def view_of(belief: Belief, known: Field) -> View:
-    """The `View` of a belief, from its `Field`."""
+    """Return the `View` of a belief, from its `Field`."""
     path_m = jnp.where(known.cost < FAR, metres(known.cost, belief.model.cell_m), jnp.inf)
     return View(known.cost, path_m, known.candidates, belief)
 
 
 def is_open(belief: Belief, row: Array | int, col: Array | int) -> Array:
-    """Whether a robot would step into a cell: it is free as far as is known, or was driven on: bool.
+    """Return whether a robot would step into a cell: it is free by the map, or was driven on: bool.
 
     Args:
       belief: `Belief`.
@@ -125,7 +124,7 @@ def is_open(belief: Belief, row: Array | int, col: Array | int) -> Array:
 
 
 def is_live(belief: Belief, row: Array | int, col: Array | int) -> Array:
-    """Whether a cell is 8-adjacent to an unknown cell that is to be known: bool."""
+    """Return whether a cell is 8-adjacent to a cell that is unknown and of interest: bool."""
     height, width = belief.driven.shape
     r = row + jnp.asarray([-1, -1, -1, 0, 0, 1, 1, 1], jnp.int32)
     c = col + jnp.asarray([-1, 0, 1, -1, 1, -1, 0, 1], jnp.int32)
@@ -137,7 +136,7 @@ def is_live(belief: Belief, row: Array | int, col: Array | int) -> Array:
 
 
 def masks_of(belief: Belief, origin: tuple[Array | int, ...] = (0, 0)) -> Masks:
-    """`frontier.Masks` of a belief, or of a window of it that begins at `origin`."""
+    """Compute `frontier.Masks` of a belief, or of its window that begins at `origin`."""
     rows = lax.broadcasted_iota(jnp.int32, belief.driven.shape, 0) + origin[0]
     cols = lax.broadcasted_iota(jnp.int32, belief.driven.shape, 1) + origin[1]
     inside = (rows < belief.extent[0]) & (cols < belief.extent[1])
@@ -156,7 +155,7 @@ def masks_of(belief: Belief, origin: tuple[Array | int, ...] = (0, 0)) -> Masks:
 
 @checked_names
 def field(belief: Belief, *, nearest_only: bool = False) -> Field:
-    """Costs of the whole map and the frontier cells that can be reached.
+    """Compute costs of the whole map and the reachable frontier cells.
 
     Args:
       belief: `Belief`.
@@ -176,7 +175,7 @@ def field(belief: Belief, *, nearest_only: bool = False) -> Field:
 
 
 def first_at(mask: Array) -> tuple[Array, Array]:
-    """Row and column of the first True cell in (row, col) order; arbitrary if there is none."""
+    """Return row and column of the first True cell in (row, col) order; arbitrary without one."""
     height, width = mask.shape
     index = lax.broadcasted_iota(jnp.int32, mask.shape, 0) * width + lax.broadcasted_iota(jnp.int32, mask.shape, 1)
     at = jnp.minimum(lowest(jnp.where(mask, index, height * width)), height * width - 1)
@@ -185,7 +184,7 @@ def first_at(mask: Array) -> tuple[Array, Array]:
 
 @checked_names
 def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -> tuple[Choice, Array]:
-    """Makes a cell of a `Field` the target and lays the route to it.
+    """Make a cell of a `Field` the target and lay the route to it.
 
     Args:
       belief: `Belief`.
@@ -202,14 +201,14 @@ def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -
     route = lay_route(route, known.cost, known.traversable, start, target, (0, 0))
     cost = jnp.where(none, FAR, known.cost[target])
 
-    # Only beside cells whose cost hardly fits can there be some whose cost does not.
+    # Only cells whose cost hardly fits can have neighbours whose cost does not.
     dear = lowest(jnp.where(known.cost < FAR, -known.cost, 0)) <= DIAGONAL - FAR
     out_of_reach = run_if(none & dear, lambda _: saturated(known.cost, known.traversable), jnp.int32(0))
     return Choice(row, col, cost, out_of_reach), route
 
 
 def nearest_of(known: Field) -> tuple[Array, Array]:
-    """Row and column of the cheapest candidate, of equal ones the first in (row, col) order; -1 for none."""
+    """Return row and column of the cheapest candidate, of equal ones the first in (row, col) order; -1 for none."""
     best = lowest(jnp.where(known.candidates, known.cost, FAR))
     row, col = first_at(known.candidates & (known.cost == best))
     none = best >= FAR
@@ -217,13 +216,13 @@ def nearest_of(known: Field) -> tuple[Array, Array]:
 
 
 def _nearest_in_map(belief, route):
-    """The nearest frontier of the whole map: `(choice, route)`."""
+    """Find the nearest frontier of the whole map: `(choice, route)`."""
     known = field(belief, nearest_only=True)
     return choose(belief, route, known, *nearest_of(known))
 
 
 def windows(shape: Sequence[int], clearance_d2: int) -> list[int]:
-    """Sides of the windows that are searched first, in maps of a shape `(H, W)`.
+    """Return sides of the windows that are searched first, in maps of a shape `(H, W)`.
 
     A window must be larger than the clearance, and pays only where the whole map is much more work.
     """
@@ -232,7 +231,7 @@ def windows(shape: Sequence[int], clearance_d2: int) -> list[int]:
 
 
 def bound_of(side: int, clearance_d2: int) -> int:
-    """The cost up to which a window decides: every path that leaves it costs more.
+    """Return the cost up to which a window decides: every path that leaves it costs more.
 
     What decides about a cell of the window may lie outside it, as far as an occupied cell counts, and one more.
     """
@@ -240,7 +239,7 @@ def bound_of(side: int, clearance_d2: int) -> int:
 
 
 def corner_of(belief: Belief, side: int) -> tuple[tuple[Array, Array], tuple[int, int]]:
-    """Where the window of a side round the robot begins in the map, `(row, col)` int32, and its shape."""
+    """Return begin, `(row, col)` int32, and shape of the window with a side round the robot."""
     full = belief.driven.shape
     height, width = (min(n, side) for n in full)
     row = jnp.clip(belief.row - side // 2, 0, full[0] - height)
@@ -248,7 +247,7 @@ def corner_of(belief: Belief, side: int) -> tuple[tuple[Array, Array], tuple[int
 
 
 def cut_out(belief: Belief, origin: tuple[Array, ...], shape: tuple[int, ...]) -> Belief:
-    """A belief with its maps cut down to a window; the robot's cell stays as it is in the whole map."""
+    """Cut the maps of a belief down to a window; the robot's cell stays as it is in the whole map."""
 
     def cut(array):
         return lax.dynamic_slice(array, origin, shape)
@@ -262,7 +261,7 @@ def cut_out(belief: Belief, origin: tuple[Array, ...], shape: tuple[int, ...]) -
 
 
 def nearest_in_window(belief: Belief, route: Array, side: int) -> tuple[Array, Choice, Array]:
-    """The nearest frontier if a window settles it: `(undecided, choice, route)`.
+    """Find the nearest frontier if a window settles it: `(undecided, choice, route)`.
 
     Windows are as wide as a power of two, because flat indices are then cheap to take apart.
 
@@ -292,7 +291,7 @@ def nearest_in_window(belief: Belief, route: Array, side: int) -> tuple[Array, C
 
 @checked_names
 def nearest_frontier(belief: Belief, route: Array) -> tuple[Choice, Array]:
-    """The frontier cell with the shortest path, and the route to it.
+    """Find the frontier cell with the shortest path, and the route to it.
 
     Args:
       belief: `Belief`.

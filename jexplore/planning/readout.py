@@ -8,15 +8,15 @@ from jexplore.reach import FAR, MOTIONS, NO_MOTION, STEPS
 
 
 def _last_motion(cost, ways_in):
-    """The pinned predecessor rule, for cells given with their 3 x 3 neighbourhoods.
+    """Apply the pinned predecessor rule to cells given with their 3 x 3 neighbourhoods.
 
     Args:
-      cost: `[3][3]` of `[...]`, of the cell (in the middle) and its neighbours; none is more than where no path leads,
-        which is what stands outside the map.
-      ways_in: five of `[...]` bool, whether the cell can be entered, and by each diagonal motion.
+      cost: `[3][3]` of `[...]`, of the cell (in the middle) and its neighbours; `FAR` where no path leads, and outside
+        the map.
+      ways_in: five of `[...]` bool, the cell can be entered, and by each diagonal motion.
 
     Returns:
-      `[...]` int8: the first of `MOTIONS` by which the cell's cost arises; -1 where there is none.
+      `[...]` int8: the first of `MOTIONS` by which the cell's cost arises; -1 without one.
     """
     motion = jnp.full_like(cost[1][1], NO_MOTION, jnp.int8)
     for i, (drow, dcol) in reversed(list(enumerate(MOTIONS))):
@@ -27,7 +27,7 @@ def _last_motion(cost, ways_in):
 
 
 def _enterable(traversable):
-    """`ways_in` of cells given with their neighbourhoods: `[3][3]` of `[...]` bool, False outside the map."""
+    """Return `ways_in` of cells given with their neighbourhoods: `[3][3]` of `[...]` bool, False outside the map."""
     own = traversable[1][1]
     return [own, *(own & traversable[1 - drow][1] & traversable[1][1 - dcol] for drow, dcol in MOTIONS[4:])]
 
@@ -40,13 +40,13 @@ def lay_route(
     target: tuple[Array | int, ...],
     origin: tuple[Array | int, ...],
 ) -> Array:
-    """Writes the way from the start to a target into a map of motions: the path read-out.
+    """Write the path from the start to a target into a map of motions.
 
     Args:
       route: `[H, W]` int8, index into `MOTIONS`; at each cell of the path the motion to its next cell is written, the
         rest stays.
-      cost: `[h, w]` int32, from `reach`, of a window of the map or of all of it.
-      traversable: `[h, w]` bool, what `cost` was made from.
+      cost: `[h, w]` int32, from `reach`, of a window of the map or of the whole map.
+      traversable: `[h, w]` bool, input of `cost`.
       start, target: `(row, col)` int32, in the map; both inside the window, `target` with a final cost.
       origin: `(row, col)` int32 of the window's cell (0, 0) in the map.
 
@@ -62,7 +62,7 @@ def lay_route(
 
 
 def _walk_back(route, cost, traversable, start, target, origin):
-    """`lay_route` with cost and traversable cells in a border, motion by motion."""
+    """Run `lay_route` with cost and traversable cells in a border, motion by motion."""
     motions = jnp.asarray(MOTIONS, jnp.int32)
 
     def under_way(state):

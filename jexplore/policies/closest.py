@@ -17,10 +17,10 @@ def _select(key, params, carry, belief, beams, route):
 
 
 def closest() -> Policy:
-    """The policy. Carry: `()`. Parameters: none."""
+    """Return the policy. Carry: `()`. Parameters: none."""
     return Policy(_init, _select)
 
 
 def is_nearest(policy: Policy) -> bool:
-    """Whether a policy chooses as this one does, and by nothing else."""
+    """Return whether a policy chooses exactly as this one."""
     return policy.select is _select

@@ -1,6 +1,4 @@
-"""What strategies that choose among frontier clusters share: the clusters, what a look from each would tell, and how
-far they lie apart.
-"""
+"""Common code of strategies that choose among frontier clusters: clusters, expected scans, distances between them."""
 
 import dataclasses
 import math
@@ -23,7 +21,7 @@ from jexplore.reach import FAR, STEPS, spread
 
 CLUSTERS = 128  # most clusters that are told apart
 COARSEST = 4  # cells a side, of the blocks that paths between clusters are measured in
-ACROSS = 3  # how often a map stands beside itself, each way, while these are measured
+ACROSS = 3  # most copies of the map in the tiling, each way
 
 
 @struct.dataclass
@@ -40,7 +38,7 @@ class Targets:
 
 
 def targets(belief: Belief, known: Field) -> Targets:
-    """`Targets` of a belief and its `Field`."""
+    """Find the `Targets` of a belief and its `Field`."""
     found = frontier_clusters(known.candidates, known.cost, max_clusters=CLUSTERS)
     used = found.row >= 0
     cost = known.cost[jnp.maximum(found.row, 0), jnp.maximum(found.col, 0)]
@@ -49,7 +47,7 @@ def targets(belief: Belief, known: Field) -> Targets:
 
 
 def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
-    """What looks all round from every target would tell.
+    """Count the cells seen by a look-around at every target.
 
     Args:
       belief: `Belief`.
@@ -58,7 +56,7 @@ def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
 
     Returns:
       `unknown`: `[M]` int32, unknown cells that would be seen; 0 in an unused slot.
-      `known`: `[M]` int32, known cells likewise.
+      `known`: `[M]` int32, known cells that would be seen.
     """
 
     def tell(ahead, row, col, beams, scratch):
@@ -70,9 +68,9 @@ def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
 
 
 def shown_from(belief: Belief, at: Targets, beams: Beams, enough: Array | int) -> Array:
-    """How many unknown cells looks all round from every target would show, as far as that matters.
+    """Count the unknown cells that a look-around at every target would show, up to a bound.
 
-    A look ends beside the target where that alone shows enough.
+    A look-around ends next to the target where that alone shows enough.
 
     Args:
       belief: `Belief`.
@@ -111,7 +109,7 @@ def shown_from(belief: Belief, at: Targets, beams: Beams, enough: Array | int) -
 
 
 def unknown_from(belief: Belief, at: Targets, beams: Beams, radii_m: Sequence[float]) -> Array:
-    """Unknown cells that looks all round from every target would show within R distances: `[R, M]` int32.
+    """Count unknown cells that a look-around at every target would show within R distances: `[R, M]` int32.
 
     Args:
       belief: `Belief`.
@@ -128,14 +126,14 @@ def unknown_from(belief: Belief, at: Targets, beams: Beams, radii_m: Sequence[fl
 
 
 def from_each(belief: Belief, at: Targets, beams: Beams, tell: Callable[..., tuple[Array, Grid]], n_told: int) -> Array:
-    """What is told of a look all round from every target: `[n_told, M]` int32, 0 in an unused slot.
+    """Evaluate a look-around at every target: `[n_told, M]` int32, 0 in an unused slot.
 
     Args:
       belief: `Belief`.
       at: `Targets`.
       beams: `Beams`.
       tell: `(prospect, row, col, beams, scratch) -> ([n_told] int32, scratch)`, the scratch zeros before and after.
-      n_told: numbers that it tells. Static.
+      n_told: number of results. Static.
     """
     ahead, beams = prospect(belief.grid, belief.extent, belief.model.p_free, belief.within), all_round(beams)
     n = jnp.sum(at.used, dtype=jnp.int32)  # used slots come first
@@ -153,16 +151,18 @@ def from_each(belief: Belief, at: Targets, beams: Beams, tell: Callable[..., tup
 
 
 def blocks_of(clearance_d2: int) -> int:
-    """Side of the largest blocks, cells, of which one that holds a clear cell may count as passable without a way
-    through a straight wall: what is not clear round it is at least 2 r + 1 cells thick. Static.
+    """Return the side of the largest blocks, cells, that count as passable if one of their cells is clear. Static.
+
+    No path through a straight wall arises: the cells around it that are not clear are at least 2 r + 1 cells thick.
     """
     return min(COARSEST, math.isqrt(clearance_d2) + 1)
 
 
 def apart(belief: Belief, at: Targets) -> Array:
-    """Path lengths between all targets, roughly: on a map of blocks of up to 4 x 4 cells, of which every one that holds
-    a clear cell, or one that was driven on, can be passed. Slanting walls and slivers of unknown cells thinner than a
-    block may be crossed.
+    """Estimate path lengths between all targets.
+
+    The map is reduced to blocks of up to 4 x 4 cells, which are passable if they hold a clear cell or one that was
+    driven on. Slanting walls and slivers of unknown cells thinner than a block may be crossed.
 
     Args:
       belief: `Belief`.
@@ -172,7 +172,7 @@ def apart(belief: Belief, at: Targets) -> Array:
       `[M, M]` float32, metres, symmetric; 0 on the diagonal of used slots; inf where a slot is unused or no path leads.
     """
     side = blocks_of(belief.model.clearance_d2)
-    # Not what is traversable near the robot besides: beside a thin wall that would leave too little of it.
+    # Without the traversable cells near the robot: at a thin wall too little would remain.
     clear = clear_cells(belief.grid, p_free=belief.model.p_free, clearance_d2=belief.model.clearance_d2) | belief.driven
     height, width = clear.shape
     pad = ((0, -height % side), (0, -width % side))
@@ -185,10 +185,10 @@ def apart(belief: Belief, at: Targets) -> Array:
 
 
 def costs_between(passable: Array, row: Array, col: Array, n: Array | int) -> Array:
-    """Costs of the paths between the first n of some cells.
+    """Compute costs of the paths between the first n of some cells.
 
-    The map stands side by side with itself, up to `ACROSS` times each way, with a wall between: so many sources are
-    spread from at once, a map each, for which a sweep along a row or a column costs little more than for one.
+    The map is tiled, up to `ACROSS` times each way, with walls between: one sweep along a row or a column serves a
+    source in each copy at little more cost than one.
 
     Args:
       passable: `[h, w]` bool.
@@ -226,7 +226,7 @@ def costs_between(passable: Array, row: Array, col: Array, n: Array | int) -> Ar
 
 
 def go_to(belief: Belief, route: Array, known: Field, at: Targets, which: Array) -> tuple[Choice, Array]:
-    """Makes a target the choice: `(choice, route)`. `which`: int32 slot; -1 for none."""
+    """Make a target the choice: `(choice, route)`. `which`: int32 slot; -1 for none."""
     none = which < 0
     slot = jnp.maximum(which, 0)
     choice, route = choose(belief, route, known, jnp.where(none, -1, at.row[slot]), jnp.where(none, -1, at.col[slot]))
@@ -234,7 +234,7 @@ def go_to(belief: Belief, route: Array, known: Field, at: Targets, which: Array)
 
 
 def best_of(at: Targets, worth: Array, usable: Array) -> Array:
-    """The slot of the greatest worth among some; among none of them the one with the shortest path; -1 without targets.
+    """Return the slot of greatest worth among some, else that with the shortest path; -1 without targets.
 
     Args:
       at: `Targets`.
@@ -249,5 +249,5 @@ def best_of(at: Targets, worth: Array, usable: Array) -> Array:
 
 
 def init(params: Any, belief: Belief) -> tuple[()]:
-    """The `init` of these strategies. Carry: `()`."""
+    """Return the `init` of these strategies. Carry: `()`."""
     return ()

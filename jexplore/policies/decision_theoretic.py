@@ -9,5 +9,5 @@ from jexplore.policies.policy import Policy
 
 
 def decision_theoretic(samples: int = 500, lam: float = 0.2, spread_m: float = 1.0, min_gain: int = 10) -> Policy:
-    """The policy. Carry: `()`. Parameters: `Views`, with lam (1/m) as the weight."""
+    """Return the policy. Carry: `()`. Parameters: `Views`, with lam (1/m) as the weight."""
     return Policy(views.init, views.SELECT, views.views(("lam", lam), samples, spread_m, min_gain), views.live)

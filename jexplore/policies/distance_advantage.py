@@ -1,12 +1,12 @@
-"""Strategies that weigh the robot's path against what is left behind: `distance-advantage` and `small-first`.
+"""Strategies that weigh the robot's path against the clusters left behind: `distance-advantage` and `small-first`.
 
 Distance advantage: go to the frontier cluster that is near to the robot and far from the other clusters. Ericson,
 Pedro, Jensfelt, "Information Gain Is Not All You Need", 2025, arXiv 2504.01980. Gain only decides which clusters are
-considered at all: what is left behind alone costs a detour later.
+considered: an isolated cluster left behind costs a detour later.
 
-Small first, this package's own: the others count by the unknown area that a look would show there, because that is
-where the robot will spend its time, and a cluster with much unknown behind it is put off, because it draws the robot
-in. What is small and near is so finished before the robot goes where it does not soon come back from.
+Small first, this package's own: the other clusters count by the unknown area that a look-around would show there,
+because the robot will spend its time there; a cluster with a large unknown area is put off, because it draws the robot
+in. Small, near clusters are finished before the robot leaves for long.
 """
 
 from typing import NamedTuple
@@ -26,14 +26,14 @@ LEAST = 1e-6  # keeps a quotient finite where nothing counts
 class Params(NamedTuple):
     """Parameters of both, so that they share a program."""
 
-    weight: float  # of the mean distance from the other clusters, beside the robot's own path
+    weight: float  # of the mean distance from the other clusters, relative to the robot's own path
     min_gain: int  # unknown cells that a look must show for a cluster to be considered
     by_area: bool = False  # whether the others count by the unknown area that a look would show there
     side_weight: float = 0.0  # of the side of a square as large as that area at the cluster itself
 
 
 def advantage(path_m: Array, apart_m: Array, used: Array, weight: Array | float, counts: Array | float = 1.0) -> Array:
-    """Mean distance from the other targets, weighted, less the robot's path: `[M]` float32, metres.
+    """Compute the mean distance from the other targets, weighted, less the robot's path: `[M]` float32, metres.
 
     Args:
       path_m: `[M]` float32.
@@ -44,7 +44,7 @@ def advantage(path_m: Array, apart_m: Array, used: Array, weight: Array | float,
 
 
 def mean_apart(apart_m: Array, used: Array, counts: Array | float = 1.0) -> Array:
-    """Mean distance of every target from the other ones: `[M]` float32, metres; 0 where there are none.
+    """Compute the mean distance of every target from the others: `[M]` float32, metres; 0 without others.
 
     Args:
       apart_m: `[M, M]` float32; inf where no path leads: such pairs do not count.
@@ -75,12 +75,12 @@ def _params(weight, min_gain, **more):
 
 
 def distance_advantage(weight: float = 1.0, min_gain: int = 1) -> Policy:
-    """The policy. Carry: `()`. Parameters: `Params`."""
+    """Return the policy. Carry: `()`. Parameters: `Params`."""
     return Policy(init, _select, _params(weight, min_gain))
 
 
 def small_first(weight: float = 0.5, side_weight: float = 0.5, min_gain: int = 1) -> Policy:
-    """The policy. Carry: `()`. Parameters: `Params`.
+    """Return the policy. Carry: `()`. Parameters: `Params`.
 
     The defaults of the weights were chosen on worlds #1000 to #1013 of each kind (`benchmarks/tuning.py`).
     """

@@ -30,14 +30,14 @@ class Params(NamedTuple):
 
 
 def relative(value: Array, used: Array) -> Array:
-    """Values between those of the worst and of the best used slot, as 0 to 1; 1 where all are equal. `[M]` float32."""
+    """Scale values from the worst to the best used slot to 0 to 1; 1 if all are equal. `[M]` float32."""
     low = jnp.min(jnp.where(used, value, jnp.inf))
     span = jnp.max(jnp.where(used, value, -jnp.inf)) - low
     return jnp.where(used, jnp.where(span > 0, (value - low) / jnp.where(span > 0, span, 1.0), 1.0), 0.0)
 
 
 def choquet(utilities: Array, measure: Array) -> Array:
-    """Choquet integral of each column.
+    """Compute the Choquet integral of each column.
 
     Args:
       utilities: `[n, M]` float32, of n criteria.
@@ -66,7 +66,7 @@ def _select(key, params, carry, belief, beams, route):
 
 
 def mcdm(a: float = 0.5, d: float = 0.3, o: float = 0.2, ad: float = 0.95, ao: float = 0.7, do: float = 0.4) -> Policy:
-    """The policy. Carry: `()`. Parameters: `Params`.
+    """Return the policy. Carry: `()`. Parameters: `Params`.
 
     Raises:
       InputError: a weight outside 0 to 1, or larger than that of a larger set.

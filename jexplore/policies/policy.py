@@ -44,7 +44,7 @@ class Strategy(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """What the list of strategies says about one of them."""
+    """Entry of a strategy in the list of strategies."""
 
     make: Any  # constructor (keyword parameters -> `Policy`), score (a function of the view), or `Policy`
     summary: str = ""

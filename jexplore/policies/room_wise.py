@@ -43,7 +43,7 @@ class OfGraph(NamedTuple):
     gamma: Any  # float, cells
 
     def divide(self, free, belief):
-        """`(label, door_d2, overflow)`: `[H, W]` int32; `[n]` int32, by label that of the narrowest way out; int32."""
+        """Divide the map: `(label, door_d2, overflow)`: `[H, W]` int32; `[n]` int32, narrowest exit by label; int32."""
         model = belief.model
         form = form_for(free.shape, coarse=model.coarse)
         found = segment(
@@ -70,7 +70,7 @@ class OfBasins(NamedTuple):
     clutter_m: Any  # float, metres
 
     def divide(self, free, belief):
-        """As of `OfGraph`, but that of the widest way out."""
+        """Divide the map as `OfGraph`, but with the widest exit."""
         model, unknown = belief.model, ~is_known(belief.grid)
         numbers = watershed.criteria(
             model.cell_m, ratio=self.ratio, smallest_m2=self.smallest_m2, clutter_m=self.clutter_m
@@ -89,10 +89,10 @@ class Params(NamedTuple):
 
 
 def own_segment(params: Params, belief: Belief) -> tuple[Array, Array, Array]:
-    """Cells of the segment that the robot is in, whether that is a room, and what did not fit.
+    """Return the robot's segment, whether it is a room, and the cells that did not fit.
 
-    A room has a door, and is no larger than rooms are: corridors, halls and caves are not preferred to what lies beside
-    them. A door is a critical point no wider than doors are; a basin has one if its widest way out is no wider.
+    A room has a door, and is no larger than rooms are: corridors, halls and caves get no preference. A door is a
+    critical point no wider than doors are; a basin has a door if its widest exit is no wider.
 
     Args:
       params: `Params`.
@@ -146,7 +146,7 @@ class _Inner:
 
 
 def rebuilt(policy: Policy, change: Callable[[Any], Any]) -> Policy:
-    """A policy with its functions, or with the modifier those of the strategy that it modifies, changed."""
+    """Change the functions of a policy, or of the strategy that it modifies."""
 
     def one(function):
         if isinstance(function, (_Select, _Inner)):
@@ -168,7 +168,7 @@ def segmented(
     door_m: float = 1.6,
     room_m2: float = 40.0,
 ) -> Policy:
-    """A strategy that prefers frontier cells in the robot's own segment.
+    """Make a strategy that prefers frontier cells in the robot's own segment.
 
     Args:
       policy: `Policy`.

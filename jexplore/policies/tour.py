@@ -27,7 +27,7 @@ class Params(NamedTuple):
 
 
 def inserted(length: Array, n: Array | int) -> Array:
-    """An open route from node 0 by nearest insertion.
+    """Build an open route from node 0 by nearest insertion.
 
     Args:
       length: `[N, N]` float32, symmetric, between all nodes; nodes 1 to n are to be visited.
@@ -59,7 +59,7 @@ def inserted(length: Array, n: Array | int) -> Array:
 
 
 def improved(length: Array, route: Array, n: Array | int) -> Array:
-    """The route after turning round stretches of it for as long as that makes it shorter, the best turn first.
+    """Improve a route by reversing stretches for as long as that shortens it, the best reversal first.
 
     Args:
       length, n: as for `inserted`.
@@ -72,8 +72,8 @@ def improved(length: Array, route: Array, n: Array | int) -> Array:
     nodes = lax.iota(jnp.int32, size)
 
     def best_turn(route):
-        """How much shorter the best turn makes the route, and the first and the last stop that it turns."""
-        # Turning stops i..j round replaces the ways into i and out of j; behind the last stop there is none.
+        """Return the gain of the best reversal, and its first and last stop."""
+        # Reversing stops i..j replaces the ways into i and out of j; the last stop has no way out.
         before, after = jnp.roll(route, 1), jnp.roll(route, -1)
         enter, leave = length[before, route], jnp.where(nodes < n, length[route, after], 0.0)
 
@@ -123,5 +123,5 @@ def _select(key, params, carry, belief, beams, route):
 
 
 def tour(min_gain: int = 1) -> Policy:
-    """The policy. Carry: `()`. Parameters: `Params`."""
+    """Return the policy. Carry: `()`. Parameters: `Params`."""
     return Policy(init, _select, Params(require_whole("min_gain", min_gain, low=0, high=2**20)))

@@ -16,7 +16,7 @@ def _init(params, belief):
 
 
 def kth_true(mask: Array, k: Array | int) -> tuple[Array, Array]:
-    """Row and column of the k-th True cell in (row, col) order, counted from 0; k must be less than their number."""
+    """Return row and column of the k-th True cell in (row, col) order, from 0; k is less than their number."""
     per_row = jnp.sum(mask, axis=1, dtype=jnp.int32)
     until = jnp.cumsum(per_row)
     row = jnp.sum(until <= k, dtype=jnp.int32)
@@ -35,10 +35,10 @@ def _select(key, params, carry, belief, beams, route):
 
 
 def uniform() -> Policy:
-    """The policy. Carry: `()`. Parameters: none."""
+    """Return the policy. Carry: `()`. Parameters: none."""
     return Policy(_init, _select)
 
 
 def is_uniform(policy: Policy) -> bool:
-    """Whether a policy chooses as this one does, and by nothing else."""
+    """Return whether a policy chooses exactly as this one."""
     return policy.select is _select

@@ -29,6 +29,6 @@ def _select(key, params, carry, belief, beams, route):
 
 
 def utility(beta: float = 5.0, min_gain: int = 1) -> Policy:
-    """The policy. Carry: `()`. Parameters: `Params`."""
+    """Return the policy. Carry: `()`. Parameters: `Params`."""
     params = Params(require_number("beta", beta, high=1e6), require_whole("min_gain", min_gain, low=0, high=2**20))
     return Policy(init, _select, params)

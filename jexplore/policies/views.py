@@ -1,4 +1,4 @@
-"""What strategies that go to view points share: samples near frontiers, and the best of them by gain and path."""
+"""Common code of strategies that go to view points: samples near frontiers, and the best of them by gain and path."""
 
 import dataclasses
 import functools
@@ -33,7 +33,7 @@ class Views(NamedTuple):
 
 
 def views(weight: tuple[str, float], samples: int, spread_m: float, min_gain: int, *, by_rate: bool = False) -> Views:
-    """`Views`, checked. `weight` is `(name, value)`.
+    """Check and make `Views`. `weight` is `(name, value)`.
 
     Raises:
       InputError: a number out of its range.
@@ -48,14 +48,15 @@ def views(weight: tuple[str, float], samples: int, spread_m: float, min_gain: in
 
 
 def gain_for_path(params: Views, gain: Array, path_m: Array) -> Array:
-    """What a gain is worth after a path, float32: discounted by it, `gain exp(-weight path)`, or its share of it,
-    `gain / (weight + path)`. Both in one, so that strategies that differ in this only share a program.
+    """Compute the value of a gain after a path, float32: `gain exp(-weight path)` or `gain / (weight + path)`.
+
+    Both forms in one, so that strategies that differ only here share a program.
     """
     return jnp.where(params.by_rate, gain / (params.weight + path_m), gain * jnp.exp(-params.weight * path_m))
 
 
 def drawn(key: Array, belief: Belief, known: Field, params: Views) -> tuple[Array, Array]:
-    """View points near frontiers: a frontier cell each, drawn uniformly, and a cell in a disc round it.
+    """Draw view points near frontiers: a frontier cell each, uniformly, and a cell in a disc round it.
 
     Draw i depends on the key and i only, neither on how many there are nor on the map's padding. Where the disc's cell
     cannot be reached, the frontier cell itself is the view point.
@@ -95,7 +96,7 @@ def best_view(
     known: Field,
     beams: Beams,
 ) -> tuple[Array, Array]:
-    """The view point of the greatest utility.
+    """Find the view point of the greatest utility.
 
     Args:
       utility: `(params, gain, path_m) -> float32`, growing with the gain, bits. Static.
@@ -149,7 +150,7 @@ def select(
     beams: Beams,
     route: Array,
 ) -> tuple[Any, Choice, Array]:
-    """The `select` of a strategy with a utility: the best view point, or the nearest frontier if none shows enough."""
+    """Return the `select` of a strategy with a utility: the best view point, else the nearest frontier."""
     known = field(belief)
     width = known.cost.shape[1]
     cell, overflow = best_view(utility, key, params, belief, known, beams)
@@ -166,12 +167,12 @@ SELECT = functools.partial(select, gain_for_path)
 
 
 def live(params: Views, belief: Belief, beams: Beams, row: Array, col: Array) -> Array:
-    """The `live` of such a strategy: a look from the view point would still show enough."""
+    """Return the `live` of such a strategy: a look-around at the view point would still show enough."""
     where = row, col, all_round(beams), belief.within
     seen = unknown_seen(belief.grid, belief.extent, belief.model.p_free, *where)
     return seen >= params.min_gain
 
 
 def init(params: Any, belief: Belief) -> tuple[()]:
-    """The `init` of such a strategy. Carry: `()`."""
+    """Return the `init` of such a strategy. Carry: `()`."""
     return ()

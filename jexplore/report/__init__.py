@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def _find_folder():
-    """Without a home folder matplotlib could not be imported, or would complain: it gets a folder for this process."""
+    """Give matplotlib a folder for this process if there is no home: its import would fail or warn."""
     try:
         Path.home()
     except RuntimeError:

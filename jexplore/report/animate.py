@@ -29,13 +29,13 @@ def _font(size):
 
 
 def _shrunk(classes, factor):
-    """Blocks of `factor` x `factor` cells, each as its highest class: frontier over occupied over free over unknown."""
+    """Reduce blocks of `factor` x `factor` cells to their highest class: frontier, occupied, free, unknown."""
     padded = np.pad(classes, [(0, -size % factor) for size in classes.shape])
     return np.maximum.reduce([padded[row::factor, col::factor] for row, col in np.ndindex(factor, factor)])
 
 
 def _draw_text(image, text, at, font):
-    """Anti-aliased text on the caption band, in the greys of the shared palette. Returns its width, pixels."""
+    """Draw anti-aliased text on the caption band, in the greys of the shared palette; return its width, pixels."""
     width = math.ceil(font.getlength(text))
     mask = Image.new("L", (max(width, 1), _BAND_PX), 0)
     ImageDraw.Draw(mask).text((0, _BAND_PX // 2), text, fill=255, font=font, anchor="lm")
@@ -45,7 +45,7 @@ def _draw_text(image, text, at, font):
 
 
 def frame_image(frame: Mapping[str, Any], *, cell_m: float) -> Image.Image:
-    """One frame of an animation as a palette image; see `save_animation` for its fields.
+    """Draw one frame of an animation as a palette image; see `save_animation` for its fields.
 
     A cell is drawn as a square of whole pixels, as many as fit 640 pixels; maps of more than 640 cells are reduced by
     whole factors first, where a frontier wins over occupied, occupied over free and free over unknown. Below lie a
@@ -86,7 +86,7 @@ def frame_image(frame: Mapping[str, Any], *, cell_m: float) -> Image.Image:
 
 
 def _draw_band(image, draw, caption, metres_a_pixel, top):
-    """The caption on the left, a scale bar of a round length on the right."""
+    """Draw the caption on the left, a scale bar of a round length on the right."""
     font = _font(12)
     widest = image.width / 4 * metres_a_pixel
     bar_m = round_length(widest)
@@ -106,7 +106,7 @@ def _draw_band(image, draw, caption, metres_a_pixel, top):
 
 
 def _draw_legend(image, draw, top):
-    """What the colours stand for, in one line; the target as the ring that it is."""
+    """Draw the legend of the colours, in one line; the target as a ring."""
     font, left, middle = _font(11), 10, top + _BAND_PX // 2
     for text, colour in _LEGEND:
         box = (left, middle - 5, left + 10, middle + 5)
@@ -118,7 +118,7 @@ def _draw_legend(image, draw, top):
 
 
 def _thinned(images, max_frames):
-    """At most `max_frames` of the images, evenly spaced, the last one always; holds at most twice as many at a time."""
+    """Return at most `max_frames` of the images, evenly spaced, the last always; holds at most twice as many."""
     kept, stride, last = [], 1, None
     for number, make in enumerate(images):
         last = (number, make())
@@ -149,8 +149,8 @@ def save_animation(
 
     Args:
       frames: iterable of one or more dicts: `state` `[H, W]` uint8; `frontier` `[H, W]` bool; `row`, `col`,
-        `heading_deg` of the robot; `target`, a `(row, col)` or None; `rows`, `cols` `[N]`, cells driven so far;
-        `caption`, text. A frame is drawn before the next one is asked for.
+        `heading_deg` of the robot; `target`, a `(row, col)` or None; `rows`, `cols` `[N]`, cells driven; `caption`,
+        text. A frame is drawn before the next one is asked for.
       path: the file; without an ending it is a GIF. MP4 is written by the program ffmpeg.
       cell_m: edge of a cell, metres.
       fps: frames a second, above 0 and at most 50.

@@ -38,11 +38,11 @@ OUR_FILES = (
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
 
-UNFINISHED = ".unfinished"  # folder for what a run has finished so far, in its own
+UNFINISHED = ".unfinished"  # folder for the finished part of a run, in its own
 LOCK = ".lock"  # file that is locked while a process has the folder to itself
 PART = ".part"  # ending of hidden folders in which files are written before they are moved
-NAMES = ".names"  # file that lists what is moved from such a folder
-OLD = "old"  # folder for the files of a run that is being replaced, in such a one
+NAMES = ".names"  # file that lists the files moved from such a folder
+OLD = "old"  # folder for the files of a run being replaced, inside it
 
 
 class RunFolder:
@@ -57,25 +57,25 @@ class RunFolder:
 
     @property
     def unfinished(self) -> Path:
-        """Folder for what a run has finished so far."""
+        """Return the folder for the finished part of a run."""
         return self.path / UNFINISHED
 
     def write(self, writers: Mapping[str, Callable[[Path], Any]], *, is_finished: bool = True) -> Path:
         """Write the files of a run: all of them, or none.
 
-        They are first written into a hidden folder and moved when all are there, `run.json` last: where it stands, the
-        rest does. If one fails, or the user interrupts, also while they are moved, the folder is as before.
+        They are first written into a hidden folder and moved once all exist, `run.json` last: if it exists, the rest
+        does. If one fails, or the user interrupts, also during the move, the folder stays as before.
 
         Args:
           writers: `{name: function}`, each called with the path that it is to write.
-          is_finished: whether the run is, so that what was kept of it on the way can go.
+          is_finished: bool, the run is finished: its ledger is removed.
 
         Returns:
           `Path` of the folder.
 
         Raises:
-          InputError: a file cannot be written; or files of an old run could be moved neither forth nor back: says where
-            they are.
+          InputError: a file cannot be written; or files of an old run could be moved neither forth nor back: names
+            their place.
         """
         with _staged(self.path, writers) as stage:
             _exchange(stage, self.path, _taken(self.path, True), writers)
@@ -86,14 +86,14 @@ class RunFolder:
         return self.path
 
     def forget(self) -> None:
-        """Throws away what the run has finished so far: all of it at once, so that no part can be taken for a whole."""
+        """Remove the ledger of the run: all at once, so that no part can be taken for the whole."""
         gone = self.path / f".{os.getpid()}-{secrets.token_hex(4)}{PART}"
         with contextlib.suppress(OSError):
             os.replace(self.unfinished, gone)
         shutil.rmtree(gone, ignore_errors=True)
 
     def add(self, name: str, write: Callable[[Path], Any]) -> None:
-        """One more file of a run that has been written, whole or not at all; `write` may put others beside it.
+        """Add a file to a finished run, whole or not at all; `write` may add others next to it.
 
         Raises:
           InputError: it cannot be written.
@@ -106,12 +106,12 @@ class RunFolder:
         """Refuse a folder that holds a run.
 
         Raises:
-          InputError: naming a file of it.
+          InputError: naming one of its files.
         """
         _taken(self.path, False)
 
     def release(self) -> None:
-        """Gives the folder back; where nothing was kept, folders that were made for it go."""
+        """Give the folder back; without content, folders that were made for it are removed."""
         if self.unfinished.is_dir() and not any(self.unfinished.glob("*.parquet")):
             _done(self.forget)
         if self._lock is not None:
@@ -125,7 +125,7 @@ class RunFolder:
 
 @contextlib.contextmanager
 def claimed(path: str | os.PathLike[str], *, overwrite: bool = False, resume: bool = False) -> Iterator[RunFolder]:
-    """A folder for one run, which no other process may claim meanwhile; missing parents are made.
+    """Claim a folder for one run, which no other process may claim meanwhile; missing parents are made.
 
     Nothing in it is changed before the run is written. The claim dies with its holder, however that ends.
 
@@ -151,7 +151,7 @@ def claimed(path: str | os.PathLike[str], *, overwrite: bool = False, resume: bo
 
 @contextlib.contextmanager
 def claimed_new(paths: Iterable[str | os.PathLike[str]]) -> Iterator[RunFolder]:
-    """As `claimed`, the first of some folders that is not there yet. Of several processes each gets one of its own."""
+    """Claim, as `claimed`, the first of some folders that does not exist. Several processes each get their own."""
     for path in map(Path, paths):
         parents = _make(path.parent)
         try:
@@ -202,7 +202,7 @@ def _unwritable(path, error):
 
 
 def _make(path):
-    """Makes a folder and its parents: a list of those that were not there."""
+    """Make a folder and its parents: a list of the new ones."""
     made = []
     try:
         if path.exists() and not path.is_dir():
@@ -226,7 +226,7 @@ def _remove_folders(made):
 
 
 def _taken(path, allowed):
-    """The files of a run in a folder: a list of `Path`s; refuses them unless they are allowed."""
+    """Return the files of a run in a folder: a list of `Path`s; refuse them unless they are allowed."""
     taken = [path / name for name in OUR_FILES if os.path.lexists(path / name)]
     for file in taken:
         if not allowed:
@@ -239,7 +239,7 @@ def _taken(path, allowed):
 
 
 def _locked(path):
-    """Locks a folder for this process, until it ends: a file descriptor; None where the system has no locks.
+    """Lock a folder for this process, until it ends: a file descriptor; None on systems without locks.
 
     Raises:
       InputError: another process has it, or the folder cannot be written.
@@ -270,7 +270,7 @@ def _locked(path):
 
 
 def _lock(handle):
-    """Whether the lock of an open file could be had; True as well where there are no locks."""
+    """Lock an open file; return whether that succeeded, True on systems without locks."""
     try:
         import fcntl
     except ImportError:
@@ -285,8 +285,9 @@ def _lock(handle):
 
 
 def _mend(path):
-    """Puts a folder in order whose last holder was killed while files were written or moved: the old run is whole again
-    unless the new one is.
+    """Repair a folder whose last holder was killed while files were written or moved.
+
+    The old run is whole again unless the new one is.
     """
     for stage in path.glob(f".*{PART}"):
         old = stage / OLD
@@ -304,7 +305,7 @@ def _mend(path):
 
 
 def _names_in(stage):
-    """Names of the files that were to be moved from a hidden folder."""
+    """Return the names of the files that were to be moved from a hidden folder."""
     try:
         return (stage / NAMES).read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError):
@@ -313,7 +314,7 @@ def _names_in(stage):
 
 @contextlib.contextmanager
 def _staged(folder, writers):
-    """The files of a run, written into a hidden folder inside `folder` that is gone afterwards."""
+    """Write the files of a run into a hidden folder inside `folder` that is removed afterwards."""
     stage = Path(folder) / f".{os.getpid()}-{secrets.token_hex(4)}{PART}"
     try:
         stage.mkdir()
@@ -323,12 +324,12 @@ def _staged(folder, writers):
     except OSError as error:
         raise _unwritable(folder, error) from error
     finally:
-        if not (stage / OLD).is_dir() or not any((stage / OLD).iterdir()):  # else what is there is there only
+        if not (stage / OLD).is_dir() or not any((stage / OLD).iterdir()):  # otherwise these files exist only there
             shutil.rmtree(stage, ignore_errors=True)
 
 
 def _exchange(stage, folder, taken, names):
-    """Moves the files of a run from `stage` into `folder`, `run.json` last; those of the old run go to `stage/old`.
+    """Move the files of a run from `stage` into `folder`, `run.json` last; those of the old run go to `stage/old`.
 
     If it is interrupted, everything is moved back.
     """
@@ -356,7 +357,7 @@ def _exchange(stage, folder, taken, names):
 
 
 def _done(act, *paths):
-    """Does what must be done, whatever Ctrl-C says; what cannot be done is left."""
+    """Do necessary steps despite Ctrl-C; those that fail are left."""
     while True:
         try:
             return act(*paths)
@@ -369,7 +370,7 @@ def _done(act, *paths):
 def default_outs(
     command: str, now: datetime.datetime | None = None, *, root: str | os.PathLike[str] = "runs"
 ) -> Iterator[Path]:
-    """Unused folder names for a run: `runs/20261121T093042Z-compare`, then with `-2`, `-3`, ...; without end.
+    """Yield unused folder names for a run: `runs/20261121T093042Z-compare`, then with `-2`, `-3`, ...; without end.
 
     Args:
       command: what was run, part of the name.

@@ -1,4 +1,4 @@
-"""What a run has finished so far: a Parquet file for every unit of its work, so that nothing is computed twice.
+"""Finished units of a run: a Parquet file for every unit, so that nothing is computed twice.
 
 pandas and pyarrow are imported by the functions that need them.
 """
@@ -27,16 +27,16 @@ class Shorter(NamedTuple):
     """Runs that ask the same as this one, of fewer episodes: what this one goes on with."""
 
     episodes: int  # of this one
-    asked: Callable[[int], Mapping[str, Any]]  # what one of so many episodes is asked
+    asked: Callable[[int], Mapping[str, Any]]  # settings of a run with this many episodes
     finished: Callable[[Path], "pd.DataFrame"]  # what the folder of one that is finished holds, as rows of its units
     units_of: Callable[["pd.DataFrame"], Iterable[tuple[int, "pd.DataFrame", bool]]]
     """Rows -> this one's units that have any: number, table, whether it is whole."""
 
     def includes(self, path: Path, there: Any, here: Mapping[str, Any], *, trust: bool) -> bool:
-        """Whether what a folder holds is one of them.
+        """Return whether the content of a folder is a shorter run.
 
         Raises:
-          InputError: it has more episodes, or is asked something else.
+          InputError: it has more episodes, or other settings.
         """
         asked = there.get("asked", {}) if isinstance(there, dict) else {}
         n = asked.get("spec", asked).get("episodes")
@@ -72,21 +72,21 @@ class Ledger:
         trust: bool = False,
         shorter: Shorter | None = None,
     ) -> None:
-        """Opens the ledger of a run, or goes on with one.
+        """Open the ledger of a run, new or to be continued.
 
         Args:
           run: the run's folder.
-          asked: what the run is asked, all that its results depend on; plain JSON, see `store.jsonable`.
-          units: how many units the whole run has.
-          resume: whether to go on with what is there. Else it is thrown away.
+          asked: all settings that results depend on; plain JSON, see `store.jsonable`.
+          units: number of units of the whole run.
+          resume: bool, continue with an existing ledger; else it is removed.
           trust: as in `require_same`.
-          shorter: runs that can be gone on with besides.
+          shorter: other runs that may be continued.
 
         Warns:
           InputWarning: the file of a unit is damaged.
 
         Raises:
-          InputError: the folder holds a run that is asked something else, or cannot be written.
+          InputError: the folder holds a run with other settings, or cannot be written.
         """
         self.folder, self.done, self.parts = run.unfinished, set(), set()
         self.units, self.first = units, 0
@@ -110,7 +110,7 @@ class Ledger:
         self._open(page)
 
     def _open(self, page):
-        """Counts the units that are there; throws away files that are damaged or belong to none."""
+        """Count the units; remove files that are damaged or belong to none."""
         self.first, self.units, self.done, self.parts = page.get("first", 0), page["units"], set(), set()
         for file in self.folder.glob("*.parquet"):
             number = file.stem.removesuffix(PART)
@@ -128,13 +128,14 @@ class Ledger:
                 file.unlink()
 
     def _all_of(self, page):
-        """The tables of all units that are there."""
+        """Return the tables of all units."""
         self._open(page)
         return [self.get(unit) for unit in sorted(self.done | self.parts)]
 
     def _grow(self, shorter, tables, page):
-        """Cuts what a shorter run has finished into units of this one: under new numbers, which count once the page
-        says so, so that whatever ends this leaves one of both.
+        """Cut the finished part of a shorter run into units of this one.
+
+        They get new numbers, which count once the page says so, so that whatever ends this leaves either run whole.
         """
         import pandas as pd
 
@@ -145,7 +146,7 @@ class Ledger:
         write_json(page, self.folder / ASKED)
 
     def put(self, unit: int, table: "pd.DataFrame") -> None:
-        """Keeps a unit that is finished: on the disk when this returns.
+        """Store a finished unit: on the disk when this returns.
 
         Raises:
           InputError: it cannot be written.
@@ -155,21 +156,21 @@ class Ledger:
         self.parts.discard(unit)
 
     def put_part(self, unit: int, table: "pd.DataFrame") -> None:
-        """Keeps what is finished of a unit, in place of a smaller part of it. Raises as `put`."""
+        """Store the finished part of a unit, in place of a smaller part. Raises as `put`."""
         write_parquet(table, self._file(unit, PART))
         self.parts.add(unit)
 
     def get(self, unit: int) -> "pd.DataFrame":
-        """The table of a unit that is finished, or of the part of it that is.
+        """Return the table of a finished unit, or of its finished part.
 
         Raises:
-          InputError: its file is gone or damaged.
+          InputError: its file is missing or damaged.
         """
         return _get(self._file(unit, PART if unit in self.parts else ""))
 
     @property
     def left(self) -> list[int]:
-        """Numbers of the units that are not finished."""
+        """Return the numbers of the unfinished units."""
         return [unit for unit in range(self.units) if unit not in self.done]
 
     def _file(self, unit, tail=""):
@@ -185,7 +186,7 @@ def _get(file):
 
 
 def _is_whole(file):
-    """Whether a unit's file can be read to its end and is as it was written."""
+    """Return whether a unit's file can be read to its end and is unchanged."""
     try:
         _table_in(file)
     except Exception:  # pyarrow raises many kinds of errors for a broken file
@@ -203,10 +204,10 @@ def _table_in(file):
 def is_finished(
     run: RunFolder, asked: Mapping[str, Any], units: int, *, trust: bool = False, shorter: Shorter | None = None
 ) -> bool:
-    """Whether a folder holds a run that is finished and was asked this. Arguments as of `Ledger`.
+    """Return whether a folder holds a finished run with these settings. Arguments as of `Ledger`.
 
     Raises:
-      InputError: it holds one that was asked something else, or another command's files.
+      InputError: it holds a run with other settings, or another command's files.
     """
     page = run.path / "run.json"
     if (run.unfinished / ASKED).exists():
@@ -233,15 +234,15 @@ def _read(file):
 
 
 def require_same(path: Path, there: Any, here: Mapping[str, Any], *, trust: bool = False) -> None:
-    """Refuse to go on with a run that is asked something else.
+    """Refuse to continue a run with other settings.
 
     Args:
       path: its folder.
-      there, here: what it was asked, and what is asked now.
-      trust: whether strategies are taken for what they were, whatever became of them.
+      there, here: its settings, and the present ones.
+      trust: bool, take strategies as unchanged.
 
     Raises:
-      InputError: naming the first difference, or a strategy of which it cannot be told whether there is one.
+      InputError: naming the first difference, or a strategy that cannot be compared.
     """
     pages = (page if isinstance(page, dict) else {} for page in (there, here))
     old, new = ({**page.get("asked", {}), "units": page.get("units")} for page in pages)
@@ -263,7 +264,7 @@ def require_same(path: Path, there: Any, here: Mapping[str, Any], *, trust: bool
 
 
 def _difference(path, key, was, is_):
-    """What says that a run is another."""
+    """Describe the difference between two runs."""
     if isinstance(was, dict) and isinstance(is_, dict):  # of which one entry tells more than all
         inner = next(name for name in (*is_, *was) if was.get(name) != is_.get(name))
         key, was, is_ = f"{key}, {inner}:", was.get(inner), is_.get(inner)

@@ -26,7 +26,7 @@ _STEPS = {
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recording:
-    """What happened in a run, frame by frame (N frames), and the map that it left. Numpy arrays, on the host.
+    """Recording of a run, frame by frame (N frames), and the map that it left. Numpy arrays, on the host.
 
     Raises:
       ValueError: a shape, a type or a number that does not fit.
@@ -63,9 +63,9 @@ class Recording:
     roll_deg: np.ndarray
     """`[N]`"""
     n_nodes: np.ndarray
-    """`[N]` int, nodes that the map had by then: the first so many of `map.nodes`."""
+    """`[N]` int, number of nodes of the map at that time: the first ones of `map.nodes`."""
     n_links: np.ndarray
-    """`[N]` int, likewise of `map.links`."""
+    """`[N]` int, number of links, the first ones of `map.links`."""
     link_searched_frame: np.ndarray
     """`[L]` int frame from which a link of the map counts as searched; N for never."""
     votes: np.ndarray
@@ -73,7 +73,7 @@ class Recording:
     left_m: np.ndarray
     """`[N]` L_l, distance to the wall on the left; infinite for none within reach."""
     right_m: np.ndarray
-    """`[N]` L_r, likewise on the right."""
+    """`[N]` L_r, the same on the right."""
     map: BtmMap
     """As it was at the end, in the frame of the estimate."""
     robot_m: tuple[float, float] = (0.70, 0.39)
@@ -132,12 +132,12 @@ def _check_values(recording):
 
 
 def _present(recording):
-    """`[N, K]` bool, True where there is a triangle."""
+    """Return `[N, K]` bool, True where a triangle exists."""
     return np.isfinite(recording.triangles_m).all(axis=(2, 3))
 
 
 def _data(recording):
-    """What the page reads: packed arrays by name, and the rest as it is. Triangles lie end to end, without the NaN."""
+    """Return the data for the page: packed arrays by name, the rest as is. Triangles lie end to end, without NaN."""
     arrays = {name: getattr(recording, name) for name in _SHAPES}
     present = _present(recording)
     rank = np.cumsum(present, axis=1) - 1
@@ -162,7 +162,7 @@ def _data(recording):
 
 
 def page(recording: Recording) -> str:
-    """A run as one HTML file that replays in a browser: no network, no server, no other file.
+    """Return a run as one HTML file that replays in a browser: no network, no server, no other file.
 
     Metres are kept to 1 cm (poses and walls to 1 mm), angles of beams to 0.1 mrad, tilt to 0.01 degrees. The page is
     plain ASCII, so it may be written in any encoding.

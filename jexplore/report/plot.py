@@ -64,7 +64,7 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 15
 
 
 def wrapped(text: object, width: int, *, max_lines: int = 3) -> str:
-    """`text` in at most `max_lines` lines of at most `width` characters.
+    """Wrap `text` into at most `max_lines` lines of at most `width` characters.
 
     Lines break before + : @ / # and after a comma or blank; what does not fit loses its middle to an ellipsis.
     """
@@ -94,13 +94,13 @@ def _plain(*texts):
 
 
 def round_length(most: float) -> float:
-    """The longest length of 1, 2 or 5 times a power of ten that is not above `most`, for a scale bar."""
+    """Return the longest length of 1, 2 or 5 times a power of ten that is not above `most`, for a scale bar."""
     unit = 10.0 ** math.floor(math.log10(most))
     return max(step * unit for step in (1, 2, 5) if step * unit <= most)
 
 
 def scale_bar(ax: Axes) -> AnchoredSizeBar:
-    """A scale bar below a map in metres, at its left end, instead of ticks; at most a third of the map's width."""
+    """Draw a scale bar below a map in metres, at its left end, in place of ticks; at most a third of its width."""
     ax.set(xticks=[], yticks=[])
     length = round_length(abs(np.subtract(*ax.get_xlim())) / 3)
     place: Any = {"loc": "upper left", "bbox_to_anchor": (0.0, 0.0), "bbox_transform": ax.transAxes}
@@ -118,7 +118,7 @@ def _centres_m(cells, cell_m):
 
 def bars(ax: Axes, labels: Sequence[str], means: Any, sds: Any, title: str = "", *,
          styles: Iterable[Any] | None = None, at: Any = None, thickness: float = 0.72) -> Any:  # fmt: skip
-    """Mean path lengths as bars with whiskers of one standard deviation and the numbers beside them, the first on top.
+    """Draw mean path lengths as bars with whiskers of one standard deviation and numbers next to them, first on top.
 
     Args:
       ax: the axes.
@@ -162,7 +162,7 @@ def bars(ax: Axes, labels: Sequence[str], means: Any, sds: Any, title: str = "",
 
 
 def style_of(strategies: Iterable[Any]) -> dict[Any, dict[str, Any]]:
-    """`{strategy: bar properties}` in the order given: a colour each, and a hatch from the ninth on."""
+    """Return `{strategy: bar properties}` in the order given: a colour each, and a hatch from the ninth on."""
     hatches = (None, "///", "...", "xxx", "\\\\\\")
     return {
         name: {"facecolor": PALETTE[i % len(PALETTE)], "hatch": hatches[i // len(PALETTE) % len(hatches)]}
@@ -171,13 +171,13 @@ def style_of(strategies: Iterable[Any]) -> dict[Any, dict[str, Any]]:
 
 
 def _grid(count):
-    """Rows and columns for `count` panels."""
+    """Return rows and columns for `count` panels."""
     n_cols = count if count <= 3 else min(4, math.ceil(math.sqrt(count)))
     return math.ceil(count / n_cols), n_cols
 
 
 def draw_map(ax: Axes, state: Any, cell_m: float) -> Any:
-    """The known map: unknown grey, free white, occupied black.
+    """Draw the known map: unknown grey, free white, occupied black.
 
     Args:
       ax: the axes; they get equal scales and limits around the map.
@@ -196,7 +196,7 @@ def _image(ax, colours, cell_m, **properties):
 
 
 def draw_path(ax: Axes, rows: Any, cols: Any, cell_m: float, *, width: float = 1.4) -> tuple[Any, Line2D, Line2D]:
-    """The driven path, coloured from start to end by distance driven, the start a ring and the end a cross.
+    """Draw the driven path, coloured from start to end by distance driven, the start a ring and the end a cross.
 
     Args:
       ax: the axes.
@@ -222,7 +222,7 @@ def draw_path(ax: Axes, rows: Any, cols: Any, cell_m: float, *, width: float = 1
 
 
 def draw_robot(ax: Axes, row: int, col: int, heading_deg: float, cell_m: float, *, size: float = 12) -> Line2D:
-    """The robot as an arrow head in its direction, 0 along x, counter-clockwise, degrees. Returns the `Line2D`."""
+    """Draw the robot as an arrow head, 0 along x, counter-clockwise, degrees; return the `Line2D`."""
     marker = MarkerStyle(ARROW).rotated(deg=heading_deg)
     place = _centres_m([col], cell_m), _centres_m([row], cell_m)
     style = {"ms": size, "mfc": ROBOT, "mec": "black", "mew": 1.0, "ls": "none", "zorder": 6}
@@ -231,14 +231,14 @@ def draw_robot(ax: Axes, row: int, col: int, heading_deg: float, cell_m: float, 
 
 
 def room_colours(count: int) -> np.ndarray:
-    """`[count, 3]` floats: soft colours, neighbours in number far apart in hue."""
+    """Return `[count, 3]` floats: soft colours, neighbours in number far apart in hue."""
     number = np.arange(count)
     hue, tone = number * 0.618034 % 1.0, np.where(number % 2, 0.18, 0.32)
     return hsv_to_rgb(np.stack([hue, tone, np.full(count, 0.96)], axis=-1))
 
 
 def draw_rooms(ax: Axes, world: Any, *, numbers: bool = True) -> tuple[Any, list[Any]]:
-    """The true floor plan with its rooms in soft colours and, at a cell of each near its middle, the room's number.
+    """Draw the true floor plan with its rooms in soft colours, and each room's number near its middle.
 
     Args:
       ax: the axes.
@@ -264,14 +264,14 @@ def draw_rooms(ax: Axes, world: Any, *, numbers: bool = True) -> tuple[Any, list
 
 
 def _panel_in(shapes, *, long_in):
-    """Width and height, inches, of a panel that holds maps of all `shapes` (rows, cols)."""
+    """Return width and height, inches, of a panel that holds maps of all `shapes` (rows, cols)."""
     widths = [min(long_in, 1.25 * long_in * cols / rows) for rows, cols in shapes]
     heights = [width * rows / cols for width, (rows, cols) in zip(widths, shapes)]
     return max(*widths, 0.5 * long_in), max(*heights, 0.3 * long_in)
 
 
 def _path_legend(figure, axes, marks):
-    """A colour bar below the panels, and beside it the two marks of `draw_path`."""
+    """Draw a colour bar below the panels, and next to it the two marks of `draw_path`."""
     share = min(0.62, 3.6 / figure.get_figwidth())
     place = {"location": "bottom", "shrink": share, "fraction": 0.03, "pad": 0.03, "aspect": 30, "anchor": (0, 0)}
     bar = figure.colorbar(ScalarMappable(cmap=PROGRESS), ax=axes, **place)
@@ -282,7 +282,7 @@ def _path_legend(figure, axes, marks):
 
 
 def paths_figure(entries: Sequence[tuple[str, Sequence[tuple[str, Any, Any, Any, float, float]]]]) -> Figure:
-    """The map as each strategy saw it with the path it drove, a row a world and a column a strategy.
+    """Draw the map as each strategy saw it with its path, a row a world and a column a strategy.
 
     Args:
       entries: one or more `(world name, panels)`; a panel is `(strategy, state, rows, cols, cell_m, path_m)`: the final
@@ -315,7 +315,7 @@ def paths_figure(entries: Sequence[tuple[str, Sequence[tuple[str, Any, Any, Any,
 
 def episode_figure(state: Any, rows: Any, cols: Any, cell_m: float, *,
                    path_m: Any, known_cells: Any, title: str = "") -> Figure:  # fmt: skip
-    """One episode: the final map with its path, and beside it how the known area grew with the path.
+    """Draw one episode: the final map with its path, and the growth of the known area along the path.
 
     Args:
       state: `[H, W]` uint8, the final map.
@@ -341,7 +341,7 @@ def episode_figure(state: Any, rows: Any, cols: Any, cell_m: float, *,
 
 
 def draw_coverage(ax: Any, path_m: Any, known_m2: Any) -> LineCollection:
-    """Known area over path length, in colours of progress like the path, with its share of the final area on the right.
+    """Draw the known area over path length, in colours like the path, with its share of the final area on the right.
 
     Args:
       ax: the axes.
@@ -367,7 +367,7 @@ def draw_coverage(ax: Any, path_m: Any, known_m2: Any) -> LineCollection:
 
 
 def worlds_figure(worlds: Sequence[tuple[str, Any]]) -> Figure:
-    """A contact sheet of floor plans: rooms, start, free area, number of rooms.
+    """Draw a contact sheet of floor plans: rooms, start, free area, number of rooms.
 
     Args:
       worlds: one or more `(name, World)`.

@@ -1,4 +1,4 @@
-"""A picture of strategies over many worlds: path lengths beside those of a reference, with intervals."""
+"""A picture of strategies over many worlds: path lengths relative to a reference, with intervals."""
 
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def figure(table: "pd.DataFrame") -> Figure:
-    """Ratios to the reference as dots with intervals, the shortest on top; pale dots are single kinds of worlds.
+    """Draw ratios to the reference as dots with intervals, the shortest on top; pale dots are single kinds of worlds.
 
     Args:
       table: from `league.standings`.

@@ -1,4 +1,4 @@
-"""A picture of a paper's path lengths beside ours."""
+"""A picture of a paper's path lengths and ours."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ GAP = 0.4
 
 
 def figure(tables: "pd.DataFrame", short: Mapping[str, str]) -> Figure:
-    """Mean path lengths as bars with whiskers of one standard deviation, one panel an environment.
+    """Draw mean path lengths as bars with whiskers of one standard deviation, one panel an environment.
 
     Of each strategy our bar stands above the paper's, which is pale and hatched.
 

@@ -26,8 +26,9 @@ DOORS = (  # what, marker, colour, for the legend
 
 
 def draw_segments(ax: Axes, picture: Any) -> AxesImage:
-    """Draws rooms in colours; rings at doors that were found, squares at those that were missed, crosses where rooms
-    touch and no door is. The paper's variants also show the Voronoi graph as thin lines, critical points as dots.
+    """Draw rooms in colours; rings at found doors, squares at missed ones, crosses at contacts without a door.
+
+    The paper's variants also show the Voronoi graph as thin lines, critical points as dots.
 
     Args:
       ax: `Axes`.
@@ -60,7 +61,7 @@ def _bytes(colour):
 
 
 def figure(pictures: Sequence[Any], scores: Any) -> Figure:
-    """A page with a row for every map and share known, and a column for every variant.
+    """Draw a page with a row for every map and known share, and a column for every variant.
 
     Args:
       pictures: list of `segmentation.Picture`.
@@ -86,7 +87,7 @@ def figure(pictures: Sequence[Any], scores: Any) -> Figure:
 
 
 def _handles(pictures):
-    """Of a legend: what some picture shows."""
+    """Return the entries of a legend of everything that some picture shows."""
     handles: list[Any] = [Patch(color=WALL, label="wall or unknown"), Patch(color=FLOOR, label="floor of no room")]
     if any(len(picture.lines) for picture in pictures):
         handles.append(Line2D([], [], color=GRAPH, label="Voronoi graph"))

@@ -34,12 +34,12 @@ _HALO: Any = (patheffects.withStroke(linewidth=2.2, foreground="white"),)
 
 
 def draw_btm(ax: Axes, btm: BtmMap, *, legend: bool = True) -> list[Line2D]:
-    """Draws searched links as straight lines, un-searched ones as short dashed lines, and nodes with their ids.
+    """Draw searched links as straight lines, un-searched ones as short dashed lines, and nodes with their ids.
 
     Args:
       ax: `Axes`, in metres; its limits are left to matplotlib.
       btm: `BtmMap`.
-      legend: whether to put a legend beside the axes.
+      legend: bool, put a legend next to the axes.
 
     Returns:
       Handles for a legend: a `Line2D` for every type of node and state of a link that the map has.
@@ -70,7 +70,7 @@ def draw_btm(ax: Axes, btm: BtmMap, *, legend: bool = True) -> list[Line2D]:
 
 
 def _lines(btm, places):
-    """How links are drawn: `{id: list of points}`."""
+    """Return the lines of links: `{id: list of points}`."""
     lines = {}
     for link in btm.links:
         start = places[link.start]
@@ -86,7 +86,7 @@ def _lines(btm, places):
 
 
 def draw_route(ax: Axes, btm: BtmMap, route: Route) -> list[Line2D]:
-    """Draws the links of a route as a broad band, refused links with a red cross, nodes not to be passed in red rings.
+    """Draw a route as a broad band, refused links with a red cross, nodes not to be passed in red rings.
 
     Args:
       ax: `Axes`, in metres, of `draw_btm`.
@@ -122,7 +122,7 @@ def _beside(place, bearing_deg):
 
 
 def _free_side(btm, node):
-    """Unit vector to where the id of a node stands: above it, or else in a direction 45 degrees off its links."""
+    """Return the direction of a node's id, a unit vector: above, or else 45 degrees off its links."""
     links = btm.bearings_deg(node.id)
 
     def off(angle):
@@ -133,7 +133,7 @@ def _free_side(btm, node):
 
 
 def draw_trail(ax: Axes, trail: ArrayLike, modes: ArrayLike, mode_names: Sequence[str]) -> list[Line2D]:
-    """Draws the robot's way in the colour of its mode, a ring at the start and a cross at the end.
+    """Draw the robot's way in the colour of its mode, a ring at the start and a cross at the end.
 
     Args:
       ax: `Axes`, in metres.
@@ -162,7 +162,7 @@ def draw_trail(ax: Axes, trail: ArrayLike, modes: ArrayLike, mode_names: Sequenc
 
 
 def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2D:
-    """Draws the body's inclination over the way driven; lines with ids mark where the way first came to the nodes.
+    """Draw the body's inclination over the driven way; lines with ids mark where it first came to the nodes.
 
     Args:
       ax: `Axes`.
@@ -197,7 +197,7 @@ def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2
 
 
 def _draw_building(ax, walls, points):
-    """Walls and scan points; returns entries of a legend."""
+    """Draw walls and scan points; return entries of a legend."""
     handles, dot = [], {"color": POINT, "marker": ".", "linestyle": "none", "markeredgewidth": 0}
     if len(walls):
         ax.add_collection(LineCollection(list(walls.reshape(-1, 2, 2)), colors=WALL, linewidths=3, zorder=1))
@@ -209,7 +209,7 @@ def _draw_building(ax, walls, points):
 
 
 def _limits(btm, walls, trail, points):
-    """Corners of what is drawn, with a margin."""
+    """Return the corners of the drawing, with a margin."""
     nodes = np.array([(node.x_m, node.y_m) for node in btm.nodes]).reshape(-1, 2)
     everything = np.concatenate([walls.reshape(-1, 2), points, trail[:, :2], nodes])
     low, high = (everything.min(0), everything.max(0)) if len(everything) else (np.zeros(2), np.ones(2))
@@ -228,7 +228,7 @@ def figure(
     pitch_deg: ArrayLike | None = None,
     route: Route | None = None,
 ) -> Figure:
-    """A page with the building, the run through it and the map that came of it.
+    """Draw a page with the building, the run through it and the resulting map.
 
     Args:
       btm: `BtmMap`.
@@ -245,7 +245,7 @@ def figure(
       `Figure`.
 
     Source:
-      The resulting map of Mano et al., whose figure is lost: made after its text.
+      The resulting map of Mano et al., whose figure is lost: drawn after its description.
     """
     walls = np.zeros((0, 4)) if walls is None else np.asarray(walls, float).reshape(-1, 4)
     points = np.zeros((0, 2)) if points is None else np.asarray(points, float).reshape(-1, 2)

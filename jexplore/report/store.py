@@ -41,7 +41,7 @@ def reason(error):
 
 @contextlib.contextmanager
 def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path in the same folder that replaces `path` once the block has ended well.
+    """Provide a temporary path in the same folder that replaces `path` once the block has ended well.
 
     The data are synced before the replacement, so a reader finds the old file or the new one. If the block raises, the
     temporary file is removed and `path` stays as it was.
@@ -123,7 +123,7 @@ def read_parquet(path: str | os.PathLike[str], *, required: Sequence[str] = ()) 
 
 
 def jsonable(value: Any) -> Any:
-    """`value` as plain JSON types.
+    """Convert `value` to plain JSON types.
 
     Numbers and arrays of numpy and jax become numbers and lists; NaN, infinities and pandas' NA become None; records
     become objects, paths and times text, enumerations their names.
@@ -180,7 +180,7 @@ def _version(package):
 
 
 def environment() -> dict[str, Any]:
-    """What a run ran on, for its record. Starts jax's backend.
+    """Describe hardware and software of a run, for its record. Starts jax's backend.
 
     Returns:
       A dict: `jexplore`, `python` and the packages' versions (None for one that is not installed), `platform`,

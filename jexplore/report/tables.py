@@ -6,32 +6,32 @@ from collections.abc import Collection, Iterable, Sequence
 
 
 def number_text(value: float, decimals: int) -> str:
-    """A number with so many decimals; a missing one is `-`."""
+    """Format a number with a number of decimals; a missing one is `-`."""
     return "-" if not math.isfinite(value) else f"{value:.{decimals}f}"
 
 
 def spread_text(mean: float, sd: float) -> str:
-    """`mean ± sd` with two decimals, without the part that is missing."""
+    """Format `mean ± sd` with two decimals, without a missing part."""
     return number_text(mean, 2) + (f" ± {sd:.2f}" if math.isfinite(sd) else "")
 
 
 def interval_text(low: float, high: float, decimals: int) -> str:
-    """`[low, high]`; one with a missing end is `-`."""
+    """Format `[low, high]`; one with a missing end is `-`."""
     return "-" if not (math.isfinite(low) and math.isfinite(high)) else f"[{low:.{decimals}f}, {high:.{decimals}f}]"
 
 
 def p_text(p: float) -> str:
-    """A p value with three decimals."""
+    """Format a p value with three decimals."""
     return "-" if not math.isfinite(p) else "<0.001" if p < 0.001 else f"{p:.3f}"
 
 
 def ratio_text(ratio: float, low: float = math.nan, high: float = math.nan) -> str:
-    """A ratio and its interval with three decimals, without the part that is missing."""
+    """Format a ratio and its interval with three decimals, without a missing part."""
     return " ".join(part for part in (number_text(ratio, 3), interval_text(low, high, 3)) if part != "-") or "-"
 
 
 def aligned_table(head: Sequence[str], lines: Iterable[Sequence[str]], *, left: Collection[str]) -> str:
-    """Texts as one aligned Markdown table.
+    """Format texts as one aligned Markdown table.
 
     Args:
       head: `[K]` texts, the names of the columns.
@@ -53,7 +53,7 @@ def aligned_table(head: Sequence[str], lines: Iterable[Sequence[str]], *, left: 
 
 
 def table_cells(text: str) -> tuple[list[str], list[list[str]], list[bool]]:
-    """The head, the lines and which columns are aligned to the right, of one table by `aligned_table`."""
+    """Return head, lines and right-aligned columns of one table by `aligned_table`."""
     head, rule, *lines = (re.split(r"(?<!\\)\|", line.strip())[1:-1] for line in text.strip().splitlines())
     head, *lines = ([cell.strip().replace("\\|", "|") for cell in line] for line in [head, *lines])
     return head, lines, [cell.strip().endswith(":") for cell in rule]
@@ -69,7 +69,7 @@ _LATEX = str.maketrans(
 
 
 def latex_table(head: Sequence[str], lines: Iterable[Sequence[str]], *, left: Collection[str]) -> str:
-    """Texts as a LaTeX table with the rules of the package booktabs. Arguments as for `aligned_table`."""
+    """Format texts as a LaTeX table with the rules of the package booktabs. Arguments as for `aligned_table`."""
     columns = "".join("l" if name in left else "r" for name in head)
     first, *rows = (" & ".join(cell.translate(_LATEX) for cell in line) + r" \\" for line in [head, *lines])
     rows = [

@@ -22,7 +22,7 @@ LEFT = ("angles deg", "type", "obstacle", "status")  # columns of text
 
 
 def share(hits: int, n: int) -> str:
-    """`"99.2 % [98.4, 99.6]"`: a share with its 95 % Wilson interval."""
+    """Format a share with its 95 % Wilson interval: `"99.2 % [98.4, 99.6]"`."""
     from scipy.stats import binomtest
 
     low, high = binomtest(hits, n).proportion_ci(method="wilson")
@@ -30,7 +30,7 @@ def share(hits: int, n: int) -> str:
 
 
 def summary(traced: Any, most: int = 10) -> list[str]:
-    """What the command prints of many runs: lines of text."""
+    """Return the summary that the command prints of many runs: lines of text."""
     table, lines = traced.table, []
     if not len(table):
         return ["no run was finished"]
@@ -56,7 +56,7 @@ def summary(traced: Any, most: int = 10) -> list[str]:
 
 
 def _settings_table(traced, most):
-    """The settings of a sweep, the best first."""
+    """Tabulate the settings of a sweep, the best first."""
     groups = [rows for _, rows in traced.table.groupby("setting")]
     has_truth = all(rows["true"].count() for rows in groups)
 
@@ -82,7 +82,7 @@ def _cell(value, digits):
 
 
 def tables(found: BtmMap) -> str:
-    """The node and link tables of a map as Markdown (Mano et al., Tables I and II)."""
+    """Format the node and link tables of a map as Markdown (Mano et al., Tables I and II)."""
     head = ["node", "x m", "y m", "links", "angles deg", "type", "obstacle", "inclination deg", "step m", "posture deg"]
     lines = []
     for node in found.nodes:
@@ -105,7 +105,7 @@ def tables(found: BtmMap) -> str:
 
 
 def route_table(route: Route) -> str:
-    """A route that was found, as Markdown: a row a link, an un-searched one last, and a line of the whole.
+    """Format a found route as Markdown: a row a link, an un-searched one last, and a line of the whole.
 
     `way` 2 of 3 is the second link counter-clockwise from the one by which one came, of the three others; `turn` the
     angle between them: 180 degrees is straight on, less to the right.
@@ -140,7 +140,7 @@ def _goal(route):
 
 
 def refused_lines(btm: BtmMap, route: Route) -> list[str]:
-    """What a robot may not use of a map, and why: a line a link, then one for every node that it cannot pass."""
+    """List the parts of a map that a robot may not use, and why: a line a link, then one for every impassable node."""
     links = {link.id: link for link in btm.links}
     lines = [f"{called(links[own])}: {', '.join(why)}" for own, why in route.refused]
     return [*lines, *(f"node {own}, to pass: {', '.join(why)}" for own, why in route.barriers)]

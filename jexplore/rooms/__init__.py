@@ -1,1 +1,1 @@
-"""How rooms are found in a map of free space, and scored."""
+"""Rooms in a map of free space: segmentation and scores."""

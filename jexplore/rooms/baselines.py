@@ -29,7 +29,7 @@ def _nearest(inside, seeds, *, n):
 
 
 def grown(seeds: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Every cell takes the seed nearest along paths: `[H, W]` int32, -1 where none gets to.
+    """Assign every cell to the seed nearest along paths: `[H, W]` int32, -1 for unreachable cells.
 
     Args:
       seeds: `[H, W]` int, from 1; 0 for none. Those above `SEEDS` are none.
@@ -40,7 +40,7 @@ def grown(seeds: np.ndarray, inside: np.ndarray) -> np.ndarray:
 
 
 def _parts(mask, cell_m):
-    """`(parts, area_m2)`: `[H, W]` int32, components from 1, 0 elsewhere; by number their areas, that of 0 is 0."""
+    """Label components: `(parts, area_m2)`: `[H, W]` int32, from 1, 0 elsewhere; areas by number, 0 for 0."""
     parts = components(mask) + 1
     area_m2 = np.bincount(parts.ravel()) * cell_m**2
     area_m2[0] = 0
@@ -48,7 +48,7 @@ def _parts(mask, cell_m):
 
 
 def distance(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.ndarray:
-    """Seeds are the cells above the level of clearance that gives most components; the rest goes to the nearest.
+    """Divide by clearance: seeds are the cells above the level with most components; the rest goes to the nearest.
 
     Args:
       inside: `[H, W]` bool.
@@ -73,7 +73,7 @@ def distance(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.nda
 
 
 def morphological(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.ndarray:
-    """Free space is eroded; a component is a seed as soon as it is as small as rooms are; the rest goes to the nearest.
+    """Divide by erosion: a component is a seed once it is as small as rooms are; the rest goes to the nearest.
 
     Arguments and result as of `distance`.
 

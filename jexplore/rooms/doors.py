@@ -1,4 +1,4 @@
-"""Where rooms touch, and which true doors a segmentation has found. Host code: numpy and scipy."""
+"""Contacts of rooms, and true doors found by a segmentation. Host code: numpy and scipy."""
 
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ class Doors(NamedTuple):
 
 
 def filled(label: np.ndarray, free: np.ndarray, gap: float) -> np.ndarray:
-    """Labels with free cells that have none, such as doorways, given to the nearest room along free cells.
+    """Assign free cells without a label, such as doorways, to the nearest room along free cells.
 
     Args:
       label: `[H, W]` int, rooms; negative for none.
@@ -43,7 +43,7 @@ def filled(label: np.ndarray, free: np.ndarray, gap: float) -> np.ndarray:
 
 
 def touching(label: np.ndarray) -> list[np.ndarray]:
-    """The cells at which two rooms touch along an edge, a list of `[n, 2]` int for every piece of such a border.
+    """Return the cells at which two rooms touch along an edge, a list of `[n, 2]` int for every piece of such a border.
 
     Args:
       label: `[H, W]` int, rooms; negative for none.
@@ -69,23 +69,23 @@ def touching(label: np.ndarray) -> list[np.ndarray]:
 
 
 def _middles(pieces):
-    """Of every piece the cell nearest to its mean: `[n, 2]` int."""
+    """Return the cell of every piece that is nearest to its mean: `[n, 2]` int."""
     if not pieces:
         return np.zeros((0, 2), int)
     return np.array([own[np.argmin(((own - own.mean(axis=0)) ** 2).sum(axis=1))] for own in pieces])
 
 
 def middles_of(label: np.ndarray, free: np.ndarray, cell_m: float) -> np.ndarray:
-    """Middles of the doors between rooms, `[n, 2]` int, row and column. Arguments as of `compared`."""
+    """Return the middles of the doors between rooms, `[n, 2]` int, row and column. Arguments as of `compared`."""
     return _middles(touching(filled(label, free, NEAR_M / cell_m)))
 
 
 def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell_m: float) -> Doors:
-    """Doors of a segmentation beside the true ones.
+    """Compare the doors of a segmentation with the true ones.
 
     Args:
-      truth: `[H, W]` int, true rooms, negative in doorways and walls; None where nobody says.
-      found: `[H, W]` int, likewise, what was found.
+      truth: `[H, W]` int, true rooms, negative in doorways and walls; None if unknown.
+      found: `[H, W]` int, rooms of the segmentation, in the same form.
       free: `[H, W]` bool.
       cell_m: edge of a cell, metres.
 
@@ -103,7 +103,7 @@ def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell
 
 
 def _close(middles, pieces, shape, gap):
-    """Which middles lie within a distance of some piece: `[n]` bool."""
+    """Return the middles within a distance of any piece: `[n]` bool."""
     if not pieces or not len(middles):
         return np.zeros(len(middles), bool)
     mask = np.ones(shape, bool)

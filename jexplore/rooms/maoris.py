@@ -10,24 +10,24 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-SHARE = 0.4  # of its perimeter: a zone that has more in common with a wider one is a ripple of it
+SHARE = 0.4  # share of the perimeter: a zone that shares more with a wider one is a ripple of that
 LIKENESS = 0.5  # zones are alike if the width of one is at least this share of that of the other
 SMALLEST_M2 = 2.0  # area of the smallest room
 
 
 class _Zones(NamedTuple):
-    """Zones of free space and of what is none, and the borders of the former; between two of them from both sides."""
+    """Zones of free and of other space, and the borders of the free ones, listed from both sides."""
 
     joined: np.ndarray  # [n] int, of every zone that there was at first
     width: np.ndarray  # [n] int, cells, of the widest zone in it; 0 where there is no free space
-    area: np.ndarray  # [n] float, cells, likewise
+    area: np.ndarray  # [n] float, cells, of the widest zone in it
     one: np.ndarray  # [E] int
     other: np.ndarray  # [E] int
     length: np.ndarray  # [E] float, edges of cells
 
 
 def _free_space(inside, clearance):
-    """The free-space image: `[H, W]` int32, cells: width of the widest disc in free space over a cell; 0 outside."""
+    """Compute the free-space image: `[H, W]` int32, cells: width of the widest disc over a cell; 0 outside."""
     rim = np.minimum.outer(*(np.minimum(np.arange(n), np.arange(n)[::-1]) + 0.5 for n in inside.shape))
     radius = np.where(inside, np.minimum(clearance, rim), 0.0)
     around = np.pad(radius, 3)
@@ -49,7 +49,7 @@ def _free_space(inside, clearance):
 
 
 def _zones(image):
-    """`(label, zones)`: `[H, W]` int, 4-connected cells of one width; `_Zones`."""
+    """Return `(label, zones)`: `[H, W]` int, 4-connected cells of one width; `_Zones`."""
     cell = np.arange(image.size).reshape(image.shape)
     one = np.concatenate([cell[:, :-1].ravel(), cell[:-1].ravel()])
     other = np.concatenate([cell[:, 1:].ravel(), cell[1:].ravel()])
@@ -66,7 +66,7 @@ def _zones(image):
 
 
 def _joined(zones, to):
-    """Every zone, `[n]` int, becomes part of another one or stays; there are no cycles."""
+    """Join every zone to another one, `[n]` int, or leave it; there are no cycles."""
     while (to[to] != to).any():
         to = to[to]
     width = np.zeros_like(zones.width)
@@ -79,7 +79,7 @@ def _joined(zones, to):
 
 
 def _longest(zones, may):
-    """For every zone the one beyond its longest border, of those that count; itself without any: `[n]` int."""
+    """Return for every zone the one beyond its longest border, of those that count; itself without any: `[n]` int."""
     one, other, to = zones.one[may], zones.other[may], np.arange(len(zones.width))
     order = np.lexsort((np.maximum(one, other), np.minimum(one, other), zones.length[may]))
     to[one[order]] = other[order]
@@ -87,14 +87,14 @@ def _longest(zones, may):
 
 
 def _ripples(zones):
-    """Ripples become part of the wider zone around them. Arrays as of `_longest`, here and below."""
+    """Join ripples to the wider zone around them. Arrays as of `_longest`, here and below."""
     is_wider = zones.width[zones.other] > zones.width[zones.one]
     perimeter = np.bincount(zones.one, zones.length, len(zones.width))
     return _longest(zones, is_wider & (zones.length > SHARE * perimeter[zones.one]))
 
 
 def _alike(zones):
-    """Of zones of like width, without a door between them, two that have most border with each other join."""
+    """Join zones of similar width, without a door between them, that share most of their borders."""
     widths = zones.width[zones.one], zones.width[zones.other]
     narrower, wider, own = np.minimum(*widths), np.maximum(*widths), np.arange(len(zones.width))
     to = _longest(zones, (narrower >= LIKENESS * wider) & (zones.length >= narrower))
@@ -102,14 +102,14 @@ def _alike(zones):
 
 
 def _small(zones, smallest):
-    """Rooms of fewer cells than `smallest` become part of a larger one."""
+    """Join rooms of fewer cells than `smallest` to a larger one."""
     one, other = zones.area[zones.one], zones.area[zones.other]
     is_larger = (other > one) | ((other == one) & (zones.other < zones.one))
     return _longest(zones, is_larger & (one < smallest))
 
 
 def maoris(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.ndarray:
-    """Cells of one width are zones; ripples join wider zones, then zones of like width join, but not through doors.
+    """Divide free space into zones of one width; ripples join wider zones, then similar zones join, not through doors.
 
     A cell is as wide as the widest disc in free space that covers it: a room is wide up to its walls, a corridor narrow
     up to the room. No disc reaches beyond the map. Of borders of equal length the one that comes last in the map is

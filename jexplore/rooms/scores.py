@@ -1,4 +1,4 @@
-"""How well a segmentation into rooms agrees with the ground truth. Host code: numpy and scipy."""
+"""Agreement of a segmentation into rooms with the ground truth. Host code: numpy and scipy."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +12,7 @@ AGREEMENT = ("mcc", "precision_room", "recall_room", "precision_pixel", "recall_
 
 
 def _numbered(labels, *, min_px=0):
-    """Labels of regions of more than `min_px` pixels as 0..n-1, in the order of their first pixels; -1 elsewhere."""
+    """Renumber regions of more than `min_px` pixels as 0..n-1, in the order of their first pixels; -1 elsewhere."""
     values, first, index, size = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
     keep = (values >= 0) & (size > min_px)
     number = np.full(len(values), -1, dtype=np.int32)
@@ -21,7 +21,7 @@ def _numbered(labels, *, min_px=0):
 
 
 def components(mask: np.ndarray, *, corners: bool = False) -> np.ndarray:
-    """Components of a mask, 4-connected, or 8-connected by `corners`: `[H, W]` int32 from 0; -1 elsewhere."""
+    """Label components of a mask, 4-connected, or 8-connected by `corners`: `[H, W]` int32 from 0; -1 elsewhere."""
     parts = np.zeros(mask.shape, dtype=np.int32)
     ndimage.label(mask, np.ones((3, 3)) if corners else None, output=parts)
     return parts - 1
@@ -34,13 +34,13 @@ def _same_size(name, array, name_of_other, other):
 
 
 def rooms_of(free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
-    """The rooms of a map in which walls and lines across doorways part them.
+    """Label the rooms of a map in which walls and lines across doorways separate them.
 
     A room is a 4-connected component of free pixels.
 
     Args:
       free: `[H, W]` bool.
-      min_px: components of so many pixels or fewer are dropped; the default is 0.25 m2 at 0.05 m a pixel.
+      min_px: components of this many pixels or fewer are dropped; the default is 0.25 m2 at 0.05 m a pixel.
 
     Returns:
       `[H, W]` int32: rooms 0..n-1, in the order of their first pixels by row and column; -1 elsewhere.
@@ -49,15 +49,15 @@ def rooms_of(free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
 
 
 def regions_of(labels: ArrayLike, free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
-    """The regions of a predicted segmentation, as they are scored.
+    """Label the regions of a predicted segmentation for scoring.
 
-    All free pixels of one label are one region, even where it lies in several parts. Free pixels without a label are
-    not excused: each of their 4-connected components is a region. Labels on pixels that are not free do not count.
+    All free pixels of a label form a region, even if it has several parts. Free pixels without a label are not excused:
+    each of their 4-connected components is a region. Labels on pixels that are not free do not count.
 
     Args:
       labels: `[H, W]` int, any numbers from 0; negative for none.
-      free: `[H, W]` bool, what there was to segment.
-      min_px: regions of so many pixels or fewer are dropped.
+      free: `[H, W]` bool, pixels to segment.
+      min_px: regions of this many pixels or fewer are dropped.
 
     Returns:
       `[H, W]` int32: regions 0..n-1, in the order of their first pixels by row and column; -1 elsewhere.
@@ -73,7 +73,7 @@ def regions_of(labels: ArrayLike, free: ArrayLike, *, min_px: int = 100) -> np.n
 
 
 def _matthews(overlap, size, size_truth):
-    """`[S, G]` Matthews correlation of every pair of regions, as classes of the pixels where both labels exist."""
+    """Compute `[S, G]` Matthews correlations of pairs of regions, as classes of the pixels with both labels."""
     tp = overlap.astype(np.float64)
     fp, fn = size[:, None] - tp, size_truth[None, :] - tp
     tn = np.maximum(overlap.sum() - tp - fp - fn, 0.0)
@@ -83,7 +83,7 @@ def _matthews(overlap, size, size_truth):
 
 
 def _matched(overlap, mcc):
-    """Sum of `mcc` over the one-to-one matching of largest overlap; pairs that do not overlap do not count.
+    """Return the sum of `mcc` over the one-to-one matching of largest overlap, pairs without overlap left out.
 
     Overlaps are whole numbers and every |mcc| is at most 1, so a weight that sums to less than 1/2 decides between
     matchings of equal overlap, and nothing else.
@@ -94,7 +94,7 @@ def _matched(overlap, mcc):
 
 
 def _variation_of_information(overlap):
-    """H(S | G) + H(G | S) in bits of the joint counts."""
+    """Compute H(S | G) + H(G | S) in bits of the joint counts."""
     s, g = np.nonzero(overlap)
     both = overlap[s, g]
     bits = np.log2(overlap.sum(axis=1)[s] / both) + np.log2(overlap.sum(axis=0)[g] / both)
@@ -102,7 +102,7 @@ def _variation_of_information(overlap):
 
 
 def _agreement(overlap, size, size_truth):
-    """The scores of regions and rooms, of which there are some: dict."""
+    """Compute the scores of regions and rooms, not empty: dict."""
     iou = overlap / (size[:, None] + size_truth[None, :] - overlap)
     best, best_truth = overlap.max(axis=1), overlap.max(axis=0)
     return {
@@ -117,10 +117,10 @@ def _agreement(overlap, size, size_truth):
 
 
 def score(truth: ArrayLike, predicted: ArrayLike) -> dict[str, float]:
-    """Agreement of a predicted segmentation with the ground truth, of the same map.
+    """Score a predicted segmentation against the ground truth of the same map.
 
-    Sizes of regions count all their pixels, those included that have no label on the other side. One-sided scores are
-    easily had: pieces of rooms have precision 1, one region over everything recall 1. `mcc` rewards neither.
+    Sizes of regions count all their pixels, also those without a label on the other side. One-sided scores are easily
+    reached: pieces of rooms have precision 1, one region over everything recall 1. `mcc` rewards neither.
 
     Regions are matched with rooms one to one, for the largest total overlap, then for the largest sum of correlations;
     a pair without overlap is not a match. A matched pair is the confusion matrix of "in the region" against "in the
@@ -128,7 +128,7 @@ def score(truth: ArrayLike, predicted: ArrayLike) -> dict[str, float]:
     labels, and 0 if that is negative, as it may be where much has one label only. Where the Matthews correlation is
     0 / 0 it is 1 if region and room are identical, else 0.
 
-    If one side has no regions, all agreement is 0; if neither has, all of it is 1. Where no pixel has both labels the
+    If one side has no regions, all agreement is 0; if neither has, it is 1. Where no pixel has both labels the
     variation of information is 0. Nothing is NaN.
 
     Args:

@@ -27,7 +27,7 @@ HIGHEST = 2**20  # squared clearance without any obstacle, cells^2
 
 @struct.dataclass
 class Criteria:
-    """What makes a room. Numbers that may be swept without compiling anew."""
+    """Criteria of a room. Numbers that may be swept without compiling anew."""
 
     ratio: Array  # float32: a pass is a door if its clearance is below this share of that of the lower of both peaks
     smallest: Array  # float32, cells: the area of the smallest room
@@ -35,11 +35,11 @@ class Criteria:
 
 
 class Form(NamedTuple):
-    """What fixes shapes. Hashable."""
+    """Static sizes. Hashable."""
 
     basins: int  # B, peaks of the clearance, at most
     passes: int  # between two basins, along the rows and along the columns each, at most
-    edges: int  # obstacle cells beside free ones, at most
+    edges: int  # most obstacle cells next to free ones
 
 
 @struct.dataclass
@@ -50,12 +50,12 @@ class Rooms:
     door_d2: Array  # [B] int32, squared clearance of the widest way out of each room, cells^2; 0 without any
     area: Array  # [B] int32, free cells of each room; 0 in a slot that is no room
     peaks: Array  # int32, peaks that there are, whether they fit or not
-    passes: Array  # int32, passes along the rows or along the columns, the more of both, likewise
+    passes: Array  # int32, passes along the rows or along the columns, whichever is more, that did not fit
     overflow: Array  # int32, edges, peaks and passes that did not fit
 
 
 def form_for(shape: tuple[int, ...], *, coarse: bool = False) -> Form:
-    """The `Form` that suits a map of a shape.
+    """Return the `Form` that suits a map of a shape.
 
     One cell in 128 may be a peak, one in 96 a pass, one in 7 an edge; on coarse maps, where rooms are only some cells
     wide, one in 48, in 40, in 5. The most that built-in worlds have is printed by `benchmarks/graph_sizes.py`.
@@ -72,17 +72,17 @@ def form_for(shape: tuple[int, ...], *, coarse: bool = False) -> Form:
 def criteria(
     cell_m: float, *, ratio: float = RATIO, smallest_m2: float = SMALLEST_M2, clutter_m: float = CLUTTER_M
 ) -> Criteria:
-    """`Criteria` for cells of a size. Lengths in metres, areas in square metres."""
+    """Return `Criteria` for cells of a size. Lengths in metres, areas in square metres."""
     return Criteria(jnp.float32(ratio), jnp.float32(smallest_m2 / cell_m**2), jnp.float32(clutter_m / cell_m))
 
 
 def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Array]:
-    """Obstacles that are no walls: legs of tables, cupboards in the middle of a room.
+    """Find obstacles other than walls: legs of tables, cupboards in the middle of a room.
 
     Args:
       free: `[H, W]` bool. Cells that are not free and touch along edges or corners are one obstacle.
       size: cells; an obstacle whose bounding box has a shorter diagonal, and that is not at the map's rim, is clutter.
-      edges: obstacle cells beside free ones that are looked at. Static. Those beyond count as walls.
+      edges: most obstacle cells next to free ones that are examined. Static. Those beyond count as walls.
 
     Returns:
       `(mask, overflow)`: `[H, W]` bool, cells of clutter; int32, edges that did not fit.
@@ -118,7 +118,7 @@ def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Arr
 
 @functools.partial(jax.jit, static_argnames=("edges",))
 def cleared(free: Array, unknown: Array, size: Array | float, *, edges: int) -> tuple[Array, Array, Array]:
-    """Free space without clutter, and how far its walls are.
+    """Return free space without clutter, and the distances of its walls.
 
     Args:
       free, unknown: as for `watershed`.
@@ -133,15 +133,16 @@ def cleared(free: Array, unknown: Array, size: Array | float, *, edges: int) -> 
 
 
 def peaks(d2: Array, inside: Array) -> Array:
-    """Where steepest ascent leads to from every cell.
+    """Return the peak that steepest ascent reaches from every cell.
 
     Args:
       d2: `[H, W]` int32, 0 or more: the squares of the heights.
-      inside: `[H, W]` bool, cells that the way up may cross. A diagonal step needs one of the two cells beside it.
+      inside: `[H, W]` bool, cells that the ascent may cross. A diagonal step needs one of its two orthogonal
+        neighbours.
 
     Returns:
-      `[H, W]` int32, flat index of the peak; outside that of the cell itself. Cells of equal height ascend in the order
-      of their indices, and of ways that are equally steep the last is taken.
+      `[H, W]` int32, flat index of the peak; outside `inside`, the cell itself. Cells of equal height ascend in the
+      order of their indices, and of equally steep steps the last is taken.
     """
     shape = d2.shape
     own = lax.broadcasted_iota(jnp.int32, shape, 0) * shape[1] + lax.broadcasted_iota(jnp.int32, shape, 1)
@@ -167,12 +168,12 @@ class _Passes(NamedTuple):
     """
 
     one: Array  # [E] int32, basin; B in an unused slot
-    other: Array  # [E] int32, likewise
+    other: Array  # [E] int32, second basin
     d2: Array  # [E] int32, squared clearance: the smaller one of both cells
 
 
 def _passes(basin, d2, tops, n, size):
-    """`(passes, most)` of basins 0 to n - 1, `[H, W]` int32, n elsewhere, their peaks `tops`; most: `Rooms.passes`."""
+    """Find `(passes, most)` of basins 0 to n - 1, `[H, W]` int32, n elsewhere, with peaks `tops`."""
     basins, heights = bordered(basin, n), bordered(d2, 0)
     found, most = [], jnp.int32(0)
     for step in ((0, 1), (1, 0)):
@@ -195,7 +196,7 @@ def _passes(basin, d2, tops, n, size):
 
 
 def _widest(room, passes, is_open):
-    """For every room its widest open pass.
+    """Return for every room its widest open pass.
 
     Args:
       room: `[B + 1]` int32, of every basin; the last stands for none.
@@ -215,12 +216,12 @@ def _widest(room, passes, is_open):
 
 
 def _clearance(d2):
-    """From the middle of a cell to the edge of the obstacle, cells."""
+    """Return the clearance from the middle of a cell to the edge of the obstacle, cells."""
     return jnp.sqrt(d2.astype(jnp.float32)) - 0.5
 
 
 def _joined(passes, heights, ratio):
-    """Basins joined across wide passes, the widest first: `[B + 1]` int32, the lowest basin or another of each room.
+    """Join basins across wide passes, the widest first: `[B + 1]` int32, a basin of each room.
 
     A room whose own widest pass is wide for its own peak can be joined at once, in any order: nothing that happens to
     the room beyond can make that pass a door. So all such rooms are joined in one round.
@@ -241,7 +242,7 @@ def _joined(passes, heights, ratio):
 
 
 def _absorbed(room, passes, each, smallest):
-    """Rooms that are too small joined to the one beyond their widest pass.
+    """Join rooms that are too small to the one beyond their widest pass.
 
     In rounds, until none is left: every such room at once, but for those that a smaller one wants to join, and, of two
     small ones, the larger.
@@ -267,11 +268,11 @@ def _absorbed(room, passes, each, smallest):
 
 @functools.partial(jax.jit, static_argnames=("form",))
 def watershed(free: Array, unknown: Array, criteria: Criteria, *, form: Form) -> Rooms:
-    """Divides free space into rooms.
+    """Divide free space into rooms.
 
     Every cell belongs to the peak of clearance that steepest ascent leads to. Two such basins are one room unless the
-    pass between them is a door: narrow beside both peaks. Rooms that are too small become part of the room beyond
-    their widest way out.
+    pass between them is a door: narrow compared with both peaks. Rooms that are too small become part of the room
+    beyond their widest exit.
 
     Args:
       free: `[H, W]` bool, cells known to be free. What lies outside the map is no obstacle.

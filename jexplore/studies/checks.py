@@ -1,4 +1,4 @@
-"""What is checked, loaded and drawn before anything is compiled: worlds, strategies, starts, memory."""
+"""Checks, loading and drawing before anything is compiled: worlds, strategies, starts, memory."""
 
 import contextlib
 import hashlib
@@ -25,13 +25,13 @@ from jexplore.worlds.world import World, checked, ringed_shape
 WorldLike: TypeAlias = str | os.PathLike[str] | World
 """A world, or the name or file of one."""
 StrategyLike: TypeAlias = str | Policy | Strategy | Callable[..., Any]
-"""What `policies.strategy` makes a strategy of."""
+"""Input of `policies.strategy`."""
 LidarLike: TypeAlias = Lidar | Mapping[str, Any]
 """A scanner, or a mapping of those of its fields that are not the defaults."""
 RulesLike: TypeAlias = Rules | Mapping[str, Any]
-"""Rules, likewise."""
+"""`Rules`, or a mapping of some of its fields."""
 StartLike: TypeAlias = str | tuple[int, int, int] | Pose
-"""Where episodes start: see `poses.read_start`."""
+"""Start of episodes: see `poses.read_start`."""
 LIDAR, RULES = Lidar(), Rules()  # the defaults
 CELL_BYTES = 120  # of one episode under way and of the world itself, measured on a CPU; a cell of the padded map
 TRAIL_BYTES = 24  # a step
@@ -43,7 +43,7 @@ LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_by
 
 
 def listed(kind: str, items: Any) -> list[Any]:
-    """A list of one or more different items; a single one may stand for itself."""
+    """Make a list of one or more different items; a single one may stand for itself."""
     if isinstance(items, (str, os.PathLike, World)):
         items = [items]
     if isinstance(items, (set, frozenset)):  # which strategy is the first, with which others are compared, is chance
@@ -58,12 +58,12 @@ def listed(kind: str, items: Any) -> list[Any]:
 
 
 def ready_settings(lidar: LidarLike, rules: RulesLike) -> tuple[Lidar, Rules]:
-    """Scanner and rules, from records or from mappings of some of their fields; refuses what is neither."""
+    """Make scanner and rules from records or from mappings of some of their fields; refuse anything else."""
     return as_record("lidar", lidar, Lidar), as_record("rules", rules, Rules)
 
 
 def ready_worlds(worlds: WorldLike | Iterable[WorldLike], cell_m: float) -> list[World]:
-    """Worlds from names and `World` records, in order.
+    """Make worlds of names and `World` records, in order.
 
     Args:
       worlds: one or more world names or `World`s; a single one may stand for itself.
@@ -107,7 +107,7 @@ def require_different_buildings(worlds: Iterable[World]) -> None:
 
 
 def ready_strategies(strategies: StrategyLike | Iterable[StrategyLike]) -> list[Strategy]:
-    """Strategies from what stands for them, in order.
+    """Make strategies of names and objects, in order.
 
     Args:
       strategies: what `policies.strategy` takes, one or more; a single one may stand for itself.
@@ -127,7 +127,7 @@ def ready_strategies(strategies: StrategyLike | Iterable[StrategyLike]) -> list[
 
 
 def ready_starts(world: World, start: StartLike, n: int, *, seed: int, rules: Rules) -> np.ndarray:
-    """The starts of n episodes in a world.
+    """Draw or read the starts of n episodes in a world.
 
     Args:
       world: `World`.
@@ -164,7 +164,7 @@ def ready_starts(world: World, start: StartLike, n: int, *, seed: int, rules: Ru
 
 
 def memory_needed(world: World, lidar: Lidar, rules: Rules, workers: int) -> int:
-    """About how many bytes episodes in a world take at a time. An int."""
+    """Estimate the bytes that episodes in a world take at a time. An int."""
     rows, cols = (bucket(side) for side in ringed_shape(world.occupied))
     steps = max(LEAST_LIMIT, rows * cols, rules.max_steps or 0)
     beams = HEADINGS * lidar.n_beams * n_steps(farthest(lidar, world.cell_m))
@@ -172,7 +172,7 @@ def memory_needed(world: World, lidar: Lidar, rules: Rules, workers: int) -> int
 
 
 def _memory():
-    """Bytes of memory that the machine, or the container, has; None where the system does not tell."""
+    """Return the bytes of memory of the machine, or of the container; None if unknown."""
     told = []
     with contextlib.suppress(AttributeError, OSError, ValueError):
         told.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))

@@ -32,10 +32,10 @@ def compare(
     keep: str | None = None,
     out: str | os.PathLike[str] | None = None, overwrite: bool = False, resume: bool = False, trust: bool = False,
 ) -> Comparison:  # fmt: skip
-    """Runs every strategy in every world, from the same starts. An interruption keeps what is finished.
+    """Run every strategy in every world, from the same starts. An interruption keeps finished episodes.
 
     Args:
-      worlds: names (`worlds.load_world`) or `World`s; one may stand for itself.
+      worlds: one or several names (`worlds.load_world`) or `World`s.
       strategies: names, functions of the view, constructors, `Policy`s (`policies.strategy`); the others are compared
         with the first.
       episodes: of each strategy in each world. More episodes leave the earlier ones as they were.
@@ -53,10 +53,10 @@ def compare(
       on_progress: called now and then with the number of episodes finished.
       progress: whether a bar shows that; by default in notebooks.
       keep: "paths" for the way of every episode, 12 bytes a step, "maps" for its last map as well, a byte a cell.
-      out: folder to write, as `jexplore compare` does: see `Comparison.save`. What is finished is kept on the way.
-      overwrite: whether the folder may hold a run, which is then replaced.
-      resume: whether to go on with the run that the folder holds, if there is one.
-      trust: whether that takes strategies of your own for what they were, even where nothing tells.
+      out: folder to write, as `jexplore compare` does: see `Comparison.save`. Finished episodes are stored on the way.
+      overwrite: replace a run in the folder.
+      resume: continue a run in the folder, if any.
+      trust: when continuing, take your own strategies as unchanged even if that cannot be checked.
 
     Raises:
       InputError: what cannot be used. Raised before anything is compiled.
@@ -77,13 +77,13 @@ def compare(
 
 
 def asked_of(jobs: Sequence[Job], keep: str | None) -> dict[str, Any]:
-    """What a comparison is asked, as the command has it: of two with equal ones the units are equal."""
+    """Return the settings of a comparison in the command's form: equal settings mean equal units."""
     more = {"keep": keep} if keep else {}
     return {"command": "compare", **provenance.asked(jobs), **more, "bound_seconds": None}
 
 
 def _run(jobs, asked, settings, how, shown, ledger=None):
-    """The `Comparison` of jobs, whose units a ledger keeps."""
+    """Run jobs, whose units a ledger keeps: a `Comparison`."""
     use_compilation_cache()
     began = datetime.datetime.now(datetime.UTC)
     with progress_bar(shown[0], sum(len(job.starts) for job in jobs), "episodes", shown[1]) as moved:
@@ -104,7 +104,7 @@ def _run(jobs, asked, settings, how, shown, ledger=None):
 
 
 def _in_folder(out, jobs, asked, run, how, trust):
-    """A `Comparison` that a folder keeps while it is made, if there is to be one, and holds in the end."""
+    """Run a `Comparison` with a folder, if requested, that keeps its parts and finally holds it."""
     if all(how.values()):
         raise InputError("resume goes on with a run and overwrite replaces it: give one of them")
     if out is None:

@@ -60,7 +60,7 @@ class EnvState:
 
 @struct.dataclass
 class _Bank:
-    """What all episodes of an environment share. An argument of its programs: environments of one shape share them."""
+    """Shared data of all episodes of an environment, an argument of its programs: those of one shape share them."""
 
     beams: Beams
     scenes: Truth  # [M, ...]
@@ -82,7 +82,7 @@ class Environment:
     """
 
     worlds: tuple[World, ...]
-    """What may be explored, in order."""
+    """Worlds to explore, in order."""
     shape: tuple[int, int]
     """`(H, W)` of all maps: that of the largest world, padded. Cells of a view, an action and a path are those of the
     world."""
@@ -99,16 +99,16 @@ class Environment:
         recheck: bool = False,
         paths: bool = False,
     ) -> None:
-        """Loads the worlds.
+        """Load the worlds.
 
         Args:
           worlds: names (`load_world`) or `World`s, one or several with cells of one size.
           cell_m: edge of a cell of the worlds that are loaded by name, metres.
           lidar: `Lidar`, or a mapping of some of its fields.
-          rules: `Rules`, likewise.
-          recheck: whether a frontier cell that is driven to is given up as soon as it is no longer live.
-          paths: whether a state keeps the whole way, for `path`; that takes 8 bytes for every
-            cell of the map, at least 160 kB.
+          rules: `Rules`, or a mapping of some of its fields.
+          recheck: give up a frontier cell as soon as it is no longer live.
+          paths: keep the whole way in the state, for `path`; that takes 8 bytes for every cell of the map, at least 160
+            kB.
 
         Raises:
           InputError: no world, one that cannot be loaded, or one without a clear cell; cells of different sizes.
@@ -149,7 +149,7 @@ class Environment:
         self._cells = jnp.asarray(np.stack([np.resize(own, (most, 2)) for own in cells]), jnp.int32)
 
     def reset(self, key: Array, start: Any = None, world: Any = None) -> tuple[EnvState, View]:
-        """An episode that has made its first scans.
+        """Begin an episode and make its first scans.
 
         Args:
           key: of the episode; draws the world, the start and the scanner's noise, each from a stream of its own. That
@@ -187,11 +187,11 @@ class Environment:
         return _reset(self._setup, self._bank, jax.random.clone(key), start.astype(jnp.int32), world)
 
     def step(self, key: Array, state: EnvState, action: Any) -> tuple[EnvState, View, Array, Array, dict[str, Array]]:
-        """Drives to a target, until it is reached, found to be out of reach, or given up.
+        """Drive to a target, until it is reached, found to be out of reach, or given up.
 
         Args:
-          key: draws the scanner's noise, from a stream that depends on the scans made so far: the episode's own key,
-            the same at every step, gives the noise of a comparison. Not consumed.
+          key: draws the scanner's noise, from a stream that depends on the number of scans: the episode's own key, the
+            same at every step, gives the noise of a comparison. Not consumed.
           state: `EnvState`.
           action: int32 `[2]`, row and col of a cell of finite `view.cost`. Any other moves nothing, and
             `info["valid"]` is False.
@@ -200,7 +200,7 @@ class Environment:
           state: `EnvState`; as it was once the episode is over.
           view: `View`.
           reward: float32, minus the metres driven.
-          done: bool, whether the episode is over: with the step that leaves no frontier, or at a limit of the rules.
+          done: bool, the episode is over: with the step that leaves no frontier, or at a limit of the rules.
           info: dict of `valid`, bool; `outcome`, int32, an `Outcome`; `path_m`, float32, metres driven since the start;
             `known_m2`, float32, known area.
 
@@ -214,7 +214,7 @@ class Environment:
         return _step(self._setup, self._bank, jax.random.clone(key), state, action)
 
     def path(self, state: EnvState) -> np.ndarray:
-        """The way driven so far, of an environment with `paths=True`: `[n + 1, 2]` int32, row and col; on the host.
+        """Return the driven way, of an environment with `paths=True`: `[n + 1, 2]` int32, row and col; on the host.
 
         Raises:
           InputError: an environment that does not keep it.
@@ -228,7 +228,7 @@ class Environment:
 
     @property
     def arrays(self) -> Any:
-        """A pytree of all its arrays: worlds, beams, numbers.
+        """Return a pytree of all its arrays: worlds, beams, numbers.
 
         A function compiled around `env.step` has them as constants; one that is given them and calls
         `env.with_arrays(arrays).step` has not, and compiles faster where worlds are many.
@@ -236,7 +236,7 @@ class Environment:
         return self._bank, self._cells, self._n_cells
 
     def with_arrays(self, arrays: Any) -> Self:
-        """The same environment with other arrays, which may be traced; see `arrays`."""
+        """Return the same environment with other arrays, which may be traced; see `arrays`."""
         other = copy.copy(self)
         other._bank, other._cells, other._n_cells = arrays
         return other
@@ -260,13 +260,13 @@ def _given(bank, key, world, start):
 
 
 def _inside(shape, row, col):
-    """Whether a cell lies on the maps, and the cell, or (0, 0), which is a wall, instead of it."""
+    """Return whether a cell lies on the maps, and the cell; outside, (0, 0), which is a wall."""
     inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
     return inside, jnp.where(inside, row, 0), jnp.where(inside, col, 0)
 
 
 def _seen(setup, given, episode, ring):
-    """`EnvState` after the last scan of a plan; without a frontier the episode is over."""
+    """Return `EnvState` after the last scan of a plan; without a frontier the episode is over."""
     known = field(episode.belief)
     none = ~jnp.any(known.candidates) & (episode.outcome == Outcome.RUNNING)
 
@@ -278,7 +278,7 @@ def _seen(setup, given, episode, ring):
 
 
 def shown(state: EnvState) -> View:
-    """The `View` of a state, in the cells of its world."""
+    """Return the `View` of a state, in the cells of its world."""
     view, ring = view_of(state.episode.belief, state.known), state.ring
     if ring is None:
         return view
@@ -297,7 +297,7 @@ def shown(state: EnvState) -> View:
 
 
 def _ringed(ring, row, col):
-    """A cell of a world in its maps."""
+    """Convert a cell of a world to its maps."""
     return (row, col) if ring is None else (row + ring, col + ring)
 
 
@@ -363,7 +363,7 @@ def _require_key(key):
 
 
 def _whole(name, value, shape, meaning=""):
-    """A value as int32 of a shape, which may be traced."""
+    """Convert a value to int32 of a shape, which may be traced."""
     expected = f"{name} must be int32 {list(shape)}" + (f", {meaning}" if meaning else "")
     try:
         if not isinstance(value, Array) and np.asarray(value).dtype.kind in "iu":  # 64 bits are not cut off
@@ -377,5 +377,5 @@ def _whole(name, value, shape, meaning=""):
 
 
 def _concrete(array):
-    """An array's value on the host; None while it is traced."""
+    """Return an array's value on the host; None while it is traced."""
     return None if isinstance(array, Tracer) else np.asarray(array)

@@ -60,7 +60,7 @@ class Frame(NamedTuple):
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Episode:
-    """What `explore` found."""
+    """Result of `explore`."""
 
     world: World
     strategy: str
@@ -84,11 +84,11 @@ class Episode:
 
     @property
     def title(self) -> str:
-        """What a picture says above itself."""
+        """Return the title of a picture."""
         return f"{self.strategy} in {self.world.name}: {self.measures['path_m']:.1f} m, {self.measures['outcome']}"
 
     def figure(self) -> "Figure":
-        """The last map with the path, and how the known area grew with it: a matplotlib `Figure`."""
+        """Draw the last map with the path, and the growth of the known area: a matplotlib `Figure`."""
         final, cell_m = self.final, self.world.cell_m
         return plot.episode_figure(
             map_state(final.hits, final.misses, self.rules.p_free),
@@ -101,7 +101,7 @@ class Episode:
         )
 
     def plot(self, ax: Any = None) -> Any:
-        """Draws the last map with the path, in metres of the map's frame.
+        """Draw the last map with the path, in metres of the map's frame.
 
         Args:
           ax: matplotlib `Axes`; by default those of a new figure.
@@ -201,7 +201,7 @@ def explore(
     lidar: LidarLike = LIDAR,
     rules: RulesLike = RULES,
 ) -> Episode:
-    """Runs one episode and keeps its map and way.
+    """Run one episode and keep its map and way.
 
     It is that episode of a comparison with the same world, strategy, seed, start, scanner and rules.
 
@@ -216,7 +216,7 @@ def explore(
       within: region that the robot stays in, corners in metres: see `restrict.stay_within`.
       from_map: partial map that it has from the beginning: see `restrict.with_known`.
       lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
-      rules: `Rules`, likewise.
+      rules: `Rules`, or such a mapping.
 
     Returns:
       `Episode`.
@@ -254,7 +254,7 @@ def prepare_job(
     from_map: KnownMap | None = None,
     episode: int = 0,
 ) -> Job:
-    """Everything that `explore` refuses or loads before it runs: a `Job` of as many episodes, all from its start."""
+    """Check and load everything before `explore` runs: a `Job` of as many episodes, all from its start."""
     seed, episode = require_setting("seed", seed), require_setting("episode", episode)
     (parsed,), (world,) = ready_strategies(strategy), ready_worlds(world, cell_m)
     lidar, rules = ready_settings(lidar, rules)
@@ -267,7 +267,7 @@ def prepare_job(
 
 
 def run_job(job: Job) -> Episode:
-    """The `Episode` of a job: its last one."""
+    """Run the `Episode` of a job: its last one."""
     use_compilation_cache()
     number = len(job.starts) - 1
     lidar, rules = job.lidar or LIDAR, job.rules or RULES
@@ -298,7 +298,7 @@ def run_job(job: Job) -> Episode:
 
 
 def steps_of(episode: Episode) -> Iterator[replay.Moment]:
-    """The episode again: its last `replay.Moment` at every step.
+    """Yield the episode again: its last `replay.Moment` at every step.
 
     Raises:
       InputError: the episode made more plans than are kept.
@@ -315,11 +315,11 @@ def steps_of(episode: Episode) -> Iterator[replay.Moment]:
 
 
 def frames(episode: Episode, *, max_frames: int = MAX_FRAMES) -> Iterator[Frame]:
-    """The episode again, step by step.
+    """Play the episode again, step by step.
 
     Args:
       episode: `Episode`.
-      max_frames: at most so many frames, evenly spaced over the steps; the last step is always one.
+      max_frames: most frames, evenly spaced over the steps; the last step is always one.
 
     Yields:
       `Frame`s.
@@ -343,13 +343,13 @@ def frames(episode: Episode, *, max_frames: int = MAX_FRAMES) -> Iterator[Frame]
 
 
 def _map_of(episode, moment):
-    """Hits and misses after a scan, in the world's cells."""
+    """Return hits and misses after a scan, in the world's cells."""
     shape, ring, grid = episode.world.shape, ring_of(episode.world.occupied), moment.belief.grid
     return within(np.asarray(grid.hits), shape, ring), within(np.asarray(grid.misses), shape, ring)
 
 
 def maps_at(episode: Episode, shares: Sequence[float]) -> Iterator[tuple[float, float, np.ndarray]]:
-    """The maps that the robot had when it first knew some shares of the cells that it knew in the end.
+    """Yield the maps of the robot when it first knew some shares of its final known cells.
 
     Args:
       episode: `Episode`.

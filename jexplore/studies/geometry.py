@@ -1,16 +1,16 @@
-"""The question behind `jexplore worlds --geometry`: what kind of building is this, and how full of furniture?
+"""Geometry of a building for `jexplore worlds --geometry`: its kind, and its amount of furniture.
 
-- An obstacle is an 8-connected component of occupied cells; its length is the longer side of its bounding box. The
-  one that reaches the edge of the map, and those longer than 1.25 m, are the walls. The others are islands: legs,
-  columns, bins. What stands against a wall is part of the wall.
-- Ways round longer than 2.5 m: obstacles inside the map whose boundary is, taken as twice the length; the holes of
-  the free space that are no islands. Each is one independent cycle of the building's passages.
+- An obstacle is an 8-connected component of occupied cells; its length is the longer side of its bounding box. The one
+  that reaches the edge of the map, and those longer than 1.25 m, are the walls. The others are islands: legs, columns,
+  bins. Furniture against a wall is part of the wall.
+- Cycles longer than 2.5 m: obstacles inside the map with such a boundary, taken as twice the length, that is, the holes
+  of the free space other than islands. Each adds an independent cycle to the building's passages.
 - Rooms are those that the world knows, else the segments, over 0.25 m2, of `jexplore.segment` (variant holz, the
   settings of `jexplore segment`) in the map without its islands.
-- Openings, where the rooms are known: 4-connected sets of free cells that lie in no room and touch two or more
-  rooms, and of cells of one room beside another's; where the rooms are segments: critical points with a different
-  room on either side. The width is that of the widest disc with its middle in the opening: between obstacles, or
-  between the walls where the rooms are segments.
+- Openings, where the rooms are known: 4-connected sets of free cells that lie in no room and touch two or more rooms,
+  and of cells of one room next to another's; where the rooms are segments: critical points with a different room on
+  either side. The width is that of the widest disc with its middle in the opening: between obstacles, or between the
+  walls where the rooms are segments.
 - Corridors: runs of cells that have walls on opposite sides, at equal distances and 0.8 to 4 m apart, at least
   three times as long as the median distance between these walls, which is their width.
 """
@@ -35,8 +35,8 @@ WALL_M = 1.25  # an obstacle longer than this, its boundary than 2.5 m, is a wal
 LEG_M = 0.3  # an island longer than this is more than a leg
 WIDE_M = 1.6  # an opening from this width on is no door
 SMALL_M2, LARGE_M2 = 8.0, 60.0  # rooms below, rooms over
-CORRIDOR_M = (0.8, 4.0)  # what is narrower is a slot, what is wider a hall
-SLENDER = 3.0  # a corridor is at least so many times longer than wide
+CORRIDOR_M = (0.8, 4.0)  # a narrower one is a slot, a wider one a hall
+SLENDER = 3.0  # least ratio of length and width of a corridor
 _EIGHT = np.ones((3, 3), bool)
 _OPPOSITE = -0.5  # cosine of the angle at which two walls are seen that lie on opposite sides: 120 degrees and more
 
@@ -98,7 +98,7 @@ COLUMNS = {
 
 
 def geometry(world: World, *, clearance_m: float = 0.30) -> Geometry:
-    """Measures a world, generated or read from a file.
+    """Measure a world, generated or read from a file.
 
     See the module for what everything means.
 
@@ -149,7 +149,7 @@ def geometry(world: World, *, clearance_m: float = 0.30) -> Geometry:
 
 
 def geometry_table(found: Sequence[Geometry]) -> str:
-    """`Geometry` records as an aligned Markdown table; more than one end with a row of medians."""
+    """Format `Geometry` records as an aligned Markdown table; more than one end with a row of medians."""
     rows = [[one.world, *_texts(dataclasses.asdict(one))] for one in found]
     if len(found) > 1:
         rows.append(["median", *_texts(medians(found))])
@@ -157,7 +157,7 @@ def geometry_table(found: Sequence[Geometry]) -> str:
 
 
 def medians(found: Sequence[Geometry]) -> dict[str, float]:
-    """The median of every column of the table over worlds: field -> number, NaN where no world has one."""
+    """Compute the median of every column of the table over worlds: field -> number, NaN without any."""
     values = {field: np.array([getattr(one, field) for one in found], float) for field, _ in COLUMNS.values()}
     return {field: _median(some[~np.isnan(some)]) for field, some in values.items()}
 
@@ -175,14 +175,14 @@ def _mean(values):
 
 
 def _components(mask, structure=None) -> tuple[np.ndarray, Any]:
-    """Connected components, numbered from 1, 0 elsewhere: `[H, W]` int32; and the rows and columns of each."""
+    """Label connected components from 1, 0 elsewhere: `[H, W]` int32; and the rows and columns of each."""
     labels = np.empty(mask.shape, np.int32)
     ndimage.label(mask, structure, output=labels)
     return labels, ndimage.find_objects(labels)
 
 
 def _obstacles(occupied, cell_m):
-    """The cells of islands, and the lengths of all obstacles inside the map: `[H, W]` bool, `[n]` metres."""
+    """Return the cells of islands, and the lengths of all obstacles inside the map: `[H, W]` bool, `[n]` metres."""
     labels, boxes = _components(occupied, _EIGHT)
     lengths = np.array([0, *(max(y.stop - y.start, x.stop - x.start) for y, x in boxes)]) * cell_m - 1e-9
     edge = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
@@ -192,9 +192,9 @@ def _obstacles(occupied, cell_m):
 
 
 def _known_rooms(free, rooms):
-    """`(labels, joined, at)` of a world that knows its rooms: see `_found_rooms`."""
+    """Return `(labels, joined, at)` of a world that knows its rooms: see `_found_rooms`."""
     labels: Any = np.where(free, np.asarray(rooms, np.int32), -1)
-    beside = np.zeros(free.shape, bool)  # cells of a room beside one of another
+    beside = np.zeros(free.shape, bool)  # cells of a room next to one of another
     for axis in (0, 1):
         low, high = (np.moveaxis(a, axis, 0) for a in (labels, beside))
         border = (low[1:] != low[:-1]) & (low[1:] >= 0) & (low[:-1] >= 0)
@@ -217,7 +217,7 @@ def _known_rooms(free, rooms):
 
 
 def _found_rooms(walls, cell_m):
-    """Rooms by their Voronoi graph.
+    """Return rooms by their Voronoi graph.
 
     Args:
       walls: `[H, W]` bool.
@@ -244,7 +244,7 @@ def _found_rooms(walls, cell_m):
 
 
 def _widths(walls, at):
-    """For every list of cells the diameter of the widest disc between walls with its middle in one, cells: `[n]`."""
+    """Return the diameter of the widest disc between walls with its middle in each list of cells, cells: `[n]`."""
     # Cells cut in four: the distance from a cell's quarter to the nearest of a wall is then the width of the gap.
     fine: Any = ndimage.distance_transform_edt(~np.repeat(np.repeat(walls, 2, 0), 2, 1))
     quarters = np.array([(0, 0), (0, 1), (1, 0), (1, 1)])
@@ -253,7 +253,7 @@ def _widths(walls, at):
 
 
 def _corridor_widths(walls, cell_m):
-    """The width at every cell of the axes of corridors, metres: `[n]`."""
+    """Return the width at every cell of the axes of corridors, metres: `[n]`."""
     site: Any = ndimage.distance_transform_edt(~walls, return_distances=False, return_indices=True)
     here = np.indices(walls.shape)
     width = np.zeros(walls.shape)

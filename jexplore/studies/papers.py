@@ -29,7 +29,7 @@ class Environment(NamedTuple):
 
 
 class Paper(NamedTuple):
-    """What a paper reports."""
+    """Reported results of a paper."""
 
     title: str
     runs: int  # the paper's, of each strategy in each environment

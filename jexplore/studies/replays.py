@@ -57,12 +57,12 @@ def replay_data(
     max_frames: int = MAX_FRAMES,
     engine: str = "auto",
 ) -> ReplayData:
-    """One episode as the frames of a page.
+    """Convert one episode to the frames of a page.
 
     Args:
       world: `World`.
       strategy: `Strategy`.
-      final: what the episode left.
+      final: end state of the episode.
       start: row, col, heading in degrees.
       seed: of the run.
       number: of the episode.
@@ -120,7 +120,7 @@ def _seen(world, strategy, final, start, seed, number, lidar, rules, shown, engi
 
 
 def _images(world, strategy, found, headings):
-    """The codes of all cells at some stops; notes how the robot was turned there."""
+    """Yield the codes of all cells at some stops; note the robot's heading there."""
     ring = ring_of(world.occupied)
     for stop in found:
         codes = np.array(_codes(stop.belief))
@@ -132,7 +132,7 @@ def _images(world, strategy, found, headings):
 
 
 def _aims(final, shown):
-    """What the robot goes to after some numbers of steps, `[F, 2]`, and the steps made when that has ended, `[F]`."""
+    """Return targets after some numbers of steps, `[F, 2]`, and the steps at which they end, `[F]`."""
     steps = len(final.rows) - 1
     made = [plan.step for plan in final.plans]
     ends = [*made[1:], steps]
@@ -144,7 +144,7 @@ def _aims(final, shown):
 
 
 def replay_of(episode: Episode, *, max_frames: int = MAX_FRAMES) -> ReplayData:
-    """An `Episode` as the frames of a page; see `replay_data`."""
+    """Convert an `Episode` to the frames of a page; see `replay_data`."""
     return replay_data(
         *(episode.world, episode.asked, episode.final),
         start=episode.start,
@@ -170,24 +170,23 @@ def replays_of(
     engine: str = "auto",
     on_progress: Callable[[int], object] | None = None,
 ) -> tuple[list[ReplayData], list[str]]:
-    """The first episodes of the first jobs, for a page.
+    """Replay the first episodes of the first jobs, for a page.
 
     Args:
       jobs: of a run, in its order.
       lidar: `Lidar` of the jobs that have none of their own.
-      rules: `Rules`, likewise.
-      outcomes: what the jobs left, with episode 0. Episodes that it has not are run, which costs little where what they
-        need is compiled.
-      episodes: so many of each job are shown, or as many as all have.
-      max_pairs: so many jobs are shown, the first ones.
+      rules: `Rules` of the jobs that have none of their own.
+      outcomes: of the jobs, with episode 0. Missing episodes are run, which costs little with compiled programs.
+      episodes: most episodes shown of each job.
+      max_pairs: most jobs shown, the first ones.
       max_frames: of a replay; those of later episodes have `FEWER_FRAMES` at most.
       labels: what tells each job from others of its world and strategy; by default its seed.
       engine: as in `batch.run_jobs`.
       on_progress: called with the number of replays made so far.
 
     Returns:
-      `(replays, notes)`: a `ReplayData` for each episode that is shown, episode by episode; a list of lines, what is
-        missing and why.
+      `(replays, notes)`: a `ReplayData` for each episode that is shown, episode by episode; a list of lines that name
+        missing ones and the reason.
     """
     notes = []
     if len(jobs) > max_pairs:

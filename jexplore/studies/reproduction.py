@@ -1,4 +1,4 @@
-"""A paper's tables reproduced: its strategies in its environments, its figures beside ours, and what it claims tested.
+"""Reproduction of a paper's tables: its strategies in its environments, its figures and ours, and tests of its claims.
 
 pandas and matplotlib are imported by the functions that need them.
 """
@@ -33,14 +33,14 @@ MAPS = "The worlds are public maps of the paper's environments; that they equal 
 
 
 def find(name: str) -> Paper:
-    """The `Paper` of a name; refuses one that is not in `PAPERS`."""
+    """Find the `Paper` of a name; refuse one that is not in `PAPERS`."""
     if name not in PAPERS:
         raise unknown("paper", name, PAPERS)
     return PAPERS[name]
 
 
 def world_names(paper: Paper, maps: str | os.PathLike[str] | None = None) -> dict[str, str]:
-    """`{environment: name of its world}`: maps in the folder `maps`, by default the built-in counterparts."""
+    """Return `{environment: name of its world}`: maps in the folder `maps`, by default the built-in counterparts."""
     if maps is None:
         return {name: environment.counterpart for name, environment in paper.environments.items()}
     folder = os.path.expanduser(maps)
@@ -61,10 +61,10 @@ def require_maps(paper: Paper, maps: str | os.PathLike[str]) -> None:
 
 
 def verdict(direction: str, ours: paired.PairedRatio, than: paired.PairedRatio | float = 1.0) -> str:
-    """Whether a ratio's interval lies wholly on the claimed side of a number, or of another ratio's interval.
+    """Decide whether a ratio's interval lies wholly on the claimed side of a number, or of another ratio's interval.
 
     Returns:
-      "holds", "does not hold", or "undecided" where the intervals meet, one is missing, or one is of fewer than
+      "holds", "does not hold", or "undecided" where the intervals meet, or one is missing or has fewer than
         `paired.MIN_PAIRS` pairs.
     """
     is_ratio = isinstance(than, paired.PairedRatio)
@@ -79,19 +79,18 @@ def verdict(direction: str, ours: paired.PairedRatio, than: paired.PairedRatio |
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Reproduction:
-    """A paper's tables beside ours. Tables are pandas DataFrames."""
+    """A paper's tables and ours. Tables are pandas DataFrames."""
 
     paper: Paper
     comparison: Comparison
     worlds: dict[str, str]
     """Environment -> name of its world."""
     notes: tuple[str, ...]
-    """What must be known to read the tables."""
+    """Notes for reading the tables."""
 
     @functools.cached_property
     def tables(self) -> "pd.DataFrame":
-        """One row an environment and strategy, in the paper's order; columns as in `by_world.summarise`, and the
-        paper's.
+        """Tabulate results, one row an environment and strategy; columns of `by_world.summarise`, and the paper's.
 
         `ratio` is ours to the paper's reference strategy, paired; `first_mean` and `first_sd` are over the first
         episodes, `first_n` of them: as many as the paper has runs, or fewer where fewer have run.
@@ -112,7 +111,7 @@ class Reproduction:
 
     @functools.cached_property
     def orderings(self) -> "pd.DataFrame":
-        """One row a claim of the paper: its ratio and ours, paired, with 95 % intervals, and the `verdict`.
+        """Tabulate the paper's claims, a row each: its ratio and ours, paired, with 95 % intervals, and the verdict.
 
         Each interval stands alone: of twenty that are undecided in truth about one will seem decided.
         """
@@ -154,11 +153,11 @@ class Reproduction:
         return pd.DataFrame(rows)
 
     def to_pandas(self) -> "pd.DataFrame":
-        """The table of episodes."""
+        """Return the table of episodes."""
         return self.comparison.episodes
 
     def to_markdown(self) -> str:
-        """The notes, a table an environment, and the orderings."""
+        """Format the notes, a table an environment, and the orderings."""
         text = [f"# {self.paper.title}\n", *(f"{note}\n" for note in self.notes)]
         for name, environment in self.paper.environments.items():
             rows = self.tables[self.tables["environment"] == name]
@@ -167,7 +166,7 @@ class Reproduction:
         return "\n".join([*text, "## Orderings\n", _orderings_text(self.orderings)])
 
     def figure(self) -> "Figure":
-        """Bars of mean paths, ours beside the paper's, one panel an environment: a matplotlib `Figure`."""
+        """Draw mean paths as bars, ours and the paper's, one panel an environment: a matplotlib `Figure`."""
         from jexplore.report import plot_papers
 
         return plot_papers.figure(self.tables, self.paper.short)
@@ -180,7 +179,7 @@ class Reproduction:
 
 
 def _table_text(rows):
-    """One environment of `Reproduction.tables` as Markdown."""
+    """Format one environment of `Reproduction.tables` as Markdown."""
     n_first = int(rows["first_n"].fillna(0).max())
     head = ["strategy", "paper m", "n", "ours m", "95 % interval", f"ours m, first {n_first} episodes"]
     head += ["paper ratio", "our ratio", "explored", "outcomes"]
@@ -198,7 +197,7 @@ def _table_text(rows):
 
 
 def _orderings_text(orderings):
-    """`Reproduction.orderings` as Markdown."""
+    """Format `Reproduction.orderings` as Markdown."""
     head = ["environment", "claim", "verdict", "paper ratio", "our ratio", "against", "pairs", "both COMPLETE"]
     lines = [
         [
@@ -222,7 +221,7 @@ def prepare_paper(
     lidar: LidarLike,
     rules: RulesLike,
 ) -> list[Job]:
-    """Everything that `reproduce` refuses or loads before it runs: a list of `Job`. Arguments as there."""
+    """Check and load everything before `reproduce` runs: a list of `Job`. Arguments as there."""
     paper, jobs = find(name), []
     if maps is not None:
         require_maps(paper, maps)
@@ -235,12 +234,12 @@ def prepare_paper(
 
 
 def notes_of(paper: Paper, maps: str | os.PathLike[str] | None) -> tuple[str, ...]:
-    """What must be known to read the tables of a paper that was run on maps, or on counterparts."""
+    """Return notes for reading the tables of a paper that was run on maps, or on counterparts."""
     return (COUNTERPARTS if maps is None else MAPS, paper.remark)
 
 
 def assemble(name: str, maps: str | os.PathLike[str] | None, jobs: Sequence[Job], ran: Ran) -> Reproduction:
-    """The `Reproduction` of jobs that have run. Of an interrupted run it holds what `comparison.assemble` keeps."""
+    """Make the `Reproduction` of finished jobs; an interrupted run gives the part that `comparison.assemble` keeps."""
     paper = find(name)
     return Reproduction(paper, comparison.assemble(jobs, ran), world_names(paper, maps), notes_of(paper, maps))
 
@@ -261,7 +260,7 @@ def reproduce(
     on_progress: Callable[[int], Any] | None = None,
     progress: bool | None = None,
 ) -> Reproduction:
-    """Runs a paper's strategies in its environments, and compares the tables and the claims.
+    """Run a paper's strategies in its environments, and compare the tables and the claims.
 
     Args:
       paper: a key of `PAPERS`.

@@ -27,9 +27,9 @@ class Settings(NamedTuple):
     smallest_m2: float = watershed.SMALLEST_M2  # voronoi: area of the smallest room, m^2
     clutter_m: float = watershed.CLUTTER_M  # all but the paper's: smaller obstacles are no walls, metres
     prominence_m: float = segment.PROMINENCE_M  # thrun, wurm, holz: see `segment.Criteria`, metres
-    gamma: float = 3.0  # likewise, cells
-    metric: str = "geodesic"  # likewise: see `segment.Form`
-    lines: bool = False  # likewise
+    gamma: float = 3.0  # cells
+    metric: str = "geodesic"  # see `segment.Form`
+    lines: bool = False  # see `segment.Form`
 
 
 class Found(NamedTuple):
@@ -37,12 +37,12 @@ class Found(NamedTuple):
 
     label: np.ndarray  # [H, W] int32; negative for none
     lines: np.ndarray  # [n] int, flat index of the cells of the Voronoi graph, where the variant has one
-    critical: np.ndarray  # [m] int, flat index of its critical points, likewise
+    critical: np.ndarray  # [m] int, flat index of its critical points
     overflow: int  # what did not fit
 
 
 def require(settings: Settings) -> None:
-    """Refuses settings that make no sense.
+    """Refuse settings that make no sense.
 
     Raises:
       InputError: a number out of range, a metric that is not known.
@@ -57,7 +57,7 @@ def require(settings: Settings) -> None:
 def divided(
     free: np.ndarray, unseen: np.ndarray, variants: Sequence[str], settings: Settings, cell_m: float
 ) -> list[Found]:
-    """A map divided by several variants.
+    """Divide a map by several variants.
 
     Args:
       free: `[H, W]` bool.
@@ -84,7 +84,7 @@ def _of_graph(made, size):
 
 
 def _cleared(variant, free, unseen, settings, cell_m):
-    """A map divided by a variant that looks through clutter."""
+    """Divide a map by a variant that looks through clutter."""
     height, width = free.shape
     wide_free, wide_unseen = framed(free), framed(unseen)
     form = watershed.form_for(wide_free.shape, coarse=True)
@@ -111,7 +111,7 @@ def _each(free, settings, *, form):
 def segmentations(
     free: np.ndarray, settings: Sequence[segment.Criteria], *, metric: str = "geodesic", lines: bool = False
 ) -> list[segment.Segments]:
-    """Segments a map by many settings, as one compiled batch.
+    """Segment a map by many settings, as one compiled batch.
 
     Args:
       free: `[H, W]` bool, numpy.

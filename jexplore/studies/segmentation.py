@@ -1,4 +1,4 @@
-"""The question behind `jexplore segment`: how well are the rooms of maps found, by which variant, and how early?"""
+"""Study behind `jexplore segment`: quality of found rooms, by variant and known share of the map."""
 
 import os
 from collections.abc import Callable, Iterable, Sequence
@@ -42,11 +42,11 @@ class Task(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """What a variant made of a map."""
+    """Segmentation of a map by a variant."""
 
     name: str  # of the map, as short as tells it from the others
     variant: str
-    explored: float  # share of the map known; 1 for all of it
+    explored: float  # known share of the map; 1: the whole map
     label: np.ndarray  # [H, W] int32
     free: np.ndarray  # [H, W] bool
     lines: np.ndarray  # [n] int, flat index of the cells of the Voronoi graph
@@ -65,7 +65,7 @@ class Segmentation(NamedTuple):
     pictures: list[Picture]
 
     def to_markdown(self) -> str:
-        """A table for every share of the map and every variant: all scores, their means and medians. Text."""
+        """Format a table for every share of the map and every variant: all scores, their means and medians. Text."""
         from jexplore.report.tables import aligned_table
 
         text = []
@@ -99,7 +99,7 @@ def segment_maps(
     on_progress: Callable[[int], Any] | None = None,
     **settings: Any,
 ) -> Segmentation:
-    """Divides maps into rooms and scores the result.
+    """Divide maps into rooms and score the result.
 
     Args:
       maps: names (`worlds.load_world`) or `World`s; one may stand for itself.
@@ -148,8 +148,9 @@ def segment_maps(
 
 
 def _stages(world, job):
-    """The maps of a world to be segmented: `(stage, explored, free, unseen)`; the whole one last, only that without a
-    job.
+    """Return the maps of a world to be segmented: `(stage, explored, free, unseen)`; the whole one last.
+
+    Without a job only the whole map is returned.
     """
     partial = () if job is None else maps_at(run_job(job), SHARES)
     whole = 1.0, 1.0, ~world.occupied, np.zeros_like(world.occupied)
@@ -163,7 +164,7 @@ def prepare_maps(
     cell_m: float,
     settings: Settings,
 ) -> list[Task]:
-    """Everything that `segment_maps` refuses or loads before it runs: a list of `Task`. Arguments as there."""
+    """Check and load everything before `segment_maps` runs: a list of `Task`. Arguments as there."""
     variants = listed("variants", variants)
     require_different("variants", variants)
     for variant in variants:
@@ -182,7 +183,7 @@ def prepare_maps(
 
 
 def _rooms_in(picture, world):
-    """The true rooms of a world from a picture of it with closed doorways: `[H, W]` int32."""
+    """Return the true rooms of a world from its picture with closed doorways: `[H, W]` int32."""
     parsed = names.parse(os.fspath(world.name), generators=GENERATORS)
     if parsed.kind != "image" or not isinstance(parsed.scale, float | int):
         raise InputError(f"{world.name!r}: ground truth is for maps such as map.png@0.05, metres a pixel")
@@ -204,7 +205,7 @@ def _smallest_px(cell_m):
 
 
 def _judged(task, variant, stage, explored, free, made):
-    """A row of scores, and a picture."""
+    """Return a row of scores, and a picture."""
     row: dict[str, Any] = dict.fromkeys(COLUMNS, np.nan)
     least = _smallest_px(task.world.cell_m)
     found = regions_of(np.where(free, made.label, -1), free, min_px=least)
@@ -212,7 +213,7 @@ def _judged(task, variant, stage, explored, free, made):
     row |= {"stage": stage, "explored": explored}
     seen = None
     if task.truth is not None:
-        # Of a partial map only what is known counts, on both sides.
+        # In a partial map only known cells count, on both sides.
         seen = np.where(free | (explored == 1), task.truth, -1)
         sizes = np.bincount(seen[seen >= 0], minlength=1)
         seen = np.where((seen >= 0) & (sizes[np.maximum(seen, 0)] > least), seen, -1)

@@ -1,4 +1,4 @@
-"""What a trace is asked in words: thresholds that are swept, attributes of nodes. Importing this loads no jax."""
+"""Options of a trace in text form: swept thresholds, attributes of nodes. Importing this loads no jax."""
 
 import contextlib
 import dataclasses
@@ -24,20 +24,20 @@ def require_start_pose(start: Sequence[float]) -> None:
 
 
 def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np.ndarray]:
-    """Values of thresholds to be swept.
+    """Read the values of thresholds to be swept.
 
     Lists alone make every combination; with a range among them, `settings` draws by Latin hypercube.
 
     Args:
       sweep: list of text: `votes=1,3,5` a list, `circle=1.1:2.0` a range.
-      settings: how many draws, where there is a range.
+      settings: number of draws, if there is a range.
       seed: of the draws.
 
     Returns:
       `{name: [S] values}`, S = 1 without a sweep.
 
     Raises:
-      InputError: no such threshold, or a value that is none.
+      InputError: no such threshold, or an invalid value.
     """
     known = {field.name: field.type for field in dataclasses.fields(Tuning)} | {
         f"{NOISE}{field.name}": field.type for field in dataclasses.fields(Noise)
@@ -80,10 +80,10 @@ def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np
 
 
 def attributes_of(texts: Sequence[str]) -> tuple[tuple[str, Any, tuple[float, float]], ...]:
-    """Attributes that nodes get, each `NAME=VALUE@X,Y`: a value of JSON, else text; a place in metres.
+    """Read attributes of nodes, each `NAME=VALUE@X,Y`: a value of JSON, else text; a place in metres.
 
     Raises:
-      InputError: naming what is none.
+      InputError: naming the invalid text.
     """
     found = []
     for text in texts:

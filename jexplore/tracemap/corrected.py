@@ -1,4 +1,4 @@
-"""What the odometry says along the links of a map, laid out so that nothing is torn where a run came back."""
+"""Correction of a map by its odometry, so that loops close without gaps."""
 
 import dataclasses
 import math
@@ -13,30 +13,29 @@ from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check, direction_deg
 
 FRAME = "map"  # of a corrected map
-PLACE = 0.1, 0.03  # standard deviation of a move along a link: metres, and so much of its length besides
+PLACE = 0.1, 0.03  # standard deviation of a move along a link: metres, plus this share of its length
 TURN_DEG = 2.0  # of how far the frame of one end is turned against that of the other
 
 
 @checked_names
 def correct_map(btm: BtmMap) -> BtmMap:
-    """The map with places and bearings that fit what the odometry said along all links as well as possible.
+    """Correct places and bearings of a map so that they fit the odometry along all links in the least-squares sense.
 
-    What it said is turned with the frames of the nodes: a corrected map corrected again stays as it is.
+    The odometry is turned with the frames of the nodes: correcting a corrected map changes nothing.
 
-    While a robot drives, it takes a place that it has been at for where it was; what the odometry has gathered until
-    then stays in the last links. Here every link takes a share. The first node stays where it is, and so do parts of
-    the map of which nothing is known but their places. A scale that is wrong everywhere stays wrong.
+    A driving robot takes a known place for where it was; the drift gathered until then stays in the last links. Here
+    every link takes a share. The first node stays in place, and so do parts of the map without odometry. A wrong scale
+    stays wrong.
 
     Args:
       btm: a map whose searched links have the attribute `moved`, as those of runs do: x, y, metres, from the first node
-        to the other in the first's frame; how far the other's frame is turned, degrees, where that is known.
+        to the other in the first's frame; turn of the other's frame, degrees, if known.
 
     Returns:
       `BtmMap`, its attribute `frame` is `map`.
 
     Raises:
-      InputError: not a proper map, there are searched links and none has the attribute, as in a merged map, or one is
-        none.
+      InputError: not a proper map, or no searched link has the attribute, as in a merged map, or it is malformed.
     """
     btm = check(btm)
     place, _ = laid_out(btm, moves(btm))
@@ -49,10 +48,10 @@ def correct_map(btm: BtmMap) -> BtmMap:
 
 
 def moves(btm: BtmMap) -> list[tuple[int, int, list[float]]]:
-    """What the odometry says: of every searched link that has it its first node, the other, and `moved`.
+    """Return the odometry of the searched links that have it: first node, other node, and `moved`.
 
     Raises:
-      InputError: there are searched links and none has the attribute, or one is not two or three numbers.
+      InputError: no searched link has the attribute, or one is not two or three numbers.
     """
     found = [(link.start, link.end, _moved(link)) for link in btm.links if link.end != NOWHERE]
     found = [(start, end, moved) for start, end, moved in found if moved is not None]
@@ -65,7 +64,7 @@ def moves(btm: BtmMap) -> list[tuple[int, int, list[float]]]:
 
 
 def laid_out(btm: BtmMap, moves: list[tuple[int, int, list[float]]]) -> tuple[np.ndarray, np.ndarray]:
-    """Places that fit moves between nodes best.
+    """Fit places to moves between nodes.
 
     Args:
       btm: the map.
@@ -100,7 +99,7 @@ def _moved(link):
 
 
 def _turned(link: Link, turn_deg) -> Link:
-    """A link with the bearings, and the move, that it has once the frames of its nodes are turned."""
+    """Turn a link's bearings and move with the frames of its nodes."""
     end_deg = None
     if link.end_bearing_deg is not None:
         end_deg = direction_deg(link.end_bearing_deg + turn_deg[link.end])

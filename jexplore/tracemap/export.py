@@ -26,7 +26,7 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def geojson(btm: BtmMap, *, frame: str | None = None) -> dict[str, Any]:
-    """The map as a GeoJSON route graph for the Nav2 Route Server, for `store.write_json`.
+    """Convert the map to a GeoJSON route graph for the Nav2 Route Server, for `store.write_json`.
 
     A node becomes a Point under its own id, a searched link two LineStrings, one each way, under ids that follow the
     highest one of the nodes. Un-searched links lead nowhere, which the server refuses; they are in the metadata of
@@ -100,7 +100,7 @@ def _measures(record, names):
 
 
 def _both_bearings(btm):
-    """Node -> the angles between its links, and the bearings of its un-searched ones, by their names in files."""
+    """Return node -> angles between its links, and bearings of its un-searched ones, by their names in files."""
     unsearched = collections.defaultdict(list)
     for link in btm.links:
         if link.end == NOWHERE:
@@ -116,7 +116,7 @@ def _extensions(attributes):
 
 
 def _metadata(value, depth=0):
-    """A value in metadata of the Route Server; lists stay only where they hold plain values."""
+    """Convert a value to metadata of the Route Server; lists stay only if they hold plain values."""
     if isinstance(value, dict):
         return {key: _metadata(item) for key, item in value.items()}
     if isinstance(value, list) and depth == 0 and not any(isinstance(item, dict) for item in value):
@@ -129,7 +129,7 @@ def _metadata(value, depth=0):
 
 
 def graphml(btm: BtmMap) -> str:
-    """The map as undirected GraphML text.
+    """Convert the map to undirected GraphML text.
 
     Nodes and edges have the ids of the map, edges the searched links only: an un-searched link would need a node that
     is not there, so its bearing stands in `unsearched_bearings_deg` of its node, as text, blanks between numbers.

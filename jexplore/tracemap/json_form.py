@@ -25,11 +25,11 @@ OTHERS = {
     "command": "the record of a run",
     "is_found": "a route, the result of `jexplore route`",
 }
-"""What other files hold that lie beside a map, by a member that tells."""
+"""Contents of other files next to a map, by a member that identifies them."""
 
 
 def to_json(btm: BtmMap) -> dict[str, Any]:
-    """The map as nested dicts and lists for `store.write_json`, every number as it is.
+    """Convert the map to nested dicts and lists for `store.write_json`, every number as it is.
 
     Besides the fields of the records a node has `links`, their number, and `angles_deg`, the angles between adjacent
     ones, as Table I has them; readers take both from the links instead.
@@ -54,7 +54,7 @@ def to_json(btm: BtmMap) -> dict[str, Any]:
 
 @checked_names
 def read_btm(path: str | os.PathLike[str]) -> BtmMap:
-    """The map in a JSON file, such as `btm.json`.
+    """Read the map in a JSON file, such as `btm.json`.
 
     Args:
       path: the file.
@@ -72,7 +72,7 @@ def read_btm(path: str | os.PathLike[str]) -> BtmMap:
 
 
 def parse(text: str, name: str) -> BtmMap:
-    """The map in the text of a JSON file. As `from_json`, and errors name the line.
+    """Parse the text of a JSON file. As `from_json`, and errors name the line.
 
     Raises:
       InputError: the text is no JSON, or no map.
@@ -84,7 +84,7 @@ def parse(text: str, name: str) -> BtmMap:
 
 
 def from_json(obj: Any, name: str = "map") -> BtmMap:
-    """The map that `to_json` turned into `obj`. Fields that this version does not know are skipped.
+    """Convert the result of `to_json` back to the map. Fields that this version does not know are skipped.
 
     Args:
       obj: nested dicts and lists.
@@ -102,12 +102,12 @@ def _where(name, lines, member, index=None):
 
 
 def _quoted(name):
-    """A name on one line."""
+    """Return a name on one line."""
     return json.dumps(name, ensure_ascii=False)
 
 
 def _lines(text):
-    """Line of every member of the outer object, and of every element of its arrays: `{(name, index or None): line}`.
+    """Return the line of every outer member, and of its arrays' elements: `{(name, index or None): line}`.
 
     The text is known to be JSON, so commas and colons need no more care than blanks.
     """
@@ -156,7 +156,7 @@ def _read(obj, where):
 
 
 def _records(kind, obj, member, where):
-    """Records with values that are not checked yet."""
+    """Make records with values that are not checked yet."""
     items, made = obj.get(member), []
     if not isinstance(items, list):
         raise InputError(f"{where(member)}: {member} must be a list, got {shown(items)}")

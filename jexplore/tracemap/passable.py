@@ -1,4 +1,4 @@
-"""What a robot may use of a Behavioral Trace Map: links that it is too wide for, steps and slopes that it cannot climb.
+"""Parts of a trace map that a robot may use, limited by its width, its step height and its slope.
 
 Plain Python: importing this loads no jax.
 """
@@ -18,7 +18,7 @@ SLACK = 1e-6  # share of a limit by which a measure may lie beyond it: maps hold
 
 
 class Body(Protocol):
-    """What a robot is measured by, such as a `jx.Robot`."""
+    """Dimensions of a robot that decide where it passes, such as a `jx.Robot`."""
 
     @property
     def name(self) -> str: ...
@@ -41,7 +41,7 @@ class Block:
     max_slope_deg: float | None
 
     def holds_for(self, robot: Body) -> bool:
-        """Whether a robot is neither narrower nor climbs more than the one that could not pass."""
+        """Return whether a robot is no narrower and climbs no more than the one that could not pass."""
         if self.width_m is None or self.max_step_m is None or self.max_slope_deg is None:
             return True
         is_narrower = robot.width_m < self.width_m * (1 - SLACK)
@@ -50,13 +50,13 @@ class Block:
 
 
 def blocked_for(robot: Body) -> dict[str, Any]:
-    """The attributes of a link that a robot could not pass."""
+    """Return the attributes of a link that a robot could not pass."""
     measures = {name: getattr(robot, name) for name in _MEASURES}
     return {BLOCKED: True, BLOCKED_FOR: {"name": robot.name, **measures}}
 
 
 def blocks_of(link: Link) -> tuple[Block, ...]:
-    """By whom a link could not be passed; none if the map does not say so, or the maps that it is of differ."""
+    """Return the robots that could not pass a link; none if the map does not say so, or its sources differ."""
     if link.attributes.keys().isdisjoint((BLOCKED, CONFLICTS)):  # as most links: quickly
         return ()
     yes, no = _said(link)
@@ -77,13 +77,13 @@ def _block(link, told):
 
 
 def _said(link):
-    """Who says that a link is blocked, and who that it is not: texts, empty if nobody does."""
+    """Return the sources that say that a link is blocked, and that it is not: texts, possibly empty."""
     told = list(_told_of(link, BLOCKED))
     return tuple(", ".join(names for names, value in told if bool(value) is wanted) for wanted in (True, False))
 
 
 def _told_of(link, name) -> Iterator[tuple[str, Any]]:
-    """What an attribute of a link says, else what maps say differently: who, and the value."""
+    """Return an attribute of a link with its source; without one, the values on which maps differ."""
     conflicts = link.attributes.get(CONFLICTS)
     told = conflicts.get(name) if isinstance(conflicts, Mapping) else None
     if name in link.attributes:
@@ -95,24 +95,25 @@ def _told_of(link, name) -> Iterator[tuple[str, Any]]:
 
 
 def step_of(link: Link, nodes: Mapping[int, Node]) -> float | None:
-    """The highest step along a link, metres: as measured, else, between two nodes of stairs, the lower of theirs."""
+    """Return the highest step along a link, metres: as measured, else, between nodes of stairs, the lower of theirs."""
     return link.max_step_m if link.max_step_m is not None else _between(link, nodes, "stairs", "step_m")
 
 
 def inclination_of(link: Link, nodes: Mapping[int, Node]) -> float | None:
-    """The robot's largest inclination along a link, degrees: as measured, else, between two nodes of a slope, the lower
-    of the ground's.
+    """Return the robot's largest inclination along a link, degrees.
+
+    It is the measured one, else, between two nodes of a slope, the lower of the ground's.
     """
     return link.posture_deg if link.posture_deg is not None else _between(link, nodes, "slope", "inclination_deg")
 
 
 def width_of(link: Link) -> float | None:
-    """The narrowest that is known of a link, the opening at its first node included, metres."""
+    """Return the narrowest known width of a link, the opening at its first node included, metres."""
     return min((width for width in (link.min_width_m, link.opening_m) if width is not None), default=None)
 
 
 def refusals(link: Link, nodes: Mapping[int, Node], robot: Body, *, known_only: bool = False) -> tuple[str, ...]:
-    """Why a robot may not use a link: all reasons, none if it may.
+    """List why a robot may not use a link: all reasons, none if it may.
 
     A link is as good either way: the map does not say which way is up. The inclination of the body that wrote the map,
     and its roll, are held against the steepest ground that the robot climbs. Of an un-searched link only its opening is
@@ -146,7 +147,7 @@ def refusals(link: Link, nodes: Mapping[int, Node], robot: Body, *, known_only: 
 
 
 def hindrances(node: Node, robot: Body, *, known_only: bool = False) -> tuple[str, ...]:
-    """Why a robot may not pass a node, though it may come to it: all reasons, none if it may.
+    """List why a robot may not pass a node, though it may come to it: all reasons, none if it may.
 
     An obstacle node is where the ground changes: a single step, or the first of stairs or of a slope. Who goes on by
     another link goes over it.
@@ -160,8 +161,10 @@ def hindrances(node: Node, robot: Body, *, known_only: bool = False) -> tuple[st
 
 
 def unknowns(link: Link, nodes: Mapping[int, Node]) -> tuple[str, ...]:
-    """Measures that a robot would be held against, and that the map does not have of a link: texts. That another robot
-    could not pass it is one of them for those that may, and that maps differ about whether it is blocked.
+    """List measures that decide for a robot and that the map lacks for a link, as texts.
+
+    They include that another robot could not pass the link, if this one may, and that maps disagree about a blocked
+    link.
     """
     yes, no = _said(link)
     blocked = tuple(block.words for block in blocks_of(link) if block.width_m is not None)
@@ -179,21 +182,21 @@ def unknowns(link: Link, nodes: Mapping[int, Node]) -> tuple[str, ...]:
 
 
 def unknowns_at(node: Node) -> tuple[str, ...]:
-    """The same of a node that is passed: stairs without a step, a slope without an inclination."""
+    """List the same of a node that is passed: stairs without a step, a slope without an inclination."""
     if node.type != "obstacle" or node.step_m is not None or node.inclination_deg is not None:
         return ()
     return ({"stairs": "step unknown", "slope": "inclination unknown"}.get(node.obstacle or "", "obstacle unknown"),)
 
 
 def called(link: Link) -> str:
-    """A link in a sentence: `link 3 (nodes 4 to 5)`."""
+    """Name a link in a sentence: `link 3 (nodes 4 to 5)`."""
     if link.end == NOWHERE:
         return f"link {link.id} (node {link.start}, un-searched)"
     return f"link {link.id} (nodes {link.start} to {link.end})"
 
 
 def _between(link, nodes, obstacle, measure):
-    """The lower of the measures of both ends, where both are of an obstacle; a landing has that of its higher side."""
+    """Return the lower of the measures of both ends, if both are of an obstacle; a landing has its higher side's."""
     ends = [nodes[end] for end in (link.start, link.end) if end != NOWHERE]
     values = [getattr(node, measure) for node in ends if node.obstacle == obstacle]
     return min(values) if len(values) == 2 and None not in values else None
@@ -212,7 +215,7 @@ def _below(name, value, limit):
 
 
 def _told(value, limit, sign, unit):
-    """Both numbers with as many digits as it takes to tell them apart, three or more."""
+    """Format both numbers with as many digits as distinguish them, three or more."""
     pairs = ((f"{value:.{digits}g}", f"{limit:.{digits}g}") for digits in range(3, 18))
     left, right = next(pair for pair in pairs if pair[0] != pair[1])
     return f"{left} {unit} {sign} {right} {unit}"

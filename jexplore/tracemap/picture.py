@@ -8,19 +8,19 @@ from typing import Any
 
 from jexplore.arrays.pictures import LONG_PX, written
 
-FINE = 3  # pixels are drawn so many times as fine, and averaged
+FINE = 3  # supersampling factor
 EDGE_PX = 26  # round the map
 MARK_PX = 6
 STUB_PX = 16  # of a link that nobody has followed
 LEAST_M = 1.0  # side of a map, lest a single node fill the picture
 MARKS = {"terminal": "□", "divergence": "○", "free_space": "◇", "obstacle": "△"}
-"""How nodes look, by type."""
+"""Marker of nodes, by type."""
 _CORNERS = {"terminal": (4, 45), "divergence": (24, 0), "free_space": (4, 0), "obstacle": (3, 90)}
 _COLOURS = {"terminal": "#ffffff", "divergence": "#f0e442", "free_space": "#56b4e9", "obstacle": "#cc79a7"}
 
 
 def nodes_and_links(btm: Any) -> bytes:
-    """The map as the bytes of a PNG, about `LONG_PX` on its longer side.
+    """Draw the map as the bytes of a PNG, about `LONG_PX` on its longer side.
 
     Squares are terminals, circles divergences, diamonds free spaces, triangles obstacles; links that nobody has
     followed are short grey strokes.
@@ -62,7 +62,7 @@ def _beside(place, bearing_deg, px):
 
 
 def _free_side(btm, node_id, at):
-    """Where the id of a node stands: in the middle of the widest angle between its links."""
+    """Return the direction for a node's id: the middle of the widest angle between its links."""
     bearings, angles = btm.bearings_deg(node_id), btm.angles_deg(node_id)
     widest = max(range(len(angles)), key=angles.__getitem__, default=None)
     bearing = 90.0 if widest is None else bearings[widest] + angles[widest] / 2

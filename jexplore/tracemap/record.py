@@ -78,7 +78,7 @@ class Link:
 
 
 def length_of(link: Link, nodes: Mapping[int, Node]) -> float:
-    """The length of a searched link, metres: as measured, else the straight line between its nodes, given by id."""
+    """Return the length of a searched link, metres: as measured, else the straight line between nodes, by id."""
     if link.length_m is not None:
         return link.length_m
     one, other = nodes[link.start], nodes[link.end]
@@ -86,7 +86,7 @@ def length_of(link: Link, nodes: Mapping[int, Node]) -> float:
 
 
 def parts_of(nodes: Iterable[int], links: Iterable[Link]) -> dict[int, int]:
-    """The parts of a map that its links join: node -> the first node of its part."""
+    """Return the connected parts of a map: node -> the first node of its part."""
     around = {own: [] for own in nodes}
     for link in links:
         if link.end != NOWHERE:
@@ -104,7 +104,7 @@ def parts_of(nodes: Iterable[int], links: Iterable[Link]) -> dict[int, int]:
 
 
 def direction_deg(bearing_deg: float) -> float:
-    """The bearing in [0, 360): a tiny negative one would round up to 360."""
+    """Return the bearing in [0, 360): a tiny negative one would round up to 360."""
     bearing_deg %= 360.0
     return 0.0 if bearing_deg == 360.0 else bearing_deg
 
@@ -119,12 +119,12 @@ class BtmMap:
     attributes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     def bearings_deg(self, node_id: int) -> list[float]:
-        """Bearings of the links of a node: sorted list, degrees in [0, 360). A link to the node itself counts twice."""
+        """Return bearings of a node's links: sorted list, degrees in [0, 360). A link to itself counts twice."""
         return list(self._bearings_deg.get(node_id, ()))
 
     @functools.cached_property
     def _bearings_deg(self):
-        """Node -> bearings of its links, sorted."""
+        """Return node -> bearings of its links, sorted."""
         found = collections.defaultdict(list)
         for link in self.links:
             for node, bearing in ((link.start, link.start_bearing_deg), (link.end, link.end_bearing_deg)):
@@ -133,14 +133,14 @@ class BtmMap:
         return {node: sorted(bearings) for node, bearings in found.items()}
 
     def angles_deg(self, node_id: int) -> list[float]:
-        """Angles between adjacent links of a node, counter-clockwise: as many as links, their sum is 360 degrees."""
+        """Return angles between adjacent links of a node, counter-clockwise: as many as links, 360 degrees in all."""
         found = self.bearings_deg(node_id)
         return [after - before for before, after in zip(found, [*found[1:], *(bearing + 360 for bearing in found[:1])])]
 
     def with_attributes(
         self, attributes: Mapping[str, Any], *, node: int | None = None, link: int | None = None
     ) -> "BtmMap":
-        """The map with attributes set: of a node, of a link, or of itself where neither is named.
+        """Set attributes: of a node, of a link, or of the map if neither is named.
 
         Args:
           attributes: such as `{"victim": True, "radio_dbm": -61}`: anything that JSON can hold.
@@ -189,7 +189,7 @@ class BtmMap:
 
 
 def check(btm: BtmMap, where: Callable[..., str] = lambda member, index=None: '"map"') -> BtmMap:
-    """The map with plain Python numbers, lists and dicts, or a refusal.
+    """Check the map: with plain Python numbers, lists and dicts, or a refusal.
 
     Ids are unique and not negative, links join nodes that are there, a link is searched if and only if it has an end
     and has a bearing at each end, types and states are the known ones, numbers are finite, lengths not negative, and
@@ -233,7 +233,7 @@ def require_near(btm: BtmMap, name: str) -> None:
 
 
 def called(member: str, index: int, number: object) -> str:
-    """What errors call an item of `nodes` or `links`: its id where that is one, else its place."""
+    """Return the name of an item of `nodes` or `links` for errors: its id if that is a number, else its index."""
     return f"{member[:-1]} {number}" if type(number) is int else f"{member}[{index}]"
 
 
@@ -255,7 +255,7 @@ _LENGTHS = ("step_m", "length_m", "min_width_m", "max_step_m", "opening_m")
 
 
 def _value(field, value, own):
-    """A field's value as its declared type; text only as one of its choices."""
+    """Convert a field's value to its declared type; text only to one of its choices."""
     if value is None and field.default is None:
         return None
     if field.name == "attributes":
@@ -278,7 +278,7 @@ def _value(field, value, own):
 
 
 def _finite(value):
-    """`value` as a float, None if it is no finite number."""
+    """Convert `value` to a float, None if it is no finite number."""
     if not isinstance(value, numbers.Real) or isinstance(value, bool):
         return None
     try:
@@ -296,7 +296,7 @@ def _attributes(value, own):
 
 
 def _plain(value, own) -> Any:
-    """An attribute as plain JSON types."""
+    """Convert an attribute to plain JSON types."""
     if value is None or isinstance(value, (str, bool)):
         return value
     if isinstance(value, numbers.Integral):

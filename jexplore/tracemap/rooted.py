@@ -11,13 +11,13 @@ _SQUARE = 1e-9  # cosine: a heading that is no nearer to one end of the link tha
 
 
 def topology_from(topology: BtmMap, pose: tuple[float, float, float]) -> BtmMap:
-    """What a robot should write that begins at a pose and goes on until nothing is left.
+    """Return the map that a perfect robot would write, starting at a pose, until nothing is left.
 
-    The start becomes a terminal node on the nearest link, which is split there: one link leads ahead, one behind. A
-    heading square to the link counts its left as ahead. Nodes and links are in the order in which the robot meets them:
-    at a node it takes the first un-searched link counter-clockwise from behind; where there is none, it goes back by
-    the shortest way to a node that has one. What cannot be reached is left out. A start that the map has already, a
-    first node of type terminal with two links, is taken out before.
+    The start becomes a terminal node on the nearest link, which is split there: one link leads ahead, one behind. If
+    the heading is square to the link, its left counts as ahead. Nodes and links are in the order in which the robot
+    meets them: at a node it takes the first un-searched link counter-clockwise from behind; without one, it goes back
+    by the shortest way to a node that has one. Unreachable parts are left out. A start that the map already has, a
+    first node of type terminal with two links, is removed before.
 
     Args:
       topology: the whole map; its links run straight from node to node, as those of a course.
@@ -28,7 +28,7 @@ def topology_from(topology: BtmMap, pose: tuple[float, float, float]) -> BtmMap:
       other measures of the parts are those of the whole.
 
     Raises:
-      InputError: the map has no link, or one without an end: what lies there is not known.
+      InputError: the map has no link, or one without an end.
     """
     unknown = [link.id for link in topology.links if link.end == NOWHERE or link.length_m is None]
     if unknown or not topology.links:
@@ -44,7 +44,7 @@ def topology_from(topology: BtmMap, pose: tuple[float, float, float]) -> BtmMap:
 
 
 def _without_start(topology):
-    """Nodes by id and links, without the node where the map was begun."""
+    """Return nodes by id and links, without the node where the map was begun."""
     first, *others = topology.nodes
     ends = [link for link in topology.links if first.id in (link.start, link.end)]
     if first.type != "terminal" or len(ends) != 2:
@@ -62,7 +62,7 @@ def _without_start(topology):
 
 
 def _turned(link, as_it_is):
-    """The link as it is, or followed the other way."""
+    """Return the link as it is, or followed the other way."""
     if as_it_is:
         return link
     return dataclasses.replace(
@@ -75,7 +75,7 @@ def _turned(link, as_it_is):
 
 
 def _distance_m(nodes, link, pose):
-    """From a place to the straight way between the nodes of a link."""
+    """Return the distance from a place to the straight way between the nodes of a link."""
     a, b = nodes[link.start], nodes[link.end]
     dx, dy, px, py = b.x_m - a.x_m, b.y_m - a.y_m, pose[0] - a.x_m, pose[1] - a.y_m
     share = min(max((px * dx + py * dy) / max(dx * dx + dy * dy, 1e-12), 0.0), 1.0)
@@ -83,7 +83,7 @@ def _distance_m(nodes, link, pose):
 
 
 def _split(first, link, root, free):
-    """The parts of a link before and after the start."""
+    """Split a link at the start: the parts before and after."""
     bearing = math.radians(link.start_bearing_deg)
     along = (root.x_m - first.x_m) * math.cos(bearing) + (root.y_m - first.y_m) * math.sin(bearing)
     along = round(min(max(along, 0.0), link.length_m), 9)
@@ -94,14 +94,14 @@ def _split(first, link, root, free):
 
 
 def _ahead(link, heading_deg, parts):
-    """The part of a split link that a robot with this heading follows."""
+    """Return the part of a split link that a robot with this heading follows."""
     turn = math.radians(link.start_bearing_deg - heading_deg)
     onward = math.cos(turn) if abs(math.cos(turn)) > _SQUARE else math.sin(turn)
     return parts[1] if onward > 0 else parts[0]
 
 
 def _in_order(nodes, links, root, ahead):
-    """The map that begins at a node with a link, everything numbered as the robot comes to it."""
+    """Renumber everything as a robot meets it that begins at a node with a link: the map."""
     around = {number: [] for number in nodes}  # (bearing, link as it is followed from there)
     for link in links:
         around[link.start].append((link.start_bearing_deg, link))
@@ -128,8 +128,10 @@ def _in_order(nodes, links, root, ahead):
 
 
 def _nearest_open(around, taken, here, back):
-    """The nearest node with a link that has not been taken, by those that have, and the bearing from which one comes
-    to it; `(None, back)` where there is none.
+    """Find the nearest node with a link not taken yet, along taken links, and the bearing of arrival.
+
+    Returns:
+      `(node, bearing)`; `(None, back)` without one.
     """
     queue, reached = [(0.0, here, back)], set()
     while queue:

@@ -17,7 +17,7 @@ UNIT_M = 0.001  # lengths are compared in whole units
 
 @dataclasses.dataclass(frozen=True)
 class Step:
-    """A link of a route in the direction in which it is followed. What the map does not have is None."""
+    """Link of a route in the direction in which it is followed. Values missing in the map are None."""
 
     link: int
     """Id."""
@@ -31,9 +31,9 @@ class Step:
     """That direction counter-clockwise from the link by which one came, degrees in (0, 360]: 180 is straight on, less
     is to the right; None where the route begins."""
     way: int | None
-    """Which link it is, counted counter-clockwise from the one by which one came: 1 is the first to the right."""
+    """Number of the link at the node, counter-clockwise from the one of arrival: 1 is the first to the right."""
     ways: int
-    """How many links there are to count, un-searched and refused ones included."""
+    """Number of links to count, un-searched and refused ones included."""
     length_m: float | None
     width_m: float | None
     """The narrowest, the opening included."""
@@ -45,12 +45,12 @@ class Step:
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Route:
-    """The shortest way of a robot from node to node, or why there is none."""
+    """Shortest way of a robot from node to node, or the reason for having none."""
 
     robot: str
     start: int
     end: int | None
-    """The node asked for; with `unsearched` the one that the un-searched link leaves, None if there is none."""
+    """The requested node; with `unsearched` the one that the un-searched link leaves, None without one."""
     nodes: tuple[int, ...]
     """Ids, one more than links; empty where there is no route."""
     links: tuple[int, ...]
@@ -64,9 +64,9 @@ class Route:
     barriers: tuple[tuple[int, tuple[str, ...]], ...]
     """The same of nodes that it may come to, but not pass."""
     unknown: tuple[str, ...]
-    """What the map does not say of the links and nodes of the route: sentences."""
+    """Facts about the links and nodes of the route that the map lacks: sentences."""
     trouble: str
-    """Why there is no route; empty where there is one."""
+    """Reason for having no route; else empty."""
 
     @property
     def is_found(self) -> bool:
@@ -91,7 +91,7 @@ class Index:
     """Node -> its ends of links, by `(id, whether it is the link's first end)` -> bearing in which the link leaves."""
 
     def doubts(self, link: Link) -> tuple[str, ...]:
-        """What the map does not say of a link of a route: texts."""
+        """List facts about a link of a route that the map lacks: texts."""
         found = unknowns(link, self.nodes)
         if link.end == NOWHERE or link.length_m is not None:
             return found
@@ -99,7 +99,7 @@ class Index:
 
 
 def index_of(btm: BtmMap) -> Index:
-    """A proper map by ids."""
+    """Index a proper map by ids."""
     nodes, links = {node.id: node for node in btm.nodes}, {link.id: link for link in btm.links}
     ends: dict[int, dict[tuple[int, bool], float]] = {own: {} for own in nodes}
     for link in btm.links:
@@ -110,7 +110,7 @@ def index_of(btm: BtmMap) -> Index:
 
 
 class Sheet:
-    """What routes over one map say, each thing made once: many routes go the same ways."""
+    """Texts of routes over one map, each made once: many routes share their ways."""
 
     def __init__(self, index: Index) -> None:
         self.index = index
@@ -121,16 +121,16 @@ class Sheet:
 
     @functools.cached_property
     def part(self) -> dict[int, int]:
-        """Node -> a node of the part of the map that its links join, one for all of the part."""
+        """Return node -> a node of its connected part, one for all of the part."""
         return parts_of(self.index.nodes, self.index.links.values())
 
     @functools.cached_property
     def parts_with_stubs(self) -> frozenset[int]:
-        """Parts, as of `part`, with an un-searched link."""
+        """Return parts, as of `part`, with an un-searched link."""
         return frozenset(self.part[link.start] for link in self.index.links.values() if link.end == NOWHERE)
 
     def steps(self, nodes: Sequence[int], links: Sequence[int]) -> tuple[Step, ...]:
-        """The steps of a way.
+        """Make the steps of a way.
 
         Args:
           nodes: ids that links leave, in order; more of them do not count.
@@ -147,7 +147,7 @@ class Sheet:
         return tuple([made[key] for key in keys])
 
     def unknown(self, links: Sequence[int], passed: Sequence[int]) -> tuple[str, ...]:
-        """What the map does not say of the links of a route, and of the nodes that it passes: sentences."""
+        """List facts that the map lacks about the links of a route and the nodes it passes: sentences."""
         doubts, blanks = self._doubts, self._blanks
         of_links = [f"{called(self.index.links[own])}: {', '.join(doubts[own])}" for own in links if own in doubts]
         return (*of_links, *[f"node {own}: {', '.join(blanks[own])}" for own in passed if own in blanks])
@@ -178,7 +178,7 @@ class Sheet:
 
 
 def _counted(ends, leaves, came):
-    """Which way out of a node a link is, of how many, and its angle: `(way, ways, turn_deg)`.
+    """Return number, count and angle of a link among those of a node: `(way, ways, turn_deg)`.
 
     Args:
       ends: of the node, see `Index`.

@@ -23,14 +23,14 @@ AHEAD = max(4, os.cpu_count() or 1)  # calls on their way at a time, so that cor
 
 
 class Problem(NamedTuple):
-    """What of a map a robot may use; two that may use the same are one problem."""
+    """Part of a map that a robot may use; robots with the same part share a problem."""
 
     shut: frozenset[int]
     """Ids of searched links that it may not use."""
     barriers: frozenset[int]
     """Ids of nodes that it may not pass."""
     stubs: frozenset[int]
-    """Ids of nodes with an un-searched link that it may follow: the goals where the goal is None."""
+    """Ids of nodes with an un-searched link that the robot may follow: the goals where the goal is None."""
 
 
 class Walk(NamedTuple):
@@ -45,15 +45,15 @@ class Walk(NamedTuple):
 def walks(
     index: Index, problems: Sequence[Problem], pairs: Sequence[tuple[int, int | None]]
 ) -> Iterator[list[Walk | None]]:
-    """The ways of every problem in turn, while the next are being solved.
+    """Yield the walks of every problem, while the next are being solved.
 
     Args:
       index: of the map.
-      problems: what may be used of it.
+      problems: usable parts of the map.
       pairs: ids of nodes, start and goal; None as the goal for the nearest of `Problem.stubs`.
 
     Returns:
-      Iterator over the problems, of a list with a `Walk` for every pair; None where there is no way.
+      Iterator over the problems, of a list with a `Walk` for every pair; None without a way.
 
     Raises:
       InputError: links too long in all.
@@ -99,14 +99,14 @@ class _Graph:
         self._node_ids, self._link_ids = np.array(list(index.nodes)), np.array([link.id for link in links], np.int64)
 
     def used(self, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-        """Links that are open, `[M]`, and nodes that are not to be passed, `[N]`."""
+        """Return links that are open, `[M]`, and nodes that are not to be passed, `[N]`."""
         is_open, barrier = np.ones(self.m, bool), np.zeros(self.n, bool)
         is_open[[self.link_place[own] for own in problem.shut]] = False
         barrier[[self.place[own] for own in problem.barriers]] = True
         return is_open, barrier
 
     def targets(self, problem: Problem, goals: Sequence[int | None], shape: tuple[int, int, int]) -> np.ndarray:
-        """`[C, N, B]` bool, the targets of goal c B + b in the column b of block c; none for goals that are wanting."""
+        """Return `[C, N, B]` bool, the targets of goal c B + b in column b of block c; none for missing goals."""
         is_target = np.zeros(shape, bool)
         for g, goal in enumerate(goals):
             places = [self.place[own] for own in (problem.stubs if goal is None else (goal,))]
@@ -114,7 +114,7 @@ class _Graph:
         return is_target
 
     def followed(self, is_target, link, start, goal) -> list[Walk | None]:
-        """The ways out of nodes, all at once.
+        """Follow the ways out of nodes, all at once.
 
         Args:
           is_target: `[C, N, B]`.
@@ -142,14 +142,14 @@ class _Graph:
 
 
 def _rows(table, count):
-    """The first `count` [P] entries of every row of a table, `[P, L]`, L of them at most: a list of tuples."""
+    """Return the first `count` [P] entries of every row of a table, `[P, L]`, L of them at most: a list of tuples."""
     flat = tuple(table[np.arange(table.shape[1]) < count[:, None]].tolist())
     ends = np.cumsum(count).tolist()
     return [flat[first:end] for first, end in zip([0, *ends], ends)]
 
 
 def _solved(graph, calls, goals, shape):
-    """For every call, `(problem, first of its goals)`: the first, then `is_target` and `link` of `_Graph.followed`."""
+    """Yield `(problem, first goal)` of every call: the first, then `is_target` and `link` of `_Graph.followed`."""
     waiting = deque()
 
     def read():
@@ -167,6 +167,6 @@ def _solved(graph, calls, goals, shape):
 
 @jax.jit
 def _solve(around: Around, length: Array, is_open: Array, barrier: Array, target: Array) -> Array:
-    """`Ways.link` of blocks of goals, `[C, N, B]`, one after the other; `target` likewise."""
+    """Compute `Ways.link` for blocks of goals in turn, `[C, N, B]`; `target` has the same blocks."""
     length, is_open, barrier = jnp.asarray(length), jnp.asarray(is_open), jnp.asarray(barrier)  # numpy's without jit
     return lax.map(lambda block: shortest_ways(around, length, is_open, barrier, block).link, target)

@@ -1,4 +1,4 @@
-"""What makes two Behavioral Trace Maps the same, what tells them apart, and how far apart they are."""
+"""Equality of two trace maps, their differences, and the distance between them."""
 
 import dataclasses
 import itertools
@@ -8,13 +8,13 @@ from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check, directi
 
 
 def code(btm: BtmMap) -> str:
-    """The map as a rooted plane graph with labels, in one line: equal codes mean maps equal but for measures.
+    """Encode the map as a labelled rooted plane graph, in one line; equal codes mean maps equal but for measures.
 
     A node is T, D, F or O, an obstacle's shape behind a colon; in parentheses follow its other links, counter-clockwise
-    from the one by which it is entered: what is reached by it, `-` for an un-searched one, or `=1`, the same at both
-    ends, for one that closes a cycle. The walk is depth-first from the first node, there from the link of lowest id
-    among the searched ones (or among all). Links of equal bearing count in order of their ids. Nodes that are not
-    connected with the first follow after a `+`.
+    from the one by which it is entered: the node reached, `-` for an un-searched one, or `=1`, the same at both ends,
+    for one that closes a cycle. The walk is depth-first from the first node, there from the link of lowest id among the
+    searched ones (or among all). Links of equal bearing count in order of their ids. Nodes that are not connected with
+    the first follow after a `+`.
 
     Raises:
       InputError: not a proper map; see `record.check`.
@@ -23,17 +23,17 @@ def code(btm: BtmMap) -> str:
 
 
 def same(a: BtmMap, b: BtmMap, tolerance_m: float | None = None, tolerance_deg: float | None = None) -> bool:
-    """Whether two maps have equal codes and, where tolerances are given, measures within them; see `differences`."""
+    """Return whether two maps have equal codes and, with tolerances, measures within them; see `differences`."""
     return not differences(a, b, tolerance_m, tolerance_deg)
 
 
 def differences(
     a: BtmMap, b: BtmMap, tolerance_m: float | None = None, tolerance_deg: float | None = None
 ) -> list[str]:
-    """What tells two maps apart, in plain sentences; none if they are the same.
+    """List the differences between two maps, as sentences; none if they are the same.
 
-    If the codes differ, that is told and no measures are compared: nodes would not correspond. Else corresponding nodes
-    and links are, whatever their ids and whichever way a link was followed; `opening_m` only of links that start at
+    If the codes differ, that is the only difference: nodes would not correspond. Else corresponding nodes and links are
+    compared, whatever their ids and the direction in which a link was followed; `opening_m` only of links that start at
     the same node. A measure that one of them lacks is a difference. Coordinates and bearings are compared as they
     stand: both maps must have one frame. Attributes do not count.
 
@@ -60,7 +60,7 @@ def differences(
 
 
 def distance(a: BtmMap, b: BtmMap) -> int:
-    """Graph distance of two maps: the least number of changes that make the code of one the code of the other.
+    """Compute the graph distance of two maps: the least number of changes that make their codes equal.
 
     It is the edit distance of the trees that the codes write out, at unit costs. One change adds, removes or relabels
     one vertex: a node together with the link by which it is entered (one taken out of a way leaves its neighbours
@@ -111,7 +111,7 @@ class _Vertex:
     link: Link | None = None
     """By which it hangs on its parent."""
     forward: bool = True
-    """Whether that link starts at the parent."""
+    """True if that link starts at the parent."""
     node: Node | None = None
 
 
@@ -119,7 +119,7 @@ _LETTER = {"terminal": "T", "divergence": "D", "free_space": "F", "obstacle": "O
 
 
 def _tree(btm):
-    """Vertices in preorder; the first is an extra one above the first node of every connected part."""
+    """Return vertices in preorder; the first is an extra one above the first node of every connected part."""
     around = ends_around(btm)
     nodes, reached, closing = {node.id: node for node in btm.nodes}, set(), {}
     tree = [_Vertex("", -1)]
@@ -149,7 +149,7 @@ def _tree(btm):
 
 
 def ends_around(btm):
-    """Ends of links by node, counter-clockwise: `(bearing, id, 0 at the start of the link or 1, link)`."""
+    """Return ends of links by node, counter-clockwise: `(bearing, id, 0 at the start of the link or 1, link)`."""
     around = {node.id: [] for node in btm.nodes}
     for link in btm.links:
         around[link.start].append((direction_deg(link.start_bearing_deg), link.id, 0, link))
@@ -170,7 +170,7 @@ _TURNED = {"start_bearing_deg": "end_bearing_deg", "end_bearing_deg": "start_bea
 
 
 def _measures(kind, item, match, turned, tolerance_m, tolerance_deg):
-    """Sentences about the measures of two records; `turned` if one link was followed the other way."""
+    """Yield sentences about the measures of two records; `turned` if one link was followed the other way."""
     for name in (field.name for field in dataclasses.fields(item)):
         unit, limit = ("m", tolerance_m) if name.endswith("_m") else ("degrees", tolerance_deg)
         if limit is None or not name.endswith(("_m", "_deg")) or (turned and name == "opening_m"):
@@ -198,7 +198,7 @@ _WORDS = {
 
 
 def _departure(first, second):
-    """Two trees that differ: how many of what, and where a common walk through both ends."""
+    """Describe where two trees differ: how many of what, and where a common walk through both ends."""
     found = []
     for mark, what in _WORDS.items():
         one, other = (sum(vertex.label[:1] == mark for vertex in tree) for tree in (first, second))
@@ -220,7 +220,7 @@ def _met(tree, at):
 
 
 def _postorder(tree):
-    """Labels in postorder, and of each vertex the place of the first in its subtree."""
+    """Return labels in postorder, and of each vertex the place of the first in its subtree."""
     size, depth = [1] * len(tree), [0] * len(tree)
     for i in range(len(tree) - 1, 0, -1):
         size[tree[i].parent] += size[i]

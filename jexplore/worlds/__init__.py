@@ -52,7 +52,7 @@ _PARAMETERS: dict[str, dict[str, Callable[[str, Any], object]]] = {
     "ROS": _GRID,
     "ROS bag": {"topic": lambda *_: None, "message": _whole(-(10**9), 10**9), **_GRID},
 }
-"""Kind of file -> what its reader takes in a world name, and what refuses a value of it by name."""
+"""Kind of file -> parameters of its reader in a world name, and the function that checks a value by name."""
 _FILES = {
     "map.yaml": "a ROS map",
     "map.png@16x16, map.png@0.05": "a picture, with its sides in metres or its metres a pixel",
@@ -61,11 +61,11 @@ _FILES = {
     "scans.log": "a CARMEN log",
     "run.bag, run.mcap": "a ROS bag",
 }
-"""Name of a file -> what is read of it."""
+"""Name of a file -> its content that is read."""
 
 
 def listing() -> Listing:
-    """The worlds that `load_world` knows, with what they take, as a table that shows itself: `jx.worlds()`."""
+    """List the worlds that `load_world` knows, with their parameters, as a table that shows itself: `jx.worlds()`."""
     rows = []
     for name in GENERATORS:
         told = ", ".join(f"{key}={value}" for key, value in generator_parameters(name).items())
@@ -75,7 +75,7 @@ def listing() -> Listing:
 
 
 class _Package(types.ModuleType):
-    """This package, which lists the worlds when it is called."""
+    """Package `worlds`, which lists the worlds when it is called."""
 
     def __call__(self) -> Listing:
         return listing()
@@ -86,7 +86,7 @@ sys.modules[__name__].__class__ = _Package
 
 @checked_names
 def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
-    """The world of a name: a generated one, or one read from a map file.
+    """Load the world of a name: a generated one, or one read from a map file.
 
     `cave`, `cave#3`, `hospital#2:width_m=60,height_m=25`, `map.yaml`, `map.png@16x16`, `map.png@0.05:free=150`,
     `map.map@0.1`, `plan.json`, `scans.log`, `run.bag:topic=/map`: `names.parse` has the grammar, the readers say what a
@@ -158,7 +158,7 @@ def read_name(
 
 
 def _taken(parsed):
-    """A name without the parameters `names.INSIDE`, and what they choose: the arguments of `inside`, or None."""
+    """Take the parameters `names.INSIDE` off a name: the name, and the arguments of `inside` or None."""
     if parsed.kind == "generator":
         return parsed, None
     rest = {key: value for key, value in parsed.parameters.items() if key not in names.INSIDE}
@@ -175,7 +175,7 @@ def _taken(parsed):
 
 
 def generator_parameters(base: str) -> dict[str, Any]:
-    """What a generator takes in a world name: parameter name -> default.
+    """Return the parameters of a generator in a world name: parameter name -> default.
 
     Args:
       base: a key of `GENERATORS`.
@@ -198,7 +198,7 @@ def _generate(parsed, cell_m):
 
 
 def _as_default(parsed, key, value, default):
-    """`value` in the type of the parameter's default, so that `width_m=60` is the metres 60.0."""
+    """Convert `value` to the type of the parameter's default, so that `width_m=60` is the metres 60.0."""
     if isinstance(default, float) and type(value) is int:
         return float(value)
     if isinstance(default, (bool, int, float, str)) and type(value) is not type(default):

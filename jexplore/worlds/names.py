@@ -55,9 +55,9 @@ class WorldName:
     seed: int = 0
     """Seed of a generator."""
     scale: float | tuple[float, float] | None = None
-    """What follows the `@`: metres a pixel, or width and height in metres; None where there is none."""
+    """Text after the `@`: metres a pixel, or width and height in metres; None without one."""
     parameters: dict[str, bool | int | float | str] = dataclasses.field(default_factory=dict)
-    """What follows the `:`."""
+    """Text after the `:`."""
 
 
 def parse(name: str, *, generators: Collection[str]) -> WorldName:
@@ -123,7 +123,7 @@ def require_parameters(parsed: WorldName, permitted: Collection[str]) -> None:
 
 
 def joint_of(name: str) -> str | None:
-    """What stands between the name of a map file and one more parameter, `:` or `,`; None for a name of no file."""
+    """Return the separator of the name of a map file and one more parameter, `:` or `,`; None if it names no file."""
     cuts = [match.end() for match in _CUT.finditer(name)]
     if not cuts:
         return None
@@ -131,7 +131,7 @@ def joint_of(name: str) -> str | None:
 
 
 def short_names(names: Sequence[str]) -> list[str]:
-    """Short names that tell worlds, or other files, apart: of a path the shortest end that no other one has.
+    """Make short distinct names of worlds, or other files: of a path the shortest end that no other one has.
 
     Args:
       names: different names, such as `floor1/map.yaml`.
@@ -153,14 +153,14 @@ def short_names(names: Sequence[str]) -> list[str]:
 
 
 def file_names(texts: Sequence[str]) -> list[str]:
-    """Names for files, one for each text, in order: as much of it as every file system takes, and never one twice.
+    """Make a file name for each text: as much of the text as every file system takes, without duplicates.
 
     Args:
-      texts: what the files hold, such as `floor1/map.yaml-closest-0`.
+      texts: contents of the files, such as `floor1/map.yaml-closest-0`.
 
     Returns:
-      Names of letters, digits and `.+=#-_`, up to `LONGEST_NAME` characters, without suffix. No two are equal, upper
-      and lower case not told apart: the second of such a kind ends in `-2`.
+      Names of letters, digits and `.+=#-_`, up to `LONGEST_NAME` characters, without suffix. No two are equal, ignoring
+      case: a second one ends in `-2`.
     """
     made, taken = [], set()
     for text in texts:
@@ -173,7 +173,7 @@ def file_names(texts: Sequence[str]) -> list[str]:
 
 
 def _path_end(name, cuts):
-    """Where the path of a file ends: the longest that exists, else the longest."""
+    """Return the end of the path of a file: the longest that exists, else the longest."""
     return max(cuts, key=lambda cut: (os.path.isfile(name[:cut]), cut))
 
 
@@ -183,7 +183,7 @@ def _there_are(word, known):
 
 
 def _recording(name):
-    """Where the longest path to a folder with a recording of ROS 2 ends; None for none."""
+    """Return the end of the longest path to a folder with a recording of ROS 2; None without one."""
     cuts = [len(name), *(match.start() for match in re.finditer(":", name))]
     return max((cut for cut in cuts if cut and os.path.isfile(os.path.join(name[:cut], METADATA))), default=None)
 
@@ -233,7 +233,7 @@ def _parameters(name, text):
 
 
 def _number(text):
-    """`text` as a bool, an int or a float where it is one."""
+    """Convert `text` to a bool, an int or a float if possible."""
     if text in ("true", "false"):
         return text == "true"
     for kind in (int, float):

@@ -7,20 +7,20 @@ import numpy as np
 
 from jexplore.arrays.pictures import LONG_PX, soft_colours, written
 
-FINE = 2  # pixels are drawn so many times as fine, and averaged
+FINE = 2  # supersampling factor
 ROBOT_PX = 9  # from the middle of the arrow to its tip
 ROBOT = (230, 159, 0)
 
 
 def floor_plan(occupied: np.ndarray, rooms: np.ndarray | None = None, start: Any = None) -> bytes:
-    """A floor plan as the bytes of a PNG, about `LONG_PX` on its longer side.
+    """Draw a floor plan as the bytes of a PNG, about `LONG_PX` on its longer side.
 
-    A cell is a square of whole pixels. Of larger maps a pixel is the mean of several cells, so that a thin wall is grey
-    instead of gone.
+    A cell is a square of whole pixels. Of larger maps a pixel is the mean of several cells: a thin wall becomes grey
+    instead of vanishing.
 
     Args:
       occupied: `[H, W]` bool, row 0 at the bottom.
-      rooms: `[H, W]` int, -1 where there is none; or None.
+      rooms: `[H, W]` int, -1 outside rooms; or None.
       start: row, col and heading in degrees, or None.
     """
     from PIL import Image, ImageDraw
@@ -28,7 +28,7 @@ def floor_plan(occupied: np.ndarray, rooms: np.ndarray | None = None, start: Any
     colours = _colours(occupied, rooms)
     cells = math.ceil(max(occupied.shape) / (1.5 * LONG_PX))  # to a pixel
     image = Image.fromarray(np.ascontiguousarray(colours[::-1])).reduce(cells)
-    pixels = FINE * max(1, LONG_PX // max(image.size))  # of a side of what is left of a cell
+    pixels = FINE * max(1, LONG_PX // max(image.size))  # pixels per side of a cell after thinning
     image = image.resize((pixels * image.width, pixels * image.height), Image.Resampling.NEAREST)
     if start is not None:
         row, col, heading_deg = start
@@ -47,7 +47,7 @@ def draw_plan(
     cell_m: float,
     origin_m: tuple[float, float] = (0.0, 0.0),
 ) -> Any:
-    """A floor plan on matplotlib `Axes`, in metres.
+    """Draw a floor plan on matplotlib `Axes`, in metres.
 
     Args:
       ax: the axes.
@@ -72,7 +72,7 @@ def draw_plan(
 
 
 def _colours(occupied, rooms):
-    """`[H, W, 3]` uint8: walls black, floor white, rooms in soft colours."""
+    """Return `[H, W, 3]` uint8: walls black, floor white, rooms in soft colours."""
     rooms = None if rooms is None else np.asarray(rooms)
     colours = np.full((*occupied.shape, 3), 255, np.uint8)
     if rooms is not None and rooms.max() >= 0:
@@ -82,7 +82,7 @@ def _colours(occupied, rooms):
 
 
 def _arrow(middle, heading_deg):
-    """Corners of an arrow head, pixels of the fine image."""
+    """Yield corners of an arrow head, pixels of the fine image."""
     turn = math.radians(heading_deg)
     for ahead, left in ((1.0, 0.0), (-0.7, 0.7), (-0.3, 0.0), (-0.7, -0.7)):
         x, y = ahead * math.cos(turn) - left * math.sin(turn), ahead * math.sin(turn) + left * math.cos(turn)

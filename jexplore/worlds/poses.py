@@ -35,7 +35,7 @@ class Pose:
 
 
 def read_start(start: Any, start_m: Any = None) -> "str | tuple[Any, ...] | Pose":
-    """A start from what a user gives.
+    """Read a start given by a user.
 
     Args:
       start: "random"; "world"; cells, `(row, col, heading_deg)` or the text `12,30,90`; or the text
@@ -103,7 +103,7 @@ def read_polygon(polygon: str | Polygon) -> list[tuple[float, float]]:
 
 
 def cell_of(world: "World", pose: Pose) -> tuple[int, int, int]:
-    """The cell in which a pose lies, and the heading of the grid next to its own.
+    """Return the cell in which a pose lies, and the nearest heading of the grid.
 
     Args:
       world: a `World`; its `origin_m` is where its frame has the lower left corner.

@@ -1,6 +1,6 @@
-"""Regions of a floor plan: outside and inside, in reach and apart; what is told of them, and how one is chosen.
+"""Regions of a floor plan: outside and inside, in reach and apart; their description and choice.
 
-A region is a 4-connected component of the cells that are clear for some robot, with the free cells beside it.
+A region is a 4-connected component of the cells that are clear for some robot, with the adjacent free cells.
 """
 
 import math
@@ -18,7 +18,7 @@ from jexplore.worlds.world import World
 GAP_M = Rules().clearance_m  # m, clearance; outside and inside are apart where the default robot does not fit through
 SIZEABLE_M2 = 4.0  # m2 of clear floor, that of a room of 2.6 m by 2.6 m: below are shafts, columns, tables in outline
 SIZEABLE = 0.02  # of the floor in reach; where cells are large, pockets of a few cells have many m2
-ALONG_EDGE = 0.1  # of the cells along the edge; a building that the picture cuts off somewhere touches less of it
+ALONG_EDGE = 0.1  # share of the cells along the edge; a building cut off by the picture's edge touches less
 REACHED = 0.5  # of the free floor; below, what an episode tells of explored cells says little about the building
 BESIDE = 2.0  # clearances along free cells from the clear floor into the corner of a room
 
@@ -30,7 +30,7 @@ class _Regions(NamedTuple):
 
 
 def _regions(world):
-    """The regions that are apart for the default robot: every free cell goes to the nearest along free cells."""
+    """Divide free cells into regions that are apart for the default robot, each by the nearest free cells."""
     floor = filled(label_components(clear_in(world, GAP_M)), ~world.occupied, world.occupied.size)
     m2 = np.bincount(floor[floor >= 0]) * world.cell_m**2
     at_edge = np.zeros(len(m2), bool)
@@ -40,20 +40,20 @@ def _regions(world):
 
 
 def _edge(array):
-    """The cells along the edge of an array, round it once."""
+    """Return the cells along the edge of an array, round it once."""
     return np.concatenate([array[0], array[-1], array[1:-1, 0], array[1:-1, -1]])
 
 
 @checked_names
 def inside(world: World, point_m: tuple[float, float] | None = None) -> World:
-    """The inside of a building: the same world with other free floor as wall.
+    """Return the inside of a building: the same world with other free floor as wall.
 
-    Regions are apart where a robot of `GAP_M` clearance does not fit through.
+    Regions are separate if a robot of `GAP_M` clearance does not fit through.
 
     Args:
       world: a `World`.
-      point_m: x, y, metres in the world's frame: what is left is the region of this point. None: all is left but the
-        regions that touch the edge of the map.
+      point_m: x, y, metres in the world's frame: only the region of this point remains. None: all regions remain but
+        those that touch the edge of the map.
 
     Returns:
       A `World` of the same shape; its start and rooms are kept where they are free.
@@ -102,7 +102,7 @@ def warn_of_outside(world: World, reached: np.ndarray) -> bool:
 
     Args:
       world: a `World`.
-      reached: `[H, W]` bool, clear cells that robots get to from where they start.
+      reached: `[H, W]` bool, clear cells that robots reach from their starts.
 
     Returns:
       Whether it was said, as an `InputWarning`.
@@ -131,16 +131,16 @@ def warn_of_outside(world: World, reached: np.ndarray) -> bool:
 
 
 def warn_of_floor(world: World, reached: np.ndarray, clearance_m: float, *, drawn: bool) -> None:
-    """Say, as one `InputWarning`, that robots start outside, or that free floor is out of their reach.
+    """Warn, by one `InputWarning`, that robots start outside, or that free floor is out of their reach.
 
-    The share that is told counts free cells in reach and those beside them, up to `BESIDE` clearances along free
-    cells. Floor along the edge of the map, outside a building in which robots start, is not counted.
+    The share counts free cells in reach and adjacent ones, up to `BESIDE` clearances along free cells. Floor along the
+    edge of the map, outside a building in which robots start, is not counted.
 
     Args:
       world: a `World`.
-      reached: `[H, W]` bool, clear cells that robots get to from where they start.
+      reached: `[H, W]` bool, clear cells that robots reach from their starts.
       clearance_m: the robot's.
-      drawn: whether starts are drawn; of one that was chosen it is not said that it lies outside.
+      drawn: bool, starts are drawn; a chosen one may lie outside without a warning.
     """
     if not reached.any() or (drawn and warn_of_outside(world, reached)):
         return

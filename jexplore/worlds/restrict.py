@@ -1,4 +1,4 @@
-"""What an episode in a world is limited to, and what its robot knows beforehand: a region to stay in, a partial map."""
+"""Limits of an episode in a world, and prior knowledge of its robot: a region to stay in, a partial map."""
 
 import os
 
@@ -99,7 +99,7 @@ def with_known(world: World, map_: KnownMap) -> World:
 
 
 def _centres(world):
-    """x of the columns' centres and y of the rows', metres."""
+    """Return x of the columns' centres and y of the rows', metres."""
     return (low + (np.arange(n) + 0.5) * world.cell_m for low, n in zip(world.origin_m, world.shape[::-1]))
 
 

@@ -1,4 +1,4 @@
-"""Where in a world an episode may start: the cells where a robot has room, and starts drawn from them."""
+"""Starts of episodes in a world: the cells where a robot has room, and starts drawn from them."""
 
 import hashlib
 import math
@@ -19,7 +19,7 @@ HEADINGS_DEG = (0, 45, 90, 135, 180, 225, 270, 315)
 
 
 def clear_cells(occupied: np.ndarray, clearance_m: float, cell_m: float) -> np.ndarray:
-    """Cells with more clearance than the radius: free, and no occupied cell within it, centre to centre.
+    """Return cells with more clearance than the radius: free, and no occupied cell within it, centre to centre.
 
     Only the cells of the array count: what lies outside it is not an obstacle.
 
@@ -46,7 +46,7 @@ def clear_cells(occupied: np.ndarray, clearance_m: float, cell_m: float) -> np.n
 
 
 def label_components(mask: np.ndarray) -> np.ndarray:
-    """4-connected components, numbered in the order of their lowest flat indices.
+    """Label 4-connected components in the order of their lowest flat indices.
 
     A diagonal step of the robot needs both its orthogonal neighbours, so what it can reach in 8 directions is
     exactly a 4-connected component.
@@ -79,7 +79,7 @@ def label_components(mask: np.ndarray) -> np.ndarray:
 
 
 def clear_in(world: World, clearance_m: float) -> np.ndarray:
-    """The clear cells of a world, beyond whose edge is wall: `[H, W]` bool; arguments as for `start_region`."""
+    """Return the clear cells of a world, beyond whose edge is wall: `[H, W]` bool; arguments as for `start_region`."""
     ring = ring_of(world.occupied)
     clear = clear_cells(np.pad(world.occupied, ring, constant_values=True), clearance_m, world.cell_m)
     clear = within(clear, world.shape, ring)
@@ -87,7 +87,7 @@ def clear_in(world: World, clearance_m: float) -> np.ndarray:
 
 
 def start_region(world: World, clearance_m: float) -> np.ndarray:
-    """The cells that a drawn start may lie in: the largest 4-connected component of the clear cells.
+    """Return the cells that a drawn start may lie in: the largest 4-connected component of the clear cells.
 
     Of a world with a region only what lies within counts, of one with a partial map only what this shows to be free.
 
@@ -107,7 +107,7 @@ def start_region(world: World, clearance_m: float) -> np.ndarray:
 
 
 def draw_starts(world: World, seed: int, n: int, clearance_m: float) -> np.ndarray:
-    """Starts 0 to n - 1 of a seed: `draw_start` for each, at the cost of one.
+    """Draw starts 0 to n - 1 of a seed: `draw_start` for each, at the cost of a single one.
 
     Returns:
       `[n, 3]` int32: row, col, heading in degrees.
@@ -153,7 +153,7 @@ def start_cells(world: World, clearance_m: float) -> np.ndarray:
 
 
 def _words(name):
-    """What a world's name adds to the seed of its starts: four 32-bit numbers."""
+    """Hash a world's name into the seed of its starts: four 32-bit numbers."""
     name = re.split(r"[/\\]", name)[-1]
     name = re.sub(r"^([A-Za-z_][\w-]*)(?=:|$)", r"\1#0", name)
     return np.frombuffer(hashlib.sha256(os.fsencode(name)).digest()[:16], "<u4").tolist()
@@ -211,7 +211,7 @@ def check_start(
 
 
 def reached_from(world: World, row: int, col: int, clearance_m: float, near_m: float) -> np.ndarray:
-    """The clear cells that a robot gets to from a free cell: `[H, W]` bool; arguments as of `check_start`."""
+    """Return the clear cells that a robot reaches from a free cell: `[H, W]` bool; arguments as of `check_start`."""
     clear = clear_in(world, clearance_m)
     rows, cols = world.shape
     dy, dx = np.arange(rows)[:, None] - row, np.arange(cols)[None, :] - col

@@ -45,7 +45,7 @@ class World:
     """
 
     occupied: np.ndarray  # [H, W] bool, True where a wall or obstacle is
-    rooms: np.ndarray | None = None  # [H, W] int32, room number from 0; -1 where there is none; None: no ground truth
+    rooms: np.ndarray | None = None  # [H, W] int32, room number from 0; -1 outside rooms; None: no ground truth
     # row, col, heading_deg (a multiple of 45)
     start: tuple[int, int, int] | None = struct.field(pytree_node=False, default=None)
     cell_m: float = struct.field(pytree_node=False, default=0.1)  # edge of a cell, metres
@@ -67,20 +67,20 @@ class World:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """`(H, W)`, cells."""
+        """Return `(H, W)`, cells."""
         return self.occupied.shape
 
     @property
     def free_m2(self) -> float:
-        """Area of the free cells, square metres."""
+        """Return the area of the free cells, square metres."""
         return float((~self.occupied).sum()) * self.cell_m**2
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        """`occupied`, for numpy and for `plt.imshow(world, origin="lower")`."""
+        """Return `occupied`, for numpy and for `plt.imshow(world, origin="lower")`."""
         return np.array(self.occupied, dtype, copy=copy)
 
     def plot(self, ax: Any = None) -> Any:
-        """Draws walls, rooms and start in metres of the map's frame.
+        """Draw walls, rooms and start in metres of the map's frame.
 
         Args:
           ax: matplotlib `Axes`; by default those of a new figure.
@@ -93,10 +93,10 @@ class World:
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes walls and origin as a map of ROS's map_server: a yaml file and a PGM beside it.
+        """Write walls and origin as a map of ROS's map_server: a yaml file and a PGM next to it.
 
-        `jx.load_world(path, cell_m=world.cell_m)` gives the same cells and origin. Rooms, start and elevation have no
-        place in such a map.
+        `jx.load_world(path, cell_m=world.cell_m)` gives the same cells and origin. Such a map cannot hold rooms, start
+        and elevation.
 
         Args:
           path: the yaml file; missing folders are made.
@@ -140,7 +140,7 @@ class World:
 
 
 def _as_mask(name, occupied):
-    """An array of bool. Integers are refused: `~` and sums mean something else to them, without a word."""
+    """Convert to an array of bool. Integers are refused: `~` and sums would silently mean something else."""
     try:
         occupied = np.asarray(occupied)
     except ValueError:
@@ -154,7 +154,7 @@ def _as_mask(name, occupied):
 
 
 def checked(world: World) -> World:
-    """A world that a caller has made, after a look at what the kernels rely on.
+    """Check a world made by a caller for the requirements of the kernels.
 
     Args:
       world: a `World`.
@@ -197,18 +197,18 @@ def checked(world: World) -> World:
 
 
 def ring_of(occupied: np.ndarray) -> int:
-    """The width of the ring that a map `[H, W]` needs round itself, cells: 0 if all its edge is occupied, else 1."""
+    """Return the width of the ring that a map `[H, W]` needs, cells: 0 if all its edge is occupied, else 1."""
     return 0 if occupied[[0, -1], :].all() and occupied[:, [0, -1]].all() else 1
 
 
 def ringed_shape(occupied: np.ndarray) -> tuple[int, int]:
-    """`(H, W)` of a map with the ring that it needs, cells."""
+    """Return `(H, W)` of a map with the ring that it needs, cells."""
     ring = ring_of(occupied)
     return occupied.shape[0] + 2 * ring, occupied.shape[1] + 2 * ring
 
 
 def with_ring(world: World) -> World:
-    """The same world with all four edges occupied: unchanged if they are, else one cell larger on every side.
+    """Add occupied edges to a world: unchanged if it has them, else one cell larger on every side.
 
     Rooms, elevation, start and origin move along, so that every cell keeps its place in metres; indices grow by
     `ring_of`. No room covers a new cell; its ground is as high as that of the nearest old cell, so that no step arises
@@ -240,14 +240,14 @@ def with_ring(world: World) -> World:
 
 
 def pad(world: World, shape: tuple[int, int]) -> World:
-    """The same world in a larger array: occupied rows are added at the top and occupied columns on the right.
+    """Pad a world to a larger array: occupied rows are added at the top and occupied columns on the right.
 
     Args:
       world: a `World`.
       shape: `(H, W)` of the result, cells; no smaller than `world.shape`.
 
     Returns:
-      A `World` of that shape. Indices, metres and starts are those of `world`; in what is new, rooms are -1 and the
+      A `World` of that shape. Indices, metres and starts are those of `world`; in new cells, rooms are -1 and the
       ground is as high as at the nearest old cell.
 
     Raises:
@@ -299,7 +299,7 @@ def occupancy_to_world(
     origin_m: Iterable[Any] = (0.0, 0.0),
     free_max: int = 25,
 ) -> World:
-    """A world from an occupancy array, as ROS has it in an OccupancyGrid. Unknown counts as occupied.
+    """Make a world of an occupancy array, as in a ROS OccupancyGrid. Unknown cells count as occupied.
 
     Args:
       occupancy: `[H, W]` integers, -1 unknown, 0 (free) to 100 (occupied); or `[H, W]` bool, True is occupied.

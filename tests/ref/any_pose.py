@@ -32,7 +32,7 @@ def beams_from(pose, angles_rad, *, max_range_m, cell_m, width):
     x, y, heading = (jnp.asarray(v, jnp.float32) for v in pose)
     angle = heading + jnp.asarray(angles_rad, jnp.float32)
     dx, dy = jnp.cos(angle), jnp.sin(angle)
-    # float32 angles at multiples of 45 degrees miss the exact direction by some 1e-7: snap what is that close.
+    # float32 angles at multiples of 45 degrees miss the exact direction by some 1e-7: snap those.
     for value in (0.0, 0.5, math.sqrt(0.5), 1.0):
         for sign in (-1, 1):
             dx = jnp.where(jnp.abs(dx - sign * value) < 1e-6, jnp.float32(sign * value), dx)

@@ -43,7 +43,7 @@ def squared(sites, none):
 
 
 def peak_of(d2, inside, cell):
-    """Where steepest ascent leads from a cell."""
+    """Return the peak that steepest ascent reaches from a cell."""
 
     def height(cell):
         return np.sqrt(np.float32(d2[cell]))

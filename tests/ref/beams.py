@@ -35,7 +35,7 @@ def lidar_angles(n_beams, fov_deg):
     """Directions of the beams relative to the heading, degrees, in ascending order.
 
     A single beam looks straight ahead. Below 360 degrees both edges are included. At 360 degrees the first beam looks
-    back (-180) and the last stands 360 / n_beams short of it.
+    back (-180) and the last stops 360 / n_beams before that.
     """
     if n_beams == 1:
         return [0.0]
@@ -52,8 +52,9 @@ def in_cells(range_m, cell_m):
 def beam_entries(c, s, max_range_cells, x0=0.5, y0=0.5):
     """Cells that a beam enters at a distance < range, as `(distance, drow, dcol)` in order (Amanatides and Woo 1987).
 
-    The k-th vertical grid line is crossed at `(to the first line + k) / |c|`, the k-th horizontal one likewise. Through
-    an exact corner the beam steps in x first: it enters the x-neighbour and, at the same distance, the diagonal cell.
+    The k-th vertical grid line is crossed at `(to the first line + k) / |c|`, the k-th horizontal one at the same with
+    `|s|`. Through an exact corner the beam steps in x first: it enters the x-neighbour and, at the same distance, the
+    diagonal cell.
     """
     step_x, first_x = (1, 1.0 - x0) if c > 0 else (-1, x0)
     step_y, first_y = (1, 1.0 - y0) if s > 0 else (-1, y0)
@@ -83,8 +84,8 @@ def cast(occupied, row, col, deg, max_range_cells, x0=0.5, y0=0.5):
     """One beam: `(missed, hit, distance)`.
 
     `missed`: the cells `(row, col)` passed before the first occupied one. `hit`: that cell, or None. `distance`: where
-    the beam enters the hit cell, cells; `max_range_cells` if there is none. A beam that leaves the array ends there,
-    without hit.
+    the beam enters the hit cell, cells; `max_range_cells` without one. A beam that leaves the array ends there, without
+    hit.
     """
     c, s = direction(deg)
     missed = []

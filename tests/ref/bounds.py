@@ -35,7 +35,7 @@ def seen_all_round(occupied, lidar, cell_m):
 
 
 def begun(world, start, lidar, rules):
-    """What must be seen, and what was seen at the start, by an episode's own state: two `[H, W]` bool."""
+    """Return the cells to see, and those seen at the start, by an episode's own state: two `[H, W]` bool."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)  # random worlds have floor apart
         env = jx.Environment(world, lidar=lidar, rules=rules)

@@ -1,4 +1,4 @@
-"""Opens a page in headless Chromium, and runs scripts, where there is one."""
+"""Open a page in headless Chromium, and run scripts, if it is installed."""
 
 import html
 import json
@@ -35,7 +35,7 @@ def opener(folder):
 
 
 def answers(folder, script, given):
-    """What a script's function `answer(given)` returns; run by node where there is one, else by the browser.
+    """Return the result of a script's function `answer(given)`, run by node if installed, else by the browser.
 
     Args:
       folder: an empty one.

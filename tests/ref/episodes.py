@@ -231,11 +231,11 @@ def replay(
     )
 
 
-# ---------------------------------------------------------------- beside each other
+# ---------------------------------------------------------------- compared with each other
 
 
 def _first_difference(got, want):
-    """Where two lists or arrays differ first, as text; empty if they are equal."""
+    """Describe the first difference of two lists or arrays; empty if they are equal."""
     got, want = (a.tolist() if isinstance(a, np.ndarray) else a for a in (got, want))
     if isinstance(got, list) and isinstance(want, list):
         for i, (a, b) in enumerate(zip(got, want)):
@@ -260,7 +260,7 @@ def differences(result, state, want, *, cell_m, rooms=None, within=None, known=N
     known = (want.hits + want.misses > 0) & (True if within is None else within)
     last_known = dict(want.known_after_scan)  # by the number of steps made: the last scan made there counts
     after_step = []
-    for i in range(want.steps + 1):  # a step without a scan leaves what is known
+    for i in range(want.steps + 1):  # a step without a scan leaves the known cells
         after_step.append(last_known.get(i, after_step[-1] if after_step else at_start))
     lengths = (result.straight_at + math.sqrt(2) * result.diagonal_at) * cell_m
     along = progress_m(result, cell_m)

@@ -1,4 +1,4 @@
-"""What figures show: pixels and texts."""
+"""Contents of figures: pixels and texts."""
 
 import itertools
 

@@ -24,7 +24,7 @@ PACKED = 128  # a map with a longer side has windows to plan in
 
 
 class Fixed(NamedTuple):
-    """What one compiled program is for."""
+    """Static part of a case: one compiled program."""
 
     shape: tuple[int, int] = (64, 64)  # to which worlds are padded, cells
     policy: str = "closest"  # without rechecking, which needs no program of its own
@@ -89,7 +89,7 @@ class Case:
 
 
 class Verdict(NamedTuple):
-    """What came of a case."""
+    """Result of a case."""
 
     differences: list[str]  # empty: everything is equal
     outcome: str
@@ -281,7 +281,7 @@ def _rules(draw, fixed, cell_m, n_cells):
 
 
 def kinds_of(case, verdict):
-    """What a case is an example of, as texts."""
+    """Return the kinds of which a case is an example, as texts."""
     lidar, (height, width) = case.lidar, case.occupied.shape
     among = {
         "noise": case.fixed.noisy,
@@ -338,7 +338,7 @@ def draw_case(seed, number, fixed=MANY):
 
 
 def _restricted(draw, occupied, start):
-    """A region around the start, and what is known from the beginning, some of it wrong."""
+    """Draw a region around the start, and a partial map known before, with some errors."""
     rows, cols = np.indices(occupied.shape)
     slope, side = draw.normal(size=2), draw.uniform(2, max(occupied.shape))
     within = np.abs(slope @ np.stack([rows.ravel() - start[0], cols.ravel() - start[1]])) < side

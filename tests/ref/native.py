@@ -1,4 +1,4 @@
-"""Episodes in native code beside those of the JAX program, number by number."""
+"""Episodes in native code compared with those of the JAX program, number by number."""
 
 import dataclasses
 

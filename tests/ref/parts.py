@@ -12,11 +12,11 @@ DRIFT = {"scale": 0.05, "walk_deg": 2.0, "place_m": 0.05, "bearing_deg": 2.0, "w
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """What one robot has written of a true map."""
+    """Part of a true map written by one robot."""
 
     map: BtmMap
     true: dict[int, int]
-    """Node -> node of the true map; a start on a link is none of it."""
+    """Node -> node of the true map; a start on a link has none."""
     place: dict[int, tuple[float, float]]
     """Node -> where it truly lies."""
 

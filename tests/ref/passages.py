@@ -1,4 +1,4 @@
-"""Passages that meet: every kind of divergence, with what geometry says of it."""
+"""Passages that meet: every kind of divergence, with its geometry."""
 
 import math
 

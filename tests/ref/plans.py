@@ -66,7 +66,7 @@ def traversable(free, occupied_known, driven, row, col, clear_r2, near_r2):
 
 
 def may_step(passable, row, col, motion):
-    """Whether a step from `(row, col)` is allowed: its end passable and, if diagonal, both cells beside it too."""
+    """Return whether a step is allowed: its end passable and, if diagonal, both orthogonal neighbours."""
     dr, dc = motion
 
     def at(r, c):

@@ -6,7 +6,7 @@ from jexplore.exploration.state import Result
 
 
 def result(n=1, **fields):
-    """A `Result` of n episodes, COMPLETE, all else 0 but for what is given."""
+    """Return a `Result` of n episodes, COMPLETE, all else 0 but for the given fields."""
     zero = np.zeros(n, np.int32)
     values = dict.fromkeys(Result.__dataclass_fields__, zero)
     values |= {"outcome": zero + 1, "explorable": zero + 1, "straight_at": np.zeros((n, 4), np.int32)}

@@ -79,7 +79,7 @@ def rise(chain, height, own):
 
 
 def is_extreme(graph, d2, cell, prominence, sign):
-    """Whether a node of degree 2 is a minimum (`sign` 1) or a maximum (-1) of the clearance along its chain."""
+    """Return whether a node of degree 2 is a minimum (`sign` 1) or a maximum (-1) of the clearance along its chain."""
     if graph.degree(cell) != 2:
         return False
 
@@ -109,7 +109,7 @@ def critical_points(graph, d2, *, max_hops, prominence, max_clearance=math.inf):
 
 
 def distances(passable, starts):
-    """Lengths of the shortest paths from every start: `[len(starts), H, W]`, infinite where there is none."""
+    """Compute the shortest paths from every start: `[len(starts), H, W]`, infinite without one."""
     height, width = passable.shape
     steps = lil_matrix((passable.size, passable.size))
     for row, col in itertools.product(range(height), range(width)):
@@ -122,7 +122,7 @@ def distances(passable, starts):
 
 
 def nearest_by_path(passable, seeds):
-    """Number of the seed to which the shortest path leads, the lowest of several; -1 where there is none."""
+    """Return the seed with the shortest path, the lowest of several; -1 without one."""
     if not seeds:
         return np.full(passable.shape, -1)
     length = distances(passable, seeds)
@@ -141,7 +141,7 @@ def nearest_by_air(passable, seeds):
 
 
 def borders(label):
-    """How many pairs of cells side by side belong to each pair of labels: `{(lower, higher): n}`."""
+    """Count the pairs of adjacent cells for each pair of labels: `{(lower, higher): n}`."""
     shared = collections.Counter()
     for one, other in ((label[:, 1:], label[:, :-1]), (label[1:], label[:-1])):
         for pair in zip(one.ravel().tolist(), other.ravel().tolist()):
@@ -194,7 +194,7 @@ def walled(draw, height, width):
     free = np.zeros((height, width), bool)
     free[1:-1, 1:-1] = True
 
-    def divide(room):  # a view: what is written to it is written to the map
+    def divide(room):  # a view: writing to it writes to the map
         if room.shape[0] < room.shape[1]:
             room = room.T
         if room.shape[0] < 7 or draw.random() < 0.1:
@@ -211,7 +211,7 @@ def walled(draw, height, width):
 
 
 def same_partition(one, other):
-    """Whether two label maps divide the same cells in the same way, whatever the labels are called."""
+    """Return whether two label maps divide the same cells in the same way, whatever their labels."""
     pairs = set(zip(np.ravel(one).tolist(), np.ravel(other).tolist()))
     named = [p for p in pairs if p != (-1, -1)]
     return all(-1 not in p for p in named) and all(len({p[i] for p in named}) == len(named) for i in (0, 1))

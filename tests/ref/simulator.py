@@ -27,7 +27,7 @@ class Plan:
 
 @dataclasses.dataclass
 class Result:
-    """What came out of an episode; counts as the robot made them, metres and radians derived from them at the end."""
+    """Result of an episode; counts as the robot made them, metres and radians derived from them at the end."""
 
     outcome: str = ""  # COMPLETE, BLOCKED, STUCK, STEP_LIMIT, PLAN_LIMIT
     visited: list = dataclasses.field(default_factory=list)  # (row, col): the start, then one cell a step
@@ -45,7 +45,7 @@ class Result:
     known_after_step: list = dataclasses.field(
         default_factory=list
     )  # known cells: initial scans, then each step's scan
-    known_after_scan: list = dataclasses.field(default_factory=list)  # (steps so far, known cells), one a scan
+    known_after_scan: list = dataclasses.field(default_factory=list)  # (steps, known cells), one a scan
     explored_fraction: float = 0.0
     path_m: float = 0.0
     turning_rad: float = 0.0
@@ -68,7 +68,7 @@ def initial_scan_count(fov_deg):
 def connected(passable, start):
     """Cells connected to `start` over `passable` by straight steps.
 
-    Diagonal steps would add none: the cells beside one have to be passable too.
+    Diagonal steps would add none: their orthogonal neighbours have to be passable too.
     """
     seen = np.zeros(passable.shape, bool)
     if not passable[start]:
@@ -93,7 +93,7 @@ def goal_cells(occupied, start, clear_r2, near_r2, within=True):
 
 
 def knowable(inside, within):
-    """How many cells a perfect scanner can come to know: those inside, and the walls that it hits from there."""
+    """Count the cells that a perfect scanner can come to know: those inside, and the walls that it hits from there."""
     cells = set(map(tuple, np.argwhere(inside).tolist()))
     beside = {(r + dr, c + dc) for r, c in cells for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0))}
     return len(cells | {cell for cell in beside if within[cell]})
@@ -137,11 +137,11 @@ class Robot:
         return plans.classify(self.result.hits, self.result.misses, self.p_free)
 
     def known_count(self):
-        """Cells observed so far, walls included."""
+        """Count the observed cells, walls included."""
         return int((self.classes()[0] & self.within).sum())
 
     def live(self, target):
-        """Whether a target is still beside an unknown cell."""
+        """Return whether a target is still adjacent to an unknown cell."""
         return bool(plans.beside_unknown(self.classes()[0] | ~self.within)[target])
 
     def scan(self, heading_deg):
@@ -327,7 +327,7 @@ def simulate(
 
 
 def measure(robot, start, cell_m, rooms):
-    """Fill in what is derived from the counts."""
+    """Derive the other measures from the counts."""
     result = robot.result
     known = robot.classes()[0]
     inside = connected(~robot.occupied & robot.within, start)

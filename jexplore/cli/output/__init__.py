@@ -1,1 +1,1 @@
-"""What commands print and where they write."""
+"""Output of commands, and their folders."""

@@ -1,4 +1,4 @@
-"""What the commands have in common: lines and bars on stderr, and the folder that they write."""
+"""Common code of the commands: lines and bars on stderr, and their output folder."""
 
 import contextlib
 import datetime
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 PREPARING = "jexplore: making programs ready"
 COMPILING = "jexplore: compiling (kept for later runs)"
 under_way: "list[Out]" = []
-"""What this process writes at present."""
+"""Outputs being written by this process."""
 LONGEST = 400  # characters of a message; a name or a file may be quoted in it
 PATIENCE_S = 2.0  # work that lasts longer shows how far it is
 TICK_S = 1.0  # between two times that a clock shows
@@ -34,7 +34,7 @@ def say(line: str, status: int) -> int:
 
 
 class Progress:
-    """How much is done, how fast it goes, how long it will take, on stderr, once work has lasted two seconds.
+    """Progress, speed and remaining time on stderr, once work has lasted two seconds.
 
     A bar on a terminal; elsewhere (a log, a pipe) a line of its own, at first and then whenever another tenth is done
     or half a minute has gone by.
@@ -77,7 +77,7 @@ def _bar(total, done, unit):
 
 
 class _Lines:
-    """What a log gets in place of a bar."""
+    """Lines of a log in place of a bar."""
 
     def __init__(self, total, done, unit):
         self.total, self.n, self.unit = total, done, unit
@@ -104,7 +104,7 @@ class _Lines:
 
 
 def tell(line):
-    """A line on stderr, if there is one."""
+    """Print a line on stderr, if it is not empty."""
     if sys.stderr is not None:
         print(line, file=sys.stderr, flush=True)
 
@@ -120,7 +120,7 @@ def progress_of(total: int, unit: str) -> Iterator[Progress]:
 
 @contextlib.contextmanager
 def note(text: str) -> Iterator[Callable[[], None]]:
-    """Says on stderr what takes so long, once, if it takes long; the block gets a function that calls it off."""
+    """Name a slow step on stderr, once, if it takes long; the block gets a function that cancels the note."""
     timer = threading.Timer(PATIENCE_S, lambda: tell(text))
     timer.daemon = True
     timer.start()
@@ -132,7 +132,7 @@ def note(text: str) -> Iterator[Callable[[], None]]:
 
 @contextlib.contextmanager
 def compiling() -> Iterator[Callable[[], None]]:
-    """Says on stderr that programs are made ready, or that one is compiled, and for how long, if it takes long.
+    """Tell on stderr that programs are prepared or compiled, and for how long, if it takes long.
 
     A clock on a terminal; elsewhere a line at first and then every half a minute. The block gets a function that calls
     it off.
@@ -173,7 +173,7 @@ def _tell_time(over):
 
 @contextlib.contextmanager
 def working(total: int, unit: str) -> Iterator[Callable[[int], None]]:
-    """Progress of compiled work: what is said while it compiles, then a bar. The block gets the function to call."""
+    """Show progress of compiled work: a note while it compiles, then a bar. The block gets the function to call."""
     with progress_of(total, unit) as progress, compiling() as call_off:
 
         def on_progress(done):
@@ -184,7 +184,7 @@ def working(total: int, unit: str) -> Iterator[Callable[[int], None]]:
 
 
 class Out:
-    """Where a command writes: a folder that it has to itself from beginning to end. A context."""
+    """Output folder of a command, claimed from beginning to end. A context manager."""
 
     run: "RunFolder"
     ledger: "Ledger | None"
@@ -230,11 +230,11 @@ class Out:
 
     @property
     def is_anything_kept(self) -> bool:
-        """Whether the folder has something of an unfinished run to go on with."""
+        """Return whether the folder holds part of an unfinished run."""
         return self.ledger is not None and bool(self.ledger.done or self.ledger.parts) and self.run.unfinished.exists()
 
     def say_kept(self) -> None:
-        """Says how to go on with a run that was ended, or that nothing of it is kept."""
+        """Tell how to continue a run that was ended, or that nothing is stored."""
         if self.is_anything_kept and self.ledger is not None:
             part = " and parts of others" if self.ledger.parts else ""
             done = f"{len(self.ledger.done)} of {self.wanted} units{part}"
@@ -246,19 +246,19 @@ class Out:
     def keep(
         self, asked: Mapping[str, Any], units: int, *, wanted: int | None = None, shorter: "Shorter | None" = None
     ) -> "Ledger | None":
-        """Keeps what the run finishes on its way, or goes on with what is there.
+        """Store finished parts of the run, or continue with stored ones.
 
         Args:
           asked: all that the results depend on.
-          units: how many units the run has.
-          wanted: how many of them are made here, by default all.
-          shorter: runs of fewer episodes that this one may go on with.
+          units: number of units of the run.
+          wanted: number made here, by default all.
+          shorter: runs of fewer episodes that may be continued.
 
         Returns:
-          `Ledger`; None where the run is finished.
+          `Ledger`; None if the run is finished.
 
         Raises:
-          InputError: the folder holds a run that is asked something else.
+          InputError: the folder holds a run with other settings.
         """
         from jexplore.report.ledger import Ledger, is_finished
 
@@ -270,7 +270,7 @@ class Out:
         return self.ledger
 
     def record(self, arguments: Sequence[str], options: Any, **found: Any) -> dict[str, Any]:
-        """What run.json holds."""
+        """Return the content of run.json."""
         from jexplore.report import store
         from jexplore.studies.results import provenance
 
@@ -285,15 +285,17 @@ class Out:
         } | ({} if self.asked is None else {"asked": self.asked, "units": self.units})
 
     def write(self, writers: Mapping[str, Callable[[Path], Any]], *, is_finished: bool = True) -> str:
-        """Writes the files, all or none. Returns a line that says where; said last, so that a reader of the output who
-        goes away costs no results.
+        """Write the files, all or none, and return a line that says where.
+
+        The line is printed last, so that a reader of the output who goes away costs no results.
         """
         folder = self.run.write(writers, is_finished=is_finished)
         return f"wrote {', '.join(writers)} to {os.fspath(folder)}{os.sep}"
 
     def draw(self, writers: Mapping[str, Callable[[Path], Any]]) -> list[str]:
-        """Adds pictures to what is written. One that fails costs a warning, an interruption those that are left.
-        Returns the names of those written.
+        """Add pictures to the output; return the names of those written.
+
+        A failing one costs a warning; an interruption skips the rest.
         """
         drawn = []
         for name, write in writers.items():
@@ -308,11 +310,11 @@ class Out:
         return drawn
 
     def there(self, names: Iterable[str]) -> list[Path]:
-        """Those of some files that the folder has."""
+        """Return those of some files that the folder has."""
         return [self.run.path / name for name in names if (self.run.path / name).is_file()]
 
     def draw_missing(self, writers: Mapping[str, Callable[[Path], Any]]) -> None:
-        """Adds the pictures that a finished run does not have, and says so."""
+        """Add the pictures that a finished run lacks, and tell so."""
         have = {file.name for file in self.there(writers)}
         drawn = self.draw({name: write for name, write in writers.items() if name not in have})
         what = f"drew {', '.join(drawn)}" if drawn else "nothing was left to do"

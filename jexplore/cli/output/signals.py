@@ -1,13 +1,13 @@
-"""How a command ends that is told to, also where Python cannot call the handler of a signal: while a program compiles.
+"""End of a command on a signal, also while a program compiles and Python cannot call the handler.
 
 A handler runs in the main thread, and only between two steps of Python. A program that is being compiled keeps that
-thread in C++ for minutes, or keeps it waiting for threads that are. So a thread of its own hears of every signal:
+thread in C++ for minutes, or keeps it waiting for threads that are. So a separate thread receives every signal:
 
-- Ctrl-C (SIGINT) is answered at once. What is under way comes to its end, and what was finished is written; a second
-  one ends the process there and then.
+- Ctrl-C (SIGINT) is answered at once. Work in progress comes to its end, and finished work is written; a second one
+  ends the process immediately.
 - SIGTERM, as from a batch system, and SIGHUP, of a lost connection, end the process within two seconds.
 
-What is kept of a run on its way is whole at every moment, so that a process may end at any.
+The stored part of a run is consistent at every moment, so that a process may end at any.
 """
 
 import contextlib
@@ -39,7 +39,7 @@ class Signals:
         self._over = threading.Event()
 
     def listen(self) -> None:
-        """Begins. What this process shares among its threads must be settled before."""
+        """Begin to listen. State shared among this process's threads must be settled before."""
         for name in ("SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # not under nohup
@@ -51,7 +51,7 @@ class Signals:
         threading.Thread(target=self._hear, args=(ears,), daemon=True).start()
 
     def end(self) -> None:
-        """Says no more: the command is over."""
+        """Stop answering: the command is over."""
         self._over.set()
 
     def _handle(self, number, frame):
@@ -59,8 +59,9 @@ class Signals:
         raise KeyboardInterrupt
 
     def _repeat(self, unraisable):
-        """Python drops what is raised where nobody can catch it, as in the function that jax has called after every
-        garbage collection: an interruption that falls there comes once more, a little later.
+        """Raise an interruption again, a little later, that Python dropped.
+
+        Python drops exceptions that nobody can catch, as in the function that jax calls after every garbage collection.
         """
         if unraisable.exc_type is KeyboardInterrupt:
             self._dropped += 1
@@ -92,7 +93,7 @@ class Signals:
             tell("jexplore: interrupted: what is under way comes to its end first; Ctrl-C once more ends at once")
 
     def _quit(self, number):
-        """Ends the process, wherever its main thread is."""
+        """End the process, wherever its main thread is."""
         words = threading.Thread(target=_last_words, args=(number,), daemon=True)
         words.start()
         words.join(LAST_S)

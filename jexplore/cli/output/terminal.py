@@ -1,4 +1,4 @@
-"""What commands print: on a terminal tables that fit its width, in pipes and files the Markdown itself."""
+"""Printed output of commands: on a terminal tables that fit its width, in pipes and files the Markdown itself."""
 
 import contextlib
 import re
@@ -25,12 +25,12 @@ def show_table(
     left: Collection[str] | None = None,
     file: TextIO | None = None,
 ) -> None:
-    """Prints tables as a reader can use them.
+    """Print tables in readable form.
 
-    Where nobody looks (a pipe, a file) this is `print` of the Markdown. On a terminal every table of it is drawn to fit
-    the width: headings fold first, then columns of text, never numbers, and a first cell that is that of the row above
-    is left blank; what then is still too wide is cut into parts below each other, which all begin with the first
-    column, or two if these are text. `COLUMNS` and `NO_COLOR` count.
+    In a pipe or a file this is `print` of the Markdown. On a terminal every table is drawn to fit the width: headings
+    fold first, then columns of text, never numbers, and a first cell that repeats the row above is left blank; a table
+    that is still too wide is cut into parts below each other, which all begin with the first column, or two if these
+    are text. `COLUMNS` and `NO_COLOR` count.
 
     Args:
       table: Markdown text, which may hold other lines between its tables; or a data frame; or, with `rows`, headings.
@@ -62,10 +62,10 @@ def show_table(
 
 
 def show_line(text: str, indent: int = 0) -> None:
-    """Prints a line; on a terminal that is narrower it goes on below, so far to the right.
+    """Print a line; on a narrower terminal it continues below, indented.
 
-    Characters that steer a terminal, line ends among them, and halves of characters become U+FFFD: text may be that of
-    somebody else's file.
+    Characters that steer a terminal, line ends among them, and halves of characters become U+FFFD: text may come from
+    an untrusted file.
     """
     text = _STEERING.sub("\ufffd", text)
     if sys.stdout is not None and sys.stdout.isatty():
@@ -76,7 +76,7 @@ def show_line(text: str, indent: int = 0) -> None:
 
 @contextlib.contextmanager
 def plain_warnings() -> Iterator[None]:
-    """Within the block a warning about what a user gave is one line on stderr, and said once."""
+    """Print warnings about input within the block as one line each on stderr, and only once."""
     default, said = warnings.showwarning, set()
 
     def show(message, category, filename, lineno, file=None, line=None):
@@ -110,7 +110,7 @@ def _cell(value):
 
 
 def _parts(text) -> Iterator[Any]:
-    """Lines of Markdown, and its tables as `(rows of cells, the headings first; whether columns go to the left)`."""
+    """Yield lines of Markdown, and its tables: `(rows of cells, headings first; whether columns go to the left)`."""
     lines = text.split("\n")
     i = 0
     while i < len(lines):
@@ -132,7 +132,7 @@ def _cells(line):
 
 
 def _blocks(rows, is_left, width):
-    """The parts of a table below each other, each no wider than `width`: `(rows, is_left, widths)`."""
+    """Yield the parts of a table below each other, each no wider than `width`: `(rows, is_left, widths)`."""
     from rich.cells import cell_len
 
     texts = list(zip(*rows))
@@ -157,7 +157,7 @@ def _blocks(rows, is_left, width):
 
 
 def _cut(least, keys, width):
-    """The columns of each part: the first `keys` of the table and as many others as fit, at least one."""
+    """Divide columns into parts: the first `keys` of the table and as many others as fit, at least one."""
     parts = []
     rest = list(range(keys, len(least))) or [0]
     while rest:
@@ -171,7 +171,7 @@ def _cut(least, keys, width):
 
 
 def _once(rows):
-    """The same rows, the first cell left blank where it is that of the row above."""
+    """Yield the same rows, the first cell left blank if it equals that of the row above."""
     before = None
     for row in rows:
         yield ["" if row[0] == before else row[0], *row[1:]]
@@ -179,8 +179,9 @@ def _once(rows):
 
 
 def _shared(least, full, width):
-    """Widths of columns: what they need (less, where even that is too wide). What is left goes to texts that would then
-    not have to be folded, and to the narrowest columns.
+    """Distribute the width over columns: their full width if possible.
+
+    The rest goes to texts that would then not have to be folded, and to the narrowest columns.
     """
     widths = list(least)
     while sum(widths) > max(width, len(widths)):
@@ -197,7 +198,7 @@ def _shared(least, full, width):
 
 
 def _fold(text, width):
-    """A text as lines of at most so many columns: cut behind spaces and separators, where there are none anywhere."""
+    """Fold a text into lines of at most `width` columns: cut after spaces and separators, or anywhere without them."""
     from rich.cells import cell_len, chop_cells
 
     lines = [""]
@@ -210,7 +211,7 @@ def _fold(text, width):
 
 
 def _drawn(rows, is_left, widths):
-    """A table of rich, folded already."""
+    """Make a table of rich, folded already."""
     from rich import box
     from rich.table import Table
     from rich.text import Text

@@ -21,12 +21,12 @@ TRACED = "btm"  # what every run calls its map
 
 
 def names_of(command: str, paths: Sequence[str], given: Sequence[str] = ()) -> list[str]:
-    """What maps are called: as is given, else each by its own file alone, however its path is typed.
+    """Return names of maps: the given ones, else each by its own file alone, however its path is typed.
 
-    That is the file without suffix, or its folder where the file is `btm.json`.
+    This is the file without suffix, or its folder if the file is `btm.json`.
 
     Raises:
-      InputError: not a name for every map, or one for two.
+      InputError: a map without a name, or a name used twice.
     """
     if given and len(given) != len(paths):
         raise InputError(f"{command}: --names: expected a name for each of {len(paths)} maps, got {len(given)}")
@@ -44,7 +44,7 @@ def _name(path):
 
 @contextlib.contextmanager
 def comparing(count: int) -> Iterator[Callable[[int], None]]:
-    """Progress of merging so many maps. The block gets the function to call."""
+    """Show progress of merging a number of maps. The block gets the function to call."""
     with progress_of((count - 1) ** 2, "pairs of maps") as progress, note("jexplore: comparing maps") as call_off:
         progress.update(0)
 
@@ -67,10 +67,10 @@ def require_once(command: str, paths: Sequence[str]) -> None:
 
 
 def file_out(out: str, maps: Sequence[str], *, overwrite: bool) -> Path:
-    """Where to write one file, checked before anything is read.
+    """Check the path of an output file before anything is read.
 
     Raises:
-      InputError: it is one of the maps, a folder, there already, or in no folder.
+      InputError: it is an input map or a folder, exists already, or its folder does not exist.
     """
     path = Path(out).expanduser()
     if any(_are_one(one, path) for one in maps):

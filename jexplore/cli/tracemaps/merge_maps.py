@@ -26,11 +26,11 @@ class MergeMaps:
     maps: tyro.conf.Positional[Files] = ()
     """Files of the maps, such as btm.json. The result lies in the frame of the first."""
     names: Names = ()
-    """Call the maps so in what is written; by default by their files, btm.json by its folder."""
+    """Names of the maps in the output; by default those of their files, btm.json by its folder."""
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Write the map into this file; by default it is not written."""
     overwrite: bool = False
-    """Replace the file, if there is one."""
+    """Replace an existing file."""
     partial: bool = False
     """Write the map that most maps are in even if some do not fit; nothing where no two fit."""
     min_common: int = 3
@@ -38,7 +38,7 @@ class MergeMaps:
     limits: Limits = dataclasses.field(default_factory=Limits)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.report import store
         from jexplore.tracemap import json_form
         from jexplore.tracemap.merging.merge import merge_maps

@@ -54,7 +54,7 @@ class Route:
     """Replace the run that the folder holds."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         for name, given in (("--map", self.map), ("--to", self.to)):
             if given is None:
                 raise InputError(f"expected {name}: jexplore route --map btm.json --robot wheeled --from 0 --to 4")
@@ -83,7 +83,7 @@ class Route:
             return status
 
     def _require_drive(self):
-        """Refuses a building or numbers before anything is printed."""
+        """Refuse a building or numbers before anything is printed."""
         from jexplore.config import MAX_SEED, require_whole
         from jexplore.driving.settings import Noise, require_noise
         from jexplore.studies.checks import ready_worlds
@@ -104,7 +104,7 @@ class Route:
             )
 
     def _followed(self, btm, route) -> tuple[int, Any]:
-        """Drives the route, where that is asked; the exit status, and the map with what was found."""
+        """Drive the route, if requested; return the exit status, and the map with the findings."""
         if self.drive is None:
             return 0, btm
         if not route.links:
@@ -124,7 +124,7 @@ class Route:
 
 
 def _tell(btm, route) -> int:
-    """Prints a route, or why there is none; the exit status."""
+    """Print a route, or the reason for having none; return the exit status."""
     from jexplore.report import trace_tables
 
     if route.is_found:
@@ -138,7 +138,7 @@ def _tell(btm, route) -> int:
 
 
 def _write(out, options, arguments, btm, route, changed):
-    """Writes what was found; the names of the files."""
+    """Write the findings; return the names of the files."""
     from jexplore.report import store
 
     record = out.record(arguments, options, map=btm.attributes)
@@ -158,7 +158,7 @@ def _write(out, options, arguments, btm, route, changed):
 
 
 def _draw(btm, route, path):
-    """The picture of the map with the route."""
+    """Draw the map with the route."""
     import numpy as np
 
     from jexplore.report import plot, plot_traces

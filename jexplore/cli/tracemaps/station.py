@@ -15,8 +15,8 @@ from jexplore.config import InputError
 class Station:
     """Make one web page of robots' Behavioral Trace Maps, for an operator: drawn, with routes for any robot.
 
-    Several maps are merged as by `jexplore merge-maps`; those that do not fit stand beside the global map. The page
-    works without a network.
+    Several maps are merged as by `jexplore merge-maps`; the others are shown next to the global map. The page works
+    without a network.
     """
 
     maps: tyro.conf.Positional[Files] = ()
@@ -26,10 +26,10 @@ class Station:
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Write the page into this file, such as page.html."""
     overwrite: bool = False
-    """Replace the file, if there is one."""
+    """Replace an existing file."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.report import store
         from jexplore.studies.traces.station import page_of, panels_of
         from jexplore.tracemap import json_form

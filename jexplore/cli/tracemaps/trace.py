@@ -33,7 +33,7 @@ class Trace:
     robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")] = "kamui"
     """Drive this robot: kamui (a crawler) or wheeled; with other measures kamui:width_m=0.6,max_slope_deg=8."""
     runs: int | None = None
-    """Make so many runs, of every setting if some are swept; by default one a start."""
+    """Number of runs, of every setting if some are swept; by default one a start."""
     starts: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
     """Begin run i at draw i modulo N of the seed; by default all runs begin at one place."""
     noise_m: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="")] = None
@@ -42,7 +42,7 @@ class Trace:
     """Vary these thresholds, all in one batch: votes=1,3,5 (a list), circle=1.1:2.0 (a range), noise.range_m=0,0.03.
     Lists make every combination; with a range, --settings are drawn by Latin hypercube."""
     settings: int = 100
-    """Draw so many settings of a sweep over ranges."""
+    """Number of settings drawn in a sweep over ranges."""
     start: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y DEG", help_behavior_hint="")] = None
     """Start here, in metres and degrees (default: the world's own start)."""
     seed: int = 0
@@ -57,11 +57,11 @@ class Trace:
     cell_m: float = 0.1
     """Make the edge of a cell this long, in metres."""
     max_steps: int | None = None
-    """End a run as STEP_LIMIT after so many steps of 0.1 s; by default 6000, more in a large building."""
+    """End a run as STEP_LIMIT after this many steps of 0.1 s; by default 6000, more in a large building."""
     nodes: int | None = None
-    """Give the map room for so many nodes; by default 32 for a course with a goal, else more than the true map has."""
+    """Most nodes of the map; by default 32 for a course with a goal, else more than the true map has."""
     links: int | None = None
-    """Give the map room for so many links; by default two a node."""
+    """Most links of the map; by default two a node."""
     attribute: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE@X,Y [...]", help_behavior_hint="")] = ()
     """Give the node that is nearest to a place in the building, in metres, an attribute: victim=true@12.5,4,
     radio_dbm=-61@3,8."""
@@ -82,17 +82,17 @@ class Trace:
     overwrite: bool = False
     """Replace the run that the folder holds."""
     resume: bool = False
-    """Go on with the run that the folder holds, if there is one: what is finished is not computed again."""
+    """Continue the run in the folder, if any: finished runs are not computed again."""
     tuning: Tuning = dataclasses.field(default_factory=Tuning)
     noise: Noise = dataclasses.field(default_factory=Noise)
 
     @property
     def is_one_run(self) -> bool:
-        """Whether one worker does it all."""
+        """Return whether one worker does everything."""
         return not self.sweep and self.runs in (None, 1) and self.starts in (None, 1)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.studies.traces import tracing
         from jexplore.studies.traces.job import prepare_trace
 
@@ -161,7 +161,7 @@ class Trace:
 
 
 def _write_view(found, path):
-    """The operator's page of run 0."""
+    """Write the operator's page of run 0."""
     import numpy as np
 
     from jexplore.report import operator_view
@@ -183,7 +183,7 @@ def _write_view(found, path):
 
 
 def _draw(found, first, path):
-    """The picture of a `Traced`, with the map of run 0 as it is written."""
+    """Draw a `Traced`, with the map of run 0 as it is written."""
     from jexplore.report import plot, plot_traces
     from jexplore.studies.traces import recording
 
@@ -202,7 +202,7 @@ def _draw(found, first, path):
 
 
 def _exchanged(found):
-    """Files of a Behavioral Trace Map for other programs: `{name: writer}`."""
+    """Return the files of a trace map for other programs: `{name: writer}`."""
     from jexplore.report import store
     from jexplore.tracemap import export, json_form
 
@@ -232,7 +232,7 @@ def _finish_trace(out, record, files, text, pictures, interrupted=False):
 
 
 def _trace_episode(out, options, arguments):
-    """A map from what an exploration episode has seen."""
+    """Extract a map from the grid of an exploration episode."""
     from jexplore.report import plot, trace_tables
     from jexplore.studies.traces import extraction
 

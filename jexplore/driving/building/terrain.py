@@ -1,4 +1,4 @@
-"""Ground with height: what a robot stands on, how it leans, and what a scanner that looks down sees of it."""
+"""Ground with height: attitude of a robot on it, and ranges of a downward scanner."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +22,7 @@ class Terrain:
 
 
 def terrain_of(elevation: np.ndarray | None, cell_m: float) -> Terrain:
-    """Makes heights of cells finer: slopes stay even, steps stay steep.
+    """Make heights of cells finer: slopes stay even, steps stay steep.
 
     Args:
       elevation: `[H, W]` float32, height at cell centres, metres; None: level. Host.
@@ -41,12 +41,12 @@ def terrain_of(elevation: np.ndarray | None, cell_m: float) -> Terrain:
 
 
 def is_level(terrain: Terrain) -> bool:
-    """Whether the ground is level everywhere, known before compiling: what lies on it then costs nothing."""
+    """Return whether the ground is level everywhere; known before compiling, so that level ground costs nothing."""
     return terrain.height_m.shape[-2:] == (2, 2)
 
 
 def _finer(height):
-    """Interpolates along columns; a difference that neither neighbour continues is a step, which stays at the edge."""
+    """Interpolate along columns; a difference that neither neighbour continues is a step, which stays at the edge."""
     rows, cols = height.shape
     rise = np.diff(height, axis=1, prepend=height[:, :1], append=height[:, -1:])  # [rows, cols + 1]: before and after
     before, after = rise[:, :-1], rise[:, 1:]
@@ -66,7 +66,7 @@ def _finer(height):
 
 
 def height_at(terrain: Terrain, x_m: Array | float, y_m: Array | float) -> Array:
-    """Height of the ground at points, metres: `[...]` float32; beyond the edge that of the edge."""
+    """Return the height of the ground at points, metres: `[...]` float32; beyond the edge that of the edge."""
     rows, cols = terrain.height_m.shape
     u = jnp.clip(x_m / terrain.spacing_m - 0.5, 0, cols - 1)
     v = jnp.clip(y_m / terrain.spacing_m - 0.5, 0, rows - 1)
@@ -87,7 +87,7 @@ def attitude(
     width_m: Array | float,
     backwards: Array | bool = False,
 ) -> tuple[Array, Array, Array, Array]:
-    """How a robot on two rigid tracks stands.
+    """Compute the attitude of a robot on two rigid tracks.
 
     Each track rests on the two points of the ground, one before and one behind its middle, that carry it highest.
 
@@ -95,7 +95,7 @@ def attitude(
       terrain: `Terrain`.
       pose: `(x_m, y_m, heading_rad)`.
       length_m, width_m: of the robot.
-      backwards: bool, whether it drives so.
+      backwards: bool, driving backwards.
 
     Returns:
       `(pitch_rad, roll_rad, height_m, rise_m)`: pitch is positive nose down and roll positive with the left side up
@@ -128,14 +128,14 @@ def look_at(
     most_m: float = MAX_DOWN_M,
     march_m: float = MARCH_M,
 ) -> Array:
-    """Ranges of beams to the ground.
+    """Compute ranges of beams to the ground.
 
     Args:
       terrain: `Terrain`.
       origin: `(x_m, y_m, z_m)`, float scalars.
       direction: `[D, 3]` float32, unit vectors.
       most_m: range, metres. Static.
-      march_m: ground that rises above a beam for less of it than this may be missed. Static.
+      march_m: ground above a beam over a shorter length than this may be missed. Static.
 
     Returns:
       `[D]` float32, metres; inf beyond the range.
@@ -167,7 +167,7 @@ def look_at(
 
 
 def turned(direction: Array, pitch_rad: Array | float, roll_rad: Array | float, heading_rad: Array | float) -> Array:
-    """Directions in the robot's frame (x forward, y left, z up) in that of the world: `[D, 3]` to `[D, 3]`."""
+    """Turn directions in the robot's frame (x forward, y left, z up) to the world's: `[D, 3]` to `[D, 3]`."""
     cos_p, sin_p = jnp.cos(pitch_rad), jnp.sin(pitch_rad)
     cos_r, sin_r = jnp.cos(roll_rad), jnp.sin(roll_rad)
     cos_h, sin_h = jnp.cos(heading_rad), jnp.sin(heading_rad)

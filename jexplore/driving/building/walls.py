@@ -1,8 +1,7 @@
 """Walls as straight segments: exact ranges of beams from any pose, without tracing cells.
 
-The walls of an occupancy array all run along the axes. A beam meets such a segment in a few operations, and a building
-of passages has some dozens of them: a scan is one small dense computation, on a CPU as on a GPU. Its ranges are those
-of a traversal of every cell of every beam.
+The walls of an occupancy array all run along the axes. A building of passages has some dozens of segments: a scan means
+one small dense computation, on a CPU as on a GPU. Ranges equal those of a traversal of every cell along every beam.
 """
 
 import jax.numpy as jnp
@@ -23,7 +22,7 @@ class Walls:
 
 
 def _faces(occupied):
-    """Faces between free and occupied cells along columns: (column edge, first row, last row + 1), in cells."""
+    """Return faces between free and occupied cells along columns: (column edge, first row, last row + 1), in cells."""
     face = np.diff(occupied.astype(np.int8), axis=1) != 0  # [H, W - 1], between col and col + 1
     lower = np.diff(np.pad(face, ((1, 0), (0, 0))).astype(np.int8), axis=0) == 1
     upper = np.diff(np.pad(face, ((0, 1), (0, 0))).astype(np.int8), axis=0) == -1
@@ -33,7 +32,7 @@ def _faces(occupied):
 
 
 def walls_of(occupied: np.ndarray, cell_m: float, *, multiple: int = 32) -> Walls:
-    """The walls of an occupancy array.
+    """Extract the walls of an occupancy array.
 
     Args:
       occupied: `[H, W]` bool, host; its outermost cells are occupied.
@@ -55,7 +54,7 @@ def walls_of(occupied: np.ndarray, cell_m: float, *, multiple: int = 32) -> Wall
 
 
 def segments(walls: Walls) -> np.ndarray:
-    """The segments as `[S, 4]` float32, x0, y0, x1, y1, metres; unused slots left out. Host."""
+    """Return the segments as `[S, 4]` float32, x0, y0, x1, y1, metres; unused slots left out. Host."""
     x, y = (np.asarray(a) for a in (walls.x, walls.y))
     x, y = x[x[:, 0] < FAR_M], y[y[:, 0] < FAR_M]
     return np.concatenate([x[:, [0, 1, 0, 2]], y[:, [1, 0, 2, 0]]])
@@ -67,7 +66,7 @@ def cast(
     angles_rad: Array | np.ndarray,
     max_range_m: Array | float,
 ) -> Array:
-    """Ranges of beams to the nearest wall.
+    """Compute ranges of beams to the nearest wall.
 
     Args:
       walls: `Walls`.
@@ -86,7 +85,7 @@ def cast(
 def cast_along(
     walls: Walls, x: Array | float, y: Array | float, dx: Array, dy: Array, max_range_m: Array | float
 ) -> Array:
-    """`cast` of beams whose directions are unit vectors: `dx`, `dy`, `[B]` float32; `x`, `y`: their origin, metres."""
+    """Compute `cast` for beams with unit vectors `dx`, `dy`, `[B]` float32, and their origin `x`, `y`, metres."""
     along_x = _nearest(walls.x, x, y, dx, dy)
     along_y = _nearest(walls.y, y, x, dy, dx)
     # Distances are not negative: their bits, as integers, are in the same order, and integers reduce fast on a CPU.
@@ -95,7 +94,7 @@ def cast_along(
 
 
 def _nearest(lines, a, b, da, db):
-    """Bits of the distance to the nearest of the segments at a constant first coordinate: `[B]` int32."""
+    """Return the bits of the distance to the nearest of the segments at a constant first coordinate: `[B]` int32."""
     per = 1 / jnp.where(jnp.abs(da) < 1e-7, jnp.where(da < 0, -1e-7, 1e-7), da)
     distance = (lines[:, 0] - a) * per[:, None]
     meets = b + distance * db[:, None]
@@ -110,7 +109,7 @@ def meets(
     length_m: Array | float,
     width_m: Array | float,
 ) -> Array:
-    """Whether a rectangle meets a wall.
+    """Return whether a rectangle meets a wall.
 
     Args:
       walls: `Walls`.
@@ -118,7 +117,7 @@ def meets(
       length_m, width_m: along the heading and across.
 
     Returns:
-      bool: whether a segment has a point inside; on its sides either may be said.
+      bool: a segment has a point inside the rectangle; a point exactly on a side gives either answer.
 
     Source:
       Liang and Barsky, A new concept and method for line clipping (1984).

@@ -21,24 +21,24 @@ from jexplore.driving.sensing.openings import Openings
 from jexplore.driving.vehicle import to_odometry
 
 WAYS = 8  # most of a place
-OTHERS = 4  # places that are not on the route: so many of the nearest to every one that is
-AHEAD = 4  # so many of the next places may be the one at which the robot is
-SURE = 0.1, 1.0  # a place lies where the map has it within this share of the way, and so many metres
-NEAR = 0.2, 1.5  # and within these where it has the very ways that the map has
+OTHERS = 4  # number of nearest places off the route kept for each place on it
+AHEAD = 4  # number of next places that may match the robot's place
+SURE = 0.1, 1.0  # a match lies within this share of the way plus this many metres of its mapped position
+NEAR = 0.2, 1.5  # within these if its exits are exactly those of the map
 THERE_M = 0.7  # one that is so near is it, if only the way on is there
 HERE_M = 0.4  # and one that is as near as this is it, whatever is seen there: the robot steers on
 ALIKE_RAD = math.radians(40)  # ways that lie no farther apart are one
-MISFIT_M = 0.3  # a way less or more makes a place seem so much farther from where the map has it
-BACK_RAD = math.radians(120)  # a way on that bears farther from where it should is none
+MISFIT_M = 0.3  # m; a missing or additional exit adds this to the distance from the mapped position
+BACK_RAD = math.radians(120)  # an exit that bears farther from the expected direction does not count
 TOWARD_M = 1.5  # at a place that the map does not have, the robot turns to the next if that is farther than this
 HEADING_SHARE = 0.5  # of what the ways of a place say of the heading, by their median
 MOST_RAD = math.radians(10)  # and no more than this: the middle of one seen elsewhere turns its ways
 ANCHOR = 0.3  # of what a place says of where the map lies: it may be another, and its middle is seen differently
-OTHER = 0.5  # a place is none of the route if another of the map lies nearer than this share
-OPEN_M = 2.0  # a way is there, though it is no opening, if a strip from the place's middle is free so far
+OTHER = 0.5  # a place is not on the route if another of the map lies nearer than this share
+OPEN_M = 2.0  # m; without an opening, an exit exists if a strip from the place's middle is free this far
 STRIP_M = 0.6  # so wide
-STRAIGHT, FAR_M = 1.15, 2.0  # a way so much longer than its ends are apart, if those are so far, is straight
-ASIDE_M = 0.0, -0.2, 0.2, -0.4, 0.4  # or so far beside the middle
+STRAIGHT, FAR_M = 1.15, 2.0  # least ratio of length and distance of ends, m, of a way that is not straight
+ASIDE_M = 0.0, -0.2, 0.2, -0.4, 0.4  # m; offsets of the strip from the middle
 
 
 class Onward(NamedTuple):
@@ -68,7 +68,7 @@ class Guide:
     seen: Array  # [K, WAYS] float32, radians, bearings of the ways that were found; NaN: none
     missed: Array  # int32, places that were not found
     extra: Array  # int32, places that the map does not have
-    strays: Array  # bool, the last place was such a one
+    strays: Array  # bool, the last place was not on the route
     arrived: Array  # bool
     lost: Array  # bool, it is where the map does not help it on
     blocked: Array  # bool, because it cannot pass what lies before it
@@ -90,7 +90,7 @@ def guide_of(
     start_m: float,
     size: int,
 ) -> Guide:
-    """A `Guide` of numpy arrays for a robot before its first step.
+    """Make a `Guide` of numpy arrays for a robot before its first step.
 
     Args:
       out, ways, leg, length_m: of every place, see `Guide`.
@@ -142,19 +142,19 @@ def at_place(
     when: Array | bool,
     reach_m: Callable[[Array, Array], Array],
 ) -> tuple[Guide, Onward]:
-    """Takes a place for one of the next of the route, or for one that the map does not have.
+    """Match a place to one of the next places of the route, or to none of the map.
 
     Args:
       guide: `Guide`.
       odometer_m: float32, at the place.
       centre: `[2]` float32, of the place, odometry.
-      found: `Openings` of it.
-      when: bool, whether the robot is at a place at all.
-      reach_m: how far a strip `STRIP_M` wide is free from a point in a direction, odometry, radians: metres.
+      found: its `Openings`.
+      when: bool, the robot is at a place.
+      reach_m: free length of a strip `STRIP_M` wide from a point in a direction, odometry, radians: metres.
 
     Returns:
-      `(guide, onward)`: `Onward`: the map's; at a place that the map does not have, towards the next one that it has;
-        where the route ends, towards its end.
+      `(guide, onward)`: `Onward`: the map's; at a place missing in the map, towards the next mapped one; at the end of
+        the route, towards that.
     """
     size = guide.out.shape[0]
     seen = jnp.where(found.valid, found.bearing + guide.turned, jnp.nan)
@@ -189,7 +189,7 @@ def at_place(
 
 
 def _toward(guide, centre):
-    """How the next place, or the end, bears from a point, radians; the one after, where that is near."""
+    """Return the bearing of the next place, or of the end, from a point, radians; if that is near, of the one after."""
     n, stops = guide.out.shape[0], guide.at + jnp.arange(2)
     leg = jnp.where((stops == guide.count)[:, None], guide.end_leg, guide.leg[jnp.minimum(stops, n - 1)])
     leg = jnp.where((stops > guide.count)[:, None], 0.0, leg)
@@ -199,13 +199,13 @@ def _toward(guide, centre):
 
 
 class _NextOnes(NamedTuple):
-    """How a place is like the next ones of the route."""
+    """Similarity of a place to the next places of the route."""
 
     place: Array  # [AHEAD] int32
     expected: Array  # [AHEAD, 2] float32, odometry
     off_m: Array  # [AHEAD] float32
     fits: Array  # [AHEAD] bool, it may be that one
-    is_like: Array  # [AHEAD] bool, as what is seen there says, not only because the map has it there
+    is_like: Array  # [AHEAD] bool, by the observed exits, not by the mapped position alone
     last: Array  # [AHEAD] bool, the route ends there
     off_ways: Array  # [AHEAD, WAYS, V] float32, radians, how ways lie off openings; NaN: another one
     begins: Array  # [AHEAD, 2] float32, odometry, from where the way on is free
@@ -215,7 +215,7 @@ class _NextOnes(NamedTuple):
 
 
 def _next_ones(guide, centre, found, seen, reach_m):
-    """`_NextOnes`; `seen` are bearings of the openings, the map's."""
+    """Compute `_NextOnes`; `seen` are the mapped bearings of the openings."""
     place, size = guide.at + jnp.arange(AHEAD), guide.out.shape[0]
     at = jnp.minimum(place, size - 1)
     length_m, expected = jnp.cumsum(guide.length_m[at]), _expected(guide, at)
@@ -243,9 +243,7 @@ def _next_ones(guide, centre, found, seen, reach_m):
 
 
 def _leads_on(guide, places, expected, centre):
-    """How far the one after each of some places lies, metres, and how it bears from where the robot is, the map's, if
-    the way there is straight; NaN: it is not.
-    """
+    """Return distance, metres, and mapped bearing of each place's successor; NaN: the way there is not straight."""
     n, after = guide.out.shape[0], places + 1
     is_place = after < guide.count
     leg = jnp.where(is_place[:, None], guide.leg[jnp.minimum(after, n - 1)], guide.end_leg)
@@ -256,8 +254,10 @@ def _leads_on(guide, places, expected, centre):
 
 
 def _strip(reach_m, places, bearings):
-    """The longest strip in a direction from each of some places or from beside them: `(where it begins, how long)`:
-    `[A, 2]`, `[A]`, metres.
+    """Find the longest free strip in a direction from each place or from points next to it.
+
+    Returns:
+      `(start, length)`: `[A, 2]`, `[A]`, metres.
     """
     across = jnp.stack([-jnp.sin(bearings), jnp.cos(bearings)], axis=1)
     begins = places[:, None] + jnp.asarray(ASIDE_M)[:, None] * across[:, None]  # [A, S, 2]
@@ -268,23 +268,26 @@ def _strip(reach_m, places, bearings):
 
 
 def is_next(guide: Guide, centre: Array) -> Array:
-    """Whether the map has the next place of the route at a point, `[2]`, odometry: bool."""
+    """Return whether the map has the next place of the route at a point, `[2]`, odometry: bool."""
     return (guide.at < guide.count) & (jnp.hypot(*(next_of(guide)[0] - centre)) < THERE_M)
 
 
 def _expected(guide, places):
-    """Where the next places lie, odometry: `[A, 2]`."""
+    """Return the expected positions of the next places, odometry: `[A, 2]`."""
     return guide.from_xy + _turned(guide)(jnp.cumsum(guide.leg[places], axis=0))
 
 
 def _turned(guide):
-    """The function that turns a way on the map as the odometry has it."""
+    """Return the function that turns a way on the map into the odometry frame."""
     return to_odometry(jnp.stack([0.0, 0.0, -guide.turned]))
 
 
 def next_of(guide: Guide) -> tuple[Array, Array, Array, Array]:
-    """What lies ahead: `(place, leg_m, length_m, is_end)`: `[2]` float32, odometry, of the next place or the end;
-    float32, metres, to there in a straight line, and by the map; whether it is the end.
+    """Return the next place of the route, or its end.
+
+    Returns:
+      `(place, leg_m, length_m, is_end)`: `[2]` float32, odometry; float32, metres, to it in a straight line, and along
+        the map; bool, it is the end.
     """
     left, at = guide.count - guide.at, jnp.minimum(guide.at, guide.out.shape[0] - 1)
     leg = jnp.where(left > 0, guide.leg[at], guide.end_leg)

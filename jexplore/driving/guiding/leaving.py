@@ -17,7 +17,7 @@ from jexplore.driving.vehicle import to_odometry
 
 
 class Left(NamedTuple):
-    """How a robot leaves a place."""
+    """Direction and link by which a robot leaves a place."""
 
     guide: Guide | None
     map: Btm
@@ -27,12 +27,12 @@ class Left(NamedTuple):
 
 
 def passes_by(writer: Writer, centre: Array, passes: Array) -> Array:
-    """Whether a robot passes a place, `[2]`, odometry, that looks like none: not where its route has the next one."""
+    """Return whether a robot rejects a candidate, `[2]`, odometry: never where its route has the next place."""
     return passes if writer.guide is None else passes & ~is_next(writer.guide, centre)
 
 
 def corrected(guide: Guide, centre: Array, correction: Array) -> Guide:
-    """A guide once the odometry has been put right.
+    """Apply a correction of the odometry to a guide.
 
     Args:
       guide: `Guide`.
@@ -54,27 +54,26 @@ def left_by(
     usual: tuple[Array, Array],
     turned: tuple[Array, Array],
 ) -> Left:
-    """Where a robot that follows a route goes on instead.
+    """Choose where a robot that follows a route goes on.
 
-    Where no link leads there, there is a new one if the way is open or free; else, if none leads that way at all, the
-    robot steers for what comes next.
+    If no link leads there, a new one is made if the way is open or free; if no exit at all leads that way, the robot
+    steers for the next place.
 
     Args:
       map_: `Btm` with the node.
       writer, event: `Writer` before it; `nodes.Event`.
       node: int32.
-      found: `Openings` of it, as the map's node has them.
+      found: its `Openings`, as stored in the map's node.
       is_place: bool, whether it is a divergence.
       points: see `links.reach_m`.
-      usual: `(link, bearing)`: by which it would go on without a route, int32; how that bears, float32, radians, as the
-        map's node has it.
-      turned: `(turn, correction)`: how far bearings at the node, those of `found` and `usual` too, are turned against
-        the odometry in which they were measured, float32, radians; how the odometry itself is put right, by a share of
-        that turn, `[3]` float32, metres and radians, see `corrected`.
+      usual: `(link, bearing)`: int32, link chosen without a route; float32, its bearing in the node's frame, radians.
+      turned: `(turn, correction)`: float32, rotation of the node's bearings (also of `found` and `usual`) against the
+        odometry in which they were measured, radians; `[3]` float32, correction of the odometry by a share of that
+        turn, metres and radians, see `corrected`.
 
     Returns:
-      `Left`; of a robot that follows no route what was given. `onward` is the guide's, turned by `turn` about
-        `event.centre`; `is_free`: it is no opening, but a new link.
+      `Left`; without a route, the given values. `onward` is the guide's, turned by `turn` about `event.centre`;
+        `is_free`: the new link starts at no opening.
     """
     (onto, bearing), (turn, correction) = usual, turned
     if writer.guide is None:

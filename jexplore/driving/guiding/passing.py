@@ -20,16 +20,16 @@ IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farthe
 
 def is_passed(writer: Writer, event: Any, measured: tuple[Array, Openings], others: Array, at: Any,
               is_divergence: Array, points: tuple[Array, Array], tuning: Tuning) -> tuple[Array, Array]:  # fmt: skip
-    """Whether a place is none, and which of its openings the robot takes: `(passes, which)`.
+    """Decide whether to reject a candidate, and which of its openings the robot takes: `(passes, which)`.
 
-    One with two openings in line is a stretch of a passage, unless the link leads to a node there; so is one whose only
-    opening lies in line with where the robot has come from, if what closes the passage there is beyond its circle. One
-    with a single opening much wider than its circle lies in the corner of a room.
+    A candidate with two openings in line is a stretch of a passage, unless the link leads to a node there. So is a
+    candidate whose only opening lies in line with the way in, if the passage is closed beyond its circle only. A
+    candidate with a single opening much wider than its circle lies in the corner of a room.
 
     Args:
       writer, event, at: `Writer`; `nodes.Event`, `nodes.Arrival` of the place.
-      measured: bearing of the way in, radians, and `Openings` of the place, as the odometry has them.
-      others: `[K]` bool, which of those are not the way in.
+      measured: bearing of the way in, radians, and `Openings` of the place, in the odometry frame.
+      others: `[K]` bool, openings other than the way in.
       is_divergence: bool.
       points: what lies round the robot, see `nodes.write`.
       tuning: `Tuning`.
@@ -49,10 +49,10 @@ def is_passed(writer: Writer, event: Any, measured: tuple[Array, Openings], othe
 
 def past(event: Any, measured: tuple[Array, Openings], which: Array, others: Array,
          points: tuple[Array, Array], tuning: Tuning) -> tuple[Array, Array]:  # fmt: skip
-    """From the centre of a place that is none to a point beyond it: `[2]`; and a direction there, radians.
+    """Return a point beyond a rejected candidate, relative to its centre: `[2]`; and a direction there, radians.
 
-    Where the way out is a door of what lies beyond its circle, perhaps a place itself: straight on, if that is free.
-    Arguments as for `is_passed`; `which`, int32, from it.
+    If the exit is a door of an area beyond its circle, which may be a place itself: straight on, if that is free.
+    Arguments as for `is_passed`; `which`, int32, is its result.
     """
     back, found = measured
     leave_m, on_m, ahead = tuning.leave_m, event.radius + tuning.leave_m, back + math.pi
@@ -65,8 +65,11 @@ def past(event: Any, measured: tuple[Array, Openings], which: Array, others: Arr
 def through(
     event: Any, found: Openings, bearing: Array, turn: Array | float, leave_m: Array | float
 ) -> tuple[Array, Array]:
-    """From the centre to a point beyond the opening that bears so, straight on where there is none: `[2]`; and the
-    direction of its passage, radians. `turn` is that of the bearings against the odometry, radians; `leave_m` metres.
+    """Return a point beyond the opening in a direction, relative to the centre; straight on where no opening exists.
+
+    Returns:
+      `(point, out)`: `[2]`, metres; direction of the opening's passage, radians. `turn` is that of the bearings against
+        the odometry, radians; `leave_m` metres.
     """
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - bearing)), jnp.inf)
     which = jnp.argmin(off)
@@ -78,5 +81,5 @@ def through(
 
 
 def is_behind(found: Openings) -> Array:
-    """Openings whose narrowest place lies on the other side of the centre: there is one wall only, before it: `[K]`."""
+    """Return openings whose narrowest place lies behind the centre, so that they have one wall only: `[K]` bool."""
     return found.middle[:, 0] * jnp.cos(found.across) + found.middle[:, 1] * jnp.sin(found.across) < 0

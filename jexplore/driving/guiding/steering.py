@@ -1,4 +1,4 @@
-"""Where a robot that follows a route steers for the next place, and how the route ends."""
+"""Steering of a robot that follows a route: towards the next place, and at the end."""
 
 import math
 from typing import Any
@@ -16,16 +16,16 @@ from jexplore.driving.sensing import surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import towards
 
-LOST = 1.5, 5.0  # none of the next places within so many times the way and so many metres more: the robot is lost
-END_M = 0.4, 0.2, 0.8  # the end is there within so much, more for each metre that the way is longer, and at most
-STRAIGHT = 1.25, 1.0  # a link is straight if its length is no more than this share of its ends' distance and so much
-STEERS = 1.5, 3.0  # so many times the way and so many metres more the robot steers for the next place
+LOST = 1.5, 5.0  # ratio and m of the way: without any next place within these the robot is lost
+END_M = 0.4, 0.2, 0.8  # m; tolerance of the end, increase per metre of excess way, and maximum
+STRAIGHT = 1.25, 1.0  # ratio and m: a link not longer than the distance of its ends by more is straight
+STEERS = 1.5, 3.0  # ratio and m of the way along which the robot steers for the next place
 SIGHT_M = 2.5  # a place that is so near, with a free way to it, is steered for anywhere
 NOT_SEEN_M = 1.5  # at one so near that has not been seen yet, the robot looks round
 MEETS_M = 0.4  # in free space it has been at one so near
 SEES_M = 4.0  # the robot knows of no free way farther than this
-SLACK_M = 0.3  # a way to a place may be so much too short
-HOP_M = 1.0  # ways that are steered along are free so far
+SLACK_M = 0.3  # m; a way to a place may fall short by this
+HOP_M = 1.0  # m; free length required of a way to steer along
 KEEPS = 0.5  # of a direction's distance from that taken before, against that from where the place lies
 ASIDE_RAD = math.radians(110)  # no way farther off leads towards a place
 
@@ -33,7 +33,7 @@ ASIDE_RAD = math.radians(110)  # no way farther off leads towards a place
 def on_the_way(
     guide: Guide, odometer_m: Array, estimate: Array, ways_m: Array, is_blocked: Array, robot: Robot
 ) -> Guide:
-    """Looks whether the route's end has been reached, or the robot is lost.
+    """Check whether the route's end has been reached, or the robot is lost.
 
     The end is reached where it lies, with a free way there: a robot that has gone as far as the map says may have gone
     another way, through a room above all.
@@ -63,8 +63,10 @@ def on_the_way(
 
 
 def _sight(place, estimate, ways_m, robot):
-    """How a place lies from the robot: `(off_m, bearing, sees)`: metres; radians, in the robot's frame; whether the way
-    there is free.
+    """Return the position of a place relative to the robot.
+
+    Returns:
+      `(off_m, bearing, sees)`: metres; radians, in the robot's frame; bool, the way there is free.
     """
     off = place - estimate[:2]
     off_m, bearing = jnp.hypot(*off), btm.wrapped(jnp.arctan2(off[1], off[0]) - estimate[2])
@@ -83,12 +85,12 @@ def guided(
     tuning: Tuning,
     robot: Robot,
 ) -> tuple[Writer, Drive, Track]:
-    """How a robot that follows a route goes on.
+    """Steer a robot that follows a route.
 
-    Where no passage leads it, it steers for the next place of the route, or for its end: in a room, at a place that the
-    map does not have, where it starts, and where it sees what it looks for, it drives along the free way that bears
-    nearest to that. Near a place that it has not seen as one it goes to where the map has it and looks round; in free
-    space, where there is none to see, it has been at one when it is near.
+    Where no passage leads the robot, it steers for the next place of the route or for its end: in a room, at a place
+    missing in the map, at its start, and when the target is in sight, it drives along the free way that bears nearest
+    to it. Near a place that it has not recognised it goes to the mapped position and looks round; in free space, where
+    no place can be seen, coming near is arriving.
 
     Args:
       state: `mission.State` before the step.
@@ -111,7 +113,7 @@ def guided(
 
 
 def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot):
-    """`(guide, drive, track)`; `places`: nodes, and where the robot has just looked round: pair of `[P, 2]`."""
+    """Return `(guide, drive, track)`; `places`: nodes, and where the robot has just looked round: pair of `[P, 2]`."""
     place, leg_m, length_m, is_end = next_of(guide)
     off_m, bearing, sees = _sight(place, estimate, ways_m, robot)
     gone_m, leaves = state.odometer_m - guide.from_m, drive.latch == Latch.LEAVE

@@ -11,24 +11,24 @@ from jexplore.btm import wrapped
 from jexplore.driving.sensing import openings
 from jexplore.driving.vehicle import to_robot
 
-ALONG_M = 3.5  # of a wall so much to each side is looked at
+ALONG_M = 3.5  # m; length of wall considered to each side
 TILTS_RAD = np.radians(np.arange(-25, 26, 5)).astype(np.float32)  # by which its direction may be another
 OFFSETS_M = np.arange(-8, 9, dtype=np.float32) / 10  # and it may be nearer or farther
 BAND_M = 0.1  # points so near to a line vote for it
-WALL_M = 0.2  # and so far before and behind its line
-LEADS_M = 0.6  # a gateway leads on so far behind the wall
+WALL_M = 0.2  # m; tolerance before and behind the wall's line
+LEADS_M = 0.6  # m; a gateway is free this far behind the wall
 MOST_M = 4.5  # and is no wider
-ABOUT_M = -0.6, -0.3, 0.0, 0.3, 0.6  # from where its middle is expected a point of it is looked for
+ABOUT_M = -0.6, -0.3, 0.0, 0.3, 0.6  # m; offsets from the expected middle at which its wall is searched
 
 
 def gateway(
     xy: Array, valid: Array, middle: Array, out: Array, width_m: Array | float
 ) -> tuple[Array, Array, Array, Array]:
-    """The gateway near a place, if there is one.
+    """Find a gateway near a place.
 
     Args:
       xy, valid: `[P, 2]` float32, `[P]` bool, points round the robot, robot's frame, metres.
-      middle: `[2]` float32, where its middle is expected.
+      middle: `[2]` float32, its expected middle.
       out: float32, radians, the direction in which it is expected to lead.
       width_m: least width of an opening.
 
@@ -60,9 +60,7 @@ def gateway(
 
 
 def _wall(xy, valid, middle, out):
-    """The wall in which a gateway is expected, by a Hough transform: its outward direction, radians, and how far it is
-    away, metres.
-    """
+    """Find the expected wall of a gateway by a Hough transform: outward direction, radians, and distance, metres."""
     tilts = jnp.asarray(TILTS_RAD)
     v, u = jax.vmap(lambda tilt: _along(xy, out + tilt))(tilts)  # [T, P]
     v_m, u_m = jax.vmap(lambda tilt: _along(middle[None], out + tilt))(tilts)  # [T, 1]
@@ -80,12 +78,12 @@ def _wall(xy, valid, middle, out):
 
 
 def _along(xy, out):
-    """How far points lie out, and along the wall: `[P]` each, metres."""
+    """Return coordinates of points along the exit direction and along the wall: `[P]` each, metres."""
     return tuple(to_robot(jnp.stack([0.0, 0.0, out]))(xy).T)
 
 
 def at_gateway(out: Array, radius_m: Array, coast_m: Array | float, size: int) -> openings.Openings:
-    """The ways from before a gateway of a hall: out, and along the wall to both sides.
+    """Return the ways from before a gateway of a hall: out, and along the wall to both sides.
 
     Args:
       out: float32, radians, the direction in which it leads.

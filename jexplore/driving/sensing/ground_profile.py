@@ -1,4 +1,4 @@
-"""What the scanner that looks down shows: the ground before the robot, and what a height profile of the way says."""
+"""Ground ahead of the robot by the downward scanner, and features of its height profile."""
 
 import functools
 import math
@@ -13,8 +13,8 @@ from jexplore.driving.sensing.perception import running_sum
 
 CELLS, CELL_M = 1024, 0.02  # of a profile: what lies beyond is left out
 STEP_M = 0.04  # a rise of the profile by more than this from point to point is a step
-FLANK_M = 0.10  # a step is the difference of the mean heights so far before and behind a place, but for a cell
-FACE_M = 0.04  # so far beside a step, points may lie on its face
+FLANK_M = 0.10  # m; a step is the difference of mean heights this far before and behind a place, less one cell
+FACE_M = 0.04  # m; within this of a step, points may lie on its face
 RISE_M = FLANK_M + CELL_M  # between the middles of both flanks
 LEAST_M = 0.015  # no lower step is told of
 SURE = 4.5  # standard deviations of a point; a lower one may be noise
@@ -32,7 +32,7 @@ def ground_point(
     mount: tuple[Array | float, Array | float],
     half_width_m: Array | float,
 ) -> tuple[Array, Array, Array]:
-    """Where beams that look down meet the ground: one point, the mean of those before the robot's width.
+    """Compute the point where downward beams meet the ground: the mean over the robot's width.
 
     Args:
       ranges_m: `[D]` float32; inf or NaN: none.
@@ -60,20 +60,20 @@ def ground_point(
 
 @struct.dataclass
 class Profile:
-    """What a height profile says of the obstacle under it."""
+    """Features of the height profile of an obstacle."""
 
     variance_m2: Array  # float32, residual variance about the least-squares line, n - 2 in the denominator
-    tread_wave_m2: Array  # float32, part of it that is a sine of the period of a tread, of the best one
+    tread_wave_m2: Array  # float32, amplitude of the sine with the best tread period
     noise_m: Array  # float32, standard deviation of a point, told by how its neighbours differ
     slope: Array  # float32, of that line, signed
     step_m: Array  # float32, height of a step, the median of all
-    riser_m: Array  # float32, height of a step of stairs, likewise, between level treads
+    riser_m: Array  # float32, height of a step of stairs between level treads
     highest_m: Array  # float32, of the highest one, beyond what the slope rises; 0 where none stands out of the noise
     count: Array  # int32, points
 
 
 def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
-    """Fits a line to heights along the way.
+    """Fit a line to heights along the way.
 
     Args:
       x_m, z_m, valid: `[P]`, points of the profile.
@@ -112,21 +112,22 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
 
 
 def _cell_of(x_m, valid):
-    """Cells of the way, each as long as `CELL_M`, from the first point on: `[P]` int32, beyond the last for none."""
+    """Return cells of the way, each of length `CELL_M`, from the first point: `[P]` int32, beyond the last for none."""
     first = jnp.min(jnp.where(valid, x_m, jnp.inf))
     return jnp.where(valid, ((x_m - first) / CELL_M).astype(jnp.int32), CELLS)
 
 
 def _tread_wave(x_m, residual_m, valid):
-    """The largest power, in square metres, of a residual's waves as long as a tread."""
+    """Return the largest power, in square metres, of a residual's waves as long as a tread."""
     total = jnp.zeros(CELLS, jnp.float32).at[_cell_of(x_m, valid)].add(residual_m, mode="drop")
     mean = _WAVES @ total / jnp.maximum(jnp.sum(valid), 1)  # [2 * periods]
     return jnp.max(2 * jnp.sum(mean.reshape(2, -1) ** 2, axis=0))
 
 
 def sudden(x_m: Array, z_m: Array, valid: Array) -> Array:
-    """The largest rise from a point of a profile to the next one beyond what a slope of 45 degrees would rise: float32,
-    metres. Steps are that steep, slopes are not. Arguments as for `profile`, in the order of time.
+    """Return the largest rise between neighbouring points of a profile beyond a slope of 45 degrees: float32, metres.
+
+    Steps are that steep, slopes are not. Arguments as for `profile`, in the order of time.
     """
     both = valid[1:] & valid[:-1]
     x, z = jnp.where(valid, x_m, 0), jnp.where(valid, z_m, 0)
@@ -134,8 +135,9 @@ def sudden(x_m: Array, z_m: Array, valid: Array) -> Array:
 
 
 def _rises(count, total):
-    """By how much the mean height differs between both flanks of every cell: `[CELLS]`, metres. Arguments: points in
-    each cell, and the sum of their heights.
+    """Return the difference of mean heights of both flanks of every cell: `[CELLS]`, metres.
+
+    Arguments: points in each cell, and the sum of their heights.
     """
     # Points come in the order of time, about in that of x: flanks are sums over sorted cells of the way.
     n, wide = CELLS, round(FLANK_M / CELL_M)
@@ -154,8 +156,9 @@ def _rises(count, total):
 
 
 def _steps(rise):
-    """Which cells are steps: `[CELLS]` bool. A step is a place steeper than those near it; where the robot's body tips,
-    its heights are off for a moment.
+    """Return the cells that are steps: `[CELLS]` bool.
+
+    A step is a place steeper than its neighbours; where the robot's body tips, heights are off for a moment.
     """
     wide = round(FLANK_M / CELL_M)
     top = lax.reduce_window(rise, -jnp.inf, lax.max, (2 * wide + 1,), (1,), "SAME")
@@ -163,15 +166,15 @@ def _steps(rise):
 
 
 def _median(values, valid):
-    """Of two in the middle the lower; 0 where there is none."""
+    """Return the lower median; 0 without a valid value."""
     number = jnp.sum(valid)
     return jnp.where(number > 0, jnp.sort(jnp.where(valid, values, jnp.inf))[jnp.maximum(number - 1, 0) // 2], 0)
 
 
 def _riser(step, rise, count, total):
-    """The height of a riser: the median of those of all, each between the mean heights of the treads beside it.
+    """Estimate the height of a riser: the median over all, each between the mean heights of the adjacent treads.
 
-    Where a flank's rise is the largest, noise has made it so: it tells where a step is, and too much of its height.
+    The place where a flank's rise is largest is selected by noise too: it locates a step but overestimates its height.
 
     Args:
       step, rise: from `_steps`, `_rises`.

@@ -11,9 +11,9 @@ from jexplore.driving.sensing.ground_profile import FACE_M, STEP_M, SURE
 
 FLANK = 3  # points on either side of a step, whose height is that between their medians: one may lie on its face
 TOGETHER_M = 1.2  # steps no farther apart are one, as high as those seen before the robot is on the first
-PASSED_M = 0.30  # the robot's end is so far beyond it: until then its own tipping shows in the profile
-MEANT, MEANT_M = 5, 0.1  # steps over which its attitude is averaged for that, so far before and behind at most
-TIPS = 0.5  # of the angle at which a robot stands with one end on it: it has tipped so far
+PASSED_M = 0.30  # m; distance of the robot's end beyond the riser: before, its own tipping shows in the profile
+MEANT, MEANT_M = 5, 0.1  # steps, m; attitude is averaged over these, at most this far before and behind
+TIPS = 0.5  # share of the angle at which a robot stands with one end on the riser that counts as tipping
 
 
 @struct.dataclass
@@ -26,19 +26,19 @@ class LoneStep:
 
 
 def none() -> LoneStep:
-    """No step."""
+    """Return a state without a step."""
     return LoneStep(jnp.float32(jnp.inf), jnp.float32(jnp.inf), jnp.float32(0))
 
 
 def watched(step: LoneStep, x_m: Array, z_m: Array) -> LoneStep:
-    """Takes the last point of the profile into account, of a robot on level ground before the step.
+    """Update the single riser with the last point of the profile, of a robot on level ground before it.
 
     Args:
       step: `LoneStep`.
-      x_m, z_m: `[P]` float32, the last points of the profile, in the order of time; x inf where there is none.
+      x_m, z_m: `[P]` float32, the last points of the profile, in the order of time; x is inf for missing points.
     """
     there = jnp.isfinite(x_m)
-    # Behind an edge that leads down the ground is hidden: flanks are so many points, however far.
+    # Behind a descending edge the ground is hidden: flanks are numbers of points, at any distance.
     after = jnp.argsort(there)[-FLANK:]
     begins = jnp.min(jnp.where(there[after], x_m[after], -jnp.inf))
     earlier = there & (x_m < begins - FACE_M)
@@ -56,12 +56,12 @@ def watched(step: LoneStep, x_m: Array, z_m: Array) -> LoneStep:
 
 
 def is_passed(step: LoneStep, odometer_m: Array, length_m: Array | float) -> Array:
-    """Whether a robot of some length, metres, has gone over it: bool."""
+    """Return whether a robot of a length, metres, has passed the riser: bool."""
     return odometer_m - step.to_m > length_m / 2 + PASSED_M
 
 
 def has_tipped(step: LoneStep, way: Any, length_m: Array | float) -> Array:
-    """Whether the robot has leant as one that goes over a step so high: bool. Else it has turned away before it.
+    """Return whether the robot has tipped as on a riser of this height: bool; otherwise it has turned away before it.
 
     Args:
       step: `LoneStep`.

@@ -1,4 +1,4 @@
-"""How far the robot has moved, by what it sees: two scans laid over each other, point to line.
+"""Motion of the robot by scan matching, point to line.
 
 Tracks slip where they turn, and encoders do not notice; walls stay where they are.
 """
@@ -15,25 +15,25 @@ from jax import Array, lax
 from jexplore.arrays.loops import run_if
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, to_odometry, to_robot
 
-EVERY_M, EVERY_RAD = 0.2, 0.25  # scans are matched after so much way or turn
-KEY_M, KEY_RAD = 1.0, 0.6  # with another scan, after so much
+EVERY_M, EVERY_RAD = 0.2, 0.25  # m, rad; scans are matched after this way or turn
+KEY_M, KEY_RAD = 1.0, 0.6  # m, rad; the reference scan is replaced after this way or turn
 NEIGHBOURS = 5  # beams on either side through whose points a line is laid
 REACH_M = 0.3  # as far as they are this near
 EVEN = 0.04  # a line is even across which its points vary by no more than this share of along it
 ROUNDS = 6
 GATE_M = 0.3, 0.1  # a point farther from its line than this counts not, in the first round and from the third on
 RANGE_SD_M = 0.03  # of a point from its line
-DOUBT = 0.1  # of way and turn: standard deviation of what the encoders say, beside
+DOUBT = 0.1  # standard deviation of the encoders, as a share of way and turn
 DOUBT_M, DOUBT_RAD = 0.01, math.radians(0.5)  # these
 LEAST = 30  # points that must lie on lines
-MOST = 4  # of these standard deviations: a match that is farther off is none
+MOST = 4  # standard deviations; a match that is farther off is discarded
 PLANE_RAD = math.radians(6)  # scans are of one plane if the robot leans no more otherwise
 TILT_RAD = math.radians(12)  # one of a robot that leans more is bent
 SHARE = 0.6  # of the points; with fewer the next scan is matched with this one
 
 
 def _lines(ranges_m):
-    """A line through every point of a scan and its neighbours: `(mean, normal, there)`."""
+    """Fit a line through every point of a scan and its neighbours: `(mean, normal, there)`."""
     valid = jnp.isfinite(ranges_m)
     r = jnp.where(valid, ranges_m, 0)
     x, y = r * jnp.cos(ANGLES_RAD), r * jnp.sin(ANGLES_RAD)
@@ -59,17 +59,17 @@ def _lines(ranges_m):
 
 
 def match(before_m: Array, ranges_m: Array, moved: Array, since: Array) -> tuple[Array, Array]:
-    """Motion between two scans.
+    """Estimate the motion between two scans.
 
     Args:
       before_m, ranges_m: `[B]` float32, the first scan and the last one; inf: no return; NaN: no reading.
-      moved: `[3]` float32, where the robot should be: x, y, metres, and turn, radians, in the frame of the first.
-      since: `[3]` float32, part of that which the encoders alone say.
+      moved: `[3]` float32, predicted motion: x, y, metres, and turn, radians, in the frame of the first.
+      since: `[3]` float32, the part of `moved` by encoders alone.
 
     Returns:
-      `(found, share)`: `[3]` float32, likewise, where the points of the last scan lie nearest to lines of the first,
-        not far from what the encoders say, and that itself where too few points lie on lines or it is far; float32,
-        share of the points that do, then 0.
+      `(found, share)`: `[3]` float32, motion that brings the points of the last scan nearest to lines of the first,
+        close to `moved`; `moved` itself where too few points match or the result is far from it; float32, share of
+        matched points, then 0.
 
     Source:
       Censi, An ICP variant using a point-to-line metric (2008). Changed: beams find their partners by their bearing.
@@ -106,7 +106,7 @@ def match(before_m: Array, ranges_m: Array, moved: Array, since: Array) -> tuple
 
 
 def _solved(a, b):
-    """The solution of three equations whose matrix is symmetric and positive: `[3]`."""
+    """Solve three equations whose matrix is symmetric and positive: `[3]`."""
     c00 = a[1, 1] * a[2, 2] - a[1, 2] ** 2
     c01 = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
     c02 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
@@ -129,18 +129,18 @@ class Key:
 
 
 def at_start(pose: Array) -> Key:
-    """No scan yet; the first one becomes it. `pose`: `[3]`."""
+    """Return a state without a scan; the first one becomes it. `pose`: `[3]`."""
     far = pose + jnp.array([0.0, 0.0, 10.0])
     return Key(jnp.full(BEAMS, jnp.nan), jnp.zeros(2), far, far)
 
 
 def between(one: Array, other: Array) -> Array:
-    """The second pose in the frame of the first: `[3]`."""
+    """Return the second pose in the frame of the first: `[3]`."""
     return jnp.stack([*to_robot(one)(other[:2]), other[2] - one[2]])
 
 
 def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array, lean: Array) -> tuple[Key, Array, Array]:
-    """Puts the odometry right by what the robot sees, where it has moved on since the last time.
+    """Correct the odometry by scan matching, if the robot has moved on since the last time.
 
     A scan serves for as long as the robot sees much of the same: every change to another adds an error.
 

@@ -1,4 +1,4 @@
-"""What an obstacle is: a slope or stairs, how steep, and how high its steps are."""
+"""Classification of obstacles: slope or stairs, inclination, height of steps."""
 
 import math
 from typing import Any
@@ -15,14 +15,15 @@ from jexplore.driving.settings import Robot, Tuning
 # Shares that a point has of the variance besides, and of that of noise: of noise alone, such as 5 cm of range noise
 # leave on a slope, the best wave has more once in 200.
 STANDS_OUT = 10.0, 8.0
-SURE = 5  # a wave larger than so many thresholds is one however large the rest
+SURE = 5  # thresholds; a larger wave is stairs however large the rest
 ALONG_RAD = math.radians(45)  # ground counts that a robot sees which heads no farther off than when it is there
-MARGIN_M = 0.1  # the profile of an obstacle is looked at so far from the nodes at its ends
+MARGIN_M = 0.1  # m; margin of an obstacle's profile from the nodes at its ends
 
 
 def is_stairs(found: Profile, tuning: Tuning) -> Array:
-    """Whether an inclined profile is that of stairs: its wave is large enough, and stands out of what is left besides,
-    which is noise, or a body that tips: bool.
+    """Return whether an inclined profile is that of stairs: bool.
+
+    Its wave is large enough and stands out of the rest, which is noise or a tipping body.
     """
     rest = found.variance_m2 - found.tread_wave_m2
     noise = jnp.minimum(found.noise_m**2, rest)  # of points far apart neighbours differ by risers
@@ -32,8 +33,9 @@ def is_stairs(found: Profile, tuning: Tuning) -> Array:
 
 
 def _gone_over(writer, event):
-    """The ground between the last node and the one that is due, `Profile`, without what the robot has seen while it was
-    turned away from where it has gone there.
+    """Return the `Profile` of the ground between the last node and the one that is due.
+
+    Points that the robot has seen while it was turned away from its way are left out.
     """
     way = writer.way
     within = (way.ground_x_m > writer.node_m + MARGIN_M) & (way.ground_x_m < event.odometer_m - MARGIN_M)
@@ -51,7 +53,7 @@ def judged(
     posture: Array,
     here: Array,
 ) -> tuple[Btm, Array]:
-    """Says of the obstacle that lies behind what it is, once the robot has passed it.
+    """Classify the obstacle behind the robot, once it has passed it.
 
     Args:
       map_: `Btm` with the node that is due.

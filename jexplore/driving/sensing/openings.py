@@ -11,9 +11,9 @@ from jexplore.driving.sensing.perception import running_sum
 
 BEARINGS = 240  # directions round a place in which its nearest point is looked for
 NEAR = 1.15  # radii within which a wall divides two openings
-GRAZE_RAD = math.radians(4)  # what is narrower than this, with beams a degree apart, is a wall seen from the side
+GRAZE_RAD = math.radians(4)  # a narrower gap, with beams a degree apart, is a wall seen at a grazing angle
 DOOR_M = 1.25  # a gap is a door up to this width, or the next
-NARROW, LEADS_M = 0.6, 0.6  # a gap as narrow as this, in radii, that leads on so far is one, however far its walls
+NARROW, LEADS_M = 0.6, 0.6  # radii, m; a gap as narrow as this that is free this far is a door, however far its walls
 WALL = 40  # directions on either side of a gap in which its walls are looked at
 FAR_M = 10.0  # no point lies farther away
 CORNER = 0.65  # of the width of a gap: walls that meet so close beyond it are a corner
@@ -21,10 +21,10 @@ POCKET = 1.2  # of the width of a gap: walls so close beyond it are those of a p
 DEEP = 0.75  # share of the directions beyond a gap in which they are
 SEEN = 0.7  # and in which there must be walls
 DOOR = 3  # directions that a door takes at least
-BEYOND_M = 0.25  # what lies farther than its wall is seen through a door of it
+BEYOND_M = 0.25  # m; points farther behind its wall are seen through a door in it
 BOTH_ENDS = 0.75  # share of the directions of a wall that its ends are
 AHEAD = 0.6  # radii from the centre from which on they are
-ALIKE_M = 0.02  # connections of the walls beside a gap that are longer by this count for less
+ALIKE_M = 0.02  # m; longer connections of the walls on both sides of a gap weigh less by this scale
 PASSAGE_RAD = math.radians(30)  # a link bears as its passage does if that differs no more from where it is seen
 APART_RAD = math.radians(40)  # and no other opening bears so nearly alike
 
@@ -42,7 +42,7 @@ class Openings:
 
 
 def _next(here):
-    """The next direction, counter-clockwise and round the circle, that has a point: `[BEARINGS]` int32."""
+    """Return the next direction, counter-clockwise and round the circle, that has a point: `[BEARINGS]` int32."""
     order = jnp.arange(BEARINGS)
     later = jnp.where(here, order, 2 * BEARINGS)
     twice = jnp.concatenate([later, later + BEARINGS])
@@ -51,7 +51,7 @@ def _next(here):
 
 
 def gaps(point: Array, last: Array, here: Array, width_m: Array | float) -> tuple[Array, Array, Array]:
-    """Gaps from every direction to the next, counter-clockwise and round the circle, that has a point.
+    """Find gaps from every direction to the next, counter-clockwise and round the circle, that has a point.
 
     Args:
       point, last: `[BEARINGS, 2]` float32, the nearest and the farthest point in every direction.
@@ -70,7 +70,7 @@ def gaps(point: Array, last: Array, here: Array, width_m: Array | float) -> tupl
 
 
 def _grazes(point, after, here, centre, seen_from):
-    """Whether a gap of less than half a turn begins and ends in nearly one direction from where the robot stands."""
+    """Return whether a gap of less than half a turn begins and ends in nearly one direction from the robot."""
     if seen_from is None:
         return False
     one, other = (place + centre - seen_from for place in (point, after))
@@ -80,7 +80,7 @@ def _grazes(point, after, here, centre, seen_from):
 
 
 def polar(offset: Array, distance: Array, inside: Array, most_m: Array | float) -> tuple[Array, Array, Array]:
-    """The nearest point in every direction and the farthest, for a wall may lead straight outward.
+    """Find the nearest point in every direction and the farthest, for a wall may lead straight outward.
 
     Args:
       offset, distance: `[P, 2]`, `[P]` float32, of points from the centre.
@@ -104,11 +104,11 @@ def polar(offset: Array, distance: Array, inside: Array, most_m: Array | float) 
 
 
 def _leads_on(distance, here, whole):
-    """After which directions the gap leads on, and is no corner that lies outside the circle: `[BEARINGS]` bool.
+    """Return directions after which a gap leads on, other than a corner outside the circle: `[BEARINGS]` bool.
 
     Args:
-      distance, here: `[BEARINGS]`, of the points in the circle; whether there is one.
-      whole: what `polar` makes of all points.
+      distance, here: `[BEARINGS]`, of the points in the circle; bool, valid.
+      whole: `polar` of all points.
     """
     order, following = jnp.arange(BEARINGS), _next(here)
     reach_m = jnp.where(whole[2], jnp.hypot(*whole[0].T), jnp.inf)
@@ -119,18 +119,17 @@ def _leads_on(distance, here, whole):
 
 
 def _pockets(point, whole, first, last, valid, width_m):
-    """What lies beyond gaps of a circle: a passage that leads on, or a pocket whose walls are all in sight.
+    """Classify the area beyond gaps of a circle: a passage that leads on, or a pocket whose walls are all in sight.
 
     Args:
-      point: `[BEARINGS, 2]`, from `polar`, of what lies in the circle.
-      whole: what `polar` makes of all points.
-      first, last: `[K]` int32, where the gaps begin and end.
-      valid: `[K]` bool.
+      point: `[BEARINGS, 2]`, `polar` of the points in the circle.
+      whole: `polar` of all points.
+      first, last: `[K]` int32, begin and end of the gaps. valid: `[K]` bool.
       width_m: least width of an opening.
 
     Returns:
-      `(stays, door, following)`: `[K]` bool, gaps that are ways out themselves; `[BEARINGS]` bool, after which
-        directions a door opens in the wall of a pocket; `[BEARINGS]` int32, where it ends.
+      `(stays, door, following)`: `[K]` bool, gaps that are exits themselves; `[BEARINGS]` bool, directions after which
+        a door opens in the wall of a pocket; `[BEARINGS]` int32, its end.
     """
     one, other = point[first], point[last]
     along = other - one
@@ -154,7 +153,7 @@ def _pockets(point, whole, first, last, valid, width_m):
     open_, after = gaps(place, far, ring, width_m)[2], _next(ring)
     # Where a wall is seen from the side its points lie far apart, in directions next to each other: no door.
     open_ &= (after - jnp.arange(BEARINGS)) % BEARINGS >= DOOR
-    # Nor is there one where a passage is known no farther: its ends lie beyond what is taken for its wall.
+    # Nor where a passage is not known farther: its ends lie beyond the points taken for its wall.
     flat = depth <= deep[:, None] + BEYOND_M
     inside = between & pocket[:, None] & flat & flat[:, after]
     door = open_ & jnp.any(inside, axis=0)
@@ -164,7 +163,7 @@ def _pockets(point, whole, first, last, valid, width_m):
 
 def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
              circle: Array | float, size: int, seen_from: Array | None = None) -> Openings:  # fmt: skip
-    """Gaps between neighbouring points in a circle, as seen from its centre, that a robot fits through.
+    """Find gaps between neighbouring points in a circle, seen from its centre, that a robot fits through.
 
     Args:
       xy, valid: `[P, 2]` float32 and `[P]` bool, what lies round the robot.
@@ -173,19 +172,18 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
       width_m: least width of an opening [W].
       circle: radius of the search circle [k], in `radius_m`; points beyond it are left out.
       size: K, most openings. Static.
-      seen_from: `[2]` float32, where the robot stands: what looks narrower than `GRAZE_RAD` from there is a wall that
-        it sees from the side. None leaves all.
+      seen_from: `[2]` float32, position of the robot: a gap narrower than `GRAZE_RAD` from there is a wall seen at a
+        grazing angle. None keeps all.
 
     Returns:
-      `Openings`. Without any point in the circle there is none.
+      `Openings`; empty without a point in the circle.
 
     Source:
-      Mano et al., section III.B and Fig. 2(f). Changed: points in polar order about the centre, where the paper
-      takes those of one scan, in polar order about the robot, which does not see behind it; what comes no
-      nearer to the centre than `NEAR` radii (or as many distances of the nearest wall, if that is more), a wall
-      farther in, does not divide an opening, unless that leaves a gap as narrow as a door which leads on; and
-      where a gap leads into a pocket whose walls are all in sight, the doors in these count instead, and a
-      corner does not, unless there is no other way out.
+      Mano et al., section III.B and Fig. 2(f). Changed: points in polar order about the centre; the paper takes those
+      of one scan, in polar order about the robot, which does not see behind it. A wall no nearer to the centre than
+      `NEAR` radii (or as many distances of the nearest wall, if larger) does not divide an opening, unless that leaves
+      a gap as narrow as a door which leads on. Where a gap leads into a pocket whose walls are all in sight, the doors
+      in these count instead; a corner does not, unless there is no other exit.
     """
     offset = xy - centre
     search_m = circle * radius_m
@@ -224,7 +222,7 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
 
 
 def _doors(place, door, door_end, size):
-    """Doors in the walls of pockets: `(valid, middle, across, width)` of as many."""
+    """Find doors in the walls of pockets: `(valid, middle, across, width)` of as many."""
     number = running_sum(door.astype(jnp.float32)).astype(jnp.int32) - 1
     chosen = door & (number == jnp.arange(size)[:, None])
     at = jnp.argmax(chosen, axis=1)
@@ -234,7 +232,7 @@ def _doors(place, door, door_end, size):
 
 
 def in_order(together, more, size):
-    """`Openings` counter-clockwise, of which some did not fit before."""
+    """Sort `Openings` counter-clockwise, of which some did not fit before."""
     valid, middle, across, wide = together
     # The direction of its passage, if from the centre it looks much like that and no other opening does.
     towards = jnp.arctan2(middle[:, 1], middle[:, 0])
@@ -257,17 +255,17 @@ def in_order(together, more, size):
 
 
 def _narrowest(point, here, gap_here, first, last, radius_m):
-    """Where the walls on both sides of gaps are nearest to each other.
+    """Find the narrowest place between the walls on both sides of gaps.
 
     Args:
       point, here: as in `gaps`.
-      gap_here: `[BEARINGS]` bool, whether a gap begins there.
-      first, last: `[K]` int32, where the gaps in question begin and end.
-      radius_m: of the circle; narrower places behind the centre or beside it are not looked for.
+      gap_here: `[BEARINGS]` bool, a gap begins there.
+      first, last: `[K]` int32, begin and end of these gaps.
+      radius_m: of the circle; narrower places behind the centre or abeam are not searched.
 
     Returns:
-      `(middle, across, width)`: `[K, 2]`; `[K]`, direction square to the connection, outward; its length. Connections
-        that are nearly as short count, so that noise on even walls is averaged.
+      `(middle, across, width)`: `[K, 2]`; `[K]`, direction square to the connection, outward; its length. Nearly as
+        short connections are averaged too, against noise on even walls.
     """
     before = (first[:, None] - jnp.arange(WALL)) % BEARINGS
     # No gap lies between a point of the wall before and the gap: none has begun on the way back from it.
@@ -283,7 +281,7 @@ def _narrowest(point, here, gap_here, first, last, radius_m):
     outward = jnp.stack([along[:, 1], -along[:, 0]], axis=1) / jnp.maximum(jnp.hypot(*along.T), 1e-6)[:, None]
     out = jnp.einsum("kid,kd->ki", left, outward)[:, :, None] + jnp.einsum("kjd,kd->kj", right, outward)[:, None, :]
     beside = out / 2 >= AHEAD * radius_m
-    # Where there is one wall only, both its ends are meant, and no two places in its middle.
+    # With one wall only, both its ends are meant, not two places in its middle.
     steps = jnp.arange(WALL)[:, None] + jnp.arange(WALL)
     apart = steps < BOTH_ENDS * ((first - last) % BEARINGS)[:, None, None]
     meant = is_before[:, :, None] & is_after[:, None, :] & beside & apart

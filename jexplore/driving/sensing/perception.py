@@ -1,4 +1,4 @@
-"""What a robot makes of a scan: walls beside the way, triangles at divergences, openings round a place.
+"""Perception of one scan: walls along the way, triangles at divergences, openings round a place.
 
 Scans are in the robot's frame: x forward, y left, metres. A beam without a reading is no point; NaN counts as none.
 """
@@ -23,8 +23,8 @@ GUARD_M = 0.1  # a wall this near to the robot's sides is in its way
 SPACING = 0.49  # of points along a wall, in least openings: two neighbours of one point are nearer than such an opening
 ROOMY = 0.9  # of the radius of the circle that free space has room for
 ROOMY_BACK = 0.0, 0.2, 0.4, 0.6  # radii by which that may begin nearer
-RECESS = 0.25  # in least openings: what lies no farther beyond the chord of two corners of a triangle is one wall
-CLOSE = 0.6  # if its points fill so much of the way between them
+RECESS = 0.25  # least openings; points no farther beyond the chord of two corners of a triangle are one wall
+CLOSE = 0.6  # if its points fill this share of the way between them
 JUMP = 1 / SPACING  # distance between the points of neighbouring beams beyond which a wall ends, in spacings
 
 
@@ -41,15 +41,15 @@ class Divergence:
 
 
 def points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
-    """Scan points.
+    """Convert ranges to points.
 
     Args:
       ranges_m: `[B]` float32; inf: no return; NaN: no reading.
       angles_rad: `[B]` float32.
 
     Returns:
-      `(xy, valid)`: `[B, 2]` float32, 0 where there is none; `[B]` bool. Up to `MISSED` beams without a reading between
-        two that nearly agree are given the mean of these.
+      `(xy, valid)`: `[B, 2]` float32, 0 where invalid; `[B]` bool. Up to `MISSED` beams without a reading between two
+        that nearly agree are given the mean of these.
     """
     before = after = ranges_m
     missed = -jnp.ones_like(ranges_m)
@@ -65,7 +65,7 @@ def points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
 
 
 def smoothed(xy: Array, valid: Array, reach_m: Array | float) -> Array:
-    """Every point moved to the mean of its wall's points near it: many close by, few far away.
+    """Move every point to the mean of its wall's points near it: many close by, few far away.
 
     Args:
       xy, valid: from `points`, in the order of the beams.
@@ -91,7 +91,7 @@ def smoothed(xy: Array, valid: Array, reach_m: Array | float) -> Array:
 
 
 def sides(xy: Array, valid: Array, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array]:
-    """Least distance to the walls on both sides, in a region of fixed length before the robot.
+    """Compute the least distance to the walls on both sides, in a region of fixed length before the robot.
 
     Args:
       xy, valid: from `points`.
@@ -113,12 +113,12 @@ def sides(xy: Array, valid: Array, from_m: Array | float, to_m: Array | float) -
 def is_roomy(
     xy: Array, valid: Array, from_m: Array | float, left_m: Array, right_m: Array, open_m: Array | float
 ) -> Array:
-    """Whether a circle as large as free space fits beside the nearer wall somewhere ahead: bool.
+    """Return whether a circle as large as free space fits next to the nearer wall somewhere ahead: bool.
 
     Args:
       xy, valid: from `points`.
-      from_m: where the circle begins, metres before the robot, or nearer by up to `ROOMY_BACK` of its radius: what
-        stands beside the robot may have kept it from looking earlier.
+      from_m: begin of the circle, metres before the robot, or nearer by up to `ROOMY_BACK` of its radius: an obstacle
+        abeam may have hidden it earlier.
       left_m, right_m: from `sides`.
       open_m: its radius [C1], metres; a tenth less does.
     """
@@ -131,9 +131,9 @@ def is_roomy(
 
 
 def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Array]:
-    """Distances of the walls beside the robot: the least mean of neighbouring beams, which noise makes hardly smaller.
+    """Compute distances of the walls on both sides: the least mean of neighbouring beams, which noise hardly biases.
 
-    Points more ahead than aside are none of them.
+    Points more ahead than aside are left out.
 
     Args:
       xy, valid: from `points`.
@@ -159,7 +159,7 @@ def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Arr
 
 
 def front(xy: Array, valid: Array, width_m: Array | float) -> tuple[Array, Array]:
-    """Distances to the nearest points before the robot's left half and its right: float32, metres; inf for none."""
+    """Return distances of the nearest points ahead of the left and right halves: float32, metres; inf for none."""
     ahead = valid & (jnp.abs(xy[:, 1]) <= width_m / 2 + GUARD_M / 2) & (xy[:, 0] > 0)
     left = jnp.min(jnp.where(ahead & (xy[:, 1] >= 0), xy[:, 0], jnp.inf))
     right = jnp.min(jnp.where(ahead & (xy[:, 1] <= 0), xy[:, 0], jnp.inf))
@@ -176,7 +176,7 @@ def resampled(
     *,
     size: int,
 ) -> tuple[Array, Array, Array, Array]:
-    """Points at even distances along the walls that a scan shows, and both ends of every wall.
+    """Place points at even distances along the walls that a scan shows, and at both ends of every wall.
 
     Args:
       xy, valid: from `points`, in the order of the beams.
@@ -213,7 +213,7 @@ def resampled(
 
 
 def running_sum(values: Array) -> Array:
-    """Sums of the first 1, 2, ... values, by doubling."""
+    """Compute sums of the first 1, 2, ... values, by doubling."""
     n = values.shape[0]
 
     def doubled(i, sums):
@@ -225,13 +225,13 @@ def running_sum(values: Array) -> Array:
 def far_bound(
     far_m: Array | float, width_m: Array | float, beam_spacing_rad: Array | float, wall_m: Array | float
 ) -> Array:
-    """How far ahead neighbouring beams lie closer on a wall than the least opening: float32, metres.
+    """Compute the distance up to which neighbouring beams on a wall lie closer than the least opening: float32, metres.
 
     Args:
       far_m: the bound without that [D2].
       width_m: least opening [W].
       beam_spacing_rad: between beams.
-      wall_m: distance of the nearer wall beside the robot.
+      wall_m: distance of the nearer wall abeam.
     """
     return jnp.minimum(far_m, 0.95 * jnp.sqrt(width_m * jnp.minimum(wall_m, far_m) / beam_spacing_rad))
 
@@ -246,7 +246,7 @@ def divergences(
     open_m: Array | float,
     size: int,
 ) -> Divergence:
-    """Triangles that touch three walls: between them the way divides, bends or ends.
+    """Find triangles that touch three walls: between them the way divides, bends or ends.
 
     Args:
       xy, valid: from `points`.
@@ -263,7 +263,7 @@ def divergences(
       Mano et al., section III.A.1; Silver et al. 2004. Changed: the tolerance (a dead end's triangle has a right angle,
       so that half of all scans would lose it), and circles in free space are left out.
     """
-    # Beams that go far aside meet a wall beside a tilted robot too far apart, however near ahead.
+    # Beams far aside meet a wall next to a tilted robot too far apart, however near ahead.
     valid &= jnp.sum(xy**2, axis=1) < far_m**2
     xy = smoothed(xy, valid, width_m / 4)
     chosen, there, spacing, overflow = resampled(xy, valid, -far_m, far_m, open_m, SPACING * width_m, size=size)
@@ -282,8 +282,9 @@ def divergences(
 
 
 def _on_one_wall(xy, valid, centre, corner, spacing_m, recess_m):
-    """Which circles touch one wall twice: between two corners points follow each other that lie hardly beyond the
-    chord. `[T]` bool.
+    """Return which circles touch one wall twice: `[T]` bool.
+
+    Between two corners the points follow the chord closely.
     """
     n = xy.shape[0]
     corner = jnp.minimum(corner, n - 1)
@@ -315,21 +316,21 @@ def _on_one_wall(xy, valid, centre, corner, spacing_m, recess_m):
 
 
 def _turned_left(x, y, to_x, to_y):
-    """How far one direction lies counter-clockwise from another: from 0 to 4, growing as the angle does."""
+    """Return a monotonic measure, 0 to 4, of the counter-clockwise angle from one direction to another."""
     dot, cross = x * to_x + y * to_y, x * to_y - y * to_x
     share = cross / jnp.maximum(jnp.abs(dot) + jnp.abs(cross), 1e-30)
     return jnp.where(dot < 0, 2 - share, jnp.where(cross < 0, 4 + share, share))
 
 
 def nearest(found: Divergence, place: Array) -> tuple[Array, Array]:
-    """The triangle whose centre is nearest to a place.
+    """Find the triangle whose centre is nearest to a place.
 
     Args:
       found: `Divergence`.
       place: `[2]` float32.
 
     Returns:
-      `(which, distance_m)`: int32, float32; inf where there is none.
+      `(which, distance_m)`: int32, float32; inf without a triangle.
     """
     d2 = jnp.where(found.valid, jnp.sum((found.centre - place) ** 2, axis=1), jnp.inf)
     which = jnp.argmin(d2).astype(jnp.int32)

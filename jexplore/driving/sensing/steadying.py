@@ -1,6 +1,6 @@
-"""What a noisy sensor says, averaged over as many readings as its noise asks for, and no more.
+"""Smoothing of noisy sensors: averages over as many readings as the noise requires, and no more.
 
-The noise is told by the readings themselves: what is measured changes gradually, noise jumps.
+The noise is estimated from the readings themselves: the measured quantity changes gradually, noise jumps.
 """
 
 import math
@@ -19,33 +19,33 @@ AGREE = 3.7  # standard deviations within which two beams and the one between th
 
 
 def deviation(jumps: Array) -> Array:
-    """Standard deviation of the noise of readings that jump so: float32; 0 where none is known. See `jumps_of`."""
+    """Estimate the standard deviation of the noise of readings by `jumps_of`: float32; 0 without any."""
     return jnp.nan_to_num(jnp.nanmedian(jumps)) / _JUMP_OF_ONE
 
 
 def jumps_of(values: Array, there: Array) -> Array:
-    """How far every reading lies from the line through its neighbours, twofold: `[S - 2]`, NaN where one is missing.
+    """Return twice the deviation of readings from the line through their neighbours: `[S - 2]`, NaN if one is missing.
 
     Args:
       values: `[S]` float32.
-      there: `[S]` bool, whether there is a reading.
+      there: `[S]` bool, the reading is valid.
     """
     both = there[2:] & there[1:-1] & there[:-2]
     return jnp.where(both, jnp.abs(values[2:] - 2 * values[1:-1] + values[:-2]), jnp.nan)
 
 
 def _deviates_more(jumps, limit):
-    """Whether `deviation` is above a limit, without a median: sorting is dear, and hardly ever needed."""
+    """Return whether `deviation` is above a limit, without the sort of a median, which is costly and rarely needed."""
     return 2 * jnp.sum(jumps > _JUMP_OF_ONE * limit) > jnp.sum(~jnp.isnan(jumps))
 
 
 def running_mean(values: Array, n: int) -> Array:
-    """The mean of every value and its neighbours, n in all (odd, static), with zeros beyond the ends: `[S]`."""
+    """Compute the mean of every value and its neighbours, n in all (odd, static), with zeros beyond the ends: `[S]`."""
     return jnp.convolve(jnp.pad(values, n // 2), jnp.full(n, 1 / n), mode="valid")
 
 
 def mean_near(values: Array, place_m: Array, here_m: Array, n: int, within_m: float) -> Array:
-    """The mean of every value and those of its neighbours, n in all (odd, static), that lie near: `[S]` float32.
+    """Compute the mean of every value and its near neighbours, n in all (odd, static): `[S]` float32.
 
     Args:
       values: `[S]` float32.
@@ -62,7 +62,7 @@ def mean_near(values: Array, place_m: Array, here_m: Array, n: int, within_m: fl
 
 
 def shares(angle: Array, age: Array) -> Array:
-    """How much each of the last readings counts in their mean: only the last one where the noise is small.
+    """Compute the weight of each of the last readings in their mean: the last one alone where the noise is small.
 
     Args:
       angle: `[S]` float32, radians, of steps in a row.
@@ -83,7 +83,7 @@ def shares(angle: Array, age: Array) -> Array:
 
 
 def scan(ranges_m: Array) -> Array:
-    """Ranges averaged over pairs of beams, one on either side, as long as these agree: walls stay straight.
+    """Average ranges over symmetric pairs of beams as long as these agree: walls stay straight.
 
     The reciprocal range of a straight wall is a sine of the bearing: over a few degrees it is a line.
 
@@ -91,7 +91,7 @@ def scan(ranges_m: Array) -> Array:
       ranges_m: `[B]` float32, beams at even angles; inf: no return; NaN: no reading.
 
     Returns:
-      `[B]` float32, likewise; the ranges themselves where the noise is small.
+      `[B]` float32; the ranges themselves where the noise is small.
     """
     near = jnp.where(jnp.isnan(ranges_m), jnp.nan, 1 / ranges_m)  # 0: no return
     returns = jnp.isfinite(ranges_m)

@@ -1,7 +1,7 @@
-"""What lies round the robot: the last scan before it, and behind it what earlier scans have shown.
+"""Points around the robot: the last scan ahead, and behind it those of earlier scans.
 
-The scanner looks ahead; where the robot may turn and how it gets out of a narrow place depends on what is beside and
-behind it. So the nearest point in every direction is kept while the robot moves on.
+The scanner looks ahead; turning, and leaving a narrow place, depend on obstacles abeam and behind. So the nearest point
+in every direction is kept while the robot moves on.
 """
 
 import math
@@ -19,14 +19,14 @@ from jexplore.driving.vehicle import ANGLES_RAD, to_robot
 SECTORS = 360  # directions, a degree each, from -180 degrees
 NONE = 2**31 - 1
 BEHIND = 88  # degrees from straight ahead from which on the last scan is not all there is
-MEMORY_M = 0.5  # points so much farther than what triangles are made of are forgotten
+MEMORY_M = 0.5  # m; points this much farther than those of triangles are forgotten
 DIRECTIONS = 72  # in which the way is looked at
 TURN_STEPS = 36  # of half a turn each way
 OPPOSITE = 0.26  # cosine: what lies at least 75 degrees from the nearest point is on the other side
 MARGIN_M = 0.03  # between a wall and the robot's outline where it turns
-BESIDE_M = 0.05  # likewise beside the way where it drives
+BESIDE_M = 0.05  # m; margin to the sides of the driven way
 COAST = 0.85  # of the distance at which a wall is followed: half of the strip that must be free
-COAST_FREE_M = 2.0  # and so far
+COAST_FREE_M = 2.0  # m; and free over this length
 
 _IS_BEHIND = np.abs(np.arange(SECTORS) - SECTORS // 2) > BEHIND
 DIRECTION = np.radians(np.arange(DIRECTIONS) * (360 / DIRECTIONS) - 180).astype(np.float32)
@@ -38,16 +38,16 @@ class Surround:
     """The nearest point in every direction, robot's frame."""
 
     x_m: Array  # [SECTORS] float32; inf: nothing known
-    y_m: Array  # [SECTORS] float32, likewise
+    y_m: Array  # [SECTORS] float32, as `x_m`
 
 
 def unknown() -> Surround:
-    """Nothing known."""
+    """Return an empty `Surround`."""
     return Surround(jnp.full(SECTORS, jnp.inf), jnp.full(SECTORS, jnp.inf))
 
 
 def points(around: Surround) -> tuple[Array, Array]:
-    """`(xy, known)`: `[SECTORS, 2]` float32, metres, 0 where nothing is known; `[SECTORS]` bool."""
+    """Return `(xy, known)`: `[SECTORS, 2]` float32, metres, 0 where nothing is known; `[SECTORS]` bool."""
     known = jnp.isfinite(around.x_m)
     return jnp.where(known[:, None], jnp.stack([around.x_m, around.y_m], axis=1), 0), known
 
@@ -55,7 +55,7 @@ def points(around: Surround) -> tuple[Array, Array]:
 def moved(
     around: Surround, ahead_m: Array, aside_m: Array, turn: Array, *, far_m: Array | float = math.inf
 ) -> Surround:
-    """The same points after the robot has moved.
+    """Return the same points after the robot has moved.
 
     Args:
       around: `Surround`.
@@ -70,7 +70,7 @@ def moved(
 
 
 def seen(around: Surround, ranges_m: Array) -> Surround:
-    """With one more scan: before the robot it is all there is, where its beams gave numbers.
+    """Add one more scan: ahead it replaces everything where its beams gave numbers.
 
     Args:
       around: `Surround`.
@@ -103,11 +103,11 @@ def seen(around: Surround, ranges_m: Array) -> Surround:
 
 
 def edge(around: Surround) -> tuple[Array, Array]:
-    """The edge of the generalised Voronoi graph between the nearest point and the nearest on the other side.
+    """Return the edge of the generalised Voronoi graph between the nearest point and the nearest on the other side.
 
     Returns:
-      `(along, off_m)`: float32, radians, direction of the edge before the robot; how much nearer what is left of it is
-        than what is right, by half, metres: so far the edge lies to the right.
+      `(along, off_m)`: float32, radians, direction of the edge ahead; metres, offset of the edge to the right: half the
+        difference of the distances on the right and left.
 
     Source:
       Choset and Nagatani, Topological simultaneous localization and mapping (2001): tracing an edge.
@@ -131,7 +131,7 @@ def edge(around: Surround) -> tuple[Array, Array]:
 
 
 def free_turn(around: Surround, robot: Robot, margin_m: Array | float = MARGIN_M) -> tuple[Array, Array]:
-    """How far the robot can turn in place before its outline meets a point.
+    """Compute the angle by which the robot can turn in place before its outline meets a point.
 
     Args:
       around: `Surround`.
@@ -156,7 +156,7 @@ def free_turn(around: Surround, robot: Robot, margin_m: Array | float = MARGIN_M
 
 
 def ways(around: Surround, robot: Robot) -> Array:
-    """How far the way is free in every direction of `DIRECTION`, before the robot's front: `[DIRECTIONS]` float32."""
+    """Compute the free length in every direction of `DIRECTION`, before the robot's front: `[DIRECTIONS]` float32."""
     xy, known = points(around)
     x, y = xy[:, 0], xy[:, 1]
     cos, sin = np.cos(DIRECTION)[:, None], np.sin(DIRECTION)[:, None]
@@ -166,7 +166,7 @@ def ways(around: Surround, robot: Robot) -> Array:
 
 
 def along_wall(around: Surround, side: Array, coast_m: Array | float, robot: Robot) -> Array:
-    """The direction in which the robot follows a wall: float32, radians.
+    """Return the direction in which the robot follows a wall: float32, radians.
 
     From where the nearest point is it is the first, away from the side of the wall, in which a strip is free that
     widens from the robot's width to nearly twice its distance: along the wall, round its corners, and past gaps that

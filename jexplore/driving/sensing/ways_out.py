@@ -1,4 +1,4 @@
-"""What leads out of a place: the openings of its search circle, doors partly outside that, and doors of a wide room."""
+"""Exits of a place: the openings of its search circle, doors partly outside it, and doors of a wide room."""
 
 import dataclasses
 import math
@@ -24,42 +24,42 @@ from jexplore.driving.sensing.openings import (
 from jexplore.driving.sensing.perception import running_sum
 
 WIDER = 1.5  # search circles, in which doors that lie partly outside one are looked for
-SOMEWHAT_WIDER = 1.25  # likewise, before the next door is in sight
+SOMEWHAT_WIDER = 1.25  # radii; wide enough for both jambs, before the next door is in sight
 OTHER_M = 0.5  # from the middle of every other opening
 WIDE_M = 2.0  # a place is wide from this radius on: doors are looked for wall by wall
-ROOM_M, ROOM = 1.2, 2.0  # where nothing else is left: from this radius on, and so many radii from the middle
+ROOM_M, ROOM = 1.2, 2.0  # m, radii; as a last resort, from this radius on, and this far from the middle
 JAMB = 60  # directions in which a door's other jamb is looked for
 MOST_DOOR_M = 1.5  # such a door is no wider
 BEHIND_RAD = math.radians(12)  # what bears no farther from a door, and lies beyond it, is behind it
-THROUGH_M = 0.5  # so is what is seen through a door's gap and lies so much farther
-MERGED_RAD = math.radians(60)  # what leads so far off the direction of its middle, and off its opposite, is two
-BESIDE_RAD = math.radians(60)  # if there is one of the wider circle that bears no farther from it
+THROUGH_M = 0.5  # m; a point seen through a door's gap and farther by this is behind it too
+MERGED_RAD = math.radians(60)  # an opening that leads this far off its middle's direction, and off the opposite, is two
+BESIDE_RAD = math.radians(60)  # if an opening of the wider circle bears no farther from it
 STRAIGHT_RAD = math.radians(30)  # one that leads no farther off the direction of its middle lies straight ahead
 
 
 def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
              circle: Array | float, size: int, seen_from: Array | None = None,
              farther: Array | bool = False) -> Openings:  # fmt: skip
-    """`openings` of a place, and doors in the walls beside it whose farther jamb lies outside the search circle.
+    """Find the `openings` of a place, and doors in adjacent walls whose farther jamb lies outside the search circle.
 
-    Two doors that face each other across a passage are rarely opposite to the centimetre. One whose middle lies in the
-    circle belongs to the place, as the one across the passage does; in the circle alone it and the passage are one gap.
-    So are a passage and a door farther on in its wall, of which the circle may hold the nearer jamb or nothing. What is
-    seen beyond that gap, the passage's walls and a wall of the room behind the door, can pass for a pocket, whose door
-    then is the gap from a jamb to that wall: it lies in the room, outside the circle, and leads aside, and there is no
-    way out along the passage. What the wider circle has straight ahead there counts instead. Where that
-    has the next door of the wall too, all may be one gap again: then what a somewhat wider circle has counts, in which
-    both jambs of the first door lie and nothing of the next.
+    Two doors that face each other across a passage are rarely opposite to the centimetre. A door whose middle lies in
+    the circle belongs to the place, as the one across the passage does; in the circle alone it and the passage are one
+    gap. The same holds for a passage and a door farther on in its wall, of which the circle may hold the nearer jamb or
+    nothing. Points beyond that gap, the passage's walls and a wall of the room behind the door, can pass for a pocket,
+    whose door then is the gap from a jamb to that wall: it lies in the room, outside the circle, leads aside, and hides
+    the exit along the passage. The opening straight ahead in a wider circle counts instead. If that circle contains the
+    next door of the wall too, all may be one gap again: then the openings of a somewhat wider circle count, which holds
+    both jambs of the first door and nothing of the next.
 
     Args: as for `openings`; and
-      farther: bool, whether to look for doors wall by wall in smaller rooms as well, and farther away. The circles at
-        both ends of a long room are one place: the one may have a door that the other has not. Looked for everywhere,
-        such doors make ways to one place from many.
+      farther: bool, search doors wall by wall in smaller rooms as well, and farther away. The circles at both ends of a
+        long room are one place: one may have a door that the other lacks. Searched everywhere, such doors lead to one
+        place from many.
 
     Returns:
       `Openings`. Their overflow is that of the circle, of a wider circle or of the walls of a wide room, whichever is
-        greatest: what one of these has no room for another mostly has none for either. What the circle has no room for
-        and a wider one has may count twice.
+        greatest: they mostly overflow together. An opening that did not fit the circle's list but that of a wider one
+        may count twice.
     """
 
     def seen(wider):
@@ -69,7 +69,7 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     found, near, more = (jax.tree.map(lambda a, i=i: a[i], views) for i in range(3))
     found = _parted(found, near, more, circle * radius_m)
     askew = _askew(found)
-    # Of a gap wider than half a turn the walls face each other on the other side of the centre: that is one.
+    # The walls of a gap wider than half a turn face each other on the other side of the centre: one opening.
     merged = found.valid & (askew > MERGED_RAD) & (askew < math.pi - MERGED_RAD) & (found.width_m > DOOR_M)
     kept, inside = found.valid & ~merged, jnp.hypot(*more.middle.T) <= circle * radius_m
     straight = jnp.any(merged) & (_askew(more) < STRAIGHT_RAD)
@@ -94,7 +94,7 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
 
 
 def _parted(found, near, more, reach_m):
-    """Openings of the circle; where only the somewhat wider circle parts one by a door in it, its own instead.
+    """Return the openings of the circle; where a door in the somewhat wider circle divides one, its own instead.
 
     Args:
       found, near, more: `Openings` of K, of the circle, the somewhat wider and the wider one.
@@ -106,7 +106,7 @@ def _parted(found, near, more, reach_m):
     (away_m, at), (near_m, near_at) = ((jnp.hypot(*a.middle.T), _direction(a)) for a in (found, near))
     alike, seen = _alike(found, near), jnp.any(_alike(found, near) | _alike(more, near), axis=0)
     door = near.valid & (near.width_m <= DOOR_M) & (near_m <= reach_m) & ~seen
-    # What is seen through a gap, and lies outside the circle, may bear otherwise than the gap.
+    # Points seen through a gap, outside the circle, may bear otherwise than the gap.
     outside, straight = away_m > reach_m, _askew(near) < STRAIGHT_RAD
     half = jnp.where(outside, BESIDE_RAD, jnp.arctan2(found.width_m / 2, away_m))
     within = jnp.abs(wrapped(at[:, None] - near_at)) < half[:, None]
@@ -122,37 +122,37 @@ def _parted(found, near, more, reach_m):
 
 
 def _alike(one, other):
-    """Which openings are which others, by where they are: `[K, K]` bool."""
+    """Match openings by position: `[K, K]` bool."""
     off = jnp.hypot(*jnp.moveaxis(one.middle[:, None] - other.middle, -1, 0))
     return one.valid[:, None] & other.valid & (off < OTHER_M)
 
 
 def _direction(found):
-    """Directions in which the middles of openings lie: `[K]`, radians."""
+    """Return the directions of the middles of openings: `[K]`, radians."""
     return jnp.arctan2(found.middle[:, 1], found.middle[:, 0])
 
 
 def _askew(found):
-    """How far the passages of openings lie off the directions in which their middles do: `[K]`, radians."""
+    """Return the angle between an opening's passage and the direction of its middle: `[K]`, radians."""
     return jnp.abs(wrapped(found.across - _direction(found)))
 
 
 def _others(there, found, more):
-    """Which openings of another view are none of those that are there: `[K]` bool."""
+    """Return the openings of another view that are not among those given: `[K]` bool."""
     off = jnp.hypot(*jnp.moveaxis(more.middle[:, None] - found.middle, -1, 0))
     alike = there & (jnp.abs(wrapped(more.across[:, None] - found.across)) < APART_RAD)
     return more.valid & (jnp.min(jnp.where(there, off, jnp.inf), axis=1) > OTHER_M) & ~jnp.any(alike, axis=1)
 
 
 def _joined(found, doors, is_wide):
-    """Openings and doors together: `(valid, middle, across, width)`.
+    """Merge openings and doors: `(valid, middle, across, width)`.
 
-    A door behind another is none of the place, nor is one that is seen through a narrow opening and lies farther by
-    `THROUGH_M`. An opening that is seen where a door is is that door; in rooms that are not wide only a narrow one.
+    A door behind another does not belong to the place, nor does one seen through a narrow opening and farther by
+    `THROUGH_M`. An opening at a door is that door; in rooms that are not wide, only a narrow opening is.
 
     Args:
       found, doors: `(valid, middle, across, width)` of any number of openings, and of doors.
-      is_wide: bool, whether the room is.
+      is_wide: bool, the room is wide.
     """
     away_m, bearing = jnp.hypot(*doors[1].T), jnp.arctan2(doors[1][:, 1], doors[1][:, 0])
     off = jnp.abs(wrapped(bearing[:, None] - bearing))
@@ -169,8 +169,7 @@ def _joined(found, doors, is_wide):
 
 
 def _wall_doors(place, here, width_m, reach_m, size):
-    """Doors in the walls of a wide place: narrow gaps from where a wall ends to the nearest point of the next that the
-    place leads on through.
+    """Find doors in the walls of a wide place: narrow gaps, free behind, from a wall's end to the next wall.
 
     Args:
       place, here: `[BEARINGS, 2]`, `[BEARINGS]`, the nearest points in every direction, from `polar`.
@@ -190,10 +189,10 @@ def _wall_doors(place, here, width_m, reach_m, size):
 
 
 def _from_ends(place, here, width_m, reach_m, size):
-    """`_wall_doors` of one sense of rotation: from where a wall ends to the nearest point that comes later.
+    """Find doors as `_wall_doors` does, in one sense of rotation: from a wall's end to the nearest later point.
 
     Returns:
-      `(doors, n)`: `(valid, middle, across, width)` of K; int32, how many there are.
+      `(doors, n)`: `(valid, middle, across, width)` of K; int32, their number.
     """
     order, ends = jnp.arange(BEARINGS), gaps(place, place, here, width_m)[2]
     later = (order[:, None] + 1 + jnp.arange(JAMB)) % BEARINGS

@@ -24,7 +24,7 @@ from jexplore.reach import FAR, MOTIONS, NO_MOTION
 
 
 def policy_from(make: Any, given: dict[str, Any]) -> Policy:
-    """The `Policy` of a score, a constructor or a `Policy`.
+    """Return the `Policy` of a score, a constructor or a `Policy`.
 
     Args:
       make: one of these.
@@ -52,7 +52,7 @@ def policy_from(make: Any, given: dict[str, Any]) -> Policy:
 
 
 def adapted(policy: Policy) -> Policy:
-    """A `Policy` of a user's, its functions checked and as they are now; one of this package's as it is."""
+    """Return a user's `Policy` with its functions checked and up to date; one of this package unchanged."""
     if is_theirs(policy):
         return _anew(policy)
     if (getattr(bare(policy), "__module__", None) or "").startswith("jexplore.policies."):
@@ -78,7 +78,7 @@ class _Theirs:
         self._key = type(self), object() if digest is None else digest
 
     def anew(self, digest: str | None = None) -> "_Theirs":
-        """The same function, as it is now, or as it was found to be when it was traced."""
+        """Return the same function, as it is now, or as it was when traced."""
         return type(self)(self.function, self.fixed, digest)
 
     def __eq__(self, other: object) -> bool:
@@ -93,7 +93,7 @@ def _blank(params, belief):
 
 
 def _score_policy(function, given):
-    """A score as a `Policy`. Numbers and arrays among its parameters may be swept without compiling anew."""
+    """Make a `Policy` of a score. Numbers and arrays among its parameters may be swept without compiling anew."""
     fixed = {key: value for key, value in given.items() if isinstance(value, (str, os.PathLike, bool, type(None)))}
     params = {key: value for key, value in given.items() if key not in fixed}
     return Policy(_blank, Score(function, tuple(sorted(fixed.items()))), params)
@@ -126,7 +126,7 @@ def _is_number(dtype):
 
 
 def _highest(score, known):
-    """Row and column of the candidate with the highest score; -1 for none."""
+    """Return row and column of the candidate with the highest score; -1 for none."""
     real = jnp.issubdtype(score.dtype, jnp.floating)
     least = -jnp.inf if real else jnp.iinfo(score.dtype).min
     usable = known.candidates & ~jnp.isnan(score)
@@ -188,7 +188,7 @@ class Select(_Theirs):
 
 
 def _leads_there(belief, route, choice):
-    """Whether a way leads from the robot to its target over cells that it would step into: bool."""
+    """Return whether a path leads from the robot to its target over cells that it would step into: bool."""
     height, width = route.shape
     moves = jnp.asarray(MOTIONS, jnp.int32)
 
@@ -213,7 +213,7 @@ def _leads_there(belief, route, choice):
 
 
 def _as_arrays(carry, what):
-    """A carry whose leaves are arrays of a dtype of their own, not Python's numbers."""
+    """Convert the leaves of a carry to arrays of their own dtype, not Python's numbers."""
 
     def one(leaf):
         if isinstance(leaf, jax.Array) and not getattr(leaf, "weak_type", False):
@@ -243,7 +243,7 @@ def _shape(shape):
 
 
 def _told(tree):
-    """A pytree in words, shapes and dtypes."""
+    """Describe a pytree by shapes and dtypes."""
 
     def one(leaf):
         return f"{_shape(leaf.shape)} {leaf.dtype}" if hasattr(leaf, "dtype") else repr(leaf)
@@ -257,7 +257,7 @@ def _told(tree):
 
 
 def with_exact_numbers(strategy: Strategy) -> Strategy:
-    """A strategy, unless one of its parameters would become another number where episodes run, as int32 or float32.
+    """Refuse a strategy with a parameter that would change its value in episodes, as int32 or float32.
 
     Infinity is a number like any other; digits that float32 does not have are rounded.
 
@@ -273,7 +273,7 @@ def with_exact_numbers(strategy: Strategy) -> Strategy:
 
 
 def _refused(value):
-    """What a parameter must be and is not; None where nothing is wrong, or it is no number at all."""
+    """Return the requirement that a parameter violates; None if it is valid or no number."""
     if isinstance(value, int) and not -(2**31) <= value < 2**31:  # numpy has no such type for the largest
         return _WHOLE
     kind = getattr(value, "dtype", np.dtype(type(value) if isinstance(value, (float, complex)) else bool))
@@ -298,7 +298,7 @@ _REAL = f"from -{np.finfo(np.float32).max:.3g} to {np.finfo(np.float32).max:.3g}
 
 
 def is_theirs(policy: Policy) -> bool:
-    """Whether a policy, or the one that it modifies, comes from outside this package."""
+    """Return whether a policy, or the one that it modifies, comes from outside this package."""
     inner = getattr(policy.select, "inner", policy.select)
     return isinstance(inner, _Theirs)
 
@@ -308,12 +308,12 @@ def _anew(policy, digest=None):
 
 
 def digest_of(policy: Policy) -> str | None:
-    """What tells a user's strategy that was traced from others, in every process; None where nothing does."""
+    """Return the digest that identifies a user's traced strategy in every process; None without one."""
     return getattr(getattr(policy.select, "inner", policy.select), "digest", None)
 
 
 def traced_policy(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> Policy:
-    """A user's strategy, its functions told from others by what they compute: traced on shapes, which compiles nothing.
+    """Identify the functions of a user's strategy by their computation: traced on shapes, without compiling.
 
     Args:
       policy: `Policy`.

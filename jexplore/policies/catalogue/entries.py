@@ -63,7 +63,7 @@ STRATEGIES: dict[str, Entry] = {
         "Basilico and Amigoni 2011",
     ),
 }
-"""Name -> what is known of it. `register` adds to it."""
+"""Name -> entry of the strategy. `register` adds to it."""
 MODIFIERS: dict[str, str] = {
     "recheck": "give up a target as soon as it is no longer live, and choose anew (Holz et al. 2010, section 2.3)",
     "segment": "frontier cells in the robot's own room first; =thrun, =wurm, =holz (default), =voronoi say how rooms "
@@ -88,7 +88,7 @@ SYNONYMS: dict[str, str] = {
     "uniform": "random",
     "yamauchi": "closest",
 }
-"""What others call a strategy -> its name here, for messages."""
+"""Name of a strategy elsewhere -> its name here, for messages."""
 
 _Made = TypeVar("_Made")
 
@@ -133,12 +133,12 @@ def register(name: str, make: Any = None, *, summary: str = "", source: str = ""
 
 @functools.cache
 def offered() -> dict[str, importlib.metadata.EntryPoint]:
-    """Strategies that installed packages offer: name -> entry point."""
+    """Return strategies that installed packages offer: name -> entry point."""
     return {point.name: point for point in importlib.metadata.entry_points(group=GROUP)}
 
 
 def entry_of(name: str) -> Entry | None:
-    """What is known of a strategy; None if nothing is.
+    """Return the entry of a strategy; None if it is unknown.
 
     Raises:
       InputError: a package offers it, and it does not load.
@@ -159,10 +159,10 @@ def _package(point):
 
 
 def known_names() -> list[str]:
-    """All names, those of packages included."""
+    """Return all names, those of packages included."""
     return [*STRATEGIES, *(name for name in offered() if name not in STRATEGIES)]
 
 
 def source_of(entry: Entry) -> str:
-    """Where a strategy comes from: its paper, its package, or its file."""
+    """Return the source of a strategy: its paper, its package, or its file."""
     return entry.source or place_of(entry.make)

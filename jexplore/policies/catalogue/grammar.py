@@ -20,12 +20,12 @@ _FOREIGN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?=$|[
 
 
 def _defaults(make):
-    """Keyword parameters with their defaults: dict; `inspect.Parameter.empty` where there is none."""
+    """Return keyword parameters with their defaults: dict; `inspect.Parameter.empty` without one."""
     return {key: p.default for key, p in parameters(make).items()}
 
 
 def parameters_of(name: str) -> dict[str, Any]:
-    """Parameters of a strategy and their defaults, from its constructor's signature: dict.
+    """Return the parameters of a strategy and their defaults, from its constructor's signature: dict.
 
     Raises:
       InputError: no such strategy.
@@ -46,7 +46,7 @@ class Listed(NamedTuple):
 
 
 def listing() -> list[Listed]:
-    """All strategies that have a name, those of packages included; one that does not load says why."""
+    """List all named strategies, those of packages included; one that does not load says why."""
     lines = []
     for name in known_names():
         try:
@@ -62,13 +62,13 @@ def listing() -> list[Listed]:
 
 
 def strategies() -> Listing:
-    """All strategies that have a name, with what they take, as a table that shows itself."""
+    """List all named strategies with their parameters, as a table that shows itself."""
     rows = tuple((one.name, one.summary, one.parameters or "-", one.source) for one in listing())
     return Listing(("strategy", "goes to", "parameters", "source"), rows)
 
 
 def _modifier_parameters(modifiers):
-    """Parameters that modifiers add to those of the strategy, with their defaults: dict."""
+    """Return the parameters that modifiers add to those of the strategy, with their defaults: dict."""
     if "segment" not in modifiers:
         return {}
     found = _defaults(segmented)
@@ -76,7 +76,7 @@ def _modifier_parameters(modifiers):
 
 
 def _modifiers(words, text):
-    """Modifiers and what stands behind their `=`: dict; None for nothing."""
+    """Parse modifiers and their values after `=`: dict; None for nothing."""
     given = {}
     for word in words:
         name, equals, kind = word.partition("=")
@@ -93,7 +93,7 @@ def _modifiers(words, text):
 
 
 def _value(key, value, default, text):
-    """A parameter from text, of the kind of its default: number, bool, text or path."""
+    """Parse a parameter by the kind of its default: number, bool, text or path."""
     if isinstance(default, bool):
         if value.lower() not in ("true", "false"):
             raise InputError(f"expected true or false for {key} in {text!r}, got {value!r}")
@@ -111,7 +111,7 @@ def _value(key, value, default, text):
 
 
 def _given(tail, allowed, head, text):
-    """Parameters from `key=value,...`: dict."""
+    """Parse parameters from `key=value,...`: dict."""
     given = {}
     for item in tail.split(",") if tail else ():
         key, equals, value = item.partition("=")
@@ -129,7 +129,7 @@ def _modified(policy, modifiers, more):
 
 
 def _unknown(name, rest):
-    """The error for a name that stands for nothing; that of a file is told how its module is named."""
+    """Return the error for an unknown name; for a file it tells how its module is named."""
     if re.fullmatch(r":[A-Za-z_]\w*([+:].*)?", rest):
         module = Path(name).stem
         return InputError(f"{name!r} is no module: one in this folder or installed is named like {module}{rest}")
@@ -141,7 +141,7 @@ def _unknown(name, rest):
 
 
 def parse_strategy(text: str) -> Strategy:
-    """A strategy from its name.
+    """Make a strategy from its name.
 
     Args:
       text: `name+modifier+...:key=value,...`, such as `closest+recheck`, or `module:name+...` for one in a module that
@@ -181,7 +181,7 @@ def parse_strategy(text: str) -> Strategy:
 def strategy(
     what: Any, *, name: str | None = None, recheck: bool = False, segment: str | bool = False, **given: Any
 ) -> Strategy:
-    """A strategy from whatever stands for one.
+    """Make a strategy from anything that stands for one.
 
     Args:
       what: a name as `parse_strategy` reads it; a function of the view that returns a score for every cell; a
@@ -228,7 +228,7 @@ def strategy(
 
 
 def _require_apart(make, own, others):
-    """Refuses parameters that would be taken for those of the modifiers."""
+    """Refuse parameters that would be taken for those of the modifiers."""
     for key in own:
         if key in others:
             raise InputError(f"{described(make)} has a parameter {key!r}, which is one of the modifiers': rename it")
@@ -240,7 +240,7 @@ def _require_name(name):
 
 
 def _checked(given):
-    """A `Strategy` that a user has put together, or kept: its functions as they are now."""
+    """Check a `Strategy` made or kept by a user, and bring its functions up to date."""
     _require_name(given.name)
     if not isinstance(given.policy, Policy):
         raise InputError(f"strategy {given.name!r}: policy must be a Policy, got {type(given.policy).__name__}")

@@ -16,7 +16,7 @@ from jexplore.reach import FAR
 
 
 class Params(NamedTuple):
-    """Which of the strategies it is, and the parameters of all."""
+    """Index of the selected strategy, and the parameters of all."""
 
     which: Any  # int32
     each: tuple[Any, ...]
@@ -29,13 +29,13 @@ class Joined:
     policies: tuple[Policy, ...]  # without their parameters
 
     def init(self, params: Params, belief: Any) -> Any:
-        """The carries of all."""
+        """Return the carries of all."""
         return tuple(policy.init(own, belief) for policy, own in zip(self.policies, params.each))
 
     def select(
         self, key: Array, params: Params, carry: Any, belief: Any, beams: Any, route: Array
     ) -> tuple[Any, Choice, Array]:
-        """What the one that it is chooses; the others are not asked."""
+        """Choose by the selected strategy alone."""
         none, zero = jnp.int32(-1), jnp.int32(0)
         state: Any = carry, Choice(none, none, jnp.int32(FAR), zero, jnp.bool_(False), zero), route
         for i, policy in enumerate(self.policies):
@@ -49,7 +49,7 @@ class Joined:
         return state
 
     def live(self, params: Params, belief: Any, beams: Any, row: Array, col: Array) -> Array:
-        """Whether a view point is worth going to, by the one that it is."""
+        """Return whether a view point is live for the selected strategy."""
         live = jnp.bool_(True)
         for i, policy in enumerate(self.policies):
             if policy.live is not None:
@@ -60,15 +60,15 @@ class Joined:
 
 @functools.lru_cache(maxsize=32)
 def _joined(policies):
-    """The same `Joined` for the same functions: methods of equal ones would differ."""
+    """Return the same `Joined` for the same functions: methods of equal ones would differ."""
     return Joined(policies)
 
 
 def joined(strategies: Sequence[Strategy]) -> list[Strategy]:
-    """Strategies that share a program, one for each that is given, in order; a lone one stays as it is, and so does a
-    user's, which may be changed and compiled again while the others stay as they are.
+    """Make strategies share a program, one for each that is given, in order.
 
-    Their parameters tell them apart: those with the same functions must have parameters of one structure.
+    A lone one stays unchanged, and so does a user's, which may be changed and compiled again without the others. Those
+    with the same functions must have parameters of one structure: these tell them apart.
     """
     kinds: dict[Policy, Any] = {}
     ours = [one for one in strategies if not is_theirs(one.policy)]

@@ -1,6 +1,6 @@
-"""What somebody else has written: found in a module, described in messages, called, its parameters read.
+"""Users' strategies: found in a module, described in messages, called, their parameters read.
 
-What a user gave is named in every message: the function, its file and line, and what went wrong.
+Every message names the user's function, its file and line, and the error.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ OUTER = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYW
 
 
 def bare(thing: Any) -> Any:
-    """The function by which people know something: a policy's `select`, what a partial calls."""
+    """Return the function that names an object: a policy's `select`, the function of a partial."""
     thing = thing.select if isinstance(thing, Policy) else thing
     while isinstance(thing, functools.partial):
         thing = thing.func
@@ -35,12 +35,12 @@ def bare(thing: Any) -> Any:
 
 
 def name_of(thing: Any) -> str | None:
-    """What a strategy, function or class is called; None if it has no name."""
+    """Return the name of a strategy, function or class; None without one."""
     return getattr(bare(thing), "__name__", None)
 
 
 def place_of(thing: Any) -> str:
-    """File and line where something is defined: text; its module where that is all there is."""
+    """Return file and line of a definition: text; else its module."""
     thing = bare(thing)
     thing = inspect.unwrap(thing) if callable(thing) else thing
     method = getattr(type(thing), "__call__", None)  # noqa: B004
@@ -51,7 +51,7 @@ def place_of(thing: Any) -> str:
 
 
 def _short(file):
-    """A file as people call it: relative where that is shorter."""
+    """Shorten the path of a file: relative if that is shorter."""
     with contextlib.suppress(ValueError):  # another drive
         relative = os.path.relpath(file)
         return relative if len(relative) < len(file) else file
@@ -59,12 +59,12 @@ def _short(file):
 
 
 def described(thing: Any) -> str:
-    """How messages call what a user gave: `nearest (mine.py:3)`."""
+    """Describe a user's object in messages: `nearest (mine.py:3)`."""
     return f"{name_of(thing) or type(bare(thing)).__name__} ({place_of(thing)})"
 
 
 def call(function: Callable[..., Any], what: str, *args: Any, **kwargs: Any) -> Any:
-    """Calls what a user gave.
+    """Call a user's function.
 
     Raises:
       InputError: it raised something: one line that says what, and where.
@@ -81,7 +81,7 @@ def call(function: Callable[..., Any], what: str, *args: Any, **kwargs: Any) -> 
 
 
 def _hint(error):
-    """What would be right, for what everybody meets once."""
+    """Return a hint for common errors."""
     if isinstance(error, (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError)):
         return " Values are not known while JAX traces: jnp.where instead of if, jnp instead of math and numpy."
     if isinstance(error, AttributeError) and isinstance(error.obj, View):
@@ -97,14 +97,14 @@ _LIBRARIES = tuple(
 
 
 def is_library(file: str) -> bool:
-    """Whether a file belongs to Python, jax, numpy or this package: not to what a user or another package wrote."""
+    """Return whether a file belongs to Python, jax, numpy or this package, rather than to a user or another package."""
     file = os.path.abspath(file)
     installed = "site-packages" in file or "dist-packages" in file
     return file.startswith(_LIBRARIES) or (file.startswith(_PYTHON) and not installed) or "<frozen" in file
 
 
 def parameters(make: Any) -> dict[str, inspect.Parameter]:
-    """Keyword parameters of a constructor or score.
+    """Return the keyword parameters of a constructor or score.
 
     Raises:
       InputError: something whose parameters cannot be read.
@@ -124,12 +124,12 @@ def _signature(make):
 
 
 def _is_needed(parameter):
-    """Whether it is a positional argument without a default."""
+    """Return whether it is a positional argument without a default."""
     return parameter.kind in OUTER and parameter.default is parameter.empty
 
 
 def is_score(make: Any) -> bool:
-    """Whether a callable is a score: it has a positional argument without a default, the view.
+    """Return whether a callable is a score: it has a positional argument without a default, the view.
 
     Raises:
       InputError: it has several.
@@ -149,7 +149,7 @@ _LOADED: dict[str, tuple[str, bytes]] = {}  # modules of the current folder: fil
 
 
 class _FromSource(importlib.machinery.SourceFileLoader):
-    """Loads what is written in a file now. The bytecode that Python keeps knows a file by its size and second only."""
+    """Loader of a file's present source. Python's bytecode cache identifies a file by size and second only."""
 
     def get_code(self, fullname):
         file = self.get_filename(fullname)
@@ -178,15 +178,14 @@ class _Here:
 
 
 def _is_own(file, folder):
-    """Whether a file lies in a folder and is nothing that is installed, as in an environment in that folder."""
+    """Return whether a file lies in a folder and is not installed, as in an environment inside that folder."""
     if is_library(file) or "site-packages" in file or "dist-packages" in file:
         return False
     return os.path.realpath(file).startswith(os.path.join(os.path.realpath(folder), ""))
 
 
 def import_object(module: str, name: str) -> Any:
-    """An object of a module, which may lie in the current folder: as it is written there now, with all that it imports
-    from there.
+    """Import an object of a module, possibly from the current folder: its present source, with its imports from there.
 
     Raises:
       InputError: the module does not import (its own error), is hidden by another, or has no such name.
@@ -212,7 +211,7 @@ def import_object(module: str, name: str) -> Any:
 
 @contextlib.contextmanager
 def _imported_from(here, top):
-    """Modules of a folder are imported as they are written now: those that a user has imported meanwhile stand aside.
+    """Import modules of a folder in their present form: those that a user has imported are set aside meanwhile.
 
     Raises:
       InputError: the module called `top` is hidden by one from elsewhere.
@@ -244,20 +243,20 @@ def _imported_from(here, top):
 
 
 def _is_theirs(name, module, here):
-    """Whether a user has imported a module from a folder: one with source, and not the program itself."""
+    """Return whether a user has imported a module from a folder: with source, and not the program itself."""
     file = getattr(module, "__file__", None)
     is_source = isinstance(file, str) and file.endswith(".py")
     return is_source and name != "__main__" and name not in _LOADED and _is_own(file, here)
 
 
 def is_replaced(thing: Any) -> bool:
-    """Whether the module that defines a function has been imported anew since."""
+    """Return whether the module that defines a function has been imported anew since."""
     module = sys.modules.get(getattr(bare(thing), "__module__", None) or "")
     names = getattr(bare(thing), "__globals__", None)
     return module is not None and names is not None and vars(module) is not names
 
 
 def _content(file):
-    """What is in a file now; None where there is none."""
+    """Return the present content of a file; None if it does not exist."""
     with contextlib.suppress(OSError), open(file, "rb") as opened:
         return opened.read()

@@ -1,7 +1,7 @@
-"""What tells functions apart by what they compute: what JAX writes down when it traces them.
+"""Identity of functions by the computation that JAX traces.
 
-It holds every number that the functions work with, wherever that comes from: a helper, an object, a file. What JAX does
-not see is what a callback does in Python.
+The trace holds every number that the functions work with, from any source: a helper, an object, a file. It does not
+hold the Python code of a callback.
 """
 
 import hashlib
@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
-_ADDRESS = re.compile(r"0x[0-9a-fA-FX]+")  # of an object in memory, which says nothing of it
+_ADDRESS = re.compile(r"0x[0-9a-fA-FX]+")  # address of an object in memory, irrelevant here
 
 
 def digest(traced: ClosedJaxpr) -> str | None:
-    """SHA-256 of a traced function, in hexadecimal digits: equal in every process for what computes the same.
+    """Return SHA-256 of a traced function, in hexadecimal digits: equal computations agree in every process.
 
     Returns:
       text; None where it cannot be told, because it calls back into Python.
@@ -39,7 +39,7 @@ def digest(traced: ClosedJaxpr) -> str | None:
 
 
 def _within(traced, seen) -> Iterator[Any]:
-    """A traced function, and those that it calls: each once."""
+    """Yield a traced function, and those that it calls: each once."""
     if id(traced) not in seen:
         seen.add(id(traced))
         yield traced
@@ -50,7 +50,7 @@ def _within(traced, seen) -> Iterator[Any]:
 
 
 def _bytes(array):
-    """The elements of an array with their type and its shape."""
+    """Return the elements of an array with their type and its shape."""
     if jnp.issubdtype(getattr(array, "dtype", np.bool_), jax.dtypes.prng_key):
         array = jax.random.key_data(array)
     array = np.asarray(array)

@@ -1,4 +1,4 @@
-"""What a learned strategy is told of every frontier cluster: numbers of about 1, lengths divided by `UNIT_M`."""
+"""Features of every frontier cluster for a learned strategy: numbers of about 1, lengths divided by `UNIT_M`."""
 
 import math
 
@@ -16,7 +16,7 @@ MOST = 32  # clusters that are told apart, the nearest ones
 UNIT_M = 10.0
 RADII_M = (2.0, 4.0, 8.0)
 POCKET_M2 = 15.0  # area of which a pocket has no more
-AROUND_M = 4.0  # how far what is unknown at other clusters counts
+AROUND_M = 4.0  # radius in which unknown cells at other clusters count
 STAY_M = 3.0  # how far the last target's neighbourhood reaches
 NAMES = (
     "path",  # of the robot, UNIT_M
@@ -37,7 +37,7 @@ NAMES = (
 
 
 def shortlist(at: Targets) -> Targets:
-    """The `MOST` nearest targets, in the order of their paths; what has no room is counted."""
+    """Return the `MOST` nearest targets, in the order of their paths; the others are counted."""
     order = jnp.argsort(at.path_m, stable=True)[:MOST]
     left_out = jnp.maximum(jnp.sum(at.used, dtype=jnp.int32) - MOST, 0)
     row, col, used, path_m, size = (a[order] for a in (at.row, at.col, at.used, at.path_m, at.size))
@@ -45,11 +45,11 @@ def shortlist(at: Targets) -> Targets:
 
 
 def detours(at: Targets, apart_m: Array) -> Array:
-    """What it costs to begin with each target: open tours of all, always on to the nearest not yet visited.
+    """Compute the cost of beginning with each target: open tours of all, always on to the nearest unvisited one.
 
     Args:
       at: `Targets`, M of them.
-      apart_m: `[M, M]` float32, see `clusters.apart`. One that no path leads to is left out.
+      apart_m: `[M, M]` float32, see `clusters.apart`. Unreachable ones are left out.
 
     Returns:
       `[M]` float32, metres beyond the shortest of these tours; 0 in an unused slot.
@@ -75,7 +75,7 @@ def detours(at: Targets, apart_m: Array) -> Array:
 
 
 def features(belief: Belief, at: Targets, last: Array, beams: Beams) -> Array:
-    """The features of some targets.
+    """Compute the features of some targets.
 
     Args:
       belief: `Belief`.

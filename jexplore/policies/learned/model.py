@@ -1,4 +1,4 @@
-"""Models as files: `NAME.msgpack`, the weights, and `NAME.json` beside it, what they are of and how they were made."""
+"""Models as files: `NAME.msgpack`, the weights, and `NAME.json` next to it, their network, features and training."""
 
 import hashlib
 import json
@@ -30,7 +30,7 @@ class Model(NamedTuple):
 
 
 def digest(weights: Any) -> str:
-    """SHA-256 of some weights, in hexadecimal digits."""
+    """Return SHA-256 of some weights, in hexadecimal digits."""
     found = hashlib.sha256()
     for path, leaf in jax.tree.leaves_with_path(weights):
         array = np.ascontiguousarray(leaf, np.float32)
@@ -40,12 +40,12 @@ def digest(weights: Any) -> str:
 
 
 def is_finite(weights: Any) -> bool:
-    """Whether all of some weights are finite numbers."""
+    """Return whether all weights are finite numbers."""
     return all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(weights))
 
 
 def require_sound(model: Model, told: str = "model") -> None:
-    """Refuses weights that are not those of their network.
+    """Refuse weights that are not those of their network.
 
     Args:
       model: `Model`.
@@ -65,30 +65,30 @@ def require_sound(model: Model, told: str = "model") -> None:
 
 
 def _blank(network):
-    """Weights of a network, all 0."""
+    """Return weights of a network, all 0."""
     shapes = jax.eval_shape(lambda: networks.begin(network, random_key(0), len(features.NAMES)))
     return jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), shapes)
 
 
 def write_weights(path: Path, model: Model) -> None:
-    """Writes the weights alone, in msgpack."""
+    """Write the weights alone, in msgpack."""
     from flax import serialization
 
     path.write_bytes(serialization.to_bytes(jax.tree.map(np.asarray, model.weights)))
 
 
 def write_page(path: Path, model: Model) -> None:
-    """Writes what a model is of and how it was made, in JSON."""
+    """Write the description of a model and its training, in JSON."""
     own = {"format": FORMAT, "network": model.network, "features": list(features.NAMES)}
     page = {**model.made, **own, "sha256": digest(model.weights)}
     path.write_text(json.dumps(page, indent=1) + "\n", encoding="utf-8")
 
 
 def load_model(path: str | os.PathLike[str]) -> Model:
-    """A model from its files.
+    """Load a model from its files.
 
     Args:
-      path: of the weights or of the JSON beside them.
+      path: of the weights or of their JSON.
 
     Raises:
       InputError: a file is missing, damaged, of another version, of another network or other features than this

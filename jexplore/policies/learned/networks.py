@@ -17,7 +17,7 @@ class Linear(nn.Module):
 
     @nn.compact
     def __call__(self, features: Array, used: Array) -> Array:
-        """Scores, see `scores`."""
+        """Compute scores, see `scores`."""
         weights = self.param("weights", nn.initializers.zeros, (features.shape[-1],))
         del used
         return features @ weights
@@ -31,13 +31,13 @@ class Attention(nn.Module):
 
     @nn.compact
     def __call__(self, features: Array, used: Array) -> Array:
-        """Scores, see `scores`."""
+        """Compute scores, see `scores`."""
         x = nn.relu(nn.Dense(self.width)(features))
         mask = jnp.broadcast_to(used[..., None, None, :], (*used.shape[:-1], 1, used.shape[-1], used.shape[-1]))
         seen = nn.MultiHeadDotProductAttention(self.heads)(nn.LayerNorm()(x), mask=mask)
         x = x + jnp.where(jnp.any(used, axis=-1)[..., None, None], seen, 0.0)
         x = x + nn.Dense(self.width)(nn.relu(nn.Dense(2 * self.width)(nn.LayerNorm()(x))))
-        # Beside a weighted sum, so that training can begin where that is.
+        # In addition to a weighted sum, so that training can begin at that.
         plain = self.param("plain", nn.initializers.zeros, (features.shape[-1],))
         return nn.Dense(1, kernel_init=nn.initializers.normal(0.01))(nn.LayerNorm()(x))[..., 0] + features @ plain
 
@@ -47,10 +47,10 @@ NETWORKS: dict[str, Callable[[], Any]] = {"linear": Linear, "attention": Attenti
 
 
 def network(name: str) -> Any:
-    """A network by its name.
+    """Return a network by its name.
 
     Raises:
-      InputError: there is none of that name.
+      InputError: unknown name.
     """
     if name not in NETWORKS:
         raise unknown("network", name, NETWORKS)
@@ -62,7 +62,7 @@ PLAIN = {"linear": "weights", "attention": "plain"}
 
 
 def begin(name: str, key: Array, n_features: int) -> Any:
-    """Weights before training: a pytree of float32 arrays. The weighted sum is that of `closest`, -1 for the path.
+    """Return weights before training: a pytree of float32 arrays. The weighted sum is that of `closest`.
 
     Args:
       name: of the network.
@@ -75,7 +75,7 @@ def begin(name: str, key: Array, n_features: int) -> Any:
 
 
 def scores(name: str, weights: Any, features: Array, used: Array) -> Array:
-    """Scores of clusters.
+    """Compute scores of clusters.
 
     Args:
       name: of the network.

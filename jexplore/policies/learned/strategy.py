@@ -25,12 +25,12 @@ TINY_M = 0.5  # a target as near as this is taken without asking
 
 
 def init(params: Any, belief: Belief) -> Array:
-    """The `init`. Carry: `[2]` int32, row and col of the last target; -1 before."""
+    """Return the `init`. Carry: `[2]` int32, row and col of the last target; -1 before."""
     return jnp.full((2,), -1, jnp.int32)
 
 
 def is_forced(at: Targets) -> Array:
-    """Whether there is nothing to decide: at most one target, or the nearest is `TINY_M` away or less. bool.
+    """Return whether the choice is forced: at most one target, or the nearest is `TINY_M` away or less: bool.
 
     Args:
       at: `Targets`, the nearest first.
@@ -39,16 +39,16 @@ def is_forced(at: Targets) -> Array:
 
 
 def judged(network: str, weights: Any, at: Targets, tell: Callable[[], Array]) -> tuple[Array, Array]:
-    """Scores of some targets; the nearest is above all others where there is nothing to decide.
+    """Score some targets; if the choice is forced, the nearest is above all others.
 
     Args:
       network: one of `networks.NETWORKS`. Static.
-      weights: of it.
+      weights: of that network.
       at: `Targets`, K of them, the nearest first.
-      tell: `() -> [K, F]`, their features; only called where there is something to decide.
+      tell: `() -> [K, F]`, their features; only called for an open choice.
 
     Returns:
-      `[K]` float32, scores; `[K, F]` float32, features, 0 where there is nothing to decide.
+      `[K]` float32, scores; `[K, F]` float32, features, 0 for a forced choice.
     """
     forced, size = is_forced(at), (len(at.used), len(NAMES))
     told = run_if(~forced, lambda _: tell(), jnp.zeros(size, jnp.float32))
@@ -74,12 +74,12 @@ class Select:
 
 
 def policy_of(model: Model) -> Policy:
-    """The policy of a model."""
+    """Return the policy of a model."""
     return Policy(init, Select(model.network), model.weights)
 
 
 def learned(path: Path = Path("shipped")) -> Policy:
-    """The policy of a model from a file; `shipped` is the one that comes with the package.
+    """Return the policy of a model from a file; `shipped` is the one that comes with the package.
 
     Raises:
       InputError: see `load_model`.

@@ -8,12 +8,12 @@ from typing import Any
 
 
 def plain(text: object) -> str:
-    """Any text for HTML, in plain ASCII, so that a page may be written in any encoding."""
+    """Escape any text for HTML, in plain ASCII, so that a page may be written in any encoding."""
     return html.escape(str(text)).encode("ascii", "xmlcharrefreplace").decode("ascii")
 
 
 def script_data(found: Any) -> str:
-    """JSON that stands in a script of a page: no text in it can end the script."""
+    """Format JSON for a script of a page: no text in it can end the script."""
     text = json.dumps(found, separators=(",", ":"), allow_nan=False)
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
@@ -21,12 +21,12 @@ def script_data(found: Any) -> str:
 
 
 def assembled(template: str, **parts: str) -> str:
-    """A file of this folder, with what stands in it in double braces filled in.
+    """Fill in a file of this folder at the names in double braces.
 
     Args:
       template: name of the file.
-      **parts: what is filled in by name, HTML; never looked into. What is no part's name is the name of another file of
-        this folder, filled in likewise.
+      **parts: HTML by name, inserted as it is. Any other name is that of another file of this folder, filled in the
+        same way.
 
     Returns:
       The page, text.

@@ -14,11 +14,11 @@ def base64_of(raw: bytes) -> str:
 
 
 def packed(values: Any, step: float = 1.0, name: str = "values") -> dict[str, Any]:
-    """An array as little-endian whole multiples of a step, in base64; the type's extremes are NaN and +infinity.
+    """Encode an array as little-endian whole multiples of a step, in base64; the type's extremes are NaN and +infinity.
 
     Args:
       values: numbers of any shape. An infinity below 0 becomes NaN.
-      step: what is kept of them.
+      step: resolution.
       name: for the error.
 
     Returns:
@@ -39,11 +39,11 @@ def packed(values: Any, step: float = 1.0, name: str = "values") -> dict[str, An
 
 
 def runs(before: np.ndarray, after: np.ndarray) -> bytes:
-    """What changed from one image to the next of the same shape.
+    """Encode the changes from one image to the next of the same shape.
 
-    Every run is a number of unchanged cells that are passed over (seven bits a byte, the lowest first, the top bit set
-    on all but the last) and a byte, 16 times the length of the run plus the code of its cells. Cells are counted row by
-    row, and a run may go on in the next row.
+    Every run is a number of unchanged cells to skip (seven bits a byte, the lowest first, the top bit set on all but
+    the last) and a byte, 16 times the length of the run plus the code of its cells. Cells are counted row by row, and a
+    run may go on in the next row.
 
     Args:
       before, after: uint8 arrays of codes from 0 to `MOST_CODE`.
@@ -74,7 +74,7 @@ def runs(before: np.ndarray, after: np.ndarray) -> bytes:
 
 
 def change(image: np.ndarray, found: bytes) -> None:
-    """Changes an image in place as `runs` has it.
+    """Change an image in place by the result of `runs`.
 
     Args:
       image: `[..., ]` uint8, contiguous.

@@ -50,7 +50,7 @@ class ReplayData:
     changes: tuple[bytes, ...]
     """`[F]` what changed in the map of codes, see `packing.runs`; at first from all 0."""
     has_own_room: bool = False
-    """Whether the strategy has a room of its own."""
+    """True if the strategy has a room of its own."""
 
     def __post_init__(self) -> None:
         frames, steps = len(self.steps), len(self.rows) - 1
@@ -69,14 +69,14 @@ class ReplayData:
             raise ValueError("expected rows and cols of neighbouring cells, got a jump")
 
     def maps(self) -> Iterator[np.ndarray]:
-        """The codes of all cells, frame by frame: `[H, W]` uint8. The same array, changed in place."""
+        """Yield the codes of all cells, frame by frame: `[H, W]` uint8. The same array, changed in place."""
         image = np.zeros(self.truth.shape, np.uint8)
         for found in self.changes:
             change(image, found)
             yield image
 
     def thinned(self, most: int) -> "ReplayData":
-        """The same with at most so many frames, evenly chosen, the last among them."""
+        """Return the same replay with at most `most` frames, evenly chosen, the last among them."""
         frames = len(self.steps)
         if frames <= most:
             return self
@@ -88,7 +88,7 @@ class ReplayData:
 
 
 def changes_of(images: Iterable[np.ndarray]) -> Iterator[bytes]:
-    """`ReplayData.changes` of maps of codes, uint8, which may be one array that changes."""
+    """Yield `ReplayData.changes` of maps of codes, uint8, which may be one array that changes."""
     before = None
     for image in images:
         before = np.zeros_like(image) if before is None else before
@@ -97,7 +97,7 @@ def changes_of(images: Iterable[np.ndarray]) -> Iterator[bytes]:
 
 
 def evenly(steps: int, most: int) -> list[int]:
-    """At most so many of the numbers from 0 to `steps`, evenly spaced, the last one among them."""
+    """Return at most `most` of the numbers from 0 to `steps`, evenly spaced, the last one among them."""
     return np.unique(np.linspace(steps, 0, min(most, steps + 1)).round().astype(int)).tolist()
 
 
@@ -117,7 +117,7 @@ def _world(replay):
 
 
 def page_data(replays: Sequence[ReplayData]) -> dict[str, Any]:
-    """What the page reads: `worlds`, each once, and `replays`, plain JSON types.
+    """Return the data for the page: `worlds`, each once, and `replays`, plain JSON types.
 
     A replay's `moves` are a byte a step, 3 * (1 + rows up) + (1 + cols right); its `changes` lie end to end, `sizes`
     bytes a frame.

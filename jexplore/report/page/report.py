@@ -30,7 +30,7 @@ def report_page(
     notes: Iterable[str] = (),
     max_bytes: int = MOST_BYTES,
 ) -> str:
-    """The report of a run, one HTML file: no network, no server, no other file; replays need JavaScript.
+    """Return the report of a run, one HTML file: no network, no server, no other file; replays need JavaScript.
 
     Figures take up to half of the page; the largest are left out where they would take more. Where the page would be
     too large, replays lose frames, then the last ones are left out. The page says so. It is plain ASCII, so it may be
@@ -38,11 +38,11 @@ def report_page(
 
     Args:
       title: of the page.
-      asked: name -> value, nested as one likes: settings, versions. `command`, a text or a list of words, stands above
-        all else; the rest is folded, at the end.
+      asked: name -> value, nested: settings, versions. `command`, a text or a list of words, stands above all else; the
+        rest is folded, at the end.
       tables: pairs of a heading and a table as the terminal has it, by `aligned_table`; or a DataFrame, whose index is
         not shown, a list of mappings with the same keys, or of rows the first of which has the names of the columns.
-      figures: name, the bytes of a PNG or SVG file, and a text that says what is to be seen: the caption.
+      figures: name, the bytes of a PNG or SVG file, and a caption.
       replays: list of `ReplayData`.
       warnings: lines.
       notes: lines about the replays.
@@ -72,7 +72,7 @@ def report_page(
 
 
 def _cut(replays, shown, frames):
-    """Lines about what replays have lost for want of room."""
+    """Yield lines about parts of replays left out for lack of room."""
     if len(shown) < len(replays):
         yield f"To keep the page small, the last {len(replays) - len(shown)} of {len(replays)} replays are left out."
     if frames < MANY_FRAMES:
@@ -93,7 +93,7 @@ def _page(title, above, settings, replays, notes):
 
 
 def _asked(asked):
-    """The command, and all settings, folded."""
+    """Format the command, and all settings, folded."""
     asked = {str(name): value for name, value in jsonable(dict(asked)).items()}
     command = asked.pop("command", None)
     shown = command if command is None or isinstance(command, str) else " ".join(map(str, command))
@@ -112,7 +112,7 @@ def _cut_text(text):
 
 
 def _flat(value, name=""):
-    """Nested settings as pairs of dotted names and texts."""
+    """Yield nested settings as pairs of dotted names and texts."""
     if isinstance(value, dict):
         for key, item in value.items():
             yield from _flat(item, f"{name}.{key}" if name else key)
@@ -137,7 +137,7 @@ def _tables(tables):
 
 
 def _cells(found):
-    """Names of the columns, rows of texts, and which columns are aligned to the right."""
+    """Return names of the columns, rows of texts, and which columns are aligned to the right."""
     if isinstance(found, str):
         return table_cells(found)
     if hasattr(found, "columns"):  # a DataFrame
@@ -168,7 +168,7 @@ def _table(heading, found):
 
 
 def _plain_value(value):
-    """A number, a truth value, text or None."""
+    """Return a number, a truth value, text or None."""
     value = value.item() if hasattr(value, "item") else value
     if value is None or type(value).__name__ in ("NAType", "NaTType") or (isinstance(value, float) and value != value):
         return None
@@ -199,7 +199,7 @@ def _plots(figures, max_bytes):
 
 
 def _figure(name, raw, alt):
-    """A picture as an image whose bytes stand in the page: nothing in it is run or fetched."""
+    """Embed a picture as an image whose bytes stand in the page: nothing in it is run or fetched."""
     if raw.startswith(b"\x89PNG\r\n\x1a\n"):
         kind = "png"
     elif b"<svg" in raw[:2000]:

@@ -33,11 +33,11 @@ class Panel:
     maps: tuple[str, ...]
     """Names of the maps that it was made of."""
     note: str = ""
-    """Why it stands apart, or what is to be known of its frame: a sentence."""
+    """Reason for standing apart, or a note about its frame: a sentence."""
 
 
 def station_page(title: str, panels: Sequence[Panel], robots: Sequence[Body], notes: Sequence[str] = ()) -> str:
-    """Maps as one HTML file: no network, no server, no other file. It is plain ASCII.
+    """Return maps as one HTML file: no network, no server, no other file. It is plain ASCII.
 
     What the given robots may not use is found here; for a robot that is typed in the page repeats the comparisons.
 
@@ -64,7 +64,7 @@ def station_page(title: str, panels: Sequence[Panel], robots: Sequence[Body], no
 
 
 def _panel(panel: Panel, robots: Sequence[Body]) -> dict[str, Any]:
-    """What the page reads of a map, plain JSON types; ids as keys become text."""
+    """Return a map's data for the page, plain JSON types; ids as keys become text."""
     btm, index = panel.map, index_of(panel.map)
     nodes = index.nodes
     about = {key: value for key, value in btm.attributes.items() if key not in (MERGED_FROM, CONFLICTS)}
@@ -91,7 +91,7 @@ def _reasons(of: Mapping[int, Sequence[str]]) -> dict[str, list[str]]:
 
 
 def _item(item: Node | Link, panel: Panel) -> dict[str, Any]:
-    """Fields of a node or link; who wrote it, and what they say differently, apart from the other attributes."""
+    """Return fields of a node or link; its sources and their differences, apart from the other attributes."""
     own = dict(item.attributes)
     told = own.pop(FROM, {panel.name: item.id}) if MERGED_FROM in panel.map.attributes else {panel.name: item.id}
     return {**vars(item), "from": told, "conflicts": own.pop(CONFLICTS, {}), "attributes": own}

@@ -14,7 +14,7 @@ LABELS = ("shortest walk found, dark to bright", "start", "end", "cell that the 
 
 
 def figure(found: Any) -> Figure:
-    """The walks of the first starts, with the cells that make their lower bounds, on the true floor plans.
+    """Draw the walks of the first starts, with the cells that make their lower bounds, on the true floor plans.
 
     Args:
       found: `Bounds`.
@@ -42,7 +42,7 @@ def figure(found: Any) -> Figure:
 
 
 def _between(row):
-    """What a title says of a row's bounds."""
+    """Return the part of a title that states a row's bounds."""
     if not np.isfinite(row["high_m"]):
         return f"{row['status']}, at least {row['low_m']:.1f} m" if row["low_m"] else row["status"]
     return f"{row['low_m']:.1f} to {row['high_m']:.1f} m, {row['status']}"

@@ -20,32 +20,32 @@ MANY = 4  # more panels than this stand in two columns
 class Estimates(NamedTuple):
     """Numbers of K strategies with their intervals."""
 
-    values: Any  # [K] float, NaN where there is none
+    values: Any  # [K] float, NaN if missing
     low: Any  # [K] float, NaN where there is no interval
     high: Any
 
 
 class Panel(NamedTuple):
-    """What one pair of axes shows: of one world, or of all of them."""
+    """Content of one pair of axes: one world, or all of them."""
 
     title: str
     label: str  # of the axis on the left
-    points: Sequence[Any]  # K arrays: the path of every episode, or another number; empty where there is none
+    points: Sequence[Any]  # K arrays: the path of every episode, or another number; may be empty
     ended_well: Sequence[Any]  # K bool arrays of the same lengths: other points are crosses
     means: Estimates  # of the points
-    shares: bool  # whether the points are shares in per cent, beside a line at 50
+    shares: bool  # bool, points are shares in per cent, with a line at 50
     ratio_points: Sequence[Any]  # K arrays: ratios that the estimate on the right is made of; may be empty
     ratios: Estimates  # to the first strategy
 
 
 def _spread(count, width):
-    """`[count]` places within `± width`, neighbours in number far apart."""
+    """Return `[count]` places within `± width`, neighbours in number far apart."""
     return (np.arange(1, count + 1) * GOLDEN % 1.0 - 0.5) * 2 * width
 
 
 def draw_points(ax: Axes, points: Sequence[Any], estimates: Estimates, looks: Sequence[dict[str, Any]], *,
                 ended_well: Sequence[Any] | None = None) -> list[Any]:  # fmt: skip
-    """A row for each strategy, the first on top: its numbers as pale dots, their mean and its interval on them.
+    """Draw a row for each strategy, the first on top: its numbers as pale dots, their mean and its interval on them.
 
     Args:
       ax: the axes; their y axis gets a row a strategy, without labels.
@@ -55,7 +55,7 @@ def draw_points(ax: Axes, points: Sequence[Any], estimates: Estimates, looks: Se
       ended_well: K bool arrays: other numbers are crosses; by default all are dots.
 
     Returns:
-      K error bars (`ErrorbarContainer`), None where there is no mean.
+      K error bars (`ErrorbarContainer`), None without a mean.
     """
     bars = []
     for row, (some, look) in enumerate(zip(points, looks)):
@@ -85,7 +85,7 @@ def _estimate(ax, row, value, low, high, look):
 
 def draw_ratios(ax: Axes, estimates: Estimates, looks: Sequence[dict[str, Any]], *,
                 points: Sequence[Any] | None = None) -> list[Any]:  # fmt: skip
-    """A row for each strategy: its ratio to the first one with the interval, on a logarithmic axis with a line at 1.
+    """Draw a row for each strategy: its ratio to the first one with the interval, on a logarithmic axis.
 
     The axis shows all ratios; an interval that goes on beyond it ends in an arrow head.
 
@@ -109,7 +109,7 @@ def draw_ratios(ax: Axes, estimates: Estimates, looks: Sequence[dict[str, Any]],
 
 
 def _beyond(ax, estimates, low, high):
-    """Arrow heads on intervals that the axis cuts off."""
+    """Draw arrow heads on intervals that the axis cuts off."""
     for row, (start, end) in enumerate(zip(estimates.low, estimates.high)):
         for beyond, at, mark in ((start < low, low, "<"), (end > high, high, ">")):
             if beyond:
@@ -117,7 +117,7 @@ def _beyond(ax, estimates, low, high):
 
 
 def draw_panel(ax: Axes, panel: Panel, strategies: Sequence[str]) -> list[Any]:
-    """What stands on the left of a panel, by itself, with the names of the strategies.
+    """Draw the left part of a panel alone, with the names of the strategies.
 
     Args:
       ax: the axes.
@@ -125,7 +125,7 @@ def draw_panel(ax: Axes, panel: Panel, strategies: Sequence[str]) -> list[Any]:
       strategies: `[K]` names.
 
     Returns:
-      K error bars (`ErrorbarContainer`), None where there is no mean.
+      K error bars (`ErrorbarContainer`), None without a mean.
     """
     bars = _left(ax, panel, list(looks_of(strategies).values()))
     ax.set_yticks(range(len(strategies)), [wrapped(name, LABEL) for name in strategies])
@@ -136,7 +136,7 @@ def draw_panel(ax: Axes, panel: Panel, strategies: Sequence[str]) -> list[Any]:
 
 
 def figure(panels: Sequence[Panel], strategies: Sequence[str]) -> Figure:
-    """Paths episode by episode, and beside them the ratios to the first strategy; a pair of axes a panel.
+    """Draw paths episode by episode, and next to them the ratios to the first strategy; a pair of axes a panel.
 
     Strategies stand in the order given in every panel; one that did not run in a world leaves its row empty.
 
@@ -179,7 +179,7 @@ def figure(panels: Sequence[Panel], strategies: Sequence[str]) -> Figure:
 
 
 def _left(ax, panel, looks):
-    """The numbers of one panel, on an axis from 0."""
+    """Draw the numbers of one panel, on an axis from 0."""
     bars = draw_points(ax, panel.points, panel.means, looks, ended_well=panel.ended_well)
     for row, some in enumerate(panel.points):
         if not len(some) and not math.isfinite(panel.means.values[row]):

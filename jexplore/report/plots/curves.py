@@ -13,22 +13,23 @@ from jexplore.report.plots.looks import FONT, GREY, band_of, legend_below, looks
 
 
 def quartiles(progress: Any) -> np.ndarray:
-    """The quartiles of the paths at which each share was known, over episodes; those that never knew it come last.
+    """Compute quartiles over episodes of the paths at which each share was known; never known counts as inf.
 
     Args:
-      progress: `[N, M]` float, metres, NaN where an episode never knew so much; N >= 1.
+      progress: `[N, M]` float, metres, NaN where an episode never knew that share; N >= 1.
 
     Returns:
-      `[3, M]` float64: the first quartile, the median and the third one, paths that were driven (not interpolated
-        between); inf where it is one of those that never knew it.
+      `[3, M]` float64: first quartile, median and third quartile, taken from the data without interpolation; inf for an
+        episode that never knew it.
     """
     driven = np.where(np.isnan(progress), np.inf, progress)
     return np.quantile(driven, [0.25, 0.5, 0.75], axis=0, method="inverted_cdf")
 
 
 def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, band: float = 0.18) -> Line2D:
-    """The share that is known along the path: the median path to each share, in a band from quartile to quartile, which
-    ends at what a quarter of the episodes never knew.
+    """Draw the known share along the path: the median path to each share, in a band from quartile to quartile.
+
+    The band ends at the share that a quarter of the episodes never knew.
 
     Args:
       ax: the axes, metres and per cent.
@@ -51,7 +52,7 @@ def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, band: flo
 
 
 def coverage_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
-    """The share of what can be known that is known along the path: one panel a world, medians and quartile bands.
+    """Draw the known part of the knowable share along the path: a panel a world, medians and quartile bands.
 
     Args:
       entries: one or more `(world, {strategy: progress})`, progress `[N, M]` as in `draw_progress`.
@@ -87,7 +88,7 @@ def coverage_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
 
 def draw_profile(ax: Axes, ratio: Any, share: Any, low: Any, high: Any, look: Mapping[str, Any], *,
                  band: float = 0.18) -> Line2D:  # fmt: skip
-    """One strategy's performance profile with its band.
+    """Draw one strategy's performance profile with its band.
 
     Args:
       ax: the axes, ratios and per cent.
@@ -109,11 +110,11 @@ def draw_profile(ax: Axes, ratio: Any, share: Any, low: Any, high: Any, look: Ma
 
 
 def profile_figure(table: Any, *, over: str = "best") -> Figure:
-    """Performance profiles: of how many starts a path is at most so many times the shortest, or the first strategy's.
+    """Draw performance profiles: the share of starts whose path is at most a multiple of the reference's.
 
     Args:
       table: columns `strategy`, `ratio`, `share`, `low`, `high`, from `aggregate.profiles`; one row or more.
-      over: what the ratios are of, for the label: "best" or "first".
+      over: denominator of the ratios, for the label: "best" or "first".
 
     Returns:
       `Figure`.

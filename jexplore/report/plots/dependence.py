@@ -1,4 +1,4 @@
-"""What a model says, as a picture."""
+"""Dependence of a model's score on its features, as a picture."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ COLUMNS = 5
 
 
 def figure(table: Any) -> Figure:
-    """How a score changes with each feature: a curve for each, those that change it most first.
+    """Draw the score as a function of each feature: a curve for each, the most influential first.
 
     Args:
       table: from `learn.dependence.dependence`.

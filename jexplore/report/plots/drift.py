@@ -1,4 +1,4 @@
-"""What drift does to maps: three measures over every error of the odometry, and a pair of pictures."""
+"""Effect of drift on maps: three measures over every odometry error, and a pair of pictures."""
 
 from typing import Any, NamedTuple
 
@@ -39,7 +39,7 @@ class Pictures(NamedTuple):
 
 
 def draw_curve(ax: Axes, table: Any, name: str, colour: str, *, scale: float = 1.0, label: str = "") -> Any:
-    """A measure over the values of one error, in a band from low to high.
+    """Draw a measure over the values of one error, in a band from low to high.
 
     Args:
       ax: `Axes`.
@@ -60,7 +60,7 @@ def draw_curve(ax: Axes, table: Any, name: str, colour: str, *, scale: float = 1
 
 
 def draw_cells(ax: Axes, centres: Any, cell_m: float) -> PatchCollection:
-    """Draws occupied cells, `[n, 2]` centres in metres; returns the `PatchCollection`."""
+    """Draw occupied cells, `[n, 2]` centres in metres; return the `PatchCollection`."""
     half = cell_m / 2
     squares = [Rectangle((x - half, y - half), cell_m, cell_m) for x, y in np.asarray(centres)]
     cells = PatchCollection(squares, facecolor=HIT, edgecolor="none", zorder=2, rasterized=True)
@@ -69,7 +69,7 @@ def draw_cells(ax: Axes, centres: Any, cell_m: float) -> PatchCollection:
 
 
 def figure(summary: Any, pictures: Pictures | None = None) -> Figure:
-    """A column of panels for every error: structure, coordinates, grid map; below two pictures of one run.
+    """Draw a column of panels for every error: structure, coordinates, grid map; below two pictures of one run.
 
     Args:
       summary: columns as of `studies.traces.drift.summarised`, one row or more.
@@ -109,7 +109,7 @@ def figure(summary: Any, pictures: Pictures | None = None) -> Figure:
 
 
 def _limits(pictures):
-    """Corners of all that the pair shows, with a margin."""
+    """Return the corners of the whole pair, with a margin."""
     nodes = [(n.x_m, n.y_m) for btm in (pictures.map, pictures.placed) for n in btm.nodes]
     points = np.concatenate([pictures.walls.reshape(-1, 2), pictures.cells, np.array(nodes).reshape(-1, 2)])
     return points.min(axis=0) - 0.5, points.max(axis=0) + 0.5

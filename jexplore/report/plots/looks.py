@@ -1,4 +1,4 @@
-"""What pictures of several strategies share: looks, legends, grids of panels, axes of ratios."""
+"""Common parts of pictures of several strategies: styles, legends, grids of panels, axes of ratios."""
 
 import itertools
 import math
@@ -21,12 +21,12 @@ GREY = "#777777"
 
 
 def band_of(count: int) -> float:
-    """How opaque the bands of so many strategies are: of many, less, or they would cover each other."""
+    """Return the opacity of the bands of a number of strategies; many are more transparent, as they overlap."""
     return min(0.18, 0.6 / max(count, 1))
 
 
 def looks_of(strategies: Iterable[Any]) -> dict[Any, dict[str, Any]]:
-    """`{strategy: line properties}` in the order given: a colour and a mark each, and another line from the eighth on.
+    """Return `{strategy: line properties}` in the order given: a colour, a mark, and from the eighth on another line.
 
     No two of the first 28 look alike, in grey neither: marks and lines tell them apart.
     """
@@ -41,7 +41,7 @@ def looks_of(strategies: Iterable[Any]) -> dict[Any, dict[str, Any]]:
 
 
 def plain(ax: Axes, *, grid: Any = None) -> None:
-    """Small numbers, no upper and right edge, a pale grid along `grid`, and `$` and `_` in names as they are."""
+    """Style axes: small numbers, no upper and right edge, a pale grid along `grid`, no mathematics in names."""
     ax.tick_params(labelsize=FONT)
     ax.spines[["top", "right"]].set_visible(False)
     for label in (ax.xaxis.label, ax.yaxis.label):
@@ -54,7 +54,7 @@ def plain(ax: Axes, *, grid: Any = None) -> None:
 
 
 def panels(figure: Figure, count: int, n_cols: int, **how: Any) -> Iterator[tuple[int, Axes, bool]]:
-    """`(number, axes, whether none is below)` of `count` panels in rows of `n_cols`; places left over stay empty."""
+    """Yield `(number, axes, bool: none below)` of `count` panels in rows of `n_cols`; places left over stay empty."""
     n_rows = math.ceil(count / n_cols)
     grid = figure.subplots(n_rows, n_cols, squeeze=False, **how)
     for number, ax in enumerate(grid.flat):
@@ -65,7 +65,7 @@ def panels(figure: Figure, count: int, n_cols: int, **how: Any) -> Iterator[tupl
 
 
 def page_of(count: int) -> tuple[Figure, int]:
-    """A page for `count` panels of curves with a legend below, and how many stand side by side."""
+    """Make a page for `count` panels of curves with a legend below, and return how many stand side by side."""
     n_cols = count if count <= 3 else 2 if count == 4 else 3 if count <= 9 else 4
     wide, tall = (3.5, 2.7) if count > 1 else (5.4, 3.6)
     size = (max(wide * n_cols + 0.4, 5.0), tall * math.ceil(count / n_cols) + 0.3)
@@ -73,7 +73,7 @@ def page_of(count: int) -> tuple[Figure, int]:
 
 
 def legend_below(figure: Figure, handles: Sequence[Any], labels: Sequence[object]) -> None:
-    """A legend of names below the panels, in as many columns as there is room for; the figure grows by its height."""
+    """Add a legend below the panels, in as many columns as fit; the figure grows by its height."""
     texts = [wrapped(label, 38, max_lines=2) for label in labels]
     longest = max((len(line) for text in texts for line in text.split("\n")), default=1)
     n_cols = max(1, min(len(texts), int(figure.get_figwidth() / (0.068 * longest + 0.55))))
@@ -86,7 +86,7 @@ def legend_below(figure: Figure, handles: Sequence[Any], labels: Sequence[object
 
 
 def ratio_ticks(low: float, high: float) -> list[float]:
-    """About four to seven round numbers from `low` to `high`, for an axis of ratios, on a logarithmic scale."""
+    """Return about four to seven round numbers from `low` to `high`, for an axis of ratios, on a logarithmic scale."""
     for step in (0.01, 0.02, 0.05, 0.1, 0.2, 0.25):
         if (high - low) / step <= 6 and high / low < 3:
             return [round(step * k, 4) for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
@@ -100,7 +100,7 @@ def ratio_ticks(low: float, high: float) -> list[float]:
 
 
 def ratio_scale(ax: Any, name: str, low: float, high: float) -> None:
-    """Makes an axis logarithmic, from `low` to `high`, with round numbers.
+    """Make an axis logarithmic, from `low` to `high`, with round numbers.
 
     Args:
       ax: the axes.
@@ -116,7 +116,7 @@ def ratio_scale(ax: Any, name: str, low: float, high: float) -> None:
 
 
 def ratio_range(estimates: Any, ends: Any = ()) -> tuple[float, float]:
-    """What an axis of ratios shows: all estimates and 1, and interval ends as far as a factor of two beyond those."""
+    """Return the range of an axis of ratios: all estimates and 1, and interval ends within a factor of two of these."""
     some = np.concatenate([np.ravel(np.asarray(estimates, np.float64)), [1.0]])
     some = some[np.isfinite(some) & (some > 0)]
     low, high = float(some.min()), float(some.max())

@@ -1,4 +1,4 @@
-"""How paths answer to settings: curves over one, maps of colours over two."""
+"""Paths as functions of settings: curves over one, maps of colours over two."""
 
 import math
 from collections.abc import Mapping
@@ -36,7 +36,7 @@ NUMBERS = 9
 
 
 def _levels(column):
-    """The values of a setting in order: numbers rising, others by first appearance."""
+    """Return the values of a setting in order: numbers rising, others by first appearance."""
     values = list(dict.fromkeys(column))
     return sorted(values) if np.asarray(column).dtype.kind in "iufb" else values
 
@@ -46,7 +46,7 @@ def _text(value):
 
 
 def draw_response(ax: Axes, x: Any, estimate: Any, low: Any, high: Any, look: Mapping[str, Any]) -> Any:
-    """One strategy's line over a setting, with an interval at every value.
+    """Draw one strategy's line over a setting, with an interval at every value.
 
     Args:
       ax: the axes.
@@ -69,15 +69,15 @@ def draw_response(ax: Axes, x: Any, estimate: Any, low: Any, high: Any, look: Ma
 def response_figure(
     table: Any, setting: str, *, label: str = "path length (m)", ratio: bool = False, averaged: str = ""
 ) -> Figure:
-    """Curves over one setting: one panel a world, one line a strategy.
+    """Draw curves over one setting: one panel a world, one line a strategy.
 
     Args:
       table: columns `world`, `strategy`, the setting, `estimate`, `low`, `high`, from `response.response`; one row or
         more.
       setting: name of the column; text or truth values stand side by side in order of first appearance.
-      label: of what is estimated.
-      ratio: whether those are ratios: a logarithmic axis with a line at 1.
-      averaged: over what the estimates average: a line above the panels.
+      label: of the estimates.
+      ratio: bool, estimates are ratios: a logarithmic axis with a line at 1.
+      averaged: name of the averaged settings: a line above the panels.
 
     Returns:
       `Figure`.
@@ -128,7 +128,7 @@ def _y_axis(ax, rows, ratio):
 
 
 def draw_heat(ax: Axes, values: Any, norm: Normalize, *, ratio: bool, decimals: int = 2) -> AxesImage:
-    """A matrix as colours with its numbers, if it is small: bright is long, or blue shorter and red longer than 1.
+    """Draw a matrix as colours with its numbers, if it is small: bright is long, or blue below and red above 1.
 
     Args:
       ax: the axes.
@@ -165,14 +165,14 @@ def _norm(values, ratio) -> Any:
 def heat_figure(
     table: Any, x: str, y: str, *, label: str = "path length (m)", ratio: bool = False, averaged: str = ""
 ) -> Figure:
-    """Colours over two settings: a row of panels a world, one panel a strategy, all of one scale of colours.
+    """Draw colours over two settings: a row of panels a world, one panel a strategy, on one colour scale.
 
     Args:
       table: columns `world`, `strategy`, the two settings, `estimate`, from `response.response`; one row or more.
       x, y: names of the columns; every value has a place of its own, whatever lies between.
-      label: of what is estimated.
-      ratio: whether those are ratios: blue below 1, red above.
-      averaged: over what the estimates average: a line above the panels.
+      label: of the estimates.
+      ratio: bool, estimates are ratios: blue below 1, red above.
+      averaged: name of the averaged settings: a line above the panels.
 
     Returns:
       `Figure`.
@@ -218,7 +218,7 @@ def heat_figure(
 
 
 def _ticks(ax, across, up, most_across, most_up):
-    """Names of the values along a matrix, of every second, third, ... where they are many."""
+    """Label the values along a matrix, every second, third, ... of many."""
     for levels, most, axis in ((across, most_across, ax.xaxis), (up, most_up, ax.yaxis)):
         step = math.ceil(len(levels) / max(most, 1))
         axis.set_ticks(range(0, len(levels), step), [_text(level) for level in levels[::step]])

@@ -9,7 +9,7 @@ TRAINED, CHECKED = "#9ecae1", "#d55e00"
 
 
 def figure(curve: Any, best: int) -> Figure:
-    """Ratios of paths to the reference's over the rounds of training, in training and on the validation worlds.
+    """Draw ratios of paths to the reference's over the training rounds, in training and on the validation worlds.
 
     Args:
       curve: table with the columns `round`, `ratio` and `validation`.

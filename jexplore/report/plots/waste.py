@@ -21,7 +21,7 @@ LOOKS = (
 
 
 def figure(entries: Sequence[tuple[str, Any, Any, Any, float]]) -> Figure:
-    """Ways on their maps, one panel each.
+    """Draw ways on their maps, one panel each.
 
     Args:
       entries: `(title, occupied, way, kinds, cell_m)`: `[H, W]` bool, `[n + 1, 2]` int cells, `[n]` int kinds of steps.

@@ -1,1 +1,1 @@
-"""How long the shortest walk is on which a robot that knew the map would have seen everything."""
+"""Length of the shortest walk on which a robot that knows the map sees everything."""

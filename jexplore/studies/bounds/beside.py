@@ -1,4 +1,4 @@
-"""Episodes beside the bounds of their starts.
+"""Episodes compared with the bounds of their starts.
 
 pandas is imported by the functions that need it.
 """
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 START = ("start_row", "start_col", "start_heading_deg")
 COLUMNS = ("path_over_high", "path_over_low_any")
-"""Columns of `beside`: the path over the length of the walk that was found, and over the bound of every robot."""
+"""Columns of `beside`, ratios of the path: to the walk that was found, and to the lower bound of every robot."""
 
 
 def beside(episodes: "pd.DataFrame", bounds: "pd.DataFrame", digests: Mapping[str, str]) -> "pd.DataFrame":
-    """The table of episodes with the columns `COLUMNS`; NaN for an episode that is not complete or has no bound.
+    """Add the columns `COLUMNS` to the table of episodes; NaN for an incomplete episode or one without a bound.
 
     A ratio to the walk that was found may be below 1: that walk is short, not the shortest, and stands on clear cells.
 
@@ -51,13 +51,13 @@ def beside(episodes: "pd.DataFrame", bounds: "pd.DataFrame", digests: Mapping[st
 
 
 def beside_table(table: "pd.DataFrame", by: Sequence[str] = ("world", "strategy")) -> str:
-    """Ratios to the bounds as Markdown: means of logarithms, each world once, and the worst episode's.
+    """Format ratios to the bounds as Markdown: means of logarithms, each world once, and the worst episode's.
 
     Intervals (95 %) are for other worlds of the same kinds, as in a league; where there are several kinds, each one's
     ratio to the walk is a column.
 
     Args:
-      table: from `beside`.
+      table: a result of `beside`.
       by: columns; a row for each of their values.
     """
     found = table.assign(kind=[kind_of(world) for world in table["world"]])
@@ -76,7 +76,7 @@ def beside_table(table: "pd.DataFrame", by: Sequence[str] = ("world", "strategy"
 
 
 def _over_worlds(rows, column):
-    """The ratio of some episodes, a world's mean logarithm counting once, and its interval, as text."""
+    """Format the ratio of some episodes, a world's mean logarithm counting once, and its interval."""
     known = rows.dropna(subset=[column])
     logs = np.log(known[column]).groupby(known["world"], sort=False).mean()
     mean, low, high, _ = mean_over_worlds(logs.to_numpy(), [kind_of(world) for world in logs.index])

@@ -53,7 +53,7 @@ WALK, WITNESSES = "_walk", "_witnesses"  # columns of a unit's file besides
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Bounds:
-    """What `bound` found. Tables are pandas DataFrames."""
+    """Result of `bound`. Tables are pandas DataFrames."""
 
     table: "pd.DataFrame"
     """One row a world and start: `low_m`, `low_any_m`, `high_m`, metres; `status`; see `COLUMNS`.
@@ -68,25 +68,25 @@ class Bounds:
     witnesses: dict[int, np.ndarray]
     """Number of a row -> `[N, 2]` int32, row and col of the cells that make its lower bound."""
     settings: dict[str, Any]
-    """What bounds depend on besides world and start."""
+    """Settings that bounds depend on, apart from world and start."""
     interrupted: int = 0
     """Starts that are missing because the run was interrupted."""
 
     def to_pandas(self) -> "pd.DataFrame":
-        """The table."""
+        """Return the table."""
         return self.table
 
     def to_markdown(self) -> str:
-        """The table, with ratios, as Markdown."""
+        """Return the table, with ratios, as Markdown."""
         return bounds_table(self.table)
 
     def beside(self, comparison: Any) -> "pd.DataFrame":
-        """The episodes of a `Comparison` with their ratios to the bounds: see `beside.beside`.
+        """Compare the episodes of a `Comparison` with the bounds: see `beside.beside`.
 
         Scanner, clearance and starts must be the same.
 
         Raises:
-          InputError: besides, no comparison; one with another scanner, another clearance, or noise.
+          InputError: no comparison; one with another scanner, another clearance, or noise.
         """
         if not hasattr(comparison, "episodes") or not hasattr(comparison, "worlds"):
             raise InputError(f"expected a comparison, got {type(comparison).__name__}")
@@ -99,7 +99,7 @@ class Bounds:
         return beside(comparison.episodes, self.table, digests)
 
     def figure(self) -> "Figure":
-        """The walks and the witnesses of the first starts: a matplotlib `Figure`."""
+        """Draw the walks and the witnesses of the first starts: a matplotlib `Figure`."""
         from jexplore.report.plots import bounds
 
         return bounds.figure(self)
@@ -112,7 +112,7 @@ class Bounds:
 
 
 def bounds_table(table: "pd.DataFrame") -> str:
-    """Rows of `Bounds.table` as Markdown."""
+    """Format rows of `Bounds.table` as Markdown."""
     head = ["world", "start", "low any m", "low m", "high m", "high / low", "status", "witnesses", "s"]
     lines = []
     for row in table.to_dict("records"):
@@ -140,21 +140,21 @@ def bound(
     on_progress: Callable[[int], object] | None = None,
     progress: bool | None = None,
 ) -> Bounds:
-    """The shortest walks that a robot with the map could drive, from the starts that `compare` has.
+    """Bound the shortest walks that a robot with the map could drive, from the starts of `compare`.
 
     Args:
       worlds: names or `World`s, as for `compare`.
-      starts: how many in each world: those of the first episodes.
+      starts: number in each world: those of the first episodes.
       seed: of the starts.
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
       start: as for `compare`.
       seconds: for each start, compiling apart; a smaller gap takes more.
-      max_floods: instead of seconds so many shortest-path maps, for results that are the same on every machine.
+      max_floods: number of shortest-path maps instead of seconds, for results that are the same on every machine.
       lidar: `Lidar` without noise and drop-out, or a mapping of some of its fields.
-      rules: `Rules`, likewise.
+      rules: `Rules`, or a mapping of some of its fields.
       workers: processes that work at a time. With more than one a script needs `if __name__ == "__main__":`.
       on_progress: called with the number of starts finished.
-      progress: whether a bar shows that; by default in notebooks.
+      progress: show a bar; by default in notebooks.
 
     Returns:
       `Bounds`.
@@ -189,7 +189,7 @@ def prepare_bounds(
     lidar: LidarLike,
     rules: RulesLike,
 ) -> list[Task]:
-    """Everything that `bound` refuses or loads before it runs: a list of `Task`. Arguments as there."""
+    """Check and load everything before `bound` runs: a list of `Task`. Arguments as there."""
     lidar, rules = ready_settings(lidar, rules)
     starts, seed = require_setting("starts", starts), require_setting("seed", seed)
     seconds = require_setting("seconds", seconds)
@@ -231,7 +231,7 @@ def require_whole_world(world: World) -> None:
 def tasks_of(
     pairs: Iterable[tuple[World, tuple[int, int, int]]], lidar: Lidar, rules: Rules, seconds: float
 ) -> list[Task]:
-    """The tasks of some starts, each once. Raises as `require_perfect` and `require_whole_world`."""
+    """Return the tasks of some starts, each once. Raises as `require_perfect` and `require_whole_world`."""
     require_perfect(lidar)
     pairs = list(pairs)
     for world, _ in pairs:
@@ -241,13 +241,13 @@ def tasks_of(
 
 
 def settings_of(lidar: Lidar, rules: Rules) -> dict[str, Any]:
-    """What bounds depend on besides world and start."""
+    """Return the settings that bounds depend on, apart from world and start."""
     own = {"n_beams": lidar.n_beams, "fov_deg": lidar.fov_deg, "range_m": lidar.range_m, "yaw_deg": lidar.yaw_deg}
     return own | {"clearance_m": rules.clearance_m, "near_m": rules.near_m}
 
 
 def asked(tasks: Sequence[Task]) -> dict[str, Any]:
-    """All that the results of some tasks depend on, as plain values."""
+    """Return all that the results of some tasks depend on, as plain values."""
     starts = hashlib.sha256(json.dumps([task.start for task in tasks]).encode())
     worlds = {os.fspath(task.world.name): task.world for task in tasks}
     return {
@@ -270,7 +270,7 @@ def run_bounds(
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
 ) -> Bounds:
-    """Bounds all starts that the ledger does not have.
+    """Bound all starts that the ledger does not have.
 
     Args:
       tasks: `Task`s.
@@ -328,7 +328,7 @@ def _run(left, tasks, workers, take):
 
 
 def _begin_worker():
-    """A worker made ready: it ends with its parent, and leaves Ctrl-C to it."""
+    """Prepare a worker: it ends with its parent, and leaves Ctrl-C to it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
@@ -349,7 +349,7 @@ def _of_table(table):
 
 
 def assemble(tasks: Sequence[Task], done: dict[int, Solved]) -> Bounds:
-    """The `Bounds` of the tasks that are done.
+    """Make the `Bounds` of the finished tasks.
 
     Raises:
       KeyboardInterrupt: there are none.

@@ -1,4 +1,4 @@
-"""Where a robot may stand, and shortest paths there."""
+"""Cells where a robot may stand, and shortest paths there."""
 
 import functools
 from typing import Any
@@ -19,7 +19,7 @@ def _flood(words, start):
 
 
 class Floor:
-    """Where a robot may stand: shortest paths between its cells."""
+    """Cells where a robot may stand, with shortest paths between them."""
 
     cells: np.ndarray
     """`[n]` int, their numbers in the scene, sorted."""
@@ -37,15 +37,15 @@ class Floor:
         self._number[self.cells] = np.arange(len(self.cells))
 
     def numbers(self, flat: np.ndarray) -> np.ndarray:
-        """Places in `cells` of those of some cells that are among them: `[k]` int."""
+        """Return places in `cells` of those of some cells that are among them: `[k]` int."""
         found = self._number[flat]
         return found[found >= 0]
 
     def flood(self, costs: np.ndarray) -> np.ndarray:
-        """Costs of the shortest paths from cells that have costs already.
+        """Compute costs of the shortest paths from cells with given costs.
 
         Args:
-          costs: `[n]` int32, of `cells`; FAR where there is none.
+          costs: `[n]` int32, of `cells`; FAR where not given.
 
         Returns:
           `[n]` int32.
@@ -56,20 +56,20 @@ class Floor:
         return np.asarray(_flood(self._words, start)).reshape(-1)[self._at]
 
     def away_from(self, places: np.ndarray) -> np.ndarray:
-        """Costs of the shortest paths from some places: `[n]` int32."""
+        """Return costs of the shortest paths from some places: `[n]` int32."""
         costs = np.full(len(self.cells), FAR, np.int32)
         costs[places] = 0
         return self.flood(costs)
 
     def farthest_first(self, cells: np.ndarray, walk: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Some cells in the order of how far they are from a walk, and that of every place: `[k]` and `[n]` int."""
+        """Sort cells by their distance from a walk, the farthest first, and return every place's: `[k]`, `[n]` int."""
         away, far = self.away_from(self.numbers(walk)), np.full(len(self.scene.occupied), -1, np.int32)
         far[self.cells] = away
         return cells[np.argsort(-far[cells], kind="stable")], away
 
     @functools.cached_property
     def before(self) -> list[np.ndarray]:
-        """For each of `MOTIONS`, the place from which it leads to each place: `[n]` int; -1 where it does not."""
+        """Return for each of `MOTIONS` the place from which it leads to each place: `[n]` int; -1 without one."""
         width, found = self.scene.width, []
         for drow, dcol in MOTIONS:
             place = self._number[self.cells - drow * width - dcol]
@@ -80,7 +80,7 @@ class Floor:
         return found
 
     def back(self, costs: np.ndarray, place: int, stop: Any) -> list[int]:
-        """The way that led to a place: places from it back to the first for which `stop` is true, both included."""
+        """Return the way that led to a place: places from it back to the first where `stop` is true, both included."""
         way = [place]
         while not stop(place):
             for (drow, dcol), before in zip(MOTIONS, self.before):
@@ -95,14 +95,14 @@ class Floor:
 
 
 def walk_cost(walk: np.ndarray, width: int) -> int:
-    """Cost of a walk of cells, one motion from each to the next."""
+    """Return cost of a walk of cells, one motion from each to the next."""
     steps = np.abs(np.diff(walk))
     assert all(step in (0, 1, width, width - 1, width + 1) for step in steps)
     return int(np.sum(np.where(steps == 0, 0, np.where((steps == 1) | (steps == width), STRAIGHT, DIAGONAL))))
 
 
 def edge_of(floor: Floor, places: np.ndarray) -> np.ndarray:
-    """Places of a region that a robot can enter it through: those with a motion from outside."""
+    """Return the places through which a robot can enter a region: those with a motion from outside."""
     inside = np.zeros(len(floor.cells) + 1, bool)  # the last is no place, and counts as inside
     inside[places], inside[-1] = True, True
     entered = np.zeros(len(places), bool)

@@ -30,7 +30,7 @@ class Pieces(NamedTuple):
 
 
 def cut_up(floor: Floor, places: np.ndarray, side: int) -> list[np.ndarray]:
-    """Places in parts that fit into squares of so many cells."""
+    """Divide places into parts that fit into squares of a side, cells."""
     rows, cols = floor.scene.cells(floor.cells[places])
     if max(np.ptp(rows), np.ptp(cols)) < side or len(places) == 1:
         return [places]
@@ -40,7 +40,7 @@ def cut_up(floor: Floor, places: np.ndarray, side: int) -> list[np.ndarray]:
 
 
 def prepare_pieces(floor: Floor, regions: Sequence[np.ndarray], most: int, from_start: np.ndarray) -> Pieces:
-    """The `Pieces` of the edges of regions, at most about so many in all: one flood each."""
+    """Prepare the `Pieces` of the edges of regions, at most about `most` in all: one flood each."""
     edges = [edge_of(floor, places) for places in regions]
     side = 4
     while sum(len(cut_up(floor, edge, side)) for edge in edges) > most and side < 2**12:
@@ -70,7 +70,7 @@ class Path:
         self._free = np.ones(len(self.cost), bool)  # variables that may be other than 0
 
     def _matrices(self):
-        """The equations: pieces, regions, one start, one end. Variables: edges, starts, ends, pieces taken."""
+        """Build the equations: pieces, regions, one start, one end. Variables: edges, starts, ends, pieces taken."""
         n, m = len(self.pieces.region), len(self.a)
         at = np.concatenate([self.a, self.b, np.arange(n), np.arange(n), np.arange(n)])
         edges = np.arange(m)
@@ -87,7 +87,7 @@ class Path:
         return sparse.vstack([degree, taken, ends]).tocsr(), np.concatenate([np.zeros(n), np.ones(self.n_regions + 2)])
 
     def _inside(self, chosen):
-        """Row of a cut: edges that leave a set of regions, starts and ends in it."""
+        """Return the row of a cut: edges that leave a set of regions, starts and ends in it."""
         n, m = len(self.pieces.region), len(self.a)
         own = chosen[self.pieces.region]
         row = np.zeros(len(self.cost))
@@ -96,7 +96,7 @@ class Path:
         return row
 
     def _violated(self, x):
-        """Sets of regions that a solution does not connect with the rest: a list of bool arrays."""
+        """Find sets of regions that a solution does not connect with the rest: a list of bool arrays."""
         n, m, k = len(self.pieces.region), len(self.a), self.n_regions
         flow = np.zeros((k + 1, k + 1))  # the last node is the start and the end of all
         np.add.at(flow, (self.pieces.region[self.a], self.pieces.region[self.b]), x[:m])
@@ -118,7 +118,7 @@ class Path:
         return list(found.values())
 
     def relax(self, over: Callable[[], bool]) -> tuple[float, Any]:
-        """The bound of the linear relaxation, cut until nothing is violated: `(bound, solution)`."""
+        """Compute the bound of the linear relaxation, cut until nothing is violated: `(bound, solution)`."""
         equations, right = self._matrices()
         bound, solution = 0.0, None
         for _ in range(MOST_ROUNDS):
@@ -140,12 +140,12 @@ class Path:
         return bound, solution
 
     def fix(self, bound: float, solution: Any) -> None:
-        """Leaves out what no path shorter than the best known one can take, by reduced costs."""
+        """Fix variables that no path shorter than the best known one can take, by reduced costs."""
         gap = self.high - bound
         self._free &= solution.lower.marginals <= gap + 1e-6
 
     def branch(self, left_s: Callable[[], float], over: Callable[[], bool]) -> float:
-        """The bound by branching, from cut to cut: whole edges and pieces."""
+        """Compute the bound by branching, from cut to cut: whole edges and pieces."""
         equations, right = self._matrices()
         ends: Any = right, right
         bound = 0.0
@@ -185,7 +185,7 @@ def bound_by_pieces(
     over: Callable[[], bool],
     branches: bool = True,
 ) -> int:
-    """A lower bound of every walk that sees all witnesses.
+    """Compute a lower bound of every walk that sees all witnesses.
 
     Args:
       floor: `Floor`.

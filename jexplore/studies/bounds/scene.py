@@ -1,4 +1,4 @@
-"""What a walk must see, and from where each of it is seen. On the host, exact."""
+"""Cells that a walk must see, and the cells from which each is visible. On the host, exact."""
 
 import dataclasses
 import functools
@@ -17,7 +17,7 @@ from jexplore.worlds.world import World
 
 @functools.lru_cache(maxsize=2)
 def _sights(occupied: bytes, shape: tuple[int, int], pad: int, lidar: Lidar, cell_m: float) -> Sights:
-    """The `Sights` of a world, made once for all its starts."""
+    """Return the `Sights` of a world, made once for all its starts."""
     rays = rays_of(lidar, cell_m)
     small = TableOfSights.size((shape[0] - 2 * pad, shape[1] - 2 * pad), pad, rays) <= TABLE_BYTES
     kind = TableOfSights if small else Sights
@@ -44,22 +44,22 @@ class Scene:
     any: np.ndarray
     """`[P]` bool, where any robot may stand: free cells that a path leads to."""
     must_see: np.ndarray
-    """`[P]` bool, what is to be seen and was not at the start."""
+    """`[P]` bool, places to be seen, other than those seen at the start."""
     sights: Sights
-    """What is seen from where."""
+    """Visibility between cells."""
 
     def cells(self, flat: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns in the world of cells with these numbers."""
+        """Return rows and columns in the world of cells with these numbers."""
         rows, cols = np.divmod(np.asarray(flat), self.width)
         return rows - self.pad, cols - self.pad
 
     def region(self, cell: int) -> np.ndarray:
-        """Cells from which some beam enters a cell, wherever a robot may stand: `[n]` int, sorted, with its own."""
+        """Return cells from which some beam enters a cell, standing anywhere: `[n]` int, sorted, itself included."""
         return self.sights.region(cell, self.any)
 
 
 def prepare_scene(world: World, start: tuple[int, int, int], lidar: Lidar, rules: Rules, looks: int) -> Scene | None:
-    """A `Scene`.
+    """Make a `Scene`.
 
     Args:
       world: `World`.
@@ -95,7 +95,7 @@ def prepare_scene(world: World, start: tuple[int, int, int], lidar: Lidar, rules
 
 
 def _within(occupied, d2):
-    """Cells whose distance to the nearest occupied one is at most sqrt(d2) cells."""
+    """Return cells whose distance to the nearest occupied one is at most sqrt(d2) cells."""
     nearest: Any = ndimage.distance_transform_edt(~occupied, return_distances=False, return_indices=True)
     rows, cols = nearest
     at = np.indices(occupied.shape)
@@ -103,9 +103,9 @@ def _within(occupied, d2):
 
 
 def flooded(free: np.ndarray, row: int, col: int) -> np.ndarray:
-    """Cells to which a path leads. The start is among them, and need not be free.
+    """Return the cells that a path reaches, among them the start, which need not be free.
 
-    A diagonal motion needs both cells beside it, so that it leads nowhere that straight ones do not.
+    A diagonal motion needs both orthogonal neighbours, so that it reaches nothing that straight ones do not.
     """
     free = free.copy()
     free[row, col] = True

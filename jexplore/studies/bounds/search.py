@@ -20,16 +20,16 @@ MOST_WITNESSES = 20  # whose subsets are all looked at
 MOST_BYTES = 1_500_000_000  # that they may take
 MOST_REGIONS = 24  # of a bound by pieces
 CLOSE = 1.01  # a walk that is not so close to the bound is looked for once more
-FAR_OFF = 1.08  # a bound that is so far off is tried by pieces
+FAR_OFF = 1.08  # a bound with a larger ratio to the walk is tried by pieces
 MANY = 24  # unseen cells of which the one that costs most becomes a witness
 WALKS = 0.35  # of the budget, for walks; the first one may take all
-# Of what is left then, when each part ends at the latest: telling witnesses, the lower bound by subsets and by pieces,
+# Latest ends of the parts as shares of the rest: witnesses, the lower bound by subsets and by pieces,
 # walks once more, the subsets of robots that stand anywhere.
 TELLING, CLEAR, PIECES, AGAIN, ANY = 0.15, 0.4, 0.6, 0.75, 0.9
 
 
 class Budget:
-    """What may be spent on a start: seconds, or floods, which are the same on every machine."""
+    """Budget of a start: seconds, or floods, which are the same on every machine."""
 
     def __init__(self, seconds: float | None, floods: int | None) -> None:
         self.seconds, self.floods, self.spent = seconds, floods, 0
@@ -40,25 +40,25 @@ class Budget:
         return time.monotonic() - self._began
 
     def share(self, of_what_is_left: float) -> float:
-        """The share that is spent when so much of what is left is."""
+        """Return the spent share at which a part of the rest is used up."""
         whole = self.floods if self.floods is not None else self.seconds or 0.0
         spent = self.spent if self.floods is not None else self.elapsed_s
         used = min(1.0, spent / whole) if whole else 1.0
         return used + (1 - used) * of_what_is_left
 
     def over(self, share: float = 1.0) -> bool:
-        """Whether a share of it is spent."""
+        """Return whether this share is spent."""
         if self.floods is not None:
             return self.spent >= share * self.floods
         return self.elapsed_s >= share * (self.seconds or 0.0)
 
     def left_s(self, share: float) -> float:
-        """Seconds that are left of a share; without a clock, more than anything takes."""
+        """Return the seconds left of a share; without a clock, practically unlimited."""
         return 1e9 if self.floods is not None else max(0.0, share * (self.seconds or 0.0) - self.elapsed_s)
 
 
 class Found(NamedTuple):
-    """What a search found. Costs as in `reach`."""
+    """Result of a search. Costs as in `reach`."""
 
     walk: np.ndarray  # numbers of cells, from the start on
     high: int  # its cost; FAR if none was found
@@ -83,7 +83,7 @@ class Search:
     def __init__(
         self, scene: Scene, stand: np.ndarray, budget: Budget, coverage: Coverage, regions: dict[int, np.ndarray]
     ) -> None:
-        """`regions`: what is known of them already, cell -> cells; is added to."""
+        """Prepare a search; `regions` are known regions, cell -> cells, and grow."""
         self.scene, self.budget, self.coverage, self._regions = scene, budget, coverage, regions
         self.floor = Floor(scene, stand, budget)
         self.start = self.floor.numbers(np.array([scene.start]))
@@ -91,7 +91,7 @@ class Search:
         self._places: dict[int, np.ndarray] = {}
 
     def region(self, cell: int) -> np.ndarray:
-        """Places that see a cell."""
+        """Return places that see a cell."""
         if cell not in self._places:
             if cell not in self._regions:
                 self._regions[cell] = self.scene.region(cell)
@@ -99,7 +99,7 @@ class Search:
         return self._places[cell]
 
     def dear_witness(self, order: list[int], walk: np.ndarray, unseen: np.ndarray) -> int:
-        """Of the unseen cells one that costs much to be seen by a walk that sees others in an order."""
+        """Return an unseen cell that is costly for a walk that sees others in an order."""
         tour = Tour(self.floor, self.from_start, self.region)
         tour.to(order)
         unseen, _ = self.floor.farthest_first(unseen, walk)
@@ -107,12 +107,11 @@ class Search:
         return max(some, key=lambda cell: int(tour.insertions(cell).min()))
 
     def farthest(self, cells: list[int]) -> int:
-        """What it costs at least to see the farthest of some cells."""
+        """Return the least cost to see the farthest of some cells."""
         return max((int(self.from_start[self.region(cell)].min()) for cell in cells), default=0)
 
     def shortest(self, share: float, high: int, known: Sequence[int] = ()) -> tuple[Subsets, np.ndarray | None]:
-        """The exact search: witnesses are added that the shortest walk does not see, known ones first, until it sees
-        everything.
+        """Search exactly: witnesses that the shortest walk does not see are added, known ones first, until it sees all.
 
         Args:
           share: of the budget.
@@ -142,7 +141,7 @@ class Search:
     def bound(
         self, known: Sequence[int], walks: Walks, until: float, pieces_until: float
     ) -> tuple[LowerBound, list[int], np.ndarray | None]:
-        """The best lower bound.
+        """Return the best lower bound.
 
         Args:
           known: witnesses, the most telling first.
@@ -163,7 +162,7 @@ class Search:
         return max(found, key=lambda bound: bound.low), subsets.order, exact
 
     def by_pieces(self, cells: Sequence[int], share: float, high: int) -> int:
-        """The bound of many witnesses, see `pieces`; 0 where the share is spent."""
+        """Compute the bound of many witnesses, see `pieces`; 0 if the share is spent."""
         if self.budget.over(share):
             return 0
         regions = [self.region(cell) for cell in cells]
@@ -177,7 +176,7 @@ class Search:
 
 
 def search(scene: Scene, budget: Budget, seed: int = 0) -> Found:
-    """The shortest walk of a start, as far as the budget goes: see the modules `walks`, `subsets` and `pieces`."""
+    """Search the shortest walk of a start within the budget: see the modules `walks`, `subsets` and `pieces`."""
     coverage, regions = Coverage(scene.sights, scene.must_see), {}
     clear, rng = Search(scene, scene.clear, budget, coverage, regions), np.random.default_rng(seed)
     walks = Walks(clear.floor, clear.from_start, clear.region, coverage, rng)

@@ -1,4 +1,4 @@
-"""What a robot sees from a cell, and from where a cell is seen. On the host, exact."""
+"""Visibility: the cells that a robot sees from a cell, and those from which a cell is seen. On the host, exact."""
 
 import functools
 from typing import Any, NamedTuple
@@ -8,8 +8,8 @@ import numpy as np
 from jexplore.config import Lidar
 from jexplore.raycast import HEADINGS, beam_table
 
-TABLE_BYTES = 1_000_000_000  # of what is seen from every cell; where that is more, each look is cast anew
-ROWS_BYTES = 300_000_000  # of what is remembered of single cells
+TABLE_BYTES = 1_000_000_000  # of the visibility from every cell; larger tables are not kept and each scan is cast anew
+ROWS_BYTES = 300_000_000  # of the cache of single cells
 
 
 class Rays(NamedTuple):
@@ -23,7 +23,7 @@ class Rays(NamedTuple):
 
 @functools.lru_cache(maxsize=8)
 def rays_of(lidar: Lidar, cell_m: float) -> Rays:
-    """The `Rays` of a scanner."""
+    """Return the `Rays` of a scanner."""
     table = beam_table(lidar, cell_m, 1)
     steps = max(1, int(np.max(table.length)))
     drow, dcol = (np.asarray(a)[:, :steps].swapaxes(1, 2).reshape(-1, steps) for a in (table.drow, table.dcol))
@@ -35,13 +35,13 @@ def rays_of(lidar: Lidar, cell_m: float) -> Rays:
 
 
 class Sights:
-    """What is seen from where, on a map that is padded with walls by the scanner's range.
+    """Visibility on a map that is padded with walls by the scanner's range.
 
     Cells are flat numbers in the padded map.
     """
 
     def __init__(self, occupied: np.ndarray, pad: int, rays: Rays) -> None:
-        """`occupied`: `[H, W]` bool, padded. `pad`: cells of padding on each side."""
+        """Prepare a map: `occupied` is `[H, W]` bool, padded by `pad` cells on each side."""
         self.rays, self._occupied = rays, occupied.reshape(-1)
         self._offset = rays.drow * occupied.shape[1] + rays.dcol
         self._within = np.arange(self._offset.shape[1]) < rays.length[:, None]
@@ -50,7 +50,7 @@ class Sights:
         self._first, self._last = pad * occupied.shape[1], (occupied.shape[0] - pad) * occupied.shape[1]
 
     def region(self, cell: int, stand: np.ndarray) -> np.ndarray:
-        """Cells from which some beam enters a cell: `[n]` int, sorted, its own among them.
+        """Return cells from which some beam enters a cell: `[n]` int, sorted, itself included.
 
         Cast from where the robot stands: sight on a lattice is not symmetric.
 
@@ -66,16 +66,16 @@ class Sights:
         return np.unique(found[stand[found]])
 
     def _sees(self, ray, step, place):
-        """Whether rays of some cells get as far as some step: `[n]` bool."""
+        """Return whether rays from some cells get as far as some step: `[n]` bool."""
         sees, left = np.zeros(len(ray), bool), np.arange(len(ray))
-        for back in range(int(step.max(initial=-1)) + 1):  # what is on the way there, from the cell backwards
+        for back in range(int(step.max(initial=-1)) + 1):  # cells on the way there, from the last one backwards
             sees[left[step[left] == back]] = True
             left = left[step[left] > back]
             left = left[~self._occupied[place[left] + self._offset[ray[left], step[left] - back - 1]]]
         return sees
 
     def seen(self, cell: int, heading: int | None = None) -> np.ndarray:
-        """Free cells that a robot on a cell sees, turned to every heading or to one: `[n]` int, its own among them."""
+        """Return free cells seen by a robot on a cell, turned to all headings or to one: `[n]` int, itself included."""
         own = slice(None) if heading is None else self.rays.headings[heading]
         at = cell + self._offset[own]
         open_way = np.logical_and.accumulate(
@@ -100,7 +100,7 @@ class TableOfSights(Sights):
 
     @staticmethod
     def size(shape: tuple[int, int], pad: int, rays: Rays) -> int:
-        """Bytes that the table of a map of this shape, without padding, takes."""
+        """Return the bytes of the table of a map of this shape, without padding."""
         return len(rays.length) * shape[0] * (shape[1] + 2 * pad) * _counts(rays)().itemsize
 
     def _sees(self, ray, step, place):
@@ -113,12 +113,12 @@ class TableOfSights(Sights):
 
 
 def _counts(rays: Rays) -> Any:
-    """The type that counts of steps fit into."""
+    """Return the type that counts of steps fit into."""
     return np.uint8 if rays.drow.shape[1] < 256 else np.uint16
 
 
 class Coverage:
-    """What is seen along walks, remembered for single cells."""
+    """Cells seen along walks, with a cache for single cells."""
 
     def __init__(self, sights: Sights, must_see: np.ndarray) -> None:
         self.sights, self.cells = sights, np.flatnonzero(must_see)
@@ -127,7 +127,7 @@ class Coverage:
         self._rows: dict[int, np.ndarray] = {}
 
     def unseen(self, walk: np.ndarray) -> np.ndarray:
-        """Cells that must be seen and are not from a walk: `[n]` int."""
+        """Return cells that must be seen and are not seen from a walk: `[n]` int."""
         seen = np.zeros(-(-len(self.cells) // 8), np.uint8)
         for cell in dict.fromkeys(walk.tolist()):
             if len(self._rows) * len(seen) > ROWS_BYTES:

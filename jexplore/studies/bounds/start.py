@@ -1,4 +1,4 @@
-"""One start bounded: what is asked, and what became of it."""
+"""Bounds of one start: the task, and its result."""
 
 import math
 import os
@@ -21,8 +21,9 @@ COLUMNS = (
 )
 """Columns of a table of bounds."""
 OPTIMAL, BOUNDED, WEAK, STUCK = "OPTIMAL", "BOUNDED", "WEAK", "STUCK"
-"""What a row is: the walk is the shortest; it is between two bounds; no walk was found in the time, and the lower bound
-is a weak one; the start is enclosed."""
+"""Status of a row: the walk is the shortest; it is between two bounds; no walk was found in the time, and the lower
+bound
+is weak; the start is enclosed."""
 
 
 class Task(NamedTuple):
@@ -37,7 +38,7 @@ class Task(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """What became of a task."""
+    """Result of a task."""
 
     row: dict[str, Any]  # `COLUMNS`
     walk: np.ndarray  # [K, 2] int32, row and col
@@ -45,7 +46,7 @@ class Solved(NamedTuple):
 
 
 def low_metres(cost: int, cell_m: float) -> float:
-    """Metres that a walk of at least this cost has at least: rounded down to a millimetre.
+    """Convert a least cost to a least length in metres: rounded down to a millimetre.
 
     A diagonal step costs a millionth more than sqrt(2) straight ones, so a walk may be that much shorter than its cost.
     """
@@ -54,7 +55,7 @@ def low_metres(cost: int, cell_m: float) -> float:
 
 
 def solve(task: Task) -> Solved:
-    """Bounds one start: a `Solved`."""
+    """Bound one start: a `Solved`."""
     world, start = task.world, task.start
     scene = prepare_scene(world, start, task.lidar, task.rules, scans_all_round(task.lidar.fov_deg))
     own = {"world": os.fspath(world.name), "start_row": start[0], "start_col": start[1]}
@@ -83,7 +84,7 @@ def _row(values):
 
 
 def _nothing_to_see(scene: Scene) -> Found:
-    """All was seen at the start."""
+    """Return the result of a start from which everything is seen."""
     return Found(np.array([scene.start]), 0, 0, 0, True, [], "subsets")
 
 

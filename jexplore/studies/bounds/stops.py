@@ -30,7 +30,7 @@ class Stops:
     """`[K]` int, the floor's place of each stop."""
 
     def __init__(self, floor: Floor, from_start: np.ndarray, region: Callable[[int], np.ndarray]) -> None:
-        """`from_start`: `[n]` int32, costs to every place. `region`: places that see a cell."""
+        """Prepare stops: `from_start` is `[n]` int32, costs to every place; `region` gives places that see a cell."""
         self._floor, self._all_from_start, self._region = floor, from_start, region
         self.inside, self.own, self._number = {}, {}, {}
         self.from_start, self.places = np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -38,11 +38,11 @@ class Stops:
 
     @property
     def apart(self) -> np.ndarray:
-        """`[K, K]` int64, costs between stops."""
+        """Return the costs between stops: `[K, K]` int64."""
         return self._apart[: len(self.places), : len(self.places)]
 
     def add(self, cell: int) -> None:
-        """Adds a witness with stops all along the edge of its region."""
+        """Add a witness with stops all along the edge of its region."""
         if cell in self.own:
             return
         region = self._region(cell)
@@ -61,13 +61,13 @@ class Stops:
         self.own[cell] = np.array([self._stop(int(edge[i])) for i in chosen])
 
     def touch(self, cell: int, place: int) -> None:
-        """Gives a witness one more stop."""
+        """Give a witness one more stop."""
         stop = self._stop(place)
         if stop not in self.own[cell]:
             self.own[cell] = np.append(self.own[cell], stop)
 
     def _stop(self, place):
-        """The number of the stop at a place, new or not."""
+        """Return the number of the stop at a place, new or not."""
         if place not in self._number:
             away, n = self._floor.away_from(np.array([place]))[self.places], len(self.places)
             if n == len(self._apart):
@@ -96,18 +96,18 @@ class Order:
         return np.array([stop for _, stop in self.pairs], int)
 
     def _legs(self):
-        """Costs from the start to the first stop, from there to the second, ...: `[n]` int64."""
+        """Return costs from the start to the first stop, from there to the second, ...: `[n]` int64."""
         numbers = self._numbers()
         between = self._stops.apart[numbers[:-1], numbers[1:]]
         return np.concatenate([self._stops.from_start[numbers[:1]], between])
 
     @property
     def cost(self) -> int:
-        """Of a walk from stop to stop."""
+        """Return the cost of a walk from stop to stop."""
         return int(self._legs().sum())
 
     def insertion(self, cell: int, noise: np.ndarray | float = 1.0) -> tuple[int, int, int]:
-        """Where one more witness costs least: `(cost, place in the order, stop)`.
+        """Find where one more witness costs least: `(cost, place in the order, stop)`.
 
         Args:
           cell: the witness.
@@ -125,12 +125,12 @@ class Order:
         return int(extra[at, which]), at, int(own[which])
 
     def insert(self, cell: int, noise: np.ndarray | float = 1.0) -> None:
-        """Puts a witness where it costs least."""
+        """Put a witness where it costs least."""
         _, at, stop = self.insertion(cell, noise)
         self.pairs.insert(at, (cell, stop))
 
     def settle(self) -> None:
-        """Takes the best stops for the order, and turns parts round while that makes it shorter."""
+        """Take the best stops for the order, and reverse parts while that makes it shorter."""
         self._best_stops()
         if self._turned():
             self._best_stops()
@@ -157,7 +157,7 @@ class Order:
         self.pairs = list(zip(self.witnesses, found))
 
     def _turned(self):
-        """Turns parts round, the best one first; whether any was."""
+        """Reverse parts, the best one first; return whether any was."""
         turned, n = False, len(self.pairs)
         while n > 1:
             numbers, legs = self._numbers(), self._legs()
@@ -174,7 +174,7 @@ class Order:
 
 
 def new_order(stops: Stops, cells: Sequence[int]) -> Order:
-    """An `Order` of witnesses that are put in one after the other."""
+    """Build an `Order` of witnesses that are put in one after the other."""
     order = Order(stops)
     for cell in cells:
         order.insert(cell)
@@ -185,14 +185,14 @@ def new_order(stops: Stops, cells: Sequence[int]) -> Order:
 def improved(
     order: Order, rng: np.random.Generator, tries: int, most: int = GONE, over: Callable[[], bool] = lambda: False
 ) -> Order:
-    """An order made shorter: some witnesses are taken out and put in again, so many times.
+    """Shorten an order: a number of times, some witnesses are taken out and put in again.
 
     Args:
-      order: is left as it is.
-      rng: what is taken out.
-      tries: how many times.
-      most: witnesses that are taken out at once.
-      over: called every now and then: whether to stop.
+      order: not changed.
+      rng: draws the witnesses.
+      tries: number of times.
+      most: most witnesses taken out at once.
+      over: called regularly; True: stop.
     """
     best = now = order.copy()
     least = cost = best.cost
@@ -214,7 +214,7 @@ def improved(
 
 
 def _renewed(order, rng, most):
-    """An order of which some witnesses, neighbours in it or on the map, were taken out and put in again."""
+    """Remove some witnesses, neighbours in an order or on the map, and insert them again."""
     made, n = order._stops, len(order.pairs)
     first, size = int(rng.integers(n)), int(rng.integers(1, min(n, most) + 1))
     if rng.random() < 0.5:
@@ -238,8 +238,9 @@ def _renewed(order, rng, most):
 def telling(
     stops: Stops, cells: Sequence[int], most: int, rng: np.random.Generator, over: Callable[[], bool]
 ) -> list[int]:
-    """Witnesses that together make a walk long, the most telling first: each next one makes the short walk that sees
-    those before longest. So many at most, fewer if it is `over` before.
+    """Choose witnesses that together make a walk long, the most important first.
+
+    Each next one makes the short walk that sees those before longest. At most `most`, fewer if `over` returns True.
     """
     order, chosen, left = Order(stops), [], list(cells)
     while left and len(chosen) < most and not over():

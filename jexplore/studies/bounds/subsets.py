@@ -34,12 +34,12 @@ class Subsets:
 
     @property
     def bytes(self) -> int:
-        """Memory that is held."""
+        """Return the bytes of memory in use."""
         n = len(self.witnesses)
         return 4 * len(self.floor.cells) * len(self._costs) + 4 * n * 2**n
 
     def add(self, cell: int, places: np.ndarray) -> Iterator[None]:
-        """Adds a witness; the caller may look at the clock after each flood, and stop: then nothing has changed.
+        """Add a witness; the caller may look at the clock after each flood, and stop: then nothing has changed.
 
         Args:
           cell: the witness.
@@ -83,14 +83,14 @@ class Subsets:
         self.low = FAR if whole is None else int(whole.min())
 
     def walk(self) -> np.ndarray:
-        """The shortest walk: `[k]` int, numbers of cells from the start on."""
+        """Return the shortest walk: `[k]` int, numbers of cells from the start on."""
         mask, order = (1 << len(self.witnesses)) - 1, []
         way = [int(np.argmin(self._costs[mask]))]
         while mask:
             costs, before = self._costs[mask], self._before(mask)
 
             def came_from(place, costs=costs, before=before):
-                """The witness that was seen here first, or None."""
+                """Return the witness that was seen here first, or None."""
                 found = (i for i, edge, other in before if place in edge and other[place] == costs[place])
                 return next(found, None)
 
@@ -104,22 +104,23 @@ class Subsets:
         return self.floor.cells[way[::-1]]
 
     def _before(self, mask):
-        """Witnesses that may be the last of a set to be seen: number, edge, costs without it."""
+        """Return witnesses that may be the last of a set to be seen: number, edge, costs without it."""
         rest = [(i, self._costs.get(mask & ~(1 << i))) for i in range(len(self.witnesses)) if mask >> i & 1]
         return [(i, set(self._edges[i].tolist()), costs) for i, costs in rest if costs is not None]
 
 
 class _Ahead:
-    """What a walk costs at least that has still to see some witnesses: the shortest way from edge to edge in the best
-    order, and the farthest edge.
+    """Least cost of a walk that still has to see some witnesses.
+
+    It is the shortest way from edge to edge in the best order, and the farthest edge.
     """
 
     def __init__(self, apart, away):
-        """`apart`: `[n, n]`, between edges. `away`: `[n, E]`, from the places of all edges, one after the other."""
+        """Prepare costs: `apart` is `[n, n]`, between edges; `away` is `[n, E]`, from the places of all edges."""
         self._away, self._onward, self._bits = away.astype(np.int64), _onward(apart), 1 << np.arange(len(away))
 
     def of(self, rest, span):
-        """The costs from some of the places: `[k]` int64."""
+        """Return the costs from some of the places: `[k]` int64."""
         members = np.flatnonzero(rest & self._bits)
         if not len(members):
             return 0
@@ -128,8 +129,10 @@ class _Ahead:
 
 
 def _onward(apart):
-    """What it costs at least to see some witnesses from the edge of the first on, in the best order of the others:
-    `[2**n, n]` int32, over sets and their first ones (Held and Karp, over the distances between edges).
+    """Compute the least cost to see some witnesses from the edge of the first on, in the best order of the others.
+
+    Returns:
+      `[2**n, n]` int32, over sets and their first ones (Held and Karp, over the distances between edges).
     """
     n, apart = len(apart), np.minimum(apart, FAR - 1).astype(np.int32)  # two FARs do not fit
     found, masks = np.full((1 << n, n), FAR, np.int32), np.arange(1 << n)

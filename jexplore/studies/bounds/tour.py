@@ -18,19 +18,19 @@ class Tour:
     """Cells."""
 
     def __init__(self, floor: Floor, from_start: np.ndarray, region: Callable[[int], np.ndarray]) -> None:
-        """`from_start`: `[n]` int32, costs to every place. `region`: places that see a cell."""
+        """Prepare a tour: `from_start` is `[n]` int32, costs to every place; `region` gives places that see a cell."""
         self.floor, self.order, self.region = floor, [], region
         self._ahead = [from_start]  # i -> cost from the start by the first i regions
         self._behind = [np.zeros_like(from_start)]  # i -> cost by the last i regions to the end, wherever that is
 
     def _through(self, costs, cell):
-        """Costs to every cell by the region of one, from costs to its cells."""
+        """Compute costs to every cell by the region of one, from costs to its cells."""
         places, start = self.region(cell), np.full(len(self.floor.cells), FAR, np.int32)
         start[places] = costs[places]
         return self.floor.flood(start)
 
     def _make(self, ahead, behind):
-        """Makes costs by so many regions from the front and from the back."""
+        """Compute costs by a number of regions from the front and from the back."""
         while len(self._ahead) <= ahead:
             self._ahead.append(self._through(self._ahead[-1], self.order[len(self._ahead) - 1]))
         while len(self._behind) <= behind:
@@ -38,21 +38,21 @@ class Tour:
 
     @property
     def cost(self) -> int:
-        """Of the walk."""
+        """Return the cost of the walk."""
         n = len(self.order)
         done = min(n, len(self._ahead) - 1)
         self._make(done, n - done)
         return int((self._ahead[done].astype(np.int64) + self._behind[n - done]).min())
 
     def insertions(self, cell: int) -> np.ndarray:
-        """What the walk costs with a witness more at each place of the order: `[n + 1]` int."""
+        """Compute the cost of the walk with one more witness at each place of the order: `[n + 1]` int."""
         n, places = len(self.order), self.region(cell)
         self._make(n, n)
         ahead = (self._ahead[i][places].astype(np.int64) for i in range(n + 1))
         return np.array([(costs + self._behind[n - i][places]).min() for i, costs in enumerate(ahead)])
 
     def to(self, order: list[int]) -> None:
-        """Takes another order; what both begin and end with is not made again."""
+        """Take another order; the common beginning and end are reused."""
         same = next((i for i, pair in enumerate(zip(order, self.order)) if pair[0] != pair[1]), None)
         same = min(len(order), len(self.order)) if same is None else same
         last = next((i for i, (a, b) in enumerate(zip(order[::-1], self.order[::-1])) if a != b), None)
@@ -61,7 +61,7 @@ class Tour:
         self.order = list(order)
 
     def walk(self) -> np.ndarray:
-        """The shortest walk in this order: `[k]` int, numbers of cells."""
+        """Return the shortest walk in this order: `[k]` int, numbers of cells."""
         n = len(self.order)
         self._make(n, 0)
         way: list[int] = [int(np.argmin(self._ahead[n]))]

@@ -13,7 +13,7 @@ from jexplore.studies.bounds.tour import Tour
 
 NEW = 16  # witnesses that one walk gives, at most
 SAMPLES = 4  # unseen cells of a patch of which one becomes a witness
-TRIES = 80  # of an order that is new; half of it for one that was tried before
+TRIES = 80  # of a new order; half for one that was tried before
 FEW = 12  # of an order that sees not yet everything
 KEPT = 3  # orders
 STALE = 10  # orders in a row without a shorter walk, after which none is looked for
@@ -37,7 +37,7 @@ class Walks:
         coverage: Coverage,
         rng: np.random.Generator,
     ) -> None:
-        """`region`: places that see a cell."""
+        """Prepare walks; `region` gives places that see a cell."""
         self.floor, self.region, self.coverage, self._rng = floor, region, coverage, rng
         self.stops = Stops(floor, from_start, region)
         self.walk, self.cost = np.zeros(0, np.int64), FAR
@@ -46,11 +46,11 @@ class Walks:
 
     @property
     def witnesses(self) -> list[int]:
-        """In the order in which they were found."""
+        """Return the witnesses in the order in which they were found."""
         return list(self.stops.own)
 
     def find(self, over: Callable[[], bool]) -> bool:
-        """Looks for a walk: whether there is one, shorter than FAR, before it is over."""
+        """Search for a walk until `over`; return whether one shorter than FAR was found."""
         walk = self.floor.scene.start * np.ones(1, np.int64)
         while True:
             unseen = self.coverage.unseen(walk)
@@ -66,10 +66,10 @@ class Walks:
                 return False
 
     def shorten(self, over: Callable[[], bool], first: Sequence[int] = ()) -> None:
-        """Looks for shorter ones until it is over, or nothing has come of it for long.
+        """Search for shorter walks until `over`, or until nothing has improved for long.
 
         Args:
-          over: whether it is.
+          over: returns True to stop.
           first: cells in an order to try, into which the other witnesses are put.
         """
         if first:
@@ -102,7 +102,7 @@ class Walks:
                 self.walk, self.cost, stale = walk, cost, 0
 
     def _exact(self, order):
-        """The shortest walk in an order, none if it costs FAR; where it begins to see each witness becomes a stop."""
+        """Return the shortest walk in an order, none if it costs FAR; first sights of the witnesses become stops."""
         self._tour.to(order.witnesses)
         if self._tour.cost >= FAR:
             return np.zeros(0, np.int64)
@@ -115,21 +115,22 @@ class Walks:
         return walk
 
     def _see(self, walk, unseen, over):
-        """Makes witnesses of what a walk does not see: one, or more until it is over."""
+        """Make witnesses of cells that a walk does not see: one, or more until `over`."""
         for cell in self._new_witnesses(walk, unseen):
             self._add(cell)
             if over():
                 break
 
     def _add(self, cell):
-        """Makes a cell a witness of all orders."""
+        """Make a cell a witness of all orders."""
         self.stops.add(cell)
         for order in self._kept:
             order.insert(cell)
 
     def _new_witnesses(self, walk, unseen):
-        """One cell of each patch of unseen ones, the farthest patches first: the one that is farthest from being seen,
-        and of equals the one that fewest places see.
+        """Return one cell of each patch of unseen ones, the farthest patches first.
+
+        It is the cell that is farthest from being seen, and of equals the one that fewest places see.
         """
         scene = self.floor.scene
         mask = np.zeros(len(scene.occupied), bool)

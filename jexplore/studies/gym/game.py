@@ -1,4 +1,4 @@
-"""What the single environment and the vector environment share: worlds, spaces, and what a state looks like."""
+"""Common code of the single and the vector environment: worlds, spaces, observations."""
 
 import functools
 from collections.abc import Mapping
@@ -38,7 +38,7 @@ class Game:
     def __init__(
         self, worlds: Any, *, rules: Rules, targets: str, max_decisions: int, render_mode: str | None, **settings: Any
     ) -> None:
-        """Loads the worlds. Arguments as of `GymEnv`.
+        """Load the worlds. Arguments as of `GymEnv`.
 
         Raises:
           InputError: as there.
@@ -64,13 +64,13 @@ class Game:
         )
 
     def options(self, options: dict[str, Any] | None, n: int) -> tuple[np.ndarray | None, ...]:
-        """Starts, worlds and numbers of the episodes of n lanes, from the options of a reset.
+        """Read starts, worlds and numbers of the episodes of n lanes from the options of a reset.
 
         Returns:
-          `(start, world, episode)`, `[n, 3]`, `[n]` and `[n]` int32; None for what is not given.
+          `(start, world, episode)`, `[n, 3]`, `[n]` and `[n]` int32; None if not given.
 
         Raises:
-          InputError: an option that there is not, or that cannot be one.
+          InputError: an unknown option or an invalid value.
         """
         options = require_options(options)
         for name in options:
@@ -93,19 +93,19 @@ class Game:
         return start, world, episode
 
     def ends(self, outcome: ArrayLike, decisions: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Whether episodes terminate, and whether they are truncated, never both: `(terminated, truncated)`, bool."""
+        """Return whether episodes terminate or are truncated, never both: `(terminated, truncated)`, bool."""
         terminated = np.isin(outcome, TERMINAL)
         stopped = np.not_equal(outcome, Outcome.RUNNING) | np.greater_equal(decisions, self.max_decisions)
         return terminated, ~terminated & stopped
 
     def fetched(self, seen: Any, info: Any) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """What `look` returned, on the host, steps as metres: `(seen, info)`."""
+        """Fetch the result of `look` to the host, steps as metres: `(seen, info)`."""
         seen, info = jax.device_get((seen, info))
         driven_m = path_m(info.pop("straight"), info.pop("diagonal"), self.env.cell_m)
         return seen, info | {"path_m": driven_m}
 
     def picture(self, seen: dict[str, np.ndarray], world: int) -> np.ndarray:
-        """The map of an observation: `[h, w, 3]` uint8, row 0 at the top, a square of pixels for every cell."""
+        """Draw the map of an observation: `[h, w, 3]` uint8, row 0 at the top, a square of pixels for every cell."""
         height, width = self.env.worlds[world].shape
         image = np.repeat(_GREYS[seen["map"][:height, :width], None], 3, axis=2)
         image[seen["frontier"][:height, :width] > 0] = _FRONTIER
@@ -116,7 +116,7 @@ class Game:
 
 
 def mask_of(state: EnvState, targets: str) -> Array:
-    """The cells that an action may name: `[H, W]` bool; none once the episode is over."""
+    """Return the cells that an action may name: `[H, W]` bool; none once the episode is over."""
     view = shown(state)
     allowed = view.frontier if targets == "frontier" else view.cost < FAR
     return allowed & (state.episode.outcome == Outcome.RUNNING)
@@ -124,7 +124,7 @@ def mask_of(state: EnvState, targets: str) -> Array:
 
 @functools.partial(jax.jit, static_argnames="targets")
 def look(state: EnvState, *, targets: str) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Observation and info of a state, before `Game.fetched`."""
+    """Return observation and info of a state, before `Game.fetched`."""
     episode, view = state.episode, shown(state)
     belief, shape = view.belief, view.cost.shape
     rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
@@ -147,12 +147,12 @@ def look(state: EnvState, *, targets: str) -> tuple[dict[str, Array], dict[str, 
 
 
 def copied(arrays: dict[str, Any]) -> dict[str, np.ndarray]:
-    """Arrays that whoever gets them may write to."""
+    """Copy arrays for whoever may write to them."""
     return {name: np.array(array) for name, array in arrays.items()}
 
 
 def require_options(options: Any) -> dict[str, Any]:
-    """The options of a reset as a dict.
+    """Return the options of a reset as a dict.
 
     Raises:
       InputError: no mapping.
@@ -163,7 +163,7 @@ def require_options(options: Any) -> dict[str, Any]:
 
 
 def whole(name: str, value: Any, shape: tuple[int, ...], low: int, high: int) -> np.ndarray:
-    """Whole numbers of a shape, within bounds, both inclusive: int32.
+    """Convert whole numbers of a shape, within bounds, both inclusive, to int32.
 
     Raises:
       InputError: saying what would be right.
@@ -181,5 +181,5 @@ def whole(name: str, value: Any, shape: tuple[int, ...], low: int, high: int) ->
 
 
 def drawn_seed(env: Any) -> int:
-    """A seed from the generator of an environment of gymnasium."""
+    """Draw a seed from the generator of an environment of gymnasium."""
     return int(env.np_random.integers(2**32))

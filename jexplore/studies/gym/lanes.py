@@ -45,7 +45,7 @@ class GymVectorEnv(VectorEnv):
         max_decisions: int = MAX_DECISIONS,
         render_mode: str | None = None,
     ) -> None:
-        """Loads the worlds. Arguments as of `GymEnv`, and `num_envs`, the number of lanes.
+        """Load the worlds. Arguments as of `GymEnv`, and `num_envs`, the number of lanes.
 
         Raises:
           InputError: as `GymEnv`.
@@ -67,18 +67,18 @@ class GymVectorEnv(VectorEnv):
 
     @property
     def environment(self) -> Environment:
-        """The `Environment` below."""
+        """Return the wrapped `Environment`."""
         return self._game.env
 
     @property
     def states(self) -> EnvState | None:
-        """The `EnvState`s of the episodes under way, with a leading axis; None before the first reset."""
+        """Return the `EnvState`s of the episodes under way, with a leading axis; None before the first reset."""
         return self._states
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begins an episode in every lane: `(observations, infos)`. The class says what seeds and options there are.
+        """Begin an episode in every lane: `(observations, infos)`. The class describes seeds and options.
 
         Raises:
           InputError: a seed or an option that cannot be one.
@@ -98,7 +98,7 @@ class GymVectorEnv(VectorEnv):
         return self._told(seen, info | {"valid": jnp.ones(self.num_envs, bool)})
 
     def step(self, actions: Any) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Drives to a cell in every lane: `(observations, rewards, terminations, truncations, infos)`.
+        """Drive to a cell in every lane: `(observations, rewards, terminations, truncations, infos)`.
 
         Raises:
           InputError: actions that are no cells of the map, or no episodes to make them in.
@@ -118,7 +118,7 @@ class GymVectorEnv(VectorEnv):
         return seen, np.array(rewards, np.float64) + 0.0, terminated, truncated, info
 
     def render(self) -> Any:
-        """The maps as the robots know them, a tuple of `[h, w, 3]` uint8, in the mode "rgb_array"; else None."""
+        """Draw the maps as the robots know them, a tuple of `[h, w, 3]` uint8, in the mode "rgb_array"; else None."""
         if self.render_mode is None or self._states is None:
             return None
         worlds = np.asarray(self._states.world).tolist()
@@ -126,7 +126,7 @@ class GymVectorEnv(VectorEnv):
         return tuple(self._game.picture(seen, world) for seen, world in zip(lanes, worlds))
 
     def _seeds(self, seed):
-        """One for each lane."""
+        """Return one seed for each lane."""
         try:
             first = operator.index(seed)
             seeds = [first + i for i in range(self.num_envs)]
@@ -137,14 +137,14 @@ class GymVectorEnv(VectorEnv):
         return [require_whole("seed", one, 0, MAX_SEED) for one in seeds]
 
     def _told(self, seen, info):
-        """Observations and infos; each info has a mask of the lanes that have it, as gymnasium wants it."""
+        """Return observations and infos; each info has a mask of the lanes that have it, as in gymnasium."""
         self._seen, info = self._game.fetched(seen, info)
         masks = {f"_{name}": np.ones(self.num_envs, bool) for name in info}
         return copied(self._seen), copied(info) | masks
 
 
 def _begun(game, arrays, bases, numbers, starts, worlds):
-    """The first state of every lane, and what it looks like."""
+    """Return the first state of every lane, and its observation."""
     env = game.env.with_arrays(arrays)
 
     def begin(base, number, start, world):
@@ -155,7 +155,7 @@ def _begun(game, arrays, bases, numbers, starts, worlds):
 
 
 def _turned(game, arrays, bases, numbers, states, actions, over):
-    """The next state of every lane, and what it looks like: after a decision, or the first of the next episode."""
+    """Return the next state of every lane, after a decision or of the next episode, and its observation."""
     env = game.env.with_arrays(arrays)
 
     def turn(base, number, state, action, over):

@@ -15,15 +15,15 @@ from jexplore.studies.gym.game import MAX_DECISIONS, Game, copied, drawn_seed, l
 
 @checked_names
 class GymEnv(gymnasium.Env):
-    """A single environment: `jx.GymEnv("rooms#1")`. The folder's text says what observations, actions and infos are.
+    """Single environment: `jx.GymEnv("rooms#1")`. The folder's docstring describes observations, actions and infos.
 
-    The reward is minus the metres driven. An episode terminates when nothing is left to be seen, COMPLETE or BLOCKED,
-    or if its start is enclosed, STUCK; the limits of the rules and `max_decisions` truncate it. An action outside
+    The reward is minus the metres driven. An episode terminates without a reachable frontier, COMPLETE or BLOCKED, or
+    if its start is enclosed, STUCK; the limits of the rules and `max_decisions` truncate it. An action outside
     `info["action_mask"]` moves nothing.
 
     `reset(seed=s)` begins episode 0 of the seed s, each further reset the next one; `jx.compare(..., seed=s)` has the
-    same noise in its episode of that number. `reset(options=...)` takes `start`, row, col, heading_deg; `world`, which
-    of the worlds; `episode`, another number than the next. What is not given is drawn.
+    same noise in its episode of that number. `reset(options=...)` takes `start`, row, col, heading_deg; `world`, index
+    of a world; `episode`, another number than the next. Other values are drawn.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012
@@ -40,7 +40,7 @@ class GymEnv(gymnasium.Env):
         max_decisions: int = MAX_DECISIONS,
         render_mode: str | None = None,
     ) -> None:
-        """Loads the worlds.
+        """Load the worlds.
 
         Args:
           worlds, cell_m, lidar, rules, recheck: see `Environment`.
@@ -62,18 +62,18 @@ class GymEnv(gymnasium.Env):
 
     @property
     def environment(self) -> Environment:
-        """The `Environment` below."""
+        """Return the wrapped `Environment`."""
         return self._game.env
 
     @property
     def state(self) -> EnvState | None:
-        """The `EnvState` of the episode under way; None before the first reset."""
+        """Return the `EnvState` of the episode under way; None before the first reset."""
         return self._state
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begins an episode: `(observation, info)`. The class says what `options` there are.
+        """Begin an episode: `(observation, info)`. The class describes the `options`.
 
         Raises:
           InputError: a seed or an option that cannot be one.
@@ -91,7 +91,7 @@ class GymEnv(gymnasium.Env):
         return self._told(True)
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Drives to a cell: `(observation, reward, terminated, truncated, info)`.
+        """Drive to a cell: `(observation, reward, terminated, truncated, info)`.
 
         Raises:
           InputError: no cell of the map, or no episode to make it in.
@@ -107,7 +107,7 @@ class GymEnv(gymnasium.Env):
         return seen, float(reward) + 0.0, bool(terminated), bool(truncated), info
 
     def render(self) -> Any:
-        """The map as the robot knows it, `[h, w, 3]` uint8, in the mode "rgb_array"; else None."""
+        """Draw the map as the robot knows it, `[h, w, 3]` uint8, in the mode "rgb_array"; else None."""
         if self.render_mode is None or self._state is None:
             return None
         return self._game.picture(self._seen, int(self._state.world))
@@ -116,7 +116,7 @@ class GymEnv(gymnasium.Env):
         return jax.random.fold_in(self._base, self._number)
 
     def _told(self, valid):
-        """Observation and info of the state, numbers as Python has them."""
+        """Return observation and info of the state, numbers as Python has them."""
         self._seen, info = self._game.fetched(*look(self._state, targets=self._game.targets))
         self._mask = info["action_mask"]
         plain = {name: value.item() for name, value in info.items() if not np.ndim(value)}

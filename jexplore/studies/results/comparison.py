@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 
 class Made(NamedTuple):
-    """How a comparison was made, for its folder."""
+    """Provenance of a comparison, for its folder."""
 
     jobs: tuple[Job, ...] = ()
     firsts: Mapping[int, Outcomes] = MappingProxyType({})  # number of a job -> what its first episodes left
@@ -61,9 +61,9 @@ class Made(NamedTuple):
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Comparison(ByStrategy):
-    """What `compare` found. Tables are pandas DataFrames.
+    """Result of `compare`. Tables are pandas DataFrames.
 
-    It is iterated over by the names of its strategies, and `results["closest"]` is the table of that one's episodes.
+    Iterating gives the names of its strategies, and `results["closest"]` the table of that one's episodes.
     """
 
     episodes: "pd.DataFrame"
@@ -92,50 +92,50 @@ class Comparison(ByStrategy):
     lidar: Lidar | None = None
     """The scanner; None where it is not known, or there were several."""
     rules: Rules | None = None
-    """The rules, likewise."""
+    """The rules; None if unknown or there were several."""
     made: Made = dataclasses.field(default=Made(), repr=False, compare=False)
-    """What a folder of it needs besides."""
+    """Provenance for its folder."""
 
     @functools.cached_property
     def summary(self) -> "pd.DataFrame":
-        """One row a world and strategy: see `by_world.summarise`."""
+        """Tabulate means, one row a world and strategy: see `by_world.summarise`."""
         return by_world.summarise(self.episodes)
 
     @functools.cached_property
     def standings(self) -> "pd.DataFrame":
-        """One row a strategy, over all worlds: see `league.standings`."""
+        """Tabulate standings, one row a strategy, over all worlds: see `league.standings`."""
         return standings(self.episodes)
 
     @functools.cached_property
     def wasted(self) -> "pd.DataFrame":
-        """The table of episodes with what of each path was wasted, with `keep="paths"`: see `waste.wasted`."""
+        """Add the wasted part of each path to the table of episodes, with `keep="paths"`: see `waste.wasted`."""
         return waste.wasted(self.episodes, self.paths, {world.name: world.cell_m for world in self.worlds})
 
     @functools.cached_property
     def warnings(self) -> list[str]:
-        """What makes the comparison unfair or inexact: a list of lines."""
+        """List the reasons that make the comparison unfair or inexact: lines."""
         lines = [f"interrupted: {self.interrupted} episodes are missing"] if self.interrupted else []
         return [*lines, *by_world.warnings_of(self.episodes, self.progress), *_bounds_met(self.episodes)]
 
     @property
     def episodes_per_s(self) -> float:
-        """Episodes that were run over the seconds in which compiled programs ran; 0 if none were."""
+        """Return episodes per second of running compiled programs; 0 if none were run."""
         return max(len(self.episodes) - self.resumed, 0) / self.run_s if self.run_s else 0.0
 
     def to_markdown(self) -> str:
-        """The summary as a Markdown table; with six worlds or more, before it, what all of them say together."""
+        """Format the summary as a Markdown table; with six worlds or more, before it, the statistics over all."""
         text = by_world.markdown_table(self.summary)
         together = len(self.worlds) >= MIN_PAIRS and max(self.standings["worlds"], default=0) >= MIN_PAIRS
         return f"{over_worlds_text(self.standings)}\nIn each world:\n\n{text}" if together else text
 
     def to_xarray(self) -> Any:
-        """All of it as an `xarray.Dataset` with labelled dimensions: see `labelled.of_comparison`."""
+        """Convert all results to an `xarray.Dataset` with labelled dimensions: see `labelled.of_comparison`."""
         from jexplore.studies.results import labelled
 
         return labelled.of_comparison(self)
 
     def save_maps(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Writes the last map of every episode as files of ROS's map_server, with `keep="maps"`.
+        """Write the last map of every episode as files of ROS's map_server, with `keep="maps"`.
 
         Args:
           folder: where to; it is made. Files are named world-strategy-episode.yaml, with a picture each: of a world's
@@ -152,14 +152,14 @@ class Comparison(ByStrategy):
         return write_maps(folder, self.maps, self.episodes, self.worlds)
 
     def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":
-        """How many episodes, and how many worlds, would tell every ratio `± within`: see `sizes.sample_sizes`."""
+        """Compute the episodes and worlds needed to know every ratio `± within`: see `sizes.sample_sizes`."""
         return sizes.sample_sizes(self.episodes, within=within, assurance=assurance)
 
     def _summary_text(self, as_text):
         return by_world.markdown_table(self.summary, as_text=as_text)
 
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False, report: bool = True) -> Path:
-        """Writes the folder that `jexplore compare` writes: tables, pictures, run.json, report.html.
+        """Write the folder that `jexplore compare` writes: tables, pictures, run.json, report.html.
 
         `jx.load` reads it, ways and maps included, and `jx.compare(..., out=folder, resume=True)` takes it for done.
 
@@ -179,7 +179,7 @@ class Comparison(ByStrategy):
         return saving.save(self, folder, overwrite=overwrite, report=report)
 
     def plot(self, ax: Any = None, world: str | None = None) -> Any:
-        """Path lengths in one world: every episode as a dot, and the means with their 95 % intervals.
+        """Draw path lengths in one world: every episode as a dot, and the means with their 95 % intervals.
 
         Args:
           ax: matplotlib `Axes`; by default those of a new figure.
@@ -199,20 +199,20 @@ class Comparison(ByStrategy):
         return ax
 
     def compare_figure(self) -> "Figure":
-        """Every episode's path, means, intervals and paired ratios: see `figures.compare_figure`."""
+        """Draw every episode's path, means, intervals and paired ratios: see `figures.compare_figure`."""
         table = self.standings if len(self.worlds) > 1 else None
         return figures.compare_figure(self.episodes, summary=self.summary, table=table)
 
     def coverage_figure(self) -> "Figure":
-        """The share of what can be known along the path, one panel a world: see `figures.coverage_figure`."""
+        """Draw the known part of the knowable share along the path, a panel a world: see `figures.coverage_figure`."""
         return figures.coverage_figure(self.progress)
 
     def profile_figure(self, *, over: str = "best") -> "Figure":
-        """Performance profiles of the strategies: see `figures.profile_figure`."""
+        """Draw performance profiles of the strategies: see `figures.profile_figure`."""
         return figures.profile_figure(self.episodes, over=over)
 
     def waste_figure(self) -> "Figure":
-        """The first paths, coloured by what they were worth, with `keep="paths"`: a matplotlib `Figure`."""
+        """Draw the first paths, coloured by their use, with `keep="paths"`: a matplotlib `Figure`."""
         from jexplore.report.plots import waste as pictures
 
         worlds = {world.name: world for world in self.worlds}
@@ -225,7 +225,7 @@ class Comparison(ByStrategy):
         )
 
     def paths_figure(self) -> "Figure":
-        """The map as each strategy saw it in episode 0, with its path: a matplotlib `Figure`."""
+        """Draw the map as each strategy saw it in episode 0, with its path: a matplotlib `Figure`."""
         from jexplore.report import plot
 
         return plot.paths_figure(list(self.first.items()))
@@ -248,7 +248,7 @@ class Comparison(ByStrategy):
         return html_of(self._picture, repr(self)[1:-1] + more, *self._short_table())
 
     def _short_table(self):
-        """Names of the columns and rows of text: every world's, or, where they are many, what all say together."""
+        """Return names of the columns and rows of text: every world's, or of many worlds the statistics over all."""
         if len(self.worlds) > 1 and len(self.summary) > MOST_ROWS:
             head = ("strategy", "ratio to the first", "p (Holm)", "best in")
             rows = self.standings.to_dict("records")
@@ -266,7 +266,7 @@ class Comparison(ByStrategy):
 
 
 def _beside_first(row):
-    """The ratio to the first strategy with its interval, and the corrected p, as texts."""
+    """Format the ratio to the first strategy with its interval, and the corrected p."""
     return ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"]), p_text(row["p_holm"])
 
 
@@ -277,7 +277,7 @@ BOUNDS = {
 
 
 def _bounds_met(episodes):
-    """Warnings about episodes that met a bound of what a plan can express or has room for."""
+    """Return warnings about episodes that met a limit of what a plan can express or has room for."""
     lines = []
     for (world, strategy), rows in episodes.groupby(["world", "strategy"], sort=False):
         for column, what in BOUNDS.items():
@@ -305,7 +305,7 @@ def prepare_jobs(
     within: str | Polygon | None = None,
     from_map: KnownMap | None = None,
 ) -> list[Job]:
-    """Everything that `compare` refuses or loads before it runs: a list of `Job`. Arguments as there."""
+    """Check and load everything before `compare` runs: a list of `Job`. Arguments as there."""
     lidar, rules = ready_settings(lidar, rules)
     episodes, seed = require_setting("episodes", episodes), require_setting("seed", seed)
     start = read_start(start, start_m)
@@ -320,13 +320,13 @@ def prepare_jobs(
 
 
 def _the_only(settings: Iterable[Any]) -> Any:
-    """What all of some settings are; None where they differ."""
+    """Return the common value of some settings; None if they differ."""
     found = set(settings)
     return found.pop() if len(found) == 1 else None
 
 
 def assemble(jobs: Sequence[Job], ran: Ran) -> Comparison:
-    """The `Comparison` of jobs whose units have run.
+    """Make the `Comparison` of jobs whose units have run.
 
     Of a run that was interrupted it holds the episodes that every strategy has finished in a world.
 

@@ -22,7 +22,7 @@ def write_maps(
     episodes: "pd.DataFrame",
     worlds: Sequence[World],
 ) -> list[Path]:
-    """Writes maps as yaml files with a picture each, named world-strategy-episode; arguments as of `Comparison`.
+    """Write maps as yaml files with a picture each, named world-strategy-episode; arguments as of `Comparison`.
 
     Returns:
       Paths of the yaml files.

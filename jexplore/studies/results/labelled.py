@@ -30,7 +30,7 @@ def _xarray():
 
 
 def _variable(column: Any, at: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> np.ndarray:
-    """A column of a table as an array of the dimensions."""
+    """Convert a column of a table to an array of the dimensions."""
     is_nullable = column.dtype == "Int64"
     values = column.astype("float64").to_numpy(na_value=np.nan) if is_nullable else column.to_numpy()
     if values.dtype.kind not in "ifb":
@@ -41,7 +41,7 @@ def _variable(column: Any, at: tuple[np.ndarray, ...], shape: tuple[int, ...]) -
 
 
 def _dataset(table: "pd.DataFrame", dims: Mapping[str, Sequence[Any]], names: Sequence[str]) -> Any:
-    """A dataset of some columns of a table, whose rows are told apart by the dimensions."""
+    """Make a dataset of some columns of a table, whose rows are identified by the dimensions."""
     xarray = _xarray()
     places = {name: {value: i for i, value in enumerate(values)} for name, values in dims.items()}
     at = tuple(np.array([places[name][value] for value in table[name]], np.int64) for name in dims)
@@ -60,7 +60,7 @@ def _with_units(found: Any) -> Any:
 
 
 def of_comparison(found: Any) -> Any:
-    """A `Comparison` as an `xarray.Dataset`.
+    """Convert a `Comparison` to an `xarray.Dataset`.
 
     Args:
       found: `Comparison`.
@@ -113,7 +113,7 @@ def of_comparison(found: Any) -> Any:
 
 
 def groups(table: Any) -> Any:
-    """Pairs of world and strategy and their rows."""
+    """Return pairs of world and strategy and their rows."""
     return table.groupby(["world", "strategy"], sort=False)
 
 
@@ -127,7 +127,7 @@ def _largest(found):
 
 
 def of_sweep(found: Any) -> Any:
-    """A `Swept` as an `xarray.Dataset`.
+    """Convert a `Swept` to an `xarray.Dataset`.
 
     Args:
       found: `Swept`.

@@ -42,7 +42,7 @@ MADE_FROM = ("version", "spec", "digests")  # entries of what was asked from whi
 
 
 def _details(path, episodes):
-    """Worlds, first episodes, progress, ways and maps, as fields of a `Comparison`."""
+    """Load worlds, first episodes, progress, ways and maps, as fields of a `Comparison`."""
     arrays = read_npz(path, MOST_DETAILS_BYTES)
     worlds, first = [], {}
     while f"world/{len(worlds)}/occupied" in arrays:
@@ -81,7 +81,7 @@ def _details(path, episodes):
 
 @checked_names
 def load(path: str | os.PathLike[str]) -> Any:
-    """The results of a run, from the folder that it has written.
+    """Load the results of a run, from the folder that it has written.
 
     Args:
       path: folder of a `jexplore` command.
@@ -121,7 +121,7 @@ def _load(folder, record):
 
 
 def record_of(folder: Path) -> dict[str, Any]:
-    """The run.json of a run."""
+    """Read the run.json of a run."""
     page = folder / "run.json"
     if not page.is_file():
         is_begun = (folder / UNFINISHED).is_dir()
@@ -139,7 +139,7 @@ def record_of(folder: Path) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _as_written(folder, record):
-    """Within the block a file that lacks something, or has what this version does not know, is told in one line."""
+    """Explain in one line that a file lacks something, or has something that this version does not know."""
     try:
         yield
     except Exception as error:  # a file may hold anything in anything's place
@@ -168,7 +168,7 @@ def _comparison(folder, record, command):
 
 
 def unit_rows(folder: Path) -> "pd.DataFrame":
-    """The episodes of a finished comparison as rows of its units' files, see `units.to_table`."""
+    """Convert the episodes of a finished comparison to rows of its units' files, see `units.to_table`."""
     import pandas as pd
 
     found = load(folder)
@@ -186,7 +186,7 @@ def unit_rows(folder: Path) -> "pd.DataFrame":
 def shorter_of(
     jobs: Sequence[Job], keep: str | None, asked_of: Callable[[Sequence[Job]], Mapping[str, Any]]
 ) -> Shorter:
-    """The comparisons of the same jobs with fewer episodes: what these go on with.
+    """Return the comparisons of the same jobs with fewer episodes, which these may continue.
 
     Args:
       jobs: list of `Job`, each with as many starts.
@@ -214,7 +214,7 @@ def _sweep(folder, record):
 
 
 def _part_of(asked):
-    """Which part of a sweep this is, from 0, and of how many."""
+    """Return the index of this part of a sweep, from 0, and the number of parts."""
     found = re.fullmatch(r"(\d{1,5})/(\d{1,5})", str(asked.get("shard")))
     if not found:
         raise InputError(f"the shard of a part must be I/N, got {shown(asked.get('shard'))}")
@@ -222,7 +222,7 @@ def _part_of(asked):
 
 
 def _require_same_strategies(part, asked, first):
-    """Refuses a part whose strategies compute something else than those of the first one."""
+    """Refuse a part whose strategies compute something else than those of the first one."""
     for name, digest in asked.get("own", {}).items():
         if digest is None:
             raise InputError(
@@ -234,7 +234,7 @@ def _require_same_strategies(part, asked, first):
 
 
 def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, Plan | TracePlan]:
-    """The parts of a sweep put together.
+    """Join the parts of a sweep.
 
     Args:
       parts: folders of all parts.

@@ -8,7 +8,7 @@ from typing import Any
 
 
 def in_notebook() -> bool:
-    """Whether this code runs in a cell of a notebook."""
+    """Return whether this code runs in a cell of a notebook."""
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     return shell is not None and "IPKernelApp" in shell.config
 
@@ -17,7 +17,7 @@ def in_notebook() -> bool:
 def progress_bar(
     progress: bool | None, total: int, unit: str, on_progress: Callable[[int], object] | None = None
 ) -> Iterator[Callable[[int], object] | None]:
-    """The function that work calls with the number of things that are finished. It moves a bar, if there is to be one.
+    """Provide the function that work calls with the number of finished things; it moves a bar, if requested.
 
     Args:
       progress: whether there is to be a bar; None: in a notebook, unless there is an `on_progress`.

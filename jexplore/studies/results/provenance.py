@@ -1,4 +1,4 @@
-"""What results were made from: the worlds to the bit, the files of maps, the commit of this package."""
+"""Provenance of results: the worlds to the bit, the files of maps, the commit of this package."""
 
 import functools
 import hashlib
@@ -27,7 +27,7 @@ GIT_S = 5.0  # seconds that git may take
 
 
 def digest(world: World) -> str:
-    """SHA-256 of everything in a world that an episode depends on, in hexadecimal digits."""
+    """Return SHA-256 of everything in a world that an episode depends on, in hexadecimal digits."""
     found = hashlib.sha256(np.float64(world.cell_m).tobytes())
     restrictions = (array for array in (world.within, world.known) if array is not None)
     for array in (world.occupied, world.rooms, world.elevation, world.start, *restrictions):
@@ -38,8 +38,9 @@ def digest(world: World) -> str:
 
 
 def files_of(world: World) -> dict[str, str]:
-    """The files that a world was read from, those that they name among them: path -> SHA-256 in hexadecimal digits;
-    empty for other worlds.
+    """Return the files that a world was read from: path -> SHA-256 in hexadecimal digits; empty for other worlds.
+
+    Files that they name are among them.
     """
     try:
         path = Path(names.parse(os.path.expanduser(world.name), generators=()).base)
@@ -50,7 +51,7 @@ def files_of(world: World) -> dict[str, str]:
 
 
 def _named_in(path):
-    """The picture of a ROS map, or the files of a recording, if this is one."""
+    """Return the picture of a ROS map, or the files of a recording; nothing for other files."""
     if path.name == names.METADATA:
         suffixes = tuple(f".{suffix}" for suffix in names.SUFFIXES["ROS bag"])
         yield from sorted(file for file in path.parent.iterdir() if file.name.lower().endswith(suffixes))
@@ -67,8 +68,9 @@ def _file_hash(path):
 
 @functools.cache
 def commit() -> str | None:
-    """The commit that this package was installed from, with `+changed` where the files have changed since; None where
-    that is not known.
+    """Return the commit that this package was installed from; None if unknown.
+
+    It ends in `+changed` if the files have changed since.
     """
     folder = Path(__file__).resolve().parents[3]
     if (folder / ".git").exists():
@@ -94,11 +96,11 @@ def commit() -> str | None:
 
 
 def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
-    """What strategies compute that their names do not tell, somebody else's and those with weights.
+    """Compute digests of strategies that are not determined by their names: users' own and those with weights.
 
     Returns:
-      name -> SHA-256, in hexadecimal digits, of all parameters and of all that JAX sees of the strategy in the jobs'
-      worlds; None where that cannot be told, see `traced.digest`.
+      name -> SHA-256, in hexadecimal digits, of all parameters and of the strategy's traced computation in the jobs'
+      worlds; None if unknown, see `traced.digest`.
     """
     parts: dict[str, dict[Any, str | None]] = {}
     for job in jobs:
@@ -119,7 +121,7 @@ def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
 
 
 def asked(jobs: Sequence[Job]) -> dict[str, Any]:
-    """All that the results of some jobs depend on, as plain values: of two runs with equal ones the units are equal."""
+    """Return all that the results of some jobs depend on, as plain values: equal ones mean equal units."""
     worlds = {os.fspath(job.world.name): job.world for job in jobs}
     strategies = list(dict.fromkeys(job.strategy.name for job in jobs))
     settings = list(dict.fromkeys((job.lidar, job.rules) for job in jobs))
@@ -141,7 +143,7 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
 
 
 def describe(world: World) -> dict[str, Any]:
-    """What a table of worlds says about one."""
+    """Return a world's entries in a table of worlds."""
     rows, cols = world.shape
     rooms = None if world.rooms is None else int(world.rooms.max()) + 1
     return {

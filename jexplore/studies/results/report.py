@@ -23,7 +23,7 @@ PICTURES = {
     "sweep-map.png": "Path lengths over the first two settings that are varied",
     "episode.png": "The known map and the path at the end",
 }
-"""What is to be seen in a run's pictures."""
+"""Captions of a run's pictures."""
 
 
 def replays_for(
@@ -32,7 +32,7 @@ def replays_for(
     firsts: Mapping[int, Outcomes] | None = None,
     labels: Sequence[str] = (),
 ) -> tuple[list[ReplayData], list[str]]:
-    """Replays of the first episodes of the first jobs, which have their scanners and rules: see `replays.replays_of`.
+    """Replay the first episodes of the first jobs, which have their scanners and rules: see `replays.replays_of`.
 
     Args:
       jobs: of a run.
@@ -57,7 +57,7 @@ def write_report(
     replays: Sequence[ReplayData],
     notes: Iterable[str] = (),
 ) -> None:
-    """Writes the report of a run.
+    """Write the report of a run.
 
     Args:
       path: the file.

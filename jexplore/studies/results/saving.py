@@ -28,7 +28,7 @@ VECTORS = ("compare.png", "coverage.png", "league.png", "reproduce.png")  # writ
 
 
 def write_details(found: Any, path: Path) -> None:
-    """Writes what the table of episodes of a `Comparison` cannot hold: worlds, first episodes, progress, ways, maps."""
+    """Write worlds, first episodes, progress, ways, maps: parts of a `Comparison` outside the table of episodes."""
     arrays: dict[str, Any] = {}
     for i, world in enumerate(found.worlds):
         arrays[f"world/{i}/occupied"] = world.occupied
@@ -56,7 +56,7 @@ def write_details(found: Any, path: Path) -> None:
 
 
 def figures_of(found: Any, *, league: bool = False) -> dict[str, Callable[[], Any]]:
-    """Pictures of a `Comparison`: name of a file -> what draws it."""
+    """Return pictures of a `Comparison`: name of a file -> function that draws it."""
     if league:
         return {"league.png": lambda: plot_league.figure(found.standings)}
     figures = {"compare.png": found.compare_figure, "coverage.png": found.coverage_figure}
@@ -68,7 +68,7 @@ def figures_of(found: Any, *, league: bool = False) -> dict[str, Callable[[], An
 def files_of(
     found: Any, record: Mapping[str, Any], more: Mapping[str, Callable[[Path], Any]] = MappingProxyType({})
 ) -> dict[str, Callable[[Path], Any]]:
-    """Files of a `Comparison`, and more: name -> what writes it. `record`: what run.json holds."""
+    """Return files of a `Comparison`, and more: name -> writer. `record`: content of run.json."""
     return {
         "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
         DETAILS: lambda path: write_details(found, path),
@@ -85,7 +85,7 @@ def pictures_of(
     figures: Mapping[str, Callable[[], Any]],
     jobs: Sequence[Job] | None,
 ) -> dict[str, Callable[[Path], Any]]:
-    """Pictures of a `Comparison` and its page: name -> what writes it.
+    """Return pictures of a `Comparison` and its page: name -> writer.
 
     Args:
       folder: the run's, in which pictures are when the page is written.
@@ -119,7 +119,7 @@ def _page(folder, found, firsts, record, jobs, names, path):
 
 
 def entries_of(found: Any) -> dict[str, Any]:
-    """What run.json says of what a `Comparison` found."""
+    """Return the entries of run.json for a `Comparison`."""
     return {
         "episodes_per_s": found.episodes_per_s,
         "compile_s": found.compile_s,
@@ -145,7 +145,7 @@ def engine_of(costs: Costs) -> dict[str, Any]:
 
 
 def write(run: folders.RunFolder, found: Any, *, report: bool = True) -> Path:
-    """Writes the files and pictures of a `Comparison` into a folder that is claimed. Returns its path.
+    """Write the files and pictures of a `Comparison` into a claimed folder; return its path.
 
     Warns:
       InputWarning: a picture that could not be drawn.
@@ -164,7 +164,7 @@ def write(run: folders.RunFolder, found: Any, *, report: bool = True) -> Path:
 
 @contextlib.contextmanager
 def claimed(path: str | os.PathLike[str], *, overwrite: bool, resume: bool = False) -> Iterator[folders.RunFolder]:
-    """As `folders.claimed`, for a function: its errors name arguments instead of options."""
+    """Claim a folder, as `folders.claimed`, for a function: its errors name arguments instead of options."""
     try:
         with folders.claimed(os.path.expanduser(path), overwrite=overwrite, resume=resume) as run:
             yield run
@@ -173,7 +173,7 @@ def claimed(path: str | os.PathLike[str], *, overwrite: bool, resume: bool = Fal
 
 
 def save(found: Any, folder: str | os.PathLike[str], *, overwrite: bool, report: bool) -> Path:
-    """`Comparison.save`."""
+    """Save a comparison: `Comparison.save`."""
     if not found.made.record:
         raise InputError("only what jx.compare or jx.load returned can be saved; to_csv() writes the table alone")
     with claimed(folder, overwrite=overwrite) as run:

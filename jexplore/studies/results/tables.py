@@ -1,4 +1,4 @@
-"""What results of several strategies have in common: their episodes by strategy, and tables as text and files."""
+"""Common code of results of several strategies: their episodes by strategy, and tables as text and files."""
 
 import abc
 import os
@@ -26,12 +26,12 @@ class ByStrategy(abc.ABC):
 
     @property
     def _who(self) -> str:
-        """The column of names."""
+        """Return the column of names."""
         return "strategy"
 
     @property
     def strategies(self) -> tuple[str, ...]:
-        """Names of the strategies, in order."""
+        """Return names of the strategies, in order."""
         return tuple(dict.fromkeys(self.episodes[self._who]))
 
     def __len__(self) -> int:
@@ -41,18 +41,18 @@ class ByStrategy(abc.ABC):
         return iter(self.strategies)
 
     def __getitem__(self, name: str) -> "pd.DataFrame":
-        """The episodes of one strategy: those rows of the table of all, counted anew from 0."""
+        """Return the episodes of one strategy: those rows of the table of all, counted anew from 0."""
         if name not in self.strategies:
             raise unknown(f"{self._who} of these results:", str(name), self.strategies)
         own: Any = self.episodes[self.episodes[self._who] == name]
         return own.reset_index(drop=True)
 
     def to_pandas(self) -> "pd.DataFrame":
-        """The table of episodes."""
+        """Return the table of episodes."""
         return self.episodes
 
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str | None:
-        """The table of episodes as comma-separated values.
+        """Format the table of episodes as comma-separated values.
 
         Args:
           path: the file to write; without one the text is returned.
@@ -63,7 +63,7 @@ class ByStrategy(abc.ABC):
         return _written(self.episodes.to_csv(index=False), path)
 
     def to_latex(self, path: str | os.PathLike[str] | None = None) -> str | None:
-        r"""The summary as a LaTeX table, for `\usepackage{booktabs}`.
+        r"""Format the summary as a LaTeX table, for `\usepackage{booktabs}`.
 
         Args:
           path: the file to write; without one the text is returned.
@@ -75,7 +75,7 @@ class ByStrategy(abc.ABC):
 
     @abc.abstractmethod
     def _summary_text(self, as_text) -> str:
-        """The table of the summary, as `as_text` writes it."""
+        """Return the table of the summary, as `as_text` writes it."""
 
 
 def _written(text, path):

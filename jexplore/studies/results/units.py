@@ -31,7 +31,7 @@ COLUMNS = (
     *("start_heading_deg", "refused", "saturated", "overflow"),
 )
 """Columns of a table of episodes. `stats` and `plot` read them by these names."""
-LEAST = 8  # episodes of a unit, if there are so many
+LEAST = 8  # least number of episodes of a unit
 UNIT_S = 1.0  # seconds that a unit should take, about: writing it takes a hundredth of that
 CELL_S = 1.3e-6  # seconds of an episode of closest+recheck, for every cell of its world (benchmarks/RESULTS.md)
 FIRSTS = 12  # jobs of which what the first episode left is kept, for a report
@@ -40,7 +40,7 @@ PROGRESS, SEEN, WAY, MAP = "_progress_m", "_seen", "_way", "_map"  # columns of 
 
 
 class Seen(NamedTuple):
-    """How episode 0 of a strategy in a world ended: its map and its way."""
+    """End of episode 0 of a strategy in a world: its map and its way."""
 
     strategy: str
     state: np.ndarray  # [H, W] uint8, 0 unknown, 1 free, 2 occupied
@@ -71,7 +71,7 @@ class Piece(NamedTuple):
 
 
 def cut(jobs: Sequence[Job]) -> list[Unit]:
-    """The units of some jobs, in the order in which they are worth doing: the first episodes of all jobs first."""
+    """Cut jobs into units, in the order in which they are worth doing: the first episodes of all jobs first."""
     units = []
     for i, job in enumerate(jobs):
         n = len(job.starts)
@@ -82,13 +82,13 @@ def cut(jobs: Sequence[Job]) -> list[Unit]:
 
 
 def job_of(job: Job, unit: Unit) -> Job:
-    """The episodes of a unit as a `Job`."""
+    """Return the episodes of a unit as a `Job`."""
     starts = job.starts[unit.first : unit.first + unit.n]
     return job._replace(starts=starts, first=unit.first, turn=unit.turn)
 
 
 def rows_of(job: Job, unit: Unit, found: Outcomes) -> dict[str, Any]:
-    """The episodes of a unit that have ended, as columns: an array or a list for each of `COLUMNS`."""
+    """Return the episodes of a unit that have ended, as columns: an array or a list for each of `COLUMNS`."""
     ended = np.asarray(found.result.outcome) != Outcome.RUNNING
     starts, world = job.starts[unit.first : unit.first + unit.n], job.world
     has_rooms = world.rooms is not None
@@ -102,7 +102,7 @@ def rows_of(job: Job, unit: Unit, found: Outcomes) -> dict[str, Any]:
 
 
 def table_of(rows: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
-    """Columns of several units, one below the other, as one table."""
+    """Join columns of several units, one below the other, as one table."""
     import pandas as pd
 
     joined = {
@@ -115,7 +115,7 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
 
 
 def piece_of(job: Job, unit: Unit, found: Outcomes) -> Piece:
-    """What has ended of a unit. `job` is the whole one, with its scanner and rules."""
+    """Return the finished part of a unit. `job` is the whole one, with its scanner and rules."""
     assert job.rules is not None
     result, world, strategy = found.result, job.world, job.strategy.name
     ended = np.asarray(result.outcome) != Outcome.RUNNING
@@ -145,7 +145,7 @@ def _unpacked(data):
 
 
 def to_table(piece: Piece) -> "pd.DataFrame":
-    """A piece as a table for a file, from which `of_table` makes it again."""
+    """Convert a piece to a table for a file, from which `of_table` makes it again."""
     n, extra = len(piece.table), {}
     extra[PROGRESS] = [row.tobytes() for row in piece.progress]
     if piece.seen is not None:
@@ -160,7 +160,7 @@ def to_table(piece: Piece) -> "pd.DataFrame":
 
 
 def of_table(table: "pd.DataFrame", job: int, cell_m: float) -> Piece:
-    """The piece that `to_table` made a table of."""
+    """Return the piece that `to_table` made a table of."""
     rows = table.loc[:, list(COLUMNS)]
     marks = np.frombuffer(b"".join(table[PROGRESS]), np.float64).reshape(len(table), MARKS)
     seen = paths = maps = None
@@ -178,7 +178,7 @@ def of_table(table: "pd.DataFrame", job: int, cell_m: float) -> Piece:
 
 
 def recut(jobs: Sequence[Job], keep: str | None, rows: "pd.DataFrame") -> Iterable[tuple[int, "pd.DataFrame", bool]]:
-    """The units of some jobs of which a table has the first episodes: number, table for a file, whether it has all.
+    """Yield the units of some jobs of which a table has first episodes: number, table for a file, bool: complete.
 
     Args:
       jobs: list of `Job`.
@@ -203,7 +203,7 @@ def recut(jobs: Sequence[Job], keep: str | None, rows: "pd.DataFrame") -> Iterab
 
 
 class Ran(NamedTuple):
-    """What `run_units` returns."""
+    """Result of `run_units`."""
 
     pieces: list[Piece]  # in the order of the units
     costs: Costs
@@ -212,7 +212,7 @@ class Ran(NamedTuple):
 
 
 def _rest(unit: Unit, part: Piece | None) -> list[Unit]:
-    """What a unit lacks of which a part is there: runs of episodes that follow each other, as units."""
+    """Return the missing part of a unit that is partly finished: runs of consecutive episodes, as units."""
     there = set() if part is None else set(part.table["episode"])
     left = [i for i in range(unit.first, unit.first + unit.n) if i not in there]
     runs = itertools.groupby(enumerate(left), lambda pair: pair[1] - pair[0])
@@ -221,7 +221,7 @@ def _rest(unit: Unit, part: Piece | None) -> list[Unit]:
 
 
 def _joined(pieces: Collection[Piece]) -> Piece:
-    """Pieces of a unit as one, its episodes in order."""
+    """Join pieces of a unit, its episodes in order."""
     parts = [piece for piece in pieces if len(piece.table)] or list(pieces)[:1]
     if len(parts) == 1:
         return parts[0]
@@ -246,7 +246,7 @@ def _joined(pieces: Collection[Piece]) -> Piece:
 
 
 class _Work:
-    """Units under way: what is there, what is left, and what has come back."""
+    """Units in progress: finished, remaining and returned ones."""
 
     def __init__(self, jobs, wanted, ledger):
         self.jobs, self.cuts, self.ledger, self.firsts = jobs, cut(jobs), ledger, {}
@@ -265,7 +265,7 @@ class _Work:
         return of_table(self.ledger.get(number), job, self.jobs[job].world.cell_m)
 
     def put(self, place: int, found: Outcomes) -> None:
-        """Takes what a span of `left` has found, and keeps its unit if that was the last."""
+        """Take the results of a span of `left`, and keep its unit if that was the last."""
         number, span = self.left[place]
         if span.first == 0 and span.job < FIRSTS:
             self.firsts[span.job] = found
@@ -278,7 +278,7 @@ class _Work:
             self.pieces[number] = piece
 
     def end(self, outcomes: Sequence[Outcomes]) -> None:
-        """Takes, after an interruption, what every span has found, and keeps the units of which there is a part."""
+        """Take, after an interruption, the results of every span, and keep partly finished units."""
         for place, found in enumerate(outcomes):
             number, span = self.left[place]
             if number not in self.pieces and place not in self.made.setdefault(number, {}):
@@ -302,7 +302,7 @@ def run_units(
     keep: str | None = None,
     alike: Sequence[tuple[Lidar, Rules]] = (),
 ) -> Ran:
-    """Runs every episode of every job that the ledger does not have.
+    """Run every episode of every job that the ledger does not have.
 
     Args:
       jobs: list of `Job`, each with its scanner and rules.

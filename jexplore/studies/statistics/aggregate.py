@@ -1,4 +1,4 @@
-"""What one number says of many episodes: chances of a shorter path, interquartile means, performance profiles.
+"""Summaries of many episodes in one number: chances of a shorter path, interquartile means, performance profiles.
 
 With two worlds or more, worlds are the sample: all count the same, however many episodes they have, and intervals are
 for other worlds of the same kinds in the same shares. In a single world the starts are.
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 OVER = ("first", "best")
-"""What a path is divided by for its score: that of the first strategy from the same start, or the shortest of all."""
+"""Denominator of a path's score: the path of the first strategy from the same start, or the shortest of all."""
 
 PROFILE_COLUMNS = ("strategy", "ratio", "share", "low", "high")
 MOST_RATIO = 10.0
@@ -41,7 +41,7 @@ class Estimate:
 
 
 def _checked(values, worlds, name):
-    """`values` as `[N]` float64 and the `[N]` numbers of their units, and the kinds of the units."""
+    """Check `values`: as `[N]` float64 and the `[N]` numbers of their units, and the kinds of the units."""
     values = np.asarray(values, np.float64)
     worlds = ["one"] * values.size if worlds is None else [str(world) for world in worlds]
     if values.ndim != 1 or np.isnan(values).any() or (values < 0).any():
@@ -56,7 +56,7 @@ def _checked(values, worlds, name):
 
 
 def _unit_means(values, unit, kinds):
-    """`[N, ...]` numbers of episodes -> `[U, ...]` their means in every unit."""
+    """Average `[N, ...]` numbers of episodes over every unit: `[U, ...]`."""
     sums = np.zeros((len(kinds), *values.shape[1:]))
     np.add.at(sums, unit, values)
     return sums / np.bincount(unit, minlength=len(kinds)).reshape(-1, *[1] * (values.ndim - 1))
@@ -65,7 +65,7 @@ def _unit_means(values, unit, kinds):
 def improvement(
     values: ArrayLike, reference: ArrayLike, worlds: Iterable[object] | None = None, *, confidence: float = 0.95
 ) -> Estimate:
-    """Chance that a path is shorter than the reference's from the same start; equal ones count half.
+    """Estimate the chance that a path is shorter than the reference's from the same start; equal ones count half.
 
     Args:
       values, reference: `[N]` path lengths of the same starts in the same order, inf for an episode that has failed;
@@ -91,7 +91,7 @@ def improvement(
 
 
 def _quantile(values, weights, share):
-    """The least of sorted `values` below or at which lies a share of the weight."""
+    """Return the least of sorted `values` at which the cumulative weight reaches a share."""
     reached = np.cumsum(weights) >= share * weights.sum() * (1 - 1e-12)
     return values[int(reached.argmax())]
 
@@ -99,7 +99,7 @@ def _quantile(values, weights, share):
 def interquartile_mean(
     scores: ArrayLike, worlds: Iterable[object] | None = None, *, confidence: float = 0.95
 ) -> Estimate:
-    """Mean of the middle half of scores: neither a few lost episodes nor a few lucky ones move it.
+    """Compute the mean of the middle half of scores, robust against a few lost or lucky episodes.
 
     Scores that lie across a quartile count with the part that is inside. The interval is `M exp(± t s / M)`, s the
     standard error over worlds of the scores pulled in to the quartiles, divided by the half that is kept.
@@ -140,7 +140,7 @@ def interquartile_mean(
 
 
 def scores_of(episodes: "pd.DataFrame", *, over: str = "first") -> "pd.DataFrame":
-    """Path lengths as ratios, start by start: of the starts that every strategy has.
+    """Compute path lengths as ratios, start by start: of the starts that every strategy has.
 
     Two paths of no length have the ratio 1. The ratio of an episode that has failed (see `comparable_paths`) is
     infinite; where the one that it is divided by has failed, it is 0, or NaN if both have.
@@ -166,7 +166,7 @@ def scores_of(episodes: "pd.DataFrame", *, over: str = "first") -> "pd.DataFrame
 
 
 def aggregates(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.DataFrame":
-    """One row a strategy: how likely its path is shorter than the first one's, and the middle of their ratios.
+    """Tabulate one row a strategy: chance of a shorter path than the first one's, and the middle of their ratios.
 
     Args:
       episodes: the table of episodes of a comparison, a pandas DataFrame.
@@ -195,7 +195,7 @@ def aggregates(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.Dat
 
 
 def _ratios(scores):
-    """Where profiles are read: from the least finite ratio (1 at most) to all but the last hundredth of the finite."""
+    """Return the ratios at which profiles are read: from the least finite one (1 at most) to the 99th percentile."""
     finite = scores[np.isfinite(scores) & (scores > 0)]
     if not finite.size:
         return np.array([1.0])
@@ -207,12 +207,12 @@ def _ratios(scores):
 def profiles(
     episodes: "pd.DataFrame", *, over: str = "best", ratios: ArrayLike | None = None, confidence: float = 0.95
 ) -> "pd.DataFrame":
-    """Performance profiles: in which share of starts a path is at most so many times the shortest one.
+    """Compute performance profiles: the share of starts whose path is at most a multiple of the reference's.
 
     Args:
       episodes: the table of episodes of a comparison, a pandas DataFrame.
-      over: one of `OVER`: what paths are divided by.
-      ratios: `[K]` positive numbers, rising; by default 101 up to what nearly all need, `MOST_RATIO` at most.
+      over: one of `OVER`: denominator of the ratios.
+      ratios: `[K]` positive numbers, rising; by default 101 up to the 99th percentile, `MOST_RATIO` at most.
       confidence: nominal coverage of the band, at every ratio by itself, by `share_over_worlds`.
 
     Returns:

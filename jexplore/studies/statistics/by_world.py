@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 OUTCOMES = ("COMPLETE", "BLOCKED", "STEP_LIMIT", "PLAN_LIMIT", "STUCK")
 
 EQUAL_SHARE = 0.95
-"""Where paths are compared at equal coverage: this share of what the less thorough episode of a pair knew."""
+"""Share of the less thorough episode's known cells at which a pair is compared (equal coverage)."""
 
 TOLERANCE = 0.01
 """Explored fractions that differ by no more are equal."""
@@ -36,7 +36,7 @@ SUMMARY_COLUMNS = (
 
 
 def _groups(episodes):
-    """`{world: {strategy: rows}}` in order of first appearance; refuses an episode that occurs twice."""
+    """Group rows by `{world: {strategy: rows}}` in order of first appearance; refuse an episode that occurs twice."""
     groups = {}
     for (world, strategy), rows in episodes.groupby(["world", "strategy"], sort=False):
         twice = rows["episode"][rows["episode"].duplicated()]
@@ -47,7 +47,7 @@ def _groups(episodes):
 
 
 def _pairs(rows, reference):
-    """The episodes that both tables hold, in one order; refuses pairs whose starts differ."""
+    """Return the episodes that both tables hold, in one order; refuse pairs whose starts differ."""
     rows, reference = rows.set_index("episode"), reference.set_index("episode")
     common = rows.index.intersection(reference.index)
     rows, reference = rows.loc[common], reference.loc[common]
@@ -67,12 +67,12 @@ def _outcomes(rows):
 
 
 def _n_different(rows):
-    """Episodes in a table, those of one strategy in one world; 1 where they are one episode repeated."""
+    """Count the episodes of one strategy in one world; 1 if they are one episode repeated."""
     return 1 if len(rows) and all(rows[name].nunique() == 1 for name in _SAME) else len(rows)
 
 
 def summarise(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.DataFrame":
-    """One row a world and strategy, in order of first appearance.
+    """Tabulate one row a world and strategy, in order of first appearance.
 
     Strategies are compared with the first strategy of the table, over the episodes that both have. In its own rows,
     `ratio` is 1 and `ratio_low`, `ratio_high` and `p` are NaN; in a world without it, so is `ratio`.
@@ -119,7 +119,7 @@ def summarise(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.Data
 
 
 def markdown_table(summary: Any, *, confidence: float = 0.95, as_text: Callable[..., str] = aligned_table) -> str:
-    """A summary as one aligned Markdown table.
+    """Format a summary as one aligned Markdown table.
 
     Args:
       summary: from `summarise`.
@@ -145,7 +145,7 @@ def markdown_table(summary: Any, *, confidence: float = 0.95, as_text: Callable[
 
 
 def path_at_equal_coverage(progress: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Path lengths of paired episodes at which both knew equally many cells.
+    """Compute path lengths of paired episodes at which both knew equally many cells.
 
     Of each pair the one that knew less in the end sets the mark: the last one up to `EQUAL_SHARE` of its own. Paths are
     those that the robots had driven when they first knew as much: recorded, not interpolated.
@@ -174,7 +174,7 @@ def _ratio_text(values, reference, keep):
 
 
 def _unequal(ours, theirs, tolerance, progress):
-    """What is unequal between paired episodes and the ratios at equal coverage, as text; None if nothing is."""
+    """Describe differences of paired episodes and the ratios at equal coverage, as text; None without any."""
     fraction, fraction_ref = (rows["explored_fraction"].to_numpy(dtype=np.float64) for rows in (ours, theirs))
     ended, ended_ref = ours["outcome"].to_numpy(), theirs["outcome"].to_numpy()
     n_ended, apart = int((ended != ended_ref).sum()), np.abs(fraction - fraction_ref) > tolerance
@@ -199,7 +199,7 @@ def _unequal(ours, theirs, tolerance, progress):
 
 
 def _cut_short(episodes):
-    """A line for every strategy in a world with episodes that a limit ended, or with refused steps."""
+    """Yield a line for every strategy in a world with episodes that a limit ended, or with refused steps."""
     for world, strategies in _groups(episodes).items():
         for strategy, rows in strategies.items():
             limited = int(rows["outcome"].isin(["STEP_LIMIT", "PLAN_LIMIT"]).sum())
@@ -211,7 +211,7 @@ def _cut_short(episodes):
 
 
 def _repeated(episodes):
-    """A line for every strategy in a world whose episodes are one and the same."""
+    """Yield a line for every strategy in a world whose episodes are all the same."""
     for world, strategies in _groups(episodes).items():
         for strategy, rows in strategies.items():
             if _n_different(rows) < len(rows):
@@ -224,18 +224,18 @@ def warnings_of(
     *,
     tolerance: float = TOLERANCE,
 ) -> list[str]:
-    """What makes the comparison with the first strategy unfair, and the ratio at equal coverage.
+    """Describe what makes the comparison with the first strategy unfair, and the ratio at equal coverage.
 
     Warns where the outcomes of paired episodes differ, or their explored fractions by more than `tolerance`, or where
-    strategies do not have the same episodes. Two ratios then stand beside that of the whole paths: that at equal
-    coverage (`path_at_equal_coverage`), where `progress` is given, over all pairs with a mark; and that over the pairs
-    that are COMPLETE on both sides with equal explored fractions, at the recorded `path_m_at_95`: pairs that are
+    strategies do not have the same episodes. Two ratios are then given in addition to that of the whole paths: that at
+    equal coverage (`path_at_equal_coverage`), where `progress` is given, over all pairs with a mark; and that over the
+    pairs that are COMPLETE on both sides with equal explored fractions, at the recorded `path_m_at_95`: pairs that are
     selected by how they ended. Warns also where the episodes of a strategy are one episode repeated.
 
     Args:
       episodes: the table of episodes.
       progress: (world, strategy) -> `[N, 100]` float, as in `path_at_equal_coverage`, in the order of the table's rows.
-      tolerance: difference of explored fractions that is still equal coverage.
+      tolerance: difference of explored fractions that still counts as equal coverage.
 
     Returns:
       A list of lines, one or two a world and strategy; empty if all is well.

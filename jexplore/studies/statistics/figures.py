@@ -1,4 +1,4 @@
-"""Pictures of tables of episodes: what is estimated here, drawn by `report.plots`.
+"""Pictures of tables of episodes: estimated here, drawn by `report.plots`.
 
 pandas and matplotlib are imported by the functions that need them.
 """
@@ -27,7 +27,7 @@ MOST_WORLDS = 12
 def compare_figure(
     episodes: "pd.DataFrame", *, summary: "pd.DataFrame | None" = None, table: "pd.DataFrame | None" = None
 ) -> "Figure":
-    """Every episode's path with means, intervals and paired ratios: a panel a world, and one for all of six or more.
+    """Draw every episode's path with means, intervals and paired ratios: a panel a world, and one for six or more.
 
     Args:
       episodes: the table of episodes of a comparison, a pandas DataFrame of one row or more.
@@ -53,7 +53,7 @@ def compare_figure(
 
 
 def draw_world(ax: Any, episodes: "pd.DataFrame", summary: "pd.DataFrame", world: str) -> list[Any]:
-    """The path lengths of one world as points, with means and intervals.
+    """Draw the path lengths of one world as points, with means and intervals.
 
     Args:
       ax: matplotlib `Axes`.
@@ -71,7 +71,7 @@ def draw_world(ax: Any, episodes: "pd.DataFrame", summary: "pd.DataFrame", world
 
 
 def _estimates(table, strategies, *columns, scale=1.0):
-    """Three columns of a table as `Estimates` in the order of strategies, NaN for one that is not there."""
+    """Return three columns of a table as `Estimates` in the order of strategies, NaN for a missing one."""
     from jexplore.report.plots.compare import Estimates
 
     rows = table.set_index("strategy").reindex(strategies)
@@ -100,7 +100,7 @@ def _over_worlds(episodes, table, strategies):
 
     ratios: Any = paths_by_world(episodes)
     own = [np.exp(ratios["log_ratio"][ratios["strategy"] == name].to_numpy(np.float64)) for name in strategies]
-    own[0] = own[0][:0]  # the reference beside itself
+    own[0] = own[0][:0]  # the reference relative to itself
     n = int(table["worlds"].max())
     return Panel(
         title=f"over {n} worlds, which count the same",
@@ -115,7 +115,7 @@ def _over_worlds(episodes, table, strategies):
 
 
 def coverage_figure(progress: Mapping[tuple[str, str], np.ndarray]) -> "Figure":
-    """The share of what can be known that is known along the path, one panel a world: medians and quartile bands.
+    """Draw the known part of the knowable share along the path, one panel a world: medians and quartile bands.
 
     Args:
       progress: `{(world, strategy): [N, 100] metres}`, as `Comparison.progress`; one entry or more.
@@ -133,7 +133,7 @@ def coverage_figure(progress: Mapping[tuple[str, str], np.ndarray]) -> "Figure":
 
 
 def profile_figure(episodes: "pd.DataFrame", *, over: str = "best") -> "Figure":
-    """Performance profiles of the strategies of a comparison: see `aggregate.profiles`. A matplotlib `Figure`."""
+    """Draw performance profiles of a comparison's strategies: see `aggregate.profiles`. A matplotlib `Figure`."""
     from jexplore.report.plots import curves
 
     table = profiles(episodes, over=over)
@@ -148,7 +148,7 @@ def _label(value, ratio, episodes) -> str:
 
 
 def _averaged(episodes, table, *own) -> str:
-    """Over what the estimates of a table from `response` average, a line."""
+    """Return a line that names the settings over which a table from `response` averages."""
     varied = [name for name in settings_of(episodes) if name not in own and episodes[name].nunique(dropna=False) > 1]
     what = "worlds" if ALL_WORLDS in set(table["world"]) else "starts"
     return f"means over {table['n'].max()} {what}" + (f" and all values of {', '.join(varied)}" if varied else "")
@@ -157,12 +157,12 @@ def _averaged(episodes, table, *own) -> str:
 def response_figure(
     episodes: "pd.DataFrame", setting: str, *, value: str = "path_m", ratio: bool = False, **how: Any
 ) -> "Figure":
-    """Curves of a mean or a paired ratio over one setting, one line a strategy, one panel a world.
+    """Draw curves of a mean or a paired ratio over one setting, one line a strategy, one panel a world.
 
     Args:
       episodes: a table of episodes with settings as columns, a pandas DataFrame.
       setting: one of the columns, such as `lidar.range_m`.
-      value, ratio: what is drawn, and `how` (`over_worlds`, `bins`, `confidence`): as for `response.response`.
+      value, ratio: the drawn quantity, and `how` (`over_worlds`, `bins`, `confidence`): as for `response.response`.
 
     Returns:
       A matplotlib `Figure`.
@@ -180,12 +180,12 @@ def response_figure(
 def heat_figure(
     episodes: "pd.DataFrame", x: str, y: str, *, value: str = "path_m", ratio: bool = False, **how: Any
 ) -> "Figure":
-    """Colours of a mean or a paired ratio over two settings, one panel a strategy, a row a world.
+    """Draw colours of a mean or a paired ratio over two settings, one panel a strategy, a row a world.
 
     Args:
       episodes: a table of episodes with settings as columns, a pandas DataFrame.
       x, y: two of the columns.
-      value, ratio: what is drawn, and `how`: as for `response.response`.
+      value, ratio: the drawn quantity, and `how`: as for `response.response`.
 
     Returns:
       A matplotlib `Figure`.

@@ -1,4 +1,4 @@
-"""Strategies over many worlds: how long their paths are beside a reference, and how they rank."""
+"""Strategies over many worlds: path lengths relative to a reference, and ranks."""
 
 import math
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 LEAGUE_KINDS = ("cave", "office", "hospital", "maze", "rooms")
 LEAGUE_SEEDS = 8
-MOST_SEEDS = 1000  # of each kind; what is tuned is tuned on others
+MOST_SEEDS = 1000  # of each kind; tuning uses other ones
 FURNISHED = (
     "office#{}:furniture=1,wide_openings=0.1,max_loops=5,corridor_m=2.2,corridor_sd_m=0.4,room_m=5.5",
     "hospital#{}:furniture=1,wide_openings=0.1,max_loops=5,corridor_m=2.6,corridor_sd_m=0.4,room_m=6",
@@ -43,8 +43,7 @@ LEAGUE_STRATEGIES = (
 
 
 def league_worlds(cell_m: float = 0.1, seeds: int = LEAGUE_SEEDS) -> tuple[str, ...]:
-    """Names of the league's worlds, so many of each kind: those of the generators, and, in cells up to
-    `FURNISHED_CELL_M`, furnished buildings.
+    """Return names of the league's worlds: `seeds` of each generator, and of furnished buildings in fine cells.
 
     Raises:
       InputError: `seeds` is no number from 1 to `MOST_SEEDS`.
@@ -56,7 +55,7 @@ def league_worlds(cell_m: float = 0.1, seeds: int = LEAGUE_SEEDS) -> tuple[str, 
 
 
 def paths_by_world(episodes: "pd.DataFrame") -> "pd.DataFrame":
-    """Mean paths in every world of a strategy and of the first one, over the starts from which neither failed.
+    """Compute mean paths in every world of a strategy and of the first one, over the starts from which neither failed.
 
     Args:
       episodes: the table of episodes of a comparison, a pandas DataFrame.
@@ -79,7 +78,7 @@ def paths_by_world(episodes: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def standings(episodes: "pd.DataFrame") -> "pd.DataFrame":
-    """One row a strategy, the best ranks first.
+    """Tabulate one row a strategy, the best ranks first.
 
     An episode that has failed (see `comparable_paths`) has no short path: it ranks behind all that have not failed.
 
@@ -134,7 +133,7 @@ def _verdict(row):
 
 
 def standings_table(table: "pd.DataFrame", plan_ms: Mapping[str, float] | None = None) -> str:
-    """Standings as one aligned Markdown table. The reference is told from at the 5 % level of the corrected p.
+    """Format standings as one aligned Markdown table. The reference differs at the 5 % level of the corrected p.
 
     Args:
       table: from `standings`.
@@ -163,7 +162,7 @@ def _with_interval(value, low, high, *, decimals):
 
 
 def over_worlds_text(table: "pd.DataFrame") -> str:
-    """What a comparison of two worlds or more says over all of them: a line, the standings, and how to read them.
+    """Summarise a comparison over two worlds or more: a line, the standings, and how to read them.
 
     Args:
       table: from `standings`.

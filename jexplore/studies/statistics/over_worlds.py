@@ -1,4 +1,4 @@
-"""What episodes in several worlds say together: the worlds are the sample, and the kinds of worlds its strata."""
+"""Statistics over several worlds: the worlds are the sample, and the kinds of worlds its strata."""
 
 import math
 import re
@@ -21,7 +21,7 @@ ALL_WORLDS = "all worlds"
 
 
 def kind_of(world: object) -> str:
-    """The generator of a world's name, `furnished` if it has furniture; `maps` for a file or a world of one's own."""
+    """Return the generator of a world's name, `furnished` if it has furniture; `maps` for a file or a user's world."""
     match = re.match(r"([A-Za-z_][\w-]*)(#\d+)?(:.*)?$", str(world))
     if match is None or match[1] not in GENERATORS:
         return "maps"
@@ -30,7 +30,7 @@ def kind_of(world: object) -> str:
 
 
 def moments(values: np.ndarray, kinds: Sequence[str]) -> tuple[float, float, float, int]:
-    """What is known of the mean of a stratified sample.
+    """Estimate the mean of a stratified sample and its error.
 
     Args:
       values: `[N]` float64, N >= 1.
@@ -38,7 +38,7 @@ def moments(values: np.ndarray, kinds: Sequence[str]) -> tuple[float, float, flo
 
     Returns:
       `(mean, standard error, freedom, most)`: the last two are the degrees of freedom of the standard error, by
-        Satterthwaite 1946, 0 without any spread; and as many as there could be.
+        Satterthwaite 1946, 0 without any spread; and their upper limit.
     """
     strata = [values[[one == kind for one in kinds]] for kind in dict.fromkeys(kinds)]
     if min(map(len, strata)) < 2:
@@ -60,7 +60,7 @@ def _vector(values, kinds):
 def mean_over_worlds(
     values: ArrayLike, kinds: Sequence[str], *, confidence: float = 0.95
 ) -> tuple[float, float, float, float]:
-    """Mean over worlds drawn from several kinds, in the shares that the kinds have here, and its interval.
+    """Estimate the mean over worlds drawn from several kinds, in the present shares, and its interval.
 
     The t interval is for other worlds of the same kinds in the same shares: how much worlds of one kind differ makes it
     wide, how much kinds differ does not. With a single world of some kind, all count as one kind.
@@ -89,7 +89,7 @@ def mean_over_worlds(
 def share_over_worlds(
     values: ArrayLike, kinds: Sequence[str], *, confidence: float = 0.95
 ) -> tuple[float, float, float, float]:
-    """Mean over worlds of a share, such as of starts from which one path is shorter, and its interval.
+    """Estimate the mean over worlds of a share, such as of starts with a shorter path, and its interval.
 
     The interval is Wilson's, of as many independent yes or no answers as have the standard error of this mean: many
     where worlds agree, few where they do not. It stays within 0 and 1 and is there even where all worlds say the same.
@@ -130,13 +130,13 @@ def share_over_worlds(
 
 
 def _table_of(episodes, value, strategies):
-    """One value of the episodes that every strategy has: rows (world, episode), columns strategies."""
+    """Tabulate one value of the episodes that every strategy has: rows (world, episode), columns strategies."""
     table: Any = episodes.pivot(index=["world", "episode"], columns="strategy", values=value)
     return table[strategies].dropna()
 
 
 def comparable_paths(episodes: "pd.DataFrame") -> "pd.DataFrame":
-    """Path lengths of the starts that every strategy has, with those that are no short ones set to infinity.
+    """Return path lengths of the starts that every strategy has, infinite for failed episodes.
 
     An episode that is not COMPLETE has failed if another from the same start is, or, where none is, if it has explored
     less than another, by more than 0.01 of what can be explored.

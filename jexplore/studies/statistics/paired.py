@@ -21,7 +21,7 @@ class PairedRatio:
     low: float  # interval; NaN where none can be given
     high: float
     p: float  # two-sided, of the hypothesis that the ratio of the means is 1; NaN where there is no interval
-    n: int  # pairs; 1 where all pairs are the very same
+    n: int  # pairs; 1 if all pairs are identical
 
 
 def _vector(values, name):
@@ -36,7 +36,7 @@ def _vector(values, name):
 def t_interval(
     estimate: float, standard_error: float, freedom: float, confidence: float = 0.95
 ) -> tuple[float, float, float]:
-    """Interval `estimate ± t standard_error`, and the p of the hypothesis that 0 is estimated.
+    """Compute the interval `estimate ± t standard_error`, and p of the hypothesis that the value is 0.
 
     Args:
       estimate, standard_error: floats of one unit.
@@ -60,28 +60,28 @@ def t_interval(
 
 
 def _standard_error(relative):
-    """That of the mean of two or more numbers about 1; rounding is no spread."""
+    """Return the standard error of the mean of two or more numbers about 1; rounding does not count as spread."""
     error = float(relative.std(ddof=1)) / math.sqrt(len(relative))
     return error if error > 1e-12 else 0.0
 
 
 def safe_exp(value: float) -> float:
-    """The exponential; infinity where it is too large."""
+    """Compute the exponential; infinity if it is too large."""
     with np.errstate(over="ignore"):
         return float(np.exp(value))
 
 
 def paired_ratio(values: ArrayLike, reference: ArrayLike, *, confidence: float = 0.95) -> PairedRatio:
-    """Ratio R of the means of paired samples, with an interval and a test.
+    """Estimate the ratio R of the means of paired samples, with an interval and a test.
 
     The interval is `R exp(± t s)`, where `s` is the standard error of the logarithm of R by the delta method: the
     standard deviation of `v / mean(v) - r / mean(r)` over the pairs `(v, r)`, divided by the root of their number; t is
     Student's. It is about the ratio of the means, not the mean (or geometric mean) of the ratios;
-    `benchmarks/intervals.py` measures how often it covers. p is of the hypothesis R = 1, by the same t: below 0.05 just
-    where the 95 % interval leaves out 1. It is not corrected for many comparisons.
+    `benchmarks/intervals.py` measures how often it covers. p tests the hypothesis R = 1, by the same t: it is below
+    0.05 exactly if the 95 % interval leaves out 1. It is not corrected for many comparisons.
 
-    Pairs of equal members tell of no spread: together they count as one in the degrees of freedom. Pairs that are all
-    the very same (one episode repeated) are one pair. One pair, or pairs without any spread, have no interval and no p.
+    Pairs of equal members carry no spread: together they count once in the degrees of freedom. Identical pairs (one
+    episode repeated) count as a single pair. One pair, or pairs without any spread, have no interval and no p.
 
     Args:
       values, reference: `[N]` finite numbers from 0, N >= 1, the same episodes in the same order.
@@ -114,8 +114,10 @@ def paired_ratio(values: ArrayLike, reference: ArrayLike, *, confidence: float =
 
 
 def mean_interval(values: ArrayLike, *, confidence: float = 0.95) -> tuple[float, float]:
-    """Interval of a mean, `mean exp(± t s)`: as in `paired_ratio`, with s the standard error of the logarithm of the
-    mean and n - 1 degrees of freedom. Never below 0; skewed as path lengths are.
+    """Compute the interval of a mean, `mean exp(± t s)`, as in `paired_ratio`.
+
+    s is the standard error of the logarithm of the mean, with n - 1 degrees of freedom. Never below 0; skewed as path
+    lengths are.
 
     Args:
       values: `[N]` finite numbers from 0, N >= 1.
@@ -135,7 +137,7 @@ def mean_interval(values: ArrayLike, *, confidence: float = 0.95) -> tuple[float
 
 
 def holm(p: ArrayLike) -> np.ndarray:
-    """p values of several hypotheses, corrected for their number: `[N]` float64. NaN stays, and does not count.
+    """Correct p values of several hypotheses for their number: `[N]` float64. NaN stays, and does not count.
 
     Source:
       Holm 1979: below 0.05 wherever the chance of even one false rejection is to stay below 0.05.

@@ -1,4 +1,4 @@
-"""How paths answer to settings: means or paired ratios at every value of one setting, or of two.
+"""Paths as functions of settings: means or paired ratios at every value of one setting, or of two.
 
 pandas is imported by the functions that need it.
 """
@@ -26,7 +26,7 @@ MOST_PANELS = 6
 
 
 def settings_of(episodes: "pd.DataFrame") -> list[str]:
-    """The columns of a table of episodes that are settings: those with a dot in their name, `seed` and `cell_m`."""
+    """Return the setting columns of a table of episodes: those with a dot in their name, `seed` and `cell_m`."""
     return [name for name in map(str, episodes.columns) if "." in name or name in SHARED]
 
 
@@ -44,7 +44,7 @@ def require_column(episodes: "pd.DataFrame", name: str, what: str) -> None:
 
 
 def _numbers(episodes, name):
-    """A column of measured numbers as float64, NaN where there is none."""
+    """Return a column of measured numbers as float64, NaN where missing."""
     require_column(episodes, name, "value")
     try:
         return episodes[name].astype("Float64").to_numpy(dtype=np.float64, na_value=np.nan)
@@ -53,7 +53,7 @@ def _numbers(episodes, name):
 
 
 def _cut(table, own, bins):
-    """The settings `own` of a table, with those of many values, as of random draws, cut into parts of equally many.
+    """Bin settings of a table that have many values, as of random draws, into parts of equally many.
 
     A part stands at the mean of its values, rounded.
     """
@@ -72,7 +72,7 @@ def _cut(table, own, bins):
 
 
 def _rounded(means):
-    """Rising numbers in as few digits, three or more, as tell them apart."""
+    """Round rising numbers to as few digits, three or more, as keep them distinct."""
     for digits in range(3, 17):
         short = [float(f"{mean:.{digits}g}") for mean in means]
         if len(set(short)) == len(means):
@@ -81,7 +81,7 @@ def _rounded(means):
 
 
 def _with_reference(table):
-    """Beside every value that of the first strategy in the same world, episode and settings.
+    """Add to every value that of the first strategy in the same world, episode and settings.
 
     Settings that some strategy does not have, being parameters of another, are not compared.
     """
@@ -106,7 +106,7 @@ def response(
     bins: int | None = None,
     confidence: float = 0.95,
 ) -> "pd.DataFrame":
-    """A mean, or a paired ratio to the first strategy, with its interval, at every value of a setting or two.
+    """Estimate a mean, or a paired ratio to the first strategy, with its interval, at every value of a setting or two.
 
     In one world the sample are its starts, episodes of one number and seed, each with its mean over all other settings:
     intervals by `mean_interval` and `paired_ratio`. Over worlds it is the worlds' means or logarithms of ratios, by
@@ -117,10 +117,10 @@ def response(
         paired with that of the first strategy in the same world, episode and settings.
       settings: one of the columns, or two. Rows without it (another strategy's parameter) are left out.
       value: the column that is averaged; rows without it are left out.
-      ratio: whether to give ratios to the first strategy of the table instead of means.
-      over_worlds: whether to give the mean over worlds instead of every world; by default with more than `MOST_PANELS`.
-      bins: a setting of more than 24 values, or two that are drawn at random, are cut into so many parts of equally
-        many; by default 12, or, of two settings, so many that about four draws are together.
+      ratio: give ratios to the first strategy of the table instead of means.
+      over_worlds: give the mean over worlds instead of every world; by default with more than `MOST_PANELS`.
+      bins: number of bins, with equal numbers of values, of a setting with more than 24 values, or of two that are
+        drawn at random; by default 12, or, for two settings, a number that puts about four draws into each bin.
       confidence: nominal coverage.
 
     Returns:
@@ -157,7 +157,7 @@ def response(
 
 
 def _in_world(rows, ratio, confidence):
-    """`(n, estimate, low, high)` of the starts of one world, strategy and setting."""
+    """Return `(n, estimate, low, high)` of the starts of one world, strategy and setting."""
     starts = rows.groupby(["episode", *(["seed"] if "seed" in rows else [])])[["value", "reference"]].mean()
     values, reference = starts.to_numpy().T
     if not ratio:
@@ -167,7 +167,7 @@ def _in_world(rows, ratio, confidence):
 
 
 def _over_worlds(rows, ratio, confidence):
-    """`(n, estimate, low, high)` of the worlds of one strategy and setting."""
+    """Return `(n, estimate, low, high)` of the worlds of one strategy and setting."""
     means = rows.groupby("world", sort=False)[["value", "reference"]].mean()
     if ratio:
         means = means[(means > 0).all(axis=1)]

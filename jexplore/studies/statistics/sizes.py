@@ -1,4 +1,4 @@
-"""How many episodes, or worlds, a comparison needs for an interval of a wanted width; from a smaller one.
+"""Number of episodes, or worlds, that a comparison needs for an interval of a wanted width; from a smaller one.
 
 pandas and scipy are imported by the functions that need them.
 """
@@ -26,7 +26,7 @@ MOST = 10**9
 
 
 def _smallest(spread, freedom, freedom_of, *, within, confidence, assurance):
-    """The least n for which `t(freedom_of(n)) spread / sqrt(n)` is, with the assurance, within `log(1 + within)`.
+    """Return the least n with, by the assurance, `t(freedom_of(n)) spread / sqrt(n)` within `log(1 + within)`.
 
     The spread of n new ones is that of the pilot times the root of an F of both degrees of freedom.
     """
@@ -63,12 +63,12 @@ def sample_size(
     confidence: float = 0.95,
     assurance: float = 0.8,
 ) -> int:
-    """How many pairs of episodes give a ratio of means an interval of `± within`, by what a pilot's pairs tell.
+    """Compute how many pairs of episodes give a ratio of means an interval of `± within`, from the pairs of a pilot.
 
-    The interval is that of `paired_ratio`: it then ends at most at `(1 + within)` times the ratio, and at
-    `1 / (1 + within)` times it. The spread of a pilot is itself uncertain, and that of the new episodes varies: the
-    number is so large that, with the `assurance`, the new interval is as narrow, were the spread normal; with skewed
-    ratios of paths it is less often. `benchmarks/intervals.py --over sizes` measures how often.
+    The interval is that of `paired_ratio`: it then ends at most at `(1 + within)` times the ratio, and at `1 / (1 +
+    within)` times it. The spread of a pilot is itself uncertain, and that of the new episodes varies: the number is
+    large enough that, with the `assurance`, the new interval is as narrow for a normal spread; with skewed ratios of
+    paths this holds less often. `benchmarks/intervals.py --over sizes` measures how often.
 
     Args:
       values, reference: `[N]` path lengths of a pilot, the same starts in the same order, N >= 2.
@@ -113,7 +113,7 @@ def worlds_needed(
     confidence: float = 0.95,
     assurance: float = 0.8,
 ) -> int:
-    """How many worlds, of the same kinds in the same shares, give the mean ratio an interval of `± within`.
+    """Compute how many worlds, of the same kinds in the same shares, give the mean ratio an interval of `± within`.
 
     Args:
       log_ratios: `[N]` logarithms of the ratios in a pilot's worlds, N >= 2: `league.paths_by_world`.
@@ -121,7 +121,7 @@ def worlds_needed(
       within, confidence, assurance: as for `sample_size`.
 
     Returns:
-      The number of worlds, of as many episodes each as in the pilot.
+      The number of worlds, with as many episodes each as in the pilot.
 
     Raises:
       InputError: fewer than two worlds, not finite, no spread, or a share out of range.
@@ -143,7 +143,7 @@ def worlds_needed(
 def sample_sizes(
     episodes: "pd.DataFrame", *, within: float = 0.02, confidence: float = 0.95, assurance: float = 0.8
 ) -> "pd.DataFrame":
-    """How many episodes in each world, and how many worlds, would tell every ratio to the first strategy `± within`.
+    """Compute the episodes in each world, and the worlds, needed to know every ratio to the first strategy `± within`.
 
     Args:
       episodes: the table of episodes of a pilot comparison, a pandas DataFrame.
@@ -151,8 +151,8 @@ def sample_sizes(
 
     Returns:
       A DataFrame with the columns `SIZES_COLUMNS`, a row a world and strategy but the first, and, with two worlds or
-        more, a row a strategy for `ALL_WORLDS`: `unit`, "episodes" or "worlds"; `n` of the pilot; `within`, what its
-        interval is now, as a share of the ratio; `needed`, <NA> where the pilot shows no spread.
+        more, a row a strategy for `ALL_WORLDS`: `unit`, "episodes" or "worlds"; `n` of the pilot; `within`, its present
+        interval, as a share of the ratio; `needed`, <NA> where the pilot shows no spread.
 
     Raises:
       InputError: a share out of range, an episode that occurs twice, or paired episodes that start differently.
@@ -180,7 +180,7 @@ def sample_sizes(
 
 
 def _or_none(function, *pilot, **how):
-    """The number, or None where the pilot tells none."""
+    """Return the number, or None if the pilot gives none."""
     try:
         return function(*pilot, **how)
     except InputError:
@@ -188,7 +188,7 @@ def _or_none(function, *pilot, **how):
 
 
 def sizes_table(table: "pd.DataFrame") -> str:
-    """Numbers needed as one aligned Markdown table.
+    """Format needed numbers as one aligned Markdown table.
 
     Args:
       table: from `sample_sizes`.

@@ -1,9 +1,7 @@
-"""Where path is wasted: on the way of an episode, what shows nothing new, and visits to leftovers.
+"""Wasted path: transits of an episode that show nothing new, and visits to leftovers.
 
-A *transit* is a stretch of at least `TRANSIT_M` on which nothing new is seen. What follows, up to the next transit, is
-its visit; one that shows less than `LEFTOVER_M2` was to a leftover, something that had been left behind.
-
-pandas is imported by the functions that need it.
+A *transit* is a stretch of at least `TRANSIT_M` on which nothing new is seen. The part up to the next transit is its
+visit; a visit that shows less than `LEFTOVER_M2` was to a leftover, an area that had been left behind.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,14 +19,14 @@ if TYPE_CHECKING:
 TRANSIT_M = 2.0
 LEFTOVER_M2 = 3.0
 NEW, IDLE, LEFTOVER = 0, 1, 2
-"""What a step is: something new is seen, or it is too short for a transit; one of a transit; one to a leftover."""
+"""Kind of a step: new cells, or too short for a transit; part of a transit; part of a visit to a leftover."""
 COLUMNS = ("idle_m", "leftovers", "leftover_m", "leftover_m2")
 """Columns of `wasted`: metres that show nothing new; visits to leftovers, the metres of their transits and visits, and
 the area that they show."""
 
 
 class Waste(NamedTuple):
-    """What of a way was wasted."""
+    """Wasted parts of a way."""
 
     kinds: np.ndarray  # [n] int8, of each step: NEW, IDLE or LEFTOVER
     idle_m: float
@@ -38,7 +36,7 @@ class Waste(NamedTuple):
 
 
 def waste_of(way: np.ndarray, cell_m: float) -> Waste:
-    """What of one way was wasted.
+    """Measure the wasted parts of one way.
 
     Args:
       way: `[n + 1, 3]` int32: row, col and known cells, at the start and after each of n steps.
@@ -67,7 +65,7 @@ def waste_of(way: np.ndarray, cell_m: float) -> Waste:
 def wasted(
     episodes: "pd.DataFrame", paths: Mapping[tuple[str, str], Sequence[np.ndarray]], cells_m: Mapping[str, float]
 ) -> "pd.DataFrame":
-    """The table of episodes with the columns `COLUMNS`.
+    """Add the columns `COLUMNS` to the table of episodes.
 
     Args:
       episodes: the table, a pandas DataFrame.
@@ -90,7 +88,7 @@ def wasted(
 
 
 def waste_table(table: "pd.DataFrame", by: Sequence[str] = ("world", "strategy")) -> str:
-    """Shares of the path as Markdown.
+    """Format shares of the path as Markdown.
 
     Args:
       table: from `wasted`.

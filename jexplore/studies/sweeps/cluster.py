@@ -37,7 +37,7 @@ LOOK_S = 5.0  # seconds after which it is looked again how large the cluster is
 
 
 class Order(NamedTuple):
-    """What workers get of a sweep, once."""
+    """Data of a sweep that workers get once."""
 
     plan: Plan  # without its strategies, which workers make from their names
     strategies: list[str]
@@ -48,7 +48,7 @@ class Order(NamedTuple):
 
 
 class Made(NamedTuple):
-    """What a task returns."""
+    """Result of a task."""
 
     tables: "dict[int, pd.DataFrame]"  # number of a unit -> its table
     costs: Costs
@@ -58,7 +58,7 @@ _prepared: dict[str, tuple[Order, Plan]] = {}  # in a worker: the sweep it works
 
 
 def make_units(key: str, version: str, sent: list[Any], numbers: Sequence[int]) -> Made:
-    """Makes units of a sweep: what runs in a worker.
+    """Make units of a sweep, in a worker.
 
     Args:
       key: of the sweep.
@@ -86,7 +86,7 @@ def make_units(key: str, version: str, sent: list[Any], numbers: Sequence[int]) 
 
 
 def _prepare(version, reference):
-    """A worker made ready for a sweep: its `Order` and `Plan`."""
+    """Prepare a worker for a sweep: its `Order` and `Plan`."""
     if version != __version__:
         raise InputError(
             f"the Ray worker on {platform.node()} has jexplore {__version__}, and the sweep is one of {version}: "
@@ -131,19 +131,19 @@ def run_units(
     cpus: int = 1,
     gpus: int = 0,
 ) -> Costs:
-    """Runs units of a sweep as tasks of a Ray cluster.
+    """Run units of a sweep as tasks of a Ray cluster.
 
-    The cluster is the one that this process is connected to, that `RAY_ADDRESS` names, or that `ray start` has begun
-    on this machine; where there is none, one is started with all cores that this process may use, and ends with the
-    call. Every node must have the same jexplore and find the same files of worlds under the same names; a strategy's
-    module is looked for in the driver's folder, where the node has it. A task whose worker dies is done again on
-    another, up to `RETRIES` times.
+    The cluster is the one that this process is connected to, that `RAY_ADDRESS` names, or that `ray start` has begun on
+    this machine; otherwise one is started with all cores that this process may use, and ends with the call. Every node
+    must have the same jexplore and find the same files of worlds under the same names; a strategy's module is searched
+    in the driver's folder, if the node has it. A task whose worker dies is done again on another, up to `RETRIES`
+    times.
 
     Args:
       plan: `Plan`.
       numbers: of the units, in order.
-      on_unit: called in this process with the number of a unit and its table, as soon as it has come back; once
-        more where Ctrl-C fell into that.
+      on_unit: called in this process with the number of a unit and its table, as soon as it has come back; again if
+        Ctrl-C interrupted the call.
       on_progress: called with the number of episodes that have come back.
       cpus: cores of a task, which makes one unit on them.
       gpus: GPUs of a task. With 1 or more it makes as many units as fit, what is in JAX in lanes.
@@ -153,7 +153,7 @@ def run_units(
       `interrupted` after Ctrl-C.
 
     Raises:
-      InputError: Ray is not installed, cannot be reached or has no such node; what a worker refuses; a task whose
+      InputError: Ray is not installed, cannot be reached or has no such node; a worker's own refusal; a task whose
         workers die again and again.
       MemoryError: a worker's memory does not suffice.
     """
@@ -187,7 +187,7 @@ class _Sweep:
         self.costs, self.done, self.room = Costs(), 0, 1
 
     def run(self, tasks):
-        """Runs tasks, lists of units."""
+        """Run tasks, lists of units."""
         ray, waiting = self.ray, collections.deque(tasks)
         self.room, looked = self._room(), time.perf_counter()
         try:
@@ -210,8 +210,9 @@ class _Sweep:
             raise
 
     def cancel(self):
-        """Ends the tasks that still run. One that has just ended must be left alone: Ray's own books would not agree,
-        and it would end this process.
+        """End the tasks that still run.
+
+        One that has just ended must be left alone: Ray's own books would not agree, and it would end this process.
         """
         if not self.running:
             return
@@ -220,7 +221,7 @@ class _Sweep:
                 self.ray.cancel(reference, force=True)
 
     def total(self, spent_s, *, interrupted=False):
-        """`Costs` of all that has come back."""
+        """Return the `Costs` of all finished tasks."""
         costs = dataclasses.replace(self.costs, engine="ray", interrupted=interrupted)
         costs.lanes = costs.lanes if self.gpus else self.room
         costs.devices = self.room * self.gpus if self.gpus else 1
@@ -243,7 +244,7 @@ class _Sweep:
             ) from error
 
     def _room(self):
-        """Tasks that the cluster can run at a time."""
+        """Return the number of tasks that the cluster can run at a time."""
         nodes = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         fit = [int(node.get("CPU", 0) // self.cpus) for node in nodes]
         if self.gpus:
@@ -254,7 +255,7 @@ class _Sweep:
         return sum(fit)
 
     def _take(self, reference):
-        """Hands over what a task has made."""
+        """Hand over the results of a task."""
         try:
             made = self._made(reference, self.running[reference])
         except Exception:
@@ -269,7 +270,7 @@ class _Sweep:
             self.on_progress(self.done)
 
     def _take_finished(self):
-        """Hands over what has come back by now."""
+        """Hand over the results that have come back by now."""
         errors = self.ray.exceptions.RayError
         if not self.running:
             return

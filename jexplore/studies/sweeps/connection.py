@@ -1,4 +1,4 @@
-"""Ray, and a connection to a cluster of it: the one that there is, or one of our own.
+"""Connection to a Ray cluster, an existing one or one of our own.
 
 Ray is imported by the functions that need it.
 """
@@ -24,7 +24,7 @@ STORE_BYTES = 256 * 2**20  # of results, in a cluster of our own
 
 
 def require_ray() -> Any:
-    """The module ray.
+    """Return the module ray.
 
     Raises:
       InputError: it is not installed.
@@ -39,11 +39,13 @@ def require_ray() -> Any:
 
 @contextlib.contextmanager
 def connected(ray: Any) -> Iterator[bool]:
-    """A connection to a cluster. One that this process has already stays; else there is one for the block, and what has
-    been begun with it ends with it. The block gets whether that is so.
+    """Connect to a cluster for a block.
+
+    An existing connection of this process stays; otherwise the connection, and a cluster started with it, end with the
+    block. The block gets whether that is so.
 
     Raises:
-      InputError: there is none, and none can be had.
+      InputError: no cluster exists and none can be started.
     """
     if ray.is_initialized():
         yield False
@@ -69,7 +71,7 @@ def _connect(ray):
 
 
 def begin(ray: Any, **how: Any) -> None:
-    """`ray.init`, once more where a busy machine has let Ray's own patience of 30 s run out."""
+    """Call `ray.init`, again if Ray's own patience of 30 s ends on a busy machine."""
     try:
         ray.init(**how)
     except Exception as error:
@@ -80,7 +82,7 @@ def begin(ray: Any, **how: Any) -> None:
 
 
 def is_there() -> bool:
-    """Whether there is a cluster to be used. Ray itself would look for minutes for one that is gone.
+    """Return whether a cluster is available. Ray itself would wait for minutes for one that is gone.
 
     Raises:
       InputError: `RAY_ADDRESS` names one that does not answer.
@@ -117,7 +119,7 @@ class _Muted:
         self.stream = stream
 
     def write(self, text: str) -> int:
-        """Writes text, whoever but Ray it comes from."""
+        """Write text, whoever but Ray it comes from."""
         if threading.current_thread().name.startswith("ray_"):
             return len(text)
         return self.stream.write(text)
@@ -128,7 +130,7 @@ class _Muted:
 
 @contextlib.contextmanager
 def _handlers_kept():
-    """Ray puts a handler of its own in the place of the one for SIGTERM."""
+    """Keep the handler for SIGTERM, which Ray replaces by its own."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

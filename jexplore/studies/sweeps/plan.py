@@ -40,7 +40,7 @@ COSTS = {
     **{"closest": 1.0, "random": 3.0, "utility": 2.5, "distance-advantage": 3.0, "small-first": 3.0},
     **{"tour": 3.5, "mcdm": 4.0, "decision-theoretic": 12.0, "gain-rate": 20.0},
 }
-"""An episode of a strategy beside one of closest, about; `+segment` comes on top."""
+"""Cost of an episode of a strategy relative to closest, about; `+segment` adds to it."""
 SEGMENT_COST = 8.0
 
 
@@ -79,12 +79,12 @@ class Plan:
 
     @functools.cached_property
     def together(self) -> list[Strategy]:
-        """The strategies, such that they share a program."""
+        """Make the strategies share a program."""
         return joined(self.strategies)
 
     @functools.cached_property
     def alike(self) -> list[tuple[Lidar, Rules]]:
-        """Scanners and rules that bound those of all settings, see `site.prepare_site`."""
+        """Return scanners and rules that bound those of all settings, see `site.prepare_site`."""
         widest: dict[int, Lidar] = {}
         for record in self.records:
             lidar: Lidar = record[2]
@@ -102,18 +102,18 @@ class Plan:
 
     @property
     def episodes(self) -> int:
-        """Of the whole sweep."""
+        """Return the number of episodes of the whole sweep."""
         return self.spec.episodes * len(self.settings) * len(self.spec.worlds) * len(self.strategies)
 
     @property
     def columns(self) -> list[str]:
-        """Columns of settings in the table of episodes."""
+        """Return columns of settings in the table of episodes."""
         own = dict.fromkeys(f"strategy.{key}" for parameters in self.parameters for key in parameters)
         return ["setting", *(key for key in self.settings[0] if key != "seed"), *own]
 
     @functools.cached_property
     def kinds(self) -> dict[str, str]:
-        """Columns of settings and the types of their values, see `kind_of`."""
+        """Return columns of settings and the types of their values, see `kind_of`."""
         found = {
             name: [setting[name] for setting in self.settings] for name in self.columns if name in self.settings[0]
         }
@@ -123,7 +123,7 @@ class Plan:
         return {name: kind_of(values) for name, values in found.items()}
 
     def seconds(self, workers: int) -> float:
-        """About how long it takes on so many cores, compiling included."""
+        """Estimate the time on a number of cores, compiling included."""
         each = [_cost(strategy.name) for strategy in self.strategies]
         cells = {key: height * width for key, (height, width) in self.shapes.items()}
         total = 0.0
@@ -133,7 +133,7 @@ class Plan:
         return (total + COMPILE_S * self.programs) / max(workers, 1)
 
     def asked(self, shard: tuple[int, int] | None = None) -> dict[str, Any]:
-        """All that the results depend on, as plain values."""
+        """Return all that the results depend on, as plain values."""
         return {
             "version": __version__,
             "spec": plain(self.spec),
@@ -143,7 +143,7 @@ class Plan:
         }
 
     def shorter(self, shard: tuple[int, int] | None = None) -> Shorter:
-        """Sweeps of fewer episodes, which this one may go on with."""
+        """Return sweeps of fewer episodes, which this one may continue."""
 
         def asked(n):
             return dataclasses.replace(self, spec=dataclasses.replace(self.spec, episodes=n)).asked(shard)
@@ -151,7 +151,7 @@ class Plan:
         return Shorter(self.spec.episodes, asked, lambda folder: read_parquet(folder / "episodes.parquet"), self._recut)
 
     def _recut(self, rows):
-        """The units of which a table has episodes: number, table, whether it has all."""
+        """Yield the units of which a table has episodes: number, table, bool: complete."""
         where = rows.groupby(["setting", "world", "strategy", "episode"]).indices
         for number, blocks in enumerate(self.units):
             keys = [key for block in blocks for key in self._episodes_of(block) if key in where]
@@ -164,7 +164,7 @@ class Plan:
         return [(block.setting, world, strategy, block.first + i) for i in range(block.n)]
 
     def left_of(self, number: int, begun: Any) -> list[Block]:
-        """What a unit lacks of which a table has the first episodes of its blocks; None: all of it."""
+        """Return the missing part of a unit of which a table has the first episodes of its blocks; None: the whole."""
         have = (
             set() if begun is None else set(zip(*(begun[name] for name in ("setting", "world", "strategy", "episode"))))
         )
@@ -175,7 +175,7 @@ class Plan:
         return left
 
     def _one_of_each_kind(self):
-        """Of all settings and worlds that share a program one, with every strategy: `Job`s of no episode."""
+        """Yield one of all settings and worlds that share a program, with every strategy: `Job`s of no episode."""
         kinds = {}
         for _, cell_m, lidar, rules in self.records:
             for world in range(len(self.spec.worlds)):
@@ -186,23 +186,23 @@ class Plan:
                 yield Job(self.world(world, cell_m), strategy, np.zeros((0, 3), int), lidar=lidar, rules=rules)
 
     def size(self, unit: int) -> int:
-        """Episodes of a unit."""
+        """Return the number of episodes of a unit."""
         return sum(block.n for block in self.units[unit])
 
     def all_worlds(self) -> list[World]:
-        """Every world in every cell size."""
+        """Return every world in every cell size."""
         return [self.world(world, cell_m) for world, cell_m in self.shapes]
 
     def world(self, number: int, cell_m: float) -> World:
-        """A world, loaded."""
+        """Load a world."""
         return _loaded(os.fspath(self.spec.worlds[number]), cell_m)
 
     def starts(self, world: World, seed: int, clearance_m: float, near_m: float) -> np.ndarray:
-        """The starts of all episodes in a world."""
+        """Return the starts of all episodes in a world."""
         return _starts(world.name, world.cell_m, seed, clearance_m, near_m, self.spec.episodes, _start_of(self.spec))
 
     def first_jobs(self, most: int = 12) -> list[tuple[Job, dict[str, Any]]]:
-        """Episode 0 of the first settings, worlds and strategies, and the setting of each."""
+        """Return episode 0 of the first settings, worlds and strategies, and the setting of each."""
         found = []
         for setting in range(len(self.settings)):
             for world in range(len(self.spec.worlds)):
@@ -214,7 +214,7 @@ class Plan:
         return found
 
     def job(self, block: Block, turn: int) -> Job:
-        """The `Job` of a block."""
+        """Make the `Job` of a block."""
         seed, cell_m, lidar, rules = self.records[block.setting]
         world = self.world(block.world, cell_m)
         starts = self.starts(world, seed, rules.clearance_m, rules.near_m)[block.first : block.first + block.n]
@@ -238,7 +238,7 @@ def _start_of(spec):
 
 
 def kind_of(values: Sequence[Any]) -> str:
-    """The type of a column that holds these values: "bool", "int64", "float64", or "text"."""
+    """Return the type of a column that holds these values: "bool", "int64", "float64", or "text"."""
     if all(isinstance(value, bool) for value in values):
         return "bool"
     if all(isinstance(value, int) and not isinstance(value, bool) for value in values):
@@ -254,7 +254,7 @@ def _cost(name):
 
 
 def prepare_sweep(spec: Sweep) -> Plan:
-    """Checks everything that a sweep is asked, and cuts its work, before anything is compiled.
+    """Check a sweep and cut its work, before anything is compiled.
 
     Raises:
       InputError: what cannot be run, in one line.
@@ -289,8 +289,9 @@ def prepare_sweep(spec: Sweep) -> Plan:
 
 
 def program_key(shape: tuple[int, int], cell_m: float, lidar: Lidar, rules: Rules) -> tuple[Any, ...]:
-    """What settings must have in common to share a compiled program: shape of the padded map, clearance in cells,
-    number of beams, looks all round.
+    """Return the settings that must agree to share a compiled program.
+
+    These are the shape of the padded map, clearance in cells, number of beams, and scans of a look-around.
     """
     padded = tuple(bucket(side) for side in shape)
     clearance, around = radius_d2(rules.clearance_m, cell_m), scans_all_round(lidar.fov_deg)
@@ -298,7 +299,7 @@ def program_key(shape: tuple[int, int], cell_m: float, lidar: Lidar, rules: Rule
 
 
 def _cut(spec, records, shapes, n_strategies, total):
-    """Blocks of work, those that share a program together: `(units, number of programs)`."""
+    """Divide the work into blocks, those that share a program together: `(units, number of programs)`."""
     by_key = collections.defaultdict(list)
     for i, (_, cell_m, lidar, rules) in enumerate(records):
         for world in range(len(spec.worlds)):
@@ -326,12 +327,12 @@ def _blocks(pairs, n_strategies, episodes, size) -> Iterator[Block]:
 
 
 def in_shard(units: int, shard: tuple[int, int] | None) -> list[int]:
-    """Numbers of the units that a shard `(i, n)` makes, i from 0."""
+    """Return numbers of the units that a shard `(i, n)` makes, i from 0."""
     return list(range(units)) if shard is None else list(range(shard[0], units, shard[1]))
 
 
 def summary_lines(plan: Any, workers: int, units: Sequence[int]) -> list[str]:
-    """What `--dry-run` says of a `Plan` or a `TracePlan`."""
+    """Return the lines that `--dry-run` prints for a `Plan` or a `TracePlan`."""
     seconds = plan.seconds(workers) * len(units) / max(len(plan.units), 1)
     n_who, who, what = len(plan.spec.robots or plan.strategies), "robots", "runs"
     if not plan.spec.robots:
@@ -346,7 +347,7 @@ def summary_lines(plan: Any, workers: int, units: Sequence[int]) -> list[str]:
 
 
 def duration(seconds: float) -> str:
-    """Seconds in a unit that suits them."""
+    """Format seconds in a suitable unit."""
     for most, unit, each in ((120, "s", 1), (7200, "min", 60), (172800, "h", 3600)):
         if seconds < most:
             return f"{seconds / each:.0f} {unit}"

@@ -37,9 +37,9 @@ SHOWN = 24  # rows of the table that is printed
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Swept(ByStrategy):
-    """What a sweep found. Tables are pandas DataFrames.
+    """Result of a sweep. Tables are pandas DataFrames.
 
-    It is iterated over by the names of its strategies, or robots.
+    Iterating gives the names of its strategies, or robots.
     """
 
     spec: Sweep
@@ -59,9 +59,11 @@ class Swept(ByStrategy):
 
     @functools.cached_property
     def summary(self) -> "pd.DataFrame":
-        """One row a setting, world and strategy: `n`, `mean` and `sd` of the path, metres, the paired `ratio` to the
-        first strategy with `ratio_low` and `ratio_high` (95 %, see `paired.paired_ratio`), mean `explored_fraction`,
-        share `complete`; and the columns of settings. Of robots: see `traces.summarise_traces`.
+        """Tabulate one row a setting, world and strategy; of robots see `traces.summarise_traces`.
+
+        Columns are `n`, `mean` and `sd` of the path, metres, the paired `ratio` to the first strategy with `ratio_low`
+        and `ratio_high` (95 %, see `paired.paired_ratio`), mean `explored_fraction`, share `complete`; and those of
+        settings.
         """
         return (
             summarise_traces(self.episodes, self.columns)
@@ -77,7 +79,7 @@ class Swept(ByStrategy):
         return (traces_table if self.spec.robots else summary_table)(self.summary, self.varied, as_text)
 
     def plot(self) -> "Figure":
-        """The first of `figures`, as a matplotlib `Figure`: mean paths along the first number that is varied.
+        """Draw the first of `figures`, as a matplotlib `Figure`: mean paths along the first number that is varied.
 
         Raises:
           InputError: no number is varied.
@@ -87,7 +89,7 @@ class Swept(ByStrategy):
         raise InputError("a sweep is drawn along a number that is varied, and this one has none: see to_pandas()")
 
     def to_xarray(self) -> Any:
-        """The table as an `xarray.Dataset` with labelled dimensions: see `labelled.of_sweep`."""
+        """Convert the table to an `xarray.Dataset` with labelled dimensions: see `labelled.of_sweep`."""
         from jexplore.studies.results import labelled
 
         if self.spec.robots:
@@ -95,24 +97,24 @@ class Swept(ByStrategy):
         return labelled.of_sweep(self)
 
     def to_markdown(self, rows: int | None = None) -> str:
-        """The summary as a Markdown table, only so many rows of it, and a line that says how many are left."""
+        """Format the summary as a Markdown table, at most `rows` rows and a line with the number of rows left out."""
         left = 0 if rows is None else max(len(self.summary) - rows, 0)
         more = f"\n... and {left:,} more rows: summary.csv, or jx.load(DIR).summary\n" if left else ""
         return self.table(rows) + more
 
     def table(self, rows: int | None = None) -> str:
-        """The first rows of the summary as a Markdown table, by default all."""
+        """Format the first rows of the summary as a Markdown table, by default all."""
         shown = self.summary if rows is None else self.summary.head(rows)
         return (traces_table if self.spec.robots else summary_table)(shown, self.varied)
 
     @property
     def varied(self) -> list[str]:
-        """Columns of settings that have more than one value."""
+        """Return columns of settings that have more than one value."""
         some = [name for name in dict.fromkeys((*self.columns, "seed")) if name != "setting" and name in self.episodes]
         return [name for name in some if len(self.episodes[name].drop_duplicates()) > 1]
 
     def figures(self) -> dict[str, Callable[[], Any]]:
-        """Pictures of the sweep, of the first numbers that are varied: end of a file's name -> what draws it."""
+        """Return pictures of the sweep, of the first varied numbers: end of a file's name -> function that draws it."""
         from jexplore.studies.statistics import figures
 
         if self.spec.robots:
@@ -127,7 +129,7 @@ class Swept(ByStrategy):
         return drawn
 
     def _occur_together(self, names):
-        """Whether some strategy has all of these settings."""
+        """Return whether some strategy has all of these settings."""
         return bool(self.episodes[list(names)].notna().to_numpy().all(axis=1).any())
 
     def _repr_markdown_(self):
@@ -138,7 +140,7 @@ class Swept(ByStrategy):
 
 
 def summarise(episodes: "pd.DataFrame", columns: Sequence[str], first: str) -> "pd.DataFrame":
-    """The `Swept.summary` of a table of episodes whose settings are in these columns.
+    """Compute the `Swept.summary` of a table of episodes whose settings are in these columns.
 
     Ratios are to the strategy `first`; NaN where it has no episode, as in a part of a sweep.
     """
@@ -169,7 +171,7 @@ def summarise(episodes: "pd.DataFrame", columns: Sequence[str], first: str) -> "
 
 
 def summary_table(summary: Any, varied: Sequence[str], as_text: Callable[..., str] = aligned_table) -> str:
-    """Rows of `Swept.summary` as Markdown, or as what `as_text` makes of names of columns and texts of rows."""
+    """Format rows of `Swept.summary` as Markdown, or by `as_text` from names of columns and texts of rows."""
     head = ["world", *varied, "strategy", "n", "path m", "ratio to the first", "explored", "COMPLETE"]
     lines = []
     for _, row in summary.iterrows():
@@ -196,17 +198,16 @@ def run_sweep(
     gpu: bool = False,
     on_progress: Callable[[int], object] | None = None,
 ) -> Swept:
-    """Runs the units of a sweep that the ledger does not have.
+    """Run the units of a sweep that the ledger does not have.
 
     Args:
       plan: from `ready`.
-      ledger: where units are kept as soon as they are finished.
+      ledger: stores units as soon as they are finished.
       shard: `(i, n)`: only every n-th unit, from the i-th on.
       engine: as in `batch.run_jobs`, or "ray": units are tasks of a Ray cluster.
-      lanes, workers: as in `batch.run_jobs`; of a Ray cluster every task takes so many cores as `workers` says, 1 by
-        default.
-      gpu: whether every task of a Ray cluster takes a GPU.
-      on_progress: called with the number of episodes finished, those that were there before included.
+      lanes, workers: as in `batch.run_jobs`; on a Ray cluster every task takes `workers` cores, 1 by default.
+      gpu: every task of a Ray cluster takes a GPU.
+      on_progress: called with the number of finished episodes, including earlier ones.
 
     Returns:
       `Swept`. After Ctrl-C it holds the units that were finished.
@@ -244,7 +245,7 @@ def run_sweep(
 
 
 def _run_left(plan, left, on_unit, how, gpu, on_progress, begun):
-    """Runs some units of a sweep by whatever engine: `Costs`."""
+    """Run some units of a sweep by whatever engine: `Costs`."""
     if isinstance(plan, TracePlan):
         if how["engine"] == "ray":
             raise InputError("engine ray is for strategies: a sweep of robots runs on this machine, or by --shard")
@@ -258,13 +259,13 @@ def _run_left(plan, left, on_unit, how, gpu, on_progress, begun):
 
 
 def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What tells some settings apart, a line each."""
+    """Return labels that distinguish settings, a line each."""
     varied = [key for key in settings[0] if len({str(setting[key]) for setting in settings}) > 1]
     return [", ".join(f"{key.rpartition('.')[2]} {_value_text(own[key])}" for key in varied) for own in settings]
 
 
 def ordered(table: "pd.DataFrame", plan: Plan | TracePlan) -> "pd.DataFrame":
-    """Rows by setting, world, strategy or robot, and episode or run, in the order of the spec."""
+    """Sort rows by setting, world, strategy or robot, and episode or run, in the order of the spec."""
     if isinstance(plan, TracePlan):
         return plan.ordered(table)
     worlds = {os.fspath(name): i for i, name in enumerate(plan.spec.worlds)}
@@ -286,7 +287,7 @@ def sweep(
     on_progress: Callable[[int], object] | None = None,
     progress: bool | None = None,
 ) -> Swept:
-    """Compares strategies over many settings.
+    """Compare strategies over many settings.
 
     Args:
       spec: a `Sweep`, a mapping of its fields, or a YAML file. `jexplore sweep` keeps what it finishes; this does not.
@@ -314,7 +315,7 @@ def sweep(
 
 
 def ready(spec: Sweep) -> Plan | TracePlan:
-    """What `run_sweep` takes of a sweep of episodes, or of one of robots that write maps. Raises as `prepare_sweep`."""
+    """Plan a sweep of episodes, or of robots that write maps, for `run_sweep`. Raises as `prepare_sweep`."""
     return prepare_traces(spec) if spec.robots else prepare_sweep(spec)
 
 

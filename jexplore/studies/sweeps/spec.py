@@ -1,4 +1,4 @@
-"""What a sweep is asked: lists are axes of a product, ranges are drawn from."""
+"""Specification of a sweep: lists are axes of a product, ranges are drawn from."""
 
 import dataclasses
 import difflib
@@ -41,10 +41,10 @@ class Range:
     low: float
     high: float
     log: bool = False
-    """Whether their logarithms are drawn evenly."""
+    """Draw logarithms evenly."""
 
     def at(self, share: float) -> float:
-        """The number that a share of them lies below."""
+        """Return the number below which a share lies."""
         if self.log:
             return math.exp(math.log(self.low) + share * (math.log(self.high) - math.log(self.low)))
         return self.low + share * (self.high - self.low)
@@ -71,23 +71,23 @@ class Sweep:
     start_m: Any = None
     """`(x_m, y_m, yaw_deg)` in all worlds, in metres of the map's frame, instead of `start`."""
     lidar: Mapping[str, Any] | Lidar = dataclasses.field(default_factory=dict)
-    """A `jx.Lidar`, or fields of it."""
+    """A `jx.Lidar`, or some of its fields."""
     rules: Mapping[str, Any] | Rules = dataclasses.field(default_factory=dict)
-    """A `jx.Rules`, or fields of it."""
+    """A `jx.Rules`, or some of its fields."""
     robots: tuple[str, ...] = ()
     """Robots that write Behavioral Trace Maps, as `jx.trace` takes them: then runs of these are made instead of
     episodes of strategies, `episodes` of each."""
     tuning: Mapping[str, Any] | Tuning = dataclasses.field(default_factory=dict)
-    """A `jx.Tuning`, or fields of it, for robots."""
+    """A `jx.Tuning`, or some of its fields, for robots."""
     noise: Mapping[str, Any] | Noise = dataclasses.field(default_factory=dict)
-    """A `jx.Noise`, or fields of it, for robots."""
+    """A `jx.Noise`, or some of its fields, for robots."""
     settings: tuple[Mapping[str, Any], ...] = ()
     """Settings one by one instead of a product: mappings such as `{lidar.range_m: 4, rules.clearance_m: 0.2}`; with the
     product of the rest."""
     draws: int | None = None
-    """How many settings are drawn, where there are ranges; axes of lists are drawn from as well."""
+    """Number of settings to draw, with ranges; axes of lists are drawn from as well."""
     draw: str = "sobol"
-    """How: "sobol" (scrambled, even) or "random"."""
+    """Method of drawing: "sobol" (scrambled, even) or "random"."""
 
     def __post_init__(self) -> None:
         for name in ("worlds", "strategies", "settings", "robots"):
@@ -144,14 +144,14 @@ class Sweep:
 
     @property
     def axes(self) -> dict[str, Any]:
-        """What is varied: dotted name -> list of values, or a `Range`."""
+        """Return the varied settings: dotted name -> list of values, or a `Range`."""
         given = {"seed": self.seed, "cell_m": self.cell_m}
         for part in PARTS:
             given |= {f"{part}.{key}": value for key, value in getattr(self, part).items()}
         return {key: _axis(key, value) for key, value in given.items()}
 
     def expanded(self) -> list[dict[str, Any]]:
-        """The settings: a list of `{dotted name: value}`, all with the same names, all different.
+        """Return the settings: a list of `{dotted name: value}`, all with the same names, all different.
 
         Raises:
           InputError: none, too many, ranges without `draws`, `draws` without a range.
@@ -186,7 +186,7 @@ class Sweep:
         return found
 
     def _drawn(self, axes):
-        """Draws from the axes, each evenly: a list of `{name: value}`."""
+        """Draw from the axes, each evenly: a list of `{name: value}`."""
         from scipy.stats import qmc
 
         seed = 0 if not isinstance(self.seed, int) else require_setting("seed", self.seed)
@@ -198,7 +198,7 @@ class Sweep:
         return [{key: _taken(key, axis, float(s)) for (key, axis), s in zip(axes.items(), row)} for row in shares]
 
     def records(self, *parts: str) -> list[tuple[Any, ...]]:
-        """Of every setting of `expanded` seed, cell size and, by default, scanner and rules; else these of `PARTS`.
+        """Return seed, cell size and scanner and rules, or others of `PARTS`, of every setting of `expanded`.
 
         Raises:
           InputError: a value that cannot be used, naming it.
@@ -212,10 +212,10 @@ class Sweep:
         return found
 
     def strategy_list(self) -> list[tuple[str, dict[str, Any]]]:
-        """The strategies, lists of parameters taken apart: a list of `(name, parameters that are settings)`.
+        """Return the strategies, lists of parameters expanded: a list of `(name, parameters that are settings)`.
 
         Raises:
-          InputError: a mapping that is none of a strategy, a strategy twice.
+          InputError: a mapping that does not describe a strategy, a strategy twice.
         """
         found = []
         for given in self.strategies:
@@ -239,7 +239,7 @@ class Sweep:
 
 
 def _same(value):
-    """What is equal for equal values: 3 and 3.0 are, 1 and true are not."""
+    """Return a key that is equal for equal values: 3 and 3.0 are, 1 and true are not."""
     return repr(float(value)) if isinstance(value, (int, float)) and not isinstance(value, bool) else repr(value)
 
 
@@ -260,7 +260,7 @@ def _part(setting, kind):
 
 
 def _axis(key, value) -> Any:
-    """Values of an axis: a list, or a `Range`."""
+    """Read values of an axis: a list, or a `Range`."""
     if isinstance(value, Range):
         value = dataclasses.asdict(value)
     if isinstance(value, Mapping):
@@ -285,7 +285,7 @@ def _axis(key, value) -> Any:
 
 
 def _require_plain(key, value):
-    """Refuses what is no single value."""
+    """Refuse anything but a single value."""
     value = value.item() if isinstance(value, np.generic) else value
     if value is not None and not isinstance(value, (bool, int, float, str)):
         raise InputError(f"{key} must be a number, a word or a truth value, got {value!r}")
@@ -302,7 +302,7 @@ def _taken(key, axis, share):
 
 
 def _text(name, key, value):
-    """A parameter's value as the name of a strategy has it."""
+    """Format a parameter's value as in the name of a strategy."""
     if value is None or (isinstance(value, str) and set(value) & set(",:+=")):
         raise InputError(f"{name}: {key} must be a number, a truth value or a plain word, got {value!r}")
     return str(value).lower() if isinstance(value, bool) else str(value)
@@ -312,7 +312,7 @@ _FIELDS = [field.name for field in dataclasses.fields(Sweep)]
 
 
 def sweep_from(page: Any, name: str = "the sweep") -> Sweep:
-    """A `Sweep` from plain values, as a YAML file has them.
+    """Make a `Sweep` of plain values, as a YAML file has them.
 
     Raises:
       InputError: no mapping, an unknown key, a value that cannot be used.
@@ -339,7 +339,7 @@ def _plain(value: Any) -> Any:
 
 
 def read_spec(path: str | os.PathLike[str]) -> Sweep:
-    """A `Sweep` from a YAML file, read as `plain_yaml` reads it: YAML 1.2.
+    """Read a `Sweep` from a YAML file by `plain_yaml`: YAML 1.2.
 
     Raises:
       InputError: no such file, broken YAML (with line and column), or what `sweep_from` refuses.
@@ -355,7 +355,7 @@ def read_spec(path: str | os.PathLike[str]) -> Sweep:
 
 
 def plain(spec: Sweep) -> dict[str, Any]:
-    """A `Sweep` as plain values, from which `sweep_from` makes it again."""
+    """Convert a `Sweep` to plain values, from which `sweep_from` makes it again."""
 
     def simple(value):
         if isinstance(value, Range):

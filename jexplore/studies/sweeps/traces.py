@@ -58,43 +58,43 @@ class TracePlan:
 
     @property
     def reference(self) -> str:
-        """Robots are compared with none."""
+        """Return no reference: robots are not compared with one."""
         return ""
 
     def all_worlds(self) -> list[World]:
-        """Every world in every cell size."""
+        """Return every world in every cell size."""
         return list({(world.name, world.cell_m): world for world in (one.job.world for one in self.groups)}.values())
 
     @property
     def episodes(self) -> int:
-        """Runs of the whole sweep."""
+        """Return the number of runs of the whole sweep."""
         return sum(n for *_, n in self.units)
 
     @property
     def programs(self) -> int:
-        """Programs that are compiled: one for each size of world."""
+        """Return the number of compiled programs: one for each size of world."""
         return len({group.job.world.shape for group in self.groups})
 
     @property
     def columns(self) -> list[str]:
-        """Columns of settings in the table of runs."""
+        """Return columns of settings in the table of runs."""
         return ["setting", *self.settings[0]]
 
     @property
     def kinds(self) -> dict[str, str]:
-        """Columns of settings and the types of their values, see `plan.kind_of`."""
+        """Return columns of settings and the types of their values, see `plan.kind_of`."""
         return {name: kind_of([setting[name] for setting in self.settings]) for name in self.columns[1:]}
 
     def size(self, unit: int) -> int:
-        """Runs of a unit."""
+        """Return the number of runs of a unit."""
         return self.units[unit][2]
 
     def seconds(self, workers: int) -> float:
-        """About how long it takes on so many cores, compiling included."""
+        """Estimate the time on a number of cores, compiling included."""
         return (RUN_S * self.episodes + COMPILE_S * self.programs) / max(workers, 1)
 
     def asked(self, shard: tuple[int, int] | None = None) -> dict[str, Any]:
-        """All that the results depend on, as plain values."""
+        """Return all that the results depend on, as plain values."""
         return {
             "version": __version__,
             "spec": plain(self.spec),
@@ -103,11 +103,11 @@ class TracePlan:
         }
 
     def shorter(self, shard: tuple[int, int] | None = None) -> None:
-        """Sweeps that this one may go on with: none."""
+        """Return no shorter sweeps to continue."""
         del shard
 
     def ordered(self, table: "pd.DataFrame") -> "pd.DataFrame":
-        """Rows by setting, world, robot and run, in the order of the spec."""
+        """Sort rows by setting, world, robot and run, in the order of the spec."""
         worlds = {os.fspath(name): i for i, name in enumerate(self.spec.worlds)}
         robots = {name: i for i, name in enumerate(self.spec.robots)}
         robot, world = [robots[name] for name in table["robot"]], [worlds[name] for name in table["world"]]
@@ -116,7 +116,7 @@ class TracePlan:
 
 
 def prepare_traces(spec: Sweep) -> TracePlan:
-    """Checks everything that a sweep of robots is asked, and cuts its work.
+    """Check a sweep of robots, and cut its work.
 
     Raises:
       InputError: what cannot be run, in one line.
@@ -151,7 +151,7 @@ def prepare_traces(spec: Sweep) -> TracePlan:
 
 
 def _with_settings(job, spec, records, own):
-    """A job whose thresholds and noise are those of some settings."""
+    """Return a job whose thresholds and noise are those of some settings."""
     swept = {}
     tunings = [for_world(records[i][2], is_course=job.world.course is not None) for i in own]
     for tuning in tunings:
@@ -174,7 +174,7 @@ def run_traces(
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
 ) -> Costs:
-    """Makes units of a sweep of robots.
+    """Make units of a sweep of robots.
 
     Args:
       plan: `TracePlan`.
@@ -226,9 +226,11 @@ def _run_group(plan, group, numbers, on_unit, how):
 
 
 def summarise_traces(runs: "pd.DataFrame", columns: Sequence[str]) -> "pd.DataFrame":
-    """One row a setting, world and robot: `n` runs; `goal`, the share that reached the goal or left nothing to follow;
-    `true`, the share whose map is the world's true one (NaN without a truth); `same`, the share with the commonest map;
-    `mean` and `sd` of the path, metres; `contacts`, their mean number; and the columns of settings.
+    """Tabulate one row a setting, world and robot.
+
+    Columns are `n` runs; `goal`, the share that reached the goal or left nothing to follow; `true`, the share whose map
+    is the world's true one (NaN without a truth); `same`, the share with the commonest map; `mean` and `sd` of the
+    path, metres; `contacts`, their mean number; and those of settings.
     """
     import pandas as pd
 
@@ -254,7 +256,7 @@ def summarise_traces(runs: "pd.DataFrame", columns: Sequence[str]) -> "pd.DataFr
 
 
 def traces_table(summary: Any, varied: Sequence[str], as_text: Callable[..., str] = aligned_table) -> str:
-    """Rows of `summarise_traces` as Markdown, or as what `as_text` makes of names of columns and texts of rows."""
+    """Format rows of `summarise_traces` as Markdown, or by `as_text` from names of columns and texts of rows."""
     head = ["world", "robot", *varied, "n", "reached", "true map", "commonest map", "path m", "contacts"]
     lines = []
     for _, row in summary.iterrows():

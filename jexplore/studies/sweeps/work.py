@@ -35,7 +35,7 @@ def run_block_units(
     on_progress: Callable[[int], object] | None = None,
     begun: Mapping[int, "pd.DataFrame"] = MappingProxyType({}),
 ) -> Costs:
-    """Runs units of a sweep.
+    """Run units of a sweep.
 
     Args:
       plan: `Plan`.
@@ -81,7 +81,7 @@ def run_block_units(
 
 
 def windows(plan: Plan, numbers: Sequence[int]) -> Iterator[list[int]]:
-    """Units that are run together: few enough that what they need fits into the memory."""
+    """Yield units that are run together: few enough to fit into the memory."""
     window, sites, episodes = [], set(), 0
     for number in numbers:
         own = {(block.setting, block.world) for block in plan.units[number]}
@@ -97,7 +97,7 @@ def windows(plan: Plan, numbers: Sequence[int]) -> Iterator[list[int]]:
 
 
 def _rows(plan, block, job, found):
-    """The rows of a block, as columns."""
+    """Return the rows of a block, as columns."""
     strategy = plan.strategies[block.strategy]
     # The job's own starts begin with the block's first episode.
     rows = rows_of(job._replace(strategy=strategy), Unit(0, 0, block.n, 0), found)
@@ -111,8 +111,9 @@ def _rows(plan, block, job, found):
 
 
 def typed(table: "pd.DataFrame", plan: Any) -> "pd.DataFrame":
-    """A table of a sweep, its columns of settings of the types that the whole plan gives them, whatever part it is:
-    truth values, whole numbers, numbers (NaN where there is none), or text (empty where there is none).
+    """Convert a table of a sweep, or of its part, to the column types of the whole plan.
+
+    Types are truth values, whole numbers, numbers (NaN where missing), and text (empty where missing).
     """
     for name, kind in plan.kinds.items():
         if kind == "text":

@@ -1,4 +1,4 @@
-"""What drift does to a Behavioral Trace Map, and to the grid map that is drawn from the same odometry."""
+"""Effect of drift on a trace map, and on the grid map drawn from the same odometry."""
 
 import dataclasses
 import os
@@ -52,7 +52,7 @@ class Example:
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Drift:
-    """What `drift` found."""
+    """Result of `drift`."""
 
     plan: TraceJob
     axes: dict[str, list[float]]
@@ -65,11 +65,11 @@ class Drift:
 
     @property
     def summary(self) -> "pd.DataFrame":
-        """A row for every error and value: see `summarised`."""
+        """Tabulate a row for every error and value: see `summarised`."""
         return summarised(self.runs, self.axes, self.plan.noise)
 
     def figure(self) -> "Figure":
-        """The three measures over every error; below the example: its grid map, and its map on the true plan."""
+        """Draw the three measures over every error; below the example: its grid map, and its map on the true plan."""
         from jexplore.report.plots import drift as plots
         from jexplore.studies.traces.recording import wall_lines
 
@@ -99,18 +99,18 @@ def drift(
     on_progress: Callable[[int], Any] | None = None,
     **options: Any,
 ) -> Drift:
-    """Lets a robot write its map with an odometry that is wrong in one way after the other, and draws its grid map.
+    """Let a robot write its map with one kind of odometry error after the other, and draw its grid map.
 
-    The grid map is drawn from the scans of the same run, each placed where the robot took itself to be: by encoders,
-    matched scans and nodes met again, as in the Behavioral Trace Map. All runs are one batch of one compiled program.
+    The grid map is drawn from the scans of the same run, each placed at the estimated pose: by encoders, matched scans
+    and nodes met again, as in the trace map. All runs are one batch of one compiled program.
 
     Args:
-      world: name or `World`. Structure is judged where there is a true map, as of a course.
+      world: name or `World`. Structure is judged if a true map exists, as for a course.
       axes: names of errors, fields of `Noise`, and their values; by default `AXES`. Each varies alone.
       runs: of every value; run i draws alike with all of them.
-      noise: `Noise` of what does not vary, or a mapping of some of its fields; by default 1 cm of range noise.
+      noise: `Noise` of the constant errors, or a mapping of some of its fields; by default 1 cm of range noise.
       workers: see `runner.find_resources`.
-      on_progress: called with the number of runs finished so far.
+      on_progress: called with the number of finished runs.
       **options: see `prepare_trace`; the grid map has cells as large as the world's.
 
     Returns:
@@ -151,7 +151,7 @@ def drift(
 
 
 def _settings(axes, noise):
-    """Values of every error, and what is swept: setting 0 is the study's own noise."""
+    """Return values of every error, and the swept settings: setting 0 is the study's own noise."""
     fields = {field.name for field in dataclasses.fields(Noise)}
     if not axes:
         raise InputError("axes must name an error or more, got none")
@@ -170,7 +170,7 @@ def _settings(axes, noise):
 
 
 class _Made:
-    """What has been found of a study."""
+    """Results of a study."""
 
     def __init__(self, plan, on_progress):
         self.plan, self.on_progress = plan, on_progress
@@ -181,7 +181,7 @@ class _Made:
         self.example: Example | None = None
 
     def put(self, i, result, way):
-        """Takes run i: a `Result` with a leading axis of 1, and its way."""
+        """Take run i: a `Result` with a leading axis of 1, and its way."""
         plan, setting, run = self.plan, int(self.setting[i]), int(self.which[i])
         errors = own_values(plan.swept, setting)
         row, maps = table_of(plan, result, self.setting[i : i + 1], self.which[i : i + 1], errors)
@@ -199,7 +199,7 @@ class _Made:
             self.on_progress(len(self.rows))
 
     def table(self):
-        """The table of all runs."""
+        """Return the table of all runs."""
         import pandas as pd
 
         table = pd.concat([self.rows[i] for i in sorted(self.rows)])
@@ -207,21 +207,21 @@ class _Made:
 
 
 def _rank(drawn):
-    """How broken a grid map is: the larger, the worse."""
+    """Return a measure of how broken a grid map is: the larger, the worse."""
     return np.nan_to_num(drawn.doubled), -np.nan_to_num(drawn.on_wall, nan=1.0)
 
 
 def placed_truly(btm: BtmMap, node_at: np.ndarray, way: Driven, origin_m: tuple[float, float] = (0.0, 0.0)) -> BtmMap:
-    """The map with its nodes where they truly lie: as they lay from the robot when it made them.
+    """Move the nodes of a map to their true positions: as seen from the robot's true pose when it made them.
 
     Args:
       btm: as a run wrote it, `BtmMap`.
-      node_at: `[N, 2]`, where the robot truly was when it made each node, metres, in the world's frame.
+      node_at: `[N, 2]`, true positions of the robot when it made each node, metres, in the world's frame.
       way: of the run, `Driven`.
       origin_m: of the world.
 
     Returns:
-      `BtmMap`, bearings turned likewise.
+      `BtmMap`, with bearings turned accordingly.
     """
     turns, nodes = {}, []
     for node, at in zip(btm.nodes, node_at):
@@ -244,7 +244,7 @@ def placed_truly(btm: BtmMap, node_at: np.ndarray, way: Driven, origin_m: tuple[
 
 
 def summarised(runs: Any, axes: Mapping[str, Sequence[float]], noise: Noise) -> "pd.DataFrame":
-    """A row for every error and value.
+    """Tabulate a row for every error and value.
 
     Args:
       runs: `Drift.runs`, a pandas DataFrame.

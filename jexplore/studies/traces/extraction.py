@@ -1,4 +1,4 @@
-"""A Behavioral Trace Map from what an exploration episode has seen, beside what is true."""
+"""A trace map extracted from the grid map of an exploration episode, compared with the truth."""
 
 import dataclasses
 import os
@@ -26,23 +26,23 @@ NEAR_CELLS = 2.0  # a node is found if it lies this near to the true one
 
 @dataclasses.dataclass(frozen=True)
 class Extracted:
-    """What `extracted` found."""
+    """Result of `extracted`."""
 
     map: BtmMap
     episode: Episode
 
     @property
     def measures(self) -> dict[str, Any]:
-        """The episode's measures: name -> value."""
+        """Return the episode's measures: name -> value."""
         return {"strategy": self.episode.strategy, **self.episode.measures}
 
     def agreement(self) -> list[str]:
-        """How the map compares with the world's true topology: lines of text, none where the world has none."""
+        """Compare the map with the world's true topology: lines of text, none if the world has none."""
         course = self.episode.world.course
         return [] if course is None else [agreement(self.map, course.topology, self.episode.world.cell_m)]
 
     def figure(self) -> "Figure":
-        """The map over the building and the robot's way: a matplotlib `Figure`."""
+        """Draw the map over the building and the robot's way: a matplotlib `Figure`."""
         world, final = self.episode.world, self.episode.final
         x, y = centre_of(final.rows, final.cols, cell_m=world.cell_m, origin_m=world.origin_m)
         world = with_ring(world)
@@ -61,7 +61,7 @@ def extracted(
     clutter_m: float = CLUTTER_M,
     tuning: Tuning | None = None,
 ) -> Extracted:
-    """Explores a world and reads the map off the last grid.
+    """Explore a world and extract the map from the last grid.
 
     Args:
       world: name or `World`. A course is explored from its own start.
@@ -103,7 +103,7 @@ def extracted(
 
 
 def matched(found: BtmMap, true: BtmMap, cell_m: float) -> tuple[int, int, int]:
-    """Divergences of one map that lie where another has one of the same degree.
+    """Return divergences of one map that lie where another has one of the same degree.
 
     Args:
       found, true: `BtmMap`.
@@ -124,6 +124,6 @@ def matched(found: BtmMap, true: BtmMap, cell_m: float) -> tuple[int, int, int]:
 
 
 def agreement(found: BtmMap, true: BtmMap, cell_m: float) -> str:
-    """How the divergences of two maps compare: a line of text."""
+    """Compare the divergences of two maps: a line of text."""
     hits, ours, theirs = matched(found, true, cell_m)
     return f"true divergences found, within {NEAR_CELLS:g} cells and of their degree: {hits} of {theirs}; {ours} in all"

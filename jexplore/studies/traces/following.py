@@ -27,9 +27,16 @@ from jexplore.worlds.world import World, with_ring
 
 SIZE = 32, 64  # most nodes and links of the map that a robot writes on its way
 PLACES = 8  # a guide has room for places in multiples of this
-CLEAR_M = 1.5, 1.0, 2.0, 0.6, 3.0, 0.3  # a robot starts so far along its link: the first where it can turn, or is free
-ASIDE_M = 0.0, 0.3, -0.3, 0.6, -0.6  # or so far beside it, where it cannot turn anywhere on the link
-ROOM_M = 0.05  # beside a robot that turns where it starts
+CLEAR_M = (
+    1.5,
+    1.0,
+    2.0,
+    0.6,
+    3.0,
+    0.3,
+)  # m; starts along a link: the first one where the robot can turn, or that is free
+ASIDE_M = 0.0, 0.3, -0.3, 0.6, -0.6  # m; offsets from the link where the robot cannot turn anywhere on it
+ROOM_M = 0.05  # m; margin of a robot that turns at its start
 SAME_DEG = 40.0  # ways that lie no farther apart are one
 ONE_DEG = 20.0  # links of a node that leave it no farther apart are one way: two nodes of a passage
 STEPS_M = 60  # steps that a robot has for each metre of its route
@@ -40,7 +47,7 @@ ON_IT_M = 1.0  # a robot so near to the middle of a link is on it
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Followed:
-    """What `follow` found."""
+    """Result of `follow`."""
 
     table: Any
     """pandas DataFrame, a row a route: from, to, outcome (ARRIVED, LOST, BLOCKED, ...), length_m by the map, path_m,
@@ -67,23 +74,23 @@ def follow(
     workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None,
 ) -> Followed:
-    """Lets a robot follow routes in the true building.
+    """Let a robot follow routes in the true building.
 
-    It starts on the first link of a route, a little beyond the node, and from there on knows of the map only how the
-    next divergences lie from the last one that it has recognised, how their ways bear, which one to take, and which
-    others are near. It drives as one that explores does; where no passage leads it, it steers for the next place. A
-    route ends where the map has its last node, seen from the last divergence before it.
+    It starts on the first link of a route, a little beyond the node. From there on it knows of the map only the
+    positions of the next divergences relative to the last recognised one, the bearings of their exits, the exit to
+    take, and the places nearby. It drives like an exploring robot; where no passage leads it, it steers for the next
+    place. A route ends where the map has its last node, seen from the last divergence before it.
 
     Args:
       world: name or `World`: the building of the map, in whose frame this must be.
-      btm: the map that the routes are of.
+      btm: the map of the routes.
       found: routes of one link or more, from `jx.route` or `jx.routes`.
       robot: name or `Robot`.
       noise, tuning: `Noise`, `Tuning`, or mappings of some of their fields.
       seed: of the noise: route i draws as run i does.
       cell_m: edge of a cell of the world, metres.
       workers: see `runner.find_resources`.
-      on_progress: called with the number of routes driven so far.
+      on_progress: called with the number of finished routes.
 
     Returns:
       `Followed`.
@@ -101,7 +108,7 @@ def follow(
 
 
 def _driven(world, btm, found, robot, settings, seed, how):
-    """The `mission.Result` of all routes."""
+    """Drive all routes: their `mission.Result`."""
     building = building_of(world, marks_m=_refused_places(btm, found))
     begun = [start_of(world, building, robot, btm, route) for route in found]
     guides = _guides(world, btm, found, [start[1:] for start in begun])
@@ -122,7 +129,7 @@ def _driven(world, btm, found, robot, settings, seed, how):
 
 
 def _refused_places(btm, found):
-    """Middles of straight links that the map refuses to the robot of some routes: `[K, 3]`, as for `building_of`."""
+    """Return the middles of straight links that are refused to a route's robot: `[K, 3]`, as for `building_of`."""
     nodes, refused = {node.id: node for node in btm.nodes}, {own for route in found for own, _ in route.refused}
     places = []
     for link in btm.links:
@@ -134,7 +141,7 @@ def _refused_places(btm, found):
 
 
 def _checked(world, btm, found, robot, tuning, noise):
-    """`(Robot, Tuning, Noise)`, or a refusal."""
+    """Check and return `(Robot, Tuning, Noise)`."""
     btm = routes.checked(btm)
     body = routes.robot_of(robot) if isinstance(robot, str) else robot
     tuning = for_world(as_record("tuning", tuning or {}, Tuning), is_course=world.course is not None)
@@ -160,16 +167,17 @@ def _checked(world, btm, found, robot, tuning, noise):
 def start_of(
     world: World, building: vehicle.Building, robot: Robot, btm: BtmMap, route: Route
 ) -> tuple[np.ndarray, float, tuple[float, float]]:
-    """Where a robot that follows a route begins: on its first link, or a little beside it, for a map is off by as much
-    as the odometry of who wrote it; where it can turn, if there is such a place.
+    """Find the start of a robot that follows a route: on its first link, or near it; where it can turn, if possible.
+
+    A map is off by as much as the odometry of the robot that wrote it.
 
     Args:
-      world, building: `World` and the `Building` of it.
+      world, building: `World` and its `Building`.
       robot: `Robot`.
       btm, route: the map, and a route on it.
 
     Returns:
-      `(start, from_m, beside_m)`: `[3]` float32, from `pose_in`; how far from the node; x, y, how far beside the link.
+      `(start, from_m, beside_m)`: `[3]` float32, from `pose_in`; distance from the node; x, y, offset from the link.
 
     Raises:
       InputError: the robot fits nowhere there.
@@ -197,20 +205,20 @@ def start_of(
 
 
 def _turning(robot):
-    """A square in which a robot can turn, with some room."""
+    """Return a square in which a robot can turn, with some room."""
     side_m = math.hypot(robot.length_m, robot.width_m) + 2 * ROOM_M
     return dataclasses.replace(robot, length_m=side_m, width_m=side_m)
 
 
 def _is_free(world, pose):
-    """Whether a pose from `pose_in` lies in a free cell."""
+    """Return whether a pose from `pose_in` lies in a free cell."""
     row, col = (int(v // world.cell_m) for v in (pose[1], pose[0]))
     rows, cols = world.shape
     return 0 <= row < rows and 0 <= col < cols and not world.occupied[row, col]
 
 
 def _guides(world, btm, found, begun):
-    """`Guide` of arrays, one a route; `begun` is how far robots start from the node, and beside it, see `start_of`."""
+    """Make `Guide`s, arrays with one a route; `begun` holds distances from the node and offsets, see `start_of`."""
     nodes = {node.id: node for node in btm.nodes}
     made = []
     for route, (start_m, beside) in zip(found, begun):
@@ -236,13 +244,13 @@ def _guides(world, btm, found, begun):
 
 
 def _nearest(node, others):
-    """How the nearest of other nodes lie from one: pairs of metres."""
+    """Return the nearest of other nodes relative to one: pairs of metres."""
     legs = ((other.x_m - node.x_m, other.y_m - node.y_m) for other in others)
     return sorted(legs, key=lambda leg: math.hypot(*leg))[:OTHERS]
 
 
 def _ways(btm, node):
-    """Bearings of the ways of a node, radians."""
+    """Return bearings of the exits of a node, radians."""
     found = []
     for bearing in btm.bearings_deg(node):
         if all(abs(apart_deg(bearing, other)) > ONE_DEG for other in found):
@@ -281,11 +289,11 @@ def _table(world, btm, found, result):
     )
 
 
-# What is otherwise
+# Differences
 
 
 def _changed(btm, found, result, robot):
-    """The map with what was found otherwise, and sentences."""
+    """Return the map with the differences found, and sentences."""
     links = {link.id: link for link in btm.links}
     told, count = [], max(links, default=-1) + 1
     for i, route in enumerate(found):
@@ -302,14 +310,15 @@ def _changed(btm, found, result, robot):
 
 
 def _places(btm, route):
-    """The divergences on a route, with the step that leads to each: a list."""
+    """Return the divergences on a route, with the step that leads to each: a list."""
     types = {node.id: node.type for node in btm.nodes}
     return [step for step in route.steps if types[step.end] == "divergence"]
 
 
 def _blocked_link(btm, route, result, robot):
-    """The link of a route that its robot has found to be blocked: what stops it lies before its front. None if there is
-    none, or nobody knows which: its last place is none of the map's.
+    """Return the link of a route that its robot has found to be blocked: the obstacle lies before its front.
+
+    None if no link is blocked, or it is unknown because the robot's last place is not on the map.
     """
     guide = result.guide
     if not (guide.blocked | guide.walled) or (guide.strays and not guide.walled):
@@ -324,7 +333,7 @@ def _blocked_link(btm, route, result, robot):
 
 
 def _blocked(link, robot, *, walled):
-    """The link blocked, for all where there is a wall, and nothing of what maps said about that before."""
+    """Mark the link as blocked, for all robots if by a wall, and drop earlier statements about that."""
     own = {name: value for name, value in link.attributes.items() if name != BLOCKED_FOR}
     if isinstance(own.get(CONFLICTS), Mapping):
         own[CONFLICTS] = {name: told for name, told in own[CONFLICTS].items() if name not in (BLOCKED, BLOCKED_FOR)}
@@ -333,7 +342,7 @@ def _blocked(link, robot, *, walled):
 
 
 def _new_ways(btm, route, seen):
-    """Ways that were found at the places of a route: pairs of a node and a bearing, degrees."""
+    """Yield new exits at the places of a route: pairs of a node and a bearing, degrees."""
     for step, ways in zip(_places(btm, route), seen):
         for bearing in ways[np.isfinite(ways)]:
             yield step.end, math.degrees(float(bearing)) % 360.0

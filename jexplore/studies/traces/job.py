@@ -1,4 +1,4 @@
-"""What a trace is asked: a building, a robot, thresholds and noise, and which of them are swept."""
+"""Settings of a trace: a building, a robot, thresholds and noise, and which of them are swept."""
 
 import dataclasses
 import functools
@@ -38,7 +38,7 @@ MOST_STEPS = int(BOUNDS["max_steps"][1])
 STEPS_M2 = 100  # steps of 4 cm for each square metre of free area: four metres of way
 CLEARANCE_M = 0.5  # of starts that are drawn
 ROOMY = 128  # most nodes of a map of a building, at least
-SPARE = 2  # nodes that there is room for by default, for each place of the true map that is one
+SPARE = 2  # default room for nodes, for each node of the true map
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,37 +68,37 @@ class TraceJob:
 
     @property
     def is_narrow(self) -> bool:
-        """Whether the map has less room than there are places that a run should find."""
+        """Return whether the map has room for fewer nodes than a run should find."""
         return self.size[0] < self.places
 
     @property
     def places(self) -> int:
-        """Nodes of the true map, or of its part that the robot can reach."""
+        """Return the nodes of the true map, or of its part that the robot can reach."""
         return len(self.truth.map.nodes)
 
     def first_settings(self) -> tuple[Any, Tuning, Noise]:
-        """Robot, thresholds and noise of run 0: `(Robot, Tuning, Noise)`."""
+        """Return robot, thresholds and noise of run 0: `(Robot, Tuning, Noise)`."""
         return self.robot, *with_values(self.tuning, self.noise, own_values(self.swept, 0))
 
     @functools.cached_property
     def truths(self) -> tuple[tuple[BtmMap, ...], ...]:
-        """Of every start the maps that are true of a run from there: see `truth.maps_from`."""
+        """Return the correct maps of a run from every start: see `truth.maps_from`."""
         x_m, y_m = self.world.origin_m
         poses = [(float(x) + x_m, float(y) + y_m, math.degrees(heading)) for x, y, heading in self.begins]
         return tuple(maps_from(self.world, self.truth, pose) for pose in poses)
 
     @property
     def topology(self) -> BtmMap | None:
-        """The true map of run 0; None where none is known."""
+        """Return the true map of run 0; None if unknown."""
         return next(iter(self.truths[0]), None)
 
     def starts_of(self, runs: np.ndarray) -> np.ndarray:
-        """Where runs of these numbers begin: `[n, 3]` float32."""
+        """Return the starts of runs by their numbers: `[n, 3]` float32."""
         return self.begins[runs % len(self.begins)]
 
 
 def own_values(swept: dict[str, np.ndarray], i: int) -> dict[str, float]:
-    """The values of setting i."""
+    """Return the values of setting i."""
     return {name: int(v[i]) if name in WHOLE else float(v[i]) for name, v in swept.items()}
 
 
@@ -121,7 +121,7 @@ def prepare_trace(
     nodes: int | None = None,
     links: int | None = None,
 ) -> TraceJob:
-    """Checks everything before anything is compiled.
+    """Check everything before anything is compiled.
 
     Args:
       world: name or `World`. A course has its own start, and mostly a goal; in others the robot starts at `start`.
@@ -165,7 +165,7 @@ def prepare_trace(
 
 
 def room_for(world: World, truth: Truth, nodes: int | None = None, links: int | None = None) -> tuple[int, int]:
-    """Most nodes and links of a map.
+    """Return the most nodes and links of a map.
 
     By default `SIZE` of a course; where there is no goal `SPARE` nodes for each one of the true map, on a course that
     many at least, in other worlds `ROOMY`, in doublings, so that similar buildings share a program; two links a node.
@@ -180,7 +180,7 @@ def room_for(world: World, truth: Truth, nodes: int | None = None, links: int | 
 
 
 def _sound(world, robot, tuning, noise):
-    """Robot, thresholds and noise, those that are not given by default."""
+    """Check robot, thresholds and noise, with defaults for missing ones."""
     robot = robot_of(robot) if isinstance(robot, str) else robot
     tuning, noise = as_record("tuning", tuning or {}, Tuning), as_record("noise", noise or {}, Noise)
     tuning = for_world(tuning, is_course=world.course is not None)
@@ -189,7 +189,7 @@ def _sound(world, robot, tuning, noise):
 
 
 def _for_world(world, swept):
-    """Swept values with the numbers for which 0 stands."""
+    """Replace swept values of 0 by the numbers that they stand for."""
     own = for_world(Tuning(), is_course=world.course is not None)
     return {name: np.where(v == 0, getattr(own, name), v) if name in BY_WORLD else v for name, v in swept.items()}
 
@@ -205,13 +205,13 @@ def _has_goal(world):
 
 
 def _enough(world):
-    """Steps that suffice for a world, in whole `MAX_STEPS`."""
+    """Return the steps that suffice for a world, in whole `MAX_STEPS`."""
     wanted = MAX_STEPS if _has_goal(world) else STEPS_M2 * world.free_m2
     return int(min(-(-max(wanted, MAX_STEPS) // MAX_STEPS) * MAX_STEPS, MOST_STEPS))
 
 
 def _placed(world, ends, robot, tuning):
-    """`(building, truth, begins)`: see `TraceJob`."""
+    """Return `(building, truth, begins)`: see `TraceJob`."""
     poses, goal = ends
     begins = np.stack([pose_in(world, pose) for pose in poses])
     building = building_of(world, goal)
@@ -224,7 +224,7 @@ def _placed(world, ends, robot, tuning):
 
 
 def with_values(tuning, noise, values):
-    """Thresholds and noise with some values replaced; those of the noise have names like `noise.range_m`."""
+    """Replace some values of thresholds and noise; those of the noise have names like `noise.range_m`."""
     values = {name: v.astype(np.int32) if name in WHOLE and np.ndim(v) else v for name, v in values.items()}
     thresholds = {name: value for name, value in values.items() if not name.startswith(NOISE)}
     errors = {name.removeprefix(NOISE): value for name, value in values.items() if name.startswith(NOISE)}
@@ -232,7 +232,7 @@ def with_values(tuning, noise, values):
 
 
 def _loaded(world, cell_m, start, starts):
-    """The world of runs, with its ring; says so if starts are drawn outside a building."""
+    """Load the world of runs, with its ring; tell if starts are drawn outside a building."""
     (world,) = checks.ready_worlds([world], cell_m)
     if start is None and world.course is None and (starts or world.start is None):
         warn_of_outside(world, start_region(world, CLEARANCE_M))
@@ -240,7 +240,7 @@ def _loaded(world, cell_m, start, starts):
 
 
 def _ends(world, start, starts, seed) -> tuple[Any, Any]:
-    """Where runs start, a list of poses, and end, in the world's frame."""
+    """Return the starts of runs, a list of poses, and the end, in the world's frame."""
     goal = None if world.course is None else world.course.goal_m
     if start is not None:
         require_start_pose(start)

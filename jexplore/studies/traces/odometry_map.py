@@ -1,4 +1,4 @@
-"""The grid map that a robot would have drawn from where it took itself to be, and how much of it is right."""
+"""The grid map drawn from the robot's estimated poses, and its correct share."""
 
 import dataclasses
 import math
@@ -12,7 +12,7 @@ from jexplore.tracemap.merging.rigid import Move, fit
 from jexplore.worlds.readers.scans import ScanLog, ScanMap, fold_scans
 from jexplore.worlds.world import World
 
-NEAR_M = 0.1  # an occupied cell whose centre lies this near to a true wall is one of a wall
+NEAR_M = 0.1  # an occupied cell whose centre lies this near to a true wall is correct
 APART_M = 0.3  # a wall is doubled if it was drawn in places farther apart than this
 PIECE_M = 0.25  # length of the pieces of wall of which it is asked
 FEW = 4  # beams that a piece of wall must have stopped to count
@@ -41,7 +41,7 @@ class OdometryMap:
 
 @checked_names
 def odometry_map(log: ScanLog, world: World, *, cell_m: float = 0.1, p_free: float = 0.25) -> OdometryMap:
-    """Draws the grid map of a log by its odometry, by the rule of the reflection map, and holds it against the truth.
+    """Draw the grid map of a log by its odometry, as the reflection map, and compare it with the truth.
 
     The map is laid onto the true walls by iterated closest points, from several beginnings: as its way lies best on the
     true way, and as single scans along the way lie on theirs. The best one counts.
@@ -77,7 +77,7 @@ def odometry_map(log: ScanLog, world: World, *, cell_m: float = 0.1, p_free: flo
 
 
 def occupied_centres(drawn: ScanMap, p_free: float = 0.25) -> np.ndarray:
-    """Centres of the occupied cells of a `ScanMap`, see `grid.is_occupied`: `[n, 2]` float64, metres."""
+    """Return centres of the occupied cells of a `ScanMap`, see `grid.is_occupied`: `[n, 2]` float64, metres."""
     hits, misses = (np.asarray(a) for a in (drawn.grid.hits, drawn.grid.misses))  # on the host: every map has a shape
     cells = np.argwhere(hits.astype(np.float32) > np.float32(p_free) * (hits + misses).astype(np.float32))
     return (cells[:, ::-1] + 0.5) * drawn.cell_m + np.asarray(drawn.origin_m)
@@ -88,7 +88,7 @@ def _pairs(poses):
 
 
 def _beginnings(log):
-    """`Move`s that lay the odometry's way on the true one, roughly: as a whole, and at single scans."""
+    """Return `Move`s that roughly align the odometry's way with the true one: as a whole, and at single scans."""
     turn_deg = math.degrees(log.poses[0, 2] - log.odometry[0, 2])
     found = [fit(_pairs(log.odometry), _pairs(log.poses), turn_deg)]
     for i in np.unique(np.linspace(0, len(log.poses) - 1, BEGINNINGS).astype(int)):
@@ -100,7 +100,7 @@ def _beginnings(log):
 
 
 def _wall_points(world):
-    """Points along the true walls, `[P, 2]`, metres; of each the wall's normal, `[P, 2]`, and the piece it is of."""
+    """Return points along the true walls, `[P, 2]`, metres; the wall's normal at each, `[P, 2]`, and its piece."""
     lines = segments(walls_of(world.occupied, world.cell_m)) + np.tile(np.asarray(world.origin_m), 2)
     points, normals, pieces, count = [], [], [], 0
     for line in lines.astype(np.float64):
@@ -116,13 +116,13 @@ def _wall_points(world):
 
 
 def _placed(points, move):
-    """Points `[n, 2]` after a `Move`."""
+    """Transform points `[n, 2]` by a `Move`."""
     cos, sin = math.cos(math.radians(move.turn_deg)), math.sin(math.radians(move.turn_deg))
     return points @ np.array([[cos, sin], [-sin, cos]]) + [move.x_m, move.y_m]
 
 
 def _closest(points, walls, tree, move, gates_m):
-    """The `Move` that lays points nearest to walls, from one that does so roughly."""
+    """Refine a `Move` so that it lays points nearest to walls."""
     for gate_m in gates_m:
         off, at = tree.query(_placed(points, move), distance_upper_bound=gate_m)
         near = np.isfinite(off)
@@ -153,7 +153,7 @@ def _doubled(log, tree, normals, piece):
 
 
 def _ends(log, poses):
-    """Where beams end, seen from poses: `[N, B, 2]`, metres; at the poses where a beam has no echo."""
+    """Return the ends of beams, seen from poses: `[N, B, 2]`, metres; the poses themselves for a beam without echo."""
     angle = poses[:, 2:] + log.angles_rad
     length = np.where(log.echo, log.ranges, 0)
     return poses[:, None, :2] + length[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)

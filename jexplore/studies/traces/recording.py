@@ -25,7 +25,7 @@ POINT_EVERY = 5  # steps between two scans whose points are drawn
 
 
 def scan_points(plan: tracing.TraceJob, track: Driven) -> np.ndarray:
-    """Points of some scans of run 0 along its way, as they were measured: `[P, 2]`, metres, in the world's frame."""
+    """Return points of some scans of run 0 along its way, as measured: `[P, 2]`, metres, in the world's frame."""
     steps = np.arange(0, len(track.truth), POINT_EVERY)
     found = measured(plan, steps, track.truth[steps])
     angle = track.estimate[steps, 2:3] + vehicle.ANGLES_RAD
@@ -35,29 +35,29 @@ def scan_points(plan: tracing.TraceJob, track: Driven) -> np.ndarray:
 
 
 def _numbers(settings):
-    """A record of settings as numbers on the device."""
+    """Convert a record of settings to numbers on the device."""
     return jax.tree.map(lambda a: jnp.asarray(a[0]), tracing.numbers_of(settings, 1))
 
 
 def _key(plan):
-    """The key of run 0."""
+    """Return the key of run 0."""
     return jax.random.fold_in(random_key(np.uint32(plan.seed)), 0)
 
 
 def moved(poses: ArrayLike, origin_m: tuple[float, float]) -> np.ndarray:
-    """Poses `[n, 3]` in the world's frame."""
+    """Convert poses `[n, 3]` to the world's frame."""
     return np.asarray(poses) + np.array([*origin_m, 0.0], np.float32)
 
 
 def wall_lines(plan: tracing.TraceJob) -> np.ndarray:
-    """The building's walls in the world's frame: `[S, 4]`, metres."""
+    """Return the building's walls in the world's frame: `[S, 4]`, metres."""
     return segments(plan.building.walls) + np.tile(np.asarray(plan.world.origin_m), 2)
 
 
 @pinned_draws()
 @jax.jit
 def _frame(key, building, robot, tuning, noise, state):
-    """One step, and what was seen in it."""
+    """Make one step, and return its view."""
     draws = vehicle.draw_one(key, noise)
     senses = vehicle.sense(draws, building, robot, noise, state.body)
     after = mission.step(draws, building, robot, tuning, noise, state)
@@ -85,11 +85,11 @@ def _frame(key, building, robot, tuning, noise, state):
 
 
 def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> Recording:
-    """What the operator would have seen of run 0.
+    """Record the operator's view of run 0.
 
     Args:
       plan: `tracing.TraceJob`.
-      on_progress: called with the number of steps so far.
+      on_progress: called with the number of finished steps.
 
     Returns:
       `Recording`.
@@ -99,7 +99,7 @@ def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n:
     building = jax.device_put(plan.building)
     setup = mission.Setup(room_for(plan.max_steps), *plan.size)
     key = _key(plan)
-    # With the very types that a step returns, not weak ones: else the second step would be compiled once more.
+    # With exactly the types that a step returns, not weak ones: else the second step would be compiled once more.
     state = jax.tree.map(lambda a: jnp.asarray(a, a.dtype), mission.at_start(setup, building, robot, plan.begins[0]))
     frames, steps = [], 0
     while int(state.outcome) == mission.Outcome.RUNNING and steps < plan.max_steps:

@@ -31,7 +31,7 @@ def route(
     known_only: bool = False,
     within_m: float = WITHIN_M,
 ) -> Route:
-    """The shortest way over links that a robot may use.
+    """Find the shortest way over links that a robot may use.
 
     Args:
       btm: the map, such as `jx.read_btm("btm.json")`.
@@ -59,7 +59,7 @@ def routes(
     known_only: bool = False,
     within_m: float = WITHIN_M,
 ) -> list[list[Route]]:
-    """The routes of many robots between many pairs of places, side by side.
+    """Find the routes of many robots between many pairs of places, side by side.
 
     Robots that may use the same of the map are one problem.
 
@@ -99,7 +99,7 @@ def routes(
 
 
 def checked(btm: BtmMap) -> BtmMap:
-    """The map with plain values.
+    """Check the map: with plain values.
 
     Raises:
       InputError: it is no proper map, or one without a node.
@@ -114,7 +114,7 @@ def checked(btm: BtmMap) -> BtmMap:
 
 @dataclasses.dataclass(frozen=True)
 class _Use:
-    """What a robot may use of a map."""
+    """Usable part of a map for a robot."""
 
     robot: Robot
     refused: tuple[tuple[int, tuple[str, ...]], ...]  # links with reasons, by id, un-searched ones included
@@ -149,7 +149,7 @@ def _goal(index: Index, place: Place, within_m: float) -> int | None:
 
 
 def _node(index: Index, place: Place, name: str, within_m: float) -> int:
-    """The id of the node that is meant."""
+    """Find the id of the requested node."""
     ids = index.nodes
     numbers = _numbers(place)
     if numbers is None:
@@ -167,14 +167,14 @@ def _node(index: Index, place: Place, name: str, within_m: float) -> int:
 
 
 def _named(ids):
-    """Ids of nodes in a sentence."""
+    """Format ids of nodes in a sentence."""
     if len(ids) <= MANY:
         return f"node{'s' * (len(ids) > 1)} {', '.join(map(str, ids))}"
     return f"{len(ids)} nodes, with ids from {ids[0]} to {ids[-1]}"
 
 
 def _numbers(place):
-    """A place as a tuple of one whole number or two numbers; None for anything else."""
+    """Convert a place to a tuple of one whole number or two numbers; None for anything else."""
     try:
         if isinstance(place, str):
             parts = place.split(",")
@@ -190,7 +190,7 @@ def _numbers(place):
 
 
 def _made(sheet, use, pair, walk):
-    """The `Route` of a robot, from its way or None."""
+    """Make the `Route` of a robot, from its way or None."""
     (start, goal), seeks = pair, pair[1] is None
     about = {"robot": use.robot.name, "start": start, "barriers": use.barriers}
     about["refused"] = use.refused if seeks else use.refused_ways
@@ -214,7 +214,7 @@ def _made(sheet, use, pair, walk):
 
 
 def _trouble(sheet, use, start, goal):
-    """Why there is no way: a sentence."""
+    """Explain why there is no way: a sentence."""
     part = sheet.part
     if goal is not None and part[goal] == part[start]:
         return f"{use.robot.name} cannot get from node {start} to node {goal}"

@@ -1,4 +1,4 @@
-"""What the scanner that looks ahead said along the way of a run that wrote a Behavioral Trace Map."""
+"""Scans of the forward scanner along the way of a trace run."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ TOGETHER = 64  # scans that are made in one call
 
 
 def scans_of(plan: TraceJob, way: Driven, *, setting: int = 0, run: int = 0, every: int = EVERY) -> ScanLog:
-    """Scans of a run, as they were measured, noise included.
+    """Reproduce the scans of a run as they were measured, noise included.
 
     Args:
       plan: `TraceJob`.
@@ -26,9 +26,8 @@ def scans_of(plan: TraceJob, way: Driven, *, setting: int = 0, run: int = 0, eve
       every: steps between two scans.
 
     Returns:
-      `ScanLog` in the world's frame: `poses` are true, `odometry` is where the robot took itself to be: odometry,
-      corrected by scans and at nodes met again. Readings are distances in the plane; 0 where there is none, or where a
-      beam has met ground.
+      `ScanLog` in the world's frame: `poses` are true, `odometry` holds the estimated poses: odometry, corrected by
+      scans and at nodes met again. Readings are distances in the plane; 0 for none, or for a beam that has met ground.
     """
     steps = np.arange(0, len(way.truth), every)
     ranges = measured(plan, steps, way.truth[steps], setting=setting, run=run)
@@ -45,12 +44,12 @@ def scans_of(plan: TraceJob, way: Driven, *, setting: int = 0, run: int = 0, eve
 
 
 def measured(plan: TraceJob, steps: np.ndarray, poses: np.ndarray, *, setting: int = 0, run: int = 0) -> np.ndarray:
-    """What the scanner said in some steps of a run, in the plane, see `vehicle.levelled`.
+    """Compute the scans in some steps of a run, in the plane, see `vehicle.levelled`.
 
     Args:
       plan: `TraceJob`.
       steps: `[n]` int.
-      poses: `[n, 3]` float32, where the robot truly was in these, in the building.
+      poses: `[n, 3]` float32, true poses of the robot in these, in the building.
       setting, run: numbers of the run.
 
     Returns:

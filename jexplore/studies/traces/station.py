@@ -29,9 +29,9 @@ NONE = {
 
 @checked_names
 def station(maps: Sequence[BtmMap], names: Sequence[str] | None = None, *, title: str | None = None) -> str:
-    """Maps of robots as one HTML file that works without a network: the maps drawn, and routes over them.
+    """Show maps of robots as one HTML file that works without a network: the maps drawn, and routes over them.
 
-    Maps that fit are merged as by `merge_maps`; those that do not stand beside the global map, each in its own frame.
+    Maps that fit are merged as by `merge_maps`; the others are shown next to the global map, each in its own frame.
 
     Args:
       maps: one or more, such as `jx.read_btm("btm.json")`.
@@ -49,7 +49,7 @@ def station(maps: Sequence[BtmMap], names: Sequence[str] | None = None, *, title
 
 
 def page_of(panels: Sequence[Panel], said: Sequence[str], title: str | None = None) -> str:
-    """The page of what `panels_of` found."""
+    """Make the page of the result of `panels_of`."""
     names = [name for panel in panels for name in panel.maps]
     return station_page(title or f"Station: {', '.join(names)}", panels, list(ROBOTS.values()), said)
 
@@ -59,7 +59,7 @@ def panels_of(
     names: Sequence[str] | None = None,
     on_progress: Callable[[int], object] = lambda compared: None,
 ) -> tuple[list[Panel], list[str]]:
-    """Maps merged as far as they fit.
+    """Merge maps as far as they fit.
 
     Args:
       maps, names: as of `station`.
@@ -91,7 +91,7 @@ def panels_of(
 
 
 def _panels(given, on_progress):
-    """The same of two maps or more, by name."""
+    """Merge two maps or more, by name."""
     groups, left, outcome = [], given, Merging.MERGED
     while len(left) > 1:
         once = {} if groups else {"on_progress": on_progress}
@@ -119,6 +119,6 @@ def _joined(found: Merged, given, main):
 
 
 def _outcome(main, btm):
-    """Why a map is no part of another. Where it would fit alone, the maps that it is one with do not."""
+    """Explain why a map is not part of another. If it would fit alone, the maps merged with it do not."""
     outcome = match(main, btm).outcome
     return outcome if outcome in WHY else Merging.NOT_ENOUGH_IN_COMMON

@@ -1,4 +1,4 @@
-"""How many bytes a building takes as a Behavioral Trace Map, as a packed grid and as a pose graph."""
+"""Bytes of a building as a trace map, as a packed grid and as a pose graph."""
 
 import json
 import math
@@ -23,7 +23,7 @@ from jexplore.worlds.readers.scans import ScanMap
 from jexplore.worlds.world import World, with_ring
 
 CELLS_A_BYTE = 4  # two bits a cell: unknown, free, occupied
-POSE_EVERY_M = 1.0  # a pose graph has a pose for so much way, with a scan
+POSE_EVERY_M = 1.0  # m of way per pose with a scan in a pose graph
 POSE_BYTES = 3 * 4  # x, y, heading, float32
 EDGE_BYTES = 2 * 4 + 3 * 4 + 6 * 4  # two poses, the motion between, the upper half of its information, float32
 P_FREE = 0.25  # largest reflection probability of a free cell
@@ -44,11 +44,11 @@ def storage(
     drawn: ScanMap | None = None,
     cell_m: float = 0.1,
 ) -> dict[str, int]:
-    """Bytes that a building takes in several forms.
+    """Count the bytes of a building in several forms.
 
     Args:
       world: name or `World`.
-      btm: its map; by default the true one of a course, else what is read off the finished plan, see
+      btm: its map; by default the true one of a course, else that extracted from the finished plan, see
         `extraction.extract`.
       drawn: a grid map from scans; by default the finished plan, whose straight walls compress better.
       cell_m: edge of a cell, metres.
@@ -56,7 +56,7 @@ def storage(
     Returns:
       Name -> bytes: `btm_json`, without spaces; `btm_packed`, see `packed`; `grid_packed`, two bits a cell of the
       building's bounding box; `pose_graph`, a pose with a scan and an edge to the next for every metre of searched
-      link, and an edge for every link that closes a way round. `_zlib` behind the first three: compressed.
+      link, and an edge for every link that closes a cycle. `_zlib` after the first three: compressed.
 
     Raises:
       InputError: no such world.
@@ -77,12 +77,12 @@ def storage(
 
 
 def _read_off(free, cell_m):
-    """The map that a robot is to write there."""
+    """Return the map that a robot should write there."""
     return extract(free, np.ones_like(free), cell_m, open_m=for_world(Tuning(), is_course=False).open_m)
 
 
 def packed(btm: BtmMap) -> bytes:
-    """The map as two arrays of records, one behind the other: 8 bytes a node, 16 a link, without attributes.
+    """Pack the map into two arrays of records, one after the other: 8 bytes a node, 16 a link, without attributes.
 
     Places, lengths and bearings are whole centimetres and degrees of 16 bits, widths and openings decimetres, steps
     centimetres and inclinations degrees of 8 bits; a type and its obstacle are one number, so are status and a link
@@ -112,25 +112,25 @@ def packed(btm: BtmMap) -> bytes:
 
 
 def _whole(value, scale, size=1):
-    """A measure as a whole number of so many bytes."""
+    """Encode a measure as a whole number of `size` bytes."""
     return UNKNOWN if value is None else min(round(value * scale), 2 ** (8 * size - 1) - 1)
 
 
 def _plan(world):
-    """States of cells of the finished plan: 0 unknown, 1 free, 2 occupied and beside a free one."""
+    """Return states of cells of the finished plan: 0 unknown, 1 free, 2 occupied and next to a free one."""
     free = ~world.occupied
     beside = ndimage.binary_dilation(free, np.ones((3, 3), bool))
     return np.where(free, 1, np.where(beside, 2, 0)).astype(np.uint8)
 
 
 def _drawn(drawn):
-    """States of cells of a `ScanMap`, likewise."""
+    """Return states of cells of a `ScanMap`, as `_plan`."""
     known, occupied = is_known(drawn.grid), is_occupied(drawn.grid, P_FREE)
     return np.asarray(known).astype(np.uint8) + np.asarray(occupied)
 
 
 def _grid(states):
-    """Two bits a cell of the bounding box of what is known."""
+    """Pack the bounding box of the known cells, two bits a cell."""
     seen = np.argwhere(states)
     (top, left), (bottom, right) = seen.min(axis=0), seen.max(axis=0) + 1
     flat = states[top:bottom, left:right].reshape(-1)
@@ -139,7 +139,7 @@ def _grid(states):
 
 
 def _pose_graph(btm):
-    """Bytes of poses, one scan each, and edges."""
+    """Return the bytes of poses, one scan each, and edges."""
     searched = [link for link in btm.links if link.end != NOWHERE]
     way_m = sum(link.length_m or 0.0 for link in searched)
     poses = 1 + math.ceil(way_m / POSE_EVERY_M)

@@ -40,7 +40,7 @@ FIRST = "_first"  # column of a unit's file: map and way of run 0
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Traced:
-    """What `trace` found."""
+    """Result of `trace`."""
 
     plan: TraceJob
     table: Any
@@ -50,7 +50,7 @@ class Traced:
     driven: Driven
     """Way of run 0."""
     costs: Costs
-    """What the runs cost that were made here."""
+    """Costs of the runs that were made here."""
     maps: dict[int, BtmMap] = dataclasses.field(default_factory=dict)
     """Number of a run, in the order of the table -> its map; of the runs that were made here."""
     resumed: int = 0
@@ -58,23 +58,23 @@ class Traced:
 
     @property
     def truth(self) -> BtmMap | None:
-        """The true map, a `BtmMap`: see `TraceJob.topology`."""
+        """Return the true map, a `BtmMap`: see `TraceJob.topology`."""
         return self.plan.topology
 
     def scans(self) -> ScanLog:
-        """What the scanner of run 0 said along its way, a `ScanLog`: see `scans.scans_of`."""
+        """Return the scans of run 0 along its way, a `ScanLog`: see `scans.scans_of`."""
         return scans_of(self.plan, self.driven)
 
 
 def blocks_of(plan: TraceJob) -> list[tuple[int, int]]:
-    """The units of a plan: a list of `(first run, number of runs)`."""
+    """Return the units of a plan: a list of `(first run, number of runs)`."""
     n = plan.runs * plan.settings
     size = max(LEAST, -(-n // MOST_UNITS))
     return [(first, min(size, n - first)) for first in range(0, n, size)]
 
 
 def asked(plan: TraceJob) -> dict[str, Any]:
-    """All that the results of a plan depend on, as plain values."""
+    """Return all that the results of a plan depend on, as plain values."""
     return {
         "version": __version__,
         "world": os.fspath(plan.world.name),
@@ -94,13 +94,13 @@ def execute(
     on_progress: Callable[[int], Any] | None = None,
     ledger: Ledger | None = None,
 ) -> Traced:
-    """Makes the runs of a plan that the ledger does not have.
+    """Make the runs of a plan that the ledger does not have.
 
     Args:
       plan: `TraceJob`.
       engine, lanes, workers: see `runner.find_resources`; results are equal but for rounding.
-      on_progress: called with the number of runs finished so far, those that were there before included.
-      ledger: where units, those of `blocks_of`, are kept as soon as they are finished.
+      on_progress: called with the number of finished runs, including earlier ones.
+      ledger: stores units, those of `blocks_of`, as soon as they are finished.
 
     Returns:
       `Traced`. After Ctrl-C it holds what was finished.
@@ -127,7 +127,7 @@ def execute(
 
 
 def _run(plan, made, how):
-    """Makes what is left: `Costs`."""
+    """Make the missing runs: `Costs`."""
     n, (tuning, noise) = len(made.which), made.tuning_and_noise
     report = batch.run_missions(
         plan.building,
@@ -148,7 +148,7 @@ def _run(plan, made, how):
 
 
 class _Made:
-    """What has been made of a plan."""
+    """Finished runs of a plan."""
 
     def __init__(self, plan, ledger):
         self.plan, self.ledger, self.blocks = plan, ledger, blocks_of(plan)
@@ -165,11 +165,11 @@ class _Made:
 
     @property
     def tuning_and_noise(self):
-        """`(Tuning, Noise)` of arrays, a value a run where one is swept."""
+        """Return `(Tuning, Noise)` of arrays, a value a run where one is swept."""
         return with_values(self.plan.tuning, self.plan.noise, self.chosen)
 
     def put(self, place, result, driven, keep=True):
-        """Takes the runs of a block, the one at this place in `left`."""
+        """Take the runs of a block, the one at this place in `left`."""
         unit = self.left[place]
         at = slice(self.blocks[unit][0], sum(self.blocks[unit]))
         own = {name: values[at] for name, values in self.chosen.items()}
@@ -182,7 +182,7 @@ class _Made:
             self.ledger.put(unit, self.tables[unit].assign(**extra))
 
     def add_rest(self, report):
-        """Takes what has ended of blocks that have not, because the run was interrupted; it is not kept."""
+        """Take the finished runs of blocks interrupted on the way; they are not kept."""
         for place, unit in enumerate(self.left):
             if unit not in self.tables:
                 at = slice(self.blocks[unit][0], sum(self.blocks[unit]))
@@ -190,7 +190,7 @@ class _Made:
 
 
 def _written_first(first):
-    """Map and way of run 0 as bytes, from which `_read_first` makes them again."""
+    """Encode map and way of run 0 as bytes, from which `_read_first` makes them again."""
     found, driven = first
     file = io.BytesIO()
     page = json.dumps(store.jsonable(json_form.to_json(found)))
@@ -215,20 +215,20 @@ def trace(
     progress: bool | None = None,
     **options: Any,
 ) -> Traced:
-    """Lets a robot drive through a building and write its Behavioral Trace Map, once or many times.
+    """Let a robot drive through a building and write its trace map, once or many times.
 
     Args:
       world: name or `World`.
       engine, lanes, workers: see `runner.find_resources`; results are equal but for rounding.
-      on_progress: called with the number of runs finished so far.
-      progress: whether a bar shows that; by default in notebooks.
+      on_progress: called with the number of finished runs.
+      progress: show a bar; by default in notebooks.
       **options: see `prepare_trace`.
 
     Returns:
       `Traced`.
 
     Raises:
-      InputError: what cannot be run, in one line.
+      InputError: the reason why it cannot run, in one line.
     """
     require_engine(engine, lanes)
     plan = prepare_trace(world, **options)
@@ -237,7 +237,7 @@ def trace(
 
 
 def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
-    """The map of run i of a `Result` as the robot wrote it: `BtmMap`."""
+    """Return the map of run i of a `Result` as the robot wrote it: `BtmMap`."""
     import jax
 
     own = jax.tree.map(lambda a: a[i], result.map)
@@ -254,7 +254,7 @@ def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
 
 
 def _helps(help_at, origin_m):
-    """Where, when and in which run mode the operator helped, of the first helps: text."""
+    """Describe place, time and run mode of the first operator helps: text."""
     rows = help_at[np.isfinite(help_at[:, 0])]
     told = []
     for x, y, step, mode in rows:
@@ -264,7 +264,7 @@ def _helps(help_at, origin_m):
 
 
 def table_of(plan: TraceJob, result: Any, setting: Any, which: Any, chosen: dict[str, Any]) -> tuple[Any, list[BtmMap]]:
-    """The table of runs that have ended, and the maps of all, what contradicted itself in them taken out.
+    """Return the table of finished runs, and all their maps, repaired.
 
     Args:
       plan: `TraceJob`.

@@ -1,4 +1,4 @@
-"""What a run in a building should have found: junctions and doors of the true map, and which nodes are none of them."""
+"""Truth for a run in a building: junctions and doors to be found, and nodes that match none of them."""
 
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ NEAR_M = 0.5  # a junction is reached within this, or within its circle if that 
 
 
 class Truth(NamedTuple):
-    """Where a robot of some size finds what a Behavioral Trace Map is made of."""
+    """Places where a robot of some size finds the nodes of a trace map."""
 
     map: BtmMap  # of a course its topology, else what `extract` makes of the true map
     marks: np.ndarray  # [K, 3] float, x, y, metres, in the world's frame; radius within which the place is reached
@@ -27,14 +27,14 @@ class Truth(NamedTuple):
 
 
 def truth_of(world: World, start_rc: tuple[int, int], width_m: float, open_m: float, coast_m: float = 0.0) -> Truth:
-    """What there is to find in a world, as far as a robot gets.
+    """Find the places of a world that a robot can reach and should map.
 
     Args:
       world: `World`.
       start_rc: row and col of a cell that the robot can reach.
       width_m: of the robot.
       open_m: see `extract`.
-      coast_m: so far before the mouth of a passage into free space the robot has its divergence, metres.
+      coast_m: distance of the robot's divergence before the mouth of a passage into free space, metres.
 
     Returns:
       `Truth`. Junctions are nodes of type divergence and free space. Without true rooms there are no doors.
@@ -74,17 +74,17 @@ def truth_of(world: World, start_rc: tuple[int, int], width_m: float, open_m: fl
 
 
 def maps_from(world: World, truth: Truth, pose: tuple[float, float, float]) -> tuple[BtmMap, ...]:
-    """The maps that are true of a run that begins at a pose: any of them will do.
+    """Return the correct maps of a run that begins at a pose, any of which will do.
 
     Args:
       world: `World`.
-      truth: of it, `Truth`.
+      truth: its `Truth`.
       pose: x, y, metres, in the world's frame; heading, degrees.
 
     Returns:
       Of a course with a goal its topology, from its own start alone. Of one without a goal the topology as begun there:
-      two where the heading is square to the link, for it has no ahead. None of other worlds, nor where the start lies
-      in the circle of a divergence: it is on no link then.
+      two where the heading is square to the link, as it has no side ahead. None of other worlds, nor if the start lies
+      in the circle of a divergence, off all links.
     """
     course = world.course
     if course is None:
@@ -101,7 +101,7 @@ def maps_from(world: World, truth: Truth, pose: tuple[float, float, float]) -> t
 
 
 def _around(clear, cell):
-    """The connected part of a mask in which a cell lies, or that is nearest to it."""
+    """Return the connected part of a mask in which a cell lies, or that is nearest to it."""
     if not clear.any():
         return clear
     parts = label_components(clear)
@@ -111,11 +111,11 @@ def _around(clear, cell):
 
 
 def false_divergences(found: BtmMap, node_at: np.ndarray, truth: Truth) -> int:
-    """How many divergences of a map are none.
+    """Count the false divergences of a map.
 
     Args:
       found: `BtmMap`.
-      node_at: `[N, 2]`, where the robot truly was when it made each node, in the world's frame.
+      node_at: `[N, 2]`, true positions of the robot when it made each node, in the world's frame.
       truth: `Truth`.
     """
     places, around_m = truth.marks[~truth.is_door], truth.around_m[~truth.is_door]

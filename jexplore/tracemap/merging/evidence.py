@@ -1,4 +1,4 @@
-"""What a guess about two maps is worth: how much likelier they are as maps of one place than of two that look alike."""
+"""Evidence for a guess about two maps: log likelihood of one place against two that look alike."""
 
 import collections
 import math
@@ -7,21 +7,21 @@ from collections.abc import Callable, Iterable
 from jexplore.tracemap.merging.walk import Guess, Pair
 from jexplore.tracemap.merging.ways import Places, Way
 
-PRIOR = 4.0  # what is believed about buildings counts as much as so many nodes or links of the two maps
+PRIOR = 4.0  # prior beliefs about buildings weigh as much as this many nodes or links of the two maps
 ALIKE = 0.15  # chance that two places look alike, in buildings at large
 LENGTH_M, SPREAD = 5.0, 0.7  # lengths of ways in buildings at large: median, standard deviation of the logarithm
 WIDTH_M = 0.1  # standard deviation of a width between two maps
 WIDE_M = 3.0  # widths of passages at large lie between 0 and this
 INCLINATION_DEG = 1.0
 STEEP_DEG = 30.0
-STRAY = 0.1  # chance that a width or an inclination is one map's mistake
+STRAY = 0.1  # probability that a width or an inclination is an error of one map
 LOST = 2.5  # nats: what a link takes away that only one map has at a node
 FAR = 40.0  # standard deviations, as good as never
 CONTRADICTION = 5.0  # nats: what a contradiction takes away
 
 
 class Evidence:
-    """Weighs guesses about two maps by what is common in them: a corner says little where there are many."""
+    """Weights of guesses about two maps: a common corner says little where corners are many."""
 
     def __init__(self, pair: Pair) -> None:
         self.pair = pair
@@ -37,12 +37,12 @@ class Evidence:
 
     @property
     def tries(self) -> float:
-        """Logarithm of how many ways there are to lay one map on the other."""
+        """Return the logarithm of the number of ways to lay one map on the other."""
         first = sum(map(len, self.pair.one.ways.values()))
         return math.log(max(first * len(self.pair.other.ways), 1))
 
     def gain(self, guess: Guess) -> float:
-        """Logarithm of the likelihood ratio, nats: nodes, lengths, widths, inclinations, less contradictions."""
+        """Return the log likelihood ratio, nats: nodes, lengths, widths, inclinations, less contradictions."""
         whole = [(way, match) for way, match in guess.ways if way.is_whole and match.is_whole]
         total = sum(self._node(*entry) for entry in guess.entries) + self._lengths(whole)
         measured = set()
@@ -61,7 +61,7 @@ class Evidence:
         return total - CONTRADICTION * len(guess.contradictions)
 
     def _node(self, a, i, b, j):
-        """A node that looks alike, by how many others would as well."""
+        """Return the evidence of a node that looks alike, by how many others would as well."""
         pair = self.pair
         likeness = pair.alike((pair.one, a, i), (pair.other, b, j))
         lost = likeness.lost if likeness else 0
@@ -71,7 +71,7 @@ class Evidence:
         return -math.log((PRIOR * ALIKE + alike) / (PRIOR + others)) - LOST * lost
 
     def _found(self, a, i):
-        """What looks like a place of the first map: how often by what it lacks, and the same by place of the second."""
+        """Count the places like one of the first map by the number of missing exits, and by place of the second."""
         if (a, i) not in self._alike:
             pair, found, at = self.pair, collections.Counter(), collections.defaultdict(list)
             for part in (pair.one, pair.other):
@@ -90,7 +90,7 @@ class Evidence:
         return _bell(length - other, math.sqrt(self._noise2 + self._scale2 * other**2))
 
     def _lengths(self, pairs):
-        """Lengths, all wrong by one factor that is not known and each a little besides."""
+        """Return the evidence of lengths, all wrong by one unknown factor and each by a small error."""
         noise2, scale2 = self._noise2, self._scale2
         off = [match.length_m - way.length_m for way, match in pairs]
         square = sum(way.length_m**2 for way, _ in pairs) / noise2 * scale2
@@ -105,7 +105,7 @@ class Evidence:
 
 
 def whole_ways(part: Places) -> list[Way]:
-    """Ways between places, each once."""
+    """Return ways between places, each once."""
     found = []
     for a, ways in part.ways.items():
         found += [way for i, way in enumerate(ways) if way.is_whole and (a, i) < (way.end, way.back)]
@@ -113,13 +113,13 @@ def whole_ways(part: Places) -> list[Way]:
 
 
 class _Usual:
-    """How usual a value is among those of both maps and in buildings at large."""
+    """Frequency of a value in both maps and in buildings at large."""
 
     def __init__(self, values: Iterable[float | None], bell: Callable[[float, float], float]) -> None:
         self._values, self.bell, self._sums = [value for value in values if value is not None], bell, {}
 
     def density(self, value: float, match: float, at_large: float) -> float:
-        """Of a value; it, and the one that it is matched with, are not counted."""
+        """Return the density of a value, without counting it and the matched one."""
         if value not in self._sums:
             self._sums[value] = sum(self.bell(value, other) for other in self._values)
         others = max(self._sums[value] - self.bell(value, value) - self.bell(value, match), 0.0)
@@ -135,7 +135,7 @@ def _as_steep(value, other):
 
 
 def _ratio(one, other, usual: _Usual, span):
-    """What two values are worth that should be equal; nothing where one is not known."""
+    """Return the evidence of two values that should be equal; 0 if one is unknown."""
     if one is None or other is None:
         return 0.0
     return math.log((1 - STRAY) * usual.bell(other, one) / usual.density(other, one, 1 / span) + STRAY)

@@ -14,11 +14,11 @@ _EDGE_M = 0.01  # a stop lies no nearer to the end of a whole way
 
 
 def join(one: BtmMap, other: BtmMap, match: Match) -> BtmMap:
-    """The second map joined to the first, in the frame of the first.
+    """Join the second map to the first, in the frame of the first.
 
-    Places and bearings of what is matched are the means, every map counting once. Lengths are the means too; of widths
-    the least, of inclinations and steps the most. A searched link wins over an un-searched one. A terminal node of one
-    map on a link of the other divides it; both parts have the extremes of the whole. Ways that contradict stay both.
+    Matched places and bearings are averaged, every map counting once. So are lengths; of widths the least counts, of
+    inclinations and steps the most. A searched link wins over an un-searched one. A terminal node of one map on a link
+    of the other divides it; both parts have the extremes of the whole. Contradicting ways are both kept.
 
     Args:
       one, other: maps whose nodes and links have no attribute but `FROM`, by which maps are counted.
@@ -69,7 +69,7 @@ def _weight(item):
 
 
 def _from(*items):
-    """`FROM` of what is one now. Pieces of one link count as one."""
+    """Merge the `FROM` of matched items. Pieces of one link count as one."""
     return {FROM: {name: key for item in items for name, key in item.attributes[FROM].items()}}
 
 
@@ -92,7 +92,7 @@ def _node(a: Node, b: Node) -> Node:
 
 
 def _bundles(ways):
-    """Ways that are one: lists of `(map, way, whether it is seen from the far end)`.
+    """Bundle equal ways: lists of `(map, way, bool: seen from the far end)`.
 
     A way that one map has gone along may be known to the other at both ends: these are three then.
     """
@@ -133,7 +133,7 @@ def _strand(side, way, turned, ids, is_far):
 
 
 def _pieces(strands: list[_Strand]):
-    """The links of ways that are one, outwards, each with its place in the order: `(map, id of a link)`."""
+    """Yield the links of equal ways, outwards, each with its place in the order: `(map, id of a link)`."""
     stops = _common_stops(strands)
     order = {node: k for k, (node, _) in enumerate(stops, 1)}
     covers = [[] for _ in range(len(stops) + 1)]
@@ -162,7 +162,7 @@ def _pieces(strands: list[_Strand]):
 
 
 def _common_stops(strands):
-    """Stops of all strands in order: `(node, metres)`; the end of a whole way is the last."""
+    """Merge stops of all strands in order: `(node, metres)`; the end of a whole way is the last."""
     whole = [strand for strand in strands if strand.is_whole and strand.length_m > 0]
     length = _mean([strand.length_m for strand in whole], [_strand_weight(strand) for strand in whole])
     last, at = next((strand.stops[-1][0] for strand in strands if strand.is_whole), None), {}
@@ -182,7 +182,7 @@ def _strand_weight(strand):
 
 
 def _piece(cover, start, end, length_m, back_before):
-    """A link from stop to stop, made of those that cover it: `(map, link, forward, begins here, ends here)`.
+    """Join the links from stop to stop: `(map, link, forward, begins here, ends here)`.
 
     Returns:
       `Link` in the direction of the first, and the direction in which it leaves its far end.
@@ -211,6 +211,6 @@ def _piece(cover, start, end, length_m, back_before):
 
 
 def _near(link, forward):
-    """Direction in which a link leaves the stop that one comes from."""
+    """Return the direction in which a link leaves the stop that one comes from."""
     bearing = link.start_bearing_deg if forward else link.end_bearing_deg
     return link.start_bearing_deg if bearing is None else bearing

@@ -1,4 +1,4 @@
-"""Which nodes of two Behavioral Trace Maps are the same places: the guess that explains most, if no other rivals it."""
+"""Matching of two trace maps: the guess that explains most, if no other rivals it."""
 
 import dataclasses
 import enum
@@ -20,7 +20,7 @@ PART = 2.0  # nats that a part must be worth that hangs together by ways which o
 
 
 class Merging(enum.Enum):
-    """How a merge ended."""
+    """Outcome of a merge."""
 
     MERGED = "merged"
     NOT_ENOUGH_IN_COMMON = "not enough in common"
@@ -29,7 +29,7 @@ class Merging(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class Match:
-    """What two maps have in common."""
+    """Common part of two maps."""
 
     outcome: Merging
     nodes: dict[int, int]
@@ -37,7 +37,7 @@ class Match:
     ways: tuple[tuple[Way, Way], ...]
     """Ways of places that are matched, of the first map and of the second, each once."""
     contradictions: tuple[tuple[Way, Way], ...]
-    """Ways of places that are matched, likewise, which leave alike and go on otherwise."""
+    """Pairs of ways of matched places that leave alike and continue differently."""
     beside: tuple[int, ...]
     """Nodes of the first map that are matched because they lie where they should, see `with_neighbours`."""
     move: Move
@@ -58,17 +58,17 @@ class _Candidate:
 
 
 def match(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_common: int = 3) -> Match:
-    """What two proper maps have in common.
+    """Find the common part of two proper maps.
 
     Guesses are grown from every pair of nodes that look alike, and weighed. The best one holds if it has enough nodes,
-    is worth enough and no rival is worth nearly as much. Where it contradicts itself, the second map in a mirror is a
-    rival, too: what a building and its mirror image have in common ends in nodes whose links leave the other way round.
-    Then parts are added that lie where they should but hang on it only by ways that one map lacks, and last what lies
-    where it should though it looks otherwise: `with_neighbours`.
+    enough evidence and no rival nearly as good. If it contradicts itself, the mirrored second map is a rival too: the
+    common part of a building and its mirror image ends in nodes whose links leave the other way round. Then parts are
+    added that lie at the expected position but connect only by ways that one map lacks; last, by `with_neighbours`,
+    nodes at the expected position that look different.
 
     Args:
       one, other: the maps.
-      limits: how far they may be apart where they show one place.
+      limits: tolerances for one place in both maps.
       min_common: least number of nodes in common.
     """
     pair, evidence, found = _weighed(one, other, limits or Limits())
@@ -101,7 +101,7 @@ def match(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_commo
 
 
 def _weighed(one, other, limits):
-    """The pair, its evidence, and what its guesses are worth, the best first: a list of `_Candidate`."""
+    """Return the pair, its evidence, and its weighed guesses, the best first: a list of `_Candidate`."""
     pair = Pair(places_of(one), places_of(other), limits)
     evidence, found, places = Evidence(pair), [], (_places(one), _places(other))
     for guess in pair.guesses():
@@ -117,12 +117,12 @@ def _links(way, match):
 
 
 def _same_stops(guess, limits):
-    """Terminal nodes of two maps at one point of a way: `{of the second: of the first}`."""
+    """Return terminal nodes of two maps at one point of a way: `{of the second: of the first}`."""
     whole = [(way.length_m, match.length_m) for way, match in guess.ways if way.is_whole and match.is_whole]
     noise2, scale2 = limits.length_m**2 / 4 + 1e-6, limits.length_share**2 * 2 / 3 + 1e-9
     first, second = (sum(lengths[side] ** 2 for lengths in whole) / noise2 + 1 / scale2 for side in (0, 1))
-    scale = (second / first) ** 0.25  # half of it to either map
-    unsure = (first * second) ** -0.25  # standard deviation of what the ways leave open of it
+    scale = (second / first) ** 0.25  # half of the correction to either map
+    unsure = (first * second) ** -0.25  # standard deviation of the scale that the ways leave open
     same = {}
     for way, match in guess.ways:
         for a, at in way.stops:
@@ -134,7 +134,7 @@ def _same_stops(guess, limits):
 
 
 def _move(onto, points, guess, nodes, limits):
-    """The transform of a guess; None if places lie farther apart than drift allows."""
+    """Return the transform of a guess; None if places lie farther apart than drift allows."""
     move = _fit(onto, points, nodes, mean_deg([alike.turn_deg for alike in guess.alike.values()]))
     middle = [sum(onto[a][axis] for a in nodes.values()) / len(nodes) for axis in (0, 1)]
     limit_m = limits.place(max(math.dist(onto[a], middle) for a in nodes.values()))
@@ -151,7 +151,7 @@ def _fit(onto, points, nodes, turn_deg):
 
 
 def _together(best, candidate, other, limits):
-    """Whether two guesses can both be right: no node has two meanings, and they move the second map alike."""
+    """Return whether two guesses are compatible: no node has two meanings, and they move the second map alike."""
     if any(best.nodes.get(b, a) != a for b, a in candidate.nodes.items()):
         return False
     back = {a: b for b, a in best.nodes.items()}
@@ -170,7 +170,7 @@ def _together(best, candidate, other, limits):
 
 
 def _parts(best, rest, other, limits):
-    """The best guess and what goes with it, the best first."""
+    """Return the best guess and those compatible with it, the best first."""
     parts = [best]
     for candidate in itertools.takewhile(lambda candidate: candidate.gain > PART, rest):
         taken = {b for part in parts for b in part.nodes}

@@ -18,7 +18,7 @@ from jexplore.tracemap.record import BtmMap, check, require_near
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Merged:
-    """What `merge_maps` found."""
+    """Result of `merge_maps`."""
 
     outcome: Merging
     """`MERGED` only if all maps are one."""
@@ -36,10 +36,10 @@ class Merged:
     """Of the weakest merge, or of the best one refused: nats beyond what chance gives; -inf where nothing is alike, inf
     where all maps are equal."""
     margin: float
-    """Likewise: nats beyond the best match that excludes it."""
+    """Evidence beyond the best match that excludes it, nats."""
     notes: tuple[str, ...]
-    """What the maps say differently, in plain sentences: attributes, and ways of one place that lead elsewhere; and
-    nodes that were matched by their place alone."""
+    """Differences of the maps, as sentences: attributes, ways of one place with different ends, and nodes matched by
+    their position alone."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +57,7 @@ def merge_maps(
     limits: Limits | Mapping[str, Any] | None = None,
     on_progress: Callable[[int], object] = lambda compared: None,
 ) -> Merged:
-    """Maps of one building, each in a frame of its own, as one map.
+    """Merge maps of one building, each in a frame of its own, to one map.
 
     The two maps with most evidence become one, again and again. Two become one only if they have nodes enough in
     common, if that is no chance, and if no other way to lay them on each other explains nearly as much: maps of
@@ -105,7 +105,7 @@ def merge_maps(
 
 
 def _distinct(originals):
-    """Parts to begin with: maps that are equal are one, where they have measured something."""
+    """Return the initial parts: equal maps that have measured something are one."""
     found = []  # the map without attributes, and names
     for name, btm in originals.items():
         bare = BtmMap(tuple(map(_bare, btm.nodes)), tuple(map(_bare, btm.links)))
@@ -119,7 +119,7 @@ def _bare(item):
 
 
 def _merged(parts, limits, min_common, on_progress):
-    """Parts that cannot be merged further, the matches that were made, and those that were refused at the end."""
+    """Return parts that cannot be merged further, the matches that were made, and those refused at the end."""
     joins, known = [], {}  # joins: matches, and of which parts
     while True:
         for one, other in itertools.combinations(parts, 2):
@@ -167,7 +167,7 @@ def _result(parts, joins, refused, originals):
 
 
 def _remarks(joins, nodes):
-    """Sentences about joins whose nodes were matched by their place, and about those that left contradictions."""
+    """Yield sentences about joins whose nodes were matched by their place, and about those that left contradictions."""
     for found, one, other in joins:
         if one.moves.keys() <= nodes.keys():
             own = {node.id: next(iter(node.attributes[FROM].items())) for node in one.map.nodes}

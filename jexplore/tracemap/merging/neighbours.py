@@ -7,22 +7,22 @@ from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.merging.walk import Pair
 from jexplore.tracemap.merging.ways import Way
 
-CLEAR = 2.0  # the next node that it might be lies so many times as far away
+CLEAR = 2.0  # the second-nearest candidate lies at least this many times as far away
 
 
 def with_neighbours(
     pair: Pair, nodes: Mapping[int, int], ways: Sequence[tuple[Way, Way]], turns: Mapping[int, float], move: Move
 ) -> tuple[dict[int, int], list[tuple[Way, Way]]]:
-    """A match of two maps, and what lies beside it.
+    """Extend a match of two maps by places that lie near the expected position.
 
-    A place of one map is one of the other if both have one type, each is the nearest to the other, none else is nearly
-    as near, they lie no farther apart than drift allows since the nearest place that is matched, and a way leaves both
-    alike. What lies behind a wall is near, too: where more ways are only one's than both have, drift excuses nothing.
+    Two places match if both have one type, each is the nearest to the other, no other is nearly as near, their distance
+    is within the drift since the nearest matched place, and a way leaves both alike. Places behind a wall are near,
+    too: where more ways exist in one map only than in both, drift is not an explanation.
 
     Args:
       pair: the maps.
       nodes: node of the second -> the same of the first.
-      ways: that are matched.
+      ways: matched ones.
       turns: place of the first -> direction there less direction in the second, degrees.
       move: takes the second map into the frame of the first.
 
@@ -44,7 +44,7 @@ def with_neighbours(
 
 
 def _nearest(pair, nodes, turns, move, b):
-    """The place of the first map that a place of the second is, and how the second is turned there; None for none."""
+    """Return the place of the first map that matches a place of the second, and its turn there; None for none."""
     matched = [key for key in nodes if nodes[key] in turns]
     here = _place(pair.other, b)
     beside = min(matched, key=lambda key: math.dist(_place(pair.other, key), here))
@@ -70,7 +70,7 @@ def _place(part, key):
 
 
 def _ways(pair, nodes, ways, turns):
-    """The matched ways, and those of new places that agree."""
+    """Return the matched ways, and those of new places that agree."""
     found, taken = list(ways), {key for both in ways for key in _taken(*both)}
     for b, a in nodes.items():
         if a not in turns or b not in pair.other.nodes:
@@ -86,6 +86,6 @@ def _ways(pair, nodes, ways, turns):
 
 
 def _taken(way, match):
-    """Links that can be matched no more. A way that one map has gone along may be met once more at its other end."""
+    """Return links that can be matched no more. A way followed in one map may be met again at its other end."""
     is_half = way.is_whole != match.is_whole
     return {id(link) for one in (way, match) if not (is_half and one.is_whole) for link, _ in one.steps}

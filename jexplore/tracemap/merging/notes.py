@@ -1,4 +1,4 @@
-"""What merged maps say besides measures: attributes of all of them, and who says what."""
+"""Attributes of merged maps, and their sources."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -18,12 +18,12 @@ OF_A_WRITER = ("robot", "frame")
 
 
 def sources_of(btm: BtmMap, name: str) -> list[str]:
-    """Names of the maps that a map was made of: its own, if it was not merged."""
+    """Return names of the maps that a map was made of: its own, if it was not merged."""
     return list(btm.attributes.get(MERGED_FROM, [name]))
 
 
 def stripped(btm: BtmMap, *names: str) -> BtmMap:
-    """The map with no attributes but `FROM`, by its names."""
+    """Strip the map of all attributes but `FROM`, by its names."""
 
     def bare(item):
         return dataclasses.replace(item, attributes={FROM: dict.fromkeys(names, item.id)})
@@ -32,10 +32,10 @@ def stripped(btm: BtmMap, *names: str) -> BtmMap:
 
 
 def restored(btm: BtmMap, originals: Mapping[str, BtmMap]) -> BtmMap:
-    """A joined map of stripped ones with the attributes of their originals, by name.
+    """Add the attributes of the originals, by name, to a joined map of stripped ones.
 
-    What only some say, or all alike, stands as it was; where they differ it goes to `CONFLICTS`. What is `OF_A_RUN` is
-    left out. Merged maps among the originals hand on whom they were made of.
+    Values that only some maps have, or that agree, are kept; where they differ they go to `CONFLICTS`. Attributes in
+    `OF_A_RUN` are left out. Merged maps among the originals pass on their own sources.
     """
     items = {
         name: ({node.id: node for node in one.nodes}, {link.id: link for link in one.links})
@@ -60,7 +60,7 @@ def restored(btm: BtmMap, originals: Mapping[str, BtmMap]) -> BtmMap:
 
 
 def conflicts(btm: BtmMap) -> list[str]:
-    """Sentences about what the maps that one was made of say differently."""
+    """List the differences of the maps that one was made of, in sentences."""
     found = []
     for what, item in _named(btm):
         for name, told in item.attributes.get(CONFLICTS, {}).items():
@@ -73,14 +73,14 @@ def conflicts(btm: BtmMap) -> list[str]:
 
 
 def contradiction(names: Sequence[str], others: Sequence[str], count: int, nodes: Sequence[int]) -> str:
-    """The sentence about ways that leave the same nodes alike but go on otherwise in some maps than in others."""
+    """Describe ways that leave the same nodes alike but continue differently in some maps: a sentence."""
     what = f"{count} way leads" if count == 1 else f"{count} ways lead"
     where = f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
     return f"{where}: {what} elsewhere in {', '.join(others)} than in {', '.join(names)}; the map has both"
 
 
 def by_place(names: Sequence[str], others: Sequence[str], nodes: Sequence[int]) -> str:
-    """The sentence about nodes that are one only because they lie where they should."""
+    """Describe nodes that were matched by their position alone: a sentence."""
     where = f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
     return f"{where}: one in {', '.join(names)} and in {', '.join(others)} by place and bearings alone"
 
@@ -131,9 +131,9 @@ def _is_told(attribute, told):
 
 
 def _joined(said: Sequence[tuple[list[str], Mapping[str, Any]]]) -> dict[str, Any]:
-    """Attributes of one thing from those who know it: `(names, attributes)`.
+    """Merge the attributes of one item from its sources: `(names, attributes)`.
 
-    Who found a link blocked without saying for whom says so for all robots: beside those who do, that is told.
+    A link blocked for an unnamed robot is blocked for all: that is kept in addition to named robots.
     """
     values: dict[str, list[dict[str, Any]]] = {}
     names_robots = any(BLOCKED_FOR in {**own, **own.get(CONFLICTS, {})} for _, own in said)

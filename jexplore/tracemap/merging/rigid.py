@@ -16,30 +16,30 @@ class Move:
     turn_deg: float = 0.0
 
     def place(self, x_m: float, y_m: float) -> tuple[float, float]:
-        """Where a point goes."""
+        """Transform a point."""
         cos, sin = math.cos(math.radians(self.turn_deg)), math.sin(math.radians(self.turn_deg))
         return cos * x_m - sin * y_m + self.x_m, sin * x_m + cos * y_m + self.y_m
 
     def after(self, first: "Move") -> "Move":
-        """This move as the second of two."""
+        """Return this move as the second of two."""
         x_m, y_m = self.place(first.x_m, first.y_m)
         return Move(x_m, y_m, direction_deg(self.turn_deg + first.turn_deg))
 
 
 def apart_deg(a: float, b: float) -> float:
-    """From bearing `b` to bearing `a`, degrees in [-180, 180)."""
+    """Return the angle from bearing `b` to bearing `a`, degrees in [-180, 180)."""
     return (a - b + 180.0) % 360.0 - 180.0
 
 
 def mean_deg(bearings: Sequence[float], weights: Sequence[float] | None = None) -> float:
-    """Mean of bearings that are less than half a turn apart."""
+    """Average bearings that are less than half a turn apart."""
     weights = weights or [1.0] * len(bearings)
     off = sum(weight * apart_deg(bearing, bearings[0]) for weight, bearing in zip(weights, bearings))
     return direction_deg(bearings[0] + off / sum(weights))
 
 
 def fit(points: Sequence[tuple[float, float]], onto: Sequence[tuple[float, float]], turn_deg: float) -> Move:
-    """The rigid transform that takes points nearest to others, by least squares.
+    """Fit the rigid transform that takes points nearest to others, by least squares.
 
     Args:
       points, onto: `[N]` pairs of metres, N >= 1.
@@ -59,7 +59,7 @@ def fit(points: Sequence[tuple[float, float]], onto: Sequence[tuple[float, float
 
 
 def moved(btm: BtmMap, move: Move) -> BtmMap:
-    """The map in another frame."""
+    """Transform the map to another frame."""
     nodes, links = [], []
     for node in btm.nodes:
         x_m, y_m = move.place(node.x_m, node.y_m)
@@ -77,7 +77,7 @@ def moved(btm: BtmMap, move: Move) -> BtmMap:
 
 
 def mirrored(btm: BtmMap) -> BtmMap:
-    """The map in a mirror that stands on its y axis: links go round nodes the other way."""
+    """Mirror the map at its y axis: links go round nodes the other way."""
 
     def turned(bearing_deg: float) -> float:
         return direction_deg(180.0 - bearing_deg)

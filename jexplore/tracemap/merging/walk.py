@@ -13,12 +13,12 @@ from jexplore.tracemap.merging.ways import Places, Way
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Limits(Settings):
-    """How far two maps of one place may be apart."""
+    """Tolerances for one place in two maps."""
 
     angle_deg: float = 15.0
     """Of an angle between two links, from what the other map says, degrees."""
     length_share: float = 0.05
-    """Of a length, as a share of it, in each map: encoders that are wrong always."""
+    """Share of a length, in each map: a constant scale error of the encoders."""
     length_m: float = 0.3
     """Of a length, besides, metres."""
     lost: int = 1
@@ -32,15 +32,15 @@ class Limits(Settings):
         require_whole("limits: lost", self.lost, 0, 100)
 
     def length(self, one_m: float, other_m: float) -> float:
-        """How far two lengths may differ, metres."""
+        """Return the tolerance of two lengths, metres."""
         return self.length_m + self.length_share * (one_m + other_m)
 
     def turn(self, way_m: float) -> float:
-        """How far two maps may differ in how much a way turns, degrees."""
+        """Return the tolerance of the turn of a way, degrees."""
         return self.angle_deg + 2 * math.sqrt(2 * way_m) * self.heading_deg
 
     def place(self, away_m: float) -> float:
-        """How far places may lie apart that reach so far from their middle, metres: both heading walks, thrice."""
+        """Return the tolerance, metres, of places at a distance from their middle: 3 sigma of both heading walks."""
         walk = 3 * math.sqrt(2 * away_m / 3) * math.radians(self.heading_deg)
         return 2 * self.length_m + (2 * self.length_share + walk) * away_m
 
@@ -59,7 +59,7 @@ class Likeness:
 
 @dataclasses.dataclass(slots=True)
 class Guess:
-    """Which places of two maps are the same."""
+    """Correspondence of places of two maps."""
 
     places: dict[int, int] = dataclasses.field(default_factory=dict)
     """Of the first map -> of the second."""
@@ -83,7 +83,7 @@ class Pair:
         self._alike, self._rivals = {}, {}
 
     def rivals(self, part: Places, a: int, other: Places) -> list[int]:
-        """Places of a map that may look like a place: of its type and obstacle, with about as many ways."""
+        """Return places of a map that may look like a place: of its type and obstacle, with about as many ways."""
         node, n = part.nodes[a], len(part.ways[a])
         key = (id(other), node.type, node.obstacle, n)
         if key not in self._rivals:
@@ -95,10 +95,10 @@ class Pair:
         return self._rivals[key]
 
     def alike(self, one: tuple[Places, int, int], other: tuple[Places, int, int]) -> Likeness | None:
-        """Whether two places look alike, each entered by one of its ways `(map, place, way)`; None if not.
+        """Compare two places, each entered by one of its ways `(map, place, way)`; None if they do not look alike.
 
-        They have one type and one obstacle, and ways that leave at the same angles. A way that only one of them has, as
-        where a robot took a niche for a passage, is lost; more than `limits.lost` are too many.
+        Both need the same type and obstacle, and ways that leave at the same angles. A way that only one has, as where
+        a robot took a niche for a passage, is lost; more than `limits.lost` are too many.
         """
         key = (id(one[0]), *one[1:], id(other[0]), *other[1:])
         if key not in self._alike:
@@ -119,7 +119,7 @@ class Pair:
     def aligned(
         self, ways: Sequence[Way], others: Sequence[Way], turn_deg: float, entry: tuple[int, int] | None = None
     ) -> tuple[tuple[tuple[int, int], ...], float]:
-        """Ways of two places that leave alike, once the second is turned about so, and the turn that suits them best.
+        """Return ways of two places that leave alike, with the second turned, and the turn that suits them best.
 
         Args:
           ways, others: of the places.
@@ -141,7 +141,7 @@ class Pair:
         return found, apart_deg(turn_deg + middle, 0.0)
 
     def guesses(self) -> Iterator[Guess]:
-        """All that can be grown, each once: from every pair of places that look alike, in every turn."""
+        """Yield all guesses, each once: from every pair of places that look alike, in every turn."""
         seen = set()
         for a, ways in self.one.ways.items():
             for b in self.rivals(self.one, a, self.other):
@@ -152,10 +152,10 @@ class Pair:
                         yield guess
 
     def grown(self, a: int, i: int, b: int, j: int) -> Guess:
-        """What follows if place a is place b, and way i of the one way j of the other.
+        """Grow a guess from place a = place b, with way i of the one equal to way j of the other.
 
-        Both maps are walked along the same ways. A way that only one map has followed says nothing; two that end in
-        places that differ contradict, and the walk does not go on there.
+        Both maps are walked along the same ways. A way followed in one map only gives no evidence; two that end in
+        different places contradict, and the walk stops there.
 
         Source:
           Huang and Beevers 2005, Topological map merging.
@@ -173,7 +173,7 @@ class Pair:
         return guess
 
     def _enter(self, guess, a, i, b, j, turn_deg=0.0, limit_deg=180.0):
-        """Whether the places look alike, the second turned about so; then they are taken for the same."""
+        """Match two places if they look alike, with the second turned by `turn_deg`; return whether they do."""
         alike = self.alike((self.one, a, i), (self.other, b, j))
         if alike is None or abs(apart_deg(alike.turn_deg, turn_deg)) > limit_deg:
             return False
@@ -182,12 +182,12 @@ class Pair:
         return True
 
     def lengths_agree(self, way: Way, match: Way) -> bool:
-        """Whether two ways may be one. A way that has not been followed to its end may be longer than it says."""
+        """Return whether two ways may be equal in length. A way not followed to its end may be longer than recorded."""
         off, limit = way.length_m - match.length_m, self.limits.length(way.length_m, match.length_m)
         return (not way.is_whole or off >= -limit) and (not match.is_whole or off <= limit)
 
     def _goes_on(self, guess, a, way, match):
-        """Whether two ways lead to one place, as far as is known; that place is entered."""
+        """Enter the place at the end of two ways; return whether they may lead to the same one."""
         if not (way.is_whole and match.is_whole):
             return True
         p, q = way.end, match.end

@@ -13,7 +13,7 @@ from jexplore.tracemap.similarity import ends_around
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Way:
-    """What leaves a place, as far as it has been followed."""
+    """Exit of a place, with the way as far as it has been followed."""
 
     bearing_deg: float
     """Direction in which it leaves."""
@@ -24,24 +24,24 @@ class Way:
     end: int
     """Place that it leads to; `NOWHERE` where that is not known."""
     back: int
-    """Which way of that place leads back; -1 without an end."""
+    """Index of the way back at that place; -1 without an end."""
     length_m: float
     """As far as it has been followed."""
 
     @property
     def is_whole(self) -> bool:
-        """Whether it has been followed to another place."""
+        """Return whether it has been followed to another place."""
         return self.end != NOWHERE
 
     @property
     def opening_m(self) -> float | None:
-        """Width of the opening; None where it is not known, as where the robot came in."""
+        """Return the width of the opening; None if unknown, as where the robot came in."""
         link, forward = self.steps[0]
         return link.opening_m if forward else None
 
     @property
     def width_m(self) -> float | None:
-        """Narrowest passage; None where it is not known."""
+        """Return the narrowest passage; None if unknown."""
         return least(link.min_width_m for link, _ in self.steps)
 
 
@@ -54,17 +54,17 @@ class Places:
 
 
 def least(values: Iterable[float | None]) -> float | None:
-    """The least of what is known, None if nothing is."""
+    """Return the least known value; None if no value is known."""
     return min((value for value in values if value is not None), default=None)
 
 
 def most(values: Iterable[float | None]) -> float | None:
-    """The most of what is known, None if nothing is."""
+    """Return the greatest known value; None if no value is known."""
     return max((value for value in values if value is not None), default=None)
 
 
 def places_of(btm: BtmMap) -> Places:
-    """The places of a proper map. A link without a length is as long as its nodes are apart."""
+    """Return the places of a proper map. A link without a length is as long as its nodes are apart."""
     around, nodes = ends_around(btm), {node.id: node for node in btm.nodes}
     kept = {key: node for key, node in nodes.items() if node.type != "terminal" or len(around[key]) > 2}
     index = {end[1:3]: (key, i) for key in kept for i, end in enumerate(around[key])}

@@ -1,4 +1,4 @@
-"""What is in a map twice: a way that was followed from both of its ends, a place to which the robot turned back."""
+"""Duplicates in a map: a way that was followed from both of its ends, a place to which the robot turned back."""
 
 import dataclasses
 import heapq
@@ -23,17 +23,18 @@ from jexplore.tracemap.repairing.ways import (
 
 TINY_M = 3.0  # a link that leads back to its node is a way round if it is longer
 NEAR_M = 4.0  # nodes that are one lie no farther apart, and no farther than is `CLOSE` for the way between them
-TURNED_M = 1.0, 8.0  # who turns back before the next node goes so much more
+TURNED_M = 1.0, 8.0  # m; additional way of a robot that turns back before the next node
 BACK_M = 2.0  # who has turned back seems no farther from where it left, however long the link
 FEWEST, OPENINGS = 3, 3  # pairs of junctions that are one, each linked with the next alike; openings of a junction
 
 
 def turned_back(btm: BtmMap) -> Iterator[BtmMap]:
-    """The map without a link on which the robot has turned back to where it left, by the opening by which it left; what
-    it took there for another node of that type is the one that it left, if it lies no farther off than the odometry can
-    be on the shortest known way between both. Nor does a link lead back to its node that is tiny, or whose ends lie in
-    one place and that leaves or ends by another one's opening. If nothing else leaves by the opening by which it has
-    left, that is un-searched.
+    """Yield the map without a link on which the robot has turned back to where it left, by the same opening.
+
+    The node that it took there for another one of that type is the one that it left, if it lies no farther off than the
+    odometry can be on the shortest known way between both. A tiny link does not lead back to its node either, nor does
+    one whose ends lie in one place and that leaves or ends by another one's opening. If nothing else leaves by the
+    opening by which it has left, that becomes un-searched.
     """
     for link in btm.links:
         for way in ways_of(btm, link.start):
@@ -57,17 +58,17 @@ def _returns(btm: BtmMap, way: Way) -> bool:
 
 
 def _others(btm: BtmMap, way: Way) -> list[Way]:
-    """The other ways of the node where a link begins."""
+    """Return the other ways of the node where a link begins."""
     return [one for one in ways_of(btm, way.link.start) if one.link.id != way.link.id]
 
 
 def _is_shared(others, bearing_deg):
-    """Whether one of some ways of a node leaves by an opening."""
+    """Return whether a way of a node leaves by an opening that others use."""
     return any(are_near(one.bearing_deg, bearing_deg) for one in others)
 
 
 def _opened(btm: BtmMap, way: Way) -> BtmMap:
-    """The map where a link has not been searched; without it where another one leaves by its opening."""
+    """Return the map with a link un-searched; without it if another one leaves by its opening."""
     link = way.link
     if _is_shared(_others(btm, way), way.bearing_deg):
         return without(btm, link)
@@ -76,8 +77,9 @@ def _opened(btm: BtmMap, way: Way) -> BtmMap:
 
 
 def both_ways(btm: BtmMap) -> Iterator[BtmMap]:
-    """The map without the second of two links between two nodes that are one way, straight and as long: one was
-    followed there and one back. Each says by which opening it begins, and that lies toward the other node.
+    """Yield the map without the second of two links between two nodes that are one way, straight and as long.
+
+    One was followed there and one back. Each tells the opening by which it begins, and that lies toward the other node.
     """
     links = [link for link in btm.links if link.end not in (NOWHERE, link.start)]
     for i, first in enumerate(links):
@@ -106,15 +108,17 @@ def _is_straight(way):
 
 
 def _toward_deg(way):
-    """Direction in which the other node of a way lies."""
+    """Return the direction in which the other node of a way lies."""
     return math.degrees(math.atan2(way.move.y_m, way.move.x_m))
 
 
 def doubled(btm: BtmMap) -> Iterator[BtmMap]:
-    """The map where some nodes are others: a set of pairs of one type and with equal openings, each linked with the
-    next by links that leave alike, are as long and lead to one place; nothing in it contradicts the rest. `FEWEST` at
-    least are junctions: slopes may lie alike in two passages side by side. Both of a pair lie no farther apart than the
-    odometry can be off on the shortest known way from one to the other.
+    """Yield the map with some nodes merged with others.
+
+    They are a set of pairs of one type and with equal openings, each linked with the next by links that leave alike,
+    are as long and lead to one place; no pair contradicts the rest. `FEWEST` at least are junctions: slopes may lie
+    alike in two passages side by side. Both of a pair lie no farther apart than the odometry can be off on the shortest
+    known way from one to the other.
 
     Source:
       Choset and Nagatani 2001, Topological simultaneous localization and mapping, for hypotheses that the next nodes
@@ -138,7 +142,7 @@ def doubled(btm: BtmMap) -> Iterator[BtmMap]:
 
 
 def _junctions(btm, pairs):
-    """How many of some pairs of nodes are divergences that have openings enough to tell one from another."""
+    """Count the pairs of nodes that are divergences with enough openings to be distinctive."""
     types = {node.id: node.type for node in btm.nodes}
     return sum(types[one] == "divergence" and len(btm.bearings_deg(one)) >= OPENINGS for one, _ in pairs)
 
@@ -148,7 +152,7 @@ def _apart_m(one, other):
 
 
 def _may_be_one(btm, pair, turn_deg):
-    """Whether two nodes have equal openings, and lie no farther apart than the way between them tells."""
+    """Return whether two nodes have equal openings and lie no farther apart than the way between them allows."""
     one, other = pair
     ends = btm.bearings_deg(one), [bearing_deg + turn_deg for bearing_deg in btm.bearings_deg(other)]
     alike = all(any(are_near(a, b) for b in there) for here, there in (ends, ends[::-1]) for a in here)
@@ -156,13 +160,13 @@ def _may_be_one(btm, pair, turn_deg):
 
 
 def _is_in_reach(btm, one, other):
-    """Whether two nodes lie no farther apart than the odometry can be off on the shortest known way between them."""
+    """Return whether two nodes lie within the odometry's error on the shortest known way between them."""
     nodes = {node.id: node for node in btm.nodes}
     return _apart_m(nodes[one], nodes[other]) < CLOSE[0] + CLOSE[1] * _way_m(btm, one, other)
 
 
 def _way_m(btm, start, goal):
-    """Length of the shortest way along known links from a node to another; inf where there is none."""
+    """Return the length of the shortest way along known links between two nodes; inf without one."""
     queue, reached = [(0.0, start)], set()
     while queue:
         gone_m, here = heapq.heappop(queue)
@@ -176,8 +180,9 @@ def _way_m(btm, start, goal):
 
 
 def _pairs_from(btm, first, second):
-    """Pairs of nodes that are one if two are, and how far the frame of the second is turned against that of the first;
-    none where they contradict each other.
+    """Return pairs of nodes that are one if two are, and the turn of the second's frame against that of the first.
+
+    None if they contradict each other.
     """
     types = {node.id: (node.type, node.obstacle) for node in btm.nodes}
     pairs, pending = {(first, second): 0.0}, [(first, second)]
@@ -200,8 +205,9 @@ def _pairs_from(btm, first, second):
 
 
 def strayed(btm: BtmMap) -> Iterator[BtmMap]:
-    """The map where a link has not been searched on which the robot turned back, went by its node unseen and took
-    another way from there: it leads where a shorter one does, and ends by the same opening.
+    """Yield the map with a link un-searched on which the robot turned back, passed its node and took another way.
+
+    It leads where a shorter one does, and ends by the same opening.
     """
     for link in btm.links:
         for long in ways_of(btm, link.start):
@@ -224,9 +230,10 @@ def _is_other_way(btm, long):
 
 
 def misled(btm: BtmMap) -> Iterator[BtmMap]:
-    """The map where a link that has led to a known node ends at the opening that lies toward where it comes from,
-    instead of at one by which another link leaves, or at none that was known if it is straight. That opening is
-    un-searched; or a known link leaves by it that then can be explained.
+    """Yield the map with the end of a link moved to the opening that lies toward where it comes from.
+
+    The link has led to a known node, by an opening by which another link leaves, or by none that was known if it is
+    straight. That opening is un-searched; or a known link leaves by it that then can be explained.
     """
     for node in btm.nodes:
         ways = list(ways_of(btm, node.id))
@@ -249,7 +256,7 @@ def misled(btm: BtmMap) -> Iterator[BtmMap]:
 
 
 def _explained_at(btm, way, node, other):
-    """The map where a way leaves a node by another one's opening and the longer of both is explained, if it can be."""
+    """Yield the map where a way leaves a node by another one's opening and the longer is explained, if possible."""
     changed = _leaving(btm, way, node, other.bearing_deg)
     pair = [one for one in ways_of(changed, node) if one.link.id in (way.link.id, other.link.id)]
     if len(pair) == 2:
@@ -260,7 +267,7 @@ def _explained_at(btm, way, node, other):
 
 
 def _leaving(btm: BtmMap, way: Way, node: int, bearing_deg: float) -> BtmMap:
-    """The map where a link leaves a node by another opening."""
+    """Return the map where a link leaves a node by another opening."""
     end = "start_bearing_deg" if way.link.start == node else "end_bearing_deg"
     changed = dataclasses.replace(way.link, **{end: bearing_deg})
     return dataclasses.replace(btm, links=tuple(changed if link is way.link else link for link in btm.links))

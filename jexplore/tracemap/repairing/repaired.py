@@ -1,4 +1,4 @@
-"""What contradicts itself in a finished map, as far as it can be explained."""
+"""Repair of contradictions in a finished map, as far as they can be explained."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -18,7 +18,7 @@ class Repaired(NamedTuple):
 
 
 def repaired(btm: BtmMap) -> Repaired:
-    """The map without links that lead through a node unseen, and without nodes and links that are there twice.
+    """Repair a map: no links that pass a node unnoticed, and no duplicate nodes and links.
 
     In this order: links on which the robot has turned back; ways that were followed from both ends; links that end by
     an opening that is another's; pairs of ways by one opening, see `through.explained`; sets of nodes that are there
@@ -43,7 +43,7 @@ def repaired(btm: BtmMap) -> Repaired:
 
 
 def _mended(btm: BtmMap) -> Iterator[BtmMap]:
-    """The map with one thing less that contradicts itself."""
+    """Yield the map with one contradiction less."""
     yield from turned_back(btm)
     yield from both_ways(btm)
     yield from misled(btm)
@@ -61,6 +61,6 @@ def _explanations(btm):
 
 
 def closings_of(btm: BtmMap) -> int:
-    """How many ways round a map has: searched links beyond those that it takes to reach every node."""
+    """Count the cycles of a map: searched links beyond those of a spanning tree."""
     parts = set(parts_of((node.id for node in btm.nodes), btm.links).values())
     return sum(link.end != NOWHERE for link in btm.links) - len(btm.nodes) + len(parts)

@@ -30,7 +30,7 @@ MOST = 10_000  # ways that are tried to explain one
 
 
 def twins(btm: BtmMap) -> Iterator[tuple[Way, Way]]:
-    """Pairs of ways of a node that leave by one opening: `(shorter, longer)`."""
+    """Yield pairs of ways of a node that leave by one opening: `(shorter, longer)`."""
     for node in btm.nodes:
         ways = sorted(ways_of(btm, node.id), key=lambda way: way.link.length_m or 0.0)
         for i, short in enumerate(ways):
@@ -40,7 +40,7 @@ def twins(btm: BtmMap) -> Iterator[tuple[Way, Way]]:
 
 
 def explained(btm: BtmMap, short: Way, long: Way, deep: bool = True) -> BtmMap | None:
-    """The map once the longer of two ways is explained by the shorter, None where it is not.
+    """Return the map once the longer of two ways is explained by the shorter; None if it is not.
 
     Two ways are one if they are as long as each other and lead to one place: the longer goes, and two nodes of one type
     at their ends are one, the one with the lower id. Else the longer leads through the node where the other ends, if
@@ -64,12 +64,12 @@ def explained(btm: BtmMap, short: Way, long: Way, deep: bool = True) -> BtmMap |
 
 
 def _is_dead_end(btm, last):
-    """Whether a node has no other opening than that of a link that leads there."""
+    """Return whether a node has no opening but that of a link that leads there."""
     return all(are_near(bearing_deg, last.back_deg) for bearing_deg in btm.bearings_deg(last.to))
 
 
 def _one_end(btm: BtmMap, short: Way, long: Way) -> BtmMap | None:
-    """The map where the ends of two ways are one node; None where they are of two types, or one is where they begin."""
+    """Merge the ends of two ways; None if their types differ, or one is where the ways begin."""
     first, second = (short, long) if short.to < long.to else (long, short)
     begin = second.link.start if second.link.end == second.to else second.link.end
     if begin in (first.to, second.to):
@@ -79,7 +79,7 @@ def _one_end(btm: BtmMap, short: Way, long: Way) -> BtmMap | None:
 
 
 def _begun(btm, short, long, rest, length_m):
-    """The map where the longer way begins at an un-searched opening of the node it leads past; None: there is none."""
+    """Return the map where the longer way begins at an un-searched opening of the node it passes; None without one."""
     ahead_deg = math.degrees(math.atan2(rest.y_m, rest.x_m))
     waiting = [link for link in btm.links if link.start == short.to and link.end == NOWHERE]
     waiting.sort(key=lambda link: abs(apart_deg(link.start_bearing_deg, ahead_deg)))
@@ -93,8 +93,9 @@ def _begun(btm, short, long, rest, length_m):
 
 
 def _begun_on_known(btm, short, long, rest, length_m):
-    """The same where a known link leaves by that opening that leads through the end of what begins there; both are
-    explained, or None.
+    """Return the same if a known link leaves by that opening and passes the end of the short way; None otherwise.
+
+    Both are then explained.
     """
     ahead_deg = math.degrees(math.atan2(rest.y_m, rest.x_m))
     for way in ways_of(btm, short.to):
@@ -108,7 +109,7 @@ def _begun_on_known(btm, short, long, rest, length_m):
 
 
 def _rest_of(long, start, bearing_deg, rest, length_m):
-    """The link that is left of a way once it begins at a node on it."""
+    """Return the rest of a way once it begins at a node on it."""
     return dataclasses.replace(
         long.link,
         start=start,
@@ -123,8 +124,10 @@ def _rest_of(long, start, bearing_deg, rest, length_m):
 
 
 def _reached(btm, node, goal, most_m):
-    """Ways along known links from a node to another, no link twice: `(metres, the last of them, whose move is that from
-    the first node)`. On a link on which the robot has gone up and down no more counts than it gets on.
+    """Yield ways along known links from a node to another, no link twice.
+
+    Each is `(metres, the last link, whose move is that from the first node)`. A link on which the robot has gone to and
+    fro counts by its displacement.
     """
     pending: list[tuple[int, float, float, Way | None, Move, frozenset[int]]]
     pending = [(node, 0.0, 0.0, None, Move(), frozenset())]

@@ -9,9 +9,9 @@ from jexplore.tracemap.merging.rigid import Move, apart_deg
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link
 
 TWINS_DEG = 30.0  # two ways of a node no farther apart leave by one opening
-CLOSE = 0.6, 0.1  # where two ways lead is one place no farther apart than this: metres, and so much of the way besides
+CLOSE = 0.6, 0.1  # m, share of the way: ends of two ways within this are one place
 OPENING_DEG = 50.0  # a way beyond it leaves by an un-searched opening that lies no farther from where it leads
-STRAIGHT = 1.05, 0.3  # a way no longer than so many times what it gets on, and so many metres, goes round no corner
+STRAIGHT = 1.05, 0.3  # ratio, m: a way no longer than its displacement by this goes round no corner
 
 
 class Way(NamedTuple):
@@ -25,7 +25,7 @@ class Way(NamedTuple):
 
 
 def ways_of(btm: BtmMap, node: int) -> Iterator[Way]:
-    """Searched links of a node whose move is known; both ways of one that leads back to it."""
+    """Yield searched links of a node whose move is known; both ways of one that leads back to it."""
     for link in btm.links:
         moved = link.attributes.get("moved")
         if link.end == NOWHERE or link.end_bearing_deg is None or moved is None:
@@ -38,28 +38,28 @@ def ways_of(btm: BtmMap, node: int) -> Iterator[Way]:
 
 
 def inverse(move: Move) -> Move:
-    """The move back."""
+    """Return the move back."""
     x_m, y_m = Move(turn_deg=-move.turn_deg).place(-move.x_m, -move.y_m)
     return Move(x_m, y_m, -move.turn_deg)
 
 
 def within_m(link: Link) -> float:
-    """How far off a place may seem at the end of a link."""
+    """Return the tolerance for the position of a place at the end of a link."""
     return CLOSE[0] + CLOSE[1] * (link.length_m or 0.0)
 
 
 def are_close(one: Move, other: Move, limit_m: float) -> bool:
-    """Whether two moves lead to places less than this apart."""
+    """Return whether two moves lead to places less than this apart."""
     return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m) < limit_m
 
 
 def are_near(bearing_deg: float | None, other_deg: float | None) -> bool:
-    """Whether two ends of links of a node leave by one opening."""
+    """Return whether two ends of links of a node leave by one opening."""
     return bearing_deg is not None and other_deg is not None and abs(apart_deg(bearing_deg, other_deg)) < TWINS_DEG
 
 
 def joined(btm: BtmMap, kept: int, gone: int, turn_deg: float) -> BtmMap | None:
-    """The map where two nodes are one, which has the links of both; None where they are of two types.
+    """Merge two nodes, keeping the links of both; None if their types differ.
 
     Un-searched links go that leave by an opening by which another one leaves.
 
@@ -77,12 +77,12 @@ def joined(btm: BtmMap, kept: int, gone: int, turn_deg: float) -> BtmMap | None:
 
 
 def without(btm: BtmMap, link: Link) -> BtmMap:
-    """The map without a link."""
+    """Remove a link."""
     return dataclasses.replace(btm, links=tuple(other for other in btm.links if other.id != link.id))
 
 
 def _moved_to(link, kept, gone, turn_deg):
-    """A link with its ends at a node moved to another one, against whose frame that one's is turned so far."""
+    """Move a link's ends from one node to another, whose frame is turned by `turn_deg` against it."""
     starts, ends = link.start == gone, link.end == gone
     if not (starts or ends):
         return link
@@ -99,7 +99,7 @@ def _moved_to(link, kept, gone, turn_deg):
 
 
 def _is_double(stub, links):
-    """Whether an un-searched link leaves by an opening by which a searched one of its node does, or one before it."""
+    """Return whether an un-searched link leaves by the opening of a searched one of its node, or before it."""
     for link in links:
         ends = [(link.start, link.start_bearing_deg), (link.end, link.end_bearing_deg)]
         near = [node == stub.start and are_near(bearing_deg, stub.start_bearing_deg) for node, bearing_deg in ends]

@@ -29,7 +29,7 @@ def cave(
     free: float = 0.7,
     passage_m: float = 1.0,
 ) -> World:
-    """An open cave: rocks with rounded, rough outlines stand free, lean on the rim or reach in from it.
+    """Generate an open cave: rocks with rounded, rough outlines stand free, lean on the rim or reach in from it.
 
     Rocks are added until the free part has shrunk to `free`, or no more fit with passages between them.
 
@@ -59,7 +59,7 @@ def cave(
 
 
 def _draw_waves(rng):
-    """Plane waves that roughen outlines: `[n, 4]`, wave vector (x, y) per metre, phase, amplitude in metres."""
+    """Draw plane waves that roughen outlines: `[n, 4]`, wave vector (x, y) per metre, phase, amplitude in metres."""
     length = rng.uniform(1.5, 8.0, _WAVES)
     angle, phase = rng.uniform(0, 2 * np.pi, (2, _WAVES))
     amplitude = _ROUGH_M * np.sqrt(2 * length / length.sum())
@@ -67,7 +67,7 @@ def _draw_waves(rng):
 
 
 def _roughness(waves, x, y):
-    """The sum of the waves at `y` (rows) and `x` (columns), metres. A product of thin matrices, not a sum of grids."""
+    """Sum the waves at `y` (rows) and `x` (columns), metres: a product of thin matrices, not a sum of grids."""
     kx, ky, phase, amplitude = waves.T
     across, along = x[:, None] * kx + phase, y[:, None] * ky
     left = np.concatenate([np.cos(along) * amplitude, np.sin(along) * amplitude], axis=1)
@@ -76,7 +76,7 @@ def _roughness(waves, x, y):
 
 
 def _outside(rock, x, y):
-    """Signed distance to a rock, a turned box with round corners, metres: negative inside. `[len(y), len(x)]`."""
+    """Compute the signed distance to a rock, a turned box with round corners, metres: `[len(y), len(x)]`."""
     cx, cy, half_x, half_y, turn, radius = rock
     dx, dy = (x - cx)[None, :], (y - cy)[:, None]
     u = np.abs(dx * np.cos(turn) + dy * np.sin(turn)) - (half_x - radius)
@@ -85,7 +85,7 @@ def _outside(rock, x, y):
 
 
 def _window(rock, n, cell_m, margin_m):
-    """Slices `(y, x)` of the cells around a rock, and the coordinates of their centres."""
+    """Return slices `(y, x)` of the cells around a rock, and the coordinates of their centres."""
     reach = math.hypot(rock[2], rock[3]) + margin_m
     spans = []
     for middle, count in ((rock[1], n[0]), (rock[0], n[1])):
@@ -96,7 +96,7 @@ def _window(rock, n, cell_m, margin_m):
 
 
 def _draw(rocks, size_m, waves, cell_m):
-    """The rim and the rocks as cells, `[H, W]` bool."""
+    """Draw the rim and the rocks as cells, `[H, W]` bool."""
     rows, cols = (math.ceil(side / cell_m - 1e-6) for side in size_m[::-1])
     x, y = ((np.arange(n) + 0.5) * cell_m for n in (cols, rows))
     rim = np.minimum(np.minimum(x, size_m[0] - x)[None, :], np.minimum(y, size_m[1] - y)[:, None])
@@ -137,20 +137,20 @@ def _place_rocks(rng, size_m, waves, free, gap_m):
 
 
 def _shape(rock, n, waves, gap_m):
-    """A rough rock as cells of the design lattice, with room for a gap around it: `(where, shape)`."""
+    """Draw a rough rock as cells of the design lattice, with room for a gap around it: `(where, shape)`."""
     where, x, y = _window(rock, n, _DESIGN_M, gap_m + _MARGIN_M)
     return where, _outside(rock, x, y) + _roughness(waves, x, y) < 0
 
 
 def _distance(shape, obstacles):
-    """The least distance between the cells of two masks, cells; infinite if one is empty."""
+    """Return the least distance between the cells of two masks, cells; infinite if one is empty."""
     if not (shape.any() and obstacles.any()):
         return np.inf
     return np.asarray(ndimage.distance_transform_edt(~obstacles))[shape].min()
 
 
 def _draw_group(rng, size_m, leaning):
-    """A pillar, a pillar with a bump, or a tongue of up to four rocks that bends inwards from the rim."""
+    """Draw a pillar, a pillar with a bump, or a tongue of up to four rocks that bends inwards from the rim."""
     small = min(1.0, min(size_m) / 12)
     if not leaning:
         half = rng.uniform(0.6, 1.6, 2) * small

@@ -1,4 +1,4 @@
-"""A course for Behavioral Trace Maps: passages, a slope, junctions and a hall, with the topology that is true of it."""
+"""A course for trace maps: passages, a slope, junctions and a hall, with its true topology."""
 
 from jexplore.config import InputError, require_number, require_whole
 from jexplore.worlds.generators.course_map import render
@@ -35,20 +35,20 @@ def course(
     loops: int = 0,
     repeat: int = 0,
 ) -> World:
-    """A way from a start to a goal, for a robot that at a junction takes the first way counter-clockwise from behind.
+    """Generate a course from start to goal, for a robot that takes the first way counter-clockwise from behind.
 
-    Seed 0 is the course of the paper as its text tells it: a passage, a slope of 10 degrees up and down, a junction
-    (right), an elevator hall passed along its right wall, a junction (right), the goal; the lengths are ours. Every
-    other seed draws lengths, widths, the angle (6 to 15 degrees), the elements and their order. The robot's rule leads
-    to the goal; ways that it does not take go on for at least 6 m. `World.course` has start, goal and true topology:
-    a divergence lies at the centre of the largest empty circle that touches three walls, links run along the centre
+    Seed 0 is the course described in the paper: a passage, a slope of 10 degrees up and down, a junction (right), an
+    elevator hall passed along its right wall, a junction (right), the goal; the lengths are ours. Every other seed
+    draws lengths, widths, the angle (6 to 15 degrees), the elements and their order. The robot's rule leads to the
+    goal; ways that it does not take are at least 6 m long. `World.course` has start, goal and true topology: a
+    divergence lies at the centre of the largest empty circle that touches three walls, links run along the centre
     lines, and their bearings are those of the passages.
 
     With `loops` or `repeat` there is no goal, and the topology is whole: a passage with the obstacle leads to rings or
     equal junctions; those of seed 0 are 6 m apart.
 
-    Everything is a multiple of 0.2 m, so one seed is one course where `cell_m` divides that; at other cells widths are
-    rounded to whole cells, and the topology with them.
+    All lengths are multiples of 0.2 m: a seed gives the same course for every `cell_m` that divides 0.2 m; at other
+    cells widths are rounded to whole cells, and the topology with them.
 
     Args:
       seed: integer from 0.
@@ -58,11 +58,11 @@ def course(
         up and one down; a `sill` 0.2 m long, two cells at least; a `cross-slope`, which rises to one side; `none`,
         level ground.
       riser_m: height of a step, metres.
-      furniture: whether small boxes stand along some walls; they leave at least 1.2 m. The corner of a box and the two
-        walls make a right-angled triangle, which a robot may take for a divergence: the topology has none there.
-      dead_ends: whether a way to the right, or a ring, may have a dead end, for seeds from 1.
-      loops: so many independent ways round, 0 to 3: rings of at least 20 m, apart or with a side in common.
-      repeat: so many T junctions, 2 to 10 or none, equally far apart and alike; with `loops`, on the first ring.
+      furniture: small boxes stand along some walls; they leave at least 1.2 m. The corner of a box and the two walls
+        make a right-angled triangle, which a robot may take for a divergence; the topology has none there.
+      dead_ends: a way to the right, or a ring, may have a dead end, for seeds from 1.
+      loops: number of independent cycles, 0 to 3: rings of at least 20 m, apart or with a side in common.
+      repeat: number of T junctions, 0 or 2 to 10, equally far apart and alike; with `loops`, on the first ring.
 
     Returns:
       A `World` without rooms, with a start and a course, and with elevation where there is an obstacle.
@@ -122,7 +122,7 @@ def _paper(width_m, creases):
 
 
 def _drawn(rng, width_m, creases, dead_ends):
-    """A route that keeps clear of itself: with fewer elements where many do not fit. Two always do."""
+    """Draw a route that keeps clear of itself: with fewer elements if many do not fit. Two always do."""
     n = int(rng.integers(4, 9))
     route = None
     for n_elements in range(n, 1, -1):
@@ -155,7 +155,7 @@ def _attempt(rng, n_elements, width_m, creases, dead_ends):
 
 
 def _furnish(rng, route):
-    """A box in some passages, no nearer than 1.6 m to their ends, where the nodes are."""
+    """Place a box in some passages, no nearer than 1.6 m to their ends, where the nodes are."""
     for i, (rect, heading) in enumerate(route.straights):
         along, across = sorted((0, 1), key=lambda axis: axis != heading % 2)
         length, width = (rect[axis + 2] - rect[axis] for axis in (along, across))

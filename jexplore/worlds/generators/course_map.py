@@ -1,7 +1,7 @@
-"""From the plan of a course to cells: walls, height of the ground, and the true topology.
+"""Conversion of a course plan to cells: walls, height of the ground, and the true topology.
 
-Every coordinate is rounded to the nearest edge of a cell by itself, so walls that are in line stay in line, and the
-topology is made from what is rounded: it is true of the cells, not of the drawing.
+Every coordinate is rounded to the nearest edge of a cell on its own, so walls in line stay in line; the topology is
+made from the rounded plan and is exact for the cells, not for the drawing.
 """
 
 import math
@@ -18,7 +18,7 @@ from jexplore.worlds.world import Course, World, require_side
 TREAD_M = 0.30
 SILL_M = 0.2
 TWIST_M = 1.0  # on which level ground becomes a cross slope
-_BESIDE_M = 0.4  # the ground of a ramp goes on so far into the walls beside it, for interpolation
+_BESIDE_M = 0.4  # m; the ground of a ramp continues this far into the adjacent walls, for interpolation
 
 
 class _Grid:
@@ -32,30 +32,30 @@ class _Grid:
         self.shape = tuple(math.ceil(side / cell_m - 1e-6) for side in (high - self.low)[::-1].tolist())
 
     def cells(self, value, axis):
-        """The nearest edge between cells; `axis` 0 for x, 1 for y."""
+        """Return the nearest edge between cells; `axis` 0 for x, 1 for y."""
         return to_cells((value - float(self.low[axis])) / self.cell_m)
 
     def snap(self, value, axis):
-        """The same in metres."""
+        """Return the same in metres."""
         return round(self.cells(value, axis) * self.cell_m, 9)
 
     def box(self, rect):
-        """Rows and columns of a rectangle."""
+        """Return rows and columns of a rectangle."""
         x0, y0, x1, y1 = (self.cells(value, i % 2) for i, value in enumerate(rect))
         return slice(y0, y1), slice(x0, x1)
 
     def middle(self, heading, lane):
-        """Where the centre line of a passage lies, metres."""
+        """Return the position of a passage's centre line, metres."""
         return sum(self.snap(side, 1 - heading % 2) for side in lane) / 2
 
     def width(self, heading, lane):
-        """Metres, of a passage."""
+        """Return the width of a passage, metres."""
         low, high = (self.cells(side, 1 - heading % 2) for side in lane)
         return round((high - low) * self.cell_m, 9)
 
 
 def render(plan: Route | Network, cell_m: float, obstacle: str, riser_m: float) -> World:
-    """A course as a world.
+    """Render a course as a world.
 
     Args:
       plan: a `Route`, which ends at a goal, or a `Network`, in which the robot goes on until nothing is left.
@@ -93,8 +93,10 @@ def render(plan: Route | Network, cell_m: float, obstacle: str, riser_m: float) 
 
 
 def _creases(grid, ramp, obstacle):
-    """Where the ground bends along a ramp's passage, metres: start, top, end; of stairs both ends of the landing, of a
-    platform its ends, of a sill its middle, of a cross slope the middles of the ways on which the ground twists.
+    """Return the positions along a ramp's passage where the ground bends, metres.
+
+    These are start, top and end; of stairs both ends of the landing, of a platform its ends, of a sill its middle, of a
+    cross slope the middles of the ways on which the ground twists.
 
     A slope has its creases in the middles of cells, half a cell after the drawing: heights interpolated between the
     middles of cells are then exact. Steps begin at edges of cells.
@@ -168,7 +170,7 @@ def _node(number, stop, grid, obstacle, riser_m):
 
 
 def _links(route, nodes, grid):
-    """Links that the robot follows in the order of following, then the others."""
+    """Return links that the robot follows in the order of following, then the others."""
     links = []
     for leg in sorted(route.legs, key=lambda leg: leg.end is None):
         width = grid.width(leg.heading, leg.lane)
@@ -193,7 +195,7 @@ def _links(route, nodes, grid):
 
 
 def _furniture(boxes, grid, leg, ends):
-    """How much of a passage its deepest piece of furniture takes between two nodes, metres."""
+    """Return the width that the deepest piece of furniture takes from a passage between two nodes, metres."""
     axis = leg.heading % 2
     sides = [grid.snap(side, 1 - axis) for side in leg.lane]
     deepest = 0.0

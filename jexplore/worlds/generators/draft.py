@@ -1,7 +1,7 @@
-"""Floor plans drawn in metres and rasterised to cells: what the generators share.
+"""Floor plans drawn in metres and rasterised to cells: common code of the generators.
 
-Rectangles are `(x0, y0, x1, y1)` in metres and run along the middles of the walls: neighbours share a coordinate.
-Everything random is drawn in metres before any cell exists: one seed is one building at every `cell_m`.
+Rectangles are `(x0, y0, x1, y1)` in metres and run along the middles of the walls: neighbours share a coordinate. All
+random numbers are drawn in metres before any cell exists: a seed gives the same building at every `cell_m`.
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ OUTER_M = 0.3
 
 
 def random_stream(seed: int, kind: int) -> np.random.Generator:
-    """The random numbers of a seed, different for every kind of world.
+    """Return the generator of a seed, different for every kind of world.
 
     Args:
       seed: integer from 0.
@@ -70,19 +70,19 @@ def require_size(
 
 
 def passable_cells(cell_m: float) -> int:
-    """The narrowest gap that a robot can pass, cells: one cell of it has more than `CLEARANCE_M` to both sides."""
+    """Return the narrowest passable gap, cells: one of its cells has more than `CLEARANCE_M` to both sides."""
     return 2 * math.isqrt(radius_d2(CLEARANCE_M, cell_m)) + 1
 
 
 def to_cells(length: float) -> int:
-    """The nearest whole number; a half goes up, also one that rounding has made a little less."""
+    """Round to a whole number; a half goes up, also one that rounding has made slightly less."""
     return math.floor(length + 0.5 + 1e-6)
 
 
 def wall_span(
     middle_m: float, side_m: float, cell_m: float, *, wall_m: float = WALL_M, outer_m: float = OUTER_M
 ) -> tuple[int, int]:
-    """The cells that a wall covers across its thickness: at least one, and as many wherever it stands.
+    """Return the cells that a wall covers across its thickness: at least one, and as many wherever it stands.
 
     Args:
       middle_m: where the wall's middle lies, metres; 0 and `side_m` are the outer faces of the outer walls.
@@ -105,7 +105,7 @@ def wall_span(
 
 
 def block_cells(block: tuple[float, float, float, float], cell_m: float) -> tuple[slice, slice]:
-    """The rows and columns that a block covers: at least one of each."""
+    """Return the rows and columns that a block covers: at least one of each."""
     x, y = (
         slice(to_cells(low / cell_m), max(to_cells(low / cell_m) + 1, to_cells(high / cell_m)))
         for low, high in (block[::2], block[1::2])
@@ -124,10 +124,10 @@ class Side:
     """1 where the room lies at higher coordinates than the wall, else -1."""
     low: float
     high: float
-    """Where the side begins and ends along the wall, metres."""
+    """Ends of the side along the wall, metres."""
 
     def block(self, low: float, near: float, high: float, far: float) -> tuple[float, float, float, float]:
-        """A rectangle from `low` to `high` along the wall, and `near` to `far` from its middle, metres."""
+        """Return a rectangle from `low` to `high` along the wall, and `near` to `far` from its middle, metres."""
         first, last = sorted((self.wall + self.inward * near, self.wall + self.inward * far))
         return (first, low, last, high) if self.vertical else (low, first, high, last)
 
@@ -137,16 +137,16 @@ class Door:
     """A gap in a wall between two rooms."""
 
     vertical: bool
-    """Whether the wall runs along y."""
+    """True if the wall runs along y."""
     wall: float
-    """Where the wall's middle lies: x if it is vertical, else y, metres."""
+    """Position of the wall's middle: x if it is vertical, else y, metres."""
     middle: float
     """Middle of the gap along the wall, metres."""
     width: float
     """Metres."""
     low: float
     high: float
-    """Where the stretch of wall that both rooms share begins and ends, metres."""
+    """Ends of the stretch of wall that both rooms share, metres."""
 
 
 @dataclasses.dataclass
@@ -161,7 +161,7 @@ class FloorPlan:
     blocks: list[tuple[float, float, float, float]] = dataclasses.field(default_factory=list)
     """Columns, counters, furniture: rectangles of their true size, at least one cell."""
     kinds: list[str] = dataclasses.field(default_factory=list)
-    """What every room is used for: a key of `furniture.ROOMS`; empty where its size decides."""
+    """Use of every room: a key of `furniture.ROOMS`; empty if its size decides."""
 
     def room(self, *rects: tuple[float, float, float, float], kind: str = "") -> int:
         """Add a room of one or more overlapping rectangles, of a kind (see `kinds`). Returns its number."""
@@ -170,7 +170,7 @@ class FloorPlan:
         return len(self.rooms) - 1
 
     def beside(self, door: Door) -> tuple[int, int]:
-        """The numbers of the rooms on both sides of a door: at the lower and at the higher coordinate."""
+        """Return the numbers of the rooms on both sides of a door: at the lower and at the higher coordinate."""
         low, high = -1, -1
         for number, rects in enumerate(self.rooms):
             for rect in rects:
@@ -181,7 +181,7 @@ class FloorPlan:
         return low, high
 
     def shared_walls(self, a: int, b: int) -> list[tuple[bool, float, float, float]]:
-        """The straight stretches of wall that two rooms share: `(vertical, wall, low, high)`, metres, as in `Door`."""
+        """Return the straight stretches of wall that two rooms share: `(vertical, wall, low, high)`, see `Door`."""
         stretches = []
         for p in self.rooms[a]:
             for q in self.rooms[b]:
@@ -199,7 +199,7 @@ class FloorPlan:
         return apart
 
     def bare_walls(self, room: int, keep_m: float) -> list[Side]:
-        """The stretches of a room's walls that are `keep_m` metres and more away from its doors and openings."""
+        """Return the stretches of a room's walls that are `keep_m` metres and more away from its doors and openings."""
         stretches = []
         for rect in self.rooms[room]:
             x0, y0, x1, y1 = rect
@@ -225,17 +225,17 @@ class FloorPlan:
         return stretches
 
     def gap(self, stretch: tuple[bool, float, float, float], width: float, at: float = 0.5) -> None:
-        """A door in a stretch of wall. `at` goes from 0, at its lower end, to 1; jambs remain at both ends."""
+        """Add a door in a stretch of wall. `at` goes from 0, at its lower end, to 1; jambs remain at both ends."""
         vertical, wall, low, high = stretch
         margin = min((high - low) / 2, width / 2 + WALL_M / 2 + 0.25)
         self.doors.append(Door(vertical, wall, low + margin + at * (high - low - 2 * margin), width, low, high))
 
     def door(self, a: int, b: int, width: float, at: float = 0.5) -> None:
-        """A door between two rooms, in the longest stretch of wall that they share."""
+        """Add a door between two rooms, in the longest stretch of wall that they share."""
         self.gap(max(self.shared_walls(a, b), key=lambda stretch: stretch[3] - stretch[2]), width, at)
 
     def render(self, cell_m: float, *, flip_x: bool = False, flip_y: bool = False) -> World:
-        """The plan as cells.
+        """Render the plan as cells.
 
         A wall is at least one cell thick. A door has the whole number of cells nearest to its width, fewer where that
         leaves no cell of wall on either side, but never fewer than a robot passes (`passable_cells`).
@@ -300,7 +300,7 @@ def cut(rng: np.random.Generator, length: float, kinds: Sequence[tuple[float, fl
 
 
 def n_corridors(height_m: float) -> int:
-    """How many corridors run the length of a building so deep."""
+    """Return the number of corridors along a building of a depth."""
     return max(1, round(height_m / 10))
 
 
@@ -318,7 +318,7 @@ def bands(
       height_m: metres; every 10 m have a corridor.
       corridor_m: width of the corridors, metres.
       edge: least and largest depth of the first and last row, as a multiple of half a corridor's share of the depth;
-        the cores take what is left.
+        the cores take the rest.
       widths: of the corridors, bottom to top, metres, one for each; none: all are `corridor_m` wide.
 
     Returns:

@@ -31,7 +31,7 @@ ROOMS: dict[str, dict[str, float]] = {
     "waiting": {"table": 34, "bench": 30, "seat": 9, "bin": 20},
     "mixed": {"desk": 27, "table": 60, "bed": 60, "cupboard": 42, "shelf": 50, "seat": 44, "bin": 26},
 }
-"""Kind of room -> piece -> there is one in so many square metres. The first pieces choose their places first."""
+"""Kind of room -> piece -> square metres per piece. The first pieces choose their places first."""
 
 WALL_PIECES = {
     "cupboard": ((0.8, 1.6), (0.4, 0.6)),
@@ -43,10 +43,10 @@ WALL_PIECES = {
 
 _LEG_M = 0.05
 _CHAIR_M = 0.42
-_OFF_WALL_M = 0.25  # legs stand so far from the wall that they are no part of it
+_OFF_WALL_M = 0.25  # m; legs stand this far from the wall so that they do not merge with it
 _BIN_M = 0.28
 _GAP_M = 0.3  # between two pieces: at least a cell, so that nothing is shut in behind them
-_DOOR_M = (0.2, 0.95)  # what remains free beside and before a door
+_DOOR_M = (0.2, 0.95)  # m; free space kept to the sides of a door and before it
 _PASSAGE_M = 1.35  # what remains free of a corridor
 _ROUND_M = 0.85  # between tables and the middles of the walls
 _AISLE_M = 1.0  # between rows of desks
@@ -61,7 +61,7 @@ class Piece(NamedTuple):
     """Something to stand in a room."""
 
     zone: Rect
-    """What it takes up, with the chairs, metres."""
+    """Occupied area, chairs included, metres."""
     parts: list[tuple[float, list[Rect]]]
     """Rank and blocks of the piece itself and of every chair that belongs to it."""
 
@@ -69,14 +69,14 @@ class Piece(NamedTuple):
 def furnish(plan: FloorPlan, seed: int, kind: int, furniture: float) -> None:
     """Furnish the rooms of a plan, as blocks.
 
-    Doorways and a strip before them stay free. A piece that would part two doors of a room, shut in free space or take
-    more than half of a room's standing places from a robot is left out; that is tried in the cells of `CHECKS`, so that
-    one seed is one building at every `cell_m`.
+    Doorways and a strip before them stay free. A piece that would separate two doors of a room, enclose free space or
+    take more than half of a room's standing places from a robot is left out; this is checked in the cells of `CHECKS`,
+    so that a seed gives the same building at every `cell_m`.
 
     Args:
       plan: a `FloorPlan`, changed in place: finished but for the furniture.
       seed, kind: of the building.
-      furniture: share of the pieces that are there, 0 to 1. What there is stays where it is as the share grows.
+      furniture: share of the pieces that exist, 0 to 1. Pieces stay in place as the share grows.
     """
     if not furniture:
         return
@@ -95,14 +95,14 @@ def furnish(plan: FloorPlan, seed: int, kind: int, furniture: float) -> None:
 
 
 def _spaces(plan, number, doors, empty):
-    """The room in the cells of every check, `empty` being the plan in them."""
+    """Return the room in the cells of every check, `empty` being the plan in them."""
     return [
         _Space(world, number, plan.rooms[number], doors, clearance_m) for world, (_, clearance_m) in zip(empty, CHECKS)
     ]
 
 
 def _pieces(rng, plan: FloorPlan, number: int, doors: Sequence[Door], standing: Sequence[Rect]) -> list[Piece]:
-    """All furniture that a room could have: pieces that overlap neither each other nor what is standing there."""
+    """Draw all furniture that a room could have: pieces that overlap neither each other nor standing ones."""
     rects = plan.rooms[number]
     area = sum(map(_area, rects))
     kind = plan.kinds[number] or ("store" if area < 7 else "office" if area < 24 else "meeting")
@@ -125,7 +125,7 @@ def _pieces(rng, plan: FloorPlan, number: int, doors: Sequence[Door], standing: 
 
 
 def _at_a_wall(rng, plan, walls, rects, name, beyond_m):
-    """A piece somewhere along the walls of a room, `beyond_m` metres of it left free; None where it does not fit."""
+    """Place a piece somewhere along a room's walls, `beyond_m` metres next to it left free; None if it does not fit."""
     length, depth, parts = _wall_piece(rng, name)
     lengths = np.array([side.high - side.low for side in walls])
     if not len(lengths):
@@ -150,7 +150,7 @@ def _at_a_wall(rng, plan, walls, rects, name, beyond_m):
 
 
 def _wall_piece(rng, name):
-    """A piece along a wall: its length, its depth, and its parts: `u` along the wall, `v` away from it, metres."""
+    """Draw a piece along a wall: length, depth, and its parts: `u` along the wall, `v` away from it, metres."""
     rank, later = rng.random(2)
     later = max(rank, later)
     if name == "desk":
@@ -167,14 +167,14 @@ def _wall_piece(rng, name):
         return near + _BIN_M, near + _BIN_M, [(rank, [(near, near, near + _BIN_M, near + _BIN_M)])]
     length, depth = (rng.uniform(*span) for span in WALL_PIECES[name])
     parts = [(rank, [(0.0, 0.0, length, depth)])]
-    if name == "bed":  # and what stands beside it
+    if name == "bed":  # and the furniture next to it
         parts.append((later, [(length, 0.0, length + 0.45, 0.45)]))
         length += 0.45
     return length, depth, parts
 
 
 def _in_the_open(rng, rects, name):
-    """A table with chairs round it or desks face to face, away from the walls; None where the room is too small."""
+    """Draw a table with chairs or desks face to face, away from the walls; None if the room is too small."""
     x0, y0, x1, y1 = max(rects, key=_area)
     if name == "pod":  # as many desks in a row as there is room for, all rows one way
         turned, seats = x1 - x0 < y1 - y0, 2 if max(x1 - x0, y1 - y0) > 9 else 1
@@ -212,12 +212,12 @@ def _leg(u, v):
 
 
 def _legs(u0, v0, u1, v1):
-    """The legs at the corners of a rectangle."""
+    """Return the legs at the corners of a rectangle."""
     return [_leg(u, v) for u in (u0, u1 - _LEG_M) for v in (v0, v1 - _LEG_M)]
 
 
 def _before(door):
-    """What remains free on both sides of a door."""
+    """Return the area to keep free on both sides of a door."""
     beside, before = _DOOR_M
     along = (door.middle - door.width / 2 - beside, door.middle + door.width / 2 + beside)
     across = (door.wall - before, door.wall + before)
@@ -226,7 +226,7 @@ def _before(door):
 
 
 def _face(plan, vertical, wall):
-    """How far a wall's face lies from its `wall` coordinate, metres."""
+    """Return the distance of a wall's face from its `wall` coordinate, metres."""
     end = plan.width_m if vertical else plan.height_m
     return OUTER_M if wall < 1e-6 or wall > end - 1e-6 else WALL_M / 2
 
@@ -278,7 +278,7 @@ class _Space:
         return tuple(slice(max(0, s.start - o), max(0, s.stop - o)) for s, o in ((y, self.row), (x, self.col)))
 
     def _state(self, occupied):
-        """How many parts the free cells have, the doors that the largest part of the clear ones reaches, its size."""
+        """Return the number of free components, the doors reached by the largest clear one, and its size."""
         parts = _components(self.own & ~occupied).max()
         labels = _components(self.own & clear_cells(occupied, self.clearance_m, self.cell_m))
         sizes = np.bincount(labels.ravel())
@@ -287,7 +287,7 @@ class _Space:
         return parts, [bool((main & door).any()) for door in self.doors], int(sizes.max())
 
     def fits(self, pieces):
-        """Whether a robot gets through the room and round in it where these pieces, lists of blocks, stand in it."""
+        """Return whether a robot gets through and round the room with these pieces, lists of blocks, in it."""
         occupied = self.occupied.copy()
         for block in (block for blocks in pieces for block in blocks):
             occupied[self._window(block)] = True
@@ -297,14 +297,14 @@ class _Space:
 
 
 def _components(mask):
-    """4-connected components, numbered from 1; 0 elsewhere."""
+    """Label 4-connected components from 1; 0 elsewhere."""
     labels = np.empty(mask.shape, np.int32)
     ndimage.label(mask, output=labels)
     return labels
 
 
 def _that_fit(pieces, before, spaces):
-    """Those of some pieces that fit into a room after others: each one that fits with all that fitted before it."""
+    """Return those pieces that fit into a room after others: each one that fits with all accepted before."""
     if not pieces or all(space.fits([*before, *pieces]) for space in spaces):
         return pieces
     if len(pieces) == 1:

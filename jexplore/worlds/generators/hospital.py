@@ -36,12 +36,12 @@ def hospital(
     wide_openings: float = 0.0,
     max_loops: float = 1000.0,
 ) -> World:
-    """A hospital floor: a ward, a hall and a treatment wing side by side.
+    """Generate a hospital floor: a ward, a hall and a treatment wing side by side.
 
-    In the ward, a corridor runs round a core (several for buildings from 25 m in height; a single straight one below
-    15 m). Patient rooms lie at the facades, most with a bathroom beside the entrance; nurses, stores and treatment lie
-    in the core. The corridors end at the hall. The treatment wing has one corridor, patient rooms on one side of it and
-    on the other suites of a waiting room and the rooms behind it; it may be less deep than the ward.
+    In the ward, a corridor runs round a core (several for buildings from 25 m in height; a single straight one below 15
+    m). Patient rooms lie at the facades, most with a bathroom next to the entrance; nurses, stores and treatment lie in
+    the core. The corridors end at the hall. The treatment wing has one corridor, patient rooms on one side and on the
+    other suites of a waiting room and the rooms behind it; it may be less deep than the ward.
 
     Args:
       seed: integer from 0.
@@ -49,10 +49,10 @@ def hospital(
       width_m, height_m: outer size, metres.
       corridor_m: width of the corridors between the middles of their walls, metres.
       room_m: width of a common patient room, metres; the others follow.
-      corridor_sd_m: standard deviation of the widths of the corridors, and depth of what narrows them, metres; 0 to 1.
-      furniture: share of the furniture that is there, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
+      corridor_sd_m: standard deviation of the widths of the corridors, and depth of constrictions, metres; 0 to 1.
+      furniture: share of the furniture that exists, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
       wide_openings: share of the doors that are openings 1.6 to 2.6 m wide where the wall allows, 0 to 1.
-      max_loops: ways round a 1000 m2, at most: doors beyond them are closed, none that would cut off a room. 0 to 1000.
+      max_loops: most cycles per 1000 m2: doors beyond them are closed, but none that would cut off a room. 0 to 1000.
 
     Returns:
       A `World` with rooms.
@@ -86,7 +86,7 @@ def hospital(
 
 
 def _ward(rng, plan, end, stack, corridor_m, kinds):
-    """The ward from x = 0 to `end`. Returns the number of its corridor."""
+    """Draw the ward from x = 0 to `end`; return the number of its corridor."""
     lines = stack[1::2]
     x = 0.0
     if len(lines) == 1:
@@ -113,7 +113,7 @@ def _ward(rng, plan, end, stack, corridor_m, kinds):
 
 
 def _patients(rng, plan, rect, front, kinds):
-    """A row of patient rooms and stores between a facade and a corridor that begins at y = `front`."""
+    """Draw a row of patient rooms and stores between a facade and a corridor that begins at y = `front`."""
     x0, y0, x1, y1 = rect
     left = bool(rng.random() < 0.5)
     for width in cut(rng, x1 - x0, kinds):
@@ -129,7 +129,7 @@ def _patients(rng, plan, rect, front, kinds):
 
 
 def _with_bathroom(rng, plan, rect, front, inner_m, left):
-    """A patient room with a bathroom `inner_m` wide in the corner at the corridor, left or right of the entrance."""
+    """Draw a patient room with a bathroom `inner_m` wide in the corner next to the entrance."""
     x0, y0, x1, y1 = rect
     depth = rng.uniform(1.8, 2.2)
     y = front + depth if front == y0 else front - depth
@@ -147,7 +147,7 @@ def _with_bathroom(rng, plan, rect, front, inner_m, left):
 
 
 def _core(rng, plan, rect):
-    """The nurses' station somewhere in the core, and stores and treatment rooms on both sides of it."""
+    """Place the nurses' station somewhere in the core, and stores and treatment rooms on both sides."""
     x0, y0, x1, y1 = rect
     size = rng.uniform(6.0, 7.5)
     size = size if x1 - x0 - size > 2.2 else x1 - x0
@@ -175,7 +175,7 @@ def _core(rng, plan, rect):
 
 
 def _desk(plan, x, y):
-    """A counter on three sides of a square place, open towards the top."""
+    """Draw a counter on three sides of a square place, open towards the top."""
     half_x, half_y, depth = 1.3, 0.85, 0.4
     plan.blocks += [
         (x - half_x, y - half_y, x + half_x, y - half_y + depth),
@@ -185,7 +185,7 @@ def _desk(plan, x, y):
 
 
 def _hall(rng, plan, ends, stack):
-    """The hall, from the facade to the last corridor, and the rooms behind it. Returns its number."""
+    """Draw the hall, from the facade to the last corridor, and the rooms behind it; return its number."""
     x0, x1 = ends
     y = stack[-2][1]
     rect = (x0, 0.0, x1, y)
@@ -199,7 +199,7 @@ def _hall(rng, plan, ends, stack):
 
 
 def _treatment(rng, plan, begin, stack, hall, kinds):
-    """The wing from x = `begin` to the end, along the first or the last corridor of the ward."""
+    """Draw the wing from x = `begin` to the end, along the first or the last corridor of the ward."""
     end = plan.width_m
     first = bool(rng.random() < 0.5)
     row, line = (stack[0], stack[1]) if first else (stack[-1], stack[-2])
@@ -221,7 +221,7 @@ def _treatment(rng, plan, begin, stack, hall, kinds):
 
 
 def _suites(rng, plan, ends, front, back):
-    """Waiting rooms at a corridor (y = `front`), each with two or three rooms behind it."""
+    """Draw waiting rooms at a corridor (y = `front`), each with two or three rooms behind it."""
     x0 = ends[0]
     for width in cut(rng, ends[1] - ends[0], [(1.0, 6.5, 10.0)]):
         middle = front + (back - front) * rng.uniform(0.42, 0.52)

@@ -24,7 +24,7 @@ def maze(
     wall_m: float = 0.2,
     loops: float = 0.1,
 ) -> World:
-    """A maze: every place is reached, by exactly one way if `loops` is 0.
+    """Generate a maze: every place is reached, by exactly one way if `loops` is 0.
 
     As many corridors as fit are spread over the size, so they are at least `corridor_m` wide up to a cell, and
     a little wider where the size is no multiple. A random depth-first walk lays them: long corridors, deep dead ends.
@@ -76,7 +76,7 @@ def maze(
 def passages(
     rng: np.random.Generator, shape: Sequence[int], loops: float
 ) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Which neighbouring places of a maze are joined.
+    """Choose the neighbouring places of a maze that are joined.
 
     Args:
       rng: numpy `Generator`.
@@ -111,7 +111,7 @@ def passages(
 
 
 def _last_of_a_post_last(walls, shape):
-    """The walls in their order, but those without which a post between four places would stand alone at the end."""
+    """Sort walls last without which a post between four places would stand alone."""
     ends = [((max(a[0], b[0]), max(a[1], b[1])), (a[0] + 1, a[1] + 1)) for a, b in walls]
     left = collections.Counter(post for pair in ends for post in pair)
     for y, x in left:

@@ -46,16 +46,16 @@ class _Side:
 def network(
     rng: np.random.Generator | None, width_m: float, creases: int, loops: int, repeat: int, spurs: bool
 ) -> Network:
-    """A course with so many independent ways round, or with so many equal junctions, or both.
+    """Plan a course with a number of independent cycles, or of equal junctions, or both.
 
     Args:
-      rng: what is drawn from; None: nothing is, the widths are `width_m` and all lengths 6 m.
+      rng: generator; None: nothing is drawn, the widths are `width_m` and all lengths 6 m.
       width_m: of the passages, metres.
-      creases: places of the obstacle that become nodes; 0: there is none.
+      creases: places of the obstacle that become nodes; 0: no obstacle.
       loops: rings, each of which shares a side with the one before or is joined to it by a passage.
       repeat: T junctions at equal distances, with dead ends of equal length: on the first ring, else on a straight
         passage.
-      spurs: whether rings have dead ends.
+      spurs: bool, rings have dead ends.
 
     Returns:
       `Network`. Its first passage has the start and the obstacle.
@@ -107,7 +107,7 @@ class _Draws:
 
 
 def _rings(draw, loops):
-    """Sides of so many rings: a staircase to the north and east, so that no further one arises."""
+    """Return the sides of a number of rings: a staircase to the north and east, so that no further ring arises."""
     column, row, sides = 0, 0, _sides_of(0, 0)
     for _ in range(loops - 1):
         shares, east, upper = draw.choice((True, False)), draw.choice((True, False)), draw.choice((0, 1))
@@ -127,7 +127,7 @@ def _sides_of(column, row):
 
 
 def _wanted(draw, sides, repeat):
-    """Places, keys of column and row, and headings of dead ends that rings may have; none beside equal junctions."""
+    """Return places, keys of column and row, and headings of dead ends for rings; none next to equal junctions."""
     found = []
     if draw.rng is None:
         return found
@@ -141,7 +141,7 @@ def _wanted(draw, sides, repeat):
 
 
 def _lines(draw, keys, repeat):
-    """Key -> the two sides of a line, metres. Those of equal junctions are alike and equally far apart."""
+    """Return key -> the two sides of a line, metres. Those of equal junctions are alike and equally far apart."""
     equal_width, equal_gap, at, found = draw.width(), draw.length(5.0, 8.0), 0.0, {}
     keys = sorted(keys)
     for key, after in zip(keys, [*keys[1:], None]):
@@ -174,7 +174,7 @@ class _Made:
         return x0, y0, x1, y1
 
     def spur(self, at, heading, length, may_fail=False):
-        """A passage with a dead end, so long from its mouth at a place on a line to its end.
+        """Add a passage with a dead end, of a length from its mouth at a place on a line to its end.
 
         One that may fail is left out where it would come too near to another passage.
         """
@@ -191,7 +191,7 @@ class _Made:
         self.spurs.append((at, far))
 
     def places_and_pairs(self):
-        """Rectangles of the places where passages meet or end, and the passages as pairs of them, dead ends first."""
+        """Return rectangles of places where passages meet or end, and passages as pairs, dead ends first."""
         keys = sorted(self.keys)
         places = [*map(self._place, keys), *(far for _, far in self.spurs)]
         pairs = [(len(keys) + i, keys.index(at)) for i, (at, _) in enumerate(self.spurs)]
@@ -202,7 +202,7 @@ class _Made:
 
 
 def _beyond(rect, heading, near_m, far_m) -> Rect:
-    """The stretch of a passage that leaves a rectangle, so far from its mouth."""
+    """Return the stretch of a passage that leaves a rectangle, between two distances from its mouth."""
     edge, forward = rect[(heading + 2) % 4], 1 if heading < 2 else -1
     low, high = sorted((edge + forward * near_m, edge + forward * far_m))
     x0, y0, x1, y1 = rect
@@ -219,14 +219,14 @@ def _overlap(a, b):
 
 
 def _turned(rects, quarters, mirrored):
-    """Rectangles turned counter-clockwise about the origin, then mirrored in x."""
+    """Turn rectangles counter-clockwise about the origin, then mirror them in x."""
     for _ in range(quarters):
         rects = [(-y1, x0, -y0, x1) for x0, y0, x1, y1 in rects]
     return [(-x1, y0, -x0, y1) for x0, y0, x1, y1 in rects] if mirrored else list(rects)
 
 
 def _planned(places: list[Rect], pairs: Iterable[tuple[int, int]], before_m, creases, angle_deg) -> Network:
-    """The `Network` of places and passages; on the first passage are the start and, so far from its end, the ramp."""
+    """Return the `Network` of places and passages; the first has the start and, `before_m` from its end, the ramp."""
     ways = [(a, b, _heading(places[a], places[b])) for a, b in pairs]
     arms = [{heading for a, _, heading in ways if a == i} | {(h + 2) % 4 for _, b, h in ways if b == i}
             for i in range(len(places))]  # fmt: skip

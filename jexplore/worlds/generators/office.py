@@ -39,7 +39,7 @@ def office(
     max_loops: float = 1000.0,
     open_plan: bool = False,
 ) -> World:
-    """A floor of offices, meeting rooms, small service rooms, one open-plan area and a lobby at the facade.
+    """Generate a floor of offices, meeting rooms, small service rooms, one open-plan area and a lobby at the facade.
 
     Corridors run the length of the building, one in every 10 m of its height; cross corridors join two of them, open to
     one and with a door to the other. Every corridor is a room of its own, together with the cross corridors open to it.
@@ -50,11 +50,11 @@ def office(
       width_m, height_m: outer size, metres.
       corridor_m: width of the corridors between the middles of their walls, metres.
       room_m: width of a common office, metres; the others follow.
-      corridor_sd_m: standard deviation of the widths of the corridors, and depth of what narrows them, metres; 0 to 1.
-      furniture: share of the furniture that is there, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
+      corridor_sd_m: standard deviation of the widths of the corridors, and depth of constrictions, metres; 0 to 1.
+      furniture: share of the furniture that exists, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
       wide_openings: share of the doors that are openings 1.6 to 2.6 m wide where the wall allows, 0 to 1.
-      max_loops: ways round a 1000 m2, at most: doors beyond them are closed, none that would cut off a room. 0 to 1000.
-      open_plan: whether all beyond the first corridor is one open-plan area, but for some rooms at one end of it.
+      max_loops: most cycles per 1000 m2: doors beyond them are closed, but none that would cut off a room. 0 to 1000.
+      open_plan: all beyond the first corridor forms an open-plan area, but for some rooms at one end.
 
     Returns:
       A `World` with rooms.
@@ -81,7 +81,7 @@ def office(
 
 
 def _floor(rng, plan, stack, corridor_m, kinds):
-    """Rows of rooms at both facades, and cores between the corridors."""
+    """Draw rows of rooms at both facades, and cores between the corridors."""
     width_m = plan.width_m
     end = width_m
     if len(stack) > 3 and width_m >= 22 and rng.random() < 0.5:
@@ -110,7 +110,7 @@ def _floor(rng, plan, stack, corridor_m, kinds):
 
 
 def _open_floor(rng, plan, stack, corridor_m, kinds):
-    """Rooms at one facade and a corridor along them, then nothing but desks, and meeting rooms at one end."""
+    """Draw rooms at one facade and a corridor along them, then only desks, and meeting rooms at one end."""
     (y0, y1), (_, y2) = stack[:2]
     end = plan.width_m
     corridor = plan.room((0.0, y1, end, y2), kind="corridor")
@@ -128,7 +128,7 @@ def _open_floor(rng, plan, stack, corridor_m, kinds):
 
 
 def _kinds(room_m):
-    """Kinds of rooms: how common, least and greatest width, metres."""
+    """Return kinds of rooms: how common, least and greatest width, metres."""
     return [
         (0.40, 0.8 * room_m, 1.0 * room_m),
         (0.28, 1.0 * room_m, 1.4 * room_m),
@@ -138,7 +138,7 @@ def _kinds(room_m):
 
 
 def _crossings(rng, end, corridor_m):
-    """Where cross corridors run through a core from 0 to `end`: a list of `(x0, x1)`."""
+    """Draw the positions of cross corridors through a core from 0 to `end`: a list of `(x0, x1)`."""
     n = max(1, round(end / 20 + rng.uniform(-0.5, 0.7)))
     half = corridor_m / 2 * rng.uniform(1.0, 1.15)
     middles = [end * (i + rng.uniform(0.25, 0.75)) / n for i in range(n)]
@@ -162,7 +162,7 @@ def _corridors(rng, plan, stack, crossings, end):
 
 
 def _head(rng, plan, end, stack, corridors):
-    """The lobby and large rooms at the end of the corridors, one to each, and perhaps meeting rooms in the corners."""
+    """Draw the lobby and large rooms at the corridors' ends, one each, and perhaps meeting rooms in the corners."""
     corners = [y if rng.random() < 0.6 else edge for y, edge in ((stack[0][1], 0.0), (stack[-1][0], plan.height_m))]
     middles = [y0 + (y1 - y0) * rng.uniform(0.35, 0.65) for y0, y1 in stack[2:-1:2]]
     large = []
@@ -179,7 +179,7 @@ def _head(rng, plan, end, stack, corridors):
 
 
 def _row_around(rng, plan, rect, corridor, kinds, special, size_m):
-    """A row of rooms with one special room somewhere in it, about `size_m` long."""
+    """Draw a row of rooms with one special room somewhere in it, about `size_m` long."""
     x0, y0, x1, y1 = rect
     size = min(size_m * rng.uniform(0.85, 1.2), (x1 - x0) / 2)
     begin = x0 + rng.uniform(3.0, x1 - x0 - size - 3.0)
@@ -199,7 +199,7 @@ def _open_plan(plan, rect, corridors):
 
 
 def _with_doors(plan, rect, corridors, width, kind):
-    """A large room with two doors to every corridor it lies at."""
+    """Draw a large room with two doors to every corridor next to it."""
     room = plan.room(rect, kind=kind)
     for corridor in corridors:
         plan.door(room, corridor, width, 0.12)
@@ -207,7 +207,10 @@ def _with_doors(plan, rect, corridors, width, kind):
 
 
 def _row(rng, plan, rect, corridor, kinds):
-    """Rooms side by side along a corridor. Some lie behind a front office, some have a door to the room before."""
+    """Draw rooms side by side along a corridor.
+
+    Some lie behind a front office, some have a door to the room before.
+    """
     x0, y0, x1, y1 = rect
     above = plan.rooms[corridor][0][1] > y0  # the corridor lies above the row
     before = None
@@ -233,12 +236,12 @@ def _row(rng, plan, rect, corridor, kinds):
 
 
 def _core(rng, plan, ends, band, corridors, kinds):
-    """What lies between two corridors: an open-plan area in a long part, and rooms back to back or across.
+    """Fill the area between two corridors: an open-plan area in a long part, and rooms back to back or across.
 
     Args:
       rng: numpy `Generator`.
       plan: the `FloorPlan`.
-      ends: where the parts begin and end, alternately, metres.
+      ends: begin and end of the parts, alternately, metres.
       band: `(y0, y1)`.
       corridors: numbers of the corridors below and above.
       kinds: see `cut`.

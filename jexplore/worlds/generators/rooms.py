@@ -26,7 +26,7 @@ def rooms(
     wide_openings: float = 0.0,
     max_loops: float = 1000.0,
 ) -> World:
-    """Random rectangular rooms without corridors: cut in two again and again, then joined by doors.
+    """Generate random rectangular rooms without corridors: cut in two again and again, then joined by doors.
 
     The doors 0.9 to 1.2 m wide are a random spanning tree of the neighbours, and a fraction of the others.
 
@@ -73,7 +73,7 @@ def rooms(
 
 
 def _halves(rng, rect, room_m):
-    """The two parts of a rectangle, or nothing if it stays one room: too small, or small enough for its draw."""
+    """Cut a rectangle in two, unless it stays one room: too small, or small enough for its draw."""
     x0, y0, x1, y1 = rect
     width, height = x1 - x0, y1 - y0
     small = math.exp(rng.uniform(0.0, 2.7)) * room_m**2
@@ -88,9 +88,9 @@ def _halves(rng, rect, room_m):
 
 
 def _neighbours(rects):
-    """Pairs of rooms that share enough wall for a door, `[n, 2]`.
+    """Return pairs of rooms that share enough wall for a door, `[n, 2]`.
 
-    They join all rooms: where a cut begins, a room on either side of it begins, and both are at least `room_m` long.
+    They join all rooms: at the beginning of a cut a room begins on either side, and both are at least `room_m` long.
     """
     x0, y0, x1, y1 = rects.T
     pairs = [np.empty((0, 2), int)]

@@ -23,7 +23,7 @@ class Ramp:
     lane: tuple[float, float]
     """The two sides of the passage: their y if it runs along x, else their x."""
     along: float
-    """Where it starts: x if the passage runs along x, else y."""
+    """Start of the ramp: x if the passage runs along x, else y."""
     angle_deg: float
 
 
@@ -59,7 +59,7 @@ class Leg:
 
 
 class Route:
-    """A route under construction: the robot stands at `at`, on the centre line, at the end of what is carved."""
+    """Route under construction: the robot stands at `at`, on the centre line, at the end of the carved passage."""
 
     at: tuple[float, float]
     heading: int
@@ -87,17 +87,17 @@ class Route:
 
     @property
     def areas(self) -> list[Rect]:
-        """The rectangles that are free, `(x0, y0, x1, y1)`, metres."""
+        """Return the rectangles that are free, `(x0, y0, x1, y1)`, metres."""
         return [rect for _, rect in self.rects]
 
     @property
     def start(self) -> Stop:
-        """Where the robot starts, its heading that of the course."""
+        """Return the robot's start; its heading is that of the course."""
         return self.stops[0]
 
     @property
     def has_goal(self) -> bool:
-        """True: the last stop is the goal, and ways that the robot does not take have no end."""
+        """Return True: the last stop is the goal, and ways that the robot does not take have no end."""
         return True
 
     def passage(self, length: float) -> None:
@@ -108,7 +108,7 @@ class Route:
         self._advance(length)
 
     def ramp(self, angle_deg: float, creases: int = 3) -> None:
-        """An up-and-down obstacle whose ground bends so many times. With 0 there is none, but its place remains."""
+        """Add an up-and-down obstacle with a number of creases. With 0 it is omitted, but its place remains."""
         self._carve(2 * RAMP_M)
         if creases:
             ramp = Ramp(self.heading, self._lane(), self._along(), angle_deg)
@@ -118,14 +118,14 @@ class Route:
         self._advance(2 * RAMP_M)
 
     def hall(self, length: float, depth: float, side: int) -> None:
-        """A free space: one wall of the passage steps back by `depth`, on the `side` LEFT or RIGHT."""
+        """Add a free space: one wall of the passage steps back by `depth`, on the `side` LEFT or RIGHT."""
         self._arrive(self._stop("free_space"))
         self._carve(length, (-side * self.width / 2, side * (self.width / 2 + depth)))
         self._advance(length)
         self._arrive(self._stop("free_space"))
 
     def junction(self, turns: Sequence[int], width: float, stub_m: float, dead_m: float = 0.0) -> None:
-        """A corner, T or crossing. The robot takes the first way counter-clockwise from the one that it came by.
+        """Add a corner, T or crossing. The robot takes the first way counter-clockwise from the way in.
 
         Args:
           turns: of RIGHT, STRAIGHT, LEFT, those in which there is an opening.
@@ -152,13 +152,13 @@ class Route:
         self._turn(before, todo[0], width)
 
     def goal(self, length: float, beyond: float) -> None:
-        """The goal after `length` of passage; the passage goes on for `beyond`."""
+        """Add the goal after `length` of passage; the passage goes on for `beyond`."""
         self.passage(length)
         self._arrive(self._stop("terminal"))
         self._carve(beyond)
 
     def box(self, rect_index: int, start: float, length: float, depth: float, side: int) -> None:
-        """Furniture along a wall of a passage.
+        """Add furniture along a wall of a passage.
 
         Args:
           rect_index: which one of `straights`.
@@ -221,23 +221,23 @@ class Route:
 
 
 def is_near(a: Sequence[float], b: Sequence[float]) -> bool:
-    """Whether two rectangles `(x0, y0, x1, y1)` are nearer than `MARGIN_M` in both axes."""
+    """Return whether two rectangles `(x0, y0, x1, y1)` are nearer than `MARGIN_M` in both axes."""
     gap = MARGIN_M - 1e-6
     return a[0] < b[2] + gap and b[0] < a[2] + gap and a[1] < b[3] + gap and b[1] < a[3] + gap
 
 
 def drawn_width(rng: np.random.Generator, width_m: float) -> float:
-    """Width of a passage, metres: a multiple of 0.2 m, 0.7 to 1.2 times `width_m` and at least 1.2 m."""
+    """Draw the width of a passage, metres: a multiple of 0.2 m, 0.7 to 1.2 times `width_m` and at least 1.2 m."""
     return max(1.2, fifths(rng, 0.7 * width_m, 1.2 * width_m))
 
 
 def fifths(rng: np.random.Generator, low: float, high: float) -> float:
-    """A multiple of 0.2 m from about `low` to about `high`."""
+    """Draw a multiple of 0.2 m from about `low` to about `high`."""
     return 0.2 * int(rng.integers(round(low / 0.2), round(high / 0.2) + 1))
 
 
 def largest_circle(rect: Rect, arms: Collection[int]) -> tuple[float, float, float]:
-    """Centre and radius of the largest empty circle at a junction: it touches three walls, at a crossing four.
+    """Return centre and radius of the largest empty circle at a junction: it touches three walls, at a crossing four.
 
     Args:
       rect: `(x0, y0, x1, y1)` where the passages of the junction overlap; of a dead end, its last stretch.

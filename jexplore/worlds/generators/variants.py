@@ -1,6 +1,6 @@
-"""What makes a drawn building less regular: wide openings, fewer ways round, corridors of different widths.
+"""Irregularities of a drawn building: wide openings, fewer cycles, corridors of different widths.
 
-All of it is drawn from random streams of its own, so that a building without it stays what it is.
+Each is drawn from a random stream of its own, so that a building without it stays the same.
 """
 
 import numpy as np
@@ -15,12 +15,12 @@ _JAMB_M = 0.25  # of wall that remains on both sides of an opening
 _SHAFT_M = (1.2, 6.0)  # least and greatest length of what narrows a corridor
 _MOST_M = 3.0  # the widest, where the corridors are not wider anyway
 _LEAST_M = 1.5  # the narrowest corridor between the middles of its walls: 1.3 m in cells of 0.2 m
-_AREA_CELL_M = 0.1  # what the area is measured in: one seed is one building at every cell_m
+_AREA_CELL_M = 0.1  # m; cell in which the area is measured: a seed gives the same building at every cell_m
 _OPENINGS, _LOOPS, _WIDTHS, _NICHES = 101, 102, 103, 104  # random streams
 
 
 def stream(seed: int, kind: int, use: int, *more: int) -> np.random.Generator:
-    """Random numbers of a seed for one use, apart from those that draw the building: a numpy `Generator`."""
+    """Return the generator of a seed for one use, apart from those that draw the building."""
     return np.random.default_rng([int(seed), kind, use, *more])
 
 
@@ -48,7 +48,7 @@ def require_variants(
 
 
 def corridor_widths(seed: int, kind: int, n: int, corridor_m: float, sd_m: float) -> list[float]:
-    """Widths of the corridors of a building: normally distributed, cut off where a corridor is no more.
+    """Draw widths of the corridors of a building: a truncated normal distribution.
 
     Args:
       seed, kind: of the building.
@@ -148,7 +148,7 @@ def widen_openings(plan: FloorPlan, seed: int, kind: int, share: float) -> None:
 
 
 def _widened(doors: list[Door], i: int, width: float) -> Door | None:
-    """Door `i` as an opening, between the ends of its wall and the other doors in it; None where it does not fit."""
+    """Widen door `i` to an opening, between the ends of its wall and its other doors; None if it does not fit."""
     door = doors[i]
     low, high = door.low + WALL_M / 2, door.high - WALL_M / 2
     for other in doors:

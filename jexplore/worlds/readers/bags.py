@@ -30,7 +30,7 @@ class RecordedGrid:
     """A message of the type nav_msgs/OccupancyGrid."""
 
     topic: str
-    """What it was published on."""
+    """Topic on which it was published."""
     occupancy: np.ndarray
     """`[H, W]` int8, -1 unknown, 0 free to 100 occupied; row 0 is the bottom."""
     resolution_m: float
@@ -41,7 +41,7 @@ class RecordedGrid:
 
 @checked_names
 def read_bag(path: str | os.PathLike[str], *, topic: str | None = None, message: int = -1) -> RecordedGrid:
-    """A map that was published while a recording was made.
+    """Read a map that was published while a recording was made.
 
     Args:
       path: `.bag` of ROS 1; `.db3` or `.mcap` of ROS 2, or the folder, or the `metadata.yaml` in it, of such files.
@@ -98,7 +98,7 @@ def load_bag(
     free_max: int | None = None,
     occupied_min: int | None = None,
 ) -> World:
-    """A world from a map in a recording. What is unknown counts as occupied.
+    """Load a world from a map in a recording. Unknown cells count as occupied.
 
     `load_world("run.bag:topic=/map,free_max=49")` is the same; topics that a name cannot hold are given here.
 
@@ -128,7 +128,7 @@ def load_bag(
 
 
 def _connections(path, connections, topic):
-    """The topic, and what of the recording is a map on it."""
+    """Return the topic, and the recording's connections with a map on it."""
     maps = [one for one in connections if one.msgtype == _TYPE]
     topics = sorted({one.topic for one in maps})
     if not maps:
@@ -144,7 +144,7 @@ def _connections(path, connections, topic):
 
 
 def _pick(path, topic, raws, message):
-    """The serialised message of a number; only the last ones are kept in memory."""
+    """Read the serialised message of a number; only the last ones are kept in memory."""
     if message >= 0:
         found = list(itertools.islice(raws, message, message + 1))
     else:
@@ -156,7 +156,7 @@ def _pick(path, topic, raws, message):
 
 
 def _checked(where, topic, grid):
-    """A message of rosbags as `RecordedGrid`."""
+    """Convert a message of rosbags to `RecordedGrid`."""
     info, place = grid.info, grid.info.origin.position
     height, width = int(info.height), int(info.width)
     yaw_rad = _yaw(where, grid.info.origin.orientation)
@@ -178,7 +178,7 @@ def _checked(where, topic, grid):
 
 
 def _yaw(where, turn):
-    """The yaw of an orientation; all zeros, as of who leaves it out, is 0."""
+    """Return the yaw of an orientation; all zeros, for a missing one, are 0."""
     x, y, z, w = (float(v) for v in (turn.x, turn.y, turn.z, turn.w))
     if not all(math.isfinite(v) for v in (x, y, z, w)):
         raise InputError(f"{where}: the orientation of its origin must be finite")

@@ -31,7 +31,7 @@ _OFTEN = 5  # times the median count of a value; the largest echo of scans recor
 
 @checked_names
 def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = None) -> ScanLog:
-    """The scans of a CARMEN log that have a pose.
+    """Read the scans of a CARMEN log that have a pose.
 
     Read are the lines `FLASER` and `ROBOTLASER1`, of the scanner that looks forward; others are passed over. A pose is
     the first of a line's two, which programs that correct a log's poses write; `odometry` is the second.
@@ -98,7 +98,7 @@ def load_carmen(
     no_echo_m: float = 0.0,
     max_range_m: float | None = None,
 ) -> World:
-    """A world from a CARMEN log: its scans folded into a reflection map, at `cell_m` itself.
+    """Load a world from a CARMEN log: its scans folded into a reflection map, at `cell_m` itself.
 
     Args:
       path: the log.
@@ -122,7 +122,7 @@ def load_carmen(
 
 
 def _parameter(where, line):
-    """The longest range that a PARAM line says, metres; None for every other line, and for a value that is none."""
+    """Return the longest range stated by a PARAM line, metres; None for every other line or value."""
     words = line.split()[:3]
     if len(words) < 2 or words[0] != "PARAM" or not _LONGEST.fullmatch(words[1]):
         return None
@@ -142,7 +142,7 @@ def _parameter(where, line):
 
 
 def _longest(ranges, longest_m, said_m):
-    """From where on a reading is no echo by what the log and its scanner say, metres. See `read_carmen`."""
+    """Return the range from which a reading is no echo by the log and its scanner, metres. See `read_carmen`."""
     if longest_m:
         return longest_m
     longest_m = said_m or _FAR_M
@@ -150,7 +150,7 @@ def _longest(ranges, longest_m, said_m):
 
 
 def _found(path, log):
-    """The same by the readings themselves: the largest, where too many places of the map would lie so far away."""
+    """Estimate the same from the readings: the largest range, if too many places of the map would lie that far away."""
     echo, angle = log.echo, log.poses[:, 2:] + log.angles_rad
     values, which = np.unique(log.ranges[echo], return_inverse=True)
     tips = (log.poses[:, None, k] + np.where(echo, log.ranges, 0) * of(angle) for k, of in enumerate((np.cos, np.sin)))
@@ -175,7 +175,7 @@ def _found(path, log):
 
 
 def _flaser(where, words):
-    """FLASER n, n readings, pose, odometry, time, host, time since the log's beginning."""
+    """Parse FLASER n, n readings, pose, odometry, time, host, time since the log's beginning."""
     n = _count(where, words, 1)
     values = _numbers(where, words[2:], n, n + 7, n + 9)
     step_deg = _STEPS_DEG.get(n, 180 / max(n - 1, 1))
@@ -183,8 +183,11 @@ def _flaser(where, words):
 
 
 def _robotlaser(where, words):
-    """ROBOTLASER1 type, start angle, field of view, step, longest range, accuracy, remission mode, n, n readings, m, m
-    remissions, pose, odometry, two speeds, three numbers about safety, time, host, time since the log's beginning."""
+    """Parse a ROBOTLASER1 line.
+
+    Its words are type, start angle, field of view, step, longest range, accuracy, remission mode, n, n readings, m, m
+    remissions, pose, odometry, two speeds, three numbers about safety, time, host, time since the log's beginning.
+    """
     n = _count(where, words, 8)
     m = _count(where, words, 9 + n, least=0)
     kind = _numbers(where, words[1:8], 0, 7, 7)
@@ -207,7 +210,7 @@ def _count(where, words, at, least=1):
 
 
 def _numbers(where, words, n, need, most):
-    """The first `need` words as numbers, finite but for the first `n`, which are readings."""
+    """Parse the first `need` words as numbers, finite but for the first `n`, which are readings."""
     if not need <= len(words) <= most:
         what = "is cut short" if len(words) < need else "has too many words"
         raise InputError(f"{where}: {what}; the number of readings that it gives does not fit its {len(words)} others")
@@ -224,7 +227,7 @@ def _numbers(where, words, n, need, most):
 
 
 def _parts(where, values, n, at_time):
-    """Readings, pose, odometry, time."""
+    """Return readings, pose, odometry, time."""
     ranges, poses = values[:n], values[n : n + 6]
     if np.abs(poses).max() > _MAX_POSE:
         raise InputError(f"{where}: a pose must lie within {_MAX_POSE:g} m of 0, got {np.abs(poses).max():g}")

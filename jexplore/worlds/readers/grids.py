@@ -15,13 +15,13 @@ _SLIVER = 1e-6  # an overlap of less than this part of a cell is rounding
 def free_cells(
     where: str, occupancy: np.ndarray, *, free_max: int | None = None, occupied_min: int | None = None
 ) -> np.ndarray:
-    """Which cells of an occupancy grid are free.
+    """Return the free cells of an occupancy grid.
 
     Args:
-      where: what a warning calls the grid.
+      where: name of the grid in warnings.
       occupancy: `[H, W]` integers, -1 unknown, 0 free to 100 occupied.
-      free_max: a cell is free if its occupancy is from 0 to this. Default: 25, or what lies below `occupied_min`.
-      occupied_min: a cell is occupied if its occupancy is this or more. Default: 65, or what lies above `free_max`.
+      free_max: a cell is free if its occupancy is from 0 to this. Default: 25, or the values below `occupied_min`.
+      occupied_min: a cell is occupied if its occupancy is this or more. Default: 65, or the values above `free_max`.
 
     Returns:
       `[H, W]` bool. Cells between the two count as unknown.
@@ -61,7 +61,7 @@ def free_cells(
 def upright(
     where: str, occupancy: np.ndarray, yaw_rad: float, resolution_m: float, origin_m: tuple[float, float]
 ) -> tuple[np.ndarray, tuple[float, float]]:
-    """A grid that lies turned in its frame, as one whose rows run along x.
+    """Resample a grid that lies turned in its frame to one whose rows run along x.
 
     A turn that is a multiple of 90 degrees moves whole cells; so does one that differs from it by so little that no
     cell is moved by half its edge. At another angle a cell has the largest occupancy of all cells that it overlaps, the
@@ -106,7 +106,7 @@ def upright(
 
 
 def _turned(occupancy, yaw_rad):
-    """The grid at any angle, and where its lower left corner lies: x, y in cells from the old one."""
+    """Turn the grid by any angle, and return its lower left corner: x, y in cells from the old one."""
     rows, cols = occupancy.shape
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     x, y = (np.array([0, cols, 0, cols]) * a + np.array([0, 0, rows, rows]) * b for a, b in ((cos, -sin), (sin, cos)))
@@ -114,7 +114,7 @@ def _turned(occupancy, yaw_rad):
     shape = tuple(math.ceil(float(np.ptp(side)) - _SLIVER) for side in (y, x))
     # 100 is 200, unknown 199; a border of 0, of which nothing is told.
     rank = np.pad(np.where(occupancy < 0, 199, 2 * occupancy.astype(np.int16)), 1)
-    reach = 0.5 + (abs(cos) + abs(sin)) / 2 - _SLIVER  # two squares that touch are so far apart along one of four axes
+    reach = 0.5 + (abs(cos) + abs(sin)) / 2 - _SLIVER  # touching squares are this far apart along one of four axes
     out = np.full(shape, 199, np.int16)
     x = np.arange(shape[1]) + 0.5 + low_x
     for row in range(shape[0]):

@@ -17,11 +17,11 @@ _MAX_BYTES = 16 * 2**20
 
 
 def load_houseexpo(path: str, *, cell_m: float = 0.1) -> World:
-    """A world from a HouseExpo plan.
+    """Load a world from a HouseExpo plan.
 
-    A cell that the outline passes through is occupied, at least one cell thick; one whose centre lies inside is free;
-    all others are occupied. A room is a box of a `room_category`, numbered from 0 in the order of the file; where
-    boxes overlap the smallest one counts, and of equal ones the first.
+    Cells on the outline are occupied, at least one cell thick; a cell whose centre lies inside is free; all others are
+    occupied. A room is a box of a `room_category`, numbered from 0 in the order of the file; where boxes overlap the
+    smallest one counts, and of equal ones the first.
 
     Args:
       path: the JSON file, with `verts` (the closed outline, metres) and `room_category` (name -> boxes
@@ -64,7 +64,7 @@ def _read_plan(path):
 
 
 def _numbers(path, key, value, width):
-    """`[n, width]` float64."""
+    """Return `[n, width]` float64."""
     try:
         numbers = np.array(value, float) if value else np.empty((0, width))
     except (TypeError, ValueError, OverflowError):
@@ -75,13 +75,13 @@ def _numbers(path, key, value, width):
 
 
 def _edges(corners):
-    """Edges of the closed outline, the lower end first: x0, y0, x1, y1 in cells."""
+    """Yield edges of the closed outline, the lower end first: x0, y0, x1, y1 in cells."""
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0)):
         yield (x0, y0, x1, y1) if y0 <= y1 else (x1, y1, x0, y0)
 
 
 def _outline(corners, shape):
-    """Cells that an edge passes through; a cell owns its left and lower sides."""
+    """Return cells that an edge passes through; a cell owns its left and lower sides."""
     wall = np.zeros(shape, bool)
     for x0, y0, x1, y1 in _edges(corners):
         for row in range(math.floor(y0), math.floor(y1) + 1):
@@ -91,12 +91,12 @@ def _outline(corners, shape):
 
 
 def _clip(row, y0, y1):
-    """Where an edge from y0 up to y1 enters and leaves a row, as parts of its length."""
+    """Return the parts of an edge from y0 up to y1 at which it enters and leaves a row."""
     return (max(row, y0) - y0) / (y1 - y0), (min(row + 1, y1) - y0) / (y1 - y0)
 
 
 def _inside(corners, shape):
-    """Cells whose centres lie inside the outline, by the even-odd rule."""
+    """Return cells whose centres lie inside the outline, by the even-odd rule."""
     rows, cols = shape
     crossings = np.zeros((rows, cols + 1), np.int32)  # edges that cross a row's centre line left of a cell's centre
     for x0, y0, x1, y1 in _edges(corners):
@@ -128,6 +128,6 @@ def _rooms(path, categories, low, cell_m, occupied):
 
 
 def _between(low, high, n):
-    """Indices of the cells 0..n-1 with centres from low to below high."""
+    """Return indices of the cells 0..n-1 with centres from low to below high."""
     first, end = (min(max(math.ceil(value - 0.5 - 1e-6), 0), n) for value in (low, high))
     return slice(first, end)

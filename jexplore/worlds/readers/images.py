@@ -25,20 +25,20 @@ _SATURATED = 128  # largest minus smallest of red, green, blue: a grey has 0, pu
 
 
 def load_image(path: str, scale: float | tuple[float, float], *, cell_m: float = 0.1, free: float = 250) -> World:
-    """A world from a picture.
+    """Load a world from a picture.
 
-    A filled rectangle of one saturated colour in an otherwise grey picture, as the dungeon maps have it, marks the
-    start: its middle, heading 0. It does so only if it is the only colour and its cell is free.
+    A filled rectangle of one saturated colour in an otherwise grey picture, as in the dungeon maps, marks the start:
+    its middle, heading 0. This holds only if it has the only colour and its cell is free.
 
     Args:
       path: PNG, PGM, PBM, PPM, JPEG, BMP, GIF (its first frame) or TIFF.
-      scale: `(width_m, height_m)`: the bounding box of the occupied pixels is stretched to this size, as Stage does;
-        or a number: the whole picture at so many metres a pixel.
+      scale: `(width_m, height_m)`: the bounding box of the occupied pixels is stretched to this size, as Stage does; or
+        a number: metres a pixel of the whole picture.
       cell_m: edge of a cell, metres.
       free: a pixel is free if its grey, 0 to 255, is at least this.
 
     Returns:
-      A `World` as drawn: its edges need not be occupied. The origin is the lower left corner of what was used.
+      A `World` as drawn: its edges need not be occupied. The origin is the lower left corner of the used part.
 
     Warns:
       InputWarning: most of the picture is transparent; or as `read_pixels`.
@@ -70,7 +70,7 @@ def load_image(path: str, scale: float | tuple[float, float], *, cell_m: float =
 
 
 def _occupied(path, levels, free):
-    """Where a picture is not free; refused where that is everywhere."""
+    """Return the occupied cells of a picture; refuse one without free cells."""
     shade = grey(levels)
     clear = transparency(levels)
     occupied = (shade < free) | clear
@@ -89,7 +89,7 @@ def _occupied(path, levels, free):
 
 
 def read_pixels(path: str | os.PathLike[str], *, as_stored: bool = False) -> np.ndarray:
-    """The pixels of a picture file, refused by its header if there are too many.
+    """Read the pixels of a picture file, refused by its header if there are too many.
 
     Args:
       path: the file.
@@ -140,7 +140,7 @@ def read_pixels(path: str | os.PathLike[str], *, as_stored: bool = False) -> np.
 
 
 def _upright(image):
-    """A picture turned as its EXIF data say; as it is where these are damaged."""
+    """Turn a picture as its EXIF data say; unchanged if these are damaged."""
     image.load()  # raises where the picture itself is damaged
     try:
         return ImageOps.exif_transpose(image)
@@ -149,7 +149,7 @@ def _upright(image):
 
 
 def _with_short_line_end(content, image):
-    """A PBM, PGM or PPM in binary as its format has it: one character between header and pixels, where CR LF are two.
+    """Normalise a binary PBM, PGM or PPM: one character between header and pixels, where CR LF are two.
 
     The two are told from CR and a first pixel of 10 by the length of the file.
     """
@@ -176,14 +176,14 @@ def _warn_of_blur(path, shade):
 
 
 def grey(levels: np.ndarray) -> np.ndarray:
-    """`[h, w]` uint8 greys of `[h, w, c]` levels: as they are, or the luma of ITU-R 601 as Pillow computes it."""
+    """Convert `[h, w, c]` levels to `[h, w]` uint8 greys: unchanged, or the luma of ITU-R 601 as in Pillow."""
     if levels.shape[2] == 1:
         return levels[..., 0]
     return np.asarray(Image.fromarray(np.ascontiguousarray(levels[..., :3])).convert("L"))
 
 
 def transparency(levels: np.ndarray) -> np.ndarray:
-    """`[h, w]` bool, where `[h, w, c]` levels are not fully opaque."""
+    """Return `[h, w]` bool, where `[h, w, c]` levels are not fully opaque."""
     if levels.shape[2] == 4:
         return levels[..., 3] < 255
     return np.zeros(levels.shape[:2], bool)
@@ -204,7 +204,7 @@ def _levels(path, image, form):
 
 
 def _levels_of_32_bits(path, values, plain):
-    """Greys of pixels that say nowhere what white is: the least of 1 (of floats), 255 and 65535 that none is above."""
+    """Scale greys of unknown range: white is the least of 1 (of floats), 255 and 65535 that none is above."""
     top = values.max()  # NaN is no number at all
     whites = (1, 255, 65535) if values.dtype.kind == "f" else (255, 65535)
     white = next((white for white in whites if top <= white), None)
@@ -219,7 +219,7 @@ def _brightest(shade, clear):
 
 
 def _extent(any_along):
-    """First index and length of the range from the first to the last True."""
+    """Return first index and length of the range from the first to the last True."""
     where = np.flatnonzero(any_along)
     return int(where[0]), int(where[-1] - where[0] + 1)
 

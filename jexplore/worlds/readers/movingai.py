@@ -16,7 +16,7 @@ _MAX_BYTES = 128 * 2**20
 
 
 def load_movingai(path: str, map_cell_m: float | None = None, *, cell_m: float = 0.1) -> World:
-    """A world from a `.map` file.
+    """Load a world from a `.map` file.
 
     Args:
       path: the file. Its first row of characters is the top of the world.
@@ -55,7 +55,7 @@ def load_movingai(path: str, map_cell_m: float | None = None, *, cell_m: float =
 
 
 def _header(path, lines):
-    """Rows, columns and the index of the line after `map`."""
+    """Return rows, columns and the index of the line after `map`."""
     size = {}
     for first, line in enumerate(lines[:16], start=1):
         key, _, value = line.strip().partition(" ")

@@ -17,12 +17,12 @@ _SLIVER = 1e-6  # an overlap of less than this part of a pixel, or of a cell at 
 
 
 def count_cells(size_m: float, cell_m: float) -> int:
-    """Cells that cover a length: `ceil(size / cell)`, at least one, where a hair's breadth more does not count."""
+    """Return the cells that cover a length: `ceil(size / cell)`, at least one, with a tolerance for rounding."""
     return max(1, math.ceil(size_m / cell_m - _SLIVER))
 
 
 def resample(occupied: np.ndarray, pixel_m: tuple[float, float], cell_m: float, *, name: str) -> np.ndarray:
-    """Occupied cells of a picture. The lower left corners of cell (0, 0) and pixel (0, 0) coincide.
+    """Resample the occupied cells of a picture. The lower left corners of cell (0, 0) and pixel (0, 0) coincide.
 
     The last row and column of cells may reach beyond the picture; only the part within counts.
 
@@ -51,7 +51,7 @@ def resample(occupied: np.ndarray, pixel_m: tuple[float, float], cell_m: float, 
 
 
 def _overlapped(occupied, pixel_m, cell_m):
-    """The same along the first axis alone."""
+    """Resample along the first axis alone."""
     n = len(occupied)
     edges = np.arange(count_cells(n * pixel_m, cell_m) + 1) * (cell_m / pixel_m)  # cell edges, in pixels
     first = np.minimum(np.floor(edges[:-1] + _SLIVER).astype(int), n - 1)

@@ -28,12 +28,15 @@ _FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0  # greys of a saved map
 _FAR_M = 1e9  # an origin farther away leaves no digits for cells
 _SUSPECT = 0.01  # share of unknown pixels that may be free without a word
 _MAX_YAML = 2**16
-_BOOLS = {**dict.fromkeys(("y", "yes", "on"), 1), **dict.fromkeys(("n", "no", "off"), 0)}  # of yaml-cpp, beside true
+_BOOLS = {
+    **dict.fromkeys(("y", "yes", "on"), 1),
+    **dict.fromkeys(("n", "no", "off"), 0),
+}  # of yaml-cpp, in addition to true
 
 
 @dataclasses.dataclass(frozen=True)
 class RosInfo:
-    """What the yaml file of a ROS map says."""
+    """Content of the yaml file of a ROS map."""
 
     image: str
     """Path of the picture."""
@@ -44,7 +47,7 @@ class RosInfo:
     yaw_rad: float
     """Turn of the picture about that corner, counter-clockwise."""
     negate: bool
-    """Whether white is occupied."""
+    """True if white is occupied."""
     occupied_thresh: float
     """A pixel is occupied if its probability is this or more."""
     free_thresh: float
@@ -54,7 +57,7 @@ class RosInfo:
 
 
 def read_ros(path: str | os.PathLike[str]) -> tuple[np.ndarray, RosInfo]:
-    """The occupancy of a ROS map, cell for cell as the map server publishes it.
+    """Read the occupancy of a ROS map, cell for cell as the map server publishes it.
 
     Args:
       path: the yaml file. Its `image` is relative to it.
@@ -75,7 +78,7 @@ LONGEST = 300  # characters that are quoted of a message
 
 
 def _read(path):
-    """The picture's levels, row 0 at the bottom, and the `RosInfo`."""
+    """Read the picture's levels, row 0 at the bottom, and the `RosInfo`."""
     info = _read_yaml(path)
     try:
         return read_pixels(info.image, as_stored=True)[::-1], info
@@ -88,7 +91,7 @@ def _read(path):
 def load_ros(
     path: str | os.PathLike[str], *, cell_m: float = 0.1, free_max: int | None = None, occupied_min: int | None = None
 ) -> World:
-    """A world from a ROS map. What is unknown counts as occupied.
+    """Load a world from a ROS map. Unknown cells count as occupied.
 
     Args:
       path: the yaml file.
@@ -144,7 +147,7 @@ def write_ros(
     cell_m: float | None = None,
     origin_m: tuple[float, float] | None = None,
 ) -> Path:
-    """Write a ROS map that `read_ros` and the map servers give back unchanged: a yaml file and a PGM beside it.
+    """Write a ROS map that `read_ros` and the map servers read back unchanged: a yaml file and a PGM next to it.
 
     The mode is trinary if every value is -1, 0 or 100, else raw.
 
@@ -198,7 +201,7 @@ def write_ros(
 
 
 def _decimal(value):
-    """A length without the rounding errors of sums, in a form that every YAML reader takes for a number."""
+    """Format a length without the rounding errors of sums, as a number for every YAML reader."""
     return np.format_float_positional(round(value, 12) + 0.0, trim="0")
 
 
@@ -216,7 +219,7 @@ def _as_occupancy(grid):
 
 
 def _occupancy(levels, info):
-    """Occupancy by way of a table over greys, in 32 bits as the map server has it."""
+    """Compute the occupancy by a table over greys, in 32 bits as the map server does."""
     shade = np.arange(256)
     if info.mode == "raw":
         return np.where(shade > 100, -1, shade).astype(np.int8)[grey(levels)]
@@ -234,7 +237,7 @@ def _occupancy(levels, info):
 
 
 def _warn_of_unknown(path, levels, info, free):
-    """Warns where pixels are free that have the grey which map savers write for unknown."""
+    """Warn where pixels are free that have the grey which map savers write for unknown."""
     share = ((grey(levels) == _UNKNOWN) & free).mean()
     if share < _SUSPECT or info.mode == "raw":  # which has no such grey
         return
@@ -284,7 +287,7 @@ def _read_yaml(path):
 
 
 def _float(path, key, value, **bounds):
-    """A number as the map server takes it: also in quotes, and true for 1."""
+    """Parse a number as the map server does: also in quotes, and true for 1."""
     try:
         number = value if "_" in str(value) else float(value)
     except (TypeError, ValueError, OverflowError):

@@ -20,12 +20,12 @@ _TOGETHER = 2**18  # beams that are traced at a time
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class ScanLog:
-    """What a robot with a planar laser scanner recorded: N scans of B readings."""
+    """Recording of a robot with a planar laser scanner: N scans of B readings."""
 
     poses: np.ndarray
     """`[N, 3]` float64, where the scanner was: x m, y m, heading rad; the best that the log knows."""
     odometry: np.ndarray
-    """`[N, 3]` float64, likewise, by what the log has as the robot's odometry."""
+    """`[N, 3]` float64, poses by the robot's odometry."""
     ranges: np.ndarray
     """`[N, B]` float64, readings, metres. As REP 117 of ROS has them: inf is no echo; NaN, invalid, and 0 or less, too
     near, say nothing."""
@@ -49,7 +49,7 @@ class ScanLog:
 
     @property
     def echo(self) -> np.ndarray:
-        """`[N, B]` bool, where a reading is the distance of something."""
+        """Return `[N, B]` bool, where a reading is the distance of something."""
         return (self.ranges > 0) & (self.ranges < self.max_range_m)
 
     def __repr__(self) -> str:
@@ -69,17 +69,17 @@ class ScanMap:
     origin_m: tuple[float, float]
     """x, y of the lower left corner of cell (0, 0), metres: whole multiples of `cell_m`."""
     start: tuple[int, int, int]
-    """Where the first scan was made: row, col, heading in degrees, the nearest multiple of 45."""
+    """Pose of the first scan: row, col, heading in degrees, the nearest multiple of 45."""
 
     def world(self, *, p_free: float = 0.25, name: str = "") -> World:
-        """The map as a world to be explored: what is not known to be free, the unknown included, is occupied.
+        """Return the map as a world to be explored: cells that are not known to be free are occupied.
 
         Args:
           p_free: largest reflection probability of a free cell.
           name: of the world.
 
         Returns:
-          A `World` as mapped: its edges need not be occupied. It starts where the robot did, if that cell is free.
+          A `World` as mapped: its edges need not be occupied. Its start is that of the robot, if that cell is free.
 
         Raises:
           InputError: a bad `p_free`, or no free cell.
@@ -96,7 +96,7 @@ class ScanMap:
 def fold_scans(
     log: ScanLog, *, cell_m: float = 0.1, range_m: float | None = None, no_echo_m: float = 0.0, name: str = "scans"
 ) -> ScanMap:
-    """Counts recorded scans into a reflection map: a miss for every cell passed, a hit where a reading ends.
+    """Count recorded scans into a reflection map: a miss for every cell passed, a hit where a reading ends.
 
     The robot's own cell gets one miss a scan. A reading ends in the last cell that its beam enters at that distance or
     before; one that ends in the robot's own cell counts nothing, nor does a reading of 0. A reading of `range_m` or
@@ -154,7 +154,7 @@ def fold_scans(
 
 
 def _extent(points, name):
-    """The lower left cell, x and y, and the shape of a map of points, `[n, 2]`, with a cell to spare on every side."""
+    """Return lower left cell, x and y, and shape of a map of points, `[n, 2]`, with a spare cell on every side."""
     first = np.floor(points.min(axis=0)) - 1
     cols, rows = np.floor(points.max(axis=0)) + 2 - first
     require_side(name, rows, cols)
@@ -162,7 +162,7 @@ def _extent(points, name):
 
 
 def _count(hits, misses, at, angle, limit, ends):
-    """Counts beams into a map, without the misses of the cells that they begin in."""
+    """Count beams into a map, without the misses of the cells that they begin in."""
     limit = np.where(ends, np.nextafter(limit, np.inf), limit)
     own, within = np.divmod(at, 1)
     geometry = beam_geometry(np, *exact_direction(np.degrees(angle)), within[:, 0], within[:, 1], 1e30)
