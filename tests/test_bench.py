@@ -94,7 +94,7 @@ def test_both_engines_give_the_same(report):
 
 @pytest.mark.jit
 def test_lanes_and_native_driving_are_measured_as_well(monkeypatch):
-    """As of a strategy without native episodes, beside an accelerator."""
+    """As of a strategy without native episodes, next to an accelerator."""
     monkeypatch.setattr(engines, "is_native", lambda *_: False)
     monkeypatch.setattr(engines, "has_lanes", lambda engine: engine == "jax")
     (world,), strategy = ready_worlds([SMALL], 0.1), parse_strategy("closest")

@@ -320,7 +320,7 @@ def test_where_jax_has_no_cpu_all_runs_are_in_lanes(monkeypatch):
 
 @pytest.mark.jit
 def test_engines_are_measured_as_they_are_used(monkeypatch):
-    """Beside an accelerator too: what comes one by one is compiled for the CPU."""
+    """Next to an accelerator too: what comes one by one is compiled for the CPU."""
     world, strategy, cpu = some_jobs()[0].world, parse_strategy("closest"), jax.local_devices()[0]
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     traced, placed = [], []

@@ -119,7 +119,7 @@ def prepare_bench(
     strategies = ready_strategies(default["strategies"] if strategies is None else strategies)
     worlds = _worlds_of(default["worlds"] if worlds is None else worlds, CELL_M)
     sized = [world for side in sides for world in _worlds_of(*sized_name(side))]
-    find_resources(in_lanes=False, workers=1)  # starts JAX; some of it is always measured on the CPU
+    find_resources(in_lanes=False, workers=1)  # starts JAX; part is always measured on the CPU
     chosen = tuple(dict.fromkeys(engine or ENGINES))
     batches = {
         name: given or (BATCHES_ACCELERATOR if engines.has_lanes(name) and not quick else default["batches"])

@@ -99,7 +99,7 @@ class Compiler:
         return self.made[key]
 
     def one_by_one(self, world: World, strategy: Strategy, native: str | None = None) -> Compiled:
-        """The `Compiled` of a world and a strategy on the CPU; `native` as for `prepare_site`."""
+        """Compile a world and a strategy for the CPU; `native` as for `prepare_site`."""
         site, line = _line(world, strategy, native, np.zeros((1, 3), np.int32))
         n, scenes = one_by_one.CHUNK, jax.tree.map(lambda a: a[None], line.scene)
         device = find_resources(in_lanes=False, workers=1).devices[0]
@@ -136,7 +136,7 @@ class Compiler:
         return Compiled(run, about)
 
     def in_lanes(self, world: World, strategy: Strategy, n_lanes: int, episodes: int) -> Compiled:
-        """The `Compiled` for so many episodes in so many lanes, or as many as the memory holds."""
+        """Compile a number of episodes in a number of lanes, by default as many as the memory holds."""
         device = jax.local_devices()[0]
         site, line = _line(world, strategy, None, np.zeros((episodes, 3), np.int32))
         group = Group([line], [device])
@@ -201,7 +201,7 @@ def has_lanes(engine: str) -> bool:
 
 
 def _native(loaded, world, strategy):
-    """The `Compiled` of native code, on a core of the CPU."""
+    """Return the `Compiled` of native code, on a core of the CPU."""
     chooser = chooser_of(strategy)
     assert chooser is not None
     place = native_world(loaded, world, chooser, LIDAR, RULES, recheck=strategy.recheck)
@@ -217,7 +217,7 @@ def _native(loaded, world, strategy):
 def program_of(
     compiler: Compiler, engine: str, world: World, strategy: Strategy, batch: int, episodes: int
 ) -> Compiled:
-    """The `Compiled` of what an engine runs, for a batch: so many episodes, or so many lanes."""
+    """Compile what an engine runs, for a number of episodes or lanes."""
     if has_lanes(engine):
         return compiler.in_lanes(world, strategy, batch, max(episodes, REFILLS * batch))
     if engine == "jax":

@@ -92,7 +92,7 @@ def shares(rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def programs(rows: Iterable[Mapping[str, Any]]) -> str:
-    """What compiling took: a row for each program."""
+    """Compile times, a row for each program."""
     header = ["level", "first for", "strategy", "padded", "lanes", "trace s", "compile s", "CPU s", "temporary MiB"]
     return markdown(header, [
         [row["level"], row["world"].rpartition("/")[2], row["strategy"], "{} x {}".format(*row["padded_shape"]),

@@ -22,13 +22,14 @@ class Bench:
     strategies: OwnNames = None
     """Measure these strategies (default: closest+recheck)."""
     batch_sizes: Numbers = None
-    """Run so many episodes, or lanes of the engine jax on an accelerator (default: 1 4 16 64; up to 4096 lanes)."""
+    """Run this number of episodes, or of lanes of the engine jax on an accelerator (default: 1 4 16 64; up to 4096
+    lanes)."""
     sides: Numbers = None
     """Measure the cost by map size, cells a side, 32 to 2048 (default: 64 128 256 512)."""
     engine: OwnNames = None
     """Measure these engines: auto, jax or both, as for `jexplore compare` (default: both)."""
     episodes: Number = None
-    """Run so many episodes for each map size, in lanes at least so many (default: 16)."""
+    """Run this number of episodes for each map size, and at least this number of lanes (default: 16)."""
     repeat: Number = None
     """Repetitions of every measurement (default: 5)."""
     quick: bool = False

@@ -82,12 +82,12 @@ class Compare:
     bound_seconds: float = 10.0
     """Seconds spent on the bounds of each start."""
     engine: EngineName = "auto"
-    """Run episodes in native code where it can, on a GPU or a CPU, and in JAX for the rest (auto), or in JAX alone, on
-    the GPU if there is one (jax). The results are equal."""
+    """Run episodes in native code where possible, on a GPU or a CPU, and in JAX for the rest (auto), or in JAX alone,
+    on a GPU if available (jax). The results are equal."""
     lanes: int | None = None
-    """With --engine jax on a GPU, run so many episodes at a time; by default as many as its memory holds."""
+    """With --engine jax on a GPU, run this number of episodes at a time; by default as many as its memory holds."""
     workers: int | None = None
-    """Run episodes on so many cores, one each; by default on all that this process may use."""
+    """Run episodes on this number of cores, one each; by default on all that this process may use."""
     out: OutFolder = None
     """Write into this folder."""
     overwrite: bool = False

@@ -40,7 +40,7 @@ class Reproduce:
     engine: EngineName = "auto"
     """Run episodes by this engine, as for `jexplore compare`."""
     lanes: int | None = None
-    """With --engine jax on a GPU, run so many episodes at a time, as for `jexplore compare`."""
+    """With --engine jax on a GPU, run this number of episodes at a time, as for `jexplore compare`."""
     workers: int | None = None
     """Number of cores, as for `jexplore compare`."""
     out: OutFolder = None

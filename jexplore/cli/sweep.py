@@ -45,7 +45,7 @@ class Sweep:
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="")] = None
     """Make only part I of N (1/4 to 4/4), each in a folder of its own; `jexplore merge` puts the parts together."""
     engine: Literal["auto", "jax", "ray"] = "auto"
-    """How episodes run: as for `jexplore compare`, or as tasks of a Ray cluster."""
+    """Run episodes as for `jexplore compare`, or as tasks of a Ray cluster."""
     lanes: int | None = None
     """With --engine jax on a GPU: episodes at a time; by default as many as its memory holds."""
     workers: int | None = None

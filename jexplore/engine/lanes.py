@@ -23,7 +23,7 @@ from jexplore.engine.program import Given, Line, split
 
 LANES = 4096  # most lanes on a device
 CPU_LANES = 64  # on a CPU, which lanes are not made for
-FILLED = 16  # one lane in so many is measured and filled at a time
+FILLED = 16  # one lane of this number is measured and filled at a time
 MEMORY_SHARE = 0.8  # of the device's free memory that lanes may take
 COPIES = 4  # of a lane's state that there may be at a time; an estimate
 CALL_S = 1.0  # seconds that a call should take: how often progress moves, and how long Ctrl-C waits

@@ -1,4 +1,4 @@
-"""What is run: a program of pure functions over one robot's state, and the runs that are wanted of it.
+"""A program of pure functions over one robot's state, and the runs to make with it.
 
 A program is written for one robot and knows nothing of batches. Many runs are made one after the other on the cores of
 a CPU (`one_by_one`), or together in the lanes of an accelerator (`lanes`): episodes with equal bits, trace runs with

@@ -54,7 +54,7 @@ class Costs:
 
 
 def _joined(*lists):
-    """What some lists hold, each once."""
+    """Return the values of several lists, each once."""
     return list(dict.fromkeys(one for own in lists for one in own))
 
 
@@ -99,7 +99,7 @@ def require_32_bits() -> None:
 def find_resources(
     *, engine: str = "auto", lanes: int | None = None, workers: int | None = None, in_lanes: bool | None = None
 ) -> Resources:
-    """What there is to run with, and what is asked of it. Starts JAX.
+    """Find the devices, lanes and workers to run with. Starts JAX.
 
     Args:
       engine: one of `config.ENGINES`: "auto" takes the CPU where JAX has it, "jax" the devices that JAX puts first.
@@ -138,7 +138,7 @@ def find_resources(
 
 
 def level_of(line: Line, resources: Resources) -> str:
-    """What runs a line, in words."""
+    """Name what runs a line."""
     if resources.in_lanes:
         return "JAX in lanes"
     return "JAX" if line.program.drive is None else "native driving"

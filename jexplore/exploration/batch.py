@@ -62,7 +62,7 @@ def run_jobs(
 ) -> Finished:  # fmt: skip
     """Run every episode of every job.
 
-    An episode's result depends on its world, start, strategy, seed and number, not on what else runs, nor on the
+    An episode's result depends on its world, start, strategy, seed and number, not on others, nor on the
     engine, or the number of lanes, cores, devices or processes. Between kinds of devices that holds for a
     scanner without noise and strategies that compare whole numbers (`closest`, `random`): noise is drawn, and the
     others choose, in floating point, which devices may round differently.
@@ -76,7 +76,7 @@ def run_jobs(
       engine: "auto": whole episodes in native code where it can; for the rest JAX, with native driving on a CPU.
         "jax": no native code; on the devices that JAX puts first.
       lanes, workers, in_lanes: of what runs in JAX, see `runner.find_resources`; native code has `workers` threads.
-      on_progress: called with the number of episodes finished so far, now and then, from the calling thread.
+      on_progress: called with the number of finished episodes, now and then, from the calling thread.
       only: number of the one episode of every job that is run; None: all are.
       keep: one of `trail.RECORDS`, the record of every episode; None: results only.
       on_job: called with the number of a job and its `Outcomes` once all its episodes have ended, soon after, from the
@@ -144,7 +144,7 @@ def _nothing(job):
 
 
 def _native_runs(jobs, lidar, rules, only, keep, why_not):
-    """A `NativeRun` for every job that native code can do, by its number; adds why there is no such code."""
+    """Return a `NativeRun` for every job that native code can do, by its number; adds why there is no such code."""
     can = [i for i, job in enumerate(jobs) if is_native(job.strategy, job.lidar or lidar)]
     if not can or jax.config.values["jax_disable_jit"] or jax.process_count() > 1:
         return {}
@@ -179,7 +179,7 @@ def _native_runs(jobs, lidar, rules, only, keep, why_not):
 
 
 def _play(jobs, runs, workers, on_progress, on_job):
-    """Runs what native code can do; `Costs`. Raises KeyboardInterrupt where nothing was finished."""
+    """Run what native code can do; `Costs`. Raises KeyboardInterrupt where nothing was finished."""
     numbers, costs = list(runs), Costs(lanes=workers)
     if not runs:
         return costs
@@ -203,7 +203,7 @@ def _play(jobs, runs, workers, on_progress, on_job):
 
 
 def _in_jax(jobs, lidar, rules, only, keep, alike, how, why_not):
-    """What runs jobs in JAX: `(resources, lines)`; adds why JAX has to drive as well."""
+    """Prepare jobs for JAX: `(resources, lines)`; adds why JAX has to drive as well."""
     resources = find_resources(**how)
     if keep is not None and resources.processes > 1:
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")

@@ -178,10 +178,10 @@ class NativeRun:
 
 
 def _play_on_gpu(runs, stop, progress):
-    """Runs on a GPU what is worth it; what it gives up, and what is to be kept whole, is left for the CPU.
+    """Run large groups on a GPU; episodes that it gives up, or that are kept whole, are left for the CPU.
 
     Returns:
-      why it could not; "" where it did, or had nothing to do.
+      The reason why not; "" where it did, or had nothing to do.
     """
     groups = {}
     for run in runs:
@@ -217,7 +217,7 @@ def _told(why_not):
 
 
 def _put_all(group, numbers, future):
-    """Keeps what a GPU has found for some runs, once it has; returns why it could not go on, or ""."""
+    """Keep what a GPU has found for some runs, once it has; return why it could not go on, or ""."""
     try:
         played = future.result()
     except (MemoryError, RuntimeError) as error:

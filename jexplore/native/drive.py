@@ -56,7 +56,7 @@ def _register(name, handler):
 
 
 def find_target() -> Library:
-    """Return the library, as `load` does, and say once in a process why there is none.
+    """Return the library, as `load` does, and say once in a process if it cannot be had, and why.
 
     Warns:
       InputWarning: no compiler, one that fails, or no writable folder for its output.

@@ -46,7 +46,7 @@ def compare(
       within: region that robots stay in, corners in metres: see `restrict.stay_within`.
       from_map: partial map that they have from the beginning: see `restrict.with_known`.
       lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
-      rules: `Rules`, likewise.
+      rules: `Rules`, or such a mapping.
       engine: "auto", native code where it can and JAX for the rest; "jax", JAX alone. Results are equal.
       lanes: with "jax", episodes at a time on each GPU; by default as many as its memory holds.
       workers: threads on a CPU; by default one a core.

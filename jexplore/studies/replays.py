@@ -69,7 +69,7 @@ def replay_data(
       lidar: `Lidar`.
       rules: `Rules`.
       outcome: how it ended, a word.
-      max_frames: at most so many, evenly spaced over the steps; the last step is always one.
+      max_frames: the most frames, evenly spaced over the steps; the last step is always one.
       engine: "jax": no native code; the frames are the same.
 
     Returns:
@@ -109,7 +109,7 @@ def _has_own_room(strategy):
 
 
 def _seen(world, strategy, final, start, seed, number, lidar, rules, shown, engine):
-    """What `changes_of` makes of the maps at some steps, and the headings there, degrees."""
+    """Return what `changes_of` makes of the maps at some steps, and the headings there, degrees."""
     if engine != "jax" and not _has_own_room(strategy):  # which JAX segments
         seen = show_episode(world, strategy, lidar, rules, start, final, shown, FRONTIER)
         if seen is not None:
@@ -182,7 +182,7 @@ def replays_of(
       max_frames: of a replay; those of later episodes have `FEWER_FRAMES` at most.
       labels: what tells each job from others of its world and strategy; by default its seed.
       engine: as in `batch.run_jobs`.
-      on_progress: called with the number of replays made so far.
+      on_progress: called with the number of finished replays.
 
     Returns:
       `(replays, notes)`: a `ReplayData` for each episode that is shown, episode by episode; a list of lines that name

@@ -48,12 +48,12 @@ class Trace:
     seed: int = 0
     """Draw the noise from this seed."""
     engine: EngineName = "auto"
-    """Make runs on the CPU's cores (auto), or on the GPU if there is one (jax). The results are equal but for
+    """Make runs on the CPU's cores (auto), or on a GPU if available (jax). The results are equal but for
     rounding."""
     lanes: int | None = None
-    """With --engine jax on a GPU, make so many runs at a time; by default as many as its memory holds."""
+    """With --engine jax on a GPU, make this number of runs at a time; by default as many as its memory holds."""
     workers: int | None = None
-    """Make runs on so many cores, one each; by default on all that this process may use."""
+    """Make runs on this number of cores, one each; by default on all that this process may use."""
     cell_m: float = 0.1
     """Make the edge of a cell this long, in metres."""
     max_steps: int | None = None

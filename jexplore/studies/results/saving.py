@@ -109,7 +109,7 @@ def _picture(make, path):
 
 
 def _page(folder, found, firsts, record, jobs, names, path):
-    """Writes the page of a comparison, with those of its pictures that are there."""
+    """Write the page of a comparison, with those of its pictures that are there."""
     replays, notes = replays_for(jobs, record, firsts) if jobs else ([], [])
     tables = [("In each world", markdown_table(found.summary))]
     if len(found.worlds) >= MIN_PAIRS:
@@ -133,7 +133,7 @@ def entries_of(found: Any) -> dict[str, Any]:
 
 
 def engine_of(costs: Costs) -> dict[str, Any]:
-    """What run.json says of what ran."""
+    """Return what run.json says of the engine."""
     return {
         "engine": costs.engine,
         "levels": costs.levels,

@@ -146,7 +146,7 @@ def run_units(
         Ctrl-C interrupted the call.
       on_progress: called with the number of episodes that have come back.
       cpus: cores of a task, which makes one unit on them.
-      gpus: GPUs of a task. With 1 or more it makes as many units as fit, what is in JAX in lanes.
+      gpus: GPUs of a task. With 1 or more it makes as many units as fit, those of JAX in lanes.
 
     Returns:
       `Costs`: `lanes` tasks at a time; `run_s` seconds by the clock, less those of compiling in every worker;
