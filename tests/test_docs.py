@@ -34,6 +34,7 @@ NO_COMMANDS_OF_OURS = (
     ".venv/bin/",
     ".ci/run",
     "python benchmarks/",
+    "python examples/",
     "sbatch",
     "jupyter",
 )
@@ -235,6 +236,15 @@ def test_excerpts_name_what_there_is():
         compile(body, page, "exec")
         for name in re.findall(r"\bjx\.(\w+)", body):
             assert name in dir(jx), f"{page}: jx.{name}"
+
+
+def test_page_of_an_episode_shows_the_whole_example():
+    def lines(text):
+        return [line.strip() for line in text.splitlines() if line.strip()]
+
+    shown = [body for language, body in blocks(text_of("docs/tutorial-episode.md")) if language == "excerpt"]
+    _, code = text_of("examples/episode.py").split('"""\n', 1)
+    assert lines("\n".join(shown)) == lines(code.partition('if __name__ == "__main__"')[0])
 
 
 @pytest.mark.parametrize("page", PAGES)
