@@ -8,7 +8,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "jexplore"
 FLOORS = (
-    {"config", "version"},
+    {"config", "version", "lazy"},
     {"arrays"},
     {"kernels", "tracemap"},
     {"engine", "btm", "worlds", "planning", "report"},

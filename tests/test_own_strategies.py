@@ -25,7 +25,7 @@ from jexplore.engine import one_by_one
 from jexplore.exploration import batch
 from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Outcome
-from jexplore.policies import STRATEGIES, parse_strategy, strategy
+from jexplore.policies import STRATEGIES, Strategy, parse_strategy, strategy
 from jexplore.policies.catalogue import adapt, entries, own
 from jexplore.policies.catalogue.grammar import listing
 from jexplore.studies.explore import frames
@@ -401,8 +401,8 @@ def test_what_stands_for_a_strategy():
         (lambda view, gamma=1: 0, {"segment": True}, "has a parameter 'gamma', which is one of the modifiers'"),
         (nearest, {"segment": "voronoi", "gamma": 3.0}, "has no parameter 'gamma'"),
         (lambda view, ratio=1: 0, {"segment": "rooms"}, "has a parameter 'ratio', which is one of the modifiers'"),
-        (jx.Strategy("raw", 3), {}, "'raw': policy must be a Policy, got int"),
-        (jx.Strategy(None, jx.Policy(nearest, nearest)), {}, "name must be text, got None"),
+        (Strategy("raw", 3), {}, "'raw': policy must be a Policy, got int"),
+        (Strategy(None, jx.Policy(nearest, nearest)), {}, "name must be text, got None"),
         (type("Thing", (), {"__call__": lambda self, view: view.cost})(), {}, "has no name"),
     ):
         with pytest.raises(InputError, match=says):
@@ -578,7 +578,7 @@ def test_numbers_that_would_become_others_are_refused():
     with pytest.raises(InputError, match=r"'mine': weight\.inner must be a whole number"):
         given({"inner": 2**40})
     with pytest.raises(InputError, match=r"'put together': params must be a number, not NaN"):
-        strategy(jx.Strategy("put together", jx.Policy(nearest, nearest, math.nan)))
+        strategy(Strategy("put together", jx.Policy(nearest, nearest, math.nan)))
     with pytest.raises(InputError, match=r"'weighed\+segment=holz': weight must be a whole number"):
         strategy(weighed, weight=2**40, segment=True)
 
@@ -651,12 +651,12 @@ def test_what_is_wrong_is_said_in_one_line_before_anything_compiles(wrong, says,
 @pytest.mark.jit
 def test_a_strategy_put_together_by_hand_is_checked_as_well():
     with pytest.raises(InputError, match=r"must return \(carry, Choice, route\), got int 5"):
-        compare([jx.Strategy("raw", policy(lambda *_: 5)())])
+        compare([Strategy("raw", policy(lambda *_: 5)())])
 
     def unlaid(key, params, carry, belief, beams, route):
         return carry, jx.Choice(*jnp.int32([5, 30, 9])), route
 
-    table = compare([jx.Strategy("raw", policy(unlaid)())], episodes=1)
+    table = compare([Strategy("raw", policy(unlaid)())], episodes=1)
     assert table["outcome"].tolist() == ["BAD_TARGET"]
 
 

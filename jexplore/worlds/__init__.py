@@ -64,7 +64,7 @@ _FILES = {
 """Name of a file -> its content that is read."""
 
 
-def listing() -> Listing:
+def worlds() -> Listing:
     """List the worlds that `load_world` knows, with their parameters, as a table that shows itself: `jx.worlds()`."""
     rows = []
     for name in GENERATORS:
@@ -78,7 +78,7 @@ class _Package(types.ModuleType):
     """Package `worlds`, which lists the worlds when it is called."""
 
     def __call__(self) -> Listing:
-        return listing()
+        return worlds()
 
 
 sys.modules[__name__].__class__ = _Package
