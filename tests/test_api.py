@@ -28,7 +28,7 @@ def loaded_after(code):
 @pytest.mark.parametrize(
     "code",
     [
-        "import jexplore; jexplore.__version__; dir(jexplore); jexplore.Lidar; jexplore.load_world; jexplore.register",
+        "import jexplore; jexplore.__version__; dir(jexplore); jexplore.Lidar; jexplore.load_world",
         "from jexplore.cli.main import main; assert main(['--help']) == 0",
         "from jexplore.cli.main import main; assert main(['compare', '--help']) == 0",
         "from jexplore.cli.main import main; assert main(['reproduce', '--help']) == 0",

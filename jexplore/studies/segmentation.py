@@ -87,6 +87,9 @@ def _text(value, whole):
     return "-" if np.isnan(value) else f"{value:.0f}" if whole and value.is_integer() else f"{value:.3f}"
 
 
+SETTINGS = Settings()
+
+
 @checked_names
 def segment_maps(
     maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World],
@@ -97,7 +100,13 @@ def segment_maps(
     cell_m: float = 0.05,
     seed: int = 0,
     on_progress: Callable[[int], Any] | None = None,
-    **settings: Any,
+    ratio: float = SETTINGS.ratio,
+    smallest_m2: float = SETTINGS.smallest_m2,
+    clutter_m: float = SETTINGS.clutter_m,
+    prominence_m: float = SETTINGS.prominence_m,
+    gamma: float = SETTINGS.gamma,
+    metric: str = SETTINGS.metric,
+    lines: bool = SETTINGS.lines,
 ) -> Segmentation:
     """Divide maps into rooms and score the result.
 
@@ -112,9 +121,9 @@ def segment_maps(
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
       seed: of the start of the episodes that partial maps come from.
       on_progress: called with the number of maps, partial ones included, that are done.
-      settings: what the variants go by; see `room_variants.Settings`. `ratio`, `smallest_m2`, `clutter_m`: of voronoi,
-        the last also of distance, morphological and maoris; `prominence_m`, `gamma`, `metric`, `lines`: of thrun, wurm,
-        holz.
+      ratio, smallest_m2, clutter_m: of voronoi, the last also of distance, morphological and maoris; see
+        `room_variants.Settings`.
+      prominence_m, gamma, metric, lines: of thrun, wurm, holz.
 
     Returns:
       `Segmentation`.
@@ -124,7 +133,7 @@ def segment_maps(
       InputWarning: the largest region of a map lies outside a building: its rooms are not those of the building.
     """
     chosen: Any = listed("variants", variants)
-    numbers = Settings(**settings)
+    numbers = Settings(ratio, smallest_m2, clutter_m, prominence_m, gamma, metric, lines)
     tasks = prepare_maps(maps, truth, chosen, cell_m, numbers)
     jobs = [
         prepare_job(task.world, EXPLORER, seed=seed, cell_m=cell_m, start="random", lidar=LIDAR, rules=RULES)

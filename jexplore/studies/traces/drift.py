@@ -90,24 +90,14 @@ class Drift:
 
 @checked_names
 def drift(
-    world: str | os.PathLike[str] | World = "course",
-    *,
-    axes: Mapping[str, Sequence[float]] | None = None,
-    robot: str | Robot = "kamui",
-    runs: int = 8,
-    starts: int | None = None,
-    seed: int = 0,
-    tuning: Tuning | Mapping[str, Any] | None = None,
-    noise: Noise | Mapping[str, Any] | None = None,
-    start: tuple[float, float, float] | None = None,
-    cell_m: float = 0.1,
-    max_steps: int | None = None,
-    attributes: Sequence[str] = (),
-    nodes: int | None = None,
-    links: int | None = None,
-    workers: int | None = None,
-    on_progress: Callable[[int], Any] | None = None,
-) -> Drift:
+    world: str | os.PathLike[str] | World = "course", *,
+    axes: Mapping[str, Sequence[float]] | None = None, runs: int = 8,
+    noise: Noise | Mapping[str, Any] | None = None, tuning: Tuning | Mapping[str, Any] | None = None,
+    robot: str | Robot = "kamui", starts: int | None = None, seed: int = 0,
+    start: tuple[float, float, float] | None = None, cell_m: float = 0.1, max_steps: int | None = None,
+    attributes: Sequence[str] = (), nodes: int | None = None, links: int | None = None,
+    workers: int | None = None, on_progress: Callable[[int], Any] | None = None,
+) -> Drift:  # fmt: skip
     """Let a robot write its map with one kind of odometry error after the other, and draw its grid map.
 
     The grid map is drawn from the scans of the same run, each placed at the estimated pose: by encoders, matched scans
@@ -132,20 +122,9 @@ def drift(
     """
     noise = as_record("noise", noise or Noise(range_m=RANGE_M), Noise)
     plan = prepare_trace(
-        world,
-        robot=robot,
-        runs=runs,
-        starts=starts,
-        seed=seed,
-        tuning=tuning,
-        noise=noise,
-        start=start,
-        cell_m=cell_m,
-        max_steps=max_steps,
-        attributes=attributes,
-        nodes=nodes,
-        links=links,
-    )
+        world, noise=noise, tuning=tuning, robot=robot, runs=runs, starts=starts, seed=seed, start=start,
+        cell_m=cell_m, max_steps=max_steps, attributes=attributes, nodes=nodes, links=links,
+    )  # fmt: skip
     values, swept = _settings(AXES if axes is None else axes, noise)
     plan = dataclasses.replace(plan, swept=swept, settings=len(next(iter(swept.values()))))
     use_compilation_cache()

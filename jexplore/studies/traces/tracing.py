@@ -207,28 +207,15 @@ def _read_first(data):
 
 @checked_names
 def trace(
-    world: str | os.PathLike[str] | World = "course",
-    *,
-    robot: str | Robot = "kamui",
-    runs: int | None = None,
-    starts: int | None = None,
-    seed: int = 0,
-    tuning: Tuning | Mapping[str, Any] | None = None,
-    noise: Noise | Mapping[str, Any] | None = None,
-    start: tuple[float, float, float] | None = None,
-    sweep: Sequence[str] = (),
-    settings: int = 100,
-    cell_m: float = 0.1,
-    max_steps: int | None = None,
-    attributes: Sequence[str] = (),
-    nodes: int | None = None,
-    links: int | None = None,
-    engine: str = "auto",
-    lanes: int | None = None,
-    workers: int | None = None,
-    on_progress: Callable[[int], Any] | None = None,
-    progress: bool | None = None,
-) -> Traced:
+    world: str | os.PathLike[str] | World = "course", *,
+    robot: str | Robot = "kamui", runs: int | None = None, starts: int | None = None, seed: int = 0,
+    tuning: Tuning | Mapping[str, Any] | None = None, noise: Noise | Mapping[str, Any] | None = None,
+    start: tuple[float, float, float] | None = None, sweep: Sequence[str] = (), settings: int = 100,
+    cell_m: float = 0.1, max_steps: int | None = None, attributes: Sequence[str] = (),
+    nodes: int | None = None, links: int | None = None,
+    engine: str = "auto", lanes: int | None = None, workers: int | None = None,
+    on_progress: Callable[[int], Any] | None = None, progress: bool | None = None,
+) -> Traced:  # fmt: skip
     """Let a robot drive through a building and write its trace map, once or many times.
 
     Args:
@@ -246,22 +233,9 @@ def trace(
     """
     require_engine(engine, lanes)
     plan = prepare_trace(
-        world,
-        robot=robot,
-        runs=runs,
-        starts=starts,
-        seed=seed,
-        tuning=tuning,
-        noise=noise,
-        start=start,
-        sweep=sweep,
-        settings=settings,
-        cell_m=cell_m,
-        max_steps=max_steps,
-        attributes=attributes,
-        nodes=nodes,
-        links=links,
-    )
+        world, robot=robot, runs=runs, starts=starts, seed=seed, tuning=tuning, noise=noise, start=start, sweep=sweep,
+        settings=settings, cell_m=cell_m, max_steps=max_steps, attributes=attributes, nodes=nodes, links=links,
+    )  # fmt: skip
     with progress_bar(progress, plan.settings * plan.runs, "runs", on_progress) as moved:
         return execute(plan, engine=engine, lanes=lanes, workers=workers, on_progress=moved)
 
