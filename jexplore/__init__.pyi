@@ -39,6 +39,7 @@ from jexplore.studies.sweeps.spec import Range as Range
 from jexplore.studies.sweeps.spec import Sweep as Sweep
 from jexplore.version import __version__ as __version__
 from jexplore.worlds import load_world as load_world
+from jexplore.worlds import register_world as register_world
 from jexplore.worlds import worlds as worlds
 from jexplore.worlds.world import World as World
 from jexplore.worlds.world import occupancy_to_world as occupancy_to_world

@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "jexplore"
 FLOORS = (
     {"config", "version", "lazy"},
     {"arrays"},
-    {"kernels", "tracemap"},
+    {"kernels", "tracemap", "users"},
     {"engine", "btm", "worlds", "planning", "report"},
     {"policies", "native"},
     {"exploration", "driving", "extraction"},

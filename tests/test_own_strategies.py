@@ -20,13 +20,14 @@ from ref import beliefs
 from ref.worlds import two_rooms
 
 import jexplore as jx
+from jexplore import users
 from jexplore.config import InputError, Lidar
 from jexplore.engine import one_by_one
 from jexplore.exploration import batch
 from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.policies import STRATEGIES, Strategy, parse_strategy, strategy
-from jexplore.policies.catalogue import adapt, entries, own
+from jexplore.policies.catalogue import adapt, entries
 from jexplore.policies.catalogue.grammar import listing
 from jexplore.studies.explore import frames
 from jexplore.studies.sweeps.spec import sweep_from
@@ -261,14 +262,14 @@ def test_a_module_is_as_it_is_now_and_here(module, tmp_path_factory, monkeypatch
 
 def number_of(text):
     """Return the result of a function of a module, in its present form."""
-    return own.import_object(*text.split(":"))()
+    return users.import_object(*text.split(":"))()
 
 
 def test_modules_are_read_from_their_source(module):
     """Neither bytecode, which knows files by size and second, nor an imported module replaces the present source."""
     (module / "helper_of_tests.py").write_text("W = 1\n")
     (module / "asking_of_tests.py").write_text("import helper_of_tests\ndef weight():\n    return helper_of_tests.W\n")
-    assert own.import_object("asking_of_tests", "weight") is own.import_object("asking_of_tests", "weight")
+    assert users.import_object("asking_of_tests", "weight") is users.import_object("asking_of_tests", "weight")
     assert number_of("asking_of_tests:weight") == 1
     before = os.stat(module / "helper_of_tests.py")
     for n in (2, 3):
@@ -313,7 +314,7 @@ def test_a_module_that_registers_may_be_written_anew(module, monkeypatch):
     (module / "registers_of_tests.py").write_text(text.replace("-view", "+view"))
     assert program("registers_of_tests:score") == program("written-anew") != first
     with pytest.raises(InputError, match="'written-anew' is registered already"):
-        jx.register("written-anew", own.import_object("registers_of_tests", "score"))
+        jx.register("written-anew", users.import_object("registers_of_tests", "score"))
 
 
 def test_registered(monkeypatch):
@@ -734,4 +735,4 @@ def test_every_strategy_of_the_package_would_pass_the_check():
 def test_outcomes_have_names():
     assert Outcome.BAD_TARGET.name == "BAD_TARGET"
     assert jx.Outcome is Outcome
-    assert own.place_of(nearest).startswith(own._short(__file__))
+    assert users.place_of(nearest).startswith(users._short(__file__))

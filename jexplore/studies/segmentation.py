@@ -13,7 +13,7 @@ from jexplore.rooms.scores import AGREEMENT, regions_of, rooms_of, score
 from jexplore.studies.checks import LIDAR, RULES, listed, ready_worlds
 from jexplore.studies.explore import maps_at, prepare_job, run_job
 from jexplore.studies.room_variants import BEST, VARIANTS, Settings, divided, require
-from jexplore.worlds import GENERATORS, names
+from jexplore.worlds import known_generators, names
 from jexplore.worlds.names import short_names
 from jexplore.worlds.readers.images import load_image, read_pixels
 from jexplore.worlds.regions import warn_of_outside
@@ -92,22 +92,13 @@ SETTINGS = Settings()
 
 @checked_names
 def segment_maps(
-    maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World],
-    *,
-    truth: str | Sequence[str] | None = None,
-    variants: str | Sequence[str] = BEST,
-    partial: bool = False,
-    cell_m: float = 0.05,
-    seed: int = 0,
-    on_progress: Callable[[int], Any] | None = None,
-    ratio: float = SETTINGS.ratio,
-    smallest_m2: float = SETTINGS.smallest_m2,
-    clutter_m: float = SETTINGS.clutter_m,
-    prominence_m: float = SETTINGS.prominence_m,
-    gamma: float = SETTINGS.gamma,
-    metric: str = SETTINGS.metric,
-    lines: bool = SETTINGS.lines,
-) -> Segmentation:
+    maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World], *,
+    truth: str | Sequence[str] | None = None, variants: str | Sequence[str] = BEST, partial: bool = False,
+    cell_m: float = 0.05, seed: int = 0, on_progress: Callable[[int], Any] | None = None,
+    ratio: float = SETTINGS.ratio, smallest_m2: float = SETTINGS.smallest_m2, clutter_m: float = SETTINGS.clutter_m,
+    prominence_m: float = SETTINGS.prominence_m, gamma: float = SETTINGS.gamma,
+    metric: str = SETTINGS.metric, lines: bool = SETTINGS.lines,
+) -> Segmentation:  # fmt: skip
     """Divide maps into rooms and score the result.
 
     Args:
