@@ -65,7 +65,7 @@ def planning(seed: int, repeat: int) -> str:
     clock, cpu = [], []
     for _ in range(repeat + 1):
         began, used = time.perf_counter(), time.process_time()
-        found = jx.routes(btm, robots, pairs)
+        found = jx.btm.routes(btm, robots, pairs)
         clock.append(time.perf_counter() - began)
         cpu.append(time.process_time() - used)
     began, equal = time.process_time(), True

@@ -232,15 +232,16 @@ def api_table(*names: str) -> str:
     Args:
       *names: below `jexplore`, dotted where they are not the package's own.
     """
-    from jexplore import _MODULE_OF
+    import jexplore as jx
 
+    home = jx._LAZY.module_of | {f"btm.{name}": module for name, module in jx.btm._LAZY.module_of.items()}
     rows = []
     for name in names:
-        module, _, own = f"{_MODULE_OF[name]}.{name}".rpartition(".") if name in _MODULE_OF else name.rpartition(".")
+        module, own = home.get(name, name.rpartition(".")[0]), name.rpartition(".")[2]
         path, text = defined(f"jexplore.{module}", own)
         meaning = " ".join((text or "").split("\n\n")[0].split())
         where = f"../../../{path.relative_to(ROOT).as_posix()}"
-        rows.append((f"[`{'jx.' if name in _MODULE_OF else 'jexplore.'}{name}`]({where})", meaning))
+        rows.append((f"[`{'jx.' if name in home else 'jexplore.'}{name}`]({where})", meaning))
     return table_of(["name", "meaning"], rows)
 
 

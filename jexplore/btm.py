@@ -2,11 +2,14 @@
 
 A map is rooted: node 0 is where the robot started. Links leave a node in a direction; one that has not been followed
 has no other end. What does not fit is counted, never written over.
+
+`jx.btm` has besides what is asked of robots that write such maps: `trace`, `route`, `merge_maps` and the other names of
+`btm_names.pyi`, which are loaded when they are first used.
 """
 
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +17,19 @@ from flax import struct
 from jax import Array
 
 from jexplore.arrays.loops import settled
+from jexplore.lazy import read as _read
 from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLES, STATUS, BtmMap, Link, Node, direction_deg
+
+if TYPE_CHECKING:
+    from jexplore.btm_names import *  # noqa: F403  # pyright: ignore[reportMissingModuleSource]
+else:
+    _LAZY = _read(__name__, "btm_names.pyi")
+    __getattr__ = _LAZY.get
+
+    def __dir__():
+        own = [name for name, value in globals().items() if getattr(value, "__module__", None) == __name__]
+        return sorted({*(name for name in own if not name.startswith("_")), *_LAZY.module_of})
+
 
 TERMINAL, DIVERGENCE, FREE_SPACE, OBSTACLE = range(len(NODE_TYPES))
 SLOPE, STAIRS = range(len(OBSTACLES))

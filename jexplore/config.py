@@ -88,8 +88,9 @@ def require_kind(name: str, given: object, kind: type) -> None:
     first = next(iter(fields))
     example = given if isinstance(given, dict) and given and given.keys() <= fields.keys() else {first: fields[first]}
     text = ", ".join(f"{key}={shown(value)}" for key, value in example.items())
-    such = "" if dataclasses.MISSING in example.values() else f", such as jx.{kind.__name__}({text}),"
-    raise InputError(f"{name} must be a jx.{kind.__name__}{such} got {shown(given)}")
+    own = f"{'jx' if kind.__module__ == __name__ else 'jx.btm'}.{kind.__name__}"
+    such = "" if dataclasses.MISSING in example.values() else f", such as {own}({text}),"
+    raise InputError(f"{name} must be a {own}{such} got {shown(given)}")
 
 
 _Record = TypeVar("_Record")

@@ -3,6 +3,7 @@
 import ast
 import enum
 import inspect
+import operator
 import pickle
 import subprocess
 import sys
@@ -11,6 +12,8 @@ from pathlib import Path
 import pytest
 
 import jexplore
+from jexplore import btm
+from jexplore.worlds import GENERATORS
 
 HEAVY = ("jax", "numpy", "scipy", "pandas", "matplotlib", "flax", "PIL", "tqdm")
 
@@ -25,7 +28,7 @@ def loaded_after(code):
 @pytest.mark.parametrize(
     "code",
     [
-        "import jexplore; jexplore.__version__; dir(jexplore); jexplore.Lidar; jexplore.GENERATORS",
+        "import jexplore; jexplore.__version__; dir(jexplore); jexplore.Lidar; jexplore.load_world",
         "from jexplore.cli.main import main; assert main(['--help']) == 0",
         "from jexplore.cli.main import main; assert main(['compare', '--help']) == 0",
         "from jexplore.cli.main import main; assert main(['reproduce', '--help']) == 0",
@@ -41,12 +44,17 @@ def test_the_probe_sees_what_is_loaded():
 
 
 def test_every_name_exists_and_is_told():
-    assert {*jexplore.__all__, *jexplore._OF_EXTRAS} == {*jexplore._MODULE_OF, "__version__"}
-    for name in jexplore._MODULE_OF:
-        if name not in jexplore._OF_EXTRAS:
-            assert getattr(jexplore, name) is not None
-        assert name in dir(jexplore)
+    assert len(dir(jexplore)) == len({*dir(jexplore)}) <= 45
+    assert {*dir(jexplore)} - {*jexplore.__all__} == {*jexplore._LAZY.extras} == {"GymEnv", "GymVectorEnv"}
+    for module, names in ((jexplore, jexplore.__all__), (btm, dir(btm))):
+        for name in names:
+            assert getattr(module, name) is not None
+            assert not name.startswith("_") or name == "__version__"
     assert callable(jexplore.compare)
+    assert callable(btm.trace)
+    assert callable(btm.add_node)
+    with pytest.raises(AttributeError, match=r"'jexplore\.btm' has no attribute 'traec'"):
+        btm.traec  # noqa: B018
     with pytest.raises(AttributeError, match="no attribute 'compair'"):
         jexplore.compair  # noqa: B018
 
@@ -75,8 +83,9 @@ except AttributeError as error:
 
 def public():
     """Functions of the package, and ways to make objects of its classes."""
-    for name in jexplore.__all__:
-        value = getattr(jexplore, name)
+    for name in [*jexplore.__all__, *(f"btm.{name}" for name in btm._LAZY.module_of)]:
+        value = operator.attrgetter(name)(jexplore)
+        name = name.removeprefix("btm.")
         if callable(value) and not (isinstance(value, type) and issubclass(value, (Exception, enum.Enum))):
             yield name, value
 
@@ -106,10 +115,16 @@ def test_an_unknown_keyword_argument_is_told_with_the_nearest():
         (lambda: jexplore.Environment("cave", sigma=4), "did you mean lidar={'sigma_m': ...}"),
         (lambda: jexplore.sweep({"worlds": "cave", "lidar": {"rang_m": 4}}), "did you mean 'range_m'"),
         (lambda: jexplore.compare("cave", "closest", lidar={"range_mm": 4}), "did you mean 'range_m'"),
-        (lambda: jexplore.trace("course", run=3), "unknown argument of trace: 'run'; did you mean 'runs'"),
-        (lambda: jexplore.drift("course", sed=3), "did you mean 'seed'"),
-        (lambda: jexplore.trace("course", tuning={"vote": 3}), "unknown field of tuning: 'vote'; did you mean 'votes'"),
-        (lambda: jexplore.drift("course", noise={"slipp": 3}), "unknown field of noise: 'slipp'; did you mean 'slip'"),
+        (lambda: jexplore.btm.trace("course", run=3), "unknown argument of trace: 'run'; did you mean 'runs'"),
+        (lambda: jexplore.btm.drift("course", sed=3), "did you mean 'seed'"),
+        (
+            lambda: jexplore.btm.trace("course", tuning={"vote": 3}),
+            "unknown field of tuning: 'vote'; did you mean 'votes'",
+        ),
+        (
+            lambda: jexplore.btm.drift("course", noise={"slipp": 3}),
+            "unknown field of noise: 'slipp'; did you mean 'slip'",
+        ),
         (
             lambda: jexplore.segment_maps("rooms", ratios=1),
             "unknown argument of segment_maps: 'ratios'; did you mean 'ratio'",
@@ -132,27 +147,31 @@ def test_signatures_and_pickles_are_those_of_the_functions():
 
 def test_no_name_hides_a_module():
     modules = {path.stem for path in Path(jexplore.__file__).parent.glob("*")}
-    assert modules.isdisjoint(jexplore._MODULE_OF)
+    assert modules & {*dir(jexplore)} == {"btm", "worlds"}  # which are these modules
 
 
-def test_type_checkers_see_the_same_names():
-    tree = ast.parse(Path(jexplore.__file__).read_text(encoding="utf-8"))
-    (block,) = [node for node in tree.body if isinstance(node, ast.If) and isinstance(node.test, ast.Name)]
-    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
-    seen = {
-        alias.name: node.module.removeprefix("jexplore.")
-        for node in imports
-        for alias in node.names
-        if not alias.asname
-    }
-    assert seen == jexplore._MODULE_OF
+@pytest.mark.parametrize("stub", ["__init__.pyi", "btm_names.pyi"])
+def test_a_stub_has_each_name_once_and_in_the_form_that_is_read(stub):
+    """Types: `known_types` of .ci/run."""
+    text = (Path(jexplore.__file__).parent / stub).read_text(encoding="utf-8")
+    names = [alias for node in ast.parse(text).body for alias in node.names]  # type: ignore[attr-defined]
+    assert all(alias.name == alias.asname for alias in names)
+    assert len(names) == len({alias.name for alias in names}) == text.count("\nfrom jexplore")
+    lazy = jexplore._LAZY if stub == "__init__.pyi" else btm._LAZY
+    assert list(lazy.module_of) == [alias.name for alias in names]
+
+
+def test_no_public_function_hides_its_options():
+    for name, value in public():
+        kinds = [p.kind for p in inspect.signature(value).parameters.values()]
+        assert inspect.Parameter.VAR_KEYWORD not in kinds or name in ("strategy",), name  # a strategy's own parameters
 
 
 def test_the_packages_names_are_listed():
     worlds, strategies = jexplore.worlds(), jexplore.strategies()
     assert worlds.head[0] == "world"
     assert strategies.head[0] == "strategy"
-    assert {row[0].split(",")[0] for row in worlds} >= {*jexplore.GENERATORS, "map.yaml"}
+    assert {row[0].split(",")[0] for row in worlds} >= {*GENERATORS, "map.yaml"}
     assert {row[0] for row in strategies} >= {"closest", "random"}
     for found in (worlds, strategies):
         assert len(found.to_pandas()) == len(found) == len(list(found))

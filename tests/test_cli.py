@@ -22,6 +22,7 @@ from jexplore.config import InputError
 from jexplore.exploration import batch
 from jexplore.report import store
 from jexplore.studies.results.units import COLUMNS
+from jexplore.worlds import GENERATORS
 
 LIDAR = ("--lidar.n-beams", "37", "--lidar.range-m", "1")
 
@@ -174,7 +175,7 @@ def test_an_interruption_is_one_line_and_leaves_the_old_run(ran, world, tmp_path
 def test_worlds_are_listed(capsys):
     assert main.main(["worlds"]) == 0
     said = capsys.readouterr().out
-    for name in jexplore.GENERATORS:
+    for name in GENERATORS:
         assert f"\n  {name} " in said
     assert "corridor_m=" in said
 

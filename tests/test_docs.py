@@ -34,6 +34,7 @@ NO_COMMANDS_OF_OURS = (
     ".venv/bin/",
     ".ci/run",
     "python benchmarks/",
+    "python examples/",
     "sbatch",
     "jupyter",
 )
@@ -237,6 +238,15 @@ def test_excerpts_name_what_there_is():
             assert name in dir(jx), f"{page}: jx.{name}"
 
 
+def test_page_of_an_episode_shows_the_whole_example():
+    def lines(text):
+        return [line.strip() for line in text.splitlines() if line.strip()]
+
+    shown = [body for language, body in blocks(text_of("docs/tutorial-episode.md")) if language == "excerpt"]
+    _, code = text_of("examples/episode.py").split('"""\n', 1)
+    assert lines("\n".join(shown)) == lines(code.partition('if __name__ == "__main__"')[0])
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_commands_parse(page):
     for words in commands_in(page):
@@ -291,8 +301,9 @@ def test_readme_is_short_and_begins_with_what_is_run():
 
 def test_every_public_name_is_in_the_reference():
     pages = "\n".join(text_of(page) for page in PAGES if page.startswith("docs/reference/api/"))
-    named = re.findall(r"^\| \[`jx\.(\w+)`\]", pages, re.M)
-    assert sorted(named) == sorted({*jx.__all__, *jx._OF_EXTRAS} - {"__version__"})
+    named = re.findall(r"^\| \[`jx\.([\w.]+)`\]", pages, re.M)
+    there = {*dir(jx), *(f"btm.{name}" for name in jx.btm._LAZY.module_of)} - {"__version__", "btm", "worlds"}
+    assert sorted(named) == sorted(there)
     assert not re.findall(r"^\| \[`.*\| +\|$", pages, re.M), "a name without a meaning"
 
 

@@ -15,7 +15,7 @@ from jexplore.report.plots import drift as plots
 from jexplore.studies.traces.drift import drift, placed_truly, summarised
 from jexplore.studies.traces.storage import packed, storage
 from jexplore.tracemap.record import BtmMap, Link, Node
-from jexplore.worlds.readers.scans import ScanLog
+from jexplore.worlds.readers.scans import ScanLog, fold_scans
 from jexplore.worlds.world import World
 
 NODES = (
@@ -102,10 +102,10 @@ def test_the_figure():
     ("options", "says"),
     [
         ({"axes": {}}, "axes must name an error or more"),
-        ({"axes": {"drift": [1.0]}}, "axes must be errors of jx.Noise, .*, got 'drift'"),
+        ({"axes": {"drift": [1.0]}}, "axes must be errors of jx.btm.Noise, .*, got 'drift'"),
         ({"axes": {"slip": []}}, "slip must have a value or more"),
         ({"axes": {"slip": [0.9]}}, "noise.slip must be"),
-        ({"sweep": ["votes=1,5"]}, "sweep thresholds with jx.trace"),
+        ({"sweep": ["votes=1,5"]}, "unknown argument of drift: 'sweep'"),
         ({"runs": 0}, "runs"),
     ],
 )
@@ -119,7 +119,7 @@ def test_a_study_is_runs_of_traces(tmp_path):
     """Runs of the study's own noise are those of `trace`; more slip leaves the first steps alike and then does not."""
     noise, options = Noise(range_m=0.01), {"max_steps": 150, "seed": 3}
     found = drift(axes={"slip": [0.4]}, runs=2, noise=noise, **options)
-    alone = jx.trace("course", runs=2, noise=noise, **options).table
+    alone = jx.btm.trace("course", runs=2, noise=noise, **options).table
     assert found.axes == {"slip": [0.02, 0.4]}
     assert found.runs["noise.slip"].tolist() == [0.02, 0.02, 0.4, 0.4]
     own = found.runs[:2]
@@ -128,8 +128,8 @@ def test_a_study_is_runs_of_traces(tmp_path):
     assert (found.runs["on_wall"] > 0.9).all()
     assert found.example is None
     assert len(found.figure().axes) == 3
-    log = jx.trace("course", noise=noise, **options).scans()
-    assert jx.odometry_map(log, found.plan.world).on_wall > 0.9
+    log = jx.btm.trace("course", noise=noise, **options).scans()
+    assert jx.btm.odometry_map(log, found.plan.world).on_wall > 0.9
 
 
 def test_bytes_of_a_packed_map():
@@ -162,7 +162,7 @@ def test_bytes_of_a_drawn_map():
     """A line of three cells, seen from its end: free, free, occupied; one row of the map, one byte."""
     log = ScanLog(np.array([[0.5, 0.5, 0.0]]), np.zeros((1, 3)), np.array([[2.2]]), np.zeros(1), np.zeros(1), 8.0)
     occupied = np.pad(np.zeros((3, 3), bool), 1, constant_values=True)
-    drawn = jx.fold_scans(log, cell_m=1.0)
+    drawn = fold_scans(log, cell_m=1.0)
     assert storage(World(occupied=occupied, cell_m=0.1, name="room"), MAP, drawn=drawn)["grid_packed"] == 1
 
 

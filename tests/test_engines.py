@@ -364,7 +364,7 @@ def test_engines_that_do_not_exist_are_refused(options, says):
         lambda how: jx.compare("nowhere", ["closest"], **how),
         lambda how: jx.sweep("nowhere.yaml", **how),
         lambda how: jx.reproduce("holz2010", maps="nowhere", **how),
-        lambda how: jx.trace("nowhere", **how),
+        lambda how: jx.btm.trace("nowhere", **how),
     ],
 )
 def test_engines_are_checked_before_anything_is_read(ask):

@@ -1,21 +1,22 @@
 """The example scripts run, with fewer episodes, in a folder of their own, and say nothing on the error stream."""
 
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
-EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"))
+import jexplore as jx
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+STUDIES = [EXAMPLES / "own_strategy.py", EXAMPLES / "sweep.py"]
 
 
-def test_there_are_examples():
-    assert {path.stem for path in EXAMPLES} >= {"own_strategy", "sweep"}
-
-
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
 def test_an_example_runs(path, tmp_path):
     code, n = re.subn(r"""(episodes=|"episodes": )\d+""", r"\g<1>3", path.read_text(encoding="utf-8"))
     assert n == 1
@@ -30,3 +31,38 @@ def test_an_example_runs(path, tmp_path):
     assert [file.name for file in here.iterdir()] == ["picture.png"]
     with Image.open(here / "picture.png") as picture:
         assert len(picture.convert("RGB").getcolors(10**6)) > 10
+
+
+def nearest(view):
+    """The strategy `closest` as a user's score, which native code cannot run: the episode runs in JAX."""
+    return -view.cost
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(
+    ("name", "cell_m", "episode", "exhausted"),
+    [("rooms#0:width_m=8,height_m=6", 0.1, 0, 0), ("cave#3:width_m=9,height_m=8", 0.15, 2, 1)],
+)
+def test_the_written_out_episode_is_that_of_explore(name, cell_m, episode, exhausted):
+    module = runpy.run_path(str(EXAMPLES / "episode.py"))
+    world = jx.load_world(name, cell_m=cell_m)
+    runs = [jx.explore(world, strategy, episode=episode) for strategy in ("closest", nearest)]
+    robot = module["Robot"](world, runs[0].start)
+    robot.explore()
+    for found in runs:
+        assert robot.path == list(zip(found.final.rows, found.final.cols))
+        np.testing.assert_array_equal(robot.grid.hits, found.final.hits)
+        np.testing.assert_array_equal(robot.grid.misses, found.final.misses)
+    assert len(robot.path) > 50
+    assert robot.exhausted.sum() == runs[0].measures["exhausted"] == exhausted
+
+
+@pytest.mark.jit
+def test_the_written_out_episode_runs_as_a_script(capsys, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["episode.py", "maze:width_m=6,height_m=6"])
+    runpy.run_path(str(EXAMPLES / "episode.py"), run_name="__main__")
+    assert capsys.readouterr().out.splitlines()[-1] == "jx.explore drove the same cells"
+
+
+def test_the_written_out_episode_is_short():
+    assert len((EXAMPLES / "episode.py").read_text(encoding="utf-8").splitlines()) <= 150

@@ -309,7 +309,7 @@ def agrees(btm, cost_of):
     """Every route between two nodes costs on the Route Server what its links are long."""
     nodes, edges = loaded(json.dumps(store.jsonable(geojson(btm))))
     pairs = list(itertools.permutations(nodes, 2))
-    (routes,) = jx.routes(btm, ["kamui"], pairs)
+    (routes,) = jx.btm.routes(btm, ["kamui"], pairs)
     for (start, goal), route in zip(pairs, routes):
         found = planned(nodes, edges, start, goal, cost_of)
         assert route.is_found == (found is not None)
@@ -353,19 +353,21 @@ def test_the_planner_by_hand():
 
 @pytest.mark.jit
 def test_the_map_of_a_run_is_planned_over_alike():
-    btm = jx.read_btm(TRACED)
+    btm = jx.btm.read_btm(TRACED)
     nodes, edges = loaded(json.dumps(geojson(btm)))
     assert {node["frame"] for node in nodes.values()} == {"odom"}  # places of the odometry
     assert len(edges) == 2 * sum(link.end != NOWHERE for link in btm.links)
     for cost_of in (scored, own_cost):
         cost, way = planned(nodes, edges, 0, 8, cost_of)
-        assert [int(edge["metadata"]["link"]) for edge in way] == list(jx.route(btm, "kamui", 0, 8).links)
+        assert [int(edge["metadata"]["link"]) for edge in way] == list(jx.btm.route(btm, "kamui", 0, 8).links)
         longest = sum(
             max(link.length_m, math.dist(*((nodes[end]["x"], nodes[end]["y"]) for end in (link.start, link.end))))
             for link in btm.links
             if link.end != NOWHERE
         )
-        assert cost == pytest.approx(longest if cost_of is scored else jx.route(btm, "kamui", 0, 8).length_m, rel=1e-5)
+        assert cost == pytest.approx(
+            longest if cost_of is scored else jx.btm.route(btm, "kamui", 0, 8).length_m, rel=1e-5
+        )
 
 
 # GraphML

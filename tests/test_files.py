@@ -23,7 +23,7 @@ def refused(line, call, *args):
 
 
 READERS = (
-    (jx.read_btm, "btm.json"),
+    (jx.btm.read_btm, "btm.json"),
     (jx.load_world, "map.png@0.1"),
     (jx.load_world, "map.yaml"),
     (read_spec, "spec.yaml"),

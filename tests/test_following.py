@@ -288,7 +288,7 @@ def test_without_its_places_or_its_way_a_robot_is_lost():
 def test_a_guide_of_a_route_has_its_divergences():
     world = load_world("course:obstacle=none")
     btm = world.course.topology
-    route = jx.route(btm, "wheeled", 0, 5)
+    route = jx.btm.route(btm, "wheeled", 0, 5)
     guide = following._guides(world, btm, [route], [(0.6, (0.0, 0.3))])
     assert guide.count.tolist() == [2]
     assert np.isfinite(guide.ways[0, :2]).sum(axis=1).tolist() == [3, 3]
@@ -312,8 +312,8 @@ def test_routes_are_driven_and_what_is_otherwise_is_written_back():
     narrow = dataclasses.replace(same, id=99, min_width_m=0.1)
     kept = (link for link in btm.links if link.id != open_link.id)
     short = dataclasses.replace(btm, links=(*kept, narrow))
-    found = jx.routes(short, ["wheeled"], [(1, 4), (4, 0), (3, 1)])[0]
-    driven = jx.follow("course:obstacle=stairs", short, found, "wheeled", workers=1)
+    found = jx.btm.routes(short, ["wheeled"], [(1, 4), (4, 0), (3, 1)])[0]
+    driven = jx.btm.follow("course:obstacle=stairs", short, found, "wheeled", workers=1)
     assert driven.table["outcome"].tolist() == ["ARRIVED", "BLOCKED", "ARRIVED"]
     assert (driven.table["off_m"].iloc[[0, 2]] < 1.0).all()
     assert driven.table["refused"].max() <= 1
@@ -327,8 +327,8 @@ def test_routes_are_driven_and_what_is_otherwise_is_written_back():
     assert abs((new.start_bearing_deg - open_link.start_bearing_deg + 180) % 360 - 180) < 20
     assert len(driven.changes) == 2
     too_narrow = (99, ("width 0.1 m < 0.39 m",))
-    assert jx.route(driven.map, "wheeled", 4, 0).refused == ((first.id, ("blocked for wheeled",)), too_narrow)
-    climbs = jx.route(driven.map, "kamui", 4, 0)
+    assert jx.btm.route(driven.map, "wheeled", 4, 0).refused == ((first.id, ("blocked for wheeled",)), too_narrow)
+    climbs = jx.btm.route(driven.map, "kamui", 4, 0)
     assert first.id in climbs.links
     assert any(line.endswith("blocked for wheeled") for line in climbs.unknown)
 
@@ -339,7 +339,7 @@ def test_a_map_of_another_place_is_refused(off_m):
     nodes = tuple(dataclasses.replace(node, y_m=node.y_m + off_m) for node in btm.nodes)
     moved = dataclasses.replace(btm, nodes=nodes)
     with pytest.raises(InputError, match="is the map of this building, in its frame"):
-        jx.follow("course:obstacle=none", moved, [jx.route(moved, "wheeled", 0, 5)], "wheeled")
+        jx.btm.follow("course:obstacle=none", moved, [jx.btm.route(moved, "wheeled", 0, 5)], "wheeled")
 
 
 def test_where_only_the_way_back_is_open_a_wall_is_before_it():
@@ -362,7 +362,7 @@ def test_of_several_links_between_two_places_that_one_is_blocked_which_lies_befo
     nodes += [Node(3, 12.0, 0.0, "divergence"), Node(4, 16.0, 0.0, "terminal")]
     links = [Link(i, i, i + 1, "searched", 0.0, 180.0, 4.0, 1.0) for i in range(4)]
     btm = BtmMap(tuple(nodes), tuple(links))
-    route = jx.route(btm, "kamui", 0, 4)
+    route = jx.btm.route(btm, "kamui", 0, 4)
     assert route.links == (0, 1, 2, 3)
 
     def of(at, **more):
@@ -380,16 +380,16 @@ def test_of_several_links_between_two_places_that_one_is_blocked_which_lies_befo
 
 def test_wrong_input_is_one_line():
     btm = load_world("course:obstacle=none").course.topology
-    here, wide = jx.route(btm, "wheeled", 0, 0), jx.Robot("wheeled", 3, 3, 1, 5, 0.1, 1, 1, 0.5, 0, 45, 0.7)
+    here, wide = jx.btm.route(btm, "wheeled", 0, 0), jx.btm.Robot("wheeled", 3, 3, 1, 5, 0.1, 1, 1, 0.5, 0, 45, 0.7)
     for routes, robot, message in [
         ([], "wheeled", "expected a route"),
         ([here], "wheeled", "must have a link"),
-        ([jx.route(btm, "wheeled", 0, 5)], "tank", "robot must be one of"),
-        ([jx.route(btm, "wheeled", 0, 5)], wide, "not fit on link"),
-        ([jx.route(btm, "wheeled", 0, 5)], "kamui", "kamui cannot follow a route of wheeled"),
+        ([jx.btm.route(btm, "wheeled", 0, 5)], "tank", "robot must be one of"),
+        ([jx.btm.route(btm, "wheeled", 0, 5)], wide, "not fit on link"),
+        ([jx.btm.route(btm, "wheeled", 0, 5)], "kamui", "kamui cannot follow a route of wheeled"),
     ]:
         with pytest.raises(InputError, match=message):
-            jx.follow("course:obstacle=none", btm, routes, robot)
+            jx.btm.follow("course:obstacle=none", btm, routes, robot)
 
 
 @pytest.mark.parametrize("walled", [True, False])
@@ -633,7 +633,7 @@ def test_a_robot_starts_where_it_can_turn():
     occupied[1:-1, 1:-1] = False
     nodes = Node(0, 1.0, 2.0, "divergence"), Node(1, 7.0, 2.0, "divergence")
     btm = BtmMap(nodes, (Link(0, 0, 1, "searched", 0.0, 180.0, 6.0, 1.0),))
-    route = jx.route(btm, "wheeled", 0, 1)
+    route = jx.btm.route(btm, "wheeled", 0, 1)
     begun = []
     for post in (False, True):
         occupied[20, 28] = post
@@ -649,7 +649,7 @@ def test_a_robot_starts_beside_a_link_that_the_map_has_in_a_wall():
     btm = BtmMap(nodes, (Link(0, 0, 1, "searched", 0.0, 180.0, 6.0, 1.0),))
     world = World(occupied=occupied, cell_m=0.1)
     pose, metres, beside = following.start_of(
-        world, building_of(world), ROBOTS["wheeled"], btm, jx.route(btm, "wheeled", 0, 1)
+        world, building_of(world), ROBOTS["wheeled"], btm, jx.btm.route(btm, "wheeled", 0, 1)
     )
     assert beside == pytest.approx((0.0, 0.3))
     np.testing.assert_allclose(pose, (1.0 + metres, 1.4, 0.0), atol=1e-5)

@@ -400,7 +400,7 @@ def test_what_means_something_in_one_run_only_is_left_out():
     assert found.map.attributes == {"frame": "odom", "merged_from": ["a", "b"], "conflicts": {"robot": told}}
     assert all(one.attributes.keys() == {"from"} for one in found.map.links)
     with pytest.raises(InputError, match="none has \\(maps that are merged have it no more: correct them before\\)"):
-        jx.correct_map(found.map)
+        jx.btm.correct_map(found.map)
     older = found.map.with_attributes({"conflicts": {"moved": TOLD, "victim": TOLD}}, link=0)
     again = merge_maps([older, third()], ["two", "c"])
     assert list(again.map.links[0].attributes["conflicts"]) == ["victim"]
@@ -412,7 +412,7 @@ def test_who_found_a_link_blocked_for_all_is_not_forgotten_beside_who_did_for_on
     for order in ((walled, shut), (shut, walled)):
         maps_ = [FIRST.with_attributes(own, link=1) for own in order]
         both = merged_of(*maps_).map
-        (last,) = jx.route(both, "kamui", 1, 2).refused
+        (last,) = jx.btm.route(both, "kamui", 1, 2).refused
         assert last[0] == 1
         assert last[1][0].startswith("blocked, found by kamui: no measures")
         assert merge_maps([both, SECOND], ["two", "c"]).map.links[1].attributes == {
@@ -833,7 +833,7 @@ def test_conflicts_of_a_map_that_was_not_merged():
         (lambda: merge_maps([FIRST, SECOND], ["a"]), "expected a name for each of 2 maps"),
         (lambda: merge_maps([FIRST, SECOND], ["a", "a"]), "names of their own, got 'a' twice"),
         (lambda: merge_maps([FIRST, SECOND], min_common=0), "min_common must be an integer from 1"),
-        (lambda: merge_maps([FIRST, {}]), "a map must be a jx.BtmMap"),
+        (lambda: merge_maps([FIRST, {}]), "a map must be a jx.btm.BtmMap"),
         (lambda: merge_maps([FIRST, BtmMap(FIRST.nodes[:1], FIRST.links)]), "which is not there"),
         (lambda: merge_maps([FIRST.with_attributes({"from": 1}, node=0), SECOND]), 'expected no attribute "from"'),
         (
@@ -855,9 +855,9 @@ def test_wrong_input(call, words):
 
 
 def test_names_of_the_package():
-    assert jx.merge_maps is merge_maps
-    assert jx.Merging is Merging
-    assert jx.Limits is Limits
+    assert jx.btm.merge_maps is merge_maps
+    assert jx.btm.Merging is Merging
+    assert jx.btm.Limits is Limits
 
 
 def saved(folder, btm):

@@ -145,8 +145,8 @@ def test_the_wheeled_robot_cannot_pass_the_slope():
     (onward,) = (link for link in found.first.links if link.status == "un-searched")
     assert onward.attributes["blocked"] is True
     assert onward.attributes["blocked_for"]["name"] == "wheeled"
-    assert jx.route(found.first, "wheeled", 0, "unsearched").trouble
-    assert jx.route(found.first, "kamui", 0, "unsearched").onward.link == onward.id  # it climbs more
+    assert jx.btm.route(found.first, "wheeled", 0, "unsearched").trouble
+    assert jx.btm.route(found.first, "kamui", 0, "unsearched").onward.link == onward.id  # it climbs more
     assert found.first.nodes[1].obstacle == "slope"
     assert abs(found.first.nodes[1].inclination_deg - 10) < 2
 

@@ -20,13 +20,14 @@ from ref import beliefs
 from ref.worlds import two_rooms
 
 import jexplore as jx
+from jexplore import users
 from jexplore.config import InputError, Lidar
 from jexplore.engine import one_by_one
 from jexplore.exploration import batch
 from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Outcome
-from jexplore.policies import STRATEGIES, parse_strategy, strategy
-from jexplore.policies.catalogue import adapt, entries, own
+from jexplore.policies import STRATEGIES, Strategy, parse_strategy, strategy
+from jexplore.policies.catalogue import adapt, entries
 from jexplore.policies.catalogue.grammar import listing
 from jexplore.studies.explore import frames
 from jexplore.studies.sweeps.spec import sweep_from
@@ -261,14 +262,14 @@ def test_a_module_is_as_it_is_now_and_here(module, tmp_path_factory, monkeypatch
 
 def number_of(text):
     """Return the result of a function of a module, in its present form."""
-    return own.import_object(*text.split(":"))()
+    return users.import_object(*text.split(":"))()
 
 
 def test_modules_are_read_from_their_source(module):
     """Neither bytecode, which knows files by size and second, nor an imported module replaces the present source."""
     (module / "helper_of_tests.py").write_text("W = 1\n")
     (module / "asking_of_tests.py").write_text("import helper_of_tests\ndef weight():\n    return helper_of_tests.W\n")
-    assert own.import_object("asking_of_tests", "weight") is own.import_object("asking_of_tests", "weight")
+    assert users.import_object("asking_of_tests", "weight") is users.import_object("asking_of_tests", "weight")
     assert number_of("asking_of_tests:weight") == 1
     before = os.stat(module / "helper_of_tests.py")
     for n in (2, 3):
@@ -313,7 +314,7 @@ def test_a_module_that_registers_may_be_written_anew(module, monkeypatch):
     (module / "registers_of_tests.py").write_text(text.replace("-view", "+view"))
     assert program("registers_of_tests:score") == program("written-anew") != first
     with pytest.raises(InputError, match="'written-anew' is registered already"):
-        jx.register("written-anew", own.import_object("registers_of_tests", "score"))
+        jx.register("written-anew", users.import_object("registers_of_tests", "score"))
 
 
 def test_registered(monkeypatch):
@@ -401,8 +402,8 @@ def test_what_stands_for_a_strategy():
         (lambda view, gamma=1: 0, {"segment": True}, "has a parameter 'gamma', which is one of the modifiers'"),
         (nearest, {"segment": "voronoi", "gamma": 3.0}, "has no parameter 'gamma'"),
         (lambda view, ratio=1: 0, {"segment": "rooms"}, "has a parameter 'ratio', which is one of the modifiers'"),
-        (jx.Strategy("raw", 3), {}, "'raw': policy must be a Policy, got int"),
-        (jx.Strategy(None, jx.Policy(nearest, nearest)), {}, "name must be text, got None"),
+        (Strategy("raw", 3), {}, "'raw': policy must be a Policy, got int"),
+        (Strategy(None, jx.Policy(nearest, nearest)), {}, "name must be text, got None"),
         (type("Thing", (), {"__call__": lambda self, view: view.cost})(), {}, "has no name"),
     ):
         with pytest.raises(InputError, match=says):
@@ -578,7 +579,7 @@ def test_numbers_that_would_become_others_are_refused():
     with pytest.raises(InputError, match=r"'mine': weight\.inner must be a whole number"):
         given({"inner": 2**40})
     with pytest.raises(InputError, match=r"'put together': params must be a number, not NaN"):
-        strategy(jx.Strategy("put together", jx.Policy(nearest, nearest, math.nan)))
+        strategy(Strategy("put together", jx.Policy(nearest, nearest, math.nan)))
     with pytest.raises(InputError, match=r"'weighed\+segment=holz': weight must be a whole number"):
         strategy(weighed, weight=2**40, segment=True)
 
@@ -651,12 +652,12 @@ def test_what_is_wrong_is_said_in_one_line_before_anything_compiles(wrong, says,
 @pytest.mark.jit
 def test_a_strategy_put_together_by_hand_is_checked_as_well():
     with pytest.raises(InputError, match=r"must return \(carry, Choice, route\), got int 5"):
-        compare([jx.Strategy("raw", policy(lambda *_: 5)())])
+        compare([Strategy("raw", policy(lambda *_: 5)())])
 
     def unlaid(key, params, carry, belief, beams, route):
         return carry, jx.Choice(*jnp.int32([5, 30, 9])), route
 
-    table = compare([jx.Strategy("raw", policy(unlaid)())], episodes=1)
+    table = compare([Strategy("raw", policy(unlaid)())], episodes=1)
     assert table["outcome"].tolist() == ["BAD_TARGET"]
 
 
@@ -734,4 +735,4 @@ def test_every_strategy_of_the_package_would_pass_the_check():
 def test_outcomes_have_names():
     assert Outcome.BAD_TARGET.name == "BAD_TARGET"
     assert jx.Outcome is Outcome
-    assert own.place_of(nearest).startswith(own._short(__file__))
+    assert users.place_of(nearest).startswith(users._short(__file__))

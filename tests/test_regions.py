@@ -50,7 +50,7 @@ def test_a_start_outside_is_told_with_both_areas_and_the_choice(tmp_path):
         "append :inside=true to the name, or the point :inside_x_m=X,inside_y_m=Y"
     )
     assert "append ,inside=true" in told(load_world(f"{name}:free=200"))
-    assert "use jx.inside(world)" in told(occupancy_to_world(house(), name="mine"))
+    assert "use jexplore.worlds.regions.inside(world)" in told(occupancy_to_world(house(), name="mine"))
 
 
 @pytest.mark.parametrize("choice", ["inside=true", "inside_x_m=3,inside_y_m=4"])

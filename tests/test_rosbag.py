@@ -7,10 +7,9 @@ import shutil
 import numpy as np
 import pytest
 
-import jexplore as jx
 from jexplore.config import InputError, InputWarning
 from jexplore.worlds import load_world
-from jexplore.worlds.readers.bags import read_bag
+from jexplore.worlds.readers.bags import load_bag, read_bag
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="rosbags is not installed (the extra ros)")
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
@@ -169,9 +168,9 @@ def test_graded_probabilities_are_told_and_divided_where_one_says(name):
     for tail in (":free_max=49,occupied_min=50", ":free_max=54", ":topic=/map,free_max=48,occupied_min=49"):
         world = load_world(f"{path}{tail}", cell_m=0.05)
         assert world.free_m2 == pytest.approx(6 * 0.05**2)
-    world = jx.load_bag(path, cell_m=0.05, free_max=49, occupied_min=50)
+    world = load_bag(path, cell_m=0.05, free_max=49, occupied_min=50)
     assert (~world.occupied).sum() == 6
-    assert jx.load_bag(path, cell_m=0.05, occupied_min=20).free_m2 == pytest.approx(0.05**2)
+    assert load_bag(path, cell_m=0.05, occupied_min=20).free_m2 == pytest.approx(0.05**2)
 
 
 @pytest.mark.parametrize(

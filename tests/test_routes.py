@@ -81,10 +81,10 @@ def line(*kinds, **measures):
 
 
 def test_the_crawler_takes_the_step_and_the_wheeled_robot_goes_round():
-    crawls = jx.route(SQUARE, "kamui", 0, 2)
+    crawls = jx.btm.route(SQUARE, "kamui", 0, 2)
     assert (crawls.nodes, crawls.links, crawls.length_m) == ((0, 2), (4,), 7.0)
     assert (crawls.refused, crawls.barriers, crawls.unknown, crawls.trouble) == ((), (), (), "")
-    rolls = jx.route(SQUARE, "wheeled", 0, 2)
+    rolls = jx.btm.route(SQUARE, "wheeled", 0, 2)
     assert (rolls.nodes, rolls.links, rolls.length_m) == ((0, 1, 2), (0, 1), 10.0)
     assert rolls.refused == ((4, ("step 0.15 m > 0.03 m",)),)
     assert trace_tables.refused_lines(SQUARE, rolls) == ["link 4 (nodes 0 to 2): step 0.15 m > 0.03 m"]
@@ -94,18 +94,18 @@ def test_the_crawler_takes_the_step_and_the_wheeled_robot_goes_round():
 
 def test_ways_are_counted_counter_clockwise_from_the_way_in():
     # at 1 the only other way is to the left: 270 degrees counter-clockwise from behind
-    first, second = jx.route(SQUARE, "wheeled", 0, 2).steps
+    first, second = jx.btm.route(SQUARE, "wheeled", 0, 2).steps
     assert (first.bearing_deg, first.turn_deg, first.way, first.ways) == (0.0, None, None, 3)
     assert (second.bearing_deg, second.turn_deg, second.way, second.ways) == (90.0, 270.0, 1, 1)
     # from 3 the link comes into 2 at 180; behind it lie, counter-clockwise, 4 at 225, 1 at 270, 5 at 360
-    into = jx.route(SQUARE, "wheeled", 3, 1).steps[1]
+    into = jx.btm.route(SQUARE, "wheeled", 3, 1).steps[1]
     assert (into.link, into.turn_deg, into.way, into.ways) == (1, 90.0, 2, 3)
-    onward = jx.route(SQUARE, "wheeled", 3, "unsearched").onward
+    onward = jx.btm.route(SQUARE, "wheeled", 3, "unsearched").onward
     assert (onward.link, onward.bearing_deg, onward.turn_deg, onward.way, onward.ways) == (5, 0.0, 180.0, 3, 3)
 
 
 def test_the_table_by_hand():
-    route = jx.route(SQUARE, "wheeled", 3, "unsearched")
+    route = jx.btm.route(SQUARE, "wheeled", 3, "unsearched")
     rows = [line.strip("|").split("|") for line in trace_tables.route_table(route).splitlines()]
     assert [cell.strip() for cell in rows[2]] == [*"1232", "5.00", "–", "–", "0", "1.00", "0.000", "1.0", "1.0"]
     assert [cell.strip() for cell in rows[3]] == ["2", "5", "2", "–", "–", "3 of 3", "180", "0", "0.80", *"–––"]
@@ -114,8 +114,8 @@ def test_the_table_by_hand():
         "highest step 0.000 m, steepest 1.0 deg, largest roll 1.0 deg"
     ]
     nearly = changed(SQUARE, 0, start_bearing_deg=-0.01)
-    assert " 360 " not in trace_tables.route_table(jx.route(nearly, "wheeled", 0, 1))
-    here = trace_tables.route_table(jx.route(SQUARE, "wheeled", 3, 3))
+    assert " 360 " not in trace_tables.route_table(jx.btm.route(nearly, "wheeled", 0, 1))
+    here = trace_tables.route_table(jx.btm.route(SQUARE, "wheeled", 3, 3))
     assert here == "wheeled, node 3 to node 3: 0.00 m over 0 links"
 
 
@@ -141,7 +141,7 @@ def test_the_table_by_hand():
     ],
 )
 def test_every_reason_of_a_link(measures, reasons):
-    route = jx.route(changed(line(None, None), 0, **measures), "wheeled", 0, 1)
+    route = jx.btm.route(changed(line(None, None), 0, **measures), "wheeled", 0, 1)
     assert route.refused == (((0, tuple(reasons)),) if reasons else ())
     assert route.is_found == (not reasons)
 
@@ -152,18 +152,18 @@ def test_what_one_robot_could_not_pass_is_left_to_those_that_are_narrower_or_cli
     scout = dataclasses.replace(WHEELED, name="scout", width_m=0.5, max_step_m=0.1, max_slope_deg=10.0)
     for worse in ({}, {"width_m": 0.8}, {"max_step_m": 0.03}, {"max_slope_deg": 5.0}):
         robot = dataclasses.replace(scout, **worse)
-        assert jx.route(btm, robot, 0, 1).refused == ((0, ("blocked for scout",)),), worse
+        assert jx.btm.route(btm, robot, 0, 1).refused == ((0, ("blocked for scout",)),), worse
     for better in ({"width_m": 0.49}, {"max_step_m": 0.11}, {"max_slope_deg": 11.0, "width_m": 0.8}):
         robot = dataclasses.replace(scout, **better)
-        route = jx.route(btm, robot, 0, 1)
+        route = jx.btm.route(btm, robot, 0, 1)
         assert (route.links, route.refused) == ((0,), ()), better
         assert route.unknown == ("link 0 (nodes 0 to 1): blocked for scout",)
-        assert jx.route(btm, robot, 0, 1, known_only=True).refused == ((0, ("blocked for scout",)),)
-    lifted = jx.route(btm.with_attributes({"blocked": False}, link=0), scout, 0, 1)
+        assert jx.btm.route(btm, robot, 0, 1, known_only=True).refused == ((0, ("blocked for scout",)),)
+    lifted = jx.btm.route(btm.with_attributes({"blocked": False}, link=0), scout, 0, 1)
     assert (lifted.links, lifted.unknown) == ((0,), ())
     ahead = changed(SQUARE, 5, attributes={"blocked": True, "blocked_for": who})  # un-searched
-    assert jx.route(ahead, scout, 0, "unsearched").refused[-1] == (5, ("blocked for scout",))
-    assert jx.route(ahead, "kamui", 0, "unsearched").unknown == ("link 5 (node 2, un-searched): blocked for scout",)
+    assert jx.btm.route(ahead, scout, 0, "unsearched").refused[-1] == (5, ("blocked for scout",))
+    assert jx.btm.route(ahead, "kamui", 0, "unsearched").unknown == ("link 5 (node 2, un-searched): blocked for scout",)
 
 
 def blocked_by(**told):
@@ -174,16 +174,16 @@ def blocked_by(**told):
 
 def test_what_maps_differ_about_is_a_doubt():
     btm = blocked_by(blocked=[("a", True), ("b", False)])
-    route = jx.route(btm, "kamui", 0, 1)
+    route = jx.btm.route(btm, "kamui", 0, 1)
     assert (route.links, route.refused) == ((0,), ())
     assert route.unknown == ("link 0 (nodes 0 to 1): blocked in a, not in b",)
-    assert jx.route(btm, "kamui", 0, 1, known_only=True).refused == ((0, ("blocked in a, not in b",)),)
+    assert jx.btm.route(btm, "kamui", 0, 1, known_only=True).refused == ((0, ("blocked in a, not in b",)),)
     lifted = btm.with_attributes({"blocked": False}, link=0)
-    assert jx.route(lifted, "kamui", 0, 1, known_only=True).unknown == ()
+    assert jx.btm.route(lifted, "kamui", 0, 1, known_only=True).unknown == ()
     shut = btm.with_attributes({"blocked": True}, link=0)
-    assert jx.route(shut, "kamui", 0, 1).refused == ((0, (f"blocked: {LIFTED}",)),)
-    assert not jx.route(blocked_by(blocked=[("a", True), ("b", 1)]), "kamui", 0, 1).is_found
-    assert jx.route(blocked_by(blocked=[("a", False), ("b", 0)]), "kamui", 0, 1).unknown == ()
+    assert jx.btm.route(shut, "kamui", 0, 1).refused == ((0, (f"blocked: {LIFTED}",)),)
+    assert not jx.btm.route(blocked_by(blocked=[("a", True), ("b", 1)]), "kamui", 0, 1).is_found
+    assert jx.btm.route(blocked_by(blocked=[("a", False), ("b", 0)]), "kamui", 0, 1).unknown == ()
 
 
 def test_several_robots_that_could_not_pass_are_several_blocks():
@@ -191,19 +191,19 @@ def test_several_robots_that_could_not_pass_are_several_blocks():
     flat = {"name": "flat", "width_m": 0.3, "max_step_m": 0.1, "max_slope_deg": 10.0}
     btm = blocked_by(blocked_for=[("a", wide), ("b", flat)]).with_attributes({"blocked": True}, link=0)
     robot = dataclasses.replace(WHEELED, width_m=0.5, max_step_m=0.05, max_slope_deg=5.0)
-    assert jx.route(btm, robot, 0, 1).refused == ((0, ("blocked for flat",)),)
+    assert jx.btm.route(btm, robot, 0, 1).refused == ((0, ("blocked for flat",)),)
     low = dataclasses.replace(robot, width_m=0.7)
-    assert jx.route(btm, low, 0, 1).refused == ((0, ("blocked for wide", "blocked for flat")),)
-    route = jx.route(btm, dataclasses.replace(robot, max_step_m=0.2), 0, 1)
+    assert jx.btm.route(btm, low, 0, 1).refused == ((0, ("blocked for wide", "blocked for flat")),)
+    route = jx.btm.route(btm, dataclasses.replace(robot, max_step_m=0.2), 0, 1)
     assert route.unknown == ("link 0 (nodes 0 to 1): blocked for wide, blocked for flat",)
     nobody = blocked_by(blocked_for=[("a", wide), ("b", None)]).with_attributes({"blocked": True}, link=0)
-    assert jx.route(nobody, robot, 0, 1).refused == ((0, (f"blocked: {LIFTED}",)),)
+    assert jx.btm.route(nobody, robot, 0, 1).refused == ((0, (f"blocked: {LIFTED}",)),)
 
 
 @pytest.mark.parametrize("told", [3, None, {"blocked": 3}, {"blocked": [3]}, {"blocked": [{"value": True}]}])
 def test_conflicts_that_nobody_could_have_written_block_nothing(told):
     btm = changed(line(None, None), 0, attributes={"conflicts": told})
-    assert jx.route(btm, "kamui", 0, 1).unknown == ()
+    assert jx.btm.route(btm, "kamui", 0, 1).unknown == ()
 
 
 @pytest.mark.parametrize(
@@ -218,24 +218,24 @@ def test_conflicts_that_nobody_could_have_written_block_nothing(told):
 )
 def test_a_block_by_nobody_that_one_can_be_held_against_is_for_all(who):
     btm = changed(line(None, None), 0, attributes={"blocked": True, "blocked_for": who})
-    assert jx.route(btm, "kamui", 0, 1).refused == ((0, (f"blocked: {LIFTED}",)),)
+    assert jx.btm.route(btm, "kamui", 0, 1).refused == ((0, (f"blocked: {LIFTED}",)),)
 
 
 def test_a_measure_in_single_precision_at_the_limit_is_within_it():
     limit = float(np.float32(0.2))
     assert limit > 0.2
-    assert jx.route(line(None, None, max_step_m=limit), "kamui", 0, 1).is_found
-    assert not jx.route(line(None, None, max_step_m=0.2001), "kamui", 0, 1).is_found
+    assert jx.btm.route(line(None, None, max_step_m=limit), "kamui", 0, 1).is_found
+    assert not jx.btm.route(line(None, None, max_step_m=0.2001), "kamui", 0, 1).is_found
 
 
 @pytest.mark.parametrize(("shape", "word", "unit"), [("stairs", "step 0.15 m > 0.03 m", 0.15),
                                                     ("slope", "inclination 10 deg > 5 deg", 10.0)])  # fmt: skip
 def test_an_obstacle_may_be_come_to_but_not_passed(shape, word, unit):
     btm = line(None, (shape, unit), None)
-    assert jx.route(btm, "kamui", 0, 2).links == (0, 1)
+    assert jx.btm.route(btm, "kamui", 0, 2).links == (0, 1)
     for start, end in ((0, 1), (2, 1), (1, 0), (1, 2)):  # it stands before the step, on the side where it goes
-        assert jx.route(btm, "wheeled", start, end).is_found
-    route = jx.route(btm, "wheeled", 0, 2)
+        assert jx.btm.route(btm, "wheeled", start, end).is_found
+    route = jx.btm.route(btm, "wheeled", 0, 2)
     assert (route.nodes, route.links, route.steps, route.length_m) == ((), (), (), math.inf)
     assert (route.refused, route.barriers) == ((), ((1, (word,)),))
     assert route.trouble == "wheeled cannot get from node 0 to node 2"
@@ -246,74 +246,74 @@ def test_an_obstacle_may_be_come_to_but_not_passed(shape, word, unit):
 def test_a_flight_whose_link_says_nothing_has_the_lower_step_of_its_ends():
     # two flights with a landing, 2 to 3: its nodes have the higher step on either side
     btm = line(None, ("stairs", 0.05), ("stairs", 0.15), ("stairs", 0.15), None, max_step_m=None)
-    assert jx.route(btm, "wheeled", 1, 2).refused[0] == (1, ("step 0.05 m > 0.03 m",))
-    assert jx.route(btm, "wheeled:max_step_m=0.1", 1, 2).links == (1,)
-    assert jx.route(btm, "wheeled:max_step_m=0.1", 2, 3).refused == ((2, ("step 0.15 m > 0.1 m",)),)
+    assert jx.btm.route(btm, "wheeled", 1, 2).refused[0] == (1, ("step 0.05 m > 0.03 m",))
+    assert jx.btm.route(btm, "wheeled:max_step_m=0.1", 1, 2).links == (1,)
+    assert jx.btm.route(btm, "wheeled:max_step_m=0.1", 2, 3).refused == ((2, ("step 0.15 m > 0.1 m",)),)
     level = changed(btm, 2, max_step_m=0.0)  # what was measured counts: a level landing
-    assert jx.route(level, "wheeled:max_step_m=0.1", 2, 3).links == (2,)
+    assert jx.btm.route(level, "wheeled:max_step_m=0.1", 2, 3).links == (2,)
     slope = line(("slope", 10.0), ("slope", 8.0), posture_deg=None)
-    assert jx.route(slope, "wheeled", 0, 1).refused == ((0, ("inclination 8 deg > 5 deg",)),)
+    assert jx.btm.route(slope, "wheeled", 0, 1).refused == ((0, ("inclination 8 deg > 5 deg",)),)
     mixed = line(("slope", 10.0), ("stairs", 0.1), posture_deg=None, max_step_m=None)
-    assert jx.route(mixed, "wheeled", 0, 1).unknown == ("link 0 (nodes 0 to 1): step unknown, inclination unknown",)
+    assert jx.btm.route(mixed, "wheeled", 0, 1).unknown == ("link 0 (nodes 0 to 1): step unknown, inclination unknown",)
 
 
 def test_what_is_not_known_is_told_or_refused():
     bare = dict.fromkeys(GOOD)
     btm = line(None, ("stairs", None), None, **bare)
-    route = jx.route(btm, "wheeled", 0, 2)
+    route = jx.btm.route(btm, "wheeled", 0, 2)
     words = "width unknown, step unknown, inclination unknown, roll unknown"
     long = f"{words}, length unknown, 5.00 m in a straight line"
     assert route.unknown == (f"link 0 (nodes 0 to 1): {long}", f"link 1 (nodes 1 to 2): {long}", "node 1: step unknown")
     assert route.length_m == 10.0
     assert repr(route) == "<Route of wheeled: 0 - 1 - 2, 2 links, 10.00 m, 3 unknown>"
-    strict = jx.route(btm, "wheeled", 0, 2, known_only=True)
+    strict = jx.btm.route(btm, "wheeled", 0, 2, known_only=True)
     assert strict.refused == tuple((i, tuple(words.split(", "))) for i in (0, 1))
     assert strict.barriers == ((1, ("step unknown",)),)
-    assert jx.route(line(None, None, length_m=None), "wheeled", 0, 1, known_only=True).is_found  # no limit is on it
+    assert jx.btm.route(line(None, None, length_m=None), "wheeled", 0, 1, known_only=True).is_found  # no limit is on it
     last = dataclasses.replace(
         line(None, ("stairs", None)), links=(way(0, 0, 1, 0.0, 180.0), stub(1, 1, 0.0, opening_m=1))
     )
-    assert jx.route(last, "wheeled", 0, 1).unknown == ()  # it stops before the stairs
-    assert jx.route(last, "wheeled", 0, "unsearched").unknown == ("node 1: step unknown",)
-    assert jx.route(SQUARE, "wheeled", 0, 2, known_only=True) == jx.route(SQUARE, "wheeled", 0, 2)
+    assert jx.btm.route(last, "wheeled", 0, 1).unknown == ()  # it stops before the stairs
+    assert jx.btm.route(last, "wheeled", 0, "unsearched").unknown == ("node 1: step unknown",)
+    assert jx.btm.route(SQUARE, "wheeled", 0, 2, known_only=True) == jx.btm.route(SQUARE, "wheeled", 0, 2)
 
 
 def test_the_nearest_unsearched_link():
     btm = dataclasses.replace(SQUARE, links=(*SQUARE.links, stub(9, 3, 180.0), stub(8, 3, 135.0)))
-    route = jx.route(btm, "wheeled", 0, "unsearched")  # 3 is 6 m away, 2 is 10 m
+    route = jx.btm.route(btm, "wheeled", 0, "unsearched")  # 3 is 6 m away, 2 is 10 m
     assert (route.nodes, route.links, route.length_m, route.end) == ((0, 3), (3,), 6.0, 3)
     assert (route.onward.link, route.onward.bearing_deg) == (8, 135.0)  # the lower of two
     assert route.unknown == ("link 8 (node 3, un-searched): opening unknown",)
     assert repr(route) == "<Route of wheeled: 0 - 3 - ?, 1 link, 6.00 m, 1 unknown>"
-    assert jx.route(btm, "wheeled", 3, "unsearched").links == ()
-    wide = jx.route(btm, "wheeled:width_m=0.9", 1, "unsearched")  # link 5 opens 0.8 m
+    assert jx.btm.route(btm, "wheeled", 3, "unsearched").links == ()
+    wide = jx.btm.route(btm, "wheeled:width_m=0.9", 1, "unsearched")  # link 5 opens 0.8 m
     assert wide.refused == ((4, ("step 0.15 m > 0.03 m",)), (5, ("opening 0.8 m < 0.9 m",)))
     assert (wide.end, wide.length_m) == (3, 10.0)
     shut = btm.with_attributes({"blocked": True}, link=8).with_attributes({"blocked": True}, link=9)
-    assert jx.route(shut, "wheeled", 0, "unsearched").onward.link == 5
+    assert jx.btm.route(shut, "wheeled", 0, "unsearched").onward.link == 5
 
 
 def test_an_unsearched_link_beyond_a_step_is_refused_with_the_step():
     btm = line(None, ("stairs", 0.15))
     btm = dataclasses.replace(btm, links=(*btm.links, stub(1, 1, 0.0, opening_m=2.0)))
-    route = jx.route(btm, "wheeled", 0, "unsearched")
+    route = jx.btm.route(btm, "wheeled", 0, "unsearched")
     assert route.refused == ((1, ("step 0.15 m > 0.03 m",)),)
     assert (route.end, route.onward, route.trouble) == (
         None,
         None,
         "wheeled can get from node 0 to no un-searched link",
     )
-    assert jx.route(btm, "kamui", 0, "unsearched").onward.link == 1
-    assert jx.route(btm, "wheeled", 0, 1).refused == ()  # an un-searched link is no way to a node
+    assert jx.btm.route(btm, "kamui", 0, "unsearched").onward.link == 1
+    assert jx.btm.route(btm, "wheeled", 0, 1).refused == ()  # an un-searched link is no way to a node
 
 
 def test_parts_that_nothing_joins_are_said_to_be():
     apart = BtmMap((*line(None, None).nodes, Node(7, 0, 9, "terminal")), line(None, None).links)
-    assert jx.route(apart, "kamui", 0, 7).trouble == "nodes 0 and 7 lie in parts of the map that no link joins"
-    assert jx.route(apart, "kamui", 0, "unsearched").trouble == "the map has no un-searched link"
+    assert jx.btm.route(apart, "kamui", 0, 7).trouble == "nodes 0 and 7 lie in parts of the map that no link joins"
+    assert jx.btm.route(apart, "kamui", 0, "unsearched").trouble == "the map has no un-searched link"
     more = dataclasses.replace(apart, links=(*apart.links, stub(3, 7, 0.0)))
     words = "node 0 and the un-searched links lie in parts of the map that no link joins"
-    assert jx.route(more, "kamui", 0, "unsearched").trouble == words
+    assert jx.btm.route(more, "kamui", 0, "unsearched").trouble == words
 
 
 def test_of_equal_ways_the_fewest_links_then_the_lowest_ids_count():
@@ -321,7 +321,7 @@ def test_of_equal_ways_the_fewest_links_then_the_lowest_ids_count():
 
     def chosen(*ends, lengths):
         links = tuple(way(i, a, b, 0.0, 180.0, length_m=m) for i, (a, b), m in zip((9, 5, 7, 3, 8), ends, lengths))
-        return jx.route(BtmMap(nodes, links), "kamui", 0, 3).links
+        return jx.btm.route(BtmMap(nodes, links), "kamui", 0, 3).links
 
     assert chosen((0, 1), (1, 3), (0, 3), lengths=(1, 1, 2)) == (7,)
     assert chosen((0, 1), (1, 3), (0, 3), lengths=(1, 1, 2.001)) == (9, 5)
@@ -333,9 +333,9 @@ def test_of_equal_ways_the_fewest_links_then_the_lowest_ids_count():
 
 
 def test_places_may_be_given_by_coordinates():
-    assert jx.route(SQUARE, "kamui", "0.4,-0.3", (4.9, 5.2)).nodes == (0, 2)
-    assert jx.route(SQUARE, "kamui", np.int64(0), " 2").nodes == (0, 2)
-    assert jx.route(SQUARE, "kamui", (-30, 40), 3, within_m=50).nodes == (3,)
+    assert jx.btm.route(SQUARE, "kamui", "0.4,-0.3", (4.9, 5.2)).nodes == (0, 2)
+    assert jx.btm.route(SQUARE, "kamui", np.int64(0), " 2").nodes == (0, 2)
+    assert jx.btm.route(SQUARE, "kamui", (-30, 40), 3, within_m=50).nodes == (3,)
 
 
 # Compared with networkx, and laws
@@ -386,7 +386,7 @@ def oracle(btm, robot, start, end):
 def test_routes_are_those_of_networkx(btm, data):
     one = st.sampled_from([node.id for node in btm.nodes])
     start, end, robot = data.draw(one), data.draw(one), data.draw(st.sampled_from([KAMUI, WHEELED]))
-    route = jx.route(btm, robot, start, end)
+    route = jx.btm.route(btm, robot, start, end)
     metres, links = oracle(btm, robot, start, end)
     assert route.length_m == metres
     assert route.links == (links or ())
@@ -406,7 +406,7 @@ def test_the_unsearched_link_is_the_nearest(btm, data):
             metres, links = oracle(btm, WHEELED, start, link.start)
             if links is not None:
                 ends[link.id] = metres, len(links), links, link.id
-    route = jx.route(btm, "wheeled", start, "unsearched")
+    route = jx.btm.route(btm, "wheeled", start, "unsearched")
     assert route.is_found == bool(ends)
     if ends:
         assert (route.length_m, len(route.links), route.links, route.onward.link) == min(ends.values())
@@ -419,7 +419,7 @@ def test_a_way_back_is_as_long_and_a_better_robot_goes_no_farther(btm):
     ids = [node.id for node in btm.nodes]
     pairs = list(itertools.product(ids, ids))
     kamui, wheeled = (
-        {pair: r.length_m for pair, r in zip(pairs, of)} for of in jx.routes(btm, ["kamui", "wheeled"], pairs)
+        {pair: r.length_m for pair, r in zip(pairs, of)} for of in jx.btm.routes(btm, ["kamui", "wheeled"], pairs)
     )
     for start, end in pairs:
         assert wheeled[start, end] == wheeled[end, start]
@@ -430,14 +430,14 @@ def test_a_way_back_is_as_long_and_a_better_robot_goes_no_farther(btm):
 def test_many_are_what_each_is_alone():
     robots = ["kamui", WHEELED, "wheeled:max_step_m=0.2", "kamui:width_m=1.1", "wheeled:width_m=0.9"]
     pairs = [*itertools.product(range(4), range(4)), *((i, "unsearched") for i in range(4))]
-    many = jx.routes(SQUARE, robots, pairs)
+    many = jx.btm.routes(SQUARE, robots, pairs)
     assert [len(of) for of in many] == [20] * 5
     for robot, of in zip(robots, many):
         for pair, found in zip(pairs, of):
-            assert found == jx.route(SQUARE, robot, *pair)
+            assert found == jx.btm.route(SQUARE, robot, *pair)
     assert not any(route.is_found for (a, b), route in zip(pairs, many[3]) if a != b and b != "unsearched")
-    assert jx.routes(SQUARE, [], pairs) == []
-    assert jx.routes(SQUARE, robots, []) == [[]] * 5
+    assert jx.btm.routes(SQUARE, [], pairs) == []
+    assert jx.btm.routes(SQUARE, robots, []) == [[]] * 5
 
 
 @pytest.mark.jit
@@ -482,7 +482,7 @@ def test_many_goals_in_many_blocks_are_those_of_networkx(seed, n_nodes):
     with pytest.MonkeyPatch.context() as patch:  # 40 goals: three calls, the last one not full
         patch.setattr(shortest, "BESIDE", 4)
         patch.setattr(shortest, "BLOCKS", 4)
-        (found,) = jx.routes(BtmMap(nodes, links), ["kamui"], pairs)
+        (found,) = jx.btm.routes(BtmMap(nodes, links), ["kamui"], pairs)
     for (start, end), route in zip(pairs, found):
         assert route.length_m == metres[start].get(end, math.inf)
         assert (route.start, route.end) == (start, end)
@@ -493,7 +493,7 @@ def test_many_goals_in_many_blocks_are_those_of_networkx(seed, n_nodes):
 def test_robots_that_may_use_the_same_are_told_apart():
     apart = BtmMap((*SQUARE.nodes, Node(9, 9.0, 9.0, "terminal")), SQUARE.links)
     robots = ["kamui", "kamui:width_m=0.5", "wheeled", "kamui:width_m=0.6"]
-    found = jx.routes(apart, robots, [(0, 2), (9, "unsearched"), (0, 9)])
+    found = jx.btm.routes(apart, robots, [(0, 2), (9, "unsearched"), (0, 9)])
     assert [[route.robot for route in of] for of in found] == [[name] * 3 for name in robots]
     assert [of[0].links for of in found] == [(4,), (4,), (0, 1), (4,)]
     assert [of[0].refused for of in found] == [(), (), ((4, ("step 0.15 m > 0.03 m",)),), ()]
@@ -515,13 +515,13 @@ def test_robots_that_may_use_the_same_are_told_apart():
         (("kamui", "unsearched", 0), r"^from must be a node's id or X,Y in metres, got 'unsearched'$"),
         (("kamui", "9,0", 0), r"^from: the node nearest to 9,0 is 1, 4.00 m away, more than 2 m$"),
         (("hover", 0, 1), r"^robot must be one of kamui, wheeled, got 'hover'$"),
-        ((3, 0, 1), r"^robot must be a name such as wheeled, or a jx.Robot, got 3$"),
-        ((None, 0, 1), r"^robot must be a name such as wheeled, or a jx.Robot, got None$"),
+        ((3, 0, 1), r"^robot must be a name such as wheeled, or a jx.btm.Robot, got 3$"),
+        ((None, 0, 1), r"^robot must be a name such as wheeled, or a jx.btm.Robot, got None$"),
     ],
 )
 def test_bad_requests_are_refused(arguments, message):
     with pytest.raises(InputError, match=message):
-        jx.route(SQUARE, *arguments)
+        jx.btm.route(SQUARE, *arguments)
 
 
 def test_ids_that_are_there_are_told():
@@ -531,24 +531,24 @@ def test_ids_that_are_there_are_told():
         (dataclasses.replace(apart.links[0], start=3, end=900),),
     )
     with pytest.raises(InputError, match=r"^to: there is no node 5: the map has nodes 3, 900$"):
-        jx.route(apart, "kamui", 3, 5)
+        jx.btm.route(apart, "kamui", 3, 5)
     with pytest.raises(InputError, match=r"^to: there is no node 99: the map has 20 nodes, with ids from 0 to 19$"):
-        jx.route(chain("D" * 20), "kamui", 3, 99)
+        jx.btm.route(chain("D" * 20), "kamui", 3, 99)
 
 
 def test_bad_maps_are_refused():
     with pytest.raises(InputError, match=r"^the map has no node: there is nowhere to go$"):
-        jx.route(BtmMap((), ()), "kamui", 0, 0)
-    with pytest.raises(InputError, match=r"^btm must be a jx.BtmMap"):
-        jx.route("btm.json", "kamui", 0, 0)
+        jx.btm.route(BtmMap((), ()), "kamui", 0, 0)
+    with pytest.raises(InputError, match=r"^btm must be a jx.btm.BtmMap"):
+        jx.btm.route("btm.json", "kamui", 0, 0)
     with pytest.raises(InputError, match=r"link 4 starts at node 0, which is not there|starts at node 0"):
-        jx.route(dataclasses.replace(SQUARE, nodes=SQUARE.nodes[1:]), "kamui", 1, 2)
+        jx.btm.route(dataclasses.replace(SQUARE, nodes=SQUARE.nodes[1:]), "kamui", 1, 2)
     with pytest.raises(InputError, match=r"^links must be less than 1074 km long in all$"):
-        jx.route(changed(SQUARE, 0, length_m=1.1e6), "kamui", 1, 2)
+        jx.btm.route(changed(SQUARE, 0, length_m=1.1e6), "kamui", 1, 2)
     with pytest.raises(InputError, match=r"^robots must be a list, got 'kamui'$"):
-        jx.routes(SQUARE, "kamui", [(0, 1)])
+        jx.btm.routes(SQUARE, "kamui", [(0, 1)])
     with pytest.raises(InputError, match=r"^within_m must be a number at least 0"):
-        jx.route(SQUARE, "kamui", 0, 1, within_m=-1)
+        jx.btm.route(SQUARE, "kamui", 0, 1, within_m=-1)
 
 
 @pytest.fixture
@@ -563,7 +563,7 @@ def test_the_command_prints_a_route_and_writes_it(saved, capsys):
     ask = ["route", "--map", "btm.json", "--robot", "wheeled", "--from", "0", "--to", "2"]
     assert main(ask) == 0
     said = capsys.readouterr().out
-    assert said == trace_tables.route_table(jx.route(SQUARE, "wheeled", 0, 2)) + (
+    assert said == trace_tables.route_table(jx.btm.route(SQUARE, "wheeled", 0, 2)) + (
         "\nrefused: link 4 (nodes 0 to 2): step 0.15 m > 0.03 m\n"
     )
     assert sorted(path.name for path in saved.iterdir()) == ["btm.json", "no.json"]
@@ -627,7 +627,7 @@ def test_the_picture_shows_the_route_and_what_is_refused(robot):
     from jexplore.report import plot_traces
 
     btm = line(None, ("stairs", 0.15), None, max_step_m=0.1)
-    route = jx.route(btm, robot, 0, 2)
+    route = jx.btm.route(btm, robot, 0, 2)
     ax = plot_traces.figure(btm, None, np.zeros((0, 3)), None, [], [], route=route).axes[0]
     band = [c for c in ax.collections if isinstance(c, LineCollection) and c.get_linewidth()[0] == 7]
     red = [mark for mark in ax.lines if to_rgb(mark.get_markeredgecolor()) == to_rgb(plot_traces.REFUSED)]

@@ -80,14 +80,14 @@ def data_of(text):
 
 
 def panel_of(btm):
-    return data_of(jx.station([btm]))["panels"][0]
+    return data_of(jx.btm.station([btm]))["panels"][0]
 
 
 # By pencil
 
 
 def test_the_page_holds_what_the_map_says():
-    data = data_of(jx.station([SQUARE], ["scout"], title="Third floor"))
+    data = data_of(jx.btm.station([SQUARE], ["scout"], title="Third floor"))
     assert data["writers"] == ["scout"]
     assert data["robots"][1] == {"name": "wheeled", "width_m": 0.39, "max_step_m": 0.03, "max_slope_deg": 5.0}
     (panel,) = data["panels"]
@@ -121,7 +121,7 @@ def test_maps_that_fit_are_one_and_others_stand_apart():
     assert panels[1].map == check(apart)
     assert panels[1].note == "Stands apart: it has not enough in common with the other maps."
     assert said == ["node 3: victim is True in a and False in b"]
-    data = data_of(jx.station([first(), second(), apart], ["a", "b", "c"]))
+    data = data_of(jx.btm.station([first(), second(), apart], ["a", "b", "c"]))
     assert data["writers"] == ["a", "b", "c"]
     assert data["notes"] == said
     nodes = data["panels"][0]["nodes"]
@@ -146,7 +146,7 @@ def test_ways_that_contradict_are_told_as_well():
         "node 3: victim is True in a and False in b",
         "node 1: 1 way leads elsewhere in b than in a; the map has both",
     ]
-    assert data_of(jx.station([one, other], ["a", "b"]))["notes"] == said
+    assert data_of(jx.btm.station([one, other], ["a", "b"]))["notes"] == said
 
 
 def test_maps_none_of_which_fits_stand_each_alone():
@@ -185,14 +185,14 @@ def test_those_left_apart_are_merged_among_themselves():
 
 def test_a_merged_map_says_whom_it_is_of():
     merged = merge_maps([first(), second()], ["a", "b"]).map
-    data = data_of(jx.station([merged], ["global"]))
+    data = data_of(jx.btm.station([merged], ["global"]))
     assert data["writers"] == ["a", "b"]
     assert data["panels"][0]["nodes"][1]["from"] == {"a": 1, "b": 1}
     assert data["notes"] == ["node 3: victim is True in a and False in b"]
 
 
 def test_no_text_leaves_its_place():
-    few, nasty = jx.station([chain("TDT")], ["a"]), jx.station([SQUARE], [NASTY + "\ud800"])
+    few, nasty = jx.btm.station([chain("TDT")], ["a"]), jx.btm.station([SQUARE], [NASTY + "\ud800"])
     assert nasty.isascii()
     assert data_of(nasty)["writers"] == [NASTY + "\ud800"]
     for tag in ("<script", "</script", "<!--", "<title", "<h1"):
@@ -203,7 +203,7 @@ def test_no_text_leaves_its_place():
 
 
 def test_nothing_outside_is_asked_for():
-    text = re.sub(r'(?<="application/json">).*?(?=</script>)', "", jx.station([first(), second()]))
+    text = re.sub(r'(?<="application/json">).*?(?=</script>)', "", jx.btm.station([first(), second()]))
     assert not re.findall(
         r"""https?:|(?<![\w.:])//\w|\bsrc\s*=|\bhref\s*=|@import|@font-face|url\(|fetch\(|XMLHttp|import\(""", text
     )
@@ -441,7 +441,7 @@ def body(tmp_path_factory):
 
 
 def test_two_clicks_give_a_route(body):
-    seen = json.loads(body(jx.station([SQUARE], ["scout"]), SCENARIO)["test"])
+    seen = json.loads(body(jx.btm.station([SQUARE], ["scout"]), SCENARIO)["test"])
     assert (seen["start"]["robot"]["name"], seen["start"]["route"], seen["start"]["picked"]) == ("kamui", None, None)
     assert (seen["one"]["from"], seen["one"]["to"], seen["one"]["picked"]) == (0, None, {"kind": "node", "id": 0})
     assert (seen["two"]["from"], seen["two"]["to"], seen["two"]["route"]["links"]) == (0, 2, [4])
@@ -491,7 +491,7 @@ const wait = (ms = 60) => new Promise((done) => setTimeout(done, ms));
 
 def test_maps_apart_are_asked_one_by_one(body):
     maps = (btm.with_attributes(own) for btm, own in ((first(), {"robot": "kamui"}), (second(), {"robot": "wheeled"})))
-    page = jx.station([*maps, chain("TDFDT").with_attributes({"seed": 3})], ["a", NASTY, "c"])
+    page = jx.btm.station([*maps, chain("TDFDT").with_attributes({"seed": 3})], ["a", NASTY, "c"])
     seen = json.loads(body(page, APART)["test"])
     assert seen["captions"] == [
         f"{TOGETHER}a, {NASTY}. In the frame of a.Enlarge",
@@ -520,7 +520,7 @@ station.setEnds(last, document.getElementById("from").options.length > 1 ? last 
     ],
 )
 def test_maps_of_one_node_or_none_open_too(body, btm, nodes):
-    found = json.loads(body(jx.station([btm]), LAST)["state"])
+    found = json.loads(body(jx.btm.station([btm]), LAST)["state"])
     assert found["map"] == "0"
     assert (found["route"] and found["route"]["nodes"]) == nodes
 
@@ -542,7 +542,7 @@ def files(tmp_path, monkeypatch):
 def test_the_command_writes_a_page(files, capsys):
     assert main(["station", "a.json", "b.json", "c.json", "--out", "page.html"]) == 0
     out, err = capsys.readouterr()
-    assert (files / "page.html").read_text() == jx.station([first(), second(), chain("TDFDT")], ["a", "b", "c"])
+    assert (files / "page.html").read_text() == jx.btm.station([first(), second(), chain("TDFDT")], ["a", "b", "c"])
     assert "| global map | a, b |     5 |              4 |           1 |" in out
     assert "c: Stands apart: it has not enough in common with the other maps." in out
     assert "node 3: victim is True in a and False in b" in out
@@ -583,7 +583,7 @@ def test_the_command_refuses(files, capsys, words, said):
         ([], None, "expected one map or more, got none"),
         ([first()], ["a", "b"], "expected a name of its own for each of 1 maps"),
         ([first(), second()], ["a", "a"], "expected a name of its own for each of 2 maps"),
-        (["btm.json"], None, "a map must be a jx.BtmMap"),
+        (["btm.json"], None, "a map must be a jx.btm.BtmMap"),
         ([BtmMap((node(0, x=1e300),), ())], None, "0: node 0: expected places and lengths below 1000 km, got 1e+300 m"),
         ([dataclasses.replace(first(), attributes={"merged_from": 5})], None, "merged_from: expected a list of names"),
         (
@@ -596,4 +596,4 @@ def test_the_command_refuses(files, capsys, words, said):
 )
 def test_wrong_input(maps, names, said):
     with pytest.raises(jx.InputError, match=re.escape(said)):
-        jx.station(maps, names)
+        jx.btm.station(maps, names)

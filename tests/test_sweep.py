@@ -527,7 +527,9 @@ def test_robots_that_write_maps(tmp_path, capsys, monkeypatch):
     for setting, votes in enumerate([1, 5]):
         own = table[(table["setting"] == setting) & (table["robot"] == "kamui")]
         assert own[["tuning.votes", "noise.range_m"]].drop_duplicates().to_numpy().tolist() == [[votes, 0.03]]
-        alone = jx.trace("course", runs=2, tuning=jx.Tuning(votes=votes), noise=jx.Noise(range_m=0.03), workers=1).table
+        alone = jx.btm.trace(
+            "course", runs=2, tuning=jx.btm.Tuning(votes=votes), noise=jx.btm.Noise(range_m=0.03), workers=1
+        ).table
         for name in ("path_m", "code", "steps", "outcome", "drift_m"):
             assert own[name].tolist() == alone[name].tolist()
     assert found.summary["n"].tolist() == [2] * 4

@@ -41,12 +41,12 @@ class Worlds:
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
-        from jexplore.worlds import GENERATORS, generator_parameters
+        from jexplore.worlds import GENERATORS, generator_parameters, known_generators
 
         if not self.worlds and self.out is None and not self.geometry:
             show_line("Built-in worlds. A name may carry a seed and parameters: hospital#3:width_m=60,height_m=25")
             print()
-            for name in GENERATORS:
+            for name in known_generators():
                 defaults = " ".join(f"{key}={value}" for key, value in generator_parameters(name).items())
                 show_line(f"  {name:<10}{defaults}", indent=12)
             print()

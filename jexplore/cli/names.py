@@ -28,7 +28,7 @@ from jexplore.config import (
     unknown,
 )
 from jexplore.driving.settings import for_world, require_noise, require_tuning, robot_of
-from jexplore.worlds import GENERATORS, read_name
+from jexplore.worlds import GENERATORS, known_generators, read_name
 from jexplore.worlds import names as grammar
 from jexplore.worlds.poses import read_polygon, read_start
 
@@ -96,7 +96,11 @@ def check_world(name: str) -> None:
 
 
 def _parameters_of(generator):
-    """Return the parameters of a generator with their defaults, read from its source."""
+    """Return the parameters of a generator with their defaults, read from its source; None for a user's function."""
+    if generator not in GENERATORS:
+        if ":" in generator:
+            _require_module(generator.partition(":")[0])
+        return None
     module, _, function = GENERATORS[generator].partition(":")
     return {key: value for key, value in signature(module, function).items() if key not in ("seed", "cell_m")}
 
@@ -166,7 +170,7 @@ def require_ray() -> None:
 
 def check_trace(options: Any) -> None:
     """Refuse thresholds that a trace cannot have or sweep, and attributes that no node can have."""
-    is_course = grammar.parse(options.world, generators=tuple(GENERATORS)).base == "course"
+    is_course = grammar.parse(options.world, generators=known_generators()).base == "course"
     require_tuning(for_world(options.tuning, is_course=is_course))
     from jexplore.studies.trace_options import attributes_of, require_start_pose, swept_values
 

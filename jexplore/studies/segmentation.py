@@ -13,7 +13,7 @@ from jexplore.rooms.scores import AGREEMENT, regions_of, rooms_of, score
 from jexplore.studies.checks import LIDAR, RULES, listed, ready_worlds
 from jexplore.studies.explore import maps_at, prepare_job, run_job
 from jexplore.studies.room_variants import BEST, VARIANTS, Settings, divided, require
-from jexplore.worlds import GENERATORS, names
+from jexplore.worlds import known_generators, names
 from jexplore.worlds.names import short_names
 from jexplore.worlds.readers.images import load_image, read_pixels
 from jexplore.worlds.regions import warn_of_outside
@@ -87,18 +87,18 @@ def _text(value, whole):
     return "-" if np.isnan(value) else f"{value:.0f}" if whole and value.is_integer() else f"{value:.3f}"
 
 
+SETTINGS = Settings()
+
+
 @checked_names
 def segment_maps(
-    maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World],
-    *,
-    truth: str | Sequence[str] | None = None,
-    variants: str | Sequence[str] = BEST,
-    partial: bool = False,
-    cell_m: float = 0.05,
-    seed: int = 0,
-    on_progress: Callable[[int], Any] | None = None,
-    **settings: Any,
-) -> Segmentation:
+    maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World], *,
+    truth: str | Sequence[str] | None = None, variants: str | Sequence[str] = BEST, partial: bool = False,
+    cell_m: float = 0.05, seed: int = 0, on_progress: Callable[[int], Any] | None = None,
+    ratio: float = SETTINGS.ratio, smallest_m2: float = SETTINGS.smallest_m2, clutter_m: float = SETTINGS.clutter_m,
+    prominence_m: float = SETTINGS.prominence_m, gamma: float = SETTINGS.gamma,
+    metric: str = SETTINGS.metric, lines: bool = SETTINGS.lines,
+) -> Segmentation:  # fmt: skip
     """Divide maps into rooms and score the result.
 
     Args:
@@ -112,9 +112,9 @@ def segment_maps(
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
       seed: of the start of the episodes that partial maps come from.
       on_progress: called with the number of maps, partial ones included, that are done.
-      settings: what the variants go by; see `room_variants.Settings`. `ratio`, `smallest_m2`, `clutter_m`: of voronoi,
-        the last also of distance, morphological and maoris; `prominence_m`, `gamma`, `metric`, `lines`: of thrun, wurm,
-        holz.
+      ratio, smallest_m2, clutter_m: of voronoi, the last also of distance, morphological and maoris; see
+        `room_variants.Settings`.
+      prominence_m, gamma, metric, lines: of thrun, wurm, holz.
 
     Returns:
       `Segmentation`.
@@ -124,7 +124,7 @@ def segment_maps(
       InputWarning: the largest region of a map lies outside a building: its rooms are not those of the building.
     """
     chosen: Any = listed("variants", variants)
-    numbers = Settings(**settings)
+    numbers = Settings(ratio, smallest_m2, clutter_m, prominence_m, gamma, metric, lines)
     tasks = prepare_maps(maps, truth, chosen, cell_m, numbers)
     jobs = [
         prepare_job(task.world, EXPLORER, seed=seed, cell_m=cell_m, start="random", lidar=LIDAR, rules=RULES)

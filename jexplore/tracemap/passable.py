@@ -18,7 +18,7 @@ SLACK = 1e-6  # share of a limit by which a measure may lie beyond it: maps hold
 
 
 class Body(Protocol):
-    """Dimensions of a robot that decide where it passes, such as a `jx.Robot`."""
+    """Dimensions of a robot that decide where it passes, such as a `jx.btm.Robot`."""
 
     @property
     def name(self) -> str: ...

@@ -9,6 +9,7 @@ import importlib
 import inspect
 import math
 import os
+import re
 import sys
 import types
 from collections.abc import Callable, Mapping
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from jexplore.arrays.pictures import Listing
 from jexplore.config import InputError, checked_names, require_number, require_setting, require_whole
+from jexplore.users import import_object
 from jexplore.worlds import names
 
 if TYPE_CHECKING:
@@ -30,6 +32,8 @@ GENERATORS = {
     "course": "jexplore.worlds.generators.course:course",
 }
 """World name -> "module:function". The function takes a seed and keyword parameters, `cell_m` among them."""
+_OWN: dict[str, Callable[..., Any]] = {}  # name -> function of a user's, see `register_world`
+_NAME = re.compile(r"[A-Za-z_][\w-]*")
 
 
 def _number(**bounds):
@@ -64,10 +68,10 @@ _FILES = {
 """Name of a file -> its content that is read."""
 
 
-def listing() -> Listing:
+def worlds() -> Listing:
     """List the worlds that `load_world` knows, with their parameters, as a table that shows itself: `jx.worlds()`."""
     rows = []
-    for name in GENERATORS:
+    for name in known_generators():
         told = ", ".join(f"{key}={value}" for key, value in generator_parameters(name).items())
         rows.append((f"{name}, {name}#3", (inspect.getdoc(_function(name)) or "").partition("\n")[0], told))
     rows += [(name, what, "") for name, what in _FILES.items()]
@@ -78,10 +82,38 @@ class _Package(types.ModuleType):
     """Package `worlds`, which lists the worlds when it is called."""
 
     def __call__(self) -> Listing:
-        return listing()
+        return worlds()
 
 
 sys.modules[__name__].__class__ = _Package
+
+
+@checked_names
+def register_world(name: str, function: Callable[..., "World"]) -> None:
+    """Give a world of your own a name, for `load_world` and wherever a world is named.
+
+    Without this, `module:function` names a function of a module that is installed or lies in the current folder.
+
+    Args:
+      name: letters, digits, `_` and `-`; registered again, it stands for the new function.
+      function: `function(seed, **parameters)` returns a `World`: the same for the same arguments. Its parameters have
+        defaults and are those of the name, `name#seed:key=value`; `cell_m`, if it has one, is that of the run.
+
+    Raises:
+      InputError: a name of the package's own or one that names cannot have, or something that is no such function.
+    """
+    from jexplore.worlds.own import parameters_of
+
+    if not isinstance(name, str) or not _NAME.fullmatch(name) or name in GENERATORS:
+        free = "letters, digits, _ and -, and none of " + ", ".join(GENERATORS)
+        raise InputError(f"the name of a world must be {free}; got {name!r}")
+    parameters_of(function)
+    _OWN[name] = function
+
+
+def known_generators() -> tuple[str, ...]:
+    """Return the names of all generators, registered ones included."""
+    return (*GENERATORS, *_OWN)
 
 
 @checked_names
@@ -124,13 +156,13 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
 
 
 def read_name(
-    name: str, parameters_of: Callable[[str], Mapping[str, Any]] = lambda base: generator_parameters(base)
+    name: str, parameters_of: Callable[[str], Mapping[str, Any] | None] = lambda base: generator_parameters(base)
 ) -> tuple[names.WorldName, tuple[Any, ...] | None]:
     """Take a world's name apart, and refuse a parameter that its generator or reader does not take or cannot use.
 
     Args:
       name: the name.
-      parameters_of: name of a generator -> its parameters with their defaults.
+      parameters_of: name of a generator -> its parameters with their defaults; None where these are not known yet.
 
     Returns:
       parsed: its parameters are of the kinds that the generator or reader takes.
@@ -139,9 +171,11 @@ def read_name(
     Raises:
       InputError: as `names.parse`, or naming the parameter and what would be right.
     """
-    parsed, chosen = _taken(names.parse(name, generators=tuple(GENERATORS)))
+    parsed, chosen = _taken(names.parse(name, generators=known_generators()))
     if parsed.kind == "generator":
         defaults = parameters_of(parsed.base)
+        if defaults is None:
+            return parsed, chosen
         names.require_parameters(parsed, defaults)
         given = {key: _as_default(parsed, key, value, defaults[key]) for key, value in parsed.parameters.items()}
         return dataclasses.replace(parsed, parameters=given), chosen
@@ -178,22 +212,34 @@ def generator_parameters(base: str) -> dict[str, Any]:
     """Return the parameters of a generator in a world name: parameter name -> default.
 
     Args:
-      base: a key of `GENERATORS`.
+      base: one of `known_generators`, or a user's `module:function`.
 
     Returns:
       A dict in the order of the signature, without the seed and `cell_m`.
     """
+    if base not in GENERATORS:
+        from jexplore.worlds.own import parameters_of
+
+        return parameters_of(_function(base))
     parameters = inspect.signature(_function(base)).parameters.values()
     return {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.name != "cell_m"}
 
 
-def _function(base):
-    module, _, function = GENERATORS[base].partition(":")
+def _function(base: str) -> Callable[..., Any]:
+    if base in _OWN:
+        return _OWN[base]
+    module, _, function = GENERATORS.get(base, base).partition(":")
+    if base not in GENERATORS:
+        return import_object(module, function)
     return getattr(importlib.import_module(module), function)
 
 
 def _generate(parsed, cell_m):
     parameters: Any = parsed.parameters
+    if parsed.base not in GENERATORS:
+        from jexplore.worlds.own import make_world
+
+        return make_world(_function(parsed.base), parsed.seed, cell_m, parameters)
     return _function(parsed.base)(parsed.seed, cell_m=cell_m, **parameters)
 
 

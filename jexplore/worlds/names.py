@@ -1,6 +1,7 @@
 """The grammar of world names, and their short forms. Plain Python: importing this loads neither jax nor numpy.
 
     generator[#seed][:key=value,...]        cave   cave#3   hospital#2:width_m=60,height_m=25
+    module:function[#seed][:key=value,...]  mine:plan   mine:plan#3:doors=2
     file[@scale][:key=value,...]            map.yaml   map.png@16x16   map.png@0.05:free=150   map.map@0.1   plan.json
                                             scans.log   scans.log:range_m=20   run.mcap   run.bag:topic=/map,message=0
 
@@ -34,6 +35,7 @@ SUFFIXES: dict[str, tuple[str, ...]] = {
 _KIND = {suffix: kind for kind, suffixes in SUFFIXES.items() for suffix in suffixes}
 _CUT = re.compile(r"\.(" + "|".join(sorted(_KIND, key=len, reverse=True)) + r")(?=$|[@:])", re.IGNORECASE)
 _GENERATOR = re.compile(r"(?P<base>[A-Za-z_][\w-]*)(#(?P<seed>[^:]*))?(:(?P<parameters>.*))?", re.DOTALL)
+_FOREIGN = re.compile(r"(?P<base>[A-Za-z_][\w.]*:[A-Za-z_]\w*)(#(?P<seed>[^:]*))?(:(?P<parameters>.*))?", re.DOTALL)
 _SEEDS = 2**32
 METADATA = "metadata.yaml"
 """The file that makes a folder a recording of ROS 2."""
@@ -51,7 +53,8 @@ class WorldName:
     kind: str
     """`generator`, or a key of `SUFFIXES`."""
     base: str
-    """Name of the generator, or path of the file; that of a folder's `metadata.yaml` for a recording of ROS 2."""
+    """Name of the generator, `module:function` of a user's, or path of the file; that of a folder's `metadata.yaml` for
+    a recording of ROS 2."""
     seed: int = 0
     """Seed of a generator."""
     scale: float | tuple[float, float] | None = None
@@ -81,7 +84,10 @@ def parse(name: str, *, generators: Collection[str]) -> WorldName:
         return _parse_file(name, _path_end(name, cuts))
     match = _GENERATOR.fullmatch(name)
     base = match["base"] if match else ""
-    if match is None or base not in generators:
+    foreign = None if base in generators else _FOREIGN.fullmatch(name)
+    if foreign is not None:
+        match, base = foreign, foreign["base"]
+    elif match is None or base not in generators:
         folder = _recording(name)
         if folder is not None:
             return _parse_file(name, folder)

@@ -118,7 +118,7 @@ def warn_of_outside(world: World, reached: np.ndarray) -> bool:
     enclosed_m2 = m2[~own & ~at_edge & (m2 >= max(SIZEABLE_M2, SIZEABLE * own_m2))].sum()
     if along < ALONG_EDGE or not enclosed_m2:
         return False
-    cure, joint = "for the inside use jx.inside(world)", joint_of(str(world.name))
+    cure, joint = "for the inside use jexplore.worlds.regions.inside(world)", joint_of(str(world.name))
     if joint:
         cure = f"for the inside append {joint}inside=true to the name, or the point {joint}inside_x_m=X,inside_y_m=Y"
     warnings.warn(

@@ -16,11 +16,12 @@ from jexplore.config import InputError, shown
 from jexplore.engine.draws import random_key
 from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, nearest_of, view_of
 from jexplore.policies.catalogue import traced
-from jexplore.policies.catalogue.own import bare, call, described, is_score, parameters
+from jexplore.policies.catalogue.own import is_score, parameters
 from jexplore.policies.policy import Policy, Strategy
 from jexplore.policies.room_wise import rebuilt
 from jexplore.raycast import Beams
 from jexplore.reach import FAR, MOTIONS, NO_MOTION
+from jexplore.users import bare, call, described
 
 
 def policy_from(make: Any, given: dict[str, Any]) -> Policy:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar, overload
 
 from jexplore.arrays.files import first_line
 from jexplore.config import InputError, checked_names
-from jexplore.policies.catalogue.own import is_replaced, is_score, place_of
+from jexplore.policies.catalogue.own import is_replaced, is_score
 from jexplore.policies.closest import closest
 from jexplore.policies.decision_theoretic import decision_theoretic
 from jexplore.policies.distance_advantage import distance_advantage, small_first
@@ -20,6 +20,7 @@ from jexplore.policies.policy import Entry
 from jexplore.policies.tour import tour
 from jexplore.policies.uniform import uniform
 from jexplore.policies.utility import utility
+from jexplore.users import place_of
 
 GROUP = "jexplore.strategies"
 """Entry points of this group, `name = "module:object"`, are strategies that a package offers."""

@@ -11,9 +11,10 @@ from jexplore.arrays.pictures import Listing
 from jexplore.config import InputError, require_number, shown, unknown
 from jexplore.policies.catalogue.adapt import adapted, policy_from, with_exact_numbers
 from jexplore.policies.catalogue.entries import MODIFIERS, SYNONYMS, Entry, entry_of, known_names, source_of
-from jexplore.policies.catalogue.own import described, import_object, name_of, parameters
+from jexplore.policies.catalogue.own import parameters
 from jexplore.policies.policy import Policy, Strategy
 from jexplore.policies.room_wise import KINDS, segmented
+from jexplore.users import described, import_object, name_of
 
 REQUIRED = inspect.Parameter.empty
 _FOREIGN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?=$|[+:])")

@@ -46,7 +46,7 @@ class Swept(ByStrategy):
     episodes: "pd.DataFrame"
     """One row an episode, ordered by setting, world, strategy, episode; columns `units.COLUMNS`, and the settings:
     `setting` (its number), `lidar.range_m`, `strategy.weight`, ... Of robots one row a run, as in
-    `jx.trace(...).table`, with `tuning.votes`, ..."""
+    `jx.btm.trace(...).table`, with `tuning.votes`, ..."""
     columns: tuple[str, ...]
     """Names of the columns of settings."""
     costs: Costs

@@ -75,12 +75,12 @@ class Sweep:
     rules: Mapping[str, Any] | Rules = dataclasses.field(default_factory=dict)
     """A `jx.Rules`, or some of its fields."""
     robots: tuple[str, ...] = ()
-    """Robots that write Behavioral Trace Maps, as `jx.trace` takes them: then runs of these are made instead of
+    """Robots that write Behavioral Trace Maps, as `jx.btm.trace` takes them: then runs of these are made instead of
     episodes of strategies, `episodes` of each."""
     tuning: Mapping[str, Any] | Tuning = dataclasses.field(default_factory=dict)
-    """A `jx.Tuning`, or some of its fields, for robots."""
+    """A `jx.btm.Tuning`, or some of its fields, for robots."""
     noise: Mapping[str, Any] | Noise = dataclasses.field(default_factory=dict)
-    """A `jx.Noise`, or some of its fields, for robots."""
+    """A `jx.btm.Noise`, or some of its fields, for robots."""
     settings: tuple[Mapping[str, Any], ...] = ()
     """Settings one by one instead of a product: mappings such as `{lidar.range_m: 4, rules.clearance_m: 0.2}`; with the
     product of the rest."""

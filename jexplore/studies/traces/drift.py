@@ -10,7 +10,7 @@ import numpy as np
 from jexplore.config import InputError, as_record, checked_names
 from jexplore.driving import batch
 from jexplore.driving.batch import Driven, numbers_of
-from jexplore.driving.settings import Noise, require_noise
+from jexplore.driving.settings import Noise, Robot, Tuning, require_noise
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.studies.traces.job import NOISE, TraceJob, own_values, prepare_trace, with_values
 from jexplore.studies.traces.odometry_map import OdometryMap, occupied_centres, odometry_map
@@ -90,15 +90,14 @@ class Drift:
 
 @checked_names
 def drift(
-    world: str | os.PathLike[str] | World = "course",
-    *,
-    axes: Mapping[str, Sequence[float]] | None = None,
-    runs: int = 8,
-    noise: Noise | Mapping[str, Any] | None = None,
-    workers: int | None = None,
-    on_progress: Callable[[int], Any] | None = None,
-    **options: Any,
-) -> Drift:
+    world: str | os.PathLike[str] | World = "course", *,
+    axes: Mapping[str, Sequence[float]] | None = None, runs: int = 8,
+    noise: Noise | Mapping[str, Any] | None = None, tuning: Tuning | Mapping[str, Any] | None = None,
+    robot: str | Robot = "kamui", starts: int | None = None, seed: int = 0,
+    start: tuple[float, float, float] | None = None, cell_m: float = 0.1, max_steps: int | None = None,
+    attributes: Sequence[str] = (), nodes: int | None = None, links: int | None = None,
+    workers: int | None = None, on_progress: Callable[[int], Any] | None = None,
+) -> Drift:  # fmt: skip
     """Let a robot write its map with one kind of odometry error after the other, and draw its grid map.
 
     The grid map is drawn from the scans of the same run, each placed at the estimated pose: by encoders, matched scans
@@ -109,9 +108,10 @@ def drift(
       axes: names of errors, fields of `Noise`, and their values; by default `AXES`. Each varies alone.
       runs: of every value; run i draws alike with all of them.
       noise: `Noise` of the constant errors, or a mapping of some of its fields; by default 1 cm of range noise.
+      robot, starts, seed, tuning, start, cell_m, max_steps, attributes, nodes, links: see `prepare_trace`; the grid map
+        has cells as large as the world's.
       workers: see `runner.find_resources`.
       on_progress: called with the number of finished runs.
-      **options: see `prepare_trace`; the grid map has cells as large as the world's.
 
     Returns:
       `Drift`. After Ctrl-C it holds what was finished.
@@ -121,9 +121,10 @@ def drift(
       KeyboardInterrupt: no run has been finished.
     """
     noise = as_record("noise", noise or Noise(range_m=RANGE_M), Noise)
-    if options.get("sweep"):
-        raise InputError("a study of drift varies its axes: sweep thresholds with jx.trace")
-    plan = prepare_trace(world, noise=noise, runs=runs, **options)
+    plan = prepare_trace(
+        world, noise=noise, tuning=tuning, robot=robot, runs=runs, starts=starts, seed=seed, start=start,
+        cell_m=cell_m, max_steps=max_steps, attributes=attributes, nodes=nodes, links=links,
+    )  # fmt: skip
     values, swept = _settings(AXES if axes is None else axes, noise)
     plan = dataclasses.replace(plan, swept=swept, settings=len(next(iter(swept.values()))))
     use_compilation_cache()
@@ -158,7 +159,7 @@ def _settings(axes, noise):
     values, rows = {}, [{}]
     for name, given in axes.items():
         if name not in fields:
-            raise InputError(f"axes must be errors of jx.Noise, {', '.join(sorted(fields))}, got {name!r}")
+            raise InputError(f"axes must be errors of jx.btm.Noise, {', '.join(sorted(fields))}, got {name!r}")
         own = float(getattr(noise, name))
         if not len(given):
             raise InputError(f"axes: {name} must have a value or more, got none")

@@ -84,7 +84,7 @@ def follow(
     Args:
       world: name or `World`: the building of the map, in whose frame this must be.
       btm: the map of the routes.
-      found: routes of one link or more, from `jx.route` or `jx.routes`.
+      found: routes of one link or more, from `jx.btm.route` or `jx.btm.routes`.
       robot: name or `Robot`.
       noise, tuning: `Noise`, `Tuning`, or mappings of some of their fields.
       seed: of the noise: route i draws as run i does.
@@ -150,7 +150,7 @@ def _checked(world, btm, found, robot, tuning, noise):
     require_tuning(tuning)
     require_noise(noise)
     if isinstance(found, (str, Route)) or not all(isinstance(route, Route) for route in found):
-        raise InputError("routes to follow must be a list of jx.Route, such as jx.routes(...)[0]")
+        raise InputError("routes to follow must be a list of jx.btm.Route, such as jx.btm.routes(...)[0]")
     if not found:
         raise InputError("expected a route or more, got none")
     nodes, links = {node.id for node in btm.nodes}, {link.id for link in btm.links}

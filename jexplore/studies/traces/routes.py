@@ -34,7 +34,7 @@ def route(
     """Find the shortest way over links that a robot may use.
 
     Args:
-      btm: the map, such as `jx.read_btm("btm.json")`.
+      btm: the map, such as `jx.btm.read_btm("btm.json")`.
       robot: name, also with other measures: `wheeled`, `kamui:width_m=0.6`; or `Robot`.
       start: a node's id, or `(x, y)`, metres, for the nearest node; both also as text, `"4"` and `"12.5,4"`.
       end: the same; or `"unsearched"`, the un-searched link that is nearest to go to.
@@ -105,7 +105,7 @@ def checked(btm: BtmMap) -> BtmMap:
       InputError: it is no proper map, or one without a node.
     """
     if not isinstance(btm, BtmMap):
-        raise InputError(f'btm must be a jx.BtmMap, such as jx.read_btm("btm.json"), got {shown(btm)}')
+        raise InputError(f'btm must be a jx.btm.BtmMap, such as jx.btm.read_btm("btm.json"), got {shown(btm)}')
     btm = check(btm)
     if not btm.nodes:
         raise InputError("the map has no node: there is nowhere to go")
@@ -139,7 +139,7 @@ def _robot(robot):
     if isinstance(robot, str):
         return robot_of(robot)
     if not isinstance(robot, Robot):
-        raise InputError(f"robot must be a name such as wheeled, or a jx.Robot, got {shown(robot)}")
+        raise InputError(f"robot must be a name such as wheeled, or a jx.btm.Robot, got {shown(robot)}")
     require_robot(robot)
     return robot
 

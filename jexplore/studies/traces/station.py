@@ -34,7 +34,7 @@ def station(maps: Sequence[BtmMap], names: Sequence[str] | None = None, *, title
     Maps that fit are merged as by `merge_maps`; the others are shown next to the global map, each in its own frame.
 
     Args:
-      maps: one or more, such as `jx.read_btm("btm.json")`.
+      maps: one or more, such as `jx.btm.read_btm("btm.json")`.
       names: of the maps; by default their numbers, from "0".
       title: of the page; by default the names.
 

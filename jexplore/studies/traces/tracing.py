@@ -4,7 +4,7 @@ import dataclasses
 import io
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -15,6 +15,7 @@ from jexplore.config import checked_names, require_engine
 from jexplore.driving import batch, vehicle
 from jexplore.driving.batch import Driven, numbers_of, outcome_names
 from jexplore.driving.behaviour import RunMode
+from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.runner import Costs
 from jexplore.report import store
 from jexplore.report.ledger import Ledger
@@ -206,23 +207,23 @@ def _read_first(data):
 
 @checked_names
 def trace(
-    world: str | os.PathLike[str] | World = "course",
-    *,
-    engine: str = "auto",
-    lanes: int | None = None,
-    workers: int | None = None,
-    on_progress: Callable[[int], Any] | None = None,
-    progress: bool | None = None,
-    **options: Any,
-) -> Traced:
+    world: str | os.PathLike[str] | World = "course", *,
+    robot: str | Robot = "kamui", runs: int | None = None, starts: int | None = None, seed: int = 0,
+    tuning: Tuning | Mapping[str, Any] | None = None, noise: Noise | Mapping[str, Any] | None = None,
+    start: tuple[float, float, float] | None = None, sweep: Sequence[str] = (), settings: int = 100,
+    cell_m: float = 0.1, max_steps: int | None = None, attributes: Sequence[str] = (),
+    nodes: int | None = None, links: int | None = None,
+    engine: str = "auto", lanes: int | None = None, workers: int | None = None,
+    on_progress: Callable[[int], Any] | None = None, progress: bool | None = None,
+) -> Traced:  # fmt: skip
     """Let a robot drive through a building and write its trace map, once or many times.
 
     Args:
-      world: name or `World`.
+      world, robot, runs, starts, seed, tuning, noise, start, sweep, settings, cell_m, max_steps, attributes, nodes,
+        links: see `prepare_trace`.
       engine, lanes, workers: see `runner.find_resources`; results are equal but for rounding.
       on_progress: called with the number of finished runs.
       progress: show a bar; by default in notebooks.
-      **options: see `prepare_trace`.
 
     Returns:
       `Traced`.
@@ -231,7 +232,10 @@ def trace(
       InputError: the reason why it cannot run, in one line.
     """
     require_engine(engine, lanes)
-    plan = prepare_trace(world, **options)
+    plan = prepare_trace(
+        world, robot=robot, runs=runs, starts=starts, seed=seed, tuning=tuning, noise=noise, start=start, sweep=sweep,
+        settings=settings, cell_m=cell_m, max_steps=max_steps, attributes=attributes, nodes=nodes, links=links,
+    )  # fmt: skip
     with progress_bar(progress, plan.settings * plan.runs, "runs", on_progress) as moved:
         return execute(plan, engine=engine, lanes=lanes, workers=workers, on_progress=moved)
 

@@ -1,0 +1,45 @@
+# The public names, one a line: type checkers read them here, and `jexplore.lazy` when the package is imported.
+from jexplore import btm as btm
+from jexplore.config import InputError as InputError
+from jexplore.config import InputWarning as InputWarning
+from jexplore.config import Lidar as Lidar
+from jexplore.config import Rules as Rules
+from jexplore.exploration.state import Outcome as Outcome
+from jexplore.learn.training import Trained as Trained
+from jexplore.learn.training import train as train
+from jexplore.planning import Belief as Belief
+from jexplore.planning import Choice as Choice
+from jexplore.planning import Field as Field
+from jexplore.planning import View as View
+from jexplore.planning import choose as choose
+from jexplore.planning import field as field
+from jexplore.planning import nearest_frontier as nearest_frontier
+from jexplore.policies import Policy as Policy
+from jexplore.policies import register as register
+from jexplore.policies import strategy as strategy
+from jexplore.policies.catalogue.grammar import strategies as strategies
+from jexplore.studies.bounds.bound import Bounds as Bounds
+from jexplore.studies.bounds.bound import bound as bound
+from jexplore.studies.comparison import compare as compare
+from jexplore.studies.environment import Environment as Environment
+from jexplore.studies.environment import EnvState as EnvState
+from jexplore.studies.explore import Episode as Episode
+from jexplore.studies.explore import explore as explore
+from jexplore.studies.gym.lanes import GymVectorEnv as GymVectorEnv  # extra
+from jexplore.studies.gym.single import GymEnv as GymEnv  # extra
+from jexplore.studies.reproduction import Reproduction as Reproduction
+from jexplore.studies.reproduction import reproduce as reproduce
+from jexplore.studies.results.comparison import Comparison as Comparison
+from jexplore.studies.results.loading import load as load
+from jexplore.studies.segmentation import Segmentation as Segmentation
+from jexplore.studies.segmentation import segment_maps as segment_maps
+from jexplore.studies.sweeps.run import Swept as Swept
+from jexplore.studies.sweeps.run import sweep as sweep
+from jexplore.studies.sweeps.spec import Range as Range
+from jexplore.studies.sweeps.spec import Sweep as Sweep
+from jexplore.version import __version__ as __version__
+from jexplore.worlds import load_world as load_world
+from jexplore.worlds import register_world as register_world
+from jexplore.worlds import worlds as worlds
+from jexplore.worlds.world import World as World
+from jexplore.worlds.world import occupancy_to_world as occupancy_to_world
