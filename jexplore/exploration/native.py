@@ -268,11 +268,11 @@ def play_all(
         return Pieces(total=len(left), most=MOST, call=call, keep=keep, turn=run.turn)
 
     def progress(_):
-        on_progress(sum(len(run.which) - len(run.left) for run in runs))
         for i, run in enumerate(runs):
             if on_run is not None and i not in told and run.is_done:
                 told.add(i)
                 on_run(i)
+        on_progress(sum(len(run.which) - len(run.left) for run in runs))
 
     def give_up():
         stop[0] = 1
