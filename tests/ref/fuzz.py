@@ -8,6 +8,7 @@ import dataclasses
 import math
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from scipy import ndimage
 
@@ -68,6 +69,8 @@ MANY = (
     Fixed(WIDE, clearance_d2=4, noisy=True),
 )
 """Twenty-four programs."""
+EXACT = tuple(fixed for fixed in MANY if not fixed.noisy)
+"""Those that native code has a form of."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -366,6 +369,10 @@ def compare(case, *, oracle=True, loaded=None):
         told = native.differences(native.play(case, loaded), result, state, case.occupied)
     if oracle:
         told += _by_oracle(case, episode, world, how, result, state)
+    return _verdict(told, result)
+
+
+def _verdict(told, result):
     return Verdict(
         differences=told,
         outcome=Outcome(int(result.outcome)).name,
@@ -373,6 +380,13 @@ def compare(case, *, oracle=True, loaded=None):
         scans=int(result.scans),
         refused=int(result.refused),
     )
+
+
+def compare_alone(case):
+    """Plays a case without noise in native code by several ways, without JAX: a `Verdict`."""
+    run, told = native.differences_among(case)
+    result = jax.tree.map(lambda a: a[0], run.results)
+    return _verdict(told, result)
 
 
 def _by_oracle(case, episode, world, how, result, state):

@@ -1,14 +1,16 @@
-"""Episodes in native code compared with those of the JAX program, number by number."""
+"""Episodes in native code compared with those of the JAX program, and with each other."""
 
 import dataclasses
+import os
+import subprocess
 
 import jax
 import numpy as np
 
-from jexplore.exploration.native import NativeRun, chooser_of, parts_of, play_all
+from jexplore.exploration.native import NativeRun, chooser_of, parts_of, play_all, result_of, show_episode
 from jexplore.exploration.state import Result
 from jexplore.exploration.trail import decode, kept
-from jexplore.native import episodes
+from jexplore.native import build, episodes
 from jexplore.policies import parse_strategy
 from jexplore.worlds.world import World
 
@@ -39,7 +41,7 @@ def play(case, loaded=None):
 
 
 def differences(run, result, state, occupied):
-    """Everything in which a `NativeRun` of one episode differs from `(Result, State)` of the JAX program."""
+    """Everything in which a `NativeRun` of one episode, also as warps play it, differs from `(Result, State)` of JAX."""
     found, final = jax.tree.map(lambda a: a[0], run.results), decode(kept(state), result, occupied.shape)
     pairs = {
         field.name: (getattr(found, field.name), getattr(result, field.name)) for field in dataclasses.fields(Result)
@@ -53,4 +55,52 @@ def differences(run, result, state, occupied):
     seen = np.where(grid.hits + grid.misses == 0, 0, np.where(free, 1, 2))[: occupied.shape[0], : occupied.shape[1]]
     if not np.array_equal(run.records[0].state, seen):
         unequal.append("native map")
-    return unequal
+    return unequal + _differences_by_warps(run)
+
+
+def _differences_by_warps(run):
+    """As a GPU does it, where it can; what it gives up is for the CPU."""
+    found = {"beams": run.place.emulate(run.tasks, views=False), "views": run.place.emulate(run.tasks, views=True)}
+    gave_up = {name for name, table in found.items() if table is None or not result_of(table).outcome[0]}
+    return [f"a warp's result by {name}" for name in found.keys() - gave_up if not np.array_equal(found[name], run.table)]
+
+
+def differences_among(case):
+    """`(run, differences)`: a `NativeRun`, and all in which other ways to play a case differ from it: without counts, by
+    warps, and shown once more from its record.
+    """
+    run = play(case)
+    unequal, record = _differences_by_warps(run), run.records[0]
+    three = run.place.play(np.repeat(run.tasks, 3), np.zeros(1, np.int32), paths=True, states=True, whole=1)
+    for results, path, state in zip(three.results, three.paths, three.states):
+        if not (np.array_equal(results, run.table[0]) and np.array_equal(path, three.paths[1])):
+            unequal.append("one of three episodes")
+        if not np.array_equal(state, three.states[1]):
+            unequal.append("one of three maps")
+    shown, strategy = np.arange(0, len(record.path), max(len(record.path) // 10, 1)), parse_strategy(case.strategy)
+    shown = np.unique([*shown, len(record.path) - 1])
+    codes, _ = show_episode(run.world, strategy, case.lidar, case.rules, case.start, run.final, shown, 4)
+    if not np.array_equal(codes[-1] & 3, record.state):
+        unequal.append("the last map of a replay")
+    return run, unequal
+
+
+# ---------------------------------------------------------------- sanitizers
+
+# Quick to build: a third of the time that -O2 takes.
+SANITIZED = ("-O1", "-fno-inline", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-D_GLIBCXX_ASSERTIONS")
+
+
+def sanitized_environment():
+    """The environment of a process that may load what is built with the flags `SANITIZED`; None: the compiler has not
+    what must be loaded first.
+    """
+    compiler = build.find_compiler()
+
+    def path_of(name):
+        asked = [*compiler, f"-print-file-name={name}"]
+        found = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip() if compiler else ""
+        return found if os.path.isabs(found) else None
+
+    libraries = path_of("libasan.so"), path_of("libstdc++.so")  # exceptions are sought in what is loaded first
+    return None if None in libraries else os.environ | {"LD_PRELOAD": ":".join(libraries), "ASAN_OPTIONS": "detect_leaks=0"}
