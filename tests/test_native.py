@@ -14,13 +14,14 @@ import jexplore as jx
 from jexplore.config import InputWarning, Lidar, Rules
 from jexplore.exploration import native as runs
 from jexplore.exploration.batch import Job, run_jobs
+from jexplore.exploration.site import tasks_of
 from jexplore.native import build, episodes, gpu
 from jexplore.native.beams import trace_beams
 from jexplore.policies import parse_strategy
 from jexplore.raycast import beam_table
 from jexplore.studies import replays
 from jexplore.worlds.starts import draw_starts
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, ring_of
 
 needs_compiler = pytest.mark.skipif(not build.find_compiler(), reason="no C++ compiler")
 needs_nvcc = pytest.mark.skipif(not gpu.find_nvcc(), reason="no nvcc")
@@ -213,6 +214,21 @@ def test_an_interruption_keeps_what_has_ended(monkeypatch):
     assert 3 < ended.sum() < 2000
     again = run_jobs([job._replace(starts=job.starts[:1])], Lidar(), RULES).outcomes[0].result
     assert again.known[0] == found.outcomes[0].result.known[0]
+
+
+@needs_compiler
+def test_a_call_that_is_given_up_keeps_what_has_ended():
+    job, stop = job_of("random", 2000, world="office"), np.zeros(1, np.int32)
+    place = runs.native_world(episodes.load().loaded, job.world, episodes.UNIFORM, Lidar(), RULES, recheck=False)
+    tasks = place.tasks(tasks_of(job.starts, ring_of(job.world.occupied)), 3, np.arange(2000, dtype=np.int32))
+    timer = threading.Timer(1.5, lambda: stop.fill(1))
+    timer.start()
+    found = place.play(tasks, stop, paths=True)
+    result = runs.result_of(found.results)
+    n = np.count_nonzero(result.outcome)
+    assert 0 < n < 2000
+    assert result.outcome[:n].all()
+    assert [len(path) - 1 for path in found.paths] == (result.straight + result.diagonal)[:n].tolist()
 
 
 def test_a_strategy_or_scanner_of_which_there_is_none():

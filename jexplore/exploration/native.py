@@ -1,6 +1,7 @@
 """Whole episodes in native code: of the strategies that it knows, by scanners without noise, with equal results."""
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -10,10 +11,9 @@ import numpy as np
 
 from jexplore.config import Lidar, Rules
 from jexplore.engine.threads import Pieces, share_out
-from jexplore.exploration.site import cost_of, limit_of, regions_of, tasks_of
+from jexplore.exploration.site import cost_of, limit_of, reach_d2, regions_of, tasks_of
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result
 from jexplore.exploration.trail import Final, Record, decode, record_of
-from jexplore.grid import radius_d2
 from jexplore.native import episodes, gpu
 from jexplore.native.beams import trace_beams
 from jexplore.native.build import warn_once
@@ -71,9 +71,9 @@ def parts_of(
         width=world.shape[1],
         n_beams=lidar.n_beams,
         first_scans=scans_all_round(lidar.fov_deg),
-        clearance_d2=radius_d2(rules.clearance_m, cell_m),
-        near_d2=radius_d2(rules.near_m, cell_m),
-        arrival_d2=radius_d2(rules.arrival_m, cell_m),
+        clearance_d2=reach_d2(rules.clearance_m, world),
+        near_d2=reach_d2(rules.near_m, world),
+        arrival_d2=reach_d2(rules.arrival_m, world),
         scan_every=cost_of(rules.scan_every_m, cell_m),
         max_steps=rules.max_steps or limit,
         max_plans=rules.max_plans or limit,
@@ -84,7 +84,9 @@ def parts_of(
         p_free=rules.p_free,
     )
     rooms = np.full(world.shape, -1, np.int32) if world.rooms is None else world.rooms
-    beams = trace_beams(lidar.without_noise(), cell_m)
+    # A wall ends every beam within the diagonal.
+    range_m = min(lidar.range_m, (math.hypot(*world.shape) + 1) * cell_m)
+    beams = trace_beams(lidar.without_noise().replace(range_m=range_m), cell_m)
     return spec, episodes.Given(world.occupied, rooms, regions_of(world), world.within, world.known, beams)
 
 
@@ -162,7 +164,7 @@ class NativeRun:
         if ended.any():
             self.levels.add(level)
         self.table[numbers[ended]] = found.results[ended]
-        if found.paths is None:  # not asked for, or given up
+        if found.paths is None:  # not asked for, or all given up
             return
         ring, shape, width = ring_of(self.world.occupied), self.place.shape, self.place.shape[1]
         if found.counts is not None and found.choices is not None:
@@ -171,7 +173,7 @@ class NativeRun:
             whole = (*found.counts, found.paths[i], found.choices[:-1], bumped)
             self.final = decode(whole, result_of(found.results[i]), self.world.shape, ring)
         if self.keep is not None:
-            for i, number in enumerate(numbers):
+            for i, number in enumerate(numbers[ended]):
                 state = () if found.states is None else (found.states[i],)
                 kept = record_of(result_of(found.results[i]), (found.paths[i], *state), shape, width, ring)
                 self.records[int(number)] = kept

@@ -112,9 +112,9 @@ def prepare_site(
     # Ignored types: numpy on the host, where the record says what it is on the device.
     model = MapModel(
         p_free=np.float32(rules.p_free),  # type: ignore[arg-type]
-        near_d2=np.int32(radius_d2(rules.near_m, world.cell_m)),  # type: ignore[arg-type]
+        near_d2=np.int32(reach_d2(rules.near_m, world)),  # type: ignore[arg-type]
         cell_m=np.float32(world.cell_m),  # type: ignore[arg-type]
-        clearance_d2=radius_d2(rules.clearance_m, world.cell_m),
+        clearance_d2=reach_d2(rules.clearance_m, world),
         coarse=world.cell_m > COARSE_M,
     )
     numbers = Numbers(
@@ -122,7 +122,7 @@ def prepare_site(
         look_around=np.bool_(rules.look_around),  # type: ignore[arg-type]
         recheck=np.bool_(False),  # type: ignore[arg-type]
         scan_every=np.int32(cost_of(rules.scan_every_m, world.cell_m)),  # type: ignore[arg-type]
-        arrival_d2=np.int32(radius_d2(rules.arrival_m, world.cell_m)),  # type: ignore[arg-type]
+        arrival_d2=np.int32(reach_d2(rules.arrival_m, world)),  # type: ignore[arg-type]
         max_steps=np.int32(rules.max_steps or limit),  # type: ignore[arg-type]
         max_plans=np.int32(rules.max_plans or limit),  # type: ignore[arg-type]
         sigma_cells=np.float32(lidar.sigma_m / world.cell_m),  # type: ignore[arg-type]
@@ -149,6 +149,12 @@ def alike(truths: Sequence[Truth]) -> list[Truth]:
 def cost_of(length_m: float, cell_m: float) -> int:
     """Convert a length to a cost of `reach`, rounded; at most FAR."""
     return round(min(in_cells(length_m, cell_m) * reach.STRAIGHT, reach.FAR))
+
+
+def reach_d2(radius_m: float, world: World) -> int:
+    """A radius as a squared distance in cells, `grid.radius_d2`; at most the diagonal of the world."""
+    height, width = world.shape
+    return min(radius_d2(radius_m, world.cell_m), height**2 + width**2)
 
 
 def _truth(world, shape):

@@ -39,7 +39,10 @@ void Play(const World& world, Batch& batch, int64_t first, int64_t end, int64_t&
     log.Clear();
     Episode episode(world.p, maps, log, batch.results[i]);
     episode.Run(task, world.IsStuck(world.Cell(task.row, task.col), task.goal));
-    if (*batch.stop) return;
+    if (*batch.stop) {
+      batch.results[i].outcome = kRunning;
+      return;
+    }
     if (batch.n_steps) {
       const int64_t n = static_cast<int64_t>(log.spot.size());
       batch.paths = Grown(batch.paths, 2 * (n_paths + n));
@@ -170,7 +173,7 @@ extern "C" {
 // A world for any number of batches; null without memory.
 void* jexplore_world(const Spec* spec, const Given* given) try {
   return new World(*spec, *given);
-} catch (const std::bad_alloc&) {
+} catch (const std::exception&) {
   return nullptr;
 }
 
@@ -182,7 +185,7 @@ void jexplore_free(void* memory) { std::free(memory); }
 int jexplore_goals(void* world_, Task* tasks, int64_t n) try {
   static_cast<World*>(world_)->FindGoals(tasks, n);
   return 0;
-} catch (const std::bad_alloc&) {
+} catch (const std::exception&) {
   return 1;
 }
 
@@ -193,7 +196,7 @@ int jexplore_emulate(const void* world_, const Batch* batch, int with_views) try
   HostWorld host(world, batch->tasks, batch->n);
   (host.w.n_cells < 1 << 16) ? Emulate<uint16_t>(host, batch->results, with_views) : Emulate<uint32_t>(host, batch->results, with_views);
   return 0;
-} catch (const std::bad_alloc&) {
+} catch (const std::exception&) {
   return 1;
 }
 
@@ -201,7 +204,7 @@ int jexplore_emulate(const void* world_, const Batch* batch, int with_views) try
 int64_t jexplore_replay(const void* world_, const Replay* script) try {
   const World& world = *static_cast<const World*>(world_);
   return world.given.prior ? Show<kChanges>(world, *script) : Show<kKnownOnly>(world, *script);
-} catch (const std::bad_alloc&) {
+} catch (const std::exception&) {
   return -1;
 }
 
@@ -224,7 +227,7 @@ int jexplore_episodes(const void* world_, Batch* batch) try {
     }
   }
   return 0;
-} catch (const std::bad_alloc&) {
+} catch (const std::exception&) {
   return 1;
 }
 }

@@ -13,6 +13,7 @@ from jexplore.native.build import FOLDER, Library, load_library
 SOURCES = tuple(FOLDER / name for name in ("cpu.cc", "bytes.h", "warp_host.h", "warp.h", "world.h", "rules.h"))
 NEAREST, UNIFORM = 0, 1  # how a target is chosen
 RESULT = 222  # int32 of `exploration.state.Result`
+_PLANS, _OUTCOME = 4, 6  # places in it
 TASK = np.dtype(
     [("start", np.int32, 3), ("seed", np.uint32), ("draw", np.uint32), ("goal", np.int32), ("region", np.int32)]
 )
@@ -77,7 +78,7 @@ class Played(NamedTuple):
     """Results of some episodes."""
 
     results: np.ndarray  # [n, RESULT] int32
-    paths: list[np.ndarray] | None  # [steps + 1, 2] int32 of each: spot (`trail.Trail.SPOT`), known cells
+    paths: list[np.ndarray] | None  # [steps + 1, 2] int32 of each that ended: spot (`trail.Trail.SPOT`), known cells
     states: np.ndarray | None  # [n, H, W] uint8, the last maps: 0 unknown, 1 free, 2 occupied
     counts: tuple[np.ndarray, np.ndarray] | None  # [H, W] int32, hits and misses of the episode wanted whole
     choices: np.ndarray | None  # [plans + 1, 2] int32, its plans (`trail.Choices`), and what they ended with
@@ -151,7 +152,7 @@ class World:
 
         Args:
           tasks: `[n]` of `TASK`.
-          stop: `[1]` int32; once it is not 0, the rest is given up: outcomes that are 0.
+          stop: `[1]` int32; once it is not 0, the rest is given up, from some episode on: outcomes that are 0.
           paths, states: whether they are kept.
           whole: number of the episode of which counts and choices are kept; -1: none. Its path is kept as well.
 
@@ -174,12 +175,11 @@ class World:
                 raise MemoryError("no memory for episodes")
             kept = None
             if batch.paths:
-                ends = np.cumsum(steps + 1)
-                all_paths = np.ctypeslib.as_array(batch.paths, (int(ends[-1]), 2)).copy()
-                kept = np.split(all_paths, ends[:-1]) if not stop[0] else None
+                ends = np.cumsum(steps[results[:, _OUTCOME] != 0] + 1)
+                kept = np.split(np.ctypeslib.as_array(batch.paths, (int(ends[-1]), 2)).copy(), ends[:-1])
             choices = None
             if batch.choices:
-                choices = np.ctypeslib.as_array(batch.choices, (int(results[whole, 4]) + 1, 2)).copy()
+                choices = np.ctypeslib.as_array(batch.choices, (int(results[whole, _PLANS]) + 1, 2)).copy()
         finally:
             self._loaded.jexplore_free(batch.paths)
             self._loaded.jexplore_free(batch.choices)

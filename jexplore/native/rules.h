@@ -260,7 +260,7 @@ struct Episode {
     const Key key = FoldIn(FoldIn({0, task.seed}, task.draw), 1);  // `engine.one_by_one.chunk`; `Stream.POLICY`
     while (outcome == kRunning && maps.GoesOn() && log.GoesOn()) {
       Plan(key);
-      while (walking && outcome == kRunning) Advance();
+      while (walking && outcome == kRunning && maps.GoesOn()) Advance();
     }
     if (outcome == kComplete && !maps.KnowsGoal(task.goal)) outcome = kBlocked;
     if (!maps.GoesOn() || !log.GoesOn()) outcome = kRunning;  // given up

@@ -78,9 +78,15 @@ struct World {
     is_clear.assign(n_cells, 0);
     ForAll([&](int flat, int cell) { is_clear[cell] = MayEnter(flat); });
     ForAll([&](int flat, int cell) {
-      if (IsWall(flat))
+      if (IsWall(flat) && IsBesideFloor(flat))  // one of these is at least as near as a wall behind it
         for (int offset : clearance) is_clear[cell + offset] = 0;
     });
+  }
+
+  bool IsBesideFloor(int flat) const {
+    const int row = flat / p.width, col = flat % p.width;
+    return (row > 0 && !IsWall(flat - p.width)) || (row + 1 < p.height && !IsWall(flat + p.width)) ||
+           (col > 0 && !IsWall(flat - 1)) || (col + 1 < p.width && !IsWall(flat + 1));
   }
 
   // 4-connected parts: a diagonal step needs both cells beside it.
