@@ -2,8 +2,11 @@
 
 import ctypes
 import dataclasses
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -15,6 +18,7 @@ from jexplore.config import InputWarning, Lidar, Rules
 from jexplore.exploration import native as runs
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.site import tasks_of
+from jexplore.exploration.state import Outcome
 from jexplore.native import build, episodes, gpu
 from jexplore.native.beams import trace_beams
 from jexplore.policies import parse_strategy
@@ -27,6 +31,13 @@ needs_compiler = pytest.mark.skipif(not build.find_compiler(), reason="no C++ co
 needs_nvcc = pytest.mark.skipif(not gpu.find_nvcc(), reason="no nvcc")
 LIDAR, RULES = Lidar(n_beams=37, range_m=2.0), Rules()
 ROOMS = "rooms:width_m=6,height_m=5"
+ROOM = """
+    #######
+    #.....#
+    #..#..#
+    #.....#
+    #######
+"""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -146,6 +157,45 @@ def test_beams_enter_the_cells_of_the_table():
             rows, cols = np.cumsum(is_row), np.cumsum(1 - is_row.astype(int))
             np.testing.assert_array_equal(rows * beams.way[heading, beam, 1], table.drow[heading, :n, beam])
             np.testing.assert_array_equal(cols * beams.way[heading, beam, 0], table.dcol[heading, :n, beam])
+
+
+@needs_compiler
+@pytest.mark.skipif(not native.sanitized_environment(), reason="the compiler has no libasan.so and libstdc++.so")
+def test_sanitizers_find_nothing():
+    """Twice each kind of case: counting and not, by warps, shown once more."""
+    fuzz_py = Path(__file__).parents[1] / "benchmarks" / "fuzz.py"
+    command = [
+        sys.executable,
+        str(fuzz_py),
+        "--alone",
+        "--sanitize",
+        "--seed",
+        "7",
+        "--cases",
+        str(2 * len(fuzz.EXACT)),
+    ]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+
+
+# ---------------------------------------------------------------- numbers at their ends
+
+
+@needs_compiler
+@pytest.mark.jit
+@pytest.mark.parametrize("cell_m", [0.01, 1e-6])
+def test_radii_and_ranges_beyond_the_world(cell_m):
+    """Their squares in cells would not fit."""
+    world = World(occupied=maps.walls(ROOM), cell_m=cell_m, name="tiny")
+    rules = dataclasses.replace(RULES, clearance_m=0, near_m=10, arrival_m=1000, scan_every_m=1000)
+    job = Job(world, parse_strategy("closest+recheck"), np.array([[1, 2, 0]]))
+    lidar = Lidar(n_beams=4, fov_deg=360, range_m=5 * cell_m)
+    ours, theirs = (run_jobs([job], lidar, rules, engine=engine).outcomes[0].result for engine in (None, "serial"))
+    assert_equal(dataclasses.asdict(ours), dataclasses.asdict(theirs))
+    narrow = dataclasses.replace(rules, clearance_m=10)
+    assert run_jobs([job], lidar, narrow).outcomes[0].result.outcome.tolist() == [Outcome.STUCK]
+    far = dataclasses.replace(lidar, range_m=1000)
+    assert run_jobs([job], far, rules).outcomes[0].result.outcome.tolist() == [Outcome.COMPLETE]
 
 
 # ---------------------------------------------------------------- replays

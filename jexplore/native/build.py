@@ -6,6 +6,7 @@ of the compiler.
 
 import contextlib
 import ctypes
+import errno
 import functools
 import hashlib
 import os
@@ -90,7 +91,9 @@ def build_library(
     try:
         loaded = _load(sources[0], cache_folder() / f"{name}.so", command, check)
     except subprocess.CalledProcessError as error:
-        lines = [line for line in error.stderr.splitlines() if "error" in line] or [f"exit status {error.returncode}"]
+        telling = "error", os.strerror(errno.ENOSPC)
+        lines = [line for line in error.stderr.splitlines() if any(word in line for word in telling)]
+        lines = lines or [f"exit status {error.returncode}"]
         return Library(None, f"{command[0]} could not build {sources[0].name}: {lines[0].strip()}")
     except (OSError, RuntimeError, AttributeError, subprocess.TimeoutExpired) as error:  # RuntimeError: no home
         return Library(None, f"{sources[0].name} could not be built by {command[0]} or loaded: {error}")

@@ -24,7 +24,7 @@ struct ByteMaps {
   const Spec& p;
   const volatile int32_t* stop;  // not 0: the episode is to be given up
   std::vector<uint8_t> cell, mark, blank_cell, blank_mark;
-  std::vector<uint16_t> walls, blank_walls;       // occupied cells within the clearance
+  std::vector<int32_t> walls, blank_walls;        // occupied cells within the clearance
   std::vector<int8_t> unknown, blank_unknown;     // unknown cells at the side that are to be known
   std::vector<int32_t> hits, misses, blank_hits, blank_misses;
   std::vector<int32_t> cost, touched, candidates;

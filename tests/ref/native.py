@@ -62,7 +62,9 @@ def _differences_by_warps(run):
     """As a GPU does it, where it can; what it gives up is for the CPU."""
     found = {"beams": run.place.emulate(run.tasks, views=False), "views": run.place.emulate(run.tasks, views=True)}
     gave_up = {name for name, table in found.items() if table is None or not result_of(table).outcome[0]}
-    return [f"a warp's result by {name}" for name in found.keys() - gave_up if not np.array_equal(found[name], run.table)]
+    return [
+        f"a warp's result by {name}" for name in found.keys() - gave_up if not np.array_equal(found[name], run.table)
+    ]
 
 
 def differences_among(case):
@@ -103,4 +105,8 @@ def sanitized_environment():
         return found if os.path.isabs(found) else None
 
     libraries = path_of("libasan.so"), path_of("libstdc++.so")  # exceptions are sought in what is loaded first
-    return None if None in libraries else os.environ | {"LD_PRELOAD": ":".join(libraries), "ASAN_OPTIONS": "detect_leaks=0"}
+    return (
+        None
+        if None in libraries
+        else os.environ | {"LD_PRELOAD": ":".join(libraries), "ASAN_OPTIONS": "detect_leaks=0"}
+    )
