@@ -2,8 +2,8 @@
 
     python benchmarks/fuzz.py --cases 1000 --seed 0
     python benchmarks/fuzz.py --first 137 --cases 1    # a case alone
-    python benchmarks/fuzz.py --native --cases 10000   # native code, as a GPU runs it as well, beside JAX; no oracle
-    python benchmarks/fuzz.py --alone --sanitize       # native code beside itself, with the compiler's sanitizers
+    python benchmarks/fuzz.py --native --cases 10000   # native code, also as a GPU runs it, and JAX
+    python benchmarks/fuzz.py --alone --sanitize       # native code alone, with the compiler's sanitizers
 
 Prints how many cases of each kind were equal, and a line for every one that was not; exit status 1 if there was any.
 """
@@ -30,7 +30,7 @@ EVERY = 50  # cases after which progress is shown
 
 
 def compare(seed, numbers, fixed, play):
-    """Plays cases of some programs: `(cases, unequal cases, steps and scans)`, the first two by kind.
+    """Play cases of some programs: `(cases, unequal cases, steps and scans)`, the first two by kind.
 
     Args:
       seed, numbers, fixed: of `fuzz.draw_case`.
@@ -70,7 +70,7 @@ def parse():
 
 
 def sanitize():
-    """Has native code built with sanitizers, in a process that begins with their libraries."""
+    """Build native code with sanitizers, in a process that begins with their libraries."""
     environment = native.sanitized_environment()
     if environment is None:
         raise InputError("--sanitize needs a C++ compiler with libasan.so and libstdc++.so")

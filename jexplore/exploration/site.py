@@ -152,7 +152,7 @@ def cost_of(length_m: float, cell_m: float) -> int:
 
 
 def reach_d2(radius_m: float, world: World) -> int:
-    """A radius as a squared distance in cells, `grid.radius_d2`; at most the diagonal of the world."""
+    """Return `grid.radius_d2` of a radius, at most the squared diagonal of the world."""
     height, width = world.shape
     return min(radius_d2(radius_m, world.cell_m), height**2 + width**2)
 

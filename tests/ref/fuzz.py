@@ -70,7 +70,7 @@ MANY = (
 )
 """Twenty-four programs."""
 EXACT = tuple(fixed for fixed in MANY if not fixed.noisy)
-"""Those that native code has a form of."""
+"""Programs without noise, as native code has them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -383,7 +383,7 @@ def _verdict(told, result):
 
 
 def compare_alone(case):
-    """Plays a case without noise in native code by several ways, without JAX: a `Verdict`."""
+    """Play a case without noise in native code in several ways, without JAX: a `Verdict`."""
     run, told = native.differences_among(case)
     result = jax.tree.map(lambda a: a[0], run.results)
     return _verdict(told, result)

@@ -41,7 +41,7 @@ def play(case, loaded=None):
 
 
 def differences(run, result, state, occupied):
-    """Everything in which a `NativeRun` of one episode, also as warps play it, differs from `(Result, State)` of JAX."""
+    """List all in which a `NativeRun` of one episode, also as warps play it, differs from JAX's `(Result, State)`."""
     found, final = jax.tree.map(lambda a: a[0], run.results), decode(kept(state), result, occupied.shape)
     pairs = {
         field.name: (getattr(found, field.name), getattr(result, field.name)) for field in dataclasses.fields(Result)
@@ -59,7 +59,7 @@ def differences(run, result, state, occupied):
 
 
 def _differences_by_warps(run):
-    """As a GPU does it, where it can; what it gives up is for the CPU."""
+    """List results of emulated warps that differ; an episode that they give up is for the CPU."""
     found = {"beams": run.place.emulate(run.tasks, views=False), "views": run.place.emulate(run.tasks, views=True)}
     gave_up = {name for name, table in found.items() if table is None or not result_of(table).outcome[0]}
     return [
@@ -68,9 +68,7 @@ def _differences_by_warps(run):
 
 
 def differences_among(case):
-    """`(run, differences)`: a `NativeRun`, and all in which other ways to play a case differ from it: without counts, by
-    warps, and shown once more from its record.
-    """
+    """Play a case without counts, by warps and from its record: `(run, differences from that NativeRun)`."""
     run = play(case)
     unequal, record = _differences_by_warps(run), run.records[0]
     three = run.place.play(np.repeat(run.tasks, 3), np.zeros(1, np.int32), paths=True, states=True, whole=1)
@@ -94,9 +92,7 @@ SANITIZED = ("-O1", "-fno-inline", "-fsanitize=address,undefined", "-fno-sanitiz
 
 
 def sanitized_environment():
-    """The environment of a process that may load what is built with the flags `SANITIZED`; None: the compiler has not
-    what must be loaded first.
-    """
+    """Return the environment of a process that loads libraries built `SANITIZED`; None: the compiler lacks its libraries."""
     compiler = build.find_compiler()
 
     def path_of(name):
@@ -104,7 +100,7 @@ def sanitized_environment():
         found = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip() if compiler else ""
         return found if os.path.isabs(found) else None
 
-    libraries = path_of("libasan.so"), path_of("libstdc++.so")  # exceptions are sought in what is loaded first
+    libraries = path_of("libasan.so"), path_of("libstdc++.so")  # loaded first: ASan looks for exceptions there
     return (
         None
         if None in libraries
