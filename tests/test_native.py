@@ -190,7 +190,7 @@ def test_radii_and_ranges_beyond_the_world(cell_m):
     rules = dataclasses.replace(RULES, clearance_m=0, near_m=10, arrival_m=1000, scan_every_m=1000)
     job = Job(world, parse_strategy("closest+recheck"), np.array([[1, 2, 0]]))
     lidar = Lidar(n_beams=4, fov_deg=360, range_m=5 * cell_m)
-    ours, theirs = (run_jobs([job], lidar, rules, engine=engine).outcomes[0].result for engine in (None, "jax"))
+    ours, theirs = (run_jobs([job], lidar, rules, engine=engine).outcomes[0].result for engine in ("auto", "jax"))
     assert_equal(dataclasses.asdict(ours), dataclasses.asdict(theirs))
     narrow = dataclasses.replace(rules, clearance_m=10)
     assert run_jobs([job], lidar, narrow).outcomes[0].result.outcome.tolist() == [Outcome.STUCK]

@@ -92,7 +92,7 @@ SANITIZED = ("-O1", "-fno-inline", "-fsanitize=address,undefined", "-fno-sanitiz
 
 
 def sanitized_environment():
-    """Return the environment of a process that loads libraries built `SANITIZED`; None: the compiler lacks its libraries."""
+    """Return the environment of a process that loads libraries built with `SANITIZED`; None: the compiler lacks it."""
     compiler = build.find_compiler()
 
     def path_of(name):
