@@ -3,7 +3,7 @@
 A map is rooted: node 0 is where the robot started. Links leave a node in a direction; one that has not been followed
 has no other end. What does not fit is counted, never written over.
 
-`jx.btm` has besides what is asked of robots that write such maps: `trace`, `route`, `merge_maps` and the other names of
+`jx.btm` has besides the settings of robots that write such maps: `trace`, `route`, `merge_maps` and the other names of
 `btm_names.pyi`, which are loaded when they are first used.
 """
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 
 class Lazy(NamedTuple):
-    """What a module takes from its stub: see `read`."""
+    """The names that a module takes from its stub: see `read`."""
 
     module_of: dict[str, str]
     """Name -> module that has it, without the package's name."""
