@@ -6,29 +6,38 @@ See README.md in this folder for the columns.
 """
 
 import argparse
+import functools
 import importlib.util
 import sys
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.experimental.compilation_cache import compilation_cache
 
-from jexplore.bench.engines import LIDAR, RULES, Compiler, same
+from jexplore.bench.engines import LIDAR, RULES, Compiler, program_of, same
 from jexplore.bench.tables import markdown, plus_minus
 from jexplore.bench.timing import interleaved, mean_and_se, one_core, ratio, spread, surroundings
 from jexplore.config import InputError, require_whole
 from jexplore.engine.backend import start_backend
+from jexplore.exploration.native import is_native
 from jexplore.exploration.results import path_m
 from jexplore.exploration.site import drive_for
 from jexplore.exploration.state import Outcome
+from jexplore.grid import is_known
+from jexplore.planning import View
+from jexplore.policies import Strategy
+from jexplore.policies.catalogue.adapt import policy_from
+from jexplore.reach import MOTIONS
 from jexplore.report import store
 from jexplore.studies.checks import ready_strategies, ready_worlds
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 YARDSTICK = SHARED / "bench" / "numba_ref.py"
 MAPS = ("cave_filled.png@16x16", "hospital_section.png@49.3x20.1")
-STRATEGIES = ("closest", "closest+recheck")  # what it can do
+OWN = "own"  # strategy that is `near_and_open`
 WALL_M = 0.4  # distance of the yardstick's starts from walls
 
 
@@ -48,71 +57,72 @@ def load_yardstick(path):
     return module
 
 
-def beside(compiler, world, strategy, native, yardstick, episodes, repeat):
-    """Times one case on one core in turns with the yardstick, from the same starts: a dict for the report.
+def near_and_open(view: View) -> Array:
+    """Score cells as a user may: near, and with unknown cells all round."""
+    open_ = jnp.sum(jnp.stack([jnp.roll(~is_known(view.belief.grid), (r, c), (0, 1)) for r, c in MOTIONS]), axis=0)
+    return open_ - view.path_m
 
-    The yardstick's starts have any heading; ours are rounded to 45 degrees. Its world is ours, cell by cell.
+
+def beside(compiler, world, strategy, target, yardstick, n, repeat):
+    """Time one strategy's episodes on one core, by all that can run them, in turns with the yardstick, from the same
+    starts: a dict for the report.
+
+    The yardstick's starts have any heading; ours are rounded to 45 degrees. Its world is ours, cell by cell. It goes to
+    the closest frontier whatever the strategy.
     """
-    program = compiler.one_by_one(world, strategy, native)
-    rows, cols, headings, _ = yardstick.pick_starts(world.occupied, episodes, 0, WALL_M / world.cell_m)
+    rows, cols, headings, _ = yardstick.pick_starts(world.occupied, n, 0, WALL_M / world.cell_m)
     starts = np.stack([rows, cols, np.rint(np.degrees(headings) / 45).astype(int) % 8 * 45], axis=1).astype(np.int32)
     explorer = yardstick.Explorer(
         world.occupied, world.cell_m, LIDAR.range_m, clear_m=RULES.clearance_m, near_m=RULES.near_m
     )
 
-    def ours():
-        return program.run(starts).result
-
     def theirs():
         return [explorer.run(*start, recheck=strategy.recheck) for start in zip(rows, cols, headings)]
 
-    theirs()
-    ours()
-    runs = interleaved({"ours": ours, "yardstick": theirs}, repeat)
-    wall = {name: [took.wall / episodes for _, took in turns] for name, turns in runs.items()}
-    cpu = {name: [took.cpu / episodes for _, took in turns] for name, turns in runs.items()}
-    our, their = runs["ours"][0][0], runs["yardstick"][0][0]
-    length = {
-        "ours": path_m(our.straight, our.diagonal, world.cell_m),
-        "yardstick": np.array([episode["length"] for episode in their]),
-    }
-    counts = {
-        "ours": {"plans": float(np.mean(our.plans)), "scans": float(np.mean(our.scans))},
-        "yardstick": {key: float(np.mean([episode[key] for episode in their])) for key in ("plans", "scans")},
-    }
+    ways = {"native": program_of(compiler, "auto", world, strategy, n, n)} if is_native(strategy, LIDAR) else {}
+    ways |= {"JAX, driven natively": compiler.one_by_one(world, strategy, target)} if target else {}
+    ways["JAX"] = compiler.one_by_one(world, strategy)
+    tasks = {name: functools.partial(way.run, starts) for name, way in ways.items()} | {"yardstick": theirs}
+    for task in tasks.values():
+        task()
+    runs = interleaved(tasks, repeat)
+    cpu = {name: [took.cpu / n for _, took in turns] for name, turns in runs.items()}
+    their = runs.pop("yardstick")[0][0]
+    found = [turns[0][0].result for turns in runs.values()]
+    our = found[-1]
+    our_m = path_m(our.straight, our.diagonal, world.cell_m)
+    their_m = np.array([episode["length"] for episode in their])
     return {
         "world": world.name,
         "strategy": strategy.name,
-        "native": native is not None,
         "shape": list(world.shape),
-        "s_per_episode": {name: spread(values) for name, values in wall.items()},
         "cpu_s_per_episode": {name: spread(values) for name, values in cpu.items()},
-        "time_ratio": ratio(wall["ours"], wall["yardstick"]),
-        "cpu_time_ratio": ratio(cpu["ours"], cpu["yardstick"]),
-        "path_m": {name: mean_and_se(values) for name, values in length.items()},
-        "path_m_difference": mean_and_se(length["ours"] - length["yardstick"]),
-        **{key: {name: counts[name][key] for name in counts} for key in ("plans", "scans")},
+        "beside_yardstick": {name: ratio(values, cpu["yardstick"]) for name, values in cpu.items()},
+        "path_m": {"ours": mean_and_se(our_m), "yardstick": mean_and_se(their_m)},
+        "path_m_difference": mean_and_se(our_m - their_m),
+        **{
+            key: {"ours": float(np.mean(getattr(our, key))), "yardstick": float(np.mean([one[key] for one in their]))}
+            for key in ("plans", "scans")
+        },
         "complete": float(np.mean(our.outcome == Outcome.COMPLETE)),
-        "equal": same([answer for answer, _ in runs["ours"]]),
-    }
+        "equal": same(found),
+    }  # fmt: skip
 
 
 def table(cases):
-    """The cases as Markdown."""
+    """Return the cases as Markdown."""
     header = [
-        "one core", "strategy", "driven by", "ours, CPU ms", "yardstick", "ratio", "ratio by the clock",
-        "path m", "yardstick", "paired difference", "plans", "yardstick", "scans", "yardstick", "equal",
+        "one core", "strategy", "run by", "CPU ms", "of the yardstick", "path m", "plans", "scans", "equal",
     ]  # fmt: skip
     return markdown(header, [
         [
-            case["world"].rpartition("/")[2], case["strategy"], "C++" if case["native"] else "JAX",
-            *(1e3 * case["cpu_s_per_episode"][who]["median"] for who in ("ours", "yardstick")),
-            case["cpu_time_ratio"], case["time_ratio"],
-            *(plus_minus(case["path_m"][who]) for who in ("ours", "yardstick")),
-            plus_minus(case["path_m_difference"]),
-            *(case[key][who] for key in ("plans", "scans") for who in ("ours", "yardstick")), case["equal"],
+            case["world"].rpartition("/")[2], case["strategy"], name, 1e3 * took["median"],
+            case["beside_yardstick"][name], plus_minus(case["path_m"][who]), case["plans"][who], case["scans"][who],
+            "" if who == "yardstick" else case["equal"],
         ]
         for case in cases
+        for name, took in case["cpu_s_per_episode"].items()
+        for who in ("yardstick" if name == "yardstick" else "ours",)
     ])  # fmt: skip
 
 
@@ -121,7 +131,8 @@ def parse():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--yardstick", type=Path, default=YARDSTICK, help="numba simulator; default %(default)s")
     parser.add_argument("--worlds", nargs="+", help=f"default: Stage's {' and '.join(MAPS)}")
-    parser.add_argument("--strategies", nargs="+", default=["closest+recheck"], help=f"among {', '.join(STRATEGIES)}")
+    parser.add_argument("--strategies", nargs="+", default=["closest+recheck", "distance-advantage+recheck", OWN],
+                        help=f"names of strategies; {OWN}: a score of this script's")  # fmt: skip
     parser.add_argument("--episodes", type=int, default=16, help="of each strategy in each world")
     parser.add_argument("--repeat", type=int, default=5, help="turns of ours and the yardstick")
     parser.add_argument("--out", type=Path, help="JSON file")
@@ -134,14 +145,14 @@ def main():
         require_whole(f"--{name}", getattr(args, name), 1, 1_000_000)
     if args.out is not None and not args.out.resolve().parent.is_dir():
         raise InputError(f"--out {args.out}: its folder must exist")
-    strategies = ready_strategies(args.strategies)
-    for strategy in strategies:
-        if strategy.name not in STRATEGIES:
-            raise InputError(f"--strategies must be among {', '.join(STRATEGIES)}, got {strategy.name!r}")
+    strategies = [
+        Strategy(OWN, policy_from(near_and_open, {}), True) if name == OWN else ready_strategies([name])[0]
+        for name in args.strategies
+    ]
     if importlib.util.find_spec("numba") is None:
         raise InputError(f"--yardstick {args.yardstick}: needs numba, which the extra bench installs")
     yardstick = load_yardstick(args.yardstick)
-    targets = list(dict.fromkeys([None, drive_for("cpu").name]))
+    target = drive_for("cpu").name
     worlds = ready_worlds(args.worlds or [str(SHARED / "maps" / "stage" / name) for name in MAPS], 0.1)
     start_backend(1)
     jax.config.update("jax_enable_compilation_cache", False)
@@ -151,10 +162,9 @@ def main():
         pass
     compiler = Compiler()
     report["cases"] = [
-        beside(compiler, world, strategy, own, yardstick, args.episodes, args.repeat)
+        beside(compiler, world, strategy, target, yardstick, args.episodes, args.repeat)
         for world in worlds
         for strategy in strategies
-        for own in targets
     ]
     report["programs"] = compiler.programs
     print(table(report["cases"]))

@@ -1,5 +1,6 @@
 """Clear, traversable and frontier cells of a map, and clusters of frontier cells."""
 
+import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -138,6 +139,11 @@ def label_clusters(cells: sparse.Cells) -> Array:
     return settled(hook, lax.iota(jnp.int32, size))
 
 
+def most_cells(shape: tuple[int, ...]) -> int:
+    """Return how many frontier cells of a map are looked at by default: one in 16 of all, at least 256."""
+    return min(math.prod(shape), max(256, math.prod(shape) // 16))
+
+
 @checked_names
 def frontier_clusters(
     frontier: Array,
@@ -154,8 +160,7 @@ def frontier_clusters(
       cost: `[H, W]` int32, or None: what makes one member stand for its cluster, the lowest; by default the squared
         distance from the cluster's centroid.
       max_clusters: M, slots. Static. Clusters beyond it are counted in `overflow`, not kept.
-      max_cells: frontier cells that are looked at, the first in (row, col) order; by default one in 16 of the map, at
-        least 256. Static.
+      max_cells: frontier cells that are looked at, the first in (row, col) order; by default `most_cells`. Static.
       part: frontier cells that are worked on at a time; the clusters are the same. Static.
 
     Returns:
@@ -166,7 +171,9 @@ def frontier_clusters(
     """
     height, width = frontier.shape
     none = height * width
-    cells = groups.grouped(frontier, min(none, max(256, none // 16) if max_cells is None else max_cells), part=part)
+    cells = groups.grouped(
+        frontier, most_cells(frontier.shape) if max_cells is None else min(none, max_cells), part=part
+    )
     number, count, total = _sizes(cells, width, max_clusters)
     chosen, label = _members(cells, number, total, cost, frontier.shape)
     used = total[0] > 0

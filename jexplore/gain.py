@@ -11,7 +11,9 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore.arrays import bits
+from jexplore.arrays.loops import run_if
 from jexplore.grid import Grid, count, empty_grid, entropy, is_known, is_occupied
+from jexplore.native import kernels
 from jexplore.raycast import BLOCK, HEADINGS, Beams, fold, scan
 
 
@@ -122,7 +124,9 @@ def _wiped(scratch, corner, size):
     return Grid(*(lax.dynamic_update_slice(a, blank, corner) for a in (scratch.hits, scratch.misses)))
 
 
-def look(prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid) -> tuple[ViewGain, Grid]:
+def look(
+    prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid, *, native: str | None = None
+) -> tuple[ViewGain, Grid]:
     """Compute the expected gain of a look-around at a cell.
 
     Args:
@@ -130,6 +134,7 @@ def look(prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, s
       row, col: int32, the cell.
       beams: `Beams` from `raycast.all_round`.
       scratch: `Grid` of zeros, `[H, W]`.
+      native: target of native code that counts cells, where beams have disagreed nowhere; None: JAX does. Static.
 
     Returns:
       `(ViewGain, scratch)`; the scratch is zeros again.
@@ -137,6 +142,17 @@ def look(prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, s
     Source:
       Holz et al. 2010, section 3.2, where the sign of the difference is a misprint.
     """
+    if native:
+        at = jnp.stack([row, col])[:, None]
+        (seen,), (known,) = kernels.look(native, prospect.stops, prospect.unknown, at, 1, beams)
+
+        def change(state):
+            told, scratch = look(prospect, row, col, beams, state[1])
+            return told.gain, scratch
+
+        alone = seen.astype(jnp.float32), scratch
+        gain, scratch = run_if(jnp.any(prospect.before > 0), change, alone)
+        return ViewGain(gain, seen, known), scratch
     scratch, corner, passed, unknown = _passed(prospect, row, col, beams, scratch)
     seen = count(passed & unknown)
     known = count(passed) - seen

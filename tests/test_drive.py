@@ -72,7 +72,9 @@ def without_tally(state):
 
 
 def assert_equal(one, other):
-    jax.tree.map(np.testing.assert_array_equal, jax.device_get(one), jax.device_get(other))
+    """Arrays alone: a belief says which native code plans with it."""
+    for ours, theirs in zip(jax.tree.leaves(jax.device_get(one)), jax.tree.leaves(jax.device_get(other)), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
 
 
 def begun(setup, given):

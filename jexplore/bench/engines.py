@@ -52,13 +52,6 @@ def size_of(tree: Any) -> int:
     return sum(math.prod(leaf.shape) * np.dtype(leaf.dtype).itemsize for leaf in jax.tree.leaves(tree))
 
 
-def _headings(starts):
-    """Convert the heading of starts to units of 45 degrees."""
-    starts = np.array(starts, np.int32)
-    starts[:, 2] //= 45
-    return starts
-
-
 def free_bytes() -> int | None:
     """Return free memory of the first device, else of the machine; None if neither is known."""
     stats = jax.local_devices()[0].memory_stats()
@@ -123,7 +116,7 @@ class Compiler:
             )
 
         def run(starts):
-            parts, last, starts = [], None, _headings(starts)
+            parts, last, starts = [], None, tasks_of(starts, site.ring)
             for first in range(0, len(starts), n):
                 some = starts[first : first + n]
                 which, padded = np.zeros(n, np.int32), np.zeros((n, 3), np.int32)
@@ -160,7 +153,7 @@ class Compiler:
         programs = group.compile(n_lanes, compile_one)
 
         def run(starts):
-            line.tasks, costs = _headings(starts), Costs()
+            line.tasks, costs = tasks_of(starts, site.ring), Costs()
             line.finished[:] = False
             group.run(n_lanes, costs, lambda done: None, programs)
             return Run(jax.tree.map(np.array, line.results), useful=costs.useful)

@@ -23,6 +23,7 @@ from jexplore.frontier import disc
 from jexplore.grid import Grid, empty_grid, is_known
 from jexplore.native.drive import Stage
 from jexplore.native.drive import drive as drive_natively
+from jexplore.native.kernels import target_of
 from jexplore.planning import Belief, Choice, is_live, is_open
 from jexplore.reach import DIAGONAL, FAR, NO_MOTION, STRAIGHT, flood
 
@@ -185,8 +186,8 @@ def drive(setup: Setup, given: Given, state: State) -> State:
 
 
 def _is_native(setup):
-    """Return whether native code drives; not if every operation runs by itself, as for debugging."""
-    return setup.native is not None and not jax.config.values["jax_disable_jit"]
+    """Return whether native code drives."""
+    return target_of(setup.native) is not None
 
 
 def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array]:

@@ -76,6 +76,7 @@ def _traced(site, strategy, numbers):
     # Ignored types: numpy on the host, where the record says what it is on the device.
     given = Given(np.zeros((), np.int32), site.beams, truth, np.int32(0), numbers, task)  # type: ignore[arg-type]
     belief = jax.eval_shape(environment.blank_belief, given)
+    belief = belief.replace(model=belief.model.replace(native=None))  # told by what it computes, by whatever code
     route = jax.ShapeDtypeStruct(site.truth.occupied.shape, np.int8)
     return adapt.traced_policy(strategy.policy, numbers.params, belief, site.beams, route)
 
@@ -96,8 +97,8 @@ def prepare_site(
       lidar: `Lidar`.
       rules: `Rules`.
       shape: `(H, W)` to which the world is padded; by default the next that many worlds share.
-      native: target of the kernel in C++ that scans and counts, see `sensing`, for one robot on a CPU; None: those in
-        JAX. A noisy scanner, and a world with a partial goal, have none.
+      native: target of native code that drives and plans, for one robot on a CPU; None: JAX does. For a noisy scanner
+        JAX does.
       alike: scanners and rules of other runs. The static config then suits all of them whose scanner has as many beams,
         so that they share a program; results are the same.
 
@@ -109,6 +110,7 @@ def prepare_site(
     truth = _truth(world, shape)
     limit = limit_of(world.shape)
     everyone = [(lidar, rules), *(pair for pair in alike if pair[0].n_beams == lidar.n_beams)]
+    setup = _setup(everyone, world.cell_m, shape, limit, native)
     # Ignored types: numpy on the host, where the record says what it is on the device.
     model = MapModel(
         p_free=np.float32(rules.p_free),  # type: ignore[arg-type]
@@ -116,6 +118,7 @@ def prepare_site(
         cell_m=np.float32(world.cell_m),  # type: ignore[arg-type]
         clearance_d2=reach_d2(rules.clearance_m, world),
         coarse=world.cell_m > COARSE_M,
+        native=setup.native,
     )
     numbers = Numbers(
         model=model,
@@ -130,7 +133,6 @@ def prepare_site(
         no_echo_is_free=np.bool_(lidar.no_echo == "free"),  # type: ignore[arg-type]
         params=(),
     )
-    setup = _setup(everyone, world.cell_m, shape, limit, native)
     return Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
 
 

@@ -8,6 +8,7 @@
 #include <cstring>
 #include <vector>
 
+#include "paths.h"
 #include "world.h"
 
 namespace jexplore {
@@ -16,30 +17,24 @@ enum Counting { kKnownOnly, kCounts, kChanges };  // known or not; hits and miss
 
 // `counting`: a scanner without noise never changes its mind about a cell, unless the robot began with a map.
 template <Counting counting>
-struct ByteMaps {
+struct ByteMaps : Paths {
   static constexpr uint8_t kFree = 1, kOccupied = 2, kSeen = kFree | kOccupied, kWall = 4, kOutside = 8;
-  static constexpr uint8_t kClear = 1, kNear = 2, kDriven = 4, kExhausted = 8, kCan = kClear | kNear | kDriven;
 
   const World& world;
   const Spec& p;
   const volatile int32_t* stop;  // not 0: the episode is to be given up
-  std::vector<uint8_t> cell, mark, blank_cell, blank_mark;
+  std::vector<uint8_t> cell, blank_cell, blank_mark;
   std::vector<int32_t> walls, blank_walls;        // occupied cells within the clearance
   std::vector<int8_t> unknown, blank_unknown;     // unknown cells at the side that are to be known
   std::vector<int32_t> hits, misses, blank_hits, blank_misses;
-  std::vector<int32_t> cost, touched, candidates;
-  std::vector<int32_t> bucket[3];
+  std::vector<int32_t> candidates;
   std::vector<int8_t> way;  // motions, the last one first
-  int n_touched = 0, n_known = 0, blank_known = 0;
-  int offsets[8];
+  int n_known = 0, blank_known = 0;
 
   ByteMaps(const World& world, const volatile int32_t* stop)
-      : world(world), p(world.p), stop(stop), cell(world.n_cells, kWall | kOutside), mark(world.n_cells),
-        walls(world.n_cells), unknown(world.n_cells), cost(world.n_cells, kFar), touched(world.n_cells),
-        way(world.n_cells) {
-    for (auto& cells : bucket) cells.resize(world.n_cells);
+      : Paths(world.stride, world.n_cells), world(world), p(world.p), stop(stop), cell(world.n_cells, kWall | kOutside),
+        walls(world.n_cells), unknown(world.n_cells), way(world.n_cells) {
     if (counting != kKnownOnly) hits.resize(world.n_cells), misses.resize(world.n_cells);
-    for (int k = 0; k < 8; ++k) offsets[k] = DRow(k) * world.stride + DCol(k);
     world.ForAll([&](int flat, int i) {
       cell[i] = (world.IsWall(flat) ? kWall : 0) | (world.IsWithin(flat) ? 0 : kOutside);
       if (world.IsWithin(flat))
@@ -164,81 +159,20 @@ struct ByteMaps {
 
   bool IsFrontier(int i) const { return unknown[i] > 0 && (mark[i] & (kClear | kExhausted)) == kClear; }
 
-  void Relax(int i, int to, int (&count)[3]) {
-    if (to >= cost[i] || to >= kFar) return;
-    if (cost[i] == kFar) touched[n_touched++] = i;
-    if (cost[i] >> 16 != to >> 16) bucket[(to >> 16) % 3][count[(to >> 16) % 3]++] = i;
-    cost[i] = to;
-  }
-
-  // Costs from a cell, in order of whole straight steps: no motion within one leads to another of the same. Calls
-  // `visit(cell, cost)` for each, which is final, and ends after the step in which `is_done()`.
-  template <class Visit, class Done>
-  void Search(int from, Visit visit, Done is_done) {
-    const int stride = world.stride;
-    int count[3] = {1, 0, 0};
-    cost[from] = 0, bucket[0][0] = from, touched[0] = from, n_touched = 1;
-    for (int level = 0, idle = 0; idle < 3; ++level) {
-      const int own = level % 3, n = count[own];
-      idle = n ? 0 : idle + 1;
-      for (int j = 0; j < n; ++j) {
-        const int i = bucket[own][j], here = cost[i];
-        if (here >> 16 != level) continue;
-        visit(i, here);
-        if (is_done()) continue;
-        const int straight = here + kStraight, diagonal = here + kDiagonal;
-        const bool e = mark[i + 1] & kCan, n_ = mark[i + stride] & kCan, w = mark[i - 1] & kCan, s = mark[i - stride] & kCan;
-        if (e) Relax(i + 1, straight, count);
-        if (n_) Relax(i + stride, straight, count);
-        if (w) Relax(i - 1, straight, count);
-        if (s) Relax(i - stride, straight, count);
-        if (n_ && e && mark[i + stride + 1] & kCan) Relax(i + stride + 1, diagonal, count);
-        if (n_ && w && mark[i + stride - 1] & kCan) Relax(i + stride - 1, diagonal, count);
-        if (s && w && mark[i - stride - 1] & kCan) Relax(i - stride - 1, diagonal, count);
-        if (s && e && mark[i - stride + 1] & kCan) Relax(i - stride + 1, diagonal, count);
-      }
-      count[own] = 0;
-      if (is_done()) break;
-    }
-  }
-
-  bool CanMove(int from, int motion) const {
-    const int to = from + offsets[motion];
-    return mark[to] & kCan && (motion < 4 || (mark[from + DRow(motion) * world.stride] & kCan && mark[from + DCol(motion)] & kCan));
-  }
-
   // Lays the way to a target and forgets the costs, but for `saturated`: where no target is. The number of its motions.
   int Lay(int from, int target) {
     int n = 0;
     for (int i = target; target != kNone && i != from;) {
-      int k = 0;
-      while (cost[i - offsets[k]] + (k < 4 ? kStraight : kDiagonal) != cost[i] || (k >= 4 && !CanMove(i - offsets[k], k))) ++k;
+      const int k = MotionInto(
+          cost[i], [&](int k) { return cost[i - offsets[k]]; }, [&](int k) { return k < 4 || CanMove(i - offsets[k], k); });
       way[n++] = static_cast<int8_t>(k);
       i -= offsets[k];
     }
     if (target == kNone) CountSaturated();
-    for (int j = 0; j < n_touched; ++j) cost[touched[j]] = kFar;
+    Forget();
     MarkNear(from, false);
     return n;
   }
-
-  // Cells one motion beyond those with a cost whose own would not fit.
-  void CountSaturated() {
-    n_saturated = 0;
-    const int n = n_touched;  // what is counted is noted behind
-    for (int j = 0; j < n; ++j) {
-      const int i = touched[j];
-      if (cost[i] < kFar - kDiagonal) continue;
-      for (int k = 0; k < 8; ++k) {
-        const int to = i + offsets[k];
-        if (cost[to] != kFar || !CanMove(i, k)) continue;
-        cost[to] = kFar + 1, touched[n_touched++] = to, ++n_saturated;
-      }
-    }
-  }
-
-  int n_saturated = 0;
-  int Saturated() const { return n_saturated; }
 
   // The frontier cell with the shortest path, of equal ones the first.
   int Nearest(int from, int& left) {

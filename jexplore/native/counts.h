@@ -9,6 +9,18 @@
 
 namespace jexplore {
 
+// Calls `pass(offset)` for the cells that a beam passes: the offset of the one that stops it; 0 where none does. Its
+// cells stand in blocks, `next` apart.
+template <class Stops, class Pass>
+int TraceBeam(Stops is_stop, const int32_t* first, int length, int block, int next, Pass pass) {
+  for (int left = length; left > 0; left -= block, first += next)
+    for (const int32_t *step = first, *end = first + std::min(left, block); step < end; ++step) {
+      if (is_stop(*step)) return *step;
+      pass(*step);
+    }
+  return 0;
+}
+
 // Cells are flat indices. Nothing leaves the map: its outermost rows and columns are walls, which `IsWalled` tells.
 struct CountMaps {
   int height, width;
@@ -77,32 +89,20 @@ struct CountMaps {
     auto count = [&](int32_t* counts, const int32_t* others, int i) {
       if (counts[i]++ == 0 && others[i] == 0) fresh += IsWithin(from + i);
     };
-    count(missed, hit, 0);
+    auto is_wall = [&](int i) { return walls[i]; };
+    auto miss = [&](int i) { count(missed, hit, i); };
+    // Whether a beam says anything, which `silent` steps are too near for.
+    auto speaks = [&](const int32_t* first, int length, int silent) {
+      const bool stops = TraceBeam(is_wall, first, length, part, next, [&](int) { --silent; }) != 0;
+      return stops ? silent <= 0 : no_echo_is_free;
+    };
+    miss(0);
     for (int beam = 0; beam < beams; ++beam) {
       const int32_t* first = table + static_cast<int64_t>(beam) * part;
-      if ((may_be_silent || near[beam] > 0) && !Speaks(walls, first, ends[beam], near[beam])) continue;
-      bool stopped = false;
-      for (int left = ends[beam]; left > 0 && !stopped; left -= part, first += next) {
-        const int32_t* end = first + std::min(left, part);
-        for (const int32_t* step = first; step < end; ++step) {
-          stopped = walls[*step];
-          if (stopped) {
-            count(hit, missed, *step);
-            break;
-          }
-          count(missed, hit, *step);
-        }
-      }
+      if ((may_be_silent || near[beam] > 0) && !speaks(first, ends[beam], near[beam])) continue;
+      if (const int stop = TraceBeam(is_wall, first, ends[beam], part, next, miss)) count(hit, missed, stop);
     }
     n_known += fresh;
-  }
-
-  // Whether a beam says anything, which `silent` steps are too near for.
-  bool Speaks(const bool* walls, const int32_t* first, int left, int silent) const {
-    for (; left > 0; left -= block, first += n_beams * block)
-      for (const int32_t *step = first, *end = first + std::min(left, block); step < end; ++step, --silent)
-        if (walls[*step]) return silent <= 0;
-    return no_echo_is_free;
   }
 };
 

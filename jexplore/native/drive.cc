@@ -1,23 +1,13 @@
 // An episode in JAX driven on until its strategy must be asked: motions, scans and what they tell the map, in one call
 // of JAX's typed FFI, in the memory of the state. Whole numbers, and one comparison in single precision as JAX makes it.
 
-#include <cstring>
-
-#include "counts.h"
-#include "xla/ffi/api/ffi.h"
-
-namespace ffi = xla::ffi;
+#include "plan.h"
 
 namespace jexplore {
 namespace {
 
-using Counts = ffi::Buffer<ffi::S32, 2>;
-using Flags = ffi::Buffer<ffi::PRED, 2>;
-using Motions = ffi::Buffer<ffi::S8, 2>;
 using Walls = ffi::Buffer<ffi::PRED, 3>;
 using Rooms = ffi::Buffer<ffi::S32, 3>;
-using Table = ffi::Buffer<ffi::S32, 4>;
-using Numbers = ffi::Buffer<ffi::S32, 1>;
 using Real = ffi::Buffer<ffi::F32, 0>;
 
 enum Stage { kFirstScans, kNextScan, kAnswered };
@@ -32,7 +22,7 @@ struct Changed {
 // What it reads, in the order of `drive._terms`.
 struct Terms {
   int32_t target_row, target_col, is_view, plans, stage, live, scene, height, width, first_scans, arrival_d2,
-      scan_every, max_steps, max_plans, look_around, recheck, no_echo_is_free;
+      scan_every, max_steps, max_plans, look_around, recheck, no_echo_is_free, may_ask;
 };
 
 // What a robot did, as `trail.note_step` has it.
@@ -88,19 +78,10 @@ bool GoOn(Drive& episode, const Terms& terms, bool may_ask) {
   return false;
 }
 
-// XLA gives results the memory of the arguments that they replace; were it not so, they would be copied here.
-template <class Argument, class Result>
-auto InPlace(Argument& argument, Result& result) {
-  if (result->untyped_data() != argument.untyped_data())
-    std::memcpy(result->untyped_data(), argument.untyped_data(), argument.size_bytes());
-  return result->typed_data();
-}
-
 ffi::Error Run(Counts hits, Counts misses, Flags driven, Flags exhausted, Counts trail, Numbers changed, Motions route,
                Walls occupied, Rooms rooms, Flags within, Table by_beam, Counts length, Counts blind, Numbers terms, Real p_free,
                ffi::Result<Counts> hits_out, ffi::Result<Counts> misses_out, ffi::Result<Flags> driven_out,
-               ffi::Result<Flags> exhausted_out, ffi::Result<Counts> trail_out, ffi::Result<Numbers> changed_out,
-               bool may_ask) {
+               ffi::Result<Flags> exhausted_out, ffi::Result<Counts> trail_out, ffi::Result<Numbers> changed_out) {
   if (changed.size_bytes() != sizeof(Changed) || terms.size_bytes() != sizeof(Terms))
     return ffi::Error::InvalidArgument("numbers of a state must be as many as in drive.cc");
   Changed now;
@@ -128,36 +109,13 @@ ffi::Error Run(Counts hits, Counts misses, Flags driven, Flags exhausted, Counts
   Result unused;
   Drive episode(spec, maps, log, unused);
   Restore(episode, now, own);
-  now = Saved(episode, GoOn(episode, own, may_ask && own.is_view));
+  now = Saved(episode, GoOn(episode, own, own.may_ask && own.is_view));
   std::memcpy(changed_out->typed_data(), &now, sizeof now);
   return ffi::Error::Success();
 }
 
 }  // namespace
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(jexplore_drive, Run,
-                              ffi::Ffi::Bind()
-                                  .Arg<Counts>()
-                                  .Arg<Counts>()
-                                  .Arg<Flags>()
-                                  .Arg<Flags>()
-                                  .Arg<Counts>()
-                                  .Arg<Numbers>()
-                                  .Arg<Motions>()
-                                  .Arg<Walls>()
-                                  .Arg<Rooms>()
-                                  .Arg<Flags>()
-                                  .Arg<Table>()
-                                  .Arg<Counts>()
-                                  .Arg<Counts>()
-                                  .Arg<Numbers>()
-                                  .Arg<Real>()
-                                  .Ret<Counts>()
-                                  .Ret<Counts>()
-                                  .Ret<Flags>()
-                                  .Ret<Flags>()
-                                  .Ret<Counts>()
-                                  .Ret<Numbers>()
-                                  .Attr<bool>("may_ask"));
+XLA_FFI_DEFINE_HANDLER_SYMBOL(jexplore_drive, Run);
 
 }  // namespace jexplore

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from jexplore.native.build import FOLDER, Library, load_library, warn_once
+from jexplore.native.kernels import KERNELS, call, numbers
 
-SOURCES = tuple(FOLDER / name for name in ("drive.cc", "counts.h", "rules.h"))
-SYMBOL = "jexplore_drive"
+SOURCES = tuple(FOLDER / name for name in ("drive.cc", "plan.h", "counts.h", "paths.h", "world.h", "rules.h"))
 CHANGED = (
     "row", "col", "heading", "looking", "looked", "walking", "bumped", "unscanned", "known", "room", "straight",
     "diagonal", "turns", "scans", "exhausted", "outcome", "room_entries", "refused",
@@ -36,14 +36,16 @@ def load() -> Library:
     if found.loaded is None:
         return found
     try:
-        _register(found.name, getattr(found.loaded, SYMBOL))
+        for kernel in KERNELS:
+            _register(f"{found.name}_{kernel}", getattr(found.loaded, f"jexplore_{kernel}"))
     except AttributeError as error:
         return Library(None, f"{SOURCES[0].name} could not be loaded: {error}")
     return found
 
 
 def _check(loaded):
-    return "" if hasattr(loaded, SYMBOL) else f"it has no {SYMBOL}"
+    missing = [kernel for kernel in KERNELS if not hasattr(loaded, f"jexplore_{kernel}")]
+    return f"it has no jexplore_{missing[0]}" if missing else ""
 
 
 _registered: set[str] = set()
@@ -83,20 +85,19 @@ def drive(setup: Any, given: Any, state: Any, stage: Stage, live: Array | bool =
       `(state, asks)`: bool, whether the strategy must say whether its target is live before the robot goes on.
     """
     belief, truth, beams = state.belief, given.scenes, given.shared
-    numbers = _numbers([getattr(state, name) for name in CHANGED])
-    changed = jnp.concatenate([numbers, state.came_from, jnp.zeros(1, jnp.int32)])
+    own = numbers([getattr(state, name) for name in CHANGED])
+    changed = jnp.concatenate([own, state.came_from, jnp.zeros(1, jnp.int32)])
     within = jnp.zeros((1, 1), bool) if belief.within is None else belief.within
     maps = belief.grid.hits, belief.grid.misses, belief.driven, belief.exhausted, state.trail
     places = state.route, truth.occupied, truth.rooms, within, beams.by_beam, beams.length, beams.blind
-    results = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in (*maps, changed)]
-    call = jax.ffi.ffi_call(
-        setup.native, results, input_output_aliases={i: i for i in range(len(results))}, vmap_method="sequential"
-    )
-    terms = _terms(setup, given, state, stage, live)
+    given_up = *maps, changed
     p_free = jnp.asarray(belief.model.p_free, jnp.float32)
-    *maps, new = call(*maps, changed, *places, terms, p_free, may_ask=setup.policy.live is not None)
-    *numbers, row, col, asks = jnp.unstack(new)
-    state = state.replace(**dict(zip(CHANGED, numbers)), came_from=jnp.stack([row, col]), trail=maps.pop())
+    *maps, new = call(
+        setup.native, "drive", [(a.shape, a.dtype) for a in given_up], *given_up, *places,
+        _terms(setup, given, state, stage, live), p_free, in_place=len(given_up),
+    )  # fmt: skip
+    *own, row, col, asks = jnp.unstack(new)
+    state = state.replace(**dict(zip(CHANGED, own)), came_from=jnp.stack([row, col]), trail=maps.pop())
     hits, misses, driven, exhausted = maps
     where = {"row": state.row, "col": state.col, "heading": state.heading}
     grid = belief.grid.replace(hits=hits, misses=misses)
@@ -104,18 +105,13 @@ def drive(setup: Any, given: Any, state: Any, stage: Stage, live: Array | bool =
     return state.replace(belief=belief, walking=state.walking != 0), asks != 0
 
 
-def _numbers(values):
-    """Return scalars as one array of int32."""
-    return jnp.stack([jnp.asarray(value, jnp.int32) for value in values])
-
-
 def _terms(setup, given, state, stage, live):
     """Return the numbers that driving reads, in the order of `Terms` in drive.cc."""
     rules = given.numbers
-    return _numbers(
+    return numbers(
         [
             *state.target, state.is_view, state.plans, stage, live, given.scene, *state.belief.extent,
             setup.first_scans, rules.arrival_d2, rules.scan_every, rules.max_steps, rules.max_plans, rules.look_around,
-            rules.recheck, rules.no_echo_is_free,
+            rules.recheck, rules.no_echo_is_free, setup.policy.live is not None,
         ]
     )  # fmt: skip

@@ -10,7 +10,9 @@ from jexplore.config import Lidar
 from jexplore.native.beams import Beams, trace_beams
 from jexplore.native.build import FOLDER, Library, load_library
 
-SOURCES = tuple(FOLDER / name for name in ("cpu.cc", "bytes.h", "warp_host.h", "warp.h", "world.h", "rules.h"))
+SOURCES = tuple(
+    FOLDER / name for name in ("cpu.cc", "bytes.h", "paths.h", "warp_host.h", "warp.h", "world.h", "rules.h")
+)
 NEAREST, UNIFORM = 0, 1  # how a target is chosen
 RESULT = 222  # int32 of `exploration.state.Result`
 _PLANS, _OUTCOME = 4, 6  # places in it

@@ -17,8 +17,9 @@ from jax import Array, lax
 from jexplore.arrays import bits
 from jexplore.arrays.loops import one_kernel, run_if, stored
 from jexplore.config import checked_names
-from jexplore.frontier import Masks, plan_masks
-from jexplore.grid import Grid, count, lowest
+from jexplore.frontier import Masks, disc, plan_masks
+from jexplore.grid import Grid, count, is_free, is_known, is_occupied, lowest
+from jexplore.native import kernels
 from jexplore.planning.readout import lay_route
 from jexplore.reach import DIAGONAL, FAR, STRAIGHT, reach_packed, saturated
 
@@ -36,6 +37,7 @@ class MapModel:
     cell_m: Array  # float32, edge of a cell, metres
     clearance_d2: int = struct.field(pytree_node=False)  # cells^2, a clear cell has no occupied one this near
     coarse: bool = struct.field(pytree_node=False, default=False)  # whether corridors may be only a few cells wide
+    native: str | None = struct.field(pytree_node=False, default=None)  # `native.kernels` that plan; None: JAX does
 
 
 @checked_names
@@ -153,6 +155,23 @@ def masks_of(belief: Belief, origin: tuple[Array | int, ...] = (0, 0)) -> Masks:
     return one_kernel(judge, *arguments)
 
 
+def cells_of(belief: Belief) -> Array:
+    """Return what native planning is told of every cell, `[H, W]` uint8: the bits of `Plan` in native/plan.h."""
+    grid, model, shape = belief.grid, belief.model, belief.driven.shape
+    rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
+    inside = (rows < belief.extent[0]) & (cols < belief.extent[1])
+    outside = False
+    if belief.within is not None:
+        inside &= belief.within
+        outside = ~inside
+    free, near = is_free(grid, model.p_free), disc(shape, belief.row, belief.col, model.near_d2)
+    flags = (
+        free, free & near, belief.driven, belief.exhausted, is_occupied(grid, model.p_free), inside & ~is_known(grid),
+        outside,
+    )  # fmt: skip
+    return sum((jnp.asarray(flag, jnp.uint8) << i for i, flag in enumerate(flags)), jnp.zeros(shape, jnp.uint8))
+
+
 @checked_names
 def field(belief: Belief, *, nearest_only: bool = False) -> Field:
     """Compute costs of the whole map and the reachable frontier cells.
@@ -167,7 +186,10 @@ def field(belief: Belief, *, nearest_only: bool = False) -> Field:
     Source:
       Holz et al. 2010, Figure 3, steps 1 to 4.
     """
-    height = belief.driven.shape[0]
+    native, height = kernels.target_of(belief.model.native), belief.driven.shape[0]
+    if native:
+        where = belief.row, belief.col, belief.model.clearance_d2
+        return Field(*kernels.field(native, cells_of(belief), *where, nearest_only=nearest_only))
     masks = masks_of(belief)
     traversable, frontier = bits.unpack(masks.traversable), bits.unpack(masks.frontier)
     cost = reach_packed(masks.traversable, belief.row, belief.col, frontier if nearest_only else None)
@@ -198,7 +220,11 @@ def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -
     none = row < 0
     start = (belief.row, belief.col)
     target = (jnp.where(none, belief.row, row), jnp.where(none, belief.col, col))
-    route = lay_route(route, known.cost, known.traversable, start, target, (0, 0))
+    native = kernels.target_of(belief.model.native)
+    if native:
+        route = kernels.lay(native, route, known.cost, known.traversable, start, target)
+    else:
+        route = lay_route(route, known.cost, known.traversable, start, target, (0, 0))
     cost = jnp.where(none, FAR, known.cost[target])
 
     # Only cells whose cost hardly fits can have neighbours whose cost does not.
@@ -303,6 +329,8 @@ def nearest_frontier(belief: Belief, route: Array) -> tuple[Choice, Array]:
     Source:
       Holz et al. 2010, equation 3. Changed: windows first.
     """
+    if kernels.target_of(belief.model.native):
+        return _nearest_in_map(belief, route)
     none = jnp.int32(-1)
     state = (jnp.bool_(True), Choice(none, none, jnp.int32(FAR), jnp.int32(0)), route)
     for side in windows(route.shape, belief.model.clearance_d2):

@@ -12,10 +12,12 @@ from jax import Array, lax
 
 from jexplore.arrays import bits
 from jexplore.arrays.loops import first_lanes, repeat, run_if
-from jexplore.frontier import clear_cells, frontier_clusters
-from jexplore.gain import look, prospect, unknown_near, unknown_within
+from jexplore.frontier import clear_cells, frontier_clusters, most_cells
+from jexplore.gain import look, prospect, stops_and_unknown, unknown_near, unknown_within
 from jexplore.grid import Grid, empty_grid
-from jexplore.planning import Belief, Choice, Field, choose, metres
+from jexplore.native import kernels
+from jexplore.native.kernels import EVERY
+from jexplore.planning import Belief, Choice, Field, cells_of, choose, metres
 from jexplore.raycast import Beams, all_round
 from jexplore.reach import FAR, STEPS, spread
 
@@ -39,11 +41,18 @@ class Targets:
 
 def targets(belief: Belief, known: Field) -> Targets:
     """Find the `Targets` of a belief and its `Field`."""
-    found = frontier_clusters(known.candidates, known.cost, max_clusters=CLUSTERS)
-    used = found.row >= 0
-    cost = known.cost[jnp.maximum(found.row, 0), jnp.maximum(found.col, 0)]
+    native = kernels.target_of(belief.model.native)
+    if native:
+        shape = known.cost.shape
+        (row, col, size), told = kernels.clusters(native, known.candidates, known.cost, CLUSTERS, most_cells(shape))
+        overflow = jnp.maximum(told[0] - CLUSTERS, 0) + told[1]
+    else:
+        found = frontier_clusters(known.candidates, known.cost, max_clusters=CLUSTERS)
+        row, col, size, overflow = found.row, found.col, found.size, found.overflow + found.left_out
+    used = row >= 0
+    cost = known.cost[jnp.maximum(row, 0), jnp.maximum(col, 0)]
     path_m = jnp.where(used, metres(cost, belief.model.cell_m), jnp.inf)
-    return Targets(found.row, found.col, used, path_m, found.size, found.overflow + found.left_out)
+    return Targets(row, col, used, path_m, size, overflow)
 
 
 def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
@@ -58,6 +67,10 @@ def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
       `unknown`: `[M]` int32, unknown cells that would be seen; 0 in an unused slot.
       `known`: `[M]` int32, known cells that would be seen.
     """
+
+    if kernels.target_of(belief.model.native):
+        unknown, known = _told_natively(belief, at, beams)
+        return unknown, known
 
     def tell(ahead, row, col, beams, scratch):
         told, scratch = look(ahead, row, col, beams, scratch)
@@ -81,6 +94,9 @@ def shown_from(belief: Belief, at: Targets, beams: Beams, enough: Array | int) -
     Returns:
       `[M]` int32: exact where it is less than `enough`, else at least that; 0 in an unused slot.
     """
+
+    if kernels.target_of(belief.model.native):
+        return _told_natively(belief, at, beams, enough=enough)[0]
 
     def tell(ahead, row, col, beams, scratch):
         told, scratch = look(ahead, row, col, beams, scratch)
@@ -118,11 +134,20 @@ def unknown_from(belief: Belief, at: Targets, beams: Beams, radii_m: Sequence[fl
       radii_m: R distances, metres. Static.
     """
     d2 = (jnp.asarray(radii_m, jnp.float32) / belief.model.cell_m) ** 2
+    if kernels.target_of(belief.model.native):
+        return _told_natively(belief, at, beams, d2)[:-1]
 
     def tell(ahead, row, col, beams, scratch):
         return unknown_within(ahead, row, col, beams, scratch, d2)
 
     return from_each(belief, at, beams, tell, len(radii_m))
+
+
+def _told_natively(belief, at, beams, d2=(math.inf,), enough=EVERY):
+    """Return what `kernels.look` tells of every target: `[R + 1, M]` int32."""
+    maps = stops_and_unknown(belief.grid, belief.extent, belief.model.p_free, belief.within)
+    where = jnp.stack([at.row, at.col]), jnp.sum(at.used, dtype=jnp.int32), all_round(beams)
+    return kernels.look(belief.model.native, *maps, *where, d2, enough)
 
 
 def from_each(belief: Belief, at: Targets, beams: Beams, tell: Callable[..., tuple[Array, Grid]], n_told: int) -> Array:
@@ -171,17 +196,26 @@ def apart(belief: Belief, at: Targets) -> Array:
     Returns:
       `[M, M]` float32, metres, symmetric; 0 on the diagonal of used slots; inf where a slot is unused or no path leads.
     """
-    side = blocks_of(belief.model.clearance_d2)
+    side, n = blocks_of(belief.model.clearance_d2), jnp.sum(at.used, dtype=jnp.int32)
+    native = kernels.target_of(belief.model.native)
+    if native:
+        where = jnp.stack([at.row, at.col])
+        table = kernels.apart(native, cells_of(belief), where, n, side, belief.model.clearance_d2)
+    else:
+        table = _costs_apart(belief, at, n, side)
+    table = jnp.where(at.used[None] & at.used[:, None], table, FAR)
+    return jnp.where(table < FAR, metres(table, side * belief.model.cell_m), jnp.inf)
+
+
+def _costs_apart(belief, at, n, side):
+    """Compute `costs_between` of blocks."""
     # Without the traversable cells near the robot: at a thin wall too little would remain.
     clear = clear_cells(belief.grid, p_free=belief.model.p_free, clearance_d2=belief.model.clearance_d2) | belief.driven
     height, width = clear.shape
     pad = ((0, -height % side), (0, -width % side))
     blocks = jnp.pad(clear, pad).reshape(-(-height // side), side, -(-width // side), side).any(axis=(1, 3))
     row, col = jnp.maximum(at.row, 0) // side, jnp.maximum(at.col, 0) // side
-    n = jnp.sum(at.used, dtype=jnp.int32)
-    table = costs_between(blocks, row, col, n)
-    table = jnp.where(at.used[None] & at.used[:, None], table, FAR)
-    return jnp.where(table < FAR, metres(table, side * belief.model.cell_m), jnp.inf)
+    return costs_between(blocks, row, col, n)
 
 
 def costs_between(passable: Array, row: Array, col: Array, n: Array | int) -> Array:

@@ -13,8 +13,9 @@ from jax import Array, lax
 from jexplore.arrays import bits
 from jexplore.arrays.loops import repeat
 from jexplore.config import require_number, require_whole
-from jexplore.gain import look, most, prospect, unknown_seen
+from jexplore.gain import look, most, prospect, stops_and_unknown, unknown_seen
 from jexplore.grid import empty_grid
+from jexplore.native import kernels
 from jexplore.planning import Belief, Choice, Field, choose, field, metres, nearest_of
 from jexplore.raycast import Beams, all_round
 from jexplore.reach import FAR
@@ -115,7 +116,7 @@ def best_view(
     usable = (row < height) & (lax.iota(jnp.int32, SAMPLES) < params.samples)
     row = jnp.minimum(row, height - 1)
     ahead = prospect(belief.grid, belief.extent, belief.model.p_free, belief.within)
-    beams = all_round(beams)
+    beams, native = all_round(beams), kernels.target_of(belief.model.native)
     path_m = metres(known.cost[row, col], belief.model.cell_m)
     # The most promising ones first, until the best that was found is better than what the next could be.
     hope = jnp.where(usable, utility(params, most(ahead, row, col, beams), path_m), -jnp.inf)
@@ -131,7 +132,7 @@ def best_view(
     def evaluate(state):
         i, best, cell, scratch = state
         on, i_ = going(state), jnp.minimum(i, SAMPLES - 1)
-        told, scratch = look(ahead, row[i_], col[i_], beams, scratch)
+        told, scratch = look(ahead, row[i_], col[i_], beams, scratch, native=native)
         worth, here = utility(params, told.gain, path_m[i_]), row[i_] * width + col[i_]
         better = on & (told.unknown >= params.min_gain) & ((worth > best) | ((worth == best) & (here < cell)))
         return i + on, jnp.where(better, worth, best), jnp.where(better, here, cell), scratch
@@ -168,8 +169,12 @@ SELECT = functools.partial(select, gain_for_path)
 
 def live(params: Views, belief: Belief, beams: Beams, row: Array, col: Array) -> Array:
     """Return the `live` of such a strategy: a look-around at the view point would still show enough."""
-    where = row, col, all_round(beams), belief.within
-    seen = unknown_seen(belief.grid, belief.extent, belief.model.p_free, *where)
+    known, beams = (belief.grid, belief.extent, belief.model.p_free), all_round(beams)
+    if native := kernels.target_of(belief.model.native):
+        maps, at = stops_and_unknown(*known, belief.within), jnp.stack([row, col])[:, None]
+        seen = kernels.look(native, *maps, at, 1, beams, enough=params.min_gain)[0, 0]
+    else:
+        seen = unknown_seen(*known, row, col, beams, belief.within)
     return seen >= params.min_gain
 
 

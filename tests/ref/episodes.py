@@ -1,5 +1,6 @@
 """Whole episodes by the engine and by the oracle, and what differs between the two."""
 
+import dataclasses
 import functools
 import math
 
@@ -145,6 +146,8 @@ def play(
         CAPACITY,
         find_target().name if native else None,
     )
+    numbers = numbers_of(strategy, lidar, rules, cell_m)
+    numbers = numbers.replace(model=dataclasses.replace(numbers.model, native=static.native))
     return jax.tree.map(
         np.asarray,
         compiled(
@@ -153,7 +156,7 @@ def play(
             jnp.int32(scans_all_round(lidar.fov_deg)),
             jax.device_put(truth_of(occupied, rooms, shape, within, known)),
             jax.device_put(beams_of(lidar, cell_m, shape[1], beams_as)),
-            numbers_of(strategy, lidar, rules, cell_m),
+            numbers,
             jnp.asarray([start[0], start[1], start[2] // 45], jnp.int32),
         ),
     )

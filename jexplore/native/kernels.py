@@ -1,0 +1,106 @@
+"""Kernels of planning in native code, for programs in JAX on a CPU; each does what the function that calls it does in
+JAX, bit by bit. Which target of JAX's FFI they belong to is `MapModel.native`.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+EVERY = 2**30  # more unknown cells than any look shows
+KERNELS = ("drive", "field", "clusters", "lay", "look", "apart")
+"""What a library has, as `jexplore_NAME`."""
+
+
+def numbers(values: Sequence[Any]) -> Array:
+    """Scalars as one array of int32."""
+    return jnp.stack([jnp.asarray(value, jnp.int32) for value in values])
+
+
+def call(
+    native: str, kernel: str, results: Sequence[tuple[Sequence[int], Any]], *arguments: Any, in_place: int = 0
+) -> list[Array]:
+    """Call a kernel. Nothing is differentiated through it: what it returns are whole numbers.
+
+    Args:
+      native: target of the library.
+      kernel: one of `KERNELS`.
+      results: shape and dtype of each.
+      arguments: arrays.
+      in_place: how many arguments, the first, give their memory to results of the same place.
+    """
+    made = [jax.ShapeDtypeStruct(tuple(shape), dtype) for shape, dtype in results]
+    aliases = {i: i for i in range(in_place)}
+    function = jax.ffi.ffi_call(f"{native}_{kernel}", made, vmap_method="sequential", input_output_aliases=aliases)
+    return list(function(*jax.lax.stop_gradient(arguments)))
+
+
+def target_of(native: str | None) -> str | None:
+    """Return the target of a `MapModel` where it is used: not where every operation runs by itself, to find faults."""
+    return None if jax.config.values["jax_disable_jit"] else native
+
+
+def field(
+    native: str, cells: Array, row: Array, col: Array, clearance_d2: int, *, nearest_only: bool
+) -> tuple[Array, Array, Array]:
+    """Return `(traversable, cost, candidates)`, `[H, W]` each, of `planning.cells_of`; see `planning.field`."""
+    results = [(cells.shape, bool), (cells.shape, jnp.int32), (cells.shape, bool)]
+    traversable, cost, candidates = call(
+        native, "field", results, cells, numbers([row, col, clearance_d2, nearest_only])
+    )
+    return traversable, cost, candidates
+
+
+def clusters(native: str, candidates: Array, cost: Array, most: int, max_cells: int) -> tuple[Array, Array]:
+    """Return row, col and size of clusters, `[3, most]` int32, and how many there are and cells were left out, `[2]`
+    int32; see `frontier.frontier_clusters`.
+    """
+    results = [((3, most), jnp.int32), ((2,), jnp.int32)]
+    found, told = call(native, "clusters", results, candidates, cost, numbers([max_cells]))
+    return found, told
+
+
+def lay(native: str, route: Array, cost: Array, traversable: Array, start: Any, target: Any) -> Array:
+    """Return the route; see `planning.readout.lay_route`."""
+    terms = numbers([*start, *target])
+    return call(native, "lay", [(route.shape, jnp.int8)], route, cost, traversable, terms, in_place=1)[0]
+
+
+def look(
+    native: str,
+    stops: Array,
+    unknown: Array,
+    at: Array,
+    n: Array | int,
+    beams: Any,
+    d2: Sequence[float] | Array = (math.inf,),
+    enough: Array | int = EVERY,
+) -> Array:
+    """Return what looks from the first n of some cells tell: unknown cells within R distances, then known ones.
+
+    A look ends where it has shown enough unknown cells: their number is then no less than that.
+
+    Args:
+      native: target.
+      stops, unknown: `[H, W]` bool, of `gain.stops_and_unknown`.
+      at: `[2, M]` int32, rows and columns.
+      n: int32.
+      beams: `Beams` from `raycast.all_round`.
+      d2: `[R]` float32, squared distances, cells^2.
+      enough: int32.
+
+    Returns:
+      `[R + 1, M]` int32; 0 beyond the first n.
+    """
+    d2 = jnp.asarray(d2, jnp.float32)
+    result, maps = ((d2.shape[0] + 1, at.shape[1]), jnp.int32), (stops, unknown, at, beams.by_beam, beams.length)
+    return call(native, "look", [result], *maps, d2, numbers([n, enough]))[0]
+
+
+def apart(native: str, cells: Array, at: Array, n: Array | int, side: int, clearance_d2: int) -> Array:
+    """Return what paths between the first n of some cells cost, `[M, M]` int32; see `policies.clusters.apart`."""
+    m = at.shape[1]
+    return call(native, "apart", [((m, m), jnp.int32)], cells, at, numbers([n, side, clearance_d2]))[0]

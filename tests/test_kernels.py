@@ -1,0 +1,143 @@
+"""Planning's kernels in native code beside those in JAX: equal bits, under vmap, and nothing to differentiate."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from ref import beliefs
+
+from jexplore.config import Lidar
+from jexplore.gain import look, prospect
+from jexplore.grid import empty_grid
+from jexplore.native import build, drive
+from jexplore.planning import choose, field, nearest_frontier
+from jexplore.policies import clusters, views
+from jexplore.raycast import all_round
+
+LIDAR = Lidar(n_beams=31, fov_deg=270, range_m=1.6)
+SHAPE = 37, 45
+
+pytestmark = [pytest.mark.jit, pytest.mark.skipif(not build.find_compiler(), reason="no C++ compiler")]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def target(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("native")))
+        build.build_library.cache_clear()  # another file's tests may have loaded it from another folder
+        found = drive.load()
+        assert found.loaded is not None, found.why_not
+        yield found.name
+
+
+def some_belief(seed, shape, clearance_d2, *, mixed=0.0, is_held=False):
+    """Return a belief in which the robot has driven, been at some targets, and may be held within a region."""
+    draw = np.random.default_rng(seed)
+    belief = beliefs.after_scans(
+        seed, shape, n_scans=int(draw.integers(1, 12)), mixed=mixed, grow=(3, 5), clearance_d2=clearance_d2
+    )
+    row, col = np.indices(belief.driven.shape)
+    far = (row - int(belief.row)) ** 2 + (col - int(belief.col)) ** 2
+    free = np.asarray(belief.grid.misses) > 0
+    driven = free & (far < draw.integers(0, 80)) | np.asarray(belief.driven)
+    within = None if not is_held else jnp.asarray(row + col < 0.8 * sum(shape))
+    model = dataclasses.replace(belief.model, near_d2=jnp.int32(draw.integers(0, 30)))
+    return belief.replace(
+        driven=jnp.asarray(driven), exhausted=jnp.asarray(draw.random(free.shape) < 0.1), within=within, model=model
+    )
+
+
+def with_native(belief, target):
+    return belief.replace(model=dataclasses.replace(belief.model, native=target))
+
+
+def plan(belief, beams, key):
+    """Return what strategies ask for, of a belief and its beams."""
+    known = field(belief)
+    at = clusters.targets(belief, known)
+    route = jnp.full(known.cost.shape, -1, jnp.int8)
+    row, col = views.drawn(key, belief, known, PARAMS)
+    told = [
+        known, at, clusters.seen_from(belief, at, beams), clusters.unknown_from(belief, at, beams, (0.3, 0.8)),
+        clusters.shown_from(belief, at, beams, 3) >= 3, clusters.apart(belief, at), nearest_frontier(belief, route),
+        clusters.go_to(belief, route, known, at, jnp.sum(at.used, dtype=jnp.int32) - 1),
+        views.live(PARAMS, belief, beams, belief.row, belief.col),
+    ]  # fmt: skip
+    ahead, scratch = prospect(belief.grid, belief.extent, belief.model.p_free, belief.within), empty_grid(route.shape)
+    native = {"native": belief.model.native}
+    told.append(look(ahead, belief.row, belief.col, all_round(beams), scratch, **native)[0])
+    told.append(views.best_view(views.gain_for_path, key, PARAMS, belief, known, beams))
+    return told, (row, col)
+
+
+PARAMS = views.views(("weight", 0.1), 20, 0.5, 2)
+PLAN = jax.jit(plan)
+
+
+def assert_equal(one, other):
+    for ours, theirs in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize(
+    ("shape", "clearance_d2", "is_held"), [((37, 45), 0, False), ((64, 96), 9, False), ((37, 45), 2, True)]
+)
+def test_plans_have_the_same_bits(target, shape, clearance_d2, is_held):
+    found = 0
+    for seed in range(24):
+        belief = some_belief(seed, shape, clearance_d2, mixed=0.05 * (seed % 2), is_held=is_held)
+        beams, key = beliefs.table(LIDAR, belief), jax.random.key(seed)
+        want, got = (PLAN(own, beams, key) for own in (belief, with_native(belief, target)))
+        assert_equal(got, want)
+        found += int(want[0][1].used.sum())
+    assert found > 20
+
+
+def test_lanes_of_a_vmap_have_the_same_bits(target):
+    alone = [some_belief(seed, SHAPE, 1) for seed in (1, 2, 4)]
+    lanes = jax.tree.map(lambda *a: jnp.stack(a), *(with_native(belief, target) for belief in alone))
+    found = jax.jit(jax.vmap(field))(lanes)
+    for i, belief in enumerate(alone):
+        assert_equal(jax.tree.map(lambda a, i=i: a[i], found), jax.jit(field)(belief))
+
+
+def test_lengths_of_paths_have_no_gradient(target):
+    belief = with_native(some_belief(1, SHAPE, 1), target)
+
+    def nearest_m(cell_m, p_free):
+        known = field(belief.replace(model=dataclasses.replace(belief.model, p_free=p_free)))
+        return jnp.min(jnp.where(known.candidates, known.cost * cell_m, math.inf))
+
+    gradient = jax.jit(jax.grad(nearest_m, (0, 1)))(jnp.float32(0.1), jnp.float32(0.25))
+    assert gradient[0] > 0
+    assert gradient[1] == 0
+
+
+def test_more_frontier_cells_than_are_looked_at_are_counted(target):
+    """A chequered map has one frontier cell in four; one in 16 is looked at."""
+    draw = np.random.default_rng(0)
+    hits, misses = np.zeros((2, 40, 50), int)
+    misses[::2] = 1
+    misses[:, 25] = 1
+    belief = beliefs.belief_from(hits, misses, (20, 25))
+    belief = belief.replace(exhausted=jnp.asarray(draw.random(hits.shape) < 0.3))
+    run = jax.jit(lambda belief: clusters.targets(belief, field(belief)))
+    want, got = run(belief), run(with_native(belief, target))
+    assert want.overflow > 100
+    assert_equal(got, want)
+
+
+def test_a_target_that_no_path_leads_to_ends(target):
+    belief = some_belief(1, SHAPE, 1)
+    route = jnp.full(belief.driven.shape, -1, jnp.int8)
+    run = jax.jit(lambda belief: choose(belief, route, field(belief), jnp.int32(0), jnp.int32(0))[0])
+    assert_equal(run(with_native(belief, target)), run(belief))
+
+
+def test_a_robot_beside_its_map_is_refused(target):
+    belief = with_native(some_belief(1, SHAPE, 1), target).replace(row=jnp.int32(99))
+    with pytest.raises(jax.errors.JaxRuntimeError, match="a robot must be on its map"):
+        jax.block_until_ready(jax.jit(field)(belief))
