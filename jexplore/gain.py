@@ -146,12 +146,12 @@ def look(
         at = jnp.stack([row, col])[:, None]
         (seen,), (known,) = kernels.look(native, prospect.stops, prospect.unknown, at, 1, beams)
 
-        def change(state):
+        def with_change(state):
             told, scratch = look(prospect, row, col, beams, state[1])
             return told.gain, scratch
 
         alone = seen.astype(jnp.float32), scratch
-        gain, scratch = run_if(jnp.any(prospect.before > 0), change, alone)
+        gain, scratch = run_if(jnp.any(prospect.before > 0), with_change, alone)
         return ViewGain(gain, seen, known), scratch
     scratch, corner, passed, unknown = _passed(prospect, row, col, beams, scratch)
     seen = count(passed & unknown)

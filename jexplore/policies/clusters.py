@@ -143,7 +143,7 @@ def unknown_from(belief: Belief, at: Targets, beams: Beams, radii_m: Sequence[fl
     return from_each(belief, at, beams, tell, len(radii_m))
 
 
-def _told_natively(belief, at, beams, d2=(math.inf,), enough=EVERY):
+def _told_natively(belief, at, beams, d2: Any = (math.inf,), enough: Any = EVERY):
     """Return what `kernels.look` tells of every target: `[R + 1, M]` int32."""
     maps = stops_and_unknown(belief.grid, belief.extent, belief.model.p_free, belief.within)
     where = jnp.stack([at.row, at.col]), jnp.sum(at.used, dtype=jnp.int32), all_round(beams)
