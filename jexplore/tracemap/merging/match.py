@@ -102,7 +102,7 @@ def match(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_commo
 
 
 def _weighed(one, other, limits):
-    """Return the pair, its evidence, and an iterator over the guesses that drift allows, the best `_Candidate` first."""
+    """Return the pair, its evidence, and an iterator over what drift allows, the best `_Candidate` first."""
     pair = Pair(places_of(one), places_of(other), limits)
     evidence = Evidence(pair)
     weighed = [(evidence.gain(guess), *guess.entries[0]) for guess in pair.guesses()]
