@@ -144,7 +144,7 @@ def require_rounds(rounds: int, check_every: int) -> int:
     """Return the rounds from check to check: `check_every`, or all where there are fewer.
 
     Raises:
-      InputError: the rounds are no multiple of it.
+      InputError: the rounds are no multiple of this.
     """
     check_every = min(check_every, rounds)
     if rounds % check_every:

@@ -1,4 +1,4 @@
-"""How large a world may be. Plain Python: importing this loads neither jax nor numpy."""
+"""Largest size of a world. Plain Python: importing this loads neither jax nor numpy."""
 
 import math
 

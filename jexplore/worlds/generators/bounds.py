@@ -1,4 +1,4 @@
-"""What the parameters of generators may be. Plain Python: importing this loads neither jax nor numpy."""
+"""Bounds of the parameters of generators. Plain Python: importing this loads neither jax nor numpy."""
 
 import math
 from collections.abc import Callable

@@ -192,7 +192,7 @@ def _places(log):
 def _chance(values, counts, k):
     """Return the chance that echoes repeat value k as often as here, if they lie there no closer than below.
 
-    Of 2 n - 1 echoes besides the first of n, n - 1 lie within a step of it, all others down to the n-th below.
+    Of 2 n - 1 echoes after the first, n - 1 lie within a step of the value, all others down to the n-th below.
     """
     n, below = int(counts[k]), np.repeat(values[:k], counts[:k])
     below = below[-n:] if n > 1 else below[:0]
