@@ -7,8 +7,11 @@ import pytest
 
 from jexplore.cli import main, names
 from jexplore.config import InputError
+from jexplore.learn.settings import BOUNDS, SETTINGS
+from jexplore.learn.training import TRAINERS
 from jexplore.policies import MODIFIERS, STRATEGIES, parameters_of
 from jexplore.policies.catalogue.entries import SYNONYMS
+from jexplore.policies.learned import features, networks
 from jexplore.worlds import GENERATORS, generator_parameters
 
 OURS = [name for name, entry in STRATEGIES.items() if not entry.is_own]
@@ -39,6 +42,18 @@ def test_parameters_of_a_generator_are_read_off_its_source(name):
     assert list(read) == list(real)
     for key, value in read.items():
         assert value is names.UNREAD or value == real[key]
+
+
+@pytest.mark.parametrize("name", GENERATORS)
+def test_defaults_of_a_generator_are_let_through(name):
+    names.check_world(name)
+
+
+def test_networks_and_bounds_of_training_are_those_that_are_there():
+    assert names.keys_of("jexplore.policies.learned.networks", "NETWORKS") == tuple(networks.NETWORKS)
+    assert list(TRAINERS) == list(SETTINGS)
+    assert BOUNDS["advantage"]["tried"][1] == features.MOST
+    assert all(tuple(BOUNDS[algo]) == kind._fields for algo, kind in SETTINGS.items())
 
 
 def test_a_default_that_is_no_plain_value_is_not_guessed():
@@ -99,6 +114,34 @@ REFUSED = [
     (["bench", "--sides", "64", "8"], "sides must be an integer from 32 to 2048, got 8"),
     (["bench", "--repeat", "0"], "repeat must be an integer from 1"),
     (["train", "--rounds", "0"], "rounds must be an integer from 1"),
+    (["compare", "--worlds", "cave:free=5"], "cave: free must be a number at least 0.5 and at most 0.9, got 5"),
+    (
+        ["explore", "--world", "rooms:width_m=-1"],
+        "rooms: width_m must be a number at least 5",
+    ),
+    (["bound", "maze:width_m=9000"], "'maze': 150 x 90000 cells are more than 4096 a side"),
+    (
+        ["compare", "--worlds", "cave", "--cell-m", "0.5"],
+        "cave: cell_m must be a number at least 0.001",
+    ),
+    (
+        ["segment", "office:furniture=1", "--cell-m", "0.25"],
+        "office: furniture needs a cell_m of at most 0.2",
+    ),
+    (["trace", "--world", "course:repeat=1"], "course: repeat must be from 2 to 10, or 0 for none, got 1"),
+    (["trace", "--world", "course:obstacle=ramp"], "course: obstacle must be one of slope, stairs"),
+    (["sweep", "large.yaml"], "hospital: furniture needs a cell_m of at most 0.2, got 0.25"),
+    (["train", "--algo", "sgd"], "unknown algorithm 'sgd' (there are: es, advantage, ppo)"),
+    (
+        ["train", "--network", "linaer"],
+        "unknown network 'linaer'; did you mean 'linear'?",
+    ),
+    (["train", "--set", "pears=8"], "unknown setting of 'es': 'pears'; did you mean 'pairs'?"),
+    (["train", "--set", "pairs=0"], "pairs must be an integer from 1 to 10000, got 0"),
+    (["train", "--set", "pairs"], "expected NAME=NUMBER once in --set, got 'pairs'"),
+    (["train", "--algo", "ppo", "--set", "gae=2"], "gae must be a number at least 0 and at most 1, got 2"),
+    (["train", "--rounds", "12"], "rounds must be a multiple of check_every, 5, got 12"),
+    (["train", "--worlds", "cave", "--validation", "cave"], "'cave' is in both the training and the validation worlds"),
     (["trace", "--runs", "0"], "runs must be an integer from 1"),
     (["trace", "--start", "nan", "1", "2"], "start x must be a number"),
     (["trace", "--sweep", "votes=1.5"], "votes must be integers"),
@@ -113,6 +156,7 @@ def spec(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "spec.yaml").write_text("worlds: [cave, kave]\nstrategies: [closest]\n")
     (tmp_path / "cells.yaml").write_text("worlds: [cave]\ncell_m: [0.1, 0]\n")
+    (tmp_path / "large.yaml").write_text("worlds: ['hospital:furniture=0.5']\ncell_m: [0.1, 0.25]\n")
     (tmp_path / "twice.yaml").write_text("worlds: [cave, cave]\n")
 
 

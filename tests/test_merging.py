@@ -1,5 +1,6 @@
 """Maps without a common frame become one: by hand, laws, parts of true maps, wrong input, the command."""
 
+import collections
 import dataclasses
 import functools
 import itertools
@@ -20,11 +21,13 @@ from jexplore.cli.main import main
 from jexplore.cli.output import console
 from jexplore.config import InputError
 from jexplore.tracemap import json_form
+from jexplore.tracemap.merging import alike as alike_module
 from jexplore.tracemap.merging import evidence
+from jexplore.tracemap.merging.alike import Likeness, Likenesses, leaving_alike
 from jexplore.tracemap.merging.match import Merging, match
 from jexplore.tracemap.merging.merge import merge_maps
 from jexplore.tracemap.merging.rigid import Move, fit, mean_deg, mirrored, moved
-from jexplore.tracemap.merging.walk import Likeness, Limits, Pair
+from jexplore.tracemap.merging.walk import Limits, Pair
 from jexplore.tracemap.merging.ways import places_of
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check
 from jexplore.tracemap.similarity import code, differences
@@ -234,14 +237,82 @@ def test_links_that_leave_alike_by_hand():
         places_of(BtmMap((node(0),), tuple(stub(i, 0, bearing) for i, bearing in enumerate(bearings))))
         for bearings in ((0, 90, 180), (276, 0, 93), (0, 45, 90, 180), (0, 120, 240))
     ]
-    pair = Pair(places[0], places[1], Limits())
-    likeness = pair.alike((places[0], 0, 0), (places[1], 0, 2))  # 0 and 276, the last one counter-clockwise
+    likenesses = Likenesses(15.0, 1)
+    likeness = likenesses.likeness(places[0], 0, 0, places[1], 0, 2)  # 0 and 276, the last one counter-clockwise
     assert likeness == Likeness(pytest.approx(87.0), ((0, 2), (2, 1), (1, 0)), 0)
-    assert pair.alike((places[0], 0, 0), (places[1], 0, 0)) is None
-    extra = pair.alike((places[0], 0, 0), (places[2], 0, 0))
+    assert likenesses.likeness(places[0], 0, 0, places[1], 0, 0) is None
+    extra = likenesses.likeness(places[0], 0, 0, places[2], 0, 0)
     assert extra == Likeness(0.0, ((0, 0), (1, 2), (2, 3)), 1)
-    assert pair.alike((places[0], 0, 0), (places[3], 0, 0)) is None
-    assert Pair(*places[:2], Limits(lost=0)).alike((places[0], 0, 0), (places[2], 0, 0)) is None
+    assert likenesses.likeness(places[0], 0, 0, places[3], 0, 0) is None
+    assert Likenesses(15.0, 0).likeness(places[0], 0, 0, places[2], 0, 0) is None
+
+
+def apart_slowly(a, b):
+    return (a - b + 180.0) % 360.0 - 180.0
+
+
+def aligned_slowly(ways, others, turn_deg, entry=None):
+    """Pairs of bearings that are alike after a turn, the nearest first, and the turn: in plain loops."""
+    off = {
+        (p, q): apart_slowly(way, other + turn_deg)
+        for p, way in enumerate(ways)
+        for q, other in enumerate(others)
+        if entry is None or (p == entry[0]) == (q == entry[1])
+    }
+    found = []
+    for p, q in sorted(off, key=lambda both: abs(off[both])):
+        if abs(off[p, q]) <= 30.0 and not any(p == m or q == n for m, n in found):
+            found.append((p, q))
+    middle = 0.0
+    for both in found:
+        middle += off[both]
+    middle /= max(len(found), 1)
+    return tuple(both for both in found if abs(off[both] - middle) <= 15.0), apart_slowly(turn_deg + middle, 0.0)
+
+
+def star(bearings):
+    """Nodes with stubs that leave at these bearings, in order."""
+    stubs = [(i, angle) for i, own in enumerate(bearings) for angle in sorted(own)]
+    nodes = map(node, range(len(bearings)))
+    return places_of(BtmMap(tuple(nodes), tuple(stub(k, *one) for k, one in enumerate(stubs))))
+
+
+BEARINGS = st.lists(st.lists(st.sampled_from([*range(0, 360, 15), 44.9, 100.1]), max_size=5), min_size=1, max_size=4)
+
+
+@settings(max_examples=60)
+@given(BEARINGS, BEARINGS, st.integers(0, 2), st.integers(-180, 180))
+def test_links_that_leave_alike_as_in_plain_loops(one, other, most_lost, turn_deg):
+    parts = star(one), star(other)
+    alike = Likenesses(15.0, most_lost)
+    for first, second in itertools.product(parts, repeat=2):
+        counts = collections.Counter()
+        for a, b in itertools.product(first.ways, second.ways):
+            ways, others = ([way.bearing_deg for way in own] for own in (first.ways[a], second.ways[b]))
+            expected = aligned_slowly(ways, others, turn_deg)
+            assert leaving_alike(first.ways[a], second.ways[b], turn_deg, 15.0) == expected
+            for i, j in itertools.product(range(len(ways)), range(len(others))):
+                found, turn = aligned_slowly(ways, others, apart_slowly(ways[i], others[j]), (i, j))
+                lost = len(ways) + len(others) - 2 * len(found)
+                is_alike = (i, j) in found and lost <= most_lost
+                assert alike.likeness(first, a, i, second, b, j) == (Likeness(turn, found, lost) if is_alike else None)
+                assert alike.lost(first, a, second, b)[i][j] == (lost if is_alike else -1)
+                counts[a, i, lost] += is_alike and not (first is second and a == b)
+        for a, ways in first.ways.items():
+            for i in range(len(ways)):
+                assert alike.counts(first, a, i, second) == [counts[a, i, lost] for lost in range(most_lost + 1)]
+
+
+def test_many_places_are_compared_a_part_at_a_time(monkeypatch):
+    parts = star([(0, 90, 180), (0, 100, 180, 270)] * 3), star([(10, 100, 190)] * 4)
+
+    def tables():
+        alike = Likenesses(15.0, 1)
+        return [alike.lost(parts[0], a, parts[1], b) for a in parts[0].ways for b in parts[1].ways]
+
+    expected = tables()
+    monkeypatch.setattr(alike_module, "TOGETHER", 20)
+    assert tables() == expected
 
 
 def test_a_link_that_one_map_lacks_costs_evidence():
@@ -447,9 +518,9 @@ def slow_gain(pair, guess):
 
     total = -5.0 * len(guess.contradictions)
     for a, i, b, j in guess.entries:
-        lost = pair.alike((pair.one, a, i), (pair.other, b, j)).lost
+        lost = pair.likenesses.likeness(pair.one, a, i, pair.other, b, j).lost
         others = [dart for dart in darts if dart[:2] not in ((pair.one, a), (pair.other, b))]
-        found = [pair.alike((pair.one, a, i), dart) for dart in others]
+        found = [pair.likenesses.likeness(pair.one, a, i, *dart) for dart in others]
         alike = sum(one is not None and one.lost <= lost for one in found)
         total -= math.log((0.6 + alike) / (4 + len(others))) + 2.5 * lost
     spread = np.diag([noise2] * len(first)) + scale2 * np.outer(*2 * [[one.length_m for one, _ in first]])
@@ -496,12 +567,16 @@ def test_evidence_is_that_of_plain_loops(seed):
 
 
 def test_no_two_ends_of_ways_are_compared_again_and_again(monkeypatch):
-    calls, alike = [], Pair.alike
-    monkeypatch.setattr(Pair, "alike", lambda self, one, other: calls.append(0) or alike(self, one, other))
+    compared, own = [], alike_module._compared
+    monkeypatch.setattr(
+        alike_module,
+        "_compared",
+        lambda first, second, *how: compared.append(first.size * second.size) or own(first, second, *how),
+    )
     btm = truth_of(3)
     ends = sum(len(btm.bearings_deg(one.id)) for one in btm.nodes)
     assert match(btm, moved(btm, QUARTER)).outcome is Merging.MERGED
-    assert len(calls) < 5 * ends**2
+    assert sum(compared) <= 2 * ends**2  # of the first map with itself and with the other
 
 
 def test_who_waits_is_told():

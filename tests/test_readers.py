@@ -25,8 +25,9 @@ from jexplore.worlds.readers.grids import upright
 from jexplore.worlds.readers.images import grey, load_image, read_pixels, transparency
 from jexplore.worlds.readers.resample import count_cells, resample
 from jexplore.worlds.readers.ros import load_ros, read_ros, write_ros
+from jexplore.worlds.sides import MAX_SIDE
 from jexplore.worlds.starts import check_start, start_region
-from jexplore.worlds.world import MAX_SIDE, occupancy_to_world
+from jexplore.worlds.world import occupancy_to_world
 
 MAPS = Path(__file__).resolve().parents[2] / "shared" / "maps"
 real_maps = pytest.mark.skipif(not MAPS.is_dir(), reason="the folder shared/maps is not beside the checkout")

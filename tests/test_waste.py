@@ -51,10 +51,15 @@ def test_of_a_comparison(tmp_path, capsys):
     assert "to leftovers" in waste.waste_table(table)
     with pytest.raises(InputError, match="no ways were kept"):
         _ = jx.compare("rooms:width_m=5,height_m=5", "closest", episodes=1, lidar=small).wasted
-    options = ["--episodes", "3", "--lidar.n-beams", "31", "--lidar.range-m", "2", "--waste", "--no-report"]
+    options = ["--lidar.n-beams", "31", "--lidar.range-m", "2", "--waste", "--no-report"]
+    options += ["--out", str(tmp_path / "run")]
     command = ["compare", "--worlds", "rooms:width_m=5,height_m=5", "--strategies", "closest", "random", *options]
-    assert main.main([*command, "--out", str(tmp_path / "run")]) == 0
+    assert main.main([*command, "--episodes", "3"]) == 0
     assert "to leftovers" in capsys.readouterr().out
     again = jx.load(tmp_path / "run").to_pandas()
     np.testing.assert_allclose(again[list(waste.COLUMNS)], table[list(waste.COLUMNS)])
     assert (tmp_path / "run" / "waste.png").stat().st_size > 1000
+    assert main.main([*command, "--episodes", "5", "--resume"]) == 0  # the ways of the first three are there
+    longer = jx.load(tmp_path / "run")
+    assert (longer.resumed, len(longer.episodes)) == (6, 10)
+    np.testing.assert_allclose(longer.wasted.query("episode < 3")[list(waste.COLUMNS)], table[list(waste.COLUMNS)])

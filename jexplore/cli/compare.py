@@ -75,7 +75,7 @@ class Compare:
     league_seeds: int = 8
     """Number of worlds of each kind for the league, #0 and on."""
     waste: bool = False
-    """Also say where path is wasted: what shows nothing new, and visits to leftovers; keeps every way until then."""
+    """Also say where path is wasted: what shows nothing new, and visits to leftovers; keeps every way."""
     bounds: bool = False
     """Also find the shortest path of a robot that knows the map from each start, as `jexplore bound` does, and compare
     every path with it; writes bounds.parquet."""
@@ -297,7 +297,7 @@ def finish(
     from jexplore.studies.results import saving
 
     costs, made = ran.costs, record(**saving.entries_of(found), **saving.engine_of(ran.costs))
-    files = saving.files_of(dataclasses.replace(found, paths={}), made, more)  # without ways, which take much room
+    files = saving.files_of(found, made, more)
     out.write(files, is_finished=not costs.interrupted)
 
     try:

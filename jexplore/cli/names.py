@@ -9,6 +9,7 @@ import functools
 import importlib.machinery
 import importlib.metadata
 import importlib.util
+import itertools
 import os
 import re
 import sys
@@ -28,8 +29,10 @@ from jexplore.config import (
     unknown,
 )
 from jexplore.driving.settings import for_world, require_noise, require_tuning, robot_of
+from jexplore.learn.settings import numbers_of, require_names_apart, require_rounds, settings_of
 from jexplore.worlds import GENERATORS, known_generators, read_name
 from jexplore.worlds import names as grammar
+from jexplore.worlds.generators import bounds
 from jexplore.worlds.poses import read_polygon, read_start
 
 DIFFERENT = "worlds", "strategies", "validation"  # options whose values count once each
@@ -51,8 +54,10 @@ def check_names(command: str, options: Any) -> None:
     """
     if hasattr(options, "lanes"):
         require_engine(options.engine, options.lanes, SWEEP_ENGINES if command == "sweep" else ENGINES)
-    for option in vars(options):
+    for option in sorted(vars(options), key=lambda name: name != "cell_m"):  # which worlds are checked by
         check = CHECKS.get(f"{command} {option}") or CHECKS.get(option)
+        if check is check_world:
+            check = functools.partial(check_world, cell_m=getattr(options, "cell_m", 0.1))
         given = getattr(options, option)
         if check is None or given in (None, "", ()):
             continue
@@ -63,6 +68,8 @@ def check_names(command: str, options: Any) -> None:
             require_different(option, ones)
     if command == "trace":
         check_trace(options)
+    if command == "train":
+        check_train(options)
     if getattr(options, "engine", None) == "ray":
         require_ray()
 
@@ -87,12 +94,14 @@ def _passes(check, text):
     return True
 
 
-def check_world(name: str) -> None:
-    """Refuse an unknown world, a parameter that its generator does not take, a missing file."""
+def check_world(name: str, cell_m: float = 0.1) -> None:
+    """Refuse an unknown world, a parameter that its generator cannot use, a missing file."""
     _require_text(name)
     parsed, _ = read_name(name, _parameters_of)
     if parsed.kind != "generator":
         check_file(parsed.base)
+    elif parsed.base in GENERATORS:
+        bounds.CHECKS[parsed.base](cell_m, **{**(_parameters_of(parsed.base) or {}), **parsed.parameters})
 
 
 def _parameters_of(generator):
@@ -156,8 +165,9 @@ def check_spec(path: str) -> None:
     spec = read_spec(path)
     spec.records(*(("tuning", "noise") if spec.robots else ()))
     require_different("worlds", [os.fspath(world) for world in spec.worlds])
-    for world in spec.worlds:
-        check_world(os.fspath(world))
+    cells_m = dict.fromkeys(setting["cell_m"] for setting in spec.expanded())
+    for world, cell_m in itertools.product(spec.worlds, cells_m):
+        check_world(os.fspath(world), cell_m)
     for name, _ in () if spec.robots else spec.strategy_list():
         check_strategy(name)
 
@@ -177,6 +187,15 @@ def check_trace(options: Any) -> None:
     require_start_pose(options.start or ())
     swept_values(options.sweep, options.settings, options.seed)
     attributes_of(options.attribute)
+
+
+def check_train(options: Any) -> None:
+    """Refuse unknown ways of training, networks and settings, and validation worlds that are training worlds."""
+    if options.network not in keys_of("jexplore.policies.learned.networks", "NETWORKS"):
+        raise unknown("network", options.network, keys_of("jexplore.policies.learned.networks", "NETWORKS"))
+    settings_of(options.algo, numbers_of(options.set))
+    require_rounds(options.rounds, options.check_every)
+    require_names_apart(options.worlds or (), options.validation or ())
 
 
 CHECKS: dict[str, Callable[[Any], object]] = {
@@ -218,6 +237,17 @@ def catalogue() -> dict[str, Any]:
                 names = [ast.literal_eval(key) for key in keys if key is not None]
                 tables[name] = {own: signature(homes[maker], maker) for own, maker in zip(names, makers)}
     return tables
+
+
+@functools.cache
+def keys_of(module: str, table: str) -> tuple[str, ...]:
+    """Return the keys of a table of a module of this package."""
+    (found,) = (
+        node.value
+        for node in _tree(module).body
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.target.id == table
+    )
+    return tuple(ast.literal_eval(key) for key in found.keys)  # type: ignore[union-attr]
 
 
 @functools.cache

@@ -60,6 +60,7 @@ class Train:
         """Run the command and return the exit status, None for 0."""
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.learn import bank, training
+        from jexplore.learn.settings import numbers_of
         from jexplore.policies.learned.model import load_model
 
         with Out(self, "train") as out:
@@ -73,7 +74,7 @@ class Train:
                 self.network,
                 worlds,
                 watched,
-                _settings(self.set),
+                numbers_of(self.set),
                 rounds=self.rounds,
                 check_every=self.check_every,
                 patience=self.patience,
@@ -118,20 +119,3 @@ class Train:
             out.say_kept()
             return say("jexplore: interrupted, what was finished was written", 130)
         return 0
-
-
-def _settings(items):
-    """Parse texts `name=number` to `{name: number}`."""
-    from jexplore.config import InputError
-
-    found = {}
-    for item in items:
-        name, equals, value = item.partition("=")
-        try:
-            number = float(value)
-        except ValueError:
-            number = None
-        if not equals or number is None or name in found:
-            raise InputError(f"expected NAME=NUMBER once in --set, got {item!r}")
-        found[name] = int(number) if number.is_integer() else number
-    return found

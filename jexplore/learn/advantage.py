@@ -16,38 +16,12 @@ from jax import Array, lax
 
 from jexplore.learn.bank import REFERENCE, Bank, log_ratio
 from jexplore.learn.lessons import Asking, Lessons, give_lessons, no_lessons, together
+from jexplore.learn.settings import Advantage
 from jexplore.policies import parse_strategy
-from jexplore.policies.learned import features, networks
+from jexplore.policies.learned import networks
 from jexplore.policies.learned.model import Model
 
 KEPT = 5_000  # lessons, the latest: 2 kB each, in every check that is kept
-
-
-class Settings(NamedTuple):
-    """Numbers of the search."""
-
-    episodes: int = 20  # of a round
-    share: float = 0.1  # of the decisions that are asked about
-    tried: int = 8  # most candidates of one
-    margin_m: float = 10.0  # a rollout ends when it costs this much more than the best before it
-    stray: float = 0.1  # share of the decisions at which the robot does not follow the policy
-    steps: int = 500  # of the fit of a round
-    batch: int = 128
-    rate: float = 3e-3  # of Adam
-    delta: float = 0.1  # errors beyond it count linearly, UNIT_M
-
-
-BOUNDS = {
-    "episodes": (1, 100_000),
-    "share": (1e-6, 1.0),
-    "tried": (2, features.MOST),
-    "margin_m": (0.1, 1e6),
-    "stray": (0.0, 1.0),
-    "steps": (1, 1_000_000),
-    "batch": (1, 100_000),
-    "rate": (1e-9, 1.0),
-    "delta": (1e-6, 1e3),
-}
 
 
 class State(NamedTuple):
@@ -58,14 +32,14 @@ class State(NamedTuple):
     generation: Any  # int
 
 
-def begin(weights: Any, settings: Settings) -> State:
+def begin(weights: Any, settings: Advantage) -> State:
     """Return the state of a search that begins at some weights."""
     del settings
     return State(weights, no_lessons(), 0)
 
 
 def step(
-    state: State, network: str, bank: Bank, settings: Settings, seed: int, workers: int | None = None
+    state: State, network: str, bank: Bank, settings: Advantage, seed: int, workers: int | None = None
 ) -> tuple[State, float]:
     """Make one round. Arguments and result as of `es.step`; the ratio is that of the paths with lessons."""
     draw = np.random.default_rng([seed, int(state.generation)])

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import Lidar, Rules
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.results import path_m
 from jexplore.exploration.site import Site, drive_for, prepare_site
@@ -139,15 +139,3 @@ def prepare_bank(
         require_clearance(world, rules)
         require_memory(world, lidar, rules)
     return Bank(tuple(ready), lidar, rules, start)
-
-
-def require_apart(training: Bank, validation: Bank) -> None:
-    """Refuse validation worlds that are training worlds.
-
-    Raises:
-      InputError: naming the world.
-    """
-    names = {world.name for world in training.worlds}
-    for world in validation.worlds:
-        if world.name in names:
-            raise InputError(f"world {world.name!r} is in both the training and the validation worlds")

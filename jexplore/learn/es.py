@@ -14,28 +14,10 @@ import optax
 from jax.flatten_util import ravel_pytree
 
 from jexplore.learn.bank import Bank
+from jexplore.learn.settings import Es
 from jexplore.policies import Strategy
 from jexplore.policies.learned.model import Model
 from jexplore.policies.learned.strategy import policy_of
-
-
-class Settings(NamedTuple):
-    """Numbers of the search."""
-
-    pairs: int = 12  # antithetic pairs of a generation
-    episodes: int = 16  # worlds that each member explores
-    sigma: float = 0.15  # standard deviation of a variation
-    rate: float = 0.07  # of Adam
-    latest: float = 0.15  # share of the latest generation in the running mean
-
-
-BOUNDS = {
-    "pairs": (1, 10_000),
-    "episodes": (1, 100_000),
-    "sigma": (1e-6, 10.0),
-    "rate": (1e-6, 10.0),
-    "latest": (1e-6, 1.0),
-}
 
 
 class State(NamedTuple):
@@ -47,14 +29,14 @@ class State(NamedTuple):
     generation: Any  # int
 
 
-def begin(weights: Any, settings: Settings) -> State:
+def begin(weights: Any, settings: Es) -> State:
     """Return the state of a search that begins at some weights."""
     theta = np.asarray(ravel_pytree(weights)[0], np.float32)
     return State(weights, theta, jax.tree.map(np.asarray, optax.adam(settings.rate).init(jnp.asarray(theta))), 0)
 
 
 def step(
-    state: State, network: str, bank: Bank, settings: Settings, seed: int, workers: int | None = None
+    state: State, network: str, bank: Bank, settings: Es, seed: int, workers: int | None = None
 ) -> tuple[State, float]:
     """Make one generation.
 
@@ -62,7 +44,7 @@ def step(
       state: `State`.
       network: one of `networks.NETWORKS`.
       bank: `Bank` to draw worlds from.
-      settings: `Settings`.
+      settings: `Es`.
       seed: of the whole search.
       workers: cores; by default all.
 

@@ -17,6 +17,7 @@ from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.engine.runner import find_resources
 from jexplore.learn.bank import Bank
 from jexplore.learn.decisions import Decisions
+from jexplore.learn.settings import Ppo
 from jexplore.learn.shim import device_put_replicated, quietly
 from jexplore.policies import Strategy
 from jexplore.policies.learned import features, networks
@@ -24,37 +25,6 @@ from jexplore.policies.learned.model import Model
 from jexplore.policies.learned.strategy import policy_of
 
 CHECKED = 20  # episodes by which a round is judged
-
-
-class Settings(NamedTuple):
-    """Numbers of the search."""
-
-    decisions: int = 16_384  # of a round, at least; a round is traced anew, and compiled if it never was
-    lanes: int = 16  # episodes at a time
-    starts: int = 16  # of the bank, in each world
-    unroll: int = 16  # decisions of a lane that an advantage is estimated from
-    minibatches: int = 4
-    updates: int = 4  # passes over what was seen
-    rate: float = 3e-4  # of Adam
-    entropy: float = 1e-3
-    sharpness: float = 10.0  # ratio of logits and scores
-    gae: float = 0.95  # lambda of the advantages; nothing is discounted
-    clip: float = 0.2
-
-
-BOUNDS = {
-    "decisions": (1, 10**9),
-    "lanes": (1, 4096),
-    "starts": (1, 10_000),
-    "unroll": (1, 4096),
-    "minibatches": (1, 4096),
-    "updates": (1, 1000),
-    "rate": (1e-9, 1.0),
-    "entropy": (0.0, 10.0),
-    "sharpness": (1e-3, 1e4),
-    "gae": (0.0, 1.0),
-    "clip": (1e-3, 1.0),
-}
 
 
 class State(NamedTuple):
@@ -80,7 +50,7 @@ class Value(nn.Module):
         return nn.Dense(1)(nn.relu(nn.Dense(self.width)(both)))[..., 0]
 
 
-def check(bank: Bank, settings: Settings) -> None:
+def check(bank: Bank, settings: Ppo) -> None:
     """Refuse settings that brax or `Decisions` would refuse.
 
     Raises:
@@ -95,7 +65,7 @@ def check(bank: Bank, settings: Settings) -> None:
         raise InputError(f"lanes must be a multiple of {devices}, the number of devices, got {settings.lanes}")
 
 
-def begin(weights: Any, settings: Settings) -> State:
+def begin(weights: Any, settings: Ppo) -> State:
     """Return the state of a search that begins at some weights."""
     del settings
     blank = jnp.zeros((features.MOST, len(features.NAMES))), jnp.zeros(features.MOST, bool)
@@ -106,7 +76,7 @@ def begin(weights: Any, settings: Settings) -> State:
 
 @pinned_draws()
 def step(
-    state: State, network: str, bank: Bank, settings: Settings, seed: int, workers: int | None = None
+    state: State, network: str, bank: Bank, settings: Ppo, seed: int, workers: int | None = None
 ) -> tuple[State, float]:
     """Make one round of brax's `ppo.train`, from the weights of the last, with new moments of the optimiser.
 

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 import numpy as np
 
-from jexplore.config import InputError, checked_names, require_number, require_setting, require_whole, unknown
+from jexplore.config import InputError, checked_names, require_setting
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.learn import advantage, es, ppo
-from jexplore.learn.bank import FAILED, TRAINING, VALIDATION, Bank, prepare_bank, require_apart
+from jexplore.learn.bank import FAILED, TRAINING, VALIDATION, Bank, prepare_bank
+from jexplore.learn.settings import require_names_apart, require_rounds, settings_of
 from jexplore.policies import Strategy
 from jexplore.policies.learned import features, networks
 from jexplore.policies.learned.model import Model, is_finite, load_model, require_sound, write_page, write_weights
@@ -44,19 +45,17 @@ ratio of the present weights on the validation worlds, where they were checked."
 class Trainer(NamedTuple):
     """A way of training as pure functions of its state, a pytree of arrays of which `weights` are the model's."""
 
-    settings: type  # NamedTuple of numbers, with defaults
-    bounds: Mapping[str, tuple[Any, Any]]  # of each of them, inclusive
     begin: Callable[[Any, Any], Any]  # (weights, settings) -> state
     step: Callable[..., tuple[Any, float]]  # see `es.step`
     check: Callable[[Bank, Any], None] = lambda bank, settings: None  # refuses, with an InputError, what cannot be used
 
 
 TRAINERS: dict[str, Trainer] = {
-    "es": Trainer(es.Settings, es.BOUNDS, es.begin, es.step),
-    "advantage": Trainer(advantage.Settings, advantage.BOUNDS, advantage.begin, advantage.step),
-    "ppo": Trainer(ppo.Settings, ppo.BOUNDS, ppo.begin, ppo.step, ppo.check),
+    "es": Trainer(es.begin, es.step),
+    "advantage": Trainer(advantage.begin, advantage.step),
+    "ppo": Trainer(ppo.begin, ppo.step, ppo.check),
 }
-"""Name -> how."""
+"""Name -> how; its settings are those of `settings.SETTINGS`."""
 
 
 class Plan(NamedTuple):
@@ -139,16 +138,12 @@ def prepare_training(
       InputError: an unknown algorithm, network or setting, a number out of range, a world on both sides, a model of
         another network.
     """
-    if algo not in TRAINERS:
-        raise unknown("algorithm", algo, TRAINERS)
+    numbers = settings_of(algo, settings)
     networks.network(network)
-    numbers = _numbers(algo, settings)
-    require_apart(training, validation)
+    require_names_apart((world.name for world in training.worlds), (world.name for world in validation.worlds))
     TRAINERS[algo].check(training, numbers)
     seed, rounds = require_setting("seed", seed), require_setting("rounds", rounds)
-    check_every = min(require_setting("check_every", check_every), rounds)
-    if rounds % check_every:
-        raise InputError(f"rounds must be a multiple of check_every, {check_every}, got {rounds}")
+    check_every = require_rounds(rounds, require_setting("check_every", check_every))
     return Plan(
         algo,
         network,
@@ -162,22 +157,6 @@ def prepare_training(
         seed,
         _beginning(network, model, seed),
     )
-
-
-def _numbers(algo, settings):
-    """Check the settings of a trainer."""
-    known, bounds = TRAINERS[algo].settings(), TRAINERS[algo].bounds
-    found = {}
-    for key, value in settings.items():
-        if key not in known._fields:
-            raise unknown(f"setting of {algo!r}:", key, known._fields)
-        low, high = bounds[key]
-        if isinstance(getattr(known, key), int):
-            found[key] = require_whole(key, value, low, high)
-        else:
-            require_number(key, value, low=low, high=high)
-            found[key] = float(value)
-    return known._replace(**found)
 
 
 @pinned_draws()

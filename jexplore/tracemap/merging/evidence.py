@@ -1,6 +1,5 @@
 """Evidence for a guess about two maps: log likelihood of one place against two that look alike."""
 
-import collections
 import math
 from collections.abc import Callable, Iterable
 
@@ -33,7 +32,7 @@ class Evidence:
         self._wide = _Usual([way.width_m for way in ways], _as_wide)
         self._open = _Usual([way.opening_m for part in both for own in part.ways.values() for way in own], _as_wide)
         self._steep = _Usual([node.inclination_deg for part in both for node in part.nodes.values()], _as_steep)
-        self._alike = {}
+        self._alike = {}  # place of the first map and way -> ends of both maps that look like it, by ways lost
 
     @property
     def tries(self) -> float:
@@ -62,29 +61,15 @@ class Evidence:
 
     def _node(self, a, i, b, j):
         """Return the evidence of a node that looks alike, by how many others would as well."""
-        pair = self.pair
-        likeness = pair.alike((pair.one, a, i), (pair.other, b, j))
-        lost = likeness.lost if likeness else 0
-        found, at = self._found(a, i)
-        alike = sum(count for other, count in found.items() if other <= lost) - sum(one <= lost for one in at[b])
+        pair, likenesses = self.pair, self.pair.likenesses
+        at = likenesses.lost(pair.one, a, pair.other, b)[i]
+        lost = max(at[j], 0)
+        if (a, i) not in self._alike:
+            found = (likenesses.counts(pair.one, a, i, part) for part in (pair.one, pair.other))
+            self._alike[a, i] = [sum(both) for both in zip(*found)]
+        alike = sum(self._alike[a, i][: lost + 1]) - sum(0 <= one <= lost for one in at)
         others = self._ends - len(pair.one.ways[a]) - len(pair.other.ways[b])
         return -math.log((PRIOR * ALIKE + alike) / (PRIOR + others)) - LOST * lost
-
-    def _found(self, a, i):
-        """Count the places like one of the first map by the number of missing exits, and by place of the second."""
-        if (a, i) not in self._alike:
-            pair, found, at = self.pair, collections.Counter(), collections.defaultdict(list)
-            for part in (pair.one, pair.other):
-                for b in pair.rivals(pair.one, a, part):
-                    if part is pair.one and b == a:
-                        continue
-                    likenesses = (pair.alike((pair.one, a, i), (part, b, j)) for j in range(len(part.ways[b])))
-                    lost = [likeness.lost for likeness in likenesses if likeness]
-                    found.update(lost)
-                    if part is pair.other:
-                        at[b] = lost
-            self._alike[a, i] = found, at
-        return self._alike[a, i]
 
     def _as_long(self, length, other):
         return _bell(length - other, math.sqrt(self._noise2 + self._scale2 * other**2))

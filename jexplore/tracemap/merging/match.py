@@ -72,14 +72,15 @@ def match(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_commo
       min_common: least number of nodes in common.
     """
     pair, evidence, found = _weighed(one, other, limits or Limits())
-    if not found:
+    best = next(found, None)
+    if best is None:
         return Match(Merging.NOT_ENOUGH_IN_COMMON, {}, (), (), (), Move(), -math.inf, math.inf)
-    best, *rest = found
-    margin = best.gain - next((c.gain for c in rest if not _together(best, c, other, pair.limits)), -math.inf)
+    rivals, rest = itertools.tee(found)
+    margin = best.gain - next((c.gain for c in rivals if not _together(best, c, other, pair.limits)), -math.inf)
     worth = best.gain - evidence.tries
     if best.guess.contradictions:
-        reflected = [candidate.gain for candidate in _weighed(one, mirrored(other), pair.limits)[2]]
-        margin = min(margin, 0.0 if max(reflected, default=-math.inf) > best.gain + MARGIN else math.inf)
+        reflected = next(_weighed(one, mirrored(other), pair.limits)[2], None)
+        margin = min(margin, 0.0 if reflected is not None and reflected.gain > best.gain + MARGIN else math.inf)
     parts = _parts(best, rest, other, pair.limits)
     nodes = {b: a for part in parts for b, a in part.nodes.items()}
     if len(nodes) < min_common or worth < EVIDENCE:
@@ -101,15 +102,26 @@ def match(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_commo
 
 
 def _weighed(one, other, limits):
-    """Return the pair, its evidence, and its weighed guesses, the best first: a list of `_Candidate`."""
+    """Return the pair, its evidence, and an iterator over what drift allows, the best `_Candidate` first."""
     pair = Pair(places_of(one), places_of(other), limits)
-    evidence, found, places = Evidence(pair), [], (_places(one), _places(other))
-    for guess in pair.guesses():
+    evidence = Evidence(pair)
+    weighed = [(evidence.gain(guess), *guess.entries[0]) for guess in pair.guesses()]
+    weighed.sort(key=lambda entry: -entry[0])
+    return pair, evidence, _allowed(pair, weighed, _places(one), _places(other))
+
+
+def _allowed(pair, weighed, onto, points):
+    """Yield, in order, the guesses `(gain, *first entry)` whose places lie as near as drift allows.
+
+    They are grown once more: few are asked for, and all together would take much memory.
+    """
+    limits = pair.limits
+    for gain, *entry in weighed:
+        guess = pair.grown(*entry)
         nodes = {b: a for a, b in guess.places.items()} | _same_stops(guess, limits)
-        move = _move(*places, guess, nodes, limits)
+        move = _move(onto, points, guess, nodes, limits)
         if move is not None:
-            found.append(_Candidate(guess, evidence.gain(guess), nodes, move))
-    return pair, evidence, sorted(found, key=lambda candidate: -candidate.gain)
+            yield _Candidate(guess, gain, nodes, move)
 
 
 def _links(way, match):

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from jexplore.tracemap.record import BtmMap, direction_deg
 
@@ -26,8 +27,8 @@ class Move:
         return Move(x_m, y_m, direction_deg(self.turn_deg + first.turn_deg))
 
 
-def apart_deg(a: float, b: float) -> float:
-    """Return the angle from bearing `b` to bearing `a`, degrees in [-180, 180)."""
+def apart_deg(a: Any, b: Any) -> Any:
+    """Return the angle from bearing `b` to bearing `a`, numbers or arrays, degrees in [-180, 180)."""
     return (a - b + 180.0) % 360.0 - 180.0
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from jexplore.config import Settings, checked_names, require_number, require_whole
+from jexplore.tracemap.merging.alike import Likeness, Likenesses, leaving_alike
 from jexplore.tracemap.merging.rigid import apart_deg
 from jexplore.tracemap.merging.ways import Places, Way
 
@@ -45,18 +46,6 @@ class Limits(Settings):
         return 2 * self.length_m + (2 * self.length_share + walk) * away_m
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Likeness:
-    """Two places that look alike."""
-
-    turn_deg: float
-    """Direction in the first map less direction in the second, there, degrees."""
-    ways: tuple[tuple[int, int], ...]
-    """Ways of the first and of the second that leave alike."""
-    lost: int
-    """Ways that only one of them has."""
-
-
 @dataclasses.dataclass(slots=True)
 class Guess:
     """Correspondence of places of two maps."""
@@ -80,73 +69,21 @@ class Pair:
 
     def __init__(self, one: Places, other: Places, limits: Limits) -> None:
         self.one, self.other, self.limits = one, other, limits
-        self._alike, self._rivals = {}, {}
-
-    def rivals(self, part: Places, a: int, other: Places) -> list[int]:
-        """Return places of a map that may look like a place: of its type and obstacle, with about as many ways."""
-        node, n = part.nodes[a], len(part.ways[a])
-        key = (id(other), node.type, node.obstacle, n)
-        if key not in self._rivals:
-            self._rivals[key] = [
-                b
-                for b, ways in other.ways.items()
-                if (other.nodes[b].type, other.nodes[b].obstacle) == key[1:3] and abs(len(ways) - n) <= self.limits.lost
-            ]
-        return self._rivals[key]
-
-    def alike(self, one: tuple[Places, int, int], other: tuple[Places, int, int]) -> Likeness | None:
-        """Compare two places, each entered by one of its ways `(map, place, way)`; None if they do not look alike.
-
-        Both need the same type and obstacle, and ways that leave at the same angles. A way that only one has, as where
-        a robot took a niche for a passage, is lost; more than `limits.lost` are too many.
-        """
-        key = (id(one[0]), *one[1:], id(other[0]), *other[1:])
-        if key not in self._alike:
-            self._alike[key] = self._compared(*one, *other)
-        return self._alike[key]
-
-    def _compared(self, one, a, i, other, b, j):
-        first, second, ways, others = one.nodes[a], other.nodes[b], one.ways[a], other.ways[b]
-        if (first.type, first.obstacle) != (second.type, second.obstacle):
-            return None
-        if abs(len(ways) - len(others)) > self.limits.lost:
-            return None
-        turn_deg = apart_deg(ways[i].bearing_deg, others[j].bearing_deg)
-        found, turn_deg = self.aligned(ways, others, turn_deg, (i, j))
-        lost = len(ways) + len(others) - 2 * len(found)
-        return Likeness(turn_deg, found, lost) if (i, j) in found and lost <= self.limits.lost else None
+        self.likenesses = Likenesses(limits.angle_deg, limits.lost)
 
     def aligned(
-        self, ways: Sequence[Way], others: Sequence[Way], turn_deg: float, entry: tuple[int, int] | None = None
+        self, ways: Sequence[Way], others: Sequence[Way], turn_deg: float
     ) -> tuple[tuple[tuple[int, int], ...], float]:
-        """Return ways of two places that leave alike, with the second turned, and the turn that suits them best.
-
-        Args:
-          ways, others: of the places.
-          turn_deg: degrees.
-          entry: two that are no others', whatever leaves nearer to them.
-        """
-        off = {
-            (p, q): apart_deg(way.bearing_deg, other.bearing_deg + turn_deg)
-            for p, way in enumerate(ways)
-            for q, other in enumerate(others)
-            if entry is None or (p == entry[0]) == (q == entry[1])
-        }
-        found = []
-        for p, q in sorted(off, key=lambda both: abs(off[both])):
-            if abs(off[p, q]) <= 2 * self.limits.angle_deg and not any(p == m or q == n for m, n in found):
-                found.append((p, q))
-        middle = sum(off[both] for both in found) / max(len(found), 1)
-        found = tuple(both for both in found if abs(off[both] - middle) <= self.limits.angle_deg)
-        return found, apart_deg(turn_deg + middle, 0.0)
+        """Return ways of two places that leave alike, see `leaving_alike`."""
+        return leaving_alike(ways, others, turn_deg, self.limits.angle_deg)
 
     def guesses(self) -> Iterator[Guess]:
         """Yield all guesses, each once: from every pair of places that look alike, in every turn."""
         seen = set()
-        for a, ways in self.one.ways.items():
-            for b in self.rivals(self.one, a, self.other):
-                for i, j in itertools.product(range(len(ways)), range(len(self.other.ways[b]))):
-                    if (a, i, b, j) not in seen and self.alike((self.one, a, i), (self.other, b, j)):
+        for a, b in itertools.product(self.one.ways, self.other.ways):
+            for i, row in enumerate(self.likenesses.lost(self.one, a, self.other, b)):
+                for j, lost in enumerate(row):
+                    if lost >= 0 and (a, i, b, j) not in seen:
                         guess = self.grown(a, i, b, j)
                         seen.update((p, m, q, n) for p, q in guess.places.items() for m, n in guess.alike[p].ways)
                         yield guess
@@ -174,7 +111,7 @@ class Pair:
 
     def _enter(self, guess, a, i, b, j, turn_deg=0.0, limit_deg=180.0):
         """Match two places if they look alike, with the second turned by `turn_deg`; return whether they do."""
-        alike = self.alike((self.one, a, i), (self.other, b, j))
+        alike = self.likenesses.likeness(self.one, a, i, self.other, b, j)
         if alike is None or abs(apart_deg(alike.turn_deg, turn_deg)) > limit_deg:
             return False
         guess.places[a], guess.others[b], guess.alike[a] = b, a, alike

@@ -5,8 +5,8 @@ import math
 import numpy as np
 from scipy import ndimage
 
-from jexplore.config import require_number
-from jexplore.worlds.generators.draft import CLEARANCE_M, random_stream, require_size
+from jexplore.worlds.generators import bounds
+from jexplore.worlds.generators.draft import CLEARANCE_M, random_stream
 from jexplore.worlds.starts import clear_cells, label_components
 from jexplore.worlds.world import World
 
@@ -47,10 +47,7 @@ def cave(
     Raises:
       InputError: a parameter out of range, or a size below 6 m or 6 passages.
     """
-    require_number("cave: free", free, low=0.5, high=0.9)
-    require_number("cave: passage_m", passage_m, low=0.8, high=100)
-    low = max(6.0, 6 * passage_m)
-    require_size("cave", cell_m, width_m, height_m, (low, low))
+    bounds.cave(cell_m, width_m=width_m, height_m=height_m, free=free, passage_m=passage_m)
     rng = random_stream(seed, _KIND)
     waves = _draw_waves(rng)
     rocks = _place_rocks(rng, (width_m, height_m), waves, free, 1.25 * passage_m)

@@ -1,14 +1,13 @@
 """A course for trace maps: passages, a slope, junctions and a hall, with its true topology."""
 
-from jexplore.config import InputError, require_number, require_whole
+from jexplore.worlds.generators import bounds
+from jexplore.worlds.generators.bounds import OBSTACLES
 from jexplore.worlds.generators.course_map import render
 from jexplore.worlds.generators.draft import random_stream
 from jexplore.worlds.generators.network import network
 from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, Route, drawn_width, fifths
 from jexplore.worlds.world import World
 
-OBSTACLES = {"slope": 3, "stairs": 4, "platform": 2, "sill": 1, "cross-slope": 2, "none": 0}
-"""Name -> places that become nodes: the stairs have a landing."""
 _KIND = 6
 _START_M = 1.5  # from the wall behind the start
 _TRIES = 60
@@ -73,8 +72,8 @@ def course(
     Source:
       Mano et al. 2009, Autonomous generation of Behavioral Trace Maps using rescue robots.
     """
-    _require(cell_m, width_m, obstacle, riser_m)
-    _require_network(loops, repeat, furniture, dead_ends)
+    kinds = {"obstacle": obstacle, "riser_m": riser_m, "furniture": furniture, "dead_ends": dead_ends}
+    bounds.course(cell_m, width_m=width_m, loops=loops, repeat=repeat, **kinds)
     rng, creases = random_stream(seed, _KIND), OBSTACLES[obstacle]
     if loops or repeat:
         plan = network(rng if seed else None, width_m, creases, loops, repeat, dead_ends)
@@ -83,28 +82,6 @@ def course(
     if furniture:
         _furnish(rng, plan)
     return render(plan, cell_m, obstacle, riser_m)
-
-
-def _require(cell_m, width_m, obstacle, riser_m):
-    require_number("course: cell_m", cell_m, low=0.001, high=0.2)
-    require_number("course: width_m", width_m, low=1.2, high=3.0)
-    require_number("course: riser_m", riser_m, low=0.01, high=0.3)
-    if obstacle not in OBSTACLES:
-        raise InputError(f"course: obstacle must be one of {', '.join(OBSTACLES)}, got {obstacle!r}")
-
-
-def _require_network(loops, repeat, furniture, dead_ends):
-    for name, value in (("furniture", furniture), ("dead_ends", dead_ends)):
-        if not isinstance(value, bool):
-            raise InputError(f"course: {name} must be true or false, got {value!r}")
-    require_whole("course: loops", loops, 0, 3)
-    require_whole("course: repeat", repeat, 0, 10)
-    if repeat == 1:
-        raise InputError("course: repeat must be from 2 to 10, or 0 for none, got 1")
-    if furniture and (loops or repeat):
-        raise InputError("course: furniture must be false where there are loops or repeat, got true")
-    if repeat and not dead_ends:
-        raise InputError("course: dead_ends must be true with repeat, whose side passages are dead ends, got false")
 
 
 def _paper(width_m, creases):

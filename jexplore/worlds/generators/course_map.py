@@ -13,7 +13,8 @@ from jexplore.tracemap.rooted import topology_from
 from jexplore.worlds.generators.draft import to_cells
 from jexplore.worlds.generators.network import Network
 from jexplore.worlds.generators.route import MARGIN_M, RAMP_M, Route, largest_circle
-from jexplore.worlds.world import Course, World, require_side
+from jexplore.worlds.sides import require_side
+from jexplore.worlds.world import Course, World
 
 TREAD_M = 0.30
 SILL_M = 0.2

@@ -12,12 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jexplore.config import InputError, require_number
+from jexplore.config import InputError
 from jexplore.grid import radius_d2
-from jexplore.worlds.world import World, require_side
+from jexplore.worlds.world import World
 
 CLEARANCE_M = 0.30  # every door lets a robot through that needs this much, centre to centre
-MAX_CELL_M = 0.3  # a wall is at least one cell thick: above this, small rooms would be lost in their walls
 WALL_M = 0.15
 OUTER_M = 0.3
 
@@ -42,31 +41,6 @@ def random_stream(seed: int, kind: int) -> np.random.Generator:
     if seed < 0:
         raise InputError(f"seed must be an integer from 0, got {seed}")
     return np.random.default_rng([seed, kind])
-
-
-def require_size(
-    kind: str, cell_m: float, width_m: float, height_m: float, low: tuple[float, float]
-) -> tuple[int, int]:
-    """Refuse a size that a generator cannot draw.
-
-    Args:
-      kind: name of the generator, for the message.
-      cell_m: edge of a cell, metres.
-      width_m, height_m: outer size, metres.
-      low: the smallest width and height, metres.
-
-    Returns:
-      `(rows, cols)`, cells.
-
-    Raises:
-      InputError: not numbers, too small to hold the layout, or more than `MAX_SIDE` cells a side.
-    """
-    require_number(f"{kind}: cell_m", cell_m, low=0.001, high=MAX_CELL_M)
-    require_number(f"{kind}: width_m", width_m, low=low[0], high=1e4)
-    require_number(f"{kind}: height_m", height_m, low=low[1], high=1e4)
-    rows, cols = (math.ceil(side / cell_m - 1e-6) for side in (height_m, width_m))
-    require_side(kind, rows, cols)
-    return rows, cols
 
 
 def passable_cells(cell_m: float) -> int:

@@ -1,6 +1,6 @@
 """A hospital wing: a ward round a core with the nurses' station, a hall, and a treatment wing."""
 
-from jexplore.config import require_number
+from jexplore.worlds.generators import bounds
 from jexplore.worlds.generators.draft import (
     FloorPlan,
     bands,
@@ -8,14 +8,12 @@ from jexplore.worlds.generators.draft import (
     cut,
     n_corridors,
     random_stream,
-    require_size,
 )
 from jexplore.worlds.generators.furniture import furnish
 from jexplore.worlds.generators.variants import (
     corridor_widths,
     limit_loops,
     narrow_corridors,
-    require_variants,
     widen_openings,
 )
 from jexplore.worlds.world import World
@@ -60,11 +58,9 @@ def hospital(
     Raises:
       InputError: a parameter out of range, or a size below 32 x 11 m.
     """
-    require_number("hospital: corridor_m", corridor_m, low=1.8, high=3.5)
-    require_number("hospital: room_m", room_m, low=3.4, high=7)
-    require_size("hospital", cell_m, width_m, height_m, (32.0, 11.0))
-    require_number("hospital: corridor_sd_m", corridor_sd_m, high=1)
-    require_variants("hospital", seed, cell_m, furniture=furniture, wide_openings=wide_openings, max_loops=max_loops)
+    variants = {"furniture": furniture, "wide_openings": wide_openings, "max_loops": max_loops}
+    sizes = {"width_m": width_m, "height_m": height_m, "corridor_m": corridor_m, "room_m": room_m}
+    bounds.hospital(cell_m, corridor_sd_m=corridor_sd_m, **sizes, **variants)
     rng = random_stream(seed, _KIND)
     plan = FloorPlan(width_m, height_m)
     widths = corridor_widths(seed, _KIND, n_corridors(height_m), corridor_m, corridor_sd_m)

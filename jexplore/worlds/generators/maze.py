@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jexplore.config import InputError, require_number
-from jexplore.worlds.generators.draft import passable_cells, random_stream, require_size, wall_span
+from jexplore.config import InputError
+from jexplore.worlds.generators import bounds
+from jexplore.worlds.generators.draft import passable_cells, random_stream, wall_span
 from jexplore.worlds.world import World
 
 _KIND = 4
@@ -43,11 +44,8 @@ def maze(
     Raises:
       InputError: a parameter out of range, a size below 2 x 2 corridors, or corridors that no robot passes.
     """
-    require_number("maze: corridor_m", corridor_m, low=0.8, high=100)
-    require_number("maze: wall_m", wall_m, low=0.01, high=10)
-    require_number("maze: loops", loops, high=1)
-    low = 2 * corridor_m + 3 * wall_m
-    rows, cols = require_size("maze", cell_m, width_m, height_m, (low, low))
+    sizes = {"corridor_m": corridor_m, "wall_m": wall_m}
+    rows, cols = bounds.maze(cell_m, width_m=width_m, height_m=height_m, loops=loops, **sizes)
     shape, spans = [], []
     for side_m in (height_m, width_m):
         n = int((side_m - wall_m + 1e-6) // (corridor_m + wall_m))

@@ -2,7 +2,7 @@
 
 import itertools
 
-from jexplore.config import require_number
+from jexplore.worlds.generators import bounds
 from jexplore.worlds.generators.draft import (
     FloorPlan,
     bands,
@@ -10,14 +10,12 @@ from jexplore.worlds.generators.draft import (
     cut,
     n_corridors,
     random_stream,
-    require_size,
 )
 from jexplore.worlds.generators.furniture import furnish
 from jexplore.worlds.generators.variants import (
     corridor_widths,
     limit_loops,
     narrow_corridors,
-    require_variants,
     widen_openings,
 )
 from jexplore.worlds.world import World
@@ -62,11 +60,9 @@ def office(
     Raises:
       InputError: a parameter out of range, or a size below 14 x 9 m.
     """
-    require_number("office: corridor_m", corridor_m, low=1.5, high=3)
-    require_number("office: room_m", room_m, low=2.6, high=6)
-    require_size("office", cell_m, width_m, height_m, (14.0, 9.0))
-    require_number("office: corridor_sd_m", corridor_sd_m, high=1)
-    require_variants("office", seed, cell_m, furniture=furniture, wide_openings=wide_openings, max_loops=max_loops)
+    variants = {"furniture": furniture, "wide_openings": wide_openings, "max_loops": max_loops}
+    sizes = {"width_m": width_m, "height_m": height_m, "corridor_m": corridor_m, "room_m": room_m}
+    bounds.office(cell_m, corridor_sd_m=corridor_sd_m, **sizes, **variants)
     rng = random_stream(seed, _KIND)
     plan = FloorPlan(width_m, height_m)
     widths = corridor_widths(seed, _KIND, n_corridors(height_m), corridor_m, corridor_sd_m)

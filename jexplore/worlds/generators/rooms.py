@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from jexplore.config import require_number
-from jexplore.worlds.generators.draft import FloorPlan, random_stream, require_size
+from jexplore.worlds.generators import bounds
+from jexplore.worlds.generators.draft import FloorPlan, random_stream
 from jexplore.worlds.generators.furniture import furnish
-from jexplore.worlds.generators.variants import limit_loops, require_variants, widen_openings
+from jexplore.worlds.generators.variants import limit_loops, widen_openings
 from jexplore.worlds.world import World
 
 _KIND = 5
@@ -46,10 +46,9 @@ def rooms(
     Raises:
       InputError: a parameter out of range, or a size below two rooms a side.
     """
-    require_number("rooms: room_m", room_m, low=2.0, high=100)
-    require_number("rooms: extra_doors", extra_doors, high=1)
-    require_size("rooms", cell_m, width_m, height_m, (2 * room_m, 2 * room_m))
-    require_variants("rooms", seed, cell_m, furniture=furniture, wide_openings=wide_openings, max_loops=max_loops)
+    variants = {"furniture": furniture, "wide_openings": wide_openings, "max_loops": max_loops}
+    sizes = {"width_m": width_m, "height_m": height_m, "room_m": room_m}
+    bounds.rooms(cell_m, extra_doors=extra_doors, **sizes, **variants)
     rng = random_stream(seed, _KIND)
     plan = FloorPlan(width_m, height_m)
     todo = [(0.0, 0.0, width_m, height_m)]

@@ -5,11 +5,9 @@ Each is drawn from a random stream of its own, so that a building without it sta
 
 import numpy as np
 
-from jexplore.config import InputError, require_number
-from jexplore.worlds.generators.draft import MAX_CELL_M, WALL_M, Door, FloorPlan, random_stream
+from jexplore.worlds.generators.bounds import MAX_LOOPS
+from jexplore.worlds.generators.draft import WALL_M, Door, FloorPlan
 
-MAX_LOOPS = 1000.0  # ways round a 1000 m2: more than any building has
-FURNISHED_CELL_M = 0.2  # a leg takes a whole cell: in larger ones furniture would bar the way
 _OPENING_M = (1.6, 2.6)
 _JAMB_M = 0.25  # of wall that remains on both sides of an opening
 _SHAFT_M = (1.2, 6.0)  # least and greatest length of what narrows a corridor
@@ -22,29 +20,6 @@ _OPENINGS, _LOOPS, _WIDTHS, _NICHES = 101, 102, 103, 104  # random streams
 def stream(seed: int, kind: int, use: int, *more: int) -> np.random.Generator:
     """Return the generator of a seed for one use, apart from those that draw the building."""
     return np.random.default_rng([int(seed), kind, use, *more])
-
-
-def require_variants(
-    kind: str, seed: int, cell_m: float, *, furniture: float, wide_openings: float, max_loops: float
-) -> None:
-    """Refuse shares and numbers out of range.
-
-    Args:
-      kind: name of the generator, for the message.
-      seed: as `draft.random_stream`.
-      cell_m: edge of a cell, metres.
-      furniture, wide_openings: shares, 0 to 1.
-      max_loops: ways round a 1000 m2, 0 to `MAX_LOOPS`.
-
-    Raises:
-      InputError: one of them is out of range, or there is furniture in cells over `FURNISHED_CELL_M`.
-    """
-    random_stream(seed, 0)
-    require_number(f"{kind}: furniture", furniture, high=1)
-    require_number(f"{kind}: wide_openings", wide_openings, high=1)
-    require_number(f"{kind}: max_loops", max_loops, high=MAX_LOOPS)
-    if furniture > 0 and FURNISHED_CELL_M < cell_m <= MAX_CELL_M:
-        raise InputError(f"{kind}: furniture needs a cell_m of at most {FURNISHED_CELL_M:g}, got {cell_m:g}")
 
 
 def corridor_widths(seed: int, kind: int, n: int, corridor_m: float, sd_m: float) -> list[float]:

@@ -27,6 +27,7 @@ _LONGEST = re.compile(r"(robot|laser)_(front_?)?laser_?1?_max(_?range)?")
 _SAME = 0.999  # of the largest reading: a SICK's nine codes, 8183 to 8191, lie closer together
 _PLACE_M = 0.1  # readings of one value that end in one square of this size count once: a robot may stand still
 _OFTEN = 5  # times the median count of a value; the largest echo of scans recorded in five buildings stays within it
+_CHANCE = 1e-6  # that echoes repeat the largest value so often; low, for those of one wall are no independent draws
 
 
 @checked_names
@@ -45,7 +46,8 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
         gives signs of: what `ROBOTLASER1` lines say; for `FLASER` the last `PARAM robot_front_laser_max`, without one
         80, and 8 if no reading is above 8.2, as a SICK in its mode of millimetres has it; and the largest reading,
         where it ends in more than 5 times as many places as a reading does in the median, and in more than 5 where
-        there is no other.
+        there is no other; or where echoes that lie no closer than those below it would repeat it as often by a chance
+        of less than one in a million, neighbouring beams counted once.
 
     Returns:
       `ScanLog`, scans in the order of the file. Readings of inf, NaN and below 0 stay as they are.
@@ -150,28 +152,56 @@ def _longest(ranges, longest_m, said_m):
 
 
 def _found(path, log):
-    """Estimate the same from the readings: the largest range, if too many places of the map would lie that far away."""
-    echo, angle = log.echo, log.poses[:, 2:] + log.angles_rad
-    values, which = np.unique(log.ranges[echo], return_inverse=True)
-    tips = (log.poses[:, None, k] + np.where(echo, log.ranges, 0) * of(angle) for k, of in enumerate((np.cos, np.sin)))
-    x, y = (np.floor(tip[echo] / _PLACE_M).astype(np.int64) for tip in tips)
-    order = np.lexsort([x, y, which])
-    new = np.diff(np.stack([which, x, y])[:, order], prepend=-(2**62)).any(axis=0)
-    places = np.bincount(which[order][new], minlength=len(values))
+    """Estimate the same from the readings: the largest range, if echoes would not repeat it as often."""
+    values, places, walls = _places(log)
     top = values >= _SAME * values.max(initial=0)
     usual = 1 if top.all() else np.median(places[~top])
-    often = values[top & (places > _OFTEN * usual)]
+    rare = np.array([is_top and _chance(values, walls, k) < _CHANCE for k, is_top in enumerate(top)], bool)
+    often = values[(top & (places > _OFTEN * usual)) | rare]
     if not often.size:
         return log.max_range_m
     found_m = float(often[0])
     warnings.warn(
-        f"{path!r}: {(log.ranges[echo] >= found_m).sum()} of its {echo.sum()} readings are {found_m:g} m or little "
-        "more, the largest and far more than are equal elsewhere, and count as no echo; if they are walls, append "
-        f":max_range_m={log.max_range_m:g}",
+        f"{path!r}: {(log.ranges[log.echo] >= found_m).sum()} of its {log.echo.sum()} readings are {found_m:g} m or "
+        "little more, the largest and far more than are equal elsewhere, and count as no echo; if they are walls, "
+        f"append :max_range_m={log.max_range_m:g}",
         InputWarning,
         stacklevel=3,
     )
     return found_m
+
+
+def _places(log):
+    """Return the different readings below the longest range, ascending, and how many places each was measured of.
+
+    The last array counts neighbouring beams of one value, as a wall across the way gives them, once.
+    """
+    echo, angle = log.echo, log.poses[:, 2:] + log.angles_rad
+    values, which = np.unique(log.ranges[echo], return_inverse=True)
+    tips = (log.poses[:, None, k] + np.where(echo, log.ranges, 0) * of(angle) for k, of in enumerate((np.cos, np.sin)))
+    x, y = (np.floor(tip[echo] / _PLACE_M).astype(np.int64) for tip in tips)
+    is_first = np.insert(log.ranges[:, 1:] != log.ranges[:, :-1], 0, True, axis=1)[echo]
+
+    def counted(some):
+        cells = np.unique(np.stack([which, x, y])[:, some], axis=1)[0]
+        return np.bincount(cells, minlength=len(values))
+
+    return values, counted(np.ones(len(which), bool)), counted(is_first)
+
+
+def _chance(values, counts, k):
+    """Return the chance that echoes repeat value k as often as here, if they lie there no closer than below.
+
+    Of 2 n - 1 echoes after the first, n - 1 lie within a step of the value, all others down to the n-th below.
+    """
+    n, below = int(counts[k]), np.repeat(values[:k], counts[:k])
+    below = below[-n:] if n > 1 else below[:0]
+    if not below.size:
+        return 1.0
+    step_m, m = np.diff(values).min(), len(below)
+    share = step_m / (values[k] - below[0] + step_m)
+    ways = math.lgamma(n + m) - math.lgamma(n) - math.lgamma(m + 1)
+    return math.exp(min(ways + (n - 1) * math.log(share), 0.0))
 
 
 def _flaser(where, words):

@@ -9,7 +9,8 @@ import numpy as np
 from jexplore.arrays.files import read_text
 from jexplore.config import InputError
 from jexplore.worlds.readers.resample import resample
-from jexplore.worlds.world import World, require_side
+from jexplore.worlds.sides import require_side
+from jexplore.worlds.world import World
 
 FREE, BLOCKED = ".GS", "@OTW"  # ground, ground, swamp; out of bounds twice, trees, water
 _MAX_BYTES = 128 * 2**20

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from jexplore.config import InputError
-from jexplore.worlds.world import require_side
+from jexplore.worlds.sides import require_side
 
 LEAST_PIXEL_M, MOST_PIXEL_M = 1e-4, 1e6  # a scale beyond these is a slip of the pen
 _SLIVER = 1e-6  # an overlap of less than this part of a pixel, or of a cell at the far edge, is rounding
@@ -36,7 +36,7 @@ def resample(occupied: np.ndarray, pixel_m: tuple[float, float], cell_m: float, 
       `[H, W]` bool.
 
     Raises:
-      InputError: more than `world.MAX_SIDE` cells a side, or pixels beyond all measure; nothing has been allocated
+      InputError: more than `sides.MAX_SIDE` cells a side, or pixels beyond all measure; nothing has been allocated
         then.
     """
     if not LEAST_PIXEL_M <= min(pixel_m) <= max(pixel_m) <= MOST_PIXEL_M:
