@@ -1,4 +1,4 @@
-"""Planning's kernels in native code beside those in JAX: equal bits, under vmap, and nothing to differentiate."""
+"""Planning's kernels in native code against those in JAX: equal bits, under vmap, and nothing to differentiate."""
 
 import dataclasses
 import math

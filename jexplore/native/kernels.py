@@ -12,7 +12,7 @@ from jax import Array
 
 EVERY = 2**30  # more unknown cells than any look shows
 KERNELS = ("drive", "field", "clusters", "lay", "look", "apart")
-"""What a library has, as `jexplore_NAME`."""
+"""The kernels of the library, `jexplore_NAME`."""
 
 
 def numbers(values: Sequence[Any]) -> Array:
