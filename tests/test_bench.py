@@ -53,7 +53,7 @@ def test_files_and_tables(ran, report):
     assert sorted(path.name for path in out.iterdir()) == ["bench.json", "bench.png", "run.json"]
     with Image.open(out / "bench.png") as image:
         image.verify()
-    for title in ("Kernels:", "Episodes by batch size:", "Episodes by map size:", "Where an episode's", "Programs:"):
+    for title in ("Kernels:", "Episodes by batch size:", "Episodes by map size:", "Programs:"):
         assert title in said
     assert "| NO |" not in said
     assert {"jexplore", "jax", "device", "cpu", "cores"} <= set(report["environment"])
@@ -73,7 +73,10 @@ def test_every_kernel_gives_the_references_answer(report):
         assert row["references"]
         assert row["equal"] is True, row["kernel"]
         assert row["cpu_us"]["median"] >= row["cpu_us"]["min"] > 0
-        assert row["k"] == pytest.approx(row["floor_us"] / row["us"])
+        if row["kernel"] == "plan":
+            assert row["k"] is row["floor_us"] is None
+        else:
+            assert row["k"] == pytest.approx(row["floor_us"] / row["us"])
         assert row["compile_s"] > 0
     assert [row.get("side") for row in report["kernels"]] == [None] * 3 + [32] * 5
 
@@ -106,14 +109,6 @@ def test_lanes_and_native_driving_are_measured_as_well(monkeypatch):
     assert 0 < lanes["useful"] <= 1
     assert lanes["episodes"] == 4
     assert lanes["lane_bytes_estimate"] > 0
-
-
-def test_shares_are_of_one_whole(report):
-    (row,) = report["shares"]
-    assert sum(row["shares"].values()) == pytest.approx(1)
-    assert set(row["call_us"]) == {"ranges", "map update", "plan", "masks and distance", "reachability"}
-    assert all(value > 0 for value in row["call_us"].values())
-    assert row["scans"] > row["plans"] > 0
 
 
 @pytest.mark.parametrize(
@@ -258,7 +253,6 @@ def test_pictures_have_logarithmic_axes(report):
     axes = plots.figure(report).axes
     assert [(ax.get_xscale(), ax.get_yscale()) for ax in axes[:3]] == [("log", "log")] * 3
     assert len(axes[2].lines) == 5
-    assert len(axes[3].patches) == 6
 
 
 @pytest.mark.parametrize(

@@ -101,7 +101,7 @@ def test_a_map_from_the_beginning_is_for_a_cpu():
     world = jx.load_world(ROOMS)
     known = np.where(np.arange(world.shape[1]) < 5, world.occupied, -1).astype(np.int8)
     parts = runs.parts_of(world.replace(known=known), episodes.NEAREST, LIDAR, RULES, recheck=False)
-    place = episodes.World(episodes.load().loaded, *parts)
+    place = episodes.World(episodes.load(emulator=True).loaded, *parts)
     tasks = place.tasks(np.array([[3, 3, 0]]), 0, np.zeros(1, np.int32))
     assert place.emulate(tasks, views=False) is None
 
@@ -113,7 +113,7 @@ def test_a_gpu_runs_what_it_can_and_the_cpu_the_rest(monkeypatch):
     asked = []
 
     def play(loaded, spec, given, tasks, stop):
-        place = episodes.World(episodes.load().loaded, spec, given)
+        place = episodes.World(episodes.load(emulator=True).loaded, spec, given)
         own = np.concatenate([place.tasks(t["start"][None], t["seed"], t["draw"][None]) for t in tasks])
         results = place.emulate(own, views=False)
         results[2] = 0

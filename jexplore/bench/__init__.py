@@ -1,4 +1,4 @@
-"""Measurements: kernels, whole episodes by both engines, an episode's parts, memory, compiling.
+"""Measurements: kernels, whole episodes by both engines, memory, compiling.
 
 `prepare_bench` refuses invalid requests, `run_bench` measures, `tables.tables` and `plots.figure` show the results.
 """
@@ -13,7 +13,7 @@ from typing import Any
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
-from jexplore.bench import beliefs, engines, kernels, plans, rates, shares
+from jexplore.bench import beliefs, engines, kernels, plans, rates
 from jexplore.bench.engines import LIDAR, RULES
 from jexplore.bench.timing import one_core, speed_clock, surroundings
 from jexplore.config import ENGINES, InputError, require_engine, require_setting
@@ -52,9 +52,7 @@ class Agenda:
     @property
     def total(self) -> int:
         """Return the number of measurements that `run_bench` reports one by one."""
-        n_kernels = 1 + len(self.sized)
-        n_episodes = (len(self.worlds) + len(self.sized)) * len(self.strategies)
-        return n_kernels + n_episodes + len(self.worlds) * len(self.strategies)
+        return 1 + len(self.sized) + (len(self.worlds) + len(self.sized)) * len(self.strategies)
 
 
 def sized_name(side: int) -> tuple[str, float]:
@@ -159,7 +157,7 @@ def run_bench(
       The report: dicts and lists that JSON can hold.
     """
     report: dict[str, Any] = {"environment": surroundings(), "settings": _settings(plan, cache)}
-    report |= {"kernels": [], "batches": [], "sides": [], "shares": []}
+    report |= {"kernels": [], "batches": [], "sides": []}
     compiler, done = engines.Compiler(), 0
 
     def one_more():
@@ -169,7 +167,8 @@ def run_bench(
 
     with _compiling(cache):
         _episodes(plan, compiler, report, one_more)
-        _parts(plan, compiler, report, one_more)
+        _along(plan, compiler, report)
+        one_more()
         for side, world in zip(plan.sides, plan.sized):
             made = (kernels.measure_kernel(kernel, plan.repeat) for kernel in kernels.whole_map(world))
             report["kernels"] += [{**row, "side": side} for row in made]
@@ -212,14 +211,8 @@ def _episodes(plan: Agenda, compiler, report, one_more):
         one_more()
 
 
-def _parts(plan, compiler, report, one_more):
-    """Measure kernels along an episode of `closest` in the first world and, on a CPU, shares of every episode."""
+def _along(plan, compiler, report):
+    """Measure kernels along an episode of `closest` in the first world."""
     seen = beliefs.record(compiler, plan.worlds[0], parse_strategy("closest+recheck"))
     report["kernels"] += [kernels.measure_kernel(kernel, plan.repeat) for kernel in kernels.scans(seen)]
-    report["kernels"].append(plans.measure_nearest(seen, shares.cells_of(seen.beliefs), plan.repeat))
-    one_more()
-    for world, strategy in itertools.product(plan.worlds, plan.strategies):
-        if jax.default_backend() == "cpu":
-            seen = beliefs.record(compiler, world, strategy)
-            report["shares"].append(shares.measure_shares(compiler, seen, strategy, plan.repeat))
-        one_more()
+    report["kernels"].append(plans.measure_nearest(seen, plan.repeat))

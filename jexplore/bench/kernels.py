@@ -108,7 +108,7 @@ def row_of(
 ) -> dict[str, Any]:
     """Return a kernel's entry of the report."""
     median = statistics.median(ours[speed_clock()])
-    floor_us = 1e6 * floor_s(work)
+    floor_us = 1e6 * floor_s(work) or None
     return {
         "kernel": name,
         "on": on,
@@ -130,7 +130,7 @@ def row_of(
         "equal": all(bool(equal) for _, equal, _ in references),
         "work": work._asdict(),
         "floor_us": floor_us,
-        "k": floor_us / median,
+        "k": floor_us and floor_us / median,
     }
 
 

@@ -13,7 +13,7 @@ from jexplore import planning
 from jexplore.bench import oracles
 from jexplore.bench.beliefs import Recording, record
 from jexplore.bench.engines import Compiler
-from jexplore.bench.kernels import BELIEF_BYTES, NEVER, microseconds, row_of
+from jexplore.bench.kernels import NEVER, microseconds, row_of
 from jexplore.bench.rates import Effort
 from jexplore.bench.timing import compiled, interleaved, speed_clock
 from jexplore.engine.draws import random_key
@@ -126,12 +126,11 @@ def _judged(belief):
     return oracles.masks(hits, misses, driven, exhausted, inside, row, col, **numbers)
 
 
-def measure_nearest(recording: Recording, cells: float, repeat: int) -> dict[str, Any]:
+def measure_nearest(recording: Recording, repeat: int) -> dict[str, Any]:
     """Time the nearest frontier and the route to it at every plan of an episode: a dict for the report.
 
     Args:
       recording: `Recording` of a strategy that goes there.
-      cells: cells that a plan looks at, on average.
       repeat: turns.
     """
     beliefs = recording.beliefs
@@ -165,5 +164,5 @@ def measure_nearest(recording: Recording, cells: float, repeat: int) -> dict[str
     times = microseconds(interleaved(tasks, repeat), units)
     reference = "masks given, Dijkstra up to the first frontier, numba", equal, times.get("other")
     on = f"{recording.world.name}, {len(beliefs)} plans"
-    return row_of("plan", on, recording.world.shape, took, times[""], [reference],
-                Effort(bytes=BELIEF_BYTES * cells))  # fmt: skip
+    work = Effort()  # how much of the map a plan reads is not known
+    return row_of("plan", on, recording.world.shape, took, times[""], [reference], work)

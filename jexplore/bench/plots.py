@@ -7,7 +7,6 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from jexplore.bench.shares import PARTS
 from jexplore.report.plot import PALETTE, wrapped
 
 MARKERS = "osD^vP*X<>"
@@ -43,26 +42,10 @@ def _draw(ax, lines, title, x_label, y_label):
         ax.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
-def _stack(ax, rows):
-    """Draw shares of time as stacked bars; a negative part is not drawn."""
-    names = [wrapped(f"{row['world'].rpartition('/')[2]}, {row['strategy']}", 24, max_lines=2) for row in rows]
-    left = [0.0] * len(rows)
-    for part, colour in zip(PARTS, PALETTE):
-        widths = [max(0.0, row["shares"][part]) for row in rows]
-        ax.barh(names, widths, left=left, color=colour, label=part, height=0.6)
-        left = [a + b for a, b in zip(left, widths)]
-    ax.invert_yaxis()
-    ax.set_title("where an episode's time goes, one core", fontsize=10)
-    ax.set_xlabel("share of the episode's time")
-    ax.tick_params(axis="y", labelsize=7)
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-
-
 def figure(report: Mapping[str, Any]) -> Figure:
     """Draw the report as a matplotlib `Figure`."""
-    figure = Figure(figsize=(13, 8), layout="constrained")
-    ((by_batch, by_side), (by_kernel, by_part)) = figure.subplots(2, 2)
+    figure = Figure(figsize=(9, 11), layout="constrained")
+    by_batch, by_side, by_kernel = figure.subplots(3)
 
     def case(row):
         return f"{row['world'].rpartition('/')[2]}, {row['strategy']}, {row['engine']}"
@@ -77,8 +60,4 @@ def figure(report: Mapping[str, Any]) -> Figure:
     rows = [row for row in report["kernels"] if "side" in row]
     lines = _lines(rows, lambda row: row["side"], lambda row: row["us"], lambda row: row["kernel"])
     _draw(by_kernel, lines, "whole-map kernels by map size", "cells a side", "µs")
-    if report["shares"]:
-        _stack(by_part, report["shares"])
-    else:
-        by_part.set_visible(False)
     return figure

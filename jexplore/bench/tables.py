@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from jexplore.bench.shares import PARTS
 from jexplore.report.tables import aligned_table
 
 MIB = 2**20
@@ -81,16 +80,6 @@ def episodes(rows: Iterable[Mapping[str, Any]]) -> str:
     ])  # fmt: skip
 
 
-def shares(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Tabulate the shares of an episode's time: a row each."""
-    header = ["world", "strategy", "ms", "scans", "plans", *PARTS]
-    return markdown(header, [
-        [row["world"].rpartition("/")[2], row["strategy"], 1e3 * row["episode_s"], row["scans"], row["plans"],
-         *(percent(row["shares"][part]) for part in PARTS)]
-        for row in rows
-    ])  # fmt: skip
-
-
 def programs(rows: Iterable[Mapping[str, Any]]) -> str:
     """Compile times, a row for each program."""
     header = ["level", "first for", "strategy", "padded", "lanes", "trace s", "compile s", "CPU s", "temporary MiB"]
@@ -108,7 +97,6 @@ def tables(report: Mapping[str, Any]) -> str:
         ("Kernels", kernels(report["kernels"])),
         ("Episodes by batch size", episodes(report["batches"])),
         ("Episodes by map size", episodes(report["sides"])),
-        ("Where an episode's time goes", shares(report["shares"]) if report["shares"] else ""),
         ("Programs", programs(report["programs"])),
     ]
     return "\n\n".join(f"{title}:\n\n{text}" for title, text in parts if text)

@@ -12,9 +12,9 @@ from jexplore.cli.output.terminal import show_table
 class Bench:
     """Measure kernels, episodes and memory on this machine.
 
-    Kernels compared with other libraries, episodes by batch size and by map size, an episode's parts, memory,
-    compiling. Runs on one core, or on the first accelerator. Prints Markdown tables and writes bench.json, bench.png
-    and run.json. A quiet machine gives good figures.
+    Kernels compared with other libraries, episodes by batch size and by map size, memory, compiling. Runs on one core,
+    or on the first accelerator. Prints Markdown tables and writes bench.json, bench.png and run.json. A quiet machine
+    gives good figures.
     """
 
     worlds: OwnNames = None

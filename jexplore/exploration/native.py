@@ -114,6 +114,7 @@ class NativeRun:
     keeps: int  # number of the one of which map and way are kept whole
     keep: str | None  # one of `trail.RECORDS`
     turn: int = 0
+    n_done: int = 0  # episodes that have come back
     records: dict[int, Record] = dataclasses.field(default_factory=dict)
     final: Final | None = None
     levels: set[str] = dataclasses.field(default_factory=set)  # what has run some of them: `ON_GPU`, `ON_CPU`
@@ -140,7 +141,7 @@ class NativeRun:
     @property
     def is_done(self) -> bool:
         """Return whether all episodes have come back."""
-        return not self.left.size
+        return self.n_done == len(self.which)
 
     @property
     def has_some(self) -> bool:
@@ -164,6 +165,7 @@ class NativeRun:
         if ended.any():
             self.levels.add(level)
         self.table[numbers[ended]] = found.results[ended]
+        self.n_done += int(ended.sum())
         if found.paths is None:  # not asked for, or all given up
             return
         ring, shape, width = ring_of(self.world.occupied), self.place.shape, self.place.shape[1]
@@ -274,7 +276,7 @@ def play_all(
             if on_run is not None and i not in told and run.is_done:
                 told.add(i)
                 on_run(i)
-        on_progress(sum(len(run.which) - len(run.left) for run in runs))
+        on_progress(sum(run.n_done for run in runs))
 
     def give_up():
         stop[0] = 1

@@ -5,7 +5,9 @@
 #include <new>
 
 #include "bytes.h"
+#ifdef JEXPLORE_EMULATE
 #include "warp_host.h"
+#endif
 
 namespace jexplore {
 namespace {
@@ -139,6 +141,7 @@ int64_t Show(const World& world, const Replay& script) {
   return log.next;
 }
 
+#ifdef JEXPLORE_EMULATE
 // Episodes as a warp runs them, its lanes one after the other; `with_views`: scans by views, not by beams.
 template <class Cell>
 void Emulate(HostWorld& host, Result* results, bool with_views) {
@@ -162,6 +165,7 @@ void Emulate(HostWorld& host, Result* results, bool with_views) {
     episode.Run(host.tasks[i], host.is_stuck[i]);
   }
 }
+#endif
 
 }  // namespace
 }  // namespace jexplore
@@ -189,6 +193,7 @@ int jexplore_goals(void* world_, Task* tasks, int64_t n) try {
   return 1;
 }
 
+#ifdef JEXPLORE_EMULATE
 // Runs episodes as a GPU does. 0, 1 without memory, 2 in a world that does not suit.
 int jexplore_emulate(const void* world_, const Batch* batch, int with_views) try {
   const World& world = *static_cast<const World*>(world_);
@@ -199,6 +204,7 @@ int jexplore_emulate(const void* world_, const Batch* batch, int with_views) try
 } catch (const std::exception&) {
   return 1;
 }
+#endif
 
 // Shows a recorded episode once more: how many of its places it came to. -1 without memory.
 int64_t jexplore_replay(const void* world_, const Replay* script) try {

@@ -10,9 +10,8 @@ from jexplore.config import Lidar
 from jexplore.native.beams import Beams, trace_beams
 from jexplore.native.build import FOLDER, Library, load_library
 
-SOURCES = tuple(
-    FOLDER / name for name in ("cpu.cc", "bytes.h", "paths.h", "warp_host.h", "warp.h", "world.h", "rules.h")
-)
+SOURCES = tuple(FOLDER / name for name in ("cpu.cc", "bytes.h", "paths.h", "world.h", "rules.h"))
+EMULATED = (*SOURCES, FOLDER / "warp_host.h", FOLDER / "warp.h")
 NEAREST, UNIFORM = 0, 1  # how a target is chosen
 RESULT = 222  # int32 of `exploration.state.Result`
 _PLANS, _OUTCOME = 4, 6  # places in it
@@ -86,11 +85,13 @@ class Played(NamedTuple):
     choices: np.ndarray | None  # [plans + 1, 2] int32, its plans (`trail.Choices`), and what they ended with
 
 
-def load() -> Library:
-    """Return the library, built if need be."""
-    found = load_library(SOURCES, check=check)
+def load(*, emulator: bool = False) -> Library:
+    """Return the library, built if need be; on request one that can also run episodes as a GPU does."""
+    found = load_library(EMULATED, ("-DJEXPLORE_EMULATE",), check) if emulator else load_library(SOURCES, check=check)
     if found.loaded is not None:
         _declare(found.loaded)
+        if emulator:
+            found.loaded.jexplore_emulate.argtypes = [c_void_p, POINTER(_Batch), c_int]
     return found
 
 
@@ -99,7 +100,6 @@ def _declare(loaded):
     loaded.jexplore_forget_world.argtypes = loaded.jexplore_free.argtypes = [c_void_p]
     loaded.jexplore_goals.argtypes = [c_void_p, c_void_p, c_int64]
     loaded.jexplore_replay.argtypes, loaded.jexplore_replay.restype = [c_void_p, POINTER(_Replay)], c_int64
-    loaded.jexplore_emulate.argtypes = [c_void_p, POINTER(_Batch), c_int]
     loaded.jexplore_episodes.argtypes = [c_void_p, POINTER(_Batch)]
 
 
@@ -191,7 +191,7 @@ class World:
         """Run episodes as a warp of a GPU does, on the CPU: `[n, RESULT]` int32; an outcome of 0 was given up.
 
         Args:
-          tasks: `[n]` of `TASK`.
+          tasks: `[n]` of `TASK`, of a world in the library with the emulator.
           views: whether scans are looked up.
 
         Returns:

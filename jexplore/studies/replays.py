@@ -1,7 +1,7 @@
 """Replays for a page: episodes that have been run, as frames."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +13,9 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.native import show_episode
+from jexplore.exploration.replay import Moment, moments
 from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Outcome
-from jexplore.exploration.stops import stops
 from jexplore.exploration.trail import Final
 from jexplore.grid import is_free, is_occupied
 from jexplore.planning import field
@@ -115,19 +115,30 @@ def _seen(world, strategy, final, start, seed, number, lidar, rules, shown, engi
         if seen is not None:
             return tuple(changes_of(iter(seen[0]))), 45 * seen[1]
     headings, site = [], prepare_site(world, lidar, rules)
-    found = stops(site, strategy, start, seed, number, final, shown)
+    found = before_leaving(moments(site, strategy, start, seed, number, final.plans), shown)
     return tuple(changes_of(_images(world, strategy, found, headings))), headings
 
 
+def before_leaving(found: Iterable[Moment], shown: Iterable[int]) -> Iterator[Moment]:
+    """Yield the last moment at each of some places; `shown` are the steps made before, ascending."""
+    left, last = list(shown), None
+    for moment in found:
+        while last is not None and left and left[0] < moment.step:
+            yield last
+            left.pop(0)
+        last = moment
+    yield from [last for _ in left if last is not None]
+
+
 def _images(world, strategy, found, headings):
-    """Yield the codes of all cells at some stops; note the robot's heading there."""
+    """Yield the codes of all cells at some moments; note the robot's heading there."""
     ring = ring_of(world.occupied)
-    for stop in found:
-        codes = np.array(_codes(stop.belief))
+    for moment in found:
+        codes = np.array(_codes(moment.belief))
         if _has_own_room(strategy):
             params = strategy.policy.params._replace(inner=())
-            codes += np.uint8(OWN_ROOM) * np.asarray(_own_room(params, stop.belief))
-        headings.append(45 * stop.heading)
+            codes += np.uint8(OWN_ROOM) * np.asarray(_own_room(params, moment.belief))
+        headings.append(45 * moment.heading)
         yield within(codes, world.shape, ring)
 
 
