@@ -12,6 +12,7 @@ import jexplore as jx
 from jexplore.cli import main
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.learn import bank, training
+from jexplore.learn.settings import SETTINGS
 from jexplore.policies import parse_strategy
 from jexplore.policies.learned import model
 from jexplore.report.folders import claimed
@@ -232,6 +233,6 @@ def test_models_that_training_cannot_begin_at(tmp_path):
 
 def test_lanes_and_worlds_that_ppo_cannot_have():
     mixed = bank.prepare_bank([jx.load_world(SMALL[0]), jx.load_world(SMALL[1], cell_m=0.2)])
-    settings = training.TRAINERS["ppo"].settings()
+    settings = SETTINGS["ppo"]()
     with pytest.raises(InputError, match=r"cells of one size, got 0\.1 and 0\.2 m"):
         training.TRAINERS["ppo"].check(mixed, settings)
