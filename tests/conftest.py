@@ -130,7 +130,7 @@ def forgetful():
     """Libraries are looked for anew, and warnings said again; afterwards as well."""
     from jexplore.native import build
 
-    caches = build.build_library, build.warn_once
+    caches = build.build_library, build.told
     for cache in caches:
         cache.cache_clear()
     yield

@@ -226,7 +226,7 @@ def test_without_a_compiler_jax_runs_and_says_so_once(monkeypatch, tmp_path):
     want = run_jobs([job], LIDAR, RULES, engine="jax").outcomes[0].result
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CXX", raising=False)
-    build.warn_once.cache_clear()
+    build.told.cache_clear()
     with pytest.warns(InputWarning, match=r"^no C\+\+ compiler was found") as told:
         report = run_jobs([job], LIDAR, RULES)
     assert len(told) == 1

@@ -38,12 +38,20 @@ class Library(NamedTuple):
 
 
 @functools.cache
+def told(instead: str) -> list[str]:
+    """Return the reasons that have been given for one way to do without a library."""
+    return []
+
+
 def warn_once(why_not: str, instead: str = "JAX does without native code") -> None:
-    """Warn, once in a process, why there is no library.
+    """Warn why there is no library; only of the first where several are missing.
 
     Warns:
       InputWarning: saying so in a line.
     """
+    if told(instead):
+        return
+    told(instead).append(why_not)
     warnings.warn(f"{why_not}: {instead}, with the same results", InputWarning, stacklevel=3)
 
 
