@@ -16,9 +16,9 @@ from jexplore.studies.traces.tracing import Traced as Traced
 from jexplore.studies.traces.tracing import trace as trace
 from jexplore.tracemap.corrected import correct_map as correct_map
 from jexplore.tracemap.json_form import read_btm as read_btm
+from jexplore.tracemap.merging.limits import Limits as Limits
 from jexplore.tracemap.merging.match import Merging as Merging
 from jexplore.tracemap.merging.merge import Merged as Merged
 from jexplore.tracemap.merging.merge import merge_maps as merge_maps
-from jexplore.tracemap.merging.walk import Limits as Limits
 from jexplore.tracemap.record import BtmMap as BtmMap
 from jexplore.tracemap.route import Route as Route

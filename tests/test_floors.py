@@ -37,8 +37,11 @@ SCREEN = 60  # lines of a function
 
 
 def room_of(parts):
-    """Return the room of a module: its folder; a top-level module's own name; the kernels together."""
-    return "kernels" if parts[0] in KERNELS else parts[0]
+    """Return the room of a module: its folder; a top-level module's own name; the kernels together.
+
+    Calls of native kernels stand with the kernels that make them.
+    """
+    return "kernels" if parts[0] in KERNELS or list(parts) == ["native", "kernels"] else parts[0]
 
 
 def name_of(path):

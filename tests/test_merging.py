@@ -24,10 +24,11 @@ from jexplore.tracemap import json_form
 from jexplore.tracemap.merging import alike as alike_module
 from jexplore.tracemap.merging import evidence
 from jexplore.tracemap.merging.alike import Likeness, Likenesses, leaving_alike
+from jexplore.tracemap.merging.limits import Limits
 from jexplore.tracemap.merging.match import Merging, match
 from jexplore.tracemap.merging.merge import merge_maps
 from jexplore.tracemap.merging.rigid import Move, fit, mean_deg, mirrored, moved
-from jexplore.tracemap.merging.walk import Limits, Pair
+from jexplore.tracemap.merging.walk import Pair
 from jexplore.tracemap.merging.ways import places_of
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check
 from jexplore.tracemap.similarity import code, differences

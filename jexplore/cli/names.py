@@ -30,9 +30,8 @@ from jexplore.config import (
 )
 from jexplore.driving.settings import for_world, require_noise, require_tuning, robot_of
 from jexplore.learn.settings import numbers_of, require_names_apart, require_rounds, settings_of
-from jexplore.worlds import GENERATORS, known_generators, read_name
+from jexplore.worlds import GENERATORS, bounds, known_generators, read_name
 from jexplore.worlds import names as grammar
-from jexplore.worlds.generators import bounds
 from jexplore.worlds.poses import read_polygon, read_start
 
 DIFFERENT = "worlds", "strategies", "validation"  # options whose values count once each

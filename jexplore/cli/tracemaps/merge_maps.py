@@ -10,7 +10,7 @@ from jexplore.cli.output.console import say
 from jexplore.cli.output.terminal import show_line, show_table
 from jexplore.cli.tracemaps.files import Files, Names, comparing, file_out, names_of, require_once
 from jexplore.config import InputError
-from jexplore.tracemap.merging.walk import Limits
+from jexplore.tracemap.merging.limits import Limits
 
 REFUSED = 1  # exit status of maps that do not become one
 

@@ -11,7 +11,7 @@ from jexplore.report.tables import aligned_table, interval_text, number_text, p_
 from jexplore.studies.statistics.aggregate import aggregates
 from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds
 from jexplore.studies.statistics.paired import holm, safe_exp
-from jexplore.worlds.generators.bounds import FURNISHED_CELL_M
+from jexplore.worlds.bounds import FURNISHED_CELL_M
 
 if TYPE_CHECKING:
     import pandas as pd

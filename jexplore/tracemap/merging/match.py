@@ -6,9 +6,10 @@ import itertools
 import math
 
 from jexplore.tracemap.merging.evidence import Evidence
+from jexplore.tracemap.merging.limits import Limits
 from jexplore.tracemap.merging.neighbours import with_neighbours
 from jexplore.tracemap.merging.rigid import Move, apart_deg, fit, mean_deg, mirrored
-from jexplore.tracemap.merging.walk import Guess, Limits, Pair
+from jexplore.tracemap.merging.walk import Guess, Pair
 from jexplore.tracemap.merging.ways import Way, places_of
 from jexplore.tracemap.record import BtmMap
 

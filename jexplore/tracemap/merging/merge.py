@@ -9,9 +9,9 @@ from typing import Any
 from jexplore.config import InputError, as_record, checked_names, require_kind, require_whole, shown
 from jexplore.tracemap.merging import notes
 from jexplore.tracemap.merging.join import FROM, join
+from jexplore.tracemap.merging.limits import Limits
 from jexplore.tracemap.merging.match import Match, Merging, match
 from jexplore.tracemap.merging.rigid import Move
-from jexplore.tracemap.merging.walk import Limits
 from jexplore.tracemap.record import BtmMap, check, require_near
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy import ndimage
 
-from jexplore.worlds.generators import bounds
+from jexplore.worlds import bounds
 from jexplore.worlds.generators.draft import CLEARANCE_M, random_stream
 from jexplore.worlds.starts import clear_cells, label_components
 from jexplore.worlds.world import World

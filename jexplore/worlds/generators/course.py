@@ -1,7 +1,7 @@
 """A course for trace maps: passages, a slope, junctions and a hall, with its true topology."""
 
-from jexplore.worlds.generators import bounds
-from jexplore.worlds.generators.bounds import OBSTACLES
+from jexplore.worlds import bounds
+from jexplore.worlds.bounds import OBSTACLES
 from jexplore.worlds.generators.course_map import render
 from jexplore.worlds.generators.draft import random_stream
 from jexplore.worlds.generators.network import network

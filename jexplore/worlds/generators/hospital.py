@@ -1,6 +1,6 @@
 """A hospital wing: a ward round a core with the nurses' station, a hall, and a treatment wing."""
 
-from jexplore.worlds.generators import bounds
+from jexplore.worlds import bounds
 from jexplore.worlds.generators.draft import (
     FloorPlan,
     bands,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jexplore.config import InputError
-from jexplore.worlds.generators import bounds
+from jexplore.worlds import bounds
 from jexplore.worlds.generators.draft import passable_cells, random_stream, wall_span
 from jexplore.worlds.world import World
 

@@ -2,7 +2,7 @@
 
 import itertools
 
-from jexplore.worlds.generators import bounds
+from jexplore.worlds import bounds
 from jexplore.worlds.generators.draft import (
     FloorPlan,
     bands,

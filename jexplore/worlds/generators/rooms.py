@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from jexplore.worlds.generators import bounds
+from jexplore.worlds import bounds
 from jexplore.worlds.generators.draft import FloorPlan, random_stream
 from jexplore.worlds.generators.furniture import furnish
 from jexplore.worlds.generators.variants import limit_loops, widen_openings

@@ -5,7 +5,7 @@ Each is drawn from a random stream of its own, so that a building without it sta
 
 import numpy as np
 
-from jexplore.worlds.generators.bounds import MAX_LOOPS
+from jexplore.worlds.bounds import MAX_LOOPS
 from jexplore.worlds.generators.draft import WALL_M, Door, FloorPlan
 
 _OPENING_M = (1.6, 2.6)
