@@ -179,11 +179,23 @@ def test_few_readings_without_echo_far_above_all_others(tmp_path):
     assert read_carmen(write(tmp_path, *hall_lines("9.98"))).max_range_m == 80  # echoes are as close to each other
 
 
+def test_one_reading_of_more_decimals_makes_no_echo_disappear(tmp_path):
+    """Readings to the centimetre, evenly spread; one of them has seven decimals."""
+    draw, lines = np.random.default_rng(0), []
+    for i in range(120):
+        words = [f"{reading:.2f}" for reading in draw.uniform(0.3, 7.5, 181)]
+        words[50] += "00001" if i == 3 else ""
+        x, y, heading = draw.uniform(0, 100, 3)
+        lines.append(f"FLASER 181 {' '.join(words)} {f'{x} {y} {heading} ' * 2}1 host 1")
+    assert read_carmen(write(tmp_path, *lines)).echo.all()
+
+
 def test_what_chance_gives_echoes_by_pencil():
     """Steps of 0.01 m. Of five echoes besides the first of three at 3 m, two lie there, of the others all above 2 m."""
-    values, counts = np.array([1.0, 1.99, 2.0, 2.5, 3.0]), np.array([9, 1, 1, 2, 3])
-    assert carmen._chance(values, counts, 4) == pytest.approx(10 * (0.01 / 1.01) ** 2)
-    assert carmen._chance(values, np.array([9, 1, 1, 2, 1]), 4) == 1  # one says nothing
+    values = np.array([1.0, 1.95, 1.96, 1.97, 1.98, 1.99, 2.0, 2.5, 3.0])
+    counts = np.array([9, 1, 1, 1, 1, 1, 1, 2, 3])
+    assert carmen._chance(values, counts, 8) == pytest.approx(10 * (0.01 / 1.01) ** 2)
+    assert carmen._chance(values, np.array([9, 1, 1, 1, 1, 1, 1, 2, 1]), 8) == 1  # one says nothing
     assert carmen._chance(values, counts, 0) == 1
 
 

@@ -15,11 +15,10 @@ from jexplore.arrays.padding import within
 from jexplore.exploration.state import Result, State
 from jexplore.grid import is_free, is_occupied
 from jexplore.planning import Choice
-from jexplore.reach import HEADING, MOTIONS, NO_MOTION
+from jexplore.reach import MOTIONS, NO_MOTION
 
 LOOKS = 8  # scans made in place at a spot, less than that
 CHOICES = 4  # room for one recorded plan per this many steps
-_HEADING_OF = dict(zip(MOTIONS, HEADING))
 
 
 class Trail(enum.IntEnum):

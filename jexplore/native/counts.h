@@ -9,8 +9,10 @@
 
 namespace jexplore {
 
-// Calls `pass(offset)` for the cells that a beam passes: the offset of the one that stops it; 0 where none does. Its
-// cells stand in blocks, `next` apart.
+constexpr int kNothing = INT32_MIN;
+
+// Calls `pass(offset)` for the cells that a beam passes: the offset of the one that stops it, or `kNothing`. Its cells
+// stand in blocks, `next` apart.
 template <class Stops, class Pass>
 int TraceBeam(Stops is_stop, const int32_t* first, int length, int block, int next, Pass pass) {
   for (int left = length; left > 0; left -= block, first += next)
@@ -18,7 +20,7 @@ int TraceBeam(Stops is_stop, const int32_t* first, int length, int block, int ne
       if (is_stop(*step)) return *step;
       pass(*step);
     }
-  return 0;
+  return kNothing;
 }
 
 // Cells are flat indices. Nothing leaves the map: its outermost rows and columns are walls, which `IsWalled` tells.
@@ -93,14 +95,15 @@ struct CountMaps {
     auto miss = [&](int i) { count(missed, hit, i); };
     // Whether a beam says anything, which `silent` steps are too near for.
     auto speaks = [&](const int32_t* first, int length, int silent) {
-      const bool stops = TraceBeam(is_wall, first, length, part, next, [&](int) { --silent; }) != 0;
+      const bool stops = TraceBeam(is_wall, first, length, part, next, [&](int) { --silent; }) != kNothing;
       return stops ? silent <= 0 : no_echo_is_free;
     };
     miss(0);
     for (int beam = 0; beam < beams; ++beam) {
       const int32_t* first = table + static_cast<int64_t>(beam) * part;
       if ((may_be_silent || near[beam] > 0) && !speaks(first, ends[beam], near[beam])) continue;
-      if (const int stop = TraceBeam(is_wall, first, ends[beam], part, next, miss)) count(hit, missed, stop);
+      const int stop = TraceBeam(is_wall, first, ends[beam], part, next, miss);
+      if (stop != kNothing) count(hit, missed, stop);
     }
     n_known += fresh;
   }

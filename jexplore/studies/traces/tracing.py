@@ -219,8 +219,8 @@ def trace(
     """Let a robot drive through a building and write its trace map, once or many times.
 
     Args:
-      world, robot, runs, starts, seed, tuning, noise, start, sweep, settings, cell_m, max_steps, attributes, nodes,
-        links: see `prepare_trace`.
+      world, robot, runs, starts, seed, tuning, noise, start: see `prepare_trace`.
+      sweep, settings, cell_m, max_steps, attributes, nodes, links: see `prepare_trace`.
       engine, lanes, workers: see `runner.find_resources`; results are equal but for rounding.
       on_progress: called with the number of finished runs.
       progress: show a bar; by default in notebooks.

@@ -32,7 +32,7 @@ class _Table:
     turn_deg: np.ndarray
     """`[N, n, M, m]` float64, see `Likeness`."""
     ways: np.ndarray
-    """`[N, n, M, m, min(n, m)]` int32, ways that leave alike, the nearest first, as way * m + way; -1 behind them."""
+    """`[N, n, M, m, min(n, m)]` int32, ways that leave alike, the nearest first, as way * m + way; -1 for none."""
 
 
 class Likenesses:

@@ -198,7 +198,7 @@ def _chance(values, counts, k):
     below = below[-n:] if n > 1 else below[:0]
     if not below.size:
         return 1.0
-    step_m, m = np.diff(values).min(), len(below)
+    step_m, m = float(np.median(np.diff(values))), len(below)  # one odd reading does not set the step
     share = step_m / (values[k] - below[0] + step_m)
     ways = math.lgamma(n + m) - math.lgamma(n) - math.lgamma(m + 1)
     return math.exp(min(ways + (n - 1) * math.log(share), 0.0))
