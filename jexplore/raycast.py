@@ -364,8 +364,8 @@ def disturb(
 
     A beam that was stopped reports its distance plus Gaussian noise; it is read as a hit in the cell at that distance,
     or as passing everything where that lies beyond the range. A beam that was not stopped is not disturbed. A beam that
-    drops out tells nothing. No beam is read as ending outside the map: it ends in the last cell inside. A distance short
-    of the first cell is read as that cell, or as too near by a scanner outside the robot's own cell.
+    drops out tells nothing. No beam is read as ending outside the map: it ends in the last cell inside. A distance
+    short of the first cell is read as that cell, or as too near by a scanner outside the robot's own cell.
 
     Args:
       key: consumed.
