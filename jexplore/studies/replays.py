@@ -1,7 +1,9 @@
 """Replays for a page: episodes that have been run, as frames."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +12,7 @@ import numpy as np
 from jexplore.arrays.padding import within
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.backend import use_compilation_cache
+from jexplore.engine.runner import own_cores
 from jexplore.exploration import batch
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.native import show_episode
@@ -208,6 +211,7 @@ def replays_of(
     for episode in range(min([episodes, *(len(job.starts) for job in jobs)])):
         if episode or outcomes is None:
             outcomes = batch.run_jobs(jobs, lidar, rules, only=episode, engine=engine).outcomes
+        shown = []
         for job, found, label in zip(jobs, outcomes, labels or [""] * len(jobs)):
             title = f"{job.strategy.name} in {job.world.name}, episode {job.first + episode}"
             if found.first is None:
@@ -215,17 +219,20 @@ def replays_of(
             elif found.first.plans is None:
                 notes.append(f"{title}: no replay, it made more plans than are kept.")
             else:
-                frames = min(max_frames, FEWER_FRAMES) if episode else max_frames
-                replay = _replay(job, found, episode, lidar, rules, max_frames=frames, engine=engine)
-                made.append(dataclasses.replace(replay, which=label) if label else replay)
-            if on_progress is not None:
-                on_progress(len(made))
+                shown.append((job, found, label))
+        most = min(max_frames, FEWER_FRAMES) if episode else max_frames
+        call = functools.partial(_replay, episode, lidar, rules, max_frames=most, engine=engine)
+        with ThreadPoolExecutor(own_cores()) as pool:
+            for replay in pool.map(call, *zip(*shown)):
+                made.append(replay)
+                if on_progress is not None:
+                    on_progress(len(made))
     return made, notes
 
 
-def _replay(job, found, episode, lidar, rules, **how):
-    """Episode of a job, a number from 0, as `ReplayData`."""
-    return replay_data(
+def _replay(episode, lidar, rules, job, found, label, **how):
+    """Return an episode of a job, a number from 0, as `ReplayData`."""
+    replay = replay_data(
         *(job.world, job.strategy, found.first),
         start=tuple(int(value) for value in job.starts[episode]),  # type: ignore[arg-type]  # three
         seed=job.seed,
@@ -235,3 +242,4 @@ def _replay(job, found, episode, lidar, rules, **how):
         outcome=Outcome(int(found.result.outcome[episode])).name,
         **how,
     )
+    return dataclasses.replace(replay, which=label) if label else replay
