@@ -97,6 +97,18 @@ def test_a_warp_comes_to_the_same(number):
 
 
 @needs_compiler
+@pytest.mark.parametrize("name", ["closest", "random"])
+def test_waves_of_an_open_map_find_room_beyond_shared_memory(name):
+    occupied = np.pad(np.zeros((500, 500), bool), 1, constant_values=True)
+    world, strategy = World(occupied=occupied, cell_m=0.05, name="hall"), parse_strategy(name)
+    parts = runs.parts_of(world, runs.chooser_of(strategy), Lidar(), Rules(), recheck=False)
+    place = episodes.World(episodes.load(emulator=True).loaded, *parts)
+    run = runs.NativeRun(place, parts, world, np.array([[250, 250, 0]]), 1, 0, np.zeros(1, np.int32), -1, None)
+    runs.play_all([run], 1, lambda _: None)
+    np.testing.assert_array_equal(place.emulate(run.tasks, views=False), run.table)
+
+
+@needs_compiler
 def test_a_map_from_the_beginning_is_for_a_cpu():
     world = jx.load_world(ROOMS)
     known = np.where(np.arange(world.shape[1]) < 5, world.occupied, -1).astype(np.int8)

@@ -24,7 +24,7 @@
 namespace jexplore {
 
 constexpr int kMaxRadius = 31;      // cells: what counts round a cell lies in its word and those beside it
-constexpr int kBucket = 512;        // cells of a bucket of the search; where one overflows the episode is given up
+constexpr int kBucket = 512;        // cells of a bucket of the search in shared memory, whole warps; the rest lies in the GPU's
 constexpr uint32_t kUnreached = kFar;
 
 #ifdef __CUDACC__
@@ -97,6 +97,7 @@ struct Box {
 // A world as warps read it. Maps are `[H, n_words]` words of 32 columns; the margin right of the world is wall.
 struct WarpWorld {
   Spec p;
+  int32_t n_rest;                       // cells of a bucket beyond `kBucket`; where it overflows the episode is given up
   int32_t row_words, n_words, n_cells;  // an odd number of words a row: rows then lie in different banks
   const uint32_t *truth, *inside;       // walls; where the robot may be and what it is to know
   const int32_t* rooms;                 // [n_cells], or null
@@ -127,6 +128,7 @@ struct WarpMemory {
   uint32_t *driven, *exhausted;  // [n_words]
   uint32_t* cost;                // [n_cells], kUnreached but during a search
   Cell* touched;                 // [n_cells]
+  Cell* rest;                    // [3, n_rest], cells of the search beyond those of `queue`
   int8_t* way;                   // [n_cells], motions, the last one first
   uint32_t* saved;               // [63 * 3], words of `can` without the cells near the robot
 };
@@ -406,6 +408,10 @@ struct WarpMaps {
   // Three cells of a row of `can`, beginning at one.
   DEVICE uint32_t Three(int cell) const { return Shifted(m.can[cell >> 5], m.can[(cell >> 5) + 1], cell & 31) & 7; }
 
+  DEVICE Cell& Queued(int bucket, int slot) const {
+    return slot < kBucket ? m.queue[bucket * kBucket + slot] : m.rest[bucket * w.n_rest + slot - kBucket];
+  }
+
   // Costs from a cell in order of whole straight steps. With `first_only` it ends with the step in which the first
   // frontier cell is found: the cheapest of it, and of equal ones the first; kNone.
   DEVICE int Search(int from, bool first_only) {
@@ -420,7 +426,7 @@ struct WarpMaps {
     for (int level = 0, idle = 0; idle < 3; ++level) {
       const int own = level % 3, n = m.count[own];
       idle = n ? 0 : idle + 1;
-      if (n > kBucket) goes_on = false;
+      if (n > kBucket + w.n_rest) goes_on = false;
       if (!goes_on || level >= (kFar >> 16) - 2) {  // costs that hardly fit are for a CPU
         goes_on = false;
         return kNone;
@@ -432,7 +438,7 @@ struct WarpMaps {
       END_LANES
       for (int first = 0; first < n; first += 32) {
         LANES(lane)
-        if (first + lane < n) Visit(m.queue[own * kBucket + first + lane], level, first_only, cheapest[lane], which[lane]);
+        if (first + lane < n) Visit(Queued(own, first + lane), level, first_only, cheapest[lane], which[lane]);
         END_LANES
       }
       LANES(lane)
@@ -475,7 +481,7 @@ struct WarpMaps {
       if (old == kUnreached) m.touched[AddAt(&m.count[3], 1)] = static_cast<Cell>(cell);
       if (old >> 16 == to >> 16) continue;
       const int bucket = (to >> 16) % 3, slot = AddAt(&m.count[bucket], 1);
-      if (slot < kBucket) m.queue[bucket * kBucket + slot] = static_cast<Cell>(cell);
+      if (slot < kBucket + w.n_rest) Queued(bucket, slot) = static_cast<Cell>(cell);
     }
   }
 

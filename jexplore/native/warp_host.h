@@ -25,6 +25,7 @@ struct HostWorld {
     w.row_words = (p.width + 31) / 32 | 1;
     w.n_words = p.height * w.row_words;
     w.n_cells = 32 * w.n_words;
+    w.n_rest = w.n_cells / 16;  // a wave through an open square of n cells has some 4 sqrt(n) at once
     truth.assign(w.n_words, ~0u), inside.assign(w.n_words, 0), view_of.assign(w.n_cells, -1);
     if (std::any_of(world.given.rooms, world.given.rooms + p.height * p.width, [](int room) { return room >= 0; }))
       rooms.assign(w.n_cells, -1);
@@ -122,7 +123,8 @@ struct HostWorld {
   }
   template <class Cell>
   size_t OtherWords() const {
-    return 5 * w.n_words + w.n_cells + (w.n_cells * sizeof(Cell) + 3) / 4 + w.n_cells / 4 + 3 * (2 * kMaxRadius + 1);
+    const size_t lists = (w.n_cells + 3 * static_cast<size_t>(w.n_rest)) * sizeof(Cell);
+    return 5 * w.n_words + w.n_cells + (lists + 3) / 4 + w.n_cells / 4 + 3 * (2 * kMaxRadius + 1);
   }
 };
 
@@ -135,7 +137,8 @@ DEVICE WarpMemory<Cell> Divide(const WarpWorld& w, uint32_t* shared, uint32_t* o
   m.cost = other, m.known = other + w.n_cells, m.can = m.known + w.n_words, m.front = m.can + w.n_words;
   m.driven = m.front + w.n_words, m.exhausted = m.driven + w.n_words, m.saved = m.exhausted + w.n_words;
   m.touched = reinterpret_cast<Cell*>(m.saved + 3 * (2 * kMaxRadius + 1));
-  m.way = reinterpret_cast<int8_t*>(m.touched + w.n_cells);
+  m.rest = m.touched + w.n_cells;
+  m.way = reinterpret_cast<int8_t*>(m.rest + 3 * w.n_rest);
   return m;
 }
 
