@@ -5,7 +5,6 @@ import itertools
 import json
 import math
 
-import jax
 import networkx
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from hypothesis import strategies as st
 from ref.traces import chain
 
 import jexplore as jx
-from jexplore.arrays.graphs import FAR, NONE, links_around, shortest_ways
 from jexplore.cli.main import main
 from jexplore.config import InputError
 from jexplore.driving.settings import ROBOTS
@@ -380,7 +378,6 @@ def oracle(btm, robot, start, end):
     return metres, min((len(keys), tuple(keys)) for keys in ways if sum(map(length.get, keys)) == metres)[1]
 
 
-@pytest.mark.jit
 @settings(max_examples=60)
 @given(graphs(), st.data())
 def test_routes_are_those_of_networkx(btm, data):
@@ -394,7 +391,6 @@ def test_routes_are_those_of_networkx(btm, data):
     assert [step.end for step in route.steps] == list(route.nodes[1:])
 
 
-@pytest.mark.jit
 @settings(max_examples=40)
 @given(graphs(), st.data())
 def test_the_unsearched_link_is_the_nearest(btm, data):
@@ -412,7 +408,6 @@ def test_the_unsearched_link_is_the_nearest(btm, data):
         assert (route.length_m, len(route.links), route.links, route.onward.link) == min(ends.values())
 
 
-@pytest.mark.jit
 @settings(max_examples=25)
 @given(graphs())
 def test_a_way_back_is_as_long_and_a_better_robot_goes_no_farther(btm):
@@ -426,7 +421,6 @@ def test_a_way_back_is_as_long_and_a_better_robot_goes_no_farther(btm):
         assert kamui[start, end] <= wheeled[start, end]
 
 
-@pytest.mark.jit
 def test_many_are_what_each_is_alone():
     robots = ["kamui", WHEELED, "wheeled:max_step_m=0.2", "kamui:width_m=1.1", "wheeled:width_m=0.9"]
     pairs = [*itertools.product(range(4), range(4)), *((i, "unsearched") for i in range(4))]
@@ -440,31 +434,9 @@ def test_many_are_what_each_is_alone():
     assert jx.btm.routes(SQUARE, robots, []) == [[]] * 5
 
 
-@pytest.mark.jit
-def test_the_kernel_side_by_side_in_a_batch_and_with_jit():
-    ends = np.array([[0, 1], [1, 2], [0, 2], [2, 2]], np.int32)
-    around = links_around(ends, 4)
-    assert around.link.tolist() == [[0, 2], [0, 1], [1, 2], [NONE, NONE]]
-    assert around.node.tolist() == [[1, 2], [0, 2], [1, 0], [NONE, NONE]]
-    length, is_open = np.array([1, 1, 3, 0], np.int32), np.ones(4, bool)
-    barriers = np.array([[False] * 4, [False, True, False, False]])
-    target = np.array([[False, False], [False, False], [True, False], [False, True]])  # 2, and 3 next to it
-    free, round_ = ([np.asarray(a) for a in shortest_ways(around, length, is_open, row, target)] for row in barriers)
-    assert [a[:, 0].tolist() for a in free] == [[2, 1, 0, FAR], [2, 1, 0, FAR], [0, 1, NONE, NONE]]
-    assert [a[:, 0].tolist() for a in round_] == [[3, 1, 0, FAR], [1, 1, 0, FAR], [2, 1, NONE, NONE]]
-    for alone in (free, round_):
-        assert [a[:, 1].tolist() for a in alone] == [[FAR, FAR, FAR, 0]] * 2 + [[NONE] * 4]
-    shut = shortest_ways(around, length, is_open & (np.arange(4) != 0), barriers[0], target[:, :1])
-    assert [np.asarray(a)[:, 0].tolist() for a in shut] == [[3, 1, 0, FAR], [1, 1, 0, FAR], [2, 1, NONE, NONE]]
-    both = jax.jit(jax.vmap(shortest_ways, (None, None, None, 0, None)))(around, length, is_open, barriers, target)
-    for alone, together in zip(zip(free, round_), both):
-        np.testing.assert_array_equal(np.stack(alone), together)
-
-
-@pytest.mark.jit
 @settings(max_examples=20)
 @given(st.integers(0, 10**6), st.integers(1, 40))
-def test_many_goals_in_many_blocks_are_those_of_networkx(seed, n_nodes):
+def test_many_goals_in_many_parts_are_those_of_networkx(seed, n_nodes):
     rng = np.random.default_rng(seed)
     nodes = tuple(Node(3 * i, float(i), 0.0, "divergence") for i in range(n_nodes))
     ends = 3 * rng.integers(0, n_nodes, (2 * n_nodes, 2))
@@ -479,9 +451,8 @@ def test_many_goals_in_many_blocks_are_those_of_networkx(seed, n_nodes):
         for a, b in rng.permutation(np.stack(np.indices((n_nodes, n_nodes)), -1).reshape(-1, 2))
     ]
     metres = dict(networkx.all_pairs_dijkstra_path_length(graph))
-    with pytest.MonkeyPatch.context() as patch:  # 40 goals: three calls, the last one not full
-        patch.setattr(shortest, "BESIDE", 4)
-        patch.setattr(shortest, "BLOCKS", 4)
+    with pytest.MonkeyPatch.context() as patch:  # 40 goals in three parts, the last one not full
+        patch.setattr(shortest, "GOALS_AT_ONCE", 16)
         (found,) = jx.btm.routes(BtmMap(nodes, links), ["kamui"], pairs)
     for (start, end), route in zip(pairs, found):
         assert route.length_m == metres[start].get(end, math.inf)

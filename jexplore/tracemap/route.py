@@ -12,7 +12,7 @@ from jexplore.tracemap.passable import called, inclination_of, step_of, unknowns
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, direction_deg, length_of, parts_of
 
 SAME_DEG = 1e-6  # bearings nearer than this are one
-UNIT_M = 0.001  # lengths are compared in whole units
+LENGTH_UNIT_M = 0.001  # lengths are compared in whole units
 
 
 @dataclasses.dataclass(frozen=True)

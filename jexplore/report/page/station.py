@@ -20,7 +20,7 @@ from jexplore.tracemap.passable import (
     unknowns_at,
 )
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, length_of
-from jexplore.tracemap.route import UNIT_M, Index, index_of
+from jexplore.tracemap.route import LENGTH_UNIT_M, Index, index_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,5 +120,5 @@ def _link(link: Link, panel: Panel, index: Index) -> dict[str, Any]:
         "unknown": list(unknowns(link, nodes)),
         "doubts": list(index.doubts(link)),
         "metres": metres,
-        "length_mm": None if metres is None else round(metres / UNIT_M),
+        "length_mm": None if metres is None else round(metres / LENGTH_UNIT_M),
     }
