@@ -13,7 +13,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from ref.parts import EXACT, common, part_of
-from ref.traces import chain, maps, node, stub, way
+from ref.traces import are_same, chain, maps, node, stub, way
 from scipy.stats import lognorm, multivariate_normal
 
 import jexplore as jx
@@ -31,7 +31,7 @@ from jexplore.tracemap.merging.rigid import Move, fit, mean_deg, mirrored, moved
 from jexplore.tracemap.merging.walk import Pair
 from jexplore.tracemap.merging.ways import places_of
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check
-from jexplore.tracemap.similarity import code, differences
+from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
 
 # Two robots in one building. The first comes from the west, the second starts south of the corner:
@@ -140,7 +140,7 @@ def test_two_maps_by_hand(move):
     found = merged_of(FIRST, moved(SECOND, move))
     assert found.outcome is Merging.MERGED
     assert found.left == ()
-    assert differences(found.map, TOGETHER, 1e-6, 1e-6) == []
+    assert are_same(found.map, TOGETHER)
     assert found.matched == 3
     assert found.nodes == {"a": {0: 0, 1: 1, 2: 2, 3: 3}, "b": {7: 2, 8: 1, 10: 3, 0: 4, 9: 5}}
     x, y = found.moves["b"].place(*move.place(5, 6))
@@ -163,7 +163,7 @@ def test_the_other_way_round():
     assert found.nodes["b"] == {1: 2, 2: 1, 3: 4, 0: 5}
     assert code(found.map) == code(BtmMap((TOGETHER.nodes[4], *TOGETHER.nodes[:4], TOGETHER.nodes[5]), (
         TOGETHER.links[3], *(link for link in TOGETHER.links if link.id != 3))))  # fmt: skip
-    assert differences(merged_of(SECOND, moved(FIRST, QUARTER)).map, found.map, 1e-6, 1e-6) == []
+    assert are_same(merged_of(SECOND, moved(FIRST, QUARTER)).map, found.map)
 
 
 def test_means_count_every_map_once():
@@ -402,7 +402,7 @@ def test_merged_with_itself():
         found = merged_of(btm, shifted)
         assert found.outcome is Merging.MERGED
         assert found.matched == len(btm.nodes)
-        assert differences(found.map, btm, 1e-6, 1e-6) == []
+        assert are_same(found.map, btm)
 
 
 def bare(btm):
@@ -665,7 +665,7 @@ def test_frames_do_not_matter(seed, turn, shift):
     assert (again.outcome, again.nodes) == (found.outcome, found.nodes)
     assert again.evidence == pytest.approx(found.evidence, abs=1e-6)
     if found.outcome is Merging.MERGED:
-        assert differences(again.map, found.map, 1e-6, 1e-6) == []
+        assert are_same(again.map, found.map)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -710,7 +710,7 @@ def test_passages_that_look_alike_are_refused():
     found = merged_of(corridor(6), corridor(5))
     assert found.outcome in (Merging.AMBIGUOUS, Merging.NOT_ENOUGH_IN_COMMON)
     assert found.left == ("b",)
-    assert differences(found.map, corridor(6), 0, 0) == []
+    assert are_same(found.map, corridor(6), 0)
     assert found.matched == 0
     marked = [
         dataclasses.replace(corridor(n, odd=odd), nodes=tuple(
@@ -753,7 +753,7 @@ def test_a_map_in_a_mirror_by_hand():
     assert (there.nodes[1].x_m, there.nodes[1].y_m) == pytest.approx((5, -1))
     assert [link.start_bearing_deg for link in there.links[2:5]] == [0, 270, 270]
     assert (there.links[2].end_bearing_deg, there.links[8].end_bearing_deg) == (180, None)
-    assert differences(mirrored(there), moved(passage(), QUARTER), 1e-9, 1e-9) == []
+    assert are_same(mirrored(there), moved(passage(), QUARTER), 1e-9)
     assert code(there) != code(passage())
 
 
@@ -978,7 +978,7 @@ def files(tmp_path, monkeypatch):
 
 def test_the_command_writes_one_map(files, capsys):
     assert main(["merge-maps", "a.json", "b.json", "--out", "global.json"]) == 0
-    assert differences(json_form.read_btm("global.json"), TOGETHER, 1e-6, 1e-6) == []
+    assert are_same(json_form.read_btm("global.json"), TOGETHER)
     out, err = capsys.readouterr()
     assert "| a        |     4 |     5 |             3 | merged |" in out
     assert "| together |     6 |     7 |" in out
