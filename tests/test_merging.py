@@ -25,9 +25,9 @@ from jexplore.tracemap.merging import alike as alike_module
 from jexplore.tracemap.merging import evidence
 from jexplore.tracemap.merging.alike import Likeness, Likenesses, leaving_alike
 from jexplore.tracemap.merging.limits import Limits
-from jexplore.tracemap.merging.match import Merging, match
+from jexplore.tracemap.merging.match import Merging, match_maps
 from jexplore.tracemap.merging.merge import merge_maps
-from jexplore.tracemap.merging.rigid import Move, fit, mean_deg, mirrored, moved
+from jexplore.tracemap.merging.rigid import Move, fit, mean_deg, mirrored, moved_map
 from jexplore.tracemap.merging.walk import Pair
 from jexplore.tracemap.merging.ways import places_of
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check
@@ -137,7 +137,7 @@ def test_moves_by_hand():
 
 @pytest.mark.parametrize("move", [Move(), QUARTER, Move(-30, 4, 217)])
 def test_two_maps_by_hand(move):
-    found = merged_of(FIRST, moved(SECOND, move))
+    found = merged_of(FIRST, moved_map(SECOND, move))
     assert found.outcome is Merging.MERGED
     assert found.left == ()
     assert are_same(found.map, TOGETHER)
@@ -163,7 +163,7 @@ def test_the_other_way_round():
     assert found.nodes["b"] == {1: 2, 2: 1, 3: 4, 0: 5}
     assert code(found.map) == code(BtmMap((TOGETHER.nodes[4], *TOGETHER.nodes[:4], TOGETHER.nodes[5]), (
         TOGETHER.links[3], *(link for link in TOGETHER.links if link.id != 3))))  # fmt: skip
-    assert are_same(merged_of(SECOND, moved(FIRST, QUARTER)).map, found.map)
+    assert are_same(merged_of(SECOND, moved_map(FIRST, QUARTER)).map, found.map)
 
 
 def test_means_count_every_map_once():
@@ -318,8 +318,8 @@ def test_many_places_are_compared_a_part_at_a_time(monkeypatch):
 
 def test_a_link_that_one_map_lacks_costs_evidence():
     more = dataclasses.replace(SECOND, links=(*SECOND.links, stub(9, 7, 40)))
-    assert match(FIRST, more).outcome is Merging.MERGED
-    assert match(FIRST, more).evidence < match(FIRST, SECOND).evidence - 2
+    assert match_maps(FIRST, more).outcome is Merging.MERGED
+    assert match_maps(FIRST, more).evidence < match_maps(FIRST, SECOND).evidence - 2
 
 
 def contradicting():
@@ -335,15 +335,15 @@ def contradicting():
 
 def test_contradictions_are_told():
     first, second = contradicting()
-    assert len(match(first, second).contradictions) == 1
-    found = merged_of(first, moved(second, QUARTER))
+    assert len(match_maps(first, second).contradictions) == 1
+    found = merged_of(first, moved_map(second, QUARTER))
     assert found.outcome is Merging.MERGED
     assert len(found.map.bearings_deg(1)) == 4  # both ways north
     assert found.notes[1:] == ("node 1: 1 way leads elsewhere in b than in a; the map has both",)
     again = merged_of(second, first)
     assert again.nodes["a"][8] == 2
     assert again.notes[1:] == ("node 2: 1 way leads elsewhere in b than in a; the map has both",)
-    assert match(FIRST, SECOND).contradictions == ()
+    assert match_maps(FIRST, SECOND).contradictions == ()
     apart = merged_of(corridor(9), corridor(8), first, second)
     assert apart.notes[-1] == "node 1: 1 way leads elsewhere in d than in c; the map has both"
 
@@ -359,12 +359,12 @@ def test_what_looks_otherwise_and_lies_where_it_should():
         FIRST.nodes + tuple(dataclasses.replace(one, id=ids[i][0]) for i, one in enumerate(long, 1)),
         (*FIRST.links[:4], way(30, 3, 13, 0, length_m=5.0), way(31, 13, 14, 270, 90, length_m=7.0)),
     )
-    found = merged_of(first, moved(second, QUARTER))
+    found = merged_of(first, moved_map(second, QUARTER))
     assert found.outcome is Merging.MERGED
     assert {found.nodes["b"][8], found.nodes["a"][1]} == {1}
     assert len(found.map.bearings_deg(1)) == 5
     assert found.notes[-1] == "node 1: one in a and in b by place and bearings alone"
-    assert match(first, second).contradictions == ()  # no more, once D1 is D1
+    assert match_maps(first, second).contradictions == ()  # no more, once D1 is D1
     bent = [dataclasses.replace(one, x_m=one.x_m + 1.8 * (one.id in (7, 8))) for one in second.nodes]
     assert merged_of(first, dataclasses.replace(second, nodes=tuple(bent))).nodes["b"][8] == 1
     assert merged_of(first, second, limits=Limits(lost=0)).nodes["b"][8] == 1
@@ -398,7 +398,7 @@ def test_what_lies_behind_a_wall_is_another_place(apart_m, upper, is_one):
 def test_merged_with_itself():
     for seed in range(6):
         btm = truth_of(seed)
-        shifted = moved(btm, Move(1.0))  # no copy: what both have must be found
+        shifted = moved_map(btm, Move(1.0))  # no copy: what both have must be found
         found = merged_of(btm, shifted)
         assert found.outcome is Merging.MERGED
         assert found.matched == len(btm.nodes)
@@ -451,7 +451,7 @@ def test_a_map_merged_with_a_copy_is_that_map(btm):
 
 
 def test_copies_say_what_they_say_and_go_on_being_merged():
-    found = merged_of(FIRST, FIRST.with_attributes({"victim": False}, node=3), moved(SECOND, QUARTER))
+    found = merged_of(FIRST, FIRST.with_attributes({"victim": False}, node=3), moved_map(SECOND, QUARTER))
     assert found.outcome is Merging.MERGED
     assert found.map.nodes[3].attributes["from"] == {"a": 3, "b": 3, "c": 10}
     assert found.notes == ("node 3: victim is True in a and False in b, c",)
@@ -576,13 +576,13 @@ def test_no_two_ends_of_ways_are_compared_again_and_again(monkeypatch):
     )
     btm = truth_of(3)
     ends = sum(len(btm.bearings_deg(one.id)) for one in btm.nodes)
-    assert match(btm, moved(btm, QUARTER)).outcome is Merging.MERGED
+    assert match_maps(btm, moved_map(btm, QUARTER)).outcome is Merging.MERGED
     assert sum(compared) <= 2 * ends**2  # of the first map with itself and with the other
 
 
 def test_who_waits_is_told():
     told = []
-    assert merged_of(FIRST, corridor(9), moved(SECOND, QUARTER), on_progress=told.append).left == ("b",)
+    assert merged_of(FIRST, corridor(9), moved_map(SECOND, QUARTER), on_progress=told.append).left == ("b",)
     assert told == [1, 2, 3, 4]
 
 
@@ -661,7 +661,7 @@ def test_most_parts_are_merged():
 @given(st.integers(0, 10**6), st.floats(0, 360), st.floats(-50, 50))
 def test_frames_do_not_matter(seed, turn, shift):
     _, one, other = pair_of(seed)
-    found, again = merged_of(one.map, other.map), merged_of(one.map, moved(other.map, Move(shift, 7.0, turn)))
+    found, again = merged_of(one.map, other.map), merged_of(one.map, moved_map(other.map, Move(shift, 7.0, turn)))
     assert (again.outcome, again.nodes) == (found.outcome, found.nodes)
     assert again.evidence == pytest.approx(found.evidence, abs=1e-6)
     if found.outcome is Merging.MERGED:
@@ -671,7 +671,7 @@ def test_frames_do_not_matter(seed, turn, shift):
 @pytest.mark.parametrize("seed", range(20))
 def test_neither_map_is_preferred(seed):
     _, one, other = pair_of(seed)
-    pairs = match(one.map, other.map), match(other.map, one.map)
+    pairs = match_maps(one.map, other.map), match_maps(other.map, one.map)
     assert pairs[0].outcome is pairs[1].outcome
     assert pairs[0].outcome is Merging.MERGED or len(common(one, other)) < 4
     if pairs[0].outcome is Merging.MERGED:
@@ -728,11 +728,11 @@ def test_half_turns_of_a_symmetric_map_are_ambiguous():
         (way(0, 0, 4, 0, length_m=3.0), way(1, 4, 1, 0, length_m=4.0), way(2, 1, 2, 90, length_m=4.0),
          way(3, 2, 5, 180, length_m=3.0), way(4, 5, 3, 180, length_m=4.0), way(5, 3, 0, 270, length_m=4.0)),
     )  # fmt: skip
-    found = merged_of(ring, moved(ring, QUARTER))
+    found = merged_of(ring, moved_map(ring, QUARTER))
     assert found.outcome is Merging.AMBIGUOUS
     assert found.margin == pytest.approx(0.0)
     stubbed = dataclasses.replace(ring, links=(*ring.links, stub(6, 1, 0), stub(7, 0, 180), stub(8, 4, 270)))
-    assert merged_of(stubbed, moved(stubbed, QUARTER)).outcome is Merging.MERGED
+    assert merged_of(stubbed, moved_map(stubbed, QUARTER)).outcome is Merging.MERGED
 
 
 def passage():
@@ -748,32 +748,32 @@ def passage():
 
 
 def test_a_map_in_a_mirror_by_hand():
-    there = mirrored(moved(passage(), QUARTER))  # west is south now, and east of the mirror is west
+    there = mirrored(moved_map(passage(), QUARTER))  # west is south now, and east of the mirror is west
     assert (there.nodes[0].x_m, there.nodes[0].y_m) == pytest.approx((-2, -1))
     assert (there.nodes[1].x_m, there.nodes[1].y_m) == pytest.approx((5, -1))
     assert [link.start_bearing_deg for link in there.links[2:5]] == [0, 270, 270]
     assert (there.links[2].end_bearing_deg, there.links[8].end_bearing_deg) == (180, None)
-    assert are_same(mirrored(there), moved(passage(), QUARTER), 1e-9)
+    assert are_same(mirrored(there), moved_map(passage(), QUARTER), 1e-9)
     assert code(there) != code(passage())
 
 
 def test_a_building_in_a_mirror_is_another_one():
     # Parts look the same in a mirror, once turned; beyond them ways leave otherwise.
-    other = moved(mirrored(passage()), QUARTER)
-    found = match(passage(), other)
+    other = moved_map(mirrored(passage()), QUARTER)
+    found = match_maps(passage(), other)
     assert found.outcome is Merging.AMBIGUOUS
     assert (len(found.contradictions), found.margin) == (2, 0.0)
     assert merged_of(passage(), other).left == ("b",)
-    assert match(passage(), moved(passage(), QUARTER)).outcome is Merging.MERGED
+    assert match_maps(passage(), moved_map(passage(), QUARTER)).outcome is Merging.MERGED
     end = passage()  # without what leads west nothing contradicts: these may be one building
     short = BtmMap((*end.nodes[:4], end.nodes[7]), tuple(end.links[i] for i in (0, 1, 2, 6, 8, 9)))
-    assert match(short, mirrored(short)).outcome is Merging.MERGED
+    assert match_maps(short, mirrored(short)).outcome is Merging.MERGED
 
 
 def test_courses_in_a_mirror_do_not_make_one_that_contradicts_itself():
     refused = 0
     for seed in range(12):
-        found = match(truth_of(seed), mirrored(truth_of(seed)))
+        found = match_maps(truth_of(seed), mirrored(truth_of(seed)))
         refused += found.outcome is Merging.AMBIGUOUS
         if found.outcome is Merging.MERGED:
             assert found.contradictions == ()
@@ -802,7 +802,7 @@ def test_parts_of_two_courses_are_not_merged():
     for seed in (*range(20), 1049, 1091, 1113, 1193):
         rng = random.Random(seed)
         one, other = (part_of(truth_of(number), rng, least=0.15).map for number in (seed, seed + 1))
-        found = match(one, other)
+        found = match_maps(one, other)
         close += len(found.nodes) >= 3 and found.margin > 4.6
         assert found.outcome is Merging.NOT_ENOUGH_IN_COMMON
     assert close >= 2  # by chance as many nodes are alike as are asked for, and nothing rivals them
@@ -817,7 +817,7 @@ def test_what_two_maps_have_in_common_need_not_hang_together():
     west = (way(6, 0, 3, 90, length_m=20.0), stub(7, 2, 90), stub(8, 5, 270))
     east = (way(6, 2, 5, 90, length_m=20.0), stub(7, 0, 90), stub(8, 3, 270))
     bent = tuple(dataclasses.replace(one, x_m=one.x_m + 3.0) for one in high)
-    found = merged_of(BtmMap((*low, *high), (*links, *west)), moved(BtmMap((*low, *bent), (*links, *east)), QUARTER))
+    found = merged_of(BtmMap((*low, *high), (*links, *west)), moved_map(BtmMap((*low, *bent), (*links, *east)), QUARTER))
     assert found.outcome is Merging.MERGED
     assert found.matched == len(found.map.nodes) == 6
     assert len(found.map.links) == 8
@@ -833,7 +833,7 @@ def third():
 
 
 def test_three_maps():
-    for order in itertools.permutations([FIRST, moved(SECOND, QUARTER), moved(third(), Move(1, 1, 33))]):
+    for order in itertools.permutations([FIRST, moved_map(SECOND, QUARTER), moved_map(third(), Move(1, 1, 33))]):
         found = merged_of(*order)
         assert found.outcome is Merging.MERGED
         assert found.left == ()
@@ -844,7 +844,7 @@ def test_three_maps():
             for one in btm.nodes:
                 at = found.map.nodes[found.nodes[name][one.id]]
                 assert found.moves[name].place(one.x_m, one.y_m) == pytest.approx((at.x_m, at.y_m), abs=1e-6)
-    found = merged_of(FIRST, corridor(9), moved(SECOND, QUARTER))
+    found = merged_of(FIRST, corridor(9), moved_map(SECOND, QUARTER))
     assert found.left == ("b",)
     assert set(found.nodes) == {"a", "c"}
     assert len(found.map.nodes) == 6
@@ -943,7 +943,7 @@ def saved(folder, btm):
 
 def test_a_map_has_one_name_however_its_path_is_typed(files, capsys, monkeypatch):
     saved(files / "one", FIRST)
-    saved(files / "two", moved(SECOND, QUARTER))
+    saved(files / "two", moved_map(SECOND, QUARTER))
     assert main(["merge-maps", "one/btm.json", "two/btm.json", "--out", "global.json"]) == 0
     assert json_form.read_btm("global.json").attributes["merged_from"] == ["one", "two"]
     monkeypatch.chdir(files / "two")
@@ -951,7 +951,7 @@ def test_a_map_has_one_name_however_its_path_is_typed(files, capsys, monkeypatch
     for again in ("btm.json", "../two/btm.json", str(files / "two" / "btm.json")):
         assert main(["merge-maps", "../global.json", again]) == 2
         assert "names of their own, got 'two' twice" in capsys.readouterr().err
-    saved(files / "other" / "one", moved(SECOND, QUARTER))
+    saved(files / "other" / "one", moved_map(SECOND, QUARTER))
     both = ["../one/btm.json", "../other/one/btm.json"]
     assert main(["merge-maps", *both]) == 2
     said = '../one/btm.json and ../other/one/btm.json are both called "one": call them otherwise with --names'
@@ -971,7 +971,7 @@ def test_the_command_shows_that_it_works(files, capsys, monkeypatch):
 @pytest.fixture
 def files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name, btm in (("a", FIRST), ("b", moved(SECOND, QUARTER)), ("c", corridor(4)), ("d", corridor(9))):
+    for name, btm in (("a", FIRST), ("b", moved_map(SECOND, QUARTER)), ("c", corridor(4)), ("d", corridor(9))):
         (tmp_path / f"{name}.json").write_text(json.dumps(json_form.to_json(btm)))
     return tmp_path
 

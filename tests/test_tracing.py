@@ -17,7 +17,7 @@ from jexplore.driving import batch
 from jexplore.report import operator_view, plot_traces, trace_tables
 from jexplore.studies.traces import extraction, job, recording, tracing
 from jexplore.tracemap import corrected, json_form
-from jexplore.tracemap.merging.rigid import Move, moved
+from jexplore.tracemap.merging.rigid import Move, moved_map
 from jexplore.tracemap.record import BtmMap, Link, Node, check
 from jexplore.tracemap.similarity import code
 
@@ -29,7 +29,7 @@ def made(tmp_path_factory, jit_on):
     """The folder of a sweep of two settings with two runs of each, and its page; what was printed; the maps drawn."""
     out, drawn, figure = tmp_path_factory.mktemp("runs") / "new", [], plot_traces.figure
     with jit_on(), pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as said:
-        patch.setattr(corrected, "correct_map", lambda btm: moved(btm, Move(AWAY_M)))
+        patch.setattr(corrected, "correct_map", lambda btm: moved_map(btm, Move(AWAY_M)))
         patch.setattr(
             plot_traces, "figure", lambda btm, *more, **options: drawn.append(btm) or figure(btm, *more, **options)
         )

@@ -9,7 +9,7 @@ from jexplore.config import InputError, checked_names, require_kind
 from jexplore.driving.settings import ROBOTS
 from jexplore.report.page.station import Panel, station_page
 from jexplore.tracemap.merging import notes
-from jexplore.tracemap.merging.match import Merging, match
+from jexplore.tracemap.merging.match import Merging, match_maps
 from jexplore.tracemap.merging.merge import Merged, merge_maps
 from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.record import BtmMap, check, require_near
@@ -120,5 +120,5 @@ def _joined(found: Merged, given, main):
 
 def _outcome(main, btm):
     """Explain why a map is not part of another. If it would fit alone, the maps merged with it do not."""
-    outcome = match(main, btm).outcome
+    outcome = match_maps(main, btm).outcome
     return outcome if outcome in WHY else Merging.NOT_ENOUGH_IN_COMMON

@@ -10,7 +10,7 @@ from jexplore.config import InputError, as_record, checked_names, require_kind, 
 from jexplore.tracemap.merging import notes
 from jexplore.tracemap.merging.join import FROM, join
 from jexplore.tracemap.merging.limits import Limits
-from jexplore.tracemap.merging.match import Match, Merging, match
+from jexplore.tracemap.merging.match import NOTHING, Match, Merging, match_maps
 from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.record import BtmMap, check, require_near
 
@@ -125,7 +125,7 @@ def _merged(parts, limits, min_common, on_progress):
         for one, other in itertools.combinations(parts, 2):
             key = (tuple(one.moves), tuple(other.moves))
             if key not in known:
-                known[key] = (match(one.map, other.map, limits=limits, min_common=min_common), one, other)
+                known[key] = (match_maps(one.map, other.map, limits=limits, min_common=min_common), one, other)
                 on_progress(len(known))
         pairs = [known[tuple(one.moves), tuple(other.moves)] for one, other in itertools.combinations(parts, 2)]
         fitting = [pair for pair in pairs if pair[0].outcome is Merging.MERGED]
@@ -143,7 +143,7 @@ def _result(parts, joins, refused, originals):
     own = [found for found, one, other in refused if main in (one, other)]
     told: list[Match] = own or [found for found, _, _ in joins]
     if not told:
-        outcome, worst = Merging.MERGED, Match(Merging.MERGED, {}, (), (), (), Move(), math.inf, math.inf)
+        outcome, worst = Merging.MERGED, NOTHING
     elif not own:
         outcome, worst = Merging.MERGED, min(told, key=lambda found: found.evidence)
     else:

@@ -75,22 +75,20 @@ def conflicts(btm: BtmMap) -> list[str]:
 def contradiction(names: Sequence[str], others: Sequence[str], count: int, nodes: Sequence[int]) -> str:
     """Describe ways that leave the same nodes alike but continue differently in some maps: a sentence."""
     what = f"{count} way leads" if count == 1 else f"{count} ways lead"
-    where = f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
-    return f"{where}: {what} elsewhere in {', '.join(others)} than in {', '.join(names)}; the map has both"
+    return f"{_listed(nodes)}: {what} elsewhere in {', '.join(others)} than in {', '.join(names)}; the map has both"
 
 
 def by_place(names: Sequence[str], others: Sequence[str], nodes: Sequence[int]) -> str:
     """Describe nodes that were matched by their position alone: a sentence."""
-    where = f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
-    return f"{where}: one in {', '.join(names)} and in {', '.join(others)} by place and bearings alone"
+    return f"{_listed(nodes)}: one in {', '.join(names)} and in {', '.join(others)} by place and bearings alone"
+
+
+def _listed(nodes):
+    return f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
 
 
 def require_sources(btm: BtmMap, name: str) -> None:
-    """Refuse a map that says of whom it is in a way that merging could not have written.
-
-    Raises:
-      InputError: naming the map, the item and the attribute: `MERGED_FROM`, `FROM` or `CONFLICTS`.
-    """
+    """Refuse a map whose `MERGED_FROM`, `FROM` or `CONFLICTS` merging could not have written: an `InputError`."""
     sources, is_merged = btm.attributes.get(MERGED_FROM), MERGED_FROM in btm.attributes
     if is_merged and not _are_names(sources):
         raise InputError(f"{name}: {MERGED_FROM}: expected a list of names of maps, got {shown(sources)}")
@@ -138,11 +136,8 @@ def _joined(said: Sequence[tuple[list[str], Mapping[str, Any]]]) -> dict[str, An
     values: dict[str, list[dict[str, Any]]] = {}
     names_robots = any(BLOCKED_FOR in {**own, **own.get(CONFLICTS, {})} for _, own in said)
     for names, attributes in said:
-        if (
-            names_robots
-            and attributes.get(BLOCKED)
-            and BLOCKED_FOR not in {**attributes, **attributes.get(CONFLICTS, {})}
-        ):
+        named = {**attributes, **attributes.get(CONFLICTS, {})}
+        if names_robots and attributes.get(BLOCKED) and BLOCKED_FOR not in named:
             attributes = {**attributes, BLOCKED_FOR: None}
         for key, value in attributes.items():
             if key not in (FROM, MERGED_FROM, CONFLICTS, *OF_A_RUN):

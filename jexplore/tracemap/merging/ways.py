@@ -12,7 +12,7 @@ from jexplore.tracemap.similarity import ends_around
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Way:
+class PlaceWay:
     """Exit of a place, with the way as far as it has been followed."""
 
     bearing_deg: float
@@ -42,7 +42,7 @@ class Way:
     @property
     def width_m(self) -> float | None:
         """Return the narrowest passage; None if unknown."""
-        return least(link.min_width_m for link, _ in self.steps)
+        return least_known(link.min_width_m for link, _ in self.steps)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -50,15 +50,15 @@ class Places:
     """A map seen so: nodes by id, and their ways counter-clockwise."""
 
     nodes: Mapping[int, Node]
-    ways: Mapping[int, tuple[Way, ...]]
+    ways: Mapping[int, tuple[PlaceWay, ...]]
 
 
-def least(values: Iterable[float | None]) -> float | None:
+def least_known(values: Iterable[float | None]) -> float | None:
     """Return the least known value; None if no value is known."""
     return min((value for value in values if value is not None), default=None)
 
 
-def most(values: Iterable[float | None]) -> float | None:
+def most_known(values: Iterable[float | None]) -> float | None:
     """Return the greatest known value; None if no value is known."""
     return max((value for value in values if value is not None), default=None)
 
@@ -90,4 +90,4 @@ def _way(first, nodes, around, index):
         if not rest:
             break
         _, _, side, link = rest[0]
-    return Way(bearing, tuple(steps), tuple(stops), end, back, length)
+    return PlaceWay(bearing, tuple(steps), tuple(stops), end, back, length)
