@@ -137,8 +137,8 @@ def test_turned_left_by_hand(bearing, reference, want):
         ((3, 4), DIVERGENCE, (1, 4)),
         ((10, 1), DIVERGENCE, (2, 1)),
         ((6.5, 0), DIVERGENCE, (1, 3.5)),  # equally near: the lower id
-        ((0, 0), OBSTACLE, (NONE, btm.FAR_M)),
-        ((0, 0), FREE_SPACE, (NONE, btm.FAR_M)),
+        ((0, 0), OBSTACLE, (NONE, btm.NO_WAY_M)),
+        ((0, 0), FREE_SPACE, (NONE, btm.NO_WAY_M)),
     ],
 )
 def test_the_nearest_node_of_a_kind(place, kind, want):
@@ -184,7 +184,7 @@ def test_the_way_back_by_hand():
         link, bearing, to = btm.next_hop(closed, node)
         assert (int(link), float(bearing), int(to)) == pytest.approx(want)
     nothing = closed.replace(blocked=closed.blocked.at[3].set(True))
-    np.testing.assert_array_equal(btm.hops_to_open(nothing), [btm.FAR_M] * 4)
+    np.testing.assert_array_equal(btm.hops_to_open(nothing), [btm.NO_WAY_M] * 4)
     link, bearing, to = btm.next_hop(nothing, 2)
     assert (int(link), float(bearing), int(to)) == (NONE, 0, NONE)
 
@@ -236,7 +236,7 @@ def test_the_way_back_is_dijkstras(seed):
         elif status == btm.UNSEARCHED and not blocked:
             sources.add(start)
     away = nx.multi_source_dijkstra_path_length(graph, sources) if sources else {}
-    want = [away.get(node, btm.FAR_M) for node in range(N)]
+    want = [away.get(node, btm.NO_WAY_M) for node in range(N)]
     np.testing.assert_allclose(HOPS(map_), want, rtol=1e-5)
     for node, (link, bearing, to) in enumerate(zip(*(np.asarray(a).tolist() for a in HOP(map_, jnp.arange(N))))):
         ways = {}
@@ -278,7 +278,7 @@ def test_the_record_by_hand():
         attributes={"overflow": 3, "seed": 7},
     )  # fmt: skip
     assert record.check(written) == written
-    assert (btm.NODE_TYPES[FREE_SPACE], btm.NODE_TYPES[DIVERGENCE], btm.OBSTACLES[btm.SLOPE]) == (
+    assert (btm.NODE_TYPES[FREE_SPACE], btm.NODE_TYPES[DIVERGENCE], btm.OBSTACLE_SHAPES[btm.SLOPE]) == (
         "free_space", "divergence", "slope",
     )  # fmt: skip
 

@@ -817,7 +817,8 @@ def test_what_two_maps_have_in_common_need_not_hang_together():
     west = (way(6, 0, 3, 90, length_m=20.0), stub(7, 2, 90), stub(8, 5, 270))
     east = (way(6, 2, 5, 90, length_m=20.0), stub(7, 0, 90), stub(8, 3, 270))
     bent = tuple(dataclasses.replace(one, x_m=one.x_m + 3.0) for one in high)
-    found = merged_of(BtmMap((*low, *high), (*links, *west)), moved_map(BtmMap((*low, *bent), (*links, *east)), QUARTER))
+    other = moved_map(BtmMap((*low, *bent), (*links, *east)), QUARTER)
+    found = merged_of(BtmMap((*low, *high), (*links, *west)), other)
     assert found.outcome is Merging.MERGED
     assert found.matched == len(found.map.nodes) == 6
     assert len(found.map.links) == 8

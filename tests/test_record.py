@@ -86,7 +86,7 @@ def test_an_attribute_that_json_cannot_hold():
 def test_a_map_that_is_none_is_refused():
     with pytest.raises(InputError, match=r'^"map": link 0 ends at node 1, which is not there$'):
         record.check(BtmMap((node(0),), (way(0, 0, 1, 0),)))
-    with pytest.raises(InputError, match=r"^nodes 1: node ids must differ, got 0 again$"):
+    with pytest.raises(InputError, match=r"^mine: node ids must differ, got 0 again$"):
         record.check(BtmMap((node(0), node(0)), ()), lambda member, index=None: f"{member} {index}")
 
 

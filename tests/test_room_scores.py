@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image
 
 from jexplore.config import InputError
-from jexplore.rooms.scores import AGREEMENT, regions_of, rooms_of, score
+from jexplore.rooms.scores import AGREEMENT, rooms_of, score, scored_regions
 
 SHAPES = hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=6)
 LABELS = st.integers(-1, 3)
@@ -53,13 +53,15 @@ def test_rooms_of_100_pixels_are_dropped():
 def test_regions_by_hand():
     labels, free = image("77.. 22.. 77.5"), image("11.1 1111 .1.1") > 0
     # 7 forms a region of two parts, less the pixel that is not free; so does the bare patch at the right; 5 stays
-    np.testing.assert_array_equal(regions_of(labels, free, min_px=0), image("00.1 2211 .0.3"))
-    np.testing.assert_array_equal(regions_of(labels, free, min_px=2), image("00.1 ..11 .0.."))
+    np.testing.assert_array_equal(scored_regions(labels, free, min_px=0), image("00.1 2211 .0.3"))
+    np.testing.assert_array_equal(scored_regions(labels, free, min_px=2), image("00.1 ..11 .0.."))
 
 
 def test_bare_patches_are_regions_of_their_own():
     free = np.ones((3, 5), dtype=bool)
-    np.testing.assert_array_equal(regions_of(image("..4.. ..4.. ..4.."), free, min_px=0), image("00122 00122 00122"))
+    np.testing.assert_array_equal(
+        scored_regions(image("..4.. ..4.. ..4.."), free, min_px=0), image("00122 00122 00122")
+    )
 
 
 def test_score_by_hand():
@@ -214,9 +216,9 @@ def test_regions_are_the_literal_ones(labels, data):
     want = np.full(labels.shape, -1)
     for at, number in regions.items():
         want[at] = number
-    np.testing.assert_array_equal(regions_of(labels, free, min_px=min_px), want)
+    np.testing.assert_array_equal(scored_regions(labels, free, min_px=min_px), want)
     np.testing.assert_array_equal(
-        rooms_of(free, min_px=min_px), regions_of(np.full(labels.shape, -1), free, min_px=min_px)
+        rooms_of(free, min_px=min_px), scored_regions(np.full(labels.shape, -1), free, min_px=min_px)
     )
 
 
@@ -277,13 +279,13 @@ def test_wrong_sizes_are_refused():
     with pytest.raises(InputError, match=r"the segmentation must be as large .* 4 x 3 pixels, got 3 x 4$"):
         score(np.zeros((3, 4), int), np.zeros((4, 3), int))
     with pytest.raises(InputError, match=r"the labels must be as large as the free mask, 2 x 1 pixels, got 2$"):
-        regions_of(np.zeros(2, int), np.zeros((1, 2), bool))
+        scored_regions(np.zeros(2, int), np.zeros((1, 2), bool))
 
 
 def test_real_ground_truth(maps):
     free = np.asarray(Image.open(maps / "ipa" / "office_b_gt_segmentation.png").convert("L")) >= 250
     truth = rooms_of(free)
-    found = score(truth, regions_of(truth, free))
+    found = score(truth, scored_regions(truth, free))
     assert (truth.max() + 1, found["rooms"], found["mcc"]) == (30, 30, 1.0)
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from ref import maps, rooms
 from skimage import morphology
 
-from jexplore.segment import METRICS, VARIANTS, Form, borders, criteria, critical_points, form_for, merged, segment
+from jexplore.segment import MAX_HOPS, METRICS, Form, borders, criteria, critical_points, form_for, merged, segment
 from jexplore.skeleton import graph
 from jexplore.worlds import load_world
 
@@ -24,7 +24,7 @@ BY_AIR = FORM._replace(metric="euclidean")
 
 def hops(variant):
     """`max_hops` of a variant as the oracle takes it."""
-    return None if variant == "thrun" else VARIANTS[variant]
+    return None if variant == "thrun" else MAX_HOPS[variant]
 
 
 def parts(text):
@@ -71,7 +71,7 @@ TWO_ROOMS = """
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", MAX_HOPS)
 def test_two_rooms_and_a_door_by_hand(variant):
     """The door's cells are as far from either side's seed: they go to the first, which lies to the east."""
     found = check(TWO_ROOMS, criteria(variant))
@@ -148,7 +148,7 @@ def test_a_corridor_with_two_rooms_by_hand():
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", MAX_HOPS)
 @pytest.mark.parametrize("form", [FORM, BY_AIR])
 def test_a_corridor_with_four_rooms(variant, form):
     expected = np.full(SHAPES[1], -1)
@@ -207,7 +207,7 @@ BULGES = """
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", MAX_HOPS)
 def test_a_critical_point_may_be_some_nodes_away_from_a_junction(variant):
     """The left door: from there to the T the middle of a bulge lies on the way. The right one is next to a junction."""
     expected = BULGES.replace("b", "a") if variant == "wurm" else BULGES
@@ -244,8 +244,8 @@ def test_critical_points_of_a_chain_by_hand():
 
     assert columns() == columns(prominence=0.0) == [2, 5, 8, 10]
     # other minima and maxima on the way to a junction: one from 2, three and four from 5, two from 8, none from 10
-    assert columns(max_hops=VARIANTS["wurm"]) == [10]
-    assert columns(max_hops=VARIANTS["holz"]) == [2, 10]
+    assert columns(max_hops=MAX_HOPS["wurm"]) == [10]
+    assert columns(max_hops=MAX_HOPS["holz"]) == [2, 10]
     assert columns(max_hops=3) == [2, 8, 10]
     assert columns(max_hops=4) == [2, 5, 8, 10]
     assert columns(max_hops=0) == []
@@ -380,7 +380,7 @@ floors = st.tuples(st.sampled_from(("carved", "walled")), st.sampled_from(SHAPES
 )
 choices = st.fixed_dictionaries(
     {
-        "variant": st.sampled_from(tuple(VARIANTS)),
+        "variant": st.sampled_from(tuple(MAX_HOPS)),
         "prominence": st.sampled_from((0.0, 0.0, 0.4, 1.0)),
         "gamma": st.sampled_from((1.0, 2.0, 3.0)),
         "max_clearance": st.sampled_from((math.inf, 2.0)),

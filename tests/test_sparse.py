@@ -72,7 +72,7 @@ def test_a_list_is_numpys(mask):
     slot = np.full(np.add(mask.shape, 2), size)
     slot[1:-1, 1:-1].flat[kept] = np.arange(len(kept))
     near = np.full((size, 8), size)
-    for i, (drow, dcol) in enumerate(sparse.NEIGHBOURS):
+    for i, (drow, dcol) in enumerate(sparse.EIGHT_NEIGHBOURS):
         near[: len(kept), i] = slot[kept // mask.shape[1] + 1 + drow, kept % mask.shape[1] + 1 + dcol]
     np.testing.assert_array_equal(cells.near, near)
 

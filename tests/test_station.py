@@ -22,7 +22,7 @@ from jexplore.tracemap import json_form
 from jexplore.tracemap.merging.merge import merge_maps
 from jexplore.tracemap.merging.rigid import Move, moved_map
 from jexplore.tracemap.passable import hindrances, refusals
-from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLES, BtmMap, Link, Node, check
+from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLE_SHAPES, BtmMap, Link, Node, check
 
 # The last half a character stays out of the maps: a browser that dumps it to a file dies.
 NASTY = "</script><script>boom()</script> \"T\" & 'q' {{data}} <!-- straße 通路 \u2028"
@@ -269,7 +269,7 @@ def random_map(rng):
     ids, nodes, links = rng.sample(range(20), n), [], []
     for own in ids:
         kind = rng.choice(NODE_TYPES)
-        shape = rng.choice([None, *OBSTACLES]) if kind == "obstacle" else None
+        shape = rng.choice([None, *OBSTACLE_SHAPES]) if kind == "obstacle" else None
         measures = (
             {"step_m": near(0.03, 0.2), "inclination_deg": near(5.0, 45.0)} if shape and rng.random() < 0.6 else {}
         )

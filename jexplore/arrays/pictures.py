@@ -34,14 +34,7 @@ def or_text(method: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 def html_of(picture: bytes, caption: str, head: Sequence[str] = (), lines: Iterable[Sequence[str]] = ()) -> str:
-    """Return HTML of a PNG picture, a line below it, and a table, which needs no other file.
-
-    Args:
-      picture: the bytes of the PNG.
-      caption: text.
-      head: `[K]` texts, names of columns.
-      lines: lists of `[K]` texts; only the first `MOST_ROWS` are shown.
-    """
+    """Return HTML of a PNG picture, a line below it, and a table of which the first `MOST_ROWS` lines are shown."""
     source = base64.b64encode(picture).decode("ascii")
     parts = [f'<img src="data:image/png;base64,{source}" alt="{html.escape(caption)}" style="max-width: 100%">']
     parts.append(f"<div>{html.escape(caption)}</div>")

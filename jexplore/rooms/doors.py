@@ -7,7 +7,8 @@ from scipy import ndimage
 
 from jexplore.rooms.scores import components
 
-NEAR_M = 0.5  # a door is found if two rooms touch so close to its middle
+FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
+DOOR_NEAR_M = 0.5  # a door is found if two rooms touch so close to its middle
 
 
 class Doors(NamedTuple):
@@ -22,18 +23,11 @@ class Doors(NamedTuple):
 def filled(label: np.ndarray, free: np.ndarray, gap: float) -> np.ndarray:
     """Assign free cells without a label, such as doorways, to the nearest room along free cells.
 
-    Args:
-      label: `[H, W]` int, rooms; negative for none.
-      free: `[H, W]` bool.
-      gap: how far away a room may be, in steps to the four neighbours.
-
-    Returns:
-      `[H, W]` int.
+    Negative labels are none; a room may be `gap` steps to the four neighbours away.
     """
     label, left = label.copy(), free & (label < 0)
     for _ in range(int(gap)):
-        wide = np.pad(label, 1, constant_values=-1)
-        around = np.max([wide[1:-1, 2:], wide[2:, 1:-1], wide[1:-1, :-2], wide[:-2, 1:-1]], axis=0)
+        around = ndimage.maximum_filter(label, footprint=FOUR_NEIGHBOURS, mode="constant", cval=-1)
         reached = left & (around >= 0)
         if not reached.any():
             break
@@ -45,8 +39,7 @@ def filled(label: np.ndarray, free: np.ndarray, gap: float) -> np.ndarray:
 def touching(label: np.ndarray) -> list[np.ndarray]:
     """Return the cells at which two rooms touch along an edge, a list of `[n, 2]` int for every piece of such a border.
 
-    Args:
-      label: `[H, W]` int, rooms; negative for none.
+    Negative labels are none.
     """
     cells, pairs = [], []
     here = np.indices(label.shape).transpose(1, 2, 0)
@@ -77,7 +70,7 @@ def _middles(pieces):
 
 def middles_of(label: np.ndarray, free: np.ndarray, cell_m: float) -> np.ndarray:
     """Return the middles of the doors between rooms, `[n, 2]` int, row and column. Arguments as of `compared`."""
-    return _middles(touching(filled(label, free, NEAR_M / cell_m)))
+    return _middles(touching(filled(label, free, DOOR_NEAR_M / cell_m)))
 
 
 def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell_m: float) -> Doors:
@@ -88,11 +81,8 @@ def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell
       found: `[H, W]` int, rooms of the segmentation, in the same form.
       free: `[H, W]` bool.
       cell_m: edge of a cell, metres.
-
-    Returns:
-      `Doors`.
     """
-    gap = NEAR_M / cell_m
+    gap = DOOR_NEAR_M / cell_m
     own = touching(filled(found, free, gap))
     if truth is None:
         return Doors(_middles([]), _middles([]), _middles(own), len(own))

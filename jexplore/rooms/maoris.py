@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-SHARE = 0.4  # share of the perimeter: a zone that shares more with a wider one is a ripple of that
+RIPPLE_SHARE = 0.4  # share of the perimeter: a zone that shares more with a wider one is a ripple of that
 LIKENESS = 0.5  # zones are alike if the width of one is at least this share of that of the other
 SMALLEST_M2 = 2.0  # area of the smallest room
 
@@ -90,7 +90,7 @@ def _ripples(zones):
     """Join ripples to the wider zone around them. Arrays as of `_longest`, here and below."""
     is_wider = zones.width[zones.other] > zones.width[zones.one]
     perimeter = np.bincount(zones.one, zones.length, len(zones.width))
-    return _longest(zones, is_wider & (zones.length > SHARE * perimeter[zones.one]))
+    return _longest(zones, is_wider & (zones.length > RIPPLE_SHARE * perimeter[zones.one]))
 
 
 def _alike(zones):

@@ -8,10 +8,10 @@ import functools
 from collections.abc import Sequence
 
 from jexplore.config import checked_names
-from jexplore.tracemap.passable import called, inclination_of, step_of, unknowns, unknowns_at, width_of
-from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, direction_deg, length_of, parts_of
+from jexplore.tracemap.passable import inclination_of, link_name, step_of, unknowns, unknowns_at, width_of
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, connected_parts, direction_deg, length_of
 
-SAME_DEG = 1e-6  # bearings nearer than this are one
+SAME_BEARING_DEG = 1e-6  # bearings nearer than this are one
 LENGTH_UNIT_M = 0.001  # lengths are compared in whole units
 
 
@@ -122,7 +122,7 @@ class Sheet:
     @functools.cached_property
     def part(self) -> dict[int, int]:
         """Return node -> a node of its connected part, one for all of the part."""
-        return parts_of(self.index.nodes, self.index.links.values())
+        return connected_parts(self.index.nodes, self.index.links.values())
 
     @functools.cached_property
     def parts_with_stubs(self) -> frozenset[int]:
@@ -130,15 +130,7 @@ class Sheet:
         return frozenset(self.part[link.start] for link in self.index.links.values() if link.end == NOWHERE)
 
     def steps(self, nodes: Sequence[int], links: Sequence[int]) -> tuple[Step, ...]:
-        """Make the steps of a way.
-
-        Args:
-          nodes: ids that links leave, in order; more of them do not count.
-          links: ids, an un-searched one only as the last.
-
-        Returns:
-          Tuple of `Step`.
-        """
+        """Make the steps of a way: ids of nodes, and of the links that leave them; an un-searched one is the last."""
         made, before = self._steps, (NOWHERE, *links)
         keys = list(zip(before, links, nodes))
         for key in keys:
@@ -149,7 +141,7 @@ class Sheet:
     def unknown(self, links: Sequence[int], passed: Sequence[int]) -> tuple[str, ...]:
         """List facts that the map lacks about the links of a route and the nodes it passes: sentences."""
         doubts, blanks = self._doubts, self._blanks
-        of_links = [f"{called(self.index.links[own])}: {', '.join(doubts[own])}" for own in links if own in doubts]
+        of_links = [f"{link_name(self.index.links[own])}: {', '.join(doubts[own])}" for own in links if own in doubts]
         return (*of_links, *[f"node {own}: {', '.join(blanks[own])}" for own in passed if own in blanks])
 
     @functools.cached_property
@@ -178,19 +170,14 @@ class Sheet:
 
 
 def _counted(ends, leaves, came):
-    """Return number, count and angle of a link among those of a node: `(way, ways, turn_deg)`.
-
-    Args:
-      ends: of the node, see `Index`.
-      leaves, came: keys of `ends`; `came` is None where the route begins.
-    """
+    """Return `(way, ways, turn_deg)` of a `Step` by the ends of links at a node, see `Index`, and two of its keys."""
     if came is None:
         return None, len(ends), None
     back = ends[came]
 
     def angle(end):
         turned = (ends[end] - back) % 360.0
-        return 360.0 if turned <= SAME_DEG else turned
+        return 360.0 if turned <= SAME_BEARING_DEG else turned
 
     order = sorted((end for end in ends if end != came), key=lambda end: (angle(end), end[0], not end[1]))
     return order.index(leaves) + 1, len(order), angle(leaves)

@@ -5,7 +5,7 @@ import math
 
 from hypothesis import strategies as st
 
-from jexplore.tracemap.record import NOWHERE, OBSTACLES, STATUS, BtmMap, Link, Node, check
+from jexplore.tracemap.record import NOWHERE, OBSTACLE_SHAPES, STATUS, BtmMap, Link, Node, check
 from jexplore.tracemap.similarity import code, tree_of
 
 TYPES = {"T": "terminal", "D": "divergence", "F": "free_space", "O": "obstacle"}
@@ -64,7 +64,7 @@ def maps(draw, *, cycles=True, measures=False):
     nodes = []
     for i in range(count):
         kind = draw(st.sampled_from(sorted(TYPES)))
-        shape = draw(st.sampled_from(OBSTACLES)) if kind == "O" else None
+        shape = draw(st.sampled_from(OBSTACLE_SHAPES)) if kind == "O" else None
         x, y = (draw(FINITE), draw(FINITE)) if measures else (float(i), 0.0)
         more = {"inclination_deg": draw(number), "step_m": draw(length), "posture_deg": draw(number)}
         nodes.append(node(i, kind, x, y, obstacle=shape, attributes=draw(names), **more))
