@@ -106,7 +106,7 @@ def graph(skeleton: Array, d2: Array, *, size: int) -> Graph:
     Returns:
       `Graph`.
     """
-    cells = sparse.listed(skeleton, size)
+    cells = sparse.list_cells(skeleton, size)
     east, north, west, south, *diagonal = (cells.near[:, i] for i in range(len(EIGHT_NEIGHBOURS)))
     corners = ((east, north), (west, north), (west, south), (east, south))
     diagonal = [jnp.where((a < size) | (b < size), size, d) for d, (a, b) in zip(diagonal, corners)]

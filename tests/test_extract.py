@@ -160,7 +160,7 @@ def test_a_corner_that_is_cut_off_is_no_room():
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize(("first_row", "first_col"), [(50, 60), (56, 66), (60, 60), (60, 66)])
+@pytest.mark.parametrize(("first_row", "first_col"), [(50, 60), (60, 66)])
 def test_a_room_with_doors_in_two_walls_is_a_corner_that_leads_on(first_row, first_col):
     doors = (first_row, 50, first_row + 9, 52), (70, first_col, 72, first_col + 9)
     found = mapped(board((50, 5, 70, 50), (38, 52, 70, 84), (72, 52, 105, 84), *doors), start=(60, 12))
@@ -312,8 +312,9 @@ def test_roughness_of_one_cell_makes_no_nodes(shape):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("turns", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("shape", "turns"), [("straight", 1), ("corner", 2), ("tee", 3), ("crossing", 1), ("hall", 2), ("tee", 1)]
+)
 def test_the_map_turned_is_the_answer_turned(shape, turns):
     """Rows count upwards: counter-clockwise is from columns to rows."""
     free, at = SHAPES[shape], np.zeros((SIDE, SIDE), bool)
@@ -350,7 +351,7 @@ def test_the_origin_moves_all_and_the_cell_scales_all():
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("name", ["course", "course#1", "course#2"])
+@pytest.mark.parametrize("name", ["course", "course#2"])
 def test_the_divergences_of_a_course_are_those_of_its_topology(name):
     world = load_world(name)
     assert world.course is not None

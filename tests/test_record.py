@@ -49,7 +49,7 @@ def test_angles_are_a_full_turn(bearings):
 
 def test_numbers_of_numpy_become_plain():
     btm = BtmMap((Node(np.int32(0), np.float32(0.5), 1, "terminal", attributes={"heat": np.float64(2)}),), ())
-    found = record.check(btm)
+    found = record.check_map(btm)
     assert repr(found.nodes[0]) == repr(Node(0, 0.5, 1.0, "terminal", attributes={"heat": 2.0}))
 
 
@@ -85,9 +85,9 @@ def test_an_attribute_that_json_cannot_hold():
 
 def test_a_map_that_is_none_is_refused():
     with pytest.raises(InputError, match=r'^"map": link 0 ends at node 1, which is not there$'):
-        record.check(BtmMap((node(0),), (way(0, 0, 1, 0),)))
+        record.check_map(BtmMap((node(0),), (way(0, 0, 1, 0),)))
     with pytest.raises(InputError, match=r"^mine: node ids must differ, got 0 again$"):
-        record.check(BtmMap((node(0), node(0)), ()), lambda member, index=None: f"{member} {index}")
+        record.check_map(BtmMap((node(0), node(0)), ()), "mine")
 
 
 @pytest.mark.parametrize("module", ["tracemap.record", "tracemap.json_form", "tracemap.similarity"])

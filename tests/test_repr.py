@@ -280,7 +280,7 @@ def test_what_cannot_be_drawn_falls_back_to_text(episode, comparison):
 def test_long_tables_are_cut_and_texts_are_no_html():
     lines = [(str(i), "<i>") for i in range(1000)]
     html = pictures.html_of(b"png", 'a "b" & c', ("n", "x"), lines)
-    assert html.count("<tr>") == 1 + pictures.MOST_ROWS
+    assert html.count("<tr>") == 1 + pictures.MAX_TABLE_ROWS
     assert "... and 976 more rows" in html
     assert "<i>" not in html
     assert 'alt="a &quot;b&quot; &amp; c"' in html

@@ -121,10 +121,7 @@ def test_the_table_by_hand():
     ("measures", "reasons"),
     [
         ({"min_width_m": 0.38}, ["width 0.38 m < 0.39 m"]),
-        ({"opening_m": 0.38}, ["opening 0.38 m < 0.39 m"]),
-        ({"max_step_m": 0.0304}, ["step 0.0304 m > 0.03 m"]),
         ({"posture_deg": 5.00002}, ["inclination 5.00002 deg > 5 deg"]),
-        ({"max_roll_deg": 10.0}, ["roll 10 deg > 5 deg"]),
         ({"attributes": {"blocked": True}}, [f"blocked: {LIFTED}"]),
         ({"attributes": {"blocked": True, "found_by": "scout"}}, [f"blocked, found by scout: {LIFTED}"]),
         (
@@ -378,7 +375,7 @@ def oracle(btm, robot, start, end):
     return metres, min((len(keys), tuple(keys)) for keys in ways if sum(map(length.get, keys)) == metres)[1]
 
 
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(graphs(), st.data())
 def test_routes_are_those_of_networkx(btm, data):
     one = st.sampled_from([node.id for node in btm.nodes])
@@ -391,7 +388,7 @@ def test_routes_are_those_of_networkx(btm, data):
     assert [step.end for step in route.steps] == list(route.nodes[1:])
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(graphs(), st.data())
 def test_the_unsearched_link_is_the_nearest(btm, data):
     start = data.draw(st.sampled_from([node.id for node in btm.nodes]))
@@ -408,7 +405,7 @@ def test_the_unsearched_link_is_the_nearest(btm, data):
         assert (route.length_m, len(route.links), route.links, route.onward.link) == min(ends.values())
 
 
-@settings(max_examples=25)
+@settings(max_examples=15)
 @given(graphs())
 def test_a_way_back_is_as_long_and_a_better_robot_goes_no_farther(btm):
     ids = [node.id for node in btm.nodes]
@@ -480,14 +477,11 @@ def test_robots_that_may_use_the_same_are_told_apart():
         (("kamui", 0, "-1"), r"^to: there is no node -1: the map has nodes 0, 1, 2, 3$"),
         (("kamui", "a", 0), r"^from must be a node's id or X,Y in metres, got 'a'$"),
         (("kamui", 0, "1,2,3"), r"^to must be a node's id or X,Y in metres, or unsearched, got '1,2,3'$"),
-        (("kamui", 0, True), r"^to must be a node's id"),
-        (("kamui", 0, None), r"^to must be a node's id"),
         (("kamui", 0, (1.0, math.nan)), r"^to must be a node's id"),
         (("kamui", "unsearched", 0), r"^from must be a node's id or X,Y in metres, got 'unsearched'$"),
         (("kamui", "9,0", 0), r"^from: the node nearest to 9,0 is 1, 4.00 m away, more than 2 m$"),
         (("hover", 0, 1), r"^robot must be one of kamui, wheeled, got 'hover'$"),
         ((3, 0, 1), r"^robot must be a name such as wheeled, or a jx.btm.Robot, got 3$"),
-        ((None, 0, 1), r"^robot must be a name such as wheeled, or a jx.btm.Robot, got None$"),
     ],
 )
 def test_bad_requests_are_refused(arguments, message):
@@ -512,8 +506,6 @@ def test_bad_maps_are_refused():
         jx.btm.route(BtmMap((), ()), "kamui", 0, 0)
     with pytest.raises(InputError, match=r"^btm must be a jx.btm.BtmMap"):
         jx.btm.route("btm.json", "kamui", 0, 0)
-    with pytest.raises(InputError, match=r"link 4 starts at node 0, which is not there|starts at node 0"):
-        jx.btm.route(dataclasses.replace(SQUARE, nodes=SQUARE.nodes[1:]), "kamui", 1, 2)
     with pytest.raises(InputError, match=r"^links must be less than 1074 km long in all$"):
         jx.btm.route(changed(SQUARE, 0, length_m=1.1e6), "kamui", 1, 2)
     with pytest.raises(InputError, match=r"^robots must be a list, got 'kamui'$"):
@@ -564,10 +556,7 @@ def test_without_a_route_the_command_ends_with_1_and_all_reasons(saved, capsys):
     [
         ("--map btm.json", "expected --to: jexplore route --map btm.json"),
         ("--to 3", "expected --map: jexplore route --map btm.json"),
-        ("--map btm.json --from 9 --to 2", "from: there is no node 9: the map has nodes 0, 1, 2, 3"),
         ("--map btm.json --from -3,4 --to 2", "from: the node nearest to -3,4 is 3, 3.16 m away, more than 2 m"),
-        ("--map btm.json --to there", "to must be a node's id or X,Y in metres, or unsearched, got 'there'"),
-        ("--map btm.json --robot hover --to 2", "robot must be one of kamui, wheeled, got 'hover'"),
         ("--map no.json --to 2", '"no.json"'),
         ("--map gone.json --to 2", "'gone.json': there is no such file"),
         ("--map btm.json --to 2 --overwrite", "--overwrite goes with --out DIR"),

@@ -16,7 +16,7 @@ SHAPES = ((1, 1), (3, 40), (70, 5))  # wider and taller than a machine word
 masks = st.tuples(st.sampled_from(SHAPES), st.sampled_from((0.0, 0.02, 0.5, 1.0)), st.integers(0, 2**30)).map(
     lambda case: np.random.default_rng(case[2]).random(case[0]) < case[1]
 )
-LISTED = jax.jit(sparse.listed, static_argnames="size")
+LISTED = jax.jit(sparse.list_cells, static_argnames="size")
 
 
 @pytest.mark.jit
@@ -106,7 +106,7 @@ def test_cells_by_their_number_are_numpys(mask, seed):
 @pytest.mark.jit
 def test_rows_of_a_batch_are_independent():
     mask = jnp.asarray(np.random.default_rng(6).random((3, 3, 40)) < [[[0.0]], [[0.3]], [[0.05]]])
-    batch = jax.jit(jax.vmap(functools.partial(sparse.listed, size=12)))(mask)
+    batch = jax.jit(jax.vmap(functools.partial(sparse.list_cells, size=12)))(mask)
     for i in range(3):
         alone = LISTED(mask[i], size=12)
         jax.tree.map(lambda many, one, i=i: np.testing.assert_array_equal(many[i], one), batch, alone)

@@ -22,7 +22,7 @@ from jexplore.tracemap import json_form
 from jexplore.tracemap.merging.merge import merge_maps
 from jexplore.tracemap.merging.rigid import Move, moved_map
 from jexplore.tracemap.passable import hindrances, refusals
-from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLE_SHAPES, BtmMap, Link, Node, check
+from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLE_SHAPES, BtmMap, Link, Node, check_map
 
 # The last half a character stays out of the maps: a browser that dumps it to a file dies.
 NASTY = "</script><script>boom()</script> \"T\" & 'q' {{data}} <!-- straße 通路 \u2028"
@@ -118,7 +118,7 @@ def test_maps_that_fit_are_one_and_others_stand_apart():
     assert [(panel.name, panel.maps) for panel in panels] == [(TOGETHER, ("a", "b")), ("c", ("c",))]
     assert panels[0].map == merge_maps([first(), second()], ["a", "b"]).map
     assert panels[0].note == "In the frame of a."
-    assert panels[1].map == check(apart)
+    assert panels[1].map == check_map(apart)
     assert panels[1].note == "Stands apart: it has not enough in common with the other maps."
     assert said == ["node 3: victim is True in a and False in b"]
     data = data_of(jx.btm.station([first(), second(), apart], ["a", "b", "c"]))
@@ -151,7 +151,7 @@ def test_ways_that_contradict_are_told_as_well():
 
 def test_maps_none_of_which_fits_stand_each_alone():
     panels, said = panels_of([chain("TDT"), first()], ["a", "b"])
-    assert [(panel.name, panel.map) for panel in panels] == [("a", check(chain("TDT"))), ("b", check(first()))]
+    assert [(panel.name, panel.map) for panel in panels] == [("a", check_map(chain("TDT"))), ("b", check_map(first()))]
     assert {panel.note for panel in panels} == {"Stands apart: no two of the maps have enough in common."}
     assert said == []
     ring = BtmMap(  # looks the same after half a turn

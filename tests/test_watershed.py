@@ -6,8 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from ref import basins, maps, rooms
 
 from jexplore.rooms import watershed as kernel
@@ -225,18 +223,10 @@ def both(seed, density, ratio):
     return sides
 
 
-@settings(max_examples=12, deadline=None)
-@given(seed=st.integers(0, 2**16), density=st.sampled_from(DENSITIES), ratio=st.sampled_from(RATIOS))
-def test_rooms_are_the_oracles(seed, density, ratio):
-    (label, ways), (expected, expected_ways) = both(seed, density, ratio)
-    assert rooms.same_partition(label, expected)
-    assert ways == expected_ways
-
-
 @pytest.mark.jit
 def test_rooms_are_the_oracles_on_many_maps():
     # 1163, 2765, 2867: a pocket in rock; 1538, 2618: small rooms in a row.
-    for seed in (*range(60), 1163, 1538, 2618, 2765, 2867):
+    for seed in (*range(30), 1163, 1538, 2618, 2765, 2867):
         (label, ways), (expected, expected_ways) = both(seed, DENSITIES[seed % 3], RATIOS[seed // 3 % 3])
         assert rooms.same_partition(label, expected), seed
         assert ways == expected_ways, seed
@@ -281,15 +271,8 @@ def test_what_does_not_fit_is_counted():
     assert int(small.overflow) > 0
 
 
-@pytest.mark.parametrize(
-    ("free", "unknown"),
-    [
-        (np.zeros((4, 4), np.int32), np.zeros((4, 4), bool)),
-        (np.zeros(4, bool), np.zeros(4, bool)),
-        (np.zeros((4, 4), bool), np.zeros((4, 5), bool)),
-        (np.zeros((4, 4), bool), np.zeros((4, 4), np.int32)),
-    ],
-)
-def test_what_is_refused(free, unknown):
-    with pytest.raises(ValueError, match="expected free, unknown"):
-        watershed(free, unknown, room_criteria(CELL_M), form=FORM)
+def test_what_is_refused():
+    mask = np.zeros((4, 4), bool)
+    for free, unknown in ((mask.astype(int), mask), (mask[0], mask[0]), (mask, mask[:3]), (mask, mask.astype(int))):
+        with pytest.raises(ValueError, match="expected free, unknown"):
+            watershed(free, unknown, room_criteria(CELL_M), form=FORM)

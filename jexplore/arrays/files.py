@@ -17,8 +17,7 @@ MOST_LEVELS = 100
 """Lists and objects within each other. What walks over them calls itself once or twice a level, and Python ends that
 after 1,000 calls."""
 _TOO_DEEP = f"lists and objects lie in each other more than {MOST_LEVELS} deep"
-MOST_SPEC_BYTES = 2**20
-"""Of a YAML file. PyYAML reads about 100 kB in a second."""
+MOST_SPEC_BYTES = 2**20  # of a YAML file. PyYAML reads about 100 kB in a second.
 
 
 @contextlib.contextmanager

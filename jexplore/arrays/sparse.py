@@ -20,7 +20,7 @@ class Cells:
     overflow: Array  # int32, cells that did not fit
 
 
-def listed(mask: Array, size: int) -> Cells:
+def list_cells(mask: Array, size: int) -> Cells:
     """List the `Cells` of a mask, `[H, W]` bool, in K = `size` slots."""
     height, width = mask.shape
     none = height * width

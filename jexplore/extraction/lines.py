@@ -15,12 +15,10 @@ from jexplore.skeleton import voronoi_graph
 
 CORNER_DEG = 40.0
 """A branch that ends at a wall is roughness of the wall where the directions to its two walls differ by less."""
-DEPTH = 1.5
-"""And where the corner lies less far beyond the disc that touches its two walls, cells."""
+DEPTH = 1.5  # and where the corner lies less far beyond the disc that touches its two walls, cells
 TAPER_DEG = 135.0
 """Such a branch is a passage with a dead end where they differ by more, else a corner: 90 degrees in a square one."""
-PASSAGE = 6
-"""And where they differ by as much for fewer cells: narrow corners are rough."""
+PASSAGE = 6  # and where they differ by as much for fewer cells: narrow corners are rough
 NECK = 0.75
 """A branch that ends at corners of its own is a way into a room where it has been narrower than this share of its end's
 clearance: a corner that is cut off only narrows."""

@@ -155,7 +155,7 @@ def segmented(
     prominence_m: float = PROMINENCE_M,
     gamma: float = 3.0,
     ratio: float = watershed.RATIO,
-    smallest_m2: float = watershed.SMALLEST_M2,
+    smallest_m2: float = watershed.SMALLEST_ROOM_M2,
     clutter_m: float = watershed.CLUTTER_M,
     door_m: float = 1.6,
     room_m2: float = 40.0,

@@ -7,7 +7,6 @@ from scipy import ndimage
 
 from jexplore.rooms.scores import components
 
-FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
 DOOR_NEAR_M = 0.5  # a door is found if two rooms touch so close to its middle
 
 
@@ -20,14 +19,15 @@ class Doors(NamedTuple):
     touching: int  # places where two rooms touch
 
 
-def filled(label: np.ndarray, free: np.ndarray, gap: float) -> np.ndarray:
+def with_doorways(label: np.ndarray, free: np.ndarray, gap: float) -> np.ndarray:
     """Assign free cells without a label, such as doorways, to the nearest room along free cells.
 
     Negative labels are none; a room may be `gap` steps to the four neighbours away.
     """
     label, left = label.copy(), free & (label < 0)
     for _ in range(int(gap)):
-        around = ndimage.maximum_filter(label, footprint=FOUR_NEIGHBOURS, mode="constant", cval=-1)
+        wide = np.pad(label, 1, constant_values=-1)
+        around = np.max([wide[1:-1, 2:], wide[2:, 1:-1], wide[1:-1, :-2], wide[:-2, 1:-1]], axis=0)
         reached = left & (around >= 0)
         if not reached.any():
             break
@@ -70,7 +70,7 @@ def _middles(pieces):
 
 def middles_of(label: np.ndarray, free: np.ndarray, cell_m: float) -> np.ndarray:
     """Return the middles of the doors between rooms, `[n, 2]` int, row and column. Arguments as of `compared`."""
-    return _middles(touching(filled(label, free, DOOR_NEAR_M / cell_m)))
+    return _middles(touching(with_doorways(label, free, DOOR_NEAR_M / cell_m)))
 
 
 def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell_m: float) -> Doors:
@@ -83,10 +83,10 @@ def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell
       cell_m: edge of a cell, metres.
     """
     gap = DOOR_NEAR_M / cell_m
-    own = touching(filled(found, free, gap))
+    own = touching(with_doorways(found, free, gap))
     if truth is None:
         return Doors(_middles([]), _middles([]), _middles(own), len(own))
-    true = touching(filled(truth, free, gap))
+    true = touching(with_doorways(truth, free, gap))
     close = [_close(_middles(pieces), others, free.shape, gap) for pieces, others in ((true, own), (own, true))]
     middles = _middles(true), _middles(own)
     return Doors(middles[0][close[0]], middles[0][~close[0]], middles[1][~close[1]], len(own))

@@ -20,7 +20,7 @@ from jexplore.frontier import label_clusters
 from jexplore.grid import any_within_one, any_within_one_packed, beside, bordered, count
 
 RATIO = 0.75
-SMALLEST_M2 = 2.0
+SMALLEST_ROOM_M2 = 2.0
 CLUTTER_M = 1.0
 HIGHEST = 2**20  # squared clearance without any obstacle, cells^2
 
@@ -66,7 +66,7 @@ def room_form_for(shape: tuple[int, ...], *, coarse: bool = False) -> RoomForm:
 
 
 def room_criteria(
-    cell_m: float, *, ratio: float = RATIO, smallest_m2: float = SMALLEST_M2, clutter_m: float = CLUTTER_M
+    cell_m: float, *, ratio: float = RATIO, smallest_m2: float = SMALLEST_ROOM_M2, clutter_m: float = CLUTTER_M
 ) -> RoomCriteria:
     """Return `RoomCriteria` for cells of a size. Lengths in metres, areas in square metres."""
     return RoomCriteria(jnp.float32(ratio), jnp.float32(smallest_m2 / cell_m**2), jnp.float32(clutter_m / cell_m))
@@ -85,7 +85,7 @@ def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Arr
     """
     height, width = free.shape
     edge = ~free & any_within_one(free)
-    cells = sparse.listed(edge, edges)
+    cells = sparse.list_cells(edge, edges)
     group = label_clusters(cells)  # all round an obstacle, or all round a hole in one
     row, col = cells.cell // width, cells.cell % width
     used = cells.cell < height * width

@@ -24,7 +24,7 @@ class Settings(NamedTuple):
     """Numbers and choices of all variants."""
 
     ratio: float = watershed.RATIO  # voronoi: see `watershed.RoomCriteria`
-    smallest_m2: float = watershed.SMALLEST_M2  # voronoi: area of the smallest room, m^2
+    smallest_m2: float = watershed.SMALLEST_ROOM_M2  # voronoi: area of the smallest room, m^2
     clutter_m: float = watershed.CLUTTER_M  # all but the paper's: smaller obstacles are no walls, metres
     prominence_m: float = segment.PROMINENCE_M  # thrun, wurm, holz: see `segment.Criteria`, metres
     gamma: float = 3.0  # cells

@@ -10,7 +10,7 @@ from jexplore.arrays.padding import bucket
 from jexplore.arrays.pose_graph import settle
 from jexplore.config import InputError, checked_names
 from jexplore.tracemap.merging.rigid import Move
-from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check, direction_deg
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check_map, direction_deg
 
 CORRECTED_FRAME = "map"  # of a corrected map
 PLACE = 0.1, 0.03  # standard deviation of a move along a link: metres, plus this share of its length
@@ -37,7 +37,7 @@ def correct_map(btm: BtmMap) -> BtmMap:
     Raises:
       InputError: not a proper map, or no searched link has the attribute, as in a merged map, or it is malformed.
     """
-    btm = check(btm)
+    btm = check_map(btm)
     place, _ = laid_out(btm, moves(btm))
     turn_deg = {node.id: math.degrees(place[i][2]) for i, node in enumerate(btm.nodes)}
     nodes = (dataclasses.replace(node, x_m=float(x_m), y_m=float(y_m)) for node, (x_m, y_m, _) in zip(btm.nodes, place))

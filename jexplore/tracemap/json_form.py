@@ -7,13 +7,11 @@ from typing import Any
 
 from jexplore.arrays.files import json_of, read_text
 from jexplore.config import InputError, checked_names, shown
-from jexplore.tracemap.record import BtmMap, Link, Node, check, item_name
+from jexplore.tracemap.record import BtmMap, Link, Node, check_map, item_name
 
 MAP_FORMAT = "behavioral-trace-map"
-VERSION = (1, 1)
-"""The first number changes where an older reader would go wrong, the second where it would not."""
-MAX_MAP_BYTES = 2**26
-"""Of a file that is read: that of a hundred thousand nodes and links."""
+VERSION = (1, 1)  # the first number changes where an older reader would go wrong, the second where it would not
+MAX_MAP_BYTES = 2**26  # of a file that is read: that of a hundred thousand nodes and links
 WANTED = "give the btm.json that `jexplore trace` writes"
 OTHER_FILES = {
     "features": "GeoJSON, such as the route graph for Nav2",
@@ -30,9 +28,9 @@ def to_json(btm: BtmMap) -> dict[str, Any]:
     ones, as Table I has them; readers take both from the links instead.
 
     Raises:
-      InputError: the map is not a proper one; see `record.check`.
+      InputError: the map is not a proper one; see `record.check_map`.
     """
-    btm = check(btm)
+    btm = check_map(btm)
     nodes = []
     for node in btm.nodes:
         angles, item = btm.angles_deg(node.id), dict(vars(node))
@@ -77,7 +75,7 @@ def from_json(obj: Any, name: str = "map") -> BtmMap:
     """Convert the result of `to_json` back to the map. Fields that this version does not know are skipped.
 
     Raises:
-      InputError: another format, a newer major version, or not a proper map; see `record.check`.
+      InputError: another format, a newer major version, or not a proper map; see `record.check_map`.
     """
     own, told = obj if isinstance(obj, dict) else {}, _quoted(name)
     if own.get("format") != MAP_FORMAT:
@@ -90,7 +88,7 @@ def from_json(obj: Any, name: str = "map") -> BtmMap:
     if pair[0] != VERSION[0] or pair[1] < 0:
         raise InputError(f"{told}: version must be [{VERSION[0]}, 0] or a later minor one, got {shown(version)}")
     nodes, links = _records(Node, own, "nodes", told), _records(Link, own, "links", told)
-    return check(BtmMap(nodes, links, own.get("attributes", {})), told)
+    return check_map(BtmMap(nodes, links, own.get("attributes", {})), told)
 
 
 def _quoted(name):

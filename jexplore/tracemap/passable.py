@@ -35,8 +35,7 @@ class Blockage:
     """That a link could not be passed, and by whom."""
 
     words: str
-    width_m: float | None
-    """Of the robot that could not, as the other measures; all None where the map does not say."""
+    width_m: float | None  # of the robot that could not, as the other measures; all None where the map does not say
     max_step_m: float | None
     max_slope_deg: float | None
 
@@ -55,7 +54,7 @@ def blocked_for(robot: RobotBody) -> dict[str, Any]:
     return {BLOCKED: True, BLOCKED_FOR: {"name": robot.name, **measures}}
 
 
-def blocks_of(link: Link) -> tuple[Blockage, ...]:
+def blockages_of(link: Link) -> tuple[Blockage, ...]:
     """Return the robots that could not pass a link; none if the map does not say so, or its sources differ."""
     if link.attributes.keys().isdisjoint((BLOCKED, CONFLICTS)):  # as most links: quickly
         return ()
@@ -127,7 +126,7 @@ def refusals(link: Link, nodes: Mapping[int, Node], robot: RobotBody, *, known_o
         _beyond("step", step_of(link, nodes), robot.max_step_m),
         _beyond("inclination", inclination_of(link, nodes), steep, "deg"),
         _beyond("roll", link.max_roll_deg, steep, "deg"),
-        *(block.words for block in blocks_of(link) if block.holds_for(robot)),
+        *(block.words for block in blockages_of(link) if block.holds_for(robot)),
     ]
     if link.end == NOWHERE:
         found += hindrances(nodes[link.start], robot, known_only=known_only)
@@ -156,7 +155,7 @@ def unknowns(link: Link, nodes: Mapping[int, Node]) -> tuple[str, ...]:
     That another robot could not pass the link, if this one may, counts, and that maps disagree about a blocked link.
     """
     yes, no = _said(link)
-    blocked = tuple(block.words for block in blocks_of(link) if block.width_m is not None)
+    blocked = tuple(block.words for block in blockages_of(link) if block.width_m is not None)
     if yes and no:
         blocked = (f"blocked in {yes}, not in {no}",)
     if link.end == NOWHERE:

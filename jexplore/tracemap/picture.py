@@ -13,8 +13,7 @@ EDGE_PX = 26  # round the map
 MARK_PX = 6
 STUB_PX = 16  # of a link that nobody has followed
 MIN_SIDE_M = 1.0  # side of a map, lest a single node fill the picture
-NODE_MARKS = {"terminal": "□", "divergence": "○", "free_space": "◇", "obstacle": "△"}
-"""Marker of nodes, by type."""
+NODE_MARKS = {"terminal": "□", "divergence": "○", "free_space": "◇", "obstacle": "△"}  # marker of nodes, by type
 _CORNERS = {"terminal": (4, 45), "divergence": (24, 0), "free_space": (4, 0), "obstacle": (3, 90)}
 _COLOURS = {"terminal": "#ffffff", "divergence": "#f0e442", "free_space": "#56b4e9", "obstacle": "#cc79a7"}
 

@@ -28,20 +28,15 @@ MAX_METRES = 1e6  # what a map says in metres is less, where maps are merged or 
 class Node:
     """A place with a feature (Mano et al., Table I)."""
 
-    id: int
-    """From 0 to `MOST_ID`, unique among the nodes."""
+    id: int  # from 0 to `MOST_ID`, unique among the nodes
     x_m: float
     y_m: float
-    type: str
-    """One of `NODE_TYPES`. A divergence is a dead end, a corner, a T or a crossing."""
-    obstacle: str | None = None
-    """One of `OBSTACLE_SHAPES`, of an obstacle node."""
+    type: str  # one of `NODE_TYPES`. A divergence is a dead end, a corner, a T or a crossing.
+    obstacle: str | None = None  # one of `OBSTACLE_SHAPES`, of an obstacle node
     inclination_deg: float | None = None
     """Steepest inclination of the ground that the robot met there, degrees; of a slope."""
-    step_m: float | None = None
-    """Height of the highest step, metres; of stairs."""
-    posture_deg: float | None = None
-    """Largest inclination of the robot's body, degrees."""
+    step_m: float | None = None  # height of the highest step, metres; of stairs
+    posture_deg: float | None = None  # largest inclination of the robot's body, degrees
     attributes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Extensions by name, such as `intervention` or `victim`: anything that JSON can hold, kept as it is."""
 
@@ -50,30 +45,21 @@ class Node:
 class Link:
     """A way between two nodes, or out of one (Mano et al., Table II)."""
 
-    id: int
-    """From 0 to `MOST_ID`, unique among the links."""
-    start: int
-    """Id of a node."""
-    end: int
-    """Id of a node; `NOWHERE` for a link that has not been followed."""
-    status: str
-    """One of `STATUS`: searched if and only if it has an end."""
+    id: int  # from 0 to `MOST_ID`, unique among the links
+    start: int  # id of a node
+    end: int  # id of a node; `NOWHERE` for a link that has not been followed
+    status: str  # one of `STATUS`: searched if and only if it has an end
     start_bearing_deg: float
     """Direction in which the link leaves its first node; what this package writes lies in [0, 360)."""
-    end_bearing_deg: float | None = None
-    """Direction in which it leaves its last node; every link with an end has one."""
+    end_bearing_deg: float | None = None  # direction in which it leaves its last node; every link with an end has one
     length_m: float | None = None
-    min_width_m: float | None = None
-    """Narrowest passage along the link, metres."""
-    posture_deg: float | None = None
-    """Largest inclination of the robot's body along the link, degrees."""
-    max_roll_deg: float | None = None
-    """Largest roll of the robot's body along the link, to either side, degrees."""
+    min_width_m: float | None = None  # narrowest passage along the link, metres
+    posture_deg: float | None = None  # largest inclination of the robot's body along the link, degrees
+    max_roll_deg: float | None = None  # largest roll of the robot's body along the link, to either side, degrees
     max_step_m: float | None = None
     """Highest step between the nodes, up or down, metres; 0 where none stands out of the sensors' noise. A single step
     is a node: its height is that node's."""
-    opening_m: float | None = None
-    """Width of the opening at the first node, metres."""
+    opening_m: float | None = None  # width of the opening at the first node, metres
     attributes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
@@ -189,7 +175,7 @@ class BtmMap:
         return html_of(nodes_and_links(self), repr(self)[1:-1], ("", "what", "how many"), rows)
 
 
-def check(btm: BtmMap, name: str = '"map"') -> BtmMap:
+def check_map(btm: BtmMap, name: str = '"map"') -> BtmMap:
     """Check the map: with plain Python numbers, lists and dicts, or a refusal.
 
     Ids are unique and not negative, links join nodes that are there, a link is searched if and only if it has an end

@@ -19,24 +19,18 @@ LENGTH_UNIT_M = 0.001  # lengths are compared in whole units
 class Step:
     """Link of a route in the direction in which it is followed. Values missing in the map are None."""
 
-    link: int
-    """Id."""
-    start: int
-    """Node that it leaves."""
-    end: int
-    """Node that it leads to; `NOWHERE` (-1) for an un-searched one."""
-    bearing_deg: float
-    """Direction in which it leaves, degrees in [0, 360), counter-clockwise from the map's +x."""
+    link: int  # id
+    start: int  # node that it leaves
+    end: int  # node that it leads to; `NOWHERE` (-1) for an un-searched one
+    bearing_deg: float  # direction in which it leaves, degrees in [0, 360), counter-clockwise from the map's +x
     turn_deg: float | None
     """That direction counter-clockwise from the link by which one came, degrees in (0, 360]: 180 is straight on, less
     is to the right; None where the route begins."""
     way: int | None
     """Number of the link at the node, counter-clockwise from the one of arrival: 1 is the first to the right."""
-    ways: int
-    """Number of links to count, un-searched and refused ones included."""
+    ways: int  # number of links to count, un-searched and refused ones included
     length_m: float | None
-    width_m: float | None
-    """The narrowest, the opening included."""
+    width_m: float | None  # the narrowest, the opening included
     step_m: float | None
     posture_deg: float | None
     roll_deg: float | None
@@ -49,24 +43,17 @@ class Route:
 
     robot: str
     start: int
-    end: int | None
-    """The requested node; with `unsearched` the one that the un-searched link leaves, None without one."""
-    nodes: tuple[int, ...]
-    """Ids, one more than links; empty where there is no route."""
+    end: int | None  # the requested node; with `unsearched` the one that the un-searched link leaves, None without one
+    nodes: tuple[int, ...]  # ids, one more than links; empty where there is no route
     links: tuple[int, ...]
-    length_m: float
-    """Infinite where there is no route."""
+    length_m: float  # infinite where there is no route
     steps: tuple[Step, ...]
-    onward: Step | None
-    """The un-searched link that was asked for."""
+    onward: Step | None  # the un-searched link that was asked for
     refused: tuple[tuple[int, tuple[str, ...]], ...]
     """Id of every link that the robot may not use, and all reasons; un-searched links only where one was asked for."""
-    barriers: tuple[tuple[int, tuple[str, ...]], ...]
-    """The same of nodes that it may come to, but not pass."""
-    unknown: tuple[str, ...]
-    """Facts about the links and nodes of the route that the map lacks: sentences."""
-    trouble: str
-    """Reason for having no route; else empty."""
+    barriers: tuple[tuple[int, tuple[str, ...]], ...]  # the same of nodes that it may come to, but not pass
+    unknown: tuple[str, ...]  # facts about the links and nodes of the route that the map lacks: sentences
+    trouble: str  # reason for having no route; else empty
 
     @property
     def is_found(self) -> bool:

@@ -18,10 +18,8 @@ GOALS_AT_ONCE = 256  # so that the distances from all nodes take 5 MB for every 
 class Problem(NamedTuple):
     """Part of a map that a robot may use; robots with the same part share a problem."""
 
-    shut: frozenset[int]
-    """Ids of searched links that it may not use."""
-    barriers: frozenset[int]
-    """Ids of nodes that it may not pass."""
+    shut: frozenset[int]  # ids of searched links that it may not use
+    barriers: frozenset[int]  # ids of nodes that it may not pass
     stubs: frozenset[int]
     """Ids of nodes with an un-searched link that the robot may follow: the goals where the goal is None."""
 
@@ -29,10 +27,8 @@ class Problem(NamedTuple):
 class Walk(NamedTuple):
     """The way from a start to a goal."""
 
-    nodes: tuple[int, ...]
-    """Ids, one more than links."""
-    links: tuple[int, ...]
-    """Ids."""
+    nodes: tuple[int, ...]  # ids, one more than links
+    links: tuple[int, ...]  # ids
 
 
 def walks(

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check, direction_deg
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check_map, direction_deg
 
 _LETTER = {"terminal": "T", "divergence": "D", "free_space": "F", "obstacle": "O"}
 
@@ -16,10 +16,8 @@ class Vertex:
 
     label: str
     parent: int
-    link: Link | None = None
-    """By which it hangs on its parent."""
-    forward: bool = True
-    """True if that link starts at the parent."""
+    link: Link | None = None  # by which it hangs on its parent
+    forward: bool = True  # true if that link starts at the parent
     node: Node | None = None
 
 
@@ -33,9 +31,9 @@ def code(btm: BtmMap) -> str:
     the first follow after a `+`.
 
     Raises:
-      InputError: not a proper map; see `record.check`.
+      InputError: not a proper map; see `record.check_map`.
     """
-    tree = tree_of(check(btm))
+    tree = tree_of(check_map(btm))
     below = [[] for _ in tree]
     for i in range(len(tree) - 1, 0, -1):
         inner = ",".join(reversed(below[i]))

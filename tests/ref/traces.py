@@ -5,7 +5,7 @@ import math
 
 from hypothesis import strategies as st
 
-from jexplore.tracemap.record import NOWHERE, OBSTACLE_SHAPES, STATUS, BtmMap, Link, Node, check
+from jexplore.tracemap.record import NOWHERE, OBSTACLE_SHAPES, STATUS, BtmMap, Link, Node, check_map
 from jexplore.tracemap.similarity import code, tree_of
 
 TYPES = {"T": "terminal", "D": "divergence", "F": "free_space", "O": "obstacle"}
@@ -89,7 +89,7 @@ def changed(btm, **by_kind):
 
 def are_same(a, b, limit=1e-6):
     """Whether maps have equal codes and measures that differ by `limit` at most, whatever ids and directions."""
-    trees = (tree_of(check(btm)) for btm in (a, b))
+    trees = (tree_of(check_map(btm)) for btm in (a, b))
     return code(a) == code(b) and all(
         _are_near(getattr(one, kind), getattr(other, kind), kind == "link" and one.forward != other.forward, limit)
         for one, other in zip(*trees)

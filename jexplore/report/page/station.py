@@ -10,7 +10,7 @@ from jexplore.tracemap.merging.notes import MERGED_FROM, sources_of
 from jexplore.tracemap.passable import (
     CONFLICTS,
     RobotBody,
-    blocks_of,
+    blockages_of,
     hindrances,
     inclination_of,
     link_name,
@@ -109,7 +109,7 @@ def _node(node: Node, panel: Panel) -> dict[str, Any]:
 
 def _link(link: Link, panel: Panel, index: Index) -> dict[str, Any]:
     metres, nodes = None if link.end == NOWHERE else length_of(link, index.nodes), index.nodes
-    blocks = blocks_of(link)
+    blocks = blockages_of(link)
     return {
         **_item(link, panel),
         "step_m": step_of(link, nodes),

@@ -12,7 +12,7 @@ from jexplore.tracemap.merging import notes
 from jexplore.tracemap.merging.match import Merging, match_maps
 from jexplore.tracemap.merging.merge import Merged, merge_maps
 from jexplore.tracemap.merging.rigid import Move
-from jexplore.tracemap.record import BtmMap, check, require_near
+from jexplore.tracemap.record import BtmMap, check_map, require_near
 
 TOGETHER = "global map"
 WHY = {
@@ -80,7 +80,7 @@ def panels_of(
     given = {}
     for name, btm in zip(names, maps):
         require_kind("a map", btm, BtmMap)
-        given[name] = check(btm)
+        given[name] = check_map(btm)
         require_near(given[name], name)
         notes.require_sources(given[name], name)
     if len(given) == 1:

@@ -15,22 +15,17 @@ MAX_ANGLES = 2**20  # that are compared at a time: 8 MiB each array
 class Likeness:
     """Correspondence of two places that look alike."""
 
-    turn_deg: float
-    """Direction in the first map less direction in the second, there, degrees."""
-    ways: tuple[tuple[int, int], ...]
-    """Ways of the first and of the second that leave alike."""
-    lost: int
-    """Ways that only one of them has."""
+    turn_deg: float  # direction in the first map less direction in the second, there, degrees
+    ways: tuple[tuple[int, int], ...]  # ways of the first and of the second that leave alike
+    lost: int  # ways that only one of them has
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Table:
     """N places with n ways and M with m, of one type and obstacle, each entered by every one of its ways."""
 
-    lost: np.ndarray
-    """`[N, n, M, m]` int16, see `Likeness`; -1 where they do not look alike."""
-    turn_deg: np.ndarray
-    """`[N, n, M, m]` float64, see `Likeness`."""
+    lost: np.ndarray  # `[N, n, M, m]` int16, see `Likeness`; -1 where they do not look alike
+    turn_deg: np.ndarray  # `[N, n, M, m]` float64, see `Likeness`
     ways: np.ndarray
     """`[N, n, M, m, min(n, m)]` int32, ways that leave alike, the nearest first, as way * m + way; -1 for none."""
 

@@ -8,8 +8,7 @@ from jexplore.tracemap.merging.rigid import mean_deg, moved_map
 from jexplore.tracemap.merging.ways import least_known, most_known
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, Node, direction_deg
 
-FROM = "from"
-"""Attribute of nodes and links: name of a map -> the id that they have there."""
+FROM = "from"  # attribute of nodes and links: name of a map -> the id that they have there
 _EDGE_M = 0.01  # a stop lies no nearer to the end of a whole way
 
 

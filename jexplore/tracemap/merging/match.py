@@ -16,10 +16,8 @@ from jexplore.tracemap.merging.walk import Guess, Pair
 from jexplore.tracemap.merging.ways import PlaceWay, places_of
 from jexplore.tracemap.record import BtmMap
 
-EVIDENCE = 6.0
-"""Nats that a match must be worth, beyond what the number of tries makes of chance."""
-MARGIN = 4.6
-"""Nats by which it must be worth more than any other that it excludes: a hundred to one."""
+EVIDENCE = 6.0  # nats that a match must be worth, beyond what the number of tries makes of chance
+MARGIN = 4.6  # nats by which it must be worth more than any other that it excludes: a hundred to one
 CLEAR = 2.0  # a neighbour's second-nearest candidate lies at least this many times as far away
 PART_NATS = 2.0  # that a part must be worth that hangs together by ways which only one map has
 
@@ -37,18 +35,15 @@ class Match:
     """Common part of two maps."""
 
     outcome: Merging
-    nodes: dict[int, int]
-    """Node of the second map -> the same of the first."""
+    nodes: dict[int, int]  # node of the second map -> the same of the first
     ways: tuple[tuple[PlaceWay, PlaceWay], ...]
     """Ways of places that are matched, of the first map and of the second, each once."""
     contradictions: tuple[tuple[PlaceWay, PlaceWay], ...]
     """Pairs of ways of matched places that leave alike and continue differently."""
     beside: tuple[int, ...]
     """Nodes of the first map that are matched because they lie where they should, see `with_neighbours`."""
-    move: Move
-    """Takes the second map into the frame of the first."""
-    evidence: float
-    """Nats beyond chance."""
+    move: Move  # takes the second map into the frame of the first
+    evidence: float  # nats beyond chance
     margin: float
     """Nats beyond the best match that excludes it; infinite without one. 0 at most where it contradicts itself and the
     second map in a mirror explains more."""

@@ -12,7 +12,7 @@ from jexplore.tracemap.merging.join import FROM, join
 from jexplore.tracemap.merging.limits import Limits
 from jexplore.tracemap.merging.match import NOTHING, Match, Merging, match_maps
 from jexplore.tracemap.merging.rigid import Move
-from jexplore.tracemap.record import BtmMap, check, require_near
+from jexplore.tracemap.record import BtmMap, check_map, require_near
 
 
 @checked_names
@@ -20,23 +20,17 @@ from jexplore.tracemap.record import BtmMap, check, require_near
 class Merged:
     """Result of `merge_maps`."""
 
-    outcome: Merging
-    """`MERGED` only if all maps are one."""
+    outcome: Merging  # `MERGED` only if all maps are one
     map: BtmMap
     """The map that most maps are in; without a merge the one with most nodes. In the frame of the first map in it."""
-    nodes: dict[str, dict[int, int]]
-    """Name of a map in it -> node there -> node of `map`."""
-    moves: dict[str, Move]
-    """Name of a map in it -> what takes it into the frame of `map`."""
-    matched: int
-    """Nodes of `map` that more than one map has."""
-    left: tuple[str, ...]
-    """Names of the maps that are not in it."""
+    nodes: dict[str, dict[int, int]]  # name of a map in it -> node there -> node of `map`
+    moves: dict[str, Move]  # name of a map in it -> what takes it into the frame of `map`
+    matched: int  # nodes of `map` that more than one map has
+    left: tuple[str, ...]  # names of the maps that are not in it
     evidence: float
     """Of the weakest merge, or of the best one refused: nats beyond what chance gives; -inf where nothing is alike, inf
     where all maps are equal."""
-    margin: float
-    """Evidence beyond the best match that excludes it, nats."""
+    margin: float  # evidence beyond the best match that excludes it, nats
     notes: tuple[str, ...]
     """Differences of the maps, as sentences: attributes, ways of one place with different ends, and nodes matched by
     their position alone."""
@@ -93,7 +87,7 @@ def merge_maps(
     originals = {}
     for name, btm in zip(names, maps):
         require_kind("a map", btm, BtmMap)
-        originals[name] = check(btm)
+        originals[name] = check_map(btm)
         require_near(originals[name], name)
         notes.require_sources(originals[name], name)
     sources = [source for name in names for source in notes.sources_of(originals[name], name)]

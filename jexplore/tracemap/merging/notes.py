@@ -9,12 +9,10 @@ from jexplore.tracemap.merging.join import FROM
 from jexplore.tracemap.passable import BLOCKED, BLOCKED_FOR, CONFLICTS
 from jexplore.tracemap.record import BtmMap
 
-MERGED_FROM = "merged_from"
-"""Attribute of a merged map: names of the maps that it was made of."""
+MERGED_FROM = "merged_from"  # attribute of a merged map: names of the maps that it was made of
 OF_A_RUN = ("moved", "profile_variance_m2", "seed", "overflow")
 """Attributes that mean nothing beyond the run that wrote them, in its own frame: a merged map has none of them."""
-OF_A_WRITER = ("robot", "frame")
-"""Attributes that tell the maps apart and are no dispute about the building."""
+OF_A_WRITER = ("robot", "frame")  # attributes that tell the maps apart and are no dispute about the building
 
 
 def sources_of(btm: BtmMap, name: str) -> list[str]:

@@ -14,12 +14,9 @@ from jexplore.tracemap.merging.ways import Places, PlaceWay
 class Guess:
     """Correspondence of places of two maps."""
 
-    places: dict[int, int] = dataclasses.field(default_factory=dict)
-    """Of the first map -> of the second."""
-    others: dict[int, int] = dataclasses.field(default_factory=dict)
-    """Of the second map -> of the first."""
-    alike: dict[int, Likeness] = dataclasses.field(default_factory=dict)
-    """By places of the first map."""
+    places: dict[int, int] = dataclasses.field(default_factory=dict)  # of the first map -> of the second
+    others: dict[int, int] = dataclasses.field(default_factory=dict)  # of the second map -> of the first
+    alike: dict[int, Likeness] = dataclasses.field(default_factory=dict)  # by places of the first map
     entries: list[tuple[int, int, int, int]] = dataclasses.field(default_factory=list)
     """Places in order, each with the way by which it was entered: `(place, way, place, way)`."""
     ways: list[tuple[PlaceWay, PlaceWay]] = dataclasses.field(default_factory=list)

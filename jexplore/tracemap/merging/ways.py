@@ -15,18 +15,12 @@ from jexplore.tracemap.similarity import ends_around
 class PlaceWay:
     """Exit of a place, with the way as far as it has been followed."""
 
-    bearing_deg: float
-    """Direction in which it leaves."""
-    steps: tuple[tuple[Link, bool], ...]
-    """Its links in order, and whether they start where one comes from."""
-    stops: tuple[tuple[int, float], ...]
-    """Terminal nodes on it: id, and how far from the place, metres."""
-    end: int
-    """Place that it leads to; `NOWHERE` where that is not known."""
-    back: int
-    """Index of the way back at that place; -1 without an end."""
-    length_m: float
-    """As far as it has been followed."""
+    bearing_deg: float  # direction in which it leaves
+    steps: tuple[tuple[Link, bool], ...]  # its links in order, and whether they start where one comes from
+    stops: tuple[tuple[int, float], ...]  # terminal nodes on it: id, and how far from the place, metres
+    end: int  # place that it leads to; `NOWHERE` where that is not known
+    back: int  # index of the way back at that place; -1 without an end
+    length_m: float  # as far as it has been followed
 
     @property
     def is_whole(self) -> bool:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from jexplore.tracemap.record import NOWHERE, BtmMap, check, connected_parts
+from jexplore.tracemap.record import NOWHERE, BtmMap, check_map, connected_parts
 from jexplore.tracemap.repairing.doubles import both_ways, doubled, misled, strayed, turned_back
 from jexplore.tracemap.repairing.through import explained, twins
 
@@ -33,7 +33,7 @@ def repaired(btm: BtmMap) -> Repaired:
     Raises:
       InputError: not a proper map.
     """
-    btm, contradicted = check(btm), 0
+    btm, contradicted = check_map(btm), 0
     for _ in btm.links:  # each time one link less is doubtful
         found = next(_mended(btm), None)
         if found is None:
