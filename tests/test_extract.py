@@ -246,22 +246,14 @@ def test_the_end_of_the_trail_is_a_terminal():
 
 
 @pytest.mark.jit
-def test_a_room_without_a_junction_is_its_start():
+def test_only_what_can_be_reached_and_a_room_without_a_junction():
+    below, above = board((5, 5, 25, 115)), board((80, 5, 100, 60))
+    assert mapped(below | above, start=(90, 30)) == mapped(above, start=(90, 30))  # what the start can reach
+    assert mapped(below | above, start=None) == mapped(below, start=None)  # without, the largest part
     for rect in ((50, 50, 70, 70), (60, 60, 61, 61), (20, 20, 100, 100)):
         found = mapped(board(rect), start=(60, 60))
         assert types(found) == ["terminal"]
         assert found.links == ()
-
-
-@pytest.mark.jit
-def test_only_what_the_start_can_reach_is_mapped():
-    free = board((5, 5, 25, 115), (80, 5, 100, 60))
-    start_below, start_above = mapped(free, start=(15, 60)), mapped(free, start=(90, 30))
-    assert all(node.y_m < 3 for node in start_below.nodes)
-    assert all(node.y_m > 8 for node in start_above.nodes)
-    largest = mapped(free, start=None)
-    assert types(largest) == ["divergence", "divergence"]
-    assert all(node.y_m < 3 for node in largest.nodes)
 
 
 @pytest.mark.jit
