@@ -25,7 +25,7 @@ from jexplore.tracemap.merging import alike as alike_module
 from jexplore.tracemap.merging import evidence
 from jexplore.tracemap.merging.alike import Likeness, Likenesses, leaving_alike
 from jexplore.tracemap.merging.limits import Limits
-from jexplore.tracemap.merging.match import Merging, match_maps
+from jexplore.tracemap.merging.match import Merging, match_maps, with_neighbours
 from jexplore.tracemap.merging.merge import merge_maps
 from jexplore.tracemap.merging.rigid import Move, fit, mean_deg, mirrored, moved_map
 from jexplore.tracemap.merging.walk import Pair
@@ -353,6 +353,15 @@ def test_what_looks_otherwise_and_lies_where_it_should():
     bent = [dataclasses.replace(one, x_m=one.x_m + 1.8 * (one.id in (7, 8))) for one in second.nodes]
     assert merged_of(first, dataclasses.replace(second, nodes=tuple(bent))).nodes["b"][8] == 1
     assert merged_of(first, second, limits=Limits(lost=0)).nodes["b"][8] == 1
+
+
+def test_each_match_brings_the_next_place_within_reach():
+    """Turned by 18 degrees: the next place is 0.63 m off, the next but one 1.25 m, too far."""
+    there = chain("D" * 9, [(i, 90) for i in range(9)])
+    pair = Pair(places_of(there), places_of(moved_map(there, Move(turn_deg=18.0))), Limits())
+    nodes, ways = with_neighbours(pair, {0: 0}, [], {0: 0.0}, Move())
+    assert nodes == {i: i for i in range(9)}
+    assert len(ways) == len(there.links)
 
 
 @pytest.mark.parametrize(
