@@ -228,6 +228,9 @@ def test_an_obstacle_may_be_come_to_but_not_passed(shape, word, unit):
     assert route.trouble == "wheeled cannot get from node 0 to node 2"
     assert repr(route) == "<Route of wheeled: none, wheeled cannot get from node 0 to node 2>"
     assert trace_tables.refused_lines(btm, route) == [f"node 1, to pass: {word}"]
+    round_ = Node(3, 5.0, 5.0, "divergence"), way(3, 0, 3, 90.0, 180.0), way(4, 3, 2, 0.0, 90.0)  # as long
+    ring = BtmMap((*btm.nodes, round_[0]), (*btm.links, *round_[1:]))
+    assert jx.btm.route(ring, "wheeled", 0, 2).links == (3, 4)
 
 
 def test_a_flight_whose_link_says_nothing_has_the_lower_step_of_its_ends():
