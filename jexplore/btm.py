@@ -118,7 +118,7 @@ def add_node(btm: Btm, kind: Array | int, x_m: Array | float, y_m: Array | float
 def add_link(
     btm: Btm, start: Array | int, bearing: Array | float, *, when: Array | bool = True, **fields: Any
 ) -> tuple[Btm, Array]:
-    """Add a link that has not been followed, leaving node `start` at `bearing`, radians; `fields` are others of it.
+    """Add a link that has not been followed, leaving node `start` at `bearing`, radians; `fields` are others of a link.
 
     Returns:
       `(btm, id)`; id is M, which is no link, where there was no room or `when` is False.

@@ -133,7 +133,7 @@ def _doubled(head, after, keys):
 def _barrier(walks, keys, upwards):
     """Return for every state, `[2 K]`, the largest key met before one smaller than the node's own, or the chain's end.
 
-    -1 where there is none. With `upwards` False the reverse: the smallest before a larger one, NO_KEY for none.
+    -1 without one. With `upwards` False the reverse: the smallest before a larger one, NO_KEY for none.
     """
     own = jnp.repeat(keys, 2)
 

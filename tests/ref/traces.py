@@ -88,7 +88,7 @@ def changed(btm, **by_kind):
 
 
 def are_same(a, b, limit=1e-6):
-    """Whether maps have equal codes and measures that differ by `limit` at most, whatever ids and directions."""
+    """Return whether maps have equal codes and measures that differ by `limit` at most, whatever ids and directions."""
     trees = (tree_of(check_map(btm)) for btm in (a, b))
     return code(a) == code(b) and all(
         _are_near(getattr(one, kind), getattr(other, kind), kind == "link" and one.forward != other.forward, limit)
