@@ -3,7 +3,7 @@
     python benchmarks/graph_sizes.py [CELL_M...]
 
 Counted are nodes and critical points of Voronoi graphs; peaks, passes and edges of watersheds. `segment.form_for` and
-`watershed.form_for` must have room for them. Built-in worlds of several sizes, for cells of 0.05 to 0.3 m.
+`watershed.room_form_for` must have room for them. Built-in worlds of several sizes, for cells of 0.05 to 0.3 m.
 """
 
 import functools
@@ -46,9 +46,9 @@ WHAT = ("nodes", "critical", "peaks", "passes", "edges")
 def _counts(belief, form):
     free, unknown = is_free(belief.grid, belief.model.p_free), ~is_known(belief.grid)
     found = segment(free, criteria(prominence=PROMINENCE_M / belief.model.cell_m), form=form)
-    clutter = watershed.criteria(1.0).clutter / belief.model.cell_m
-    wide = watershed.Form(free.size // 8, free.size // 8, free.size)
-    rooms = watershed.watershed(free, unknown, watershed.criteria(1.0).replace(clutter=clutter), form=wide)
+    clutter = watershed.room_criteria(1.0).clutter / belief.model.cell_m
+    wide = watershed.RoomForm(free.size // 8, free.size // 8, free.size)
+    rooms = watershed.watershed(free, unknown, watershed.room_criteria(1.0).replace(clutter=clutter), form=wide)
     edges, overflow = jnp.sum(~free & any_within_one(free)), found.overflow + rooms.overflow
     return jnp.sum(found.graph.cell < free.size), found.count, rooms.peaks, rooms.passes, edges, overflow
 
@@ -87,7 +87,7 @@ def main(arguments):
                     continue
                 shape, *counts = measure(world)
                 cells, coarse = shape[0] * shape[1], cell_m > COARSE_M
-                form = form_for(shape, coarse=coarse)[:2] + watershed.form_for(shape, coarse=coarse)
+                form = form_for(shape, coarse=coarse)[:2] + watershed.room_form_for(shape, coarse=coarse)
                 worst[coarse] = [max(a, n / cells) for a, n in zip(worst[coarse], counts)]
                 fits = all(n <= room for n, room in zip(counts, form))
                 rooms = [f"{n} of {room}" for n, room in zip(counts, form)]

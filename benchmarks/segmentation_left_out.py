@@ -20,7 +20,7 @@ import numpy as np
 from jexplore.bench.tables import markdown
 from jexplore.config import InputError
 from jexplore.engine.backend import use_compilation_cache
-from jexplore.rooms.scores import regions_of, rooms_of, score
+from jexplore.rooms.scores import rooms_of, score, scored_regions
 from jexplore.studies.room_variants import Settings, divided
 from jexplore.worlds import load_world
 
@@ -67,7 +67,7 @@ def maps_of(folder: Path, own: int) -> Iterator[Map]:
 def judged(one: Map, variant: str, settings: Settings) -> tuple[float, int]:
     """MCC and room count error."""
     (found,) = divided(one.free, np.zeros_like(one.free), [variant], settings, CELL_M)
-    scores = score(one.truth, regions_of(np.where(one.free, found.label, -1), one.free, min_px=LEAST_PX))
+    scores = score(one.truth, scored_regions(np.where(one.free, found.label, -1), one.free, min_px=LEAST_PX))
     return scores["mcc"], int(scores["room_count_error"])
 
 

@@ -1,4 +1,4 @@
-"""Measure the effect of choices that the paper leaves open: order of merging, metric, splitter, prominence.
+"""Measure the effect of choices that the paper leaves open: metric, splitter, prominence.
 
     python benchmarks/segmentation_order.py MAP.png...
 
@@ -12,13 +12,12 @@ import numpy as np
 
 from jexplore import segment
 from jexplore.bench.tables import markdown
-from jexplore.rooms.scores import regions_of, rooms_of, score
+from jexplore.rooms.scores import rooms_of, score, scored_regions
 from jexplore.studies.room_variants import segmentations
 from jexplore.worlds.readers.images import load_image
 
 CHOICES = {
     "as shipped (prominence 0.15 m)": ({"prominence": 3.0}, {}),
-    "shortest border first": ({"prominence": 3.0, "longest_first": False}, {}),
     "Euclidean (literal)": ({"prominence": 3.0}, {"metric": "euclidean"}),
     "splitting lines (Thrun 1998)": ({"prominence": 3.0}, {"lines": True}),
     "any minimum (literal)": ({"prominence": 0.0}, {}),
@@ -39,7 +38,7 @@ def main(paths):
         free, rooms = ~world.occupied, rooms_of(~truth.occupied & ~world.occupied)
         for name, (numbers, form) in CHOICES.items():
             (made,) = segmentations(free, [segment.criteria("holz", **numbers)], **form)
-            found[name].append(score(rooms, regions_of(np.where(free, made.label, -1), free)))
+            found[name].append(score(rooms, scored_regions(np.where(free, made.label, -1), free)))
     rows = []
     for name, scores in found.items():
         mcc = [s["mcc"] for s in scores]

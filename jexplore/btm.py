@@ -18,7 +18,7 @@ from jax import Array
 
 from jexplore.arrays.loops import settled
 from jexplore.lazy import read as _read
-from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLES, STATUS, BtmMap, Link, Node, direction_deg
+from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLE_SHAPES, STATUS, BtmMap, Link, Node, direction_deg
 
 if TYPE_CHECKING:
     from jexplore.btm_names import *  # noqa: F403  # pyright: ignore[reportMissingModuleSource]
@@ -32,10 +32,10 @@ else:
 
 
 TERMINAL, DIVERGENCE, FREE_SPACE, OBSTACLE = range(len(NODE_TYPES))
-SLOPE, STAIRS = range(len(OBSTACLES))
+SLOPE, STAIRS = range(len(OBSTACLE_SHAPES))
 UNSEARCHED, SEARCHED = range(len(STATUS))
 NONE = -1
-FAR_M = np.float32(1e9)
+NO_WAY_M = np.float32(1e9)
 
 
 @struct.dataclass
@@ -46,7 +46,7 @@ class Btm:
     y_m: Array  # [N] float32
     kind: Array  # [N] int32, place in `NODE_TYPES`
     radius_m: Array  # [N] float32, of a divergence's circle; 0 for other nodes
-    obstacle: Array  # [N] int32, place in `OBSTACLES`
+    obstacle: Array  # [N] int32, place in `OBSTACLE_SHAPES`
     inclination_deg: Array  # [N] float32, of an obstacle
     step_m: Array  # [N] float32, of stairs
     posture_deg: Array  # [N] float32, the robot's largest inclination there
@@ -105,17 +105,7 @@ def _put(array, at, value):
 
 
 def add_node(btm: Btm, kind: Array | int, x_m: Array | float, y_m: Array | float, **fields: Any) -> tuple[Btm, Array]:
-    """Add a node.
-
-    Args:
-      btm: `Btm`.
-      kind: int32, place in `NODE_TYPES`.
-      x_m, y_m: float32.
-      **fields: other fields of a node.
-
-    Returns:
-      `(btm, id)`; id is N, which is no node, where there was no room.
-    """
+    """Add a node: `(btm, id)`; id is N, which is no node, where there was no room. `fields` are others of a node."""
     at, room = btm.n_nodes, btm.n_nodes < btm.kind.shape[0]
     new = {"kind": kind, "x_m": x_m, "y_m": y_m, **fields}
     return btm.replace(
@@ -128,14 +118,7 @@ def add_node(btm: Btm, kind: Array | int, x_m: Array | float, y_m: Array | float
 def add_link(
     btm: Btm, start: Array | int, bearing: Array | float, *, when: Array | bool = True, **fields: Any
 ) -> tuple[Btm, Array]:
-    """Add a link that has not been followed.
-
-    Args:
-      btm: `Btm`.
-      start: int32, id of a node.
-      bearing: float32, direction in which it leaves, radians.
-      when: bool scalar; if False, nothing is added.
-      **fields: other fields of a link.
+    """Add a link that has not been followed, leaving node `start` at `bearing`, radians; `fields` are others of a link.
 
     Returns:
       `(btm, id)`; id is M, which is no link, where there was no room or `when` is False.
@@ -154,19 +137,7 @@ def add_link(
 def end_link(
     btm: Btm, link: Array | int, end: Array | int, bearing: Array | float, *, when: Array | bool = True, **fields: Any
 ) -> Btm:
-    """End a link at a node: it has been followed.
-
-    Args:
-      btm: `Btm`.
-      link: int32, id.
-      end: int32, id of a node.
-      bearing: float32, direction in which the link leaves that node, radians.
-      when: bool scalar; if False, nothing changes.
-      **fields: other fields of a link.
-
-    Returns:
-      `Btm`.
-    """
+    """End a followed link at node `end`, which it leaves at `bearing`, radians. Nothing changes if not `when`."""
     at = jnp.where(when, link, btm.start.shape[0])
     new = {"end": end, "status": SEARCHED, "end_bearing": wrapped(bearing), **fields}
     return btm.replace(**{name: _put(getattr(btm, name), at, value) for name, value in new.items()})
@@ -184,12 +155,12 @@ def turned_left(bearing: Array | float, reference: Array | float) -> Array:
 
 
 def nearest_node(btm: Btm, x_m: Array | float, y_m: Array | float, kind: Array | int) -> tuple[Array, Array]:
-    """Return the nearest node of a kind: `(id, distance_m)`; `NONE` and `FAR_M` without one."""
+    """Return the nearest node of a kind: `(id, distance_m)`; `NONE` and `NO_WAY_M` without one."""
     d2 = (btm.x_m - x_m) ** 2 + (btm.y_m - y_m) ** 2
-    d2 = jnp.where(btm.kind == kind, d2, FAR_M)
+    d2 = jnp.where(btm.kind == kind, d2, NO_WAY_M)
     at = jnp.argmin(d2).astype(jnp.int32)
-    found = d2[at] < FAR_M
-    return jnp.where(found, at, NONE), jnp.where(found, jnp.sqrt(d2[at]), FAR_M)
+    found = d2[at] < NO_WAY_M
+    return jnp.where(found, at, NONE), jnp.where(found, jnp.sqrt(d2[at]), NO_WAY_M)
 
 
 def open_links(btm: Btm) -> Array:
@@ -200,8 +171,7 @@ def open_links(btm: Btm) -> Array:
 def first_open(btm: Btm, node: Array | int, entry: Array | float) -> Array:
     """Return the first un-searched link of a node, counter-clockwise from the way in's bearing (Mano et al., V.A).
 
-    Returns:
-      id of the link, int32; `NONE` without one.
+    int32, its id; `NONE` without one.
     """
     angle = jnp.where(open_links(btm) & (btm.start == node), turned_left(btm.start_bearing, entry), jnp.inf)
     at = jnp.argmin(angle).astype(jnp.int32)
@@ -211,8 +181,7 @@ def first_open(btm: Btm, node: Array | int, entry: Array | float) -> Array:
 def hops_to_open(btm: Btm) -> Array:
     """Compute the length of the shortest way along followed links from every node to one with an un-searched link.
 
-    Returns:
-      `[N]` float32, metres; `FAR_M` without one.
+    `[N]` float32, metres; `NO_WAY_M` without one.
     """
     n = btm.kind.shape[0]
     size = btm.start.shape[0]
@@ -225,11 +194,11 @@ def hops_to_open(btm: Btm) -> Array:
     def nearer(distance):
         far_end = [distance[jnp.clip(end, 0, n - 1)] for end in (btm.end, btm.start)]
         for touch, other in zip(touches, far_end):
-            way = jnp.min(jnp.where(touch, btm.length_m + other, FAR_M), axis=1)
+            way = jnp.min(jnp.where(touch, btm.length_m + other, NO_WAY_M), axis=1)
             distance = jnp.minimum(distance, way)
         return distance
 
-    return settled(nearer, jnp.where(has, 0.0, FAR_M))
+    return settled(nearer, jnp.where(has, 0.0, NO_WAY_M))
 
 
 def next_hop(btm: Btm, node: Array | int) -> tuple[Array, Array, Array]:
@@ -243,28 +212,19 @@ def next_hop(btm: Btm, node: Array | int) -> tuple[Array, Array, Array]:
     followed = btm.status == SEARCHED
     ways = []
     for here, there in ((btm.start, btm.end), (btm.end, btm.start)):
-        ways.append(jnp.where(followed & (here == node), btm.length_m + distance[jnp.clip(there, 0, n - 1)], FAR_M))
+        ways.append(jnp.where(followed & (here == node), btm.length_m + distance[jnp.clip(there, 0, n - 1)], NO_WAY_M))
     way = jnp.stack(ways)  # [2, M]
     best = jnp.argmin(way)
     size = btm.start.shape[0]
     link, from_end = (best % size).astype(jnp.int32), best >= size
-    there = way.reshape(-1)[best] < FAR_M
+    there = way.reshape(-1)[best] < NO_WAY_M
     bearing = jnp.where(from_end, btm.end_bearing[link], btm.start_bearing[link])
     to = jnp.where(from_end, btm.start[link], btm.end[link])
     return jnp.where(there, link, NONE), jnp.where(there, bearing, 0.0), jnp.where(there, to, NONE)
 
 
 def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes: Any) -> BtmMap:
-    """Convert the map to a record on the host.
-
-    Args:
-      btm: `Btm` of one run, on the host or a device.
-      origin_m: added to positions, metres.
-      **attributes: attributes of the map.
-
-    Returns:
-      `BtmMap`.
-    """
+    """Convert the map of one run to a record with these attributes, `origin_m` added to its positions."""
     fields = {name: np.asarray(value) for name, value in btm.__dict__.items()}
 
     def number(name, i):
@@ -283,7 +243,7 @@ def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes
             x_m=float(fields["x_m"][i]) + origin_m[0],
             y_m=float(fields["y_m"][i]) + origin_m[1],
             type=NODE_TYPES[fields["kind"][i]],
-            obstacle=word(OBSTACLES, "obstacle", i),
+            obstacle=word(OBSTACLE_SHAPES, "obstacle", i),
             inclination_deg=number("inclination_deg", i),
             step_m=number("step_m", i),
             posture_deg=number("posture_deg", i),
@@ -316,7 +276,6 @@ def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes
 
 
 def _bearing_deg(bearing):
-    """Convert a bearing in radians, NaN for none, to degrees."""
     return direction_deg(math.degrees(bearing)) if math.isfinite(bearing) else None
 
 

@@ -15,7 +15,7 @@ from jexplore.grid import beside, bordered
 from jexplore.reach import nearest_source
 from jexplore.skeleton import Graph, voronoi_graph
 
-VARIANTS = {"thrun": 2**30, "wurm": 1, "holz": 2}
+MAX_HOPS = {"thrun": 2**30, "wurm": 1, "holz": 2}
 """Name -> how many nodes of the reduced Voronoi graph a critical point may lie away from a junction."""
 
 METRICS = ("geodesic", "euclidean")
@@ -30,8 +30,6 @@ class Criteria:
     max_hops: Array  # int32, nodes of the reduced graph up to a junction
     prominence: Array  # float32, cells: how much the clearance must rise on both sides; 0: any local minimum
     gamma: Array  # float32, cells: how far apart two obstacle cells must be to have a Voronoi edge between them
-    max_clearance: Array  # float32, cells: the widest critical point
-    longest_first: Array  # bool, whether groups with the longest shared border are merged first, or the shortest
 
 
 class Form(NamedTuple):
@@ -58,16 +56,11 @@ class Segments:
 
 
 def form_for(shape: tuple[int, ...], *, coarse: bool = False, **changes: Any) -> Form:
-    """Return the `Form` that suits a map of a shape.
+    """Return the `Form` that suits a map of a shape, with `changes` of its fields.
 
     One cell in 8 may lie on the Voronoi graph and one in 400 be critical, on small maps more; on coarse maps, where
     corridors are only a few cells wide, one in 4 and one in 96. The most that built-in worlds have on an exploring
     robot's way, furnished ones among them, is printed by `benchmarks/graph_sizes.py`.
-
-    Args:
-      shape: `(H, W)`.
-      coarse: whether the map is coarse.
-      changes: fields of `Form` that are to differ.
     """
     cells = shape[0] * shape[1]
     nodes = max(768, -(-cells // (4 if coarse else 8)))
@@ -80,17 +73,9 @@ def criteria(
     *,
     prominence: float = 1.0,
     gamma: float = 3.0,
-    max_clearance: float = float("inf"),
-    longest_first: bool = True,
 ) -> Criteria:
     """Return `Criteria` of a variant. Lengths in cells."""
-    return Criteria(
-        max_hops=jnp.int32(VARIANTS[variant]),
-        prominence=jnp.float32(prominence),
-        gamma=jnp.float32(gamma),
-        max_clearance=jnp.float32(max_clearance),
-        longest_first=jnp.bool_(longest_first),
-    )
+    return Criteria(jnp.int32(MAX_HOPS[variant]), jnp.float32(prominence), jnp.float32(gamma))
 
 
 class _Walks(NamedTuple):
@@ -146,10 +131,9 @@ def _doubled(head, after, keys):
 
 
 def _barrier(walks, keys, upwards):
-    """Return for every state the largest key met before one smaller than the node's own, or before the chain ends.
+    """Return for every state, `[2 K]`, the largest key met before one smaller than the node's own, or the chain's end.
 
-    `[2 K]` int32; -1 where the next key is smaller already or the chain is empty. With `upwards` False the reverse: the
-    smallest before a larger one, NO_KEY where the next is larger.
+    -1 without one. With `upwards` False the reverse: the smallest before a larger one, NO_KEY for none.
     """
     own = jnp.repeat(keys, 2)
 
@@ -174,10 +158,6 @@ def critical_points(graph: Graph, criteria: Criteria) -> Array:
     A node of degree 2 whose clearance is a local minimum along its chain: on either side the clearance rises by the
     prominence before it falls below the node's, or the chain ends. On the way to a junction there are fewer than
     `max_hops` other minima and maxima.
-
-    Args:
-      graph: `Graph`.
-      criteria: `Criteria`.
 
     Returns:
       `[K]` bool. Clearances from sqrt(2**31 / K) cells up, K rounded up to a power of two, count as equal: 724 cells
@@ -217,8 +197,8 @@ def critical_points(graph: Graph, criteria: Criteria) -> Array:
     ends_at = jnp.where(after < 2 * size, last, head)[: 2 * size]
     at_junction = (ends_at < size) & (graph.degree[jnp.minimum(ends_at, size - 1)] >= 3)
     near = at_junction & (hops[: 2 * size] < criteria.max_hops)
-    near = jnp.any(near.reshape(size, 2), axis=1) | (criteria.max_hops >= VARIANTS["thrun"])
-    return minimum & near & (graph.d2 <= criteria.max_clearance**2)
+    near = jnp.any(near.reshape(size, 2), axis=1) | (criteria.max_hops >= MAX_HOPS["thrun"])
+    return minimum & near
 
 
 def borders(label: Array, n: int) -> Array:
@@ -233,7 +213,7 @@ def borders(label: Array, n: int) -> Array:
     return total.reshape(n, n)
 
 
-def merged(shared: Array, start: Array, longest_first: Array | bool, keep_apart: bool = True) -> Array:
+def merged(shared: Array, start: Array, keep_apart: bool = True) -> Array:
     """Join segments that touch and do not come from the same split, the longest shared border first.
 
     Segments 2 k and 2 k + 1 come from split k: no two groups that hold opposite sides of one split are joined.
@@ -241,7 +221,6 @@ def merged(shared: Array, start: Array, longest_first: Array | bool, keep_apart:
     Args:
       shared: `[2 C, 2 C]` int32, from `borders`: of single segments, not of the groups that they become part of.
       start: `[2 C]` int32, for each segment the lowest that grew from the same cell.
-      longest_first: bool; False: the shortest first.
       keep_apart: whether splits matter. Static.
 
     Returns:
@@ -255,7 +234,7 @@ def merged(shared: Array, start: Array, longest_first: Array | bool, keep_apart:
     edges = min(n * n, 4 * n)  # a planar graph has fewer than three times as many edges as nodes
     at = bits.first_cells(bits.pack(shared > 0), edges)
     length = shared.reshape(-1).at[at].get(mode="fill", fill_value=0)
-    order = jnp.argsort(jnp.where(at < n * n, jnp.where(longest_first, -length, length), NO_KEY))
+    order = jnp.argsort(jnp.where(at < n * n, -length, NO_KEY))
     low, high = at[order] // n, at[order] % n
     used = jnp.sum(length > 0)
 
@@ -271,16 +250,14 @@ def merged(shared: Array, start: Array, longest_first: Array | bool, keep_apart:
 
 
 def _line_cells(drow, dcol, cell):
-    """Return the cells of the lines from critical points to their two nearest obstacles, at either side.
+    """Return the cells of the lines from critical points, `[C]`, to their two nearest obstacles, at either side.
 
-    Args:
-      drow, dcol: `[H, W]` int32, how far away the nearest obstacle is.
-      cell: `[C]` int32, flat index; H * W for none.
+    `drow`, `dcol` [H, W] tell how far away the nearest obstacle is.
     """
     height, width = drow.shape
     row, col = cell // width, cell % width
     sites = []
-    for dr, dc in ((0, 0), *sparse.NEIGHBOURS):
+    for dr, dc in ((0, 0), *sparse.EIGHT_NEIGHBOURS):
         r, c = jnp.clip(row + dr, 0, height - 1), jnp.clip(col + dc, 0, width - 1)
         sites.append((r + drow[r, c], c + dcol[r, c]))
     one = sites[0]
@@ -297,22 +274,11 @@ def _line_cells(drow, dcol, cell):
     return mask.reshape(height, width)
 
 
-def _padded(array, fill):
-    return jnp.pad(array, ((0, -array.shape[0] % bits.WORD), (0, 0)), constant_values=fill)
-
-
-def _check(free, form):
-    if free.ndim != 2 or free.dtype != bool:
-        raise ValueError(f"expected free: [H, W] bool, got {free.shape} {free.dtype}")
-    if form.metric not in METRICS:
-        raise ValueError(f"expected metric: one of {', '.join(METRICS)}, got {form.metric!r}")
-
-
 def _fill_lines(label, free):
     """Assign splitting lines to the adjacent segments."""
     for _ in range(2):
         b = bordered(label, -1)
-        around = [beside(b, *step) for step in sparse.NEIGHBOURS[:4]]
+        around = [beside(b, *step) for step in sparse.EIGHT_NEIGHBOURS[:4]]
         label = jnp.where((label < 0) & free, functools.reduce(jnp.maximum, around), label)
     return label
 
@@ -339,7 +305,10 @@ def segment(free: Array, criteria: Criteria, *, form: Form) -> Segments:
       Holz et al. 2010, Figure 7. Changed: closest along paths, so that segments do not leak through walls
         (`metric="euclidean"` is the literal form); the order of merging is fixed; see `skeleton.voronoi_graph`.
     """
-    _check(free, form)
+    if free.ndim != 2 or free.dtype != bool:
+        raise ValueError(f"expected free: [H, W] bool, got {free.shape} {free.dtype}")
+    if form.metric not in METRICS:
+        raise ValueError(f"expected metric: one of {', '.join(METRICS)}, got {form.metric!r}")
     (height, width), n = free.shape, 2 * form.splits
     none = height * width
     graph, drow, dcol = voronoi_graph(~free, criteria.gamma**2, size=form.nodes)
@@ -356,24 +325,17 @@ def segment(free: Array, criteria: Criteria, *, form: Form) -> Segments:
         passable = free & ~_line_cells(drow, dcol, sparse.at(graph.cell, node, none))
     if form.metric == "geodesic":
         sources = jnp.where((at_seed < n) & free, at_seed, -1)
-        label = nearest_source(bits.pack(passable), _padded(sources, -1), n)[:height]
+        padded = jnp.pad(sources, ((0, -height % bits.WORD), (0, 0)), constant_values=-1)
+        label = nearest_source(bits.pack(passable), padded, n)[:height]
     else:
         site = nearest_site(at_seed < n)[1]
         label = jnp.where(passable & (site >= 0), at_seed.reshape(-1)[jnp.maximum(site, 0)], -1)
     # Two splits side by side may share a cell between them, which only one segment can grow from.
     start = jnp.where(seed < none, sparse.at(at_seed, seed, n), lax.iota(jnp.int32, n))
-    group = merged(borders(label, n), start, criteria.longest_first, keep_apart=not form.lines)
+    group = merged(borders(label, n), start, keep_apart=not form.lines)
     label = jnp.where(label >= 0, group[jnp.maximum(label, 0)], -1)
     if form.lines:
         label = _fill_lines(label, free)
     count = jnp.sum(critical, dtype=jnp.int32)
-    return Segments(
-        label=label,
-        graph=graph,
-        critical=critical,
-        group=group,
-        seed=seed,
-        split_d2=sparse.at(graph.d2, node, 0),
-        count=count,
-        overflow=graph.overflow + jnp.maximum(count - form.splits, 0),
-    )
+    overflow = graph.overflow + jnp.maximum(count - form.splits, 0)
+    return Segments(label, graph, critical, group, seed, sparse.at(graph.d2, node, 0), count, overflow)

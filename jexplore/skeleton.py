@@ -6,7 +6,7 @@ from jax import Array
 
 from jexplore.arrays import bits, sparse
 from jexplore.arrays.loops import settled
-from jexplore.arrays.sparse import NEIGHBOURS
+from jexplore.arrays.sparse import EIGHT_NEIGHBOURS
 from jexplore.distance import FAR, nearest_offset
 from jexplore.grid import beside, bordered
 
@@ -21,7 +21,7 @@ class Graph:
 
     cell: Array  # [K] int32, flat index; H * W in an unused slot
     d2: Array  # [K] int32, squared distance to the nearest obstacle, cells^2; 0 in an unused slot
-    link: Array  # [K, 8] int32, slot of the neighbour in each direction of `NEIGHBOURS`; K for none
+    link: Array  # [K, 8] int32, slot of the neighbour in each direction of `EIGHT_NEIGHBOURS`; K for none
     degree: Array  # [K] int32, links; 0 in an unused slot
     overflow: Array  # int32, cells that did not fit into K slots
 
@@ -42,7 +42,7 @@ def medial_axis(d2: Array, drow: Array, dcol: Array, gamma2: Array | float) -> A
     open_ = bordered((d2 > 0) & (d2 < FAR), False)
     rows, cols = bordered(drow, 0), bordered(dcol, 0)
     marked = jnp.zeros(d2.shape, bool)
-    for step in NEIGHBOURS[:4]:
+    for step in EIGHT_NEIGHBOURS[:4]:
         there_row, there_col = beside(rows, *step), beside(cols, *step)
         apart_row, apart_col = drow - there_row - step[0], dcol - there_col - step[1]
         # Of two neighbours the one whose side of their middle the boundary lies on, or both.
@@ -65,7 +65,7 @@ def thin(words: Array) -> Array:
     """
 
     def removable(x, first):
-        east, north, west, south, ne, nw, sw, se = (bits.shifted(x, drow, dcol) for drow, dcol in NEIGHBOURS)
+        east, north, west, south, ne, nw, sw, se = (bits.shifted(x, drow, dcol) for drow, dcol in EIGHT_NEIGHBOURS)
         if not first:
             east, north, west, south, ne, nw, sw, se = west, south, east, north, sw, se, ne, nw
         pairs = (~north & (ne | east), ~east & (se | south), ~south & (sw | west), ~west & (nw | north))
@@ -106,8 +106,8 @@ def graph(skeleton: Array, d2: Array, *, size: int) -> Graph:
     Returns:
       `Graph`.
     """
-    cells = sparse.listed(skeleton, size)
-    east, north, west, south, *diagonal = (cells.near[:, i] for i in range(len(NEIGHBOURS)))
+    cells = sparse.list_cells(skeleton, size)
+    east, north, west, south, *diagonal = (cells.near[:, i] for i in range(len(EIGHT_NEIGHBOURS)))
     corners = ((east, north), (west, north), (west, south), (east, south))
     diagonal = [jnp.where((a < size) | (b < size), size, d) for d, (a, b) in zip(diagonal, corners)]
     link = jnp.stack([east, north, west, south, *diagonal], axis=1)

@@ -11,7 +11,7 @@ from test_course import STEP, is_free, sight, touched, types, width_at
 
 from jexplore.config import InputError
 from jexplore.extraction.extract import extract
-from jexplore.tracemap.record import check
+from jexplore.tracemap.record import check_map
 from jexplore.tracemap.rooted import topology_from
 from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
@@ -123,7 +123,7 @@ def test_every_course_is_sound(courses):
         assert count == loops + 1, "a pillar a ring"
         inner = [int((walls == i).sum()) for i in range(1, count + 1) if i != walls[0, 0]]
         assert min(inner, default=500) > 400, "no pillar below 4 square metres"
-        topology = check(world.course.topology)
+        topology = check_map(world.course.topology)
         graph = as_graph(topology)
         assert nx.is_connected(graph)
         assert len(topology.links) - len(topology.nodes) + 1 == loops

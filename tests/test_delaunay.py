@@ -75,23 +75,14 @@ def test_a_square_with_its_middle_has_four_triangles():
     assert triangles([[0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5]]) == [(0, 1, 4), (0, 3, 4), (1, 2, 4), (2, 3, 4)]
 
 
-@pytest.mark.parametrize("direction", [(1, 0), (0, 1), (1, 1), (2, -1)])
-def test_points_on_a_line_have_no_triangles(direction):
-    for order in ([0, 1, 2, 3, 4], [4, 0, 3, 1, 2], [2, 4, 0, 1, 3]):
-        assert triangles(np.array(order)[:, None] * np.array(direction)) == []
-
-
-def test_too_few_points_have_no_triangles():
+def test_points_on_a_line_and_too_few_have_no_triangles():
+    for direction in ((1, 0), (1, 1), (2, -1)):
+        assert triangles(np.array([4, 0, 3, 1, 2])[:, None] * np.array(direction)) == []
     assert triangles(np.zeros((0, 2))) == triangles([[0, 0]]) == []
     assert triangles([[0, 0], [1, 0]]) == []
     points = [[0, 0], [1, 0], [0, 1], [1, 3]]
     assert triangles(points, np.array([True, False, True, False])) == []
     assert triangles(points, np.zeros(4, bool)) == []
-
-
-def test_points_that_are_not_there_do_not_count():
-    points = np.array([[9, 9], [0, 0], [0.4, 0.4], [1, 0], [0, 1]], np.float32)
-    assert triangles(points, np.array([False, True, False, True, True])) == [(1, 3, 4)]
 
 
 @pytest.mark.parametrize("width", [2, 10])
@@ -150,7 +141,7 @@ def is_close_call(points, triangle):
 def test_triangles_are_scipys(kind):
     rng = np.random.default_rng(1)
     unlike = total = 0
-    for _ in range(120):
+    for _ in range(60):
         points = kind(rng).astype(np.float32)
         valid = rng.random(N) < rng.choice([0.3, 0.8, 1.0])
         valid[:4] = True
@@ -168,7 +159,7 @@ def test_triangles_are_scipys(kind):
 
 def test_every_circle_is_empty_and_the_triangles_cover_the_hull():
     rng = np.random.default_rng(2)
-    for _ in range(100):
+    for _ in range(40):
         points = clouds(rng).astype(np.float32)
         found = triangles(points)
         exact, area = points.astype(np.float64), 0
@@ -188,7 +179,7 @@ def test_every_circle_is_empty_and_the_triangles_cover_the_hull():
 @pytest.mark.parametrize("kind", [clouds, passage])
 def test_the_order_of_the_points_does_not_matter(kind):
     rng = np.random.default_rng(3)
-    for _ in range(30):
+    for _ in range(15):
         points = kind(rng).astype(np.float32)
         valid = rng.random(N) < 0.9
         order = rng.permutation(N)
@@ -224,11 +215,10 @@ def test_rows_of_a_batch_are_independent():
         np.testing.assert_array_equal(alone.corner[alone.valid], many.corner[i][many.valid[i]])
 
 
-@pytest.mark.parametrize("n", [2, 3, 4])
-def test_small_sets_without_slots_to_spare(n):
-    found = one(np.array([[0, 0], [1, 0], [0, 1], [0.9, 0.9]], np.float32)[:n], np.ones(n, bool))
-    assert found.corner.shape == (2 * n, 3)
-    assert int(found.valid.sum()) == n - 2
+def test_a_small_set_without_slots_to_spare():
+    found = one(np.array([[0, 0], [1, 0], [0, 1], [0.9, 0.9]], np.float32), np.ones(4, bool))
+    assert found.corner.shape == (8, 3)
+    assert int(found.valid.sum()) == 2
 
 
 # ---------------------------------------------------------------- circles

@@ -81,10 +81,8 @@ def test_yaml_has_the_numbers_of_its_version_1_2():
         ("a: &a [1]\nb: *a", "line 2, column 4: aliases are not read: write out what it stands for"),
         ("\n".join(f"{x}: &{x} [{', '.join([f'*{y}'] * 9)}]" for x, y in zip("bcdefghij", "abcdefghi")), "aliases"),
         ("[" * 200_000, f"more than {MOST_LEVELS} deep"),
-        ("[" * (MOST_LEVELS + 1) + "]" * (MOST_LEVELS + 1), f"more than {MOST_LEVELS} deep"),
         ("a: " + "1" * 9000, "Exceeds the limit"),
         ("!!python/object/apply:os.getcwd []", "could not determine a constructor"),
-        ("a: \x00", "special characters are not allowed"),
     ],
 )
 def test_bad_yaml_is_told_with_its_place(tmp_path, text, line):

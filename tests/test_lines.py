@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jexplore.extraction.free_space import free_spaces
-from jexplore.extraction.lines import Lines, bearing_deg, chains, components, distance, take_corners
+from jexplore.extraction.lines import Lines, bearing_deg, cells_apart, chains, connected_cells, take_corners
 
 
 def drawn(cells, near, radius, spread_deg=180.0):
@@ -33,9 +33,9 @@ def row_of(radius):
 
 def test_distances_bearings_and_components_by_hand():
     lines = drawn([(0, 0), (0, 3), (4, 3), (9, 9)], [{1}, {0, 2}, {1}, set()], 5)
-    assert distance(lines, 0, 2) == 5
+    assert cells_apart(lines, 0, 2) == 5
     assert [bearing_deg(lines, 0, 1), bearing_deg(lines, 1, 2), bearing_deg(lines, 1, 0)] == [0, 90, 180]
-    assert components(dict(enumerate(lines.near)), [0, 3]) == [{0, 1, 2}, {3}]
+    assert connected_cells(dict(enumerate(lines.near)), [0, 3]) == [{0, 1, 2}, {3}]
     assert list(chains(lines.near, range(4), {})) == [[0, 1, 2]]
 
 

@@ -171,7 +171,7 @@ def begun(pose=(0.0, 0.0, 0.0), *, behind=False):
 
 def test_a_map_begins_with_the_start_and_a_link_ahead():
     writer = begun((1.0, 2.0, 0.5))
-    assert record.check(btm.to_map(writer.map)) == record.BtmMap(
+    assert record.check_map(btm.to_map(writer.map)) == record.BtmMap(
         (record.Node(0, 1.0, 2.0, "terminal"),),
         (record.Link(0, 0, -1, "un-searched", pytest.approx(math.degrees(0.5))),),
         {"overflow": 0},
@@ -368,7 +368,7 @@ def test_a_t_is_left_along_the_passage():
 
 
 def test_what_is_written_of_a_t():
-    written = record.check(btm.to_map(at_the_t()[0].map))
+    written = record.check_map(btm.to_map(at_the_t()[0].map))
     assert written.nodes[1] == record.Node(1, 3.75, 0.0, "divergence", posture_deg=pytest.approx(1.5))
     link = written.links[0]
     assert (link.length_m, link.min_width_m, link.posture_deg) == pytest.approx((3.5, 1.9, 2))
@@ -433,7 +433,7 @@ def test_a_free_space_is_two_nodes_on_the_way():
     writer, latch, *_ = write_node(writer, event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
     assert latch == Latch.FREE
     assert links_of(writer) == [(0, 1, SEARCHED), (1, 2, SEARCHED), (2, NONE, UNSEARCHED)]
-    written = record.check(btm.to_map(writer.map))
+    written = record.check_map(btm.to_map(writer.map))
     assert [node.type for node in written.nodes] == ["terminal", "free_space", "free_space"]
     assert written.nodes[1] == record.Node(1, 2.0, 0.0, "free_space", posture_deg=pytest.approx(3))
     link = written.links[1]
@@ -505,7 +505,7 @@ def test_a_dead_end_sends_back_until_nothing_is_left():
     writer, latch, *_ = at_a_dead_end(writer, (4.0, 6.0), NORTH, 21.5)
     assert links_of(writer) == [(0, 1, SEARCHED), *sorted([(1, 2, SEARCHED), (1, 3, SEARCHED)], reverse=south == 2)]
     assert (bool(writer.exhausted), int(writer.link), latch) == (True, 12, Latch.FREE)
-    record.check(btm.to_map(writer.map))
+    record.check_map(btm.to_map(writer.map))
 
 
 @pytest.mark.parametrize(("turn_deg", "centre"), [(5, T_CENTRE), (-12, T_CENTRE), (8, (3.95, 0.1))])
@@ -831,7 +831,7 @@ def test_a_node_met_again_from_its_other_end_loses_the_double_link():
     assert shift == pytest.approx([0.1 * SHIFT_SHARE, 0.2 * SHIFT_SHARE], abs=1e-6)
     assert degrees(writer.map.end_bearing[onward]) == pytest.approx(90, abs=3)  # as its passage does
     assert writer.exhausted  # the ring is closed
-    written = record.check(btm.to_map(writer.map))
+    written = record.check_map(btm.to_map(writer.map))
     assert [(link.id, link.start, link.end) for link in written.links] == [(0, 0, 1), (1, 1, 2), (2, 2, 1)]
 
 
@@ -843,7 +843,7 @@ def test_a_way_may_lead_back_to_the_node_where_it_began():
     assert links_of(writer)[north] == (NONE, NONE, NONE)
     assert (int(writer.map.n_nodes), bool(writer.exhausted)) == (2, True)
     assert shift == pytest.approx([0.1 * SHIFT_SHARE, 0.2 * SHIFT_SHARE], abs=1e-6)
-    written = record.check(btm.to_map(writer.map))
+    written = record.check_map(btm.to_map(writer.map))
     assert [(link.start, link.end) for link in written.links] == [(0, 1), (1, 1)]
     assert sorted(written.angles_deg(1)) == pytest.approx([90, 90, 180], abs=6)  # the link counts at both its ends
     assert code(written) == "T(D(=1,=1))"
@@ -967,7 +967,7 @@ def over(height, pitch=-10.0, heading=lambda s: 0.0):
     assert latch == Latch.FREE
     first = btm.to_map(writer.map)
     writer, *_ = write_node(writer, event(OBSTACLE, 4, (4.0, 0.0, 0.0), steepest=9))
-    return writer, first, record.check(btm.to_map(writer.map))
+    return writer, first, record.check_map(btm.to_map(writer.map))
 
 
 def slope(s):
@@ -1112,7 +1112,7 @@ def test_links_that_do_not_fit_are_counted():
     others = [(NONE,) * 3] * (LINKS - 2)
     assert links_of(writer) == [(0, 1, SEARCHED), *others, (1, NONE, UNSEARCHED)]
     assert int(writer.map.overflow) == 1
-    record.check(btm.to_map(writer.map))
+    record.check_map(btm.to_map(writer.map))
     assert int(at_the_t(start=room_for(2))[0].map.overflow) == 0
 
 
@@ -1146,7 +1146,7 @@ def test_what_comes_after_a_node_that_did_not_fit_overwrites_none():
 
 def test_a_map_that_is_full_is_still_a_map():
     writer, *_ = write_node(full_of_nodes(), event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
-    record.check(btm.to_map(writer.map))
+    record.check_map(btm.to_map(writer.map))
 
 
 # ---------------------------------------------------------------- the divergence just left

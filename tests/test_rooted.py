@@ -6,11 +6,12 @@ import math
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ref.traces import are_same
 
 from jexplore.config import InputError
 from jexplore.tracemap.record import BtmMap, Link, Node
 from jexplore.tracemap.rooted import topology_from
-from jexplore.tracemap.similarity import code, same
+from jexplore.tracemap.similarity import code
 from jexplore.worlds.generators.course import course
 
 CORNERS = ((0.0, 0.0), (8.0, 0.0), (8.0, 8.0), (0.0, 8.0))
@@ -98,7 +99,7 @@ def test_where_the_map_was_begun_before_does_not_matter(which, number, share, he
     assert (len(found.nodes), len(found.links)) == (len(whole.nodes), len(whole.links))
     assert math.fsum(one.length_m for one in found.links) == pytest.approx(sum(one.length_m for one in whole.links))
     back = topology_from(found, COURSES[which].course.start_pose)
-    assert same(back, whole, 1e-6, 1e-6)
+    assert are_same(back, whole)
     order = [number for one in found.links for number in (one.start, one.end)]
     assert list(dict.fromkeys(order)) == list(range(len(found.nodes))), "numbered as they are met"
     for node in found.nodes[1:]:

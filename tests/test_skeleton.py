@@ -12,7 +12,7 @@ from ref import maps, plans, rooms
 from skimage import morphology
 
 from jexplore.arrays import bits
-from jexplore.arrays.sparse import NEIGHBOURS
+from jexplore.arrays.sparse import EIGHT_NEIGHBOURS
 from jexplore.distance import nearest_offset
 from jexplore.skeleton import graph, medial_axis, thin, voronoi_graph
 
@@ -120,7 +120,7 @@ def test_an_axis_lies_between_obstacles_that_are_apart(obstacle, gamma):
     site = plans.nearest_site(obstacle)[1]
     places = np.stack(np.divmod(site, obstacle.shape[1]), axis=-1)
     for row, col in np.argwhere(marked):
-        around = [(row + drow, col + dcol) for drow, dcol in NEIGHBOURS[:4]]
+        around = [(row + drow, col + dcol) for drow, dcol in EIGHT_NEIGHBOURS[:4]]
         around = [cell for cell in around if all(0 <= i < n for i, n in zip(cell, marked.shape)) and not obstacle[cell]]
         assert any(np.hypot(*(places[cell] - places[row, col])) > gamma for cell in around)
     np.testing.assert_array_equal(marked, rooms.medial_axis(obstacle, gamma))
@@ -207,7 +207,7 @@ def test_degrees_and_links_are_networkxs(mask, lines):
     link = np.asarray(found.link)
     assert (link[n:] == 300).all()
     for slot, (row, col) in enumerate(cells):
-        for i, (drow, dcol) in enumerate(NEIGHBOURS):
+        for i, (drow, dcol) in enumerate(EIGHT_NEIGHBOURS):
             there = row + drow, col + dcol
             assert link[slot, i] == (cells.index(there) if expected.has_edge((row, col), there) else 300)
 

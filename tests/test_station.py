@@ -20,9 +20,9 @@ from jexplore.studies.traces import routes
 from jexplore.studies.traces.station import TOGETHER, panels_of
 from jexplore.tracemap import json_form
 from jexplore.tracemap.merging.merge import merge_maps
-from jexplore.tracemap.merging.rigid import Move, moved
+from jexplore.tracemap.merging.rigid import Move, moved_map
 from jexplore.tracemap.passable import hindrances, refusals
-from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLES, BtmMap, Link, Node, check
+from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLE_SHAPES, BtmMap, Link, Node, check_map
 
 # The last half a character stays out of the maps: a browser that dumps it to a file dies.
 NASTY = "</script><script>boom()</script> \"T\" & 'q' {{data}} <!-- straße 通路 \u2028"
@@ -71,7 +71,7 @@ def second():
     base = first()
     nodes = [*base.nodes[1:3], dataclasses.replace(base.nodes[3], attributes={"victim": False}), node(4, "T", 4, 5)]
     links = (*base.links[1:2], *base.links[3:], stub(8, 1, 180), way(9, 1, 4, 90, length_m=5.0, opening_m=1.2))
-    return moved(BtmMap(tuple(nodes), links), Move(2.0, -1.0, 90.0))
+    return moved_map(BtmMap(tuple(nodes), links), Move(2.0, -1.0, 90.0))
 
 
 def data_of(text):
@@ -118,7 +118,7 @@ def test_maps_that_fit_are_one_and_others_stand_apart():
     assert [(panel.name, panel.maps) for panel in panels] == [(TOGETHER, ("a", "b")), ("c", ("c",))]
     assert panels[0].map == merge_maps([first(), second()], ["a", "b"]).map
     assert panels[0].note == "In the frame of a."
-    assert panels[1].map == check(apart)
+    assert panels[1].map == check_map(apart)
     assert panels[1].note == "Stands apart: it has not enough in common with the other maps."
     assert said == ["node 3: victim is True in a and False in b"]
     data = data_of(jx.btm.station([first(), second(), apart], ["a", "b", "c"]))
@@ -151,7 +151,7 @@ def test_ways_that_contradict_are_told_as_well():
 
 def test_maps_none_of_which_fits_stand_each_alone():
     panels, said = panels_of([chain("TDT"), first()], ["a", "b"])
-    assert [(panel.name, panel.map) for panel in panels] == [("a", check(chain("TDT"))), ("b", check(first()))]
+    assert [(panel.name, panel.map) for panel in panels] == [("a", check_map(chain("TDT"))), ("b", check_map(first()))]
     assert {panel.note for panel in panels} == {"Stands apart: no two of the maps have enough in common."}
     assert said == []
     ring = BtmMap(  # looks the same after half a turn
@@ -159,7 +159,7 @@ def test_maps_none_of_which_fits_stand_each_alone():
         (way(0, 0, 1, 0, length_m=7.0), way(1, 1, 2, 90, length_m=4.0), way(2, 2, 3, 180, length_m=7.0),
          way(3, 3, 0, 270, length_m=4.0), stub(4, 0, 180), stub(5, 2, 0)),
     )  # fmt: skip
-    panels, _ = panels_of([ring, moved(ring, Move(1.0))])
+    panels, _ = panels_of([ring, moved_map(ring, Move(1.0))])
     assert {panel.note for panel in panels} == {
         "Stands apart: the maps could be laid on each other in more than one way."
     }
@@ -176,7 +176,7 @@ def test_those_left_apart_are_merged_among_themselves():
             stub(4, 0, 130),
         ),
     )
-    again = moved(other, Move(1.0, 2.0, 30.0))
+    again = moved_map(other, Move(1.0, 2.0, 30.0))
     panels, _ = panels_of([first(), other, second(), again], ["a", "b", "c", "d"])
     assert [panel.maps for panel in panels] == [("a", "c"), ("b", "d")]
     assert panels[1].name == "b and d"
@@ -269,7 +269,7 @@ def random_map(rng):
     ids, nodes, links = rng.sample(range(20), n), [], []
     for own in ids:
         kind = rng.choice(NODE_TYPES)
-        shape = rng.choice([None, *OBSTACLES]) if kind == "obstacle" else None
+        shape = rng.choice([None, *OBSTACLE_SHAPES]) if kind == "obstacle" else None
         measures = (
             {"step_m": near(0.03, 0.2), "inclination_deg": near(5.0, 45.0)} if shape and rng.random() < 0.6 else {}
         )

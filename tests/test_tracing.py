@@ -17,8 +17,8 @@ from jexplore.driving import batch
 from jexplore.report import operator_view, plot_traces, trace_tables
 from jexplore.studies.traces import extraction, job, recording, tracing
 from jexplore.tracemap import corrected, json_form
-from jexplore.tracemap.merging.rigid import Move, moved
-from jexplore.tracemap.record import BtmMap, Link, Node, check
+from jexplore.tracemap.merging.rigid import Move, moved_map
+from jexplore.tracemap.record import BtmMap, Link, Node, check_map
 from jexplore.tracemap.similarity import code
 
 AWAY_M = 100.0  # m; the corrected map is shifted by this here, so that it is known again
@@ -29,7 +29,7 @@ def made(tmp_path_factory, jit_on):
     """The folder of a sweep of two settings with two runs of each, and its page; what was printed; the maps drawn."""
     out, drawn, figure = tmp_path_factory.mktemp("runs") / "new", [], plot_traces.figure
     with jit_on(), pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as said:
-        patch.setattr(corrected, "correct_map", lambda btm: moved(btm, Move(AWAY_M)))
+        patch.setattr(corrected, "correct_map", lambda btm: moved_map(btm, Move(AWAY_M)))
         patch.setattr(
             plot_traces, "figure", lambda btm, *more, **options: drawn.append(btm) or figure(btm, *more, **options)
         )
@@ -114,7 +114,7 @@ def test_files_text_and_picture_show_one_map(made):
     found = json_form.read_btm(out / "btm.json")
     assert min(node.x_m for node in found.nodes) > 0.9 * AWAY_M
     assert trace_tables.tables(found) in said
-    assert [check(one) for one in drawn] == [found]
+    assert [check_map(one) for one in drawn] == [found]
 
 
 def test_what_it_says(ran):

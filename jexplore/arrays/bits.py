@@ -13,13 +13,9 @@ WORD = 32  # rows a word
 
 
 def pack(mask: Array) -> Array:
-    """Return a mask as words: bit i of word (k, c) is the cell at row 32 k + i, column c.
+    """Return a mask as words, `[ceil(H / 32), W]` uint32: bit i of word (k, c) is the cell at row 32 k + i, column c.
 
-    Args:
-      mask: `[H, W]` bool.
-
-    Returns:
-      `[ceil(H / 32), W]` uint32; bits beyond the last row are 0.
+    Bits beyond the last row are 0.
     """
     height, width = mask.shape
     n = -(-height // WORD)
@@ -43,15 +39,7 @@ def transposed(words: Array) -> Array:
 
 
 def shifted(words: Array, drow: int, dcol: int) -> Array:
-    """Shift a mask: the value at `(row + drow, col + dcol)` for every cell; False outside the map.
-
-    Args:
-      words: `[K, W]` uint32.
-      drow, dcol: int. Static.
-
-    Returns:
-      `[K, W]` uint32.
-    """
+    """Shift a packed mask by static steps: the value at `(row + drow, col + dcol)`; False outside the map."""
     n, width = words.shape
     whole, rest = divmod(drow, WORD)
     before, after = max(-whole, 0), max(whole + 1, 0)
@@ -74,29 +62,23 @@ def _nth_bit(word, n):
     return at
 
 
-class Order(NamedTuple):
+class CellOrder(NamedTuple):
     """The True cells of a mask counted in (row, col) order."""
 
     across: Array  # [n] uint32, one word for every 32 columns of a row, row after row
     until: Array  # [n] int32, True cells up to the end of each
 
 
-def in_order(words: Array) -> Order:
-    """Return the `Order` of a mask: `[K, W]` uint32, packed."""
+def ordered_cells(words: Array) -> CellOrder:
+    """Return the `CellOrder` of a mask: `[K, W]` uint32, packed."""
     across = transposed(words).T.reshape(-1)
-    return Order(across, jnp.cumsum(lax.population_count(across).astype(jnp.int32)))
+    return CellOrder(across, jnp.cumsum(lax.population_count(across).astype(jnp.int32)))
 
 
-def nth_of(order: Order, n: Array, width: int) -> Array:
-    """Return true cells by their number.
+def nth_of(order: CellOrder, n: Array, width: int) -> Array:
+    """Return the flat index of true cells of a mask W = `width` columns wide by their number, `[m]` int32, from 0.
 
-    Args:
-      order: `Order`.
-      n: `[m]` int32, counted from 0.
-      width: W, columns of the mask. Static.
-
-    Returns:
-      `[m]` int32, flat index (row * W + col); arbitrary if n is too large.
+    Arbitrary if n is too large.
     """
     across, until = order
     per_row = -(-width // WORD)
@@ -106,16 +88,11 @@ def nth_of(order: Order, n: Array, width: int) -> Array:
 
 
 def nth_cells(words: Array, n: Array) -> Array:
-    """Return true cells of a mask by their number in (row, col) order.
+    """Return the flat index of true cells of a packed mask by their number in (row, col) order, `[m]` int32, from 0.
 
-    Args:
-      words: `[K, W]` uint32, packed.
-      n: `[m]` int32, counted from 0.
-
-    Returns:
-      `[m]` int32, flat index (row * W + col); 32 K * W if n is too large.
+    32 K * W if n is too large.
     """
-    order = in_order(words)
+    order = ordered_cells(words)
     return jnp.where(n < order.until[-1], nth_of(order, n, words.shape[1]), WORD * words.size)
 
 
@@ -127,14 +104,7 @@ def first_cells(words: Array, size: int) -> Array:
 def filled(words: Array, start: Array) -> Array:
     """Return the cells of a packed mask to which straight steps over its cells lead, by sweeps up and down.
 
-    A row fills whole runs of its cells at once, 32 columns a word.
-
-    Args:
-      words: `[K, W]` uint32.
-      start: `[K, W]` uint32, cells to begin with, all of them in the mask.
-
-    Returns:
-      `[K, W]` uint32.
+    A row fills whole runs of its cells at once, 32 columns a word. `start` are cells of the mask, packed alike.
     """
     possible, start = (transposed(a).T for a in (words, start))
     n_rows, n_words = possible.shape

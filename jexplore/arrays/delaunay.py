@@ -7,7 +7,7 @@ from jax import Array, lax
 
 from jexplore.arrays import bits
 
-NONE = np.int32(2**31 - 1)  # the key of no point
+NO_POINT = np.int32(2**31 - 1)  # the key of no point
 ROW = 64  # triangle slots per row of the search
 BETWEEN = -1e30  # a cotangent below all
 
@@ -124,8 +124,11 @@ def _apexes(x, y, valid, first, second):
     # bits of its fraction are left, of 256 14); one more to the side, so that both sides fit in one array: on the right
     # the least is the largest negative one.
     key = (_ordered(cotangent) >> 1) + (1 << 30) & ~(codes - 1) | jnp.arange(n, dtype=jnp.int32)[:, None]
-    keys = jnp.where(here, jnp.where(cross >= 0, key, ~key), NONE)
-    left, right = jnp.min(jnp.where(keys >= 0, keys, NONE), axis=0), ~jnp.max(jnp.where(keys < 0, keys, ~NONE), axis=0)
+    keys = jnp.where(here, jnp.where(cross >= 0, key, ~key), NO_POINT)
+    left, right = (
+        jnp.min(jnp.where(keys >= 0, keys, NO_POINT), axis=0),
+        ~jnp.max(jnp.where(keys < 0, keys, ~NO_POINT), axis=0),
+    )
     sides = jnp.stack([left, right])
-    apex, there = sides & (codes - 1), sides != NONE
+    apex, there = sides & (codes - 1), sides != NO_POINT
     return apex, there, left < (_ordered(jnp.float32(BETWEEN / 2)) >> 1) + (1 << 30)

@@ -17,19 +17,12 @@ MOST_LEVELS = 100
 """Lists and objects within each other. What walks over them calls itself once or twice a level, and Python ends that
 after 1,000 calls."""
 _TOO_DEEP = f"lists and objects lie in each other more than {MOST_LEVELS} deep"
-MOST_SPEC_BYTES = 2**20
-"""Of a YAML file. PyYAML reads about 100 kB in a second."""
+MOST_SPEC_BYTES = 2**20  # of a YAML file. PyYAML reads about 100 kB in a second.
 
 
 @contextlib.contextmanager
 def opened(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """Open a regular file for reading.
-
-    Args:
-      path: the file.
-
-    Returns:
-      A context manager; errors within it are reported in the same form.
+    """Open a regular file for reading; errors within the context are reported in the same form.
 
     Raises:
       InputError: no such file, a directory or another thing that is no file, or not readable.
@@ -53,14 +46,7 @@ def opened(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
-    """Read a regular file.
-
-    Args:
-      path: the file.
-      max_bytes: a larger file is refused before it is read.
-
-    Returns:
-      `bytes`, at least one.
+    """Read a regular file of at least one byte; a larger one than `max_bytes` is refused before it is read.
 
     Raises:
       InputError: as `opened`, empty, or too large.
@@ -110,11 +96,7 @@ def read_text(path: str | os.PathLike[str], max_bytes: int) -> str:
 
 
 def json_of(text: str, told: str) -> Any:
-    """Parse a text in JSON, nested no deeper than `MOST_LEVELS`.
-
-    Args:
-      text: input.
-      told: its name in messages.
+    """Parse a text in JSON, nested no deeper than `MOST_LEVELS`; `told` is its name in messages.
 
     Raises:
       InputError: no JSON, with the line, or of unusual numbers or depth.
@@ -132,20 +114,12 @@ def json_of(text: str, told: str) -> Any:
 
 
 def read_json(path: str | os.PathLike[str], max_bytes: int) -> Any:
-    """Read a JSON file.
-
-    Raises:
-      InputError: as `read_text` and `json_of`.
-    """
+    """Read a JSON file: `read_text` and `json_of`."""
     return json_of(read_text(path, max_bytes), repr(os.fspath(path)))
 
 
 def require_shallow(value: Any, told: str) -> None:
-    """Refuse lists and mappings that lie in each other more than `MOST_LEVELS` deep.
-
-    Raises:
-      InputError: saying so.
-    """
+    """Refuse lists and mappings that lie in each other more than `MOST_LEVELS` deep: an `InputError`."""
     kinds, layer, levels = (Mapping, list, tuple), [value], 0
     while layer := [one for one in layer if isinstance(one, kinds)]:
         levels += 1
@@ -156,10 +130,6 @@ def require_shallow(value: Any, told: str) -> None:
 
 def yaml_of(text: str, told: str) -> Any:
     """Parse a text in YAML, see `plain_yaml.Loader`, nested no deeper than `MOST_LEVELS`.
-
-    Args:
-      text: input.
-      told: its name in messages.
 
     Raises:
       InputError: no such YAML, with line and column.
@@ -182,20 +152,12 @@ def yaml_of(text: str, told: str) -> Any:
 
 
 def read_yaml(path: str | os.PathLike[str], max_bytes: int = MOST_SPEC_BYTES) -> Any:
-    """Read a YAML file.
-
-    Raises:
-      InputError: as `read_text` and `yaml_of`.
-    """
+    """Read a YAML file: `read_text` and `yaml_of`."""
     return yaml_of(read_text(path, max_bytes), repr(os.fspath(path)))
 
 
 def read_npz(path: str | os.PathLike[str], max_bytes: int) -> dict[str, Any]:
-    """Read the arrays of a file in numpy's format NPZ, by name; Python objects are refused.
-
-    Args:
-      path: the file.
-      max_bytes: most bytes of all arrays together, unpacked.
+    """Read the arrays of a file in numpy's format NPZ, `max_bytes` unpacked at most; Python objects are refused.
 
     Raises:
       InputError: as `opened`, no such file of numpy, damaged, or too large.

@@ -11,7 +11,7 @@ from jax import Array, lax
 
 from jexplore.arrays import bits
 from jexplore.arrays.loops import repeat
-from jexplore.arrays.sparse import NEIGHBOURS
+from jexplore.arrays.sparse import EIGHT_NEIGHBOURS
 
 PART = 256  # cells of a list that are worked on at a time
 
@@ -80,7 +80,7 @@ def grouped(mask: Array, size: int, *, part: int = PART) -> Groups:
     none = height * width
     part = min(part, size)
     room = -(-size // part) * part
-    order = bits.in_order(bits.pack(mask))
+    order = bits.ordered_cells(bits.pack(mask))
     total = order.until[-1]
     count = jnp.minimum(total, size)
 
@@ -96,12 +96,12 @@ def grouped(mask: Array, size: int, *, part: int = PART) -> Groups:
         at = read(cell, slot)
         row, col = at // width, at % width
         beside = []
-        for drow, dcol in NEIGHBOURS:
+        for drow, dcol in EIGHT_NEIGHBOURS:
             inside = used & (row + drow >= 0) & (row + drow < height) & (col + dcol >= 0) & (col + dcol < width)
             beside.append(jnp.where(inside, slot_of[jnp.clip(at + drow * width + dcol, 0, none - 1)], room))
         return write(near, slot, used, jnp.stack(beside))
 
-    near = _by_parts(count, room, part, meet, jnp.full((len(NEIGHBOURS), room), room, jnp.int32))
+    near = _by_parts(count, room, part, meet, jnp.full((len(EIGHT_NEIGHBOURS), room), room, jnp.int32))
 
     def hook(slot, used, state):
         label, changed = state

@@ -13,10 +13,8 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
-LONG_PX = 400
-"""Longer side of a picture of cells, about."""
-MOST_ROWS = 24
-"""Of a table that is shown."""
+LONG_PX = 400  # longer side of a picture of cells, about
+MAX_TABLE_ROWS = 24  # of a table that is shown
 _GOLDEN = 0.618034  # of a turn: hues of neighbours in number lie far apart
 
 
@@ -34,23 +32,16 @@ def or_text(method: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 def html_of(picture: bytes, caption: str, head: Sequence[str] = (), lines: Iterable[Sequence[str]] = ()) -> str:
-    """Return HTML of a PNG picture, a line below it, and a table, which needs no other file.
-
-    Args:
-      picture: the bytes of the PNG.
-      caption: text.
-      head: `[K]` texts, names of columns.
-      lines: lists of `[K]` texts; only the first `MOST_ROWS` are shown.
-    """
+    """Return HTML of a PNG picture, a line below it, and a table of its first `MAX_TABLE_ROWS` lines."""
     source = base64.b64encode(picture).decode("ascii")
     parts = [f'<img src="data:image/png;base64,{source}" alt="{html.escape(caption)}" style="max-width: 100%">']
     parts.append(f"<div>{html.escape(caption)}</div>")
     lines = list(lines)
     if lines:
-        rows = [_row("th", head), *(_row("td", line) for line in lines[:MOST_ROWS])]
+        rows = [_row("th", head), *(_row("td", line) for line in lines[:MAX_TABLE_ROWS])]
         parts.append(f"<table>{''.join(rows)}</table>")
-    if len(lines) > MOST_ROWS:
-        parts.append(f"<div>... and {len(lines) - MOST_ROWS:,} more rows</div>")
+    if len(lines) > MAX_TABLE_ROWS:
+        parts.append(f"<div>... and {len(lines) - MAX_TABLE_ROWS:,} more rows</div>")
     return f"<div>{''.join(parts)}</div>"
 
 
@@ -58,10 +49,8 @@ def html_of(picture: bytes, caption: str, head: Sequence[str] = (), lines: Itera
 class Listing:
     """A table of texts that shows itself, as text as wide as the terminal, in a notebook as HTML."""
 
-    head: tuple[str, ...]
-    """`[K]` names of columns."""
-    rows: tuple[tuple[str, ...], ...]
-    """`[N]` rows of `[K]` texts."""
+    head: tuple[str, ...]  # `[K]` names of columns
+    rows: tuple[tuple[str, ...], ...]  # `[N]` rows of `[K]` texts
 
     def __iter__(self) -> Iterator[tuple[str, ...]]:
         return iter(self.rows)

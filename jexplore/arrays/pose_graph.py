@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
-ROUNDS = 20  # of Gauss and Newton's method
-HALVINGS = 5  # of a step that makes the misfit larger
-LEAST = 1e-4  # added to the diagonal: what nothing is known of stays where it is
+GAUSS_NEWTON_ROUNDS = 20  # of Gauss and Newton's method
+MAX_HALVINGS = 5  # of a step that makes the misfit larger
+REGULARISATION = 1e-4  # added to the diagonal: what nothing is known of stays where it is
 
 
 class Settled(NamedTuple):
@@ -21,7 +21,7 @@ def settle(pose: Array, ends: Array, moved: Array, spread: Array) -> Settled:
     """Fit poses to measured moves between them: least squares by Gauss-Newton from a first guess.
 
     Pose 0 and poses not joined with it by measurements stay in place. A step is halved until the misfit shrinks,
-    `HALVINGS` times at most; otherwise the poses stay.
+    `MAX_HALVINGS` times at most; otherwise the poses stay.
 
     Args:
       pose: `[N, 3]` float32, first guess: x, y, heading, radians.
@@ -54,12 +54,12 @@ def settle(pose: Array, ends: Array, moved: Array, spread: Array) -> Settled:
 
     def better(_, pose):
         r, d = misfit(pose).reshape(-1), slopes(pose).reshape(3 * m, 3 * n)
-        step = jnp.linalg.solve(d.T @ d + LEAST * jnp.eye(3 * n), -d.T @ r).reshape(n, 3)
-        tried = jnp.stack([pose + step / 2**k for k in range(HALVINGS)])
+        step = jnp.linalg.solve(d.T @ d + REGULARISATION * jnp.eye(3 * n), -d.T @ r).reshape(n, 3)
+        tried = jnp.stack([pose + step / 2**k for k in range(MAX_HALVINGS)])
         cost = jnp.stack([jnp.sum(misfit(one) ** 2) for one in [pose, *tried]])
         return jnp.concatenate([pose[None], tried])[jnp.argmin(cost)]
 
-    pose = lax.fori_loop(0, ROUNDS, better, jnp.asarray(pose, jnp.float32))
+    pose = lax.fori_loop(0, GAUSS_NEWTON_ROUNDS, better, jnp.asarray(pose, jnp.float32))
     return Settled(pose, misfit(pose))
 
 

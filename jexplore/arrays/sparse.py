@@ -8,7 +8,7 @@ from jax import Array, lax
 
 from jexplore.arrays import bits
 
-NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))  # straight ones first
+EIGHT_NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))  # straight ones first
 
 
 @struct.dataclass
@@ -16,17 +16,12 @@ class Cells:
     """True cells of a mask in (row, col) order. K slots."""
 
     cell: Array  # [K] int32, flat index (row * W + col); H * W in an unused slot
-    near: Array  # [K, 8] int32, slot of the neighbour in each direction of `NEIGHBOURS`; K for none
+    near: Array  # [K, 8] int32, slot of the neighbour in each direction of `EIGHT_NEIGHBOURS`; K for none
     overflow: Array  # int32, cells that did not fit
 
 
-def listed(mask: Array, size: int) -> Cells:
-    """List the `Cells` of a mask.
-
-    Args:
-      mask: `[H, W]` bool.
-      size: K, slots. Static.
-    """
+def list_cells(mask: Array, size: int) -> Cells:
+    """List the `Cells` of a mask, `[H, W]` bool, in K = `size` slots."""
     height, width = mask.shape
     none = height * width
     words = bits.pack(mask)
@@ -34,7 +29,7 @@ def listed(mask: Array, size: int) -> Cells:
     slot = jnp.full((none,), size, jnp.int32).at[cell].set(lax.iota(jnp.int32, size), mode="drop")
     row, col = cell // width, cell % width
     near = []
-    for drow, dcol in NEIGHBOURS:
+    for drow, dcol in EIGHT_NEIGHBOURS:
         r, c = row + drow, col + dcol
         inside = (r >= 0) & (r < height) & (c >= 0) & (c < width) & (cell < none)
         near.append(jnp.where(inside, slot[jnp.clip(r, 0, height - 1) * width + jnp.clip(c, 0, width - 1)], size))

@@ -10,11 +10,7 @@ _ARCTAN = 0.99997726, -0.33262347, 0.19354346, -0.11643287, 0.05265332, -0.01172
 
 
 def arctan2(y: Array, x: Array) -> Array:
-    """Compute the angle of a point, to 4e-6 radians: `[...]` float32, 0 at the origin; signs of zeros do not count.
-
-    Args:
-      y, x: `[...]` float32, finite.
-    """
+    """Compute the angle of a finite point, to 4e-6 radians: float32, 0 at the origin; signs of zeros do not count."""
     ax, ay = jnp.abs(x), jnp.abs(y)
     largest = jnp.maximum(ax, ay)
     share = jnp.minimum(ax, ay) / jnp.where(largest > 0, largest, 1)

@@ -362,7 +362,7 @@ def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Write
 
     def chosen(map_, fails):
         open_link = btm.first_open(map_, node, back)
-        usable = map_.replace(length_m=jnp.where(fails >= FAILS, btm.FAR_M, map_.length_m))
+        usable = map_.replace(length_m=jnp.where(fails >= FAILS, btm.NO_WAY_M, map_.length_m))
         hop, hop_bearing, _ = btm.next_hop(usable, node)
         bearing = map_.start_bearing[jnp.minimum(open_link, map_.start.shape[0] - 1)]
         return tuple(

@@ -13,8 +13,8 @@ import numpy as np
 
 from jexplore.arrays.padding import framed
 from jexplore.config import InputError, require_number
-from jexplore.extraction.lines import components, lines_of, take_corners
-from jexplore.extraction.passages import SEARCH, Place, places_and_passages
+from jexplore.extraction.lines import connected_cells, lines_of, take_corners
+from jexplore.extraction.passages import SEARCH, PlaceDraft, places_and_passages
 from jexplore.grid import centre_of, in_cells
 from jexplore.rooms.watershed import CLUTTER_M, clutter
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, Node
@@ -70,14 +70,14 @@ def extract(
     corners = take_corners(lines)
     cells = _attached(lines, corners, ends, free)
     if "start" in ends and "start" not in cells:
-        start = Place(*ends["start"], "terminal", 0.0)
+        start = PlaceDraft(*ends["start"], "terminal", 0.0)
         return _numbered({0: start}, [], 0, lines, cell_m, origin_m)
     if len(cells) == 2 and math.dist(ends["start"], ends["end"]) < lines.radius[cells["start"]]:
         del cells["end"]  # the trail ends where it began
-    parts = components(lines.near, [i for i in cells.values() or range(len(lines.row)) if _counts(lines, i)])
+    parts = connected_cells(lines.near, [i for i in cells.values() or range(len(lines.row)) if _counts(lines, i)])
     alive = max(parts, key=len, default=set()) if not cells else parts[0]
     terminals = {
-        cell: Place(*ends[which], "terminal", float(lines.radius[cell]))
+        cell: PlaceDraft(*ends[which], "terminal", float(lines.radius[cell]))
         for which, cell in cells.items()
         if cell in alive
     }

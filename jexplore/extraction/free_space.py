@@ -5,7 +5,7 @@ import itertools
 
 import numpy as np
 
-from jexplore.extraction.lines import Lines, bearing_deg, components, distance
+from jexplore.extraction.lines import Lines, bearing_deg, cells_apart, connected_cells
 
 CLOSING = 0.9  # free space, once entered, ends where the clearance falls below this share of `open_cells`
 
@@ -13,27 +13,24 @@ CLOSING = 0.9  # free space, once entered, ends where the clearance falls below 
 def free_spaces(
     lines: Lines, near: dict[int, set[int]], special: set[int], open_cells: float
 ) -> tuple[list[set[int]], set[int]]:
-    """Return parts of the graph in free space, up to the mouths of the passages.
+    """Return parts of the graph in free space, sets of cells, and the mouths of passages: the cells next to them.
 
     Args:
       lines: `Lines`.
       near: neighbours by cell.
       special: cells that are terminals, junctions or loose ends.
       open_cells: clearance above which a place is free space, cells.
-
-    Returns:
-      `(spaces, mouths)`: list of sets of cells, and the set of the cells next to them.
     """
     radius = lines.radius - 0.5
     wide = {cell for cell in near if radius[cell] > CLOSING * open_cells and lines.known[cell]}
-    parts = components({cell: near[cell] & wide for cell in wide}, sorted(wide))
+    parts = connected_cells({cell: near[cell] & wide for cell in wide}, sorted(wide))
     inside = set().union(*(part for part in parts if radius[list(part)].max() > open_cells))
     while True:
         # A junction whose disc reaches a space belongs to it, and so does one without a passage in between.
         reached = set()
         for path in _leading_out(near, inside, special):
             last = path[-1]
-            if last not in inside and (len(path) == 2 or distance(lines, path[0], last) < lines.radius[last]):
+            if last not in inside and (len(path) == 2 or cells_apart(lines, path[0], last) < lines.radius[last]):
                 reached |= set(path[1:])
         if not reached:
             break
@@ -49,7 +46,7 @@ def free_spaces(
         grown |= set(passage[:i])
         mouths.add(passage[i])
     grown -= mouths
-    return components({cell: near[cell] & grown for cell in grown}, sorted(grown)), mouths
+    return connected_cells({cell: near[cell] & grown for cell in grown}, sorted(grown)), mouths
 
 
 def _leading_out(near, inside, special):
@@ -63,14 +60,10 @@ def _leading_out(near, inside, special):
             yield path
 
 
-def through(lines: Lines, near: dict[int, set[int]], space: set[int], ports: set[int]) -> list[list[int]]:
+def paths_through(lines: Lines, near: dict[int, set[int]], space: set[int], ports: set[int]) -> list[list[int]]:
     """Find paths through one free space, from each port to the next one counter-clockwise and to unknown space.
 
-    Args:
-      lines: `Lines`.
-      near: neighbours by cell.
-      space: set of cells.
-      ports: mouths, wherever, and terminals, wherever.
+    `ports` are mouths and terminals, wherever.
     """
     cells = space | {other for cell in space for other in near[cell] if other in ports}
     inner = {cell: near[cell] & (cells if cell in space else space) for cell in cells}

@@ -10,17 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from jexplore.arrays.padding import bucket
-from jexplore.arrays.sparse import NEIGHBOURS
+from jexplore.arrays.sparse import EIGHT_NEIGHBOURS
 from jexplore.skeleton import voronoi_graph
 
 CORNER_DEG = 40.0
 """A branch that ends at a wall is roughness of the wall where the directions to its two walls differ by less."""
-DEPTH = 1.5
-"""And where the corner lies less far beyond the disc that touches its two walls, cells."""
+DEPTH = 1.5  # and where the corner lies less far beyond the disc that touches its two walls, cells
 TAPER_DEG = 135.0
 """Such a branch is a passage with a dead end where they differ by more, else a corner: 90 degrees in a square one."""
-PASSAGE = 6
-"""And where they differ by as much for fewer cells: narrow corners are rough."""
+PASSAGE = 6  # and where they differ by as much for fewer cells: narrow corners are rough
 NECK = 0.75
 """A branch that ends at corners of its own is a way into a room where it has been narrower than this share of its end's
 clearance: a corner that is cut off only narrows."""
@@ -41,12 +39,9 @@ class Lines(NamedTuple):
 
 
 def lines_of(obstacle: np.ndarray, free: np.ndarray, *, width: float) -> Lines:
-    """Return `Lines` of the space that is not known to be occupied.
+    """Return `Lines` of the space that is not `obstacle` [H, W] bool, through passages of `width` cells and more.
 
-    Args:
-      obstacle: `[H, W]` bool.
-      free: `[H, W]` bool, seen to be free.
-      width: of the narrowest passage that counts, cells.
+    Cells that are `free` [H, W] bool are known.
     """
     height, cols = obstacle.shape
     padded = np.zeros((bucket(height), bucket(cols)), bool)
@@ -75,7 +70,7 @@ def _axis(off, row, col):
     own = off[row + 1, col + 1]
     d = np.hypot(*own.T)
     radii, shifts, spread = [d], [np.zeros(2)], np.zeros(d.shape)
-    for step in NEIGHBOURS:
+    for step in EIGHT_NEIGHBOURS:
         other, half = off[row + 1 + step[0], col + 1 + step[1]], np.asarray(step) / 2
         there = np.hypot(*other.T) > 0
         wall = other + step  # as seen from this cell
@@ -96,7 +91,7 @@ def _axis(off, row, col):
 # Paths
 
 
-def distance(lines: Lines, a: int, b: int) -> float:
+def cells_apart(lines: Lines, a: int, b: int) -> float:
     """Return the distance from one cell to another, cells."""
     return float(math.dist(lines.at[a], lines.at[b]))
 
@@ -123,7 +118,7 @@ def chains(
                 yield path
 
 
-def components(near: list[set[int]] | dict[int, set[int]], cells: Collection[int]) -> list[set[int]]:
+def connected_cells(near: list[set[int]] | dict[int, set[int]], cells: Collection[int]) -> list[set[int]]:
     """Return sets of connected cells that hold any of `cells`, in their order."""
     left, found = set(cells), []
     for cell in cells:
@@ -142,12 +137,9 @@ def components(near: list[set[int]] | dict[int, set[int]], cells: Collection[int
 
 
 def take_corners(lines: Lines) -> dict[int, int]:
-    """Take the branches that end at a wall off `lines.near`; return how many corners each junction had.
+    """Take the branches that end at a wall off `lines.near`; return how many corners each junction had, by cell.
 
     A branch whose far end has lost its own branches is looked at in turn: a corner may be cut off.
-
-    Returns:
-      Counts of corners by cell, of junctions only.
     """
     near, corners = lines.near, {}
     while True:
@@ -177,7 +169,7 @@ def take_corners(lines: Lines) -> dict[int, int]:
 def _is_one_place(lines, path):
     """Return whether the end of a branch lies in the disc of its junction and has about the same clearance."""
     here, tip = lines.radius[path[0]], lines.radius[path[-1]]
-    return tip >= NECK * here and distance(lines, path[0], path[-1]) <= here
+    return tip >= NECK * here and cells_apart(lines, path[0], path[-1]) <= here
 
 
 def _branch(lines, path, has_corners):
@@ -191,7 +183,7 @@ def _branch(lines, path, has_corners):
         or tip > here
         or np.count_nonzero(spread[max(2, len(spread) // 3) :] >= TAPER_DEG) >= max(PASSAGE, tip / 2)
     ):
-        return "passage" if distance(lines, path[0], path[-1]) > here else "rough"
+        return "passage" if cells_apart(lines, path[0], path[-1]) > here else "rough"
     # Not in the disc of the junction, where there is a third wall.
     first = min(2, len(radius) - 1)
     radius, spread = radius[first:], spread[first:]

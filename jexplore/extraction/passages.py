@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jexplore.extraction.free_space import free_spaces, through
-from jexplore.extraction.lines import Lines, chains, components, distance
+from jexplore.extraction.free_space import free_spaces, paths_through
+from jexplore.extraction.lines import Lines, cells_apart, chains, connected_cells
 
 SEARCH = 1.5  # radius of the circle on which the ways out of a place are looked for, in clearances
 
 
-class Place(NamedTuple):
+class PlaceDraft(NamedTuple):
     """A node in the making."""
 
     row: float
@@ -22,7 +22,7 @@ class Place(NamedTuple):
     corners: int = 0
 
 
-class Passage(NamedTuple):
+class PassageDraft(NamedTuple):
     """A link in the making: cells from one place to another."""
 
     start: Any  # key of a place
@@ -31,19 +31,16 @@ class Passage(NamedTuple):
 
 
 def places_and_passages(
-    lines: Lines, corners: dict[int, int], alive: set[int], terminals: dict[int, Place], *, open_cells: float
-) -> tuple[dict[int, Place], list[Passage]]:
-    """Return the places of a graph and the ways between them.
+    lines: Lines, corners: dict[int, int], alive: set[int], terminals: dict[int, PlaceDraft], *, open_cells: float
+) -> tuple[dict[int, PlaceDraft], list[PassageDraft]]:
+    """Return the places of a graph, by key, and the ways between them.
 
     Args:
       lines: `Lines`.
       corners: count of corners by cell.
       alive: set of the cells that count.
-      terminals: `Place` by cell, of cells that are in `alive`.
+      terminals: by cell, all in `alive`.
       open_cells: clearance of free space, cells.
-
-    Returns:
-      `(places, ways)`: `Place` by key, and a list of `Passage`.
     """
     near = {cell: set(lines.near[cell]) for cell in alive}
     fixed = corners.keys() | terminals.keys()
@@ -61,22 +58,22 @@ def places_and_passages(
         if lines.known[part].any():
             places[part[0]] = _place(lines, part, "divergence", sum(corners.get(cell, 0) for cell in part))
     for space in spaces:
-        paths += through(lines, near, space, mouths | terminals.keys())
+        paths += paths_through(lines, near, space, mouths | terminals.keys())
     ways = []
     for path in paths:
         start, end = name[path[0]], name.get(path[-1])
         if start == end and len(path) <= 2 * lines.radius[path[0]]:
             continue
         if lines.known[path].all():
-            ways.append(Passage(start, end, path))
+            ways.append(PassageDraft(start, end, path))
         else:
-            ways += [Passage(name[p[0]], None, p) for p in (path, path[::-1]) if lines.known[p[0]]]
+            ways += [PassageDraft(name[p[0]], None, p) for p in (path, path[::-1]) if lines.known[p[0]]]
     return _tidied(places, ways)
 
 
 def _place(lines, cells, kind, corners=0):
     row, col = lines.at[cells].mean(0).tolist()
-    return Place(row, col, kind, float(lines.radius[cells].max()), corners)
+    return PlaceDraft(row, col, kind, float(lines.radius[cells].max()), corners)
 
 
 def _close_gaps(lines, near, corners, keys, open_cells):
@@ -91,7 +88,7 @@ def _close_gaps(lines, near, corners, keys, open_cells):
             seen = list(itertools.takewhile(lines.known.__getitem__, way))
             radius = lines.radius[way[0]]
             if 0 < len(seen) < len(way) and radius - 0.5 <= open_cells:
-                reach = max(distance(lines, cell, way[0]) for cell in seen)
+                reach = max(cells_apart(lines, cell, way[0]) for cell in seen)
                 neck = int(np.argmin(lines.radius[way[: int(SEARCH * radius)]]))
                 if reach <= radius or neck >= len(seen) - 1:
                     blind.append((reach, way[0], way[1]))
@@ -107,10 +104,10 @@ def _merged(lines, junctions, paths):
     for path in paths:
         a, b = path[0], path[-1]
         limit = max(min(lines.radius[a], lines.radius[b]) - 0.5, 2)
-        if a in close and b in close and distance(lines, a, b) < limit:
+        if a in close and b in close and cells_apart(lines, a, b) < limit:
             close[a].add(b)
             close[b].add(a)
-    return [sorted(part) for part in components(close, close)]
+    return [sorted(part) for part in connected_cells(close, close)]
 
 
 def _tidied(places, ways):
@@ -125,7 +122,7 @@ def _tidied(places, ways):
             into, on = sorted((_away(way, key) for way in own), key=lambda way: way.end is None)
             if into.end is not None:
                 ways = [way for way in ways if way not in own]
-                ways.append(Passage(into.end, on.end, into.path[::-1] + on.path[1:]))
+                ways.append(PassageDraft(into.end, on.end, into.path[::-1] + on.path[1:]))
                 del places[key]
         elif len(others := {_away(way, key).end for way in own} - {key}) == 1:
             other = places.get(others.pop())
@@ -137,4 +134,4 @@ def _tidied(places, ways):
 
 def _away(way, key):
     """Return the way as one that starts at `key`."""
-    return way if way.start == key else Passage(way.end, way.start, way.path[::-1])
+    return way if way.start == key else PassageDraft(way.end, way.start, way.path[::-1])

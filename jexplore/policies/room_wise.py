@@ -20,14 +20,14 @@ from jexplore.planning import Belief, Choice
 from jexplore.policies.policy import Policy
 from jexplore.reach import FAR
 from jexplore.rooms import watershed
-from jexplore.segment import PROMINENCE_M, VARIANTS, Criteria, form_for, segment
+from jexplore.segment import MAX_HOPS, PROMINENCE_M, Criteria, form_for, segment
 
 NO_DOOR = 2**30  # squared clearance of no way out, cells^2
 _OF_GRAPH = "prominence_m", "gamma"
 _OF_BASINS = "ratio", "smallest_m2", "clutter_m"
 _OF_ROOMS = "door_m", "room_m2"
 KINDS = {
-    **dict.fromkeys(VARIANTS, _OF_GRAPH),
+    **dict.fromkeys(MAX_HOPS, _OF_GRAPH),
     "auto": _OF_GRAPH + _OF_ROOMS,
     "voronoi": _OF_BASINS,
     "rooms": _OF_BASINS + _OF_ROOMS,
@@ -46,17 +46,7 @@ class OfGraph(NamedTuple):
         """Divide the map: `(label, door_d2, overflow)`: `[H, W]` int32; `[n]` int32, narrowest exit by label; int32."""
         model = belief.model
         form = form_for(free.shape, coarse=model.coarse)
-        found = segment(
-            free,
-            Criteria(
-                max_hops=self.max_hops,
-                prominence=self.prominence_m / model.cell_m,
-                gamma=self.gamma,
-                max_clearance=jnp.float32(jnp.inf),
-                longest_first=jnp.bool_(True),
-            ),
-            form=form,
-        )
+        found = segment(free, Criteria(self.max_hops, self.prominence_m / model.cell_m, self.gamma), form=form)
         d2 = jnp.repeat(jnp.where(found.split_d2 > 0, found.split_d2, NO_DOOR), 2)
         narrowest = jnp.full(found.group.shape, NO_DOOR, jnp.int32).at[found.group].min(d2)
         return found.label, narrowest, found.overflow
@@ -65,17 +55,19 @@ class OfGraph(NamedTuple):
 class OfBasins(NamedTuple):
     """Basins of the clearance, joined where the pass between them is wide."""
 
-    ratio: Any  # float, see `watershed.Criteria`
+    ratio: Any  # float, see `watershed.RoomCriteria`
     smallest_m2: Any  # float, m^2
     clutter_m: Any  # float, metres
 
     def divide(self, free, belief):
         """Divide the map as `OfGraph`, but with the widest exit."""
         model, unknown = belief.model, ~is_known(belief.grid)
-        numbers = watershed.criteria(
+        numbers = watershed.room_criteria(
             model.cell_m, ratio=self.ratio, smallest_m2=self.smallest_m2, clutter_m=self.clutter_m
         )
-        found = watershed.watershed(free, unknown, numbers, form=watershed.form_for(free.shape, coarse=model.coarse))
+        found = watershed.watershed(
+            free, unknown, numbers, form=watershed.room_form_for(free.shape, coarse=model.coarse)
+        )
         return found.label, jnp.where(found.door_d2 > 0, found.door_d2, NO_DOOR), found.overflow
 
 
@@ -163,7 +155,7 @@ def segmented(
     prominence_m: float = PROMINENCE_M,
     gamma: float = 3.0,
     ratio: float = watershed.RATIO,
-    smallest_m2: float = watershed.SMALLEST_M2,
+    smallest_m2: float = watershed.SMALLEST_ROOM_M2,
     clutter_m: float = watershed.CLUTTER_M,
     door_m: float = 1.6,
     room_m2: float = 40.0,
@@ -175,7 +167,7 @@ def segmented(
       kind: one of `KINDS`; "auto" segments as "holz" does, "rooms" as "voronoi" does, and both prefer rooms only.
       prominence_m: how much the clearance must rise on both sides of a critical point, metres.
       gamma: see `segment.Criteria`, cells.
-      ratio, smallest_m2, clutter_m: see `watershed.criteria`.
+      ratio, smallest_m2, clutter_m: see `watershed.room_criteria`.
       door_m: width of the widest door, metres; "auto" and "rooms" only.
       room_m2: area of the largest room, m^2; "auto" and "rooms" only.
 
@@ -190,7 +182,7 @@ def segmented(
         )
     else:
         cut = OfGraph(
-            VARIANTS.get(kind, VARIANTS["holz"]),
+            MAX_HOPS.get(kind, MAX_HOPS["holz"]),
             float(require_number("prominence_m", prominence_m, high=100)),
             float(require_number("gamma", gamma, high=100)),
         )

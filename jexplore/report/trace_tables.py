@@ -4,7 +4,7 @@ import collections
 from typing import Any
 
 from jexplore.report.tables import aligned_table
-from jexplore.tracemap.passable import called
+from jexplore.tracemap.passable import link_name
 from jexplore.tracemap.record import NOWHERE, BtmMap
 from jexplore.tracemap.route import Route
 
@@ -142,5 +142,5 @@ def _goal(route):
 def refused_lines(btm: BtmMap, route: Route) -> list[str]:
     """List the parts of a map that a robot may not use, and why: a line a link, then one for every impassable node."""
     links = {link.id: link for link in btm.links}
-    lines = [f"{called(links[own])}: {', '.join(why)}" for own, why in route.refused]
+    lines = [f"{link_name(links[own])}: {', '.join(why)}" for own, why in route.refused]
     return [*lines, *(f"node {own}, to pass: {', '.join(why)}" for own, why in route.barriers)]

@@ -31,9 +31,7 @@ def _nearest(inside, seeds, *, n):
 def grown(seeds: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """Assign every cell to the seed nearest along paths: `[H, W]` int32, -1 for unreachable cells.
 
-    Args:
-      seeds: `[H, W]` int, from 1; 0 for none. Those above `SEEDS` are none.
-      inside: `[H, W]` bool.
+    Seeds count from 1; 0 and those above `SEEDS` are none.
     """
     own = np.where(seeds <= SEEDS, seeds, 0).astype(np.int32) - 1
     return np.asarray(_nearest(jnp.asarray(inside), jnp.asarray(own), n=SEEDS))
@@ -47,7 +45,7 @@ def _parts(mask, cell_m):
     return parts, area_m2
 
 
-def distance(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.ndarray:
+def distance_rooms(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.ndarray:
     """Divide by clearance: seeds are the cells above the level with most components; the rest goes to the nearest.
 
     Args:
@@ -72,10 +70,10 @@ def distance(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.nda
     return grown(np.where(best > 0, np.searchsorted(numbers, best) + 1, 0), inside)
 
 
-def morphological(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.ndarray:
+def morphological_rooms(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.ndarray:
     """Divide by erosion: a component is a seed once it is as small as rooms are; the rest goes to the nearest.
 
-    Arguments and result as of `distance`.
+    Arguments and result as of `distance_rooms`.
 
     Source:
       Bormann et al. 2016, morphological, with the authors' areas of a seed. Changed: eroded by discs, so that a turned
@@ -96,7 +94,7 @@ def morphological(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> n
 
 
 BASELINES: dict[str, Callable[[np.ndarray, np.ndarray, float], np.ndarray]] = {
-    "distance": distance,
-    "morphological": morphological,
+    "distance": distance_rooms,
+    "morphological": morphological_rooms,
     "maoris": maoris,
 }

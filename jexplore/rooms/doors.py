@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from jexplore.rooms.scores import components
 
-NEAR_M = 0.5  # a door is found if two rooms touch so close to its middle
+DOOR_NEAR_M = 0.5  # a door is found if two rooms touch so close to its middle
 
 
 class Doors(NamedTuple):
@@ -19,16 +19,10 @@ class Doors(NamedTuple):
     touching: int  # places where two rooms touch
 
 
-def filled(label: np.ndarray, free: np.ndarray, gap: float) -> np.ndarray:
+def with_doorways(label: np.ndarray, free: np.ndarray, gap: float) -> np.ndarray:
     """Assign free cells without a label, such as doorways, to the nearest room along free cells.
 
-    Args:
-      label: `[H, W]` int, rooms; negative for none.
-      free: `[H, W]` bool.
-      gap: how far away a room may be, in steps to the four neighbours.
-
-    Returns:
-      `[H, W]` int.
+    Negative labels are none; a room may be `gap` steps to the four neighbours away.
     """
     label, left = label.copy(), free & (label < 0)
     for _ in range(int(gap)):
@@ -45,8 +39,7 @@ def filled(label: np.ndarray, free: np.ndarray, gap: float) -> np.ndarray:
 def touching(label: np.ndarray) -> list[np.ndarray]:
     """Return the cells at which two rooms touch along an edge, a list of `[n, 2]` int for every piece of such a border.
 
-    Args:
-      label: `[H, W]` int, rooms; negative for none.
+    Negative labels are none.
     """
     cells, pairs = [], []
     here = np.indices(label.shape).transpose(1, 2, 0)
@@ -77,7 +70,7 @@ def _middles(pieces):
 
 def middles_of(label: np.ndarray, free: np.ndarray, cell_m: float) -> np.ndarray:
     """Return the middles of the doors between rooms, `[n, 2]` int, row and column. Arguments as of `compared`."""
-    return _middles(touching(filled(label, free, NEAR_M / cell_m)))
+    return _middles(touching(with_doorways(label, free, DOOR_NEAR_M / cell_m)))
 
 
 def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell_m: float) -> Doors:
@@ -88,15 +81,12 @@ def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell
       found: `[H, W]` int, rooms of the segmentation, in the same form.
       free: `[H, W]` bool.
       cell_m: edge of a cell, metres.
-
-    Returns:
-      `Doors`.
     """
-    gap = NEAR_M / cell_m
-    own = touching(filled(found, free, gap))
+    gap = DOOR_NEAR_M / cell_m
+    own = touching(with_doorways(found, free, gap))
     if truth is None:
         return Doors(_middles([]), _middles([]), _middles(own), len(own))
-    true = touching(filled(truth, free, gap))
+    true = touching(with_doorways(truth, free, gap))
     close = [_close(_middles(pieces), others, free.shape, gap) for pieces, others in ((true, own), (own, true))]
     middles = _middles(true), _middles(own)
     return Doors(middles[0][close[0]], middles[0][~close[0]], middles[1][~close[1]], len(own))

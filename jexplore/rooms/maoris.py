@@ -10,9 +10,10 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-SHARE = 0.4  # share of the perimeter: a zone that shares more with a wider one is a ripple of that
+from jexplore.rooms.watershed import SMALLEST_ROOM_M2
+
+RIPPLE_SHARE = 0.4  # share of the perimeter: a zone that shares more with a wider one is a ripple of that
 LIKENESS = 0.5  # zones are alike if the width of one is at least this share of that of the other
-SMALLEST_M2 = 2.0  # area of the smallest room
 
 
 class _Zones(NamedTuple):
@@ -90,7 +91,7 @@ def _ripples(zones):
     """Join ripples to the wider zone around them. Arrays as of `_longest`, here and below."""
     is_wider = zones.width[zones.other] > zones.width[zones.one]
     perimeter = np.bincount(zones.one, zones.length, len(zones.width))
-    return _longest(zones, is_wider & (zones.length > SHARE * perimeter[zones.one]))
+    return _longest(zones, is_wider & (zones.length > RIPPLE_SHARE * perimeter[zones.one]))
 
 
 def _alike(zones):
@@ -131,7 +132,7 @@ def maoris(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.ndarr
         common. Both steps are done twice. At last small rooms join the one beyond their longest border.
     """
     label, zones = _zones(_free_space(inside, clearance))
-    for step in (_ripples, _alike, _ripples, _alike, lambda zones: _small(zones, SMALLEST_M2 / cell_m**2)):
+    for step in (_ripples, _alike, _ripples, _alike, lambda zones: _small(zones, SMALLEST_ROOM_M2 / cell_m**2)):
         while ((to := step(zones)) != np.arange(len(to))).any():
             zones = _joined(zones, to)
     return np.where(inside, zones.joined[label], -1).astype(np.int32)

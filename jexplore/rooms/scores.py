@@ -36,11 +36,7 @@ def _same_size(name, array, name_of_other, other):
 def rooms_of(free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
     """Label the rooms of a map in which walls and lines across doorways separate them.
 
-    A room is a 4-connected component of free pixels.
-
-    Args:
-      free: `[H, W]` bool.
-      min_px: components of this many pixels or fewer are dropped; the default is 0.25 m2 at 0.05 m a pixel.
+    A room is a 4-connected component of more than `min_px` free pixels, by default 0.25 m2 at 0.05 m a pixel.
 
     Returns:
       `[H, W]` int32: rooms 0..n-1, in the order of their first pixels by row and column; -1 elsewhere.
@@ -48,7 +44,7 @@ def rooms_of(free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
     return _numbered(components(np.asarray(free, dtype=bool)), min_px=min_px)
 
 
-def regions_of(labels: ArrayLike, free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
+def scored_regions(labels: ArrayLike, free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
     """Label the regions of a predicted segmentation for scoring.
 
     All free pixels of a label form a region, even if it has several parts. Free pixels without a label are not excused:
@@ -133,7 +129,7 @@ def score(truth: ArrayLike, predicted: ArrayLike) -> dict[str, float]:
 
     Args:
       truth: `[H, W]` int, rooms; negative for none. As from `rooms_of`.
-      predicted: `[H, W]` int, regions; negative for none. As from `regions_of`.
+      predicted: `[H, W]` int, regions; negative for none. As from `scored_regions`.
 
     Returns:
       A dictionary of floats and whole numbers:

@@ -20,13 +20,13 @@ from jexplore.frontier import label_clusters
 from jexplore.grid import any_within_one, any_within_one_packed, beside, bordered, count
 
 RATIO = 0.75
-SMALLEST_M2 = 2.0
+SMALLEST_ROOM_M2 = 2.0
 CLUTTER_M = 1.0
 HIGHEST = 2**20  # squared clearance without any obstacle, cells^2
 
 
 @struct.dataclass
-class Criteria:
+class RoomCriteria:
     """Criteria of a room. Numbers that may be swept without compiling anew."""
 
     ratio: Array  # float32: a pass is a door if its clearance is below this share of that of the lower of both peaks
@@ -34,7 +34,7 @@ class Criteria:
     clutter: Array  # float32, cells: an obstacle whose bounding box has a shorter diagonal is clutter, no wall
 
 
-class Form(NamedTuple):
+class RoomForm(NamedTuple):
     """Static sizes. Hashable."""
 
     basins: int  # B, peaks of the clearance, at most
@@ -54,26 +54,22 @@ class Rooms:
     overflow: Array  # int32, edges, peaks and passes that did not fit
 
 
-def form_for(shape: tuple[int, ...], *, coarse: bool = False) -> Form:
-    """Return the `Form` that suits a map of a shape.
+def room_form_for(shape: tuple[int, ...], *, coarse: bool = False) -> RoomForm:
+    """Return the `RoomForm` that suits a map of a shape.
 
     One cell in 128 may be a peak, one in 96 a pass, one in 7 an edge; on coarse maps, where rooms are only some cells
     wide, one in 48, in 40, in 5. The most that built-in worlds have is printed by `benchmarks/graph_sizes.py`.
-
-    Args:
-      shape: `(H, W)`.
-      coarse: whether the map is coarse.
     """
     cells = shape[0] * shape[1]
     peaks, passes, edges = (48, 40, 5) if coarse else (128, 96, 7)
-    return Form(max(96, cells // peaks), max(256, cells // passes), max(768, cells // edges))
+    return RoomForm(max(96, cells // peaks), max(256, cells // passes), max(768, cells // edges))
 
 
-def criteria(
-    cell_m: float, *, ratio: float = RATIO, smallest_m2: float = SMALLEST_M2, clutter_m: float = CLUTTER_M
-) -> Criteria:
-    """Return `Criteria` for cells of a size. Lengths in metres, areas in square metres."""
-    return Criteria(jnp.float32(ratio), jnp.float32(smallest_m2 / cell_m**2), jnp.float32(clutter_m / cell_m))
+def room_criteria(
+    cell_m: float, *, ratio: float = RATIO, smallest_m2: float = SMALLEST_ROOM_M2, clutter_m: float = CLUTTER_M
+) -> RoomCriteria:
+    """Return `RoomCriteria` for cells of a size. Lengths in metres, areas in square metres."""
+    return RoomCriteria(jnp.float32(ratio), jnp.float32(smallest_m2 / cell_m**2), jnp.float32(clutter_m / cell_m))
 
 
 def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Array]:
@@ -89,7 +85,7 @@ def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Arr
     """
     height, width = free.shape
     edge = ~free & any_within_one(free)
-    cells = sparse.listed(edge, edges)
+    cells = sparse.list_cells(edge, edges)
     group = label_clusters(cells)  # all round an obstacle, or all round a hole in one
     row, col = cells.cell // width, cells.cell % width
     used = cells.cell < height * width
@@ -118,11 +114,7 @@ def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Arr
 
 @functools.partial(jax.jit, static_argnames=("edges",))
 def cleared(free: Array, unknown: Array, size: Array | float, *, edges: int) -> tuple[Array, Array, Array]:
-    """Return free space without clutter, and the distances of its walls.
-
-    Args:
-      free, unknown: as for `watershed`.
-      size, edges: as for `clutter`.
+    """Return free space without clutter, and the distances of its walls. Arguments as of `watershed` and `clutter`.
 
     Returns:
       `(inside, d2, overflow)`: `[H, W]` bool, free cells and clutter; `[H, W]` int32, squared distance to the nearest
@@ -149,7 +141,7 @@ def peaks(d2: Array, inside: Array) -> Array:
     height = jnp.sqrt(d2.astype(jnp.float32))
     heights, open_ = bordered(jnp.where(inside, height, -1.0), -1.0), bordered(inside, False)
     best, up = jnp.zeros(shape, jnp.float32), own
-    for drow, dcol in sparse.NEIGHBOURS:
+    for drow, dcol in sparse.EIGHT_NEIGHBOURS:
         # A straight step before a diagonal one to the same height: along a straight wall nobody drifts aside.
         step = 1.0 if 0 in (drow, dcol) else math.sqrt(0.5)
         slope = (beside(heights, drow, dcol) - height) * jnp.float32(step)
@@ -196,15 +188,9 @@ def _passes(basin, d2, tops, n, size):
 
 
 def _widest(room, passes, is_open):
-    """Return for every room its widest open pass.
+    """Return for every room, `[B + 1]`, the room beyond its widest open pass, itself without any, and that pass's d2.
 
-    Args:
-      room: `[B + 1]` int32, of every basin; the last stands for none.
-      passes: `_Passes`.
-      is_open: `[E]` bool, passes between two rooms that count.
-
-    Returns:
-      `(there, d2)`: `[B + 1]` int32, the room beyond, the room itself without any; its squared clearance, -1.
+    `room` is that of every basin, the last stands for none; `is_open` [E] bool, passes between two rooms that count.
     """
     n = room.shape[0]
     one, other = room[passes.one], room[passes.other]
@@ -245,13 +231,7 @@ def _absorbed(room, passes, each, smallest):
     """Join rooms that are too small to the one beyond their widest pass.
 
     In rounds, until none is left: every such room at once, but for those that a smaller one wants to join, and, of two
-    small ones, the larger.
-
-    Args:
-      room: `[B + 1]` int32.
-      passes: `_Passes`.
-      each: `[B + 1]` int32, free cells of every basin.
-      smallest: cells.
+    small ones, the larger. `each` is the free cells of every basin.
     """
     own = lax.iota(jnp.int32, room.shape[0])
 
@@ -267,7 +247,7 @@ def _absorbed(room, passes, each, smallest):
 
 
 @functools.partial(jax.jit, static_argnames=("form",))
-def watershed(free: Array, unknown: Array, criteria: Criteria, *, form: Form) -> Rooms:
+def watershed(free: Array, unknown: Array, criteria: RoomCriteria, *, form: RoomForm) -> Rooms:
     """Divide free space into rooms.
 
     Every cell belongs to the peak of clearance that steepest ascent leads to. Two such basins are one room unless the
@@ -277,8 +257,8 @@ def watershed(free: Array, unknown: Array, criteria: Criteria, *, form: Form) ->
     Args:
       free: `[H, W]` bool, cells known to be free. What lies outside the map is no obstacle.
       unknown: `[H, W]` bool, cells that are neither free nor obstacles: no walls, and no way through.
-      criteria: `Criteria`.
-      form: `Form`. Static.
+      criteria: `RoomCriteria`.
+      form: `RoomForm`. Static.
 
     Returns:
       `Rooms`.

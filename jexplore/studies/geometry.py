@@ -25,7 +25,7 @@ from scipy import ndimage
 from jexplore import segment
 from jexplore.config import require_number
 from jexplore.report.tables import aligned_table, number_text
-from jexplore.rooms.scores import regions_of
+from jexplore.rooms.scores import scored_regions
 from jexplore.studies.room_variants import segmentations
 from jexplore.studies.segmentation import SMALLEST_M2
 from jexplore.worlds.starts import clear_cells, label_components
@@ -230,7 +230,7 @@ def _found_rooms(walls, cell_m):
     """
     settings = [segment.criteria(prominence=segment.PROMINENCE_M / cell_m)]
     (made,) = segmentations(~walls, settings)
-    labels = regions_of(np.where(walls, -1, made.label), ~walls, min_px=round(SMALLEST_M2 / cell_m**2))
+    labels = scored_regions(np.where(walls, -1, made.label), ~walls, min_px=round(SMALLEST_M2 / cell_m**2))
     joined, at = [], []
     for k, cell in enumerate(made.graph.cell[made.critical]):
         seeds = made.seed[2 * k : 2 * k + 2]

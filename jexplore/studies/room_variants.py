@@ -15,7 +15,7 @@ from jexplore.rooms import watershed
 from jexplore.rooms.baselines import BASELINES
 from jexplore.worlds.world import ring_of
 
-VARIANTS = ("voronoi", *BASELINES, *segment.VARIANTS)
+VARIANTS = ("voronoi", *BASELINES, *segment.MAX_HOPS)
 BEST = "voronoi"  # by left-out scores: `benchmarks/segmentation_left_out.py`
 
 
@@ -23,8 +23,8 @@ BEST = "voronoi"  # by left-out scores: `benchmarks/segmentation_left_out.py`
 class Settings(NamedTuple):
     """Numbers and choices of all variants."""
 
-    ratio: float = watershed.RATIO  # voronoi: see `watershed.Criteria`
-    smallest_m2: float = watershed.SMALLEST_M2  # voronoi: area of the smallest room, m^2
+    ratio: float = watershed.RATIO  # voronoi: see `watershed.RoomCriteria`
+    smallest_m2: float = watershed.SMALLEST_ROOM_M2  # voronoi: area of the smallest room, m^2
     clutter_m: float = watershed.CLUTTER_M  # all but the paper's: smaller obstacles are no walls, metres
     prominence_m: float = segment.PROMINENCE_M  # thrun, wurm, holz: see `segment.Criteria`, metres
     gamma: float = 3.0  # cells
@@ -69,7 +69,7 @@ def divided(
     Returns:
       A list of `Found`.
     """
-    paper = [name for name in variants if name in segment.VARIANTS]
+    paper = [name for name in variants if name in segment.MAX_HOPS]
     prominence = settings.prominence_m / cell_m
     criteria = [segment.criteria(name, prominence=prominence, gamma=settings.gamma) for name in paper]
     made = segmentations(free, criteria, metric=settings.metric, lines=settings.lines) if paper else []
@@ -87,9 +87,9 @@ def _cleared(variant, free, unseen, settings, cell_m):
     """Divide a map by a variant that looks through clutter."""
     height, width = free.shape
     wide_free, wide_unseen = framed(free), framed(unseen)
-    form = watershed.form_for(wide_free.shape, coarse=True)
+    form = watershed.room_form_for(wide_free.shape, coarse=True)
     if variant == "voronoi":
-        numbers = watershed.criteria(
+        numbers = watershed.room_criteria(
             cell_m, ratio=settings.ratio, smallest_m2=settings.smallest_m2, clutter_m=settings.clutter_m
         )
         rooms = watershed.watershed(wide_free, wide_unseen, numbers, form=form)

@@ -9,7 +9,7 @@ import numpy as np
 from jexplore.config import InputError, checked_names, require_different, unknown
 from jexplore.exploration.results import FREE, UNKNOWN
 from jexplore.rooms.doors import Doors, compared
-from jexplore.rooms.scores import AGREEMENT, regions_of, rooms_of, score
+from jexplore.rooms.scores import AGREEMENT, rooms_of, score, scored_regions
 from jexplore.studies.checks import LIDAR, RULES, listed, ready_worlds
 from jexplore.studies.explore import maps_at, prepare_job, run_job
 from jexplore.studies.room_variants import BEST, VARIANTS, Settings, divided, require
@@ -208,7 +208,7 @@ def _judged(task, variant, stage, explored, free, made):
     """Return a row of scores, and a picture."""
     row: dict[str, Any] = dict.fromkeys(COLUMNS, np.nan)
     least = _smallest_px(task.world.cell_m)
-    found = regions_of(np.where(free, made.label, -1), free, min_px=least)
+    found = scored_regions(np.where(free, made.label, -1), free, min_px=least)
     row |= {"map": os.fspath(task.world.name), "variant": variant, "rooms": found.max() + 1}
     row |= {"stage": stage, "explored": explored}
     seen = None

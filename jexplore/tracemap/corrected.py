@@ -10,9 +10,9 @@ from jexplore.arrays.padding import bucket
 from jexplore.arrays.pose_graph import settle
 from jexplore.config import InputError, checked_names
 from jexplore.tracemap.merging.rigid import Move
-from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check, direction_deg
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check_map, direction_deg
 
-FRAME = "map"  # of a corrected map
+CORRECTED_FRAME = "map"  # of a corrected map
 PLACE = 0.1, 0.03  # standard deviation of a move along a link: metres, plus this share of its length
 TURN_DEG = 2.0  # of how far the frame of one end is turned against that of the other
 
@@ -37,22 +37,18 @@ def correct_map(btm: BtmMap) -> BtmMap:
     Raises:
       InputError: not a proper map, or no searched link has the attribute, as in a merged map, or it is malformed.
     """
-    btm = check(btm)
+    btm = check_map(btm)
     place, _ = laid_out(btm, moves(btm))
     turn_deg = {node.id: math.degrees(place[i][2]) for i, node in enumerate(btm.nodes)}
     nodes = (dataclasses.replace(node, x_m=float(x_m), y_m=float(y_m)) for node, (x_m, y_m, _) in zip(btm.nodes, place))
     links = (_turned(link, turn_deg) for link in btm.links)
     return dataclasses.replace(
-        btm, nodes=tuple(nodes), links=tuple(links), attributes={**btm.attributes, "frame": FRAME}
+        btm, nodes=tuple(nodes), links=tuple(links), attributes={**btm.attributes, "frame": CORRECTED_FRAME}
     )
 
 
 def moves(btm: BtmMap) -> list[tuple[int, int, list[float]]]:
-    """Return the odometry of the searched links that have it: first node, other node, and `moved`.
-
-    Raises:
-      InputError: no searched link has the attribute, or one is not two or three numbers.
-    """
+    """Return the odometry of the searched links that have it: first node, other node, and `moved`."""
     found = [(link.start, link.end, _moved(link)) for link in btm.links if link.end != NOWHERE]
     found = [(start, end, moved) for start, end, moved in found if moved is not None]
     if not found and any(link.end != NOWHERE for link in btm.links):
@@ -64,11 +60,7 @@ def moves(btm: BtmMap) -> list[tuple[int, int, list[float]]]:
 
 
 def laid_out(btm: BtmMap, moves: list[tuple[int, int, list[float]]]) -> tuple[np.ndarray, np.ndarray]:
-    """Fit places to moves between nodes.
-
-    Args:
-      btm: the map.
-      moves: from which node to which, ids, and `[x_m, y_m]` or `[x_m, y_m, turn_deg]`.
+    """Fit places to moves between nodes, `(id, id, [x_m, y_m])` or `[x_m, y_m, turn_deg]`.
 
     Returns:
       `(pose, misfit)`: `[n, 3]` float32, x, y, metres, and how far the frame of every node is turned, radians;

@@ -13,12 +13,10 @@ from typing import Any
 
 from jexplore.config import InputError
 from jexplore.tracemap.passable import CONFLICTS
-from jexplore.tracemap.record import NOWHERE, BtmMap, check
+from jexplore.tracemap.record import NOWHERE, BtmMap, check_map
 
-NAV2_IDS = 65536
-"""Ids of nodes and edges must lie below: messages of the Route Server hold 16 bits."""
-SHORTEST_M = 0.001
-"""Least cost of an edge: the planner of the Route Server gives up over one that costs nothing."""
+NAV2_IDS = 65536  # ids of nodes and edges must lie below: messages of the Route Server hold 16 bits
+SHORTEST_M = 0.001  # least cost of an edge: the planner of the Route Server gives up over one that costs nothing
 
 _NODE_MEASURES = ("inclination_deg", "step_m", "posture_deg")
 _LINK_MEASURES = ("length_m", "min_width_m", "posture_deg", "max_roll_deg", "max_step_m", "opening_m")
@@ -53,7 +51,7 @@ def geojson(btm: BtmMap, *, frame: str | None = None) -> dict[str, Any]:
     Source:
       The geojson loader, distance, penalty and semantic scorers of nav2_route.
     """
-    btm = check(btm)
+    btm = check_map(btm)
     conflicts = btm.attributes.get(CONFLICTS)
     is_disputed = isinstance(conflicts, Mapping) and "frame" in conflicts
     frame = frame or str(btm.attributes.get("frame", "odom" if is_disputed else "map"))
@@ -137,9 +135,9 @@ def graphml(btm: BtmMap) -> str:
     text are JSON. A character that XML cannot hold becomes U+FFFD.
 
     Raises:
-      InputError: not a proper map; see `record.check`.
+      InputError: not a proper map; see `record.check_map`.
     """
-    btm = check(btm)
+    btm = check_map(btm)
     bearings = _both_bearings(btm)
     nodes = [(str(node.id), {}, _graphml_node(node, bearings(node))) for node in btm.nodes]
     edges = [

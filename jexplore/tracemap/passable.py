@@ -17,7 +17,7 @@ _MEASURES, _MOST = ("width_m", "max_step_m", "max_slope_deg"), 1e6
 SLACK = 1e-6  # share of a limit by which a measure may lie beyond it: maps hold single precision
 
 
-class Body(Protocol):
+class RobotBody(Protocol):
     """Dimensions of a robot that decide where it passes, such as a `jx.btm.Robot`."""
 
     @property
@@ -31,16 +31,15 @@ class Body(Protocol):
 
 
 @dataclasses.dataclass(frozen=True)
-class Block:
+class Blockage:
     """That a link could not be passed, and by whom."""
 
     words: str
-    width_m: float | None
-    """Of the robot that could not, as the other measures; all None where the map does not say."""
+    width_m: float | None  # of the robot that could not, as the other measures; all None where the map does not say
     max_step_m: float | None
     max_slope_deg: float | None
 
-    def holds_for(self, robot: Body) -> bool:
+    def holds_for(self, robot: RobotBody) -> bool:
         """Return whether a robot is no narrower and climbs no more than the one that could not pass."""
         if self.width_m is None or self.max_step_m is None or self.max_slope_deg is None:
             return True
@@ -49,13 +48,13 @@ class Block:
         return not (is_narrower or any(own > other * (1 + SLACK) for own, other in climbs))
 
 
-def blocked_for(robot: Body) -> dict[str, Any]:
+def blocked_for(robot: RobotBody) -> dict[str, Any]:
     """Return the attributes of a link that a robot could not pass."""
     measures = {name: getattr(robot, name) for name in _MEASURES}
     return {BLOCKED: True, BLOCKED_FOR: {"name": robot.name, **measures}}
 
 
-def blocks_of(link: Link) -> tuple[Block, ...]:
+def blockages_of(link: Link) -> tuple[Blockage, ...]:
     """Return the robots that could not pass a link; none if the map does not say so, or its sources differ."""
     if link.attributes.keys().isdisjoint((BLOCKED, CONFLICTS)):  # as most links: quickly
         return ()
@@ -70,10 +69,10 @@ def _block(link, told):
     if isinstance(told, Mapping) and isinstance(told.get("name"), str):
         values: list[Any] = [told.get(name) for name in _MEASURES]
         if all(type(value) in (int, float) and 0 <= value < _MOST for value in values):
-            return Block(f"blocked for {told['name']}", *map(float, values))
+            return Blockage(f"blocked for {told['name']}", *map(float, values))
     who = link.attributes.get(FOUND_BY)
     by = f"blocked, found by {who}" if isinstance(who, str) else "blocked"
-    return Block(f"{by}: no measures of who could not pass; {BLOCKED} set to false lifts it", None, None, None)
+    return Blockage(f"{by}: no measures of who could not pass; {BLOCKED} set to false lifts it", None, None, None)
 
 
 def _said(link):
@@ -100,10 +99,7 @@ def step_of(link: Link, nodes: Mapping[int, Node]) -> float | None:
 
 
 def inclination_of(link: Link, nodes: Mapping[int, Node]) -> float | None:
-    """Return the robot's largest inclination along a link, degrees.
-
-    It is the measured one, else, between two nodes of a slope, the lower of the ground's.
-    """
+    """Return the largest inclination along a link, degrees: the robot's, else, on a slope, the lower of its nodes'."""
     return link.posture_deg if link.posture_deg is not None else _between(link, nodes, "slope", "inclination_deg")
 
 
@@ -112,8 +108,8 @@ def width_of(link: Link) -> float | None:
     return min((width for width in (link.min_width_m, link.opening_m) if width is not None), default=None)
 
 
-def refusals(link: Link, nodes: Mapping[int, Node], robot: Body, *, known_only: bool = False) -> tuple[str, ...]:
-    """List why a robot may not use a link: all reasons, none if it may.
+def refusals(link: Link, nodes: Mapping[int, Node], robot: RobotBody, *, known_only: bool = False) -> tuple[str, ...]:
+    """List why a robot may not use a link, such as `step 0.15 m > 0.03 m`: all reasons, none if it may.
 
     A link is as good either way: the map does not say which way is up. The inclination of the body that wrote the map,
     and its roll, are held against the steepest ground that the robot climbs. Of an un-searched link only its opening is
@@ -121,23 +117,16 @@ def refusals(link: Link, nodes: Mapping[int, Node], robot: Body, *, known_only: 
     refused to all but those that are narrower or climb more, or to all where the map does not say which robot it was;
     where maps differ about that, it is a doubt.
 
-    Args:
-      link: `Link`.
-      nodes: the map's nodes by id.
-      robot: `Robot`.
-      known_only: whether a measure of a searched link that the map does not have is a reason, too.
-
-    Returns:
-      Texts such as `step 0.15 m > 0.03 m`.
+    With `known_only` a measure of a searched link that the map does not have is a reason, too.
     """
     steep = robot.max_slope_deg
     found = [
-        _below("width", link.min_width_m, robot.width_m),
-        _below("opening", link.opening_m, robot.width_m),
-        _above("step", step_of(link, nodes), robot.max_step_m, "m"),
-        _above("inclination", inclination_of(link, nodes), steep, "deg"),
-        _above("roll", link.max_roll_deg, steep, "deg"),
-        *(block.words for block in blocks_of(link) if block.holds_for(robot)),
+        _beyond("width", link.min_width_m, robot.width_m, sign="<"),
+        _beyond("opening", link.opening_m, robot.width_m, sign="<"),
+        _beyond("step", step_of(link, nodes), robot.max_step_m),
+        _beyond("inclination", inclination_of(link, nodes), steep, "deg"),
+        _beyond("roll", link.max_roll_deg, steep, "deg"),
+        *(block.words for block in blockages_of(link) if block.holds_for(robot)),
     ]
     if link.end == NOWHERE:
         found += hindrances(nodes[link.start], robot, known_only=known_only)
@@ -146,15 +135,15 @@ def refusals(link: Link, nodes: Mapping[int, Node], robot: Body, *, known_only: 
     return tuple(dict.fromkeys(reason for reason in found if reason is not None))
 
 
-def hindrances(node: Node, robot: Body, *, known_only: bool = False) -> tuple[str, ...]:
+def hindrances(node: Node, robot: RobotBody, *, known_only: bool = False) -> tuple[str, ...]:
     """List why a robot may not pass a node, though it may come to it: all reasons, none if it may.
 
     An obstacle node is where the ground changes: a single step, or the first of stairs or of a slope. Who goes on by
     another link goes over it.
     """
     found = [
-        _above("step", node.step_m, robot.max_step_m, "m"),
-        _above("inclination", node.inclination_deg, robot.max_slope_deg, "deg"),
+        _beyond("step", node.step_m, robot.max_step_m),
+        _beyond("inclination", node.inclination_deg, robot.max_slope_deg, "deg"),
     ]
     found += unknowns_at(node) if known_only else ()
     return tuple(reason for reason in found if reason is not None)
@@ -163,11 +152,10 @@ def hindrances(node: Node, robot: Body, *, known_only: bool = False) -> tuple[st
 def unknowns(link: Link, nodes: Mapping[int, Node]) -> tuple[str, ...]:
     """List measures that decide for a robot and that the map lacks for a link, as texts.
 
-    They include that another robot could not pass the link, if this one may, and that maps disagree about a blocked
-    link.
+    That another robot could not pass the link, if this one may, counts, and that maps disagree about a blocked link.
     """
     yes, no = _said(link)
-    blocked = tuple(block.words for block in blocks_of(link) if block.width_m is not None)
+    blocked = tuple(block.words for block in blockages_of(link) if block.width_m is not None)
     if yes and no:
         blocked = (f"blocked in {yes}, not in {no}",)
     if link.end == NOWHERE:
@@ -188,7 +176,7 @@ def unknowns_at(node: Node) -> tuple[str, ...]:
     return ({"stairs": "step unknown", "slope": "inclination unknown"}.get(node.obstacle or "", "obstacle unknown"),)
 
 
-def called(link: Link) -> str:
+def link_name(link: Link) -> str:
     """Name a link in a sentence: `link 3 (nodes 4 to 5)`."""
     if link.end == NOWHERE:
         return f"link {link.id} (node {link.start}, un-searched)"
@@ -202,20 +190,10 @@ def _between(link, nodes, obstacle, measure):
     return min(values) if len(values) == 2 and None not in values else None
 
 
-def _above(name, value, limit, unit):
-    if value is None or value <= limit * (1 + SLACK):
+def _beyond(name, value, limit, unit="m", sign=">"):
+    """Say that a value lies beyond a limit, with as many digits as distinguish them, three or more; else None."""
+    if value is None or (value <= limit * (1 + SLACK) if sign == ">" else value >= limit * (1 - SLACK)):
         return None
-    return f"{name} {_told(value, limit, '>', unit)}"
-
-
-def _below(name, value, limit):
-    if value is None or value >= limit * (1 - SLACK):
-        return None
-    return f"{name} {_told(value, limit, '<', 'm')}"
-
-
-def _told(value, limit, sign, unit):
-    """Format both numbers with as many digits as distinguish them, three or more."""
     pairs = ((f"{value:.{digits}g}", f"{limit:.{digits}g}") for digits in range(3, 18))
     left, right = next(pair for pair in pairs if pair[0] != pair[1])
-    return f"{left} {unit} {sign} {right} {unit}"
+    return f"{name} {left} {unit} {sign} {right} {unit}"

@@ -8,40 +8,35 @@ import dataclasses
 import functools
 import math
 import numbers
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from jexplore.arrays.files import require_shallow
 from jexplore.arrays.pictures import html_of, or_text
 from jexplore.config import InputError, checked_names, shown
-from jexplore.tracemap.picture import MARKS, nodes_and_links
+from jexplore.tracemap.picture import NODE_MARKS, nodes_and_links
 
 NODE_TYPES = ("terminal", "divergence", "free_space", "obstacle")
-OBSTACLES = ("slope", "stairs")
+OBSTACLE_SHAPES = ("slope", "stairs")
 STATUS = ("un-searched", "searched")
 NOWHERE = -1  # end of a link that has not been followed
 MOST_ID = 2**53 - 1  # whole numbers up to it are the same in every reader of JSON
-FAR_M = 1e6  # what a map says in metres is less, where maps are merged or drawn
+MAX_METRES = 1e6  # what a map says in metres is less, where maps are merged or drawn
 
 
 @dataclasses.dataclass(frozen=True)
 class Node:
     """A place with a feature (Mano et al., Table I)."""
 
-    id: int
-    """From 0 to `MOST_ID`, unique among the nodes."""
+    id: int  # from 0 to `MOST_ID`, unique among the nodes
     x_m: float
     y_m: float
-    type: str
-    """One of `NODE_TYPES`. A divergence is a dead end, a corner, a T or a crossing."""
-    obstacle: str | None = None
-    """One of `OBSTACLES`, of an obstacle node."""
+    type: str  # one of `NODE_TYPES`. A divergence is a dead end, a corner, a T or a crossing.
+    obstacle: str | None = None  # one of `OBSTACLE_SHAPES`, of an obstacle node
     inclination_deg: float | None = None
     """Steepest inclination of the ground that the robot met there, degrees; of a slope."""
-    step_m: float | None = None
-    """Height of the highest step, metres; of stairs."""
-    posture_deg: float | None = None
-    """Largest inclination of the robot's body, degrees."""
+    step_m: float | None = None  # height of the highest step, metres; of stairs
+    posture_deg: float | None = None  # largest inclination of the robot's body, degrees
     attributes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Extensions by name, such as `intervention` or `victim`: anything that JSON can hold, kept as it is."""
 
@@ -50,30 +45,21 @@ class Node:
 class Link:
     """A way between two nodes, or out of one (Mano et al., Table II)."""
 
-    id: int
-    """From 0 to `MOST_ID`, unique among the links."""
-    start: int
-    """Id of a node."""
-    end: int
-    """Id of a node; `NOWHERE` for a link that has not been followed."""
-    status: str
-    """One of `STATUS`: searched if and only if it has an end."""
+    id: int  # from 0 to `MOST_ID`, unique among the links
+    start: int  # id of a node
+    end: int  # id of a node; `NOWHERE` for a link that has not been followed
+    status: str  # one of `STATUS`: searched if and only if it has an end
     start_bearing_deg: float
     """Direction in which the link leaves its first node; what this package writes lies in [0, 360)."""
-    end_bearing_deg: float | None = None
-    """Direction in which it leaves its last node; every link with an end has one."""
+    end_bearing_deg: float | None = None  # direction in which it leaves its last node; every link with an end has one
     length_m: float | None = None
-    min_width_m: float | None = None
-    """Narrowest passage along the link, metres."""
-    posture_deg: float | None = None
-    """Largest inclination of the robot's body along the link, degrees."""
-    max_roll_deg: float | None = None
-    """Largest roll of the robot's body along the link, to either side, degrees."""
+    min_width_m: float | None = None  # narrowest passage along the link, metres
+    posture_deg: float | None = None  # largest inclination of the robot's body along the link, degrees
+    max_roll_deg: float | None = None  # largest roll of the robot's body along the link, to either side, degrees
     max_step_m: float | None = None
     """Highest step between the nodes, up or down, metres; 0 where none stands out of the sensors' noise. A single step
     is a node: its height is that node's."""
-    opening_m: float | None = None
-    """Width of the opening at the first node, metres."""
+    opening_m: float | None = None  # width of the opening at the first node, metres
     attributes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
@@ -85,14 +71,13 @@ def length_of(link: Link, nodes: Mapping[int, Node]) -> float:
     return math.dist((one.x_m, one.y_m), (other.x_m, other.y_m))
 
 
-def parts_of(nodes: Iterable[int], links: Iterable[Link]) -> dict[int, int]:
+def connected_parts(nodes: Iterable[int], links: Iterable[Link]) -> dict[int, int]:
     """Return the connected parts of a map: node -> the first node of its part."""
-    around = {own: [] for own in nodes}
+    around, part = {own: [] for own in nodes}, {}
     for link in links:
         if link.end != NOWHERE:
             around[link.start].append(link.end)
             around[link.end].append(link.start)
-    part = {}
     for first in around:
         left = [first]
         while left:
@@ -100,7 +85,7 @@ def parts_of(nodes: Iterable[int], links: Iterable[Link]) -> dict[int, int]:
             if here not in part:
                 part[here] = first
                 left += around[here]
-    return {own: part[own] for own in around}
+    return part
 
 
 def direction_deg(bearing_deg: float) -> float:
@@ -178,7 +163,9 @@ class BtmMap:
     @or_text
     def _repr_html_(self):
         kinds = [node.obstacle or node.type for node in self.nodes]
-        lines = [(MARKS[node.type], kind.replace("_", " "), kinds.count(kind)) for node, kind in zip(self.nodes, kinds)]
+        lines = [
+            (NODE_MARKS[node.type], kind.replace("_", " "), kinds.count(kind)) for node, kind in zip(self.nodes, kinds)
+        ]
         searched = [link for link in self.links if link.end != NOWHERE]
         length_m = sum(link.length_m or 0.0 for link in searched)
         lines = [*dict.fromkeys(lines), ("—", f"searched link, {length_m:.1f} m in all", len(searched))]
@@ -188,24 +175,20 @@ class BtmMap:
         return html_of(nodes_and_links(self), repr(self)[1:-1], ("", "what", "how many"), rows)
 
 
-def check(btm: BtmMap, where: Callable[..., str] = lambda member, index=None: '"map"') -> BtmMap:
+def check_map(btm: BtmMap, name: str = '"map"') -> BtmMap:
     """Check the map: with plain Python numbers, lists and dicts, or a refusal.
 
     Ids are unique and not negative, links join nodes that are there, a link is searched if and only if it has an end
     and has a bearing at each end, types and states are the known ones, numbers are finite, lengths not negative, and
     attributes are what JSON can hold.
 
-    Args:
-      btm: the map.
-      where: what errors begin with, of an item of `nodes` or `links` or of the map's `attributes`.
-
     Raises:
-      InputError: naming the node or link, the value and what would be right.
+      InputError: beginning with `name`, with the node or link, the value and what would be right.
     """
-    nodes, links = _records(btm.nodes, "nodes", where), _records(btm.links, "links", where)
+    nodes, links = _records(btm.nodes, "nodes", name), _records(btm.links, "links", name)
     known = {node.id for node in nodes}
-    for index, link in enumerate(links):
-        own, has_end = f"{where('links', index)}: link {link.id}", link.end != NOWHERE
+    for link in links:
+        own, has_end = f"{name}: link {link.id}", link.end != NOWHERE
         if link.start not in known:
             raise InputError(f"{own} starts at node {link.start}, which is not there")
         if has_end and link.end not in known:
@@ -215,42 +198,40 @@ def check(btm: BtmMap, where: Callable[..., str] = lambda member, index=None: '"
             raise InputError(f'{own} {end}, so it must be {STATUS[has_end]}, got "{link.status}"')
         if (link.end_bearing_deg is not None) != has_end:
             raise InputError(f"{own} must have an end_bearing_deg if it has an end, and only then")
-    return BtmMap(nodes, links, _attributes(btm.attributes, f"{where('attributes')}: attributes"))
+    return BtmMap(nodes, links, _attributes(btm.attributes, f"{name}: attributes"))
 
 
 def require_near(btm: BtmMap, name: str) -> None:
-    """Refuse numbers that no drawing and no sum of lengths holds.
-
-    Raises:
-      InputError: a place, a length or a width of 1000 km or more, named with the map.
-    """
+    """Refuse places, lengths and widths of 1000 km or more, which no drawing holds: an `InputError` with the name."""
     found = [(f"node {node.id}", value) for node in btm.nodes for value in (node.x_m, node.y_m)]
     for link in btm.links:
         found += [(f"link {link.id}", value or 0.0) for value in (link.length_m, link.min_width_m, link.opening_m)]
     for what, value in found:
-        if not abs(value) < FAR_M:
-            raise InputError(f"{name}: {what}: expected places and lengths below {FAR_M / 1000:g} km, got {value:g} m")
+        if not abs(value) < MAX_METRES:
+            raise InputError(
+                f"{name}: {what}: expected places and lengths below {MAX_METRES / 1000:g} km, got {value:g} m"
+            )
 
 
-def called(member: str, index: int, number: object) -> str:
+def item_name(member: str, index: int, number: object) -> str:
     """Return the name of an item of `nodes` or `links` for errors: its id if that is a number, else its index."""
     return f"{member[:-1]} {number}" if type(number) is int else f"{member}[{index}]"
 
 
-def _records(items, member, where):
+def _records(items, member, name):
     made, taken = [], set()
     for index, item in enumerate(items):
-        own = f"{where(member, index)}: {called(member, index, item.id)}"
+        own = f"{name}: {item_name(member, index, item.id)}"
         values = {field.name: _value(field, getattr(item, field.name), own) for field in dataclasses.fields(item)}
         record = dataclasses.replace(item, **values)
         if record.id in taken:
-            raise InputError(f"{where(member, index)}: {member[:-1]} ids must differ, got {record.id} again")
+            raise InputError(f"{name}: {member[:-1]} ids must differ, got {record.id} again")
         taken.add(record.id)
         made.append(record)
     return tuple(made)
 
 
-_CHOICES = {"type": NODE_TYPES, "obstacle": OBSTACLES, "status": STATUS}
+_CHOICES = {"type": NODE_TYPES, "obstacle": OBSTACLE_SHAPES, "status": STATUS}
 _LENGTHS = ("step_m", "length_m", "min_width_m", "max_step_m", "opening_m")
 
 

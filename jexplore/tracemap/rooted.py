@@ -49,7 +49,10 @@ def _without_start(topology):
     ends = [link for link in topology.links if first.id in (link.start, link.end)]
     if first.type != "terminal" or len(ends) != 2:
         return {node.id: node for node in topology.nodes}, list(topology.links)
-    one, two = _turned(ends[0], ends[0].end == first.id), _turned(ends[1], ends[1].start == first.id)
+    one, two = (
+        ends[0] if ends[0].end == first.id else _turned(ends[0]),
+        ends[1] if ends[1].start == first.id else _turned(ends[1]),
+    )
     widths = [link.min_width_m for link in ends if link.min_width_m is not None]
     joined = dataclasses.replace(
         one,
@@ -61,17 +64,10 @@ def _without_start(topology):
     return {node.id: node for node in others}, [*(link for link in topology.links if link not in ends), joined]
 
 
-def _turned(link, as_it_is):
-    """Return the link as it is, or followed the other way."""
-    if as_it_is:
-        return link
-    return dataclasses.replace(
-        link,
-        start=link.end,
-        end=link.start,
-        start_bearing_deg=link.end_bearing_deg,
-        end_bearing_deg=link.start_bearing_deg,
-    )
+def _turned(link):
+    """Return the link followed the other way."""
+    bearings = {"start_bearing_deg": link.end_bearing_deg, "end_bearing_deg": link.start_bearing_deg}
+    return dataclasses.replace(link, start=link.end, end=link.start, **bearings)
 
 
 def _distance_m(nodes, link, pose):
@@ -105,7 +101,7 @@ def _in_order(nodes, links, root, ahead):
     around = {number: [] for number in nodes}  # (bearing, link as it is followed from there)
     for link in links:
         around[link.start].append((link.start_bearing_deg, link))
-        around[link.end].append((link.end_bearing_deg, _turned(link, False)))
+        around[link.end].append((link.end_bearing_deg, _turned(link)))
     number, taken, followed = {root: 0}, set(), []
     here, back = root, ahead.start_bearing_deg if ahead.start == root else ahead.end_bearing_deg
     while True:
@@ -128,11 +124,7 @@ def _in_order(nodes, links, root, ahead):
 
 
 def _nearest_open(around, taken, here, back):
-    """Find the nearest node with a link not taken yet, along taken links, and the bearing of arrival.
-
-    Returns:
-      `(node, bearing)`; `(None, back)` without one.
-    """
+    """Return the nearest node with a link not taken yet, along links, None without one, and the bearing of arrival."""
     queue, reached = [(0.0, here, back)], set()
     while queue:
         length_m, node, back = heapq.heappop(queue)

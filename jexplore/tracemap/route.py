@@ -8,35 +8,29 @@ import functools
 from collections.abc import Sequence
 
 from jexplore.config import checked_names
-from jexplore.tracemap.passable import called, inclination_of, step_of, unknowns, unknowns_at, width_of
-from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, direction_deg, length_of, parts_of
+from jexplore.tracemap.passable import inclination_of, link_name, step_of, unknowns, unknowns_at, width_of
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, connected_parts, direction_deg, length_of
 
-SAME_DEG = 1e-6  # bearings nearer than this are one
-UNIT_M = 0.001  # lengths are compared in whole units
+SAME_BEARING_DEG = 1e-6  # bearings nearer than this are one
+LENGTH_UNIT_M = 0.001  # lengths are compared in whole units
 
 
 @dataclasses.dataclass(frozen=True)
 class Step:
     """Link of a route in the direction in which it is followed. Values missing in the map are None."""
 
-    link: int
-    """Id."""
-    start: int
-    """Node that it leaves."""
-    end: int
-    """Node that it leads to; `NOWHERE` (-1) for an un-searched one."""
-    bearing_deg: float
-    """Direction in which it leaves, degrees in [0, 360), counter-clockwise from the map's +x."""
+    link: int  # id
+    start: int  # node that it leaves
+    end: int  # node that it leads to; `NOWHERE` (-1) for an un-searched one
+    bearing_deg: float  # direction in which it leaves, degrees in [0, 360), counter-clockwise from the map's +x
     turn_deg: float | None
     """That direction counter-clockwise from the link by which one came, degrees in (0, 360]: 180 is straight on, less
     is to the right; None where the route begins."""
     way: int | None
     """Number of the link at the node, counter-clockwise from the one of arrival: 1 is the first to the right."""
-    ways: int
-    """Number of links to count, un-searched and refused ones included."""
+    ways: int  # number of links to count, un-searched and refused ones included
     length_m: float | None
-    width_m: float | None
-    """The narrowest, the opening included."""
+    width_m: float | None  # the narrowest, the opening included
     step_m: float | None
     posture_deg: float | None
     roll_deg: float | None
@@ -49,24 +43,17 @@ class Route:
 
     robot: str
     start: int
-    end: int | None
-    """The requested node; with `unsearched` the one that the un-searched link leaves, None without one."""
-    nodes: tuple[int, ...]
-    """Ids, one more than links; empty where there is no route."""
+    end: int | None  # the requested node; with `unsearched` the one that the un-searched link leaves, None without one
+    nodes: tuple[int, ...]  # ids, one more than links; empty where there is no route
     links: tuple[int, ...]
-    length_m: float
-    """Infinite where there is no route."""
+    length_m: float  # infinite where there is no route
     steps: tuple[Step, ...]
-    onward: Step | None
-    """The un-searched link that was asked for."""
+    onward: Step | None  # the un-searched link that was asked for
     refused: tuple[tuple[int, tuple[str, ...]], ...]
     """Id of every link that the robot may not use, and all reasons; un-searched links only where one was asked for."""
-    barriers: tuple[tuple[int, tuple[str, ...]], ...]
-    """The same of nodes that it may come to, but not pass."""
-    unknown: tuple[str, ...]
-    """Facts about the links and nodes of the route that the map lacks: sentences."""
-    trouble: str
-    """Reason for having no route; else empty."""
+    barriers: tuple[tuple[int, tuple[str, ...]], ...]  # the same of nodes that it may come to, but not pass
+    unknown: tuple[str, ...]  # facts about the links and nodes of the route that the map lacks: sentences
+    trouble: str  # reason for having no route; else empty
 
     @property
     def is_found(self) -> bool:
@@ -122,7 +109,7 @@ class Sheet:
     @functools.cached_property
     def part(self) -> dict[int, int]:
         """Return node -> a node of its connected part, one for all of the part."""
-        return parts_of(self.index.nodes, self.index.links.values())
+        return connected_parts(self.index.nodes, self.index.links.values())
 
     @functools.cached_property
     def parts_with_stubs(self) -> frozenset[int]:
@@ -130,15 +117,7 @@ class Sheet:
         return frozenset(self.part[link.start] for link in self.index.links.values() if link.end == NOWHERE)
 
     def steps(self, nodes: Sequence[int], links: Sequence[int]) -> tuple[Step, ...]:
-        """Make the steps of a way.
-
-        Args:
-          nodes: ids that links leave, in order; more of them do not count.
-          links: ids, an un-searched one only as the last.
-
-        Returns:
-          Tuple of `Step`.
-        """
+        """Make the steps of a way: ids of nodes, and of the links that leave them; an un-searched one is the last."""
         made, before = self._steps, (NOWHERE, *links)
         keys = list(zip(before, links, nodes))
         for key in keys:
@@ -149,7 +128,7 @@ class Sheet:
     def unknown(self, links: Sequence[int], passed: Sequence[int]) -> tuple[str, ...]:
         """List facts that the map lacks about the links of a route and the nodes it passes: sentences."""
         doubts, blanks = self._doubts, self._blanks
-        of_links = [f"{called(self.index.links[own])}: {', '.join(doubts[own])}" for own in links if own in doubts]
+        of_links = [f"{link_name(self.index.links[own])}: {', '.join(doubts[own])}" for own in links if own in doubts]
         return (*of_links, *[f"node {own}: {', '.join(blanks[own])}" for own in passed if own in blanks])
 
     @functools.cached_property
@@ -178,19 +157,14 @@ class Sheet:
 
 
 def _counted(ends, leaves, came):
-    """Return number, count and angle of a link among those of a node: `(way, ways, turn_deg)`.
-
-    Args:
-      ends: of the node, see `Index`.
-      leaves, came: keys of `ends`; `came` is None where the route begins.
-    """
+    """Return `(way, ways, turn_deg)` of a `Step` by the ends of links at a node, see `Index`, and two of its keys."""
     if came is None:
         return None, len(ends), None
     back = ends[came]
 
     def angle(end):
         turned = (ends[end] - back) % 360.0
-        return 360.0 if turned <= SAME_DEG else turned
+        return 360.0 if turned <= SAME_BEARING_DEG else turned
 
     order = sorted((end for end in ends if end != came), key=lambda end: (angle(end), end[0], not end[1]))
     return order.index(leaves) + 1, len(order), angle(leaves)

@@ -1,34 +1,25 @@
-"""The shortest ways of many robots between many nodes of one map: solved on the device, followed on the host."""
+"""The shortest ways of many robots between many nodes of one map."""
 
-import math
-import os
-from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
-from jexplore.arrays.graphs import FAR, NONE, Around, links_around, shortest_ways
-from jexplore.arrays.padding import bucket
 from jexplore.config import InputError
 from jexplore.tracemap.record import NOWHERE, length_of
-from jexplore.tracemap.route import UNIT_M, Index
+from jexplore.tracemap.route import LENGTH_UNIT_M, Index
 
-BESIDE = 32  # goals side by side: a block of them stays in a core's cache
-BLOCKS = 16  # of goals, in one call
-AHEAD = max(4, os.cpu_count() or 1)  # calls on their way at a time, so that cores work while one is read
+MAX_LINKS_M = 2**30 * LENGTH_UNIT_M  # of all links; a float holds that times eight million nodes exactly
+GOALS_AT_ONCE = 256  # so that the distances from all nodes take 5 MB for every 1000 nodes
 
 
 class Problem(NamedTuple):
     """Part of a map that a robot may use; robots with the same part share a problem."""
 
-    shut: frozenset[int]
-    """Ids of searched links that it may not use."""
-    barriers: frozenset[int]
-    """Ids of nodes that it may not pass."""
+    shut: frozenset[int]  # ids of searched links that it may not use
+    barriers: frozenset[int]  # ids of nodes that it may not pass
     stubs: frozenset[int]
     """Ids of nodes with an un-searched link that the robot may follow: the goals where the goal is None."""
 
@@ -36,16 +27,17 @@ class Problem(NamedTuple):
 class Walk(NamedTuple):
     """The way from a start to a goal."""
 
-    nodes: tuple[int, ...]
-    """Ids, one more than links."""
-    links: tuple[int, ...]
-    """Ids."""
+    nodes: tuple[int, ...]  # ids, one more than links
+    links: tuple[int, ...]  # ids
 
 
 def walks(
     index: Index, problems: Sequence[Problem], pairs: Sequence[tuple[int, int | None]]
 ) -> Iterator[list[Walk | None]]:
-    """Yield the walks of every problem, while the next are being solved.
+    """Yield the walks of every problem.
+
+    Of ways of equal length, in whole millimetres, the one with the fewest links counts, and of those the one whose
+    links have the lowest ids in order.
 
     Args:
       index: of the map.
@@ -58,115 +50,66 @@ def walks(
     Raises:
       InputError: links too long in all.
     """
-    graph = _Graph(index)
-    goals = list(dict.fromkeys(goal for _, goal in pairs))
-    column = {goal: i for i, goal in enumerate(goals)}
-    start = np.array([graph.place[one] for one, _ in pairs], np.int64)
-    goal = np.array([column[one] for _, one in pairs], np.int64)
-    beside = min(BESIDE, _power(len(goals)))
-    size = beside * min(BLOCKS, _power(-(-len(goals) // beside)))
-    calls = ((problem, first) for problem in problems for first in range(0, len(goals), size))
-    found: list[Walk | None] = [None] * len(pairs)
-    for first, is_target, link in _solved(graph, calls, goals, (size // beside, graph.n, beside)):
-        own = np.flatnonzero((goal >= first) & (goal < first + size))
-        for i, walk in zip(own.tolist(), graph.followed(is_target, link, start[own], goal[own] - first)):
-            found[i] = walk
-        if first + size >= len(goals):
-            yield found
-            found = [None] * len(pairs)
-
-
-def _power(n):
-    return 2 ** math.ceil(math.log2(max(n, 1)))
+    graph, asked = _Graph(index), {}
+    for i, (start, goal) in enumerate(pairs):
+        asked.setdefault(goal, []).append((i, start))
+    goals = list(asked)
+    for problem in problems:
+        found: list[Walk | None] = [None] * len(pairs)
+        for first in range(0, len(goals), GOALS_AT_ONCE):
+            for goal, walk in graph.solved(problem, goals[first : first + GOALS_AT_ONCE]):
+                for i, start in asked[goal]:
+                    found[i] = walk(start)
+        yield found
 
 
 class _Graph:
-    """A map as padded arrays; nodes and links by place, links in the order of their ids."""
+    """A map's searched links as seen from both ends: in the order of the nodes that they leave, then of their ids."""
 
     def __init__(self, index: Index) -> None:
         links = [index.links[own] for own in sorted(index.links) if index.links[own].end != NOWHERE]
         metres = [length_of(link, index.nodes) for link in links]
-        if sum(metres) >= FAR * UNIT_M:
-            raise InputError(f"links must be less than {FAR * UNIT_M / 1000:.0f} km long in all")
-        length = [round(own / UNIT_M) for own in metres]
-        self.place = {own: i for i, own in enumerate(index.nodes)}
-        self.link_place = {link.id: i for i, link in enumerate(links)}
-        self.n, self.m = bucket(len(self.place)), bucket(len(links))
-        self.length = np.pad(np.asarray(length, np.int32), (0, self.m - len(length)))
-        ends = [(self.place[link.start], self.place[link.end]) for link in links]
-        self.around = links_around(np.array(ends, np.int64).reshape(-1, 2), self.n)
-        self._both = np.array(ends, np.int64).reshape(-1, 2).sum(1)  # less one end: the other
-        self._node_ids, self._link_ids = np.array(list(index.nodes)), np.array([link.id for link in links], np.int64)
+        if sum(metres) >= MAX_LINKS_M:
+            raise InputError(f"links must be less than {MAX_LINKS_M / 1000:.0f} km long in all")
+        self.ids = list(index.nodes)
+        self.row = {own: i for i, own in enumerate(self.ids)}
+        ends = np.array([(self.row[link.start], self.row[link.end]) for link in links], int).reshape(-1, 2)
+        order = np.argsort(ends.ravel(), kind="stable")
+        self.tail, self.head = ends.ravel()[order], ends[:, ::-1].ravel()[order]
+        self.link = np.repeat([link.id for link in links], 2)[order].astype(int)
+        # The fewest links of equal lengths: each adds one, and all together less than a unit of length.
+        cost = [round(own / LENGTH_UNIT_M) * (len(self.ids) + 1) + 1 for own in metres]
+        self.cost = np.repeat(cost, 2)[order].astype(float)
 
-    def used(self, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-        """Return links that are open, `[M]`, and nodes that are not to be passed, `[N]`."""
-        is_open, barrier = np.ones(self.m, bool), np.zeros(self.n, bool)
-        is_open[[self.link_place[own] for own in problem.shut]] = False
-        barrier[[self.place[own] for own in problem.barriers]] = True
-        return is_open, barrier
+    def solved(self, problem: Problem, goals: Sequence[int | None]):
+        """Yield `(goal, function of a start that returns the Walk)` for goals of a problem."""
+        n, tail, head = len(self.ids), self.tail, self.head
+        targets = [[self.row[own] for own in (problem.stubs if goal is None else (goal,))] for goal in goals]
+        is_open = ~np.isin(self.link, list(problem.shut))
+        is_barrier, is_stub = (np.isin(self.ids, list(own)) for own in (problem.barriers, problem.stubs))
+        # Node v is passed where a way goes on from it, node n + v is v as the goal, node 2 n all stubs as one.
+        uses = [np.flatnonzero(is_open & mask) for mask in (~is_barrier[tail], True, is_stub[tail])]
+        rows = np.concatenate([tail[uses[0]], n + tail[uses[1]], np.full(len(uses[2]), 2 * n)])
+        edges = np.concatenate(uses)
+        until = np.searchsorted(rows, np.arange(2 * n + 2))
+        graph = csr_array((self.cost[edges], head[edges], until), shape=(2 * n + 1, 2 * n + 1))
+        away = dijkstra(graph, indices=[2 * n if goal is None else n + self.row[goal] for goal in goals])[:, :n]
+        for goal, own, far in zip(goals, targets, away):
+            far[own] = 0.0
+            beyond = np.where(is_barrier, np.inf, far)
+            beyond[own] = 0.0
+            leads = np.flatnonzero(is_open & (far[tail] == self.cost + beyond[head]))[::-1]
+            by = np.full(n, -1)
+            by[tail[leads]] = leads  # the last one written is that of the lowest id
+            yield goal, lambda start, far=far, by=by, own=frozenset(own): self._walk(start, far, by, own)
 
-    def targets(self, problem: Problem, goals: Sequence[int | None], shape: tuple[int, int, int]) -> np.ndarray:
-        """Return `[C, N, B]` bool, the targets of goal c B + b in column b of block c; none for missing goals."""
-        is_target = np.zeros(shape, bool)
-        for g, goal in enumerate(goals):
-            places = [self.place[own] for own in (problem.stubs if goal is None else (goal,))]
-            is_target[g // shape[2], places, g % shape[2]] = True
-        return is_target
-
-    def followed(self, is_target, link, start, goal) -> list[Walk | None]:
-        """Follow the ways out of nodes, all at once.
-
-        Args:
-          is_target: `[C, N, B]`.
-          link: `[C, N, B]`, by which the best way to a goal leaves a node; `NONE` where there is no next.
-          start, goal: `[P]`, places of nodes, numbers of goals.
-
-        Returns:
-          As many `Walk`, None where there is no way.
-        """
-        block, column = np.divmod(goal, link.shape[2])
-        nodes, links, count = [start], [], np.zeros(len(start), np.int64)
-        for _ in self.place:  # a way meets each of them once at most
-            at = nodes[-1]
-            by = link[block, at, column]
-            goes = by != NONE
-            if not goes.any():
-                break
-            nodes.append(np.where(goes, self._both[by] - at, at))
-            links.append(by)
-            count += goes
-        is_found = (count > 0) | is_target[block, start, column]
-        own_nodes = _rows(self._node_ids[np.stack(nodes, 1)], count + 1)
-        own_links = _rows(self._link_ids[np.stack(links, 1)], count) if links else [()] * len(start)
-        return [Walk(ids, ways) if there else None for ids, ways, there in zip(own_nodes, own_links, is_found.tolist())]
-
-
-def _rows(table, count):
-    """Return the first `count` [P] entries of every row of a table, `[P, L]`, L of them at most: a list of tuples."""
-    flat = tuple(table[np.arange(table.shape[1]) < count[:, None]].tolist())
-    ends = np.cumsum(count).tolist()
-    return [flat[first:end] for first, end in zip([0, *ends], ends)]
-
-
-def _solved(graph, calls, goals, shape):
-    """Yield `(problem, first goal)` of every call: the first, then `is_target` and `link` of `_Graph.followed`."""
-    waiting = deque()
-
-    def read():
-        first, is_target, link = waiting.popleft()
-        return first, is_target, jax.device_get(link)
-
-    for problem, first in calls:
-        is_target = graph.targets(problem, goals[first : first + shape[0] * shape[2]], shape)
-        waiting.append((first, is_target, _solve(graph.around, graph.length, *graph.used(problem), is_target)))
-        if len(waiting) > AHEAD:
-            yield read()
-    while waiting:
-        yield read()
-
-
-@jax.jit
-def _solve(around: Around, length: Array, is_open: Array, barrier: Array, target: Array) -> Array:
-    """Compute `Ways.link` for blocks of goals in turn, `[C, N, B]`; `target` has the same blocks."""
-    length, is_open, barrier = jnp.asarray(length), jnp.asarray(is_open), jnp.asarray(barrier)  # numpy's without jit
-    return lax.map(lambda block: shortest_ways(around, length, is_open, barrier, block).link, target)
+    def _walk(self, start, far, by, targets) -> Walk | None:
+        at = self.row[start]
+        if far[at] == np.inf:
+            return None
+        nodes, links = [start], []
+        while at not in targets:
+            links.append(int(self.link[by[at]]))
+            at = int(self.head[by[at]])
+            nodes.append(self.ids[at])
+        return Walk(tuple(nodes), tuple(links))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jexplore.config import InputError, InputWarning, Rules, checked_names
-from jexplore.rooms.doors import filled
+from jexplore.rooms.doors import with_doorways
 from jexplore.worlds.names import joint_of
 from jexplore.worlds.starts import clear_in, label_components
 from jexplore.worlds.world import World
@@ -31,7 +31,7 @@ class _Regions(NamedTuple):
 
 def _regions(world):
     """Divide free cells into regions that are apart for the default robot, each by the nearest free cells."""
-    floor = filled(label_components(clear_in(world, GAP_M)), ~world.occupied, world.occupied.size)
+    floor = with_doorways(label_components(clear_in(world, GAP_M)), ~world.occupied, world.occupied.size)
     m2 = np.bincount(floor[floor >= 0]) * world.cell_m**2
     at_edge = np.zeros(len(m2), bool)
     edge = _edge(floor)
@@ -159,7 +159,7 @@ def warn_of_floor(world: World, reached: np.ndarray, clearance_m: float, *, draw
     if not len(large) and reached.sum() >= REACHED * free.sum():
         return
     gap = round(BESIDE * clearance_m / world.cell_m)
-    share = np.count_nonzero(filled(np.where(reached, 0, -1), free, gap) >= 0) / np.count_nonzero(free)
+    share = np.count_nonzero(with_doorways(np.where(reached, 0, -1), free, gap) >= 0) / np.count_nonzero(free)
     if not len(large) and share >= REACHED:
         return
     text = f"{world.name or 'world'}: a robot of {clearance_m:g} m clearance reaches {share:.0%} of the free floor"

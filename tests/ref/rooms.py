@@ -93,9 +93,9 @@ def is_extreme(graph, d2, cell, prominence, sign):
     return True
 
 
-def critical_points(graph, d2, *, max_hops, prominence, max_clearance=math.inf):
-    """Minima no wider than `max_clearance` from which fewer than `max_hops` other minima and maxima lie on the way to a
-    junction; all minima with `max_hops` None. Cells in (row, col) order.
+def critical_points(graph, d2, *, max_hops, prominence):
+    """Minima from which fewer than `max_hops` other minima and maxima lie on the way to a junction; all minima with
+    `max_hops` None. Cells in (row, col) order.
     """
     minima, maxima = ({c for c in graph if is_extreme(graph, d2, c, prominence, sign)} for sign in (1, -1))
 
@@ -104,8 +104,7 @@ def critical_points(graph, d2, *, max_hops, prominence, max_clearance=math.inf):
         ways = [chain for chain in chains if graph.degree(chain[-1]) >= 3]
         return any(len((minima | maxima) & set(chain)) < max_hops for chain in ways)
 
-    narrow = [c for c in sorted(minima) if math.sqrt(d2[c]) <= max_clearance]
-    return [c for c in narrow if max_hops is None or near_junction(c)]
+    return [c for c in sorted(minima) if max_hops is None or near_junction(c)]
 
 
 def distances(passable, starts):
@@ -150,26 +149,25 @@ def borders(label):
     return shared
 
 
-def merge(shared, seeds, longest_first=True):
+def merge(shared, seeds):
     """Groups of labels, one for each seed, that touch or have the same seed, the two sides 2 k and 2 k + 1 of a split
     never in one: list of sets.
     """
     groups = [{i for i, other in enumerate(seeds) if other == seed} for seed in dict.fromkeys(seeds)]
-    sign = -1 if longest_first else 1
-    for (a, b), _ in sorted(shared.items(), key=lambda item: (sign * item[1], item[0])):
+    for (a, b), _ in sorted(shared.items(), key=lambda item: (-item[1], item[0])):
         (one,), (other,) = ([g for g in groups if i in g] for i in (a, b))
         if one is not other and not any(i ^ 1 in other for i in one):
             groups = [g for g in groups if g is not one and g is not other] + [one | other]
     return groups
 
 
-def segments(free, skeleton, d2, *, metric="geodesic", longest_first=True, **criteria):
+def segments(free, skeleton, d2, *, metric="geodesic", **criteria):
     """Figure 7: `(critical points, seeds, labels)`. A group is named after its lowest label; -1 for none."""
     graph = linked(skeleton)
     critical = critical_points(graph, d2, **criteria)
     seeds = [cell for c in critical for cell in neighbours(graph, c)]
     label = (nearest_by_path if metric == "geodesic" else nearest_by_air)(free, seeds)
-    name = {i: min(group) for group in merge(borders(label), seeds, longest_first) for i in group}
+    name = {i: min(group) for group in merge(borders(label), seeds) for i in group}
     return critical, seeds, np.vectorize(lambda i: name.get(i, -1), otypes=[int])(label)
 
 

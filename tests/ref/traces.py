@@ -1,10 +1,12 @@
 """Behavioral Trace Maps for tests: made by hand in few words, or at random."""
 
 import dataclasses
+import math
 
 from hypothesis import strategies as st
 
-from jexplore.tracemap.record import NOWHERE, OBSTACLES, STATUS, BtmMap, Link, Node
+from jexplore.tracemap.record import NOWHERE, OBSTACLE_SHAPES, STATUS, BtmMap, Link, Node, check_map
+from jexplore.tracemap.similarity import code, tree_of
 
 TYPES = {"T": "terminal", "D": "divergence", "F": "free_space", "O": "obstacle"}
 
@@ -62,7 +64,7 @@ def maps(draw, *, cycles=True, measures=False):
     nodes = []
     for i in range(count):
         kind = draw(st.sampled_from(sorted(TYPES)))
-        shape = draw(st.sampled_from(OBSTACLES)) if kind == "O" else None
+        shape = draw(st.sampled_from(OBSTACLE_SHAPES)) if kind == "O" else None
         x, y = (draw(FINITE), draw(FINITE)) if measures else (float(i), 0.0)
         more = {"inclination_deg": draw(number), "step_m": draw(length), "posture_deg": draw(number)}
         nodes.append(node(i, kind, x, y, obstacle=shape, attributes=draw(names), **more))
@@ -83,3 +85,26 @@ def changed(btm, **by_kind):
         name: tuple(dataclasses.replace(item, **by_kind[name](item)) for item in getattr(btm, name)) for name in by_kind
     }
     return dataclasses.replace(btm, **parts)
+
+
+def are_same(a, b, limit=1e-6):
+    """Return whether maps have equal codes and measures that differ by `limit` at most, whatever ids and directions."""
+    trees = (tree_of(check_map(btm)) for btm in (a, b))
+    return code(a) == code(b) and all(
+        _are_near(getattr(one, kind), getattr(other, kind), kind == "link" and one.forward != other.forward, limit)
+        for one, other in zip(*trees)
+        for kind in ("node", "link")
+    )
+
+
+def _are_near(item, match, is_turned, limit):
+    swap = {"start_bearing_deg": "end_bearing_deg", "end_bearing_deg": "start_bearing_deg"} if is_turned else {}
+    for name, x in vars(item).items() if item else ():
+        y = getattr(match, swap.get(name, name))
+        if not name.endswith(("_m", "_deg")) or (is_turned and name == "opening_m"):
+            continue
+        away = math.inf if None in (x, y) else abs(x - y)
+        away = abs((x - y + 180) % 360 - 180) if name.endswith("bearing_deg") and None not in (x, y) else away
+        if x is not y and away > limit:
+            return False
+    return True

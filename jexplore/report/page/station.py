@@ -9,18 +9,18 @@ from jexplore.tracemap.merging.join import FROM
 from jexplore.tracemap.merging.notes import MERGED_FROM, sources_of
 from jexplore.tracemap.passable import (
     CONFLICTS,
-    Body,
-    blocks_of,
-    called,
+    RobotBody,
+    blockages_of,
     hindrances,
     inclination_of,
+    link_name,
     refusals,
     step_of,
     unknowns,
     unknowns_at,
 )
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, length_of
-from jexplore.tracemap.route import UNIT_M, Index, index_of
+from jexplore.tracemap.route import LENGTH_UNIT_M, Index, index_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Panel:
     """Reason for standing apart, or a note about its frame: a sentence."""
 
 
-def station_page(title: str, panels: Sequence[Panel], robots: Sequence[Body], notes: Sequence[str] = ()) -> str:
+def station_page(title: str, panels: Sequence[Panel], robots: Sequence[RobotBody], notes: Sequence[str] = ()) -> str:
     """Return maps as one HTML file: no network, no server, no other file. It is plain ASCII.
 
     What the given robots may not use is found here; for a robot that is typed in the page repeats the comparisons.
@@ -63,7 +63,7 @@ def station_page(title: str, panels: Sequence[Panel], robots: Sequence[Body], no
     return assembled("station.html", title=plain(title), own_style=assembled("station.css"), data=script_data(data))
 
 
-def _panel(panel: Panel, robots: Sequence[Body]) -> dict[str, Any]:
+def _panel(panel: Panel, robots: Sequence[RobotBody]) -> dict[str, Any]:
     """Return a map's data for the page, plain JSON types; ids as keys become text."""
     btm, index = panel.map, index_of(panel.map)
     nodes = index.nodes
@@ -109,16 +109,16 @@ def _node(node: Node, panel: Panel) -> dict[str, Any]:
 
 def _link(link: Link, panel: Panel, index: Index) -> dict[str, Any]:
     metres, nodes = None if link.end == NOWHERE else length_of(link, index.nodes), index.nodes
-    blocks = blocks_of(link)
+    blocks = blockages_of(link)
     return {
         **_item(link, panel),
         "step_m": step_of(link, nodes),
         "inclination_deg": inclination_of(link, nodes),
         "blocked": bool(blocks),
         "blocks": [vars(block) for block in blocks],
-        "called": called(link),
+        "called": link_name(link),
         "unknown": list(unknowns(link, nodes)),
         "doubts": list(index.doubts(link)),
         "metres": metres,
-        "length_mm": None if metres is None else round(metres / UNIT_M),
+        "length_mm": None if metres is None else round(metres / LENGTH_UNIT_M),
     }

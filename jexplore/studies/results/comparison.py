@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jexplore.arrays.pictures import MOST_ROWS, axes_of, html_of, or_text, png_of
+from jexplore.arrays.pictures import MAX_TABLE_ROWS, axes_of, html_of, or_text, png_of
 from jexplore.config import InputError, Lidar, Rules, checked_names, require_setting, unknown
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.state import Outcome
@@ -249,7 +249,7 @@ class Comparison(ByStrategy):
 
     def _short_table(self):
         """Return names of the columns and rows of text: every world's, or of many worlds the statistics over all."""
-        if len(self.worlds) > 1 and len(self.summary) > MOST_ROWS:
+        if len(self.worlds) > 1 and len(self.summary) > MAX_TABLE_ROWS:
             head = ("strategy", "ratio to the first", "p (Holm)", "best in")
             rows = self.standings.to_dict("records")
             return head, [(row["strategy"], *_beside_first(row), f"{row['best']} of {row['worlds']}") for row in rows]

@@ -10,7 +10,7 @@ from jexplore.config import InputError, checked_names, require_number, shown
 from jexplore.driving.settings import Robot, require_robot
 from jexplore.studies.traces.job import robot_of
 from jexplore.tracemap.passable import hindrances, refusals
-from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check_map
 from jexplore.tracemap.route import Index, Route, Sheet, index_of
 from jexplore.tracemap.shortest import Problem, walks
 
@@ -106,7 +106,7 @@ def checked(btm: BtmMap) -> BtmMap:
     """
     if not isinstance(btm, BtmMap):
         raise InputError(f'btm must be a jx.btm.BtmMap, such as jx.btm.read_btm("btm.json"), got {shown(btm)}')
-    btm = check(btm)
+    btm = check_map(btm)
     if not btm.nodes:
         raise InputError("the map has no node: there is nowhere to go")
     return btm

@@ -9,10 +9,10 @@ from jexplore.config import InputError, checked_names, require_kind
 from jexplore.driving.settings import ROBOTS
 from jexplore.report.page.station import Panel, station_page
 from jexplore.tracemap.merging import notes
-from jexplore.tracemap.merging.match import Merging, match
+from jexplore.tracemap.merging.match import Merging, match_maps
 from jexplore.tracemap.merging.merge import Merged, merge_maps
 from jexplore.tracemap.merging.rigid import Move
-from jexplore.tracemap.record import BtmMap, check, require_near
+from jexplore.tracemap.record import BtmMap, check_map, require_near
 
 TOGETHER = "global map"
 WHY = {
@@ -80,7 +80,7 @@ def panels_of(
     given = {}
     for name, btm in zip(names, maps):
         require_kind("a map", btm, BtmMap)
-        given[name] = check(btm)
+        given[name] = check_map(btm)
         require_near(given[name], name)
         notes.require_sources(given[name], name)
     if len(given) == 1:
@@ -120,5 +120,5 @@ def _joined(found: Merged, given, main):
 
 def _outcome(main, btm):
     """Explain why a map is not part of another. If it would fit alone, the maps merged with it do not."""
-    outcome = match(main, btm).outcome
+    outcome = match_maps(main, btm).outcome
     return outcome if outcome in WHY else Merging.NOT_ENOUGH_IN_COMMON

@@ -16,8 +16,8 @@ from jexplore.grid import is_known, is_occupied
 from jexplore.report.store import jsonable
 from jexplore.studies import checks
 from jexplore.tracemap.json_form import to_json
-from jexplore.tracemap.passable import blocks_of
-from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLES, STATUS, BtmMap
+from jexplore.tracemap.passable import blockages_of
+from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLE_SHAPES, STATUS, BtmMap
 from jexplore.tracemap.repairing.repaired import closings_of
 from jexplore.worlds.readers.scans import ScanMap
 from jexplore.worlds.world import World, with_ring
@@ -93,7 +93,8 @@ def packed(btm: BtmMap) -> bytes:
     nodes = [
         (
             *(_whole(node.x_m - x_m, 100, 2), _whole(node.y_m - y_m, 100, 2)),
-            NODE_TYPES.index(node.type) + (len(NODE_TYPES) * OBSTACLES.index(node.obstacle) if node.obstacle else 0),
+            NODE_TYPES.index(node.type)
+            + (len(NODE_TYPES) * OBSTACLE_SHAPES.index(node.obstacle) if node.obstacle else 0),
             *(_whole(node.inclination_deg, 1), _whole(node.step_m, 100), _whole(node.posture_deg, 1)),
         )
         for node in btm.nodes
@@ -101,7 +102,7 @@ def packed(btm: BtmMap) -> bytes:
     links = [
         (
             *(place[link.start], place[link.end]),
-            STATUS.index(link.status) + len(STATUS) * bool(blocks_of(link)),
+            STATUS.index(link.status) + len(STATUS) * bool(blockages_of(link)),
             *(_whole(link.start_bearing_deg, 1, 2), _whole(link.end_bearing_deg, 1, 2), _whole(link.length_m, 100, 2)),
             *(_whole(link.min_width_m, 10), _whole(link.opening_m, 10), _whole(link.max_step_m, 100)),
             *(_whole(link.posture_deg, 1), _whole(link.max_roll_deg, 1)),

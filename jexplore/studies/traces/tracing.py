@@ -201,7 +201,7 @@ def _written_first(first):
 
 def _read_first(data):
     with np.load(io.BytesIO(data)) as file:
-        found = json_form.parse(str(file["map"]), "the map of run 0")
+        found = json_form.parse_map(str(file["map"]), "the map of run 0")
         return found, Driven(*(file[f"way/{name}"] for name in Driven._fields))
 
 

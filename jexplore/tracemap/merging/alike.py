@@ -6,40 +6,35 @@ from collections.abc import Sequence
 import numpy as np
 
 from jexplore.tracemap.merging.rigid import apart_deg
-from jexplore.tracemap.merging.ways import Places, Way
+from jexplore.tracemap.merging.ways import Places, PlaceWay
 
-TOGETHER = 2**20  # angles that are compared at a time: 8 MiB each array
+MAX_ANGLES = 2**20  # that are compared at a time: 8 MiB each array
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Likeness:
     """Correspondence of two places that look alike."""
 
-    turn_deg: float
-    """Direction in the first map less direction in the second, there, degrees."""
-    ways: tuple[tuple[int, int], ...]
-    """Ways of the first and of the second that leave alike."""
-    lost: int
-    """Ways that only one of them has."""
+    turn_deg: float  # direction in the first map less direction in the second, there, degrees
+    ways: tuple[tuple[int, int], ...]  # ways of the first and of the second that leave alike
+    lost: int  # ways that only one of them has
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Table:
     """N places with n ways and M with m, of one type and obstacle, each entered by every one of its ways."""
 
-    lost: np.ndarray
-    """`[N, n, M, m]` int16, see `Likeness`; -1 where they do not look alike."""
-    turn_deg: np.ndarray
-    """`[N, n, M, m]` float64, see `Likeness`."""
+    lost: np.ndarray  # `[N, n, M, m]` int16, see `Likeness`; -1 where they do not look alike
+    turn_deg: np.ndarray  # `[N, n, M, m]` float64, see `Likeness`
     ways: np.ndarray
     """`[N, n, M, m, min(n, m)]` int32, ways that leave alike, the nearest first, as way * m + way; -1 for none."""
 
 
 class Likenesses:
-    """Likeness of places of maps.
+    """Likeness of places of maps: of one type and obstacle, with ways that leave at the same angles.
 
-    They have one type and one obstacle, and ways that leave at the same angles. A way that only one of them has, as
-    where a robot took a niche for a passage, is lost; more than `most_lost` are too many.
+    A way that only one of them has, as where a robot took a niche for a passage, is lost; more than `most_lost` are
+    too many.
     """
 
     def __init__(self, angle_deg: float, most_lost: int) -> None:
@@ -103,7 +98,7 @@ class Likenesses:
 
 
 def leaving_alike(
-    ways: Sequence[Way], others: Sequence[Way], turn_deg: float, angle_deg: float
+    ways: Sequence[PlaceWay], others: Sequence[PlaceWay], turn_deg: float, angle_deg: float
 ) -> tuple[tuple[tuple[int, int], ...], float]:
     """Return ways of two places that leave alike, with the second turned, and the turn that suits them best."""
     if not (ways and others):
@@ -125,7 +120,7 @@ def _compared(first, second, angle_deg, most_lost):
     lost, turn_deg = np.full(shape, -1, np.int16), np.empty(shape)
     ways = np.full((*shape, min(n, m)), -1, np.int32)
     need, flat = -(-(n + m - most_lost) // 2), (lost.reshape(-1), turn_deg.reshape(-1), ways.reshape(-1, min(n, m)))
-    step = max(TOGETHER // (n * m), 1)
+    step = max(MAX_ANGLES // (n * m), 1)
     for begin in range(0, lost.size, step):
         here = np.arange(begin, min(begin + step, lost.size))
         a, i, b, j = np.unravel_index(here, shape)
@@ -144,14 +139,9 @@ def _compared(first, second, angle_deg, most_lost):
 
 
 def _matched(off_deg, angle_deg):
-    """Match ways that leave alike, the nearest first.
+    """Match ways that leave alike, the nearest first, by `[K, n, m]`, how far each leaves from each; inf for never.
 
-    Args:
-      off_deg: `[K, n, m]`, how far each way of the second place leaves from each of the first; inf for never.
-      angle_deg: how far they may, from the mean of all.
-
-    Returns:
-      `[K, min(n, m)]` int, the pairs as way * m + way, -1 in no place in particular; `[K]` their mean, degrees.
+    Return `[K, min(n, m)]` int, the pairs as way * m + way, -1 in no place in particular; `[K]` their mean, degrees.
     """
     k, n, m = off_deg.shape
     off_deg, rows = off_deg.reshape(k, n * m), np.arange(k)

@@ -4,18 +4,18 @@ import math
 from collections.abc import Callable, Iterable
 
 from jexplore.tracemap.merging.walk import Guess, Pair
-from jexplore.tracemap.merging.ways import Places, Way
+from jexplore.tracemap.merging.ways import Places, PlaceWay
 
 PRIOR = 4.0  # prior beliefs about buildings weigh as much as this many nodes or links of the two maps
-ALIKE = 0.15  # chance that two places look alike, in buildings at large
+ALIKE_CHANCE = 0.15  # chance that two places look alike, in buildings at large
 LENGTH_M, SPREAD = 5.0, 0.7  # lengths of ways in buildings at large: median, standard deviation of the logarithm
 WIDTH_M = 0.1  # standard deviation of a width between two maps
-WIDE_M = 3.0  # widths of passages at large lie between 0 and this
+MAX_PASSAGE_M = 3.0  # widths of passages at large lie between 0 and this
 INCLINATION_DEG = 1.0
 STEEP_DEG = 30.0
 STRAY = 0.1  # probability that a width or an inclination is an error of one map
-LOST = 2.5  # nats: what a link takes away that only one map has at a node
-FAR = 40.0  # standard deviations, as good as never
+LOST_LINK_NATS = 2.5  # nats: what a link takes away that only one map has at a node
+MAX_SPREADS = 40.0  # standard deviations, as good as never
 CONTRADICTION = 5.0  # nats: what a contradiction takes away
 
 
@@ -29,9 +29,11 @@ class Evidence:
         ways = [way for part in both for way in whole_ways(part)]
         self._ends = sum(len(own) for part in both for own in part.ways.values())
         self._long = _Usual([way.length_m for way in ways], self._as_long)
-        self._wide = _Usual([way.width_m for way in ways], _as_wide)
-        self._open = _Usual([way.opening_m for part in both for own in part.ways.values() for way in own], _as_wide)
-        self._steep = _Usual([node.inclination_deg for part in both for node in part.nodes.values()], _as_steep)
+        openings = [way.opening_m for part in both for own in part.ways.values() for way in own]
+        slopes = [node.inclination_deg for part in both for node in part.nodes.values()]
+        self._wide = _Usual([way.width_m for way in ways], lambda one, other: _bell(one - other, WIDTH_M))
+        self._open = _Usual(openings, self._wide.bell)
+        self._steep = _Usual(slopes, lambda one, other: _bell(one - other, INCLINATION_DEG))
         self._alike = {}  # place of the first map and way -> ends of both maps that look like it, by ways lost
 
     @property
@@ -50,10 +52,10 @@ class Evidence:
                 way, match = self.pair.one.ways[a][m], self.pair.other.ways[b][n]
                 if way.opening_m is not None and match.opening_m is not None:
                     measured.add(id(way.steps[0][0]))
-                    total += _ratio(way.opening_m, match.opening_m, self._open, WIDE_M)
+                    total += _ratio(way.opening_m, match.opening_m, self._open, MAX_PASSAGE_M)
         for way, match in whole:
             if not {id(way.steps[0][0]), id(way.steps[-1][0])} & measured:  # a passage is as wide as its opening
-                total += _ratio(way.width_m, match.width_m, self._wide, WIDE_M)
+                total += _ratio(way.width_m, match.width_m, self._wide, MAX_PASSAGE_M)
         for a, b in guess.places.items():
             one, other = self.pair.one.nodes[a].inclination_deg, self.pair.other.nodes[b].inclination_deg
             total += _ratio(one, other, self._steep, STEEP_DEG)
@@ -69,7 +71,7 @@ class Evidence:
             self._alike[a, i] = [sum(both) for both in zip(*found)]
         alike = sum(self._alike[a, i][: lost + 1]) - sum(0 <= one <= lost for one in at)
         others = self._ends - len(pair.one.ways[a]) - len(pair.other.ways[b])
-        return -math.log((PRIOR * ALIKE + alike) / (PRIOR + others)) - LOST * lost
+        return -math.log((PRIOR * ALIKE_CHANCE + alike) / (PRIOR + others)) - LOST_LINK_NATS * lost
 
     def _as_long(self, length, other):
         return _bell(length - other, math.sqrt(self._noise2 + self._scale2 * other**2))
@@ -89,7 +91,7 @@ class Evidence:
         return total
 
 
-def whole_ways(part: Places) -> list[Way]:
+def whole_ways(part: Places) -> list[PlaceWay]:
     """Return ways between places, each once."""
     found = []
     for a, ways in part.ways.items():
@@ -111,14 +113,6 @@ class _Usual:
         return (PRIOR * at_large + others) / (PRIOR + len(self._values) - 2)
 
 
-def _as_wide(value, other):
-    return _bell(value - other, WIDTH_M)
-
-
-def _as_steep(value, other):
-    return _bell(value - other, INCLINATION_DEG)
-
-
 def _ratio(one, other, usual: _Usual, span):
     """Return the evidence of two values that should be equal; 0 if one is unknown."""
     if one is None or other is None:
@@ -127,5 +121,5 @@ def _ratio(one, other, usual: _Usual, span):
 
 
 def _bell(off, spread):
-    off = min(abs(off / spread), FAR)
+    off = min(abs(off / spread), MAX_SPREADS)
     return math.exp(-0.5 * off * off) / (spread * math.sqrt(2 * math.pi))

@@ -4,12 +4,11 @@ import dataclasses
 from typing import Any
 
 from jexplore.tracemap.merging.match import Match
-from jexplore.tracemap.merging.rigid import mean_deg, moved
-from jexplore.tracemap.merging.ways import least, most
+from jexplore.tracemap.merging.rigid import mean_deg, moved_map
+from jexplore.tracemap.merging.ways import least_known, most_known
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, Node, direction_deg
 
-FROM = "from"
-"""Attribute of nodes and links: name of a map -> the id that they have there."""
+FROM = "from"  # attribute of nodes and links: name of a map -> the id that they have there
 _EDGE_M = 0.01  # a stop lies no nearer to the end of a whole way
 
 
@@ -27,19 +26,14 @@ def join(one: BtmMap, other: BtmMap, match: Match) -> BtmMap:
     Returns:
       `BtmMap`, ids from 0: nodes and links of the first map in their order, then those that only the second has.
     """
-    other = moved(other, match.move)
+    other = moved_map(other, match.move)
     first_free = 1 + max((node.id for node in one.nodes), default=-1)
     ids = {node.id: match.nodes.get(node.id, first_free + i) for i, node in enumerate(other.nodes)}
     nodes = {node.id: node for node in one.nodes}
     for node in other.nodes:
-        merged = (
-            _node(nodes[ids[node.id]], node) if ids[node.id] in nodes else dataclasses.replace(node, id=ids[node.id])
-        )
-        nodes[merged.id] = merged
-    links = (
-        {link.id: (0, i) for i, link in enumerate(one.links)},
-        {link.id: (1, i) for i, link in enumerate(other.links)},
-    )
+        own = ids[node.id]
+        nodes[own] = _node(nodes[own], node) if own in nodes else dataclasses.replace(node, id=own)
+    links = [{link.id: (side, i) for i, link in enumerate(btm.links)} for side, btm in enumerate((one, other))]
     turned = {link.id: link for link in other.links}
     found, used = [], (set(), set())
     for bundle in _bundles(match.ways):
@@ -56,12 +50,11 @@ def join(one: BtmMap, other: BtmMap, match: Match) -> BtmMap:
     found.sort(key=lambda item: item[0])
     return BtmMap(
         tuple(dataclasses.replace(node, id=number[key]) for key, node in nodes.items()),
-        tuple(_numbered(link, i, number) for i, (_, link) in enumerate(found)),
+        tuple(
+            dataclasses.replace(link, id=i, start=number[link.start], end=number.get(link.end, NOWHERE))
+            for i, (_, link) in enumerate(found)
+        ),
     )
-
-
-def _numbered(link, i, number):
-    return dataclasses.replace(link, id=i, start=number[link.start], end=number.get(link.end, NOWHERE))
 
 
 def _weight(item):
@@ -80,15 +73,10 @@ def _mean(values, weights):
 
 def _node(a: Node, b: Node) -> Node:
     weights = [_weight(a), _weight(b)]
-    return dataclasses.replace(
-        a,
-        x_m=_mean([a.x_m, b.x_m], weights),
-        y_m=_mean([a.y_m, b.y_m], weights),
-        inclination_deg=most([a.inclination_deg, b.inclination_deg]),
-        step_m=most([a.step_m, b.step_m]),
-        posture_deg=most([a.posture_deg, b.posture_deg]),
-        attributes=_from(a, b),
-    )
+    values = {name: _mean([getattr(a, name), getattr(b, name)], weights) for name in ("x_m", "y_m")}
+    for name in ("inclination_deg", "step_m", "posture_deg"):
+        values[name] = most_known([getattr(a, name), getattr(b, name)])
+    return dataclasses.replace(a, **values, attributes=_from(a, b))
 
 
 def _bundles(ways):
@@ -143,10 +131,9 @@ def _pieces(strands: list[_Strand]):
             is_known = m < len(strand.stops)
             end = order[strand.stops[m][0]] if is_known else at + out
             end = min(at, end) if strand.is_far else max(at, end)
-            for k in range(
-                min(at, end), max(at, end)
-            ):  # piece k lies between stop k and stop k + 1, stop 0 is the place
-                first, last = k == min(at, end), k == max(at, end) - 1
+            low, high = sorted((at, end))
+            for k in range(low, high):  # piece k lies between stop k and stop k + 1, stop 0 is the place
+                first, last = k == low, k == high - 1
                 if strand.is_far:
                     covers[k].append((strand.side, link, not forward, first and is_known, last))
                 else:
@@ -182,10 +169,9 @@ def _strand_weight(strand):
 
 
 def _piece(cover, start, end, length_m, back_before):
-    """Join the links from stop to stop: `(map, link, forward, begins here, ends here)`.
+    """Join the links from stop to stop, `(map, link, forward, begins here, ends here)`, in the direction of the first.
 
-    Returns:
-      `Link` in the direction of the first, and the direction in which it leaves its far end.
+    Return the link, and the direction in which it leaves its far end.
     """
     links = [link for _, link, _, _, _ in cover]
     forward = cover[0][2]
@@ -201,9 +187,12 @@ def _piece(cover, start, end, length_m, back_before):
     ends = (start, end, out, back) if forward else (end, start, back, out)
     values: dict[str, Any] = {
         "length_m": length_m if measured and is_searched else None,
-        "min_width_m": least(link.min_width_m for link in links),
+        "min_width_m": least_known(link.min_width_m for link in links),
         "opening_m": _mean(openings, [1.0] * len(openings)),
-        **{name: most(getattr(link, name) for link in links) for name in ("posture_deg", "max_roll_deg", "max_step_m")},
+        **{
+            name: most_known(getattr(link, name) for link in links)
+            for name in ("posture_deg", "max_roll_deg", "max_step_m")
+        },
     }
     end_bearing = ends[3] if is_searched else None
     piece = Link(0, ends[0], ends[1], STATUS[is_searched], ends[2], end_bearing, **values, attributes=_from(*links))

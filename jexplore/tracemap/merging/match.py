@@ -4,20 +4,22 @@ import dataclasses
 import enum
 import itertools
 import math
+from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from jexplore.tracemap.merging.alike import leaving_alike
 from jexplore.tracemap.merging.evidence import Evidence
 from jexplore.tracemap.merging.limits import Limits
-from jexplore.tracemap.merging.neighbours import with_neighbours
 from jexplore.tracemap.merging.rigid import Move, apart_deg, fit, mean_deg, mirrored
 from jexplore.tracemap.merging.walk import Guess, Pair
-from jexplore.tracemap.merging.ways import Way, places_of
+from jexplore.tracemap.merging.ways import PlaceWay, places_of
 from jexplore.tracemap.record import BtmMap
 
-EVIDENCE = 6.0
-"""Nats that a match must be worth, beyond what the number of tries makes of chance."""
-MARGIN = 4.6
-"""Nats by which it must be worth more than any other that it excludes: a hundred to one."""
-PART = 2.0  # nats that a part must be worth that hangs together by ways which only one map has
+EVIDENCE = 6.0  # nats that a match must be worth, beyond what the number of tries makes of chance
+MARGIN = 4.6  # nats by which it must be worth more than any other that it excludes: a hundred to one
+CLEAR = 2.0  # a neighbour's second-nearest candidate lies at least this many times as far away
+PART_NATS = 2.0  # that a part must be worth that hangs together by ways which only one map has
 
 
 class Merging(enum.Enum):
@@ -33,21 +35,21 @@ class Match:
     """Common part of two maps."""
 
     outcome: Merging
-    nodes: dict[int, int]
-    """Node of the second map -> the same of the first."""
-    ways: tuple[tuple[Way, Way], ...]
+    nodes: dict[int, int]  # node of the second map -> the same of the first
+    ways: tuple[tuple[PlaceWay, PlaceWay], ...]
     """Ways of places that are matched, of the first map and of the second, each once."""
-    contradictions: tuple[tuple[Way, Way], ...]
+    contradictions: tuple[tuple[PlaceWay, PlaceWay], ...]
     """Pairs of ways of matched places that leave alike and continue differently."""
     beside: tuple[int, ...]
     """Nodes of the first map that are matched because they lie where they should, see `with_neighbours`."""
-    move: Move
-    """Takes the second map into the frame of the first."""
-    evidence: float
-    """Nats beyond chance."""
+    move: Move  # takes the second map into the frame of the first
+    evidence: float  # nats beyond chance
     margin: float
     """Nats beyond the best match that excludes it; infinite without one. 0 at most where it contradicts itself and the
     second map in a mirror explains more."""
+
+
+NOTHING = Match(Merging.MERGED, {}, (), (), (), Move(), math.inf, math.inf)
 
 
 @dataclasses.dataclass
@@ -58,7 +60,7 @@ class _Candidate:
     move: Move
 
 
-def match(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_common: int = 3) -> Match:
+def match_maps(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_common: int = 3) -> Match:
     """Find the common part of two proper maps.
 
     Guesses are grown from every pair of nodes that look alike, and weighed. The best one holds if it has enough nodes,
@@ -66,16 +68,11 @@ def match(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_commo
     common part of a building and its mirror image ends in nodes whose links leave the other way round. Then parts are
     added that lie at the expected position but connect only by ways that one map lacks; last, by `with_neighbours`,
     nodes at the expected position that look different.
-
-    Args:
-      one, other: the maps.
-      limits: tolerances for one place in both maps.
-      min_common: least number of nodes in common.
     """
     pair, evidence, found = _weighed(one, other, limits or Limits())
     best = next(found, None)
     if best is None:
-        return Match(Merging.NOT_ENOUGH_IN_COMMON, {}, (), (), (), Move(), -math.inf, math.inf)
+        return dataclasses.replace(NOTHING, outcome=Merging.NOT_ENOUGH_IN_COMMON, evidence=-math.inf)
     rivals, rest = itertools.tee(found)
     margin = best.gain - next((c.gain for c in rivals if not _together(best, c, other, pair.limits)), -math.inf)
     worth = best.gain - evidence.tries
@@ -185,9 +182,97 @@ def _together(best, candidate, other, limits):
 def _parts(best, rest, other, limits):
     """Return the best guess and those compatible with it, the best first."""
     parts = [best]
-    for candidate in itertools.takewhile(lambda candidate: candidate.gain > PART, rest):
+    for candidate in itertools.takewhile(lambda candidate: candidate.gain > PART_NATS, rest):
         taken = {b for part in parts for b in part.nodes}
         is_new = not taken & candidate.nodes.keys() and not candidate.guess.contradictions
         if is_new and all(_together(part, candidate, other, limits) for part in parts):
             parts.append(candidate)
     return parts
+
+
+def with_neighbours(
+    pair: Pair,
+    nodes: Mapping[int, int],
+    ways: Sequence[tuple[PlaceWay, PlaceWay]],
+    turns: Mapping[int, float],
+    move: Move,
+) -> tuple[dict[int, int], list[tuple[PlaceWay, PlaceWay]]]:
+    """Extend a match of two maps by places that lie near the expected position.
+
+    Two places match if both have one type, each is the nearest to the other, no other is nearly as near, their distance
+    is within the drift since the nearest matched place, and a way leaves both alike. Places behind a wall are near,
+    too: where more ways exist in one map only than in both, drift is not an explanation.
+
+    Args:
+      pair: the maps.
+      nodes: node of the second -> the same of the first.
+      ways: matched ones.
+      turns: place of the first -> direction there less direction in the second, degrees.
+      move: takes the second map into the frame of the first.
+    """
+    nodes, turns = dict(nodes), dict(turns)
+    while True:
+        near = {b: (a, turn) for b, a, turn in _neighbours(pair, nodes, turns, move)}
+        taken = [a for a, _ in near.values()]
+        fresh = {b: (a, turn) for b, (a, turn) in near.items() if taken.count(a) == 1}
+        if not fresh:
+            return nodes, _ways_between(pair, nodes, ways, turns)
+        for b, (a, turn) in fresh.items():
+            nodes[b] = a
+            turns[a] = leaving_alike(pair.one.ways[a], pair.other.ways[b], turn, pair.limits.angle_deg)[1]
+
+
+def _neighbours(pair, nodes, turns, move):
+    """Yield places of the second map with the ones of the first that they match, and the turn there."""
+    matched, known = [b for b, a in nodes.items() if a in turns], set(nodes.values())
+    rest, free = [b for b in pair.other.nodes if b not in nodes], sorted(pair.one.nodes.keys() - known)
+    if not (rest and free):
+        return
+    here, anchors = (_rows(pair.other, many) for many in (rest, matched))
+    between = _apart(here, anchors)
+    beside = between.argmin(axis=1)
+    matches = _rows(pair.one, [nodes[b] for b in matched])
+    place = move.place(*here.T) + matches.T[:, beside] - np.array(move.place(*anchors.T))[:, beside]
+    off = _apart(place.T, _rows(pair.one, free))
+    kinds = [np.array([f"{part.nodes[key].type} {part.nodes[key].obstacle}" for key in many])
+             for part, many in ((pair.other, rest), (pair.one, free))]  # fmt: skip
+    off[kinds[0][:, None] != kinds[1]] = np.inf
+    nearest = np.sort(off, axis=1)[:, :2]
+    limits = pair.limits
+    fits = nearest[:, 0] <= 2 * limits.length_m + limits.length_share * between.min(axis=1)
+    fits &= nearest[:, -1] >= CLEAR * nearest[:, 0] if len(free) > 1 else True
+    for i in np.flatnonzero(fits).tolist():
+        b, a, turn = rest[i], free[off[i].argmin()], turns[nodes[matched[beside[i]]]]
+        ways, others = pair.one.ways[a], pair.other.ways[b]
+        common = len(leaving_alike(ways, others, turn, limits.angle_deg)[0])
+        if common and (len(ways) + len(others) <= 3 * common or nearest[i, 0] <= 2 * limits.length_m):
+            yield b, a, turn
+
+
+def _rows(part, keys):
+    return np.array([(part.nodes[key].x_m, part.nodes[key].y_m) for key in keys])
+
+
+def _apart(points, others):
+    return np.hypot(*(points[:, None] - others[None]).transpose(2, 0, 1))
+
+
+def _ways_between(pair, nodes, ways, turns):
+    """Return the matched ways, and those of new places that agree."""
+    found, taken = list(ways), {key for both in ways for key in _taken(*both)}
+    for b, a in nodes.items():
+        if a not in turns or b not in pair.other.nodes:
+            continue
+        for m, n in leaving_alike(pair.one.ways[a], pair.other.ways[b], turns[a], pair.limits.angle_deg)[0]:
+            way, match = pair.one.ways[a][m], pair.other.ways[b][n]
+            ends_agree = not (way.is_whole and match.is_whole) or nodes.get(match.end) == way.end
+            if not _links(way, match) & taken and ends_agree and pair.lengths_agree(way, match):
+                taken |= _taken(way, match)
+                found.append((way, match))
+    return found
+
+
+def _taken(way, match):
+    """Return links that can be matched no more. A way followed in one map may be met again at its other end."""
+    is_half = way.is_whole != match.is_whole
+    return {id(link) for one in (way, match) if not (is_half and one.is_whole) for link, _ in one.steps}

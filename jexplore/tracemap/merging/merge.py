@@ -10,9 +10,9 @@ from jexplore.config import InputError, as_record, checked_names, require_kind, 
 from jexplore.tracemap.merging import notes
 from jexplore.tracemap.merging.join import FROM, join
 from jexplore.tracemap.merging.limits import Limits
-from jexplore.tracemap.merging.match import Match, Merging, match
+from jexplore.tracemap.merging.match import NOTHING, Match, Merging, match_maps
 from jexplore.tracemap.merging.rigid import Move
-from jexplore.tracemap.record import BtmMap, check, require_near
+from jexplore.tracemap.record import BtmMap, check_map, require_near
 
 
 @checked_names
@@ -20,23 +20,17 @@ from jexplore.tracemap.record import BtmMap, check, require_near
 class Merged:
     """Result of `merge_maps`."""
 
-    outcome: Merging
-    """`MERGED` only if all maps are one."""
+    outcome: Merging  # `MERGED` only if all maps are one
     map: BtmMap
     """The map that most maps are in; without a merge the one with most nodes. In the frame of the first map in it."""
-    nodes: dict[str, dict[int, int]]
-    """Name of a map in it -> node there -> node of `map`."""
-    moves: dict[str, Move]
-    """Name of a map in it -> what takes it into the frame of `map`."""
-    matched: int
-    """Nodes of `map` that more than one map has."""
-    left: tuple[str, ...]
-    """Names of the maps that are not in it."""
+    nodes: dict[str, dict[int, int]]  # name of a map in it -> node there -> node of `map`
+    moves: dict[str, Move]  # name of a map in it -> what takes it into the frame of `map`
+    matched: int  # nodes of `map` that more than one map has
+    left: tuple[str, ...]  # names of the maps that are not in it
     evidence: float
     """Of the weakest merge, or of the best one refused: nats beyond what chance gives; -inf where nothing is alike, inf
     where all maps are equal."""
-    margin: float
-    """Evidence beyond the best match that excludes it, nats."""
+    margin: float  # evidence beyond the best match that excludes it, nats
     notes: tuple[str, ...]
     """Differences of the maps, as sentences: attributes, ways of one place with different ends, and nodes matched by
     their position alone."""
@@ -93,7 +87,7 @@ def merge_maps(
     originals = {}
     for name, btm in zip(names, maps):
         require_kind("a map", btm, BtmMap)
-        originals[name] = check(btm)
+        originals[name] = check_map(btm)
         require_near(originals[name], name)
         notes.require_sources(originals[name], name)
     sources = [source for name in names for source in notes.sources_of(originals[name], name)]
@@ -125,7 +119,7 @@ def _merged(parts, limits, min_common, on_progress):
         for one, other in itertools.combinations(parts, 2):
             key = (tuple(one.moves), tuple(other.moves))
             if key not in known:
-                known[key] = (match(one.map, other.map, limits=limits, min_common=min_common), one, other)
+                known[key] = (match_maps(one.map, other.map, limits=limits, min_common=min_common), one, other)
                 on_progress(len(known))
         pairs = [known[tuple(one.moves), tuple(other.moves)] for one, other in itertools.combinations(parts, 2)]
         fitting = [pair for pair in pairs if pair[0].outcome is Merging.MERGED]
@@ -143,7 +137,7 @@ def _result(parts, joins, refused, originals):
     own = [found for found, one, other in refused if main in (one, other)]
     told: list[Match] = own or [found for found, _, _ in joins]
     if not told:
-        outcome, worst = Merging.MERGED, Match(Merging.MERGED, {}, (), (), (), Move(), math.inf, math.inf)
+        outcome, worst = Merging.MERGED, NOTHING
     elif not own:
         outcome, worst = Merging.MERGED, min(told, key=lambda found: found.evidence)
     else:

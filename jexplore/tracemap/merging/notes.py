@@ -9,12 +9,10 @@ from jexplore.tracemap.merging.join import FROM
 from jexplore.tracemap.passable import BLOCKED, BLOCKED_FOR, CONFLICTS
 from jexplore.tracemap.record import BtmMap
 
-MERGED_FROM = "merged_from"
-"""Attribute of a merged map: names of the maps that it was made of."""
+MERGED_FROM = "merged_from"  # attribute of a merged map: names of the maps that it was made of
 OF_A_RUN = ("moved", "profile_variance_m2", "seed", "overflow")
 """Attributes that mean nothing beyond the run that wrote them, in its own frame: a merged map has none of them."""
-OF_A_WRITER = ("robot", "frame")
-"""Attributes that tell the maps apart and are no dispute about the building."""
+OF_A_WRITER = ("robot", "frame")  # attributes that tell the maps apart and are no dispute about the building
 
 
 def sources_of(btm: BtmMap, name: str) -> list[str]:
@@ -75,22 +73,20 @@ def conflicts(btm: BtmMap) -> list[str]:
 def contradiction(names: Sequence[str], others: Sequence[str], count: int, nodes: Sequence[int]) -> str:
     """Describe ways that leave the same nodes alike but continue differently in some maps: a sentence."""
     what = f"{count} way leads" if count == 1 else f"{count} ways lead"
-    where = f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
-    return f"{where}: {what} elsewhere in {', '.join(others)} than in {', '.join(names)}; the map has both"
+    return f"{_listed(nodes)}: {what} elsewhere in {', '.join(others)} than in {', '.join(names)}; the map has both"
 
 
 def by_place(names: Sequence[str], others: Sequence[str], nodes: Sequence[int]) -> str:
     """Describe nodes that were matched by their position alone: a sentence."""
-    where = f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
-    return f"{where}: one in {', '.join(names)} and in {', '.join(others)} by place and bearings alone"
+    return f"{_listed(nodes)}: one in {', '.join(names)} and in {', '.join(others)} by place and bearings alone"
+
+
+def _listed(nodes):
+    return f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
 
 
 def require_sources(btm: BtmMap, name: str) -> None:
-    """Refuse a map that says of whom it is in a way that merging could not have written.
-
-    Raises:
-      InputError: naming the map, the item and the attribute: `MERGED_FROM`, `FROM` or `CONFLICTS`.
-    """
+    """Refuse a map whose `MERGED_FROM`, `FROM` or `CONFLICTS` merging could not have written: an `InputError`."""
     sources, is_merged = btm.attributes.get(MERGED_FROM), MERGED_FROM in btm.attributes
     if is_merged and not _are_names(sources):
         raise InputError(f"{name}: {MERGED_FROM}: expected a list of names of maps, got {shown(sources)}")
@@ -138,11 +134,8 @@ def _joined(said: Sequence[tuple[list[str], Mapping[str, Any]]]) -> dict[str, An
     values: dict[str, list[dict[str, Any]]] = {}
     names_robots = any(BLOCKED_FOR in {**own, **own.get(CONFLICTS, {})} for _, own in said)
     for names, attributes in said:
-        if (
-            names_robots
-            and attributes.get(BLOCKED)
-            and BLOCKED_FOR not in {**attributes, **attributes.get(CONFLICTS, {})}
-        ):
+        named = {**attributes, **attributes.get(CONFLICTS, {})}
+        if names_robots and attributes.get(BLOCKED) and BLOCKED_FOR not in named:
             attributes = {**attributes, BLOCKED_FOR: None}
         for key, value in attributes.items():
             if key not in (FROM, MERGED_FROM, CONFLICTS, *OF_A_RUN):

@@ -42,9 +42,7 @@ def mean_deg(bearings: Sequence[float], weights: Sequence[float] | None = None) 
 def fit(points: Sequence[tuple[float, float]], onto: Sequence[tuple[float, float]], turn_deg: float) -> Move:
     """Fit the rigid transform that takes points nearest to others, by least squares.
 
-    Args:
-      points, onto: `[N]` pairs of metres, N >= 1.
-      turn_deg: the turn where the points say nothing about it: all lie within 1 cm.
+    `turn_deg` is the turn where the points say nothing about it: all lie within 1 cm.
 
     Source:
       Umeyama 1991, Least-squares estimation of transformation parameters between two point patterns; in the plane.
@@ -59,37 +57,23 @@ def fit(points: Sequence[tuple[float, float]], onto: Sequence[tuple[float, float
     return Move(qx - x_m, qy - y_m, direction_deg(turn_deg))
 
 
-def moved(btm: BtmMap, move: Move) -> BtmMap:
+def moved_map(btm: BtmMap, move: Move) -> BtmMap:
     """Transform the map to another frame."""
-    nodes, links = [], []
-    for node in btm.nodes:
-        x_m, y_m = move.place(node.x_m, node.y_m)
-        nodes.append(dataclasses.replace(node, x_m=x_m, y_m=y_m))
-    for link in btm.links:
-        back = link.end_bearing_deg
-        links.append(
-            dataclasses.replace(
-                link,
-                start_bearing_deg=direction_deg(link.start_bearing_deg + move.turn_deg),
-                end_bearing_deg=None if back is None else direction_deg(back + move.turn_deg),
-            )
-        )
-    return BtmMap(tuple(nodes), tuple(links), btm.attributes)
+    return _mapped(btm, move.place, lambda bearing_deg: bearing_deg + move.turn_deg)
 
 
 def mirrored(btm: BtmMap) -> BtmMap:
     """Mirror the map at its y axis: links go round nodes the other way."""
+    return _mapped(btm, lambda x_m, y_m: (-x_m, y_m), lambda bearing_deg: 180.0 - bearing_deg)
 
-    def turned(bearing_deg: float) -> float:
-        return direction_deg(180.0 - bearing_deg)
 
-    nodes = tuple(dataclasses.replace(node, x_m=-node.x_m) for node in btm.nodes)
-    links = tuple(
-        dataclasses.replace(
-            link,
-            start_bearing_deg=turned(link.start_bearing_deg),
-            end_bearing_deg=None if link.end_bearing_deg is None else turned(link.end_bearing_deg),
-        )
-        for link in btm.links
-    )
-    return BtmMap(nodes, links, btm.attributes)
+def _mapped(btm, place, bearing):
+    nodes, links = [], []
+    for node in btm.nodes:
+        x_m, y_m = place(node.x_m, node.y_m)
+        nodes.append(dataclasses.replace(node, x_m=x_m, y_m=y_m))
+    for link in btm.links:
+        ends = {"start_bearing_deg": link.start_bearing_deg, "end_bearing_deg": link.end_bearing_deg}
+        turned = {name: direction_deg(bearing(own)) for name, own in ends.items() if own is not None}
+        links.append(dataclasses.replace(link, **turned))
+    return BtmMap(tuple(nodes), tuple(links), btm.attributes)

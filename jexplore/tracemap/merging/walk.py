@@ -2,29 +2,26 @@
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
-from jexplore.tracemap.merging.alike import Likeness, Likenesses, leaving_alike
+from jexplore.tracemap.merging.alike import Likeness, Likenesses
 from jexplore.tracemap.merging.limits import Limits
 from jexplore.tracemap.merging.rigid import apart_deg
-from jexplore.tracemap.merging.ways import Places, Way
+from jexplore.tracemap.merging.ways import Places, PlaceWay
 
 
 @dataclasses.dataclass(slots=True)
 class Guess:
     """Correspondence of places of two maps."""
 
-    places: dict[int, int] = dataclasses.field(default_factory=dict)
-    """Of the first map -> of the second."""
-    others: dict[int, int] = dataclasses.field(default_factory=dict)
-    """Of the second map -> of the first."""
-    alike: dict[int, Likeness] = dataclasses.field(default_factory=dict)
-    """By places of the first map."""
+    places: dict[int, int] = dataclasses.field(default_factory=dict)  # of the first map -> of the second
+    others: dict[int, int] = dataclasses.field(default_factory=dict)  # of the second map -> of the first
+    alike: dict[int, Likeness] = dataclasses.field(default_factory=dict)  # by places of the first map
     entries: list[tuple[int, int, int, int]] = dataclasses.field(default_factory=list)
     """Places in order, each with the way by which it was entered: `(place, way, place, way)`."""
-    ways: list[tuple[Way, Way]] = dataclasses.field(default_factory=list)
+    ways: list[tuple[PlaceWay, PlaceWay]] = dataclasses.field(default_factory=list)
     """Those that are the same, each told once, and seen from the same side."""
-    contradictions: list[tuple[Way, Way]] = dataclasses.field(default_factory=list)
+    contradictions: list[tuple[PlaceWay, PlaceWay]] = dataclasses.field(default_factory=list)
     """Ways that leave one place alike and go on otherwise."""
 
 
@@ -34,12 +31,6 @@ class Pair:
     def __init__(self, one: Places, other: Places, limits: Limits) -> None:
         self.one, self.other, self.limits = one, other, limits
         self.likenesses = Likenesses(limits.angle_deg, limits.lost)
-
-    def aligned(
-        self, ways: Sequence[Way], others: Sequence[Way], turn_deg: float
-    ) -> tuple[tuple[tuple[int, int], ...], float]:
-        """Return ways of two places that leave alike, see `leaving_alike`."""
-        return leaving_alike(ways, others, turn_deg, self.limits.angle_deg)
 
     def guesses(self) -> Iterator[Guess]:
         """Yield all guesses, each once: from every pair of places that look alike, in every turn."""
@@ -82,7 +73,7 @@ class Pair:
         guess.entries.append((a, i, b, j))
         return True
 
-    def lengths_agree(self, way: Way, match: Way) -> bool:
+    def lengths_agree(self, way: PlaceWay, match: PlaceWay) -> bool:
         """Return whether two ways may be equal in length. A way not followed to its end may be longer than recorded."""
         off, limit = way.length_m - match.length_m, self.limits.length(way.length_m, match.length_m)
         return (not way.is_whole or off >= -limit) and (not match.is_whole or off <= limit)

@@ -12,21 +12,15 @@ from jexplore.tracemap.similarity import ends_around
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Way:
+class PlaceWay:
     """Exit of a place, with the way as far as it has been followed."""
 
-    bearing_deg: float
-    """Direction in which it leaves."""
-    steps: tuple[tuple[Link, bool], ...]
-    """Its links in order, and whether they start where one comes from."""
-    stops: tuple[tuple[int, float], ...]
-    """Terminal nodes on it: id, and how far from the place, metres."""
-    end: int
-    """Place that it leads to; `NOWHERE` where that is not known."""
-    back: int
-    """Index of the way back at that place; -1 without an end."""
-    length_m: float
-    """As far as it has been followed."""
+    bearing_deg: float  # direction in which it leaves
+    steps: tuple[tuple[Link, bool], ...]  # its links in order, and whether they start where one comes from
+    stops: tuple[tuple[int, float], ...]  # terminal nodes on it: id, and how far from the place, metres
+    end: int  # place that it leads to; `NOWHERE` where that is not known
+    back: int  # index of the way back at that place; -1 without an end
+    length_m: float  # as far as it has been followed
 
     @property
     def is_whole(self) -> bool:
@@ -42,7 +36,7 @@ class Way:
     @property
     def width_m(self) -> float | None:
         """Return the narrowest passage; None if unknown."""
-        return least(link.min_width_m for link, _ in self.steps)
+        return least_known(link.min_width_m for link, _ in self.steps)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -50,15 +44,15 @@ class Places:
     """A map seen so: nodes by id, and their ways counter-clockwise."""
 
     nodes: Mapping[int, Node]
-    ways: Mapping[int, tuple[Way, ...]]
+    ways: Mapping[int, tuple[PlaceWay, ...]]
 
 
-def least(values: Iterable[float | None]) -> float | None:
+def least_known(values: Iterable[float | None]) -> float | None:
     """Return the least known value; None if no value is known."""
     return min((value for value in values if value is not None), default=None)
 
 
-def most(values: Iterable[float | None]) -> float | None:
+def most_known(values: Iterable[float | None]) -> float | None:
     """Return the greatest known value; None if no value is known."""
     return max((value for value in values if value is not None), default=None)
 
@@ -90,4 +84,4 @@ def _way(first, nodes, around, index):
         if not rest:
             break
         _, _, side, link = rest[0]
-    return Way(bearing, tuple(steps), tuple(stops), end, back, length)
+    return PlaceWay(bearing, tuple(steps), tuple(stops), end, back, length)

@@ -7,24 +7,26 @@ from collections.abc import Iterator
 
 from jexplore.tracemap.merging.rigid import Move, apart_deg
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link
-from jexplore.tracemap.repairing.through import explained
-from jexplore.tracemap.repairing.ways import (
-    CLOSE,
+from jexplore.tracemap.repairing.through import (
+    CLOSE_M,
+    CLOSE_SHARE,
     OPENING_DEG,
-    STRAIGHT,
-    Way,
+    LinkWay,
     are_close,
     are_near,
-    joined,
+    explained,
     ways_of,
+    with_link,
+    with_nodes_joined,
     within_m,
     without,
 )
 
-TINY_M = 3.0  # a link that leads back to its node is a way round if it is longer
-NEAR_M = 4.0  # nodes that are one lie no farther apart, and no farther than is `CLOSE` for the way between them
+TINY_LOOP_M = 3.0  # a link that leads back to its node is a way round if it is longer
+DOUBLES_M = 4.0  # nodes that are one lie no farther apart, nor than `CLOSE_M` and `CLOSE_SHARE` of the way between them
+STRAIGHT_RATIO, STRAIGHT_M = 1.05, 0.3  # a way no longer than its displacement by this goes round no corner
 TURNED_M = 1.0, 8.0  # m; additional way of a robot that turns back before the next node
-BACK_M = 2.0  # who has turned back seems no farther from where it left, however long the link
+TURNED_BACK_M = 2.0  # who has turned back seems no farther from where it left, however long the link
 FEWEST, OPENINGS = 3, 3  # pairs of junctions that are one, each linked with the next alike; openings of a junction
 
 
@@ -42,22 +44,22 @@ def turned_back(btm: BtmMap) -> Iterator[BtmMap]:
                 kept, gone = sorted((link.start, link.end))
                 turn_deg = way.move.turn_deg if kept == link.start else -way.move.turn_deg
                 rest, may = _opened(btm, way), kept == gone or _is_in_reach(btm, kept, gone)
-                found = rest if kept == gone else joined(rest, kept, gone, turn_deg) if may else None
+                found = rest if kept == gone else with_nodes_joined(rest, kept, gone, turn_deg) if may else None
                 if found is not None:
                     yield found
                 break
 
 
-def _returns(btm: BtmMap, way: Way) -> bool:
-    is_own, is_tiny = way.to == way.link.start == way.link.end, (way.link.length_m or 0.0) < TINY_M
-    if not are_close(way.move, Move(), min(within_m(way.link), BACK_M)):
+def _returns(btm: BtmMap, way: LinkWay) -> bool:
+    is_own, is_tiny = way.to == way.link.start == way.link.end, way.length_m < TINY_LOOP_M
+    if not are_close(way.move, Move(), min(within_m(way.link), TURNED_BACK_M)):
         return is_own and is_tiny
     others = _others(btm, way)
     is_shared = _is_shared(others, way.bearing_deg) or _is_shared(others, way.back_deg)
     return are_near(way.bearing_deg, way.back_deg + way.move.turn_deg) or (is_own and (is_tiny or is_shared))
 
 
-def _others(btm: BtmMap, way: Way) -> list[Way]:
+def _others(btm: BtmMap, way: LinkWay) -> list[LinkWay]:
     """Return the other ways of the node where a link begins."""
     return [one for one in ways_of(btm, way.link.start) if one.link.id != way.link.id]
 
@@ -67,13 +69,13 @@ def _is_shared(others, bearing_deg):
     return any(are_near(one.bearing_deg, bearing_deg) for one in others)
 
 
-def _opened(btm: BtmMap, way: Way) -> BtmMap:
+def _opened(btm: BtmMap, way: LinkWay) -> BtmMap:
     """Return the map with a link un-searched; without it if another one leaves by its opening."""
     link = way.link
     if _is_shared(_others(btm, way), way.bearing_deg):
         return without(btm, link)
     stub = Link(link.id, link.start, NOWHERE, STATUS[0], link.start_bearing_deg, opening_m=link.opening_m)
-    return dataclasses.replace(btm, links=tuple(stub if one is link else one for one in btm.links))
+    return with_link(btm, link, stub)
 
 
 def both_ways(btm: BtmMap) -> Iterator[BtmMap]:
@@ -86,8 +88,7 @@ def both_ways(btm: BtmMap) -> Iterator[BtmMap]:
         for second in links[i + 1 :]:
             if (first.start, first.end) == (second.end, second.start) and _are_one(btm, first, second):
                 one = dataclasses.replace(first, end_bearing_deg=second.start_bearing_deg)
-                rest = without(btm, second)
-                yield dataclasses.replace(rest, links=tuple(one if link is first else link for link in rest.links))
+                yield with_link(without(btm, second), first, one)
 
 
 def _are_one(btm, first, second):
@@ -100,16 +101,11 @@ def _are_one(btm, first, second):
     apart_m = abs((first.length_m or 0.0) - (second.length_m or 0.0))
     is_one = apart_m < within_m(first) and are_close(there.move, back.move, within_m(first))
     begun = there, next(way for way in ways_of(btm, second.start) if way.link is second)
-    return is_one and all(_is_straight(way) and are_near(way.bearing_deg, _toward_deg(way)) for way in begun)
+    return is_one and all(_is_straight(way) and are_near(way.bearing_deg, way.toward_deg) for way in begun)
 
 
 def _is_straight(way):
-    return (way.link.length_m or 0.0) < STRAIGHT[0] * math.hypot(way.move.x_m, way.move.y_m) + STRAIGHT[1]
-
-
-def _toward_deg(way):
-    """Return the direction in which the other node of a way lies."""
-    return math.degrees(math.atan2(way.move.y_m, way.move.x_m))
+    return way.length_m < STRAIGHT_RATIO * math.hypot(way.move.x_m, way.move.y_m) + STRAIGHT_M
 
 
 def doubled(btm: BtmMap) -> Iterator[BtmMap]:
@@ -128,7 +124,7 @@ def doubled(btm: BtmMap) -> Iterator[BtmMap]:
     for i, first in enumerate(nodes):
         for second in nodes[i + 1 :]:
             alike = (first.type, first.obstacle) == (second.type, second.obstacle)
-            if alike and _apart_m(first, second) < NEAR_M:
+            if alike and math.hypot(first.x_m - second.x_m, first.y_m - second.y_m) < DOUBLES_M:
                 pairs = _pairs_from(btm, first.id, second.id)
                 if _junctions(btm, pairs) >= FEWEST and all(
                     _may_be_one(btm, pair, turn_deg) for pair, turn_deg in pairs.items()
@@ -136,7 +132,7 @@ def doubled(btm: BtmMap) -> Iterator[BtmMap]:
                     found = btm
                     for (one, other), turn_deg in pairs.items():
                         kept, gone = sorted((one, other))
-                        found = found and joined(found, kept, gone, turn_deg if kept == one else -turn_deg)
+                        found = found and with_nodes_joined(found, kept, gone, turn_deg if kept == one else -turn_deg)
                     if found is not None:
                         yield found
 
@@ -145,10 +141,6 @@ def _junctions(btm, pairs):
     """Count the pairs of nodes that are divergences with enough openings to be distinctive."""
     types = {node.id: node.type for node in btm.nodes}
     return sum(types[one] == "divergence" and len(btm.bearings_deg(one)) >= OPENINGS for one, _ in pairs)
-
-
-def _apart_m(one, other):
-    return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m)
 
 
 def _may_be_one(btm, pair, turn_deg):
@@ -162,7 +154,8 @@ def _may_be_one(btm, pair, turn_deg):
 def _is_in_reach(btm, one, other):
     """Return whether two nodes lie within the odometry's error on the shortest known way between them."""
     nodes = {node.id: node for node in btm.nodes}
-    return _apart_m(nodes[one], nodes[other]) < CLOSE[0] + CLOSE[1] * _way_m(btm, one, other)
+    apart_m = math.hypot(nodes[one].x_m - nodes[other].x_m, nodes[one].y_m - nodes[other].y_m)
+    return apart_m < CLOSE_M + CLOSE_SHARE * _way_m(btm, one, other)
 
 
 def _way_m(btm, start, goal):
@@ -175,15 +168,12 @@ def _way_m(btm, start, goal):
         if here not in reached:
             reached.add(here)
             for way in ways_of(btm, here):
-                heapq.heappush(queue, (gone_m + (way.link.length_m or 0.0), way.to))
+                heapq.heappush(queue, (gone_m + way.length_m, way.to))
     return math.inf
 
 
 def _pairs_from(btm, first, second):
-    """Return pairs of nodes that are one if two are, and the turn of the second's frame against that of the first.
-
-    None if they contradict each other.
-    """
+    """Return pairs of nodes that are one if two are, with the turn of the second's frame; none if they contradict."""
     types = {node.id: (node.type, node.obstacle) for node in btm.nodes}
     pairs, pending = {(first, second): 0.0}, [(first, second)]
     while pending:
@@ -216,14 +206,13 @@ def strayed(btm: BtmMap) -> Iterator[BtmMap]:
 
 
 def _is_other_way(btm, long):
-    length_m = long.link.length_m or 0.0
     others = _others(btm, long)
     if _is_shared(others, long.bearing_deg):
         return False
     return any(
         way.to == long.to
         and are_near(way.back_deg, long.back_deg)
-        and TURNED_M[0] < length_m - (way.link.length_m or 0.0) < TURNED_M[1]
+        and TURNED_M[0] < long.length_m - way.length_m < TURNED_M[1]
         and are_close(way.move, long.move, within_m(way.link))
         for way in others
     )
@@ -240,18 +229,18 @@ def misled(btm: BtmMap) -> Iterator[BtmMap]:
         stubs = [link for link in btm.links if link.start == node.id and link.end == NOWHERE]
         made_from = min((way.to for way in ways if way.link.end == node.id), default=node.id)
         for way in ways:
-            toward_deg = _toward_deg(way)
+            toward_deg = way.toward_deg
             is_aside = abs(apart_deg(way.bearing_deg, toward_deg)) > OPENING_DEG
             if way.link.end != node.id or way.to == made_from or not is_aside:
                 continue
             others = [other for other in ways if other.link.id != way.link.id]
             if _is_straight(way) or _is_shared(others, way.bearing_deg):
                 for stub in stubs:
-                    if abs(apart_deg(stub.start_bearing_deg, toward_deg)) < OPENING_DEG:
+                    if are_near(stub.start_bearing_deg, toward_deg, OPENING_DEG):
                         yield _leaving(without(btm, stub), way, node.id, stub.start_bearing_deg)
             if _is_straight(way):
                 for other in others:
-                    if abs(apart_deg(other.bearing_deg, toward_deg)) < OPENING_DEG:
+                    if are_near(other.bearing_deg, toward_deg, OPENING_DEG):
                         yield from _explained_at(btm, way, node.id, other)
 
 
@@ -260,14 +249,14 @@ def _explained_at(btm, way, node, other):
     changed = _leaving(btm, way, node, other.bearing_deg)
     pair = [one for one in ways_of(changed, node) if one.link.id in (way.link.id, other.link.id)]
     if len(pair) == 2:
-        short, long = sorted(pair, key=lambda one: one.link.length_m or 0.0)
+        short, long = sorted(pair, key=lambda one: one.length_m)
         found = explained(changed, short, long)
         if found is not None:
             yield found
 
 
-def _leaving(btm: BtmMap, way: Way, node: int, bearing_deg: float) -> BtmMap:
+def _leaving(btm: BtmMap, way: LinkWay, node: int, bearing_deg: float) -> BtmMap:
     """Return the map where a link leaves a node by another opening."""
     end = "start_bearing_deg" if way.link.start == node else "end_bearing_deg"
     changed = dataclasses.replace(way.link, **{end: bearing_deg})
-    return dataclasses.replace(btm, links=tuple(changed if link is way.link else link for link in btm.links))
+    return with_link(btm, way.link, changed)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from jexplore.tracemap.record import NOWHERE, BtmMap, check, parts_of
+from jexplore.tracemap.record import NOWHERE, BtmMap, check_map, connected_parts
 from jexplore.tracemap.repairing.doubles import both_ways, doubled, misled, strayed, turned_back
 from jexplore.tracemap.repairing.through import explained, twins
 
@@ -33,7 +33,7 @@ def repaired(btm: BtmMap) -> Repaired:
     Raises:
       InputError: not a proper map.
     """
-    btm, contradicted = check(btm), 0
+    btm, contradicted = check_map(btm), 0
     for _ in btm.links:  # each time one link less is doubtful
         found = next(_mended(btm), None)
         if found is None:
@@ -62,5 +62,5 @@ def _explanations(btm):
 
 def closings_of(btm: BtmMap) -> int:
     """Count the cycles of a map: searched links beyond those of a spanning tree."""
-    parts = set(parts_of((node.id for node in btm.nodes), btm.links).values())
+    parts = set(connected_parts((node.id for node in btm.nodes), btm.links).values())
     return sum(link.end != NOWHERE for link in btm.links) - len(btm.nodes) + len(parts)
