@@ -10,8 +10,8 @@ from jexplore.config import InputError
 from jexplore.tracemap.record import NOWHERE
 from jexplore.worlds import load_world
 from jexplore.worlds.generators.course import course
-from jexplore.worlds.generators.course_map import render
-from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, Route, largest_circle
+from jexplore.worlds.generators.course_map import render_course
+from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, CourseRoute, largest_circle
 from jexplore.worlds.starts import check_start, clear_cells, label_components
 from jexplore.worlds.world import pad, with_ring
 
@@ -201,11 +201,11 @@ def test_circles_by_pencil():
 
 
 def test_a_dead_end_to_the_right_comes_first_and_leads_back():
-    route = Route(0, 2.0, 1.5)
+    route = CourseRoute(0, 2.0, 1.5)
     route.passage(4.5)
     route.junction((STRAIGHT, RIGHT, LEFT), 2.0, 6.0, dead_m=5.0)
     route.goal(5.0, 6.0)
-    topology = render(route, 0.1, "slope", 0.1).course.topology
+    topology = render_course(route, 0.1, "slope", 0.1).course.topology
     assert [node.type for node in topology.nodes] == ["terminal", "divergence", "divergence", "terminal"]
     assert [(link.start, link.end, link.start_bearing_deg) for link in topology.links] == [
         (0, 1, 0.0), (1, 2, 270.0), (1, 3, 0.0), (1, NOWHERE, 90.0),

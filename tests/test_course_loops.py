@@ -16,7 +16,7 @@ from jexplore.tracemap.rooted import topology_from
 from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
 from jexplore.worlds.generators.course import course
-from jexplore.worlds.generators.network import network
+from jexplore.worlds.generators.network import draw_network
 from jexplore.worlds.starts import check_start, clear_cells, label_components
 from jexplore.worlds.world import with_ring
 
@@ -310,7 +310,7 @@ def test_the_obstacle_lies_on_the_way_in(obstacle, letters):
 def test_many_plans_keep_clear_of_themselves():
     """Elements that must fit are drawn without another try."""
     for seed, loops, repeat, width_m in itertools.product(range(40), (1, 2, 3), (0, 10), (1.2, 3.0)):
-        plan = network(np.random.default_rng(seed), width_m, 3, loops, repeat, True)
+        plan = draw_network(np.random.default_rng(seed), width_m, 3, loops, repeat, True)
         fifths = np.array(plan.areas) / 0.2
         np.testing.assert_allclose(fifths, np.round(fifths), atol=1e-6)
         assert sum(stop.type == "divergence" for stop in plan.stops) >= 2 * loops + 3

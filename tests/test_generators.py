@@ -12,8 +12,16 @@ from scipy import ndimage
 
 from jexplore.config import InputError
 from jexplore.worlds.generators.cave import _widen, cave
-from jexplore.worlds.generators.draft import FloorPlan, Side, bands, columns, cut, passable_cells, wall_span
-from jexplore.worlds.generators.furniture import CHECKS, ROOMS, _spaces, furnish
+from jexplore.worlds.generators.draft import (
+    FloorPlan,
+    Side,
+    bands,
+    cut_length,
+    passable_cells,
+    stand_columns,
+    wall_span,
+)
+from jexplore.worlds.generators.furniture import CHECKED_CELLS, ROOMS, _spaces, furnish
 from jexplore.worlds.generators.hospital import hospital
 from jexplore.worlds.generators.maze import maze, passages
 from jexplore.worlds.generators.office import office
@@ -147,7 +155,7 @@ def test_cut_fills_the_length_with_stretches_of_the_kinds():
     rng = np.random.default_rng(0)
     for length in (1.0, 2.0, 5.0, 30.0):
         for _ in range(50):
-            parts = cut(rng, length, [(0.5, 2.0, 3.0), (0.5, 5.0, 7.0)])
+            parts = cut_length(rng, length, [(0.5, 2.0, 3.0), (0.5, 5.0, 7.0)])
             assert sum(parts) == pytest.approx(length)
             assert min(parts) >= min(2.0, length) - 1e-9
 
@@ -165,10 +173,10 @@ def test_bands_alternate_rooms_and_corridors():
 
 def test_columns_stand_clear_of_the_walls():
     plan = FloorPlan(10.0, 10.0)
-    columns(plan, (0.0, 0.0, 10.0, 5.0), spacing_m=3.0, margin_m=2.0)
+    stand_columns(plan, (0.0, 0.0, 10.0, 5.0), spacing_m=3.0, margin_m=2.0)
     middles = sorted(((x0 + x1) / 2, (y0 + y1) / 2) for x0, y0, x1, y1 in plan.blocks)
     np.testing.assert_allclose(middles, [(2, 2.5), (5, 2.5), (8, 2.5)])
-    columns(plan, (0.0, 0.0, 3.0, 10.0), spacing_m=3.0, margin_m=2.0)
+    stand_columns(plan, (0.0, 0.0, 3.0, 10.0), spacing_m=3.0, margin_m=2.0)
     assert len(plan.blocks) == 3  # none in a room too narrow for it
 
 
@@ -222,20 +230,20 @@ def test_walls_inside_a_room_of_two_rectangles_are_none():
 
 def test_one_of_two_doors_is_closed_but_never_the_last():
     plan = two_rooms()
-    limit_loops(plan, 0, 1, 1000.0)
+    limit_loops(plan, 0, "cave", 1000.0)
     assert len(plan.doors) == 2
     for _ in range(2):
-        limit_loops(plan, 0, 1, 0.0)
+        limit_loops(plan, 0, "cave", 0.0)
         assert len(plan.doors) == 1
 
 
 def test_an_opening_fits_between_its_neighbours():
     plan = two_rooms()
-    widen_openings(plan, 0, 1, 0.0)
+    widen_openings(plan, 0, "cave", 0.0)
     assert [door.width for door in plan.doors] == [0.9, 0.9]
-    widen_openings(plan, 0, 1, 0.5)
+    widen_openings(plan, 0, "cave", 0.5)
     assert sorted(door.width > 1.6 for door in plan.doors) == [False, True]
-    widen_openings(plan, 0, 1, 1.0)
+    widen_openings(plan, 0, "cave", 1.0)
     low, high = sorted(plan.doors, key=lambda door: door.middle)
     assert low.width >= 1.6
     assert high.width >= 1.6
@@ -243,7 +251,7 @@ def test_an_opening_fits_between_its_neighbours():
     assert len(doorways(plan.render(0.1))) == 2
     narrow = FloorPlan(4.0, 2.0)
     narrow.door(narrow.room((0.0, 0.0, 2.0, 2.0)), narrow.room((2.0, 0.0, 4.0, 2.0)), 0.9)
-    widen_openings(narrow, 0, 1, 1.0)
+    widen_openings(narrow, 0, "cave", 1.0)
     assert narrow.doors[0].width == 0.9
 
 
@@ -251,24 +259,24 @@ def test_what_narrows_a_corridor_leaves_it_passable():
     plan = FloorPlan(20.0, 6.0)
     corridor = plan.room((0.0, 2.0, 20.0, 4.0), kind="corridor")
     plan.door(plan.room((0.0, 0.0, 20.0, 2.0)), corridor, 0.9)
-    narrow_corridors(plan, 0, 1, 0.0)
+    narrow_corridors(plan, 0, "cave", 0.0)
     assert not plan.blocks
     for seed in range(10):
-        narrow_corridors(plan, seed, 1, 0.5)
+        narrow_corridors(plan, seed, "cave", 0.5)
     assert len(plan.blocks) > 5
     for x0, y0, x1, y1 in plan.blocks:
         assert y1 - y0 < 0.6
         assert 2.0 <= x0 < x1 <= 18.0, "away from the ends"
         assert y0 > 3.0 or x1 < 9.55 or x0 > 10.45, "away from the door"
-    assert corridor_widths(0, 1, 3, 2.0, 0.0) == []
-    widths = corridor_widths(0, 1, 200, 2.0, 0.5)
+    assert corridor_widths(0, "cave", 3, 2.0, 0.0) == []
+    widths = corridor_widths(0, "cave", 200, 2.0, 0.5)
     assert 1.5 == min(widths) < max(widths) == 3.0
 
 
 def test_furniture_that_parts_two_doors_shuts_in_space_or_fills_a_room_does_not_fit():
     plan = two_rooms()
     doors = [door for door in plan.doors if 0 in plan.beside(door)]
-    spaces = _spaces(plan, 0, doors, [plan.render(cell_m) for cell_m, _ in CHECKS])
+    spaces = _spaces(plan, 0, doors, [plan.render(cell_m) for cell_m, _ in CHECKED_CELLS])
 
     def fits(*blocks):
         return all(space.fits([blocks]) for space in spaces)
@@ -285,7 +293,7 @@ def test_furniture_that_parts_two_doors_shuts_in_space_or_fills_a_room_does_not_
 def test_furniture_stands_in_its_room_and_not_at_its_doors():
     for seed in range(10):
         plan = two_rooms()
-        furnish(plan, seed, 1, 1.0)
+        furnish(plan, seed, "cave", 1.0)
         assert len(plan.blocks) > 5
         for x0, y0, x1, y1 in plan.blocks:
             assert 0.0 <= x0 < x1 <= 10.0
@@ -299,7 +307,7 @@ def test_every_kind_of_room_has_furniture():
     kinds = list(ROOMS)
     for i, kind in enumerate(kinds):
         plan.room((0.0, 10.0 * i, 40.0, 10.0 * (i + 1)), kind=kind)
-    furnish(plan, 0, 1, 1.0)
+    furnish(plan, 0, "cave", 1.0)
     middles = [int((block[1] + block[3]) / 20.0) for block in plan.blocks]
     assert {kinds[i] for i in middles} == set(kinds)
 

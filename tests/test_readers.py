@@ -20,12 +20,12 @@ from skimage.measure import points_in_poly
 
 from jexplore.config import InputError, InputWarning
 from jexplore.worlds import load_world
+from jexplore.worlds.bounds import MAX_SIDE, count_cells
 from jexplore.worlds.readers import houseexpo
 from jexplore.worlds.readers.grids import upright
 from jexplore.worlds.readers.images import grey, load_image, read_pixels, transparency
-from jexplore.worlds.readers.resample import count_cells, resample
+from jexplore.worlds.readers.resample import resample
 from jexplore.worlds.readers.ros import load_ros, read_ros, write_ros
-from jexplore.worlds.sides import MAX_SIDE
 from jexplore.worlds.starts import check_start, start_region
 from jexplore.worlds.world import occupancy_to_world
 

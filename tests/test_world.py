@@ -17,7 +17,7 @@ import jexplore as jx
 from jexplore.config import InputError
 from jexplore.studies.results.provenance import files_of
 from jexplore.worlds import load_world
-from jexplore.worlds.sides import MAX_SIDE
+from jexplore.worlds.bounds import MAX_SIDE
 from jexplore.worlds.starts import check_start, clear_cells, draw_start, draw_starts, label_components, start_region
 from jexplore.worlds.world import World, checked, occupancy_to_world, pad, with_ring
 

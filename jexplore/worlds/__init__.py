@@ -142,7 +142,7 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
     parsed, chosen = read_name(name)
     world = _generate(parsed, cell_m) if parsed.kind == "generator" else _read(parsed, cell_m)
 
-    from jexplore.worlds.sides import require_side
+    from jexplore.worlds.bounds import require_side
     from jexplore.worlds.world import ringed_shape
 
     world = dataclasses.replace(world, name=name)

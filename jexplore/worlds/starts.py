@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from typing import SupportsIndex
 
 import numpy as np
+from scipy import ndimage
 
 from jexplore.arrays.padding import within
 from jexplore.config import InputError
@@ -57,25 +58,15 @@ def label_components(mask: np.ndarray) -> np.ndarray:
     Returns:
       `[H, W]` int32, component number from 0; -1 where `mask` is False.
     """
-    starts = mask.copy()
-    starts[:, 1:] &= ~mask[:, :-1]
-    run = np.cumsum(starts, dtype=np.int32).reshape(mask.shape) - 1  # the horizontal run a cell of the mask is in
-    touching = mask[1:] & mask[:-1]
-    lower, upper = run[:-1][touching], run[1:][touching]
-    root = np.arange(int(starts.sum()), dtype=np.int32)
-    for _ in range(root.size):  # a round hooks each root that has a smaller neighbour, so at least one
-        if not lower.size:
-            break
-        np.minimum.at(root, np.maximum(lower, upper), np.minimum(lower, upper))
-        while not np.array_equal(root, shorter := root[root]):
-            root = shorter
-        lower, upper = root[lower], root[upper]
-        apart = lower != upper
-        lower, upper = lower[apart], upper[apart]
-    number = np.cumsum(root == np.arange(root.size), dtype=np.int32) - 1
-    labels = np.full(mask.shape, -1, np.int32)
-    labels[mask] = number[root[run[mask]]]
-    return labels
+    labels = np.empty(mask.shape, np.int32)
+    ndimage.label(mask, output=labels)
+    return labels - 1
+
+
+def largest_component(mask: np.ndarray) -> np.ndarray:
+    """Return the cells of the largest 4-connected component; of equal ones, of that with the lowest flat index."""
+    labels = label_components(mask)
+    return mask & (labels == np.argmax(np.bincount(labels[mask], minlength=1)))
 
 
 def clear_in(world: World, clearance_m: float) -> np.ndarray:

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from jexplore.arrays.pictures import axes_of, html_of, or_text
 from jexplore.config import InputError, checked_names, require_number, require_whole, shown
 from jexplore.tracemap.record import BtmMap
+from jexplore.worlds.bounds import require_side
 from jexplore.worlds.picture import draw_plan, floor_plan
-from jexplore.worlds.sides import require_side
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from jexplore.arrays.files import read_json
 from jexplore.config import InputError
-from jexplore.worlds.sides import require_side
+from jexplore.worlds.bounds import require_side
 from jexplore.worlds.world import World
 
 _MAX_BYTES = 16 * 2**20

@@ -8,8 +8,8 @@ import numpy as np
 
 from jexplore.arrays.files import read_text
 from jexplore.config import InputError
+from jexplore.worlds.bounds import require_side
 from jexplore.worlds.readers.resample import resample
-from jexplore.worlds.sides import require_side
 from jexplore.worlds.world import World
 
 FREE, BLOCKED = ".GS", "@OTW"  # ground, ground, swamp; out of bounds twice, trees, water

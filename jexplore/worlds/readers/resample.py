@@ -5,20 +5,13 @@ then lie over pixels that are free and connected side by side: what was apart in
 for a robot and for a beam, both of which go from cell to cell across edges.
 """
 
-import math
-
 import numpy as np
 
 from jexplore.config import InputError
-from jexplore.worlds.sides import require_side
+from jexplore.worlds.bounds import count_cells, require_side
 
 LEAST_PIXEL_M, MOST_PIXEL_M = 1e-4, 1e6  # a scale beyond these is a slip of the pen
 _SLIVER = 1e-6  # an overlap of less than this part of a pixel, or of a cell at the far edge, is rounding
-
-
-def count_cells(size_m: float, cell_m: float) -> int:
-    """Return the cells that cover a length: `ceil(size / cell)`, at least one, with a tolerance for rounding."""
-    return max(1, math.ceil(size_m / cell_m - _SLIVER))
 
 
 def resample(occupied: np.ndarray, pixel_m: tuple[float, float], cell_m: float, *, name: str) -> np.ndarray:
@@ -36,7 +29,7 @@ def resample(occupied: np.ndarray, pixel_m: tuple[float, float], cell_m: float, 
       `[H, W]` bool.
 
     Raises:
-      InputError: more than `sides.MAX_SIDE` cells a side, or pixels beyond all measure; nothing has been allocated
+      InputError: more than `bounds.MAX_SIDE` cells a side, or pixels beyond all measure; nothing has been allocated
         then.
     """
     if not LEAST_PIXEL_M <= min(pixel_m) <= max(pixel_m) <= MOST_PIXEL_M:

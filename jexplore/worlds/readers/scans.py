@@ -12,7 +12,7 @@ import numpy as np
 from jexplore.config import InputError, checked_names, require_number, require_setting
 from jexplore.grid import Grid, is_free
 from jexplore.raycast import advance_beams, beam_geometry, exact_direction, n_steps
-from jexplore.worlds.sides import require_side
+from jexplore.worlds.bounds import require_side
 from jexplore.worlds.world import World
 
 _TOGETHER = 2**18  # beams that are traced at a time
@@ -119,7 +119,7 @@ def fold_scans(
       beams count as far as it reaches.
 
     Raises:
-      InputError: a bad number, or more than `sides.MAX_SIDE` cells a side.
+      InputError: a bad number, or more than `bounds.MAX_SIDE` cells a side.
 
     Source:
       Holz et al. 2010, section 2.1; Amanatides and Woo 1987.
