@@ -12,7 +12,7 @@ from jexplore.worlds import load_world
 from jexplore.worlds.generators.course import course
 from jexplore.worlds.generators.course_map import render_course
 from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, CourseRoute, largest_circle
-from jexplore.worlds.starts import check_start, clear_cells, label_components
+from jexplore.worlds.starts import check_start, clear_of_walls, label_components
 from jexplore.worlds.world import pad, with_ring
 
 SEEDS = range(31)
@@ -222,7 +222,7 @@ def test_every_course_is_sound(courses):
         assert world.rooms is None
         assert with_ring(world) is world
         assert label_components(~occupied).max() == 0
-        assert label_components(clear_cells(occupied, 0.59, world.cell_m)).max() == 0, "1.2 m wide everywhere"
+        assert label_components(clear_of_walls(occupied, 0.59, world.cell_m)).max() == 0, "1.2 m wide everywhere"
         assert types(world)[0] == types(world)[-1] == "T"
         assert types(world).count("OOO") == 1
         start_x, start_y, heading = world.course.start_pose

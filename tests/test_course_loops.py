@@ -17,7 +17,7 @@ from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
 from jexplore.worlds.generators.course import course
 from jexplore.worlds.generators.network import draw_network
-from jexplore.worlds.starts import check_start, clear_cells, label_components
+from jexplore.worlds.starts import check_start, clear_of_walls, label_components
 from jexplore.worlds.world import with_ring
 
 KINDS = ((1, 0), (2, 0), (3, 0), (0, 2), (0, 5), (1, 4), (3, 3))  # loops, equal junctions
@@ -118,7 +118,7 @@ def test_every_course_is_sound(courses):
         occupied = world.occupied
         assert with_ring(world) is world
         assert label_components(~occupied).max() == 0
-        assert label_components(clear_cells(occupied, 0.59, world.cell_m)).max() == 0, "1.2 m wide everywhere"
+        assert label_components(clear_of_walls(occupied, 0.59, world.cell_m)).max() == 0, "1.2 m wide everywhere"
         walls, count = ndimage.label(occupied, np.ones((3, 3)))
         assert count == loops + 1, "a pillar a ring"
         inner = [int((walls == i).sum()) for i in range(1, count + 1) if i != walls[0, 0]]

@@ -181,7 +181,7 @@ def require_ray() -> None:
 
 def check_trace(options: Any) -> None:
     """Refuse thresholds that a trace cannot have or sweep, and attributes that no node can have."""
-    is_course = grammar.parse(options.world, generators=known_generators()).base == "course"
+    is_course = grammar.parse_name(options.world, generators=known_generators()).base == "course"
     require_tuning(for_world(options.tuning, is_course=is_course))
     from jexplore.studies.trace_options import attributes_of, require_start_pose, swept_values
 

@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from jexplore.worlds.bounds import bounded, count_cells
 from jexplore.worlds.generators.draft import PASSABLE_M, random_stream
-from jexplore.worlds.starts import clear_cells, largest_component
+from jexplore.worlds.starts import clear_of_walls, largest_component
 from jexplore.worlds.world import World
 
 _DESIGN_M = 0.1  # rocks are placed on a lattice of this width, whatever `cell_m` is
@@ -181,6 +181,6 @@ def _widen(occupied, radius, cell_m):
     inside = largest_component(ndimage.distance_transform_edt(~occupied) > radius)
     occupied = ndimage.distance_transform_edt(~inside) > radius
     occupied |= ~largest_component(~occupied)
-    while (pockets := (clear := clear_cells(occupied, PASSABLE_M, cell_m)) & ~largest_component(clear)).any():
+    while (pockets := (clear := clear_of_walls(occupied, PASSABLE_M, cell_m)) & ~largest_component(clear)).any():
         occupied = ~largest_component(~(occupied | pockets))
     return occupied

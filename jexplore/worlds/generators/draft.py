@@ -67,7 +67,7 @@ def wall_span(
     return first, first + thick
 
 
-def are_near(a: Sequence[float], b: Sequence[float], gap_m: float = 0.0) -> bool:
+def rects_near(a: Sequence[float], b: Sequence[float], gap_m: float = 0.0) -> bool:
     """Return whether two rectangles are nearer than `gap_m` in both axes; by default whether they overlap."""
     return a[0] < b[2] + gap_m and b[0] < a[2] + gap_m and a[1] < b[3] + gap_m and b[1] < a[3] + gap_m
 
@@ -86,13 +86,10 @@ class Side:
     """A side of a room's rectangle."""
 
     vertical: bool
-    wall: float
-    """As in `Door`."""
-    inward: int
-    """1 where the room lies at higher coordinates than the wall, else -1."""
+    wall: float  # as in `Door`
+    inward: int  # 1 where the room lies at higher coordinates than the wall, else -1
     low: float
-    high: float
-    """Ends of the side along the wall, metres."""
+    high: float  # ends of the side along the wall, metres
 
     def block(self, low: float, near: float, high: float, far: float) -> Rect:
         """Return a rectangle from `low` to `high` along the wall, and `near` to `far` from its middle, metres."""
@@ -104,17 +101,12 @@ class Side:
 class Door:
     """A gap in a wall between two rooms."""
 
-    vertical: bool
-    """True if the wall runs along y."""
-    wall: float
-    """Position of the wall's middle: x if it is vertical, else y, metres."""
-    middle: float
-    """Middle of the gap along the wall, metres."""
-    width: float
-    """Metres."""
+    vertical: bool  # true if the wall runs along y
+    wall: float  # position of the wall's middle: x if it is vertical, else y, metres
+    middle: float  # middle of the gap along the wall, metres
+    width: float  # metres
     low: float
-    high: float
-    """Ends of the stretch of wall that both rooms share, metres."""
+    high: float  # ends of the stretch of wall that both rooms share, metres
 
 
 @dataclasses.dataclass

@@ -17,11 +17,11 @@ from jexplore.worlds.generators.draft import (
     FloorPlan,
     Rect,
     Side,
-    are_near,
     block_cells,
     random_stream,
+    rects_near,
 )
-from jexplore.worlds.starts import clear_cells, label_components, largest_component
+from jexplore.worlds.starts import clear_of_walls, label_components, largest_component
 from jexplore.worlds.world import World
 
 Part = tuple[float, list[Rect]]  # a rank, and the blocks of a piece or of a chair that belongs to it
@@ -107,7 +107,7 @@ def _draw_parts(
     area = sum(map(_area, rects))
     kind = plan.kinds[number] or ("store" if area < 7 else "office" if area < 24 else "meeting")
     taken = [_door_zone(door) for door in doors]
-    taken += [_grown(block, _GAP_M) for block in standing if any(are_near(block, rect) for rect in rects)]
+    taken += [_grown(block, _GAP_M) for block in standing if any(rects_near(block, rect) for rect in rects)]
     walls = plan.bare_walls(number, _DOOR_M[0])
     parts = []
     for name, share in ROOMS[kind].items():
@@ -117,7 +117,7 @@ def _draw_parts(
                     piece = _in_the_open(rng, rects, name)
                 else:
                     piece = _at_a_wall(rng, plan, walls, rects, name, _PASSAGE_M if kind == "corridor" else 0.3)
-                if piece is not None and not any(are_near(piece.zone, other) for other in taken):
+                if piece is not None and not any(rects_near(piece.zone, other) for other in taken):
                     parts += piece.parts
                     taken.append(_grown(piece.zone, _GAP_M))
                     break
@@ -250,7 +250,7 @@ class _Space:
         window = block_cells((*np.maximum(low, 0), *high), world.cell_m)
         self.row, self.col = window[0].start, window[1].start
         self.occupied = world.occupied[window]
-        rooms = world.rooms[window]
+        rooms = np.asarray(world.rooms)[window]
         self.doors = []
         for door in doors:
             x0, y0, x1, y1 = _door_zone(door)
@@ -272,7 +272,7 @@ class _Space:
     def _state(self, occupied: np.ndarray) -> tuple[int, list[bool], int]:
         """Return the number of free components, the doors reached by the largest clear one, and its size."""
         n_parts = int(label_components(self.own & ~occupied).max()) + 1
-        main = largest_component(self.own & clear_cells(occupied, self.clearance_m, self.cell_m))
+        main = largest_component(self.own & clear_of_walls(occupied, self.clearance_m, self.cell_m))
         return n_parts, [bool((main & door).any()) for door in self.doors], int(main.sum())
 
     def fits(self, pieces: Sequence[list[Rect]]) -> bool:

@@ -11,7 +11,7 @@ from jexplore.worlds.bounds import bounded, count_cells
 from jexplore.worlds.generators.draft import passable_cells, random_stream, wall_span
 from jexplore.worlds.world import World
 
-Place = tuple[int, int]
+_Place = tuple[int, int]
 
 
 @bounded
@@ -68,7 +68,7 @@ def maze(
     return World(occupied=occupied, cell_m=float(cell_m))
 
 
-def passages(rng: np.random.Generator, shape: Sequence[int], loops: float) -> list[tuple[Place, Place]]:
+def passages(rng: np.random.Generator, shape: Sequence[int], loops: float) -> list[tuple[_Place, _Place]]:
     """Choose the neighbouring places of a maze that are joined.
 
     Args:
@@ -80,12 +80,12 @@ def passages(rng: np.random.Generator, shape: Sequence[int], loops: float) -> li
     """
     rows, cols = shape
 
-    def beside(place: Place) -> list[Place]:
+    def beside(place: _Place) -> list[_Place]:
         row, col = place
         ways = (row, col + 1), (row + 1, col), (row, col - 1), (row - 1, col)
         return [(y, x) for y, x in ways if 0 <= y < rows and 0 <= x < cols]
 
-    trail: list[Place] = [(int(rng.integers(rows)), int(rng.integers(cols)))]
+    trail: list[_Place] = [(int(rng.integers(rows)), int(rng.integers(cols)))]
     seen, joined = {trail[0]}, []
     while trail:
         ways = [way for way in beside(trail[-1]) if way not in seen]
@@ -103,7 +103,7 @@ def passages(rng: np.random.Generator, shape: Sequence[int], loops: float) -> li
     return joined + _last_of_a_post_last(order, shape)[: round(loops * len(walls))]
 
 
-def _last_of_a_post_last(walls: list[tuple[Place, Place]], shape: Sequence[int]) -> list[tuple[Place, Place]]:
+def _last_of_a_post_last(walls: list[tuple[_Place, _Place]], shape: Sequence[int]) -> list[tuple[_Place, _Place]]:
     """Sort walls last without which a post between four places would stand alone."""
     ends = [((max(a[0], b[0]), max(a[1], b[1])), (a[0] + 1, a[1] + 1)) for a, b in walls]
     left = collections.Counter(post for pair in ends for post in pair)

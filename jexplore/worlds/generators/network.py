@@ -12,10 +12,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from jexplore.worlds.generators.draft import Rect, are_near
-from jexplore.worlds.generators.route import APART_M, RAMP_M, CoursePlan, Leg, Ramp, Stop, drawn_width, fifths
+from jexplore.worlds.generators.draft import Rect, rects_near
+from jexplore.worlds.generators.route import CLEAR_GAP_M, RAMP_M, CoursePlan, Leg, Ramp, Stop, drawn_width, fifths
 
-Key = tuple[float, float]  # of a column and a row
+_Key = tuple[float, float]  # of a column and a row
 _Option = TypeVar("_Option")
 START_M = 4.0  # from the wall behind the start: outside the circle of the dead end there
 _SEED_0_M = 6.0  # length of a passage between two junctions
@@ -25,13 +25,10 @@ _SEED_0_M = 6.0  # length of a passage between two junctions
 class _Side:
     """A straight stretch of a ring, or between two rings."""
 
-    axis: int
-    """0: it runs along x, on a row; 1: along y, on a column."""
-    line: float
-    """Key of the row or column."""
+    axis: int  # 0: it runs along x, on a row; 1: along y, on a column
+    line: float  # _Key of the row or column
     low: float
-    high: float
-    """Keys of the columns or rows where it ends."""
+    high: float  # keys of the columns or rows where it ends
 
 
 def draw_network(
@@ -116,7 +113,7 @@ def _sides_of(column: int, row: int) -> set[_Side]:
     }
 
 
-def _wanted(draw: _Draws, sides: set[_Side], repeat: int) -> list[tuple[Key, int]]:
+def _wanted(draw: _Draws, sides: set[_Side], repeat: int) -> list[tuple[_Key, int]]:
     """Return places, keys of column and row, and headings of dead ends for rings; none next to equal junctions."""
     found = []
     if draw.rng is None:
@@ -130,7 +127,7 @@ def _wanted(draw: _Draws, sides: set[_Side], repeat: int) -> list[tuple[Key, int
     return found
 
 
-def _lines(draw: _Draws, keys: set[float], repeat: int) -> dict[float, Key]:
+def _lines(draw: _Draws, keys: set[float], repeat: int) -> dict[float, _Key]:
     """Return key -> the two sides of a line, metres. Those of equal junctions are alike and equally far apart."""
     equal_width, equal_gap, at, found = draw.width(), draw.length(5.0, 8.0), 0.0, {}
     ordered = sorted(keys)
@@ -148,18 +145,18 @@ def _lines(draw: _Draws, keys: set[float], repeat: int) -> dict[float, Key]:
 class _Passages:
     """Lines in metres, and the passages on them."""
 
-    def __init__(self, columns: dict[float, Key], rows: dict[float, Key], sides: set[_Side]) -> None:
+    def __init__(self, columns: dict[float, _Key], rows: dict[float, _Key], sides: set[_Side]) -> None:
         self.columns, self.rows, self.sides = columns, rows, sorted(sides)
         ends = [[(key, s.line) if s.axis == 0 else (s.line, key) for key in (s.low, s.high)] for s in self.sides]
         self.keys = {at for pair in ends for at in pair}
         self.areas = [_hull(*map(self._place, pair)) for pair in ends]
-        self.spurs: list[tuple[Key, Rect]] = []
+        self.spurs: list[tuple[_Key, Rect]] = []
 
-    def _place(self, at: Key) -> Rect:
+    def _place(self, at: _Key) -> Rect:
         (x0, x1), (y0, y1) = self.columns[at[0]], self.rows[at[1]]
         return x0, y0, x1, y1
 
-    def spur(self, at: Key, heading: int, length: float, may_fail: bool = False) -> None:
+    def spur(self, at: _Key, heading: int, length: float, may_fail: bool = False) -> None:
         """Add a passage with a dead end, of a length from its mouth at a place on a line to its end.
 
         One that may fail is left out where it would come too near to another passage.
@@ -168,7 +165,7 @@ class _Passages:
         width = base[3] - base[1] if heading % 2 == 0 else base[2] - base[0]
         stub = _beyond(base, heading, 0.0, length)
         others = ((area, _hull(area, base) == area) for area in self.areas)
-        if any(are_near(stub, area, -1e-6 if touches else APART_M) for area, touches in others):
+        if any(rects_near(stub, area, -1e-6 if touches else CLEAR_GAP_M) for area, touches in others):
             assert may_fail, "what the plan relies on keeps clear of itself"
             return
         far = _beyond(base, heading, length - width, length)
@@ -235,5 +232,5 @@ def _heading(a: Rect, b: Rect) -> int:
     return (0 if dx > 0 else 2) if abs(dx) > abs(dy) else (1 if dy > 0 else 3)
 
 
-def _lane(rect: Rect, heading: int) -> Key:
+def _lane(rect: Rect, heading: int) -> _Key:
     return (rect[1], rect[3]) if heading % 2 == 0 else (rect[0], rect[2])

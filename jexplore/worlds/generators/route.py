@@ -8,10 +8,10 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from jexplore.worlds.generators.draft import Rect, are_near
+from jexplore.worlds.generators.draft import Rect, rects_near
 
 ROCK_M = 1.0  # wall between two passages that do not meet, and round the whole
-APART_M = ROCK_M - 1e-6  # nearer than this, passages do not keep clear of each other
+CLEAR_GAP_M = ROCK_M - 1e-6  # nearer than this, passages do not keep clear of each other
 RAMP_M = 2.4  # length of the way up, and of the way down
 RIGHT, STRAIGHT, LEFT = -1, 0, 1
 _STEP = ((1, 0), (0, 1), (-1, 0), (0, -1))
@@ -22,10 +22,8 @@ class Ramp:
     """An obstacle across a passage, twice `RAMP_M` long."""
 
     heading: int
-    lane: tuple[float, float]
-    """The two sides of the passage: their y if it runs along x, else their x."""
-    along: float
-    """Start of the ramp: x if the passage runs along x, else y."""
+    lane: tuple[float, float]  # the two sides of the passage: their y if it runs along x, else their x
+    along: float  # start of the ramp: x if the passage runs along x, else y
     angle_deg: float
 
 
@@ -33,21 +31,14 @@ class Ramp:
 class Stop:
     """A place that becomes a node of the topology."""
 
-    type: str
-    """As `tracemap.record.Node.type`."""
-    heading: int
-    """In which the robot comes."""
-    lane: tuple[float, float]
-    """Of the passage, as in `Ramp`."""
-    along: float = 0.0
-    """As in `Ramp`. Without meaning where there is a rectangle or a ramp."""
-    rect: Rect | None = None
-    """Of a divergence: where its passages overlap; the last stretch of a dead end."""
-    arms: frozenset[int] = frozenset()
-    """Of a divergence: headings of its openings."""
+    type: str  # like `tracemap.record.Node.type`
+    heading: int  # in which the robot comes
+    lane: tuple[float, float]  # of the passage, as in `Ramp`
+    along: float = 0.0  # as in `Ramp`. Without meaning where there is a rectangle or a ramp
+    rect: Rect | None = None  # of a divergence: where its passages overlap; the last stretch of a dead end
+    arms: frozenset[int] = frozenset()  # of a divergence: headings of its openings
     ramp: Ramp | None = None
-    crease: int = 0
-    """Of an obstacle: which of the places at which its ground changes."""
+    crease: int = 0  # of an obstacle: which of the places at which its ground changes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,17 +55,13 @@ class Leg:
 class CoursePlan:
     """A plan that `course_map.render_course` makes a world of."""
 
-    start: Stop
-    """The robot's; its heading is that of the course."""
-    areas: list[Rect]
-    """What is free."""
+    start: Stop  # the robot's; its heading is that of the course
+    areas: list[Rect]  # free
     stops: list[Stop]
     legs: list[Leg]
     ramps: list[Ramp]
-    boxes: list[Rect] = dataclasses.field(default_factory=list)
-    """Furniture."""
-    has_goal: bool = False
-    """The last stop is the goal, and ways that the robot does not take have no end."""
+    boxes: list[Rect] = dataclasses.field(default_factory=list)  # furniture
+    has_goal: bool = False  # the last stop is the goal, and ways that the robot does not take have no end
 
 
 class CourseRoute(CoursePlan):
@@ -194,7 +181,7 @@ class CourseRoute(CoursePlan):
         ys = sorted(round(y + dy * a + dx * b, 6) for a, b in ((0.0, right), (length, left)))
         rect = xs[0], ys[0], xs[1], ys[1]
         earlier = (other for part, other in zip(self._parts, self.areas) if part < self.part - 1)
-        self.fits &= not any(are_near(rect, other, APART_M) for other in earlier)
+        self.fits &= not any(rects_near(rect, other, CLEAR_GAP_M) for other in earlier)
         self._parts.append(self.part)
         self.areas.append(rect)
         return rect
@@ -210,7 +197,7 @@ def fifths(rng: np.random.Generator, low: float, high: float) -> float:
     return 0.2 * int(rng.integers(round(low / 0.2), round(high / 0.2) + 1))
 
 
-def largest_circle(rect: Rect, arms: Collection[int]) -> tuple[float, float, float]:
+def largest_circle(rect: Sequence[float], arms: Collection[int]) -> tuple[float, float, float]:
     """Return x, y and radius of the largest empty circle at a junction: it touches three walls, at a crossing four.
 
     Args:
