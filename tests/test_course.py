@@ -10,9 +10,9 @@ from jexplore.config import InputError
 from jexplore.tracemap.record import NOWHERE
 from jexplore.worlds import load_world
 from jexplore.worlds.generators.course import course
-from jexplore.worlds.generators.course_map import render
-from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, Route, largest_circle
-from jexplore.worlds.starts import check_start, clear_cells, label_components
+from jexplore.worlds.generators.course_map import render_course
+from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, CourseRoute, largest_circle
+from jexplore.worlds.starts import check_start, clear_of_walls, label_components
 from jexplore.worlds.world import pad, with_ring
 
 SEEDS = range(31)
@@ -201,11 +201,11 @@ def test_circles_by_pencil():
 
 
 def test_a_dead_end_to_the_right_comes_first_and_leads_back():
-    route = Route(0, 2.0, 1.5)
+    route = CourseRoute(0, 2.0, 1.5)
     route.passage(4.5)
     route.junction((STRAIGHT, RIGHT, LEFT), 2.0, 6.0, dead_m=5.0)
     route.goal(5.0, 6.0)
-    topology = render(route, 0.1, "slope", 0.1).course.topology
+    topology = render_course(route, 0.1, "slope", 0.1).course.topology
     assert [node.type for node in topology.nodes] == ["terminal", "divergence", "divergence", "terminal"]
     assert [(link.start, link.end, link.start_bearing_deg) for link in topology.links] == [
         (0, 1, 0.0), (1, 2, 270.0), (1, 3, 0.0), (1, NOWHERE, 90.0),
@@ -222,7 +222,7 @@ def test_every_course_is_sound(courses):
         assert world.rooms is None
         assert with_ring(world) is world
         assert label_components(~occupied).max() == 0
-        assert label_components(clear_cells(occupied, 0.59, world.cell_m)).max() == 0, "1.2 m wide everywhere"
+        assert label_components(clear_of_walls(occupied, 0.59, world.cell_m)).max() == 0, "1.2 m wide everywhere"
         assert types(world)[0] == types(world)[-1] == "T"
         assert types(world).count("OOO") == 1
         start_x, start_y, heading = world.course.start_pose

@@ -16,8 +16,8 @@ from jexplore.tracemap.rooted import topology_from
 from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
 from jexplore.worlds.generators.course import course
-from jexplore.worlds.generators.network import network
-from jexplore.worlds.starts import check_start, clear_cells, label_components
+from jexplore.worlds.generators.network import draw_network
+from jexplore.worlds.starts import check_start, clear_of_walls, label_components
 from jexplore.worlds.world import with_ring
 
 KINDS = ((1, 0), (2, 0), (3, 0), (0, 2), (0, 5), (1, 4), (3, 3))  # loops, equal junctions
@@ -118,7 +118,7 @@ def test_every_course_is_sound(courses):
         occupied = world.occupied
         assert with_ring(world) is world
         assert label_components(~occupied).max() == 0
-        assert label_components(clear_cells(occupied, 0.59, world.cell_m)).max() == 0, "1.2 m wide everywhere"
+        assert label_components(clear_of_walls(occupied, 0.59, world.cell_m)).max() == 0, "1.2 m wide everywhere"
         walls, count = ndimage.label(occupied, np.ones((3, 3)))
         assert count == loops + 1, "a pillar a ring"
         inner = [int((walls == i).sum()) for i in range(1, count + 1) if i != walls[0, 0]]
@@ -310,7 +310,7 @@ def test_the_obstacle_lies_on_the_way_in(obstacle, letters):
 def test_many_plans_keep_clear_of_themselves():
     """Elements that must fit are drawn without another try."""
     for seed, loops, repeat, width_m in itertools.product(range(40), (1, 2, 3), (0, 10), (1.2, 3.0)):
-        plan = network(np.random.default_rng(seed), width_m, 3, loops, repeat, True)
+        plan = draw_network(np.random.default_rng(seed), width_m, 3, loops, repeat, True)
         fifths = np.array(plan.areas) / 0.2
         np.testing.assert_allclose(fifths, np.round(fifths), atol=1e-6)
         assert sum(stop.type == "divergence" for stop in plan.stops) >= 2 * loops + 3

@@ -11,15 +11,24 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from jexplore.config import InputError
+from jexplore.worlds.bounds import PARAMETERS
 from jexplore.worlds.generators.cave import _widen, cave
-from jexplore.worlds.generators.draft import FloorPlan, Side, bands, columns, cut, passable_cells, wall_span
-from jexplore.worlds.generators.furniture import CHECKS, ROOMS, _spaces, furnish
+from jexplore.worlds.generators.draft import (
+    FloorPlan,
+    Side,
+    bands,
+    cut_length,
+    passable_cells,
+    stand_columns,
+    wall_span,
+)
+from jexplore.worlds.generators.furniture import CHECKED_CELLS, ROOMS, _spaces, furnish
 from jexplore.worlds.generators.hospital import hospital
 from jexplore.worlds.generators.maze import maze, passages
 from jexplore.worlds.generators.office import office
 from jexplore.worlds.generators.rooms import rooms
 from jexplore.worlds.generators.variants import corridor_widths, limit_loops, narrow_corridors, widen_openings
-from jexplore.worlds.starts import clear_cells, label_components
+from jexplore.worlds.starts import clear_of_walls, label_components
 from jexplore.worlds.world import World
 
 KINDS = {"cave": cave, "office": office, "hospital": hospital, "maze": maze, "rooms": rooms}
@@ -60,7 +69,7 @@ def assert_sound(world):
     assert occupied[:, [0, -1]].all()
     assert world.start is None
     assert label_components(free).max() == 0, "the free cells hang together"
-    clear = clear_cells(occupied, ROBOT_M, world.cell_m)
+    clear = clear_of_walls(occupied, ROBOT_M, world.cell_m)
     assert label_components(clear).max() == 0, "a robot reaches every place that it could stand on"
     if world.rooms is None:
         return
@@ -123,7 +132,7 @@ def test_a_door_keeps_jambs_and_lets_a_robot_pass():
         rows = np.flatnonzero((world.rooms >= 0).any(axis=1))
         gap_rows = np.flatnonzero((~world.occupied & (world.rooms < 0)).any(axis=1))
         assert rows[0] < gap_rows[0] < gap_rows[-1] < rows[-1], "a cell of wall remains on either side"
-        clear = clear_cells(world.occupied, ROBOT_M, cell_m)
+        clear = clear_of_walls(world.occupied, ROBOT_M, cell_m)
         assert label_components(clear).max() == 0
         plan.doors.clear()
         plan.door(left, right, 9.0)  # wider than the wall: a cell of wall remains on either side
@@ -147,7 +156,7 @@ def test_cut_fills_the_length_with_stretches_of_the_kinds():
     rng = np.random.default_rng(0)
     for length in (1.0, 2.0, 5.0, 30.0):
         for _ in range(50):
-            parts = cut(rng, length, [(0.5, 2.0, 3.0), (0.5, 5.0, 7.0)])
+            parts = cut_length(rng, length, [(0.5, 2.0, 3.0), (0.5, 5.0, 7.0)])
             assert sum(parts) == pytest.approx(length)
             assert min(parts) >= min(2.0, length) - 1e-9
 
@@ -165,10 +174,10 @@ def test_bands_alternate_rooms_and_corridors():
 
 def test_columns_stand_clear_of_the_walls():
     plan = FloorPlan(10.0, 10.0)
-    columns(plan, (0.0, 0.0, 10.0, 5.0), spacing_m=3.0, margin_m=2.0)
+    stand_columns(plan, (0.0, 0.0, 10.0, 5.0), spacing_m=3.0, margin_m=2.0)
     middles = sorted(((x0 + x1) / 2, (y0 + y1) / 2) for x0, y0, x1, y1 in plan.blocks)
     np.testing.assert_allclose(middles, [(2, 2.5), (5, 2.5), (8, 2.5)])
-    columns(plan, (0.0, 0.0, 3.0, 10.0), spacing_m=3.0, margin_m=2.0)
+    stand_columns(plan, (0.0, 0.0, 3.0, 10.0), spacing_m=3.0, margin_m=2.0)
     assert len(plan.blocks) == 3  # none in a room too narrow for it
 
 
@@ -222,20 +231,20 @@ def test_walls_inside_a_room_of_two_rectangles_are_none():
 
 def test_one_of_two_doors_is_closed_but_never_the_last():
     plan = two_rooms()
-    limit_loops(plan, 0, 1, 1000.0)
+    limit_loops(plan, 0, "cave", 1000.0)
     assert len(plan.doors) == 2
     for _ in range(2):
-        limit_loops(plan, 0, 1, 0.0)
+        limit_loops(plan, 0, "cave", 0.0)
         assert len(plan.doors) == 1
 
 
 def test_an_opening_fits_between_its_neighbours():
     plan = two_rooms()
-    widen_openings(plan, 0, 1, 0.0)
+    widen_openings(plan, 0, "cave", 0.0)
     assert [door.width for door in plan.doors] == [0.9, 0.9]
-    widen_openings(plan, 0, 1, 0.5)
+    widen_openings(plan, 0, "cave", 0.5)
     assert sorted(door.width > 1.6 for door in plan.doors) == [False, True]
-    widen_openings(plan, 0, 1, 1.0)
+    widen_openings(plan, 0, "cave", 1.0)
     low, high = sorted(plan.doors, key=lambda door: door.middle)
     assert low.width >= 1.6
     assert high.width >= 1.6
@@ -243,7 +252,7 @@ def test_an_opening_fits_between_its_neighbours():
     assert len(doorways(plan.render(0.1))) == 2
     narrow = FloorPlan(4.0, 2.0)
     narrow.door(narrow.room((0.0, 0.0, 2.0, 2.0)), narrow.room((2.0, 0.0, 4.0, 2.0)), 0.9)
-    widen_openings(narrow, 0, 1, 1.0)
+    widen_openings(narrow, 0, "cave", 1.0)
     assert narrow.doors[0].width == 0.9
 
 
@@ -251,24 +260,24 @@ def test_what_narrows_a_corridor_leaves_it_passable():
     plan = FloorPlan(20.0, 6.0)
     corridor = plan.room((0.0, 2.0, 20.0, 4.0), kind="corridor")
     plan.door(plan.room((0.0, 0.0, 20.0, 2.0)), corridor, 0.9)
-    narrow_corridors(plan, 0, 1, 0.0)
+    narrow_corridors(plan, 0, "cave", 0.0)
     assert not plan.blocks
     for seed in range(10):
-        narrow_corridors(plan, seed, 1, 0.5)
+        narrow_corridors(plan, seed, "cave", 0.5)
     assert len(plan.blocks) > 5
     for x0, y0, x1, y1 in plan.blocks:
         assert y1 - y0 < 0.6
         assert 2.0 <= x0 < x1 <= 18.0, "away from the ends"
         assert y0 > 3.0 or x1 < 9.55 or x0 > 10.45, "away from the door"
-    assert corridor_widths(0, 1, 3, 2.0, 0.0) == []
-    widths = corridor_widths(0, 1, 200, 2.0, 0.5)
+    assert corridor_widths(0, "cave", 3, 2.0, 0.0) == []
+    widths = corridor_widths(0, "cave", 200, 2.0, 0.5)
     assert 1.5 == min(widths) < max(widths) == 3.0
 
 
 def test_furniture_that_parts_two_doors_shuts_in_space_or_fills_a_room_does_not_fit():
     plan = two_rooms()
     doors = [door for door in plan.doors if 0 in plan.beside(door)]
-    spaces = _spaces(plan, 0, doors, [plan.render(cell_m) for cell_m, _ in CHECKS])
+    spaces = _spaces(plan, 0, doors, [plan.render(cell_m) for cell_m, _ in CHECKED_CELLS])
 
     def fits(*blocks):
         return all(space.fits([blocks]) for space in spaces)
@@ -285,7 +294,7 @@ def test_furniture_that_parts_two_doors_shuts_in_space_or_fills_a_room_does_not_
 def test_furniture_stands_in_its_room_and_not_at_its_doors():
     for seed in range(10):
         plan = two_rooms()
-        furnish(plan, seed, 1, 1.0)
+        furnish(plan, seed, "cave", 1.0)
         assert len(plan.blocks) > 5
         for x0, y0, x1, y1 in plan.blocks:
             assert 0.0 <= x0 < x1 <= 10.0
@@ -299,7 +308,7 @@ def test_every_kind_of_room_has_furniture():
     kinds = list(ROOMS)
     for i, kind in enumerate(kinds):
         plan.room((0.0, 10.0 * i, 40.0, 10.0 * (i + 1)), kind=kind)
-    furnish(plan, 0, 1, 1.0)
+    furnish(plan, 0, "cave", 1.0)
     middles = [int((block[1] + block[3]) / 20.0) for block in plan.blocks]
     assert {kinds[i] for i in middles} == set(kinds)
 
@@ -320,7 +329,7 @@ def test_every_world_is_sound(kind, cell_m):
 
 @pytest.mark.parametrize("kind", BUILDINGS)
 def test_many_buildings_are_sound_at_the_default_cell(kind):
-    for seed in range(3, 30):
+    for seed in range(3, 15):
         assert_sound(BUILDINGS[kind](seed))
 
 
@@ -427,7 +436,7 @@ def test_there_is_as_much_furniture_as_in_real_buildings(kind, others):
         assert (plain.occupied <= half.occupied).all()
         assert (half.occupied <= full.occupied).all(), "what there is stays where it is"
         assert (plain.rooms[~full.occupied] == full.rooms[~full.occupied]).all()
-        per_m2, clear = 100 / full.free_m2, clear_cells(full.occupied, ROBOT_M, 0.1)
+        per_m2, clear = 100 / full.free_m2, clear_of_walls(full.occupied, ROBOT_M, 0.1)
         sizes = np.bincount(label_components(clear)[clear])
         share = sizes.max() * 0.1**2 / full.free_m2
         few, many = (len(islands(world, plain)) for world in (half, full))
@@ -448,7 +457,7 @@ def test_a_robot_gets_everywhere_among_furniture(kind, others, cell_m):
     for seed in range(4):
         world = BUILDINGS[kind](seed, cell_m=cell_m, **full)
         assert label_components(~world.occupied).max() == 0, "the free cells hang together"
-        clear = clear_cells(world.occupied, ROBOT_M, cell_m)
+        clear = clear_of_walls(world.occupied, ROBOT_M, cell_m)
         labels = label_components(clear)
         reached = labels == np.argmax(np.bincount(labels[clear]))
         n = world.rooms.max() + 1
@@ -549,8 +558,8 @@ def test_a_place_behind_a_slot_is_filled_until_no_robot_can_stand_there():
     occupied[1:29, 31:50] = False
     occupied[14:17, 30] = False  # 0.3 m: no robot passes
     filled = _widen(occupied, 0.0, 0.1)
-    clear = clear_cells(filled, ROBOT_M, 0.1)
-    np.testing.assert_array_equal(clear, clear_cells(occupied, ROBOT_M, 0.1) & (np.arange(60) < 30))
+    clear = clear_of_walls(filled, ROBOT_M, 0.1)
+    np.testing.assert_array_equal(clear, clear_of_walls(occupied, ROBOT_M, 0.1) & (np.arange(60) < 30))
     assert (filled >= occupied).all()
     disc = _widen(occupied, 3.5, 0.1)  # a wide disc does not pass either
     assert disc[:, 31:].all()
@@ -621,7 +630,7 @@ def _sizes(low_w, low_h, high, **others):
     return st.fixed_dictionaries(fixed | others)
 
 
-PARAMETERS = {
+DRAWN = {
     "cave": _sizes(6, 6, 20, free=st.floats(0.5, 0.9), passage_m=st.floats(0.8, 1.0)),
     "office": _sizes(
         *(14, 9, 50),
@@ -645,8 +654,8 @@ PARAMETERS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_permitted_parameter_makes_a_sound_world(kind):
-    @settings(max_examples=6 if kind == "cave" else 20, deadline=None, derandomize=True)
-    @given(seed=st.integers(0, 2**32 - 1), parameters=PARAMETERS[kind])
+    @settings(max_examples=4 if kind == "cave" else 12, deadline=None, derandomize=True)
+    @given(seed=st.integers(0, 2**32 - 1), parameters=DRAWN[kind])
     def check(seed, parameters):
         assert_sound(KINDS[kind](seed, **parameters))
 
@@ -656,55 +665,18 @@ def test_every_permitted_parameter_makes_a_sound_world(kind):
 # Bad input
 
 
+WRONG = [{"width_m": value} for value in (math.nan, -5.0, 1.0, math.inf, "wide", 5000.0)]
+WRONG += [{"cell_m": 0.0}, {"cell_m": 0.5}, {"cell_m": 0.001}, {"seed": -1}, {"seed": 1.5}]
+
+
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"width_m": math.nan},
-        {"height_m": -5.0},
-        {"width_m": 1.0},
-        {"height_m": math.inf},
-        {"width_m": "wide"},
-        {"width_m": 5000.0},
-        {"cell_m": 0.0},
-        {"cell_m": math.nan},
-        {"cell_m": 0.5},
-        {"cell_m": 0.001},
-        {"seed": -1},
-        {"seed": 1.5},
-    ],
-)
-def test_wrong_numbers_are_refused_in_one_line(kind, wrong):
-    with pytest.raises(InputError) as caught:
-        KINDS[kind](**({"seed": 0} | wrong))
-    assert "\n" not in str(caught.value)
-    assert "seed" in str(caught.value) or kind in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("kind", "key", "values"),
-    [
-        ("cave", "free", (0.2, 1.0, math.nan)),
-        ("cave", "passage_m", (0.1, 5.0, math.nan)),
-        ("office", "corridor_m", (0.5, 9.0, math.nan)),
-        ("office", "room_m", (1.0, 20.0, math.nan)),
-        ("hospital", "corridor_m", (0.5, 9.0, math.nan)),
-        ("hospital", "room_m", (1.0, 20.0, math.nan)),
-        ("maze", "corridor_m", (0.5, 9.0, math.nan)),
-        ("maze", "wall_m", (0.0, 9.0, math.nan)),
-        ("maze", "loops", (-0.1, 1.1, math.nan)),
-        ("rooms", "room_m", (0.5, 11.0, math.nan)),
-        ("rooms", "extra_doors", (-0.1, 1.1, math.nan)),
-        *((kind, "furniture", (-0.1, 1.1, math.nan, "much")) for kind in BUILDINGS),
-        *((kind, "wide_openings", (-0.1, 1.1, math.nan)) for kind in BUILDINGS),
-        *((kind, "max_loops", (-1.0, 1001.0, math.nan)) for kind in BUILDINGS),
-        *((kind, "corridor_sd_m", (-0.1, 1.1, math.nan)) for kind in ("office", "hospital")),
-    ],
-)
-def test_wrong_parameters_are_refused(kind, key, values):
-    for value in values:
-        with pytest.raises(InputError, match=kind) as caught:
-            KINDS[kind](0, **{key: value})
+def test_wrong_numbers_are_refused_in_one_line(kind):
+    beyond = [
+        (key, value) for key, (low, high) in PARAMETERS[kind].items() for value in (low - 0.1, high + 0.1, "much")
+    ]
+    for wrong in [*WRONG, *({key: value} for key, value in beyond)]:
+        with pytest.raises(InputError, match=kind if "seed" not in wrong else "seed") as caught:
+            KINDS[kind](**({"seed": 0} | wrong))
         assert "\n" not in str(caught.value)
 
 

@@ -5,20 +5,20 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jexplore import worlds
 from jexplore.config import InputError
 from jexplore.worlds import GENERATORS, generator_parameters, load_world
-from jexplore.worlds.names import SUFFIXES, file_names, parse, short_names
+from jexplore.worlds.names import SUFFIXES, file_names, parse_name, short_names
 from jexplore.worlds.world import World
 
 KNOWN = ("cave", "office", "hospital")
 
 
 def parsed(name):
-    found = parse(name, generators=KNOWN)
+    found = parse_name(name, generators=KNOWN)
     assert found.name == name
     return found.kind, found.base, found.seed, found.scale, found.parameters
 
@@ -72,6 +72,7 @@ def test_of_two_cuts_the_longest_file_that_exists_counts(tmp_path):
     assert parsed(name)[1] == name
 
 
+@settings(max_examples=30)
 @given(
     st.sampled_from(KNOWN),
     st.none() | st.integers(0, 2**32 - 1),
@@ -90,6 +91,7 @@ def test_what_is_written_is_read(base, seed, parameters):
     assert [type(value) for value in found[4].values()] == [type(value) for value in parameters.values()]
 
 
+@settings(max_examples=50)
 @given(st.text(max_size=20))
 def test_any_text_is_parsed_or_refused_in_one_line(text):
     try:
@@ -109,29 +111,20 @@ def test_any_text_is_parsed_or_refused_in_one_line(text):
         ("dir/cave", "is neither"),
         ("map.png#3", "is neither"),
         ("cave#", "seed after '#' must be an integer from 0 to 4294967295, got ''"),
-        ("cave#-1", "seed"),
-        ("cave#1.5", "seed"),
         ("cave#4294967296", "seed"),
         ("cave#²", "seed"),
         ("cave:", "key=value,key=value; got ''"),
         ("cave:a", "key=value"),
-        ("cave:a=", "key=value"),
-        ("cave:=1", "key=value"),
         ("cave:a=1,,b=2", "key=value"),
         ("cave:a=1,a=2", "'a' is given twice"),
         ("cave:a=nan", "a must be finite"),
-        ("cave:a=-inf", "a must be finite"),
         ("cave:a=1e999", "a must be finite"),
         ("map.png@", "after '@' comes the size in metres"),
-        ("map.png@ax1", "after '@' comes"),
         ("map.png@1x2x3", "after '@' comes"),
-        ("map.png@x2", "after '@' comes"),
         ("map.png@true", "after '@' comes"),
         ("map.png@0", "above 0"),
-        ("map.png@0x5", "above 0"),
         ("map.png@5x-1", "above 0"),
         ("map.png@nan", "above 0"),
-        ("map.png@infx1", "above 0"),
         ("map.png@1e9", "at most 1e\\+06"),
     ],
 )

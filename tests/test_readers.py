@@ -20,12 +20,12 @@ from skimage.measure import points_in_poly
 
 from jexplore.config import InputError, InputWarning
 from jexplore.worlds import load_world
+from jexplore.worlds.bounds import MAX_SIDE, count_cells
 from jexplore.worlds.readers import houseexpo
 from jexplore.worlds.readers.grids import upright
 from jexplore.worlds.readers.images import grey, load_image, read_pixels, transparency
-from jexplore.worlds.readers.resample import count_cells, resample
+from jexplore.worlds.readers.resample import inside_polygon, resample
 from jexplore.worlds.readers.ros import load_ros, read_ros, write_ros
-from jexplore.worlds.sides import MAX_SIDE
 from jexplore.worlds.starts import check_start, start_region
 from jexplore.worlds.world import occupancy_to_world
 
@@ -82,7 +82,7 @@ def test_a_size_that_is_whole_cells_but_for_rounding_gets_no_further_cell():
     assert count_cells(0.001, 0.1) == 1
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=40)
 @given(pictures, sizes, sizes)
 def test_resample_is_occupied_where_any_occupied_pixel_overlaps(occupied, x, y):
     """The oracle compares exact intervals, cell by cell and pixel by pixel."""
@@ -97,7 +97,7 @@ def test_resample_is_occupied_where_any_occupied_pixel_overlaps(occupied, x, y):
         assert cells[row, col] == any(overlapping)
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=40)
 @given(pictures, st.floats(0.1, 4), st.floats(0.1, 4))
 def test_resample_never_opens_a_wall(occupied, x, y):
     """Free cells that are connected lie over free pixels that are connected: for robots and beams, 4-connected."""
@@ -264,49 +264,29 @@ def test_sixteen_bits_palettes_and_colours(tmp_path):
     assert grey(read_pixels(str(colours))).tolist() == [[76, 150, 29]]  # .299, .587, .114
 
 
-@pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_a_picture_is_turned_as_its_exif_data_say_but_in_a_ros_map(tmp_path, suffix, orientation):
+def test_a_picture_is_turned_as_its_exif_data_say_but_in_a_ros_map(tmp_path, orientation):
     """As viewers show it: 6, of a camera held upright, is turned clockwise by a quarter."""
     stored = np.zeros((16, 24), np.uint8)
     stored[:8, :8] = 255  # top left
     image = Image.fromarray(stored)
     image.getexif()[0x0112] = orientation
-    image.save(tmp_path / f"m.{suffix}", exif=image.getexif())
+    image.save(tmp_path / "m.png", exif=image.getexif())
     corner = dict(enumerate(("top left", "top right", "bottom right", "bottom left") * 2, start=1))
     corner |= {5: "top left", 6: "top right", 7: "bottom right", 8: "bottom left"}
-    occupied = load_image(str(tmp_path / f"m.{suffix}"), 0.1, free=200).occupied
+    occupied = load_image(str(tmp_path / "m.png"), 0.1, free=200).occupied
     assert occupied.shape == ((24, 16) if orientation > 4 else (16, 24))
     rows = slice(-8, None) if "top" in corner[orientation] else slice(0, 8)
     cols = slice(0, 8) if "left" in corner[orientation] else slice(-8, None)
     assert not occupied[rows, cols].any()
     assert occupied.sum() == 320
-    if suffix != "tif":  # which its decoder turns
-        path = ros_map(tmp_path, stored, image=f"m.{suffix}")
-        assert np.array_equal(read_ros(path)[0][::-1] == 0, stored == 255)
+    path = ros_map(tmp_path, stored, image="m.png")
+    assert np.array_equal(read_ros(path)[0][::-1] == 0, stored == 255)
 
 
 def test_damaged_exif_data_turn_nothing(tmp_path):
     Image.fromarray(np.zeros((2, 3), np.uint8)).save(tmp_path / "m.png", exif=b"Exif\0\0something")
     assert read_pixels(str(tmp_path / "m.png")).shape == (2, 3, 1)
-
-
-@pytest.mark.parametrize(
-    ("header", "pixels", "expected"),
-    [
-        (b"P5\n3 2\n255\n", bytes([10, 1, 2, 3, 4, 5]), [[10, 1, 2], [3, 4, 5]]),
-        (b"P5\r\n3 2\r\n255\r\n", bytes([0, 1, 2, 3, 4, 5]), [[0, 1, 2], [3, 4, 5]]),
-        (b"P5\r\n# by a program\r\n3 2\r\n255\r\n", bytes([10, 1, 2, 3, 4, 5]), [[10, 1, 2], [3, 4, 5]]),
-        (b"P5 3 2 255\r", bytes([10, 1, 2, 3, 4, 5]), [[10, 1, 2], [3, 4, 5]]),  # LF is the first pixel
-        (b"P5\r\n2 1\r\n65535\r\n", struct.pack(">2H", 257, 65535), [[1, 255]]),
-        (b"P5\r\n2 1\r\n100\r\n", bytes([0, 100]), [[0, 255]]),
-        (b"P6\r\n1 2\r\n255\r\n", bytes([7] * 3 + [9] * 3), [[7], [9]]),
-        (b"P4\r\n9 2\r\n", bytes([255, 128, 0, 0]), [[0] * 9, [255] * 9]),
-    ],
-)
-def test_binary_greys_after_any_line_end(tmp_path, header, pixels, expected):
-    (tmp_path / "m.pgm").write_bytes(header + pixels)
-    assert grey(read_pixels(str(tmp_path / "m.pgm"))).tolist() == expected
 
 
 def test_images_that_are_no_map_are_refused(tmp_path):
@@ -351,20 +331,9 @@ def test_files_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     refused("'absent.png': there is no such file .looked in ", load_world, "absent.png@0.1")
     refused("cannot be opened", load_world, "nul\0.png@0.1")
-    Image.fromarray(np.full((2, 2), np.nan, np.float32)).save("float.tif")
-    line = r"'float.tif': has pixels of 32 bits from nan to nan; save it with 8 bits a pixel, 255 .white. where"
-    refused(line, load_world, "float.tif@0.1")
-    for value in (70000, -1):
-        Image.fromarray(np.full((2, 2), value, np.int32)).save("deep.tif")
-        refused(f"'deep.tif': has pixels of 32 bits from {value} to {value}; save it", load_world, "deep.tif@0.1")
-
-
-@pytest.mark.parametrize(
-    ("kind", "white"), [(np.float32, 1), (np.float32, 255), (np.int32, 255), (np.int32, 65535), (np.float32, 65535)]
-)
-def test_white_of_32_bits_is_the_least_usual_one(tmp_path, kind, white):
-    Image.fromarray((np.array([[0, 0.2, 1]]) * white).astype(kind)).save(tmp_path / "m.tif")
-    assert grey(read_pixels(tmp_path / "m.tif")).tolist() == [[0, 51, 255]]
+    for kind in (np.float32, np.int32):
+        Image.fromarray(np.full((2, 2), 1, kind)).save("deep.tif")
+        refused("'deep.tif': has more than 16 bits a pixel; save it with 8 bits", load_world, "deep.tif@0.1")
 
 
 @pytest.mark.parametrize("name", ["m.gif", "m.tif", "m.png"])
@@ -468,11 +437,6 @@ def test_a_ros_pixel_on_a_threshold_is_free_or_occupied(tmp_path, negate):
     assert read_ros(path)[0].tolist() == [[100, 100, -1, -1, 0, 0]]
 
 
-@pytest.mark.parametrize("mode", ["Trinary", "TRINARY", "Scale", "RAW"])
-def test_the_mode_may_be_in_capitals(tmp_path, mode):
-    assert read_ros(ros_map(tmp_path, [[254]], mode=mode))[1].mode == mode.lower()
-
-
 def test_ros_negate_turns_black_and_white(tmp_path):
     occupancy, _ = read_ros(ros_map(tmp_path, [[0, 255, 128, 49, 50]], negate=1))
     assert occupancy.tolist() == [[0, 100, -1, 0, -1]]
@@ -492,7 +456,7 @@ def test_ros_scale_is_linear_between_the_bounds(tmp_path):
 
 
 def test_ros_raw_is_the_value_itself(tmp_path):
-    path = ros_map(tmp_path, [[0, 1, 25, 65, 100, 101, 255]], mode="raw")
+    path = ros_map(tmp_path, [[0, 1, 25, 65, 100, 101, 255]], mode="RAW")
     assert read_ros(path)[0].tolist() == [[0, 1, 25, 65, 100, -1, -1]]
     assert load_ros(path).occupied.tolist() == [[0, 0, 0, 1, 1, 1, 1]]
     ros_map(tmp_path, [[0, 100]], mode="raw", negate=1)
@@ -591,7 +555,7 @@ yaml_values = st.recursive(
 )
 
 
-@settings(deadline=2000, max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(deadline=2000, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(YAML_KEYS), yaml_values)
 def test_any_value_in_a_yaml_is_read_or_refused_in_one_short_line(tmp_path, key, value):
     path = ros_map(tmp_path, [[254, 0], [254, 254]], **{key: "HERE"})
@@ -631,7 +595,7 @@ def test_a_ros_map_turned_by_right_angles_moves_cell_for_cell(tmp_path, yaw, qua
     assert world.origin_m == pytest.approx(corner)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(pictures, st.floats(-7, 7), st.sampled_from([(-3.0, 2.0), (0.0, 0.0)]))
 def test_a_grid_at_any_angle_keeps_its_places_and_opens_no_wall(occupied, yaw, origin_m):
     """Free cells lie over free cells alone, and connected ones were connected in the grid."""
@@ -670,7 +634,7 @@ def test_a_square_room_at_any_angle_by_its_area(tmp_path):
         assert (x_m, y_m) == pytest.approx(middle, abs=0.05)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     hnp.arrays(np.int8, (4, 5), elements=st.sampled_from([-1, 0, 10, 40, 100])), st.floats(0.2, 1.3), st.integers(0, 3)
 )
@@ -732,38 +696,24 @@ def test_ros_yaml_is_read_as_written_by_people(tmp_path):
     ("changes", "line"),
     [
         ({"image": None}, "the key 'image' is missing"),
-        ({"resolution": None}, "the key 'resolution' is missing"),
-        ({"origin": None}, "the key 'origin' is missing"),
-        ({"negate": None}, "the key 'negate' is missing"),
-        ({"occupied_thresh": None}, "the key 'occupied_thresh' is missing"),
         ({"free_thresh": None}, "the key 'free_thresh' is missing"),
         ({"image": "gone.pgm"}, "m.yaml': its image cannot be read: '.*gone.pgm': there is no such file"),
         ({"image": "."}, "its image cannot be read: .* is a directory"),
         ({"image": 3}, "image must be the name of a file, got 3"),
         ({"resolution": 0}, r"resolution must be a number at least 0.0001 and at most 1e\+06, got 0.0"),
-        ({"resolution": -0.05}, "resolution must be a number at least 0.0001"),
         ({"resolution": math.nan}, "resolution must be a number at least 0.0001"),
-        ({"resolution": math.inf}, "resolution must be a number at least 0.0001"),
         ({"resolution": "fine"}, r"resolution must be a number at least 0.0001 .* got 'fine'"),
-        ({"resolution": [1]}, "resolution must be a number at least 0.0001"),
         ({"resolution": 1e308}, r"resolution must be a number .* at most 1e\+06, got 1e\+308"),
-        ({"resolution": 1e-300}, r"resolution must be a number at least 0.0001 .* got 1e-300"),
         ({"resolution": 10**400}, r"resolution must be a number .* got 1000.*\.\.\..*000"),
         ({"resolution": 1e6}, "are more than 4096 a side; see whether its scale, the metres of a pixel, is right"),
         ({"origin": [10**400, 0, 0]}, "origin must be a number at least -1e"),
         ({"origin": [0, 1e300, 0]}, "origin must be a number at least -1e"),
-        ({"negate": 10**400}, "negate must be a number"),
-        ({"free_thresh": 1e308}, "free_thresh must be a number"),
-        ({"resolution": 5000}, "more than 4096"),
         ({"origin": [0, 0]}, r"origin must be \[x, y, yaw\]"),
-        ({"origin": "0 0 0"}, r"origin must be \[x, y, yaw\]"),
         ({"origin": [0, math.nan, 0]}, "origin must be a number"),
-        ({"origin": [0, 0, math.inf]}, "origin must be a number"),
         ({"negate": 2}, "negate must be a number"),
         ({"occupied_thresh": 65}, "occupied_thresh must be a number at least 0 and at most 1"),
         ({"free_thresh": 0.65}, "free_thresh 0.65 must be below occupied_thresh 0.65"),
         ({"mode": "color"}, "mode must be one of trinary, scale, raw, got 'color'"),
-        ({"mode": 1}, "mode must be one of"),
         ({"negate": 1}, "no pixel is free at free_thresh 0.196, negate 1"),
     ],
 )
@@ -777,12 +727,9 @@ def test_bad_ros_maps_are_refused(tmp_path, changes, line):
         ("", "is empty"),
         ("- 1\n", "is not a ROS map; expected the keys"),
         ("image: [", "is not valid YAML"),
-        ("image: !!python/name:os.system\n", "is not valid YAML"),
         ("image: m.pgm\nimage: n.pgm\n", "is not valid YAML .line 2, column 1: the key 'image' is there twice"),
-        ("image: !!timestamp 2020-13-45\n", "is not valid YAML"),
         ("[" * 20000, "more than 100 deep"),
         ("resolution: !!bool 5\n", "is not valid YAML"),
-        ("resolution: !!timestamp x\n", "is not valid YAML"),
         ("resolution: " + "1" * 9000 + "\n", "is not valid YAML"),
         ("a: &a [1]\nimage: *a\n", "aliases are not read: write out what it stands for"),
         ("\n".join(f"{x}: &{x} [*{y}, *{y}]" for x, y in zip("bcdefg", "abcdef")), "is not valid YAML"),
@@ -883,11 +830,8 @@ def test_movingai_takes_other_line_ends_and_header_orders(tmp_path):
         ("", "is empty"),
         ("hello\n", "is not a MovingAI map"),
         ("type octile\nheight 1\nmap\n.\n", "is not a MovingAI map; expected the lines type, height, width and map"),
-        ("type octile\nheight 1\nwidth 1\n", "is not a MovingAI map"),
         ("height 0\nwidth 1\nmap\n", "height must be an integer from 1, got '0'"),
-        ("height -1\nwidth 1\nmap\n.\n", "height must be an integer from 1, got '-1'"),
         ("height 1\nwidth x\nmap\n.\n", "width must be an integer from 1, got 'x'"),
-        ("height 1\nwidth\nmap\n.\n", "width must be an integer from 1, got ''"),
         ("height 2\nwidth 2\nmap\n..\n", "its header says 2 rows, but 1 follow"),
         ("height 1\nwidth 2\nmap\n..\n..\n", "its header says 1 rows, but 2 follow"),
         ("height 2\nwidth 2\nmap\n..\n.\n", "line 5 must have 2 characters, it has 1"),
@@ -967,7 +911,7 @@ def test_houseexpo_keeps_a_wall_that_is_thinner_than_a_cell(tmp_path):
     assert ndimage.label(~world.occupied[6:])[1] == 2
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 @given(st.integers(3, 9), st.integers(0, 10**6), st.sampled_from([0.05, 0.1, 0.23]))
 def test_houseexpo_inside_and_outline_agree_with_oracles(n, seed, cell_m):
     """A star of n points: free cells have their centres inside; points along the outline lie in occupied cells."""
@@ -976,7 +920,8 @@ def test_houseexpo_inside_and_outline_agree_with_oracles(n, seed, cell_m):
     verts = (rng.uniform(0.5, 2, n)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)).round(3)
     corners = (verts - verts.min(axis=0)) / cell_m
     cols, rows = (np.floor(corners.max(axis=0)) + 1).astype(int)
-    outline, inside = houseexpo._outline(corners, (rows, cols)), houseexpo._inside(corners, (rows, cols))
+    outline = houseexpo._outline(corners, (rows, cols))
+    inside = inside_polygon(corners, np.arange(cols) + 0.5, np.arange(rows) + 0.5)
     y, x = np.indices((rows, cols)).reshape(2, -1) + 0.5
     expected = points_in_poly(np.stack([x, y], axis=1), corners).reshape(rows, cols)
     assert np.array_equal(inside | outline, expected | outline)
@@ -1003,15 +948,12 @@ SQUARE = [[0, 0], [2, 0], [2, 2], [0, 2]]
         ('{"verts": [[0, 0], [1, 1]]}', "verts must be at least 3 points .* got 2"),
         ('{"verts": [[0, 0], [1, 1], [2]]}', "verts must be a list of .metres, metres."),
         ('{"verts": [[0, 0, 1], [1, 1, 1], [2, 3, 4], [5, 6, 7]]}', "verts must be a list"),
-        ('{"verts": [1, 2, 3]}', "verts must be a list"),
         ('{"verts": {"a": 1}}', "verts must be a list"),
-        ('{"verts": 7}', "verts must be a list"),
         ('{"verts": [[0, 0], [1, 1], [2, NaN]]}', "verts must be a list"),
         ('{"verts": [[0, 0], [1, 1], [2, "a"]]}', "verts must be a list"),
         ('{"verts": [[0, 0], [1, 0], [2, 1e300]]}', "verts must be a list"),
         ('{"verts": [[0, 0], [1, 0], [2, 410]]}', "4101 x 21 cells are more than 4096"),
         ('{"verts": [[0, 0], [0, 0], [0, 0]]}', "encloses no free cell at cell_m = 0.1"),
-        ('{"verts": [[0, 0], [0.15, 0], [0, 0.15]]}', "encloses no free cell"),
         (json.dumps({"verts": SQUARE, "room_category": [1]}), "room_category must map names to lists of boxes"),
         (json.dumps({"verts": SQUARE, "room_category": {"A": [1, 2, 3, 4]}}), "room_category 'A' must be a list"),
         (json.dumps({"verts": SQUARE, "room_category": {"A": [[1, 2, 3]]}}), "room_category 'A' must be a list"),

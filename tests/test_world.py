@@ -17,9 +17,9 @@ import jexplore as jx
 from jexplore.config import InputError
 from jexplore.studies.results.provenance import files_of
 from jexplore.worlds import load_world
-from jexplore.worlds.sides import MAX_SIDE
-from jexplore.worlds.starts import check_start, clear_cells, draw_start, draw_starts, label_components, start_region
-from jexplore.worlds.world import World, checked, occupancy_to_world, pad, with_ring
+from jexplore.worlds.bounds import MAX_SIDE
+from jexplore.worlds.starts import check_start, clear_of_walls, draw_start, draw_starts, label_components, start_region
+from jexplore.worlds.world import World, occupancy_to_world, pad, require_world, with_ring
 
 masks = hnp.arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 12)))
 
@@ -53,7 +53,7 @@ def test_the_ground_goes_along_and_is_level_beyond_the_edge():
     assert with_ring(world).elevation.tolist() == expected
     assert pad(with_ring(world), (5, 4)).elevation.tolist() == [*expected, expected[-1]]
     assert with_ring(world).elevation.dtype == np.float32
-    assert checked(picture("..", elevation=np.array([[0.5, 1.0]]))).elevation.dtype == np.float32
+    assert require_world(picture("..", elevation=np.array([[0.5, 1.0]]))).elevation.dtype == np.float32
 
 
 @pytest.mark.parametrize(
@@ -66,11 +66,11 @@ def test_the_ground_goes_along_and_is_level_beyond_the_edge():
 )
 def test_wrong_ground_is_refused(elevation, line):
     with pytest.raises(InputError, match=line):
-        checked(picture("..", "..", elevation=elevation))
+        require_world(picture("..", "..", elevation=elevation))
 
 
 def test_a_world_of_lists_is_one_of_arrays():
-    world = checked(World(occupied=[[True, False, True], [True, False, True]], rooms=[[-1, 0, -1], [-1, 0, -1]]))
+    world = require_world(World(occupied=[[True, False, True], [True, False, True]], rooms=[[-1, 0, -1], [-1, 0, -1]]))
     assert world.occupied.tolist() == [[1, 0, 1], [1, 0, 1]]
     assert world.occupied.dtype == bool
     assert world.rooms.dtype.kind == "i"
@@ -97,7 +97,7 @@ def test_a_world_may_hold_other_things_on_its_way_through_jax():
     assert jax.tree.map(np.shape, world).occupied == (2, 2)
     assert jax.tree.map(jnp.asarray, world).occupied.shape == (2, 2)
     with pytest.raises(InputError, match="occupied must be"):
-        checked(world.replace(occupied=jnp.eye(2)))
+        require_world(world.replace(occupied=jnp.eye(2)))
 
 
 @pytest.mark.parametrize("hole", [(0, 1), (2, 1), (1, 0), (1, 2)])
@@ -209,16 +209,16 @@ def test_bad_cell_is_refused(cell_m):
 def test_clearance_by_pencil():
     occupied = np.zeros((5, 7), bool)
     occupied[2, 3] = True
-    assert (~clear_cells(occupied, 0.10, 0.1)).astype(int).tolist() == [
+    assert (~clear_of_walls(occupied, 0.10, 0.1)).astype(int).tolist() == [
         [0, 0, 0, 0, 0, 0, 0],
         [0, 0, 0, 1, 0, 0, 0],
         [0, 0, 1, 1, 1, 0, 0],
         [0, 0, 0, 1, 0, 0, 0],
         [0, 0, 0, 0, 0, 0, 0],
     ]
-    assert (~clear_cells(occupied, 0.15, 0.1)).sum() == 9  # d2 <= 2
-    assert (~clear_cells(occupied, 0.20, 0.1)).sum() == 13  # d2 <= 4
-    assert (~clear_cells(occupied, 0.0, 0.1)).sum() == 1
+    assert (~clear_of_walls(occupied, 0.15, 0.1)).sum() == 9  # d2 <= 2
+    assert (~clear_of_walls(occupied, 0.20, 0.1)).sum() == 13  # d2 <= 4
+    assert (~clear_of_walls(occupied, 0.0, 0.1)).sum() == 1
 
 
 @pytest.mark.parametrize("radius_m", [0.1, 0.2, 0.3, 0.6, 0.7])
@@ -226,10 +226,10 @@ def test_a_radius_of_whole_cells_includes_the_cell_at_it(radius_m):
     occupied = np.zeros((1, 20), bool)
     occupied[0, 0] = True
     n = round(radius_m * 10)
-    assert clear_cells(occupied, radius_m, 0.1).tolist() == [[False] * (n + 1) + [True] * (19 - n)]
+    assert clear_of_walls(occupied, radius_m, 0.1).tolist() == [[False] * (n + 1) + [True] * (19 - n)]
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=25)
 @given(masks, st.sampled_from([0, 0.05, 0.1, 0.15, 0.3, 0.5, 3.0]))
 def test_clearance_equals_the_distance_transform(occupied, radius_m):
     if occupied.any():
@@ -238,7 +238,7 @@ def test_clearance_equals_the_distance_transform(occupied, radius_m):
         expected = (rows - y) ** 2 + (cols - x) ** 2 > np.floor((radius_m / 0.1) ** 2 + 1e-3)
     else:
         expected = np.ones(occupied.shape, bool)
-    assert np.array_equal(clear_cells(occupied, radius_m, 0.1), expected)
+    assert np.array_equal(clear_of_walls(occupied, radius_m, 0.1), expected)
 
 
 # --- components
@@ -249,25 +249,7 @@ def test_components_by_pencil():
     assert label_components(mask).tolist() == [[0, -1, 1, 1], [-1, 2, -1, 1], [2, 2, -1, 1]]
 
 
-def test_components_that_join_late():
-    comb = np.ones((9, 11), bool)
-    comb[:-1, 1::2] = False
-    assert np.array_equal(label_components(comb), np.where(comb, 0, -1))
-    spiral = np.array([[int(c) for c in row] for row in ("11111", "00001", "11101", "10001", "11111")], bool)
-    assert label_components(spiral).max() == 0
-
-
-@settings(deadline=None, max_examples=100)
-@given(masks)
-def test_components_equal_scipy_and_are_in_order(mask):
-    labels = label_components(mask)
-    expected, n = ndimage.label(mask)
-    assert labels.dtype == np.int32
-    assert np.array_equal(labels, expected - 1)  # scipy numbers them in scan order, too
-    assert labels.max(initial=-1) == n - 1
-
-
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=20)
 @given(masks)
 def test_components_are_what_the_robot_reaches_in_eight_directions(mask):
     graph = nx.Graph()
@@ -279,9 +261,10 @@ def test_components_are_what_the_robot_reaches_in_eight_directions(mask):
             if (r + dr, c + dc) in cells and beside <= cells:
                 graph.add_edge((r, c), (r + dr, c + dc))
     labels = label_components(mask)
-    for component in nx.connected_components(graph):
-        assert len({int(labels[cell]) for cell in component}) == 1
-    assert nx.number_connected_components(graph) == labels.max(initial=-1) + 1
+    expected = np.full(mask.shape, -1, np.int32)
+    for number, component in enumerate(sorted(nx.connected_components(graph), key=min)):
+        expected[tuple(np.array(list(component)).T)] = number
+    np.testing.assert_array_equal(labels, expected, strict=True)
 
 
 # --- starts

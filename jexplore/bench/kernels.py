@@ -22,7 +22,7 @@ from jexplore.frontier import frontier_clusters, plan_masks
 from jexplore.grid import Grid, empty_grid, radius_d2
 from jexplore.raycast import fold, scan
 from jexplore.reach import flood, reach
-from jexplore.worlds.starts import clear_cells, draw_start
+from jexplore.worlds.starts import clear_of_walls, draw_start
 from jexplore.worlds.world import World
 
 CALL_S = 0.02  # seconds that one timed call should last
@@ -278,7 +278,7 @@ def _first_cell_never(never, mask):
 def _reach_kernel(world, shared):
     """Return the `Kernel` of the reachability map of a world's clear cells, with every method."""
     row, col, _ = draw_start(world, SEED, 0, RULES.clearance_m)
-    clear = clear_cells(world.occupied, RULES.clearance_m, world.cell_m)
+    clear = clear_of_walls(world.occupied, RULES.clearance_m, world.cell_m)
     graph, nothing = oracles.motion_graph(clear), np.zeros_like(clear)
     reached = int(oracles.flooded(clear, row, col).sum())
     references = [
@@ -301,7 +301,7 @@ def _reach_kernel(world, shared):
 
 def _flood_kernel(world, shared):
     row, col, _ = draw_start(world, SEED, 0, RULES.clearance_m)
-    clear = clear_cells(world.occupied, RULES.clearance_m, world.cell_m)
+    clear = clear_of_walls(world.occupied, RULES.clearance_m, world.cell_m)
     words = np.asarray(bits.pack(jnp.asarray(clear)))
 
     def agree(out, expected):

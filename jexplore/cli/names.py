@@ -30,8 +30,9 @@ from jexplore.config import (
 )
 from jexplore.driving.settings import for_world, require_noise, require_tuning, robot_of
 from jexplore.learn.settings import numbers_of, require_names_apart, require_rounds, settings_of
-from jexplore.worlds import GENERATORS, bounds, known_generators, read_name
+from jexplore.worlds import GENERATORS, known_generators, read_name
 from jexplore.worlds import names as grammar
+from jexplore.worlds.bounds import require_generator
 from jexplore.worlds.poses import read_polygon, read_start
 
 DIFFERENT = "worlds", "strategies", "validation"  # options whose values count once each
@@ -100,7 +101,8 @@ def check_world(name: str, cell_m: float = 0.1) -> None:
     if parsed.kind != "generator":
         check_file(parsed.base)
     elif parsed.base in GENERATORS:
-        bounds.CHECKS[parsed.base](cell_m, **{**(_parameters_of(parsed.base) or {}), **parsed.parameters})
+        given = {"cell_m": cell_m, **(_parameters_of(parsed.base) or {}), **parsed.parameters}
+        require_generator(parsed.base, given)
 
 
 def _parameters_of(generator):
@@ -179,7 +181,7 @@ def require_ray() -> None:
 
 def check_trace(options: Any) -> None:
     """Refuse thresholds that a trace cannot have or sweep, and attributes that no node can have."""
-    is_course = grammar.parse(options.world, generators=known_generators()).base == "course"
+    is_course = grammar.parse_name(options.world, generators=known_generators()).base == "course"
     require_tuning(for_world(options.tuning, is_course=is_course))
     from jexplore.studies.trace_options import attributes_of, require_start_pose, swept_values
 

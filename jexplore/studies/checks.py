@@ -20,7 +20,7 @@ from jexplore.worlds import load_world
 from jexplore.worlds.poses import Pose, cell_of, read_start
 from jexplore.worlds.regions import warn_of_floor
 from jexplore.worlds.starts import check_start, draw_start, draw_starts, reached_from, start_region
-from jexplore.worlds.world import World, checked, ringed_shape
+from jexplore.worlds.world import World, require_world, ringed_shape
 
 WorldLike: TypeAlias = str | os.PathLike[str] | World
 """A world, or the name or file of one."""
@@ -82,7 +82,7 @@ def ready_worlds(worlds: WorldLike | Iterable[WorldLike], cell_m: float) -> list
             raise InputError("a world needs a name to be told from others: world.replace(name=...)")
         if not isinstance(world, (str, os.PathLike, World)):
             raise InputError(f"a world must be a name, a path or a World, got {world!r}")
-    return [checked(world) if isinstance(world, World) else load_world(world, cell_m) for world in worlds]
+    return [require_world(world) if isinstance(world, World) else load_world(world, cell_m) for world in worlds]
 
 
 def require_different_buildings(worlds: Iterable[World]) -> None:

@@ -28,7 +28,7 @@ from jexplore.report.tables import aligned_table, number_text
 from jexplore.rooms.scores import scored_regions
 from jexplore.studies.room_variants import segmentations
 from jexplore.studies.segmentation import SMALLEST_M2
-from jexplore.worlds.starts import clear_cells, label_components
+from jexplore.worlds.starts import clear_of_walls, label_components
 from jexplore.worlds.world import World, with_ring
 
 WALL_M = 1.25  # an obstacle longer than this, its boundary than 2.5 m, is a wall; a shorter one furniture or a column
@@ -124,7 +124,7 @@ def geometry(world: World, *, clearance_m: float = 0.30) -> Geometry:
     area = area[area > 0]  # numbers may be left out
     corridor = _corridor_widths(walls, cell_m)
     furniture = lengths[lengths <= WALL_M]
-    clear = label_components(clear_cells(world.occupied, clearance_m, cell_m))
+    clear = label_components(clear_of_walls(world.occupied, clearance_m, cell_m))
     per_m2 = 1 / world.free_m2
     return Geometry(
         world=world.name,

@@ -184,7 +184,7 @@ def prepare_maps(
 
 def _rooms_in(picture, world):
     """Return the true rooms of a world from its picture with closed doorways: `[H, W]` int32."""
-    parsed = names.parse(os.fspath(world.name), generators=known_generators())
+    parsed = names.parse_name(os.fspath(world.name), generators=known_generators())
     if parsed.kind != "image" or not isinstance(parsed.scale, float | int):
         raise InputError(f"{world.name!r}: ground truth is for maps such as map.png@0.05, metres a pixel")
     sizes = [read_pixels(path).shape[1::-1] for path in (picture, parsed.base)]

@@ -19,44 +19,44 @@ from jexplore.arrays.pictures import Listing
 from jexplore.config import InputError, checked_names, require_number, require_setting, require_whole
 from jexplore.users import import_object
 from jexplore.worlds import names
+from jexplore.worlds.bounds import PARAMETERS
 
 if TYPE_CHECKING:
     from jexplore.worlds.world import World
 
-GENERATORS = {
-    "cave": "jexplore.worlds.generators.cave:cave",
-    "office": "jexplore.worlds.generators.office:office",
-    "hospital": "jexplore.worlds.generators.hospital:hospital",
-    "maze": "jexplore.worlds.generators.maze:maze",
-    "rooms": "jexplore.worlds.generators.rooms:rooms",
-    "course": "jexplore.worlds.generators.course:course",
-}
+GENERATORS = {name: f"jexplore.worlds.generators.{name}:{name}" for name in PARAMETERS}
 """World name -> "module:function". The function takes a seed and keyword parameters, `cell_m` among them."""
 _OWN: dict[str, Callable[..., Any]] = {}  # name -> function of a user's, see `register_world`
 _NAME = re.compile(r"[A-Za-z_][\w-]*")
-
-
-def _number(**bounds):
-    return functools.partial(require_number, **bounds)
-
-
-def _whole(low, high):
-    return functools.partial(require_whole, low=low, high=high)
-
-
-_GRID: dict[str, Callable[[str, Any], object]] = {"free_max": _whole(0, 99), "occupied_min": _whole(1, 100)}
-_PARAMETERS: dict[str, dict[str, Callable[[str, Any], object]]] = {
-    "image": {"free": _number(high=255)},
-    "CARMEN": {
-        "p_free": _number(high=1, high_open=True),
-        "range_m": _number(low_open=True, high=1000),
-        "no_echo_m": _number(high=1000),
-        "max_range_m": _number(low_open=True, high=1000),
-    },
-    "ROS": _GRID,
-    "ROS bag": {"topic": lambda *_: None, "message": _whole(-(10**9), 10**9), **_GRID},
+_GRID: dict[str, Callable[[str, Any], object]] = {
+    "free_max": functools.partial(require_whole, low=0, high=99),
+    "occupied_min": functools.partial(require_whole, low=1, high=100),
 }
-"""Kind of file -> parameters of its reader in a world name, and the function that checks a value by name."""
+_FAR = functools.partial(require_number, low_open=True, high=1000)
+_READERS: dict[str, tuple[str, dict[str, Callable[[str, Any], object]]]] = {
+    "image": ("images:load_image", {"free": functools.partial(require_number, high=255)}),
+    "movingai": ("movingai:load_movingai", {}),
+    "HouseExpo": ("houseexpo:load_houseexpo", {}),
+    "CARMEN": (
+        "carmen:load_carmen",
+        {
+            "p_free": functools.partial(require_number, high=1, high_open=True),
+            "range_m": _FAR,
+            "no_echo_m": functools.partial(require_number, high=1000),
+            "max_range_m": _FAR,
+        },
+    ),
+    "ROS": ("ros:load_ros", _GRID),
+    "ROS bag": (
+        "bags:load_bag",
+        {
+            "topic": lambda *_: None,
+            "message": functools.partial(require_whole, low=-(10**9), high=10**9),
+            **_GRID,
+        },
+    ),
+}
+"""Kind of file -> its reader, the parameters that it takes in a world name, and the function that checks a value."""
 _FILES = {
     "map.yaml": "a ROS map",
     "map.png@16x16, map.png@0.05": "a picture, with its sides in metres or its metres a pixel",
@@ -102,12 +102,12 @@ def register_world(name: str, function: Callable[..., "World"]) -> None:
     Raises:
       InputError: a name of the package's own or one that names cannot have, or something that is no such function.
     """
-    from jexplore.worlds.own import parameters_of
+    from jexplore.worlds.own import own_parameters
 
     if not isinstance(name, str) or not _NAME.fullmatch(name) or name in GENERATORS:
         free = "letters, digits, _ and -, and none of " + ", ".join(GENERATORS)
         raise InputError(f"the name of a world must be {free}; got {name!r}")
-    parameters_of(function)
+    own_parameters(function)
     _OWN[name] = function
 
 
@@ -121,8 +121,8 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
     """Load the world of a name: a generated one, or one read from a map file.
 
     `cave`, `cave#3`, `hospital#2:width_m=60,height_m=25`, `map.yaml`, `map.png@16x16`, `map.png@0.05:free=150`,
-    `map.map@0.1`, `plan.json`, `scans.log`, `run.bag:topic=/map`: `names.parse` has the grammar, the readers say what a
-    file means.
+    `map.map@0.1`, `plan.json`, `scans.log`, `run.bag:topic=/map`: `names.parse_name` has the grammar, the readers say
+    what a file means.
 
     Args:
       name: world name or path.
@@ -142,7 +142,7 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
     parsed, chosen = read_name(name)
     world = _generate(parsed, cell_m) if parsed.kind == "generator" else _read(parsed, cell_m)
 
-    from jexplore.worlds.sides import require_side
+    from jexplore.worlds.bounds import require_side
     from jexplore.worlds.world import ringed_shape
 
     world = dataclasses.replace(world, name=name)
@@ -170,20 +170,21 @@ def read_name(
       chosen: what comes after the world in the arguments of `regions.inside`; None where no region is chosen.
 
     Raises:
-      InputError: as `names.parse`, or naming the parameter and what would be right.
+      InputError: as `names.parse_name`, or naming the parameter and what would be right.
     """
-    parsed, chosen = _taken(names.parse(name, generators=known_generators()))
+    parsed = names.parse_name(name, generators=known_generators())
     if parsed.kind == "generator":
         defaults = parameters_of(parsed.base)
         if defaults is None:
-            return parsed, chosen
+            return parsed, None
         names.require_parameters(parsed, defaults)
         given = {key: _as_default(parsed, key, value, defaults[key]) for key, value in parsed.parameters.items()}
-        return dataclasses.replace(parsed, parameters=given), chosen
-    bounds = _PARAMETERS.get(parsed.kind, {})
-    names.require_parameters(parsed, bounds)
+        return dataclasses.replace(parsed, parameters=given), None
+    parsed, chosen = _take_inside(parsed)
+    _, checks = _READERS[parsed.kind]
+    names.require_parameters(parsed, checks)
     for key, value in parsed.parameters.items():
-        bounds[key](f"{parsed.name!r}: {key}", value)
+        checks[key](f"{parsed.name!r}: {key}", value)
     if parsed.kind == "image" and parsed.scale is None:
         scale = "append @16x16 for its size in metres or @0.05 for metres a pixel"
         raise InputError(f"{parsed.name!r}: a picture needs a scale; {scale}")
@@ -192,10 +193,8 @@ def read_name(
     return parsed, chosen
 
 
-def _taken(parsed):
-    """Take the parameters `names.INSIDE` off a name: the name, and the arguments of `inside` or None."""
-    if parsed.kind == "generator":
-        return parsed, None
+def _take_inside(parsed: names.WorldName) -> tuple[names.WorldName, tuple[Any, ...] | None]:
+    """Take the parameters `names.INSIDE` off a file's name: the name, and the arguments of `inside` or None."""
     rest = {key: value for key, value in parsed.parameters.items() if key not in names.INSIDE}
     inside, x_m, y_m = (parsed.parameters.get(key) for key in names.INSIDE)
     if not isinstance(inside, bool | None):
@@ -210,18 +209,14 @@ def _taken(parsed):
 
 
 def generator_parameters(base: str) -> dict[str, Any]:
-    """Return the parameters of a generator in a world name: parameter name -> default.
+    """Return the parameters of a generator in a world name, without the seed and `cell_m`: parameter name -> default.
 
-    Args:
-      base: one of `known_generators`, or a user's `module:function`.
-
-    Returns:
-      A dict in the order of the signature, without the seed and `cell_m`.
+    `base`: one of `known_generators`, or a user's `module:function`.
     """
     if base not in GENERATORS:
-        from jexplore.worlds.own import parameters_of
+        from jexplore.worlds.own import own_parameters
 
-        return parameters_of(_function(base))
+        return own_parameters(_function(base))
     parameters = inspect.signature(_function(base)).parameters.values()
     return {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.name != "cell_m"}
 
@@ -235,16 +230,15 @@ def _function(base: str) -> Callable[..., Any]:
     return getattr(importlib.import_module(module), function)
 
 
-def _generate(parsed, cell_m):
-    parameters: Any = parsed.parameters
+def _generate(parsed: names.WorldName, cell_m: float) -> "World":
     if parsed.base not in GENERATORS:
         from jexplore.worlds.own import make_world
 
-        return make_world(_function(parsed.base), parsed.seed, cell_m, parameters)
-    return _function(parsed.base)(parsed.seed, cell_m=cell_m, **parameters)
+        return make_world(_function(parsed.base), parsed.seed, cell_m, parsed.parameters)
+    return _function(parsed.base)(parsed.seed, cell_m=cell_m, **parsed.parameters)
 
 
-def _as_default(parsed, key, value, default):
+def _as_default(parsed: names.WorldName, key: str, value: Any, default: Any) -> Any:
     """Convert `value` to the type of the parameter's default, so that `width_m=60` is the metres 60.0."""
     if isinstance(default, float) and type(value) is int:
         return float(value)
@@ -254,28 +248,8 @@ def _as_default(parsed, key, value, default):
     return value
 
 
-def _read(parsed, cell_m):
-    if parsed.kind == "image":
-        from jexplore.worlds.readers.images import load_image
-
-        return load_image(parsed.base, parsed.scale, cell_m=cell_m, **parsed.parameters)
-    if parsed.kind == "movingai":
-        from jexplore.worlds.readers.movingai import load_movingai
-
-        return load_movingai(parsed.base, parsed.scale, cell_m=cell_m)
-    parameters: Any = parsed.parameters
-    if parsed.kind == "ROS":
-        from jexplore.worlds.readers.ros import load_ros
-
-        return load_ros(parsed.base, cell_m=cell_m, **parameters)
-    if parsed.kind == "CARMEN":
-        from jexplore.worlds.readers.carmen import load_carmen
-
-        return load_carmen(parsed.base, cell_m=cell_m, **parameters)
-    if parsed.kind == "ROS bag":
-        from jexplore.worlds.readers.bags import load_bag
-
-        return load_bag(parsed.base, cell_m=cell_m, **parameters)
-    from jexplore.worlds.readers.houseexpo import load_houseexpo
-
-    return load_houseexpo(parsed.base, cell_m=cell_m)
+def _read(parsed: names.WorldName, cell_m: float) -> "World":
+    module, _, function = _READERS[parsed.kind][0].partition(":")
+    load = getattr(importlib.import_module(f"jexplore.worlds.readers.{module}"), function)
+    scale = (parsed.scale,) if parsed.kind in ("image", "movingai") else ()
+    return load(parsed.base, *scale, cell_m=cell_m, **parsed.parameters)

@@ -1,107 +1,104 @@
-"""Bounds of the parameters of generators. Plain Python: importing this loads neither jax nor numpy."""
+"""Bounds of worlds' sizes and of generators' parameters. Plain Python: importing this loads neither jax nor numpy."""
 
+import functools
+import inspect
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, ParamSpec, TypeVar
 
 from jexplore.config import InputError, require_number, require_whole
-from jexplore.worlds.sides import require_side
 
+MAX_SIDE = 4096  # cells along the longer side, ring included
 MAX_CELL_M = 0.3  # a wall is at least one cell thick: above this, small rooms would be lost in their walls
 MAX_LOOPS = 1000.0  # ways round a 1000 m2: more than any building has
 FURNISHED_CELL_M = 0.2  # a leg takes a whole cell: in larger ones furniture would bar the way
-OBSTACLES = {"slope": 3, "stairs": 4, "platform": 2, "sill": 1, "cross-slope": 2, "none": 0}
+CREASES = {"slope": 3, "stairs": 4, "platform": 2, "sill": 1, "cross-slope": 2, "none": 0}
 """Name of a course's obstacle -> places that become nodes: the stairs have a landing."""
 
+_VARIANTS = {"furniture": (0.0, 1.0), "wide_openings": (0.0, 1.0), "max_loops": (0.0, MAX_LOOPS)}
+PARAMETERS: dict[str, dict[str, Any]] = {
+    "cave": {"free": (0.5, 0.9), "passage_m": (0.8, 100.0)},
+    "office": {"corridor_m": (1.5, 3.0), "room_m": (2.6, 6.0), "corridor_sd_m": (0.0, 1.0), **_VARIANTS},
+    "hospital": {"corridor_m": (1.8, 3.5), "room_m": (3.4, 7.0), "corridor_sd_m": (0.0, 1.0), **_VARIANTS},
+    "maze": {"corridor_m": (0.8, 100.0), "wall_m": (0.01, 10.0), "loops": (0.0, 1.0)},
+    "rooms": {"room_m": (2.0, 100.0), "extra_doors": (0.0, 1.0), **_VARIANTS},
+    "course": {
+        "cell_m": (0.001, 0.2),
+        "width_m": (1.2, 3.0),
+        "riser_m": (0.01, 0.3),
+        "obstacle": tuple(CREASES),
+        "furniture": bool,
+        "dead_ends": bool,
+        "loops": (0, 3),
+        "repeat": (0, 10),
+    },
+}
+"""Generator -> parameter -> its least and largest value, an integer where these are; its words; or bool."""
 
-def cave(cell_m: float, *, width_m: float, height_m: float, free: float, passage_m: float) -> None:
-    """Refuse parameters of `cave.cave` that are out of range."""
-    require_number("cave: free", free, low=0.5, high=0.9)
-    require_number("cave: passage_m", passage_m, low=0.8, high=100)
-    low = max(6.0, 6 * passage_m)
-    require_size("cave", cell_m, width_m, height_m, (low, low))
-
-
-def office(
-    cell_m: float,
-    *,
-    width_m: float,
-    height_m: float,
-    corridor_m: float,
-    room_m: float,
-    corridor_sd_m: float,
-    open_plan: object = False,
-    **variants: float,
-) -> None:
-    """Refuse parameters of `office.office` that are out of range."""
-    require_number("office: corridor_m", corridor_m, low=1.5, high=3)
-    require_number("office: room_m", room_m, low=2.6, high=6)
-    require_size("office", cell_m, width_m, height_m, (14.0, 9.0))
-    require_number("office: corridor_sd_m", corridor_sd_m, high=1)
-    require_variants("office", cell_m, **variants)
+_P = ParamSpec("_P")
+_World = TypeVar("_World")
 
 
-def hospital(
-    cell_m: float,
-    *,
-    width_m: float,
-    height_m: float,
-    corridor_m: float,
-    room_m: float,
-    corridor_sd_m: float,
-    **variants: float,
-) -> None:
-    """Refuse parameters of `hospital.hospital` that are out of range."""
-    require_number("hospital: corridor_m", corridor_m, low=1.8, high=3.5)
-    require_number("hospital: room_m", room_m, low=3.4, high=7)
-    require_size("hospital", cell_m, width_m, height_m, (32.0, 11.0))
-    require_number("hospital: corridor_sd_m", corridor_sd_m, high=1)
-    require_variants("hospital", cell_m, **variants)
+def bounded(generate: Callable[_P, _World]) -> Callable[_P, _World]:
+    """Let a generator refuse the parameters that `require_generator` refuses."""
+
+    @functools.wraps(generate)
+    def checked(*args: _P.args, **kwargs: _P.kwargs) -> _World:
+        given = inspect.signature(generate).bind(*args, **kwargs)
+        given.apply_defaults()
+        require_generator(generate.__name__, given.arguments)
+        return generate(*args, **kwargs)
+
+    return checked
 
 
-def maze(
-    cell_m: float, *, width_m: float, height_m: float, corridor_m: float, wall_m: float, loops: float
-) -> tuple[int, int]:
-    """Refuse parameters of `maze.maze` that are out of range; `(rows, cols)`, cells."""
-    require_number("maze: corridor_m", corridor_m, low=0.8, high=100)
-    require_number("maze: wall_m", wall_m, low=0.01, high=10)
-    require_number("maze: loops", loops, high=1)
-    low = 2 * corridor_m + 3 * wall_m
-    return require_size("maze", cell_m, width_m, height_m, (low, low))
+def require_generator(kind: str, given: Mapping[str, Any]) -> None:
+    """Refuse parameters that a generator cannot draw.
+
+    Args:
+      kind: a key of `PARAMETERS`.
+      given: all its parameters, `cell_m` among them.
+
+    Raises:
+      InputError: one out of range, a size too small to hold the layout or of more than `MAX_SIDE` cells a side.
+    """
+    for name, bounds in PARAMETERS[kind].items():
+        what, value = f"{kind}: {name}", given[name]
+        if bounds is bool:
+            if not isinstance(value, bool):
+                raise InputError(f"{what} must be true or false, got {value!r}")
+        elif isinstance(bounds[0], str):
+            if value not in bounds:
+                raise InputError(f"{what} must be one of {', '.join(bounds)}, got {value!r}")
+        elif isinstance(bounds[0], int):
+            require_whole(what, value, *bounds)
+        else:
+            require_number(what, value, low=bounds[0], high=bounds[1])
+    match kind:
+        case "course":
+            _require_course(**{key: given[key] for key in ("furniture", "dead_ends", "loops", "repeat")})
+            return
+        case "office":
+            low_m = 14.0, 9.0
+        case "hospital":
+            low_m = 32.0, 11.0
+        case "cave":
+            low_m = (max(6.0, 6 * given["passage_m"]),) * 2
+        case "maze":
+            low_m = (2 * given["corridor_m"] + 3 * given["wall_m"],) * 2
+        case _:
+            low_m = (2 * given["room_m"],) * 2
+    cell_m = given["cell_m"]
+    require_number(f"{kind}: cell_m", cell_m, low=0.001, high=MAX_CELL_M)
+    for side, low in zip(("width_m", "height_m"), low_m):
+        require_number(f"{kind}: {side}", given[side], low=low, high=1e4)
+    require_side(kind, count_cells(given["height_m"], cell_m), count_cells(given["width_m"], cell_m))
+    if given.get("furniture", 0) > 0 and cell_m > FURNISHED_CELL_M:
+        raise InputError(f"{kind}: furniture needs a cell_m of at most {FURNISHED_CELL_M:g}, got {cell_m:g}")
 
 
-def rooms(
-    cell_m: float, *, width_m: float, height_m: float, room_m: float, extra_doors: float, **variants: float
-) -> None:
-    """Refuse parameters of `rooms.rooms` that are out of range."""
-    require_number("rooms: room_m", room_m, low=2.0, high=100)
-    require_number("rooms: extra_doors", extra_doors, high=1)
-    require_size("rooms", cell_m, width_m, height_m, (2 * room_m, 2 * room_m))
-    require_variants("rooms", cell_m, **variants)
-
-
-def course(
-    cell_m: float,
-    *,
-    width_m: float,
-    obstacle: str,
-    riser_m: float,
-    furniture: bool,
-    dead_ends: bool,
-    loops: int,
-    repeat: int,
-) -> None:
-    """Refuse parameters of `course.course` that are out of range or exclude each other."""
-    require_number("course: cell_m", cell_m, low=0.001, high=0.2)
-    require_number("course: width_m", width_m, low=1.2, high=3.0)
-    require_number("course: riser_m", riser_m, low=0.01, high=0.3)
-    if obstacle not in OBSTACLES:
-        raise InputError(f"course: obstacle must be one of {', '.join(OBSTACLES)}, got {obstacle!r}")
-    for name, value in (("furniture", furniture), ("dead_ends", dead_ends)):
-        if not isinstance(value, bool):
-            raise InputError(f"course: {name} must be true or false, got {value!r}")
-    require_whole("course: loops", loops, 0, 3)
-    require_whole("course: repeat", repeat, 0, 10)
+def _require_course(furniture: bool, dead_ends: bool, loops: int, repeat: int) -> None:
+    """Refuse parameters of a course that exclude each other."""
     if repeat == 1:
         raise InputError("course: repeat must be from 2 to 10, or 0 for none, got 1")
     if furniture and (loops or repeat):
@@ -110,56 +107,28 @@ def course(
         raise InputError("course: dead_ends must be true with repeat, whose side passages are dead ends, got false")
 
 
-CHECKS: dict[str, Callable[..., Any]] = {
-    "cave": cave,
-    "office": office,
-    "hospital": hospital,
-    "maze": maze,
-    "rooms": rooms,
-    "course": course,
-}
-"""Name of a generator -> what refuses its parameters, called with `cell_m` and all of them by name."""
+def count_cells(size_m: float, cell_m: float) -> int:
+    """Return the cells that cover a length: `ceil(size / cell)`, at least one, with a tolerance for rounding."""
+    return max(1, math.ceil(size_m / cell_m - 1e-6))
 
 
-def require_size(
-    kind: str, cell_m: float, width_m: float, height_m: float, low: tuple[float, float]
-) -> tuple[int, int]:
-    """Refuse a size that a generator cannot draw.
+def require_side(name: str, rows: float, cols: float, cell_m: float | None = None) -> None:
+    """Refuse a world of more than `MAX_SIDE` rows or columns, before anything of that size is allocated.
 
     Args:
-      kind: name of the generator, for the message.
-      cell_m: edge of a cell, metres.
-      width_m, height_m: outer size, metres.
-      low: the smallest width and height, metres.
-
-    Returns:
-      `(rows, cols)`, cells.
-
-    Raises:
-      InputError: not numbers, too small to hold the layout, or more than `MAX_SIDE` cells a side.
+      name: of the world in the error.
+      rows, cols: its size, cells; may be infinite.
+      cell_m: edge of a cell, metres, from which the error reckons one that would do.
     """
-    require_number(f"{kind}: cell_m", cell_m, low=0.001, high=MAX_CELL_M)
-    require_number(f"{kind}: width_m", width_m, low=low[0], high=1e4)
-    require_number(f"{kind}: height_m", height_m, low=low[1], high=1e4)
-    rows, cols = (math.ceil(side / cell_m - 1e-6) for side in (height_m, width_m))
-    require_side(kind, rows, cols)
-    return rows, cols
-
-
-def require_variants(kind: str, cell_m: float, *, furniture: float, wide_openings: float, max_loops: float) -> None:
-    """Refuse shares and numbers out of range.
-
-    Args:
-      kind: name of the generator, for the message.
-      cell_m: edge of a cell, metres.
-      furniture, wide_openings: shares, 0 to 1.
-      max_loops: ways round a 1000 m2, 0 to `MAX_LOOPS`.
-
-    Raises:
-      InputError: one of them is out of range, or there is furniture in cells over `FURNISHED_CELL_M`.
-    """
-    require_number(f"{kind}: furniture", furniture, high=1)
-    require_number(f"{kind}: wide_openings", wide_openings, high=1)
-    require_number(f"{kind}: max_loops", max_loops, high=MAX_LOOPS)
-    if furniture > 0 and FURNISHED_CELL_M < cell_m <= MAX_CELL_M:
-        raise InputError(f"{kind}: furniture needs a cell_m of at most {FURNISHED_CELL_M:g}, got {cell_m:g}")
+    if max(rows, cols) <= MAX_SIDE:
+        return
+    larger, cut = "use a larger cell_m", "cut the map into parts"
+    if cell_m is not None:
+        least_m = max(rows, cols) / (MAX_SIDE - 2) * cell_m
+        if least_m <= 100:  # the largest there is
+            digit = 10.0 ** (math.floor(math.log10(least_m)) - 1)
+            larger = f"use a larger cell_m, at least {math.ceil(least_m / digit) * digit:.2g}"
+        else:
+            larger = "see whether its scale, the metres of a pixel, is right"
+    size = f"{math.ceil(rows)} x {math.ceil(cols)}" if max(rows, cols) < 1e9 else "over a billion"
+    raise InputError(f"{name!r}: {size} cells are more than {MAX_SIDE} a side; {larger}, or {cut}")

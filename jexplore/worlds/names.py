@@ -32,8 +32,8 @@ SUFFIXES: dict[str, tuple[str, ...]] = {
 }
 """Kind of file -> its suffixes, in either case."""
 
-_KIND = {suffix: kind for kind, suffixes in SUFFIXES.items() for suffix in suffixes}
-_CUT = re.compile(r"\.(" + "|".join(sorted(_KIND, key=len, reverse=True)) + r")(?=$|[@:])", re.IGNORECASE)
+_KIND_OF = {suffix: kind for kind, suffixes in SUFFIXES.items() for suffix in suffixes}
+_CUT = re.compile(r"\.(" + "|".join(sorted(_KIND_OF, key=len, reverse=True)) + r")(?=$|[@:])", re.IGNORECASE)
 _GENERATOR = re.compile(r"(?P<base>[A-Za-z_][\w-]*)(#(?P<seed>[^:]*))?(:(?P<parameters>.*))?", re.DOTALL)
 _FOREIGN = re.compile(r"(?P<base>[A-Za-z_][\w.]*:[A-Za-z_]\w*)(#(?P<seed>[^:]*))?(:(?P<parameters>.*))?", re.DOTALL)
 _SEEDS = 2**32
@@ -41,6 +41,7 @@ METADATA = "metadata.yaml"
 """The file that makes a folder a recording of ROS 2."""
 INSIDE = ("inside", "inside_x_m", "inside_y_m")
 """Parameters of every map file: which of its floor is meant, see `regions.inside`."""
+_Value = bool | int | float | str
 LONGEST_NAME = 200  # characters of a file's name; file systems take 255 bytes with suffixes
 
 
@@ -48,33 +49,22 @@ LONGEST_NAME = 200  # characters of a file's name; file systems take 255 bytes w
 class WorldName:
     """A world name, taken apart."""
 
-    name: str
-    """The whole, as the user typed it."""
-    kind: str
-    """`generator`, or a key of `SUFFIXES`."""
+    name: str  # the whole, as the user typed it
+    kind: str  # `generator`, or a key of `SUFFIXES`
     base: str
     """Name of the generator, `module:function` of a user's, or path of the file; that of a folder's `metadata.yaml` for
     a recording of ROS 2."""
-    seed: int = 0
-    """Seed of a generator."""
+    seed: int = 0  # seed of a generator
     scale: float | tuple[float, float] | None = None
     """Text after the `@`: metres a pixel, or width and height in metres; None without one."""
-    parameters: dict[str, bool | int | float | str] = dataclasses.field(default_factory=dict)
-    """Text after the `:`."""
+    parameters: dict[str, _Value] = dataclasses.field(default_factory=dict)  # text after the `:`
 
 
-def parse(name: str, *, generators: Collection[str]) -> WorldName:
-    """Take a world name apart, and refuse one that names nothing.
+def parse_name(name: str, *, generators: Collection[str]) -> WorldName:
+    """Take a world name apart, and refuse one that names nothing; `generators` are the names of all generators.
 
     Whether a file can be read is for its reader to say; whether a generator takes the parameters, for
     `require_parameters`.
-
-    Args:
-      name: the name.
-      generators: names of the generators there are.
-
-    Returns:
-      A `WorldName`.
 
     Raises:
       InputError: neither a file of a known kind nor a generator, or a malformed seed, scale or parameter.
@@ -94,7 +84,7 @@ def parse(name: str, *, generators: Collection[str]) -> WorldName:
         if os.path.isdir(name):
             raise InputError(f"{name!r}: is a directory; name a map file in it")
         if match is None or os.path.isfile(name):
-            suffixes = ", ".join("." + suffix for suffix in _KIND)
+            suffixes = ", ".join("." + suffix for suffix in _KIND_OF)
             raise InputError(f"{name!r}: is neither {', '.join(generators)} nor a map file ending in {suffixes}")
         raise InputError(
             f"{name!r}: there is no world {base!r}; there are {_there_are(base, generators)} and map files"
@@ -109,15 +99,7 @@ def parse(name: str, *, generators: Collection[str]) -> WorldName:
 
 
 def require_parameters(parsed: WorldName, permitted: Collection[str]) -> None:
-    """Refuse a parameter that the world does not take.
-
-    Args:
-      parsed: a `WorldName`.
-      permitted: the names that it takes.
-
-    Raises:
-      InputError: naming the first such parameter and what there is.
-    """
+    """Refuse a parameter other than the permitted ones, those of `INSIDE` included in the name of a file."""
     if parsed.kind != "generator":
         permitted = [*permitted, *INSIDE]
     for key in parsed.parameters:
@@ -137,14 +119,7 @@ def joint_of(name: str) -> str | None:
 
 
 def short_names(names: Sequence[str]) -> list[str]:
-    """Make short distinct names of worlds, or other files: of a path the shortest end that no other one has.
-
-    Args:
-      names: different names, such as `floor1/map.yaml`.
-
-    Returns:
-      One for each, in order; different from each other.
-    """
+    """Make short distinct names of worlds, or other files: of a path the shortest end that no other one has."""
     parts = []
     for name in names:
         cuts = [match.end() for match in _CUT.finditer(name)]
@@ -159,14 +134,10 @@ def short_names(names: Sequence[str]) -> list[str]:
 
 
 def file_names(texts: Sequence[str]) -> list[str]:
-    """Make a file name for each text: as much of the text as every file system takes, without duplicates.
+    """Make a file name, without suffix, for each text, such as `floor1/map.yaml-closest-0`.
 
-    Args:
-      texts: contents of the files, such as `floor1/map.yaml-closest-0`.
-
-    Returns:
-      Names of letters, digits and `.+=#-_`, up to `LONGEST_NAME` characters, without suffix. No two are equal, ignoring
-      case: a second one ends in `-2`.
+    It has letters, digits and `.+=#-_`, up to `LONGEST_NAME` characters. No two are equal, ignoring case: a second one
+    ends in `-2`.
     """
     made, taken = [], set()
     for text in texts:
@@ -178,43 +149,43 @@ def file_names(texts: Sequence[str]) -> list[str]:
     return made
 
 
-def _path_end(name, cuts):
+def _path_end(name: str, cuts: list[int]) -> int:
     """Return the end of the path of a file: the longest that exists, else the longest."""
     return max(cuts, key=lambda cut: (os.path.isfile(name[:cut]), cut))
 
 
-def _there_are(word, known):
+def _there_are(word: str, known: Collection[str]) -> str:
     near = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
     return ", ".join(known) + (f" (did you mean {near[0]!r}?)" if near else "")
 
 
-def _recording(name):
+def _recording(name: str) -> int | None:
     """Return the end of the longest path to a folder with a recording of ROS 2; None without one."""
     cuts = [len(name), *(match.start() for match in re.finditer(":", name))]
     return max((cut for cut in cuts if cut and os.path.isfile(os.path.join(name[:cut], METADATA))), default=None)
 
 
-def _parse_file(name, cut):
+def _parse_file(name: str, cut: int) -> WorldName:
     path, rest = name[:cut], name[cut:]
     scale, colon, parameters = rest.partition(":")
     is_folder = os.path.isfile(os.path.join(path, METADATA))
     return WorldName(
         name=name,
-        kind="ROS bag" if is_folder else _KIND[path.rpartition(".")[2].lower()],
+        kind="ROS bag" if is_folder else _KIND_OF[path.rpartition(".")[2].lower()],
         base=os.path.join(path, METADATA) if is_folder else path,
         scale=_scale(name, scale[1:]) if scale else None,
         parameters=_parameters(name, parameters) if colon else {},
     )
 
 
-def _seed(name, text):
+def _seed(name: str, text: str) -> int:
     if not re.fullmatch("[0-9]{1,10}", text) or int(text) >= _SEEDS:
         raise InputError(f"{name!r}: the seed after '#' must be an integer from 0 to {_SEEDS - 1}, got {text!r}")
     return int(text)
 
 
-def _scale(name, text):
-    numbers = [_number(part) for part in re.split("[xX]", text)]
+def _scale(name: str, text: str) -> float | tuple[float, float]:
+    numbers = [_value(part) for part in re.split("[xX]", text)]
     if len(numbers) > 2 or any(isinstance(number, (bool, str)) for number in numbers):
         raise InputError(
             f"{name!r}: after '@' comes the size in metres, as 16x16, or the metres a pixel, as 0.05; got {text!r}"
@@ -224,7 +195,7 @@ def _scale(name, text):
     return float(numbers[0]) if len(numbers) == 1 else (float(numbers[0]), float(numbers[1]))
 
 
-def _parameters(name, text):
+def _parameters(name: str, text: str) -> dict[str, _Value]:
     parameters = {}
     for part in text.split(","):
         key, equals, value = part.partition("=")
@@ -232,13 +203,13 @@ def _parameters(name, text):
             raise InputError(f"{name!r}: parameters are written key=value,key=value; got {part!r}")
         if key in parameters:
             raise InputError(f"{name!r}: parameter {key!r} is given twice")
-        parameters[key] = _number(value)
+        parameters[key] = _value(value)
         if isinstance(parameters[key], float) and not math.isfinite(parameters[key]):
             raise InputError(f"{name!r}: {key} must be finite, got {value!r}")
     return parameters
 
 
-def _number(text):
+def _value(text: str) -> _Value:
     """Convert `text` to a bool, an int or a float if possible."""
     if text in ("true", "false"):
         return text == "true"

@@ -8,12 +8,12 @@ import numpy as np
 
 from jexplore.config import InputError, shown
 from jexplore.users import call, described
-from jexplore.worlds.world import World, checked
+from jexplore.worlds.world import World, require_world
 
 ARRAYS = ("occupied", "rooms", "within", "known", "elevation")  # of a `World`: what two calls are compared by
 
 
-def parameters_of(make: Callable[..., Any]) -> dict[str, Any]:
+def own_parameters(make: Callable[..., Any]) -> dict[str, Any]:
     """Return what a user's world takes in its name: parameter -> default, without the seed and `cell_m`.
 
     Raises:
@@ -24,30 +24,25 @@ def parameters_of(make: Callable[..., Any]) -> dict[str, Any]:
         first, *rest = inspect.signature(make).parameters.values()
     except (TypeError, ValueError):
         raise InputError(f"{what}, got {shown(make)}") from None
-    named = (first.POSITIONAL_OR_KEYWORD, first.KEYWORD_ONLY)
     if first.kind not in (first.POSITIONAL_ONLY, first.POSITIONAL_OR_KEYWORD):
         raise InputError(what)
     for one in rest:
-        if one.kind not in named or (one.default is one.empty and one.name != "cell_m"):
+        if one.kind not in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY) or (
+            one.default is one.empty and one.name != "cell_m"
+        ):
             raise InputError(f"{what}, got {one}")
     return {one.name: one.default for one in rest if one.name != "cell_m"}
 
 
 def make_world(make: Callable[..., Any], seed: int, cell_m: float, parameters: dict[str, Any]) -> World:
-    """Call a user's world twice, and return the first.
-
-    Args:
-      make: the function; it is given `cell_m` if it has a parameter of that name.
-      seed: of the world.
-      cell_m: edge of a cell, metres.
-      parameters: what the name gives.
+    """Call a user's world twice, with `cell_m` if it takes one, and return the first.
 
     Raises:
       InputError: it raises, returns no `World`, one with arrays that JAX is tracing, or another one the second time.
     """
     what = described(make)
     more = {"cell_m": cell_m} if "cell_m" in inspect.signature(make).parameters else {}
-    first, again = (_checked(call(make, what, seed, **more, **parameters), what) for _ in range(2))
+    first, again = (_require_own(call(make, what, seed, **more, **parameters), what) for _ in range(2))
     for name in ("cell_m", "origin_m", "start", *ARRAYS):
         one, other = getattr(first, name), getattr(again, name)
         if not (one is other is None) and not np.array_equal(np.asarray(one), np.asarray(other)):
@@ -55,19 +50,16 @@ def make_world(make: Callable[..., Any], seed: int, cell_m: float, parameters: d
     return first
 
 
-def _checked(world: Any, what: str) -> World:
+def _require_own(world: Any, what: str) -> World:
     if not isinstance(world, World):
         raise InputError(f"{what} must return a jx.World, got {shown(world)}")
     for name in ARRAYS:
         value = getattr(world, name)
-        if value is not None:
-            try:
-                world = world.replace(**{name: np.asarray(value)})
-            except Exception:  # whatever jax raises for an array that it is tracing
-                raise InputError(
-                    f"{what} must return a jx.World of arrays: {name} is a {type(value).__name__}"
-                ) from None
+        try:
+            world = world if value is None else world.replace(**{name: np.asarray(value)})
+        except Exception:  # whatever jax raises for an array that it is tracing
+            raise InputError(f"{what} must return a jx.World of arrays: {name} is a {type(value).__name__}") from None
     try:
-        return checked(world)
+        return require_world(world)
     except InputError as error:
         raise InputError(f"{what}: {error}") from None

@@ -78,7 +78,7 @@ def read_start(start: Any, start_m: Any = None) -> "str | tuple[Any, ...] | Pose
     return start
 
 
-def _pose(*values):
+def _pose(*values: Any) -> Pose:
     for name, value in zip(("x", "y", "yaw"), values):
         require_number(f"{name} of the start", value, low=-1e9, high=1e9)
     return Pose(*map(float, values))
@@ -103,14 +103,7 @@ def read_polygon(polygon: str | Polygon) -> list[tuple[float, float]]:
 
 
 def cell_of(world: "World", pose: Pose) -> tuple[int, int, int]:
-    """Return the cell in which a pose lies, and the nearest heading of the grid.
-
-    Args:
-      world: a `World`; its `origin_m` is where its frame has the lower left corner.
-      pose: `Pose`.
-
-    Returns:
-      `(row, col, heading_deg)`, for `starts.check_start`.
+    """Return row and column of the cell in which a pose lies, and the nearest heading of the grid in degrees.
 
     Warns:
       InputWarning: the heading changes by `ROUNDING_DEG` or more.

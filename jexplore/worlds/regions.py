@@ -5,7 +5,6 @@ A region is a 4-connected component of the cells that are clear for some robot, 
 
 import math
 import warnings
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,29 +16,24 @@ from jexplore.worlds.world import World
 
 GAP_M = Rules().clearance_m  # m, clearance; outside and inside are apart where the default robot does not fit through
 SIZEABLE_M2 = 4.0  # m2 of clear floor, that of a room of 2.6 m by 2.6 m: below are shafts, columns, tables in outline
-SIZEABLE = 0.02  # of the floor in reach; where cells are large, pockets of a few cells have many m2
+SIZEABLE_SHARE = 0.02  # of the floor in reach; where cells are large, pockets of a few cells have many m2
 ALONG_EDGE = 0.1  # share of the cells along the edge; a building cut off by the picture's edge touches less
-REACHED = 0.5  # of the free floor; below, what an episode tells of explored cells says little about the building
-BESIDE = 2.0  # clearances along free cells from the clear floor into the corner of a room
+REACHED_SHARE = 0.5  # of the free floor; below, what an episode tells of explored cells says little about the building
+CORNER_CLEARANCES = 2.0  # along free cells from the clear floor into the corner of a room
 
 
-class _Regions(NamedTuple):
-    floor: np.ndarray  # [H, W] int32, number of the region that a free cell belongs to; -1 for none
-    m2: np.ndarray  # [n], its area
-    at_edge: np.ndarray  # [n] bool, whether it touches the edge of the array
+def _regions(world: World) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Divide free cells into regions that are apart for the default robot, each by the nearest free cells.
 
-
-def _regions(world):
-    """Divide free cells into regions that are apart for the default robot, each by the nearest free cells."""
+    Returns the region's number of every cell `[H, W]`, -1 for none, its area in m2 `[n]`, and whether it touches the
+    edge of the array, `[n]` bool.
+    """
     floor = with_doorways(label_components(clear_in(world, GAP_M)), ~world.occupied, world.occupied.size)
     m2 = np.bincount(floor[floor >= 0]) * world.cell_m**2
-    at_edge = np.zeros(len(m2), bool)
-    edge = _edge(floor)
-    at_edge[edge[edge >= 0]] = True
-    return _Regions(floor, m2, at_edge)
+    return floor, m2, np.isin(np.arange(len(m2)), _edge(floor))
 
 
-def _edge(array):
+def _edge(array: np.ndarray) -> np.ndarray:
     """Return the cells along the edge of an array, round it once."""
     return np.concatenate([array[0], array[-1], array[1:-1, 0], array[1:-1, -1]])
 
@@ -72,40 +66,33 @@ def inside(world: World, point_m: tuple[float, float] | None = None) -> World:
     else:
         own = floor[_cell_at(world, point_m, name)]
         if own < 0:
-            raise InputError(f"{name!r}: inside: no robot fits in round {_point(point_m)} m; give another point")
+            point = "({:g}, {:g})".format(*point_m)
+            raise InputError(f"{name!r}: inside: no robot fits in round {point} m; give another point")
         keep = floor == own
     start = world.start if world.start is not None and keep[world.start[:2]] else None
     rooms = None if world.rooms is None else np.where(keep, world.rooms, -1)
     return world.replace(occupied=~keep, rooms=rooms, start=start)
 
 
-def _point(point_m):
-    return "({:g}, {:g})".format(*point_m)
-
-
-def _cell_at(world, point_m, name):
+def _cell_at(world: World, point_m: tuple[float, float], name: str) -> tuple[int, int]:
     x_m, y_m = world.origin_m
     rows, cols = world.shape
     row, col = (math.floor(one) for one in ((point_m[1] - y_m) / world.cell_m, (point_m[0] - x_m) / world.cell_m))
+    point = "({:g}, {:g}) m".format(*point_m)
     if not (0 <= row < rows and 0 <= col < cols):
         raise InputError(
-            f"{name!r}: inside: {_point(point_m)} m lies outside the map, which is x {x_m:g} to "
+            f"{name!r}: inside: {point} lies outside the map, which is x {x_m:g} to "
             f"{x_m + cols * world.cell_m:g}, y {y_m:g} to {y_m + rows * world.cell_m:g} m"
         )
     if world.occupied[row, col]:
-        raise InputError(f"{name!r}: inside: {_point(point_m)} m lies in a wall; give a point of free floor")
+        raise InputError(f"{name!r}: inside: {point} lies in a wall; give a point of free floor")
     return row, col
 
 
 def warn_of_outside(world: World, reached: np.ndarray) -> bool:
-    """Say that robots start outside a building: in floor along the edge of the map, while other floor is enclosed.
+    """Warn if robots start outside a building: on floor along the edge of the map, while other floor is enclosed.
 
-    Args:
-      world: a `World`.
-      reached: `[H, W]` bool, clear cells that robots reach from their starts.
-
-    Returns:
-      Whether it was said, as an `InputWarning`.
+    `reached` `[H, W]` bool has the clear cells that robots reach from their starts. Returns True after a warning.
     """
     if np.mean(~_edge(world.occupied)) < ALONG_EDGE or not reached.any():
         return False
@@ -115,7 +102,7 @@ def warn_of_outside(world: World, reached: np.ndarray) -> bool:
     edge = _edge(floor)
     along = np.mean((edge >= 0) & np.append(own, False)[edge])
     own_m2 = m2[own].sum()
-    enclosed_m2 = m2[~own & ~at_edge & (m2 >= max(SIZEABLE_M2, SIZEABLE * own_m2))].sum()
+    enclosed_m2 = m2[~own & ~at_edge & (m2 >= max(SIZEABLE_M2, SIZEABLE_SHARE * own_m2))].sum()
     if along < ALONG_EDGE or not enclosed_m2:
         return False
     cure, joint = "for the inside use jexplore.worlds.regions.inside(world)", joint_of(str(world.name))
@@ -133,13 +120,13 @@ def warn_of_outside(world: World, reached: np.ndarray) -> bool:
 def warn_of_floor(world: World, reached: np.ndarray, clearance_m: float, *, drawn: bool) -> None:
     """Warn, by one `InputWarning`, that robots start outside, or that free floor is out of their reach.
 
-    The share counts free cells in reach and adjacent ones, up to `BESIDE` clearances along free cells. Floor along the
+    The share counts free cells in reach and adjacent ones, up to `CORNER_CLEARANCES` along free cells. Floor along the
     edge of the map, outside a building in which robots start, is not counted.
 
     Args:
       world: a `World`.
       reached: `[H, W]` bool, clear cells that robots reach from their starts.
-      clearance_m: the robot's.
+      clearance_m: of the robot.
       drawn: bool, starts are drawn; a chosen one may lie outside without a warning.
     """
     if not reached.any() or (drawn and warn_of_outside(world, reached)):
@@ -155,12 +142,12 @@ def warn_of_floor(world: World, reached: np.ndarray, clearance_m: float, *, draw
             outside = (floor >= 0) & np.append(at_edge, False)[floor]
             free &= ~outside
             apart[labels[outside & (labels >= 0)]] = False
-    large = np.flatnonzero(apart & (m2 >= max(SIZEABLE_M2, SIZEABLE * reached.sum() * cell_m2)))
-    if not len(large) and reached.sum() >= REACHED * free.sum():
+    large = np.flatnonzero(apart & (m2 >= max(SIZEABLE_M2, SIZEABLE_SHARE * reached.sum() * cell_m2)))
+    if not len(large) and reached.sum() >= REACHED_SHARE * free.sum():
         return
-    gap = round(BESIDE * clearance_m / world.cell_m)
+    gap = round(CORNER_CLEARANCES * clearance_m / world.cell_m)
     share = np.count_nonzero(with_doorways(np.where(reached, 0, -1), free, gap) >= 0) / np.count_nonzero(free)
-    if not len(large) and share >= REACHED:
+    if not len(large) and share >= REACHED_SHARE:
         return
     text = f"{world.name or 'world'}: a robot of {clearance_m:g} m clearance reaches {share:.0%} of the free floor"
     if len(large):

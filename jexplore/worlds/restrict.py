@@ -1,6 +1,7 @@
 """Limits of an episode in a world, and prior knowledge of its robot: a region to stay in, a partial map."""
 
 import os
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,6 +10,7 @@ from jexplore.config import InputError
 from jexplore.grid import Grid
 from jexplore.worlds.poses import Polygon, read_polygon
 from jexplore.worlds.readers.grids import FREE_MAX, OCCUPIED_MIN, upright
+from jexplore.worlds.readers.resample import inside_polygon
 from jexplore.worlds.readers.ros import read_ros
 from jexplore.worlds.readers.scans import ScanMap
 from jexplore.worlds.world import World
@@ -17,10 +19,7 @@ KnownMap = str | os.PathLike[str] | ArrayLike | ScanMap
 
 
 def restricted(world: World, within: str | Polygon | None, from_map: KnownMap | None) -> World:
-    """Return the world with a region to stay in and a partial map, as far as these are given.
-
-    Raises as `stay_within` and `with_known`.
-    """
+    """Return the world with a region to stay in and a partial map, as far as these are given."""
     world = world if within is None else stay_within(world, within)
     return world if from_map is None else with_known(world, from_map)
 
@@ -32,7 +31,7 @@ def stay_within(world: World, polygon_m: str | Polygon) -> World:
     count neither as known nor as explorable.
 
     Args:
-      world: `World`.
+      world: a world.
       polygon_m: corners, x and y in metres as `World.origin_m`, in order round the region; three or more. Or text, see
         `poses.read_polygon`. A cell is inside if its centre is, by the even-odd rule.
 
@@ -41,11 +40,7 @@ def stay_within(world: World, polygon_m: str | Polygon) -> World:
     """
     corner = np.array(read_polygon(polygon_m))
     x, y = _centres(world)
-    inside = np.zeros(world.shape, bool)
-    for (x0, y0), (x1, y1) in zip(corner, np.roll(corner, -1, axis=0)):
-        if y0 != y1:  # the edge crosses the rows between its ends, and turns round what lies to its left
-            rows = (y0 <= y) != (y1 <= y)
-            inside[rows] ^= x < (x0 + (y[rows] - y0) / (y1 - y0) * (x1 - x0))[:, None]
+    inside = inside_polygon(corner, x, y)
     if not (inside & ~world.occupied).any():
         (x0, y0), (x1, y1) = corner.min(axis=0), corner.max(axis=0)
         raise InputError(
@@ -61,7 +56,7 @@ def with_known(world: World, map_: KnownMap) -> World:
     What it says of a cell counts as one observation; scans may contradict it.
 
     Args:
-      world: `World`.
+      world: a world.
       map_: path of a ROS map (`map.yaml`), such as `explored.yaml` of `jexplore explore`; a `ScanMap`; or an occupancy
         `[H, W]` of the world's cells: -1 unknown, 0 (free) to 100 (occupied). Between 25 and 65 it is unknown.
 
@@ -98,12 +93,12 @@ def with_known(world: World, map_: KnownMap) -> World:
     return world.replace(known=known)
 
 
-def _centres(world):
+def _centres(world: World) -> Iterator[np.ndarray]:
     """Return x of the columns' centres and y of the rows', metres."""
     return (low + (np.arange(n) + 0.5) * world.cell_m for low, n in zip(world.origin_m, world.shape[::-1]))
 
 
-def _occupancy_of(grid: Grid):
+def _occupancy_of(grid: Grid) -> np.ndarray:
     hits, misses = np.asarray(grid.hits), np.asarray(grid.misses)
     seen = hits + misses
     return np.where(seen > 0, 100 * hits // np.maximum(seen, 1), -1)

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from typing import SupportsIndex
 
 import numpy as np
+from scipy import ndimage
 
 from jexplore.arrays.padding import within
 from jexplore.config import InputError
@@ -18,18 +19,10 @@ from jexplore.worlds.world import World, ring_of
 HEADINGS_DEG = (0, 45, 90, 135, 180, 225, 270, 315)
 
 
-def clear_cells(occupied: np.ndarray, clearance_m: float, cell_m: float) -> np.ndarray:
-    """Return cells with more clearance than the radius: free, and no occupied cell within it, centre to centre.
+def clear_of_walls(occupied: np.ndarray, clearance_m: float, cell_m: float) -> np.ndarray:
+    """Return the clear cells `[H, W]` bool: free, and no occupied cell within the clearance, centre to centre.
 
-    Only the cells of the array count: what lies outside it is not an obstacle.
-
-    Args:
-      occupied: `[H, W]` bool.
-      clearance_m: the radius, metres. At 0 every free cell is clear.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      `[H, W]` bool.
+    Only the cells of the array count: what lies outside it is not an obstacle. At 0 m every free cell is clear.
     """
     d2 = radius_d2(clearance_m, cell_m)
     rows, cols = occupied.shape
@@ -46,42 +39,26 @@ def clear_cells(occupied: np.ndarray, clearance_m: float, cell_m: float) -> np.n
 
 
 def label_components(mask: np.ndarray) -> np.ndarray:
-    """Label 4-connected components in the order of their lowest flat indices.
+    """Label 4-connected components from 0 in the order of their lowest flat indices: `[H, W]` int32, -1 elsewhere.
 
     A diagonal step of the robot needs both its orthogonal neighbours, so what it can reach in 8 directions is
     exactly a 4-connected component.
-
-    Args:
-      mask: `[H, W]` bool.
-
-    Returns:
-      `[H, W]` int32, component number from 0; -1 where `mask` is False.
     """
-    starts = mask.copy()
-    starts[:, 1:] &= ~mask[:, :-1]
-    run = np.cumsum(starts, dtype=np.int32).reshape(mask.shape) - 1  # the horizontal run a cell of the mask is in
-    touching = mask[1:] & mask[:-1]
-    lower, upper = run[:-1][touching], run[1:][touching]
-    root = np.arange(int(starts.sum()), dtype=np.int32)
-    for _ in range(root.size):  # a round hooks each root that has a smaller neighbour, so at least one
-        if not lower.size:
-            break
-        np.minimum.at(root, np.maximum(lower, upper), np.minimum(lower, upper))
-        while not np.array_equal(root, shorter := root[root]):
-            root = shorter
-        lower, upper = root[lower], root[upper]
-        apart = lower != upper
-        lower, upper = lower[apart], upper[apart]
-    number = np.cumsum(root == np.arange(root.size), dtype=np.int32) - 1
-    labels = np.full(mask.shape, -1, np.int32)
-    labels[mask] = number[root[run[mask]]]
-    return labels
+    labels = np.empty(mask.shape, np.int32)
+    ndimage.label(mask, output=labels)
+    return labels - 1
+
+
+def largest_component(mask: np.ndarray) -> np.ndarray:
+    """Return the cells of the largest 4-connected component; of equal ones, of that with the lowest flat index."""
+    labels = label_components(mask)
+    return mask & (labels == np.argmax(np.bincount(labels[mask], minlength=1)))
 
 
 def clear_in(world: World, clearance_m: float) -> np.ndarray:
     """Return the clear cells of a world, beyond whose edge is wall: `[H, W]` bool; arguments as for `start_region`."""
     ring = ring_of(world.occupied)
-    clear = clear_cells(np.pad(world.occupied, ring, constant_values=True), clearance_m, world.cell_m)
+    clear = clear_of_walls(np.pad(world.occupied, ring, constant_values=True), clearance_m, world.cell_m)
     clear = within(clear, world.shape, ring)
     return clear if world.within is None else clear & world.within
 
@@ -90,13 +67,7 @@ def start_region(world: World, clearance_m: float) -> np.ndarray:
     """Return the cells that a drawn start may lie in: the largest 4-connected component of the clear cells.
 
     Of a world with a region only what lies within counts, of one with a partial map only what this shows to be free.
-
-    Args:
-      world: a `World`.
-      clearance_m: no occupied cell lies within this distance of a clear cell, centre to centre, metres.
-
-    Returns:
-      `[H, W]` bool. Among components of one size, the one with the lowest flat index. All False if no cell is clear.
+    Among components of one size it is the one with the lowest flat index. All are False if no cell is clear.
     """
     clear = clear_in(world, clearance_m)
     labels = label_components(clear)
@@ -107,14 +78,7 @@ def start_region(world: World, clearance_m: float) -> np.ndarray:
 
 
 def draw_starts(world: World, seed: int, n: int, clearance_m: float) -> np.ndarray:
-    """Draw starts 0 to n - 1 of a seed: `draw_start` for each, at the cost of a single one.
-
-    Returns:
-      `[n, 3]` int32: row, col, heading in degrees.
-
-    Raises:
-      InputError: as `draw_start`.
-    """
+    """Draw starts 0 to n - 1 of a seed, as `draw_start`: `[n, 3]` int32, row, col, heading in degrees."""
     cells = start_cells(world, clearance_m)
     starts = [_draw(cells, world.name, seed, i) for i in range(n)]
     return np.array(starts, np.int32).reshape(n, 3)
@@ -126,15 +90,6 @@ def draw_start(world: World, seed: int, i: int, clearance_m: float) -> tuple[int
     It depends on the world and its name, the clearance, `seed` and `i` alone: neither on how many starts are drawn nor
     on padding. Starts of one number in worlds of different names have nothing in common. Of a map file's name the
     folder does not count; a generator's name without a seed is that with seed 0.
-
-    Args:
-      world: a `World`.
-      seed: integer from 0.
-      i: number of the start, from 0.
-      clearance_m: as in `start_region`.
-
-    Returns:
-      `(row, col, heading_deg)`, Python integers.
 
     Raises:
       InputError: no cell has that much clearance, or `seed` or `i` is negative.
@@ -152,14 +107,14 @@ def start_cells(world: World, clearance_m: float) -> np.ndarray:
     return cells
 
 
-def _words(name):
+def _words(name: str) -> list[int]:
     """Hash a world's name into the seed of its starts: four 32-bit numbers."""
     name = re.split(r"[/\\]", name)[-1]
     name = re.sub(r"^([A-Za-z_][\w-]*)(?=:|$)", r"\1#0", name)
     return np.frombuffer(hashlib.sha256(os.fsencode(name)).digest()[:16], "<u4").tolist()
 
 
-def _draw(cells, name, seed, i):
+def _draw(cells: np.ndarray, name: str, seed: int, i: int) -> tuple[int, int, int]:
     if seed < 0 or i < 0:
         raise InputError(f"seed and number of a start must be at least 0, got seed {seed} and number {i}")
     generator = np.random.Generator(np.random.PCG64([seed, i, *_words(name)]))
@@ -178,7 +133,7 @@ def check_start(
     Args:
       world: a `World`.
       start: `(row, col, heading_deg)`, integers.
-      clearance_m: as in `start_region`. The start itself need only be free.
+      clearance_m: of the clear cells, metres. The start itself need only be free.
       near_m: metres.
 
     Returns:

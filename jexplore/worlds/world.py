@@ -14,16 +14,13 @@ from numpy.typing import ArrayLike
 from jexplore.arrays.pictures import axes_of, html_of, or_text
 from jexplore.config import InputError, checked_names, require_number, require_whole, shown
 from jexplore.tracemap.record import BtmMap
+from jexplore.worlds.bounds import require_side
 from jexplore.worlds.picture import draw_plan, floor_plan
-from jexplore.worlds.sides import require_side
 
 
 @dataclasses.dataclass(frozen=True)
 class Course:
-    """A way through a world, and what a robot that follows it should find.
-
-    Metres are those of the world: (x, y) lies in column (x - origin_m[0]) / cell_m and row (y - origin_m[1]) / cell_m.
-    """
+    """A way through a world, and what a robot that follows it should find, in metres of the world."""
 
     start_pose: tuple[float, float, float]
     """x, y in metres, heading in degrees, counter-clockwise from +x."""
@@ -151,14 +148,8 @@ def _as_mask(name, occupied):
     return occupied
 
 
-def checked(world: World) -> World:
-    """Check a world made by a caller for the requirements of the kernels.
-
-    Args:
-      world: a `World`.
-
-    Returns:
-      The same world, its elevation as float32, its name as text.
+def require_world(world: World) -> World:
+    """Refuse a caller's world that the kernels cannot use; return it with its elevation as float32, its name as text.
 
     Raises:
       InputError: arrays of another shape or dtype than `World` says, sizes out of range, or no free cell.
@@ -209,14 +200,7 @@ def with_ring(world: World) -> World:
     """Add occupied edges to a world: unchanged if it has them, else one cell larger on every side.
 
     Rooms, elevation, start and origin move along, so that every cell keeps its place in metres; indices grow by
-    `ring_of`. No room covers a new cell; its ground is as high as that of the nearest old cell, so that no step arises
-    at the edge.
-
-    Args:
-      world: a `World` of at least one cell.
-
-    Returns:
-      A `World` whose first and last rows and columns are occupied.
+    `ring_of`.
 
     Raises:
       InputError: the ring would make a side longer than `MAX_SIDE` cells.
@@ -226,27 +210,14 @@ def with_ring(world: World) -> World:
         return world
     require_side(world.name or "world", *ringed_shape(occupied), world.cell_m)
     x_m, y_m = world.origin_m
-    return world.replace(
-        occupied=np.pad(occupied, 1, constant_values=True),
-        rooms=None if world.rooms is None else np.pad(world.rooms, 1, constant_values=-1),
-        elevation=None if world.elevation is None else np.pad(world.elevation, 1, mode="edge"),
-        within=None if world.within is None else np.pad(world.within, 1),
-        known=None if world.known is None else np.pad(world.known, 1, constant_values=-1),
+    return _grown(world, [(1, 1), (1, 1)]).replace(
         start=None if world.start is None else (world.start[0] + 1, world.start[1] + 1, world.start[2]),
         origin_m=(round(x_m - world.cell_m, 9), round(y_m - world.cell_m, 9)),  # as people write them, to the nanometre
     )
 
 
 def pad(world: World, shape: tuple[int, int]) -> World:
-    """Pad a world to a larger array: occupied rows are added at the top and occupied columns on the right.
-
-    Args:
-      world: a `World`.
-      shape: `(H, W)` of the result, cells; no smaller than `world.shape`.
-
-    Returns:
-      A `World` of that shape. Indices, metres and starts are those of `world`; in new cells, rooms are -1 and the
-      ground is as high as at the nearest old cell.
+    """Return the world in a larger array of a shape: occupied rows are added at the top, columns on the right.
 
     Raises:
       ValueError: `shape` is smaller than the world.
@@ -254,6 +225,11 @@ def pad(world: World, shape: tuple[int, int]) -> World:
     grow = [(0, new - old) for new, old in zip(shape, world.shape)]
     if len(shape) != 2 or min(after for _, after in grow) < 0:
         raise ValueError(f"expected a shape of at least {world.shape}, got {tuple(shape)}")
+    return _grown(world, grow)
+
+
+def _grown(world: World, grow: list[tuple[int, int]]) -> World:
+    """Add occupied cells of no room, whose ground is as high as at the nearest old cell."""
     return world.replace(
         occupied=np.pad(world.occupied, grow, constant_values=True),
         rooms=None if world.rooms is None else np.pad(world.rooms, grow, constant_values=-1),
@@ -320,16 +296,7 @@ def occupancy_to_world(
 
 
 def require_hundred(name: str, occupancy: np.ndarray, free_max: int = 1) -> None:
-    """Refuse classes, such as 0, 1 and 2, where 100 is occupied: all walls among them would be free.
-
-    Args:
-      name: what the error calls the array.
-      occupancy: integers.
-      free_max: the largest value that is free.
-
-    Raises:
-      InputError: the largest value is from 1 to `free_max`.
-    """
+    """Refuse classes, such as 0, 1 and 2, where 100 is occupied: all walls up to `free_max` would be free."""
     most = int(occupancy.max())
     if not 1 <= most <= free_max:
         return

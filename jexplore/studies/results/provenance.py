@@ -43,7 +43,7 @@ def files_of(world: World) -> dict[str, str]:
     Files that they name are among them.
     """
     try:
-        path = Path(names.parse(os.path.expanduser(world.name), generators=()).base)
+        path = Path(names.parse_name(os.path.expanduser(world.name), generators=()).base)
     except InputError:
         return {}
     found = (path, *_named_in(path)) if path.is_file() else ()

@@ -10,7 +10,7 @@ from jexplore.grid import centre_of
 from jexplore.rooms.doors import middles_of
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.rooted import topology_from
-from jexplore.worlds.starts import clear_cells, label_components
+from jexplore.worlds.starts import clear_of_walls, label_components
 from jexplore.worlds.world import World
 
 SQUARE_DEG = 1.0  # a heading this near to square to a link is
@@ -41,7 +41,7 @@ def truth_of(world: World, start_rc: tuple[int, int], width_m: float, open_m: fl
     """
     free = ~world.occupied
     known = np.ones_like(free)
-    clear = clear_cells(world.occupied, width_m / 2, world.cell_m)
+    clear = clear_of_walls(world.occupied, width_m / 2, world.cell_m)
     reached = _around(clear, start_rc)
     distance = np.asarray(ndimage.distance_transform_edt(free)) * world.cell_m
     if world.course is None:

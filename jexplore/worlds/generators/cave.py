@@ -5,21 +5,21 @@ import math
 import numpy as np
 from scipy import ndimage
 
-from jexplore.worlds import bounds
-from jexplore.worlds.generators.draft import CLEARANCE_M, random_stream
-from jexplore.worlds.starts import clear_cells, label_components
+from jexplore.worlds.bounds import bounded, count_cells
+from jexplore.worlds.generators.draft import PASSABLE_M, random_stream
+from jexplore.worlds.starts import clear_of_walls, largest_component
 from jexplore.worlds.world import World
 
-_KIND = 1
 _DESIGN_M = 0.1  # rocks are placed on a lattice of this width, whatever `cell_m` is
 _RIM_M = 0.4  # rock along the edges, before it is roughened
-_WAVES = 24
+_N_WAVES = 24
 _ROUGH_M = 0.2  # standard deviation of the outlines
 _MARGIN_M = 1.0  # no outline moves further than this
 _LEAST_M2 = 0.3  # a rock that adds less finds no place
 _FAILURES = 200  # draws in a row that find no place
 
 
+@bounded
 def cave(
     seed: int,
     *,
@@ -47,8 +47,7 @@ def cave(
     Raises:
       InputError: a parameter out of range, or a size below 6 m or 6 passages.
     """
-    bounds.cave(cell_m, width_m=width_m, height_m=height_m, free=free, passage_m=passage_m)
-    rng = random_stream(seed, _KIND)
+    rng = random_stream(seed, "cave")
     waves = _draw_waves(rng)
     rocks = _place_rocks(rng, (width_m, height_m), waves, free, 1.25 * passage_m)
     occupied = _draw(rocks, (width_m, height_m), waves, cell_m)
@@ -57,8 +56,8 @@ def cave(
 
 def _draw_waves(rng):
     """Draw plane waves that roughen outlines: `[n, 4]`, wave vector (x, y) per metre, phase, amplitude in metres."""
-    length = rng.uniform(1.5, 8.0, _WAVES)
-    angle, phase = rng.uniform(0, 2 * np.pi, (2, _WAVES))
+    length = rng.uniform(1.5, 8.0, _N_WAVES)
+    angle, phase = rng.uniform(0, 2 * np.pi, (2, _N_WAVES))
     amplitude = _ROUGH_M * np.sqrt(2 * length / length.sum())
     return np.stack([2 * np.pi / length * np.cos(angle), 2 * np.pi / length * np.sin(angle), phase, amplitude], axis=1)
 
@@ -94,7 +93,7 @@ def _window(rock, n, cell_m, margin_m):
 
 def _draw(rocks, size_m, waves, cell_m):
     """Draw the rim and the rocks as cells, `[H, W]` bool."""
-    rows, cols = (math.ceil(side / cell_m - 1e-6) for side in size_m[::-1])
+    rows, cols = (count_cells(side, cell_m) for side in size_m[::-1])
     x, y = ((np.arange(n) + 0.5) * cell_m for n in (cols, rows))
     rim = np.minimum(np.minimum(x, size_m[0] - x)[None, :], np.minimum(y, size_m[1] - y)[:, None])
     occupied = rim + _roughness(waves, x, y) < _RIM_M
@@ -108,7 +107,7 @@ def _draw(rocks, size_m, waves, cell_m):
 
 def _place_rocks(rng, size_m, waves, free, gap_m):
     """Draw groups of rocks until enough is rock. They keep `gap_m` from each other; some lean on the rim."""
-    n = tuple(math.ceil(side / _DESIGN_M) for side in size_m[::-1])
+    n = tuple(math.ceil(side / _DESIGN_M) for side in size_m[::-1])  # also where a side is whole but for rounding
     rim = _draw([], size_m, waves, _DESIGN_M)
     taken = rim.copy()
     rocks, failures, missing = [], 0, (1 - free) * taken.size - taken.sum()
@@ -177,17 +176,11 @@ def _draw_group(rng, size_m, leaning):
 def _widen(occupied, radius, cell_m):
     """Fill what a disc of `radius` cells cannot touch from the largest place it can be in, and every pocket.
 
-    Afterwards the cells with more than `CLEARANCE_M` of clearance are one 4-connected component.
+    Afterwards the cells with more than `PASSABLE_M` of clearance are one 4-connected component.
     """
-    inside = _largest(ndimage.distance_transform_edt(~occupied) > radius)
+    inside = largest_component(ndimage.distance_transform_edt(~occupied) > radius)
     occupied = ndimage.distance_transform_edt(~inside) > radius
-    occupied |= ~_largest(~occupied)
-    while (pockets := (clear := clear_cells(occupied, CLEARANCE_M, cell_m)) & ~_largest(clear)).any():
-        occupied = ~_largest(~(occupied | pockets))
+    occupied |= ~largest_component(~occupied)
+    while (pockets := (clear := clear_of_walls(occupied, PASSABLE_M, cell_m)) & ~largest_component(clear)).any():
+        occupied = ~largest_component(~(occupied | pockets))
     return occupied
-
-
-def _largest(mask):
-    labels = label_components(mask)
-    sizes = np.bincount(labels[mask], minlength=1)
-    return labels == np.argmax(sizes) if mask.any() else mask

@@ -1,16 +1,16 @@
 """A course for trace maps: passages, a slope, junctions and a hall, with its true topology."""
 
-from jexplore.worlds import bounds
-from jexplore.worlds.bounds import OBSTACLES
-from jexplore.worlds.generators.course_map import render
+import numpy as np
+
+from jexplore.worlds.bounds import CREASES, bounded
+from jexplore.worlds.generators.course_map import render_course
 from jexplore.worlds.generators.draft import random_stream
-from jexplore.worlds.generators.network import network
-from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, Route, drawn_width, fifths
+from jexplore.worlds.generators.network import draw_network
+from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, CourseRoute, drawn_width, fifths
 from jexplore.worlds.world import World
 
-_KIND = 6
 _START_M = 1.5  # from the wall behind the start
-_TRIES = 60
+_ATTEMPTS = 60
 _JUNCTIONS = (
     ((RIGHT, LEFT), 0.2),
     ((RIGHT, STRAIGHT), 0.2),
@@ -22,6 +22,7 @@ _JUNCTIONS = (
 """Openings, and how often: T from its stem, T from either side, crossing, corners."""
 
 
+@bounded
 def course(
     seed: int,
     *,
@@ -72,20 +73,18 @@ def course(
     Source:
       Mano et al. 2009, Autonomous generation of Behavioral Trace Maps using rescue robots.
     """
-    kinds = {"obstacle": obstacle, "riser_m": riser_m, "furniture": furniture, "dead_ends": dead_ends}
-    bounds.course(cell_m, width_m=width_m, loops=loops, repeat=repeat, **kinds)
-    rng, creases = random_stream(seed, _KIND), OBSTACLES[obstacle]
+    rng, creases = random_stream(seed, "course"), CREASES[obstacle]
     if loops or repeat:
-        plan = network(rng if seed else None, width_m, creases, loops, repeat, dead_ends)
+        plan = draw_network(rng if seed else None, width_m, creases, loops, repeat, dead_ends)
     else:
-        plan = _drawn(rng, width_m, creases, dead_ends) if seed else _paper(width_m, creases)
-    if furniture:
-        _furnish(rng, plan)
-    return render(plan, cell_m, obstacle, riser_m)
+        plan = _draw_route(rng, width_m, creases, dead_ends) if seed else _route_of_paper(width_m, creases)
+        if furniture:
+            _furnish(rng, plan)
+    return render_course(plan, cell_m, obstacle, riser_m)
 
 
-def _paper(width_m, creases):
-    route = Route(0, width_m, _START_M)
+def _route_of_paper(width_m: float, creases: int) -> CourseRoute:
+    route = CourseRoute(0, width_m, _START_M)
     route.passage(4.1)
     route.ramp(10.0, creases)
     route.passage(5.0)
@@ -98,22 +97,20 @@ def _paper(width_m, creases):
     return route
 
 
-def _drawn(rng, width_m, creases, dead_ends):
+def _draw_route(rng: np.random.Generator, width_m: float, creases: int, dead_ends: bool) -> CourseRoute:
     """Draw a route that keeps clear of itself: with fewer elements if many do not fit. Two always do."""
-    n = int(rng.integers(4, 9))
-    route = None
-    for n_elements in range(n, 1, -1):
-        for _ in range(_TRIES):
+    for n_elements in range(int(rng.integers(4, 9)), 1, -1):
+        for _ in range(_ATTEMPTS):
             route = _attempt(rng, n_elements, width_m, creases, dead_ends)
             if route.fits:
                 return route
     raise AssertionError("a route of two elements keeps clear of itself")
 
 
-def _attempt(rng, n_elements, width_m, creases, dead_ends):
+def _attempt(rng: np.random.Generator, n_elements: int, width_m: float, creases: int, dead_ends: bool) -> CourseRoute:
     elements = ["ramp", "junction", *(["hall"] if n_elements > 2 and rng.random() < 0.8 else [])]
     elements += ["junction"] * (n_elements - len(elements))
-    route = Route(int(rng.integers(4)), drawn_width(rng, width_m), _START_M)
+    route = CourseRoute(int(rng.integers(4)), drawn_width(rng, width_m), _START_M)
     first_m = 0.1  # brings the first passage to whole multiples
     for element in rng.permutation(elements):
         route.passage(fifths(rng, 4.4, 7.0) + first_m)
@@ -131,14 +128,21 @@ def _attempt(rng, n_elements, width_m, creases, dead_ends):
     return route
 
 
-def _furnish(rng, route):
-    """Place a box in some passages, no nearer than 1.6 m to their ends, where the nodes are."""
-    for i, (rect, heading) in enumerate(route.straights):
-        along, across = sorted((0, 1), key=lambda axis: axis != heading % 2)
+def _furnish(rng: np.random.Generator, route: CourseRoute) -> None:
+    """Place a box at a wall of some passages, no nearer than 1.6 m to their ends, where the nodes are."""
+    for rect, heading in route.straights:
+        x0, y0, x1, y1 = rect
+        along, across = (1, 0) if heading % 2 else (0, 1)
         length, width = (rect[axis + 2] - rect[axis] for axis in (along, across))
         depth = min(0.4, 0.2 * int((width - 1.2 + 1e-6) / 0.2))
         size = fifths(rng, 0.4, 0.8)
         start = fifths(rng, 1.6, max(1.6, length - 1.6 - size))
-        side = int(rng.integers(2))
-        if depth > 0 and rng.random() < 0.4:
-            route.box(i, start, size, depth, side)
+        at_high = bool(rng.integers(2))
+        if depth <= 0 or rng.random() >= 0.4:
+            continue
+        if heading % 2:
+            x0, x1 = (x1 - depth, x1) if at_high else (x0, x0 + depth)
+            route.boxes.append((x0, y0 + start, x1, y0 + start + size))
+        else:
+            y0, y1 = (y1 - depth, y1) if at_high else (y0, y0 + depth)
+            route.boxes.append((x0 + start, y0, x0 + start + size, y1))

@@ -4,16 +4,16 @@ Every coordinate is rounded to the nearest edge of a cell on its own, so walls i
 made from the rounded plan and is exact for the cells, not for the drawing.
 """
 
+import dataclasses
 import math
 
 import numpy as np
 
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
 from jexplore.tracemap.rooted import topology_from
-from jexplore.worlds.generators.draft import to_cells
-from jexplore.worlds.generators.network import Network
-from jexplore.worlds.generators.route import MARGIN_M, RAMP_M, Route, largest_circle
-from jexplore.worlds.sides import require_side
+from jexplore.worlds.bounds import count_cells, require_side
+from jexplore.worlds.generators.draft import Rect, to_cells
+from jexplore.worlds.generators.route import RAMP_M, ROCK_M, CoursePlan, Leg, Ramp, Stop, largest_circle
 from jexplore.worlds.world import Course, World
 
 TREAD_M = 0.30
@@ -23,49 +23,49 @@ _BESIDE_M = 0.4  # m; the ground of a ramp continues this far into the adjacent 
 
 
 class _Grid:
-    """Metres of a drawing to metres of the cells."""
+    """Metres of a drawing to metres of the cells; `axis` is 0 for x, 1 for y."""
 
-    def __init__(self, rects, cell_m):
-        bounds = np.array(rects)
-        self.low = bounds[:, :2].min(axis=0) - MARGIN_M
-        high = bounds[:, 2:].max(axis=0) + MARGIN_M
+    def __init__(self, rects: list[Rect], cell_m: float) -> None:
+        corners = np.array(rects)
+        self.low = corners[:, :2].min(axis=0) - ROCK_M
+        high = corners[:, 2:].max(axis=0) + ROCK_M
         self.cell_m = cell_m
-        self.shape = tuple(math.ceil(side / cell_m - 1e-6) for side in (high - self.low)[::-1].tolist())
+        self.shape = tuple(count_cells(side, cell_m) for side in (high - self.low)[::-1].tolist())
 
-    def cells(self, value, axis):
-        """Return the nearest edge between cells; `axis` 0 for x, 1 for y."""
+    def cells(self, value: float, axis: int) -> int:
+        """Return the nearest edge between cells."""
         return to_cells((value - float(self.low[axis])) / self.cell_m)
 
-    def snap(self, value, axis):
+    def snap(self, value: float, axis: int) -> float:
         """Return the same in metres."""
         return round(self.cells(value, axis) * self.cell_m, 9)
 
-    def box(self, rect):
+    def snap_rect(self, rect: Rect) -> list[float]:
+        return [self.snap(value, i % 2) for i, value in enumerate(rect)]
+
+    def box(self, rect: Rect) -> tuple[slice, slice]:
         """Return rows and columns of a rectangle."""
         x0, y0, x1, y1 = (self.cells(value, i % 2) for i, value in enumerate(rect))
         return slice(y0, y1), slice(x0, x1)
 
-    def middle(self, heading, lane):
-        """Return the position of a passage's centre line, metres."""
-        return sum(self.snap(side, 1 - heading % 2) for side in lane) / 2
+    def lane(self, way: Leg | Ramp | Stop) -> list[float]:
+        """Return the sides of a passage, metres."""
+        return [self.snap(side, 1 - way.heading % 2) for side in way.lane]
 
-    def width(self, heading, lane):
+    def width(self, leg: Leg) -> float:
         """Return the width of a passage, metres."""
-        low, high = (self.cells(side, 1 - heading % 2) for side in lane)
+        low, high = (self.cells(side, 1 - leg.heading % 2) for side in leg.lane)
         return round((high - low) * self.cell_m, 9)
 
 
-def render(plan: Route | Network, cell_m: float, obstacle: str, riser_m: float) -> World:
-    """Render a course as a world.
+def render_course(plan: CoursePlan, cell_m: float, obstacle: str, riser_m: float) -> World:
+    """Render a course as a world whose start is the cell that the course starts in; with elevation if it has ramps.
 
     Args:
-      plan: a `Route`, which ends at a goal, or a `Network`, in which the robot goes on until nothing is left.
+      plan: of the course.
       cell_m: edge of a cell, metres.
-      obstacle: what the ramps of the plan are; one of `course.OBSTACLES`.
+      obstacle: what the ramps of the plan are; a key of `bounds.CREASES`.
       riser_m: height of a step, metres.
-
-    Returns:
-      A `World` with a course, its start the cell that the course starts in; with elevation where there is a ramp.
 
     Raises:
       InputError: more than `MAX_SIDE` cells a side.
@@ -78,8 +78,9 @@ def render(plan: Route | Network, cell_m: float, obstacle: str, riser_m: float) 
     for rect in plan.boxes:
         occupied[grid.box(rect)] = True
     elevation = np.zeros(grid.shape, np.float32) if plan.ramps else None
-    for ramp in plan.ramps:
-        _raise_ground(elevation, grid, ramp, obstacle, riser_m)
+    if elevation is not None:
+        for ramp in plan.ramps:
+            _raise_ground(elevation, grid, ramp, obstacle, riser_m)
     nodes = tuple(_node(i, stop, grid, obstacle, riser_m) for i, stop in enumerate(plan.stops))
     topology = BtmMap(nodes, _links(plan, nodes, grid))
     start, heading_deg = _node(0, plan.start, grid, obstacle, riser_m), 90.0 * plan.start.heading
@@ -93,7 +94,7 @@ def render(plan: Route | Network, cell_m: float, obstacle: str, riser_m: float) 
     return World(occupied=occupied, elevation=elevation, start=cell, cell_m=float(cell_m), course=course)
 
 
-def _creases(grid, ramp, obstacle):
+def _creases(grid: _Grid, ramp: Ramp, obstacle: str) -> list[float]:
     """Return the positions along a ramp's passage where the ground bends, metres.
 
     These are start, top and end; of stairs both ends of the landing, of a platform its ends, of a sill its middle, of a
@@ -117,7 +118,7 @@ def _creases(grid, ramp, obstacle):
     return [start + forward * at for at in along[obstacle]]
 
 
-def _raise_ground(elevation, grid, ramp, obstacle, riser_m):
+def _raise_ground(elevation: np.ndarray, grid: _Grid, ramp: Ramp, obstacle: str, riser_m: float) -> None:
     start, *_, end = _creases(grid, ramp, "slope" if obstacle == "slope" else "platform")
     top = (start + end) / 2
     axis = ramp.heading % 2
@@ -139,20 +140,17 @@ def _raise_ground(elevation, grid, ramp, obstacle, riser_m):
     )
     tilt = np.ones(across.stop - across.start)
     if obstacle == "cross-slope":  # it twists to its angle, and rises to one side of the middle by as much as it falls
-        middle = grid.middle(ramp.heading, ramp.lane)
+        middle = sum(grid.lane(ramp)) / 2
         height = np.minimum(height / TWIST_M, math.tan(math.radians(ramp.angle_deg)))
         tilt = (np.arange(across.start, across.stop) + 0.5) * grid.cell_m - middle
-    if axis:
-        elevation[along, across] = height[along, None] * tilt
-    else:
-        elevation[across, along] = height[None, along] * tilt[:, None]
+    ground = elevation if axis else elevation.T
+    ground[along, across] = height[along, None] * tilt
 
 
-def _node(number, stop, grid, obstacle, riser_m):
+def _node(number: int, stop: Stop, grid: _Grid, obstacle: str, riser_m: float) -> Node:
     about = {}
     if stop.rect is not None:
-        snapped = tuple(grid.snap(value, i % 2) for i, value in enumerate(stop.rect))
-        x, y, _ = largest_circle(snapped, stop.arms)
+        x, y, _ = largest_circle(grid.snap_rect(stop.rect), stop.arms)
         return Node(number, x, y, stop.type)
     axis = stop.heading % 2
     if stop.ramp is not None:
@@ -165,43 +163,36 @@ def _node(number, stop, grid, obstacle, riser_m):
         along = grid.snap(stop.along, axis)
     else:
         along = round(stop.along - float(grid.low[axis]), 9)
-    middle = grid.middle(stop.heading, stop.lane)
+    middle = sum(grid.lane(stop)) / 2
     x, y = (middle, along) if axis else (along, middle)
     return Node(number, x, y, stop.type, **about)
 
 
-def _links(route, nodes, grid):
+def _links(plan: CoursePlan, nodes: tuple[Node, ...], grid: _Grid) -> tuple[Link, ...]:
     """Return links that the robot follows in the order of following, then the others."""
     links = []
-    for leg in sorted(route.legs, key=lambda leg: leg.end is None):
-        width = grid.width(leg.heading, leg.lane)
-        common = {"start_bearing_deg": 90.0 * leg.heading, "opening_m": width}
-        if leg.end is None:
-            links.append(Link(len(links), leg.start, NOWHERE, "un-searched", **common))
-            continue
-        ends = [(node.x_m, node.y_m)[leg.heading % 2] for node in (nodes[leg.start], nodes[leg.end])]
-        links.append(
-            Link(
-                len(links),
-                leg.start,
-                leg.end,
-                "searched",
-                **common,
+    for leg in sorted(plan.legs, key=lambda leg: leg.end is None):
+        width, bearing_deg = grid.width(leg), 90.0 * leg.heading
+        link = Link(len(links), leg.start, NOWHERE, "un-searched", start_bearing_deg=bearing_deg, opening_m=width)
+        if leg.end is not None:
+            ends = [(node.x_m, node.y_m)[leg.heading % 2] for node in (nodes[leg.start], nodes[leg.end])]
+            link = dataclasses.replace(
+                link,
+                end=leg.end,
+                status="searched",
                 end_bearing_deg=90.0 * ((leg.heading + 2) % 4),
                 length_m=round(abs(ends[1] - ends[0]), 9),
-                min_width_m=round(width - _furniture(route.boxes, grid, leg, ends), 9),
+                min_width_m=round(width - _furniture(plan.boxes, grid, leg, ends), 9),
             )
-        )
+        links.append(link)
     return tuple(links)
 
 
-def _furniture(boxes, grid, leg, ends):
+def _furniture(boxes: list[Rect], grid: _Grid, leg: Leg, ends: list[float]) -> float:
     """Return the width that the deepest piece of furniture takes from a passage between two nodes, metres."""
-    axis = leg.heading % 2
-    sides = [grid.snap(side, 1 - axis) for side in leg.lane]
-    deepest = 0.0
+    axis, sides, deepest = leg.heading % 2, grid.lane(leg), 0.0
     for box in boxes:
-        snapped = [grid.snap(value, i % 2) for i, value in enumerate(box)]
+        snapped = grid.snap_rect(box)
         middle = [(snapped[i] + snapped[i + 2]) / 2 for i in range(2)]
         if min(ends) < middle[axis] < max(ends) and sides[0] < middle[1 - axis] < sides[1]:
             deepest = max(deepest, snapped[3 - axis] - snapped[1 - axis])

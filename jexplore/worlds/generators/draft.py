@@ -14,22 +14,18 @@ import numpy as np
 
 from jexplore.config import InputError
 from jexplore.grid import radius_d2
+from jexplore.worlds.bounds import count_cells
 from jexplore.worlds.world import World
 
-CLEARANCE_M = 0.30  # every door lets a robot through that needs this much, centre to centre
-WALL_M = 0.15
-OUTER_M = 0.3
+PASSABLE_M = 0.30  # every door lets a robot through that needs this much, centre to centre
+WALL_THICK_M = 0.15
+OUTER_WALL_M = 0.3
+Rect = tuple[float, float, float, float]
+_STREAMS = {"cave": 1, "office": 2, "hospital": 3, "maze": 4, "rooms": 5, "course": 6}
 
 
-def random_stream(seed: int, kind: int) -> np.random.Generator:
-    """Return the generator of a seed, different for every kind of world.
-
-    Args:
-      seed: integer from 0.
-      kind: a number of the generator's own.
-
-    Returns:
-      A numpy `Generator`.
+def random_stream(seed: int, kind: str, *use: int) -> np.random.Generator:
+    """Return the numpy generator of a seed for a generator of worlds; `use` has one for each of its other uses.
 
     Raises:
       InputError: `seed` is no integer, or is negative.
@@ -40,12 +36,12 @@ def random_stream(seed: int, kind: int) -> np.random.Generator:
         raise InputError(f"seed must be an integer from 0, got {seed!r}") from None
     if seed < 0:
         raise InputError(f"seed must be an integer from 0, got {seed}")
-    return np.random.default_rng([seed, kind])
+    return np.random.default_rng([seed, _STREAMS[kind], *use])
 
 
 def passable_cells(cell_m: float) -> int:
-    """Return the narrowest passable gap, cells: one of its cells has more than `CLEARANCE_M` to both sides."""
-    return 2 * math.isqrt(radius_d2(CLEARANCE_M, cell_m)) + 1
+    """Return the narrowest passable gap, cells: one of its cells has more than `PASSABLE_M` to both sides."""
+    return 2 * math.isqrt(radius_d2(PASSABLE_M, cell_m)) + 1
 
 
 def to_cells(length: float) -> int:
@@ -54,20 +50,13 @@ def to_cells(length: float) -> int:
 
 
 def wall_span(
-    middle_m: float, side_m: float, cell_m: float, *, wall_m: float = WALL_M, outer_m: float = OUTER_M
+    middle_m: float, side_m: float, cell_m: float, *, wall_m: float = WALL_THICK_M, outer_m: float = OUTER_WALL_M
 ) -> tuple[int, int]:
-    """Return the cells that a wall covers across its thickness: at least one, and as many wherever it stands.
+    """Return the cells `(first, stop)` that a wall covers across its thickness: one or more, the same number anywhere.
 
-    Args:
-      middle_m: where the wall's middle lies, metres; 0 and `side_m` are the outer faces of the outer walls.
-      side_m: length of the world along this axis, metres.
-      cell_m: edge of a cell, metres.
-      wall_m, outer_m: thickness of inner and outer walls, metres.
-
-    Returns:
-      `(first, stop)`, cell indices.
+    `middle_m` is the place of the wall's middle; 0 and `side_m` are the outer faces of the outer walls.
     """
-    n_cells = math.ceil(side_m / cell_m - 1e-6)
+    n_cells = count_cells(side_m, cell_m)
     thick = max(1, to_cells(outer_m / cell_m))
     if middle_m < 1e-6:
         return 0, thick
@@ -78,7 +67,12 @@ def wall_span(
     return first, first + thick
 
 
-def block_cells(block: tuple[float, float, float, float], cell_m: float) -> tuple[slice, slice]:
+def rects_near(a: Sequence[float], b: Sequence[float], gap_m: float = 0.0) -> bool:
+    """Return whether two rectangles are nearer than `gap_m` in both axes; by default whether they overlap."""
+    return a[0] < b[2] + gap_m and b[0] < a[2] + gap_m and a[1] < b[3] + gap_m and b[1] < a[3] + gap_m
+
+
+def block_cells(block: Rect, cell_m: float) -> tuple[slice, slice]:
     """Return the rows and columns that a block covers: at least one of each."""
     x, y = (
         slice(to_cells(low / cell_m), max(to_cells(low / cell_m) + 1, to_cells(high / cell_m)))
@@ -92,15 +86,12 @@ class Side:
     """A side of a room's rectangle."""
 
     vertical: bool
-    wall: float
-    """As in `Door`."""
-    inward: int
-    """1 where the room lies at higher coordinates than the wall, else -1."""
+    wall: float  # as in `Door`
+    inward: int  # 1 where the room lies at higher coordinates than the wall, else -1
     low: float
-    high: float
-    """Ends of the side along the wall, metres."""
+    high: float  # ends of the side along the wall, metres
 
-    def block(self, low: float, near: float, high: float, far: float) -> tuple[float, float, float, float]:
+    def block(self, low: float, near: float, high: float, far: float) -> Rect:
         """Return a rectangle from `low` to `high` along the wall, and `near` to `far` from its middle, metres."""
         first, last = sorted((self.wall + self.inward * near, self.wall + self.inward * far))
         return (first, low, last, high) if self.vertical else (low, first, high, last)
@@ -110,17 +101,12 @@ class Side:
 class Door:
     """A gap in a wall between two rooms."""
 
-    vertical: bool
-    """True if the wall runs along y."""
-    wall: float
-    """Position of the wall's middle: x if it is vertical, else y, metres."""
-    middle: float
-    """Middle of the gap along the wall, metres."""
-    width: float
-    """Metres."""
+    vertical: bool  # true if the wall runs along y
+    wall: float  # position of the wall's middle: x if it is vertical, else y, metres
+    middle: float  # middle of the gap along the wall, metres
+    width: float  # metres
     low: float
-    high: float
-    """Ends of the stretch of wall that both rooms share, metres."""
+    high: float  # ends of the stretch of wall that both rooms share, metres
 
 
 @dataclasses.dataclass
@@ -129,15 +115,15 @@ class FloorPlan:
 
     width_m: float
     height_m: float
-    rooms: list[list[tuple[float, float, float, float]]] = dataclasses.field(default_factory=list)
+    rooms: list[list[Rect]] = dataclasses.field(default_factory=list)
     """A room is a list of rectangles; those that overlap are one space."""
     doors: list[Door] = dataclasses.field(default_factory=list)
-    blocks: list[tuple[float, float, float, float]] = dataclasses.field(default_factory=list)
+    blocks: list[Rect] = dataclasses.field(default_factory=list)
     """Columns, counters, furniture: rectangles of their true size, at least one cell."""
     kinds: list[str] = dataclasses.field(default_factory=list)
     """Use of every room: a key of `furniture.ROOMS`; empty if its size decides."""
 
-    def room(self, *rects: tuple[float, float, float, float], kind: str = "") -> int:
+    def room(self, *rects: Rect, kind: str = "") -> int:
         """Add a room of one or more overlapping rectangles, of a kind (see `kinds`). Returns its number."""
         self.rooms.append(list(rects))
         self.kinds.append(kind)
@@ -201,7 +187,7 @@ class FloorPlan:
     def gap(self, stretch: tuple[bool, float, float, float], width: float, at: float = 0.5) -> None:
         """Add a door in a stretch of wall. `at` goes from 0, at its lower end, to 1; jambs remain at both ends."""
         vertical, wall, low, high = stretch
-        margin = min((high - low) / 2, width / 2 + WALL_M / 2 + 0.25)
+        margin = min((high - low) / 2, width / 2 + WALL_THICK_M / 2 + 0.25)
         self.doors.append(Door(vertical, wall, low + margin + at * (high - low - 2 * margin), width, low, high))
 
     def door(self, a: int, b: int, width: float, at: float = 0.5) -> None:
@@ -209,21 +195,15 @@ class FloorPlan:
         self.gap(max(self.shared_walls(a, b), key=lambda stretch: stretch[3] - stretch[2]), width, at)
 
     def render(self, cell_m: float, *, flip_x: bool = False, flip_y: bool = False) -> World:
-        """Render the plan as cells.
+        """Render the plan as cells, mirrored left to right, bottom to top; rooms are numbered as they were added.
 
         A wall is at least one cell thick. A door has the whole number of cells nearest to its width, fewer where that
-        leaves no cell of wall on either side, but never fewer than a robot passes (`passable_cells`).
-
-        Args:
-          cell_m: edge of a cell, metres.
-          flip_x, flip_y: mirror the building left to right, bottom to top.
-
-        Returns:
-          A `World` with rooms numbered as they were added; -1 on walls, blocks and doorways.
+        leaves no cell of wall on either side, but never fewer than a robot passes (`passable_cells`). Walls, blocks and
+        doorways are no room's.
         """
         sides = (self.width_m, self.height_m)
         spans = [lambda middle, side=side: wall_span(middle, side, cell_m) for side in sides]
-        cols, rows = (math.ceil(side / cell_m - 1e-6) for side in sides)
+        cols, rows = (count_cells(side, cell_m) for side in sides)
         occupied = np.ones((rows, cols), bool)
         rooms = np.full((rows, cols), -1, np.int32)
         for number, rects in enumerate(self.rooms):
@@ -249,16 +229,10 @@ class FloorPlan:
         return World(occupied=occupied[flip].copy(), rooms=rooms[flip].copy(), cell_m=float(cell_m))
 
 
-def cut(rng: np.random.Generator, length: float, kinds: Sequence[tuple[float, float, float]]) -> list[float]:
-    """Cut a length into stretches of several kinds.
+def cut_length(rng: np.random.Generator, length: float, kinds: Sequence[tuple[float, float, float]]) -> list[float]:
+    """Cut a length into stretches, metres, all at least the least `low` if `length` is.
 
-    Args:
-      rng: numpy `Generator`.
-      length: metres.
-      kinds: rows of `(weight, low, high)`: how often a kind comes, and its lengths, metres.
-
-    Returns:
-      A list of lengths, metres, that sum to `length`; all at least the least `low` if `length` is.
+    `kinds` has rows of `(weight, low, high)`: the frequency of a kind, and its lengths, metres.
     """
     weights = np.array([kind[0] for kind in kinds], float)
     lengths = []
@@ -290,10 +264,10 @@ def bands(
     Args:
       rng: numpy `Generator`.
       height_m: metres; every 10 m have a corridor.
-      corridor_m: width of the corridors, metres.
+      corridor_m: width of the corridors, metres, where `widths` does not give that of each.
       edge: least and largest depth of the first and last row, as a multiple of half a corridor's share of the depth;
         the cores take the rest.
-      widths: of the corridors, bottom to top, metres, one for each; none: all are `corridor_m` wide.
+      widths: of the corridors, bottom to top, metres.
 
     Returns:
       A list of `(y0, y1)` from 0 to `height_m`. Rows and cores have even indices, corridors odd ones.
@@ -311,29 +285,13 @@ def bands(
     return list(itertools.pairwise(edges))
 
 
-def columns(
-    plan: FloorPlan,
-    rect: tuple[float, float, float, float],
-    *,
-    spacing_m: float,
-    side_m: float = 0.4,
-    margin_m: float = 1.6,
-) -> None:
-    """Stand columns in a room on a square lattice, away from its walls.
-
-    Args:
-      plan: a `FloorPlan`.
-      rect: the room.
-      spacing_m: at least this far apart, metres.
-      side_m: edge of a column, metres.
-      margin_m: at least this far from the middles of the walls, metres.
-    """
+def stand_columns(plan: FloorPlan, rect: Rect, *, spacing_m: float, margin_m: float) -> None:
+    """Stand columns of 0.4 m in a room, at least `spacing_m` apart and `margin_m` from the middles of its walls."""
     x0, y0, x1, y1 = rect
-    lines = []
+    lines, half = [], 0.2
     for low, high in ((x0 + margin_m, x1 - margin_m), (y0 + margin_m, y1 - margin_m)):
-        if high - low < side_m:
+        if high - low < 2 * half:
             return
         n = 1 + int((high - low) // spacing_m)
         lines.append(np.linspace(low, high, n) if n > 1 else [(low + high) / 2])
-    half = side_m / 2
     plan.blocks += [(x - half, y - half, x + half, y + half) for x in lines[0] for y in lines[1]]

@@ -6,16 +6,25 @@ of the room's own, and every piece has a rank from 0 to 1: with less furniture, 
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
-from jexplore.worlds.generators.draft import OUTER_M, WALL_M, Door, FloorPlan, block_cells
-from jexplore.worlds.generators.variants import stream
-from jexplore.worlds.starts import clear_cells
+from jexplore.worlds.generators.draft import (
+    OUTER_WALL_M,
+    WALL_THICK_M,
+    Door,
+    FloorPlan,
+    Rect,
+    Side,
+    block_cells,
+    random_stream,
+    rects_near,
+)
+from jexplore.worlds.starts import clear_of_walls, label_components, largest_component
+from jexplore.worlds.world import World
 
-Rect: TypeAlias = tuple[float, float, float, float]
+Part = tuple[float, list[Rect]]  # a rank, and the blocks of a piece or of a chair that belongs to it
 
 ROOMS: dict[str, dict[str, float]] = {
     "corridor": {"cupboard": 40, "bench": 50, "bin": 50},
@@ -52,31 +61,22 @@ _ROUND_M = 0.85  # between tables and the middles of the walls
 _AISLE_M = 1.0  # between rows of desks
 _TRIES = 12  # places, before a piece is left out
 _FURNITURE = 110  # random stream
-CHECKS = ((0.05, 0.35), (0.1, 0.35), (0.15, 0.30), (0.2, 0.30))
+CHECKED_CELLS = ((0.05, 0.35), (0.1, 0.35), (0.15, 0.30), (0.2, 0.30))
 """Cells, and the clearance that a robot has in them everywhere it must get to, metres: with a margin."""
 _LEFT = 0.5  # of the places where a robot could stand in the empty room, the share that it still reaches
 
 
-class Piece(NamedTuple):
-    """Something to stand in a room."""
-
-    zone: Rect
-    """Occupied area, chairs included, metres."""
-    parts: list[tuple[float, list[Rect]]]
-    """Rank and blocks of the piece itself and of every chair that belongs to it."""
+class _Piece(NamedTuple):
+    zone: Rect  # occupied area, chairs included, metres
+    parts: list[Part]
 
 
-def furnish(plan: FloorPlan, seed: int, kind: int, furniture: float) -> None:
+def furnish(plan: FloorPlan, seed: int, kind: str, furniture: float) -> None:
     """Furnish the rooms of a plan, as blocks.
 
     Doorways and a strip before them stay free. A piece that would separate two doors of a room, enclose free space or
-    take more than half of a room's standing places from a robot is left out; this is checked in the cells of `CHECKS`,
-    so that a seed gives the same building at every `cell_m`.
-
-    Args:
-      plan: a `FloorPlan`, changed in place: finished but for the furniture.
-      seed, kind: of the building.
-      furniture: share of the pieces that exist, 0 to 1. Pieces stay in place as the share grows.
+    take more than half of a room's standing places from a robot is left out; this is checked in the cells of
+    `CHECKED_CELLS`, so that a seed gives the same building at every `cell_m`. Pieces stay in place as the share grows.
     """
     if not furniture:
         return
@@ -84,32 +84,32 @@ def furnish(plan: FloorPlan, seed: int, kind: int, furniture: float) -> None:
     for door in plan.doors:
         for number in plan.beside(door):
             doors[number].append(door)
-    empty, standing = [plan.render(cell_m) for cell_m, _ in CHECKS], list(plan.blocks)
+    empty, standing = [plan.render(cell_m) for cell_m, _ in CHECKED_CELLS], list(plan.blocks)
     for number in range(len(plan.rooms)):
-        rng = stream(seed, kind, _FURNITURE, number)
-        parts = [part for piece in _pieces(rng, plan, number, doors[number], standing) for part in piece.parts]
+        rng = random_stream(seed, kind, _FURNITURE, number)
+        parts = _draw_parts(rng, plan, number, doors[number], standing)
         blocks = [blocks for rank, blocks in sorted(parts, key=lambda part: part[0]) if rank <= furniture]
-        spaces = _spaces(plan, number, doors[number], empty)
-        for kept in _that_fit(blocks, [], spaces):
+        for kept in _that_fit(blocks, [], _spaces(plan, number, doors[number], empty)):
             plan.blocks += kept
 
 
-def _spaces(plan, number, doors, empty):
-    """Return the room in the cells of every check, `empty` being the plan in them."""
-    return [
-        _Space(world, number, plan.rooms[number], doors, clearance_m) for world, (_, clearance_m) in zip(empty, CHECKS)
-    ]
+def _spaces(plan: FloorPlan, number: int, doors: list[Door], empty: list[World]) -> "list[_Space]":
+    """Return a room in the cells of every check, in which `empty` is the plan."""
+    clearances_m = [clearance_m for _, clearance_m in CHECKED_CELLS]
+    return [_Space(world, number, plan.rooms[number], doors, m) for world, m in zip(empty, clearances_m)]
 
 
-def _pieces(rng, plan: FloorPlan, number: int, doors: Sequence[Door], standing: Sequence[Rect]) -> list[Piece]:
+def _draw_parts(
+    rng: np.random.Generator, plan: FloorPlan, number: int, doors: list[Door], standing: list[Rect]
+) -> list[Part]:
     """Draw all furniture that a room could have: pieces that overlap neither each other nor standing ones."""
     rects = plan.rooms[number]
     area = sum(map(_area, rects))
     kind = plan.kinds[number] or ("store" if area < 7 else "office" if area < 24 else "meeting")
-    taken = [_before(door) for door in doors]
-    taken += [_grown(block, _GAP_M) for block in standing if any(_overlap(block, rect) for rect in rects)]
+    taken = [_door_zone(door) for door in doors]
+    taken += [_grown(block, _GAP_M) for block in standing if any(rects_near(block, rect) for rect in rects)]
     walls = plan.bare_walls(number, _DOOR_M[0])
-    pieces = []
+    parts = []
     for name, share in ROOMS[kind].items():
         for _ in range(math.floor(area / share + rng.random())):
             for _ in range(_TRIES):
@@ -117,39 +117,39 @@ def _pieces(rng, plan: FloorPlan, number: int, doors: Sequence[Door], standing: 
                     piece = _in_the_open(rng, rects, name)
                 else:
                     piece = _at_a_wall(rng, plan, walls, rects, name, _PASSAGE_M if kind == "corridor" else 0.3)
-                if piece is not None and not any(_overlap(piece.zone, other) for other in taken):
-                    pieces.append(piece)
+                if piece is not None and not any(rects_near(piece.zone, other) for other in taken):
+                    parts += piece.parts
                     taken.append(_grown(piece.zone, _GAP_M))
                     break
-    return pieces
+    return parts
 
 
-def _at_a_wall(rng, plan, walls, rects, name, beyond_m):
+def _at_a_wall(
+    rng: np.random.Generator, plan: FloorPlan, walls: list[Side], rects: list[Rect], name: str, beyond_m: float
+) -> _Piece | None:
     """Place a piece somewhere along a room's walls, `beyond_m` metres next to it left free; None if it does not fit."""
     length, depth, parts = _wall_piece(rng, name)
     lengths = np.array([side.high - side.low for side in walls])
     if not len(lengths):
         return None
     side = walls[rng.choice(len(walls), p=lengths / lengths.sum())]
-    low, high = (
-        side.low + _face(plan, not side.vertical, side.low),
-        side.high - _face(plan, not side.vertical, side.high),
-    )
+    low = side.low + _face(plan, not side.vertical, side.low)
+    high = side.high - _face(plan, not side.vertical, side.high)
     if high - low < length:
         return None
     at = low + (high - low - length) * (0.0 if name == "bin" else rng.random())  # a bin stands in a corner
     face = _face(plan, side.vertical, side.wall)
-    needed = side.block(at, 0, at + length, face + depth + beyond_m)
-    if not any(_inside(needed, rect) for rect in rects):
+    x0, y0, x1, y1 = side.block(at, 0, at + length, face + depth + beyond_m)
+    if not any(a <= x0 and b <= y0 and x1 <= c and y1 <= d for a, b, c, d in rects):
         return None
     placed = [
         (rank, [side.block(at + u0, v0 + face if v0 else 0, at + u1, v1 + face) for u0, v0, u1, v1 in blocks])
         for rank, blocks in parts
     ]
-    return Piece(side.block(at, 0, at + length, face + depth), placed)
+    return _Piece(side.block(at, 0, at + length, face + depth), placed)
 
 
-def _wall_piece(rng, name):
+def _wall_piece(rng: np.random.Generator, name: str) -> tuple[float, float, list[Part]]:
     """Draw a piece along a wall: length, depth, and its parts: `u` along the wall, `v` away from it, metres."""
     rank, later = rng.random(2)
     later = max(rank, later)
@@ -173,7 +173,7 @@ def _wall_piece(rng, name):
     return length, depth, parts
 
 
-def _in_the_open(rng, rects, name):
+def _in_the_open(rng: np.random.Generator, rects: list[Rect], name: str) -> _Piece | None:
     """Draw a table with chairs or desks face to face, away from the walls; None if the room is too small."""
     x0, y0, x1, y1 = max(rects, key=_area)
     if name == "pod":  # as many desks in a row as there is room for, all rows one way
@@ -204,19 +204,19 @@ def _in_the_open(rng, rects, name):
         return (x + v0, y + u0, x + v1, y + u1) if turned else (x + u0, y + v0, x + u1, y + v1)
 
     parts = [(rank, [placed(*block) for block in blocks]) for rank, blocks in parts]
-    return Piece((x, y, x + float(sizes[0]), y + float(sizes[1])), parts)
+    return _Piece((x, y, x + float(sizes[0]), y + float(sizes[1])), parts)
 
 
-def _leg(u, v):
+def _leg(u: float, v: float) -> Rect:
     return (u, v, u + _LEG_M, v + _LEG_M)
 
 
-def _legs(u0, v0, u1, v1):
+def _legs(u0: float, v0: float, u1: float, v1: float) -> list[Rect]:
     """Return the legs at the corners of a rectangle."""
     return [_leg(u, v) for u in (u0, u1 - _LEG_M) for v in (v0, v1 - _LEG_M)]
 
 
-def _before(door):
+def _door_zone(door: Door) -> Rect:
     """Return the area to keep free on both sides of a door."""
     beside, before = _DOOR_M
     along = (door.middle - door.width / 2 - beside, door.middle + door.width / 2 + beside)
@@ -225,47 +225,39 @@ def _before(door):
     return x0, y0, x1, y1
 
 
-def _face(plan, vertical, wall):
+def _face(plan: FloorPlan, vertical: bool, wall: float) -> float:
     """Return the distance of a wall's face from its `wall` coordinate, metres."""
     end = plan.width_m if vertical else plan.height_m
-    return OUTER_M if wall < 1e-6 or wall > end - 1e-6 else WALL_M / 2
+    return OUTER_WALL_M if wall < 1e-6 or wall > end - 1e-6 else WALL_THICK_M / 2
 
 
-def _area(rect):
+def _area(rect: Rect) -> float:
     return (rect[2] - rect[0]) * (rect[3] - rect[1])
 
 
-def _grown(rect, by):
+def _grown(rect: Rect, by: float) -> Rect:
     x0, y0, x1, y1 = rect
     return x0 - by, y0 - by, x1 + by, y1 + by
-
-
-def _overlap(a, b):
-    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
-
-
-def _inside(a, b):
-    return b[0] <= a[0] and b[1] <= a[1] and a[2] <= b[2] and a[3] <= b[3]
 
 
 class _Space:
     """The cells of one room of an empty building, and whether furniture leaves enough of them to a robot."""
 
-    def __init__(self, world, number, rects, doors, clearance_m):
+    def __init__(self, world: World, number: int, rects: list[Rect], doors: list[Door], clearance_m: float) -> None:
         low = np.min(rects, axis=0)[:2] - 1.0
         high = np.max(rects, axis=0)[2:] + 1.0
         self.clearance_m, self.cell_m = clearance_m, world.cell_m
         window = block_cells((*np.maximum(low, 0), *high), world.cell_m)
         self.row, self.col = window[0].start, window[1].start
         self.occupied = world.occupied[window]
-        rooms = world.rooms[window]
+        rooms = np.asarray(world.rooms)[window]
         self.doors = []
         for door in doors:
-            x0, y0, x1, y1 = _before(door)
+            x0, y0, x1, y1 = _door_zone(door)
             if door.vertical:  # no more of the strip than the thickness of the wall
-                x0, x1 = door.wall - OUTER_M, door.wall + OUTER_M
+                x0, x1 = door.wall - OUTER_WALL_M, door.wall + OUTER_WALL_M
             else:
-                y0, y1 = door.wall - OUTER_M, door.wall + OUTER_M
+                y0, y1 = door.wall - OUTER_WALL_M, door.wall + OUTER_WALL_M
             at = np.zeros_like(self.occupied)
             at[self._window((x0, y0, x1, y1))] = True
             self.doors.append(at & ~self.occupied & (rooms < 0))
@@ -273,20 +265,17 @@ class _Space:
         self.parts, self.reach, size = self._state(self.occupied)
         self.least = _LEFT * size
 
-    def _window(self, block):
+    def _window(self, block: Rect) -> tuple[slice, ...]:
         y, x = block_cells(block, self.cell_m)
         return tuple(slice(max(0, s.start - o), max(0, s.stop - o)) for s, o in ((y, self.row), (x, self.col)))
 
-    def _state(self, occupied):
+    def _state(self, occupied: np.ndarray) -> tuple[int, list[bool], int]:
         """Return the number of free components, the doors reached by the largest clear one, and its size."""
-        parts = _components(self.own & ~occupied).max()
-        labels = _components(self.own & clear_cells(occupied, self.clearance_m, self.cell_m))
-        sizes = np.bincount(labels.ravel())
-        sizes[0] = 0
-        main = (labels == np.argmax(sizes)) & (labels > 0)
-        return parts, [bool((main & door).any()) for door in self.doors], int(sizes.max())
+        n_parts = int(label_components(self.own & ~occupied).max()) + 1
+        main = largest_component(self.own & clear_of_walls(occupied, self.clearance_m, self.cell_m))
+        return n_parts, [bool((main & door).any()) for door in self.doors], int(main.sum())
 
-    def fits(self, pieces):
+    def fits(self, pieces: Sequence[list[Rect]]) -> bool:
         """Return whether a robot gets through and round the room with these pieces, lists of blocks, in it."""
         occupied = self.occupied.copy()
         for block in (block for blocks in pieces for block in blocks):
@@ -296,14 +285,7 @@ class _Space:
         return parts <= self.parts and keeps and size >= self.least
 
 
-def _components(mask):
-    """Label 4-connected components from 1; 0 elsewhere."""
-    labels = np.empty(mask.shape, np.int32)
-    ndimage.label(mask, output=labels)
-    return labels
-
-
-def _that_fit(pieces, before, spaces):
+def _that_fit(pieces: list[list[Rect]], before: list[list[Rect]], spaces: list[_Space]) -> list[list[Rect]]:
     """Return those pieces that fit into a room after others: each one that fits with all accepted before."""
     if not pieces or all(space.fits([*before, *pieces]) for space in spaces):
         return pieces

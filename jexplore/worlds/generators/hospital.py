@@ -1,26 +1,12 @@
 """A hospital wing: a ward round a core with the nurses' station, a hall, and a treatment wing."""
 
-from jexplore.worlds import bounds
-from jexplore.worlds.generators.draft import (
-    FloorPlan,
-    bands,
-    columns,
-    cut,
-    n_corridors,
-    random_stream,
-)
-from jexplore.worlds.generators.furniture import furnish
-from jexplore.worlds.generators.variants import (
-    corridor_widths,
-    limit_loops,
-    narrow_corridors,
-    widen_openings,
-)
+from jexplore.worlds.bounds import bounded
+from jexplore.worlds.generators.draft import FloorPlan, bands, cut_length, n_corridors, random_stream, stand_columns
+from jexplore.worlds.generators.variants import corridor_widths, finish_building
 from jexplore.worlds.world import World
 
-_KIND = 3
 
-
+@bounded
 def hospital(
     seed: int,
     *,
@@ -47,10 +33,7 @@ def hospital(
       width_m, height_m: outer size, metres.
       corridor_m: width of the corridors between the middles of their walls, metres.
       room_m: width of a common patient room, metres; the others follow.
-      corridor_sd_m: standard deviation of the widths of the corridors, and depth of constrictions, metres; 0 to 1.
-      furniture: share of the furniture that exists, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
-      wide_openings: share of the doors that are openings 1.6 to 2.6 m wide where the wall allows, 0 to 1.
-      max_loops: most cycles per 1000 m2: doors beyond them are closed, but none that would cut off a room. 0 to 1000.
+      corridor_sd_m, furniture, wide_openings, max_loops: see `variants.finish_building`.
 
     Returns:
       A `World` with rooms.
@@ -58,12 +41,9 @@ def hospital(
     Raises:
       InputError: a parameter out of range, or a size below 32 x 11 m.
     """
-    variants = {"furniture": furniture, "wide_openings": wide_openings, "max_loops": max_loops}
-    sizes = {"width_m": width_m, "height_m": height_m, "corridor_m": corridor_m, "room_m": room_m}
-    bounds.hospital(cell_m, corridor_sd_m=corridor_sd_m, **sizes, **variants)
-    rng = random_stream(seed, _KIND)
+    rng = random_stream(seed, "hospital")
     plan = FloorPlan(width_m, height_m)
-    widths = corridor_widths(seed, _KIND, n_corridors(height_m), corridor_m, corridor_sd_m)
+    widths = corridor_widths(seed, "hospital", n_corridors(height_m), corridor_m, corridor_sd_m)
     stack = bands(rng, height_m, corridor_m, (1.25, 1.4), widths)
     hall_m = rng.uniform(6.0, 8.5) if width_m > 40 else 6.0
     x0 = width_m * rng.uniform(0.45, 0.58) - hall_m / 2
@@ -74,11 +54,9 @@ def hospital(
         plan.gap(stretch, 1.2)
     _treatment(rng, plan, x0 + hall_m, stack, hall, kinds)
     flip_x, flip_y = (rng.random(2) < 0.5).tolist()
-    narrow_corridors(plan, seed, _KIND, corridor_sd_m)
-    limit_loops(plan, seed, _KIND, max_loops)
-    widen_openings(plan, seed, _KIND, wide_openings)
-    furnish(plan, seed, _KIND, furniture)
-    return plan.render(cell_m, flip_x=flip_x, flip_y=flip_y)
+    variants = {"furniture": furniture, "wide_openings": wide_openings, "max_loops": max_loops}
+    variants["corridor_sd_m"] = corridor_sd_m
+    return finish_building(plan, seed, "hospital", cell_m, **variants, flip_x=flip_x, flip_y=flip_y)
 
 
 def _ward(rng, plan, end, stack, corridor_m, kinds):
@@ -92,7 +70,7 @@ def _ward(rng, plan, end, stack, corridor_m, kinds):
         y0, y1 = lines[0][0], lines[-1][1]
         along = ((x, low, end, high) for low, high in lines)
         corridor = plan.room((x, y0, x + corridor_m, y1), *along, kind="corridor")
-        for height in cut(rng, y1 - y0, [(1.0, 2.8, 5.5)]):
+        for height in cut_length(rng, y1 - y0, [(1.0, 2.8, 5.5)]):
             plan.room((0.0, y0, x, y0 + height), kind="treatment")
             plan.gap((True, x, y0, y0 + height), rng.choice([0.9, 1.2]), rng.choice([0.1, 0.5, 0.9]))
             y0 += height
@@ -112,7 +90,7 @@ def _patients(rng, plan, rect, front, kinds):
     """Draw a row of patient rooms and stores between a facade and a corridor that begins at y = `front`."""
     x0, y0, x1, y1 = rect
     left = bool(rng.random() < 0.5)
-    for width in cut(rng, x1 - x0, kinds):
+    for width in cut_length(rng, x1 - x0, kinds):
         x0, x1 = x0, x0 + width
         inner_m = min(rng.uniform(1.8, 2.2), width - 1.9)
         if inner_m < 1.8 or y1 - y0 < 4.2 or rng.random() < 0.15:
@@ -158,7 +136,7 @@ def _core(rng, plan, rect):
         _desk(plan, begin + size / 2, (y0 + y1) / 2)
     kinds = [(0.4, 2.2, 3.0), (0.6, 3.2, 5.0)]
     for low, high in ((x0, begin), (begin + size, x1)):
-        for width in cut(rng, high - low, kinds) if high > low + 1e-6 else ():
+        for width in cut_length(rng, high - low, kinds) if high > low + 1e-6 else ():
             if y1 - y0 > 4.6 and rng.random() < 0.55:  # two rooms, back to back
                 y = y0 + (y1 - y0) * rng.uniform(0.42, 0.58)
                 halves = [(y0, y, y0), (y, y1, y1)]
@@ -185,9 +163,9 @@ def _hall(rng, plan, ends, stack):
     x0, x1 = ends
     y = stack[-2][1]
     rect = (x0, 0.0, x1, y)
-    columns(plan, rect, spacing_m=3.6, margin_m=1.9)
+    stand_columns(plan, rect, spacing_m=3.6, margin_m=1.9)
     hall = plan.room(rect, kind="lobby")
-    for width in cut(rng, x1 - x0, [(1.0, 2.6, 4.5)]):
+    for width in cut_length(rng, x1 - x0, [(1.0, 2.6, 4.5)]):
         plan.room((x0, y, x0 + width, plan.height_m))
         plan.gap((False, y, x0, x0 + width), rng.choice([0.9, 1.0]), rng.choice([0.1, 0.5, 0.9]))
         x0 += width
@@ -219,13 +197,13 @@ def _treatment(rng, plan, begin, stack, hall, kinds):
 def _suites(rng, plan, ends, front, back):
     """Draw waiting rooms at a corridor (y = `front`), each with two or three rooms behind it."""
     x0 = ends[0]
-    for width in cut(rng, ends[1] - ends[0], [(1.0, 6.5, 10.0)]):
+    for width in cut_length(rng, ends[1] - ends[0], [(1.0, 6.5, 10.0)]):
         middle = front + (back - front) * rng.uniform(0.42, 0.52)
         plan.room((x0, min(front, middle), x0 + width, max(front, middle)), kind="waiting")
         for at in (0.1, 0.9) if width > 7.5 else (0.5,):
             plan.gap((False, front, x0, x0 + width), 1.2, at)
         x = x0
-        for part in cut(rng, width, [(1.0, 2.6, 4.4)]):
+        for part in cut_length(rng, width, [(1.0, 2.6, 4.4)]):
             plan.room((x, min(back, middle), x + part, max(back, middle)), kind="treatment")
             plan.gap((False, middle, x, x + part), rng.choice([0.9, 1.0]), rng.choice([0.1, 0.5, 0.9]))
             x += part

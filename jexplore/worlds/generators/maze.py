@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from jexplore.config import InputError
-from jexplore.worlds import bounds
+from jexplore.worlds.bounds import bounded, count_cells
 from jexplore.worlds.generators.draft import passable_cells, random_stream, wall_span
 from jexplore.worlds.world import World
 
-_KIND = 4
-_STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))
+_Place = tuple[int, int]
 
 
+@bounded
 def maze(
     seed: int,
     *,
@@ -44,8 +44,6 @@ def maze(
     Raises:
       InputError: a parameter out of range, a size below 2 x 2 corridors, or corridors that no robot passes.
     """
-    sizes = {"corridor_m": corridor_m, "wall_m": wall_m}
-    rows, cols = bounds.maze(cell_m, width_m=width_m, height_m=height_m, loops=loops, **sizes)
     shape, spans = [], []
     for side_m in (height_m, width_m):
         n = int((side_m - wall_m + 1e-6) // (corridor_m + wall_m))
@@ -58,12 +56,11 @@ def maze(
                 f"maze: corridor_m = {corridor_m:g} leaves {max(narrowest, 0)} cells of {cell_m:g} m between walls "
                 f"and a robot needs {passable_cells(cell_m)}; use wider corridors or a smaller cell_m"
             )
-    occupied = np.ones((rows, cols), bool)
+    occupied = np.ones((count_cells(height_m, cell_m), count_cells(width_m, cell_m)), bool)
     ys, xs = ([slice(a[1], b[0]) for a, b in itertools.pairwise(axis)] for axis in spans)
-    for y in ys:
-        for x in xs:
-            occupied[y, x] = False
-    for (row, col), (to_row, to_col) in passages(random_stream(seed, _KIND), shape, loops):
+    for y, x in itertools.product(ys, xs):
+        occupied[y, x] = False
+    for (row, col), (to_row, to_col) in passages(random_stream(seed, "maze"), shape, loops):
         if row == to_row:
             occupied[ys[row], slice(*spans[1][max(col, to_col)])] = False
         else:
@@ -71,13 +68,10 @@ def maze(
     return World(occupied=occupied, cell_m=float(cell_m))
 
 
-def passages(
-    rng: np.random.Generator, shape: Sequence[int], loops: float
-) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+def passages(rng: np.random.Generator, shape: Sequence[int], loops: float) -> list[tuple[_Place, _Place]]:
     """Choose the neighbouring places of a maze that are joined.
 
     Args:
-      rng: numpy `Generator`.
       shape: rows and columns of places.
       loops: fraction of the walls that a spanning tree leaves, and that are opened all the same.
 
@@ -85,30 +79,31 @@ def passages(
       A list of pairs of places `(row, col)`; the first rows * cols - 1 are a spanning tree.
     """
     rows, cols = shape
-    start = (int(rng.integers(rows)), int(rng.integers(cols)))
-    trail, seen, joined = [start], {start}, []
+
+    def beside(place: _Place) -> list[_Place]:
+        row, col = place
+        ways = (row, col + 1), (row + 1, col), (row, col - 1), (row - 1, col)
+        return [(y, x) for y, x in ways if 0 <= y < rows and 0 <= x < cols]
+
+    trail: list[_Place] = [(int(rng.integers(rows)), int(rng.integers(cols)))]
+    seen, joined = {trail[0]}, []
     while trail:
-        row, col = trail[-1]
-        ways = [
-            (row + dy, col + dx)
-            for dy, dx in _STEPS
-            if 0 <= row + dy < rows and 0 <= col + dx < cols and (row + dy, col + dx) not in seen
-        ]
+        ways = [way for way in beside(trail[-1]) if way not in seen]
         if not ways:
             trail.pop()
             continue
         way = ways[rng.integers(len(ways))]
-        joined.append(((row, col), way))
+        joined.append((trail[-1], way))
         seen.add(way)
         trail.append(way)
     tree = {frozenset(pair) for pair in joined}
-    pairs = [((y, x), (y + dy, x + dx)) for y in range(rows) for x in range(cols) for dy, dx in _STEPS[:2]]
-    walls = [(a, b) for a, b in pairs if b[0] < rows and b[1] < cols and frozenset((a, b)) not in tree]
+    places = itertools.product(range(rows), range(cols))
+    walls = [(a, b) for a in places for b in beside(a) if b > a and frozenset((a, b)) not in tree]
     order = [walls[i] for i in rng.permutation(len(walls))]
     return joined + _last_of_a_post_last(order, shape)[: round(loops * len(walls))]
 
 
-def _last_of_a_post_last(walls, shape):
+def _last_of_a_post_last(walls: list[tuple[_Place, _Place]], shape: Sequence[int]) -> list[tuple[_Place, _Place]]:
     """Sort walls last without which a post between four places would stand alone."""
     ends = [((max(a[0], b[0]), max(a[1], b[1])), (a[0] + 1, a[1] + 1)) for a, b in walls]
     left = collections.Counter(post for pair in ends for post in pair)

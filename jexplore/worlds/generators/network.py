@@ -7,46 +7,36 @@ rings, fractions the middles between.
 
 import dataclasses
 import itertools
-from collections.abc import Iterable
+from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 
-from jexplore.worlds.generators.route import RAMP_M, Leg, Ramp, Rect, Stop, drawn_width, fifths, is_near
+from jexplore.worlds.generators.draft import Rect, rects_near
+from jexplore.worlds.generators.route import CLEAR_GAP_M, RAMP_M, CoursePlan, Leg, Ramp, Stop, drawn_width, fifths
 
+_Key = tuple[float, float]  # of a column and a row
+_Option = TypeVar("_Option")
 START_M = 4.0  # from the wall behind the start: outside the circle of the dead end there
 _SEED_0_M = 6.0  # length of a passage between two junctions
-
-
-@dataclasses.dataclass(frozen=True)
-class Network:
-    """A plan that `course_map.render` makes a world of; see `route.Route`."""
-
-    areas: list[Rect]
-    stops: list[Stop]
-    legs: list[Leg]
-    ramps: list[Ramp]
-    start: Stop
-    boxes: tuple[Rect, ...] = ()
-    has_goal: bool = False
 
 
 @dataclasses.dataclass(frozen=True, order=True)
 class _Side:
     """A straight stretch of a ring, or between two rings."""
 
-    axis: int
-    """0: it runs along x, on a row; 1: along y, on a column."""
-    line: float
-    """Key of the row or column."""
+    axis: int  # 0: it runs along x, on a row; 1: along y, on a column
+    line: float  # _Key of the row or column
     low: float
-    high: float
-    """Keys of the columns or rows where it ends."""
+    high: float  # keys of the columns or rows where it ends
 
 
-def network(
+def draw_network(
     rng: np.random.Generator | None, width_m: float, creases: int, loops: int, repeat: int, spurs: bool
-) -> Network:
+) -> CoursePlan:
     """Plan a course with a number of independent cycles, or of equal junctions, or both.
+
+    The first passage has the start and the obstacle.
 
     Args:
       rng: generator; None: nothing is drawn, the widths are `width_m` and all lengths 6 m.
@@ -56,9 +46,6 @@ def network(
       repeat: T junctions at equal distances, with dead ends of equal length: on the first ring, else on a straight
         passage.
       spurs: bool, rings have dead ends.
-
-    Returns:
-      `Network`. Its first passage has the start and the obstacle.
     """
     draw = _Draws(rng, width_m)
     sides = _rings(draw, loops) if loops else {_Side(0, 0.0, 1 / (repeat + 1), repeat / (repeat + 1))}
@@ -69,7 +56,7 @@ def network(
     keys += [entry, *equal, *(at for at, _ in wanted)]
     columns = _lines(draw, {column for column, _ in keys}, repeat)
     rows = _lines(draw, {row for _, row in keys}, 0)
-    made = _Made(columns, rows, sides)
+    made = _Passages(columns, rows, sides)
     before_m = START_M + draw.passage()
     made.spur(entry, 2, before_m + 2 * RAMP_M + draw.passage())
     length = draw.length(6.2, 8.0)
@@ -80,33 +67,33 @@ def network(
     for at, heading in wanted:
         made.spur(at, heading, draw.length(5.0, 7.0), may_fail=True)
     places, pairs = made.places_and_pairs()
-    places = _turned(places, draw.choice(range(4)), draw.choice((False, True)))
+    places = _turned_rects(places, draw.choice(range(4)), draw.choice((False, True)))
     return _planned(places, pairs, before_m, creases, draw.angle())
 
 
 class _Draws:
     """Numbers that are drawn, or fixed where there is nothing to draw from."""
 
-    def __init__(self, rng, width_m):
+    def __init__(self, rng: np.random.Generator | None, width_m: float) -> None:
         self.rng, self.width_m = rng, width_m
 
-    def choice(self, options):
+    def choice(self, options: Sequence[_Option]) -> _Option:
         return options[0] if self.rng is None else options[int(self.rng.integers(len(options)))]
 
-    def width(self):
+    def width(self) -> float:
         return self.width_m if self.rng is None else drawn_width(self.rng, self.width_m)
 
-    def length(self, low, high):
+    def length(self, low: float, high: float) -> float:
         return _SEED_0_M if self.rng is None else fifths(self.rng, low, high)
 
-    def passage(self):
+    def passage(self) -> float:
         return self.length(4.4, 7.0)
 
-    def angle(self):
+    def angle(self) -> float:
         return 10.0 if self.rng is None else float(self.rng.integers(6, 16))
 
 
-def _rings(draw, loops):
+def _rings(draw: _Draws, loops: int) -> set[_Side]:
     """Return the sides of a number of rings: a staircase to the north and east, so that no further ring arises."""
     column, row, sides = 0, 0, _sides_of(0, 0)
     for _ in range(loops - 1):
@@ -120,13 +107,13 @@ def _rings(draw, loops):
     return sides
 
 
-def _sides_of(column, row):
+def _sides_of(column: int, row: int) -> set[_Side]:
     return {_Side(0, float(row + k), float(column), float(column + 1)) for k in (0, 1)} | {
         _Side(1, float(column + k), float(row), float(row + 1)) for k in (0, 1)
     }
 
 
-def _wanted(draw, sides, repeat):
+def _wanted(draw: _Draws, sides: set[_Side], repeat: int) -> list[tuple[_Key, int]]:
     """Return places, keys of column and row, and headings of dead ends for rings; none next to equal junctions."""
     found = []
     if draw.rng is None:
@@ -140,11 +127,11 @@ def _wanted(draw, sides, repeat):
     return found
 
 
-def _lines(draw, keys, repeat):
+def _lines(draw: _Draws, keys: set[float], repeat: int) -> dict[float, _Key]:
     """Return key -> the two sides of a line, metres. Those of equal junctions are alike and equally far apart."""
     equal_width, equal_gap, at, found = draw.width(), draw.length(5.0, 8.0), 0.0, {}
-    keys = sorted(keys)
-    for key, after in zip(keys, [*keys[1:], None]):
+    ordered = sorted(keys)
+    for key, after in zip(ordered, [*ordered[1:], None]):
         is_equal = repeat and 0 < key < 1
         width = equal_width if is_equal else draw.width()
         found[key] = (round(at, 6), round(at + width, 6))
@@ -155,25 +142,21 @@ def _lines(draw, keys, repeat):
     return found
 
 
-class _Made:
-    """Lines in metres, and what hangs on them."""
+class _Passages:
+    """Lines in metres, and the passages on them."""
 
-    def __init__(self, columns, rows, sides):
+    def __init__(self, columns: dict[float, _Key], rows: dict[float, _Key], sides: set[_Side]) -> None:
         self.columns, self.rows, self.sides = columns, rows, sorted(sides)
-        ends = [[self._at(side, key) for key in (side.low, side.high)] for side in self.sides]
+        ends = [[(key, s.line) if s.axis == 0 else (s.line, key) for key in (s.low, s.high)] for s in self.sides]
         self.keys = {at for pair in ends for at in pair}
         self.areas = [_hull(*map(self._place, pair)) for pair in ends]
-        self.spurs: list[tuple[tuple[float, float], Rect]] = []
+        self.spurs: list[tuple[_Key, Rect]] = []
 
-    @staticmethod
-    def _at(side, key):
-        return (key, side.line) if side.axis == 0 else (side.line, key)
-
-    def _place(self, at):
+    def _place(self, at: _Key) -> Rect:
         (x0, x1), (y0, y1) = self.columns[at[0]], self.rows[at[1]]
         return x0, y0, x1, y1
 
-    def spur(self, at, heading, length, may_fail=False):
+    def spur(self, at: _Key, heading: int, length: float, may_fail: bool = False) -> None:
         """Add a passage with a dead end, of a length from its mouth at a place on a line to its end.
 
         One that may fail is left out where it would come too near to another passage.
@@ -182,7 +165,7 @@ class _Made:
         width = base[3] - base[1] if heading % 2 == 0 else base[2] - base[0]
         stub = _beyond(base, heading, 0.0, length)
         others = ((area, _hull(area, base) == area) for area in self.areas)
-        if any(_overlap(stub, area) if touches else is_near(stub, area) for area, touches in others):
+        if any(rects_near(stub, area, -1e-6 if touches else CLEAR_GAP_M) for area, touches in others):
             assert may_fail, "what the plan relies on keeps clear of itself"
             return
         far = _beyond(base, heading, length - width, length)
@@ -190,7 +173,7 @@ class _Made:
         self.areas.append(_hull(base, far))
         self.spurs.append((at, far))
 
-    def places_and_pairs(self):
+    def places_and_pairs(self) -> tuple[list[Rect], list[tuple[int, int]]]:
         """Return rectangles of places where passages meet or end, and passages as pairs, dead ends first."""
         keys = sorted(self.keys)
         places = [*map(self._place, keys), *(far for _, far in self.spurs)]
@@ -201,7 +184,7 @@ class _Made:
         return places, pairs
 
 
-def _beyond(rect, heading, near_m, far_m) -> Rect:
+def _beyond(rect: Rect, heading: int, near_m: float, far_m: float) -> Rect:
     """Return the stretch of a passage that leaves a rectangle, between two distances from its mouth."""
     edge, forward = rect[(heading + 2) % 4], 1 if heading < 2 else -1
     low, high = sorted((edge + forward * near_m, edge + forward * far_m))
@@ -209,24 +192,22 @@ def _beyond(rect, heading, near_m, far_m) -> Rect:
     return (x0, low, x1, high) if heading % 2 else (low, y0, high, y1)
 
 
-def _hull(*rects) -> Rect:
+def _hull(*rects: Rect) -> Rect:
     x0, y0, x1, y1 = zip(*rects)
     return min(x0), min(y0), max(x1), max(y1)
 
 
-def _overlap(a, b):
-    return a[0] < b[2] - 1e-6 and b[0] < a[2] - 1e-6 and a[1] < b[3] - 1e-6 and b[1] < a[3] - 1e-6
-
-
-def _turned(rects, quarters, mirrored):
+def _turned_rects(rects: list[Rect], quarters: int, mirrored: bool) -> list[Rect]:
     """Turn rectangles counter-clockwise about the origin, then mirror them in x."""
     for _ in range(quarters):
         rects = [(-y1, x0, -y0, x1) for x0, y0, x1, y1 in rects]
     return [(-x1, y0, -x0, y1) for x0, y0, x1, y1 in rects] if mirrored else list(rects)
 
 
-def _planned(places: list[Rect], pairs: Iterable[tuple[int, int]], before_m, creases, angle_deg) -> Network:
-    """Return the `Network` of places and passages; the first has the start and, `before_m` from its end, the ramp."""
+def _planned(
+    places: list[Rect], pairs: list[tuple[int, int]], before_m: float, creases: int, angle_deg: float
+) -> CoursePlan:
+    """Return the plan of places and passages; the first has the start and, `before_m` from its end, the ramp."""
     ways = [(a, b, _heading(places[a], places[b])) for a, b in pairs]
     arms = [{heading for a, _, heading in ways if a == i} | {(h + 2) % 4 for _, b, h in ways if b == i}
             for i in range(len(places))]  # fmt: skip
@@ -243,13 +224,13 @@ def _planned(places: list[Rect], pairs: Iterable[tuple[int, int]], before_m, cre
     stops += [Stop("obstacle", heading, lane, ramp=ramp, crease=crease) for crease in range(creases)]
     legs += [Leg(a, b, heading, lane) for a, b in itertools.pairwise(chain)]
     areas = [_hull(places[a], places[b]) for a, b, _ in ways]
-    return Network(areas, stops, legs, [ramp] if creases else [], start)
+    return CoursePlan(start, areas, stops, legs, [ramp] if creases else [])
 
 
-def _heading(a, b):
+def _heading(a: Rect, b: Rect) -> int:
     dx, dy = b[0] + b[2] - a[0] - a[2], b[1] + b[3] - a[1] - a[3]
     return (0 if dx > 0 else 2) if abs(dx) > abs(dy) else (1 if dy > 0 else 3)
 
 
-def _lane(rect, heading):
+def _lane(rect: Rect, heading: int) -> _Key:
     return (rect[1], rect[3]) if heading % 2 == 0 else (rect[0], rect[2])

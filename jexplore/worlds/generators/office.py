@@ -2,27 +2,13 @@
 
 import itertools
 
-from jexplore.worlds import bounds
-from jexplore.worlds.generators.draft import (
-    FloorPlan,
-    bands,
-    columns,
-    cut,
-    n_corridors,
-    random_stream,
-)
-from jexplore.worlds.generators.furniture import furnish
-from jexplore.worlds.generators.variants import (
-    corridor_widths,
-    limit_loops,
-    narrow_corridors,
-    widen_openings,
-)
+from jexplore.worlds.bounds import bounded
+from jexplore.worlds.generators.draft import FloorPlan, bands, cut_length, n_corridors, random_stream, stand_columns
+from jexplore.worlds.generators.variants import corridor_widths, finish_building
 from jexplore.worlds.world import World
 
-_KIND = 2
 
-
+@bounded
 def office(
     seed: int,
     *,
@@ -48,10 +34,7 @@ def office(
       width_m, height_m: outer size, metres.
       corridor_m: width of the corridors between the middles of their walls, metres.
       room_m: width of a common office, metres; the others follow.
-      corridor_sd_m: standard deviation of the widths of the corridors, and depth of constrictions, metres; 0 to 1.
-      furniture: share of the furniture that exists, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
-      wide_openings: share of the doors that are openings 1.6 to 2.6 m wide where the wall allows, 0 to 1.
-      max_loops: most cycles per 1000 m2: doors beyond them are closed, but none that would cut off a room. 0 to 1000.
+      corridor_sd_m, furniture, wide_openings, max_loops: see `variants.finish_building`.
       open_plan: all beyond the first corridor forms an open-plan area, but for some rooms at one end.
 
     Returns:
@@ -60,20 +43,15 @@ def office(
     Raises:
       InputError: a parameter out of range, or a size below 14 x 9 m.
     """
-    variants = {"furniture": furniture, "wide_openings": wide_openings, "max_loops": max_loops}
-    sizes = {"width_m": width_m, "height_m": height_m, "corridor_m": corridor_m, "room_m": room_m}
-    bounds.office(cell_m, corridor_sd_m=corridor_sd_m, **sizes, **variants)
-    rng = random_stream(seed, _KIND)
+    rng = random_stream(seed, "office")
     plan = FloorPlan(width_m, height_m)
-    widths = corridor_widths(seed, _KIND, n_corridors(height_m), corridor_m, corridor_sd_m)
+    widths = corridor_widths(seed, "office", n_corridors(height_m), corridor_m, corridor_sd_m)
     stack = bands(rng, height_m, corridor_m, (1.05, 1.25), widths)
     (_open_floor if open_plan else _floor)(rng, plan, stack, corridor_m, _kinds(room_m))
     flip_x, flip_y = (rng.random(2) < 0.5).tolist()
-    narrow_corridors(plan, seed, _KIND, corridor_sd_m)
-    limit_loops(plan, seed, _KIND, max_loops)
-    widen_openings(plan, seed, _KIND, wide_openings)
-    furnish(plan, seed, _KIND, furniture)
-    return plan.render(cell_m, flip_x=flip_x, flip_y=flip_y)
+    variants = {"furniture": furniture, "wide_openings": wide_openings, "max_loops": max_loops}
+    variants["corridor_sd_m"] = corridor_sd_m
+    return finish_building(plan, seed, "office", cell_m, **variants, flip_x=flip_x, flip_y=flip_y)
 
 
 def _floor(rng, plan, stack, corridor_m, kinds):
@@ -113,11 +91,11 @@ def _open_floor(rng, plan, stack, corridor_m, kinds):
     _row_around(rng, plan, (0.0, y0, end, y1), corridor, kinds, _lobby, 7.0)
     begin = rng.uniform(3.2, 4.4)
     area = plan.room((begin, y2, end, plan.height_m), kind="open")
-    columns(plan, (begin, y2, end, plan.height_m), spacing_m=6.0, margin_m=2.6)
+    stand_columns(plan, (begin, y2, end, plan.height_m), spacing_m=6.0, margin_m=2.6)
     n_doors = max(2, round((end - begin) / 8))
     for i in range(n_doors):
         plan.door(area, corridor, 1.2, (i + rng.uniform(0.3, 0.7)) / n_doors)
-    for height in cut(rng, plan.height_m - y2, [(1.0, 2.6, 5.0)]):
+    for height in cut_length(rng, plan.height_m - y2, [(1.0, 2.6, 5.0)]):
         plan.room((0.0, y2, begin, y2 + height))
         plan.gap((True, begin, y2, y2 + height), 1.0, rng.choice([0.1, 0.5, 0.9]))
         y2 += height
@@ -164,7 +142,7 @@ def _head(rng, plan, end, stack, corridors):
     large = []
     for (y0, y1), corridor in zip(itertools.pairwise([corners[0], *middles, corners[1]]), corridors):
         rect = (end, y0, plan.width_m, y1)
-        columns(plan, rect, spacing_m=3.5, margin_m=1.7)
+        stand_columns(plan, rect, spacing_m=3.5, margin_m=1.7)
         large.append(plan.room(rect, kind="open" if large else "lobby"))
         plan.door(large[-1], corridor, 1.2)
     for before, after in itertools.pairwise(large):
@@ -185,12 +163,12 @@ def _row_around(rng, plan, rect, corridor, kinds, special, size_m):
 
 
 def _lobby(plan, rect, corridors):
-    columns(plan, rect, spacing_m=3.0, margin_m=1.7)
+    stand_columns(plan, rect, spacing_m=3.0, margin_m=1.7)
     _with_doors(plan, rect, corridors, 1.2, "lobby")
 
 
 def _open_plan(plan, rect, corridors):
-    columns(plan, rect, spacing_m=4.5, margin_m=2.2)
+    stand_columns(plan, rect, spacing_m=4.5, margin_m=2.2)
     _with_doors(plan, rect, corridors, 1.1, "open")
 
 
@@ -210,7 +188,7 @@ def _row(rng, plan, rect, corridor, kinds):
     x0, y0, x1, y1 = rect
     above = plan.rooms[corridor][0][1] > y0  # the corridor lies above the row
     before = None
-    for width in cut(rng, x1 - x0, kinds):
+    for width in cut_length(rng, x1 - x0, kinds):
         x0, x1 = x0, x0 + width
         if width >= 3.2 and y1 - y0 >= 4.6 and rng.random() < 0.18:
             share = rng.uniform(0.45, 0.55)
@@ -232,15 +210,9 @@ def _row(rng, plan, rect, corridor, kinds):
 
 
 def _core(rng, plan, ends, band, corridors, kinds):
-    """Fill the area between two corridors: an open-plan area in a long part, and rooms back to back or across.
+    """Fill the band between two corridors: an open-plan area in a long part, and rooms back to back or across.
 
-    Args:
-      rng: numpy `Generator`.
-      plan: the `FloorPlan`.
-      ends: begin and end of the parts, alternately, metres.
-      band: `(y0, y1)`.
-      corridors: numbers of the corridors below and above.
-      kinds: see `cut`.
+    `ends` are the begin and end of the parts, alternately, metres.
     """
     y0, y1 = band
     parts = list(zip(ends[::2], ends[1::2]))

@@ -4,16 +4,15 @@ import math
 
 import numpy as np
 
-from jexplore.worlds import bounds
-from jexplore.worlds.generators.draft import FloorPlan, random_stream
-from jexplore.worlds.generators.furniture import furnish
-from jexplore.worlds.generators.variants import limit_loops, widen_openings
+from jexplore.worlds.bounds import bounded
+from jexplore.worlds.generators.draft import FloorPlan, Rect, random_stream
+from jexplore.worlds.generators.variants import finish_building
 from jexplore.worlds.world import World
 
-_KIND = 5
 _SHARED_M = 1.9  # a stretch of wall that holds the widest door, its jambs and the walls at both ends
 
 
+@bounded
 def rooms(
     seed: int,
     *,
@@ -36,9 +35,7 @@ def rooms(
       width_m, height_m: outer size, metres.
       room_m: least side of a room, between the middles of its walls, metres.
       extra_doors: fraction of the neighbours outside the spanning tree that have a door as well, 0 to 1.
-      furniture: share of the furniture that is there, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
-      wide_openings: share of the doors that are openings 1.6 to 2.6 m wide where the wall allows, 0 to 1.
-      max_loops: ways round a 1000 m2, at most: doors beyond them are closed, none that would cut off a room. 0 to 1000.
+      furniture, wide_openings, max_loops: see `variants.finish_building`.
 
     Returns:
       A `World` with rooms.
@@ -46,18 +43,14 @@ def rooms(
     Raises:
       InputError: a parameter out of range, or a size below two rooms a side.
     """
-    variants = {"furniture": furniture, "wide_openings": wide_openings, "max_loops": max_loops}
-    sizes = {"width_m": width_m, "height_m": height_m, "room_m": room_m}
-    bounds.rooms(cell_m, extra_doors=extra_doors, **sizes, **variants)
-    rng = random_stream(seed, _KIND)
+    rng = random_stream(seed, "rooms")
     plan = FloorPlan(width_m, height_m)
     todo = [(0.0, 0.0, width_m, height_m)]
     while todo:
         rect = todo.pop()
         halves = _halves(rng, rect, room_m)
-        if halves:
-            todo += halves
-        else:
+        todo += halves
+        if not halves:
             plan.room(rect, kind="mixed")
     pairs = _neighbours(np.array([rects[0] for rects in plan.rooms]))
     group = np.arange(len(plan.rooms))  # rooms that are joined carry one number
@@ -65,13 +58,12 @@ def rooms(
         if group[a] != group[b] or rng.random() < extra_doors:
             plan.door(a, b, rng.uniform(0.9, 1.2), rng.random())
             group[group == group[b]] = group[a]
-    limit_loops(plan, seed, _KIND, max_loops)
-    widen_openings(plan, seed, _KIND, wide_openings)
-    furnish(plan, seed, _KIND, furniture)
-    return plan.render(cell_m)
+    return finish_building(
+        plan, seed, "rooms", cell_m, furniture=furniture, wide_openings=wide_openings, max_loops=max_loops
+    )
 
 
-def _halves(rng, rect, room_m):
+def _halves(rng: np.random.Generator, rect: Rect, room_m: float) -> list[Rect]:
     """Cut a rectangle in two, unless it stays one room: too small, or small enough for its draw."""
     x0, y0, x1, y1 = rect
     width, height = x1 - x0, y1 - y0
@@ -86,16 +78,12 @@ def _halves(rng, rect, room_m):
     return [(x0, y0, x1, y), (x0, y, x1, y1)]
 
 
-def _neighbours(rects):
+def _neighbours(rects: np.ndarray) -> np.ndarray:
     """Return pairs of rooms that share enough wall for a door, `[n, 2]`.
 
     They join all rooms: at the beginning of a cut a room begins on either side, and both are at least `room_m` long.
     """
     x0, y0, x1, y1 = rects.T
-    pairs = [np.empty((0, 2), int)]
-    for a, (ax0, ay0, ax1, ay1) in enumerate(rects):
-        along_y = np.minimum(y1, ay1) - np.maximum(y0, ay0) >= _SHARED_M
-        along_x = np.minimum(x1, ax1) - np.maximum(x0, ax0) >= _SHARED_M
-        (others,) = np.nonzero(((x0 == ax1) & along_y) | ((y0 == ay1) & along_x))
-        pairs.append(np.stack([np.full_like(others, a), others], axis=1))
-    return np.concatenate(pairs)
+    along_x = np.minimum(x1, x1[:, None]) - np.maximum(x0, x0[:, None]) >= _SHARED_M
+    along_y = np.minimum(y1, y1[:, None]) - np.maximum(y0, y0[:, None]) >= _SHARED_M
+    return np.argwhere(((x0 == x1[:, None]) & along_y) | ((y0 == y1[:, None]) & along_x))

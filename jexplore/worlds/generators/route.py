@@ -8,10 +8,12 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-MARGIN_M = 1.0  # wall between two passages that do not meet, and round the whole
+from jexplore.worlds.generators.draft import Rect, rects_near
+
+ROCK_M = 1.0  # wall between two passages that do not meet, and round the whole
+CLEAR_GAP_M = ROCK_M - 1e-6  # nearer than this, passages do not keep clear of each other
 RAMP_M = 2.4  # length of the way up, and of the way down
 RIGHT, STRAIGHT, LEFT = -1, 0, 1
-Rect = tuple[float, float, float, float]
 _STEP = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
@@ -20,10 +22,8 @@ class Ramp:
     """An obstacle across a passage, twice `RAMP_M` long."""
 
     heading: int
-    lane: tuple[float, float]
-    """The two sides of the passage: their y if it runs along x, else their x."""
-    along: float
-    """Start of the ramp: x if the passage runs along x, else y."""
+    lane: tuple[float, float]  # the two sides of the passage: their y if it runs along x, else their x
+    along: float  # start of the ramp: x if the passage runs along x, else y
     angle_deg: float
 
 
@@ -31,21 +31,14 @@ class Ramp:
 class Stop:
     """A place that becomes a node of the topology."""
 
-    type: str
-    """As `tracemap.record.Node.type`."""
-    heading: int
-    """In which the robot comes."""
-    lane: tuple[float, float]
-    """Of the passage, as in `Ramp`."""
-    along: float = 0.0
-    """As in `Ramp`. Without meaning where there is a rectangle or a ramp."""
-    rect: Rect | None = None
-    """Of a divergence: where its passages overlap; the last stretch of a dead end."""
-    arms: frozenset[int] = frozenset()
-    """Of a divergence: headings of its openings."""
+    type: str  # like `tracemap.record.Node.type`
+    heading: int  # in which the robot comes
+    lane: tuple[float, float]  # of the passage, as in `Ramp`
+    along: float = 0.0  # as in `Ramp`. Without meaning where there is a rectangle or a ramp
+    rect: Rect | None = None  # of a divergence: where its passages overlap; the last stretch of a dead end
+    arms: frozenset[int] = frozenset()  # of a divergence: headings of its openings
     ramp: Ramp | None = None
-    crease: int = 0
-    """Of an obstacle: which of the places at which its ground changes."""
+    crease: int = 0  # of an obstacle: which of the places at which its ground changes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,20 +51,21 @@ class Leg:
     lane: tuple[float, float]
 
 
-class Route:
-    """Route under construction: the robot stands at `at`, on the centre line, at the end of the carved passage."""
+@dataclasses.dataclass
+class CoursePlan:
+    """A plan that `course_map.render_course` makes a world of."""
 
-    at: tuple[float, float]
-    heading: int
-    width: float
-    part: int
-    fits: bool
-    rects: list[tuple[int, Rect]]
-    boxes: list[Rect]
+    start: Stop  # the robot's; its heading is that of the course
+    areas: list[Rect]  # free
     stops: list[Stop]
     legs: list[Leg]
     ramps: list[Ramp]
-    straights: list[tuple[Rect, int]]
+    boxes: list[Rect] = dataclasses.field(default_factory=list)  # furniture
+    has_goal: bool = False  # the last stop is the goal, and ways that the robot does not take have no end
+
+
+class CourseRoute(CoursePlan):
+    """Plan under construction: the robot stands at `at`, on the centre line, at the end of the carved passage."""
 
     def __init__(self, heading: int, width: float, start_m: float) -> None:
         """Begin with a wall, and the robot `start_m` before it with its back to it."""
@@ -79,26 +73,14 @@ class Route:
         self.part = 0
         self.fits = True
         """False once a passage came too near to an earlier one. Neighbouring parts of a route cannot."""
-        self.rects, self.boxes, self.stops, self.legs, self.ramps, self.straights = [], [], [], [], [], []
-        self._last = None
+        self.straights: list[tuple[Rect, int]] = []
+        self._last: int | None = None
+        self._parts: list[int] = []
+        super().__init__(self._stop("terminal"), [], [], [], [], has_goal=True)
         self._carve(start_m)
         self._advance(start_m)
-        self._arrive(self._stop("terminal"))
-
-    @property
-    def areas(self) -> list[Rect]:
-        """Return the rectangles that are free, `(x0, y0, x1, y1)`, metres."""
-        return [rect for _, rect in self.rects]
-
-    @property
-    def start(self) -> Stop:
-        """Return the robot's start; its heading is that of the course."""
-        return self.stops[0]
-
-    @property
-    def has_goal(self) -> bool:
-        """Return True: the last stop is the goal, and ways that the robot does not take have no end."""
-        return True
+        self.start = self._stop("terminal")
+        self._arrive(self.start)
 
     def passage(self, length: float) -> None:
         """Go on straight. Every passage begins a part of the route; what follows it belongs to the same part."""
@@ -130,8 +112,8 @@ class Route:
         Args:
           turns: of RIGHT, STRAIGHT, LEFT, those in which there is an opening.
           width: of the passage across, metres.
-          stub_m: length of the passages that the robot does not take.
-          dead_m: length of the passage that it takes first, and returns from. 0: there is no dead end.
+          stub_m: length of the passages that the robot does not take, metres.
+          dead_m: length of the passage that it takes first, and returns from, metres. 0: there is no dead end.
         """
         rect = self._carve(width)
         openings = [self.heading + 2, *(self.heading + turn for turn in turns)]
@@ -157,35 +139,18 @@ class Route:
         self._arrive(self._stop("terminal"))
         self._carve(beyond)
 
-    def box(self, rect_index: int, start: float, length: float, depth: float, side: int) -> None:
-        """Add furniture along a wall of a passage.
-
-        Args:
-          rect_index: which one of `straights`.
-          start: distance from the lower end of the passage, metres.
-          length, depth: along the wall and across, metres.
-          side: 0 for the wall with the lower coordinate, 1 for the other.
-        """
-        (x0, y0, x1, y1), heading = self.straights[rect_index]
-        if heading % 2:
-            x0, x1 = (x1 - depth, x1) if side else (x0, x0 + depth)
-            self.boxes.append((x0, y0 + start, x1, y0 + start + length))
-        else:
-            y0, y1 = (y1 - depth, y1) if side else (y0, y0 + depth)
-            self.boxes.append((x0 + start, y0, x0 + start + length, y1))
-
-    def _lane(self):
+    def _lane(self) -> tuple[float, float]:
         middle = self.at[1 - self.heading % 2]
         return middle - self.width / 2, middle + self.width / 2
 
-    def _along(self):
+    def _along(self) -> float:
         return self.at[self.heading % 2]
 
-    def _stop(self, kind, rect=None, openings=()):
+    def _stop(self, kind: str, rect: Rect | None = None, openings: Sequence[int] = ()) -> Stop:
         arms = frozenset(opening % 4 for opening in openings)
         return Stop(kind, self.heading, self._lane(), self._along(), rect, arms)
 
-    def _arrive(self, stop):
+    def _arrive(self, stop: Stop) -> int:
         self.stops.append(stop)
         number = len(self.stops) - 1
         if self._last is not None:
@@ -193,11 +158,11 @@ class Route:
         self._last = number
         return number
 
-    def _advance(self, length, heading=None):
-        dx, dy = _STEP[self.heading if heading is None else heading % 4]
+    def _advance(self, length: float) -> None:
+        dx, dy = _STEP[self.heading]
         self.at = self.at[0] + dx * length, self.at[1] + dy * length
 
-    def _turn(self, before, turn, width):
+    def _turn(self, before: tuple[tuple[float, float], int, float], turn: int, width: float) -> None:
         """Stand in the mouth of one arm of a junction whose near side is at `before`."""
         self.at, self.heading, self.width = before
         if turn == STRAIGHT:
@@ -208,22 +173,18 @@ class Route:
         self._advance(self.width / 2)
         self.width = width
 
-    def _carve(self, length, sides=None):
+    def _carve(self, length: float, sides: tuple[float, float] | None = None) -> Rect:
         """Free a rectangle ahead; `sides` are its two sides, metres to the left of the centre line."""
         right, left = sides or (-self.width / 2, self.width / 2)
         (dx, dy), (x, y) = _STEP[self.heading], self.at
         xs = sorted(round(x + dx * a - dy * b, 6) for a, b in ((0.0, right), (length, left)))
         ys = sorted(round(y + dy * a + dx * b, 6) for a, b in ((0.0, right), (length, left)))
         rect = xs[0], ys[0], xs[1], ys[1]
-        self.fits &= not any(is_near(rect, other) for part, other in self.rects if part < self.part - 1)
-        self.rects.append((self.part, rect))
+        earlier = (other for part, other in zip(self._parts, self.areas) if part < self.part - 1)
+        self.fits &= not any(rects_near(rect, other, CLEAR_GAP_M) for other in earlier)
+        self._parts.append(self.part)
+        self.areas.append(rect)
         return rect
-
-
-def is_near(a: Sequence[float], b: Sequence[float]) -> bool:
-    """Return whether two rectangles `(x0, y0, x1, y1)` are nearer than `MARGIN_M` in both axes."""
-    gap = MARGIN_M - 1e-6
-    return a[0] < b[2] + gap and b[0] < a[2] + gap and a[1] < b[3] + gap and b[1] < a[3] + gap
 
 
 def drawn_width(rng: np.random.Generator, width_m: float) -> float:
@@ -236,15 +197,12 @@ def fifths(rng: np.random.Generator, low: float, high: float) -> float:
     return 0.2 * int(rng.integers(round(low / 0.2), round(high / 0.2) + 1))
 
 
-def largest_circle(rect: Rect, arms: Collection[int]) -> tuple[float, float, float]:
-    """Return centre and radius of the largest empty circle at a junction: it touches three walls, at a crossing four.
+def largest_circle(rect: Sequence[float], arms: Collection[int]) -> tuple[float, float, float]:
+    """Return x, y and radius of the largest empty circle at a junction: it touches three walls, at a crossing four.
 
     Args:
-      rect: `(x0, y0, x1, y1)` where the passages of the junction overlap; of a dead end, its last stretch.
+      rect: where the passages of the junction overlap; of a dead end, its last stretch.
       arms: headings of the openings: one, two at a right angle, three or four.
-
-    Returns:
-      `(x, y, radius)`, metres.
     """
     x0, y0, x1, y1 = rect
     closed = sorted({0, 1, 2, 3} - set(arms))

@@ -3,10 +3,14 @@
 Each is drawn from a random stream of its own, so that a building without it stays the same.
 """
 
+import dataclasses
+
 import numpy as np
 
 from jexplore.worlds.bounds import MAX_LOOPS
-from jexplore.worlds.generators.draft import WALL_M, Door, FloorPlan
+from jexplore.worlds.generators.draft import WALL_THICK_M, Door, FloorPlan, random_stream
+from jexplore.worlds.generators.furniture import furnish
+from jexplore.worlds.world import World
 
 _OPENING_M = (1.6, 2.6)
 _JAMB_M = 0.25  # of wall that remains on both sides of an opening
@@ -17,75 +21,84 @@ _AREA_CELL_M = 0.1  # m; cell in which the area is measured: a seed gives the sa
 _OPENINGS, _LOOPS, _WIDTHS, _NICHES = 101, 102, 103, 104  # random streams
 
 
-def stream(seed: int, kind: int, use: int, *more: int) -> np.random.Generator:
-    """Return the generator of a seed for one use, apart from those that draw the building."""
-    return np.random.default_rng([int(seed), kind, use, *more])
+def corridor_widths(seed: int, kind: str, n: int, corridor_m: float, sd_m: float) -> list[float]:
+    """Draw widths of `n` corridors between the middles of their walls: a truncated normal distribution, metres.
 
-
-def corridor_widths(seed: int, kind: int, n: int, corridor_m: float, sd_m: float) -> list[float]:
-    """Draw widths of the corridors of a building: a truncated normal distribution.
-
-    Args:
-      seed, kind: of the building.
-      n: how many.
-      corridor_m: mean, metres.
-      sd_m: standard deviation, metres; 0: no list, all are as wide as each other.
-
-    Returns:
-      `n` widths between the middles of the walls, metres; an empty list if `sd_m` is 0.
+    Without a standard deviation the list is empty: all are equal.
     """
     if not sd_m:
         return []
-    drawn = stream(seed, kind, _WIDTHS).normal(corridor_m, sd_m, n)
+    drawn = random_stream(seed, kind, _WIDTHS).normal(corridor_m, sd_m, n)
     return np.clip(drawn, _LEAST_M, max(_MOST_M, corridor_m)).tolist()
 
 
-def narrow_corridors(plan: FloorPlan, seed: int, kind: int, sd_m: float) -> None:
-    """Stand shafts and built-in cupboards in the corridors, in one of the two walls, away from doors and ends.
+def finish_building(
+    plan: FloorPlan,
+    seed: int,
+    kind: str,
+    cell_m: float,
+    *,
+    furniture: float,
+    wide_openings: float,
+    max_loops: float,
+    corridor_sd_m: float = 0.0,
+    flip_x: bool = False,
+    flip_y: bool = False,
+) -> World:
+    """Draw the irregularities of a building and its furniture, and render it.
 
     Args:
-      plan: a `FloorPlan`, changed in place.
+      plan: of the building, changed in place.
       seed, kind: of the building.
-      sd_m: how deep they are: the absolute value of a normal number of this standard deviation, metres, less where no
-        more than `_LEAST_M` would be left of the corridor.
+      cell_m: edge of a cell, metres.
+      furniture: share of the furniture that exists, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
+      wide_openings: share of the doors that are openings 1.6 to 2.6 m wide where the wall allows, 0 to 1.
+      max_loops: most cycles per 1000 m2: doors beyond them are closed, but none that would cut off a room. 0 to 1000.
+      corridor_sd_m: standard deviation of the widths of the corridors, and depth of constrictions, metres; 0 to 1.
+      flip_x, flip_y: the building is mirrored left to right, bottom to top.
+    """
+    narrow_corridors(plan, seed, kind, corridor_sd_m)
+    limit_loops(plan, seed, kind, max_loops)
+    widen_openings(plan, seed, kind, wide_openings)
+    furnish(plan, seed, kind, furniture)
+    return plan.render(cell_m, flip_x=flip_x, flip_y=flip_y)
+
+
+def narrow_corridors(plan: FloorPlan, seed: int, kind: str, sd_m: float) -> None:
+    """Stand shafts and built-in cupboards in the corridors, in one of the two walls, away from doors and ends.
+
+    Their depth is the absolute value of a normal number of a standard deviation `sd_m`, metres, less where no more than
+    `_LEAST_M` would be left of the corridor.
     """
     if not sd_m:
         return
-    rng = stream(seed, kind, _NICHES)
-    for number, rects in enumerate(plan.rooms):
-        if plan.kinds[number] != "corridor":
-            continue
-        for x0, y0, x1, y1 in rects:
-            vertical, width = (x1 - x0 < y1 - y0), min(x1 - x0, y1 - y0)
-            wall = ((x0, x1) if vertical else (y0, y1))[rng.integers(2)]
-            first, last = (y0, y1) if vertical else (x0, x1)
-            for side in plan.bare_walls(number, _SHAFT_M[0] / 4):
-                if side.vertical == vertical and abs(side.wall - wall) < 1e-6:
-                    length, depth, at = rng.uniform(*_SHAFT_M), abs(rng.normal(0, sd_m)), rng.random()
-                    low, high = max(side.low, first + width), min(side.high, last - width)
-                    depth = min(depth, width - _LEAST_M)
-                    if high - low < _SHAFT_M[0] or depth < WALL_M:
-                        continue
+    rng = random_stream(seed, kind, _NICHES)
+    corridors = [number for number, of_kind in enumerate(plan.kinds) if of_kind == "corridor"]
+    for number, (x0, y0, x1, y1) in [(i, rect) for i in corridors for rect in plan.rooms[i]]:
+        vertical, width = (x1 - x0 < y1 - y0), min(x1 - x0, y1 - y0)
+        wall = ((x0, x1) if vertical else (y0, y1))[rng.integers(2)]
+        first, last = (y0, y1) if vertical else (x0, x1)
+        for side in plan.bare_walls(number, _SHAFT_M[0] / 4):
+            if side.vertical == vertical and abs(side.wall - wall) < 1e-6:
+                length, depth, at = rng.uniform(*_SHAFT_M), abs(rng.normal(0, sd_m)), rng.random()
+                low, high = max(side.low, first + width), min(side.high, last - width)
+                depth = min(depth, width - _LEAST_M)
+                if high - low >= _SHAFT_M[0] and depth >= WALL_THICK_M:
                     low += at * max(high - low - length, 0)
-                    plan.blocks.append(side.block(low, 0, min(low + length, high), depth + WALL_M / 2))
+                    plan.blocks.append(side.block(low, 0, min(low + length, high), depth + WALL_THICK_M / 2))
 
 
-def limit_loops(plan: FloorPlan, seed: int, kind: int, max_loops: float) -> None:
-    """Close doors until a building has no more ways round than asked; none that would cut off a room.
+def limit_loops(plan: FloorPlan, seed: int, kind: str, max_loops: float) -> None:
+    """Close doors until a building has at most `max_loops` cycles per 1000 m2 of free area; none that cuts off a room.
 
     The doors of rooms with few doors go first: a second door to the same corridor, one to the neighbour; the ways round
     by the corridors go last. With a lower limit the same doors are closed, and some more.
-
-    Args:
-      plan: a `FloorPlan`, changed in place.
-      seed, kind: of the building.
-      max_loops: ways round a 1000 m2 of free area.
     """
     if max_loops >= MAX_LOOPS:
         return
     pairs = [plan.beside(door) for door in plan.doors]
     n_doors = np.bincount(np.ravel(pairs), minlength=len(plan.rooms))
-    order = stream(seed, kind, _LOOPS).permutation(len(pairs)).tolist()
+    order = random_stream(seed, kind, _LOOPS).permutation(len(pairs)).tolist()
     order.sort(key=lambda i: min(n_doors[list(pairs[i])]))
     group = np.arange(len(plan.rooms))
     tree = set()
@@ -100,19 +113,14 @@ def limit_loops(plan: FloorPlan, seed: int, kind: int, max_loops: float) -> None
     plan.doors[:] = [door for i, door in enumerate(plan.doors) if i not in closed]
 
 
-def widen_openings(plan: FloorPlan, seed: int, kind: int, share: float) -> None:
+def widen_openings(plan: FloorPlan, seed: int, kind: str, share: float) -> None:
     """Make openings 1.6 to 2.6 m wide of a share of the doors, as far as their walls are long enough.
 
     With a larger share the same doors are widened, and some more.
-
-    Args:
-      plan: a `FloorPlan`, changed in place.
-      seed, kind: of the building.
-      share: of all doors, 0 to 1.
     """
     if not share:
         return
-    rng = stream(seed, kind, _OPENINGS)
+    rng = random_stream(seed, kind, _OPENINGS)
     draws = list(zip(rng.permutation(len(plan.doors)).tolist(), rng.uniform(*_OPENING_M, len(plan.doors)).tolist()))
     left = round(share * len(plan.doors))
     for i, width in draws:
@@ -125,7 +133,7 @@ def widen_openings(plan: FloorPlan, seed: int, kind: int, share: float) -> None:
 def _widened(doors: list[Door], i: int, width: float) -> Door | None:
     """Widen door `i` to an opening, between the ends of its wall and its other doors; None if it does not fit."""
     door = doors[i]
-    low, high = door.low + WALL_M / 2, door.high - WALL_M / 2
+    low, high = door.low + WALL_THICK_M / 2, door.high - WALL_THICK_M / 2
     for other in doors:
         if other is not door and other.vertical == door.vertical and abs(other.wall - door.wall) < 1e-6:
             if other.middle < door.middle:
@@ -136,5 +144,4 @@ def _widened(doors: list[Door], i: int, width: float) -> Door | None:
     if high - low < _OPENING_M[0]:
         return None
     width = min(width, high - low)
-    middle = min(max(door.middle, low + width / 2), high - width / 2)
-    return Door(door.vertical, door.wall, middle, width, door.low, door.high)
+    return dataclasses.replace(door, middle=min(max(door.middle, low + width / 2), high - width / 2), width=width)

@@ -8,7 +8,9 @@ import dataclasses
 import itertools
 import math
 import os
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,14 +31,10 @@ _LEVEL = 1e-3  # of the tilt's part of a quaternion; a map so tilted is shorter 
 class RecordedGrid:
     """A message of the type nav_msgs/OccupancyGrid."""
 
-    topic: str
-    """Topic on which it was published."""
-    occupancy: np.ndarray
-    """`[H, W]` int8, -1 unknown, 0 free to 100 occupied; row 0 is the bottom."""
-    resolution_m: float
-    """Edge of a cell, metres."""
-    origin_m: tuple[float, float]
-    """x, y of the lower left corner of cell (0, 0), metres."""
+    topic: str  # topic on which it was published
+    occupancy: np.ndarray  # `[H, W]` int8, -1 unknown, 0 free to 100 occupied; row 0 is the bottom
+    resolution_m: float  # edge of a cell, metres
+    origin_m: tuple[float, float]  # x, y of the lower left corner of cell (0, 0), metres
 
 
 @checked_names
@@ -85,7 +83,7 @@ def read_bag(path: str | os.PathLike[str], *, topic: str | None = None, message:
         raise
     except Exception as error:  # rosbags lets through what the formats' own readers raise
         raise InputError(f"{path!r}: is damaged or no recording of ROS ({first_line(error)})") from None
-    return _checked(f"{path!r}: the map on {topic}", topic, grid)
+    return _recorded(f"{path!r}: the map on {topic}", topic, grid)
 
 
 @checked_names
@@ -127,35 +125,34 @@ def load_bag(
     return World(occupied=cells, cell_m=cell_m, name=path, origin_m=grid.origin_m)
 
 
-def _connections(path, connections, topic):
+def _connections(path: str, connections: Iterable[Any], topic: str | None) -> tuple[str, list[Any]]:
     """Return the topic, and the recording's connections with a map on it."""
     maps = [one for one in connections if one.msgtype == _TYPE]
     topics = sorted({one.topic for one in maps})
     if not maps:
         others = ", ".join(sorted({one.topic for one in connections})) or "none"
         raise InputError(f"{path!r}: has no message of the type nav_msgs/OccupancyGrid (its topics: {others})")
-    if topic is None:
-        if len(topics) > 1 and _USUAL not in topics:
-            raise InputError(f"{path!r}: has maps on {', '.join(topics)}; append :topic={topics[0]} for one of them")
-        topic = _USUAL if _USUAL in topics else topics[0]
-    if topic not in topics:
-        raise InputError(f"{path!r}: has no map on the topic {topic!r}; there are maps on {', '.join(topics)}")
-    return topic, [one for one in maps if one.topic == topic]
+    if topic is None and len(topics) > 1 and _USUAL not in topics:
+        raise InputError(f"{path!r}: has maps on {', '.join(topics)}; append :topic={topics[0]} for one of them")
+    chosen = (_USUAL if _USUAL in topics else topics[0]) if topic is None else topic
+    if chosen not in topics:
+        raise InputError(f"{path!r}: has no map on the topic {chosen!r}; there are maps on {', '.join(topics)}")
+    return chosen, [one for one in maps if one.topic == chosen]
 
 
-def _pick(path, topic, raws, message):
+def _pick(path: str, topic: str, raws: Iterable[bytes], message: int) -> bytes:
     """Read the serialised message of a number; only the last ones are kept in memory."""
     if message >= 0:
-        found = list(itertools.islice(raws, message, message + 1))
+        found = next(itertools.islice(raws, message, None), None)
     else:
-        found = collections.deque(raws, maxlen=-message)
-        found = [found[0]] if len(found) == -message else []
-    if not found:
+        last = collections.deque(raws, maxlen=-message)
+        found = last[0] if len(last) == -message else None
+    if found is None:
         raise InputError(f"{path!r}: has no message {message} on the topic {topic}; -1 is the last, 0 the first")
-    return found[0]
+    return found
 
 
-def _checked(where, topic, grid):
+def _recorded(where: str, topic: str, grid: Any) -> RecordedGrid:
     """Convert a message of rosbags to `RecordedGrid`."""
     info, place = grid.info, grid.info.origin.position
     height, width = int(info.height), int(info.width)
@@ -177,7 +174,7 @@ def _checked(where, topic, grid):
     return RecordedGrid(topic, occupancy, resolution_m, origin_m)
 
 
-def _yaw(where, turn):
+def _yaw(where: str, turn: Any) -> float:
     """Return the yaw of an orientation; all zeros, for a missing one, are 0."""
     x, y, z, w = (float(v) for v in (turn.x, turn.y, turn.z, turn.w))
     if not all(math.isfinite(v) for v in (x, y, z, w)):

@@ -7,7 +7,7 @@ import numpy as np
 
 from jexplore.config import InputError, InputWarning, require_whole
 
-FREE_MAX, OCCUPIED_MIN = 25, 65  # as map_saver has them
+FREE_MAX, OCCUPIED_MIN = 25, 65  # per cent, as map_saver has them
 _SUSPECT = 0.01  # share of the known cells that another bound would make free without a word
 _SLIVER = 1e-6  # an overlap of less than this part of a cell is rounding
 
@@ -15,16 +15,12 @@ _SLIVER = 1e-6  # an overlap of less than this part of a cell is rounding
 def free_cells(
     where: str, occupancy: np.ndarray, *, free_max: int | None = None, occupied_min: int | None = None
 ) -> np.ndarray:
-    """Return the free cells of an occupancy grid.
+    """Return the free cells of an occupancy grid, -1 unknown, 0 free to 100 occupied. `where` names it in messages.
 
     Args:
-      where: name of the grid in warnings.
-      occupancy: `[H, W]` integers, -1 unknown, 0 free to 100 occupied.
       free_max: a cell is free if its occupancy is from 0 to this. Default: 25, or the values below `occupied_min`.
       occupied_min: a cell is occupied if its occupancy is this or more. Default: 65, or the values above `free_max`.
-
-    Returns:
-      `[H, W]` bool. Cells between the two count as unknown.
+        Cells between the two count as unknown.
 
     Warns:
       InputWarning: `free_max` is not given, and at least 1 % of the known cells lie between it and 50.
@@ -68,18 +64,14 @@ def upright(
     unknown above all but 100: no wall opens. Where its centre lies outside the grid it is unknown.
 
     Args:
-      where: what the warning calls the grid.
+      where: what the warning, that the grid has been turned, calls it.
       occupancy: `[H, W]` integers, -1 unknown, 0 free to 100 occupied.
       yaw_rad: turn about the lower left corner of cell (0, 0), counter-clockwise.
       resolution_m: edge of a cell, metres.
       origin_m: x, y of that corner, metres.
 
     Returns:
-      occupancy: `[H', W']`, of the same dtype.
-      origin_m: x, y of its lower left corner, metres.
-
-    Warns:
-      InputWarning: the grid has been turned.
+      The new grid, and its own `origin_m`.
     """
     yaw_rad = math.remainder(yaw_rad, 2 * math.pi)
     quarters = round(yaw_rad / (math.pi / 2))
@@ -94,7 +86,7 @@ def upright(
         low = ((0, 0), (-rows, 0), (-cols, -rows), (0, -cols))[quarters]
         turned_deg, how = (0, 90, 180, -90)[quarters], "cell for cell"
     else:
-        turned, low = _turned(occupancy, yaw_rad)
+        turned, low = _turned_grid(occupancy, yaw_rad)
         turned_deg, how = math.degrees(yaw_rad), "and only cells that overlap nothing occupied or unknown are free"
     warnings.warn(
         f"{where}: is turned by {turned_deg:.4g} degrees; its cells have been laid along x and y, {how}",
@@ -105,7 +97,7 @@ def upright(
     return turned, (x_m, y_m)
 
 
-def _turned(occupancy, yaw_rad):
+def _turned_grid(occupancy: np.ndarray, yaw_rad: float) -> tuple[np.ndarray, tuple[float, float]]:
     """Turn the grid by any angle, and return its lower left corner: x, y in cells from the old one."""
     rows, cols = occupancy.shape
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)

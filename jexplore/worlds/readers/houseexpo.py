@@ -6,15 +6,17 @@ Source:
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
 from jexplore.arrays.files import read_json
 from jexplore.config import InputError
-from jexplore.worlds.sides import require_side
+from jexplore.worlds.bounds import require_side
+from jexplore.worlds.readers.resample import inside_polygon
 from jexplore.worlds.world import World
 
-_MAX_BYTES = 16 * 2**20
+_MAX_PLAN_BYTES = 16 * 2**20
 
 
 def load_houseexpo(path: str, *, cell_m: float = 0.1) -> World:
@@ -36,7 +38,9 @@ def load_houseexpo(path: str, *, cell_m: float = 0.1) -> World:
     Raises:
       InputError: the file cannot be read, is not such a plan, encloses no free cell, or is too large.
     """
-    plan = _read_plan(path)
+    plan = read_json(path, _MAX_PLAN_BYTES)
+    if not isinstance(plan, dict) or "verts" not in plan:
+        raise InputError(f"{path!r}: is not a HouseExpo plan; expected an object with the key 'verts'")
     verts = _numbers(path, "verts", plan.get("verts"), 2)
     if len(verts) < 3:
         raise InputError(f"{path!r}: verts must be at least 3 points [x, y] in metres, got {len(verts)}")
@@ -45,7 +49,8 @@ def load_houseexpo(path: str, *, cell_m: float = 0.1) -> World:
     cols_rows = np.floor(corners.max(axis=0)) + 1
     require_side(path, cols_rows[1], cols_rows[0], cell_m)
     shape = (int(cols_rows[1]), int(cols_rows[0]))
-    occupied = _outline(corners, shape) | ~_inside(corners, shape)
+    centres = (np.arange(n) + 0.5 for n in reversed(shape))
+    occupied = _outline(corners, shape) | ~inside_polygon(corners, *centres)
     if occupied.all():
         raise InputError(f"{path!r}: its outline encloses no free cell at cell_m = {cell_m:g}")
     return World(
@@ -57,14 +62,7 @@ def load_houseexpo(path: str, *, cell_m: float = 0.1) -> World:
     )
 
 
-def _read_plan(path):
-    plan = read_json(path, _MAX_BYTES)
-    if not isinstance(plan, dict) or "verts" not in plan:
-        raise InputError(f"{path!r}: is not a HouseExpo plan; expected an object with the key 'verts'")
-    return plan
-
-
-def _numbers(path, key, value, width):
+def _numbers(path: str, key: str, value: Any, width: int) -> np.ndarray:
     """Return `[n, width]` float64."""
     try:
         numbers = np.array(value, float) if value else np.empty((0, width))
@@ -75,40 +73,20 @@ def _numbers(path, key, value, width):
     return numbers
 
 
-def _edges(corners):
-    """Yield edges of the closed outline, the lower end first: x0, y0, x1, y1 in cells."""
-    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0)):
-        yield (x0, y0, x1, y1) if y0 <= y1 else (x1, y1, x0, y0)
-
-
-def _outline(corners, shape):
-    """Return cells that an edge passes through; a cell owns its left and lower sides."""
+def _outline(corners: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return cells that an edge of the closed outline passes through; a cell owns its left and lower sides."""
     wall = np.zeros(shape, bool)
-    for x0, y0, x1, y1 in _edges(corners):
+    for ends in zip(corners, np.roll(corners, -1, axis=0)):
+        (x0, y0), (x1, y1) = sorted(ends, key=lambda end: end[1])
         for row in range(math.floor(y0), math.floor(y1) + 1):
-            ends = [x0, x1] if y0 == y1 else [x0 + (x1 - x0) * t for t in _clip(row, y0, y1)]
-            wall[row, max(0, math.floor(min(ends))) : math.floor(max(ends)) + 1] = True
+            x = [x0, x1]
+            if y0 != y1:  # where it enters and leaves the row
+                x = [x0 + (x1 - x0) * ((y - y0) / (y1 - y0)) for y in (max(row, y0), min(row + 1, y1))]
+            wall[row, max(0, math.floor(min(x))) : math.floor(max(x)) + 1] = True
     return wall
 
 
-def _clip(row, y0, y1):
-    """Return the parts of an edge from y0 up to y1 at which it enters and leaves a row."""
-    return (max(row, y0) - y0) / (y1 - y0), (min(row + 1, y1) - y0) / (y1 - y0)
-
-
-def _inside(corners, shape):
-    """Return cells whose centres lie inside the outline, by the even-odd rule."""
-    rows, cols = shape
-    crossings = np.zeros((rows, cols + 1), np.int32)  # edges that cross a row's centre line left of a cell's centre
-    for x0, y0, x1, y1 in _edges(corners):
-        row = np.arange(math.ceil(y0 - 0.5), math.ceil(y1 - 0.5))  # y0 <= row + 0.5 < y1
-        if row.size:
-            x = x0 + (x1 - x0) * (row + 0.5 - y0) / (y1 - y0)
-            crossings[row, np.ceil(x - 0.5).astype(int)] += 1
-    return np.cumsum(crossings[:, :cols], axis=1) % 2 == 1
-
-
-def _rooms(path, categories, low, cell_m, occupied):
+def _rooms(path: str, categories: Any, low: np.ndarray, cell_m: float, occupied: np.ndarray) -> np.ndarray | None:
     if not isinstance(categories, dict):
         raise InputError(f"{path!r}: room_category must map names to lists of boxes [x0, y0, x1, y1]")
     boxes = [_numbers(path, f"room_category {name!r}", of_name, 4) for name, of_name in categories.items()]
@@ -119,16 +97,8 @@ def _rooms(path, categories, low, cell_m, occupied):
     rooms = np.full(occupied.shape, -1, np.int32)
     area = np.abs((cells[:, 2] - cells[:, 0]) * (cells[:, 3] - cells[:, 1]))
     for number in np.lexsort((-np.arange(len(cells)), -area)):  # the largest first, so that the smallest stays
-        x0, y0, x1, y1 = cells[number]
-        # cells with their centres in the box
-        row = _between(min(y0, y1), max(y0, y1), occupied.shape[0])
-        col = _between(min(x0, x1), max(x0, x1), occupied.shape[1])
-        rooms[row, col] = number
+        ends = np.sort(cells[number].reshape(2, 2), axis=0)
+        x, y = np.ceil(ends - 0.5 - 1e-6).clip(0, occupied.shape[::-1]).astype(int).T  # cells with centres in the box
+        rooms[slice(*y), slice(*x)] = number
     rooms[occupied] = -1
     return rooms
-
-
-def _between(low, high, n):
-    """Return indices of the cells 0..n-1 with centres from low to below high."""
-    first, end = (min(max(math.ceil(value - 0.5 - 1e-6), 0), n) for value in (low, high))
-    return slice(first, end)

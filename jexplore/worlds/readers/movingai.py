@@ -8,12 +8,12 @@ import numpy as np
 
 from jexplore.arrays.files import read_text
 from jexplore.config import InputError
+from jexplore.worlds.bounds import require_side
 from jexplore.worlds.readers.resample import resample
-from jexplore.worlds.sides import require_side
 from jexplore.worlds.world import World
 
-FREE, BLOCKED = ".GS", "@OTW"  # ground, ground, swamp; out of bounds twice, trees, water
-_MAX_BYTES = 128 * 2**20
+_FREE, _BLOCKED = ".GS", "@OTW"  # ground, ground, swamp; out of bounds twice, trees, water
+_MAX_MAP_BYTES = 128 * 2**20
 
 
 def load_movingai(path: str, map_cell_m: float | None = None, *, cell_m: float = 0.1) -> World:
@@ -34,7 +34,7 @@ def load_movingai(path: str, map_cell_m: float | None = None, *, cell_m: float =
     if isinstance(map_cell_m, tuple):
         raise InputError(f"{path!r}: a .map file takes the metres of one cell after the '@', as in @0.1")
     map_cell_m = cell_m if map_cell_m is None else map_cell_m
-    lines = read_text(path, _MAX_BYTES).splitlines()
+    lines = read_text(path, _MAX_MAP_BYTES).splitlines()
     rows, cols, first = _header(path, lines)
     require_side(path, *(n * map_cell_m / cell_m for n in (rows, cols)), cell_m=cell_m)
     lines = [line.rstrip() for line in lines[first:]]
@@ -45,17 +45,17 @@ def load_movingai(path: str, map_cell_m: float | None = None, *, cell_m: float =
     for number, line in enumerate(lines, start=first + 1):
         if len(line) != cols:
             raise InputError(f"{path!r}: line {number} must have {cols} characters, it has {len(line)}")
-        unknown = line.strip(FREE + BLOCKED)
+        unknown = line.strip(_FREE + _BLOCKED)
         if unknown:
-            raise InputError(f"{path!r}: line {number} has {unknown[0]!r}; the characters are {FREE} and {BLOCKED}")
+            raise InputError(f"{path!r}: line {number} has {unknown[0]!r}; the characters are {_FREE} and {_BLOCKED}")
     characters = np.frombuffer("".join(lines).encode(), np.uint8).reshape(rows, cols)[::-1]
-    occupied = ~np.isin(characters, np.frombuffer(FREE.encode(), np.uint8))
+    occupied = ~np.isin(characters, np.frombuffer(_FREE.encode(), np.uint8))
     if occupied.all():
-        raise InputError(f"{path!r}: no cell is free ({FREE})")
+        raise InputError(f"{path!r}: no cell is free ({_FREE})")
     return World(occupied=resample(occupied, (map_cell_m, map_cell_m), cell_m, name=path), cell_m=cell_m, name=path)
 
 
-def _header(path, lines):
+def _header(path: str, lines: list[str]) -> tuple[int, int, int]:
     """Return rows, columns and the index of the line after `map`."""
     size = {}
     for first, line in enumerate(lines[:16], start=1):

@@ -1,24 +1,17 @@
-"""From pixels of one size to cells of another, without ever opening a wall.
+"""From pixels of one size, or polygons, to cells; no resampling ever opens a wall.
 
 A cell is occupied if any occupied pixel overlaps it, whichever of the two is larger. Two free cells side by side
 then lie over pixels that are free and connected side by side: what was apart in the picture stays apart in the world,
 for a robot and for a beam, both of which go from cell to cell across edges.
 """
 
-import math
-
 import numpy as np
 
 from jexplore.config import InputError
-from jexplore.worlds.sides import require_side
+from jexplore.worlds.bounds import count_cells, require_side
 
 LEAST_PIXEL_M, MOST_PIXEL_M = 1e-4, 1e6  # a scale beyond these is a slip of the pen
 _SLIVER = 1e-6  # an overlap of less than this part of a pixel, or of a cell at the far edge, is rounding
-
-
-def count_cells(size_m: float, cell_m: float) -> int:
-    """Return the cells that cover a length: `ceil(size / cell)`, at least one, with a tolerance for rounding."""
-    return max(1, math.ceil(size_m / cell_m - _SLIVER))
 
 
 def resample(occupied: np.ndarray, pixel_m: tuple[float, float], cell_m: float, *, name: str) -> np.ndarray:
@@ -30,14 +23,10 @@ def resample(occupied: np.ndarray, pixel_m: tuple[float, float], cell_m: float, 
       occupied: `[h, w]` bool, row 0 at the bottom.
       pixel_m: `(x, y)`, width and height of a pixel, metres.
       cell_m: edge of a cell, metres.
-      name: what errors call the world.
-
-    Returns:
-      `[H, W]` bool.
+      name: of the world, for errors.
 
     Raises:
-      InputError: more than `sides.MAX_SIDE` cells a side, or pixels beyond all measure; nothing has been allocated
-        then.
+      InputError: more than `MAX_SIDE` cells a side, or pixels beyond all measure, before anything is allocated.
     """
     if not LEAST_PIXEL_M <= min(pixel_m) <= max(pixel_m) <= MOST_PIXEL_M:
         raise InputError(
@@ -50,7 +39,7 @@ def resample(occupied: np.ndarray, pixel_m: tuple[float, float], cell_m: float, 
     return np.ascontiguousarray(_overlapped(by_rows.T, pixel_m[0], cell_m).T)
 
 
-def _overlapped(occupied, pixel_m, cell_m):
+def _overlapped(occupied: np.ndarray, pixel_m: float, cell_m: float) -> np.ndarray:
     """Resample along the first axis alone."""
     n = len(occupied)
     edges = np.arange(count_cells(n * pixel_m, cell_m) + 1) * (cell_m / pixel_m)  # cell edges, in pixels
@@ -60,3 +49,13 @@ def _overlapped(occupied, pixel_m, cell_m):
     for k in range(len(first)):
         occupied[first[k] : last[k]].any(axis=0, out=out[k])
     return out
+
+
+def inside_polygon(corners: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return `[len(y), len(x)]` bool: points inside a polygon `[n, 2]`, by the even-odd rule."""
+    inside = np.zeros((len(y), len(x)), bool)
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0)):
+        if y0 != y1:  # the edge crosses the rows between its ends, and turns round what lies to its left
+            rows = (y0 <= y) != (y1 <= y)
+            inside[rows] ^= x < (x0 + (y[rows] - y0) / (y1 - y0) * (x1 - x0))[:, None]
+    return inside

@@ -12,6 +12,7 @@ import json
 import os
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,49 +24,35 @@ from jexplore.worlds.readers.images import grey, read_pixels, transparency
 from jexplore.worlds.readers.resample import LEAST_PIXEL_M, MOST_PIXEL_M, resample
 from jexplore.worlds.world import World, require_hundred
 
-MODES = ("trinary", "scale", "raw")
+ROS_MODES = ("trinary", "scale", "raw")
 _FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0  # greys of a saved map
 _FAR_M = 1e9  # an origin farther away leaves no digits for cells
 _SUSPECT = 0.01  # share of unknown pixels that may be free without a word
 _MAX_YAML = 2**16
-_BOOLS = {
-    **dict.fromkeys(("y", "yes", "on"), 1),
-    **dict.fromkeys(("n", "no", "off"), 0),
-}  # of yaml-cpp, in addition to true
+_BOOLS = {"y": 1, "yes": 1, "on": 1, "n": 0, "no": 0, "off": 0}  # of yaml-cpp, in addition to true
 
 
 @dataclasses.dataclass(frozen=True)
 class RosInfo:
     """Content of the yaml file of a ROS map."""
 
-    image: str
-    """Path of the picture."""
-    resolution_m: float
-    """Edge of a pixel, metres."""
-    origin_m: tuple[float, float]
-    """x, y of the lower left corner of the picture, metres."""
-    yaw_rad: float
-    """Turn of the picture about that corner, counter-clockwise."""
-    negate: bool
-    """True if white is occupied."""
-    occupied_thresh: float
-    """A pixel is occupied if its probability is this or more."""
-    free_thresh: float
-    """A pixel is free if its probability is this or less."""
-    mode: str
-    """`trinary`, `scale` or `raw`."""
+    image: str  # path of the picture
+    resolution_m: float  # edge of a pixel, metres
+    origin_m: tuple[float, float]  # x, y of the lower left corner of the picture, metres
+    yaw_rad: float  # turn of the picture about that corner, counter-clockwise
+    negate: bool  # true if white is occupied
+    occupied_thresh: float  # a pixel is occupied if its probability is this or more
+    free_thresh: float  # a pixel is free if its probability is this or less
+    mode: str  # `trinary`, `scale` or `raw`
 
 
 def read_ros(path: str | os.PathLike[str]) -> tuple[np.ndarray, RosInfo]:
     """Read the occupancy of a ROS map, cell for cell as the map server publishes it.
 
-    Args:
-      path: the yaml file. Its `image` is relative to it.
-
     Returns:
       occupancy: `[H, W]` int8, -1 unknown, 0 free to 100 occupied; row 0 is the bottom. A map that `info` says is
         turned is not turned back.
-      info: a `RosInfo`.
+      info: content of the yaml file.
 
     Raises:
       InputError: a file cannot be read, or a key is missing or wrong.
@@ -74,18 +61,13 @@ def read_ros(path: str | os.PathLike[str]) -> tuple[np.ndarray, RosInfo]:
     return _occupancy(levels, info), info
 
 
-LONGEST = 300  # characters that are quoted of a message
-
-
-def _read(path):
+def _read(path: str) -> tuple[np.ndarray, RosInfo]:
     """Read the picture's levels, row 0 at the bottom, and the `RosInfo`."""
     info = _read_yaml(path)
     try:
         return read_pixels(info.image, as_stored=True)[::-1], info
-    except InputError as error:
-        text = str(error)
-        short = text if len(text) <= LONGEST else f"{text[:LONGEST]}..."  # a name may be as long as one likes
-        raise InputError(f"{path!r}: its image cannot be read: {short}") from None
+    except InputError as error:  # a name may be as long as one likes
+        raise InputError(f"{path!r}: its image cannot be read: {error!s:.300}") from None
 
 
 def load_ros(
@@ -200,12 +182,12 @@ def write_ros(
     return image
 
 
-def _decimal(value):
+def _decimal(value: float) -> str:
     """Format a length without the rounding errors of sums, as a number for every YAML reader."""
     return np.format_float_positional(round(value, 12) + 0.0, trim="0")
 
 
-def _as_occupancy(grid):
+def _as_occupancy(grid: ArrayLike) -> np.ndarray:
     grid = np.asarray(grid)
     if grid.dtype == bool and grid.ndim == 2 and grid.size:
         return np.where(grid, 100, 0)
@@ -218,7 +200,7 @@ def _as_occupancy(grid):
     return grid
 
 
-def _occupancy(levels, info):
+def _occupancy(levels: np.ndarray, info: RosInfo) -> np.ndarray:
     """Compute the occupancy by a table over greys, in 32 bits as the map server does."""
     shade = np.arange(256)
     if info.mode == "raw":
@@ -236,7 +218,7 @@ def _occupancy(levels, info):
     return occupancy
 
 
-def _warn_of_unknown(path, levels, info, free):
+def _warn_of_unknown(path: str, levels: np.ndarray, info: RosInfo, free: np.ndarray) -> None:
     """Warn where pixels are free that have the grey which map savers write for unknown."""
     share = ((grey(levels) == _UNKNOWN) & free).mean()
     if share < _SUSPECT or info.mode == "raw":  # which has no such grey
@@ -254,7 +236,7 @@ def _warn_of_unknown(path, levels, info, free):
     )
 
 
-def _read_yaml(path):
+def _read_yaml(path: str) -> RosInfo:
     content = read_yaml(path, _MAX_YAML)
     if not isinstance(content, dict):
         raise InputError(f"{path!r}: is not a ROS map; expected the keys image, resolution, origin, ...")
@@ -267,8 +249,8 @@ def _read_yaml(path):
     if not isinstance(origin, list) or len(origin) != 3:
         raise InputError(f"{path!r}: origin must be [x, y, yaw], got {shown(origin)}")
     x_m, y_m, yaw_rad = (_float(path, "origin", value, low=-_FAR_M, high=_FAR_M) for value in origin)
-    if not isinstance(mode, str) or mode.lower() not in MODES:
-        raise InputError(f"{path!r}: mode must be one of {', '.join(MODES)}, got {shown(mode)}")
+    if not isinstance(mode, str) or mode.lower() not in ROS_MODES:
+        raise InputError(f"{path!r}: mode must be one of {', '.join(ROS_MODES)}, got {shown(mode)}")
     info = RosInfo(
         image=os.path.join(os.path.dirname(path), image),
         resolution_m=_float(path, "resolution", content["resolution"], low=LEAST_PIXEL_M, high=MOST_PIXEL_M),
@@ -286,7 +268,7 @@ def _read_yaml(path):
     return info
 
 
-def _float(path, key, value, **bounds):
+def _float(path: str, key: str, value: Any, **bounds: Any) -> float:
     """Parse a number as the map server does: also in quotes, and true for 1."""
     try:
         number = value if "_" in str(value) else float(value)

@@ -12,7 +12,7 @@ import numpy as np
 from jexplore.config import InputError, checked_names, require_number, require_setting
 from jexplore.grid import Grid, is_free
 from jexplore.raycast import advance_beams, beam_geometry, exact_direction, n_steps
-from jexplore.worlds.sides import require_side
+from jexplore.worlds.bounds import require_side
 from jexplore.worlds.world import World
 
 _TOGETHER = 2**18  # beams that are traced at a time
@@ -119,7 +119,7 @@ def fold_scans(
       beams count as far as it reaches.
 
     Raises:
-      InputError: a bad number, or more than `sides.MAX_SIDE` cells a side.
+      InputError: a bad number, or more than `bounds.MAX_SIDE` cells a side.
 
     Source:
       Holz et al. 2010, section 2.1; Amanatides and Woo 1987.
@@ -135,7 +135,7 @@ def fold_scans(
     beyond = np.select([log.echo, log.ranges >= log.max_range_m], [longest_m, no_echo_m], 0.0)
     limit = np.round(np.where(ends, log.ranges, beyond) / cell_m, 9)
     tips = at[:, None] + limit[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=2)
-    first, shape = _extent(np.concatenate([at, tips[ends]]), name)
+    first, shape = _spanned(np.concatenate([at, tips[ends]]), name)
     hits, misses = np.zeros(shape, np.int32), np.zeros(shape, np.int32)
     at -= first
     own = np.floor(at).astype(np.int64)
@@ -144,7 +144,7 @@ def fold_scans(
     for i in range(0, len(at), together):
         scan, beam = np.nonzero(limit[i : i + together] > 0)
         scan += i
-        _count(hits, misses, at[scan], angle[scan, beam], limit[scan, beam], ends[scan, beam])
+        _count_beams(hits, misses, at[scan], angle[scan, beam], limit[scan, beam], ends[scan, beam])
     x_m, y_m = (round(float(n) * cell_m, 9) for n in first)
     return ScanMap(
         grid=Grid(hits=jnp.asarray(hits), misses=jnp.asarray(misses)),
@@ -154,7 +154,7 @@ def fold_scans(
     )
 
 
-def _extent(points, name):
+def _spanned(points: np.ndarray, name: str) -> tuple[np.ndarray, tuple[int, int]]:
     """Return lower left cell, x and y, and shape of a map of points, `[n, 2]`, with a spare cell on every side."""
     first = np.floor(points.min(axis=0)) - 1
     cols, rows = np.floor(points.max(axis=0)) + 2 - first
@@ -162,7 +162,9 @@ def _extent(points, name):
     return first, (int(rows), int(cols))
 
 
-def _count(hits, misses, at, angle, limit, ends):
+def _count_beams(
+    hits: np.ndarray, misses: np.ndarray, at: np.ndarray, angle: np.ndarray, limit: np.ndarray, ends: np.ndarray
+) -> None:
     """Count beams into a map, without the misses of the cells that they begin in."""
     limit = np.where(ends, np.nextafter(limit, np.inf), limit)
     own, within = np.divmod(at, 1)
@@ -170,7 +172,7 @@ def _count(hits, misses, at, angle, limit, ends):
     # Of the beams under way: crossings made, and the cell that each is in, relative to that of the robot.
     nx = ny = row = col = np.zeros(len(limit))
 
-    def add(counts, which):
+    def add(counts: np.ndarray, which: np.ndarray) -> None:
         rows, cols = own[which, 1] + row[which], own[which, 0] + col[which]
         inside = (rows >= 0) & (rows < counts.shape[0]) & (cols >= 0) & (cols < counts.shape[1])
         np.add.at(counts, (rows[inside].astype(np.int64), cols[inside].astype(np.int64)), 1)
