@@ -9,11 +9,10 @@ import pytest
 
 from jexplore import btm
 from jexplore.driving import approach, behaviour, events, mapping
-from jexplore.driving.behaviour import Latch, RunMode, Track
 from jexplore.driving.building.walls import Walls, cast
+from jexplore.driving.records import Divergence, Latch, RunMode, Surround, Track
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.perception import Divergence
-from jexplore.driving.sensing.surround import SECTORS, Surround
+from jexplore.driving.sensing.surround import SECTORS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.driving.vehicle import RANGE_M, to_odometry
 

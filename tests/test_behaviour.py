@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from jexplore.driving import behaviour, manoeuvre
-from jexplore.driving.behaviour import GETS_ON, GETS_PAST, Latch, RunMode
-from jexplore.driving.events import Walls
+from jexplore.driving.behaviour import GETS_ON, GETS_PAST
+from jexplore.driving.records import Divergence, Latch, RunMode, ScanWalls
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.perception import Divergence
 from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 
@@ -273,7 +272,7 @@ def mode_of(
     front_m=5.0,
     ways_m=NO_WAY,
 ):
-    walls = Walls(
+    walls = ScanWalls(
         xy=jnp.zeros((0, 2)),
         valid=jnp.zeros(0, bool),
         region=(0.5, 2.9),

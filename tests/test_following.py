@@ -14,12 +14,11 @@ from jexplore import btm as maps
 from jexplore.config import InputError
 from jexplore.driving import behaviour
 from jexplore.driving.batch import building_of
-from jexplore.driving.behaviour import Latch, RunMode
 from jexplore.driving.guiding import guide as guides
 from jexplore.driving.guiding import leaving, steering
 from jexplore.driving.links import reach_m
+from jexplore.driving.records import Latch, Openings, RunMode, Track
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.openings import Openings
 from jexplore.driving.settings import ROBOTS, Tuning
 from jexplore.studies.traces import following
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
@@ -464,7 +463,7 @@ def test_it_steers_no_farther_than_the_way_is_worth():
 
 
 def believed(x, y):
-    return behaviour.Track(jnp.array([x, y]), jnp.float32(1), jnp.uint32(511), jnp.int32(9), jnp.float32(math.nan))
+    return Track(jnp.array([x, y]), jnp.float32(1), jnp.uint32(511), jnp.int32(9), jnp.float32(math.nan))
 
 
 def test_a_place_that_it_sees_comes_first_but_not_one_where_it_has_been():

@@ -10,9 +10,9 @@ import pytest
 
 from jexplore import btm
 from jexplore.driving import behaviour, halls, mapping
-from jexplore.driving.behaviour import Latch, RunMode
+from jexplore.driving.records import Latch, RunMode, Surround
 from jexplore.driving.sensing import gateways, surround
-from jexplore.driving.sensing.surround import SECTORS, Surround
+from jexplore.driving.sensing.surround import SECTORS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 
 KAMUI = ROBOTS["kamui"]

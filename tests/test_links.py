@@ -10,9 +10,8 @@ import pytest
 
 from jexplore import btm
 from jexplore.driving import behaviour, links, mapping, nodes
-from jexplore.driving.behaviour import Latch
 from jexplore.driving.events import _passes_start
-from jexplore.driving.sensing.openings import Openings
+from jexplore.driving.records import DueNode, Latch, Openings
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 
 EAST, NORTH, WEST, SOUTH = (math.radians(a) for a in (0, 90, 180, 270))
@@ -308,7 +307,7 @@ def test_a_goal_makes_no_place_a_known_one():
         "returns": no,
     }
     here = jnp.array([x, y, heading])
-    due = nodes.Event(jnp.int32(btm.TERMINAL), jnp.float32(110), here, here[:2], **measures)
+    due = DueNode(jnp.int32(btm.TERMINAL), jnp.float32(110), here, here[:2], **measures)
     points = jnp.zeros((512, 2)), jnp.zeros(512, bool)
     write = jax.jit(lambda writer, due: nodes.write(writer, due, points, TUNING, ROBOTS["kamui"]))
     after = write(writer.replace(map=map_), due)[0]

@@ -10,6 +10,7 @@ import pytest
 
 from jexplore import btm
 from jexplore.driving import behaviour, events, manoeuvre, mapping
+from jexplore.driving.records import LoneStep
 from jexplore.driving.sensing import lone_steps
 from jexplore.driving.settings import ROBOTS
 
@@ -102,7 +103,7 @@ def test_it_has_been_passed_once_the_robots_end_has():
 @pytest.mark.parametrize("axis", ["pitch", "roll"])
 def test_a_robot_that_did_not_tip_has_turned_away(degrees, noise_deg, tipped, axis):
     """Noise of a degree does not look like a step of 6 cm, of which 2.5 degrees would be seen."""
-    step = lone_steps.LoneStep(jnp.float32(4.0), jnp.float32(4.1), jnp.float32(0.06))
+    step = LoneStep(jnp.float32(4.0), jnp.float32(4.1), jnp.float32(0.06))
     odometer = np.arange(256) * STEP_M
     angle = np.where(np.abs(odometer - 4) < 0.3, math.radians(degrees), 0.0)
     angle = np.where(odometer > 8, 1.0, angle)  # elsewhere it may lean as it likes

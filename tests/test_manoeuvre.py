@@ -10,8 +10,9 @@ import pytest
 from jexplore.driving import manoeuvre
 from jexplore.driving.building.walls import Walls, cast, meets
 from jexplore.driving.manoeuvre import BACK_M, GO_M, STOP_M, TRAIL, TRAIL_M
+from jexplore.driving.records import Surround
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS, SECTORS, Surround
+from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS, SECTORS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.driving.vehicle import ANGLES_RAD, DT_S, RANGE_M
 

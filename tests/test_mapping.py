@@ -11,9 +11,9 @@ import pytest
 from jexplore import btm
 from jexplore.btm import DIVERGENCE, FREE_SPACE, NONE, OBSTACLE, SEARCHED, TERMINAL, UNSEARCHED
 from jexplore.driving import links, mapping, nodes
-from jexplore.driving.behaviour import Latch
 from jexplore.driving.building.walls import cast, walls_of
-from jexplore.driving.nodes import SHIFT_SHARE, TURN_SHARE, Event
+from jexplore.driving.nodes import SHIFT_SHARE, TURN_SHARE
+from jexplore.driving.records import DueNode, Latch
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.tracemap import record
 from jexplore.tracemap.merging.rigid import apart_deg
@@ -278,7 +278,7 @@ def event(
     blocked=False,
     returns=False,
 ):
-    return Event(
+    return DueNode(
         kind=jnp.int32(kind),
         odometer_m=jnp.float32(odometer),
         pose=jnp.asarray(pose, jnp.float32),

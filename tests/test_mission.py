@@ -14,9 +14,9 @@ from jexplore import btm
 from jexplore.config import InputError
 from jexplore.driving import approach, batch, behaviour, events, mapping, mission, vehicle
 from jexplore.driving.batch import building_of, numbers_of, pose_in
-from jexplore.driving.behaviour import RunMode
 from jexplore.driving.building.terrain import FINER, is_level
 from jexplore.driving.mission import Outcome
+from jexplore.driving.records import Latch, RunMode
 from jexplore.driving.sensing import surround
 from jexplore.driving.settings import ROBOTS, Noise, Tuning, for_world, robot_of
 from jexplore.driving.vehicle import DT_S
@@ -344,13 +344,13 @@ def test_a_robot_that_has_turned_towards_what_is_none_goes_on_as_it_came(course)
     writer, walls, around, ways_m, placed = seen_at(state, building)
     ahead = events.look_ahead(state, writer, walls, around, placed, TUNING, KAMUI, False)
     assert int(ahead.track.age) == 0
-    for out, latch in ((heading + math.pi, behaviour.Latch.LEAVE), (heading, behaviour.Latch.FREE)):
-        drive = {"latch": jnp.int32(behaviour.Latch.APPROACH), "out": jnp.float32(out)}
+    for out, latch in ((heading + math.pi, Latch.LEAVE), (heading, Latch.FREE)):
+        drive = {"latch": jnp.int32(Latch.APPROACH), "out": jnp.float32(out)}
         turned = state.replace(drive=state.drive.replace(**drive, target=jnp.array([x - 3, y])))
         after = approach.latched(turned, ahead, around, ways_m, placed, TUNING, KAMUI).drive
         assert int(after.latch) == latch
         onward = x + TUNING.leave_m * math.cos(out), y + TUNING.leave_m * math.sin(out)
-        assert latch == behaviour.Latch.FREE or after.target.tolist() == pytest.approx(onward, abs=1e-4)
+        assert latch == Latch.FREE or after.target.tolist() == pytest.approx(onward, abs=1e-4)
 
 
 @pytest.mark.jit
@@ -360,7 +360,7 @@ def test_what_a_robot_turns_round_in_is_not_forgotten_where_it_leans(course):
     track = behaviour.no_track().replace(centre=state.estimate[:2], radius=1.0, seen=jnp.uint32(31), age=jnp.int32(9))
     writer, *seen, _, placed = seen_at(state, building)
     writer = writer.replace(level=dataclasses.replace(writer.level, even=jnp.array([0.2, 0.0])))  # it stood on a slope
-    for latch, kept in ((behaviour.Latch.LOOK, True), (behaviour.Latch.FREE, False)):
+    for latch, kept in ((Latch.LOOK, True), (Latch.FREE, False)):
         now = state.replace(track=track, drive=state.drive.replace(latch=jnp.int32(latch)), step=jnp.int32(1))
         ahead = events.look_ahead(now, writer, *seen, placed, TUNING, KAMUI, False)
         assert bool(ahead.leans)

@@ -12,6 +12,7 @@ from ref.passages import FEATURES, WIDTHS_M, building
 
 from jexplore.driving import vehicle
 from jexplore.driving.building import walls
+from jexplore.driving.records import Openings
 from jexplore.driving.sensing import openings, surround, ways_out
 from jexplore.driving.settings import Tuning, for_world
 from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M
@@ -635,7 +636,7 @@ def made_up(*listed):
     bearing, away_m, width_m = (np.float32([*row, *[1] * (3 - len(listed))]) for row in np.array(listed).T)
     bearing, valid = np.radians(bearing), np.arange(3) < len(listed)
     middle = away_m[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], 1)
-    return openings.Openings(bearing, middle, bearing, width_m, valid, np.int32(0))
+    return Openings(bearing, middle, bearing, width_m, valid, np.int32(0))
 
 
 @pytest.mark.parametrize(

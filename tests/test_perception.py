@@ -15,6 +15,7 @@ from jexplore.driving import vehicle
 from jexplore.driving.building import terrain, walls
 from jexplore.driving.events import SCAN_POINTS
 from jexplore.driving.events import triangles as look
+from jexplore.driving.records import Divergence
 from jexplore.driving.sensing import ground_profile, obstacles, perception, surround
 from jexplore.driving.sensing.ground_profile import RISE_M
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
@@ -599,7 +600,7 @@ def test_whether_a_circle_fits_beside_the_nearer_wall(left_m, right_m, far_m, ro
 
 def test_the_nearest_triangle():
     centre = np.array([[3, 0], [1, 1], [0.5, 0], [2, 0]], np.float32)
-    found = perception.Divergence(
+    found = Divergence(
         corners=jnp.zeros((4, 3, 2)),
         centre=jnp.asarray(centre),
         radius=jnp.ones(4),

@@ -7,16 +7,9 @@ import numpy as np
 import pytest
 
 from jexplore.driving.building.walls import Walls, cast
+from jexplore.driving.records import Surround
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.surround import (
-    BEHIND,
-    BESIDE_M,
-    DIRECTION,
-    DIRECTIONS,
-    MARGIN_M,
-    SECTORS,
-    Surround,
-)
+from jexplore.driving.sensing.surround import BEHIND, BESIDE_M, DIRECTION, DIRECTIONS, MARGIN_M, SECTORS
 from jexplore.driving.settings import ROBOTS
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, RANGE_M
 

@@ -11,8 +11,9 @@ import pytest
 from jexplore.driving import vehicle
 from jexplore.driving.building.terrain import terrain_of
 from jexplore.driving.building.walls import walls_of
+from jexplore.driving.records import Building, Senses
 from jexplore.driving.settings import ROBOTS, Noise
-from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, Building
+from jexplore.driving.vehicle import ANGLES_RAD, BEAMS
 
 pytestmark = pytest.mark.jit
 
@@ -107,7 +108,7 @@ def test_a_tilted_mount_looks_into_the_floor():
 def test_what_is_level_lies_where_the_point_does(pitch_deg, roll_deg):
     """Every beam as a vector, turned by hand."""
     pitch, roll = math.radians(pitch_deg), math.radians(roll_deg)
-    senses = vehicle.Senses(jnp.full(BEAMS, 2.0), jnp.zeros(13), jnp.float32(pitch), jnp.float32(roll), jnp.float32(9))
+    senses = Senses(jnp.full(BEAMS, 2.0), jnp.zeros(13), jnp.float32(pitch), jnp.float32(roll), jnp.float32(9))
     level, is_ground = LEVELLED(senses, LOW)
     beams = np.stack([np.cos(ANGLES_RAD), np.sin(ANGLES_RAD), np.zeros(BEAMS)])
     about_x = np.array([[1, 0, 0], [0, math.cos(roll), -math.sin(roll)], [0, math.sin(roll), math.cos(roll)]])
@@ -122,7 +123,7 @@ def test_what_is_level_lies_where_the_point_does(pitch_deg, roll_deg):
 
 def test_beams_without_a_return_or_a_number_stay_so():
     ranges = jnp.where(jnp.arange(BEAMS) % 2, jnp.nan, jnp.inf)
-    senses = vehicle.Senses(ranges, jnp.zeros(13), jnp.float32(0.2), jnp.float32(0), jnp.float32(9))
+    senses = Senses(ranges, jnp.zeros(13), jnp.float32(0.2), jnp.float32(0), jnp.float32(9))
     level, is_ground = LEVELLED(senses, LOW)
     np.testing.assert_array_equal(level.ranges_m, ranges)
     assert not np.asarray(is_ground).any()

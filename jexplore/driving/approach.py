@@ -6,7 +6,7 @@ middle of what it takes for a divergence, turns there by half a turn, and only t
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,13 +15,12 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.driving import behaviour, halls
-from jexplore.driving.behaviour import Drive, Latch, RunMode, Track
-from jexplore.driving.events import Ahead, triangles
+from jexplore.driving.events import triangles
 from jexplore.driving.mapping import has_left
+from jexplore.driving.records import Ahead, Building, Drive, Latch, RunMode, Senses, State, Surround, Track
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, Building, Senses, to_robot, touches, towards
+from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, to_robot, touches, towards
 
 LOOK_RAD = math.pi - 0.05  # rad; the robot looks round by turning this far: the scanner covers half of the surroundings
 LOOK_ON_RAD = 0.5  # rad; additional turn while it sees no place although every scan on the way has shown one
@@ -63,7 +62,7 @@ class _Look(NamedTuple):
 
 
 def latched(
-    state: Any,
+    state: State,
     ahead: Ahead,
     around: Surround,
     ways_m: Array,
@@ -74,7 +73,7 @@ def latched(
     """Begin, continue and end a latch of branch selection.
 
     Args:
-      state: `mission.State` before this step.
+      state: `State` before this step.
       ahead, around, ways_m: what lies ahead and around: `Ahead`, `Surround`, from `surround.ways`.
       placed: function from the robot's frame into the odometry's.
       tuning, robot: `Tuning`, `Robot`.
@@ -227,17 +226,17 @@ def _middle(in_map, centres, found):
     return jnp.where(off_m[at] < jnp.inf, centres[at], place)
 
 
-def helped(state: Any, senses: Senses, makes_node: Array, building: Building, robot: Robot) -> Any:
+def helped(state: State, senses: Senses, makes_node: Array, building: Building, robot: Robot) -> State:
     """Turn a robot that makes no progress, or drives to and fro, towards the longest free way: operator help.
 
     Args:
-      state: `mission.State` after a step.
+      state: `State` after a step.
       senses: `Senses`.
       makes_node: bool, a node was due in that step.
       building, robot: of the run.
 
     Returns:
-      `mission.State`.
+      `State`.
     """
     on = (state.odometer_m - state.moved_m > STUCK_M) | makes_node
     moved_m = jnp.where(on, state.odometer_m, state.moved_m)

@@ -5,7 +5,7 @@ Robot, thresholds and noise are arrays and may differ between runs: a sweep over
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -16,10 +16,9 @@ from jexplore.config import InputError
 from jexplore.driving import vehicle
 from jexplore.driving.building.terrain import terrain_of
 from jexplore.driving.building.walls import walls_of
-from jexplore.driving.guiding.guide import Guide
 from jexplore.driving.mission import SIZE, Outcome, Result, Setup, program_of
+from jexplore.driving.records import Building, Guide
 from jexplore.driving.settings import Noise, Robot, Tuning
-from jexplore.driving.vehicle import Building
 from jexplore.engine.program import Line
 from jexplore.engine.runner import Costs, find_resources, level_of, run_all
 from jexplore.worlds.world import World
@@ -141,7 +140,7 @@ def run_missions(
     workers: int | None = None,
     max_steps: int = MAX_STEPS,
     size: tuple[int, int] = SIZE,
-    on_progress: Callable[[int], Any] | None = None,
+    on_progress: Callable[[int], object] | None = None,
     blocks: Sequence[tuple[int, int]] | None = None,
     on_block: Callable[[int, Result, Driven | None], object] | None = None,
     ways: bool = False,

@@ -4,15 +4,13 @@ The modes, highest priority first (Mano et al., section IV.B and Fig. 8; a figur
 branch selection, dead end run, wall following, central run. All states have a fixed size; all functions are pure.
 """
 
-import enum
 from collections.abc import Callable
-from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
-from flax import struct
 from jax import Array, lax
 
 from jexplore.driving import manoeuvre
+from jexplore.driving.records import Divergence, Drive, FreeSpace, Latch, RunMode, ScanWalls, Track
 from jexplore.driving.sensing import perception, surround, ways_out
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import DT_S, towards
@@ -29,37 +27,6 @@ LATCH_STEPS = 200  # steps; a target not reached within these is given up
 SLOWER = 1.5  # or within this multiple of the steps at full speed, if larger
 BEFORE_M = 0.6  # m; a wide place is left via a point this far before the exit
 BESIDE_M = 0.25  # m; unless the robot is within this of the exit's axis
-
-
-class RunMode(enum.IntEnum):
-    """Run mode of the robot."""
-
-    CENTRAL = 0
-    WALL_FOLLOWING = 1
-    DEAD_END = 2
-    BRANCH_SELECTION = 3
-    CONTACT_GUARD = 4
-
-
-class Latch(enum.IntEnum):
-    """State of branch selection until its target is reached."""
-
-    FREE = 0
-    APPROACH = 1  # the centre of a divergence
-    LEAVE = 2  # a point on one of its links
-    LOOK = 3  # the robot turns at its centre and looks round
-
-
-@struct.dataclass
-class Track:
-    """A divergence that may lie ahead: where scan after scan has shown its triangle."""
-
-    centre: Array  # [2] float32, metres, in the odometry's frame
-    radius: Array  # float32, metres
-    seen: Array  # uint32, a bit a scan, the last one lowest: whether it showed the triangle
-    age: Array  # int32, scans since it was first seen; 0: no divergence
-    out: Array  # float32, radians, odometry: of a place before a gateway of a hall, where that leads; NaN: of no other
-    replace: ClassVar[Callable[..., Self]]
 
 
 def no_track() -> Track:
@@ -85,7 +52,7 @@ def is_believed(track: Track, needed: Array | int) -> Array:
 
 def follow(
     track: Track,
-    found: perception.Divergence,
+    found: Divergence,
     to_odometry: Callable[[Array], Array],
     same_m: Array | float,
     may_begin: Array | bool,
@@ -131,16 +98,6 @@ def follow(
         age=jnp.where(going, jnp.where(followed, track.age + 1, 1), 0),
         out=jnp.float32(jnp.nan),
     )
-
-
-@struct.dataclass
-class FreeSpace:
-    """Free space, seen with hysteresis."""
-
-    inside: Array  # bool
-    streak: Array  # int32, steps in a row that say otherwise
-    since_m: Array  # float32, odometer at the first of them
-    replace: ClassVar[Callable[..., Self]]
 
 
 def no_free_space() -> FreeSpace:
@@ -195,7 +152,7 @@ def watch_free_space(
 
 
 def border_ahead(
-    border_m: Array, since_m: Array, enters: Array, leaves: Array, region: tuple[Any, Any]
+    border_m: Array, since_m: Array, enters: Array, leaves: Array, region: tuple[Array | float, Array | float]
 ) -> tuple[Array, Array]:
     """Track the border of a free space that the robot sees ahead.
 
@@ -214,28 +171,6 @@ def border_ahead(
     waits = jnp.isfinite(border_m)
     after_m = jnp.where(enters, jnp.where(waits, jnp.inf, since_m + region[0]), border_m)
     return jnp.where(leaves, since_m + region[1], after_m), waits & leaves
-
-
-@struct.dataclass
-class Drive:
-    """Memory of driving between steps."""
-
-    latch: Array  # int32, `Latch`
-    target: Array  # [2] float32, of the latch, metres, in the odometry's frame
-    since: Array  # int32, steps of the latch; begins below 0 where the target is far away
-    out: Array  # float32, radians, direction of the link that is taken
-    looked: Array  # float32, radians turned while looking round
-    looked_m: Array  # float32, odometer when the robot last did
-    aside: Array  # bool, a wide place is left by an opening that is seen from the side
-    known: Array  # bool, the place that is approached is a node, met again
-    surveys: Array  # int32, places that it has gone to since the last node, each better than the one before
-    side: Array  # int32, where the wall is that is followed: 1 left, -1 right, 0 none
-    began: Array  # [5] float32, where it began to follow that since the last node: x, y, metres; how far it has turned
-    # as it followed it, radians; odometer there; heading at the step before; NaN: it does not
-    turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
-    left_m: Array  # float32, last distance of a left wall within C1, or of one next to which it can turn
-    right_m: Array  # float32, as `left_m`, on the right
-    replace: ClassVar[Callable[..., Self]]
 
 
 def at_rest() -> Drive:
@@ -259,14 +194,14 @@ def at_rest() -> Drive:
 
 
 def choose_mode(
-    drive: Drive, space: FreeSpace, walls: Any, ways_m: Array, tuning: Tuning, robot: Robot
+    drive: Drive, space: FreeSpace, walls: ScanWalls, ways_m: Array, tuning: Tuning, robot: Robot
 ) -> tuple[Array, Drive]:
     """Choose the run mode of this step.
 
     Args:
       drive: `Drive`.
       space: `FreeSpace`.
-      walls: `events.Walls`.
+      walls: `ScanWalls`.
       ways_m: from `surround.ways`.
       tuning, robot: `Tuning`, `Robot`.
 

@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,12 +11,9 @@ from jax import Array, lax
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.driving import behaviour, halls, links, mapping
-from jexplore.driving.behaviour import FreeSpace, Latch, Track
-from jexplore.driving.mapping import Writer
-from jexplore.driving.nodes import SAME_NODE_M, Event
+from jexplore.driving.nodes import SAME_NODE_M
+from jexplore.driving.records import Ahead, Divergence, DueNode, Latch, ScanWalls, State, Surround, Writer
 from jexplore.driving.sensing import ground_profile, lone_steps, perception, surround
-from jexplore.driving.sensing.lone_steps import LoneStep
-from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_robot
 
@@ -37,22 +33,7 @@ SURE = 3  # steps in a row that it finds so
 ALONG = 0.7  # cosine of the angle between a robot's heading and a link along which it drives, at least
 
 
-class Walls(NamedTuple):
-    """Walls seen in one scan."""
-
-    xy: Array  # [B, 2] float32, points in the robot's frame, metres
-    valid: Array  # [B] bool
-    region: Any  # pair: where the stretch begins and ends that is watched for free space, metres ahead
-    region_sides: Any  # pair: clearance to the left and right there, metres
-    roomy: Any  # bool, whether a circle as large as C1 fits there
-    closed: Any  # bool, whether the way ahead is closed
-    fronts_m: Any  # pair: how far the way is free ahead, in the left and right half of the robot's width
-    left_m: Array  # float32, clearance by which it steers
-    right_m: Array  # float32, as `left_m`
-    beside: Array  # [2] float32, clearance to the left and right of the robot
-
-
-def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> Walls:
+def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> ScanWalls:
     """Find the `Walls` of a scan: `[B]` float32 ranges, NaN for none."""
     xy, valid = perception.points(ranges_m, ANGLES_RAD)
     region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
@@ -64,34 +45,13 @@ def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> Walls:
     left_m, right_m = perception.sides(xy, valid, 0, until_m)
     beside = jnp.stack(perception.clearances(xy, valid, robot.length_m / 2))
     roomy = perception.is_roomy(xy, valid, region[0], *region_sides, tuning.open_m)
-    return Walls(xy, valid, region, region_sides, roomy, closed, fronts_m, left_m, right_m, beside)
-
-
-class Ahead(NamedTuple):
-    """Divergences, free space and ground ahead, and the nodes just passed."""
-
-    leans: Array  # bool, the robot stands otherwise than where it last stood evenly, or the ground rises before it
-    track: Track
-    scan_overflow: Array  # int32, ends of walls that did not fit into the scan's points
-    space: FreeSpace
-    border_m: Array  # float32, odometer at which the free space will have been entered or left; inf: none
-    missed: Array  # bool, where the free space begins was not reached before it ends
-    is_noted: Array  # bool, where it begins and ends there are nodes
-    level: mapping.Level
-    changed: Array  # bool, whether the robot stands on ground of another inclination now
-    crease_m: Array  # float32, odometer where it changed
-    steepest: Array  # float32, the larger inclination, radians
-    blocked: Array  # int32, steps in a row with ground ahead that the robot cannot climb
-    lone_step: LoneStep  # that is ahead, under the robot or just passed
-    is_lone: Array  # bool, whether it has just passed it
-    lone_step_after: LoneStep  # remaining state once the node is made
-    beyond: Any  # pair: height of the step and inclination of the slope that stop it, see `_ground_ahead`
+    return ScanWalls(xy, valid, region, region_sides, roomy, closed, fronts_m, left_m, right_m, beside)
 
 
 def look_ahead(
-    state: Any,
+    state: State,
     writer: Writer,
-    walls: Walls,
+    walls: ScanWalls,
     around: Surround,
     placed: Callable[[Array], Array],
     tuning: Tuning,
@@ -101,7 +61,7 @@ def look_ahead(
     """Compute `Ahead` of one step.
 
     Args:
-      state: `mission.State` before it.
+      state: `State` before it.
       writer: `Writer` with this step's measurements.
       walls: `Walls`.
       around: `Surround`.
@@ -180,7 +140,7 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
     return now, is_lone & ~changed, after
 
 
-def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) -> perception.Divergence:
+def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) -> Divergence:
     """Find the triangles of a scan, `wall_m` from the nearer wall: `perception.Divergence`.
 
     If the robot looks far, near points are searched once more on their own: among all points, those of a door would lie
@@ -321,11 +281,11 @@ def _passes_start(state):
     )
 
 
-def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array, arrives: Array) -> Event:
-    """Return the node that is due, an `Event`; of several the one that lies first on the way.
+def due(state: State, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array, arrives: Array) -> DueNode:
+    """Return the node that is due, an `DueNode`; of several the one that lies first on the way.
 
     Args:
-      state, writer, ahead: `mission.State`, `Writer`, `Ahead`.
+      state, writer, ahead: `State`, `Writer`, `Ahead`.
       at_goal: bool, whether the robot is at its goal.
       is_open: bool, whether the run has no goal.
       arrives: bool, whether the robot is at the middle of a divergence.
@@ -354,7 +314,7 @@ def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array
             jnp.where(due, new, old) for new, old in zip(values, (kind, odometer_m, pose, centre))
         )
     is_blocked = stops & (kind == btm.OBSTACLE) & ~changed & ~ahead.is_lone
-    return Event(
+    return DueNode(
         kind=kind.astype(jnp.int32),
         odometer_m=odometer_m,
         pose=pose,

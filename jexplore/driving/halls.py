@@ -7,7 +7,6 @@ detection using the extended Voronoi graph, 2005).
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,10 +15,19 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.driving import behaviour, mapping
-from jexplore.driving.behaviour import Drive, FreeSpace, Latch, RunMode, Track
-from jexplore.driving.mapping import Writer
+from jexplore.driving.records import (
+    Drive,
+    DueNode,
+    FreeSpace,
+    Latch,
+    RunMode,
+    ScanWalls,
+    State,
+    Surround,
+    Track,
+    Writer,
+)
 from jexplore.driving.sensing import gateways, surround
-from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import to_robot, towards
 
@@ -31,14 +39,14 @@ AWAY_M = 4.0  # m; distance driven away from an island
 OUT_COS = 0.7  # of the angle between a way and a gateway's axis from which on it leads out
 
 
-def sides(within: Array, walls: Any) -> tuple[Array, Array]:
+def sides(within: Array, walls: ScanWalls) -> tuple[Array, Array]:
     """Return the distances of the left and right walls that decide about free space: float32, metres.
 
     A hall is left where both its walls are abeam of the robot: walls ahead may be those of a corner.
 
     Args:
       within: bool, whether the robot is in a hall.
-      walls: `events.Walls`.
+      walls: `ScanWalls`.
     """
     return jax.tree.map(lambda here, ahead: jnp.where(within, here, ahead), tuple(walls.beside), walls.region_sides)
 
@@ -57,7 +65,7 @@ def coast(mode: Array, side: Array, around: Surround, tuning: Tuning, robot: Rob
 
 
 def abeam(
-    state: Any,
+    state: State,
     writer: Writer,
     xy: Array,
     valid: Array,
@@ -68,7 +76,7 @@ def abeam(
     """Return the place before a gateway in the followed wall, once it is abeam; else the given one.
 
     Args:
-      state, writer: `mission.State`, `Writer`.
+      state, writer: `State`, `Writer`.
       xy, valid: from `surround.points`.
       track: `Track`.
       placed: function from the robot's frame into the odometry's.
@@ -108,12 +116,12 @@ def crossed(writer: Writer, inside: Array, border_m: Array, tuning: Tuning) -> T
 
 
 def looked(
-    state: Any, track: Track, around: Surround, placed: Callable[[Array], Array], tuning: Tuning
+    state: State, track: Track, around: Surround, placed: Callable[[Array], Array], tuning: Tuning
 ) -> tuple[Track, Array]:
     """Return the gateway before which the robot is, once it has looked round: `(track, bool: a gateway exists)`.
 
     Args:
-      state: `mission.State`.
+      state: `State`.
       track: `Track`, its expected position.
       around: `Surround`.
       placed: function from the robot's frame into the odometry's.
@@ -134,11 +142,11 @@ def _before(middle, out, width_m, tuning):
 
 
 def gone_on(
-    state: Any,
+    state: State,
     space: FreeSpace,
     drive: Drive,
     writer: Writer,
-    event: Any,
+    event: DueNode,
     around: Surround,
     estimate: Array,
     tuning: Tuning,
@@ -146,9 +154,9 @@ def gone_on(
     """Choose how the robot continues in a hall once a node has been made, or none was due.
 
     Args:
-      state: `mission.State` before the step.
+      state: `State` before the step.
       space, drive, writer: `FreeSpace`, `Drive`, `Writer` after it.
-      event: `nodes.Event`.
+      event: `DueNode`.
       around: `Surround`.
       estimate: `[3]` float32, odometry.
       tuning: `Tuning`.
@@ -181,7 +189,7 @@ def from_gateway(space: FreeSpace, drive: Drive, out: Array) -> tuple[FreeSpace,
 
 
 def circled(
-    state: Any,
+    state: State,
     drive: Drive,
     space: FreeSpace,
     writer: Writer,
@@ -196,7 +204,7 @@ def circled(
     began, and follows no route, that hall is exhausted; otherwise it crosses as well.
 
     Args:
-      state: `mission.State` before the step.
+      state: `State` before the step.
       drive, space, writer: `Drive`, `FreeSpace`, `Writer` after it.
       around: `Surround`.
       estimate: `[3]` float32, odometry.

@@ -10,8 +10,7 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
-from jexplore.driving.mapping import Writer
-from jexplore.driving.sensing.openings import Openings
+from jexplore.driving.records import Openings, Writer
 from jexplore.driving.vehicle import to_odometry, to_robot
 
 ALIKE_RAD = math.radians(40)  # a link and an opening that lie no farther apart are one

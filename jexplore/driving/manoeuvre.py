@@ -6,18 +6,15 @@ place the robot sweeps its outline over what it has seen; where that would touch
 along a wall away from that.
 """
 
-from collections.abc import Callable
-from typing import ClassVar, Self
-
 import jax
 import jax.numpy as jnp
-from flax import struct
 from jax import Array
 
 from jexplore.arrays.loops import run_if
 from jexplore.btm import wrapped
+from jexplore.driving.records import Manoeuvre, Surround
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.surround import DIRECTION, Surround
+from jexplore.driving.sensing.surround import DIRECTION
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import DT_S
 
@@ -43,23 +40,6 @@ LEAST_LEAN = LEAN / 8
 WAYS = *((v, turn) for turns in ((0, LEAN), (0.5, -0.5), (1, -1)) for v in (-1, 1) for turn in turns), (0, 1), (0, -1)
 SLACK_M = 0.01  # between a wall and the robot's outline after a step
 STICK = 0.3  # weight of the direction taken before
-
-
-@struct.dataclass
-class Manoeuvre:
-    """Memory of obstacle avoidance between steps."""
-
-    trail: Array  # [TRAIL, 3] float32, poses of the way here, odometry without corrections; a ring
-    length: Array  # int32, place of the next one, counted on
-    kept: Array  # int32, poses that it holds
-    backing: Array  # bool, it is going back
-    backed_m: Array  # float32, how far
-    away_m: Array  # float32, distance still to drive ahead because there is no room behind; 0: none
-    tried: Array  # int32, which of `WAYS` it tries to get away from what it has touched
-    frees: Array  # int32, steps left: above `AGAIN` it still goes that way, below a touch makes it try the next one
-    avoiding: Array  # bool, it goes round something
-    side: Array  # float32, radians, direction in which
-    replace: ClassVar[Callable[..., Self]]
 
 
 def at_rest(pose: Array) -> Manoeuvre:

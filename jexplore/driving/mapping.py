@@ -6,22 +6,17 @@ evenly again.
 """
 
 import math
-from collections.abc import Callable
-from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
-from flax import struct
 from jax import Array, lax
 
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
-from jexplore.driving.behaviour import Latch, RunMode
-from jexplore.driving.guiding.guide import Guide
+from jexplore.driving.records import Guide, Latch, RunMode, Senses, SlopeEstimate, State, Trajectory, Writer
 from jexplore.driving.sensing import ground_profile, lone_steps, steadying
-from jexplore.driving.sensing.lone_steps import LoneStep
 from jexplore.driving.settings import Robot
-from jexplore.driving.vehicle import Senses, down_directions
+from jexplore.driving.vehicle import down_directions
 
 LEAN_STEPS = 32  # steps in which the noise of the attitude is told
 EVEN_DEG = 1.0  # the robot stands evenly once its lean has varied by less than this
@@ -32,25 +27,9 @@ ELSEWHERE_M = 2.0  # a node met again truly lies elsewhere if that is farther th
 BEYOND_M = 0.05, 1.0  # a robot beyond an opening is no farther before it and behind it
 
 
-@struct.dataclass
-class Way:
-    """Every step of the run. T slots."""
-
-    odometer_m: Array  # [T] float32, inf where there was no step yet
-    pose: Array  # [T, 3] float32, odometry: x, y, metres; heading, radians
-    pitch: Array  # [T] float32, measured, radians
-    roll: Array  # [T] float32, as `pitch`
-    posture: Array  # [T] float32, inclination of the body, radians
-    width_m: Array  # [T] float32, of the passage; inf where a side is open
-    ground_x_m: Array  # [T] float32, odometer at the point that the downward scanner saw; inf for none
-    ground_z_m: Array  # [T] float32, its height above the start
-    mode: Array  # [T] int32, `RunMode`
-    replace: ClassVar[Callable[..., Self]]
-
-
-def no_way(size: int) -> Way:
+def no_way(size: int) -> Trajectory:
     """Return a way of no steps; `size` static."""
-    return Way(
+    return Trajectory(
         odometer_m=jnp.full(size, jnp.inf),
         pose=jnp.zeros((size, 3)),
         pitch=jnp.zeros(size),
@@ -61,45 +40,6 @@ def no_way(size: int) -> Way:
         ground_z_m=jnp.zeros(size),
         mode=jnp.full(size, -1, jnp.int32),
     )
-
-
-@struct.dataclass
-class Level:
-    """The lean of the ground that the robot stands on, and of what it last stood on evenly; see `lean_of`."""
-
-    even: Array  # [2] float32, radians, when it last stood evenly
-    anchor: Array  # [2] float32, radians, about which it varies little: first as it came there, then as it has settled
-    anchor_m: Array  # float32, odometer where that began
-    stands: Array  # bool, whether it stands evenly
-    left_m: Array  # float32, odometer where it last was the even one
-    since_m: Array  # float32, odometer where it came to be
-
-
-@struct.dataclass
-class Writer:
-    """State of writing a map."""
-
-    map: Btm
-    way: Way
-    node: Array  # int32, where it was last
-    node_m: Array  # float32, odometer there
-    link: Array  # int32, on which it is; M for none
-    left_bearing: Array  # float32, radians, in which it left the last node
-    entry: Array  # [2] float32, where it began to approach a divergence
-    level: Level
-    lone_step: LoneStep  # that is ahead or under the robot
-    border_m: Array  # float32, odometer at which a free space will have been entered or left; inf: none
-    passed: Array  # [4] float32, a place that was none: x, y, radius, metres; odometer there
-    tries: Array  # [M] int32, how often the robot has set off on a link that was un-searched, or may do so no more
-    fails: Array  # [M] int32, how often in a row a searched link has led elsewhere
-    last_chance: Array  # int32, searched links when those that were given up last got another chance; -1: never
-    exhausted: Array  # bool, nothing is left to follow
-    full: Array  # bool, a node did not fit
-    doubts: Array  # [N] float32, known nodes that the last one may be: turn of its frame then, radians; NaN: it is not
-    dropped: Array  # int32, such hypotheses that did not hold
-    origin: Array  # [3] float32, the last node as the odometry has it: x, y, metres; turn of its frame, radians
-    guide: Guide | None = None  # of a robot that follows a route
-    replace: ClassVar[Callable[..., Self]]
 
 
 def begin(
@@ -121,7 +61,7 @@ def begin(
         link=link,
         left_bearing=jnp.float32(1) * pose[2],
         entry=jnp.zeros(2),
-        level=Level(
+        level=SlopeEstimate(
             even=jnp.zeros(2),
             anchor=jnp.zeros(2),
             anchor_m=zero,
@@ -150,13 +90,13 @@ def lean(pitch: Array, roll: Array, heading: Array) -> Array:
     return jnp.stack([-pitch * cos - roll * sin, -pitch * sin + roll * cos])
 
 
-def lean_of(way: Way, step: Array) -> tuple[Array, Array]:
+def lean_of(way: Trajectory, step: Array) -> tuple[Array, Array]:
     """Estimate direction (odometry frame) and angle of the slope on which the robot stands.
 
     A robot that turns on a slope changes pitch and roll; the estimated slope stays the same.
 
     Args:
-      way: `Way`, with this step.
+      way: `Trajectory`, with this step.
       step: int32.
 
     Returns:
@@ -174,12 +114,12 @@ def lean_of(way: Way, step: Array) -> tuple[Array, Array]:
 
 
 def watch_level(
-    level: Level, lean: Array, odometer_m: Array | float, threshold: Array | float, even_m: Array | float
-) -> tuple[Level, Array, Array, Array]:
+    level: SlopeEstimate, lean: Array, odometer_m: Array | float, threshold: Array | float, even_m: Array | float
+) -> tuple[SlopeEstimate, Array, Array, Array]:
     """Take one more lean into account.
 
     Args:
-      level: `Level`.
+      level: `SlopeEstimate`.
       lean: `[2]` float32, radians, from `lean_of`.
       odometer_m: float32.
       threshold: change of inclination that is an obstacle, radians.
@@ -205,7 +145,7 @@ def watch_level(
     near = jnp.hypot(*(anchor - level.even)) <= math.radians(EVEN_DEG)
     tips = (level.left_m - level.since_m >= length_m) & (odometer_m - anchor_m < length_m)
     stays = even & (changed | near | ~tips)
-    after = Level(
+    after = SlopeEstimate(
         even=jnp.where(stays, anchor, level.even),
         anchor=anchor,
         anchor_m=anchor_m,
@@ -232,12 +172,12 @@ def moved(writer: Writer, centre: Array, turn: Array | float) -> Array:
     return jnp.stack([cos * x - sin * y, sin * x + cos * y, btm.wrapped(writer.origin[2] - turn)])
 
 
-def pose_at(way: Way, odometer_m: Array | float) -> Array:
+def pose_at(way: Trajectory, odometer_m: Array | float) -> Array:
     """Return the pose when the odometer had a value: `[3]` float32."""
     return way.pose[jnp.argmax(way.odometer_m >= odometer_m)]
 
 
-def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array, Array]:
+def along(way: Trajectory, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array, Array]:
     """Return extremes between two places: `(metres, degrees, degrees)`; inf, 0 and 0 for no step.
 
     They are the narrowest passage, the largest inclination of the body and its largest roll.
@@ -336,11 +276,11 @@ def is_near_known(writer: Writer, centres: Array, odometer_m: Array | float, lea
     return known | ((odometer_m - there_m < 2 * (radius + leave_m)) & (off2 < reach**2))
 
 
-def note(state: Any, senses: Senses, width_m: Array, robot: Robot) -> Writer:
+def note(state: State, senses: Senses, width_m: Array, robot: Robot) -> Writer:
     """Record the measures of a step; no width where the robot turns in place.
 
     Args:
-      state: `mission.State`.
+      state: `State`.
       senses: `Senses`.
       width_m: of the passage.
       robot: `Robot`.

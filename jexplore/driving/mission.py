@@ -6,8 +6,7 @@ looks down, an attitude sensor and encoders. A run is a program of the engine.
 
 import dataclasses
 import enum
-from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,30 +17,12 @@ from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving import approach, behaviour, halls, manoeuvre, mapping, nodes
-from jexplore.driving.behaviour import Drive, FreeSpace, Latch, Track
 from jexplore.driving.events import GOAL_M, due, look_ahead, walls_of_scan
-from jexplore.driving.guiding.guide import Guide
 from jexplore.driving.guiding.steering import guided
-from jexplore.driving.manoeuvre import Manoeuvre
-from jexplore.driving.mapping import Writer
+from jexplore.driving.records import Building, Draws, Guide, Latch, Senses, State
 from jexplore.driving.sensing import matching, steadying, surround
-from jexplore.driving.sensing.matching import Key
-from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Noise, Robot, Tuning
-from jexplore.driving.vehicle import (
-    BEAMS,
-    Body,
-    Building,
-    Draws,
-    Senses,
-    at_rest,
-    draw,
-    levelled,
-    move,
-    sense,
-    to_odometry,
-    to_robot,
-)
+from jexplore.driving.vehicle import BEAMS, at_rest, draw, levelled, move, sense, to_odometry, to_robot
 from jexplore.engine.program import Given, Program
 
 BLOCK = 16  # steps whose random numbers are drawn at once
@@ -74,47 +55,6 @@ BROKEN_OFF = (Outcome.STUCK, Outcome.BLIND, Outcome.STEP_LIMIT)
 """A run that ends so ends at a node of type terminal, if it was on a link that it had not searched."""
 
 
-@struct.dataclass
-class State:
-    """A run in progress."""
-
-    body: Body
-    estimate: Array  # [3] float32, odometry, corrected where a node is met again
-    odometry: Array  # [3] float32, odometry without corrections
-    around: Surround  # where the last scan was taken
-    scanned: Array  # [3] float32, odometry without corrections there
-    key: Key
-    manoeuvre: Manoeuvre
-    touched: Array  # bool, a wall has just refused a step
-    odometer_m: Array  # float32
-    climbed_m: Array  # float32, height above the start as the attitude has it
-    track: Track
-    space: FreeSpace
-    drive: Drive
-    writer: Writer
-    scan_overflow: Array  # int32, ends of walls that a scan had more than there is room for
-    mode: Array  # int32
-    target: Array  # [2] float32, target point in the robot's frame
-    blocked: Array  # int32, steps in a row with ground ahead that the robot cannot climb
-    halts: Array  # bool, the ground has just refused a step
-    blind: Array  # int32, scans in a row without numbers
-    moved_m: Array  # float32, odometer when it last got on
-    moved_step: Array  # int32, and the step
-    stray_from: Array  # [2] float32, where it has been near for long, odometry
-    stray_step: Array  # int32, since which step
-    helps: Array  # int32
-    since_node: Array  # int32, of them, since the last node
-    help_at: Array  # [HELPS_KEPT, 4] float32, x, y of the first of them, odometry; step; run mode
-    node_at: Array  # [N, 2] float32, where the robot truly was when it made a node
-    mistaken: Array  # int32, times that it took a place for a node that truly lies elsewhere
-    met: Array  # [K] bool, which of the building's marks it has been at
-    truth: Array  # [T, 3] float32, true poses
-    step: Array  # int32
-    outcome: Array  # int32
-    draws: Any  # `vehicle.Draws` of `BLOCK` steps
-    replace: ClassVar[Callable[..., Self]]
-
-
 class Setup(NamedTuple):
     """Static config of a run. Hashable."""
 
@@ -123,9 +63,18 @@ class Setup(NamedTuple):
     n_links: int = SIZE[1]
 
 
-@struct.dataclass
-class Result:
-    """Result of a run."""
+class Task(NamedTuple):
+    """What a run is given of its own; its numbers are arrays."""
+
+    robot: Robot
+    tuning: Tuning
+    noise: Noise
+    start: Array  # [3] float32, building's frame
+    guide: Guide | None
+
+
+class Result(struct.PyTreeNode):
+    """Result of a run; fields that `State` has as well are those of its end."""
 
     map: Btm
     outcome: Array  # int32, `Outcome`
@@ -134,12 +83,12 @@ class Result:
     contacts: Array  # int32, steps refused because of a wall
     refused: Array  # int32, steps refused because of the ground
     interventions: Array  # int32, of the operator
-    help_at: Array  # [HELPS_KEPT, 4] float32, x, y of the first of them, odometry; step; run mode; NaN: none
-    node_at: Array  # [N, 2] float32, where the robot truly was when it made a node
-    mistaken: Array  # int32, times that it took a place for a node that truly lies elsewhere
-    dropped: Array  # int32, hypotheses which known node a place was that did not hold
-    met: Array  # [K] bool, which of the building's marks it has been at
-    scan_overflow: Array  # int32, ends of walls that did not fit into a scan's points
+    help_at: Array
+    node_at: Array
+    mistaken: Array
+    dropped: Array  # int32, loop-closure hypotheses that did not hold
+    met: Array
+    scan_overflow: Array
     drift_m: Array  # float32, how far the odometry was off in the end
     end: Array  # [3] float32, where the robot truly was in the end
     guide: Guide | None  # of a robot that follows a route

@@ -2,20 +2,17 @@
 
 import dataclasses
 import math
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 from jax import Array
 
 from jexplore import btm
 from jexplore.arrays.loops import run_if
-from jexplore.btm import Btm
 from jexplore.driving import behaviour, links
-from jexplore.driving.behaviour import Drive, Latch, Track
 from jexplore.driving.guiding import leaving, passing
-from jexplore.driving.mapping import Writer, along, came_from, came_through, has_left, moved
+from jexplore.driving.mapping import along, came_from, came_through, has_left, moved
+from jexplore.driving.records import Arrival, Drive, DueNode, Latch, State, Track, Writer
 from jexplore.driving.sensing import gateways, obstacles, openings
 from jexplore.driving.sensing.ways_out import ways_out
 from jexplore.driving.settings import Robot, Tuning
@@ -28,39 +25,6 @@ SHIFT_M = 0.7  # the odometry's place is corrected by half at a node met again n
 SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
 LED_M = 1.5  # and so near to where a known link leads to one
 TURN_SHARE, SHIFT_SHARE = 0.2, 0.5  # applied shares of the correction: scan matching is more certain
-
-
-@struct.dataclass
-class Event:
-    """A node that is due in this step."""
-
-    kind: Array  # int32, place in `NODE_TYPES`; `NONE`: no node is due
-    odometer_m: Array  # float32, where
-    pose: Array  # [3] float32, odometry there
-    centre: Array  # [2] float32, of the node
-    radius: Array  # float32, of a divergence's circle
-    out: Array  # float32, radians, where the gateway of a hall leads before which a divergence lies; else NaN
-    posture: Array  # float32, radians, inclination of the body
-    steepest: Array  # float32, radians, of an obstacle
-    step_m: Array  # float32, height of a step that it has gone over, or cannot climb; 0
-    blocked: Array  # bool, an obstacle that the robot cannot pass
-    returns: Array  # bool, to the node where it started
-
-
-class Arrival(NamedTuple):
-    """The node at which the robot is, and how it is met."""
-
-    map: Btm  # with the node
-    node: Array  # int32
-    again: Array  # bool, whether it was known
-    near: Array  # int32, the known node
-    met: Array  # bool, whether the robot is at its middle, so that the odometry can be corrected
-    fits: Array  # bool, whether there was room for it
-    shift: Array  # [2] float32, correction of the odometry, metres
-    width: Array  # float32, of the way here, metres
-    posture: Array  # float32, the steepest on it, degrees
-    roll: Array  # float32, the largest roll, degrees
-    moved: Array  # [3] float32, from the last node: see `mapping.moved`
 
 
 def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
@@ -174,12 +138,12 @@ def _end_way_here(map_, writer, event, at, back, step_m):
 
 
 def write(
-    writer: Writer, event: Event, points: tuple[Array, Array], tuning: Tuning, robot: Robot
+    writer: Writer, event: DueNode, points: tuple[Array, Array], tuning: Tuning, robot: Robot
 ) -> tuple[Writer, Array, Array, Array, Array]:
     """Make the node that is due, end the link that led to it, and choose the next link.
 
     Args:
-      writer, event: `Writer`; `Event`, of any kind but `NONE`.
+      writer, event: `Writer`; `DueNode`, of any kind but `NONE`.
       points: around the robot: `[P, 2]` float32, odometry; `[P]` bool, valid.
       tuning, robot: `Tuning`, `Robot`.
 
@@ -249,7 +213,7 @@ def _turns(writer, event, at, found, tuning):
     """Compare the bearings of a node's openings with its links.
 
     Returns:
-      `(at, event, turn, applied, turned)`: `Arrival` with its pose from the last node; `Event`, turned; float32,
+      `(at, event, turn, applied, turned)`: `Arrival` with its pose from the last node; `DueNode`, turned; float32,
         radians, turn that corrects the odometry, 0 elsewhere; its applied share; turn of any node, NaN if unknown.
     """
     turned, spread = links.turn_to(at.map, at.node, found)
@@ -262,11 +226,11 @@ def _turns(writer, event, at, found, tuning):
 
 
 def made(
-    state: Any,
+    state: State,
     writer: Writer,
     drive: Drive,
     track: Track,
-    event: Event,
+    event: DueNode,
     points: tuple[Array, Array],
     tuning: Tuning,
     robot: Robot,
@@ -274,7 +238,7 @@ def made(
     """Make the node that is due, if one is.
 
     Args:
-      state: `mission.State`.
+      state: `State`.
       drive, track: `Drive`, `Track`.
       others: as for `write`.
 

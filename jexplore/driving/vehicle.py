@@ -5,23 +5,17 @@ A unicycle on two rigid tracks, with a scanner that looks ahead, one that looks 
 
 import math
 from collections.abc import Callable
-from typing import ClassVar, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 from jax import Array, lax
-from jax.tree_util import register_dataclass
 
 from jexplore.arrays.loops import run_if
-from jexplore.driving.building.terrain import Terrain, attitude, look_at, turned
-from jexplore.driving.building.walls import Walls, cast_along, meets
-from jexplore.driving.settings import Noise, Robot, Tuning
-
-register_dataclass(Robot, [f for f in Robot.__dataclass_fields__ if f != "name"], ["name"])
-register_dataclass(Tuning, list(Tuning.__dataclass_fields__), [])
-register_dataclass(Noise, list(Noise.__dataclass_fields__), [])
+from jexplore.driving.building.terrain import attitude, look_at, turned
+from jexplore.driving.building.walls import cast_along, meets
+from jexplore.driving.records import Body, Building, Draws, Senses
+from jexplore.driving.settings import Noise, Robot
 
 DT_S = 0.1
 RANGE_M = 8.0
@@ -33,55 +27,6 @@ DOWN_RAD = np.radians(np.linspace(-18, 18, DOWN_BEAMS)).astype(np.float32)
 BEACON_M = 1.0  # the goal's beacon is heard within this, where no wall lies between
 GROUND_M = 0.2  # beams of the scanner that looks ahead are followed over the ground in steps of this
 FLOOR_M = 0.1  # a point no higher than this above the level on which the robot stands is ground
-
-
-@struct.dataclass
-class Building:
-    """Building of a run; cell (0, 0) begins at (0, 0)."""
-
-    walls: Walls
-    terrain: Terrain
-    goal: Array  # [2] float32, metres; NaN: none
-    marks: Array  # [K, 3] float32, x, y, radius, metres: places of which it is counted which ones a run has been at
-
-
-@struct.dataclass
-class Body:
-    """True state of the robot."""
-
-    pose: Array  # [3] float32, x, y, metres; heading, radians
-    pitch: Array  # float32, radians
-    roll: Array  # float32, radians
-    height_m: Array  # float32
-    rise_m: Array  # float32, highest step under the fronts of its tracks
-    path_m: Array  # float32, way in the plane
-    contacts: Array  # int32, steps refused because of a wall
-    refused: Array  # int32, steps refused because of the ground
-    replace: ClassVar[Callable[..., Self]]
-
-
-@struct.dataclass
-class Senses:
-    """Sensor readings of one step."""
-
-    ranges_m: Array  # [B] float32, inf: no return; NaN: no reading
-    down_m: Array  # [D] float32, as `ahead_m`
-    pitch: Array  # float32, radians
-    roll: Array  # float32, radians
-    beacon_m: Array  # float32, distance of the goal; inf: not heard
-    replace: ClassVar[Callable[..., Self]]
-
-
-@struct.dataclass
-class Draws:
-    """Random numbers of one step, standard normal but for the last."""
-
-    ranges: Array  # [B] float32
-    down: Array  # [D] float32
-    attitude: Array  # [2] float32, pitch and roll
-    encoders: Array  # [3] float32, length and turn of the step, and drift of the heading
-    beacon: Array  # float32
-    missing: Array  # [B] float32, uniform from 0 to 1
 
 
 def draw(keys: Array, noise: Noise) -> Draws:

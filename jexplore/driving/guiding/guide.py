@@ -8,16 +8,15 @@ this is put right at every place.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import ClassVar, NamedTuple, Self
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 from jax import Array
 
 from jexplore import btm
-from jexplore.driving.sensing.openings import Openings
+from jexplore.driving.records import Guide, Onward, Openings
 from jexplore.driving.vehicle import to_odometry
 
 WAYS = 8  # most of a place
@@ -39,42 +38,6 @@ OPEN_M = 2.0  # m; without an opening, an exit exists if a strip from the place'
 STRIP_M = 0.6  # so wide
 STRAIGHT, FAR_M = 1.15, 2.0  # least ratio of length and distance of ends, m, of a way that is not straight
 ASIDE_M = 0.0, -0.2, 0.2, -0.4, 0.4  # m; offsets of the strip from the middle
-
-
-class Onward(NamedTuple):
-    """The way on from a place."""
-
-    bearing: Array  # float32, radians, odometry
-    middle: Array  # [2] float32, odometry, from where it leaves
-    is_free: Array  # bool, it is no opening, but free
-
-
-@struct.dataclass
-class Guide:
-    """A route of at most K places, and how far the robot has come on it. Bearings are the map's."""
-
-    out: Array  # [K] float32, radians, bearing of the way on
-    ways: Array  # [K, WAYS] float32, radians, of all ways of the place; NaN: none
-    leg: Array  # [K, 2] float32, metres, from the place before
-    length_m: Array  # [K] float32, of the way from the place before
-    count: Array  # int32, places
-    others: Array  # [K, OTHERS, 2] float32, metres, from the place to places that are not on the route; NaN: none
-    tail_m: Array  # float32, way from the last place to the end; 0: the route ends there
-    end_leg: Array  # [2] float32, metres, from the last place to the end
-    at: Array  # int32, the place ahead
-    from_xy: Array  # [2] float32, odometry, of the place before
-    from_m: Array  # float32, odometer there
-    turned: Array  # float32, radians, the map's bearings less those of the odometry
-    seen: Array  # [K, WAYS] float32, radians, bearings of the ways that were found; NaN: none
-    missed: Array  # int32, places that were not found
-    extra: Array  # int32, places that the map does not have
-    strays: Array  # bool, the last place was not on the route
-    arrived: Array  # bool
-    lost: Array  # bool, it is where the map does not help it on
-    blocked: Array  # bool, because it cannot pass what lies before it
-    walled: Array  # bool, because there is a wall
-    steers: Array  # bool, it steers for the next place or the end
-    replace: ClassVar[Callable[..., Self]]
 
 
 def guide_of(

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -10,9 +10,8 @@ from jax import Array
 from jexplore import btm
 from jexplore.btm import Btm
 from jexplore.driving import links
-from jexplore.driving.guiding.guide import BACK_RAD, STRIP_M, Guide, Onward, at_place, is_next
-from jexplore.driving.mapping import Writer
-from jexplore.driving.sensing.openings import Openings
+from jexplore.driving.guiding.guide import BACK_RAD, STRIP_M, at_place, is_next
+from jexplore.driving.records import DueNode, Guide, Onward, Openings, Writer
 from jexplore.driving.vehicle import to_odometry
 
 
@@ -46,7 +45,7 @@ def corrected(guide: Guide, centre: Array, correction: Array) -> Guide:
 def left_by(
     map_: Btm,
     writer: Writer,
-    event: Any,
+    event: DueNode,
     node: Array,
     found: Openings,
     is_place: Array,
@@ -61,7 +60,7 @@ def left_by(
 
     Args:
       map_: `Btm` with the node.
-      writer, event: `Writer` before it; `nodes.Event`.
+      writer, event: `Writer` before it; `DueNode`.
       node: int32.
       found: its `Openings`, as stored in the map's node.
       is_place: bool, whether it is a divergence.

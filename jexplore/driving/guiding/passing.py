@@ -1,7 +1,6 @@
 """Places that are none, which a robot passes, and the points to which it leaves a place."""
 
 import math
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -9,8 +8,7 @@ from jax import Array
 from jexplore import btm
 from jexplore.driving import links
 from jexplore.driving.guiding import leaving
-from jexplore.driving.mapping import Writer
-from jexplore.driving.sensing.openings import Openings
+from jexplore.driving.records import Arrival, DueNode, Openings, Writer
 from jexplore.driving.settings import Tuning
 from jexplore.driving.vehicle import to_odometry, towards
 
@@ -18,7 +16,7 @@ CORNER = 1.3  # of a circle's diameter: with only one opening, wider than this, 
 IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farther from it
 
 
-def is_passed(writer: Writer, event: Any, measured: tuple[Array, Openings], others: Array, at: Any,
+def is_passed(writer: Writer, event: DueNode, measured: tuple[Array, Openings], others: Array, at: Arrival,
               is_divergence: Array, points: tuple[Array, Array], tuning: Tuning) -> tuple[Array, Array]:  # fmt: skip
     """Decide whether to reject a candidate, and which of its openings the robot takes: `(passes, which)`.
 
@@ -27,7 +25,7 @@ def is_passed(writer: Writer, event: Any, measured: tuple[Array, Openings], othe
     candidate with a single opening much wider than its circle lies in the corner of a room.
 
     Args:
-      writer, event, at: `Writer`; `nodes.Event`, `nodes.Arrival` of the place.
+      writer, event, at: `Writer`; `DueNode`, `Arrival` of the place.
       measured: bearing of the way in, radians, and `Openings` of the place, in the odometry frame.
       others: `[K]` bool, openings other than the way in.
       is_divergence: bool.
@@ -47,7 +45,7 @@ def is_passed(writer: Writer, event: Any, measured: tuple[Array, Openings], othe
     return passes, jnp.where(corner, jnp.argmax(found.valid), other)
 
 
-def past(event: Any, measured: tuple[Array, Openings], which: Array, others: Array,
+def past(event: DueNode, measured: tuple[Array, Openings], which: Array, others: Array,
          points: tuple[Array, Array], tuning: Tuning) -> tuple[Array, Array]:  # fmt: skip
     """Return a point beyond a rejected candidate, relative to its centre: `[2]`; and a direction there, radians.
 
@@ -63,7 +61,7 @@ def past(event: Any, measured: tuple[Array, Openings], which: Array, others: Arr
 
 
 def through(
-    event: Any, found: Openings, bearing: Array, turn: Array | float, leave_m: Array | float
+    event: DueNode, found: Openings, bearing: Array, turn: Array | float, leave_m: Array | float
 ) -> tuple[Array, Array]:
     """Return a point beyond the opening in a direction, relative to the centre; straight on where no opening exists.
 

@@ -1,7 +1,6 @@
 """Steering of a robot that follows a route: towards the next place, and at the end."""
 
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,9 +8,8 @@ from jax import Array
 
 from jexplore import btm
 from jexplore.driving import behaviour
-from jexplore.driving.behaviour import Drive, Latch, RunMode, Track
-from jexplore.driving.guiding.guide import AHEAD, THERE_M, Guide, next_of
-from jexplore.driving.mapping import Writer
+from jexplore.driving.guiding.guide import AHEAD, THERE_M, next_of
+from jexplore.driving.records import Drive, Guide, Latch, RunMode, State, Track, Writer
 from jexplore.driving.sensing import surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import towards
@@ -75,7 +73,7 @@ def _sight(place, estimate, ways_m, robot):
 
 
 def guided(
-    state: Any,
+    state: State,
     writer: Writer,
     drive: Drive,
     track: Track,
@@ -93,7 +91,7 @@ def guided(
     no place can be seen, coming near is arriving.
 
     Args:
-      state: `mission.State` before the step.
+      state: `State` before the step.
       writer: `Writer`.
       drive, track: `Drive`, `Track`.
       estimate: `[3]` float32, odometry.

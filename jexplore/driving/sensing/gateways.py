@@ -8,6 +8,7 @@ import numpy as np
 from jax import Array
 
 from jexplore.btm import wrapped
+from jexplore.driving.records import Openings
 from jexplore.driving.sensing import openings
 from jexplore.driving.vehicle import to_robot
 
@@ -82,7 +83,7 @@ def _along(xy, out):
     return tuple(to_robot(jnp.stack([0.0, 0.0, out]))(xy).T)
 
 
-def at_gateway(out: Array, radius_m: Array, coast_m: Array | float, size: int) -> openings.Openings:
+def at_gateway(out: Array, radius_m: Array, coast_m: Array | float, size: int) -> Openings:
     """Return the ways from before a gateway of a hall: out, and along the wall to both sides.
 
     Args:

@@ -58,8 +58,7 @@ def ground_point(
     return jnp.sum(jnp.where(valid, x, 0)) * per, jnp.sum(jnp.where(valid, z, 0)) * per, n > 0
 
 
-@struct.dataclass
-class Profile:
+class Profile(struct.PyTreeNode):
     """Features of the height profile of an obstacle."""
 
     variance_m2: Array  # float32, residual variance about the least-squares line, n - 2 in the denominator

@@ -1,11 +1,9 @@
 """Single steps and sills: the ground before and behind is level, so that only its profile tells of them."""
 
-from typing import Any
-
 import jax.numpy as jnp
-from flax import struct
 from jax import Array
 
+from jexplore.driving.records import LoneStep, Trajectory
 from jexplore.driving.sensing import steadying
 from jexplore.driving.sensing.ground_profile import FACE_M, STEP_M, SURE
 
@@ -14,15 +12,6 @@ TOGETHER_M = 1.2  # steps no farther apart are one, as high as those seen before
 PASSED_M = 0.30  # m; distance of the robot's end beyond the riser: before, its own tipping shows in the profile
 MEANT, MEANT_M = 5, 0.1  # steps, m; attitude is averaged over these, at most this far before and behind
 TIPS = 0.5  # share of the angle at which a robot stands with one end on the riser that counts as tipping
-
-
-@struct.dataclass
-class LoneStep:
-    """A step ahead of the robot or under it, or several close together."""
-
-    from_m: Array  # float32, odometer at the first of them, inf: none
-    to_m: Array  # float32, at the last
-    height_m: Array  # float32, of the highest
 
 
 def none() -> LoneStep:
@@ -60,12 +49,12 @@ def is_passed(step: LoneStep, odometer_m: Array, length_m: Array | float) -> Arr
     return odometer_m - step.to_m > length_m / 2 + PASSED_M
 
 
-def has_tipped(step: LoneStep, way: Any, length_m: Array | float) -> Array:
+def has_tipped(step: LoneStep, way: Trajectory, length_m: Array | float) -> Array:
     """Return whether the robot has tipped as on a riser of this height: bool; otherwise it has turned away before it.
 
     Args:
       step: `LoneStep`.
-      way: `mapping.Way`.
+      way: `Trajectory`.
       length_m: of the robot.
     """
     near = (way.odometer_m > step.from_m - length_m) & (way.odometer_m < step.to_m + length_m)

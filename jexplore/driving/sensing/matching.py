@@ -4,15 +4,13 @@ Tracks slip where they turn, and encoders do not notice; walls stay where they a
 """
 
 import math
-from collections.abc import Callable
-from typing import ClassVar, Self
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 from jax import Array, lax
 
 from jexplore.arrays.loops import run_if
+from jexplore.driving.records import KeyScan
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, to_odometry, to_robot
 
 EVERY_M, EVERY_RAD = 0.2, 0.25  # m, rad; scans are matched after this way or turn
@@ -117,21 +115,10 @@ def _solved(a, b):
     return rows @ b * per
 
 
-@struct.dataclass
-class Key:
-    """The scan with which the next ones are matched. Poses are odometry without corrections at nodes."""
-
-    ranges_m: Array  # [B] float32
-    lean: Array  # [2] float32, radians, of the ground where it was taken, see `mapping.lean`
-    pose: Array  # [3] float32, where it was taken
-    last: Array  # [3] float32, where a scan was matched with it last
-    replace: ClassVar[Callable[..., Self]]
-
-
-def at_start(pose: Array) -> Key:
+def at_start(pose: Array) -> KeyScan:
     """Return a state without a scan; the first one becomes it. `pose`: `[3]`."""
     far = pose + jnp.array([0.0, 0.0, 10.0])
-    return Key(jnp.full(BEAMS, jnp.nan), jnp.zeros(2), far, far)
+    return KeyScan(jnp.full(BEAMS, jnp.nan), jnp.zeros(2), far, far)
 
 
 def between(one: Array, other: Array) -> Array:
@@ -139,13 +126,15 @@ def between(one: Array, other: Array) -> Array:
     return jnp.stack([*to_robot(one)(other[:2]), other[2] - one[2]])
 
 
-def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array, lean: Array) -> tuple[Key, Array, Array]:
+def put_right(
+    key: KeyScan, odometry: Array, estimate: Array, ranges_m: Array, lean: Array
+) -> tuple[KeyScan, Array, Array]:
     """Correct the odometry by scan matching, if the robot has moved on since the last time.
 
     A scan serves for as long as the robot sees much of the same: every change to another adds an error.
 
     Args:
-      key: `Key`.
+      key: `KeyScan`.
       odometry, estimate: `[3]`, poses without corrections at nodes and with these.
       ranges_m: `[B]` float32, the last scan.
       lean: `[2]` float32, radians, of the ground, see `mapping.lean`; a scan is not matched with one of another
@@ -167,7 +156,7 @@ def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array, lean:
         step, turn = to_robot(odometry)(after[:2]), after[2] - odometry[2]
         estimate = jnp.concatenate([to_odometry(estimate)(step), estimate[2:] + turn])
         is_far = (jnp.hypot(found[0], found[1]) >= KEY_M) | (jnp.abs(found[2]) >= KEY_RAD) | (share < SHARE)
-        fresh = Key(ranges_m, lean, after, after)
+        fresh = KeyScan(ranges_m, lean, after, after)
         old = key.replace(last=after)
         return jax.tree.map(lambda one, other: jnp.where(is_far, one, other), fresh, old), after, estimate
 

@@ -1,13 +1,13 @@
 """Classification of obstacles: slope or stairs, inclination, height of steps."""
 
 import math
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
 from jexplore.btm import Btm
+from jexplore.driving.records import DueNode, Writer
 from jexplore.driving.sensing import ground_profile
 from jexplore.driving.sensing.ground_profile import Profile
 from jexplore.driving.settings import Robot, Tuning
@@ -46,8 +46,8 @@ def _gone_over(writer, event):
 
 def judged(
     map_: Btm,
-    writer: Any,
-    event: Any,
+    writer: Writer,
+    event: DueNode,
     tuning: Tuning,
     robot: Robot,
     posture: Array,
@@ -57,7 +57,7 @@ def judged(
 
     Args:
       map_: `Btm` with the node that is due.
-      writer, event: `Writer`, `Event`.
+      writer, event: `Writer`, `DueNode`.
       tuning, robot: `Tuning`, `Robot`.
       posture: float32, degrees, largest inclination of the body on the way here.
       here: int32, the node.

@@ -3,10 +3,10 @@
 import math
 
 import jax.numpy as jnp
-from flax import struct
 from jax import Array
 
 from jexplore.btm import wrapped
+from jexplore.driving.records import Openings
 from jexplore.driving.sensing.perception import running_sum
 
 BEARINGS = 240  # directions round a place in which its nearest point is looked for
@@ -27,18 +27,6 @@ AHEAD = 0.6  # radii from the centre from which on they are
 ALIKE_M = 0.02  # m; longer connections of the walls on both sides of a gap weigh less by this scale
 PASSAGE_RAD = math.radians(30)  # a link bears as its passage does if that differs no more from where it is seen
 APART_RAD = math.radians(40)  # and no other opening bears so nearly alike
-
-
-@struct.dataclass
-class Openings:
-    """Ways out of a place, counter-clockwise from -180 degrees. Unused slots: `valid` is False."""
-
-    bearing: Array  # [K] float32, radians
-    middle: Array  # [K, 2] float32, of the narrowest place between the walls on both sides, as seen from the centre
-    across: Array  # [K] float32, radians, direction square to that, outward
-    width_m: Array  # [K] float32, of that
-    valid: Array  # [K] bool
-    overflow: Array  # int32, openings that did not fit
 
 
 def _next(here):

@@ -3,16 +3,13 @@
 Scans are in the robot's frame: x forward, y left, metres. A beam without a reading is no point; NaN counts as none.
 """
 
-from collections.abc import Callable
-from typing import ClassVar, Self
-
 import jax.numpy as jnp
-from flax import struct
 from jax import Array, lax
 from jax.typing import ArrayLike
 
 from jexplore.arrays.delaunay import circumcircles, delaunay
 from jexplore.arrays.loops import stored
+from jexplore.driving.records import Divergence
 
 NEIGHBOURS = 6  # beams on either side that a point is smoothed with
 MISSED = 3  # beams without a reading that are bridged
@@ -26,18 +23,6 @@ ROOMY_BACK = 0.0, 0.2, 0.4, 0.6  # radii by which that may begin nearer
 RECESS = 0.25  # least openings; points no farther beyond the chord of two corners of a triangle are one wall
 CLOSE = 0.6  # if its points fill this share of the way between them
 JUMP = 1 / SPACING  # distance between the points of neighbouring beams beyond which a wall ends, in spacings
-
-
-@struct.dataclass
-class Divergence:
-    """The triangles of a scan that may mark a dead end, a corner, a T or a crossing."""
-
-    corners: Array  # [T, 3, 2] float32, metres
-    centre: Array  # [T, 2] float32, of the circle through the corners
-    radius: Array  # [T] float32, metres
-    valid: Array  # [T] bool
-    overflow: Array  # int32, ends of walls and triangles that did not fit
-    replace: ClassVar[Callable[..., Self]]
 
 
 def points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:

@@ -8,11 +8,11 @@ import math
 
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 from jax import Array
 
 from jexplore.arrays import vectorised
 from jexplore.btm import wrapped
+from jexplore.driving.records import Surround
 from jexplore.driving.settings import Robot
 from jexplore.driving.vehicle import ANGLES_RAD, to_robot
 
@@ -31,14 +31,6 @@ COAST_FREE_M = 2.0  # m; and free over this length
 _IS_BEHIND = np.abs(np.arange(SECTORS) - SECTORS // 2) > BEHIND
 DIRECTION = np.radians(np.arange(DIRECTIONS) * (360 / DIRECTIONS) - 180).astype(np.float32)
 _SWEEP = np.radians(np.arange(1, TURN_STEPS + 1) * (180 / TURN_STEPS)).astype(np.float32)
-
-
-@struct.dataclass
-class Surround:
-    """The nearest point in every direction, robot's frame."""
-
-    x_m: Array  # [SECTORS] float32; inf: nothing known
-    y_m: Array  # [SECTORS] float32, as `x_m`
 
 
 def unknown() -> Surround:

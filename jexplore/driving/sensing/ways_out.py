@@ -9,13 +9,13 @@ from jax import Array
 
 from jexplore.arrays.loops import run_if
 from jexplore.btm import wrapped
+from jexplore.driving.records import Openings
 from jexplore.driving.sensing.openings import (
     APART_RAD,
     BEARINGS,
     DOOR_M,
     FAR_M,
     LEADS_M,
-    Openings,
     gaps,
     in_order,
     openings,

@@ -14,7 +14,8 @@ from jexplore.config import MAX_SEED, InputError, as_record, checked_names, requ
 from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, numbers_of, outcome_names, pose_in, run_missions
 from jexplore.driving.events import LOOK_M
-from jexplore.driving.guiding.guide import OTHERS, Guide, guide_of
+from jexplore.driving.guiding.guide import OTHERS, guide_of
+from jexplore.driving.records import Building, Guide
 from jexplore.driving.settings import Noise, Robot, Tuning, for_world, require_noise, require_tuning
 from jexplore.studies import checks
 from jexplore.studies.traces import routes
@@ -165,7 +166,7 @@ def _checked(world, btm, found, robot, tuning, noise):
 
 
 def start_of(
-    world: World, building: vehicle.Building, robot: Robot, btm: BtmMap, route: Route
+    world: World, building: Building, robot: Robot, btm: BtmMap, route: Route
 ) -> tuple[np.ndarray, float, tuple[float, float]]:
     """Find the start of a robot that follows a route: on its first link, or near it; where it can turn, if possible.
 

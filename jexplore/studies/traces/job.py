@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from jexplore.config import BOUNDS, MAX_RUNS, InputError, as_record, checked_names, require_setting
-from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start
 from jexplore.driving.mission import SIZE
+from jexplore.driving.records import Building
 from jexplore.driving.settings import (
     BY_WORLD,
     MOST_NODES,
@@ -46,7 +46,7 @@ class TraceJob:
     """Runs that are to be made."""
 
     world: World
-    building: vehicle.Building
+    building: Building
     truth: Truth
     begins: np.ndarray
     """`[S, 3]` float32, poses in the building: run i of every setting begins at i modulo S."""

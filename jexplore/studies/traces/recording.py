@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from jexplore import btm
 from jexplore.driving import behaviour, events, mission, vehicle
 from jexplore.driving.batch import Driven, room_for
-from jexplore.driving.behaviour import RunMode
 from jexplore.driving.building.walls import segments
+from jexplore.driving.mission import Outcome
+from jexplore.driving.records import RunMode
 from jexplore.driving.sensing import surround
 from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.report.operator_view import Recording
@@ -102,7 +103,7 @@ def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n:
     # With exactly the types that a step returns, not weak ones: else the second step would be compiled once more.
     state = jax.tree.map(lambda a: jnp.asarray(a, a.dtype), mission.at_start(setup, building, robot, plan.begins[0]))
     frames, steps = [], 0
-    while int(state.outcome) == mission.Outcome.RUNNING and steps < plan.max_steps:
+    while int(state.outcome) == Outcome.RUNNING and steps < plan.max_steps:
         state, seen = _frame(jax.random.fold_in(key, steps), building, robot, tuning, noise, state)
         frames.append(jax.device_get(seen))
         steps += 1

@@ -14,7 +14,7 @@ from jexplore import btm
 from jexplore.config import checked_names, require_engine
 from jexplore.driving import batch, vehicle
 from jexplore.driving.batch import Driven, numbers_of, outcome_names
-from jexplore.driving.behaviour import RunMode
+from jexplore.driving.records import RunMode
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.runner import Costs
 from jexplore.report import store
