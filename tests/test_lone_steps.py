@@ -25,7 +25,7 @@ def driven(ground, sigma=0.0, seed=0, way_m=8.0):
     z = np.array([ground(v) for v in x]) + np.random.default_rng(seed).normal(scale=sigma, size=x.size)
     padded_x = np.concatenate([np.full(RECENT, np.inf), x]).astype(np.float32)
     padded_z = np.concatenate([np.zeros(RECENT), z]).astype(np.float32)
-    now, found = lone_steps.none(), []
+    now, found = lone_steps.no_step(), []
     for i, at in enumerate(odometer):
         part = slice(i + 1, i + 1 + RECENT)
         now = WATCHED(now, padded_x[part], padded_z[part])
@@ -33,7 +33,7 @@ def driven(ground, sigma=0.0, seed=0, way_m=8.0):
     return found
 
 
-WATCHED = jax.jit(lone_steps.watched)
+WATCHED = jax.jit(lone_steps.update_step)
 
 
 def up(at, height):
@@ -60,7 +60,7 @@ def test_both_edges_of_a_sill_are_one_step(height):
 
 def test_the_ground_hidden_behind_an_edge_does_not_matter():
     """A scanner that looks down at 45 degrees sees the ground again as far behind an edge as that is high."""
-    now = lone_steps.none()
+    now = lone_steps.no_step()
     x = np.array([3.6, 3.64, 3.68, 3.72, 3.76, 3.93, 3.97, 4.01], np.float32)
     z = np.where(x < 3.8, 0.15, 0.0).astype(np.float32)
     for n in range(1, len(x) + 1):
@@ -73,7 +73,7 @@ def test_the_ground_hidden_behind_an_edge_does_not_matter():
 @pytest.mark.parametrize("face", [0.05, 0.08, 0.11])
 def test_a_point_on_its_face_far_from_both_flanks_does_not_count(face):
     """Half way down, where the robot looks as it tips."""
-    now = lone_steps.none()
+    now = lone_steps.no_step()
     x = np.array([3.6, 3.64, 3.68, 3.72, 3.76, 3.84, 4.0, 4.04, 4.08], np.float32)
     z = np.array([0.15] * 5 + [face] + [0] * 3, np.float32)
     for n in range(1, len(x) + 1):
@@ -91,7 +91,7 @@ def test_low_ones_slopes_and_noise_are_none():
 
 
 def test_it_has_been_passed_once_the_robots_end_has():
-    passed = [bool(lone_steps.is_passed(step, jnp.float32(at), LENGTH_M)) for at, step in driven(up(4.01, 0.12))]
+    passed = [bool(lone_steps.has_passed(step, jnp.float32(at), LENGTH_M)) for at, step in driven(up(4.01, 0.12))]
     first = passed.index(True) * STEP_M
     assert all(passed[passed.index(True) :])
     assert 4.01 + LENGTH_M / 2 + 0.2 < first < 4.01 + LENGTH_M / 2 + 0.45
@@ -120,11 +120,13 @@ def test_a_robot_that_did_not_tip_has_turned_away(degrees, noise_deg, tipped, ax
 )
 def test_behind_a_step_what_the_robot_saw_as_it_tipped_is_no_second_one(obstacle, at_m, is_seen):
     """It has passed the first, at 6.4 m, and saw what lies up to 1.2 m behind that while it tipped."""
-    writer = mapping.begin(RECENT, 4, 8, jnp.zeros(3), False)
+    writer = mapping.begin_map(RECENT, 4, 8, jnp.zeros(3), False)
     map_, node = btm.add_node(writer.map, btm.OBSTACLE, 6.4, 0.0, obstacle=obstacle, step_m=0.18)
     writer = writer.replace(map=map_, node=node, node_m=jnp.float32(6.4))
     state = SimpleNamespace(
-        odometer_m=jnp.float32(7.1), drive=behaviour.at_rest(), manoeuvre=manoeuvre.at_rest(jnp.zeros(3))
+        odometer_m=jnp.float32(7.1),
+        drive=behaviour.initial_drive(),
+        manoeuvre=manoeuvre.initial_manoeuvre(jnp.zeros(3)),
     )
     x = np.full(RECENT, np.inf, np.float32)
     x[-20:] = at_m + 0.04 * np.arange(-17, 3)

@@ -15,7 +15,7 @@ from jexplore.driving.building import walls
 from jexplore.driving.records import Openings
 from jexplore.driving.sensing import openings, surround, ways_out
 from jexplore.driving.settings import Tuning, for_world
-from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M
+from jexplore.driving.vehicle import ANGLES_RAD, SCAN_RANGE_M
 from jexplore.worlds import load_world
 
 pytestmark = pytest.mark.jit
@@ -25,8 +25,8 @@ TUNING = for_world(Tuning(), is_course=True)
 
 K = 8
 P = 1000
-find_openings = jax.jit(openings.openings, static_argnames="size")
-find_ways_out = jax.jit(ways_out.ways_out, static_argnames="size")
+find_openings = jax.jit(openings.find_openings, static_argnames="size")
+find_ways_out = jax.jit(ways_out.find_exits, static_argnames="size")
 
 
 def openings_of(xy, centre=(0, 0), radius_m=1.0, width_m=TUNING.width_m, size=K, circle=1.5):
@@ -286,12 +286,12 @@ def look_round(walls_, poses, noise_m, far_m=4.0):
         around, before = carry
         pose, noise_m = at
         ahead, aside = vehicle.to_robot(before)(pose[:2])
-        around = surround.moved(around, ahead, aside, pose[2] - before[2], far_m=far_m)
-        around = surround.seen(around, walls.cast(walls_, pose, ANGLES_RAD, RANGE_M) + noise_m)
+        around = surround.move_surround(around, ahead, aside, pose[2] - before[2], far_m=far_m)
+        around = surround.add_scan(around, walls.cast(walls_, pose, ANGLES_RAD, SCAN_RANGE_M) + noise_m)
         return (around, pose), 0
 
-    (around, pose), _ = jax.lax.scan(looked, (surround.unknown(), poses[0]), (poses, noise_m))
-    xy, known = surround.points(around)
+    (around, pose), _ = jax.lax.scan(looked, (surround.empty_surround(), poses[0]), (poses, noise_m))
+    xy, known = surround.known_points(around)
     return vehicle.to_odometry(pose)(xy), known
 
 
@@ -492,7 +492,7 @@ def test_what_is_seen_from_the_side_is_a_wall():
     known = jnp.ones(len(walls), bool)
 
     def count(seen_from):
-        found = openings.openings(
+        found = openings.find_openings(
             xy,
             known,
             jnp.zeros(2),
@@ -512,7 +512,7 @@ def test_what_is_seen_from_the_side_is_a_wall():
 def test_the_only_wall_leaves_its_way_out():
     """One direction only: the gap is all there is, and ends where it begins."""
     for seen_from in (None, jnp.array([-0.5, 0.0])):
-        found = openings.openings(
+        found = openings.find_openings(
             jnp.array([[1.0, 0.0]]), jnp.ones(1, bool), jnp.zeros(2), 1.0, 0.4, circle=1.5, size=8, seen_from=seen_from
         )
         assert int(found.valid.sum()) == 1
@@ -649,7 +649,7 @@ def made_up(*listed):
 def test_an_opening_is_parted_only_where_something_takes_its_place(aside, kept):
     one, other, opposite = (0, 1.0, 3.0), (60, 2.0, 0.9), (180, 1.0, 1.0)
     found, near, more = made_up(one, other, opposite), made_up((aside, 1.2, 0.9), other, opposite), made_up(other)
-    parted = ways_out._parted(*jax.tree.map(jnp.asarray, (found, near, more)), 1.5)
+    parted = ways_out._divide_by_doors(*jax.tree.map(jnp.asarray, (found, near, more)), 1.5)
     bearing, width_m = np.round(np.degrees(parted.bearing)), np.round(np.asarray(parted.width_m, float), 1)
     there = {pair for pair, valid in zip(zip(bearing.tolist(), width_m.tolist()), parted.valid.tolist()) if valid}
     assert {key: key in there for key in kept} == kept

@@ -11,7 +11,7 @@ from jexplore.driving.sensing import steadying
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS
 
 pytestmark = pytest.mark.jit
-SCAN, SHARES = jax.jit(steadying.scan), jax.jit(steadying.shares)
+SCAN, SHARES = jax.jit(steadying.smooth_ranges), jax.jit(steadying.mean_weights)
 AGE = jnp.arange(31, -1, -1)
 
 

@@ -23,8 +23,8 @@ FOOT_M, TOP_M = 4.0, 8.0  # a ramp rises between them
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
 NONE = jax.tree.map(jnp.zeros_like, vehicle.draw_one(jax.random.key(0), Noise()))
 LOW = dataclasses.replace(ROBOTS["kamui"], name="", scan_height_m=0.35)
-SENSE = jax.jit(vehicle.sense)
-LEVELLED = jax.jit(vehicle.levelled)
+SENSE = jax.jit(vehicle.read_sensors)
+LEVELLED = jax.jit(vehicle.level_scan)
 MOVE = jax.jit(vehicle.move)
 
 
@@ -49,7 +49,7 @@ def hall(*, ramp=True, length_m=16.0, width_m=8.0, walls=(), goal=(math.nan, mat
 
 
 def seen(building, pose, robot=LOW, noise=STILL, draws=NONE):
-    body = vehicle.at_rest(building, robot, jnp.asarray(pose, jnp.float32))
+    body = vehicle.initial_body(building, robot, jnp.asarray(pose, jnp.float32))
     senses = SENSE(draws, building, robot, noise, body)
     level, is_ground = LEVELLED(senses, robot)
     return body, senses, np.asarray(level.ranges_m), np.asarray(is_ground)
@@ -157,8 +157,8 @@ def test_the_beacon_has_noise_and_no_goal_has_none():
 
 def odometry(noise, v, omega, steps=50):
     building = hall(ramp=False)
-    body, estimate, gone_m = vehicle.at_rest(building, LOW, jnp.array([2.0, 4.0, 0.0])), jnp.zeros(3), 0.0
-    senses = vehicle.sense(NONE, building, LOW, STILL, body)
+    body, estimate, gone_m = vehicle.initial_body(building, LOW, jnp.array([2.0, 4.0, 0.0])), jnp.zeros(3), 0.0
+    senses = vehicle.read_sensors(NONE, building, LOW, STILL, body)
     for _ in range(steps):
         body, estimate, step_m = MOVE(NONE, building, LOW, noise, body, estimate, senses, v, omega)
         gone_m += float(step_m)

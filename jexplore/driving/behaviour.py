@@ -15,33 +15,33 @@ from jexplore.driving.sensing import perception, surround, ways_out
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import DT_S, towards
 
-WINDOW = 9  # scans that vote
-DOUBT = 2  # votes up to which another triangle takes the place of one that a scan does not show
-DEBOUNCE = 3  # steps that a free space must be seen, or not seen, in a row
+VOTING_SCANS = 9  # scans that vote
+REPLACEABLE_VOTES = 2  # votes up to which another triangle takes the place of one that a scan does not show
+DEBOUNCE_STEPS = 3  # steps that a free space must be seen, or not seen, in a row
 HYSTERESIS_M = 0.3  # a free space ends where both sides have a wall this much nearer than where it began
-GUARD_M = 0.1  # a wall this near to the robot's front stops it, if there is no way past it
-ROOM_M = 0.1  # m; a wall is followed at this more than the clearance for turning in place
-GETS_PAST = 1.75, manoeuvre.GO_M  # bearing, radians, within which a way so long, metres, leads past it
-GETS_ON = 1.0, 0.8  # factors; also past an apparent end of a passage
+CONTACT_GUARD_M = 0.1  # a wall this near to the robot's front stops it, if there is no way past it
+TURN_ROOM_M = 0.1  # m; a wall is followed at this more than the clearance for turning in place
+WAY_PAST_WALL = 1.75, manoeuvre.GO_M  # bearing, radians, within which a way so long, metres, leads past it
+WAY_PAST_END = 1.0, 0.8  # factors; also past an apparent end of a passage
 LATCH_STEPS = 200  # steps; a target not reached within these is given up
-SLOWER = 1.5  # or within this multiple of the steps at full speed, if larger
-BEFORE_M = 0.6  # m; a wide place is left via a point this far before the exit
-BESIDE_M = 0.25  # m; unless the robot is within this of the exit's axis
+LATCH_TIME_RATIO = 1.5  # or within this multiple of the steps at full speed, if larger
+VIA_POINT_M = 0.6  # m; a wide place is left via a point this far before the exit
+OFF_AXIS_M = 0.25  # m; unless the robot is within this of the exit's axis
 
 
-def no_track() -> Track:
+def empty_track() -> Track:
     """Return a `Track` with nothing ahead."""
     return Track(jnp.zeros(2), jnp.float32(0), jnp.uint32(0), jnp.int32(0), jnp.float32(jnp.nan))
 
 
-def believed(centre: Array, radius: Array | float, out: Array | float = jnp.nan) -> Track:
+def certain_track(centre: Array, radius: Array | float, out: Array | float = jnp.nan) -> Track:
     """Return a `Track` for a divergence as if every scan had shown it."""
-    full = jnp.uint32(2**WINDOW - 1)
+    full = jnp.uint32(2**VOTING_SCANS - 1)
     return Track(centre, jnp.float32(1) * radius, full, jnp.int32(1), jnp.float32(1) * out)
 
 
 def votes(track: Track) -> Array:
-    """Count the scans among the last `WINDOW` that showed the divergence: int32."""
+    """Count the scans among the last `VOTING_SCANS` that showed the divergence: int32."""
     return lax.population_count(track.seen).astype(jnp.int32)
 
 
@@ -50,7 +50,7 @@ def is_believed(track: Track, needed: Array | int) -> Array:
     return (track.age > 0) & (votes(track) >= needed)
 
 
-def follow(
+def update_track(
     track: Track,
     found: Divergence,
     to_odometry: Callable[[Array], Array],
@@ -60,18 +60,14 @@ def follow(
     """Update a track with one more scan.
 
     The largest triangle that is near enough to the one followed goes on with it; else the triangle nearest to the
-    robot begins a new one, but not while one is being followed that more than `DOUBT` scans have shown. One that
-    `WINDOW` scans have not shown is given up.
+    robot begins a new one, but not while one is being followed that more than `REPLACEABLE_VOTES` scans have shown. One that
+    `VOTING_SCANS` scans have not shown is given up.
 
     Args:
-      track: `Track`.
       found: `perception.Divergence`, in the robot's frame, without triangles that are to be ignored.
       to_odometry: function from points `[..., 2]` in the robot's frame to the odometry's.
       same_m: how near, metres.
       may_begin: bool; False: only the one that is followed goes on.
-
-    Returns:
-      `Track`.
     """
     placed = found.replace(centre=to_odometry(found.centre))
     followed = track.age > 0
@@ -80,12 +76,12 @@ def follow(
     again = jnp.argmax(jnp.where(near, placed.radius, -1)).astype(jnp.int32)
     hit = followed & near[again]
     first, distance = perception.nearest(found, jnp.zeros(2))
-    begins = may_begin & ~hit & (~followed | (votes(track) <= DOUBT)) & (distance < jnp.inf)
+    begins = may_begin & ~hit & (~followed | (votes(track) <= REPLACEABLE_VOTES)) & (distance < jnp.inf)
     followed &= ~begins
     which = jnp.where(hit, again, first)
-    share = jnp.where(hit, 1 / jnp.minimum(track.age + 1.0, WINDOW), 1.0)
+    share = jnp.where(hit, 1 / jnp.minimum(track.age + 1.0, VOTING_SCANS), 1.0)
     taken = hit | begins
-    seen = jnp.where(followed, (track.seen << 1) & jnp.uint32(2**WINDOW - 1), 0) | taken.astype(jnp.uint32)
+    seen = jnp.where(followed, (track.seen << 1) & jnp.uint32(2**VOTING_SCANS - 1), 0) | taken.astype(jnp.uint32)
     going = (followed | begins) & (seen != 0)
 
     def blended(old, new):
@@ -105,7 +101,7 @@ def no_free_space() -> FreeSpace:
     return FreeSpace(inside=jnp.bool_(False), streak=jnp.int32(0), since_m=jnp.float32(0))
 
 
-def is_free(left_m: Array | float, right_m: Array | float, open_m: Array | float) -> Array:
+def is_free_space(left_m: Array | float, right_m: Array | float, open_m: Array | float) -> Array:
     """Return whether walls at these distances to the left and right are those of free space: bool.
 
     Between them there is room for a circle whose radius is `open_m` [C1].
@@ -130,9 +126,7 @@ def watch_free_space(
     """Update the hysteresis of free space with the walls of one more scan.
 
     Args:
-      space: `FreeSpace`.
       left_m, right_m: from `perception.sides`.
-      odometer_m: float32.
       open_m: a side without a wall within this is free [C1].
       looking: bool scalar; False: nothing changes.
       roomy: from `perception.is_roomy`; where it is False, no free space is entered.
@@ -142,11 +136,11 @@ def watch_free_space(
       `(space, enters, leaves)`: bools, true in the step in which it is believed.
     """
     limit = jnp.where(space.inside, jnp.where(coast_m > 0, coast_m, open_m - HYSTERESIS_M), open_m)
-    free = is_free(left_m, right_m, limit) & (roomy | space.inside)
+    free = is_free_space(left_m, right_m, limit) & (roomy | space.inside)
     other = looking & (free != space.inside)
     since = jnp.where(other & (space.streak > 0), space.since_m, odometer_m)
     streak = jnp.where(other, space.streak + 1, 0)
-    turns = streak >= DEBOUNCE
+    turns = streak >= DEBOUNCE_STEPS
     after = FreeSpace(inside=space.inside ^ turns, streak=jnp.where(turns, 0, streak), since_m=since)
     return after, turns & ~space.inside, turns & space.inside
 
@@ -173,7 +167,7 @@ def border_ahead(
     return jnp.where(leaves, since_m + region[1], after_m), waits & leaves
 
 
-def at_rest() -> Drive:
+def initial_drive() -> Drive:
     """Return an empty memory; passages count as two metres wide until a wall is seen."""
     return Drive(
         latch=jnp.int32(Latch.FREE),
@@ -199,33 +193,31 @@ def choose_mode(
     """Choose the run mode of this step.
 
     Args:
-      drive: `Drive`.
-      space: `FreeSpace`.
-      walls: `ScanWalls`.
-      ways_m: from `surround.ways`.
-      tuning, robot: `Tuning`, `Robot`.
+      ways_m: from `surround.free_lengths`.
 
     Returns:
       `(mode, drive)`: `RunMode` as int32; a dead end keeps the side to which it turns until the way is open. It turns
         to the larger side, from a wall near one half of its front to the other.
     """
     left_m, right_m, fronts_m = walls.left_m, walls.right_m, walls.fronts_m
-    guarded = (jnp.minimum(*fronts_m) < robot.length_m / 2 + GUARD_M) & ~manoeuvre.is_open(ways_m, *GETS_PAST)
-    closed = walls.closed & ~manoeuvre.is_open(ways_m, *GETS_ON)
+    guarded = (jnp.minimum(*fronts_m) < robot.length_m / 2 + CONTACT_GUARD_M) & ~manoeuvre.has_free_way(
+        ways_m, *WAY_PAST_WALL
+    )
+    closed = walls.closed & ~manoeuvre.has_free_way(ways_m, *WAY_PAST_END)
     latched = drive.latch != Latch.FREE
     # One scan suffices to drive by, several in a row make a node.
-    free = space.inside | (is_free(walls.region_sides[0], walls.region_sides[1], tuning.open_m) & walls.roomy)
+    free = space.inside | (is_free_space(walls.region_sides[0], walls.region_sides[1], tuning.open_m) & walls.roomy)
     mode = jnp.where(free, RunMode.WALL_FOLLOWING, RunMode.CENTRAL)
     mode = jnp.where(closed, RunMode.DEAD_END, mode)
     mode = jnp.where(latched, RunMode.BRANCH_SELECTION, mode)
     mode = jnp.where(guarded & (drive.latch != Latch.LOOK), RunMode.CONTACT_GUARD, mode).astype(jnp.int32)
     larger = jnp.where(drive.left_m >= drive.right_m, 1, -1)
-    one_side = jnp.maximum(*fronts_m) > jnp.minimum(*fronts_m) + GUARD_M
+    one_side = jnp.maximum(*fronts_m) > jnp.minimum(*fronts_m) + CONTACT_GUARD_M
     larger = jnp.where(one_side, jnp.where(fronts_m[0] > fronts_m[1], 1, -1), larger)
     turns = (mode == RunMode.DEAD_END) | (mode == RunMode.CONTACT_GUARD)
     turning = jnp.where(turns, jnp.where(drive.turning == 0, larger, drive.turning), 0)
     walls = ~free & ~closed & ~latched
-    least_m = jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.MARGIN_M + ROOM_M
+    least_m = jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.OUTLINE_MARGIN_M + TURN_ROOM_M
     side = jnp.where(drive.side == 0, jnp.where(left_m < right_m, 1, -1), drive.side)
     return mode, drive.replace(
         side=jnp.where(free, side, 0).astype(jnp.int32),
@@ -235,7 +227,7 @@ def choose_mode(
     )
 
 
-def target_of(
+def target_point(
     mode: Array,
     drive: Drive,
     left_m: Array,
@@ -248,7 +240,7 @@ def target_of(
     """Compute the target point in the robot's frame: `[2]` float32, metres.
 
     In a passage it lies on the middle between the walls, in free space in the direction `coast`, from
-    `surround.along_wall`; or, where that is NaN, at the distance from the followed wall that the passage before had:
+    `surround.wall_direction`; or, where that is NaN, at the distance from the followed wall that the passage before had:
     the nearer wall, or where both sides are open the one that was nearer last.
 
     Source:
@@ -269,9 +261,9 @@ def target_of(
     return jnp.where(mode == RunMode.BRANCH_SELECTION, _selected(drive, to_robot, tuning), ahead)
 
 
-def begun(away_m: Array, tuning: Tuning) -> Array:
+def latch_start(away_m: Array, tuning: Tuning) -> Array:
     """Return the initial value of `Drive.since` for a target at this distance, metres: int32."""
-    steps = SLOWER * away_m / (tuning.speed_m_s * DT_S)
+    steps = LATCH_TIME_RATIO * away_m / (tuning.speed_m_s * DT_S)
     return jnp.minimum(LATCH_STEPS - steps, 0).astype(jnp.int32)
 
 
@@ -284,7 +276,7 @@ def is_aside(target: Array, out: Array, radius_m: Array) -> Array:
       radius_m: float32, of the place.
     """
     beside_m = target[1] * jnp.cos(out) - target[0] * jnp.sin(out)
-    return (radius_m > ways_out.WIDE_M) & (jnp.abs(beside_m) > BESIDE_M)
+    return (radius_m > ways_out.WIDE_PLACE_M) & (jnp.abs(beside_m) > OFF_AXIS_M)
 
 
 def _selected(drive, to_robot, tuning):
@@ -295,6 +287,6 @@ def _selected(drive, to_robot, tuning):
     target = to_robot(drive.target)
     axis = to_robot(drive.target + towards(drive.out)) - target
     before_m, beside_m = target @ axis, target[1] * axis[0] - target[0] * axis[1]
-    via_m = tuning.leave_m + BEFORE_M
-    first = drive.aside & (drive.latch == Latch.LEAVE) & (jnp.abs(beside_m) > BESIDE_M) & (before_m > via_m)
+    via_m = tuning.leave_m + VIA_POINT_M
+    first = drive.aside & (drive.latch == Latch.LEAVE) & (jnp.abs(beside_m) > OFF_AXIS_M) & (before_m > via_m)
     return jnp.where(first, target - via_m * axis, target)

@@ -35,7 +35,7 @@ MOUTH_M = 1.0  # before the border of a hall its gateway is narrowest within thi
 ABEAM_M = 0.4  # m; a gateway is abeam if its middle is no farther ahead or behind
 ROUND_M, ROUND_RAD = 6.0, 4.5  # m, rad; a robot back at its starting point after this way and turn has been round
 BEGAN_M = 2.0  # within this: it may have begun in a corner
-AWAY_M = 4.0  # m; distance driven away from an island
+LEAVE_ISLAND_M = 4.0  # m; distance driven away from an island
 OUT_COS = 0.7  # of the angle between a way and a gateway's axis from which on it leads out
 
 
@@ -46,7 +46,6 @@ def sides(within: Array, walls: ScanWalls) -> tuple[Array, Array]:
 
     Args:
       within: bool, whether the robot is in a hall.
-      walls: `ScanWalls`.
     """
     return jax.tree.map(lambda here, ahead: jnp.where(within, here, ahead), tuple(walls.beside), walls.region_sides)
 
@@ -57,11 +56,10 @@ def coast(mode: Array, side: Array, around: Surround, tuning: Tuning, robot: Rob
     Args:
       mode: int32, `RunMode`.
       side: int32, of the wall, `Drive.side`.
-      around, tuning, robot: `Surround`, `Tuning`, `Robot`.
     """
     follows = (mode == RunMode.WALL_FOLLOWING) & (tuning.coast_m > 0)
     none = jnp.float32(jnp.nan)
-    return run_if(follows, lambda _: surround.along_wall(around, side, tuning.coast_m, robot), none)
+    return run_if(follows, lambda _: surround.wall_direction(around, side, tuning.coast_m, robot), none)
 
 
 def abeam(
@@ -76,15 +74,12 @@ def abeam(
     """Return the place before a gateway in the followed wall, once it is abeam; else the given one.
 
     Args:
-      state, writer: `State`, `Writer`.
-      xy, valid: from `surround.points`.
-      track: `Track`.
+      xy, valid: from `surround.known_points`.
       placed: function from the robot's frame into the odometry's.
-      tuning: `Tuning`.
     """
     side = state.drive.side
     beside = jnp.stack([0.0, side * tuning.coast_m])
-    there, middle, out, width_m = gateways.gateway(xy, valid, beside, side * math.pi / 2, tuning.width_m)
+    there, middle, out, width_m = gateways.find_gateway(xy, valid, beside, side * math.pi / 2, tuning.width_m)
     found = _before(placed(middle), state.estimate[2] + out, width_m, tuning)
     known = mapping.is_near_known(writer, found.centre[None], state.odometer_m, tuning.leave_m)[0]
     there &= (jnp.abs(middle[0]) < ABEAM_M) & ~known & state.space.inside & (side != 0)
@@ -101,18 +96,17 @@ def crossed(writer: Writer, inside: Array, border_m: Array, tuning: Tuning) -> T
       writer: `Writer` with this step.
       inside: bool, the robot is in the hall now.
       border_m: float32, odometer where it came to the border.
-      tuning: `Tuning`.
     """
     way = writer.way
     pose = mapping.pose_at(way, border_m)
     just = (way.odometer_m > border_m - MOUTH_M) & (way.odometer_m <= border_m)
     width_m = jnp.min(jnp.where(just, way.width_m, jnp.inf))
     out = pose[2] + jnp.where(inside, math.pi, 0.0)
-    found = _before(pose[:2], out, jnp.minimum(width_m, gateways.MOST_M), tuning)
+    found = _before(pose[:2], out, jnp.minimum(width_m, gateways.MAX_GATEWAY_M), tuning)
     last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
     off_m = jnp.hypot(writer.map.x_m[last] - found.centre[0], writer.map.y_m[last] - found.centre[1])
-    none = (width_m > gateways.MOST_M) | (~inside & (off_m < 2 * tuning.coast_m))
-    return jax.tree.map(lambda no, yes: jnp.where(none, no, yes), behaviour.no_track(), found)
+    none = (width_m > gateways.MAX_GATEWAY_M) | (~inside & (off_m < 2 * tuning.coast_m))
+    return jax.tree.map(lambda no, yes: jnp.where(none, no, yes), behaviour.empty_track(), found)
 
 
 def looked(
@@ -121,16 +115,13 @@ def looked(
     """Return the gateway before which the robot is, once it has looked round: `(track, bool: a gateway exists)`.
 
     Args:
-      state: `State`.
       track: `Track`, its expected position.
-      around: `Surround`.
       placed: function from the robot's frame into the odometry's.
-      tuning: `Tuning`.
     """
     heading = state.estimate[2]
     out = track.out - heading
     middle = to_robot(state.estimate)(track.centre) + tuning.coast_m * towards(out)
-    there, middle, out, width_m = gateways.gateway(*surround.points(around), middle, out, tuning.width_m)
+    there, middle, out, width_m = gateways.find_gateway(*surround.known_points(around), middle, out, tuning.width_m)
     found = _before(placed(middle), heading + out, width_m, tuning)
     return jax.tree.map(lambda new, old: jnp.where(there, new, old), found, track), there
 
@@ -138,7 +129,7 @@ def looked(
 def _before(middle, out, width_m, tuning):
     """Return a believed `Track` of the place before a gateway, at the distance at which walls are followed."""
     centre = middle - tuning.coast_m * towards(out)
-    return behaviour.believed(centre, jnp.hypot(tuning.coast_m, width_m / 2), out)
+    return behaviour.certain_track(centre, jnp.hypot(tuning.coast_m, width_m / 2), out)
 
 
 def gone_on(
@@ -156,10 +147,7 @@ def gone_on(
     Args:
       state: `State` before the step.
       space, drive, writer: `FreeSpace`, `Drive`, `Writer` after it.
-      event: `DueNode`.
-      around: `Surround`.
       estimate: `[3]` float32, odometry.
-      tuning: `Tuning`.
 
     Returns:
       `(space, drive, writer)`: with the hall it stays in and the wall it follows; a hall without a gateway is exhausted
@@ -206,15 +194,13 @@ def circled(
     Args:
       state: `State` before the step.
       drive, space, writer: `Drive`, `FreeSpace`, `Writer` after it.
-      around: `Surround`.
       estimate: `[3]` float32, odometry.
       at_node: bool, a node was made.
-      tuning: `Tuning`.
 
     Returns:
       `(drive, is_round)`: bool, the robot has been round the hall where it began and found no exit.
     """
-    xy, known = surround.points(around)
+    xy, known = surround.known_points(around)
     beside = jnp.any(known & (jnp.hypot(*xy.T) < 2 * tuning.coast_m))
     follows = space.inside & (state.mode == RunMode.WALL_FOLLOWING) & (drive.latch == Latch.FREE) & beside
     began = jnp.where(at_node | ~space.inside, jnp.nan, drive.began)
@@ -231,12 +217,12 @@ def circled(
     is_round = is_back & (turned > ROUND_RAD) & alone
     leaves = is_back & (jnp.abs(turned) > ROUND_RAD) & ~is_round
     out = estimate[2] - drive.side * math.pi / 2
-    target = estimate[:2] + AWAY_M * towards(out)
+    target = estimate[:2] + LEAVE_ISLAND_M * towards(out)
     after = drive.replace(
         latch=jnp.where(leaves, Latch.LEAVE, drive.latch).astype(jnp.int32),
         target=jnp.where(leaves, target, drive.target),
         out=jnp.where(leaves, out, drive.out),
-        since=jnp.where(leaves, behaviour.begun(jnp.float32(AWAY_M), tuning), drive.since),
+        since=jnp.where(leaves, behaviour.latch_start(jnp.float32(LEAVE_ISLAND_M), tuning), drive.since),
         aside=drive.aside & ~leaves,
         side=jnp.where(leaves, 0, drive.side).astype(jnp.int32),
         began=jnp.where(leaves, jnp.nan, began),

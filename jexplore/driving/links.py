@@ -13,13 +13,16 @@ from jexplore.btm import Btm
 from jexplore.driving.records import Openings, Writer
 from jexplore.driving.vehicle import to_odometry, to_robot
 
-ALIKE_RAD = math.radians(40)  # a link and an opening that lie no farther apart are one
-DRIFT = 0.025, 2.5  # of the way, metres at most: how far off a known place may seem
+SAME_EXIT_RAD = math.radians(40)  # a link and an opening that lie no farther apart are one
+MATCH_DRIFT = 0.025, 2.5  # of the way, metres at most: how far off a known place may seem
 WAY_DRIFT = 0.05  # of the way along a known link: how far off its other node may seem
-DOUBT = 0.05, 4.0  # of the way, metres at most: how far off a node may seem that a new place perhaps is
-SAME_WAY = 0.6, 0.05  # a way that is as long as a known one, this near in metres and of its length, is that one
-TRIES = 3  # an un-searched link on which the robot has set off so often in vain is given up
-FAILS = 3  # a searched link that has led elsewhere so often in a row is followed no more
+HYPOTHESIS_DRIFT = 0.05, 4.0  # of the way, metres at most: how far off a node may seem that a new place perhaps is
+SAME_WAY_TOLERANCE = (
+    0.6,
+    0.05,
+)  # a way that is as long as a known one, this near in metres and of its length, is that one
+MAX_TRIES = 3  # an un-searched link on which the robot has set off so often in vain is given up
+MAX_FAILS = 3  # a searched link that has led elsewhere so often in a row is followed no more
 SAME_END_RAD = math.radians(25)  # a robot that comes in nearer to a known link comes by it
 TURN_RAD = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
 
@@ -63,7 +66,7 @@ def other_link(map_: Btm, node: Array, link: Array) -> Array:
     return jnp.where(jnp.any(others), jnp.argmax(others).astype(jnp.int32), link)
 
 
-def toward(map_: Btm, node: Array, bearing: Array) -> tuple[Array, Array, Array]:
+def link_toward(map_: Btm, node: Array, bearing: Array) -> tuple[Array, Array, Array]:
     """Return the link of a node whose bearing is nearest to a direction.
 
     Returns:
@@ -104,21 +107,17 @@ def is_alike(map_: Btm, node: Array, found: Openings, back: Array, leads: Array)
     """Return whether a place may be a node: its openings and the node's links match, but for links given up.
 
     Args:
-      map_: `Btm`.
-      node: int32.
-      found: `Openings` of the place.
       back: float32, bearing of the way in, radians.
       leads: bool, the robot follows a link to that node; else one of the node's links must be un-searched there.
-
-    Returns:
-      bool.
     """
     own, bearing = ends_at(map_, node)
-    near = own[:, None] & found.valid & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < ALIKE_RAD)
+    near = own[:, None] & found.valid & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < SAME_EXIT_RAD)
     needed = jnp.where(leads, own & ~jnp.tile(map_.blocked, 2), _needed(map_, own))
     missing = jnp.sum(needed & ~jnp.any(near, axis=1))
     more = jnp.sum(found.valid & ~jnp.any(near, axis=0))
-    waits = (map_.start == node) & btm.open_links(map_) & (jnp.abs(btm.wrapped(map_.start_bearing - back)) < ALIKE_RAD)
+    waits = (
+        (map_.start == node) & btm.open_links(map_) & (jnp.abs(btm.wrapped(map_.start_bearing - back)) < SAME_EXIT_RAD)
+    )
     return (missing == 0) & (more == 0) & (leads | jnp.any(waits))
 
 
@@ -159,7 +158,7 @@ def is_led_to(writer: Writer, centre: Array, odometer_m: Array, reach: Array | f
     return to, followed & (jnp.hypot(*(place - centre)) < limit_m)
 
 
-def recognised(
+def match_node(
     writer: Writer, place: tuple[Array, Array], found: Openings, back: Array, reach: Array, when: Array
 ) -> tuple[Array, Array]:
     """Match a place to a known divergence that lies elsewhere by odometry, which drifts: `(node, bool: matched)`.
@@ -168,9 +167,7 @@ def recognised(
     of the followed link, as seen from the last node. The nearest match counts, if no other is nearly as near.
 
     Args:
-      writer: `Writer`.
       place: `[2]` float32, its centre, odometry; float32, odometer there.
-      found: its `Openings`.
       back: float32, bearing of the way in, radians.
       reach: float32, metres: a node within it is matched without these conditions.
       when: bool, False: do nothing.
@@ -181,7 +178,7 @@ def recognised(
     leads = followed & (jnp.arange(n) == to)
     seen = jnp.where(followed, jnp.stack([map_.x_m[to], map_.y_m[to]]) + centre - expected, centre)
     off_m = jnp.hypot(map_.x_m - seen[0], map_.y_m - seen[1])
-    drift_m = jnp.minimum(DRIFT[0] * odometer_m, DRIFT[1])
+    drift_m = jnp.minimum(MATCH_DRIFT[0] * odometer_m, MATCH_DRIFT[1])
     gone_m = odometer_m - writer.node_m
     limit_m = reach + jnp.where(leads, WAY_DRIFT * gone_m, jnp.where(followed, 0.0, drift_m))
     may = when & (map_.kind == btm.DIVERGENCE) & (off_m < limit_m) & (jnp.arange(n) != writer.node)
@@ -195,7 +192,7 @@ def recognised(
     return run_if(jnp.any(may), judged, (jnp.int32(0), jnp.bool_(False)))
 
 
-def doubts_of(writer: Writer, centre: Array, odometer_m: Array, found: Openings, when: Array) -> Array:
+def find_hypotheses(writer: Writer, centre: Array, odometer_m: Array, found: Openings, when: Array) -> Array:
     """Return loop-closure hypotheses for a place written as a new node: known divergences that it may be.
 
     One more node decides among them.
@@ -204,7 +201,6 @@ def doubts_of(writer: Writer, centre: Array, odometer_m: Array, found: Openings,
       writer: `Writer` before the place was written.
       centre: `[2]` float32, of the place, odometry.
       odometer_m: float32, there.
-      found: its `Openings`.
       when: bool, False: do nothing.
 
     Returns:
@@ -212,7 +208,7 @@ def doubts_of(writer: Writer, centre: Array, odometer_m: Array, found: Openings,
     """
     map_, n = writer.map, writer.map.kind.shape[0]
     off_m = jnp.hypot(map_.x_m - centre[0], map_.y_m - centre[1])
-    may = (map_.kind == btm.DIVERGENCE) & (off_m < jnp.minimum(DOUBT[0] * odometer_m, DOUBT[1]))
+    may = (map_.kind == btm.DIVERGENCE) & (off_m < jnp.minimum(HYPOTHESIS_DRIFT[0] * odometer_m, HYPOTHESIS_DRIFT[1]))
     may &= when & (jnp.arange(n) != writer.node)
 
     def turns(none):
@@ -222,7 +218,7 @@ def doubts_of(writer: Writer, centre: Array, odometer_m: Array, found: Openings,
     return run_if(jnp.any(may), turns, jnp.full(n, jnp.nan))
 
 
-def decided(writer: Writer, kind: Array, centre: Array, odometer_m: Array, found: Openings) -> Writer:
+def resolve_hypotheses(writer: Writer, kind: Array, centre: Array, odometer_m: Array, found: Openings) -> Writer:
     """Resolve the hypotheses about the last node by the way from there and the place at its end.
 
     A hypothesis holds if a known link leaves its node in the direction in which the robot has left this one, has the
@@ -252,7 +248,7 @@ def decided(writer: Writer, kind: Array, centre: Array, odometer_m: Array, found
         )
         holds &= there
         node, is_it = jnp.argmax(holds).astype(jnp.int32), jnp.sum(holds) == 1
-        joined = _joined(map_, writer.node, node, writer.doubts[node])
+        joined = _merge_last_node(map_, writer.node, node, writer.doubts[node])
         map_ = jax.tree.map(lambda yes, no: jnp.where(is_it, yes, no), joined, map_)
         origin = jnp.where(is_it, origin.at[2].set(writer.doubts[node]), origin)
         left = jnp.where(is_it, btm.wrapped(left + writer.doubts[node]), left)
@@ -282,14 +278,14 @@ def _holds(writer, node, turn, kind, centre, odometer_m, found):
     to = jnp.where(forward, map_.end[link], map_.start[link])
     way = to_odometry(jnp.stack([0.0, 0.0, turn]))(centre - writer.origin[:2])
     apart_m = jnp.hypot(*(way - way_along(map_, link, forward)))
-    within_m = SAME_WAY[0] + SAME_WAY[1] * (odometer_m - writer.node_m)
+    within_m = SAME_WAY_TOLERANCE[0] + SAME_WAY_TOLERANCE[1] * (odometer_m - writer.node_m)
     _, spread = turn_to(map_, to, dataclasses.replace(found, bearing=found.bearing + turn))
-    holds = (off[best] < ALIKE_RAD) & (map_.status[link] == btm.SEARCHED) & (apart_m < within_m)
+    holds = (off[best] < SAME_EXIT_RAD) & (map_.status[link] == btm.SEARCHED) & (apart_m < within_m)
     holds &= (map_.kind[to] == kind) & ((kind != btm.DIVERGENCE) | jnp.isfinite(spread))
     return holds, link
 
 
-def _joined(map_, last, node, turn):
+def _merge_last_node(map_, last, node, turn):
     """Replace the last node by a known one, at which its link then ends and whose frame differs by `turn`, radians."""
     size = map_.start.shape[0]
     comes = (map_.end == last) & (map_.status == btm.SEARCHED)
@@ -318,7 +314,6 @@ def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array,
     """Find the searched link from another node at the side where the robot comes in: `(link, bool: found)`.
 
     Args:
-      map_: `Btm`.
       start: int32, node from which the robot comes.
       node: int32, where it is.
       back: float32, bearing of the way in, radians.
@@ -334,13 +329,12 @@ def is_any_open(map_: Btm, tries: Array) -> Array:
     """Return whether any link is un-searched and not given up, such as the one the robot arrives on: bool.
 
     Args:
-      map_: `Btm`.
       tries: `[M]` int32, see `Writer`.
     """
-    return jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (tries < TRIES))
+    return jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (tries < MAX_TRIES))
 
 
-def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Writer, Btm, Array, Array]:
+def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Writer, Btm, Array, Array]:
     """Choose the link by which the robot goes on from a place.
 
     Un-searched links that it has set off on in vain are given up, and searched ones that lead elsewhere are followed no
@@ -350,18 +344,17 @@ def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Write
     Args:
       writer: `Writer` before the node was made.
       map_: `Btm` with it.
-      node: int32.
       back: float32, bearing of the way in, radians.
 
     Returns:
       `(writer, map, link, bearing)`: with what was given up; int32, `NONE` where nothing is left; radians.
     """
-    fails, vain = _failed(writer, node), (writer.tries >= TRIES) & (map_.status == btm.UNSEARCHED)
+    fails, vain = _failed(writer, node), (writer.tries >= MAX_TRIES) & (map_.status == btm.UNSEARCHED)
     writer, map_ = writer.replace(fails=fails), map_.replace(blocked=map_.blocked | vain)
 
     def chosen(map_, fails):
         open_link = btm.first_open(map_, node, back)
-        usable = map_.replace(length_m=jnp.where(fails >= FAILS, btm.FAR_M, map_.length_m))
+        usable = map_.replace(length_m=jnp.where(fails >= MAX_FAILS, btm.FAR_M, map_.length_m))
         hop, hop_bearing, _ = btm.next_hop(usable, node)
         bearing = map_.start_bearing[jnp.minimum(open_link, map_.start.shape[0] - 1)]
         return tuple(
@@ -372,8 +365,8 @@ def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Write
 
     def again(_):
         retried = vain & is_first
-        tries, blocked = jnp.where(retried, TRIES - 1, writer.tries), map_.blocked & ~retried
-        one_less = jnp.minimum(fails, FAILS - 1)
+        tries, blocked = jnp.where(retried, MAX_TRIES - 1, writer.tries), map_.blocked & ~retried
+        one_less = jnp.minimum(fails, MAX_FAILS - 1)
         return blocked, tries, one_less, *chosen(map_.replace(blocked=blocked), one_less)
 
     link, bearing = chosen(map_, fails)

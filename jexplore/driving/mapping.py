@@ -18,13 +18,13 @@ from jexplore.driving.sensing import ground_profile, lone_steps, steadying
 from jexplore.driving.settings import Robot
 from jexplore.driving.vehicle import down_directions
 
-LEAN_STEPS = 32  # steps in which the noise of the attitude is told
+SLOPE_STEPS = 32  # steps in which the noise of the attitude is told
 EVEN_DEG = 1.0  # the robot stands evenly once its lean has varied by less than this
 EVEN_LENGTHS = 0.25  # over this way, in lengths of the robot: on a long robot a gentle slope comes slowly
-MEANT_STEPS = 5  # of which the width of a passage is the mean, and the roll on it
-MEANT_M = 0.1  # as far as they are this near
+WIDTH_MEAN_STEPS = 5  # of which the width of a passage is the mean, and the roll on it
+WIDTH_MEAN_M = 0.1  # as far as they are this near
 ELSEWHERE_M = 2.0  # a node met again truly lies elsewhere if that is farther than this beyond its circle, metres
-BEYOND_M = 0.05, 1.0  # a robot beyond an opening is no farther before it and behind it
+BEYOND_OPENING_M = 0.05, 1.0  # a robot beyond an opening is no farther before it and behind it
 
 
 def no_way(size: int) -> Trajectory:
@@ -42,7 +42,7 @@ def no_way(size: int) -> Trajectory:
     )
 
 
-def begin(
+def begin_map(
     n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array | bool, guide: Guide | None = None
 ) -> Writer:
     """Return a map with the start node, the link on which the robot sets off and, if it exists, the one behind.
@@ -69,7 +69,7 @@ def begin(
             left_m=zero,
             since_m=zero,
         ),
-        lone_step=lone_steps.none(),
+        lone_step=lone_steps.no_step(),
         border_m=jnp.float32(jnp.inf),
         passed=jnp.array([0.0, 0.0, 0.0, -jnp.inf], jnp.float32),
         tries=jnp.zeros(n_links, jnp.int32),
@@ -84,44 +84,41 @@ def begin(
     )
 
 
-def lean(pitch: Array, roll: Array, heading: Array) -> Array:
+def slope_under(pitch: Array, roll: Array, heading: Array) -> Array:
     """Return direction and angle of the slope under a robot: `[2, ...]`, radians, in the frame of the heading."""
     cos, sin = jnp.cos(heading), jnp.sin(heading)
     return jnp.stack([-pitch * cos - roll * sin, -pitch * sin + roll * cos])
 
 
-def lean_of(way: Trajectory, step: Array) -> tuple[Array, Array]:
+def slope_at(way: Trajectory, step: Array) -> tuple[Array, Array]:
     """Estimate direction (odometry frame) and angle of the slope on which the robot stands.
 
     A robot that turns on a slope changes pitch and roll; the estimated slope stays the same.
 
     Args:
       way: `Trajectory`, with this step.
-      step: int32.
 
     Returns:
       `(lean, odometer_m)`: `[2]` float32, radians, averaged over as many steps as the noise of the pitch requires;
         float32, in the middle of these steps.
     """
-    first = jnp.clip(step + 1 - LEAN_STEPS, 0, way.pitch.shape[0] - LEAN_STEPS)
+    first = jnp.clip(step + 1 - SLOPE_STEPS, 0, way.pitch.shape[0] - SLOPE_STEPS)
     pitch, roll, odometer_m = (
-        lax.dynamic_slice(a, (first,), (LEAN_STEPS,)) for a in (way.pitch, way.roll, way.odometer_m)
+        lax.dynamic_slice(a, (first,), (SLOPE_STEPS,)) for a in (way.pitch, way.roll, way.odometer_m)
     )
-    heading = lax.dynamic_slice(way.pose, (first, 2), (LEAN_STEPS, 1))[:, 0]
-    age = step - first - jnp.arange(LEAN_STEPS)
-    share = steadying.shares(pitch, age)
-    return lean(pitch, roll, heading) @ share, share @ jnp.where(age >= 0, odometer_m, 0)
+    heading = lax.dynamic_slice(way.pose, (first, 2), (SLOPE_STEPS, 1))[:, 0]
+    age = step - first - jnp.arange(SLOPE_STEPS)
+    share = steadying.mean_weights(pitch, age)
+    return slope_under(pitch, roll, heading) @ share, share @ jnp.where(age >= 0, odometer_m, 0)
 
 
-def watch_level(
+def update_slope(
     level: SlopeEstimate, lean: Array, odometer_m: Array | float, threshold: Array | float, even_m: Array | float
 ) -> tuple[SlopeEstimate, Array, Array, Array]:
     """Take one more lean into account.
 
     Args:
-      level: `SlopeEstimate`.
-      lean: `[2]` float32, radians, from `lean_of`.
-      odometer_m: float32.
+      lean: `[2]` float32, radians, from `slope_at`.
       threshold: change of inclination that is an obstacle, radians.
       even_m: the robot stands evenly once its lean has varied by less than `EVEN_DEG` over this way.
 
@@ -156,11 +153,10 @@ def watch_level(
     return after, changed, crease, steepest
 
 
-def moved(writer: Writer, centre: Array, turn: Array | float) -> Array:
+def pose_from_node(writer: Writer, centre: Array, turn: Array | float) -> Array:
     """Return the odometry pose of a node in the frame of the last one.
 
     Args:
-      writer: `Writer`.
       centre: `[2]` float32, odometry, of the node.
       turn: of its own frame against the odometry's, radians.
 
@@ -177,7 +173,7 @@ def pose_at(way: Trajectory, odometer_m: Array | float) -> Array:
     return way.pose[jnp.argmax(way.odometer_m >= odometer_m)]
 
 
-def along(way: Trajectory, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array, Array]:
+def way_extremes(way: Trajectory, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array, Array]:
     """Return extremes between two places: `(metres, degrees, degrees)`; inf, 0 and 0 for no step.
 
     They are the narrowest passage, the largest inclination of the body and its largest roll.
@@ -185,9 +181,9 @@ def along(way: Trajectory, from_m: Array | float, to_m: Array | float) -> tuple[
     within = (way.odometer_m >= from_m) & (way.odometer_m <= to_m)
     known = within & jnp.isfinite(way.width_m)
     place = jnp.where(known, way.odometer_m, jnp.inf)
-    meant = steadying.mean_near(way.width_m, place, way.odometer_m, MEANT_STEPS, MEANT_M)
+    meant = steadying.mean_near(way.width_m, place, way.odometer_m, WIDTH_MEAN_STEPS, WIDTH_MEAN_M)
     width = jnp.min(jnp.where(known, meant, jnp.inf))
-    rolls = jnp.abs(steadying.running_mean(way.roll, MEANT_STEPS))
+    rolls = jnp.abs(steadying.running_mean(way.roll, WIDTH_MEAN_STEPS))
     posture, roll = (jnp.degrees(jnp.max(jnp.where(within, a, 0))) for a in (way.posture, rolls))
     return width, posture, roll
 
@@ -212,24 +208,21 @@ def came_through(writer: Writer, middles: Array, across: Array, width_m: Array) 
     """Return the last step since the last node at which the robot was just beyond an opening: `[K]` int32, -1 for none.
 
     Args:
-      writer: `Writer`.
       middles, across, width_m: `[K, 2]`, `[K]`, `[K]` float32, of the openings, odometry: see `openings.Openings`.
     """
     offset = writer.way.pose[:, :2] - middles[:, None]  # [K, T, 2]
     cos, sin = jnp.cos(across)[:, None], jnp.sin(across)[:, None]
     out_m, aside_m = offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin
-    there = (out_m > -BEYOND_M[0]) & (out_m < BEYOND_M[1]) & (jnp.abs(aside_m) < width_m[:, None] / 2)
+    there = (out_m > -BEYOND_OPENING_M[0]) & (out_m < BEYOND_OPENING_M[1]) & (jnp.abs(aside_m) < width_m[:, None] / 2)
     there &= _since_node(writer)
     return jnp.max(jnp.where(there, jnp.arange(there.shape[1]), -1), axis=1)
 
 
-def broken_off(writer: Writer, pose: Array, odometer_m: Array, steps: Array, when: Array) -> tuple[Btm, Array]:
+def end_broken_off(writer: Writer, pose: Array, odometer_m: Array, steps: Array, when: Array) -> tuple[Btm, Array]:
     """End the map of a run that breaks off on an un-searched link: it ends at the robot and continues un-searched.
 
     Args:
-      writer: `Writer`.
       pose: `[3]` float32, odometry.
-      odometer_m: float32.
       steps: int32, of the run: later entries of the way are not part of the run.
       when: bool, whether the run breaks off.
 
@@ -243,11 +236,11 @@ def broken_off(writer: Writer, pose: Array, odometer_m: Array, steps: Array, whe
     def ended(map_):
         gone = jnp.arange(writer.way.odometer_m.shape[0]) < steps
         way = writer.way.replace(odometer_m=jnp.where(gone, writer.way.odometer_m, jnp.inf))
-        width_m, posture_deg, roll_deg = along(way, writer.node_m, odometer_m)
+        width_m, posture_deg, roll_deg = way_extremes(way, writer.node_m, odometer_m)
         map_, node = btm.add_node(map_, btm.TERMINAL, pose[0], pose[1])
         found = {"length_m": odometer_m - writer.node_m, "min_width_m": width_m}
         found |= {"link_posture_deg": posture_deg, "max_roll_deg": roll_deg}
-        found |= dict(zip(("moved_x_m", "moved_y_m", "turned"), moved(writer, pose[:2], 0.0)))
+        found |= dict(zip(("moved_x_m", "moved_y_m", "turned"), pose_from_node(writer, pose[:2], 0.0)))
         map_ = btm.end_link(map_, link, node, pose[2] + math.pi, **found)
         return btm.add_link(map_, node, pose[2])[0]
 
@@ -276,17 +269,11 @@ def is_near_known(writer: Writer, centres: Array, odometer_m: Array | float, lea
     return known | ((odometer_m - there_m < 2 * (radius + leave_m)) & (off2 < reach**2))
 
 
-def note(state: State, senses: Senses, width_m: Array, robot: Robot) -> Writer:
+def record_step(state: State, senses: Senses, width_m: Array, robot: Robot) -> Writer:
     """Record the measures of a step; no width where the robot turns in place.
 
     Args:
-      state: `State`.
-      senses: `Senses`.
       width_m: of the passage.
-      robot: `Robot`.
-
-    Returns:
-      `Writer`.
     """
     way, at = state.writer.way, state.step
     ground_x, ground_z, ground_seen = ground_profile.ground_point(
@@ -312,7 +299,7 @@ def note(state: State, senses: Senses, width_m: Array, robot: Robot) -> Writer:
     return state.writer.replace(way=way)
 
 
-def truly_at(node_at: Array, before: Writer, after: Writer, at: Array) -> tuple[Array, Array]:
+def record_truth(node_at: Array, before: Writer, after: Writer, at: Array) -> tuple[Array, Array]:
     """Record the true position at which a node is made, and report wrong node matches.
 
     Args:

@@ -30,7 +30,7 @@ class Building(struct.PyTreeNode):
     marks: Array  # [K, 3] float32, x, y, radius, metres: places of which it is counted which ones a run has been at
 
 
-class Body(struct.PyTreeNode):
+class RobotBody(struct.PyTreeNode):
     """True state of the robot."""
 
     pose: Array  # [3] float32, building's frame
@@ -338,7 +338,7 @@ class Ahead(NamedTuple):
 class State(struct.PyTreeNode):
     """A run in progress."""
 
-    body: Body
+    body: RobotBody
     estimate: Array  # [3] float32, odometry, corrected where a node is met again
     odometry: Array  # [3] float32, odometry without corrections
     around: Surround  # where the last scan was taken

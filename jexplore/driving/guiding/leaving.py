@@ -10,7 +10,7 @@ from jax import Array
 from jexplore import btm
 from jexplore.btm import Btm
 from jexplore.driving import links
-from jexplore.driving.guiding.guide import BACK_RAD, STRIP_M, at_place, is_next
+from jexplore.driving.guiding.guide import BACK_RAD, STRIP_M, is_next, match_place
 from jexplore.driving.records import DueNode, Guide, Onward, Openings, Writer
 from jexplore.driving.vehicle import to_odometry
 
@@ -25,16 +25,15 @@ class Left(NamedTuple):
     onward: Onward | None  # what the route says: radians and metres, turned as the map's node has them
 
 
-def passes_by(writer: Writer, centre: Array, passes: Array) -> Array:
+def is_off_route(writer: Writer, centre: Array, passes: Array) -> Array:
     """Return whether a robot rejects a candidate, `[2]`, odometry: never where its route has the next place."""
     return passes if writer.guide is None else passes & ~is_next(writer.guide, centre)
 
 
-def corrected(guide: Guide, centre: Array, correction: Array) -> Guide:
+def correct_guide(guide: Guide, centre: Array, correction: Array) -> Guide:
     """Apply a correction of the odometry to a guide.
 
     Args:
-      guide: `Guide`.
       centre: `[2]` float32, about which the odometry has been turned.
       correction: `[3]` float32, metres and radians.
     """
@@ -42,7 +41,7 @@ def corrected(guide: Guide, centre: Array, correction: Array) -> Guide:
     return guide.replace(from_xy=from_xy, turned=guide.turned - correction[2])
 
 
-def left_by(
+def leave_place(
     map_: Btm,
     writer: Writer,
     event: DueNode,
@@ -61,14 +60,13 @@ def left_by(
     Args:
       map_: `Btm` with the node.
       writer, event: `Writer` before it; `DueNode`.
-      node: int32.
       found: its `Openings`, as stored in the map's node.
       is_place: bool, whether it is a divergence.
       points: see `links.reach_m`.
       usual: `(link, bearing)`: int32, link chosen without a route; float32, its bearing in the node's frame, radians.
       turned: `(turn, correction)`: float32, rotation of the node's bearings (also of `found` and `usual`) against the
         odometry in which they were measured, radians; `[3]` float32, correction of the odometry by a share of that
-        turn, metres and radians, see `corrected`.
+        turn, metres and radians, see `correct_guide`.
 
     Returns:
       `Left`; without a route, the given values. `onward` is the guide's, turned by `turn` about `event.centre`;
@@ -79,15 +77,15 @@ def left_by(
         return Left(None, map_, onto, bearing, None)
     free_m = functools.partial(links.reach_m, points, width_m=STRIP_M)
     measured = dataclasses.replace(found, bearing=found.bearing - turn)
-    ahead, way = at_place(writer.guide, event.odometer_m, event.centre, measured, is_place, free_m)
+    ahead, way = match_place(writer.guide, event.odometer_m, event.centre, measured, is_place, free_m)
     to_node = to_odometry(jnp.append(event.centre, turn))
     way = way._replace(bearing=way.bearing + turn, middle=to_node(way.middle - event.centre))
-    ahead = corrected(ahead, event.centre, correction)
-    link, out, off = links.toward(map_, node, way.bearing)
-    is_open = jnp.any(found.valid & (jnp.abs(btm.wrapped(found.bearing - way.bearing)) < links.ALIKE_RAD))
+    ahead = correct_guide(ahead, event.centre, correction)
+    link, out, off = links.link_toward(map_, node, way.bearing)
+    is_open = jnp.any(found.valid & (jnp.abs(btm.wrapped(found.bearing - way.bearing)) < links.SAME_EXIT_RAD))
     there = jnp.isfinite(off)
     link, out = jnp.where(there, link, onto), jnp.where(there, out, bearing)
-    wanted = is_place & (off > links.ALIKE_RAD) & (way.is_free | is_open)
+    wanted = is_place & (off > links.SAME_EXIT_RAD) & (way.is_free | is_open)
     map_, new = btm.add_link(map_, node, way.bearing, when=wanted)
     is_new = wanted & (new < map_.start.shape[0])
     link, out = jnp.where(is_new, new, link), jnp.where(is_new, way.bearing, out)

@@ -12,11 +12,11 @@ from jexplore.driving.records import Arrival, DueNode, Openings, Writer
 from jexplore.driving.settings import Tuning
 from jexplore.driving.vehicle import to_odometry, towards
 
-CORNER = 1.3  # of a circle's diameter: with only one opening, wider than this, it lies in a corner
+CORNER_WIDTH_RATIO = 1.3  # of a circle's diameter: with only one opening, wider than this, it lies in a corner
 IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farther from it
 
 
-def is_passed(writer: Writer, event: DueNode, measured: tuple[Array, Openings], others: Array, at: Arrival,
+def is_rejected(writer: Writer, event: DueNode, measured: tuple[Array, Openings], others: Array, at: Arrival,
               is_divergence: Array, points: tuple[Array, Array], tuning: Tuning) -> tuple[Array, Array]:  # fmt: skip
     """Decide whether to reject a candidate, and which of its openings the robot takes: `(passes, which)`.
 
@@ -25,12 +25,9 @@ def is_passed(writer: Writer, event: DueNode, measured: tuple[Array, Openings], 
     candidate with a single opening much wider than its circle lies in the corner of a room.
 
     Args:
-      writer, event, at: `Writer`; `DueNode`, `Arrival` of the place.
       measured: bearing of the way in, radians, and `Openings` of the place, in the odometry frame.
       others: `[K]` bool, openings other than the way in.
-      is_divergence: bool.
-      points: what lies round the robot, see `nodes.write`.
-      tuning: `Tuning`.
+      points: what lies round the robot, see `nodes.write_node`.
     """
     back, found = measured
     n, other = jnp.sum(found.valid), jnp.argmax(others)
@@ -39,28 +36,28 @@ def is_passed(writer: Writer, event: DueNode, measured: tuple[Array, Openings], 
     in_line = (jnp.sum(others) == 1) & straight & ~(at.again & followed & (at.near == to))
     free_m = links.reach_m(points, event.centre, back, event.radius)
     in_line &= (n == 2) | ((n == 1) & (free_m > tuning.circle * event.radius))
-    wide = (found.width_m > CORNER * 2 * event.radius) | is_behind(found)
+    wide = (found.width_m > CORNER_WIDTH_RATIO * 2 * event.radius) | is_behind(found)
     corner = (n == 1) & jnp.any(found.valid & wide) & ~at.again
-    passes = leaving.passes_by(writer, event.centre, is_divergence & (in_line | corner))
+    passes = leaving.is_off_route(writer, event.centre, is_divergence & (in_line | corner))
     return passes, jnp.where(corner, jnp.argmax(found.valid), other)
 
 
-def past(event: DueNode, measured: tuple[Array, Openings], which: Array, others: Array,
+def beyond_candidate(event: DueNode, measured: tuple[Array, Openings], which: Array, others: Array,
          points: tuple[Array, Array], tuning: Tuning) -> tuple[Array, Array]:  # fmt: skip
     """Return a point beyond a rejected candidate, relative to its centre: `[2]`; and a direction there, radians.
 
     If the exit is a door of an area beyond its circle, which may be a place itself: straight on, if that is free.
-    Arguments as for `is_passed`; `which`, int32, is its result.
+    Arguments as for `is_rejected`; `which`, int32, is its result.
     """
     back, found = measured
     leave_m, on_m, ahead = tuning.leave_m, event.radius + tuning.leave_m, back + math.pi
     far = jnp.any(others) & (jnp.hypot(*found.middle[which]) > tuning.circle * event.radius)
     far &= links.reach_m(points, event.centre, ahead, event.radius) > on_m + leave_m
-    target, out = through(event, found, found.bearing[which], 0.0, leave_m)
+    target, out = beyond_opening(event, found, found.bearing[which], 0.0, leave_m)
     return jnp.where(far, on_m * towards(ahead), target), jnp.where(far, ahead, out)
 
 
-def through(
+def beyond_opening(
     event: DueNode, found: Openings, bearing: Array, turn: Array | float, leave_m: Array | float
 ) -> tuple[Array, Array]:
     """Return a point beyond the opening in a direction, relative to the centre; straight on where no opening exists.
