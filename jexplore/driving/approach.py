@@ -8,12 +8,11 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
-from jexplore.arrays.loops import run_if
+from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import behaviour, halls
 from jexplore.driving.events import triangles
 from jexplore.driving.mapping import has_left
@@ -73,9 +72,7 @@ def select_branch(
     """Begin, continue and end a latch of branch selection.
 
     Args:
-      state: `State` before this step.
       ahead, around, ways_m: what lies ahead and around: `Ahead`, `Surround`, from `surround.free_lengths`.
-      placed: function from the robot's frame into the odometry's.
     """
     drive, track = state.drive, ahead.track
     begins = behaviour.is_believed(track, tuning.votes) & (~ahead.space.inside | jnp.isfinite(track.out))
@@ -120,7 +117,7 @@ def select_branch(
         looked_m=jnp.where(ends, state.odometer_m, drive.looked_m),
     )
     gives_up = too_late | none
-    left = jax.tree.map(lambda fresh, old: jnp.where(gives_up, fresh, old), behaviour.empty_track(), look.track)
+    left = pick(gives_up, behaviour.empty_track(), look.track)
     return Latched(after, left, begins, arrives, gives_up)
 
 
@@ -170,12 +167,12 @@ def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot)
         off_m < jnp.maximum(jnp.minimum(track.radius, in_map[1]), 0.5)
     )
     kept = track.replace(centre=jnp.where(back, middle, track.centre))
-    chosen = jax.tree.map(lambda new, old: jnp.where(ends & better, new, old), other, kept)
+    chosen = pick(ends & better, other, kept)
     is_gateway = jnp.isfinite(track.out)
     gateway, there = run_if(
         ends & is_gateway, lambda _: halls.looked(state, track, around, placed, tuning), (track, jnp.bool_(False))
     )
-    chosen = jax.tree.map(lambda new, old: jnp.where(ends & is_gateway, new, old), gateway, chosen)
+    chosen = pick(ends & is_gateway, gateway, chosen)
     better, back = better & ~is_gateway, back & ~is_gateway
     there_is = had & jnp.where(is_gateway, there, there_is | drive.known)
     # One that looks round where the way is shut may see the place that it means from afar.
@@ -230,7 +227,6 @@ def help_robot(state: State, senses: Senses, makes_node: Array, building: Buildi
     """Turn a robot that makes no progress, or drives to and fro, towards the longest free way: operator help.
 
     Args:
-      state: `State` after a step.
       makes_node: bool, a node was due in that step.
     """
     on = (state.odometer_m - state.moved_m > STUCK_M) | makes_node
@@ -255,7 +251,7 @@ def help_robot(state: State, senses: Senses, makes_node: Array, building: Buildi
         estimate=state.estimate.at[2].add(turn),
         odometry=state.odometry.at[2].add(turn),
         drive=state.drive.replace(latch=jnp.where(helps, Latch.FREE, state.drive.latch).astype(jnp.int32)),
-        track=jax.tree.map(lambda fresh, old: jnp.where(helps, fresh, old), behaviour.empty_track(), state.track),
+        track=pick(helps, behaviour.empty_track(), state.track),
         writer=state.writer.replace(map=map_.replace(intervention=map_.intervention.at[node].add(1, mode="drop"))),
         moved_m=moved_m,
         moved_step=jnp.where(helps, state.step, moved_step),

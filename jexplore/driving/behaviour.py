@@ -126,8 +126,6 @@ def watch_free_space(
     """Update the hysteresis of free space with the walls of one more scan.
 
     Args:
-      left_m, right_m: from `perception.sides`.
-      open_m: a side without a wall within this is free [C1].
       looking: bool scalar; False: nothing changes.
       roomy: from `perception.is_roomy`; where it is False, no free space is entered.
       coast_m: at which its walls are followed; above 0 it is left only where both are no farther apart than twice that.
@@ -192,9 +190,6 @@ def choose_mode(
 ) -> tuple[Array, Drive]:
     """Choose the run mode of this step.
 
-    Args:
-      ways_m: from `surround.free_lengths`.
-
     Returns:
       `(mode, drive)`: `RunMode` as int32; a dead end keeps the side to which it turns until the way is open. It turns
         to the larger side, from a wall near one half of its front to the other.
@@ -216,14 +211,14 @@ def choose_mode(
     larger = jnp.where(one_side, jnp.where(fronts_m[0] > fronts_m[1], 1, -1), larger)
     turns = (mode == RunMode.DEAD_END) | (mode == RunMode.CONTACT_GUARD)
     turning = jnp.where(turns, jnp.where(drive.turning == 0, larger, drive.turning), 0)
-    walls = ~free & ~closed & ~latched
+    by_walls = ~free & ~closed & ~latched
     least_m = jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.OUTLINE_MARGIN_M + TURN_ROOM_M
     side = jnp.where(drive.side == 0, jnp.where(left_m < right_m, 1, -1), drive.side)
     return mode, drive.replace(
         side=jnp.where(free, side, 0).astype(jnp.int32),
         turning=turning.astype(jnp.int32),
-        left_m=jnp.where(walls & (left_m < tuning.open_m), jnp.maximum(left_m, least_m), drive.left_m),
-        right_m=jnp.where(walls & (right_m < tuning.open_m), jnp.maximum(right_m, least_m), drive.right_m),
+        left_m=jnp.where(by_walls & (left_m < tuning.open_m), jnp.maximum(left_m, least_m), drive.left_m),
+        right_m=jnp.where(by_walls & (right_m < tuning.open_m), jnp.maximum(right_m, least_m), drive.right_m),
     )
 
 
@@ -273,7 +268,6 @@ def is_aside(target: Array, out: Array, radius_m: Array) -> Array:
     Args:
       target: `[2]` float32, from the middle, metres.
       out: float32, radians, direction of the passage there.
-      radius_m: float32, of the place.
     """
     beside_m = target[1] * jnp.cos(out) - target[0] * jnp.sin(out)
     return (radius_m > ways_out.WIDE_PLACE_M) & (jnp.abs(beside_m) > OFF_AXIS_M)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore import btm
-from jexplore.arrays.loops import run_if
+from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import behaviour, halls, links, mapping
 from jexplore.driving.nodes import SAME_NODE_M
 from jexplore.driving.records import Ahead, Divergence, DueNode, Latch, ScanWalls, State, Surround, Writer
@@ -61,9 +61,6 @@ def look_ahead(
     """Compute `Ahead` of one step.
 
     Args:
-      state: `State` before it.
-      writer: `Writer` with this step's measurements.
-      placed: function from the robot's frame into the odometry's.
       is_blind: bool, whether the scan gave hardly any numbers.
     """
     is_free = state.drive.latch == Latch.FREE
@@ -133,7 +130,7 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
         | (changed & (crease_m > now.from_m - lone_steps.TOGETHER_M / 2))
         | (blocked >= BLOCKED_STEPS)
     )
-    after = jax.tree.map(lambda none, old: jnp.where(gone, none, old), lone_steps.no_step(), now)
+    after = pick(gone, lone_steps.no_step(), now)
     return now, is_lone & ~changed, after
 
 
@@ -184,7 +181,7 @@ def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
 
     # There are no divergences in free space; where the robot turns on a slope, it leans otherwise for a moment.
     forgets = ((state.space.inside & jnp.isnan(state.track.out)) | leans) & ~turns
-    track = jax.tree.map(lambda none, old: jnp.where(forgets, none, old), behaviour.empty_track(), state.track)
+    track = pick(forgets, behaviour.empty_track(), state.track)
     looks = (state.step % SEARCH_EVERY_STEPS == 0) & ~is_in & ~turns & ~forgets & jnp.isnan(state.track.out)
     return run_if(looks, looked, (track, jnp.int32(0)))
 
@@ -206,7 +203,7 @@ def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, t
     def gateway(track):
         found = halls.crossed(writer, space.inside, border_m, tuning)
         abeam = halls.abeam(state, writer, xy, valid, track, placed, tuning)
-        return jax.tree.map(lambda new, old: jnp.where(crosses, new, old), found, abeam)
+        return pick(crosses, found, abeam)
 
     looks = looking & (crosses | (state.space.inside & (state.step % SEARCH_EVERY_STEPS == 0)))
     track = run_if(is_hall & looks, gateway, track)

@@ -8,12 +8,11 @@ detection using the extended Voronoi graph, 2005).
 import math
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
-from jexplore.arrays.loops import run_if
+from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import behaviour, mapping
 from jexplore.driving.records import (
     Drive,
@@ -47,16 +46,11 @@ def sides(within: Array, walls: ScanWalls) -> tuple[Array, Array]:
     Args:
       within: bool, whether the robot is in a hall.
     """
-    return jax.tree.map(lambda here, ahead: jnp.where(within, here, ahead), tuple(walls.beside), walls.region_sides)
+    return pick(within, tuple(walls.beside), walls.region_sides)
 
 
 def coast(mode: Array, side: Array, around: Surround, tuning: Tuning, robot: Robot) -> Array:
-    """Return the direction in which the robot follows the wall of a hall: float32, radians; NaN where it follows none.
-
-    Args:
-      mode: int32, `RunMode`.
-      side: int32, of the wall, `Drive.side`.
-    """
+    """Return the direction in which the robot follows the wall of a hall: float32, radians; NaN where it follows none."""
     follows = (mode == RunMode.WALL_FOLLOWING) & (tuning.coast_m > 0)
     none = jnp.float32(jnp.nan)
     return run_if(follows, lambda _: surround.wall_direction(around, side, tuning.coast_m, robot), none)
@@ -71,19 +65,14 @@ def abeam(
     placed: Callable[[Array], Array],
     tuning: Tuning,
 ) -> Track:
-    """Return the place before a gateway in the followed wall, once it is abeam; else the given one.
-
-    Args:
-      xy, valid: from `surround.known_points`.
-      placed: function from the robot's frame into the odometry's.
-    """
+    """Return the place before a gateway in the followed wall, once it is abeam; else the given one."""
     side = state.drive.side
     beside = jnp.stack([0.0, side * tuning.coast_m])
     there, middle, out, width_m = gateways.find_gateway(xy, valid, beside, side * math.pi / 2, tuning.width_m)
     found = _before(placed(middle), state.estimate[2] + out, width_m, tuning)
     known = mapping.is_near_known(writer, found.centre[None], state.odometer_m, tuning.leave_m)[0]
     there &= (jnp.abs(middle[0]) < ABEAM_M) & ~known & state.space.inside & (side != 0)
-    return jax.tree.map(lambda new, old: jnp.where(there, new, old), found, track)
+    return pick(there, found, track)
 
 
 def crossed(writer: Writer, inside: Array, border_m: Array, tuning: Tuning) -> Track:
@@ -93,7 +82,6 @@ def crossed(writer: Writer, inside: Array, border_m: Array, tuning: Tuning) -> T
     gateway before which it has just been.
 
     Args:
-      writer: `Writer` with this step.
       inside: bool, the robot is in the hall now.
       border_m: float32, odometer where it came to the border.
     """
@@ -106,24 +94,19 @@ def crossed(writer: Writer, inside: Array, border_m: Array, tuning: Tuning) -> T
     last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
     off_m = jnp.hypot(writer.map.x_m[last] - found.centre[0], writer.map.y_m[last] - found.centre[1])
     none = (width_m > gateways.MAX_GATEWAY_M) | (~inside & (off_m < 2 * tuning.coast_m))
-    return jax.tree.map(lambda no, yes: jnp.where(none, no, yes), behaviour.empty_track(), found)
+    return pick(none, behaviour.empty_track(), found)
 
 
 def looked(
     state: State, track: Track, around: Surround, placed: Callable[[Array], Array], tuning: Tuning
 ) -> tuple[Track, Array]:
-    """Return the gateway before which the robot is, once it has looked round: `(track, bool: a gateway exists)`.
-
-    Args:
-      track: `Track`, its expected position.
-      placed: function from the robot's frame into the odometry's.
-    """
+    """Return the gateway before which the robot is, once it has looked round: `(track, bool: a gateway exists)`."""
     heading = state.estimate[2]
     out = track.out - heading
     middle = to_robot(state.estimate)(track.centre) + tuning.coast_m * towards(out)
     there, middle, out, width_m = gateways.find_gateway(*surround.known_points(around), middle, out, tuning.width_m)
     found = _before(placed(middle), heading + out, width_m, tuning)
-    return jax.tree.map(lambda new, old: jnp.where(there, new, old), found, track), there
+    return pick(there, found, track), there
 
 
 def _before(middle, out, width_m, tuning):
@@ -144,11 +127,6 @@ def gone_on(
 ) -> tuple[FreeSpace, Drive, Writer]:
     """Choose how the robot continues in a hall once a node has been made, or none was due.
 
-    Args:
-      state: `State` before the step.
-      space, drive, writer: `FreeSpace`, `Drive`, `Writer` after it.
-      estimate: `[3]` float32, odometry.
-
     Returns:
       `(space, drive, writer)`: with the hall it stays in and the wall it follows; a hall without a gateway is exhausted
         once the robot has been all round.
@@ -162,7 +140,6 @@ def from_gateway(space: FreeSpace, drive: Drive, out: Array) -> tuple[FreeSpace,
     """Decide at a gateway whether the robot stays in the hall, and which wall it follows.
 
     Args:
-      space, drive: `FreeSpace`, `Drive` with the link that is taken.
       out: float32, radians, direction of the gateway; NaN: the robot is at no gateway.
 
     Returns:
@@ -171,7 +148,7 @@ def from_gateway(space: FreeSpace, drive: Drive, out: Array) -> tuple[FreeSpace,
     is_before, to_left = jnp.isfinite(out), jnp.sin(drive.out - out) > 0
     stays = jnp.cos(drive.out - out) < OUT_COS
     after = behaviour.no_free_space().replace(inside=stays)
-    space = jax.tree.map(lambda new, old: jnp.where(is_before, new, old), after, space)
+    space = pick(is_before, after, space)
     side = jnp.where(stays, jnp.where(to_left, -1, 1), 0)  # going to the left, it has the gateway's wall to the right
     return space, drive.replace(side=jnp.where(is_before, side, drive.side).astype(jnp.int32))
 
@@ -192,9 +169,6 @@ def circled(
     began, and follows no route, that hall is exhausted; otherwise it crosses as well.
 
     Args:
-      state: `State` before the step.
-      drive, space, writer: `Drive`, `FreeSpace`, `Writer` after it.
-      estimate: `[3]` float32, odometry.
       at_node: bool, a node was made.
 
     Returns:

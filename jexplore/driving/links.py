@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
-from jexplore.arrays.loops import run_if
+from jexplore.arrays.loops import pick, run_if
 from jexplore.btm import Btm
 from jexplore.driving.records import Openings, Writer
-from jexplore.driving.vehicle import to_odometry, to_robot
+from jexplore.driving.vehicle import rotate_by, to_odometry, to_robot
 
 SAME_EXIT_RAD = math.radians(40)  # a link and an opening that lie no farther apart are one
 MATCH_DRIFT = 0.025, 2.5  # of the way, metres at most: how far off a known place may seem
@@ -82,9 +82,7 @@ def reach_m(points: tuple[Array, Array], place: Array, bearing: Array, width_m: 
     """Compute the free length of a strip from a place in a direction: metres; inf: unlimited.
 
     Args:
-      points: `[P, 2]` float32, odometry; `[P]` bool, valid.
       place, bearing: `[2]` float32, odometry; radians.
-      width_m: of the strip.
     """
     x, y = to_robot(jnp.append(place, bearing))(points[0]).T
     return jnp.min(jnp.where(points[1] & (jnp.abs(y) < width_m / 2) & (x > 0), x, jnp.inf))
@@ -107,7 +105,6 @@ def is_alike(map_: Btm, node: Array, found: Openings, back: Array, leads: Array)
     """Return whether a place may be a node: its openings and the node's links match, but for links given up.
 
     Args:
-      back: float32, bearing of the way in, radians.
       leads: bool, the robot follows a link to that node; else one of the node's links must be un-searched there.
     """
     own, bearing = ends_at(map_, node)
@@ -133,7 +130,7 @@ def way_along(map_: Btm, link: Array, forward: Array) -> Array:
     """Return the odometry displacement along a searched link, in the frame of its first node: `[2]`, metres."""
     there = jnp.stack([map_.moved_x_m[link], map_.moved_y_m[link]])
     turned = jnp.nan_to_num(map_.turned[link])
-    return jnp.where(forward, there, to_odometry(jnp.stack([0.0, 0.0, -turned]))(-there))
+    return jnp.where(forward, there, rotate_by(-turned)(-there))
 
 
 def led_to(writer: Writer) -> tuple[Array, Array, Array]:
@@ -168,7 +165,6 @@ def match_node(
 
     Args:
       place: `[2]` float32, its centre, odometry; float32, odometer there.
-      back: float32, bearing of the way in, radians.
       reach: float32, metres: a node within it is matched without these conditions.
       when: bool, False: do nothing.
     """
@@ -198,9 +194,6 @@ def find_hypotheses(writer: Writer, centre: Array, odometer_m: Array, found: Ope
     One more node decides among them.
 
     Args:
-      writer: `Writer` before the place was written.
-      centre: `[2]` float32, of the place, odometry.
-      odometer_m: float32, there.
       when: bool, False: do nothing.
 
     Returns:
@@ -230,10 +223,8 @@ def resolve_hypotheses(writer: Writer, kind: Array, centre: Array, odometer_m: A
       Choset and Nagatani 2001, Topological simultaneous localization and mapping.
 
     Args:
-      writer: `Writer` with `doubts` of its last node.
       kind, centre, odometer_m: of the robot's place: int32, `NONE` where it cannot be a known one; `[2]` float32,
         odometry; float32.
-      found: its `Openings`, if it is a divergence.
 
     Returns:
       `Writer`, without doubts.
@@ -249,7 +240,7 @@ def resolve_hypotheses(writer: Writer, kind: Array, centre: Array, odometer_m: A
         holds &= there
         node, is_it = jnp.argmax(holds).astype(jnp.int32), jnp.sum(holds) == 1
         joined = _merge_last_node(map_, writer.node, node, writer.doubts[node])
-        map_ = jax.tree.map(lambda yes, no: jnp.where(is_it, yes, no), joined, map_)
+        map_ = pick(is_it, joined, map_)
         origin = jnp.where(is_it, origin.at[2].set(writer.doubts[node]), origin)
         left = jnp.where(is_it, btm.wrapped(left + writer.doubts[node]), left)
         dropped += jnp.sum(there) - is_it
@@ -276,7 +267,7 @@ def _holds(writer, node, turn, kind, centre, odometer_m, found):
     best = jnp.argmin(off)
     link, forward = (best % size).astype(jnp.int32), best < size
     to = jnp.where(forward, map_.end[link], map_.start[link])
-    way = to_odometry(jnp.stack([0.0, 0.0, turn]))(centre - writer.origin[:2])
+    way = rotate_by(turn)(centre - writer.origin[:2])
     apart_m = jnp.hypot(*(way - way_along(map_, link, forward)))
     within_m = SAME_WAY_TOLERANCE[0] + SAME_WAY_TOLERANCE[1] * (odometer_m - writer.node_m)
     _, spread = turn_to(map_, to, dataclasses.replace(found, bearing=found.bearing + turn))
@@ -315,8 +306,6 @@ def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array,
 
     Args:
       start: int32, node from which the robot comes.
-      node: int32, where it is.
-      back: float32, bearing of the way in, radians.
     """
     ends = (map_.start == start) & (map_.end == node), (map_.start == node) & (map_.end == start)
     bearing = jnp.where(ends[0], map_.end_bearing, map_.start_bearing)
@@ -340,11 +329,6 @@ def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Wr
     Un-searched links that it has set off on in vain are given up, and searched ones that lead elsewhere are followed no
     more; when nothing else is left, all of them get another chance. After that the searched ones get one whenever
     un-searched ones are left that were not given up, and more are searched than the last time.
-
-    Args:
-      writer: `Writer` before the node was made.
-      map_: `Btm` with it.
-      back: float32, bearing of the way in, radians.
 
     Returns:
       `(writer, map, link, bearing)`: with what was given up; int32, `NONE` where nothing is left; radians.

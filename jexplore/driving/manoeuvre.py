@@ -92,8 +92,6 @@ def avoid_obstacles(
     """Compute speed and turn rate towards a target, round obstacles.
 
     Args:
-      ways_m: from `surround.free_lengths`.
-      pose: `[3]` float32, odometry without corrections.
       bearing: of the target point, radians.
       turning: int32, where the robot is to turn in place whatever the target: halves of its highest rate, to the left
         above 0; else 0.

@@ -118,7 +118,6 @@ def update_slope(
     """Take one more lean into account.
 
     Args:
-      lean: `[2]` float32, radians, from `slope_at`.
       threshold: change of inclination that is an obstacle, radians.
       even_m: the robot stands evenly once its lean has varied by less than `EVEN_DEG` over this way.
 
@@ -157,7 +156,6 @@ def pose_from_node(writer: Writer, centre: Array, turn: Array | float) -> Array:
     """Return the odometry pose of a node in the frame of the last one.
 
     Args:
-      centre: `[2]` float32, odometry, of the node.
       turn: of its own frame against the odometry's, radians.
 
     Returns:
@@ -222,9 +220,7 @@ def end_broken_off(writer: Writer, pose: Array, odometer_m: Array, steps: Array,
     """End the map of a run that breaks off on an un-searched link: it ends at the robot and continues un-searched.
 
     Args:
-      pose: `[3]` float32, odometry.
       steps: int32, of the run: later entries of the way are not part of the run.
-      when: bool, whether the run breaks off.
 
     Returns:
       `(map, node)`: `Btm`; int32, N where nothing was added.
@@ -270,11 +266,7 @@ def is_near_known(writer: Writer, centres: Array, odometer_m: Array | float, lea
 
 
 def record_step(state: State, senses: Senses, width_m: Array, robot: Robot) -> Writer:
-    """Record the measures of a step; no width where the robot turns in place.
-
-    Args:
-      width_m: of the passage.
-    """
+    """Record the measures of a step; no width where the robot turns in place."""
     way, at = state.writer.way, state.step
     ground_x, ground_z, ground_seen = ground_profile.ground_point(
         senses.down_m,
@@ -304,8 +296,6 @@ def record_truth(node_at: Array, before: Writer, after: Writer, at: Array) -> tu
 
     Args:
       node_at: `[N, 2]` float32, metres, of the existing nodes.
-      before, after: `Writer` before and after the step.
-      at: `[2]` float32, true position of the robot.
 
     Returns:
       `(node_at, is_elsewhere)`: with the new nodes of this step; bool, the matched node truly lies elsewhere.

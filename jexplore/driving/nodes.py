@@ -3,12 +3,11 @@
 import dataclasses
 import math
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
-from jexplore.arrays.loops import run_if
+from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import behaviour, links
 from jexplore.driving.guiding import leaving, passing
 from jexplore.driving.mapping import came_from, came_through, has_left, pose_from_node, way_extremes
@@ -16,7 +15,7 @@ from jexplore.driving.records import Arrival, Drive, DueNode, Latch, State, Trac
 from jexplore.driving.sensing import gateways, obstacles, openings
 from jexplore.driving.sensing.ways_out import find_exits
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import to_odometry, towards
+from jexplore.driving.vehicle import rotate_by, to_odometry, towards
 
 MAX_OPENINGS = 8  # of a divergence
 DOOR_BEFORE_M = 3.0  # m; a door passed within this before another opening is the way in
@@ -55,7 +54,7 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
         obstacle=jnp.where(is_obstacle, jnp.where(event.step_m > 0, btm.STAIRS, btm.SLOPE), btm.NONE),
         step_m=jnp.where(event.step_m > 0, event.step_m, jnp.nan),
     )
-    map_ = _either_of(again, writer.map, added)
+    map_ = pick(again, writer.map, added)
     fits = again | (writer.map.n_nodes < map_.kind.shape[0])
     met = again & is_divergence & ((distance < SHIFT_M) | is_alike)
     share = jnp.where(is_alike, 1.0, SHIFT_SHARE)
@@ -85,7 +84,7 @@ def _find_openings(writer, event, points, tuning, is_divergence):
         farther=writer.guide is None and ~links.is_any_open(writer.map, writer.tries),
     )
     at_gateway = gateways.gateway_exits(event.out, event.radius, tuning.coast_m, MAX_OPENINGS)
-    found = _either_of(jnp.isfinite(event.out), at_gateway, found)
+    found = pick(jnp.isfinite(event.out), at_gateway, found)
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - came)), jnp.inf)
     passed = came_through(writer, event.centre + found.middle, found.across, found.width_m)
     passed = _by_door(jnp.where(found.valid, passed, -1), found.width_m, writer.way.odometer_m)
@@ -141,7 +140,6 @@ def write_node(
     """Make the node that is due, end the link that led to it, and choose the next link.
 
     Args:
-      writer, event: `Writer`; `DueNode`, of any kind but `NONE`.
       points: around the robot: `[P, 2]` float32, odometry; `[P]` bool, valid.
 
     Returns:
@@ -169,8 +167,8 @@ def write_node(
     usual, is_place = (onto, bearing), is_divergence & ~passes
     left = leaving.leave_place(map_, writer, event, at.node, found, is_place, points, usual, (turn, correction))
     ways = _way_out(event, found, left, turn, tuning.leave_m, is_divergence)
-    ways = to_odometry(jnp.stack([0.0, 0.0, applied - turn]))(ways[0]), ways[1] + applied - turn
-    target, out = _either_of(passes, passing.beyond_candidate(event, measured, which, others, points, tuning), ways)
+    ways = rotate_by(applied - turn)(ways[0]), ways[1] + applied - turn
+    target, out = pick(passes, passing.beyond_candidate(event, measured, which, others, points, tuning), ways)
     taken = jnp.where(left.link == btm.NONE, size, left.link)
     written = after.replace(
         map=left.map,
@@ -189,7 +187,7 @@ def write_node(
     )
     unchanged = before.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
     return (
-        _either_of(passes, unchanged, _either_of(at.fits, written, _full(writer))),
+        pick(passes, unchanged, pick(at.fits, written, _full(writer))),
         jnp.where((~through & (taken < size)) | passes, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
         event.centre + correction[:2] + target,
         out,
@@ -201,11 +199,11 @@ def _way_out(event, found, left, turn, leave_m, is_divergence):
     """Return the vector from the centre to a point on the link taken: `[2]`; and its direction there, radians."""
     bearing = left.bearing
     ways = leave_m * towards(bearing), bearing
-    ways = _either_of(is_divergence, passing.beyond_opening(event, found, bearing, turn, leave_m), ways)
+    ways = pick(is_divergence, passing.beyond_opening(event, found, bearing, turn, leave_m), ways)
     if left.onward is None:
         return ways
     beyond = left.onward.middle - event.centre + (event.radius + leave_m) * towards(bearing)
-    return _either_of(left.onward.is_free, (beyond, bearing), ways)
+    return pick(left.onward.is_free, (beyond, bearing), ways)
 
 
 def _turns(writer, event, at, found, tuning):
@@ -235,9 +233,6 @@ def make_due_node(
 ) -> tuple[Writer, Drive, Track, Array]:
     """Make the node that is due, if one is.
 
-    Args:
-      others: as for `write_node`.
-
     Returns:
       `(writer, drive, track, estimate)`.
     """
@@ -259,7 +254,7 @@ def make_due_node(
             out=jnp.where(latches, out, drive.out),
             aside=jnp.where(latches, behaviour.is_aside(target - centre, out, event.radius), drive.aside),
         )
-        track = jax.tree.map(lambda none, old: jnp.where(latches, none, old), behaviour.empty_track(), track)
+        track = pick(latches, behaviour.empty_track(), track)
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
 
     names = ("node", "node_m", "link", "left_bearing", "border_m", "passed", "tries", "fails", "last_chance", "full")
@@ -298,10 +293,6 @@ def _add_openings(writer, map_, event, at, found, others, when):
 
 def _full(writer):
     return writer.replace(map=writer.map.replace(overflow=writer.map.overflow + 1), full=jnp.bool_(True))
-
-
-def _either_of(condition, yes, no):
-    return jax.tree.map(lambda one, other: jnp.where(condition, one, other), yes, no)
 
 
 def _border_left(writer, event):

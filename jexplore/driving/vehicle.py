@@ -174,8 +174,6 @@ def move(
     down a step that is too high, unless the robot stands on it.
 
     Args:
-      draws, building, robot, noise, body: as in `read_sensors`.
-      estimate: `[3]`, odometry.
       v, omega: metres a second, below 0 backwards; radians a second.
 
     Returns:
@@ -226,6 +224,11 @@ def to_odometry(estimate: Array) -> Callable[[Array], Array]:
         return jnp.stack([estimate[0] + cos * x - sin * y, estimate[1] + sin * x + cos * y], axis=-1)
 
     return placed
+
+
+def rotate_by(turn: Array | float) -> Callable[[Array], Array]:
+    """Return a function that rotates points `[..., 2]` about the origin, radians."""
+    return to_odometry(jnp.stack([0.0, 0.0, turn]))
 
 
 def to_robot(estimate: Array) -> Callable[[Array], Array]:

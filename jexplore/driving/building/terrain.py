@@ -92,8 +92,6 @@ def attitude(
     Each track rests on the two points of the ground, one before and one behind its middle, that carry it highest.
 
     Args:
-      pose: `(x_m, y_m, heading_rad)`.
-      length_m, width_m: of the robot.
       backwards: bool, driving backwards.
 
     Returns:

@@ -69,7 +69,6 @@ def cast(
     """Compute ranges of beams to the nearest wall.
 
     Args:
-      pose: `(x_m, y_m, heading_rad)`, float scalars.
       angles_rad: `[B]` float32, relative to the heading.
       max_range_m: range, metres.
 
@@ -109,10 +108,6 @@ def meets(
     width_m: Array | float,
 ) -> Array:
     """Return whether a rectangle meets a wall.
-
-    Args:
-      pose: `(x_m, y_m, heading_rad)` of its middle.
-      length_m, width_m: along the heading and across.
 
     Returns:
       bool: a segment has a point inside the rectangle; a point exactly on a side gives either answer.

@@ -17,7 +17,7 @@ from jax import Array
 
 from jexplore import btm
 from jexplore.driving.records import Guide, Onward, Openings
-from jexplore.driving.vehicle import to_odometry
+from jexplore.driving.vehicle import rotate_by
 
 PLACE_EXITS = 8  # most of a place
 OFF_ROUTE_PLACES = 4  # number of nearest places off the route kept for each place on it
@@ -63,7 +63,6 @@ def guide_of(
       tail_m, end_leg, others: see `Guide`.
       node_xy: where the route begins, odometry, metres; the odometry's axes are those of the map.
       start_m: how far the robot stands from there.
-      size: K, as many places or more.
     """
     n, none = len(out), np.bool_(False)
     angles, legs = np.full((size, PLACE_EXITS), np.nan, np.float32), np.zeros((size, 2), np.float32)
@@ -111,9 +110,6 @@ def match_place(
     """Match a place to one of the next places of the route, or to none of the map.
 
     Args:
-      odometer_m: float32, at the place.
-      centre: `[2]` float32, of the place, odometry.
-      when: bool, the robot is at a place.
       reach_m: free length of a strip `STRIP_M` wide from a point in a direction, odometry, radians: metres.
 
     Returns:
@@ -246,7 +242,7 @@ def _expected_positions(guide, places):
 
 def _to_odometry_axes(guide):
     """Return the function that turns a way on the map into the odometry frame."""
-    return to_odometry(jnp.stack([0.0, 0.0, -guide.turned]))
+    return rotate_by(-guide.turned)
 
 
 def next_stop(guide: Guide) -> tuple[Array, Array, Array, Array]:

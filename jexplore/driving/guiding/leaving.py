@@ -34,7 +34,6 @@ def correct_guide(guide: Guide, centre: Array, correction: Array) -> Guide:
     """Apply a correction of the odometry to a guide.
 
     Args:
-      centre: `[2]` float32, about which the odometry has been turned.
       correction: `[3]` float32, metres and radians.
     """
     from_xy = to_odometry(jnp.append(centre, correction[2]))(guide.from_xy - centre) + correction[:2]
@@ -58,11 +57,7 @@ def leave_place(
     steers for the next place.
 
     Args:
-      map_: `Btm` with the node.
-      writer, event: `Writer` before it; `DueNode`.
-      found: its `Openings`, as stored in the map's node.
       is_place: bool, whether it is a divergence.
-      points: see `links.reach_m`.
       usual: `(link, bearing)`: int32, link chosen without a route; float32, its bearing in the node's frame, radians.
       turned: `(turn, correction)`: float32, rotation of the node's bearings (also of `found` and `usual`) against the
         odometry in which they were measured, radians; `[3]` float32, correction of the odometry by a share of that

@@ -10,7 +10,7 @@ from jexplore.driving import links
 from jexplore.driving.guiding import leaving
 from jexplore.driving.records import Arrival, DueNode, Openings, Writer
 from jexplore.driving.settings import Tuning
-from jexplore.driving.vehicle import to_odometry, towards
+from jexplore.driving.vehicle import rotate_by, towards
 
 CORNER_WIDTH_RATIO = 1.3  # of a circle's diameter: with only one opening, wider than this, it lies in a corner
 IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farther from it
@@ -26,8 +26,6 @@ def is_rejected(writer: Writer, event: DueNode, measured: tuple[Array, Openings]
 
     Args:
       measured: bearing of the way in, radians, and `Openings` of the place, in the odometry frame.
-      others: `[K]` bool, openings other than the way in.
-      points: what lies round the robot, see `nodes.write_node`.
     """
     back, found = measured
     n, other = jnp.sum(found.valid), jnp.argmax(others)
@@ -69,7 +67,7 @@ def beyond_opening(
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - bearing)), jnp.inf)
     which = jnp.argmin(off)
     middle, across = found.middle[which], found.across[which] + turn
-    middle = to_odometry(jnp.stack([0.0, 0.0, turn]))(middle)
+    middle = rotate_by(turn)(middle)
     plain = (event.radius + leave_m) * towards(bearing)
     near = (off[which] < math.pi / 4) & ~is_behind(found)[which]
     return jnp.where(near, middle + leave_m * towards(across), plain), jnp.where(near, across, bearing)

@@ -2,11 +2,11 @@
 
 import math
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
+from jexplore.arrays.loops import pick
 from jexplore.driving import behaviour
 from jexplore.driving.guiding.guide import AT_MAPPED_M, NEXT_PLACES, next_stop
 from jexplore.driving.records import Drive, Guide, Latch, RunMode, State, Track, Writer
@@ -37,8 +37,6 @@ def update_progress(
     another way, through a room above all.
 
     Args:
-      estimate: `[3]` float32, odometry.
-      ways_m: `surround.free_lengths` there.
       is_blocked: bool, whether the robot has just found that it cannot pass what lies before it.
     """
     gone_m, left = odometer_m - guide.from_m, guide.count - guide.at
@@ -82,12 +80,6 @@ def steer_along_route(
     missing in the map, at its start, and when the target is in sight, it drives along the free way that bears nearest
     to it. Near a place that it has not recognised it goes to the mapped position and looks round; in free space, where
     no place can be seen, coming near is arriving.
-
-    Args:
-      state: `State` before the step.
-      estimate: `[3]` float32, odometry.
-      ways_m: `surround.free_lengths` there.
-      is_blocked: see `update_progress`.
 
     Returns:
       `(writer, drive, track)`.
@@ -142,7 +134,7 @@ def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot
         aside=drive.aside & ~steers & ~meets,
         known=drive.known | looks,
     )
-    track = jax.tree.map(lambda new, old: jnp.where(looks, new, old), there, track)
+    track = pick(looks, there, track)
     after = guide.replace(
         steers=steers,
         at=guide.at + meets,

@@ -31,7 +31,6 @@ def find_gateway(
       xy, valid: `[P, 2]` float32, `[P]` bool, points round the robot, robot's frame, metres.
       middle: `[2]` float32, its expected middle.
       out: float32, radians, the direction in which it is expected to lead.
-      width_m: least width of an opening.
 
     Returns:
       `(there, middle, out, width_m)`: bool; `[2]` float32, metres; float32, radians, square to the wall; float32,
@@ -88,7 +87,6 @@ def gateway_exits(out: Array, radius_m: Array, coast_m: Array | float, size: int
 
     Args:
       out: float32, radians, the direction in which it leads.
-      radius_m: float32, how far its jambs are away.
       coast_m: how far its middle is.
       size: K, 3 at least. Static.
     """

@@ -52,11 +52,7 @@ def has_passed(step: LoneStep, odometer_m: Array, length_m: Array | float) -> Ar
 
 
 def has_tipped(step: LoneStep, way: Trajectory, length_m: Array | float) -> Array:
-    """Return whether the robot has tipped as on a riser of this height: bool; otherwise it has turned away before it.
-
-    Args:
-      length_m: of the robot.
-    """
+    """Return whether the robot has tipped as on a riser of this height: bool; otherwise it has turned away before it."""
     near = (way.odometer_m > step.from_m - length_m) & (way.odometer_m < step.to_m + length_m)
     # Of both angles, whose noise goes either way: that of the inclination never goes below 0.
     leant = jnp.hypot(

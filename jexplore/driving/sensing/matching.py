@@ -5,11 +5,10 @@ Tracks slip where they turn, and encoders do not notice; walls stay where they a
 
 import math
 
-import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jexplore.arrays.loops import run_if
+from jexplore.arrays.loops import pick, run_if
 from jexplore.driving.records import KeyScan
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, to_odometry, to_robot
 
@@ -136,8 +135,6 @@ def correct_odometry(
     A scan serves for as long as the robot sees much of the same: every change to another adds an error.
 
     Args:
-      odometry, estimate: `[3]`, poses without corrections at nodes and with these.
-      ranges_m: `[B]` float32, the last scan.
       lean: `[2]` float32, radians, of the ground, see `mapping.slope_under`; a scan is not matched with one of another
         plane, nor where the robot leans much.
 
@@ -159,6 +156,6 @@ def correct_odometry(
         is_far = (jnp.hypot(found[0], found[1]) >= KEY_M) | (jnp.abs(found[2]) >= KEY_RAD) | (share < KEY_SHARE)
         fresh = KeyScan(ranges_m, lean, after, after)
         old = key.replace(last=after)
-        return jax.tree.map(lambda one, other: jnp.where(is_far, one, other), fresh, old), after, estimate
+        return pick(is_far, fresh, old), after, estimate
 
     return run_if(is_due, right, (key, odometry, estimate))

@@ -58,7 +58,6 @@ def classify_obstacle(
     """Classify the obstacle behind the robot, once it has passed it.
 
     Args:
-      map_: `Btm` with the node that is due.
       posture: float32, degrees, largest inclination of the body on the way here.
       here: int32, the node.
 

@@ -47,7 +47,6 @@ def find_gaps(point: Array, last: Array, here: Array, width_m: Array | float) ->
     Args:
       point, last: `[BEARINGS, 2]` float32, the nearest and the farthest point in every direction.
       here: `[BEARINGS]` bool, whether there is any.
-      width_m: least width of an opening.
 
     Returns:
       `(after, width, is_gap)`: `[BEARINGS, 2]`, the point where it ends; `[BEARINGS]`, how wide it is, and whether that
@@ -145,10 +144,6 @@ def find_openings(xy: Array, valid: Array, centre: Array, radius_m: Array | floa
     """Find gaps between neighbouring points in a circle, seen from its centre, that a robot fits through.
 
     Args:
-      xy, valid: `[P, 2]` float32 and `[P]` bool, what lies round the robot.
-      centre: `[2]` float32.
-      radius_m: distance of the walls from the centre.
-      width_m: least width of an opening [W].
       circle: radius of the search circle [k], in `radius_m`; points beyond it are left out.
       size: K, most openings. Static.
       seen_from: `[2]` float32, position of the robot: a gap narrower than `GRAZE_RAD` from there is a wall seen at a

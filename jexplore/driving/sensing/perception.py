@@ -61,7 +61,6 @@ def smooth_points(xy: Array, valid: Array, reach_m: Array | float) -> Array:
     """Move every point to the mean of its wall's points near it: many close by, few far away.
 
     Args:
-      xy, valid: from `scan_points`, in the order of the beams.
       reach_m: how near, metres; float32.
 
     Returns:
@@ -86,10 +85,6 @@ def smooth_points(xy: Array, valid: Array, reach_m: Array | float) -> Array:
 def sides(xy: Array, valid: Array, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array]:
     """Compute the least distance to the walls on both sides, in a region of fixed length before the robot.
 
-    Args:
-      xy, valid: from `scan_points`.
-      from_m, to_m: the region, metres before the robot.
-
     Returns:
       `(left_m, right_m)`: float32, inf where the side is open.
 
@@ -109,11 +104,8 @@ def is_roomy(
     """Return whether a circle as large as free space fits next to the nearer wall somewhere ahead: bool.
 
     Args:
-      xy, valid: from `scan_points`.
       from_m: begin of the circle, metres before the robot, or nearer by up to `ROOMY_BACK_RADII` of its radius: an obstacle
         abeam may have hidden it earlier.
-      left_m, right_m: from `sides`.
-      open_m: its radius [C1], metres; a tenth less does.
     """
     at_left = left_m > right_m
     wall = jnp.minimum(jnp.minimum(left_m, right_m), open_m)
@@ -127,10 +119,6 @@ def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Arr
     """Compute distances of the walls on both sides: the least mean of neighbouring beams, which noise hardly biases.
 
     Points more ahead than aside are left out.
-
-    Args:
-      xy, valid: from `scan_points`.
-      to_m: length of the region, metres before the robot's middle.
 
     Returns:
       `(left_m, right_m)`: float32, inf where the side is open.
@@ -172,7 +160,6 @@ def resample_walls(
     """Place points at even distances along the walls that a scan shows, and at both ends of every wall.
 
     Args:
-      xy, valid: from `scan_points`, in the order of the beams.
       near_m, far_m: only points with near < x < far.
       aside_m: only points with abs(y) < aside.
       spacing_m: distance along a wall, metres; more where the points would not fit.
@@ -221,8 +208,6 @@ def far_bound(
     """Compute the distance up to which neighbouring beams on a wall lie closer than the least opening: float32, metres.
 
     Args:
-      far_m: the bound without that [D2].
-      width_m: least opening [W].
       beam_spacing_rad: between beams.
       wall_m: distance of the nearer wall abeam.
     """
@@ -242,9 +227,6 @@ def find_divergences(
     """Find triangles that touch three walls: between them the way divides, bends or ends.
 
     Args:
-      xy, valid: from `scan_points`.
-      far_m: bound of the range [D2], metres.
-      width_m: no side is shorter [W], metres.
       obtuse_tol_deg: no angle is more than this above 90 degrees.
       open_m: circles as large as this lie in free space and are left out [C1], metres.
       size: most scan points. Static.

@@ -37,7 +37,7 @@ def scan_points(plan: tracing.TraceJob, track: Driven) -> np.ndarray:
 
 def _numbers(settings):
     """Convert a record of settings to numbers on the device."""
-    return jax.tree.map(lambda a: jnp.asarray(a[0]), tracing.numbers_of(settings, 1))
+    return jax.tree.map(lambda a: jnp.asarray(a[0]), tracing.settings_arrays(settings, 1))
 
 
 def _key(plan):
