@@ -1,16 +1,16 @@
 """The middle of a known place, found by a robot that has looked round, at a junction to check with a pencil."""
 
 import math
-from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.runs import a_state
 
 from jexplore import btm
 from jexplore.driving import approach, behaviour, events, mapping
 from jexplore.driving.building.walls import Walls, cast
-from jexplore.driving.records import Divergence, Latch, RunMode, Surround, Track
+from jexplore.driving.records import Ahead, Divergence, Latch, RunMode, Surround, Track
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import SECTORS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
@@ -39,17 +39,18 @@ def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None, looked=math.pi, 
     writer = mapping.begin_map(mapping.SLOPE_STEPS, 8, 16, jnp.array([-50.0, 0.0, 0.0]), False)
     map_, _ = btm.add_node(writer.map, btm.DIVERGENCE, *node, radius_m=radius_m)
     drive = behaviour.initial_drive().replace(latch=jnp.int32(Latch.LOOK), looked=jnp.float32(looked))
-    state = SimpleNamespace(
+    state = a_state(
         drive=drive.replace(target=pose[:2]),
         writer=writer.replace(map=map_),
         estimate=pose,
         mode=jnp.int32(RunMode.BRANCH_SELECTION),
-        manoeuvre=SimpleNamespace(backing=jnp.bool_(False)),
         odometer_m=jnp.float32(100),
     )
     at = pose[:2] if track_x_m is None else jnp.array([track_x_m, Y_M])
     track = Track(at, jnp.float32(RADIUS_M), jnp.uint32(seen), jnp.int32(20), jnp.float32(math.nan))
-    ahead = SimpleNamespace(track=track, space=behaviour.no_free_space(), leans=jnp.bool_(False))
+    ahead = Ahead(**dict.fromkeys(Ahead._fields))._replace(  # type: ignore[arg-type]
+        track=track, space=behaviour.no_free_space(), leans=jnp.bool_(False)
+    )
     ways_m = surround.free_lengths(around, KAMUI)
     return approach.select_branch(state, ahead, around, ways_m, to_odometry(pose), TUNING, KAMUI)
 
@@ -141,7 +142,7 @@ def leaving(track_xy, target, out_m, latch=Latch.LEAVE, passed=None, guide=None)
     map_, node = btm.add_node(writer.map, btm.DIVERGENCE, 0.0, 0.0, radius_m=1.0)
     if passed is not None:
         writer = writer.replace(passed=jnp.array([*turned(passed[0], 0.0), passed[1], 5.0]))
-    state = SimpleNamespace(
+    state = a_state(
         drive=behaviour.initial_drive().replace(latch=jnp.int32(latch), target=turned(*target)),
         writer=writer.replace(map=map_, node=node, node_m=jnp.float32(4), guide=guide),
         estimate=jnp.append(turned(1.0 + out_m, 0.0), 0.3),

@@ -2,12 +2,12 @@
 
 import dataclasses
 import math
-import types
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.runs import a_due_node, a_state
 
 import jexplore as jx
 from jexplore import btm as maps
@@ -16,7 +16,9 @@ from jexplore.driving import behaviour
 from jexplore.driving.batch import building_of
 from jexplore.driving.guiding import guide as guides
 from jexplore.driving.guiding import leaving, steering
+from jexplore.driving.guiding.guide import is_next
 from jexplore.driving.links import reach_m
+from jexplore.driving.mission import RunResult
 from jexplore.driving.records import Latch, Openings, RunMode, Track
 from jexplore.driving.sensing import surround
 from jexplore.driving.settings import ROBOTS, Tuning
@@ -367,8 +369,10 @@ def test_of_several_links_between_two_places_that_one_is_blocked_which_lies_befo
     assert route.links == (0, 1, 2, 3)
 
     def of(at, **more):
-        guide = {"at": at, "from_m": -0.5, "strays": False, "blocked": True, "walled": False, **more}
-        result = types.SimpleNamespace(path_m=gone_m - 0.5, guide=types.SimpleNamespace(**guide))
+        guide = a_guide().replace(
+            **{"at": at, "from_m": -0.5, "strays": False, "blocked": True, "walled": False, **more}
+        )
+        result = RunResult(**dict.fromkeys(RunResult.__dataclass_fields__)).replace(path_m=gone_m - 0.5, guide=guide)
         found = following._blocked_link(btm, route, result, ROBOTS["kamui"])
         return None if found is None else found.id
 
@@ -412,7 +416,7 @@ def steered(guide, at, *, ways_m=FAR, mode=RunMode.CENTRAL, latch=Latch.FREE, tr
     """Return the result of steering at x, y, heading in degrees: the guide, the `Drive`, the `Track`."""
     x, y, heading = at
     space = behaviour.no_free_space().replace(inside=jnp.bool_(more.get("inside", False)))
-    state = types.SimpleNamespace(odometer_m=jnp.float32(odometer_m), mode=jnp.int32(mode), space=space)
+    state = a_state(odometer_m=jnp.float32(odometer_m), mode=jnp.int32(mode), space=space)
     drive = behaviour.initial_drive().replace(latch=jnp.int32(latch), out=jnp.float32(more.get("out", 0.0)))
     drive = drive.replace(since=jnp.int32(more.get("since", 0)))
     nodes, looked = (jnp.array(more.get(name, [(99.0, 99.0)])) for name in ("nodes", "looked"))
@@ -526,8 +530,8 @@ def left(guide, found, points, ways=(WEST, EAST), room=8, onto=(0, 0.0), turned=
     map_, node = maps.add_node(maps.empty(4, room), maps.DIVERGENCE, 10.0, 0.5)
     for bearing in ways:
         map_, _ = maps.add_link(map_, node, bearing)
-    event = types.SimpleNamespace(odometer_m=jnp.float32(9.0), centre=jnp.array([10.0, 0.5]))
-    given = map_, types.SimpleNamespace(guide=guide), event, node, found, jnp.bool_(True), points
+    event = a_due_node(odometer_m=jnp.float32(9.0), centre=jnp.array([10.0, 0.5]))
+    given = map_, a_state().writer.replace(guide=guide), event, node, found, jnp.bool_(True), points
     turned = jnp.float32(turned[0]), jnp.array(turned[1], jnp.float32)
     usual = jnp.int32(onto[0]), jnp.float32(onto[1])
     after, written, link, bearing, onward = leaving.leave_place(*given, usual, turned)
@@ -623,9 +627,8 @@ def test_a_strip_is_free_as_far_as_the_nearest_point_in_it():
 
 
 def test_a_place_that_looks_like_none_is_not_passed_where_the_route_has_one():
-    for guide, centre, passes in ((None, 10.0, True), (a_guide(), 10.5, False), (a_guide(), 9.0, True)):
-        writer = types.SimpleNamespace(guide=guide)
-        assert bool(leaving.is_off_route(writer, jnp.array([centre, 0.0]), jnp.bool_(True))) == passes
+    for centre, is_it in ((10.5, True), (9.0, False)):
+        assert bool(is_next(a_guide(), jnp.array([centre, 0.0]))) == is_it
 
 
 def test_a_robot_starts_where_it_can_turn():

@@ -1,15 +1,15 @@
 """Halls: gateways against walls that are drawn, the direction along a wall, and what a robot does before a gateway."""
 
 import math
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.runs import a_state
 
 from jexplore import btm
-from jexplore.driving import behaviour, halls, mapping
+from jexplore.driving import behaviour, mapping
 from jexplore.driving.records import Latch, RunMode, Surround
 from jexplore.driving.sensing import gateways, surround
 from jexplore.driving.sensing.surround import SECTORS
@@ -165,9 +165,9 @@ def test_a_robot_that_is_shut_in_goes_where_it_is_farthest():
 def test_which_wall_is_followed_from_a_gateway_on(bearing, inside, side):
     drive = behaviour.initial_drive().replace(out=jnp.float32(bearing), side=jnp.int32(5))
     space = behaviour.no_free_space().replace(inside=jnp.bool_(True), streak=jnp.int32(2))
-    after, gone = halls.from_gateway(space, drive, jnp.float32(0.3))
+    after, gone = behaviour.leave_gateway(space, drive, jnp.float32(0.3))
     assert (bool(after.inside), int(after.streak), int(gone.side)) == (inside, 0, side)
-    after, gone = halls.from_gateway(space, drive, jnp.float32(math.nan))
+    after, gone = behaviour.leave_gateway(space, drive, jnp.float32(math.nan))
     assert (bool(after.inside), int(after.streak), int(gone.side)) == (True, 2, 5)
 
 
@@ -185,7 +185,7 @@ def crossing(inside, width_m, node, *, pose=(10.0, 4.0, math.pi / 2)):
     fields = {"odometer_m": gone_m, "pose": poses, "width_m": width}
     way = writer.way.replace(**{name: jnp.asarray(a, jnp.float32) for name, a in fields.items()})
     writer = writer.replace(map=map_, node=last, way=way)
-    return halls.crossed(writer, jnp.bool_(inside), jnp.float32(gone_m[at]), TUNING)
+    return gateways.gateway_crossed(writer, jnp.bool_(inside), jnp.float32(gone_m[at]), TUNING)
 
 
 def test_the_gateway_by_which_a_hall_is_entered_or_left():
@@ -219,11 +219,11 @@ def gone_round(
     drive = behaviour.initial_drive().replace(side=jnp.int32(side), latch=jnp.int32(latch), began=began)
     writer = mapping.begin_map(mapping.SLOPE_STEPS, 4, 4, jnp.array([0.0, 0.0, 0.0]), False)
     writer = writer.replace(map=writer.map.replace(n_nodes=jnp.int32(n_nodes)))
-    state = SimpleNamespace(mode=jnp.int32(RunMode.WALL_FOLLOWING), odometer_m=jnp.float32(50 + gone_m))
+    state = a_state(mode=jnp.int32(RunMode.WALL_FOLLOWING), odometer_m=jnp.float32(50 + gone_m))
     space = behaviour.no_free_space().replace(inside=jnp.bool_(inside))
     around = surround_of((-9, side * 1.4, 9, side * 1.4))
     estimate = jnp.array([2.0 + off_m, 3.0, 0.1])
-    return halls.circled(state, drive, space, writer, around, estimate, jnp.bool_(at_node), TUNING)
+    return behaviour.go_round(state, drive, space, writer, around, estimate, jnp.bool_(at_node), TUNING)
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -242,7 +242,9 @@ def test_what_stands_in_a_hall_is_left_straight_across(side, more):
     assert (int(drive.latch), int(drive.side)) == (Latch.LEAVE, 0)
     out = 0.1 - side * math.pi / 2
     away = (drive.target - jnp.array([2.5, 3.0])).tolist()
-    assert away == pytest.approx([halls.LEAVE_ISLAND_M * math.cos(out), halls.LEAVE_ISLAND_M * math.sin(out)], abs=1e-4)
+    assert away == pytest.approx(
+        [behaviour.LEAVE_ISLAND_M * math.cos(out), behaviour.LEAVE_ISLAND_M * math.sin(out)], abs=1e-4
+    )
     assert math.isnan(float(drive.began[0]))
 
 
@@ -276,6 +278,6 @@ def test_walls_are_followed_in_halls_alone():
     around = surround_of((-9, -1.4, 9, -1.4))
     course = for_world(Tuning(), is_course=True)
     for mode in RunMode:
-        direction = float(halls.coast(jnp.int32(mode), jnp.int32(-1), around, TUNING, KAMUI))
+        direction = float(behaviour.coast_direction(jnp.int32(mode), jnp.int32(-1), around, TUNING, KAMUI))
         assert math.isfinite(direction) == (mode == RunMode.WALL_FOLLOWING)
-        assert math.isnan(float(halls.coast(jnp.int32(mode), jnp.int32(-1), around, course, KAMUI)))
+        assert math.isnan(float(behaviour.coast_direction(jnp.int32(mode), jnp.int32(-1), around, course, KAMUI)))

@@ -1,12 +1,12 @@
 """Matching of known nodes by their exits with a drifting odometry: cases one can check with a pencil."""
 
 import math
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.runs import a_state
 
 from jexplore import btm
 from jexplore.driving import behaviour, links, mapping, nodes
@@ -140,7 +140,8 @@ def test_a_robot_comes_back_to_its_start_along_its_link(latch, none_m, expected)
     writer = a_writer(((-40.0, 0.0), (), (NORTH,)))
     writer = writer.replace(node=jnp.int32(1), node_m=jnp.float32(5), passed=jnp.array([-49.0, 0.0, 1.0, none_m]))
     drive = behaviour.initial_drive().replace(latch=jnp.int32(latch))
-    state = SimpleNamespace(writer=writer, drive=drive, estimate=jnp.array([-50.1, 0.0, WEST]), odometer_m=9.0)
+    estimate = jnp.array([-50.1, 0.0, WEST])
+    state = a_state(writer=writer, drive=drive, estimate=estimate, odometer_m=jnp.float32(9))
     assert bool(_passes_start(state)) == expected
 
 

@@ -1,12 +1,12 @@
 """Single steps and sills in level ground, told from the profile that a robot drives over."""
 
 import math
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.runs import a_state
 
 from jexplore import btm
 from jexplore.driving import behaviour, events, manoeuvre, mapping
@@ -123,7 +123,7 @@ def test_behind_a_step_what_the_robot_saw_as_it_tipped_is_no_second_one(obstacle
     writer = mapping.begin_map(RECENT, 4, 8, jnp.zeros(3), False)
     map_, node = btm.add_node(writer.map, btm.OBSTACLE, 6.4, 0.0, obstacle=obstacle, step_m=0.18)
     writer = writer.replace(map=map_, node=node, node_m=jnp.float32(6.4))
-    state = SimpleNamespace(
+    state = a_state(
         odometer_m=jnp.float32(7.1),
         drive=behaviour.initial_drive(),
         manoeuvre=manoeuvre.initial_manoeuvre(jnp.zeros(3)),
@@ -131,6 +131,6 @@ def test_behind_a_step_what_the_robot_saw_as_it_tipped_is_no_second_one(obstacle
     x = np.full(RECENT, np.inf, np.float32)
     x[-20:] = at_m + 0.04 * np.arange(-17, 3)
     ground = jnp.asarray(x), jnp.where(x < at_m, -0.07, 0.0), jnp.zeros(RECENT)
-    level, no = SimpleNamespace(even=jnp.zeros(2)), jnp.bool_(False)
+    level, no = writer.level, jnp.bool_(False)
     found, *_ = events._lone_step(state, writer, ground, no, level, no, jnp.float32(0), jnp.int32(0), ROBOTS["kamui"])
     assert bool(jnp.isfinite(found.from_m)) == is_seen

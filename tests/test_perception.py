@@ -29,7 +29,7 @@ TEN = math.radians(10)
 INF = math.inf
 
 
-points = jax.jit(perception.scan_points)
+points = jax.jit(perception.beam_points)
 smoothed = jax.jit(perception.smooth_points)
 sides = jax.jit(perception.sides)
 front = jax.jit(perception.front)

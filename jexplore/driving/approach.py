@@ -13,11 +13,11 @@ from jax import Array
 
 from jexplore import btm
 from jexplore.arrays.loops import pick, run_if
-from jexplore.driving import behaviour, halls
+from jexplore.driving import behaviour
 from jexplore.driving.events import triangles
 from jexplore.driving.mapping import has_left
 from jexplore.driving.records import Ahead, Building, Drive, Latch, RunMode, Senses, State, Surround, Track
-from jexplore.driving.sensing import surround
+from jexplore.driving.sensing import gateways, surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, SCAN_RANGE_M, to_robot, touches, towards
 
@@ -170,7 +170,9 @@ def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot)
     chosen = pick(ends & better, other, kept)
     is_gateway = jnp.isfinite(track.out)
     gateway, there = run_if(
-        ends & is_gateway, lambda _: halls.looked(state, track, around, placed, tuning), (track, jnp.bool_(False))
+        ends & is_gateway,
+        lambda _: gateways.gateway_around(state, track, around, placed, tuning),
+        (track, jnp.bool_(False)),
     )
     chosen = pick(ends & is_gateway, gateway, chosen)
     better, back = better & ~is_gateway, back & ~is_gateway

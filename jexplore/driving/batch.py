@@ -16,7 +16,7 @@ from jexplore.config import InputError
 from jexplore.driving import vehicle
 from jexplore.driving.building.terrain import terrain_of
 from jexplore.driving.building.walls import walls_of
-from jexplore.driving.mission import MAP_SIZE, RunOutcome, RunResult, Setup, mission_program
+from jexplore.driving.mission import MAP_SIZE, MissionTask, RunOutcome, RunResult, Setup, mission_program
 from jexplore.driving.records import Building, Guide
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.program import Line
@@ -24,10 +24,9 @@ from jexplore.engine.runner import Costs, find_resources, level_of, run_all
 from jexplore.worlds.world import World
 
 MAX_STEPS = 6000
-NO_RUN = -1  # number of a run that none has
 # Two thirds of the time of compiling and two fifths of its memory, for steps that take 7 % longer. XLA of JAX 0.12 does
 # not have it any more.
-CPU_OPTIONS = (("xla_cpu_use_fusion_emitters", False),)
+COMPILER_OPTIONS = (("xla_cpu_use_fusion_emitters", False),)
 MARKS_MULTIPLE = 64  # numbers of places to visit are padded to multiples of this
 
 _Settings = TypeVar("_Settings", Robot, Tuning, Noise)
@@ -155,8 +154,8 @@ def run_missions(
       size: most nodes and links of a map; static.
       on_progress: called with the number of finished runs.
       blocks: list of `(first, n)`: the runs that are to be made, in this order; by default all.
-      on_block: called with the number of a block, its `RunResult` and the way of run 0, if it has it, once its runs have
-        ended, soon after, from the calling thread.
+      on_block: called with the number of a block, its `RunResult` and the way of run 0, if it has it, once its runs
+        have ended, soon after, from the calling thread.
       ways: whether `on_block` gets the way of the first run of every block: with blocks of one run, of every run.
 
     Returns:
@@ -170,13 +169,14 @@ def run_missions(
     draws = np.asarray(draws, np.int32)
     resources = find_resources(engine=engine, lanes=lanes, workers=workers)
     # A name would make another program.
-    settings = dataclasses.replace(robots, name=""), tunings, noises, np.asarray(starts, np.float32), guides
-    program = mission_program(Setup(step_slots(max_steps), *size))._replace(cpu_options=CPU_OPTIONS)
+    unnamed = dataclasses.replace(robots, name="")
+    settings = MissionTask(unnamed, tunings, noises, np.asarray(starts, np.float32), guides)  # type: ignore[arg-type]
+    program = mission_program(Setup(step_slots(max_steps), *size))._replace(cpu_options=COMPILER_OPTIONS)
     limit, lines = np.int32(max_steps), []
     for turn, (first, n) in enumerate([(0, len(draws))] if blocks is None else blocks):
         own = jax.tree.map(lambda a, at=slice(first, first + n): a[at], (settings, draws))
         what = program, (), building, limit, seed, own[0], resources.own(n)
-        lines.append(Line(*what, keeps=0 if ways or first == 0 else NO_RUN, draws=own[1], turn=turn))
+        lines.append(Line(*what, keeps=0 if ways or first == 0 else -1, draws=own[1], turn=turn))
     tell = None if on_block is None else (lambda i: on_block(i, lines[i].results, _driven(lines[i])))
     costs = run_all(lines, resources, on_progress, tell)
     costs.engine, costs.levels = engine, {robots.name: [level_of(lines[0], resources)]}

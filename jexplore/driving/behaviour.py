@@ -4,14 +4,29 @@ The modes, highest priority first (Mano et al., section IV.B and Fig. 8; a figur
 branch selection, dead end run, wall following, central run. All states have a fixed size; all functions are pure.
 """
 
+import math
 from collections.abc import Callable
 
 import jax.numpy as jnp
 from jax import Array, lax
 
+from jexplore import btm
+from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import manoeuvre
-from jexplore.driving.records import Divergence, Drive, FreeSpace, Latch, RunMode, ScanWalls, Track
-from jexplore.driving.sensing import perception, surround, ways_out
+from jexplore.driving.records import (
+    Divergence,
+    Drive,
+    DueNode,
+    FreeSpace,
+    Latch,
+    RunMode,
+    ScanWalls,
+    State,
+    Surround,
+    Track,
+    Writer,
+)
+from jexplore.driving.sensing import exits, perception, surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import DT_S, towards
 
@@ -27,6 +42,10 @@ LATCH_STEPS = 200  # steps; a target not reached within these is given up
 LATCH_TIME_RATIO = 1.5  # or within this multiple of the steps at full speed, if larger
 VIA_POINT_M = 0.6  # m; a wide place is left via a point this far before the exit
 OFF_AXIS_M = 0.25  # m; unless the robot is within this of the exit's axis
+ROUND_M, ROUND_RAD = 6.0, 4.5  # m, rad; a robot back at its starting point after this way and turn has been round
+BEGAN_M = 2.0  # within this: it may have begun in a corner
+LEAVE_ISLAND_M = 4.0  # m; distance driven away from an island
+OUT_COS = 0.7  # of the angle between a way and a gateway's axis from which on it leads out
 
 
 def empty_track() -> Track:
@@ -60,8 +79,8 @@ def update_track(
     """Update a track with one more scan.
 
     The largest triangle that is near enough to the one followed goes on with it; else the triangle nearest to the
-    robot begins a new one, but not while one is being followed that more than `REPLACEABLE_VOTES` scans have shown. One that
-    `VOTING_SCANS` scans have not shown is given up.
+    robot begins a new one, but not while one is being followed that more than `REPLACEABLE_VOTES` scans have shown. One
+    that `VOTING_SCANS` scans have not shown is given up.
 
     Args:
       found: `perception.Divergence`, in the robot's frame, without triangles that are to be ignored.
@@ -235,8 +254,8 @@ def target_point(
     """Compute the target point in the robot's frame: `[2]` float32, metres.
 
     In a passage it lies on the middle between the walls, in free space in the direction `coast`, from
-    `surround.wall_direction`; or, where that is NaN, at the distance from the followed wall that the passage before had:
-    the nearer wall, or where both sides are open the one that was nearer last.
+    `surround.wall_direction`; or, where that is NaN, at the distance from the followed wall that the passage before
+    had: the nearer wall, or where both sides are open the one that was nearer last.
 
     Source:
       Mano et al., equations 3 and 4.
@@ -270,7 +289,7 @@ def is_aside(target: Array, out: Array, radius_m: Array) -> Array:
       out: float32, radians, direction of the passage there.
     """
     beside_m = target[1] * jnp.cos(out) - target[0] * jnp.sin(out)
-    return (radius_m > ways_out.WIDE_PLACE_M) & (jnp.abs(beside_m) > OFF_AXIS_M)
+    return (radius_m > exits.WIDE_PLACE_M) & (jnp.abs(beside_m) > OFF_AXIS_M)
 
 
 def _selected(drive, to_robot, tuning):
@@ -284,3 +303,102 @@ def _selected(drive, to_robot, tuning):
     via_m = tuning.leave_m + VIA_POINT_M
     first = drive.aside & (drive.latch == Latch.LEAVE) & (jnp.abs(beside_m) > OFF_AXIS_M) & (before_m > via_m)
     return jnp.where(first, target - via_m * axis, target)
+
+
+def coast_direction(mode: Array, side: Array, around: Surround, tuning: Tuning, robot: Robot) -> Array:
+    """Return the direction in which the robot follows the wall of a hall: float32, radians.
+
+    NaN where it follows none.
+    """
+    follows = (mode == RunMode.WALL_FOLLOWING) & (tuning.coast_m > 0)
+    none = jnp.float32(jnp.nan)
+    return run_if(follows, lambda _: surround.wall_direction(around, side, tuning.coast_m, robot), none)
+
+
+def continue_in_hall(
+    state: State,
+    space: FreeSpace,
+    drive: Drive,
+    writer: Writer,
+    event: DueNode,
+    around: Surround,
+    estimate: Array,
+    tuning: Tuning,
+) -> tuple[FreeSpace, Drive, Writer]:
+    """Choose how the robot continues in a hall once a node has been made, or none was due.
+
+    Returns:
+      `(space, drive, writer)`: with the hall it stays in and the wall it follows; a hall without a gateway is exhausted
+        once the robot has been all round.
+    """
+    space, drive = leave_gateway(space, drive, event.out)
+    drive, is_round = go_round(state, drive, space, writer, around, estimate, event.kind != btm.NONE, tuning)
+    return space, drive, writer.replace(exhausted=writer.exhausted | is_round)
+
+
+def leave_gateway(space: FreeSpace, drive: Drive, out: Array) -> tuple[FreeSpace, Drive]:
+    """Decide at a gateway whether the robot stays in the hall, and which wall it follows.
+
+    Args:
+      out: float32, radians, direction of the gateway; NaN: the robot is at no gateway.
+
+    Returns:
+      `(space, drive)`.
+    """
+    is_before, to_left = jnp.isfinite(out), jnp.sin(drive.out - out) > 0
+    stays = jnp.cos(drive.out - out) < OUT_COS
+    after = no_free_space().replace(inside=stays)
+    space = pick(is_before, after, space)
+    side = jnp.where(stays, jnp.where(to_left, -1, 1), 0)  # going to the left, it has the gateway's wall to the right
+    return space, drive.replace(side=jnp.where(is_before, side, drive.side).astype(jnp.int32))
+
+
+def go_round(
+    state: State,
+    drive: Drive,
+    space: FreeSpace,
+    writer: Writer,
+    around: Surround,
+    estimate: Array,
+    at_node: Array,
+    tuning: Tuning,
+) -> tuple[Drive, Array]:
+    """Continue after a wall has been followed all round without making a node.
+
+    The robot leaves an island in the hall straight across, for another wall. If it knows no place but the hall where it
+    began, and follows no route, that hall is exhausted; otherwise it crosses as well.
+
+    Args:
+      at_node: bool, a node was made.
+
+    Returns:
+      `(drive, is_round)`: bool, the robot has been round the hall where it began and found no exit.
+    """
+    xy, known = surround.known_points(around)
+    beside = jnp.any(known & (jnp.hypot(*xy.T) < 2 * tuning.coast_m))
+    follows = space.inside & (state.mode == RunMode.WALL_FOLLOWING) & (drive.latch == Latch.FREE) & beside
+    began = jnp.where(at_node | ~space.inside, jnp.nan, drive.began)
+    turn = jnp.where(follows, estimate[2] - began[4], 0.0)
+    began = began.at[2].add(turn).at[4].set(estimate[2])
+    now = jnp.stack([*estimate[:2], 0.0, state.odometer_m, estimate[2]])
+    began = jnp.where(follows & jnp.isnan(began[0]) & (tuning.coast_m > 0), now, began)
+    gone = estimate[:2] - began[:2]
+    passes = gone[0] * jnp.cos(estimate[2]) + gone[1] * jnp.sin(estimate[2]) >= 0
+    is_back = follows & passes & (jnp.hypot(*gone) < BEGAN_M) & (state.odometer_m - began[3] > ROUND_M)
+    turned = -drive.side * began[2]  # away from the wall, along the inside of a hall
+    alone = (writer.node == 0) & (writer.map.n_nodes == 1)
+    alone &= jnp.bool_(writer.guide is None)
+    is_round = is_back & (turned > ROUND_RAD) & alone
+    leaves = is_back & (jnp.abs(turned) > ROUND_RAD) & ~is_round
+    out = estimate[2] - drive.side * math.pi / 2
+    target = estimate[:2] + LEAVE_ISLAND_M * towards(out)
+    after = drive.replace(
+        latch=jnp.where(leaves, Latch.LEAVE, drive.latch).astype(jnp.int32),
+        target=jnp.where(leaves, target, drive.target),
+        out=jnp.where(leaves, out, drive.out),
+        since=jnp.where(leaves, latch_start(jnp.float32(LEAVE_ISLAND_M), tuning), drive.since),
+        aside=drive.aside & ~leaves,
+        side=jnp.where(leaves, 0, drive.side).astype(jnp.int32),
+        began=jnp.where(leaves, jnp.nan, began),
+    )
+    return after, is_round

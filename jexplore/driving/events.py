@@ -10,10 +10,10 @@ from jax import Array, lax
 
 from jexplore import btm
 from jexplore.arrays.loops import pick, run_if
-from jexplore.driving import behaviour, halls, links, mapping
+from jexplore.driving import behaviour, links, mapping
 from jexplore.driving.nodes import SAME_NODE_M
 from jexplore.driving.records import Ahead, Divergence, DueNode, Latch, ScanWalls, State, Surround, Writer
-from jexplore.driving.sensing import ground_profile, lone_steps, perception, surround
+from jexplore.driving.sensing import gateways, ground_profile, lone_steps, perception, surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_robot
 
@@ -35,7 +35,7 @@ ALONG_COS = 0.7  # cosine of the angle between a robot's heading and a link alon
 
 def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> ScanWalls:
     """Find the `Walls` of a scan: `[B]` float32 ranges, NaN for none."""
-    xy, valid = perception.scan_points(ranges_m, ANGLES_RAD)
+    xy, valid = perception.beam_points(ranges_m, ANGLES_RAD)
     region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
     region_sides = perception.sides(xy, valid, *region)
     closed = sum(perception.sides(xy, valid, 0, tuning.ahead_m)) <= tuning.dead_end_m
@@ -191,7 +191,8 @@ def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, t
     is_hall = tuning.coast_m > 0
     # One that is still ahead is watched ahead.
     within = is_hall & state.space.inside & ~jnp.isfinite(writer.border_m)
-    left_m, right_m = halls.sides(within, walls)
+    # A hall is left where both its walls are abeam of the robot: walls ahead may be those of a corner.
+    left_m, right_m = pick(within, tuple(walls.beside), walls.region_sides)
     coast_m = jnp.where(within, tuning.coast_m, 0.0)
     space, enters, leaves = behaviour.watch_free_space(
         state.space, left_m, right_m, state.odometer_m, tuning.open_m, looking, walls.roomy, coast_m
@@ -201,8 +202,8 @@ def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, t
     crosses = is_hall & ~missed & looking & (state.odometer_m >= border_m)
 
     def gateway(track):
-        found = halls.crossed(writer, space.inside, border_m, tuning)
-        abeam = halls.abeam(state, writer, xy, valid, track, placed, tuning)
+        found = gateways.gateway_crossed(writer, space.inside, border_m, tuning)
+        abeam = gateways.gateway_abeam(state, writer, xy, valid, track, placed, tuning)
         return pick(crosses, found, abeam)
 
     looks = looking & (crosses | (state.space.inside & (state.step % SEARCH_EVERY_STEPS == 0)))

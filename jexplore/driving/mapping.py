@@ -14,7 +14,7 @@ from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving.records import Guide, Latch, RunMode, Senses, SlopeEstimate, State, Trajectory, Writer
-from jexplore.driving.sensing import ground_profile, lone_steps, steadying
+from jexplore.driving.sensing import ground_profile, lone_steps, smoothing
 from jexplore.driving.settings import Robot
 from jexplore.driving.vehicle import down_directions
 
@@ -108,7 +108,7 @@ def slope_at(way: Trajectory, step: Array) -> tuple[Array, Array]:
     )
     heading = lax.dynamic_slice(way.pose, (first, 2), (SLOPE_STEPS, 1))[:, 0]
     age = step - first - jnp.arange(SLOPE_STEPS)
-    share = steadying.mean_weights(pitch, age)
+    share = smoothing.mean_weights(pitch, age)
     return slope_under(pitch, roll, heading) @ share, share @ jnp.where(age >= 0, odometer_m, 0)
 
 
@@ -179,9 +179,9 @@ def way_extremes(way: Trajectory, from_m: Array | float, to_m: Array | float) ->
     within = (way.odometer_m >= from_m) & (way.odometer_m <= to_m)
     known = within & jnp.isfinite(way.width_m)
     place = jnp.where(known, way.odometer_m, jnp.inf)
-    meant = steadying.mean_near(way.width_m, place, way.odometer_m, WIDTH_MEAN_STEPS, WIDTH_MEAN_M)
+    meant = smoothing.mean_near(way.width_m, place, way.odometer_m, WIDTH_MEAN_STEPS, WIDTH_MEAN_M)
     width = jnp.min(jnp.where(known, meant, jnp.inf))
-    rolls = jnp.abs(steadying.running_mean(way.roll, WIDTH_MEAN_STEPS))
+    rolls = jnp.abs(smoothing.running_mean(way.roll, WIDTH_MEAN_STEPS))
     posture, roll = (jnp.degrees(jnp.max(jnp.where(within, a, 0))) for a in (way.posture, rolls))
     return width, posture, roll
 

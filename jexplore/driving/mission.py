@@ -16,11 +16,11 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
-from jexplore.driving import approach, behaviour, halls, manoeuvre, mapping, nodes
+from jexplore.driving import approach, behaviour, manoeuvre, mapping, nodes
 from jexplore.driving.events import GOAL_M, due_node, look_ahead, walls_of_scan
 from jexplore.driving.guiding.steering import steer_along_route
 from jexplore.driving.records import Building, Draws, Guide, Latch, Senses, State
-from jexplore.driving.sensing import matching, steadying, surround
+from jexplore.driving.sensing import matching, smoothing, surround
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.driving.vehicle import BEAMS, draw, initial_body, level_scan, move, read_sensors, to_odometry, to_robot
 from jexplore.engine.program import Given, Program
@@ -63,7 +63,7 @@ class Setup(NamedTuple):
     n_links: int = MAP_SIZE[1]
 
 
-class Task(NamedTuple):
+class MissionTask(NamedTuple):
     """What a run is given of its own; its numbers are arrays."""
 
     robot: Robot
@@ -143,7 +143,7 @@ def initial_state(setup: Setup, building: Building, robot: Robot, start: Array, 
 
 def smooth_senses(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
     """Return the forward scan in the plane with its noise averaged: see `vehicle.level_scan`."""
-    return level_scan(senses.replace(ranges_m=steadying.smooth_ranges(senses.ranges_m)), robot)
+    return level_scan(senses.replace(ranges_m=smoothing.smooth_ranges(senses.ranges_m)), robot)
 
 
 def make_step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: Noise, state: State) -> State:
@@ -168,7 +168,9 @@ def make_step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, no
     xy, known = surround.known_points(around)
     seen = placed(xy), known
     writer, drive, track, estimate = nodes.make_due_node(state, writer, drive, ahead.track, event, seen, tuning, robot)
-    space, drive, writer = halls.gone_on(state, ahead.space, drive, writer, event, around, estimate, tuning)
+    space, drive, writer = behaviour.continue_in_hall(
+        state, ahead.space, drive, writer, event, around, estimate, tuning
+    )
     if writer.guide is not None:
         writer, drive, track = steer_along_route(
             state, writer, drive, track, estimate, ways_m, event.blocked, tuning, robot
@@ -226,7 +228,7 @@ def _decided(state, writer, ahead, at, at_goal, is_open, tuning, robot):
 def _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot):
     """Run mode, target point and speed: `(mode, drive, target, manoeuvre, speed)`."""
     mode, drive = behaviour.choose_mode(drive, space, walls, ways_m, tuning, robot)
-    ways = surround.voronoi_edge(around), halls.coast(mode, drive.side, around, tuning, robot)
+    ways = surround.voronoi_edge(around), behaviour.coast_direction(mode, drive.side, around, tuning, robot)
     target = behaviour.target_point(mode, drive, walls.left_m, walls.right_m, *ways, to_robot(estimate), tuning)
     at_target = (drive.latch == Latch.LEAVE) & (jnp.hypot(*target) < tuning.arrive_m)
     bearing = jnp.where(at_target, btm.wrapped(drive.out - estimate[2]), jnp.arctan2(target[1], target[0]))
@@ -279,11 +281,12 @@ def begin(setup: Setup, given: Given) -> State:
     Args:
       setup: `Setup`. Static.
       given: `engine.program.Given`: key of the run, step i draws by `fold_in(key, i)`; the scenes are `Building`s;
-        the number is the step after which it ends as `STEP_LIMIT`, int32; the task is `(Robot, Tuning, Noise, start,
-        guide)`, whose numbers are arrays, the start from `batch.pose_in`, the guide a `Guide` or None.
+        the number is the step after which it ends as `STEP_LIMIT`, int32; the task is a
+        `MissionTask`.
     """
-    block = jax.eval_shape(_draws_from, given.key, 0, given.task[2])
-    state = initial_state(setup, given.own_scene, given.task[0], *given.task[3:])
+    task: MissionTask = given.task
+    block = jax.eval_shape(_draws_from, given.key, 0, task.noise)
+    state = initial_state(setup, given.own_scene, task.robot, task.start, task.guide)
     return dataclasses.replace(state, draws=jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), block))
 
 
@@ -293,10 +296,11 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     A run that is done writes on beyond its last step, where nobody looks.
     """
     del setup
-    building, (robot, tuning, noise, *_) = given.own_scene, given.task
-    block = run_if(state.step % DRAWN_STEPS == 0, lambda _: _draws_from(given.key, state.step, noise), state.draws)
+    building: Building = given.own_scene
+    task: MissionTask = given.task
+    block = run_if(state.step % DRAWN_STEPS == 0, lambda _: _draws_from(given.key, state.step, task.noise), state.draws)
     draws = jax.tree.map(lambda a: a[state.step % DRAWN_STEPS], block)
-    after = make_step(draws, building, robot, tuning, noise, state.replace(draws=block))
+    after = make_step(draws, building, task.robot, task.tuning, task.noise, state.replace(draws=block))
     late = (after.outcome == RunOutcome.RUNNING) & (after.step >= given.numbers)
     return after.replace(outcome=jnp.where(late, jnp.int32(RunOutcome.STEP_LIMIT), after.outcome))
 

@@ -9,11 +9,11 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import behaviour, links
-from jexplore.driving.guiding import leaving, passing
+from jexplore.driving.guiding import leaving
 from jexplore.driving.mapping import came_from, came_through, has_left, pose_from_node, way_extremes
 from jexplore.driving.records import Arrival, Drive, DueNode, Latch, State, Track, Writer
 from jexplore.driving.sensing import gateways, obstacles, openings
-from jexplore.driving.sensing.ways_out import find_exits
+from jexplore.driving.sensing.exits import find_exits
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import rotate_by, to_odometry, towards
 
@@ -159,7 +159,7 @@ def write_node(
     writer, map_ = _add_openings(writer, map_, event, at, found, others, is_divergence)
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, new = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
-    passes, which = passing.is_rejected(writer, event, measured, others, at, is_divergence, points, tuning)
+    passes, which = leaving.is_rejected(writer, event, measured, others, at, is_divergence, points, tuning)
     correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, applied]))
     after, map_, onto, bearing = links.choose_link(writer, map_, at.node, back)
     through = ~is_divergence & ~event.blocked & ~event.returns
@@ -168,7 +168,7 @@ def write_node(
     left = leaving.leave_place(map_, writer, event, at.node, found, is_place, points, usual, (turn, correction))
     ways = _way_out(event, found, left, turn, tuning.leave_m, is_divergence)
     ways = rotate_by(applied - turn)(ways[0]), ways[1] + applied - turn
-    target, out = pick(passes, passing.beyond_candidate(event, measured, which, others, points, tuning), ways)
+    target, out = pick(passes, leaving.beyond_candidate(event, measured, which, others, points, tuning), ways)
     taken = jnp.where(left.link == btm.NONE, size, left.link)
     written = after.replace(
         map=left.map,
@@ -199,7 +199,7 @@ def _way_out(event, found, left, turn, leave_m, is_divergence):
     """Return the vector from the centre to a point on the link taken: `[2]`; and its direction there, radians."""
     bearing = left.bearing
     ways = leave_m * towards(bearing), bearing
-    ways = pick(is_divergence, passing.beyond_opening(event, found, bearing, turn, leave_m), ways)
+    ways = pick(is_divergence, leaving.beyond_opening(event, found, bearing, turn, leave_m), ways)
     if left.onward is None:
         return ways
     beyond = left.onward.middle - event.centre + (event.radius + leave_m) * towards(bearing)

@@ -213,8 +213,8 @@ def require_robot(robot: Robot) -> None:
     down = math.tan(math.radians(robot.scan_pitch_deg))
     if down > 0 and (floor_m := robot.scan_height_m / down) < LEVEL_SIGHT_M:
         raise InputError(
-            f"robot.scan_pitch_deg must let the scanner see {LEVEL_SIGHT_M:g} m: {robot.scan_height_m:g} m above the ground, "
-            f"{robot.scan_pitch_deg:g} degrees down, it looks into the floor after {floor_m:.1f} m"
+            f"robot.scan_pitch_deg must let the scanner see {LEVEL_SIGHT_M:g} m: {robot.scan_height_m:g} m above the "
+            f"ground, {robot.scan_pitch_deg:g} degrees down, it looks into the floor after {floor_m:.1f} m"
         )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from jax import Array
 
 from jexplore import btm
+from jexplore.driving.links import SAME_EXIT_RAD
 from jexplore.driving.records import Guide, Onward, Openings
 from jexplore.driving.vehicle import rotate_by
 
@@ -26,7 +27,6 @@ MATCH_TOLERANCE = 0.1, 1.0  # a match lies within this share of the way plus thi
 EXACT_MATCH_TOLERANCE = 0.2, 1.5  # within these if its exits are exactly those of the map
 AT_MAPPED_M = 0.7  # one that is so near is it, if only the way on is there
 AT_MAPPED_UNSEEN_M = 0.4  # and one that is as near as this is it, whatever is seen there: the robot steers on
-SAME_EXIT_RAD = math.radians(40)  # ways that lie no farther apart are one
 MISFIT_M = 0.3  # m; a missing or additional exit adds this to the distance from the mapped position
 BACK_RAD = math.radians(120)  # an exit that bears farther from the expected direction does not count
 NEXT_PLACE_M = 1.5  # at a place that the map does not have, the robot turns to the next if that is farther than this

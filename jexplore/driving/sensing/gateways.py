@@ -1,16 +1,26 @@
-"""Gateways of a hall: gaps in a wall along which the robot drives, where ways part."""
+"""Gateways of a hall: gaps in a wall along which the robot drives, where ways part.
+
+The robot follows the walls of a hall, and before each gateway is a place where ways part. That place and the ways along
+the wall are the extended Voronoi graph of a space too wide for the sensors, where distances from its walls stand for a
+middle line (Beeson, Jong and Kuipers, Towards autonomous topological place detection using the extended Voronoi graph,
+2005).
+"""
 
 import math
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jexplore.arrays.loops import pick
 from jexplore.btm import wrapped
-from jexplore.driving.records import Openings
-from jexplore.driving.sensing import openings
-from jexplore.driving.vehicle import to_robot
+from jexplore.driving import behaviour, mapping
+from jexplore.driving.records import Openings, State, Surround, Track, Writer
+from jexplore.driving.sensing import openings, surround
+from jexplore.driving.settings import Tuning
+from jexplore.driving.vehicle import to_robot, towards
 
 WALL_REACH_M = 3.5  # m; length of wall considered to each side
 TILTS_RAD = np.radians(np.arange(-25, 26, 5)).astype(np.float32)  # by which its direction may be another
@@ -20,6 +30,8 @@ WALL_TOLERANCE_M = 0.2  # m; tolerance before and behind the wall's line
 GATEWAY_DEPTH_M = 0.6  # m; a gateway is free this far behind the wall
 MAX_GATEWAY_M = 4.5  # and is no wider
 MIDDLE_OFFSETS_M = -0.6, -0.3, 0.0, 0.3, 0.6  # m; offsets from the expected middle at which its wall is searched
+MOUTH_M = 1.0  # before the border of a hall its gateway is narrowest within this
+ABEAM_M = 0.4  # m; a gateway is abeam if its middle is no farther ahead or behind
 
 
 def find_gateway(
@@ -99,3 +111,62 @@ def gateway_exits(out: Array, radius_m: Array, coast_m: Array | float, size: int
         jnp.pad(a, [(0, size - 3)] + [(0, 0)] * (a.ndim - 1)) for a in (jnp.ones(3, bool), middle, across, wide)
     ]
     return openings.sort_openings(together, jnp.int32(0), size)
+
+
+def gateway_abeam(
+    state: State,
+    writer: Writer,
+    xy: Array,
+    valid: Array,
+    track: Track,
+    placed: Callable[[Array], Array],
+    tuning: Tuning,
+) -> Track:
+    """Return the place before a gateway in the followed wall, once it is abeam; else the given one."""
+    side = state.drive.side
+    beside = jnp.stack([0.0, side * tuning.coast_m])
+    there, middle, out, width_m = find_gateway(xy, valid, beside, side * math.pi / 2, tuning.width_m)
+    found = _place_before(placed(middle), state.estimate[2] + out, width_m, tuning)
+    known = mapping.is_near_known(writer, found.centre[None], state.odometer_m, tuning.leave_m)[0]
+    there &= (jnp.abs(middle[0]) < ABEAM_M) & ~known & state.space.inside & (side != 0)
+    return pick(there, found, track)
+
+
+def gateway_crossed(writer: Writer, inside: Array, border_m: Array, tuning: Tuning) -> Track:
+    """Return the place before the gateway by which the robot has entered or left a hall.
+
+    No place results if the robot has not just passed between walls as near as a gateway's, or if it comes out by a
+    gateway before which it has just been.
+
+    Args:
+      inside: bool, the robot is in the hall now.
+      border_m: float32, odometer where it came to the border.
+    """
+    way = writer.way
+    pose = mapping.pose_at(way, border_m)
+    just = (way.odometer_m > border_m - MOUTH_M) & (way.odometer_m <= border_m)
+    width_m = jnp.min(jnp.where(just, way.width_m, jnp.inf))
+    out = pose[2] + jnp.where(inside, math.pi, 0.0)
+    found = _place_before(pose[:2], out, jnp.minimum(width_m, MAX_GATEWAY_M), tuning)
+    last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
+    off_m = jnp.hypot(writer.map.x_m[last] - found.centre[0], writer.map.y_m[last] - found.centre[1])
+    none = (width_m > MAX_GATEWAY_M) | (~inside & (off_m < 2 * tuning.coast_m))
+    return pick(none, behaviour.empty_track(), found)
+
+
+def gateway_around(
+    state: State, track: Track, around: Surround, placed: Callable[[Array], Array], tuning: Tuning
+) -> tuple[Track, Array]:
+    """Return the gateway before which the robot is, once it has looked round: `(track, bool: a gateway exists)`."""
+    heading = state.estimate[2]
+    out = track.out - heading
+    middle = to_robot(state.estimate)(track.centre) + tuning.coast_m * towards(out)
+    there, middle, out, width_m = find_gateway(*surround.known_points(around), middle, out, tuning.width_m)
+    found = _place_before(placed(middle), heading + out, width_m, tuning)
+    return pick(there, found, track), there
+
+
+def _place_before(middle, out, width_m, tuning):
+    """Return a believed `Track` of the place before a gateway, at the distance at which walls are followed."""
+    centre = middle - tuning.coast_m * towards(out)
+    return behaviour.certain_track(centre, jnp.hypot(tuning.coast_m, width_m / 2), out)

@@ -8,7 +8,7 @@ import numpy as np
 from flax import struct
 from jax import Array, lax
 
-from jexplore.driving.sensing import steadying
+from jexplore.driving.sensing import smoothing
 from jexplore.driving.sensing.perception import running_sum
 
 PROFILE_CELLS, PROFILE_CELL_M = 1024, 0.02  # of a profile: what lies beyond is left out
@@ -98,7 +98,7 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
     steps = _steps(rises)
     highest, noise = (
         jnp.max(rises) - jnp.abs(slope) * RISE_M,
-        steadying.deviation(steadying.second_differences(z, valid)),
+        smoothing.deviation(smoothing.second_differences(z, valid)),
     )
     variance = jnp.where(enough, jnp.sum(residual**2) / jnp.maximum(n - 2, 1), 0)
     return Profile(
@@ -114,7 +114,7 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
 
 
 def _cell_of(x_m, valid):
-    """Return cells of the way, each of length `PROFILE_CELL_M`, from the first point: `[P]` int32, beyond the last for none."""
+    """Return cells of the way from the first point: `[P]` int32, beyond the last for none."""
     first = jnp.min(jnp.where(valid, x_m, jnp.inf))
     return jnp.where(valid, ((x_m - first) / PROFILE_CELL_M).astype(jnp.int32), PROFILE_CELLS)
 

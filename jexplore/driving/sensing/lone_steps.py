@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jexplore.driving.records import LoneStep, Trajectory
-from jexplore.driving.sensing import steadying
+from jexplore.driving.sensing import smoothing
 from jexplore.driving.sensing.ground_profile import FACE_M, NOISE_DEVIATIONS, STEP_M
 
 FLANK_POINTS = 3  # points on either side of a step, whose height is that between their medians: one may lie on its face
@@ -36,7 +36,7 @@ def update_step(step: LoneStep, x_m: Array, z_m: Array) -> LoneStep:
     before = jnp.argsort(earlier)[-FLANK_POINTS:]
     rise = jnp.abs(jnp.sort(z_m[after])[FLANK_POINTS // 2] - jnp.sort(z_m[before])[FLANK_POINTS // 2])
     place = (begins + x_m[before[-1]]) / 2
-    noise = steadying.deviation(steadying.second_differences(z_m, there))
+    noise = smoothing.deviation(smoothing.second_differences(z_m, there))
     is_one = earlier[before[0]] & (rise > jnp.maximum(STEP_M, NOISE_DEVIATIONS * noise))
     joins = jnp.isfinite(step.from_m) & (place - step.to_m < TOGETHER_M)
     return LoneStep(
@@ -52,12 +52,15 @@ def has_passed(step: LoneStep, odometer_m: Array, length_m: Array | float) -> Ar
 
 
 def has_tipped(step: LoneStep, way: Trajectory, length_m: Array | float) -> Array:
-    """Return whether the robot has tipped as on a riser of this height: bool; otherwise it has turned away before it."""
+    """Return whether the robot has tipped as on a riser of this height: bool.
+
+    Otherwise it has turned away before it.
+    """
     near = (way.odometer_m > step.from_m - length_m) & (way.odometer_m < step.to_m + length_m)
     # Of both angles, whose noise goes either way: that of the inclination never goes below 0.
     leant = jnp.hypot(
         *(
-            steadying.mean_near(a, way.odometer_m, way.odometer_m, ATTITUDE_MEAN_STEPS, ATTITUDE_MEAN_M)
+            smoothing.mean_near(a, way.odometer_m, way.odometer_m, ATTITUDE_MEAN_STEPS, ATTITUDE_MEAN_M)
             for a in (way.pitch, way.roll)
         )
     )

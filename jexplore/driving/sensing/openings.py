@@ -155,9 +155,9 @@ def find_openings(xy: Array, valid: Array, centre: Array, radius_m: Array | floa
     Source:
       Mano et al., section III.B and Fig. 2(f). Changed: points in polar order about the centre; the paper takes those
       of one scan, in polar order about the robot, which does not see behind it. A wall no nearer to the centre than
-      `NEAR_WALL_RADII` radii (or as many distances of the nearest wall, if larger) does not divide an opening, unless that leaves
-      a gap as narrow as a door which leads on. Where a gap leads into a pocket whose walls are all in sight, the doors
-      in these count instead; a corner does not, unless there is no other exit.
+      `NEAR_WALL_RADII` radii (or as many distances of the nearest wall, if larger) does not divide an opening, unless
+      that leaves a gap as narrow as a door which leads on. Where a gap leads into a pocket whose walls are all in
+      sight, the doors in these count instead; a corner does not, unless there is no other exit.
     """
     offset = xy - centre
     search_m = circle * radius_m

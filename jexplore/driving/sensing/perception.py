@@ -29,7 +29,7 @@ WALL_JUMP = (
 )  # distance between the points of neighbouring beams beyond which a wall ends, in spacings
 
 
-def scan_points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
+def beam_points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
     """Convert ranges to points.
 
     Args:
@@ -37,8 +37,8 @@ def scan_points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
       angles_rad: `[B]` float32.
 
     Returns:
-      `(xy, valid)`: `[B, 2]` float32, 0 where invalid; `[B]` bool. Up to `BRIDGED_BEAMS` beams without a reading between two
-        that nearly agree are given the mean of these.
+      `(xy, valid)`: `[B, 2]` float32, 0 where invalid; `[B]` bool. Up to `BRIDGED_BEAMS` beams without a reading
+        between two that nearly agree are given the mean of these.
     """
     before = after = ranges_m
     missed = -jnp.ones_like(ranges_m)
@@ -104,8 +104,8 @@ def is_roomy(
     """Return whether a circle as large as free space fits next to the nearer wall somewhere ahead: bool.
 
     Args:
-      from_m: begin of the circle, metres before the robot, or nearer by up to `ROOMY_BACK_RADII` of its radius: an obstacle
-        abeam may have hidden it earlier.
+      from_m: begin of the circle, metres before the robot, or nearer by up to `ROOMY_BACK_RADII` of its radius: an
+        obstacle abeam may have hidden it earlier.
     """
     at_left = left_m > right_m
     wall = jnp.minimum(jnp.minimum(left_m, right_m), open_m)

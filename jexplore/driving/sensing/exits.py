@@ -43,7 +43,7 @@ STRAIGHT_RAD = math.radians(30)  # one that leads no farther off the direction o
 def find_exits(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
              circle: Array | float, size: int, seen_from: Array | None = None,
              farther: Array | bool = False) -> Openings:  # fmt: skip
-    """Find the `find_openings` of a place, and doors in adjacent walls whose farther jamb lies outside the search circle.
+    """Find the openings of a place, and doors in adjacent walls whose farther jamb lies outside the search circle.
 
     Two doors that face each other across a passage are rarely opposite to the centimetre. A door whose middle lies in
     the circle belongs to the place, as the one across the passage does; in the circle alone it and the passage are one
