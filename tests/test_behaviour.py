@@ -375,13 +375,6 @@ def test_walls_are_remembered_only_in_a_passage():
         assert (float(drive.left_m), float(drive.right_m)) == (1, 1)
 
 
-def test_at_rest_nothing_is_held():
-    drive = behaviour.initial_drive()
-    assert (int(drive.latch), int(drive.turning), int(drive.since), int(drive.surveys)) == (Latch.FREE, 0, 0, 0)
-    assert (float(drive.out), float(drive.looked), float(drive.looked_m), bool(drive.known)) == (0, 0, -INF, False)
-    assert (drive.target.tolist(), float(drive.left_m), float(drive.right_m)) == ([0, 0], 1, 1)
-
-
 # ---------------------------------------------------------------- target point
 
 

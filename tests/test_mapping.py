@@ -7,13 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.runs import a_due_node
 
 from jexplore import btm
 from jexplore.btm import DIVERGENCE, FREE_SPACE, NONE, OBSTACLE, SEARCHED, TERMINAL, UNSEARCHED
 from jexplore.driving import links, mapping, nodes
 from jexplore.driving.building.walls import cast, walls_of
 from jexplore.driving.nodes import SHIFT_SHARE, TURN_SHARE
-from jexplore.driving.records import DueNode, Latch
+from jexplore.driving.records import Latch
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.tracemap import record
 from jexplore.tracemap.merging.rigid import apart_deg
@@ -265,20 +266,10 @@ def seen(xy):
 NOTHING = seen(np.zeros((0, 2)))
 
 
-def event(
-    kind,
-    odometer,
-    pose,
-    centre=None,
-    *,
-    radius=0.0,
-    posture=0.0,
-    steepest=0.0,
-    step_m=0.0,
-    blocked=False,
-    returns=False,
-):
-    return DueNode(
+def event(kind, odometer, pose, centre=None, *, radius=0.0, posture=0.0, steepest=0.0, step_m=0.0, blocked=False,
+          returns=False):  # fmt: skip
+    """A node that is due, angles in degrees."""
+    return a_due_node(
         kind=jnp.int32(kind),
         odometer_m=jnp.float32(odometer),
         pose=jnp.asarray(pose, jnp.float32),
@@ -928,11 +919,8 @@ def test_how_near_a_known_border_is_met_again(away, again):
     writer, *_ = write_node(hall(), event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
     writer, *_ = write_node(writer, event(FREE_SPACE, 12, (2.0 + away, 0.0, WEST)))
     assert int(writer.map.n_nodes) == 3 + (not again)
-
-
-def test_the_node_last_made_is_not_met_again():
-    writer, *_ = write_node(hall(), event(FREE_SPACE, 2.5, (2.5, 0.0, 0.0)))
-    assert links_of(writer)[1] == (1, 2, SEARCHED)
+    last, *_ = write_node(hall(), event(FREE_SPACE, 2.5, (2.5, 0.0, 0.0)))  # never the one made last
+    assert links_of(last)[1] == (1, 2, SEARCHED)
 
 
 def test_a_new_node_on_a_known_link_has_a_way_of_its_own():
@@ -1010,22 +998,16 @@ def test_stairs_round_a_bend_are_stairs():
     ] * 2
 
 
-def test_stairs_fit_no_line():
-    _, first, written = over(stairs)
+@pytest.mark.parametrize(("riser_m", "pitch"), [(0.1, -10), (0.05, -8)])
+def test_stairs_fit_no_line(riser_m, pitch):
+    _, first, written = over(lambda s: stairs(s) * riser_m / 0.1, pitch=pitch)
     assert first.nodes[1].obstacle == "slope"
+    assert written.links[1].max_step_m == pytest.approx(riser_m, abs=1e-3)
     for node in written.nodes[1:]:
         assert (node.type, node.obstacle) == ("obstacle", "stairs")
-        assert node.step_m == pytest.approx(0.1, abs=1e-3)
+        assert node.step_m == pytest.approx(riser_m, abs=1e-3)
         # h^2 / 12 of risers of h, about.
-        assert node.attributes["profile_variance_m2"] == pytest.approx(0.1**2 / 12, rel=0.2)
-
-
-def test_low_risers_are_stairs_too():
-    _, _, written = over(lambda s: stairs(s) / 2, pitch=-8)
-    assert {node.obstacle for node in written.nodes[1:]} == {"stairs"}
-    assert written.nodes[1].step_m == pytest.approx(0.05, abs=1e-3)
-    assert written.links[1].max_step_m == pytest.approx(0.05, abs=1e-3)
-    assert written.nodes[1].attributes["profile_variance_m2"] == pytest.approx(0.05**2 / 12, rel=0.2)
+        assert node.attributes["profile_variance_m2"] == pytest.approx(riser_m**2 / 12, rel=0.2)
 
 
 def test_rough_level_ground_is_no_stairs():
@@ -1131,6 +1113,7 @@ def test_a_node_that_does_not_fit_is_counted_and_overwrites_none():
         writer, *_ = write_node(full, event(kind, 6, (6.0, 0.0, 0.0), steepest=9, step_m=0.1))
         assert int(writer.map.overflow) >= 1
         assert int(writer.map.n_nodes) == NODES
+        record.check(btm.to_map(writer.map))
         for name in ("x_m", "y_m", "kind", "posture_deg", "obstacle", "inclination_deg", "step_m"):
             np.testing.assert_array_equal(getattr(writer.map, name), getattr(full.map, name))
 
@@ -1142,11 +1125,6 @@ def test_what_comes_after_a_node_that_did_not_fit_overwrites_none():
     writer, *_ = write_node(writer, event(FREE_SPACE, 10, (10.0, 0.0, 0.0)))
     for name in ("posture_deg", "inclination_deg"):
         np.testing.assert_array_equal(getattr(writer.map, name), getattr(full.map, name))
-
-
-def test_a_map_that_is_full_is_still_a_map():
-    writer, *_ = write_node(full_of_nodes(), event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
-    record.check(btm.to_map(writer.map))
 
 
 # ---------------------------------------------------------------- the divergence just left

@@ -313,7 +313,7 @@ def test_a_robot_that_drives_up_and_down_is_helped(course):
     plan = course.plan
     building = jax.tree.map(jnp.asarray, plan.building)
     state = mission.initial_state(mission.Setup(700), building, KAMUI, plan.begins[0])
-    senses = mission.sense(vehicle.draw_one(jax.random.key(0), STILL), building, KAMUI, STILL, state.body)
+    senses = vehicle.read_sensors(vehicle.draw_one(jax.random.key(0), STILL), building, KAMUI, STILL, state.body)
     late = state.replace(step=jnp.int32(approach.STRAY_STEPS), moved_step=jnp.int32(approach.STRAY_STEPS - 1))
     helped = approach.help_robot(late, senses, jnp.bool_(False), building, KAMUI)
     assert (int(helped.helps), int(helped.stray_step)) == (1, approach.STRAY_STEPS)
@@ -327,7 +327,7 @@ def test_a_robot_that_drives_up_and_down_is_helped(course):
 
 def seen_at(state, building):
     """Return the perception of a robot in a state: `(writer, walls, around, ways_m, placed)`."""
-    senses = mission.sense(vehicle.draw_one(jax.random.key(0), STILL), building, KAMUI, STILL, state.body)
+    senses = vehicle.read_sensors(vehicle.draw_one(jax.random.key(0), STILL), building, KAMUI, STILL, state.body)
     senses, _ = mission.smooth_senses(senses, KAMUI)
     walls = events.walls_of_scan(senses.ranges_m, TUNING, KAMUI)
     around = surround.add_scan(surround.empty_surround(), senses.ranges_m)

@@ -167,8 +167,9 @@ def prepare_trace(
 def room_for(world: World, truth: Truth, nodes: int | None = None, links: int | None = None) -> tuple[int, int]:
     """Return the most nodes and links of a map.
 
-    By default `MAP_SIZE` of a course; where there is no goal `SPARE` nodes for each one of the true map, on a course
-    that many at least, in other worlds `ROOMY`, in doublings, so that similar buildings share a program; two links a node.
+    By default `MAP_SIZE` of a course; where there is no goal `SPARE` nodes for each one of the true map, on a
+    course that many at least, in other worlds `ROOMY`, in doublings, so that similar buildings share a program; two
+    links a node.
 
     Raises:
       InputError: a number out of range.
