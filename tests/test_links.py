@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from ref.runs import a_state
+from ref.runs import a_due_node, a_state
 
 from jexplore import btm
 from jexplore.driving import behaviour, links, mapping, nodes
 from jexplore.driving.events import _passes_start
-from jexplore.driving.records import DueNode, Latch, Openings
+from jexplore.driving.records import Latch, Openings
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 
 EAST, NORTH, WEST, SOUTH = (math.radians(a) for a in (0, 90, 180, 270))
@@ -298,19 +298,13 @@ def test_a_goal_makes_no_place_a_known_one():
     """Node 2 is where the robot has started; as far north of node 3 it is at its goal, which is a new node."""
     writer = in_doubt().replace(doubts=jnp.full(8, jnp.nan).at[1].set(TURN))
     map_ = writer.map.replace(kind=writer.map.kind.at[2].set(btm.TERMINAL))
-    heading, zero, no = NORTH - TURN, jnp.float32(0), jnp.bool_(False)
+    heading, no = NORTH - TURN, jnp.bool_(False)
     x, y = np.add(OFF, 10 * np.array([math.cos(heading), math.sin(heading)]))
-    measures = {
-        "radius": zero,
-        "out": jnp.float32(jnp.nan),
-        "posture": zero,
-        "steepest": zero,
-        "step_m": zero,
-        "blocked": no,
-        "returns": no,
-    }
     here = jnp.array([x, y, heading])
-    due = DueNode(jnp.int32(btm.TERMINAL), jnp.float32(110), here, here[:2], **measures)
+    due = a_due_node(
+        kind=jnp.int32(btm.TERMINAL), odometer_m=jnp.float32(110), pose=here, centre=here[:2], out=jnp.float32(jnp.nan),
+        blocked=no, returns=no,
+    )  # fmt: skip
     points = jnp.zeros((512, 2)), jnp.zeros(512, bool)
     write = jax.jit(lambda writer, due: nodes.write_node(writer, due, points, TUNING, ROBOTS["kamui"]))
     after = write(writer.replace(map=map_), due)[0]
