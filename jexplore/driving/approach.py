@@ -69,11 +69,7 @@ def select_branch(
     tuning: Tuning,
     robot: Robot,
 ) -> Latched:
-    """Begin, continue and end a latch of branch selection.
-
-    Args:
-      ahead, around, ways_m: what lies ahead and around: `Ahead`, `Surround`, from `surround.free_lengths`.
-    """
+    """Begin, continue and end a latch of branch selection."""
     drive, track = state.drive, ahead.track
     begins = behaviour.is_believed(track, tuning.votes) & (~ahead.space.inside | jnp.isfinite(track.out))
     begins &= (drive.latch == Latch.FREE) | _is_on_way(state, track, tuning)
@@ -226,11 +222,7 @@ def _middle(in_map, centres, found):
 
 
 def help_robot(state: State, senses: Senses, makes_node: Array, building: Building, robot: Robot) -> State:
-    """Turn a robot that makes no progress, or drives to and fro, towards the longest free way: operator help.
-
-    Args:
-      makes_node: bool, a node was due in that step.
-    """
+    """Turn a robot that makes no progress, or drives to and fro, towards the longest free way: operator help."""
     on = (state.odometer_m - state.moved_m > STUCK_M) | makes_node
     moved_m = jnp.where(on, state.odometer_m, state.moved_m)
     moved_step = jnp.where(on, state.step, state.moved_step)

@@ -282,12 +282,7 @@ def latch_start(away_m: Array, tuning: Tuning) -> Array:
 
 
 def is_aside(target: Array, out: Array, radius_m: Array) -> Array:
-    """Return whether a target beyond an exit is seen obliquely from the middle of a wide place: bool.
-
-    Args:
-      target: `[2]` float32, from the middle, metres.
-      out: float32, radians, direction of the passage there.
-    """
+    """Return whether a target beyond an exit is seen obliquely from the middle of a wide place: bool."""
     beside_m = target[1] * jnp.cos(out) - target[0] * jnp.sin(out)
     return (radius_m > exits.WIDE_PLACE_M) & (jnp.abs(beside_m) > OFF_AXIS_M)
 
@@ -341,9 +336,6 @@ def leave_gateway(space: FreeSpace, drive: Drive, out: Array) -> tuple[FreeSpace
 
     Args:
       out: float32, radians, direction of the gateway; NaN: the robot is at no gateway.
-
-    Returns:
-      `(space, drive)`.
     """
     is_before, to_left = jnp.isfinite(out), jnp.sin(drive.out - out) > 0
     stays = jnp.cos(drive.out - out) < OUT_COS

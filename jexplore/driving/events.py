@@ -58,11 +58,7 @@ def look_ahead(
     robot: Robot,
     is_blind: Array | bool,
 ) -> Ahead:
-    """Compute `Ahead` of one step.
-
-    Args:
-      is_blind: bool, whether the scan gave hardly any numbers.
-    """
+    """Compute `Ahead` of one step."""
     is_free = state.drive.latch == Latch.FREE
     xy, known = surround.known_points(around)
     lean, lean_m = mapping.slope_at(writer.way, state.step)

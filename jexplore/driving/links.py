@@ -79,11 +79,7 @@ def link_toward(map_: Btm, node: Array, bearing: Array) -> tuple[Array, Array, A
 
 
 def reach_m(points: tuple[Array, Array], place: Array, bearing: Array, width_m: Array | float) -> Array:
-    """Compute the free length of a strip from a place in a direction: metres; inf: unlimited.
-
-    Args:
-      place, bearing: `[2]` float32, odometry; radians.
-    """
+    """Compute the free length of a strip from a place in a direction: metres; inf: unlimited."""
     x, y = to_robot(jnp.append(place, bearing))(points[0]).T
     return jnp.min(jnp.where(points[1] & (jnp.abs(y) < width_m / 2) & (x > 0), x, jnp.inf))
 
@@ -302,11 +298,7 @@ def _merge_last_node(map_, last, node, turn):
 
 
 def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array, Array]:
-    """Find the searched link from another node at the side where the robot comes in: `(link, bool: found)`.
-
-    Args:
-      start: int32, node from which the robot comes.
-    """
+    """Find the searched link from another node at the side where the robot comes in: `(link, bool: found)`."""
     ends = (map_.start == start) & (map_.end == node), (map_.start == node) & (map_.end == start)
     bearing = jnp.where(ends[0], map_.end_bearing, map_.start_bearing)
     off = jnp.where((ends[0] | ends[1]) & (map_.status == btm.SEARCHED), jnp.abs(btm.wrapped(bearing - back)), jnp.inf)
@@ -315,11 +307,7 @@ def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array,
 
 
 def is_any_open(map_: Btm, tries: Array) -> Array:
-    """Return whether any link is un-searched and not given up, such as the one the robot arrives on: bool.
-
-    Args:
-      tries: `[M]` int32, see `Writer`.
-    """
+    """Return whether any link is un-searched and not given up, such as the one the robot arrives on: bool."""
     return jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (tries < MAX_TRIES))
 
 

@@ -89,7 +89,7 @@ def avoid_obstacles(
     tuning: Tuning,
     robot: Robot,
 ) -> tuple[Manoeuvre, Array, Array]:
-    """Compute speed and turn rate towards a target, round obstacles.
+    """Compute speed and turn rate towards a target, round obstacles; `pose` is odometry without corrections.
 
     Args:
       bearing: of the target point, radians.

@@ -204,9 +204,6 @@ def came_from(writer: Writer, centre: Array, radius: Array) -> Array:
 
 def came_through(writer: Writer, middles: Array, across: Array, width_m: Array) -> Array:
     """Return the last step since the last node at which the robot was just beyond an opening: `[K]` int32, -1 for none.
-
-    Args:
-      middles, across, width_m: `[K, 2]`, `[K]`, `[K]` float32, of the openings, odometry: see `openings.Openings`.
     """
     offset = writer.way.pose[:, :2] - middles[:, None]  # [K, T, 2]
     cos, sin = jnp.cos(across)[:, None], jnp.sin(across)[:, None]

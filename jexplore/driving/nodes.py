@@ -231,11 +231,7 @@ def make_due_node(
     tuning: Tuning,
     robot: Robot,
 ) -> tuple[Writer, Drive, Track, Array]:
-    """Make the node that is due, if one is.
-
-    Returns:
-      `(writer, drive, track, estimate)`.
-    """
+    """Make the node that is due, if one is."""
 
     def written(carry):
         map_part, rest, drive, track, estimate = carry

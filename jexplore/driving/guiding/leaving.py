@@ -31,11 +31,7 @@ class Left(NamedTuple):
 
 
 def correct_guide(guide: Guide, centre: Array, correction: Array) -> Guide:
-    """Apply a correction of the odometry to a guide.
-
-    Args:
-      correction: `[3]` float32, metres and radians.
-    """
+    """Apply a correction of the odometry to a guide."""
     from_xy = to_odometry(jnp.append(centre, correction[2]))(guide.from_xy - centre) + correction[:2]
     return guide.replace(from_xy=from_xy, turned=guide.turned - correction[2])
 

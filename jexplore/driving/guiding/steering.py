@@ -35,9 +35,6 @@ def update_progress(
 
     The end is reached where it lies, with a free way there: a robot that has gone as far as the map says may have gone
     another way, through a room above all.
-
-    Args:
-      is_blocked: bool, whether the robot has just found that it cannot pass what lies before it.
     """
     gone_m, left = odometer_m - guide.from_m, guide.count - guide.at
     place = jnp.minimum(guide.at + jnp.arange(NEXT_PLACES), guide.out.shape[0] - 1)
@@ -80,9 +77,6 @@ def steer_along_route(
     missing in the map, at its start, and when the target is in sight, it drives along the free way that bears nearest
     to it. Near a place that it has not recognised it goes to the mapped position and looks round; in free space, where
     no place can be seen, coming near is arriving.
-
-    Returns:
-      `(writer, drive, track)`.
     """
     guide = update_progress(writer.guide, state.odometer_m, estimate, ways_m, is_blocked, robot)  # type: ignore[arg-type]
     nodes = jnp.stack([writer.map.x_m, writer.map.y_m], axis=1)

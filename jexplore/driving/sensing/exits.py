@@ -18,10 +18,10 @@ from jexplore.driving.sensing.openings import (
     MAX_POINT_M,
     find_gaps,
     find_openings,
+    first_true,
     polar_points,
     sort_openings,
 )
-from jexplore.driving.sensing.perception import running_sum
 
 WIDER_CIRCLE = 1.5  # search circles, in which doors that lie partly outside one are looked for
 SOMEWHAT_WIDER = 1.25  # radii; wide enough for both jambs, before the next door is in sight
@@ -198,8 +198,7 @@ def _from_ends(place, here, width_m, reach_m, size):
     leads_on = jnp.any(between & (deep_m > LEADS_ON_M), axis=1)
     middle = place + along / 2
     door = ends & leads_on & (wide > width_m) & (wide <= MOST_DOOR_M) & (jnp.hypot(*middle.T) <= reach_m)
-    number = running_sum(door.astype(jnp.float32)).astype(jnp.int32) - 1
-    chosen = door & (number == jnp.arange(size)[:, None])
+    chosen = first_true(door, size)
     first = jnp.argmax(chosen, axis=1)
     doors = jnp.any(chosen, axis=1), middle[first], jnp.arctan2(out[first, 1], out[first, 0]), wide[first]
     return doors, jnp.sum(door, dtype=jnp.int32)

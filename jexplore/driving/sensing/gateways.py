@@ -137,10 +137,6 @@ def gateway_crossed(writer: Writer, inside: Array, border_m: Array, tuning: Tuni
 
     No place results if the robot has not just passed between walls as near as a gateway's, or if it comes out by a
     gateway before which it has just been.
-
-    Args:
-      inside: bool, the robot is in the hall now.
-      border_m: float32, odometer where it came to the border.
     """
     way = writer.way
     pose = mapping.pose_at(way, border_m)

@@ -130,7 +130,7 @@ def relative_pose(one: Array, other: Array) -> Array:
 def correct_odometry(
     key: KeyScan, odometry: Array, estimate: Array, ranges_m: Array, lean: Array
 ) -> tuple[KeyScan, Array, Array]:
-    """Correct the odometry by scan matching, if the robot has moved on since the last time.
+    """Correct both poses, without and with corrections at nodes, by scan matching, if the robot has moved on.
 
     A scan serves for as long as the robot sees much of the same: every change to another adds an error.
 

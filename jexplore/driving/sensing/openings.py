@@ -176,8 +176,7 @@ def find_openings(xy: Array, valid: Array, centre: Array, radius_m: Array | floa
     after, width, gap_here = find_gaps(point, last, here, width_m)
     gap_here &= ~_grazes(point, after, here, centre, seen_from)
     only = jnp.sum(here) == 1
-    place = running_sum(gap_here.astype(jnp.float32)).astype(jnp.int32) - 1
-    chosen = gap_here & (place == jnp.arange(size)[:, None])  # [K, BEARINGS]
+    chosen = first_true(gap_here, size)
     valid = jnp.any(chosen, axis=1)
     begins = jnp.argmax(chosen, axis=1)
     order = (begins[:, None] + 1 + jnp.arange(BEARINGS)) % BEARINGS
@@ -195,10 +194,15 @@ def find_openings(xy: Array, valid: Array, centre: Array, radius_m: Array | floa
     return sort_openings(together, jnp.maximum(more[0], 0) + jnp.maximum(more[1], 0), size)
 
 
+def first_true(mask: Array, size: int) -> Array:
+    """Return which value each of the first K True ones of a mask is: `[K, N]` bool."""
+    number = running_sum(mask.astype(jnp.float32)).astype(jnp.int32) - 1
+    return mask & (number == jnp.arange(size)[:, None])
+
+
 def _pocket_doors(place, door, door_end, size):
     """Find doors in the walls of pockets: `(valid, middle, across, width)` of as many."""
-    number = running_sum(door.astype(jnp.float32)).astype(jnp.int32) - 1
-    chosen = door & (number == jnp.arange(size)[:, None])
+    chosen = first_true(door, size)
     at = jnp.argmax(chosen, axis=1)
     one, other = place[at], place[door_end[at]]
     along = other - one

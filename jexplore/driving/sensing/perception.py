@@ -62,9 +62,6 @@ def smooth_points(xy: Array, valid: Array, reach_m: Array | float) -> Array:
 
     Args:
       reach_m: how near, metres; float32.
-
-    Returns:
-      `[B, 2]` float32.
     """
     n = xy.shape[0]
     x, y = (jnp.pad(xy[:, i], SMOOTHED_BEAMS) for i in range(2))
@@ -206,10 +203,6 @@ def far_bound(
     far_m: Array | float, width_m: Array | float, beam_spacing_rad: Array | float, wall_m: Array | float
 ) -> Array:
     """Compute the distance up to which neighbouring beams on a wall lie closer than the least opening: float32, metres.
-
-    Args:
-      beam_spacing_rad: between beams.
-      wall_m: distance of the nearer wall abeam.
     """
     return jnp.minimum(far_m, 0.95 * jnp.sqrt(width_m * jnp.minimum(wall_m, far_m) / beam_spacing_rad))
 
@@ -298,9 +291,6 @@ def _turned_left(x, y, to_x, to_y):
 
 def nearest(found: Divergence, place: Array) -> tuple[Array, Array]:
     """Find the triangle whose centre is nearest to a place.
-
-    Args:
-      place: `[2]` float32.
 
     Returns:
       `(which, distance_m)`: int32, float32; inf without a triangle.

@@ -123,9 +123,6 @@ def voronoi_edge(around: Surround) -> tuple[Array, Array]:
 def free_turn(around: Surround, robot: Robot, margin_m: Array | float = OUTLINE_MARGIN_M) -> tuple[Array, Array]:
     """Compute the angle by which the robot can turn in place before its outline meets a point.
 
-    Args:
-      margin_m: added on every side.
-
     Returns:
       `(left, right)`: float32, radians, pi at most.
     """
