@@ -64,7 +64,7 @@ class Setup(NamedTuple):
 
 
 class MissionTask(NamedTuple):
-    """What a run is given of its own; its numbers are arrays."""
+    """Settings, start and route of one run; numbers are arrays."""
 
     robot: Robot
     tuning: Tuning
