@@ -26,8 +26,8 @@ import pandas as pd
 import jexplore as jx
 from jexplore.bench.tables import markdown
 from jexplore.driving.batch import building_of
+from jexplore.driving.records import Building
 from jexplore.driving.settings import Noise
-from jexplore.driving.vehicle import Building
 from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.report.trace_tables import share
 from jexplore.studies import checks

@@ -1,21 +1,20 @@
 """The middle of a known place, found by a robot that has looked round, at a junction to check with a pencil."""
 
 import math
-from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.runs import a_state
 
 from jexplore import btm
 from jexplore.driving import approach, behaviour, events, mapping
-from jexplore.driving.behaviour import Latch, RunMode, Track
 from jexplore.driving.building.walls import Walls, cast
+from jexplore.driving.records import Ahead, Divergence, Latch, RunMode, Surround, Track
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.perception import Divergence
-from jexplore.driving.sensing.surround import SECTORS, Surround
+from jexplore.driving.sensing.surround import SECTORS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
-from jexplore.driving.vehicle import RANGE_M, to_odometry
+from jexplore.driving.vehicle import SCAN_RANGE_M, to_odometry
 
 KAMUI, TUNING = ROBOTS["kamui"], for_world(Tuning(), is_course=True)
 # A passage along x, two metres wide, and one that leads north from it. The largest circle touches the wall in the south
@@ -35,24 +34,25 @@ def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None, looked=math.pi, 
     """
     pose = jnp.array([robot_x_m, Y_M, 0.0])
     angles = np.radians(np.arange(SECTORS) - SECTORS // 2).astype(np.float32)
-    ranges = cast(T, pose, angles, RANGE_M)
+    ranges = cast(T, pose, angles, SCAN_RANGE_M)
     around = Surround(ranges * np.cos(angles), ranges * np.sin(angles))
-    writer = mapping.begin(mapping.LEAN_STEPS, 8, 16, jnp.array([-50.0, 0.0, 0.0]), False)
+    writer = mapping.begin_map(mapping.SLOPE_STEPS, 8, 16, jnp.array([-50.0, 0.0, 0.0]), False)
     map_, _ = btm.add_node(writer.map, btm.DIVERGENCE, *node, radius_m=radius_m)
-    drive = behaviour.at_rest().replace(latch=jnp.int32(Latch.LOOK), looked=jnp.float32(looked))
-    state = SimpleNamespace(
+    drive = behaviour.initial_drive().replace(latch=jnp.int32(Latch.LOOK), looked=jnp.float32(looked))
+    state = a_state(
         drive=drive.replace(target=pose[:2]),
         writer=writer.replace(map=map_),
         estimate=pose,
         mode=jnp.int32(RunMode.BRANCH_SELECTION),
-        manoeuvre=SimpleNamespace(backing=jnp.bool_(False)),
         odometer_m=jnp.float32(100),
     )
     at = pose[:2] if track_x_m is None else jnp.array([track_x_m, Y_M])
     track = Track(at, jnp.float32(RADIUS_M), jnp.uint32(seen), jnp.int32(20), jnp.float32(math.nan))
-    ahead = SimpleNamespace(track=track, space=behaviour.no_free_space(), leans=jnp.bool_(False))
-    ways_m = surround.ways(around, KAMUI)
-    return approach.latched(state, ahead, around, ways_m, to_odometry(pose), TUNING, KAMUI)
+    ahead = Ahead(**dict.fromkeys(Ahead._fields))._replace(  # type: ignore[arg-type]
+        track=track, space=behaviour.no_free_space(), leans=jnp.bool_(False)
+    )
+    ways_m = surround.free_lengths(around, KAMUI)
+    return approach.select_branch(state, ahead, around, ways_m, to_odometry(pose), TUNING, KAMUI)
 
 
 @pytest.mark.parametrize("node", [(0.0, Y_M), (0.2, Y_M), (0.7, -0.3), (-0.5, 0.9)])
@@ -138,12 +138,12 @@ def leaving(track_xy, target, out_m, latch=Latch.LEAVE, passed=None, guide=None)
     def turned(x, y):
         return jnp.array([cos * x - sin * y, sin * x + cos * y])
 
-    writer = mapping.begin(mapping.LEAN_STEPS, 8, 16, jnp.array([-50.0, 0.0, 0.0]), False)
+    writer = mapping.begin_map(mapping.SLOPE_STEPS, 8, 16, jnp.array([-50.0, 0.0, 0.0]), False)
     map_, node = btm.add_node(writer.map, btm.DIVERGENCE, 0.0, 0.0, radius_m=1.0)
     if passed is not None:
         writer = writer.replace(passed=jnp.array([*turned(passed[0], 0.0), passed[1], 5.0]))
-    state = SimpleNamespace(
-        drive=behaviour.at_rest().replace(latch=jnp.int32(latch), target=turned(*target)),
+    state = a_state(
+        drive=behaviour.initial_drive().replace(latch=jnp.int32(latch), target=turned(*target)),
         writer=writer.replace(map=map_, node=node, node_m=jnp.float32(4), guide=guide),
         estimate=jnp.append(turned(1.0 + out_m, 0.0), 0.3),
     )
@@ -185,11 +185,11 @@ CORRIDOR = Walls(
 
 def crossing(monkeypatch, near_m):
     """Triangles in the corridor, between its doors, of a robot that comes out of one of them."""
-    monkeypatch.setattr(events, "NEAR_M", near_m)
+    monkeypatch.setattr(events, "NEAR_POINTS_M", near_m)
     angles = np.radians(np.arange(SECTORS) - SECTORS // 2).astype(np.float32)
-    ranges = cast(CORRIDOR, jnp.array([0.2, 0.0, 0.0]), angles, RANGE_M)
+    ranges = cast(CORRIDOR, jnp.array([0.2, 0.0, 0.0]), angles, SCAN_RANGE_M)
     xy = jnp.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=1)
-    found = events.triangles(xy, ranges < RANGE_M, jnp.float32(8), for_world(Tuning(), is_course=False))
+    found = events.triangles(xy, ranges < SCAN_RANGE_M, jnp.float32(8), for_world(Tuning(), is_course=False))
     place = found.centre + jnp.array([0.2, 0.0])
     return int(jnp.sum(found.valid & (jnp.hypot(*(place - jnp.array([1.2, 0.2])).T) < 0.5)))
 

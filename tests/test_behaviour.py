@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from jexplore.driving import behaviour, manoeuvre
-from jexplore.driving.behaviour import GETS_ON, GETS_PAST, Latch, RunMode
-from jexplore.driving.events import Walls
+from jexplore.driving.behaviour import WAY_PAST_END, WAY_PAST_WALL
+from jexplore.driving.records import Divergence, Latch, RunMode, ScanWalls
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.perception import Divergence
 from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 
@@ -50,9 +49,9 @@ def here(xy):
 
 
 def followed(scans, track=None, *, same_m=0.4, may_begin=True, placed=here):
-    track = behaviour.no_track() if track is None else track
+    track = behaviour.empty_track() if track is None else track
     for scan in scans:
-        track = behaviour.follow(track, found(*scan), placed, same_m, may_begin)
+        track = behaviour.update_track(track, found(*scan), placed, same_m, may_begin)
     return track
 
 
@@ -202,8 +201,8 @@ def test_looks_that_disagree_begin_anew():
 )
 def test_free_space_has_room_for_a_circle_between_its_walls(left_m, right_m, open_m, is_free):
     """One wall is farther than C1, and both together are farther than twice that."""
-    assert bool(behaviour.is_free(left_m, right_m, open_m)) == is_free
-    assert bool(behaviour.is_free(right_m, left_m, open_m)) == is_free
+    assert bool(behaviour.is_free_space(left_m, right_m, open_m)) == is_free
+    assert bool(behaviour.is_free_space(right_m, left_m, open_m)) == is_free
 
 
 def test_free_space_ends_where_the_walls_are_nearer_than_where_it_began():
@@ -239,7 +238,7 @@ def test_nothing_changes_while_nobody_looks():
 
 
 def driving(*, latch=Latch.FREE, target=(0.0, 0.0), turning=0, left_m=1.0, right_m=1.0):
-    return behaviour.at_rest().replace(
+    return behaviour.initial_drive().replace(
         latch=jnp.int32(latch),
         target=jnp.asarray(target, jnp.float32),
         turning=jnp.int32(turning),
@@ -273,7 +272,7 @@ def mode_of(
     front_m=5.0,
     ways_m=NO_WAY,
 ):
-    walls = Walls(
+    walls = ScanWalls(
         xy=jnp.zeros((0, 2)),
         valid=jnp.zeros(0, bool),
         region=(0.5, 2.9),
@@ -320,7 +319,7 @@ def test_a_place_without_room_is_no_free_space():
 
 @pytest.mark.parametrize(
     ("more", "mode", "gets"),
-    [({"front_m": 0.2}, RunMode.CONTACT_GUARD, GETS_PAST), ({"closed": True}, RunMode.DEAD_END, GETS_ON)],
+    [({"front_m": 0.2}, RunMode.CONTACT_GUARD, WAY_PAST_WALL), ({"closed": True}, RunMode.DEAD_END, WAY_PAST_END)],
 )
 def test_where_a_way_leads_past_what_is_near_nothing_is_made_of_it(more, mode, gets):
     """A way so long, not too far aside; directions are 5 degrees apart."""
@@ -376,13 +375,6 @@ def test_walls_are_remembered_only_in_a_passage():
         assert (float(drive.left_m), float(drive.right_m)) == (1, 1)
 
 
-def test_at_rest_nothing_is_held():
-    drive = behaviour.at_rest()
-    assert (int(drive.latch), int(drive.turning), int(drive.since), int(drive.surveys)) == (Latch.FREE, 0, 0, 0)
-    assert (float(drive.out), float(drive.looked), float(drive.looked_m), bool(drive.known)) == (0, 0, -INF, False)
-    assert (drive.target.tolist(), float(drive.left_m), float(drive.right_m)) == ([0, 0], 1, 1)
-
-
 # ---------------------------------------------------------------- target point
 
 
@@ -396,7 +388,7 @@ def target(mode, left_m, right_m, drive=None, *, edge=AHEAD, coast=math.nan):
     def to_robot(xy):
         return xy - jnp.asarray([1.0, 2.0])
 
-    return behaviour.target_of(jnp.int32(mode), drive, *sides, tuple(edge), coast, to_robot, TUNING).tolist()
+    return behaviour.target_point(jnp.int32(mode), drive, *sides, tuple(edge), coast, to_robot, TUNING).tolist()
 
 
 @pytest.mark.parametrize("mode", RunMode)
@@ -412,10 +404,10 @@ def test_the_wall_of_a_hall_is_followed_in_the_direction_that_is_told(mode):
 @pytest.mark.parametrize(("left_m", "right_m", "aside"), [(1.0, 1.0, 0), (1.4, 1.0, 0.2), (0.5, 1.5, -0.5)])
 def test_the_middle_of_a_passage(left_m, right_m, aside):
     """Of the nearest points on both sides: ahead of the robot, as far aside as their edge lies."""
-    edge = surround.edge(surround.unknown())
+    edge = surround.voronoi_edge(surround.empty_surround())
     assert target(RunMode.CENTRAL, left_m, right_m, edge=edge) == pytest.approx([TUNING.ahead_m, 0])
-    walls = surround.seen(surround.unknown(), jnp.full(181, jnp.nan).at[0].set(right_m).at[180].set(left_m))
-    edge = surround.edge(walls)
+    walls = surround.add_scan(surround.empty_surround(), jnp.full(181, jnp.nan).at[0].set(right_m).at[180].set(left_m))
+    edge = surround.voronoi_edge(walls)
     assert target(RunMode.CENTRAL, left_m, right_m, edge=edge) == pytest.approx([TUNING.ahead_m, aside], abs=1e-5)
 
 
@@ -490,7 +482,7 @@ def test_the_target_of_a_latch_in_the_robots_frame():
 def test_an_opening_seen_from_the_side_is_gone_through_along_its_axis(aside, latch, robot, expected):
     """To (4, 7), where the way leads north; half a metre and 0.6 m before that lies (4, 5.9)."""
     drive = driving(latch=latch, target=(4.0, 7.0)).replace(aside=jnp.bool_(aside), out=jnp.float32(math.pi / 2))
-    found = behaviour.target_of(
+    found = behaviour.target_point(
         jnp.int32(RunMode.BRANCH_SELECTION),
         drive,
         1.0,
@@ -518,7 +510,7 @@ def test_which_openings_are_seen_from_the_side(target, out, radius_m, is_aside):
 
 def test_a_target_far_away_is_given_more_time():
     for away_m, begins in ((0.0, 0), (5.3, 0), (8.0, -100)):
-        assert int(behaviour.begun(away_m, TUNING)) == begins
+        assert int(behaviour.latch_start(away_m, TUNING)) == begins
 
 
 # ---------------------------------------------------------------- speeds: what of them is a matter of settings
@@ -526,10 +518,10 @@ def test_a_target_far_away_is_given_more_time():
 
 def steered(xy, tuning):
     """Towards a point on a free way: `(v, omega)`."""
-    now, none = manoeuvre.at_rest(jnp.zeros(3)), jnp.bool_(False)
+    now, none = manoeuvre.initial_manoeuvre(jnp.zeros(3)), jnp.bool_(False)
     bearing, free = jnp.float32(math.atan2(xy[1], xy[0])), jnp.full(DIRECTIONS, INF)
-    _, v, omega = manoeuvre.drive(
-        now, surround.unknown(), free, jnp.zeros(3), bearing, jnp.int32(0), none, tuning, KAMUI
+    _, v, omega = manoeuvre.avoid_obstacles(
+        now, surround.empty_surround(), free, jnp.zeros(3), bearing, jnp.int32(0), none, tuning, KAMUI
     )  # fmt: skip
     return float(v), float(omega)
 

@@ -2,24 +2,25 @@
 
 import dataclasses
 import math
-import types
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.runs import a_due_node, a_state
 
 import jexplore as jx
 from jexplore import btm as maps
 from jexplore.config import InputError
 from jexplore.driving import behaviour
 from jexplore.driving.batch import building_of
-from jexplore.driving.behaviour import Latch, RunMode
 from jexplore.driving.guiding import guide as guides
 from jexplore.driving.guiding import leaving, steering
+from jexplore.driving.guiding.guide import is_next
 from jexplore.driving.links import reach_m
+from jexplore.driving.mission import RunResult
+from jexplore.driving.records import Latch, Openings, RunMode, Track
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.openings import Openings
 from jexplore.driving.settings import ROBOTS, Tuning
 from jexplore.studies.traces import following
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
@@ -54,7 +55,7 @@ def met(guide, odometer_m, centre, found, when=True, free_m=0.0):
     """The guide after a place, and the bearing of the way on, degrees in [0, 360)."""
     free = lambda place, bearing: jnp.float32(free_m)  # noqa: E731
     where = jnp.float32(odometer_m), jnp.array(centre, float)
-    after, onward = guides.at_place(guide, *where, found, jnp.bool_(when), free)
+    after, onward = guides.match_place(guide, *where, found, jnp.bool_(when), free)
     return after, math.degrees(float(onward.bearing)) % 360
 
 
@@ -205,14 +206,14 @@ def test_the_heading_is_put_right_at_a_place():
     assert math.degrees(float(after.turned)) == pytest.approx(-5)
     assert bearing == pytest.approx(275)
     south = 6.0 * math.cos(NORTH * 3 + off / 2), 6.0 * math.sin(NORTH * 3 + off / 2)
-    expected = np.asarray(guides._expected(after, jnp.array([1])))[0]
+    expected = np.asarray(guides._expected_positions(after, jnp.array([1])))[0]
     assert expected.tolist() == pytest.approx([10.0 + south[0], south[1]], abs=1e-4)
 
 
 def test_a_heading_that_is_off_turns_legs_and_places_beside_the_route():
     """The odometry's heading is a quarter turn less than the map's: ten metres east are ten metres south there."""
     guide = a_guide().replace(turned=jnp.float32(math.pi / 2))
-    np.testing.assert_allclose(guides.next_of(guide)[0], (0.0, -10.0), atol=1e-4)
+    np.testing.assert_allclose(guides.next_stop(guide)[0], (0.0, -10.0), atol=1e-4)
     ways = [way - math.pi / 2 for way in T]
     others = (((0.0, -1.2),), ())  # south of the first place: west by the odometry
     for beside, at in (((), 1), (others, 0)):
@@ -220,7 +221,7 @@ def test_a_heading_that_is_off_turns_legs_and_places_beside_the_route():
         assert int(met(guide, 9.0, (-0.9, -10.0), place(*ways))[0].at) == at
     after, bearing = met(a_guide().replace(turned=jnp.float32(math.pi / 2)), 9.0, (0.0, -10.0), place(*ways))
     assert bearing == pytest.approx(180, abs=1e-3)  # south on the map
-    np.testing.assert_allclose(guides.next_of(after)[0], (-6.0, -10.0), atol=1e-4)
+    np.testing.assert_allclose(guides.next_stop(after)[0], (-6.0, -10.0), atol=1e-4)
 
 
 def test_one_way_that_is_seen_elsewhere_does_not_turn_the_heading():
@@ -243,7 +244,9 @@ FAR = np.full(surround.DIRECTIONS, 5.0)  # the way is free all round
 def on_the_way(guide, odometer_m, position=(5.0, 0.0), blocked=False, ways_m=FAR):
     estimate = jnp.array([*position, 0.0])
     robot = ROBOTS["wheeled"]
-    return steering.on_the_way(guide, jnp.float32(odometer_m), estimate, jnp.asarray(ways_m), jnp.bool_(blocked), robot)
+    return steering.update_progress(
+        guide, jnp.float32(odometer_m), estimate, jnp.asarray(ways_m), jnp.bool_(blocked), robot
+    )
 
 
 ONE = {"out": (SOUTH,), "ways": (T,), "leg": ((10.0, 0.0),), "length_m": (10.0,)}
@@ -366,8 +369,10 @@ def test_of_several_links_between_two_places_that_one_is_blocked_which_lies_befo
     assert route.links == (0, 1, 2, 3)
 
     def of(at, **more):
-        guide = {"at": at, "from_m": -0.5, "strays": False, "blocked": True, "walled": False, **more}
-        result = types.SimpleNamespace(path_m=gone_m - 0.5, guide=types.SimpleNamespace(**guide))
+        guide = a_guide().replace(
+            **{"at": at, "from_m": -0.5, "strays": False, "blocked": True, "walled": False, **more}
+        )
+        result = RunResult(**dict.fromkeys(RunResult.__dataclass_fields__)).replace(path_m=gone_m - 0.5, guide=guide)
         found = following._blocked_link(btm, route, result, ROBOTS["kamui"])
         return None if found is None else found.id
 
@@ -411,12 +416,12 @@ def steered(guide, at, *, ways_m=FAR, mode=RunMode.CENTRAL, latch=Latch.FREE, tr
     """Return the result of steering at x, y, heading in degrees: the guide, the `Drive`, the `Track`."""
     x, y, heading = at
     space = behaviour.no_free_space().replace(inside=jnp.bool_(more.get("inside", False)))
-    state = types.SimpleNamespace(odometer_m=jnp.float32(odometer_m), mode=jnp.int32(mode), space=space)
-    drive = behaviour.at_rest().replace(latch=jnp.int32(latch), out=jnp.float32(more.get("out", 0.0)))
+    state = a_state(odometer_m=jnp.float32(odometer_m), mode=jnp.int32(mode), space=space)
+    drive = behaviour.initial_drive().replace(latch=jnp.int32(latch), out=jnp.float32(more.get("out", 0.0)))
     drive = drive.replace(since=jnp.int32(more.get("since", 0)))
     nodes, looked = (jnp.array(more.get(name, [(99.0, 99.0)])) for name in ("nodes", "looked"))
     pose = jnp.array([x, y, math.radians(heading)])
-    track = track or behaviour.no_track()
+    track = track or behaviour.empty_track()
     given = guide, drive, track, pose, jnp.asarray(ways_m), (nodes, looked)
     return steering._steered(state, *given, Tuning(), ROBOTS["wheeled"])
 
@@ -464,7 +469,7 @@ def test_it_steers_no_farther_than_the_way_is_worth():
 
 
 def believed(x, y):
-    return behaviour.Track(jnp.array([x, y]), jnp.float32(1), jnp.uint32(511), jnp.int32(9), jnp.float32(math.nan))
+    return Track(jnp.array([x, y]), jnp.float32(1), jnp.uint32(511), jnp.int32(9), jnp.float32(math.nan))
 
 
 def test_a_place_that_it_sees_comes_first_but_not_one_where_it_has_been():
@@ -525,11 +530,11 @@ def left(guide, found, points, ways=(WEST, EAST), room=8, onto=(0, 0.0), turned=
     map_, node = maps.add_node(maps.empty(4, room), maps.DIVERGENCE, 10.0, 0.5)
     for bearing in ways:
         map_, _ = maps.add_link(map_, node, bearing)
-    event = types.SimpleNamespace(odometer_m=jnp.float32(9.0), centre=jnp.array([10.0, 0.5]))
-    given = map_, types.SimpleNamespace(guide=guide), event, node, found, jnp.bool_(True), points
+    event = a_due_node(odometer_m=jnp.float32(9.0), centre=jnp.array([10.0, 0.5]))
+    given = map_, a_state().writer.replace(guide=guide), event, node, found, jnp.bool_(True), points
     turned = jnp.float32(turned[0]), jnp.array(turned[1], jnp.float32)
     usual = jnp.int32(onto[0]), jnp.float32(onto[1])
-    after, written, link, bearing, onward = leaving.left_by(*given, usual, turned)
+    after, written, link, bearing, onward = leaving.leave_place(*given, usual, turned)
     return int(link), math.degrees(float(bearing)) % 360, int(written.n_links) > len(ways), after, onward
 
 
@@ -574,7 +579,7 @@ def test_what_is_put_right_at_a_place_moves_the_route_with_the_odometry(share):
     moved = about(centre, right[2])
     np.testing.assert_allclose(after.from_xy, moved(before[3].from_xy) + right[:2], atol=1e-5)
     assert float(after.turned) == pytest.approx(float(before[3].turned) - right[2], abs=1e-6)
-    then, now = guides.next_of(before[3])[0], guides.next_of(after)[0]
+    then, now = guides.next_stop(before[3])[0], guides.next_stop(after)[0]
     np.testing.assert_allclose(now, moved(then) + right[:2], atol=1e-4)
     np.testing.assert_allclose(after.seen, before[3].seen, atol=1e-6)  # bearings on the map stay
 
@@ -622,9 +627,8 @@ def test_a_strip_is_free_as_far_as_the_nearest_point_in_it():
 
 
 def test_a_place_that_looks_like_none_is_not_passed_where_the_route_has_one():
-    for guide, centre, passes in ((None, 10.0, True), (a_guide(), 10.5, False), (a_guide(), 9.0, True)):
-        writer = types.SimpleNamespace(guide=guide)
-        assert bool(leaving.passes_by(writer, jnp.array([centre, 0.0]), jnp.bool_(True))) == passes
+    for centre, is_it in ((10.5, True), (9.0, False)):
+        assert bool(is_next(a_guide(), jnp.array([centre, 0.0]))) == is_it
 
 
 def test_a_robot_starts_where_it_can_turn():

@@ -1,25 +1,25 @@
 """Halls: gateways against walls that are drawn, the direction along a wall, and what a robot does before a gateway."""
 
 import math
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.runs import a_state
 
 from jexplore import btm
-from jexplore.driving import behaviour, halls, mapping
-from jexplore.driving.behaviour import Latch, RunMode
+from jexplore.driving import behaviour, mapping
+from jexplore.driving.records import Latch, RunMode, Surround
 from jexplore.driving.sensing import gateways, surround
-from jexplore.driving.sensing.surround import SECTORS, Surround
+from jexplore.driving.sensing.surround import SECTORS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 
 KAMUI = ROBOTS["kamui"]
 TUNING = for_world(Tuning(), is_course=False)
 COAST_M = TUNING.coast_m
 REACH_M = 8.0
-FIND = jax.jit(lambda xy, known, middle, out: gateways.gateway(xy, known, middle, out, TUNING.width_m))
+FIND = jax.jit(lambda xy, known, middle, out: gateways.find_gateway(xy, known, middle, out, TUNING.width_m))
 
 
 def turned(xy, angle):
@@ -56,7 +56,7 @@ def with_gap(away_m, wide_m, *, at_m=0.0, deep_m=4.0, more=()):
 
 
 def found(around, middle, out):
-    there, *rest = FIND(*surround.points(around), jnp.asarray(middle, jnp.float32), jnp.float32(out))
+    there, *rest = FIND(*surround.known_points(around), jnp.asarray(middle, jnp.float32), jnp.float32(out))
     return bool(there), *(np.asarray(a) for a in rest)
 
 
@@ -111,7 +111,7 @@ def test_what_is_no_gateway(walls):
 
 
 def test_ways_from_before_a_gateway():
-    ways = gateways.at_gateway(jnp.float32(math.radians(100)), jnp.float32(math.hypot(COAST_M, 0.5)), COAST_M, 8)
+    ways = gateways.gateway_exits(jnp.float32(math.radians(100)), jnp.float32(math.hypot(COAST_M, 0.5)), COAST_M, 8)
     n = int(ways.valid.sum())
     assert n == 3
     assert np.degrees(ways.bearing[:n]).tolist() == pytest.approx([-170, 10, 100], abs=1e-3)
@@ -125,9 +125,9 @@ def test_ways_from_before_a_gateway():
 
 def along(walls, side=-1):
     """Direction in degrees; seen in a mirror it is the other way round."""
-    degrees = math.degrees(float(surround.along_wall(surround_of(*walls), jnp.int32(side), COAST_M, KAMUI)))
+    degrees = math.degrees(float(surround.wall_direction(surround_of(*walls), jnp.int32(side), COAST_M, KAMUI)))
     mirrored = [(x0, -y0, x1, -y1) for x0, y0, x1, y1 in walls]
-    other = math.degrees(float(surround.along_wall(surround_of(*mirrored), jnp.int32(-side), COAST_M, KAMUI)))
+    other = math.degrees(float(surround.wall_direction(surround_of(*mirrored), jnp.int32(-side), COAST_M, KAMUI)))
     assert abs(btm.wrapped(math.radians(degrees + other))) < 1e-4
     return degrees
 
@@ -163,11 +163,11 @@ def test_a_robot_that_is_shut_in_goes_where_it_is_farthest():
     [(0.3, False, 0), (0.3 + math.pi / 2, True, -1), (0.3 - math.pi / 2, True, 1), (0.3 + math.pi / 2 - 0.2, True, -1)],
 )
 def test_which_wall_is_followed_from_a_gateway_on(bearing, inside, side):
-    drive = behaviour.at_rest().replace(out=jnp.float32(bearing), side=jnp.int32(5))
+    drive = behaviour.initial_drive().replace(out=jnp.float32(bearing), side=jnp.int32(5))
     space = behaviour.no_free_space().replace(inside=jnp.bool_(True), streak=jnp.int32(2))
-    after, gone = halls.from_gateway(space, drive, jnp.float32(0.3))
+    after, gone = behaviour.leave_gateway(space, drive, jnp.float32(0.3))
     assert (bool(after.inside), int(after.streak), int(gone.side)) == (inside, 0, side)
-    after, gone = halls.from_gateway(space, drive, jnp.float32(math.nan))
+    after, gone = behaviour.leave_gateway(space, drive, jnp.float32(math.nan))
     assert (bool(after.inside), int(after.streak), int(gone.side)) == (True, 2, 5)
 
 
@@ -176,16 +176,16 @@ def crossing(inside, width_m, node, *, pose=(10.0, 4.0, math.pi / 2)):
 
     Walls before that are `width_m` apart, and the last node is a divergence somewhere.
     """
-    writer = mapping.begin(mapping.LEAN_STEPS, 4, 4, jnp.array([0.0, 0.0, 0.0]), False)
+    writer = mapping.begin_map(mapping.SLOPE_STEPS, 4, 4, jnp.array([0.0, 0.0, 0.0]), False)
     map_, last = btm.add_node(writer.map, btm.DIVERGENCE, *node, radius_m=1.6)
-    gone_m = np.arange(mapping.LEAN_STEPS) * 0.2
+    gone_m = np.arange(mapping.SLOPE_STEPS) * 0.2
     at = np.searchsorted(gone_m, gone_m[-1] - 2)
     poses = np.array([(pose[0], pose[1] + m - gone_m[at], pose[2]) for m in gone_m])
     width = np.where(gone_m <= gone_m[at], width_m, math.inf)
     fields = {"odometer_m": gone_m, "pose": poses, "width_m": width}
     way = writer.way.replace(**{name: jnp.asarray(a, jnp.float32) for name, a in fields.items()})
     writer = writer.replace(map=map_, node=last, way=way)
-    return halls.crossed(writer, jnp.bool_(inside), jnp.float32(gone_m[at]), TUNING)
+    return gateways.gateway_crossed(writer, jnp.bool_(inside), jnp.float32(gone_m[at]), TUNING)
 
 
 def test_the_gateway_by_which_a_hall_is_entered_or_left():
@@ -216,14 +216,14 @@ def gone_round(
 ):
     """Return `(drive, is_round)` of a robot some way past where it began to follow a wall."""
     began = jnp.array([2.0, 3.0, math.radians(turned_deg), 50.0, heading])
-    drive = behaviour.at_rest().replace(side=jnp.int32(side), latch=jnp.int32(latch), began=began)
-    writer = mapping.begin(mapping.LEAN_STEPS, 4, 4, jnp.array([0.0, 0.0, 0.0]), False)
+    drive = behaviour.initial_drive().replace(side=jnp.int32(side), latch=jnp.int32(latch), began=began)
+    writer = mapping.begin_map(mapping.SLOPE_STEPS, 4, 4, jnp.array([0.0, 0.0, 0.0]), False)
     writer = writer.replace(map=writer.map.replace(n_nodes=jnp.int32(n_nodes)))
-    state = SimpleNamespace(mode=jnp.int32(RunMode.WALL_FOLLOWING), odometer_m=jnp.float32(50 + gone_m))
+    state = a_state(mode=jnp.int32(RunMode.WALL_FOLLOWING), odometer_m=jnp.float32(50 + gone_m))
     space = behaviour.no_free_space().replace(inside=jnp.bool_(inside))
     around = surround_of((-9, side * 1.4, 9, side * 1.4))
     estimate = jnp.array([2.0 + off_m, 3.0, 0.1])
-    return halls.circled(state, drive, space, writer, around, estimate, jnp.bool_(at_node), TUNING)
+    return behaviour.go_round(state, drive, space, writer, around, estimate, jnp.bool_(at_node), TUNING)
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -242,7 +242,9 @@ def test_what_stands_in_a_hall_is_left_straight_across(side, more):
     assert (int(drive.latch), int(drive.side)) == (Latch.LEAVE, 0)
     out = 0.1 - side * math.pi / 2
     away = (drive.target - jnp.array([2.5, 3.0])).tolist()
-    assert away == pytest.approx([halls.AWAY_M * math.cos(out), halls.AWAY_M * math.sin(out)], abs=1e-4)
+    assert away == pytest.approx(
+        [behaviour.LEAVE_ISLAND_M * math.cos(out), behaviour.LEAVE_ISLAND_M * math.sin(out)], abs=1e-4
+    )
     assert math.isnan(float(drive.began[0]))
 
 
@@ -276,6 +278,6 @@ def test_walls_are_followed_in_halls_alone():
     around = surround_of((-9, -1.4, 9, -1.4))
     course = for_world(Tuning(), is_course=True)
     for mode in RunMode:
-        direction = float(halls.coast(jnp.int32(mode), jnp.int32(-1), around, TUNING, KAMUI))
+        direction = float(behaviour.coast_direction(jnp.int32(mode), jnp.int32(-1), around, TUNING, KAMUI))
         assert math.isfinite(direction) == (mode == RunMode.WALL_FOLLOWING)
-        assert math.isnan(float(halls.coast(jnp.int32(mode), jnp.int32(-1), around, course, KAMUI)))
+        assert math.isnan(float(behaviour.coast_direction(jnp.int32(mode), jnp.int32(-1), around, course, KAMUI)))

@@ -1,18 +1,17 @@
 """Matching of known nodes by their exits with a drifting odometry: cases one can check with a pencil."""
 
 import math
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.runs import a_due_node, a_state
 
 from jexplore import btm
 from jexplore.driving import behaviour, links, mapping, nodes
-from jexplore.driving.behaviour import Latch
 from jexplore.driving.events import _passes_start
-from jexplore.driving.sensing.openings import Openings
+from jexplore.driving.records import Latch, Openings
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 
 EAST, NORTH, WEST, SOUTH = (math.radians(a) for a in (0, 90, 180, 270))
@@ -32,7 +31,7 @@ def a_writer(*nodes, link=None):
     Searched links lead straight to node 0; it follows `link`, or one that nobody has followed.
     """
     start = jnp.array([-50.0, 0.0, 0.0])
-    writer = mapping.begin(mapping.LEAN_STEPS, 8, 16, start, False)
+    writer = mapping.begin_map(mapping.SLOPE_STEPS, 8, 16, start, False)
     map_ = writer.map
     for (x, y), searched, waiting in nodes:
         map_, node = btm.add_node(map_, btm.DIVERGENCE, x, y, radius_m=1.0)
@@ -47,7 +46,7 @@ def a_writer(*nodes, link=None):
 
 def recognised(writer, centre, found, back, odometer_m=100.0, when=True):
     at = jnp.array(centre, float), jnp.float32(odometer_m)
-    node, there = links.recognised(writer, at, found, jnp.float32(back), jnp.float32(1.0), jnp.bool_(when))
+    node, there = links.match_node(writer, at, found, jnp.float32(back), jnp.float32(1.0), jnp.bool_(when))
     return int(node) if bool(there) else None
 
 
@@ -74,9 +73,9 @@ def test_how_a_place_is_turned_and_how_well_its_ways_agree(openings_deg, turn_de
 def test_how_a_node_lies_is_said_in_the_frame_of_the_last_one():
     """North by odometry is west there; the new one is turned by 20 degrees less."""
     writer = a_writer().replace(origin=jnp.array([1.0, 2.0, math.radians(90)]))
-    found = mapping.moved(writer, jnp.array([1.0, 5.0]), math.radians(20))
+    found = mapping.pose_from_node(writer, jnp.array([1.0, 5.0]), math.radians(20))
     np.testing.assert_allclose(found, [-3, 0, math.radians(70)], atol=1e-6)
-    assert np.isnan(mapping.moved(writer, jnp.array([1.0, 5.0]), math.nan)[2])
+    assert np.isnan(mapping.pose_from_node(writer, jnp.array([1.0, 5.0]), math.nan)[2])
 
 
 def test_a_place_with_the_ways_of_a_node_that_waits_there_is_that_node():
@@ -140,8 +139,9 @@ def test_a_robot_comes_back_to_its_start_along_its_link(latch, none_m, expected)
     """From a place ten metres away, at which it was before."""
     writer = a_writer(((-40.0, 0.0), (), (NORTH,)))
     writer = writer.replace(node=jnp.int32(1), node_m=jnp.float32(5), passed=jnp.array([-49.0, 0.0, 1.0, none_m]))
-    drive = behaviour.at_rest().replace(latch=jnp.int32(latch))
-    state = SimpleNamespace(writer=writer, drive=drive, estimate=jnp.array([-50.1, 0.0, WEST]), odometer_m=9.0)
+    drive = behaviour.initial_drive().replace(latch=jnp.int32(latch))
+    estimate = jnp.array([-50.1, 0.0, WEST])
+    state = a_state(writer=writer, drive=drive, estimate=estimate, odometer_m=jnp.float32(9))
     assert bool(_passes_start(state)) == expected
 
 
@@ -177,7 +177,7 @@ def test_the_ends_of_a_node_are_those_of_its_links():
     map_ = a_writer(T, ((9.0, 0.0), (WEST,), (SOUTH,))).map
     own, bearing = links.ends_at(map_, jnp.int32(1))
     assert np.degrees(np.sort(np.asarray(bearing)[np.asarray(own)])).round().tolist() == [-90, 0, 90]
-    link, out, off = links.toward(map_, jnp.int32(1), jnp.float32(math.radians(70)))
+    link, out, off = links.link_toward(map_, jnp.int32(1), jnp.float32(math.radians(70)))
     assert map_.start_bearing[link] == pytest.approx(NORTH)
     assert [float(out), float(off)] == pytest.approx([NORTH, math.radians(20)])
 
@@ -226,7 +226,7 @@ def doubts(off, turn):
     map_ = in_doubt().map
     writer = in_doubt().replace(node=jnp.int32(2), map=map_.replace(kind=map_.kind.at[3].set(btm.NONE)))
     found = place(*(bearing - turn for bearing in (NORTH, SOUTH, EAST, WEST)))
-    return np.asarray(links.doubts_of(writer, jnp.array(off), jnp.float32(100.0), found, jnp.bool_(True)))
+    return np.asarray(links.find_hypotheses(writer, jnp.array(off), jnp.float32(100.0), found, jnp.bool_(True)))
 
 
 def test_a_new_place_may_be_a_known_one_with_its_ways():
@@ -241,7 +241,9 @@ def decided(place_deg=(270, 0), kind=btm.DIVERGENCE, length_m=10.0):
     writer = in_doubt().replace(doubts=jnp.full(8, jnp.nan).at[1].set(TURN))
     gone = length_m * math.cos(NORTH - TURN), length_m * math.sin(NORTH - TURN)
     found = place(*(math.radians(bearing) - TURN for bearing in place_deg))
-    return links.decided(writer, jnp.int32(kind), jnp.add(jnp.array(OFF), jnp.array(gone)), jnp.float32(110.0), found)
+    return links.resolve_hypotheses(
+        writer, jnp.int32(kind), jnp.add(jnp.array(OFF), jnp.array(gone)), jnp.float32(110.0), found
+    )
 
 
 def test_one_more_node_makes_a_place_a_known_one():
@@ -285,7 +287,7 @@ def test_a_node_that_gets_the_number_of_one_that_was_none_is_new():
     map_, node = btm.add_node(after.map, btm.OBSTACLE, 3.0, 12.0)
     there = after.replace(map=map_, node=node, node_m=jnp.float32(110.0))
     known = jnp.zeros((8, 2)).at[3].set(jnp.array(OFF))
-    node_at, is_elsewhere = mapping.truly_at(known, in_doubt(), there, jnp.array([3.5, 11.0]))
+    node_at, is_elsewhere = mapping.record_truth(known, in_doubt(), there, jnp.array([3.5, 11.0]))
     assert (int(node), int(there.map.n_nodes)) == (3, int(in_doubt().map.n_nodes))
     np.testing.assert_allclose(node_at, known.at[3].set(jnp.array([3.5, 11.0])))
     assert not is_elsewhere
@@ -296,21 +298,15 @@ def test_a_goal_makes_no_place_a_known_one():
     """Node 2 is where the robot has started; as far north of node 3 it is at its goal, which is a new node."""
     writer = in_doubt().replace(doubts=jnp.full(8, jnp.nan).at[1].set(TURN))
     map_ = writer.map.replace(kind=writer.map.kind.at[2].set(btm.TERMINAL))
-    heading, zero, no = NORTH - TURN, jnp.float32(0), jnp.bool_(False)
+    heading, no = NORTH - TURN, jnp.bool_(False)
     x, y = np.add(OFF, 10 * np.array([math.cos(heading), math.sin(heading)]))
-    measures = {
-        "radius": zero,
-        "out": jnp.float32(jnp.nan),
-        "posture": zero,
-        "steepest": zero,
-        "step_m": zero,
-        "blocked": no,
-        "returns": no,
-    }
     here = jnp.array([x, y, heading])
-    due = nodes.Event(jnp.int32(btm.TERMINAL), jnp.float32(110), here, here[:2], **measures)
+    due = a_due_node(
+        kind=jnp.int32(btm.TERMINAL), odometer_m=jnp.float32(110), pose=here, centre=here[:2], out=jnp.float32(jnp.nan),
+        blocked=no, returns=no,
+    )  # fmt: skip
     points = jnp.zeros((512, 2)), jnp.zeros(512, bool)
-    write = jax.jit(lambda writer, due: nodes.write(writer, due, points, TUNING, ROBOTS["kamui"]))
+    write = jax.jit(lambda writer, due: nodes.write_node(writer, due, points, TUNING, ROBOTS["kamui"]))
     after = write(writer.replace(map=map_), due)[0]
     assert (int(after.node), int(after.map.n_nodes), int(after.dropped)) == (4, 5, 1)
     links_ = zip(after.map.start, after.map.end, after.map.status)
@@ -325,7 +321,7 @@ def test_of_two_nodes_that_it_may_be_it_is_neither():
     writer = writer.replace(map=map_, doubts=jnp.full(8, jnp.nan).at[jnp.array([1, 4])].set(TURN))
     x, y = 10 * math.cos(NORTH - TURN), 10 * math.sin(NORTH - TURN)
     found = place(EAST - TURN, SOUTH - TURN, SOUTH - TURN)
-    after = links.decided(
+    after = links.resolve_hypotheses(
         writer, jnp.int32(btm.DIVERGENCE), jnp.array(OFF) + jnp.array([x, y]), jnp.float32(110), found
     )
     assert (int(after.node), int(after.dropped)) == (3, 2)

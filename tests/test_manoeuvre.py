@@ -9,11 +9,12 @@ import pytest
 
 from jexplore.driving import manoeuvre
 from jexplore.driving.building.walls import Walls, cast, meets
-from jexplore.driving.manoeuvre import BACK_M, GO_M, STOP_M, TRAIL, TRAIL_M
+from jexplore.driving.manoeuvre import GO_M, MIN_BACK_M, STOP_M, TRAIL_M, TRAIL_POSES
+from jexplore.driving.records import Surround
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS, SECTORS, Surround
+from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS, SECTORS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
-from jexplore.driving.vehicle import ANGLES_RAD, DT_S, RANGE_M
+from jexplore.driving.vehicle import ANGLES_RAD, DT_S, SCAN_RANGE_M
 
 pytestmark = pytest.mark.jit
 
@@ -22,8 +23,8 @@ INF = math.inf
 FREE = np.full(DIRECTIONS, INF)
 HERE = (0.0, 0.0, 0.0)
 
-_drive = jax.jit(lambda *args: manoeuvre.drive(*args, TUNING, KAMUI))
-_remembered = jax.jit(manoeuvre.remembered)
+_drive = jax.jit(lambda *args: manoeuvre.avoid_obstacles(*args, TUNING, KAMUI))
+_remembered = jax.jit(manoeuvre.extend_trail)
 
 
 def of(*xy):
@@ -36,7 +37,7 @@ def of(*xy):
 def driven(now, around=None, ways=FREE, pose=HERE, bearing=0.0, turning=0, touched=False):
     """`(after, v, omega)`."""
     ways, pose = (jnp.asarray(a, jnp.float32) for a in (ways, pose))
-    around = surround.unknown() if around is None else around
+    around = surround.empty_surround() if around is None else around
     args = jnp.float32(bearing), jnp.int32(turning), jnp.bool_(touched)
     after, v, omega = _drive(now, around, ways, pose, *args)
     return after, float(v), float(omega)
@@ -44,7 +45,7 @@ def driven(now, around=None, ways=FREE, pose=HERE, bearing=0.0, turning=0, touch
 
 def gone(*poses):
     """Return the memory of a robot that has come along some poses."""
-    now = manoeuvre.at_rest(jnp.asarray(poses[0], jnp.float32))
+    now = manoeuvre.initial_manoeuvre(jnp.asarray(poses[0], jnp.float32))
     for pose in poses[1:]:
         now = _remembered(now, jnp.asarray(pose, jnp.float32))
     return now
@@ -62,7 +63,7 @@ SIDES = [(0.0, 0.22), (0.0, -0.22)]  # as near as that the robot does not turn a
 
 
 def test_at_rest_the_trail_is_where_the_robot_stands():
-    now = manoeuvre.at_rest(jnp.array([1.0, 2.0, 3.0]))
+    now = manoeuvre.initial_manoeuvre(jnp.array([1.0, 2.0, 3.0]))
     assert now.trail[0].tolist() == [1, 2, 3]
     assert (int(now.length), bool(now.backing), bool(now.avoiding), float(now.backed_m)) == (1, False, False, 0)
 
@@ -88,9 +89,9 @@ def test_nothing_is_remembered_while_the_robot_goes_back():
 
 
 def test_the_trail_is_a_ring():
-    now = along_x(0.05 * (TRAIL + 2))
-    assert int(now.length) == TRAIL + 3
-    np.testing.assert_allclose(now.trail[:4, 0], [-0.1, -0.05, 0, -0.05 * (TRAIL - 1)], atol=1e-4)
+    now = along_x(0.05 * (TRAIL_POSES + 2))
+    assert int(now.length) == TRAIL_POSES + 3
+    np.testing.assert_allclose(now.trail[:4, 0], [-0.1, -0.05, 0, -0.05 * (TRAIL_POSES - 1)], atol=1e-4)
 
 
 @pytest.mark.parametrize(("direction", "within", "is_open"), [(0, 0.0, True), (2, 0.17, False), (-2, 0.18, True)])
@@ -98,8 +99,8 @@ def test_a_way_near_straight_ahead_is_open(direction, within, is_open):
     """Directions are 5 degrees apart, 0.087."""
     ways = np.zeros(DIRECTIONS)
     ways[DIRECTIONS // 2 + direction] = 1.5
-    assert bool(manoeuvre.is_open(jnp.asarray(ways), within, 1.5)) == is_open
-    assert not manoeuvre.is_open(jnp.asarray(ways), within, 1.51)
+    assert bool(manoeuvre.has_free_way(jnp.asarray(ways), within, 1.5)) == is_open
+    assert not manoeuvre.has_free_way(jnp.asarray(ways), within, 1.51)
 
 
 # ---------------------------------------------------------------- free
@@ -238,7 +239,7 @@ def test_what_was_touched_is_left_by_the_least_way_back():
         xs.append(pose[0])
     assert i < 11
     assert (np.diff(xs) <= 0).all()
-    assert BACK_M - 1e-6 <= -xs[-1] < BACK_M + TUNING.speed_m_s * DT_S + 1e-6
+    assert MIN_BACK_M - 1e-6 <= -xs[-1] < MIN_BACK_M + TUNING.speed_m_s * DT_S + 1e-6
     assert v == pytest.approx(TUNING.speed_m_s)  # and on it goes
 
 
@@ -248,7 +249,7 @@ def test_what_gets_it_away_from_what_it_has_touched_is_gone_on_with():
     for _ in range(11):
         now, *first = driven(now, pose=pose, touched=True)
         tried.append(first)
-        for _ in range(manoeuvre.FREES - 1):
+        for _ in range(manoeuvre.RECOVERY_STEPS - 1):
             now, *way = driven(now.replace(backed_m=jnp.float32(0)), of((0.5, 0.5)), pose=pose)
             assert way == first
     assert len({tuple(way) for way in tried}) == 11
@@ -264,7 +265,7 @@ def test_what_it_tries_leads_away_from_what_is_nearest(side):
     for _ in range(4):
         now, *way = driven(now, of((0, side * 0.2)), touched=True)
         found.append(way)
-    lean = side * manoeuvre.LEAN
+    lean = side * manoeuvre.LEAN_RAD_S
     half = TUNING.speed_m_s / 2
     np.testing.assert_allclose(found, [(-half, 0), (-half, lean), (half, 0), (half, -lean)], atol=1e-6)
 
@@ -277,7 +278,7 @@ def test_where_nothing_is_free_it_goes_where_most_is():
     assert v == pytest.approx(TUNING.speed_m_s / 2)
 
 
-@pytest.mark.parametrize(("frees", "omega"), [(0, 0.057), (1, 0.0), (manoeuvre.AGAIN, 0.0)])
+@pytest.mark.parametrize(("frees", "omega"), [(0, 0.057), (1, 0.0), (manoeuvre.TOUCH_AGAIN_STEPS, 0.0)])
 def test_a_robot_that_leans_and_touches_goes_straight_back_for_a_while(frees, omega):
     now = along_x(1.0).replace(backing=jnp.bool_(True), frees=jnp.int32(frees + 1))
     now = now if frees else now.replace(frees=jnp.int32(0))
@@ -340,7 +341,7 @@ def test_it_does_not_go_round_in_circles_where_something_unseen_is_behind_it(uns
 def test_it_goes_back_no_farther_where_that_leads_nowhere():
     """Between walls where it cannot turn, with a third one behind it."""
     beside, behind = [(0, 0.3), (0, -0.3)], [(-0.36, y) for y in (-0.1, 0, 0.1)]
-    now = along_x(1.0).replace(backing=jnp.bool_(True), backed_m=jnp.float32(BACK_M + 0.01))
+    now = along_x(1.0).replace(backing=jnp.bool_(True), backed_m=jnp.float32(MIN_BACK_M + 0.01))
     assert driven(now, of(*beside))[0].backing  # there is room behind it
     for turning in (0, 1):
         after, v = now, 0.0
@@ -397,24 +398,24 @@ ROOM_AND_PASSAGE = Walls(  # 3 m x 3 m, and from it a passage 1.2 m long and 0.7
 @jax.jit
 def _step(now, around, pose, target):
     """One step in `ROOM_AND_PASSAGE` without errors: `(now, around, pose)` after it."""
-    around = surround.seen(around, cast(ROOM_AND_PASSAGE, pose, ANGLES_RAD, RANGE_M))
+    around = surround.add_scan(around, cast(ROOM_AND_PASSAGE, pose, ANGLES_RAD, SCAN_RANGE_M))
     off = target - pose[:2]
     bearing = jnp.arctan2(off[1], off[0]) - pose[2]
     bearing = jnp.arctan2(jnp.sin(bearing), jnp.cos(bearing))
-    ways = surround.ways(around, KAMUI)
-    now, v, omega = manoeuvre.drive(now, around, ways, pose, bearing, 0, jnp.bool_(False), TUNING, KAMUI)
+    ways = surround.free_lengths(around, KAMUI)
+    now, v, omega = manoeuvre.avoid_obstacles(now, around, ways, pose, bearing, 0, jnp.bool_(False), TUNING, KAMUI)
     half = omega * DT_S / 2
     step = v * DT_S * jnp.stack([jnp.cos(half), jnp.sin(half)])
     cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
     pose += jnp.stack([cos * step[0] - sin * step[1], sin * step[0] + cos * step[1], omega * DT_S])
-    around = surround.moved(around, step[0], step[1], omega * DT_S)
-    return manoeuvre.remembered(now, pose), around, pose
+    around = surround.move_surround(around, step[0], step[1], omega * DT_S)
+    return manoeuvre.extend_trail(now, pose), around, pose
 
 
 @pytest.mark.parametrize("start", [(-0.8, 0.0, 0.0), (-0.8, 0.08, -0.1)])
 def test_it_backs_out_of_a_dead_end_and_turns_outside(start):
     pose = jnp.array(start)
-    now, around, poses, backed = manoeuvre.at_rest(pose), surround.unknown(), [start], []
+    now, around, poses, backed = manoeuvre.initial_manoeuvre(pose), surround.empty_surround(), [start], []
     inside = False
     for _ in range(130):
         inside |= float(pose[0]) > 0.5
@@ -437,7 +438,7 @@ def test_it_gets_out_of_a_corner_whose_walls_are_beside_and_behind_it(off):
     pose = jnp.array([-0.385 + off[0], 1.27 + off[1], math.pi])
     now = gone(*[(x, 1.27, math.pi) for x in np.arange(0.4, -0.38, -0.05)], tuple(pose.tolist()))
     angles = np.radians(np.arange(SECTORS) - SECTORS // 2).astype(np.float32)
-    ranges_m = cast(ROOM_AND_PASSAGE, pose, angles, RANGE_M)
+    ranges_m = cast(ROOM_AND_PASSAGE, pose, angles, SCAN_RANGE_M)
     around = Surround(ranges_m * jnp.cos(angles), ranges_m * jnp.sin(angles))
     for _ in range(300):
         now, around, pose = _step(now, around, pose, jnp.array([-0.9, -1.0]))

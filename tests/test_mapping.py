@@ -7,13 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.runs import a_due_node
 
 from jexplore import btm
 from jexplore.btm import DIVERGENCE, FREE_SPACE, NONE, OBSTACLE, SEARCHED, TERMINAL, UNSEARCHED
 from jexplore.driving import links, mapping, nodes
-from jexplore.driving.behaviour import Latch
 from jexplore.driving.building.walls import cast, walls_of
-from jexplore.driving.nodes import SHIFT_SHARE, TURN_SHARE, Event
+from jexplore.driving.nodes import SHIFT_SHARE, TURN_SHARE
+from jexplore.driving.records import Latch
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.tracemap import record
 from jexplore.tracemap.merging.rigid import apart_deg
@@ -40,7 +41,7 @@ def pitch_deg(odometer, creases, grounds, length_m):
 
 WATCH = jax.jit(
     lambda pitch, odometer, even_m: jax.lax.scan(
-        lambda level, now: _watched(level, *now, even_m), mapping.begin(1, 1, 1, jnp.zeros(3), False).level,
+        lambda level, now: _watched(level, *now, even_m), mapping.begin_map(1, 1, 1, jnp.zeros(3), False).level,
         (pitch, odometer),
     )[1]
 )  # fmt: skip
@@ -48,7 +49,7 @@ WATCH = jax.jit(
 
 def _watched(level, pitch, odometer_m, even_m):
     lean = jnp.stack([-pitch, 0.0])
-    level, *seen = mapping.watch_level(level, lean, odometer_m, math.radians(TUNING.inclination_deg), even_m)
+    level, *seen = mapping.update_slope(level, lean, odometer_m, math.radians(TUNING.inclination_deg), even_m)
     return level, seen
 
 
@@ -66,7 +67,7 @@ def way_of(pitch, roll, heading):
 def test_a_robot_that_turns_on_a_slope_stands_on_the_same_ground():
     """It rises to the east by 10 degrees: ahead, abeam and behind."""
     for heading, pitch, roll in ((0, -10, 0), (90, 0, -10), (180, 10, 0), (-90, 0, 10)):
-        lean, odometer_m = mapping.lean_of(way_of([pitch] * 40, [roll] * 40, [heading] * 40), jnp.int32(39))
+        lean, odometer_m = mapping.slope_at(way_of([pitch] * 40, [roll] * 40, [heading] * 40), jnp.int32(39))
         np.testing.assert_allclose(np.degrees(lean), [10, 0], atol=1e-4)
         assert float(odometer_m) == pytest.approx(39 * STEP_M)
 
@@ -74,17 +75,17 @@ def test_a_robot_that_turns_on_a_slope_stands_on_the_same_ground():
 def test_a_pitch_that_jumps_is_averaged_and_one_that_does_not_is_not():
     rng = np.random.default_rng(0)
     calm, level = rng.normal(scale=0.1, size=60), np.zeros(60)
-    lean, odometer_m = mapping.lean_of(way_of(calm, level, level), jnp.int32(59))
+    lean, odometer_m = mapping.slope_at(way_of(calm, level, level), jnp.int32(59))
     assert float(lean[0]) == pytest.approx(math.radians(-calm[59]), abs=1e-6)
     assert float(odometer_m) == pytest.approx(59 * STEP_M)
     off = []
     for _ in range(100):
         noisy = 5 + rng.normal(size=60)
-        lean, odometer_m = mapping.lean_of(way_of(noisy, level, level), jnp.int32(59))
+        lean, odometer_m = mapping.slope_at(way_of(noisy, level, level), jnp.int32(59))
         off.append(-math.degrees(float(lean[0])) - 5)
         assert 50 * STEP_M < float(odometer_m) < 60 * STEP_M
     assert np.std(off) < 0.5
-    first, _ = mapping.lean_of(way_of(noisy[:1], level[:1], level[:1]), jnp.int32(0))
+    first, _ = mapping.slope_at(way_of(noisy[:1], level[:1], level[:1]), jnp.int32(0))
     assert float(first[0]) == pytest.approx(math.radians(-noisy[0]), abs=1e-6)
 
 
@@ -162,7 +163,7 @@ def test_a_crease_lies_half_way_for_a_robot_of_any_length():
 # ---------------------------------------------------------------- record of the way
 
 STEPS, POINTS, NODES, LINKS = 160, 512, 8, 12
-BEGIN = jax.jit(mapping.begin, static_argnums=(0, 1, 2))
+BEGIN = jax.jit(mapping.begin_map, static_argnums=(0, 1, 2))
 
 
 def begun(pose=(0.0, 0.0, 0.0), *, behind=False):
@@ -209,15 +210,15 @@ def test_narrowest_and_steepest_between_two_places():
         ((1.5, 2.5), (1.8, 3, 7)),
         ((1.1, 1.9), (math.inf, 0, 0)),
     ):
-        assert [float(value) for value in mapping.along(way, *bounds)] == pytest.approx(want)
-    assert [float(value) for value in mapping.along(mapping.no_way(3), 0, 9)] == [math.inf, 0, 0]
+        assert [float(value) for value in mapping.way_extremes(way, *bounds)] == pytest.approx(want)
+    assert [float(value) for value in mapping.way_extremes(mapping.no_way(3), 0, 9)] == [math.inf, 0, 0]
 
 
 def test_noise_makes_a_passage_hardly_narrower():
     rng = np.random.default_rng(0)
     widths = 2 + 0.05 * rng.normal(size=STEPS)
     rows = [(0.04 * i, 0.04 * i, 0, 0, 0, 0, width) for i, width in enumerate(widths)]
-    narrowest = float(mapping.along(path(begun(), *rows).way, 0, 99)[0])
+    narrowest = float(mapping.way_extremes(path(begun(), *rows).way, 0, 99)[0])
     assert widths.min() < narrowest - 0.02
     assert narrowest == pytest.approx(min(np.mean(widths[max(0, i - 2) : i + 3]) for i in range(STEPS)), abs=1e-4)
 
@@ -265,20 +266,10 @@ def seen(xy):
 NOTHING = seen(np.zeros((0, 2)))
 
 
-def event(
-    kind,
-    odometer,
-    pose,
-    centre=None,
-    *,
-    radius=0.0,
-    posture=0.0,
-    steepest=0.0,
-    step_m=0.0,
-    blocked=False,
-    returns=False,
-):
-    return Event(
+def event(kind, odometer, pose, centre=None, *, radius=0.0, posture=0.0, steepest=0.0, step_m=0.0, blocked=False,
+          returns=False):  # fmt: skip
+    """A node that is due, angles in degrees."""
+    return a_due_node(
         kind=jnp.int32(kind),
         odometer_m=jnp.float32(odometer),
         pose=jnp.asarray(pose, jnp.float32),
@@ -293,7 +284,7 @@ def event(
     )
 
 
-WRITE = jax.jit(lambda writer, due, points: nodes.write(writer, due, points, TUNING, KAMUI))
+WRITE = jax.jit(lambda writer, due, points: nodes.write_node(writer, due, points, TUNING, KAMUI))
 
 
 def write_node(writer, due, points=NOTHING):
@@ -540,7 +531,7 @@ def test_where_all_ways_of_a_node_agree_more_of_the_heading_is_put_right(agree_d
     due = event(DIVERGENCE, 15.5, (*T_CENTRE, NORTH), T_CENTRE, radius=T_RADIUS)
     dead = dead.replace(entry=jnp.asarray([3.85, -4.0]))
     tuning = dataclasses.replace(TUNING, agree_deg=agree_deg, agree_share=0.75)
-    writer, *_, correction = nodes.write(dead, due, around, tuning, KAMUI)
+    writer, *_, correction = nodes.write_node(dead, due, around, tuning, KAMUI)
     assert degrees(correction[2]) == pytest.approx(-8 * share, abs=1)
     assert degrees(writer.origin[2]) == pytest.approx(-8 * (1 - share), abs=1)  # the rest
 
@@ -595,7 +586,7 @@ def test_where_nothing_else_is_left_doors_of_a_long_room_are_looked_for_farther_
     ranges_m = cast(jax.tree.map(jnp.asarray, walls_of(world.occupied, world.cell_m)), (x, y, 0.0), angles, 20.0)
     room = np.asarray(ranges_m)[:, None] * np.stack([np.cos(angles), np.sin(angles)], 1)
     writer = begun((-2.0, 0.0, 0.0)).replace(entry=jnp.asarray([-2.0, 0.0]))
-    tries = writer.tries.at[0].set(links.TRIES if given_up else links.TRIES - 1)
+    tries = writer.tries.at[0].set(links.MAX_TRIES if given_up else links.MAX_TRIES - 1)
     writer = writer.replace(tries=tries)
     assert bool(links.is_any_open(writer.map, writer.tries)) != given_up
     due = event(DIVERGENCE, 2, (0.0, 0.0, 0.0), (0.0, 0.0), radius=1.7)
@@ -692,7 +683,7 @@ def test_an_unsearched_link_is_given_up_after_some_tries():
     t, *_ = at_the_t()
     onto = int(t.link)
     assert int(t.tries[onto]) == 1
-    for tries, gives_up in ((links.TRIES - 1, False), (links.TRIES, True)):
+    for tries, gives_up in ((links.MAX_TRIES - 1, False), (links.MAX_TRIES, True)):
         tried = t.replace(tries=t.tries.at[onto].set(tries), link=jnp.int32(0), node=jnp.int32(0))
         after, *_ = back_at_the_t(tried, 20, (1.0, 0.0))
         assert bool(after.map.blocked[onto]) == gives_up
@@ -722,14 +713,14 @@ def test_when_nothing_else_is_left_links_that_were_given_up_are_tried_again():
     t, *_ = at_the_t()
     south, north = int(t.link), 3 - int(t.link)
     writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
-    lost = writer.replace(fails=writer.fails.at[south].set(links.FAILS - 1))
+    lost = writer.replace(fails=writer.fails.at[south].set(links.MAX_FAILS - 1))
     after, *_ = at_a_dead_end(lost, (4.1, -6.1), SOUTH, 20)
     assert (int(after.link), bool(after.exhausted), int(after.last_chance)) == (south, False, 2)
-    assert int(after.fails[south]) == links.FAILS - 1  # once more
-    vain = writer.replace(tries=writer.tries.at[north].set(links.TRIES))
+    assert int(after.fails[south]) == links.MAX_FAILS - 1  # once more
+    vain = writer.replace(tries=writer.tries.at[north].set(links.MAX_TRIES))
     after, *_ = at_a_dead_end(vain, (4.1, -6.1), SOUTH, 20)
     assert (int(after.link), bool(after.exhausted), int(after.last_chance)) == (south, False, 2)  # on the way there
-    assert (int(after.tries[north]), bool(after.map.blocked[north])) == (links.TRIES - 1, False)
+    assert (int(after.tries[north]), bool(after.map.blocked[north])) == (links.MAX_TRIES - 1, False)
     after, *_ = at_a_dead_end(vain.replace(last_chance=jnp.int32(1)), (4.1, -6.1), SOUTH, 20)
     assert (bool(after.exhausted), bool(after.map.blocked[north])) == (True, True)
     # A searched one beyond which others are left gets more chances, while some are made use of: two are searched now.
@@ -756,7 +747,7 @@ def test_what_else_is_seen_at_a_known_place_is_tried_once():
     after, latch, *_ = back_at_the_t(writer.replace(map=map_), *came)
     assert links_of(after)[3:] == [(1, NONE, UNSEARCHED)]
     assert degrees(after.map.start_bearing[3]) == pytest.approx(90, abs=3)
-    assert (int(after.link), int(after.tries[3]), latch) == (3, links.TRIES, Latch.LEAVE)
+    assert (int(after.link), int(after.tries[3]), latch) == (3, links.MAX_TRIES, Latch.LEAVE)
     # From 0.75 m aside, where ways would bear otherwise, none is added.
     beside, *_ = back_at_the_t(writer.replace(map=map_), *came, centre=(T_CENTRE[0] + 0.75, T_CENTRE[1]))
     assert int(beside.map.n_links) == 3
@@ -928,11 +919,8 @@ def test_how_near_a_known_border_is_met_again(away, again):
     writer, *_ = write_node(hall(), event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
     writer, *_ = write_node(writer, event(FREE_SPACE, 12, (2.0 + away, 0.0, WEST)))
     assert int(writer.map.n_nodes) == 3 + (not again)
-
-
-def test_the_node_last_made_is_not_met_again():
-    writer, *_ = write_node(hall(), event(FREE_SPACE, 2.5, (2.5, 0.0, 0.0)))
-    assert links_of(writer)[1] == (1, 2, SEARCHED)
+    last, *_ = write_node(hall(), event(FREE_SPACE, 2.5, (2.5, 0.0, 0.0)))  # never the one made last
+    assert links_of(last)[1] == (1, 2, SEARCHED)
 
 
 def test_a_new_node_on_a_known_link_has_a_way_of_its_own():
@@ -1010,22 +998,16 @@ def test_stairs_round_a_bend_are_stairs():
     ] * 2
 
 
-def test_stairs_fit_no_line():
-    _, first, written = over(stairs)
+@pytest.mark.parametrize(("riser_m", "pitch"), [(0.1, -10), (0.05, -8)])
+def test_stairs_fit_no_line(riser_m, pitch):
+    _, first, written = over(lambda s: stairs(s) * riser_m / 0.1, pitch=pitch)
     assert first.nodes[1].obstacle == "slope"
+    assert written.links[1].max_step_m == pytest.approx(riser_m, abs=1e-3)
     for node in written.nodes[1:]:
         assert (node.type, node.obstacle) == ("obstacle", "stairs")
-        assert node.step_m == pytest.approx(0.1, abs=1e-3)
+        assert node.step_m == pytest.approx(riser_m, abs=1e-3)
         # h^2 / 12 of risers of h, about.
-        assert node.attributes["profile_variance_m2"] == pytest.approx(0.1**2 / 12, rel=0.2)
-
-
-def test_low_risers_are_stairs_too():
-    _, _, written = over(lambda s: stairs(s) / 2, pitch=-8)
-    assert {node.obstacle for node in written.nodes[1:]} == {"stairs"}
-    assert written.nodes[1].step_m == pytest.approx(0.05, abs=1e-3)
-    assert written.links[1].max_step_m == pytest.approx(0.05, abs=1e-3)
-    assert written.nodes[1].attributes["profile_variance_m2"] == pytest.approx(0.05**2 / 12, rel=0.2)
+        assert node.attributes["profile_variance_m2"] == pytest.approx(riser_m**2 / 12, rel=0.2)
 
 
 def test_rough_level_ground_is_no_stairs():
@@ -1131,6 +1113,7 @@ def test_a_node_that_does_not_fit_is_counted_and_overwrites_none():
         writer, *_ = write_node(full, event(kind, 6, (6.0, 0.0, 0.0), steepest=9, step_m=0.1))
         assert int(writer.map.overflow) >= 1
         assert int(writer.map.n_nodes) == NODES
+        record.check(btm.to_map(writer.map))
         for name in ("x_m", "y_m", "kind", "posture_deg", "obstacle", "inclination_deg", "step_m"):
             np.testing.assert_array_equal(getattr(writer.map, name), getattr(full.map, name))
 
@@ -1142,11 +1125,6 @@ def test_what_comes_after_a_node_that_did_not_fit_overwrites_none():
     writer, *_ = write_node(writer, event(FREE_SPACE, 10, (10.0, 0.0, 0.0)))
     for name in ("posture_deg", "inclination_deg"):
         np.testing.assert_array_equal(getattr(writer.map, name), getattr(full.map, name))
-
-
-def test_a_map_that_is_full_is_still_a_map():
-    writer, *_ = write_node(full_of_nodes(), event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
-    record.check_map(btm.to_map(writer.map))
 
 
 # ---------------------------------------------------------------- the divergence just left
@@ -1188,16 +1166,16 @@ def test_rows_of_a_batch_are_independent():
 
 @pytest.mark.parametrize(("off_m", "is_elsewhere"), [(0.0, False), (2.9, False), (3.1, True)])
 def test_a_place_taken_for_a_node_that_lies_elsewhere_is_told(off_m, is_elsewhere):
-    start = mapping.begin(1, 4, 4, jnp.zeros(3), False)
+    start = mapping.begin_map(1, 4, 4, jnp.zeros(3), False)
     map_, node = btm.add_node(start.map, DIVERGENCE, 5.0, 0.0, radius_m=1.0)
     there = start.replace(map=map_, node=node, node_m=jnp.float32(5.0))
-    node_at, told = mapping.truly_at(jnp.full((4, 2), jnp.nan).at[0].set(0), start, there, jnp.array([5.0, 0.5]))
+    node_at, told = mapping.record_truth(jnp.full((4, 2), jnp.nan).at[0].set(0), start, there, jnp.array([5.0, 0.5]))
     np.testing.assert_allclose(node_at[:2], [[0, 0], [5, 0.5]])
     assert not told
     on_way = there.replace(node=jnp.int32(0), node_m=jnp.float32(10.0))  # at the start again
     again = on_way.replace(node=node, node_m=jnp.float32(15.0))
     at = jnp.array([5.0 + off_m, 0.5])
-    kept, told = mapping.truly_at(node_at, on_way, again, at)
+    kept, told = mapping.record_truth(node_at, on_way, again, at)
     assert bool(told) == is_elsewhere
     np.testing.assert_array_equal(kept, node_at)
-    assert not mapping.truly_at(node_at, again, again, jnp.array([50.0, 50.0]))[1]  # under way
+    assert not mapping.record_truth(node_at, again, again, jnp.array([50.0, 50.0]))[1]  # under way

@@ -7,18 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jexplore.driving.building.walls import FAR_M, Walls, cast
+from jexplore.driving.building.walls import UNUSED_SLOT_M, Walls, cast
 from jexplore.driving.sensing import matching
-from jexplore.driving.sensing.matching import DOUBT, DOUBT_M, DOUBT_RAD, LEAST
-from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, RANGE_M
+from jexplore.driving.sensing.matching import ENCODER_M, ENCODER_RAD, ENCODER_SHARE, MIN_POINTS
+from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, SCAN_RANGE_M
 
 pytestmark = pytest.mark.jit
 
 NAN, INF = math.nan, math.inf
 SEEDS = 30
-match = jax.jit(matching.match)
+match = jax.jit(matching.match_scans)
 match_all = jax.jit(
-    jax.vmap(lambda before, after, guess: matching.match(before, after, guess, guess)[0], in_axes=(0, 0, None))
+    jax.vmap(lambda before, after, guess: matching.match_scans(before, after, guess, guess)[0], in_axes=(0, 0, None))
 )
 
 
@@ -28,7 +28,7 @@ def box(x0, y0, x1, y1):
 
 
 ROOM = box(-2, -1.5, 3, 1.5)
-CORRIDOR = box(-FAR_M, -1, FAR_M, 1)
+CORRIDOR = box(-UNUSED_SLOT_M, -1, UNUSED_SLOT_M, 1)
 POSES = [(0.0, 0.0, 0.3), (0.5, 0.4, -1.9), (1.0, -0.5, math.pi)]
 MOTIONS = [(0.0, 0.0, 0.25), (0.2, 0.0, 0.0), (0.15, 0.02, -0.25)]
 
@@ -38,7 +38,7 @@ def scans(walls, pose, motion):
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     ahead, aside, turn = motion
     after = pose[0] + cos * ahead - sin * aside, pose[1] + sin * ahead + cos * aside, pose[2] + turn
-    return [np.array(cast(walls, at, ANGLES_RAD, RANGE_M)) for at in (pose, after)]
+    return [np.array(cast(walls, at, ANGLES_RAD, SCAN_RANGE_M)) for at in (pose, after)]
 
 
 def matched(before, after, guess):
@@ -137,7 +137,7 @@ def test_without_points_the_encoders_are_believed(nothing):
         np.testing.assert_array_equal(matched(*pair, guess), guess.astype(float))
 
 
-@pytest.mark.parametrize(("points", "counts"), [(LEAST - 1, False), (LEAST, True)])
+@pytest.mark.parametrize(("points", "counts"), [(MIN_POINTS - 1, False), (MIN_POINTS, True)])
 def test_so_many_points_must_lie_on_lines(points, counts):
     """The robot has not moved; the encoders say a centimetre towards the wall."""
     before, after = scans(box(-2, -1.5, 1, 1.5), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -165,7 +165,7 @@ def test_walls_and_encoders_are_weighed_by_their_variances():
     beams = np.arange(BEAMS // 2 - 20, BEAMS // 2 + 21)
     before[beams] = 2 / np.cos(ANGLES_RAD[beams])
     guess = 0.04  # of more the match would be none
-    doubt = DOUBT_M + DOUBT * guess
+    doubt = ENCODER_M + ENCODER_SHARE * guess
     # The points are symmetric about the axis: those ahead do not mix with the turn.
     walls = len(beams) / matching.RANGE_SD_M**2
     want = guess * doubt**-2 / (doubt**-2 + walls)
@@ -186,7 +186,7 @@ def test_the_turn_is_weighed_likewise(turn):
     after = np.full(BEAMS, NAN)
     at = np.round(np.degrees(angles)).astype(int) + 90
     after[at] = 2 / np.cos(np.radians(at - 90) + turn)
-    doubt = DOUBT_RAD + DOUBT * (turn + error)
+    doubt = ENCODER_RAD + ENCODER_SHARE * (turn + error)
     want = error * doubt**-2 / (doubt**-2 + np.sum(y**2) / matching.RANGE_SD_M**2)
     found = matched(before, after, (0, 0, turn + error))
     assert found[2] - turn == pytest.approx(want, rel=0.1)
@@ -195,18 +195,18 @@ def test_the_turn_is_weighed_likewise(turn):
 # ---------------------------------------------------------------- the scan with which others are matched
 
 LEVEL = jnp.zeros(2)
-PUT_RIGHT = jax.jit(matching.put_right)
+PUT_RIGHT = jax.jit(matching.correct_odometry)
 
 
 def driven(walls, poses, odometry, key=None):
     """`(key, odometry)` after some poses, of which the encoders say others."""
-    key = matching.at_start(jnp.asarray(odometry[0], jnp.float32)) if key is None else key
+    key = matching.no_key(jnp.asarray(odometry[0], jnp.float32)) if key is None else key
     now = jnp.asarray(odometry[0], jnp.float32)
     keys = []
     for i, pose in enumerate(poses):
         if i:
             now = now + jnp.asarray(np.subtract(odometry[i], odometry[i - 1]), jnp.float32)
-        key, now, _ = PUT_RIGHT(key, now, now, jnp.asarray(cast(walls, pose, ANGLES_RAD, RANGE_M)), LEVEL)
+        key, now, _ = PUT_RIGHT(key, now, now, jnp.asarray(cast(walls, pose, ANGLES_RAD, SCAN_RANGE_M)), LEVEL)
         keys.append(np.asarray(key.pose).tolist())
     return keys, np.asarray(now)
 
@@ -240,18 +240,18 @@ def test_where_much_else_is_seen_the_next_scan_is_matched_with_the_last_one():
     poses = [(-1.5, 0.0, 0.0), (-1.3, 0.0, 0.0)]
     keys, _ = driven(ROOM, poses, poses)
     assert keys[1] == keys[0]
-    key = matching.at_start(jnp.zeros(3))
-    seen = jnp.asarray(cast(ROOM, poses[0], ANGLES_RAD, RANGE_M))
+    key = matching.no_key(jnp.zeros(3))
+    seen = jnp.asarray(cast(ROOM, poses[0], ANGLES_RAD, SCAN_RANGE_M))
     key, now, _ = PUT_RIGHT(key, jnp.zeros(3), jnp.zeros(3), seen, LEVEL)
-    other = jnp.asarray(cast(box(-9, -0.4, 0.7, 6), poses[0], ANGLES_RAD, RANGE_M))
+    other = jnp.asarray(cast(box(-9, -0.4, 0.7, 6), poses[0], ANGLES_RAD, SCAN_RANGE_M))
     key, _, _ = PUT_RIGHT(key, now + jnp.array([0.2, 0, 0]), now, other, LEVEL)
     assert key.pose.tolist() == pytest.approx([0.2, 0, 0])
 
 
 def test_scans_of_two_planes_are_not_matched():
     """The robot leans by 10 degrees more: what it sees is not laid over what it saw."""
-    key = matching.at_start(jnp.zeros(3))
-    seen = [jnp.asarray(cast(ROOM, (x, 0.0, 0.0), ANGLES_RAD, RANGE_M)) for x in (-1.5, -1.3)]
+    key = matching.no_key(jnp.zeros(3))
+    seen = [jnp.asarray(cast(ROOM, (x, 0.0, 0.0), ANGLES_RAD, SCAN_RANGE_M)) for x in (-1.5, -1.3)]
     key, now, _ = PUT_RIGHT(key, jnp.zeros(3), jnp.zeros(3), seen[0], LEVEL)
     said = now + jnp.array([0.22, 0, 0])  # 2 cm too much
     for lean_deg, found_m in ((0.0, 0.2), (5.0, 0.2), (10.0, 0.22)):

@@ -13,10 +13,10 @@ import jexplore as jx
 from jexplore import btm
 from jexplore.config import InputError
 from jexplore.driving import approach, batch, behaviour, events, mapping, mission, vehicle
-from jexplore.driving.batch import building_of, numbers_of, pose_in
-from jexplore.driving.behaviour import RunMode
+from jexplore.driving.batch import building_of, pose_in, settings_arrays
 from jexplore.driving.building.terrain import FINER, is_level
-from jexplore.driving.mission import Outcome
+from jexplore.driving.mission import RunOutcome
+from jexplore.driving.records import Latch, RunMode
 from jexplore.driving.sensing import surround
 from jexplore.driving.settings import ROBOTS, Noise, Tuning, for_world, robot_of
 from jexplore.driving.vehicle import DT_S
@@ -208,18 +208,18 @@ def test_a_riser_that_the_ground_refuses_is_an_obstacle():
 
 def test_ends_by_name(course):
     plan = course.plan
-    state = mission.at_start(mission.Setup(10), plan.building, KAMUI, plan.begins[0])
+    state = mission.initial_state(mission.Setup(10), plan.building, KAMUI, plan.begins[0])
     full = state.replace(writer=state.writer.replace(full=True))
     done = state.replace(writer=state.writer.replace(exhausted=True))
     for at, at_end, outcome in [
-        (state, False, Outcome.RUNNING),
-        (state, True, Outcome.GOAL),
-        (full, False, Outcome.MAP_FULL),
-        (done, False, Outcome.EXHAUSTED),
-        (state.replace(helps=TUNING.helps), False, Outcome.RUNNING),
-        (state.replace(since_node=TUNING.helps), False, Outcome.STUCK),
-        (state.replace(blind=mission.BLIND_STEPS), False, Outcome.BLIND),
-        (done, True, Outcome.GOAL),
+        (state, False, RunOutcome.RUNNING),
+        (state, True, RunOutcome.GOAL),
+        (full, False, RunOutcome.MAP_FULL),
+        (done, False, RunOutcome.EXHAUSTED),
+        (state.replace(helps=TUNING.helps), False, RunOutcome.RUNNING),
+        (state.replace(since_node=TUNING.helps), False, RunOutcome.STUCK),
+        (state.replace(blind=mission.BLIND_STEPS), False, RunOutcome.BLIND),
+        (done, True, RunOutcome.GOAL),
     ]:
         assert int(mission._end(at, at_end, TUNING).outcome) == outcome
 
@@ -259,7 +259,7 @@ def test_threads_change_nothing(noisy, jit_on):
 def test_lanes_give_the_same_maps_and_are_filled_again(noisy, monkeypatch):
     """As on an accelerator; five short runs in two lanes."""
     plan, draws, done = noisy.plan, np.array([0, 1, 2, 1, 3], np.int32), []
-    numbers = *(numbers_of(s, 5) for s in plan.first_settings()), plan.starts_of(draws)
+    numbers = *(settings_arrays(s, 5) for s in plan.first_settings()), plan.starts_of(draws)
     how = {"max_steps": 300}
     alone = batch.run_missions(plan.building, *numbers, 5, draws, workers=1, **how).result
     monkeypatch.setattr(batch, "find_resources", functools.partial(batch.find_resources, in_lanes=True))
@@ -312,55 +312,57 @@ def test_how_runs_may_end(change, outcome):
 def test_a_robot_that_drives_up_and_down_is_helped(course):
     plan = course.plan
     building = jax.tree.map(jnp.asarray, plan.building)
-    state = mission.at_start(mission.Setup(700), building, KAMUI, plan.begins[0])
-    senses = mission.sense(vehicle.draw_one(jax.random.key(0), STILL), building, KAMUI, STILL, state.body)
+    state = mission.initial_state(mission.Setup(700), building, KAMUI, plan.begins[0])
+    senses = vehicle.read_sensors(vehicle.draw_one(jax.random.key(0), STILL), building, KAMUI, STILL, state.body)
     late = state.replace(step=jnp.int32(approach.STRAY_STEPS), moved_step=jnp.int32(approach.STRAY_STEPS - 1))
-    helped = approach.helped(late, senses, jnp.bool_(False), building, KAMUI)
+    helped = approach.help_robot(late, senses, jnp.bool_(False), building, KAMUI)
     assert (int(helped.helps), int(helped.stray_step)) == (1, approach.STRAY_STEPS)
     off = late.replace(estimate=late.estimate.at[0].add(approach.STRAY_M + 0.1))
     for state, makes_node in ((off, False), (late, True), (late.replace(step=late.step - 1), False)):
-        after = approach.helped(state, senses, jnp.bool_(makes_node), building, KAMUI)
+        after = approach.help_robot(state, senses, jnp.bool_(makes_node), building, KAMUI)
         assert int(after.helps) == 0
-    gone = approach.helped(off, senses, jnp.bool_(False), building, KAMUI)
+    gone = approach.help_robot(off, senses, jnp.bool_(False), building, KAMUI)
     assert gone.stray_from.tolist() == off.estimate[:2].tolist()
 
 
 def seen_at(state, building):
     """Return the perception of a robot in a state: `(writer, walls, around, ways_m, placed)`."""
-    senses = mission.sense(vehicle.draw_one(jax.random.key(0), STILL), building, KAMUI, STILL, state.body)
-    senses, _ = mission.steadied(senses, KAMUI)
+    senses = vehicle.read_sensors(vehicle.draw_one(jax.random.key(0), STILL), building, KAMUI, STILL, state.body)
+    senses, _ = mission.smooth_senses(senses, KAMUI)
     walls = events.walls_of_scan(senses.ranges_m, TUNING, KAMUI)
-    around = surround.seen(surround.unknown(), senses.ranges_m)
-    writer = mapping.note(state, senses, walls.beside.sum(), KAMUI)
-    return writer, walls, around, surround.ways(around, KAMUI), vehicle.to_odometry(state.estimate)
+    around = surround.add_scan(surround.empty_surround(), senses.ranges_m)
+    writer = mapping.record_step(state, senses, walls.beside.sum(), KAMUI)
+    return writer, walls, around, surround.free_lengths(around, KAMUI), vehicle.to_odometry(state.estimate)
 
 
 @pytest.mark.jit
 def test_a_robot_that_has_turned_towards_what_is_none_goes_on_as_it_came(course):
     """The false divergence lay behind it, and is no longer seen: it would drive back the way it came."""
     building = jax.tree.map(jnp.asarray, course.plan.building)
-    state = mission.at_start(mission.Setup(700), building, KAMUI, course.plan.begins[0])
+    state = mission.initial_state(mission.Setup(700), building, KAMUI, course.plan.begins[0])
     x, y, heading = (float(v) for v in state.estimate)
     writer, walls, around, ways_m, placed = seen_at(state, building)
     ahead = events.look_ahead(state, writer, walls, around, placed, TUNING, KAMUI, False)
     assert int(ahead.track.age) == 0
-    for out, latch in ((heading + math.pi, behaviour.Latch.LEAVE), (heading, behaviour.Latch.FREE)):
-        drive = {"latch": jnp.int32(behaviour.Latch.APPROACH), "out": jnp.float32(out)}
+    for out, latch in ((heading + math.pi, Latch.LEAVE), (heading, Latch.FREE)):
+        drive = {"latch": jnp.int32(Latch.APPROACH), "out": jnp.float32(out)}
         turned = state.replace(drive=state.drive.replace(**drive, target=jnp.array([x - 3, y])))
-        after = approach.latched(turned, ahead, around, ways_m, placed, TUNING, KAMUI).drive
+        after = approach.select_branch(turned, ahead, around, ways_m, placed, TUNING, KAMUI).drive
         assert int(after.latch) == latch
         onward = x + TUNING.leave_m * math.cos(out), y + TUNING.leave_m * math.sin(out)
-        assert latch == behaviour.Latch.FREE or after.target.tolist() == pytest.approx(onward, abs=1e-4)
+        assert latch == Latch.FREE or after.target.tolist() == pytest.approx(onward, abs=1e-4)
 
 
 @pytest.mark.jit
 def test_what_a_robot_turns_round_in_is_not_forgotten_where_it_leans(course):
     building = jax.tree.map(jnp.asarray, course.plan.building)
-    state = mission.at_start(mission.Setup(700), building, KAMUI, course.plan.begins[0])
-    track = behaviour.no_track().replace(centre=state.estimate[:2], radius=1.0, seen=jnp.uint32(31), age=jnp.int32(9))
+    state = mission.initial_state(mission.Setup(700), building, KAMUI, course.plan.begins[0])
+    track = behaviour.empty_track().replace(
+        centre=state.estimate[:2], radius=1.0, seen=jnp.uint32(31), age=jnp.int32(9)
+    )
     writer, *seen, _, placed = seen_at(state, building)
     writer = writer.replace(level=dataclasses.replace(writer.level, even=jnp.array([0.2, 0.0])))  # it stood on a slope
-    for latch, kept in ((behaviour.Latch.LOOK, True), (behaviour.Latch.FREE, False)):
+    for latch, kept in ((Latch.LOOK, True), (Latch.FREE, False)):
         now = state.replace(track=track, drive=state.drive.replace(latch=jnp.int32(latch)), step=jnp.int32(1))
         ahead = events.look_ahead(now, writer, *seen, placed, TUNING, KAMUI, False)
         assert bool(ahead.leans)
@@ -372,7 +374,7 @@ def test_what_a_robot_turns_round_in_is_not_forgotten_where_it_leans(course):
 def test_what_a_robot_saw_as_it_tipped_is_no_step(course, tipped_deg):
     """Over a sill its heights are off until it stands level: then the ground before it seems to rise."""
     building = jax.tree.map(jnp.asarray, course.plan.building)
-    state = mission.at_start(mission.Setup(700), building, KAMUI, course.plan.begins[0])
+    state = mission.initial_state(mission.Setup(700), building, KAMUI, course.plan.begins[0])
     step, odometer = 60, 0.04 * jnp.arange(700)
     way = mapping.no_way(700)
     off = (jnp.arange(700) >= 45) & (jnp.arange(700) < 58)
@@ -415,7 +417,14 @@ def test_room_for_the_maps_of_buildings():
 
 
 def test_room_for_steps_doubles():
-    assert [batch.room_for(n) for n in (1, 6000, 6001, 12000, 12001, 50000)] == [6000, 6000, 12000, 12000, 24000, 96000]
+    assert [batch.step_slots(n) for n in (1, 6000, 6001, 12000, 12001, 50000)] == [
+        6000,
+        6000,
+        12000,
+        12000,
+        24000,
+        96000,
+    ]
 
 
 @pytest.mark.jit
@@ -539,19 +548,23 @@ def test_sweeps():
 def test_a_step_without_jit_is_the_step_with_and_uses_no_key_twice(noisy, jit_on):
     """And a run is its steps: run 0 with draws of its own keys, beyond the first block of draws."""
     plan = noisy.plan
-    robot, tuning, noise = (jax.tree.map(lambda a: jnp.asarray(a[0]), numbers_of(s, 1)) for s in plan.first_settings())
+    robot, tuning, noise = (
+        jax.tree.map(lambda a: jnp.asarray(a[0]), settings_arrays(s, 1)) for s in plan.first_settings()
+    )
     building = jax.tree.map(jnp.asarray, plan.building)
     key = jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), 0)
     with jit_on(), jax.debug_key_reuse(True):
         setup = mission.Setup(200)
-        states = [jax.tree.map(jnp.asarray, mission.at_start(setup, building, robot, plan.begins[0]))]
-        one = jax.jit(lambda key, *rest: mission.step(vehicle.draw_one(key, noise), *rest))
-        for i in range(2 * mission.BLOCK + 2):
+        states = [jax.tree.map(jnp.asarray, mission.initial_state(setup, building, robot, plan.begins[0]))]
+        one = jax.jit(lambda key, *rest: mission.make_step(vehicle.draw_one(key, noise), *rest))
+        for i in range(2 * mission.DRAWN_STEPS + 2):
             states.append(one(jax.random.fold_in(key, i), building, robot, tuning, noise, states[-1]))
     for ours, theirs in ((states[-1].truth, noisy.driven.truth), (states[-1].writer.way.pose, noisy.driven.estimate)):
         np.testing.assert_allclose(ours[: len(states) - 1], theirs[: len(states) - 1], atol=1e-4)
     assert np.abs(noisy.driven.estimate[: len(states)] - noisy.driven.truth[: len(states)]).max() > 1e-3
-    slow = mission.step(vehicle.draw_one(jax.random.fold_in(key, 1), noise), building, robot, tuning, noise, states[1])
+    slow = mission.make_step(
+        vehicle.draw_one(jax.random.fold_in(key, 1), noise), building, robot, tuning, noise, states[1]
+    )
     for ours, theirs in zip(jax.tree.leaves(slow), jax.tree.leaves(states[2])):
         np.testing.assert_allclose(np.asarray(ours), np.asarray(theirs), atol=2e-4)
 
@@ -572,7 +585,7 @@ def test_a_building_keeps_the_worlds_measures():
 def test_time_is_counted_in_steps(course):
     assert course.table["time_s"][0] == course.table["steps"][0] * DT_S
     assert len(course.driven.truth) == course.table["steps"][0]
-    assert Outcome[course.table["outcome"][0]] is Outcome.GOAL
+    assert RunOutcome[course.table["outcome"][0]] is RunOutcome.GOAL
 
 
 def test_withdrawn_links_are_left_out():

@@ -12,9 +12,10 @@ from ref.passages import FEATURES, WIDTHS_M, building
 
 from jexplore.driving import vehicle
 from jexplore.driving.building import walls
-from jexplore.driving.sensing import openings, surround, ways_out
+from jexplore.driving.records import Openings
+from jexplore.driving.sensing import exits, openings, surround
 from jexplore.driving.settings import Tuning, for_world
-from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M
+from jexplore.driving.vehicle import ANGLES_RAD, SCAN_RANGE_M
 from jexplore.worlds import load_world
 
 pytestmark = pytest.mark.jit
@@ -24,8 +25,8 @@ TUNING = for_world(Tuning(), is_course=True)
 
 K = 8
 P = 1000
-find_openings = jax.jit(openings.openings, static_argnames="size")
-find_ways_out = jax.jit(ways_out.ways_out, static_argnames="size")
+find_openings = jax.jit(openings.find_openings, static_argnames="size")
+find_exits = jax.jit(exits.find_exits, static_argnames="size")
 
 
 def openings_of(xy, centre=(0, 0), radius_m=1.0, width_m=TUNING.width_m, size=K, circle=1.5):
@@ -285,12 +286,12 @@ def look_round(walls_, poses, noise_m, far_m=4.0):
         around, before = carry
         pose, noise_m = at
         ahead, aside = vehicle.to_robot(before)(pose[:2])
-        around = surround.moved(around, ahead, aside, pose[2] - before[2], far_m=far_m)
-        around = surround.seen(around, walls.cast(walls_, pose, ANGLES_RAD, RANGE_M) + noise_m)
+        around = surround.move_surround(around, ahead, aside, pose[2] - before[2], far_m=far_m)
+        around = surround.add_scan(around, walls.cast(walls_, pose, ANGLES_RAD, SCAN_RANGE_M) + noise_m)
         return (around, pose), 0
 
-    (around, pose), _ = jax.lax.scan(looked, (surround.unknown(), poses[0]), (poses, noise_m))
-    xy, known = surround.points(around)
+    (around, pose), _ = jax.lax.scan(looked, (surround.empty_surround(), poses[0]), (poses, noise_m))
+    xy, known = surround.known_points(around)
     return vehicle.to_odometry(pose)(xy), known
 
 
@@ -358,17 +359,17 @@ def passage(*doors):
     return occupied
 
 
-def middles_of_ways_out(xy, centre, radius_m):
+def middles_of_exits(xy, centre, radius_m):
     """Middles of all ways out of a place, `[n, 2]`, in their order."""
     numbers = np.float32(centre), np.float32(radius_m), np.float32(TUNING.width_m)
-    found = find_ways_out(np.float32(xy), np.ones(len(xy), bool), *numbers, circle=1.5, size=K)
+    found = find_exits(np.float32(xy), np.ones(len(xy), bool), *numbers, circle=1.5, size=K)
     return np.asarray(found.middle)[np.asarray(found.valid)] + centre
 
 
 @pytest.mark.parametrize("askew", [0, 4, 8, 11, -11])
 def test_doors_that_face_each_other_askew_belong_to_one_place(askew):
     centre = (12.0, 5.2)
-    middles = middles_of_ways_out(seen_from(passage((115, False), (115 + askew, True)), centre), centre, 1.2)
+    middles = middles_of_exits(seen_from(passage((115, False), (115 + askew, True)), centre), centre, 1.2)
     assert len(middles) == 4
     for door in ((12.0, 4.0), (12.0 + askew / 10, 6.4)):
         assert np.min(np.hypot(*(middles - door).T)) < 0.25
@@ -378,7 +379,7 @@ def test_doors_that_face_each_other_askew_belong_to_one_place(askew):
 
 def test_a_door_whose_middle_lies_outside_the_circle_is_none_of_the_place():
     centre = (12.0, 5.2)
-    assert len(middles_of_ways_out(seen_from(passage((115, False), (133, True)), centre), centre, 1.2)) == 3
+    assert len(middles_of_exits(seen_from(passage((115, False), (133, True)), centre), centre, 1.2)) == 3
 
 
 # Walls of a passage along x, of which a search circle has 1.65 m, the wider one 2.48 m.
@@ -396,13 +397,13 @@ def end(x):
     return wall((x, x), (-1.1, 1.1))
 
 
-def ways_out_of(parts, radius_m=1.1, size=K):
+def exits_of(parts, radius_m=1.1, size=K):
     """Middles of the ways out of a place at (0, 0), in their order, and how many are too many."""
     xy = np.concatenate(parts)
     padded = np.zeros((2 * P, 2), np.float32)
     padded[: len(xy)] = xy
     numbers = np.zeros(2, np.float32), np.float32(radius_m), np.float32(0.39)
-    found = find_ways_out(padded, np.arange(2 * P) < len(xy), *numbers, circle=1.5, size=size)
+    found = find_exits(padded, np.arange(2 * P) < len(xy), *numbers, circle=1.5, size=size)
     return np.asarray(found.middle)[np.asarray(found.valid)], int(found.overflow)
 
 
@@ -431,7 +432,7 @@ PARTED = {
 @pytest.mark.parametrize("name", PARTED)
 def test_a_gap_that_leads_aside_is_parted_where_the_wider_circle_has_a_passage(name):
     parts, want = PARTED[name]
-    middles, overflow = ways_out_of(parts)
+    middles, overflow = exits_of(parts)
     assert middles.shape == (len(want), 2)
     np.testing.assert_allclose(middles, want, atol=0.06)
     assert overflow == 0
@@ -453,20 +454,20 @@ def test_what_a_place_has_too_many_of_is_counted(size):
     """Four ways out, of which the search circle has three, or, of a wide room, one."""
     askew = [lower(-5, -0.5), lower(0.5, 5), upper(-5, 0.6), upper(1.6, 5)]
     for parts, radius_m in ((askew, 1.1), (four_doors([(-3, 3)] * 4), 3.0)):
-        middles, overflow = ways_out_of(parts, radius_m, size)
+        middles, overflow = exits_of(parts, radius_m, size)
         assert (len(middles), overflow) == (size, 4 - size)
 
 
 def test_a_room_and_its_mirror_image_have_equally_many_too_many():
     """In one sense of rotation five doors are found, in the other four."""
     parts = four_doors([(-3, 3), (-0.9, 0.4), (-3, -0.2), (-3, 3)])
-    one, other = (ways_out_of([xy * (sign, 1) for xy in parts], 3.0, size=1)[1] for sign in (1, -1))
+    one, other = (exits_of([xy * (sign, 1) for xy in parts], 3.0, size=1)[1] for sign in (1, -1))
     assert one == other == 4
 
 
 def test_what_the_wider_circle_has_fewer_of_is_counted_as_well():
     """Three ways out, of which it has two."""
-    assert ways_out_of(PARTED["a gap and a door"][0], size=1)[1] == 2
+    assert exits_of(PARTED["a gap and a door"][0], size=1)[1] == 2
 
 
 def test_a_place_has_some_way_out():
@@ -491,7 +492,7 @@ def test_what_is_seen_from_the_side_is_a_wall():
     known = jnp.ones(len(walls), bool)
 
     def count(seen_from):
-        found = openings.openings(
+        found = openings.find_openings(
             xy,
             known,
             jnp.zeros(2),
@@ -511,7 +512,7 @@ def test_what_is_seen_from_the_side_is_a_wall():
 def test_the_only_wall_leaves_its_way_out():
     """One direction only: the gap is all there is, and ends where it begins."""
     for seen_from in (None, jnp.array([-0.5, 0.0])):
-        found = openings.openings(
+        found = openings.find_openings(
             jnp.array([[1.0, 0.0]]), jnp.ones(1, bool), jnp.zeros(2), 1.0, 0.4, circle=1.5, size=8, seen_from=seen_from
         )
         assert int(found.valid.sum()) == 1
@@ -535,7 +536,7 @@ def test_passages_go_on_where_doors_open_beside_them():
         xy, known = look_round(corridors, np.array(poses, np.float32), noise_m, far_m=8.0)
         radius_m = 0.03 + np.min(np.hypot(*(np.asarray(xy)[np.asarray(known)] - (x, y)).T))
         centre, stands = np.float32((x, y)), np.float32(poses[-1][:2])
-        found = find_ways_out(xy, known, centre, radius_m, 0.39, circle=1.5, size=K, seen_from=stands)
+        found = find_exits(xy, known, centre, radius_m, 0.39, circle=1.5, size=K, seen_from=stands)
         there = np.asarray(found.valid)
         off = np.abs(wrapped_deg(np.degrees(found.bearing)[there, None] - np.array([0, 180])))
         missed += int((~(off < 30).any(axis=0)).sum())
@@ -586,7 +587,7 @@ def counted(rng, sides, n, aside_of=lambda w, h: 0.0, farther=False):
     Args:
       sides: function from `rng` to width and height, decimetres.
       aside_of: function from these to metres along x.
-      farther: as `ways_out` has it.
+      farther: as `find_exits` has it.
     """
     right, missed = 0, 0
     for _ in range(n):
@@ -600,7 +601,7 @@ def counted(rng, sides, n, aside_of=lambda w, h: 0.0, farther=False):
         xy, known = look_round(room_walls, poses, noise_m.astype(np.float32), far_m=8.0)
         radius_m = 0.05 + np.min(np.hypot(*(np.asarray(xy)[np.asarray(known)] - middle).T))
         place = middle.astype(np.float32), np.float32(radius_m)
-        found = find_ways_out(xy, known, *place, 0.39, circle=1.5, size=K, farther=farther)
+        found = find_exits(xy, known, *place, 0.39, circle=1.5, size=K, farther=farther)
         at = np.asarray(found.middle)[np.asarray(found.valid)]
         near = np.hypot(*(at[:, None] - doors).transpose(2, 0, 1)) < 0.8 if len(at) else np.zeros((0, len(doors)), bool)
         right += bool(near.any(0).all() and near.any(1).all())
@@ -635,7 +636,7 @@ def made_up(*listed):
     bearing, away_m, width_m = (np.float32([*row, *[1] * (3 - len(listed))]) for row in np.array(listed).T)
     bearing, valid = np.radians(bearing), np.arange(3) < len(listed)
     middle = away_m[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], 1)
-    return openings.Openings(bearing, middle, bearing, width_m, valid, np.int32(0))
+    return Openings(bearing, middle, bearing, width_m, valid, np.int32(0))
 
 
 @pytest.mark.parametrize(
@@ -648,20 +649,20 @@ def made_up(*listed):
 def test_an_opening_is_parted_only_where_something_takes_its_place(aside, kept):
     one, other, opposite = (0, 1.0, 3.0), (60, 2.0, 0.9), (180, 1.0, 1.0)
     found, near, more = made_up(one, other, opposite), made_up((aside, 1.2, 0.9), other, opposite), made_up(other)
-    parted = ways_out._parted(*jax.tree.map(jnp.asarray, (found, near, more)), 1.5)
+    parted = exits._divide_by_doors(*jax.tree.map(jnp.asarray, (found, near, more)), 1.5)
     bearing, width_m = np.round(np.degrees(parted.bearing)), np.round(np.asarray(parted.width_m, float), 1)
     there = {pair for pair, valid in zip(zip(bearing.tolist(), width_m.tolist()), parted.valid.tolist()) if valid}
     assert {key: key in there for key in kept} == kept
     assert (180, 1.0) in there
 
 
-def test_a_passage_and_the_mouth_of_another_are_two_ways_out():
+def test_a_passage_and_the_mouth_of_another_are_two_exits():
     """In the office's lower corridor: one jamb of the mouth lies outside the search circle, and the somewhat wider one
     has both; still another door along the wall made one gap of all behind them in the wider one.
     """
     centre = np.array((18.33, 5.37))
     world = load_world("office")
     corridor = seen_from(world.occupied, centre - world.origin_m, world.cell_m) + world.origin_m
-    middles = middles_of_ways_out(corridor, centre, 1.04)
+    middles = middles_of_exits(corridor, centre, 1.04)
     towards = np.degrees(np.arctan2(*(middles - centre).T[::-1]))
     np.testing.assert_allclose(towards, [-90, 8, 124, 175], atol=6)

@@ -15,10 +15,11 @@ from jexplore.driving import vehicle
 from jexplore.driving.building import terrain, walls
 from jexplore.driving.events import SCAN_POINTS
 from jexplore.driving.events import triangles as look
+from jexplore.driving.records import Divergence
 from jexplore.driving.sensing import ground_profile, obstacles, perception, surround
 from jexplore.driving.sensing.ground_profile import RISE_M
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
-from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, BEAMS, RANGE_M
+from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, BEAMS, SCAN_RANGE_M
 
 pytestmark = pytest.mark.jit
 
@@ -28,15 +29,15 @@ TEN = math.radians(10)
 INF = math.inf
 
 
-points = jax.jit(perception.points)
-smoothed = jax.jit(perception.smoothed)
+points = jax.jit(perception.beam_points)
+smoothed = jax.jit(perception.smooth_points)
 sides = jax.jit(perception.sides)
 front = jax.jit(perception.front)
 clearances = jax.jit(perception.clearances)
-resampled = jax.jit(perception.resampled, static_argnames="size")
+resampled = jax.jit(perception.resample_walls, static_argnames="size")
 
 
-def scan_of(lines, angles=ANGLES_RAD, range_m=RANGE_M):
+def scan_of(lines, angles=ANGLES_RAD, range_m=SCAN_RANGE_M):
     """Ranges, float64, to the nearest of some segments `(x0, y0, x1, y1)` in the robot's frame."""
     ranges = np.full(len(angles), np.inf)
     for x0, y0, x1, y1 in lines:
@@ -160,7 +161,7 @@ def test_a_wall_ahead_is_none_beside(sigma_m):
 def test_front_is_as_wide_as_the_robot_and_its_guard():
     dots = np.array([[3, 0], [2, 0.2], [1.5, -0.24], [1.0, 0.26], [-0.5, 0.0], [0.0, 0.0]], np.float32)
     there = np.ones(6, bool)
-    half = perception.GUARD_M / 2
+    half = perception.FRONT_GUARD_M / 2
     assert half == pytest.approx(0.05)
     assert [float(v) for v in front(dots, there, 0.4)] == [2.0, 1.5]
     assert [float(v) for v in front(dots, there, 0.44)] == [1.0, 1.5]
@@ -207,12 +208,12 @@ def test_smoothing_takes_the_mean_of_what_is_near():
 
 
 def test_smoothing_looks_no_farther_than_some_beams():
-    n = 2 * perception.NEIGHBOURS + 1
+    n = 2 * perception.SMOOTHED_BEAMS + 1
     xy = np.zeros((2 * n, 2), np.float32)
     xy[0] = [n, 0]
     even = np.asarray(smoothed(xy, np.ones(2 * n, bool), 100.0))
-    assert (even[1 : perception.NEIGHBOURS + 1, 0] > 0).all()
-    assert not even[perception.NEIGHBOURS + 1 :].any()
+    assert (even[1 : perception.SMOOTHED_BEAMS + 1, 0] > 0).all()
+    assert not even[perception.SMOOTHED_BEAMS + 1 :].any()
 
 
 def test_smoothing_reduces_noise():
@@ -282,7 +283,7 @@ def test_a_jump_of_the_range_ends_a_wall_and_nothing_lies_in_between():
 
 
 def test_a_jump_is_more_than_two_spacings():
-    assert 2 < perception.JUMP < 2.1  # two spacings are less than an opening
+    assert 2 < perception.WALL_JUMP < 2.1  # two spacings are less than an opening
     for step, n_ends in ((0.40, 2), (0.42, 6)):
         xy = np.stack([1 + np.arange(3) * step, np.zeros(3)], 1).astype(np.float32)
         _, ends, _, _ = sampled(xy, np.ones(3, bool))
@@ -356,7 +357,7 @@ def test_up_to_the_far_bound_neighbouring_beams_lie_closer_than_an_opening(wall_
 @jax.jit
 def look_from(walls_, pose, tuning, noise_m):
     """`(divergence, centres in the world)`."""
-    ranges = walls.cast(walls_, pose, ANGLES_RAD, RANGE_M) + noise_m
+    ranges = walls.cast(walls_, pose, ANGLES_RAD, SCAN_RANGE_M) + noise_m
     xy, valid = points(ranges, ANGLES_RAD)
     beside = jnp.stack(sides(xy, valid, 0, KAMUI.length_m / 2)).min()
     found = look(xy, valid, beside, tuning)
@@ -448,12 +449,12 @@ def driven_along(walls_, start, noise_m):
 
     def step(carry, noise):
         around, pose = carry
-        around = surround.seen(around, walls.cast(walls_, pose, ANGLES_RAD, RANGE_M) + noise)
-        found = look(*surround.points(around), jnp.float32(1), TUNING)
+        around = surround.add_scan(around, walls.cast(walls_, pose, ANGLES_RAD, SCAN_RANGE_M) + noise)
+        found = look(*surround.known_points(around), jnp.float32(1), TUNING)
         n = jnp.sum(found.valid & (found.centre[:, 0] > -0.2))
-        return (surround.moved(around, 0.04, 0.0, 0.0, far_m=4.0), pose.at[0].add(0.04)), n
+        return (surround.move_surround(around, 0.04, 0.0, 0.0, far_m=4.0), pose.at[0].add(0.04)), n
 
-    return jax.lax.scan(step, (surround.unknown(), start), noise_m)[1]
+    return jax.lax.scan(step, (surround.empty_surround(), start), noise_m)[1]
 
 
 def test_noise_makes_fewer_circles_that_touch_one_wall_twice():
@@ -479,7 +480,10 @@ def one_wall_by_angles(xy, valid, centre, corner, spacing_m, recess_m):
         within = (angle - angle[one]) % (2 * np.pi) < (angle[other] - angle[one]) % (2 * np.pi)
         within &= valid & ~np.isin(np.arange(len(xy)), corner)
         beyond_m = (xy - xy[one]) @ [chord[1], -chord[0]] / chord_m
-        if np.all(beyond_m[within] <= recess_m) and (within.sum() + 1) * spacing_m > perception.CLOSE * chord_m:
+        if (
+            np.all(beyond_m[within] <= recess_m)
+            and (within.sum() + 1) * spacing_m > perception.WALL_FILL_SHARE * chord_m
+        ):
             return True
     return False
 
@@ -513,7 +517,7 @@ def test_where_points_are_few_neighbours_on_a_wall_make_no_side():
     """12 points of 7 m of wall are 0.6 m apart, more than the least opening."""
     xy, valid = points_of([(-9, 1, 9, 1), (-9, -1, 9, -1)])
     bounds = {"far_m": 4.0, "width_m": 0.39, "obtuse_tol_deg": 10.0, "open_m": 2.5}
-    found = jax.jit(perception.divergences, static_argnames="size")(xy, valid, **bounds, size=16)
+    found = jax.jit(perception.find_divergences, static_argnames="size")(xy, valid, **bounds, size=16)
     assert not np.asarray(found.valid).any()
 
 
@@ -599,7 +603,7 @@ def test_whether_a_circle_fits_beside_the_nearer_wall(left_m, right_m, far_m, ro
 
 def test_the_nearest_triangle():
     centre = np.array([[3, 0], [1, 1], [0.5, 0], [2, 0]], np.float32)
-    found = perception.Divergence(
+    found = Divergence(
         corners=jnp.zeros((4, 3, 2)),
         centre=jnp.asarray(centre),
         radius=jnp.ones(4),
@@ -853,11 +857,11 @@ def test_noise_alone_makes_hardly_any_stairs_of_a_slope_and_hides_none_of_ten_ce
 def test_a_riser_is_sudden_and_a_slope_is_not():
     x = jnp.asarray(WAY, jnp.float32)
     for degrees in (-60, 0, 30, 45):
-        assert float(ground_profile.sudden(x, x * math.tan(math.radians(degrees)), x > 0)) < 1e-5
+        assert float(ground_profile.steepest_rise(x, x * math.tan(math.radians(degrees)), x > 0)) < 1e-5
     z = jnp.where(x > 1.51, 0.2, 0.0)
-    assert float(ground_profile.sudden(x, z, x > 0)) == pytest.approx(0.16, abs=1e-3)
-    assert float(ground_profile.sudden(x, z, x < 1.5)) <= 0
-    assert float(ground_profile.sudden(x, -z, x > 0)) <= 0  # down
+    assert float(ground_profile.steepest_rise(x, z, x > 0)) == pytest.approx(0.16, abs=1e-3)
+    assert float(ground_profile.steepest_rise(x, z, x < 1.5)) <= 0
+    assert float(ground_profile.steepest_rise(x, -z, x > 0)) <= 0  # down
 
 
 def test_a_riser_that_leans_by_two_gaps_is_still_one_step():

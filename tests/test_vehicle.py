@@ -11,8 +11,9 @@ import pytest
 from jexplore.driving import vehicle
 from jexplore.driving.building.terrain import terrain_of
 from jexplore.driving.building.walls import walls_of
+from jexplore.driving.records import Building, Senses
 from jexplore.driving.settings import ROBOTS, Noise
-from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, Building
+from jexplore.driving.vehicle import ANGLES_RAD, BEAMS
 
 pytestmark = pytest.mark.jit
 
@@ -22,8 +23,8 @@ FOOT_M, TOP_M = 4.0, 8.0  # a ramp rises between them
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
 NONE = jax.tree.map(jnp.zeros_like, vehicle.draw_one(jax.random.key(0), Noise()))
 LOW = dataclasses.replace(ROBOTS["kamui"], name="", scan_height_m=0.35)
-SENSE = jax.jit(vehicle.sense)
-LEVELLED = jax.jit(vehicle.levelled)
+SENSE = jax.jit(vehicle.read_sensors)
+LEVELLED = jax.jit(vehicle.level_scan)
 MOVE = jax.jit(vehicle.move)
 
 
@@ -48,7 +49,7 @@ def hall(*, ramp=True, length_m=16.0, width_m=8.0, walls=(), goal=(math.nan, mat
 
 
 def seen(building, pose, robot=LOW, noise=STILL, draws=NONE):
-    body = vehicle.at_rest(building, robot, jnp.asarray(pose, jnp.float32))
+    body = vehicle.initial_body(building, robot, jnp.asarray(pose, jnp.float32))
     senses = SENSE(draws, building, robot, noise, body)
     level, is_ground = LEVELLED(senses, robot)
     return body, senses, np.asarray(level.ranges_m), np.asarray(is_ground)
@@ -107,7 +108,7 @@ def test_a_tilted_mount_looks_into_the_floor():
 def test_what_is_level_lies_where_the_point_does(pitch_deg, roll_deg):
     """Every beam as a vector, turned by hand."""
     pitch, roll = math.radians(pitch_deg), math.radians(roll_deg)
-    senses = vehicle.Senses(jnp.full(BEAMS, 2.0), jnp.zeros(13), jnp.float32(pitch), jnp.float32(roll), jnp.float32(9))
+    senses = Senses(jnp.full(BEAMS, 2.0), jnp.zeros(13), jnp.float32(pitch), jnp.float32(roll), jnp.float32(9))
     level, is_ground = LEVELLED(senses, LOW)
     beams = np.stack([np.cos(ANGLES_RAD), np.sin(ANGLES_RAD), np.zeros(BEAMS)])
     about_x = np.array([[1, 0, 0], [0, math.cos(roll), -math.sin(roll)], [0, math.sin(roll), math.cos(roll)]])
@@ -122,7 +123,7 @@ def test_what_is_level_lies_where_the_point_does(pitch_deg, roll_deg):
 
 def test_beams_without_a_return_or_a_number_stay_so():
     ranges = jnp.where(jnp.arange(BEAMS) % 2, jnp.nan, jnp.inf)
-    senses = vehicle.Senses(ranges, jnp.zeros(13), jnp.float32(0.2), jnp.float32(0), jnp.float32(9))
+    senses = Senses(ranges, jnp.zeros(13), jnp.float32(0.2), jnp.float32(0), jnp.float32(9))
     level, is_ground = LEVELLED(senses, LOW)
     np.testing.assert_array_equal(level.ranges_m, ranges)
     assert not np.asarray(is_ground).any()
@@ -156,8 +157,8 @@ def test_the_beacon_has_noise_and_no_goal_has_none():
 
 def odometry(noise, v, omega, steps=50):
     building = hall(ramp=False)
-    body, estimate, gone_m = vehicle.at_rest(building, LOW, jnp.array([2.0, 4.0, 0.0])), jnp.zeros(3), 0.0
-    senses = vehicle.sense(NONE, building, LOW, STILL, body)
+    body, estimate, gone_m = vehicle.initial_body(building, LOW, jnp.array([2.0, 4.0, 0.0])), jnp.zeros(3), 0.0
+    senses = vehicle.read_sensors(NONE, building, LOW, STILL, body)
     for _ in range(steps):
         body, estimate, step_m = MOVE(NONE, building, LOW, noise, body, estimate, senses, v, omega)
         gone_m += float(step_m)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from ref import any_pose, maps
 
-from jexplore.driving.building.walls import FAR_M, SLACK_M, Walls, cast, meets, segments, walls_of
+from jexplore.driving.building.walls import SEGMENT_SLACK_M, UNUSED_SLOT_M, Walls, cast, meets, segments, walls_of
 
 QUARTERS = np.radians([0, 90, 180, -90]).astype(np.float32)
 BOX = maps.walls("""
@@ -20,7 +20,7 @@ BOX = maps.walls("""
 
 
 def by_hand(lines, n):
-    out = np.full((n, 3), FAR_M, np.float32)
+    out = np.full((n, 3), UNUSED_SLOT_M, np.float32)
     if lines:
         out[: len(lines)] = lines
     return out
@@ -93,7 +93,7 @@ def test_a_wall_at_the_range_or_beyond_gives_inf():
 
 def test_what_lies_behind_is_not_seen():
     """One wall alone: its line goes on behind the robot, its segment does not go on at all."""
-    none = np.full((1, 3), FAR_M, np.float32)
+    none = np.full((1, 3), UNUSED_SLOT_M, np.float32)
     walls = Walls(x=np.array([[2, -1, 1]], np.float32), y=none)
     np.testing.assert_allclose(cast(walls, (0.5, 0.5, 0.0), QUARTERS, 9.0), [1.5, np.inf, np.inf, np.inf])
     np.testing.assert_allclose(cast(walls, (3.5, 0.5, 0.0), QUARTERS, 9.0), [np.inf, np.inf, 1.5, np.inf])
@@ -214,7 +214,7 @@ def test_an_outer_corner_is_no_larger_than_the_slack():
     occupied = np.pad(np.zeros((9, 9), bool), 1, constant_values=True)
     occupied[5, 5] = True
     walls = walls_of(occupied, 1.0)
-    offsets = np.array([-20, -3, 3, 20]) * SLACK_M
+    offsets = np.array([-20, -3, 3, 20]) * SEGMENT_SLACK_M
     for offset in offsets:  # beams along x that pass the block's lower edge at y = 5
         seen = float(cast(walls, (2.0, 5 + offset, 0.0), QUARTERS[:1], 50.0)[0])
         assert seen == pytest.approx(3 if offset > 0 else 8, abs=1e-3)
@@ -236,7 +236,7 @@ def test_padding_adds_nothing():
         pose = tuple(np.float32(v) for v in ((col + 0.5) * CELL_M, (row + 0.5) * CELL_M, heading))
         few, many = (by_segments(walls_of(occupied, CELL_M, multiple=m), pose) for m in (1, MULTIPLE))
         np.testing.assert_array_equal(few, many)
-    none = Walls(x=np.full((4, 3), FAR_M, np.float32), y=np.full((4, 3), FAR_M, np.float32))
+    none = Walls(x=np.full((4, 3), UNUSED_SLOT_M, np.float32), y=np.full((4, 3), UNUSED_SLOT_M, np.float32))
     assert np.isinf(cast(none, (0.0, 0.0, 0.0), FAN, 1000.0)).all()
 
 

@@ -73,6 +73,11 @@ def first_lanes(mask: Array, m: int) -> Array:
     return jnp.full(m, n, jnp.int32).at[at].set(lane, mode="drop", unique_indices=True)
 
 
+def pick(condition: Array | bool, yes: Any, no: Any) -> Any:
+    """Return one of two pytrees by a scalar condition, leaf by leaf."""
+    return jax.tree.map(lambda one, other: jnp.where(condition, one, other), yes, no)
+
+
 def run_if(predicate: Array | bool, function: Callable[[Any], Any], otherwise: Any) -> Any:
     """Return `function(otherwise)` if a condition holds, else `otherwise`.
 

@@ -6,40 +6,38 @@ middle of what it takes for a divergence, turns there by half a turn, and only t
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
-from jexplore.arrays.loops import run_if
-from jexplore.driving import behaviour, halls
-from jexplore.driving.behaviour import Drive, Latch, RunMode, Track
-from jexplore.driving.events import Ahead, triangles
+from jexplore.arrays.loops import pick, run_if
+from jexplore.driving import behaviour
+from jexplore.driving.events import triangles
 from jexplore.driving.mapping import has_left
-from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.surround import Surround
+from jexplore.driving.records import Ahead, Building, Drive, Latch, RunMode, Senses, State, Surround, Track
+from jexplore.driving.sensing import gateways, surround
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, Building, Senses, to_robot, touches, towards
+from jexplore.driving.vehicle import ANGLES_RAD, SCAN_RANGE_M, to_robot, touches, towards
 
 LOOK_RAD = math.pi - 0.05  # rad; the robot looks round by turning this far: the scanner covers half of the surroundings
 LOOK_ON_RAD = 0.5  # rad; additional turn while it sees no place although every scan on the way has shown one
 LOOK_STEP_RAD = 0.2  # rad; it stops looking where it cannot turn this much further
-THERE_M = 0.1  # where it cannot turn at a place, it goes on as near as this
+UNTURNED_STOP_M = 0.1  # where it cannot turn at a place, it goes on as near as this
 SURVEY_M = 1.0  # a place so near may be the one that is meant; and way between two looks round where the way is shut
-AT_PLACE = 2.0  # a robot is at a place within this multiple of the distance at which it stops there
-SURVEYS = 2  # so often a robot that has looked round goes to a better place than the one where it is
-SAME_PLACE_M, SAME_PLACE = 0.4, 0.4  # m and radii; a place within either distance is the intended one
-LARGER = 1.15  # a place is better if its circle is larger by this
-AS_LARGE = 0.1  # of a node's radius: a circle that differs from it by less is as large
-OUT_RAD = math.radians(60)  # a link has been taken when the robot's heading is so near to its direction
+AT_PLACE_RATIO = 2.0  # a robot is at a place within this multiple of the distance at which it stops there
+MAX_SURVEYS = 2  # so often a robot that has looked round goes to a better place than the one where it is
+SAME_PLACE_M, SAME_PLACE_RADII = 0.4, 0.4  # m and radii; a place within either distance is the intended one
+BETTER_RADIUS_RATIO = 1.15  # a place is better if its circle is larger by this
+SAME_RADIUS_SHARE = 0.1  # of a node's radius: a circle that differs from it by less is as large
+TAKEN_RAD = math.radians(60)  # a link has been taken when the robot's heading is so near to its direction
 STUCK_STEPS = 150  # without going on or finding a node: the operator helps
 STUCK_M = 0.3
 STRAY_STEPS, STRAY_M = 600, 3.0  # steps, m; the operator also helps after these steps this near to one place
 HELPS_KEPT = 16  # helps of which place, time and run mode are kept
-ONWARD_M = 1.0  # a robot that leaves a place, and has farther than this to go, heeds what it passes on the way
-LOST_M = 0.5  # m; a divergence farther ahead than this plus its radius, and no longer seen, is dropped
+HEED_ON_WAY_M = 1.0  # a robot that leaves a place, and has farther than this to go, heeds what it passes on the way
+LOST_PLACE_M = 0.5  # m; a divergence farther ahead than this plus its radius, and no longer seen, is dropped
 
 
 class Latched(NamedTuple):
@@ -62,8 +60,8 @@ class _Look(NamedTuple):
     there_is: Array  # bool, there is a place where it is
 
 
-def latched(
-    state: Any,
+def select_branch(
+    state: State,
     ahead: Ahead,
     around: Surround,
     ways_m: Array,
@@ -71,14 +69,7 @@ def latched(
     tuning: Tuning,
     robot: Robot,
 ) -> Latched:
-    """Begin, continue and end a latch of branch selection.
-
-    Args:
-      state: `mission.State` before this step.
-      ahead, around, ways_m: what lies ahead and around: `Ahead`, `Surround`, from `surround.ways`.
-      placed: function from the robot's frame into the odometry's.
-      tuning, robot: `Tuning`, `Robot`.
-    """
+    """Begin, continue and end a latch of branch selection."""
     drive, track = state.drive, ahead.track
     begins = behaviour.is_believed(track, tuning.votes) & (~ahead.space.inside | jnp.isfinite(track.out))
     begins &= (drive.latch == Latch.FREE) | _is_on_way(state, track, tuning)
@@ -86,7 +77,7 @@ def latched(
     target = jnp.where(following, track.centre, drive.target)
     distance = _away_m(state, target)
     near = distance < tuning.arrive_m
-    lost = (drive.latch == Latch.APPROACH) & (track.age == 0) & ((distance > track.radius + LOST_M) | ahead.leans)
+    lost = (drive.latch == Latch.APPROACH) & (track.age == 0) & ((distance > track.radius + LOST_PLACE_M) | ahead.leans)
     late = (drive.latch != Latch.FREE) & (drive.since > behaviour.LATCH_STEPS) & ~begins
     shut = (state.mode == RunMode.DEAD_END) | (state.mode == RunMode.CONTACT_GUARD) | state.manoeuvre.backing
     surveys = (drive.latch == Latch.FREE) & ~begins & shut & (state.odometer_m - drive.looked_m > SURVEY_M)
@@ -95,15 +86,17 @@ def latched(
     may_look = jnp.minimum(left, right) >= math.pi - 1e-3
     look = _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot)
     ends = look.ends
-    small = look.track.radius < jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.MARGIN_M
-    arrives = (following & near & ~may_look & ((distance < THERE_M) | small)) | (ends & ~look.goes_on & look.there_is)
+    small = look.track.radius < jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.OUTLINE_MARGIN_M
+    arrives = (following & near & ~may_look & ((distance < UNTURNED_STOP_M) | small)) | (
+        ends & ~look.goes_on & look.there_is
+    )
     none = ends & ~look.goes_on & (track.age > 0) & ~look.there_is
     too_late = following & late & ~arrives
 
     latch = jnp.where(begins, Latch.APPROACH, drive.latch)
     latch = jnp.where(((following & near) | surveys) & may_look & ~ahead.leans, Latch.LOOK, latch)
     latch = jnp.where(ends, jnp.where(look.goes_on, Latch.APPROACH, jnp.where(none, Latch.LEAVE, Latch.FREE)), latch)
-    aligned = jnp.abs(btm.wrapped(drive.out - state.estimate[2])) < OUT_RAD
+    aligned = jnp.abs(btm.wrapped(drive.out - state.estimate[2])) < TAKEN_RAD
     has_left = (drive.latch == Latch.LEAVE) & ((near & aligned) | late)
     turned = lost & ~aligned  # the target does not exist: a turn towards it would send the robot back
     latch = jnp.where(turned, Latch.LEAVE, jnp.where(has_left | lost | too_late, Latch.FREE, latch))
@@ -115,12 +108,12 @@ def latched(
         target=target,
         out=jnp.where(begins, state.estimate[2], drive.out),
         known=jnp.where(ends, look.back, drive.known & ~begins),
-        since=jnp.where(latch == drive.latch, drive.since + 1, behaviour.begun(_away_m(state, target), tuning)),
+        since=jnp.where(latch == drive.latch, drive.since + 1, behaviour.latch_start(_away_m(state, target), tuning)),
         surveys=drive.surveys + (ends & look.goes_on),
         looked_m=jnp.where(ends, state.odometer_m, drive.looked_m),
     )
     gives_up = too_late | none
-    left = jax.tree.map(lambda fresh, old: jnp.where(gives_up, fresh, old), behaviour.no_track(), look.track)
+    left = pick(gives_up, behaviour.empty_track(), look.track)
     return Latched(after, left, begins, arrives, gives_up)
 
 
@@ -143,7 +136,7 @@ def _is_on_way(state, track, tuning):
     way = state.drive.target - state.estimate[:2]
     ahead, aside = to_robot(jnp.append(state.estimate[:2], jnp.arctan2(way[1], way[0])))(track.centre)
     on_m = jnp.hypot(*way)
-    return is_out & (on_m > ONWARD_M) & (ahead > 0) & (ahead < on_m) & (jnp.abs(aside) < track.radius / 2)
+    return is_out & (on_m > HEED_ON_WAY_M) & (ahead > 0) & (ahead < on_m) & (jnp.abs(aside) < track.radius / 2)
 
 
 def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot):
@@ -161,7 +154,7 @@ def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot)
         lambda _: _surveyed(track, in_map, around, ways_m, placed, tuning, robot),
         (track, jnp.bool_(False), jnp.bool_(False), track.centre),
     )
-    may_go = drive.surveys < SURVEYS
+    may_go = drive.surveys < MAX_SURVEYS
     better &= ~had | may_go
     # A place in the circle of a node is that node, if it is not the one just left: it is looked at from its middle.
     back = ends & ~better & had & there_is & ~drive.known & may_go
@@ -170,30 +163,31 @@ def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot)
         off_m < jnp.maximum(jnp.minimum(track.radius, in_map[1]), 0.5)
     )
     kept = track.replace(centre=jnp.where(back, middle, track.centre))
-    chosen = jax.tree.map(lambda new, old: jnp.where(ends & better, new, old), other, kept)
+    chosen = pick(ends & better, other, kept)
     is_gateway = jnp.isfinite(track.out)
     gateway, there = run_if(
-        ends & is_gateway, lambda _: halls.looked(state, track, around, placed, tuning), (track, jnp.bool_(False))
+        ends & is_gateway,
+        lambda _: gateways.gateway_around(state, track, around, placed, tuning),
+        (track, jnp.bool_(False)),
     )
-    chosen = jax.tree.map(lambda new, old: jnp.where(ends & is_gateway, new, old), gateway, chosen)
+    chosen = pick(ends & is_gateway, gateway, chosen)
     better, back = better & ~is_gateway, back & ~is_gateway
     there_is = had & jnp.where(is_gateway, there, there_is | drive.known)
     # One that looks round where the way is shut may see the place that it means from afar.
-    far = ends & there_is & ~is_gateway & (_away_m(state, chosen.centre) > AT_PLACE * tuning.arrive_m)
+    far = ends & there_is & ~is_gateway & (_away_m(state, chosen.centre) > AT_PLACE_RATIO * tuning.arrive_m)
     goes_on = better | back | (far & may_go)
     looks_on = (drive.looked < LOOK_RAD + LOOK_ON_RAD) & (left >= LOOK_STEP_RAD) & ~is_gateway
-    looks_on &= (behaviour.votes(track) == behaviour.WINDOW) & ~there_is & ~goes_on
+    looks_on &= (behaviour.votes(track) == behaviour.VOTING_SCANS) & ~there_is & ~goes_on
     return _Look(ends & ~looks_on, chosen, goes_on, back, there_is & (~far | may_go))
 
 
 def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
     """Find the largest place that the robot sees around itself after looking round.
 
-    Returns:
-      `(track, better, there_is, middle)`: whether it is another than the one where the robot is, or the first; whether
-        there is any where the robot is; `[2]`, see `_middle`, of the node that lies there in the map.
+    Returns `(track, better, there_is, middle)`: whether it is another than the one where the robot is, or the first;
+    whether there is any where the robot is; `[2]`, see `_middle`, of the node that lies there in the map.
     """
-    xy, known = surround.points(around)
+    xy, known = surround.known_points(around)
     found = triangles(xy, known, tuning.far_m, tuning)
     distance = jnp.hypot(*found.centre.T)
     bearing = jnp.arctan2(found.centre[:, 1], found.centre[:, 0])
@@ -205,10 +199,10 @@ def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
     best = jnp.argmax(radius)
     centre = placed(found.centre[best])
     other = jnp.hypot(*(centre - track.centre)) > tuning.arrive_m
-    better = (radius[best] > 0) & (~had | (other & (radius[best] > LARGER * track.radius)))
+    better = (radius[best] > 0) & (~had | (other & (radius[best] > BETTER_RADIUS_RATIO * track.radius)))
     one = jnp.uint32(1)
     off = jnp.hypot(*(placed(found.centre) - track.centre).T)
-    there_is = jnp.any(found.valid & (off < jnp.maximum(SAME_PLACE_M, SAME_PLACE * track.radius)))
+    there_is = jnp.any(found.valid & (off < jnp.maximum(SAME_PLACE_M, SAME_PLACE_RADII * track.radius)))
     seen = Track(centre, found.radius[best], one, jnp.int32(1), jnp.float32(jnp.nan))
     return seen, better, there_is, _middle(in_map, placed(found.centre), found)
 
@@ -221,24 +215,14 @@ def _middle(in_map, centres, found):
     """
     place, radius_m = in_map
     off_m = jnp.hypot(*(centres - place).T)
-    alike = found.valid & (jnp.abs(found.radius - radius_m) < AS_LARGE * radius_m)
+    alike = found.valid & (jnp.abs(found.radius - radius_m) < SAME_RADIUS_SHARE * radius_m)
     off_m = jnp.where(alike & (off_m < jnp.maximum(radius_m, SAME_PLACE_M)), off_m, jnp.inf)
     at = jnp.argmin(off_m)
     return jnp.where(off_m[at] < jnp.inf, centres[at], place)
 
 
-def helped(state: Any, senses: Senses, makes_node: Array, building: Building, robot: Robot) -> Any:
-    """Turn a robot that makes no progress, or drives to and fro, towards the longest free way: operator help.
-
-    Args:
-      state: `mission.State` after a step.
-      senses: `Senses`.
-      makes_node: bool, a node was due in that step.
-      building, robot: of the run.
-
-    Returns:
-      `mission.State`.
-    """
+def help_robot(state: State, senses: Senses, makes_node: Array, building: Building, robot: Robot) -> State:
+    """Turn a robot that makes no progress, or drives to and fro, towards the longest free way: operator help."""
     on = (state.odometer_m - state.moved_m > STUCK_M) | makes_node
     moved_m = jnp.where(on, state.odometer_m, state.moved_m)
     moved_step = jnp.where(on, state.step, state.moved_step)
@@ -247,7 +231,7 @@ def helped(state: Any, senses: Senses, makes_node: Array, building: Building, ro
     stray_step = jnp.where(strays, state.step, state.stray_step)
     helps = (state.step - moved_step >= STUCK_STEPS) | (state.step - stray_step >= STRAY_STEPS)
     told = jnp.stack([*state.estimate[:2], state.step.astype(jnp.float32), state.mode.astype(jnp.float32)])
-    ranges = jnp.where(jnp.isnan(senses.ranges_m), 0, jnp.minimum(senses.ranges_m, RANGE_M))
+    ranges = jnp.where(jnp.isnan(senses.ranges_m), 0, jnp.minimum(senses.ranges_m, SCAN_RANGE_M))
 
     def fitting(_):  # a robot that does not fit when it is turned stays as it is
         longest = jnp.asarray(ANGLES_RAD)[jnp.argmax(ranges)]
@@ -261,7 +245,7 @@ def helped(state: Any, senses: Senses, makes_node: Array, building: Building, ro
         estimate=state.estimate.at[2].add(turn),
         odometry=state.odometry.at[2].add(turn),
         drive=state.drive.replace(latch=jnp.where(helps, Latch.FREE, state.drive.latch).astype(jnp.int32)),
-        track=jax.tree.map(lambda fresh, old: jnp.where(helps, fresh, old), behaviour.no_track(), state.track),
+        track=pick(helps, behaviour.empty_track(), state.track),
         writer=state.writer.replace(map=map_.replace(intervention=map_.intervention.at[node].add(1, mode="drop"))),
         moved_m=moved_m,
         moved_step=jnp.where(helps, state.step, moved_step),

@@ -5,7 +5,7 @@ Robot, thresholds and noise are arrays and may differ between runs: a sweep over
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -16,20 +16,18 @@ from jexplore.config import InputError
 from jexplore.driving import vehicle
 from jexplore.driving.building.terrain import terrain_of
 from jexplore.driving.building.walls import walls_of
-from jexplore.driving.guiding.guide import Guide
-from jexplore.driving.mission import SIZE, Outcome, Result, Setup, program_of
+from jexplore.driving.mission import MAP_SIZE, MissionTask, RunOutcome, RunResult, Setup, mission_program
+from jexplore.driving.records import Building, Guide
 from jexplore.driving.settings import Noise, Robot, Tuning
-from jexplore.driving.vehicle import Building
 from jexplore.engine.program import Line
 from jexplore.engine.runner import Costs, find_resources, level_of, run_all
 from jexplore.worlds.world import World
 
 MAX_STEPS = 6000
-NO_RUN = -1  # number of a run that none has
 # Two thirds of the time of compiling and two fifths of its memory, for steps that take 7 % longer. XLA of JAX 0.12 does
 # not have it any more.
-CPU_OPTIONS = (("xla_cpu_use_fusion_emitters", False),)
-MARKS = 64  # numbers of places to visit are padded to multiples of this
+COMPILER_OPTIONS = (("xla_cpu_use_fusion_emitters", False),)
+MARKS_MULTIPLE = 64  # numbers of places to visit are padded to multiples of this
 
 _Settings = TypeVar("_Settings", Robot, Tuning, Noise)
 
@@ -43,10 +41,10 @@ class Driven(NamedTuple):
     pitch: np.ndarray  # [n] float32, measured, radians
 
 
-class Finished(NamedTuple):
+class MissionResults(NamedTuple):
     """Results of `run_missions`."""
 
-    result: Result  # numpy, with a leading axis; outcome RUNNING where it was interrupted before, or not asked for
+    result: RunResult  # numpy, with a leading axis; outcome RUNNING where it was interrupted before, or not asked for
     driven: Driven | None  # the way of run 0, if that was made
     costs: Costs
 
@@ -55,7 +53,6 @@ def building_of(world: World, goal_m: tuple[float, float] | None = None, marks_m
     """Prepare a world for runs.
 
     Args:
-      world: `World`.
       goal_m: x, y, metres, in the world's frame; None: the run goes on until nothing is left.
       marks_m: `[K, 3]`, places whose visits are recorded: x, y, radius, metres, in the world's frame.
 
@@ -69,7 +66,7 @@ def building_of(world: World, goal_m: tuple[float, float] | None = None, marks_m
     x_m, y_m = world.origin_m
     goal = (np.nan, np.nan) if goal_m is None else (goal_m[0] - x_m, goal_m[1] - y_m)
     marks = np.zeros((0, 3)) if marks_m is None else np.asarray(marks_m) - [x_m, y_m, 0]
-    n_marks = MARKS * max(1, -(-len(marks) // MARKS))
+    n_marks = MARKS_MULTIPLE * max(1, -(-len(marks) // MARKS_MULTIPLE))
     # Ignored types: numpy on the host, where the record says what it is on the device.
     return Building(
         walls=walls_of(world.occupied, world.cell_m),
@@ -83,7 +80,6 @@ def pose_in(world: World, start_pose: tuple[float, float, float]) -> np.ndarray:
     """Convert a pose to a building's frame: `[3]` float32, x, y, metres from cell (0, 0); heading, radians.
 
     Args:
-      world: `World`.
       start_pose: x, y, metres; heading, degrees; in the world's frame.
     """
     x_m, y_m = world.origin_m
@@ -111,7 +107,7 @@ def require_start(world: World, building: Building, robot: Robot, start: np.ndar
         )
 
 
-def numbers_of(record: _Settings, n: int) -> _Settings:
+def settings_arrays(record: _Settings, n: int) -> _Settings:
     """Convert a record of settings to arrays with a leading axis of n.
 
     Fields declared as int become int32, others float32, so that 0 and 0.0 share a program.
@@ -140,19 +136,17 @@ def run_missions(
     lanes: int | None = None,
     workers: int | None = None,
     max_steps: int = MAX_STEPS,
-    size: tuple[int, int] = SIZE,
-    on_progress: Callable[[int], Any] | None = None,
+    size: tuple[int, int] = MAP_SIZE,
+    on_progress: Callable[[int], object] | None = None,
     blocks: Sequence[tuple[int, int]] | None = None,
-    on_block: Callable[[int, Result, Driven | None], object] | None = None,
+    on_block: Callable[[int, RunResult, Driven | None], object] | None = None,
     ways: bool = False,
-) -> Finished:
+) -> MissionResults:
     """Make runs, each with its own robot, thresholds and noise.
 
     Args:
-      building: `Building`.
-      robots, tunings, noises: `Robot`, `Tuning`, `Noise` of arrays `[n]`, from `numbers_of`.
+      robots, tunings, noises: `Robot`, `Tuning`, `Noise` of arrays `[n]`, from `settings_arrays`.
       starts: `[n, 3]` float32, from `pose_in`.
-      seed: int.
       draws: `[n]` int32: with the seed they make the runs' keys. Runs of one number draw alike.
       guides: `Guide` of arrays `[n, ...]`.
       engine, lanes, workers: see `runner.find_resources`.
@@ -160,12 +154,12 @@ def run_missions(
       size: most nodes and links of a map; static.
       on_progress: called with the number of finished runs.
       blocks: list of `(first, n)`: the runs that are to be made, in this order; by default all.
-      on_block: called with the number of a block, its `Result` and the way of run 0, if it has it, once its runs have
-        ended, soon after, from the calling thread.
+      on_block: called with the number of a block, its `RunResult` and the way of run 0, if it has it, once its runs
+        have ended, soon after, from the calling thread.
       ways: whether `on_block` gets the way of the first run of every block: with blocks of one run, of every run.
 
     Returns:
-      `Finished`. After Ctrl-C it holds what was finished.
+      `MissionResults`. After Ctrl-C it holds what was finished.
 
     Raises:
       InputError: an engine that does not exist, lanes or workers out of range, lanes where there are none to set.
@@ -175,31 +169,32 @@ def run_missions(
     draws = np.asarray(draws, np.int32)
     resources = find_resources(engine=engine, lanes=lanes, workers=workers)
     # A name would make another program.
-    settings = dataclasses.replace(robots, name=""), tunings, noises, np.asarray(starts, np.float32), guides
-    program = program_of(Setup(room_for(max_steps), *size))._replace(cpu_options=CPU_OPTIONS)
+    unnamed = dataclasses.replace(robots, name="")
+    settings = MissionTask(unnamed, tunings, noises, np.asarray(starts, np.float32), guides)  # type: ignore[arg-type]
+    program = mission_program(Setup(step_slots(max_steps), *size))._replace(cpu_options=COMPILER_OPTIONS)
     limit, lines = np.int32(max_steps), []
     for turn, (first, n) in enumerate([(0, len(draws))] if blocks is None else blocks):
         own = jax.tree.map(lambda a, at=slice(first, first + n): a[at], (settings, draws))
         what = program, (), building, limit, seed, own[0], resources.own(n)
-        lines.append(Line(*what, keeps=0 if ways or first == 0 else NO_RUN, draws=own[1], turn=turn))
+        lines.append(Line(*what, keeps=0 if ways or first == 0 else -1, draws=own[1], turn=turn))
     tell = None if on_block is None else (lambda i: on_block(i, lines[i].results, _driven(lines[i])))
     costs = run_all(lines, resources, on_progress, tell)
     costs.engine, costs.levels = engine, {robots.name: [level_of(lines[0], resources)]}
-    return _together(lines, blocks or [(0, len(draws))], len(draws), costs)
+    return _merge_blocks(lines, blocks or [(0, len(draws))], len(draws), costs)
 
 
-def room_for(max_steps: int) -> int:
+def step_slots(max_steps: int) -> int:
     """Round a number of steps up to one of few buffer sizes, so that buildings share programs."""
     return MAX_STEPS << (-(-max_steps // MAX_STEPS) - 1).bit_length() if max_steps > MAX_STEPS else MAX_STEPS
 
 
-def _together(lines, blocks, n, costs):
+def _merge_blocks(lines, blocks, n, costs):
     """Merge the results of blocks of n runs."""
     result = jax.tree.map(lambda a: np.zeros((n, *a.shape[1:]), a.dtype), lines[0].results)
     for (first, some), line in zip(blocks, lines):
         jax.tree.map(lambda whole, own, at=slice(first, first + some): whole.__setitem__(at, own), result, line.results)
     driven = [_driven(line) for (first, _), line in zip(blocks, lines) if first == 0]
-    return Finished(result, driven[0] if driven else None, costs)
+    return MissionResults(result, driven[0] if driven else None, costs)
 
 
 def _driven(line):
@@ -209,6 +204,6 @@ def _driven(line):
     return Driven(*(np.asarray(a)[: int(line.results.steps[0])] for a in line.kept))
 
 
-def outcome_names(result: Result) -> list[str]:
-    """Return the names of the outcomes of a `Result` of many runs."""
-    return [Outcome(int(value)).name for value in result.outcome]
+def outcome_names(result: RunResult) -> list[str]:
+    """Return the names of the outcomes of a `RunResult` of many runs."""
+    return [RunOutcome(int(value)).name for value in result.outcome]

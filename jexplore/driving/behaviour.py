@@ -4,77 +4,63 @@ The modes, highest priority first (Mano et al., section IV.B and Fig. 8; a figur
 branch selection, dead end run, wall following, central run. All states have a fixed size; all functions are pure.
 """
 
-import enum
+import math
 from collections.abc import Callable
-from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
-from flax import struct
 from jax import Array, lax
 
+from jexplore import btm
+from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import manoeuvre
-from jexplore.driving.sensing import perception, surround, ways_out
+from jexplore.driving.records import (
+    Divergence,
+    Drive,
+    DueNode,
+    FreeSpace,
+    Latch,
+    RunMode,
+    ScanWalls,
+    State,
+    Surround,
+    Track,
+    Writer,
+)
+from jexplore.driving.sensing import exits, perception, surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import DT_S, towards
 
-WINDOW = 9  # scans that vote
-DOUBT = 2  # votes up to which another triangle takes the place of one that a scan does not show
-DEBOUNCE = 3  # steps that a free space must be seen, or not seen, in a row
+VOTING_SCANS = 9  # scans that vote
+REPLACEABLE_VOTES = 2  # votes up to which another triangle takes the place of one that a scan does not show
+DEBOUNCE_STEPS = 3  # steps that a free space must be seen, or not seen, in a row
 HYSTERESIS_M = 0.3  # a free space ends where both sides have a wall this much nearer than where it began
-GUARD_M = 0.1  # a wall this near to the robot's front stops it, if there is no way past it
-ROOM_M = 0.1  # m; a wall is followed at this more than the clearance for turning in place
-GETS_PAST = 1.75, manoeuvre.GO_M  # bearing, radians, within which a way so long, metres, leads past it
-GETS_ON = 1.0, 0.8  # factors; also past an apparent end of a passage
+CONTACT_GUARD_M = 0.1  # a wall this near to the robot's front stops it, if there is no way past it
+TURN_ROOM_M = 0.1  # m; a wall is followed at this more than the clearance for turning in place
+WAY_PAST_WALL = 1.75, manoeuvre.GO_M  # bearing, radians, within which a way so long, metres, leads past it
+WAY_PAST_END = 1.0, 0.8  # factors; also past an apparent end of a passage
 LATCH_STEPS = 200  # steps; a target not reached within these is given up
-SLOWER = 1.5  # or within this multiple of the steps at full speed, if larger
-BEFORE_M = 0.6  # m; a wide place is left via a point this far before the exit
-BESIDE_M = 0.25  # m; unless the robot is within this of the exit's axis
+LATCH_TIME_RATIO = 1.5  # or within this multiple of the steps at full speed, if larger
+VIA_POINT_M = 0.6  # m; a wide place is left via a point this far before the exit
+OFF_AXIS_M = 0.25  # m; unless the robot is within this of the exit's axis
+ROUND_M, ROUND_RAD = 6.0, 4.5  # m, rad; a robot back at its starting point after this way and turn has been round
+BEGAN_M = 2.0  # within this: it may have begun in a corner
+LEAVE_ISLAND_M = 4.0  # m; distance driven away from an island
+OUT_COS = 0.7  # of the angle between a way and a gateway's axis from which on it leads out
 
 
-class RunMode(enum.IntEnum):
-    """Run mode of the robot."""
-
-    CENTRAL = 0
-    WALL_FOLLOWING = 1
-    DEAD_END = 2
-    BRANCH_SELECTION = 3
-    CONTACT_GUARD = 4
-
-
-class Latch(enum.IntEnum):
-    """State of branch selection until its target is reached."""
-
-    FREE = 0
-    APPROACH = 1  # the centre of a divergence
-    LEAVE = 2  # a point on one of its links
-    LOOK = 3  # the robot turns at its centre and looks round
-
-
-@struct.dataclass
-class Track:
-    """A divergence that may lie ahead: where scan after scan has shown its triangle."""
-
-    centre: Array  # [2] float32, metres, in the odometry's frame
-    radius: Array  # float32, metres
-    seen: Array  # uint32, a bit a scan, the last one lowest: whether it showed the triangle
-    age: Array  # int32, scans since it was first seen; 0: no divergence
-    out: Array  # float32, radians, odometry: of a place before a gateway of a hall, where that leads; NaN: of no other
-    replace: ClassVar[Callable[..., Self]]
-
-
-def no_track() -> Track:
+def empty_track() -> Track:
     """Return a `Track` with nothing ahead."""
     return Track(jnp.zeros(2), jnp.float32(0), jnp.uint32(0), jnp.int32(0), jnp.float32(jnp.nan))
 
 
-def believed(centre: Array, radius: Array | float, out: Array | float = jnp.nan) -> Track:
+def certain_track(centre: Array, radius: Array | float, out: Array | float = jnp.nan) -> Track:
     """Return a `Track` for a divergence as if every scan had shown it."""
-    full = jnp.uint32(2**WINDOW - 1)
+    full = jnp.uint32(2**VOTING_SCANS - 1)
     return Track(centre, jnp.float32(1) * radius, full, jnp.int32(1), jnp.float32(1) * out)
 
 
 def votes(track: Track) -> Array:
-    """Count the scans among the last `WINDOW` that showed the divergence: int32."""
+    """Count the scans among the last `VOTING_SCANS` that showed the divergence: int32."""
     return lax.population_count(track.seen).astype(jnp.int32)
 
 
@@ -83,9 +69,9 @@ def is_believed(track: Track, needed: Array | int) -> Array:
     return (track.age > 0) & (votes(track) >= needed)
 
 
-def follow(
+def update_track(
     track: Track,
-    found: perception.Divergence,
+    found: Divergence,
     to_odometry: Callable[[Array], Array],
     same_m: Array | float,
     may_begin: Array | bool,
@@ -93,18 +79,14 @@ def follow(
     """Update a track with one more scan.
 
     The largest triangle that is near enough to the one followed goes on with it; else the triangle nearest to the
-    robot begins a new one, but not while one is being followed that more than `DOUBT` scans have shown. One that
-    `WINDOW` scans have not shown is given up.
+    robot begins a new one, but not while one is being followed that more than `REPLACEABLE_VOTES` scans have shown. One
+    that `VOTING_SCANS` scans have not shown is given up.
 
     Args:
-      track: `Track`.
       found: `perception.Divergence`, in the robot's frame, without triangles that are to be ignored.
       to_odometry: function from points `[..., 2]` in the robot's frame to the odometry's.
       same_m: how near, metres.
       may_begin: bool; False: only the one that is followed goes on.
-
-    Returns:
-      `Track`.
     """
     placed = found.replace(centre=to_odometry(found.centre))
     followed = track.age > 0
@@ -113,12 +95,12 @@ def follow(
     again = jnp.argmax(jnp.where(near, placed.radius, -1)).astype(jnp.int32)
     hit = followed & near[again]
     first, distance = perception.nearest(found, jnp.zeros(2))
-    begins = may_begin & ~hit & (~followed | (votes(track) <= DOUBT)) & (distance < jnp.inf)
+    begins = may_begin & ~hit & (~followed | (votes(track) <= REPLACEABLE_VOTES)) & (distance < jnp.inf)
     followed &= ~begins
     which = jnp.where(hit, again, first)
-    share = jnp.where(hit, 1 / jnp.minimum(track.age + 1.0, WINDOW), 1.0)
+    share = jnp.where(hit, 1 / jnp.minimum(track.age + 1.0, VOTING_SCANS), 1.0)
     taken = hit | begins
-    seen = jnp.where(followed, (track.seen << 1) & jnp.uint32(2**WINDOW - 1), 0) | taken.astype(jnp.uint32)
+    seen = jnp.where(followed, (track.seen << 1) & jnp.uint32(2**VOTING_SCANS - 1), 0) | taken.astype(jnp.uint32)
     going = (followed | begins) & (seen != 0)
 
     def blended(old, new):
@@ -133,22 +115,12 @@ def follow(
     )
 
 
-@struct.dataclass
-class FreeSpace:
-    """Free space, seen with hysteresis."""
-
-    inside: Array  # bool
-    streak: Array  # int32, steps in a row that say otherwise
-    since_m: Array  # float32, odometer at the first of them
-    replace: ClassVar[Callable[..., Self]]
-
-
 def no_free_space() -> FreeSpace:
     """Return the `FreeSpace` of a robot outside free space."""
     return FreeSpace(inside=jnp.bool_(False), streak=jnp.int32(0), since_m=jnp.float32(0))
 
 
-def is_free(left_m: Array | float, right_m: Array | float, open_m: Array | float) -> Array:
+def is_free_space(left_m: Array | float, right_m: Array | float, open_m: Array | float) -> Array:
     """Return whether walls at these distances to the left and right are those of free space: bool.
 
     Between them there is room for a circle whose radius is `open_m` [C1].
@@ -173,10 +145,6 @@ def watch_free_space(
     """Update the hysteresis of free space with the walls of one more scan.
 
     Args:
-      space: `FreeSpace`.
-      left_m, right_m: from `perception.sides`.
-      odometer_m: float32.
-      open_m: a side without a wall within this is free [C1].
       looking: bool scalar; False: nothing changes.
       roomy: from `perception.is_roomy`; where it is False, no free space is entered.
       coast_m: at which its walls are followed; above 0 it is left only where both are no farther apart than twice that.
@@ -185,17 +153,17 @@ def watch_free_space(
       `(space, enters, leaves)`: bools, true in the step in which it is believed.
     """
     limit = jnp.where(space.inside, jnp.where(coast_m > 0, coast_m, open_m - HYSTERESIS_M), open_m)
-    free = is_free(left_m, right_m, limit) & (roomy | space.inside)
+    free = is_free_space(left_m, right_m, limit) & (roomy | space.inside)
     other = looking & (free != space.inside)
     since = jnp.where(other & (space.streak > 0), space.since_m, odometer_m)
     streak = jnp.where(other, space.streak + 1, 0)
-    turns = streak >= DEBOUNCE
+    turns = streak >= DEBOUNCE_STEPS
     after = FreeSpace(inside=space.inside ^ turns, streak=jnp.where(turns, 0, streak), since_m=since)
     return after, turns & ~space.inside, turns & space.inside
 
 
 def border_ahead(
-    border_m: Array, since_m: Array, enters: Array, leaves: Array, region: tuple[Any, Any]
+    border_m: Array, since_m: Array, enters: Array, leaves: Array, region: tuple[Array | float, Array | float]
 ) -> tuple[Array, Array]:
     """Track the border of a free space that the robot sees ahead.
 
@@ -216,29 +184,7 @@ def border_ahead(
     return jnp.where(leaves, since_m + region[1], after_m), waits & leaves
 
 
-@struct.dataclass
-class Drive:
-    """Memory of driving between steps."""
-
-    latch: Array  # int32, `Latch`
-    target: Array  # [2] float32, of the latch, metres, in the odometry's frame
-    since: Array  # int32, steps of the latch; begins below 0 where the target is far away
-    out: Array  # float32, radians, direction of the link that is taken
-    looked: Array  # float32, radians turned while looking round
-    looked_m: Array  # float32, odometer when the robot last did
-    aside: Array  # bool, a wide place is left by an opening that is seen from the side
-    known: Array  # bool, the place that is approached is a node, met again
-    surveys: Array  # int32, places that it has gone to since the last node, each better than the one before
-    side: Array  # int32, where the wall is that is followed: 1 left, -1 right, 0 none
-    began: Array  # [5] float32, where it began to follow that since the last node: x, y, metres; how far it has turned
-    # as it followed it, radians; odometer there; heading at the step before; NaN: it does not
-    turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
-    left_m: Array  # float32, last distance of a left wall within C1, or of one next to which it can turn
-    right_m: Array  # float32, as `left_m`, on the right
-    replace: ClassVar[Callable[..., Self]]
-
-
-def at_rest() -> Drive:
+def initial_drive() -> Drive:
     """Return an empty memory; passages count as two metres wide until a wall is seen."""
     return Drive(
         latch=jnp.int32(Latch.FREE),
@@ -259,48 +205,43 @@ def at_rest() -> Drive:
 
 
 def choose_mode(
-    drive: Drive, space: FreeSpace, walls: Any, ways_m: Array, tuning: Tuning, robot: Robot
+    drive: Drive, space: FreeSpace, walls: ScanWalls, ways_m: Array, tuning: Tuning, robot: Robot
 ) -> tuple[Array, Drive]:
     """Choose the run mode of this step.
-
-    Args:
-      drive: `Drive`.
-      space: `FreeSpace`.
-      walls: `events.Walls`.
-      ways_m: from `surround.ways`.
-      tuning, robot: `Tuning`, `Robot`.
 
     Returns:
       `(mode, drive)`: `RunMode` as int32; a dead end keeps the side to which it turns until the way is open. It turns
         to the larger side, from a wall near one half of its front to the other.
     """
     left_m, right_m, fronts_m = walls.left_m, walls.right_m, walls.fronts_m
-    guarded = (jnp.minimum(*fronts_m) < robot.length_m / 2 + GUARD_M) & ~manoeuvre.is_open(ways_m, *GETS_PAST)
-    closed = walls.closed & ~manoeuvre.is_open(ways_m, *GETS_ON)
+    guarded = (jnp.minimum(*fronts_m) < robot.length_m / 2 + CONTACT_GUARD_M) & ~manoeuvre.has_free_way(
+        ways_m, *WAY_PAST_WALL
+    )
+    closed = walls.closed & ~manoeuvre.has_free_way(ways_m, *WAY_PAST_END)
     latched = drive.latch != Latch.FREE
     # One scan suffices to drive by, several in a row make a node.
-    free = space.inside | (is_free(walls.region_sides[0], walls.region_sides[1], tuning.open_m) & walls.roomy)
+    free = space.inside | (is_free_space(walls.region_sides[0], walls.region_sides[1], tuning.open_m) & walls.roomy)
     mode = jnp.where(free, RunMode.WALL_FOLLOWING, RunMode.CENTRAL)
     mode = jnp.where(closed, RunMode.DEAD_END, mode)
     mode = jnp.where(latched, RunMode.BRANCH_SELECTION, mode)
     mode = jnp.where(guarded & (drive.latch != Latch.LOOK), RunMode.CONTACT_GUARD, mode).astype(jnp.int32)
     larger = jnp.where(drive.left_m >= drive.right_m, 1, -1)
-    one_side = jnp.maximum(*fronts_m) > jnp.minimum(*fronts_m) + GUARD_M
+    one_side = jnp.maximum(*fronts_m) > jnp.minimum(*fronts_m) + CONTACT_GUARD_M
     larger = jnp.where(one_side, jnp.where(fronts_m[0] > fronts_m[1], 1, -1), larger)
     turns = (mode == RunMode.DEAD_END) | (mode == RunMode.CONTACT_GUARD)
     turning = jnp.where(turns, jnp.where(drive.turning == 0, larger, drive.turning), 0)
-    walls = ~free & ~closed & ~latched
-    least_m = jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.MARGIN_M + ROOM_M
+    by_walls = ~free & ~closed & ~latched
+    least_m = jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.OUTLINE_MARGIN_M + TURN_ROOM_M
     side = jnp.where(drive.side == 0, jnp.where(left_m < right_m, 1, -1), drive.side)
     return mode, drive.replace(
         side=jnp.where(free, side, 0).astype(jnp.int32),
         turning=turning.astype(jnp.int32),
-        left_m=jnp.where(walls & (left_m < tuning.open_m), jnp.maximum(left_m, least_m), drive.left_m),
-        right_m=jnp.where(walls & (right_m < tuning.open_m), jnp.maximum(right_m, least_m), drive.right_m),
+        left_m=jnp.where(by_walls & (left_m < tuning.open_m), jnp.maximum(left_m, least_m), drive.left_m),
+        right_m=jnp.where(by_walls & (right_m < tuning.open_m), jnp.maximum(right_m, least_m), drive.right_m),
     )
 
 
-def target_of(
+def target_point(
     mode: Array,
     drive: Drive,
     left_m: Array,
@@ -313,8 +254,8 @@ def target_of(
     """Compute the target point in the robot's frame: `[2]` float32, metres.
 
     In a passage it lies on the middle between the walls, in free space in the direction `coast`, from
-    `surround.along_wall`; or, where that is NaN, at the distance from the followed wall that the passage before had:
-    the nearer wall, or where both sides are open the one that was nearer last.
+    `surround.wall_direction`; or, where that is NaN, at the distance from the followed wall that the passage before
+    had: the nearer wall, or where both sides are open the one that was nearer last.
 
     Source:
       Mano et al., equations 3 and 4.
@@ -334,22 +275,16 @@ def target_of(
     return jnp.where(mode == RunMode.BRANCH_SELECTION, _selected(drive, to_robot, tuning), ahead)
 
 
-def begun(away_m: Array, tuning: Tuning) -> Array:
+def latch_start(away_m: Array, tuning: Tuning) -> Array:
     """Return the initial value of `Drive.since` for a target at this distance, metres: int32."""
-    steps = SLOWER * away_m / (tuning.speed_m_s * DT_S)
+    steps = LATCH_TIME_RATIO * away_m / (tuning.speed_m_s * DT_S)
     return jnp.minimum(LATCH_STEPS - steps, 0).astype(jnp.int32)
 
 
 def is_aside(target: Array, out: Array, radius_m: Array) -> Array:
-    """Return whether a target beyond an exit is seen obliquely from the middle of a wide place: bool.
-
-    Args:
-      target: `[2]` float32, from the middle, metres.
-      out: float32, radians, direction of the passage there.
-      radius_m: float32, of the place.
-    """
+    """Return whether a target beyond an exit is seen obliquely from the middle of a wide place: bool."""
     beside_m = target[1] * jnp.cos(out) - target[0] * jnp.sin(out)
-    return (radius_m > ways_out.WIDE_M) & (jnp.abs(beside_m) > BESIDE_M)
+    return (radius_m > exits.WIDE_PLACE_M) & (jnp.abs(beside_m) > OFF_AXIS_M)
 
 
 def _selected(drive, to_robot, tuning):
@@ -360,6 +295,102 @@ def _selected(drive, to_robot, tuning):
     target = to_robot(drive.target)
     axis = to_robot(drive.target + towards(drive.out)) - target
     before_m, beside_m = target @ axis, target[1] * axis[0] - target[0] * axis[1]
-    via_m = tuning.leave_m + BEFORE_M
-    first = drive.aside & (drive.latch == Latch.LEAVE) & (jnp.abs(beside_m) > BESIDE_M) & (before_m > via_m)
+    via_m = tuning.leave_m + VIA_POINT_M
+    first = drive.aside & (drive.latch == Latch.LEAVE) & (jnp.abs(beside_m) > OFF_AXIS_M) & (before_m > via_m)
     return jnp.where(first, target - via_m * axis, target)
+
+
+def coast_direction(mode: Array, side: Array, around: Surround, tuning: Tuning, robot: Robot) -> Array:
+    """Return the direction in which the robot follows the wall of a hall: float32, radians.
+
+    NaN where it follows none.
+    """
+    follows = (mode == RunMode.WALL_FOLLOWING) & (tuning.coast_m > 0)
+    none = jnp.float32(jnp.nan)
+    return run_if(follows, lambda _: surround.wall_direction(around, side, tuning.coast_m, robot), none)
+
+
+def continue_in_hall(
+    state: State,
+    space: FreeSpace,
+    drive: Drive,
+    writer: Writer,
+    event: DueNode,
+    around: Surround,
+    estimate: Array,
+    tuning: Tuning,
+) -> tuple[FreeSpace, Drive, Writer]:
+    """Choose how the robot continues in a hall once a node has been made, or none was due.
+
+    Returns:
+      `(space, drive, writer)`: with the hall it stays in and the wall it follows; a hall without a gateway is exhausted
+        once the robot has been all round.
+    """
+    space, drive = leave_gateway(space, drive, event.out)
+    drive, is_round = go_round(state, drive, space, writer, around, estimate, event.kind != btm.NONE, tuning)
+    return space, drive, writer.replace(exhausted=writer.exhausted | is_round)
+
+
+def leave_gateway(space: FreeSpace, drive: Drive, out: Array) -> tuple[FreeSpace, Drive]:
+    """Decide at a gateway whether the robot stays in the hall, and which wall it follows.
+
+    Args:
+      out: float32, radians, direction of the gateway; NaN: the robot is at no gateway.
+    """
+    is_before, to_left = jnp.isfinite(out), jnp.sin(drive.out - out) > 0
+    stays = jnp.cos(drive.out - out) < OUT_COS
+    after = no_free_space().replace(inside=stays)
+    space = pick(is_before, after, space)
+    side = jnp.where(stays, jnp.where(to_left, -1, 1), 0)  # going to the left, it has the gateway's wall to the right
+    return space, drive.replace(side=jnp.where(is_before, side, drive.side).astype(jnp.int32))
+
+
+def go_round(
+    state: State,
+    drive: Drive,
+    space: FreeSpace,
+    writer: Writer,
+    around: Surround,
+    estimate: Array,
+    at_node: Array,
+    tuning: Tuning,
+) -> tuple[Drive, Array]:
+    """Continue after a wall has been followed all round without making a node.
+
+    The robot leaves an island in the hall straight across, for another wall. If it knows no place but the hall where it
+    began, and follows no route, that hall is exhausted; otherwise it crosses as well.
+
+    Args:
+      at_node: bool, a node was made.
+
+    Returns:
+      `(drive, is_round)`: bool, the robot has been round the hall where it began and found no exit.
+    """
+    xy, known = surround.known_points(around)
+    beside = jnp.any(known & (jnp.hypot(*xy.T) < 2 * tuning.coast_m))
+    follows = space.inside & (state.mode == RunMode.WALL_FOLLOWING) & (drive.latch == Latch.FREE) & beside
+    began = jnp.where(at_node | ~space.inside, jnp.nan, drive.began)
+    turn = jnp.where(follows, estimate[2] - began[4], 0.0)
+    began = began.at[2].add(turn).at[4].set(estimate[2])
+    now = jnp.stack([*estimate[:2], 0.0, state.odometer_m, estimate[2]])
+    began = jnp.where(follows & jnp.isnan(began[0]) & (tuning.coast_m > 0), now, began)
+    gone = estimate[:2] - began[:2]
+    passes = gone[0] * jnp.cos(estimate[2]) + gone[1] * jnp.sin(estimate[2]) >= 0
+    is_back = follows & passes & (jnp.hypot(*gone) < BEGAN_M) & (state.odometer_m - began[3] > ROUND_M)
+    turned = -drive.side * began[2]  # away from the wall, along the inside of a hall
+    alone = (writer.node == 0) & (writer.map.n_nodes == 1)
+    alone &= jnp.bool_(writer.guide is None)
+    is_round = is_back & (turned > ROUND_RAD) & alone
+    leaves = is_back & (jnp.abs(turned) > ROUND_RAD) & ~is_round
+    out = estimate[2] - drive.side * math.pi / 2
+    target = estimate[:2] + LEAVE_ISLAND_M * towards(out)
+    after = drive.replace(
+        latch=jnp.where(leaves, Latch.LEAVE, drive.latch).astype(jnp.int32),
+        target=jnp.where(leaves, target, drive.target),
+        out=jnp.where(leaves, out, drive.out),
+        since=jnp.where(leaves, latch_start(jnp.float32(LEAVE_ISLAND_M), tuning), drive.since),
+        aside=drive.aside & ~leaves,
+        side=jnp.where(leaves, 0, drive.side).astype(jnp.int32),
+        began=jnp.where(leaves, jnp.nan, began),
+    )
+    return after, is_round

@@ -3,125 +3,75 @@
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore import btm
-from jexplore.arrays.loops import run_if
-from jexplore.driving import behaviour, halls, links, mapping
-from jexplore.driving.behaviour import FreeSpace, Latch, Track
-from jexplore.driving.mapping import Writer
-from jexplore.driving.nodes import SAME_NODE_M, Event
-from jexplore.driving.sensing import ground_profile, lone_steps, perception, surround
-from jexplore.driving.sensing.lone_steps import LoneStep
-from jexplore.driving.sensing.surround import Surround
+from jexplore.arrays.loops import pick, run_if
+from jexplore.driving import behaviour, links, mapping
+from jexplore.driving.nodes import SAME_NODE_M
+from jexplore.driving.records import Ahead, Divergence, DueNode, Latch, ScanWalls, State, Surround, Writer
+from jexplore.driving.sensing import gateways, ground_profile, lone_steps, perception, surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_robot
 
-DRIVE = 1.5  # length of the stretch in which walls are steered by, in look-aheads
+STEERED_LENGTHS = 1.5  # length of the stretch in which walls are steered by, in look-aheads
 CROSSING_M = 0.1  # but no nearer than this to a wall across the way
-EVERY = 3  # steps between two looks for triangles
+SEARCH_EVERY_STEPS = 3  # steps between two looks for triangles
 SCAN_POINTS = 64  # of a scan that are made into triangles
-NEAR_M = 4.0  # m; a robot that looks farther than this searches near points once more
-BESIDE_M = -0.2  # m; a divergence is searched from this far ahead of the robot's middle
+NEAR_POINTS_M = 4.0  # m; a robot that looks farther than this searches near points once more
+MIN_CENTRE_X_M = -0.2  # m; a divergence is searched from this far ahead of the robot's middle
 GOAL_M = 0.5  # a run ends where it hears its goal's beacon within this
-RISES_M = 0.1  # where the profile ahead rises by more, what looks like a wall may be stairs
+STAIRS_RISE_M = 0.1  # where the profile ahead rises by more, what looks like a wall may be stairs
 STEP_SLACK_M = 0.03  # a step ahead may be lower than it looks by this
 LOOK_M = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
-RECENT = 64  # steps whose profile is looked at for that
+PROFILE_STEPS = 64  # steps whose profile is looked at for that
 LEVEL_RAD = math.radians(4)  # ground that leans less is level, where a single step is looked for
-SURE = 3  # steps in a row that it finds so
-ALONG = 0.7  # cosine of the angle between a robot's heading and a link along which it drives, at least
+BLOCKED_STEPS = 3  # steps in a row that it finds so
+ALONG_COS = 0.7  # cosine of the angle between a robot's heading and a link along which it drives, at least
 
 
-class Walls(NamedTuple):
-    """Walls seen in one scan."""
-
-    xy: Array  # [B, 2] float32, points in the robot's frame, metres
-    valid: Array  # [B] bool
-    region: Any  # pair: where the stretch begins and ends that is watched for free space, metres ahead
-    region_sides: Any  # pair: clearance to the left and right there, metres
-    roomy: Any  # bool, whether a circle as large as C1 fits there
-    closed: Any  # bool, whether the way ahead is closed
-    fronts_m: Any  # pair: how far the way is free ahead, in the left and right half of the robot's width
-    left_m: Array  # float32, clearance by which it steers
-    right_m: Array  # float32, as `left_m`
-    beside: Array  # [2] float32, clearance to the left and right of the robot
-
-
-def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> Walls:
+def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> ScanWalls:
     """Find the `Walls` of a scan: `[B]` float32 ranges, NaN for none."""
-    xy, valid = perception.points(ranges_m, ANGLES_RAD)
+    xy, valid = perception.beam_points(ranges_m, ANGLES_RAD)
     region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
     region_sides = perception.sides(xy, valid, *region)
     closed = sum(perception.sides(xy, valid, 0, tuning.ahead_m)) <= tuning.dead_end_m
     fronts_m = perception.front(xy, valid, robot.width_m)
     # Walls are steered by as far as the way is free: one that crosses it lies on both sides.
-    until_m = jnp.clip(jnp.maximum(*fronts_m) - CROSSING_M, robot.length_m / 2, DRIVE * tuning.ahead_m)
+    until_m = jnp.clip(jnp.maximum(*fronts_m) - CROSSING_M, robot.length_m / 2, STEERED_LENGTHS * tuning.ahead_m)
     left_m, right_m = perception.sides(xy, valid, 0, until_m)
     beside = jnp.stack(perception.clearances(xy, valid, robot.length_m / 2))
     roomy = perception.is_roomy(xy, valid, region[0], *region_sides, tuning.open_m)
-    return Walls(xy, valid, region, region_sides, roomy, closed, fronts_m, left_m, right_m, beside)
-
-
-class Ahead(NamedTuple):
-    """Divergences, free space and ground ahead, and the nodes just passed."""
-
-    leans: Array  # bool, the robot stands otherwise than where it last stood evenly, or the ground rises before it
-    track: Track
-    scan_overflow: Array  # int32, ends of walls that did not fit into the scan's points
-    space: FreeSpace
-    border_m: Array  # float32, odometer at which the free space will have been entered or left; inf: none
-    missed: Array  # bool, where the free space begins was not reached before it ends
-    is_noted: Array  # bool, where it begins and ends there are nodes
-    level: mapping.Level
-    changed: Array  # bool, whether the robot stands on ground of another inclination now
-    crease_m: Array  # float32, odometer where it changed
-    steepest: Array  # float32, the larger inclination, radians
-    blocked: Array  # int32, steps in a row with ground ahead that the robot cannot climb
-    lone_step: LoneStep  # that is ahead, under the robot or just passed
-    is_lone: Array  # bool, whether it has just passed it
-    lone_step_after: LoneStep  # remaining state once the node is made
-    beyond: Any  # pair: height of the step and inclination of the slope that stop it, see `_ground_ahead`
+    return ScanWalls(xy, valid, region, region_sides, roomy, closed, fronts_m, left_m, right_m, beside)
 
 
 def look_ahead(
-    state: Any,
+    state: State,
     writer: Writer,
-    walls: Walls,
+    walls: ScanWalls,
     around: Surround,
     placed: Callable[[Array], Array],
     tuning: Tuning,
     robot: Robot,
     is_blind: Array | bool,
 ) -> Ahead:
-    """Compute `Ahead` of one step.
-
-    Args:
-      state: `mission.State` before it.
-      writer: `Writer` with this step's measurements.
-      walls: `Walls`.
-      around: `Surround`.
-      placed: function from the robot's frame into the odometry's.
-      tuning, robot: `Tuning`, `Robot`.
-      is_blind: bool, whether the scan gave hardly any numbers.
-    """
+    """Compute `Ahead` of one step."""
     is_free = state.drive.latch == Latch.FREE
-    xy, known = surround.points(around)
-    lean, lean_m = mapping.lean_of(writer.way, state.step)
+    xy, known = surround.known_points(around)
+    lean, lean_m = mapping.slope_at(writer.way, state.step)
     ground_x, ground_z, posture = _recent_ground(writer.way, state)
     rise, stops, beyond = _ground_ahead(ground_x, ground_z, robot, state)
     # Points seen from ground of another inclination, or where the ground rises, may be ground.
     tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
-    leans = tips | (rise > RISES_M)
+    leans = tips | (rise > STAIRS_RISE_M)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
     space, border_m, missed, track = _watch_free_space(
         state, writer, walls, xy, known, track, is_free & ~jnp.asarray(is_blind), placed, tuning
     )
-    level, changed, crease_m, steepest = mapping.watch_level(
+    level, changed, crease_m, steepest = mapping.update_slope(
         writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), mapping.EVEN_LENGTHS * robot.length_m
     )
     heeds = is_free if writer.guide is None else is_free | writer.guide.steers
@@ -164,33 +114,33 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
     span_m = jnp.max(jnp.where(near, ground[1], -jnp.inf)) - jnp.min(jnp.where(near, ground[1], jnp.inf))
     now = run_if(
         looks & (span_m > ground_profile.STEP_M),
-        lambda _: lone_steps.watched(writer.lone_step, *ground),
+        lambda _: lone_steps.update_step(writer.lone_step, *ground),
         writer.lone_step,
     )
-    passed = lone_steps.is_passed(now, state.odometer_m, robot.length_m) & ~tips & is_level
+    passed = lone_steps.has_passed(now, state.odometer_m, robot.length_m) & ~tips & is_level
     is_lone = run_if(passed, lambda _: lone_steps.has_tipped(now, writer.way, robot.length_m), jnp.bool_(False))
     is_lone &= (now.from_m + now.to_m) / 2 > writer.node_m
     gone = (
         passed
         | state.manoeuvre.backing
         | (changed & (crease_m > now.from_m - lone_steps.TOGETHER_M / 2))
-        | (blocked >= SURE)
+        | (blocked >= BLOCKED_STEPS)
     )
-    after = jax.tree.map(lambda none, old: jnp.where(gone, none, old), lone_steps.none(), now)
+    after = pick(gone, lone_steps.no_step(), now)
     return now, is_lone & ~changed, after
 
 
-def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) -> perception.Divergence:
+def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) -> Divergence:
     """Find the triangles of a scan, `wall_m` from the nearer wall: `perception.Divergence`.
 
     If the robot looks far, near points are searched once more on their own: among all points, those of a door would lie
     too far apart.
     """
     far_m = perception.far_bound(tuning.far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m)
-    views = jnp.stack([far_m, jnp.minimum(far_m, NEAR_M)])
+    views = jnp.stack([far_m, jnp.minimum(far_m, NEAR_POINTS_M)])
 
     def look(far_m):
-        return perception.divergences(
+        return perception.find_divergences(
             xy,
             valid,
             far_m=far_m,
@@ -208,13 +158,13 @@ def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) ->
         )
 
     blank = jax.tree.map(lambda a: jnp.zeros((2, *a.shape), a.dtype), jax.eval_shape(look, views[0]))
-    found = lax.fori_loop(0, jnp.where(far_m > NEAR_M, 2, 1), put, blank)
+    found = lax.fori_loop(0, jnp.where(far_m > NEAR_POINTS_M, 2, 1), put, blank)
     found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), found)
     return found.replace(overflow=jnp.max(found.overflow))
 
 
 def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
-    """Search triangles, in every `EVERY`-th step: `(track, overflow)`."""
+    """Search triangles, in every `SEARCH_EVERY_STEPS`-th step: `(track, overflow)`."""
     approaches, turns = state.drive.latch == Latch.APPROACH, state.drive.latch == Latch.LOOK
     # Once the robot is in the circle that it approaches, a wall touched by the circle lies abeam or behind.
     is_in = approaches & (jnp.hypot(*(state.track.centre - state.estimate[:2])) < state.track.radius)
@@ -222,13 +172,13 @@ def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
     def looked(carry):
         found = triangles(xy, valid, wall_m, tuning)
         known = mapping.is_near_known(writer, placed(found.centre), state.odometer_m, tuning.leave_m)
-        found = dataclasses.replace(found, valid=found.valid & ~known & (found.centre[:, 0] > BESIDE_M))
-        return behaviour.follow(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
+        found = dataclasses.replace(found, valid=found.valid & ~known & (found.centre[:, 0] > MIN_CENTRE_X_M))
+        return behaviour.update_track(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
 
     # There are no divergences in free space; where the robot turns on a slope, it leans otherwise for a moment.
     forgets = ((state.space.inside & jnp.isnan(state.track.out)) | leans) & ~turns
-    track = jax.tree.map(lambda none, old: jnp.where(forgets, none, old), behaviour.no_track(), state.track)
-    looks = (state.step % EVERY == 0) & ~is_in & ~turns & ~forgets & jnp.isnan(state.track.out)
+    track = pick(forgets, behaviour.empty_track(), state.track)
+    looks = (state.step % SEARCH_EVERY_STEPS == 0) & ~is_in & ~turns & ~forgets & jnp.isnan(state.track.out)
     return run_if(looks, looked, (track, jnp.int32(0)))
 
 
@@ -237,7 +187,8 @@ def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, t
     is_hall = tuning.coast_m > 0
     # One that is still ahead is watched ahead.
     within = is_hall & state.space.inside & ~jnp.isfinite(writer.border_m)
-    left_m, right_m = halls.sides(within, walls)
+    # A hall is left where both its walls are abeam of the robot: walls ahead may be those of a corner.
+    left_m, right_m = pick(within, tuple(walls.beside), walls.region_sides)
     coast_m = jnp.where(within, tuning.coast_m, 0.0)
     space, enters, leaves = behaviour.watch_free_space(
         state.space, left_m, right_m, state.odometer_m, tuning.open_m, looking, walls.roomy, coast_m
@@ -247,11 +198,11 @@ def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, t
     crosses = is_hall & ~missed & looking & (state.odometer_m >= border_m)
 
     def gateway(track):
-        found = halls.crossed(writer, space.inside, border_m, tuning)
-        abeam = halls.abeam(state, writer, xy, valid, track, placed, tuning)
-        return jax.tree.map(lambda new, old: jnp.where(crosses, new, old), found, abeam)
+        found = gateways.gateway_crossed(writer, space.inside, border_m, tuning)
+        abeam = gateways.gateway_abeam(state, writer, xy, valid, track, placed, tuning)
+        return pick(crosses, found, abeam)
 
-    looks = looking & (crosses | (state.space.inside & (state.step % EVERY == 0)))
+    looks = looking & (crosses | (state.space.inside & (state.step % SEARCH_EVERY_STEPS == 0)))
     track = run_if(is_hall & looks, gateway, track)
     return space, jnp.where(crosses | (is_hall & missed), jnp.inf, border_m), missed & ~is_hall, track
 
@@ -259,21 +210,19 @@ def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, t
 def _recent_ground(way, state):
     """Return the last points of the height profile and the robot's attitude there.
 
-    Returns:
-      `(x_m, z_m, posture)`, `[RECENT]` each, metres and radians; x is inf where no point exists.
+    Returns `(x_m, z_m, posture)`, `[RECENT]` each, metres and radians; x is inf where no point exists.
     """
-    first = jnp.clip(state.step + 1 - RECENT, 0, way.ground_x_m.shape[0] - RECENT)
+    first = jnp.clip(state.step + 1 - PROFILE_STEPS, 0, way.ground_x_m.shape[0] - PROFILE_STEPS)
     arrays = way.ground_x_m, way.ground_z_m, way.posture
-    x, *others = (lax.dynamic_slice(array, (first,), (RECENT,)) for array in arrays)
-    return jnp.where(first + jnp.arange(RECENT) <= state.step, x, jnp.inf), *others
+    x, *others = (lax.dynamic_slice(array, (first,), (PROFILE_STEPS,)) for array in arrays)
+    return jnp.where(first + jnp.arange(PROFILE_STEPS) <= state.step, x, jnp.inf), *others
 
 
 def _ground_ahead(x, z, robot, state):
     """Return the rise of the ground ahead and whether the robot can climb it, as seen or as just experienced.
 
-    Returns:
-      `(rise_m, stops, beyond)`: float32; bool; pair, height of the step that stops it, 0 for none, and inclination of
-        the slope that does, radians, 0 for none, NaN where it was not seen.
+    Returns `(rise_m, stops, beyond)`: float32; bool; pair, height of the step that stops it, 0 for none, and
+    inclination of the slope that does, radians, 0 for none, NaN where it was not seen.
     """
     nose = state.odometer_m + robot.length_m / 2
     ahead = (x > nose) & (x < nose + LOOK_M)
@@ -287,7 +236,7 @@ def _ground_ahead(x, z, robot, state):
         step_m = near.step_m
         is_step = ((step_m > robot.max_step_m + STEP_SLACK_M) | state.halts) & (step_m > ground_profile.STEP_M)
         # Two steps that it climbs one by one rise more than a slope that it climbs.
-        sudden = ground_profile.sudden(x, z, ahead | behind) > ground_profile.STEP_M
+        sudden = ground_profile.steepest_rise(x, z, ahead | behind) > ground_profile.STEP_M
         gentle = sudden & (near.slope <= jnp.tan(jnp.radians(robot.max_slope_deg)))
         stops = is_step | ((rise > slope_m) & ~gentle) | state.halts
         slope = jnp.where(beyond.count < 3, jnp.nan, jnp.abs(jnp.arctan(beyond.slope)))
@@ -307,7 +256,7 @@ def _passes_start(state):
     is_led, gone_m = followed & (to == 0), state.odometer_m - state.writer.node_m
     place = to_robot(state.estimate)(jnp.where(is_led, there, jnp.stack([map_.x_m[0], map_.y_m[0]])))
     within_m = SAME_NODE_M + jnp.where(is_led, links.WAY_DRIFT * gone_m, 0.0)
-    along = jnp.abs(jnp.cos(state.estimate[2] - map_.start_bearing[0])) > ALONG
+    along = jnp.abs(jnp.cos(state.estimate[2] - map_.start_bearing[0])) > ALONG_COS
     within = jnp.hypot(map_.x_m - map_.x_m[0], map_.y_m - map_.y_m[0]) < map_.radius_m
     on_link = ~jnp.any(within & (map_.kind == btm.DIVERGENCE)) & (state.drive.latch != Latch.LOOK)
     on_link &= (state.drive.latch != Latch.LEAVE) | (state.writer.passed[3] <= state.writer.node_m)
@@ -321,11 +270,10 @@ def _passes_start(state):
     )
 
 
-def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array, arrives: Array) -> Event:
-    """Return the node that is due, an `Event`; of several the one that lies first on the way.
+def due_node(state: State, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array, arrives: Array) -> DueNode:
+    """Return the node that is due, an `DueNode`; of several the one that lies first on the way.
 
     Args:
-      state, writer, ahead: `mission.State`, `Writer`, `Ahead`.
       at_goal: bool, whether the robot is at its goal.
       is_open: bool, whether the run has no goal.
       arrives: bool, whether the robot is at the middle of a divergence.
@@ -333,7 +281,7 @@ def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array
     returns = is_open & _passes_start(state)
     changed = ahead.changed
     crosses = ahead.is_noted & (ahead.missed | (state.odometer_m >= writer.border_m))
-    stops = ahead.blocked >= SURE
+    stops = ahead.blocked >= BLOCKED_STEPS
     here = state.estimate
     crease = run_if(changed, lambda _: mapping.pose_at(writer.way, ahead.crease_m), here)
     crease_m = jnp.maximum(ahead.crease_m, writer.node_m)
@@ -354,7 +302,7 @@ def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array
             jnp.where(due, new, old) for new, old in zip(values, (kind, odometer_m, pose, centre))
         )
     is_blocked = stops & (kind == btm.OBSTACLE) & ~changed & ~ahead.is_lone
-    return Event(
+    return DueNode(
         kind=kind.astype(jnp.int32),
         odometer_m=odometer_m,
         pose=pose,

@@ -8,19 +8,21 @@ import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
-from jexplore.arrays.loops import run_if
+from jexplore.arrays.loops import pick, run_if
 from jexplore.btm import Btm
-from jexplore.driving.mapping import Writer
-from jexplore.driving.sensing.openings import Openings
-from jexplore.driving.vehicle import to_odometry, to_robot
+from jexplore.driving.records import Openings, Writer
+from jexplore.driving.vehicle import rotate_by, to_odometry, to_robot
 
-ALIKE_RAD = math.radians(40)  # a link and an opening that lie no farther apart are one
-DRIFT = 0.025, 2.5  # of the way, metres at most: how far off a known place may seem
+SAME_EXIT_RAD = math.radians(40)  # a link and an opening that lie no farther apart are one
+MATCH_DRIFT = 0.025, 2.5  # of the way, metres at most: how far off a known place may seem
 WAY_DRIFT = 0.05  # of the way along a known link: how far off its other node may seem
-DOUBT = 0.05, 4.0  # of the way, metres at most: how far off a node may seem that a new place perhaps is
-SAME_WAY = 0.6, 0.05  # a way that is as long as a known one, this near in metres and of its length, is that one
-TRIES = 3  # an un-searched link on which the robot has set off so often in vain is given up
-FAILS = 3  # a searched link that has led elsewhere so often in a row is followed no more
+HYPOTHESIS_DRIFT = 0.05, 4.0  # of the way, metres at most: how far off a node may seem that a new place perhaps is
+SAME_WAY_TOLERANCE = (
+    0.6,
+    0.05,
+)  # a way that is as long as a known one, this near in metres and of its length, is that one
+MAX_TRIES = 3  # an un-searched link on which the robot has set off so often in vain is given up
+MAX_FAILS = 3  # a searched link that has led elsewhere so often in a row is followed no more
 SAME_END_RAD = math.radians(25)  # a robot that comes in nearer to a known link comes by it
 TURN_RAD = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
 
@@ -64,7 +66,7 @@ def other_link(map_: Btm, node: Array, link: Array) -> Array:
     return jnp.where(jnp.any(others), jnp.argmax(others).astype(jnp.int32), link)
 
 
-def toward(map_: Btm, node: Array, bearing: Array) -> tuple[Array, Array, Array]:
+def link_toward(map_: Btm, node: Array, bearing: Array) -> tuple[Array, Array, Array]:
     """Return the link of a node whose bearing is nearest to a direction.
 
     Returns:
@@ -77,13 +79,7 @@ def toward(map_: Btm, node: Array, bearing: Array) -> tuple[Array, Array, Array]
 
 
 def reach_m(points: tuple[Array, Array], place: Array, bearing: Array, width_m: Array | float) -> Array:
-    """Compute the free length of a strip from a place in a direction: metres; inf: unlimited.
-
-    Args:
-      points: `[P, 2]` float32, odometry; `[P]` bool, valid.
-      place, bearing: `[2]` float32, odometry; radians.
-      width_m: of the strip.
-    """
+    """Compute the free length of a strip from a place in a direction: metres; inf: unlimited."""
     x, y = to_robot(jnp.append(place, bearing))(points[0]).T
     return jnp.min(jnp.where(points[1] & (jnp.abs(y) < width_m / 2) & (x > 0), x, jnp.inf))
 
@@ -105,21 +101,16 @@ def is_alike(map_: Btm, node: Array, found: Openings, back: Array, leads: Array)
     """Return whether a place may be a node: its openings and the node's links match, but for links given up.
 
     Args:
-      map_: `Btm`.
-      node: int32.
-      found: `Openings` of the place.
-      back: float32, bearing of the way in, radians.
       leads: bool, the robot follows a link to that node; else one of the node's links must be un-searched there.
-
-    Returns:
-      bool.
     """
     own, bearing = ends_at(map_, node)
-    near = own[:, None] & found.valid & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < ALIKE_RAD)
+    near = own[:, None] & found.valid & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < SAME_EXIT_RAD)
     needed = jnp.where(leads, own & ~jnp.tile(map_.blocked, 2), _needed(map_, own))
     missing = jnp.sum(needed & ~jnp.any(near, axis=1))
     more = jnp.sum(found.valid & ~jnp.any(near, axis=0))
-    waits = (map_.start == node) & btm.open_links(map_) & (jnp.abs(btm.wrapped(map_.start_bearing - back)) < ALIKE_RAD)
+    waits = (
+        (map_.start == node) & btm.open_links(map_) & (jnp.abs(btm.wrapped(map_.start_bearing - back)) < SAME_EXIT_RAD)
+    )
     return (missing == 0) & (more == 0) & (leads | jnp.any(waits))
 
 
@@ -135,7 +126,7 @@ def way_along(map_: Btm, link: Array, forward: Array) -> Array:
     """Return the odometry displacement along a searched link, in the frame of its first node: `[2]`, metres."""
     there = jnp.stack([map_.moved_x_m[link], map_.moved_y_m[link]])
     turned = jnp.nan_to_num(map_.turned[link])
-    return jnp.where(forward, there, to_odometry(jnp.stack([0.0, 0.0, -turned]))(-there))
+    return jnp.where(forward, there, rotate_by(-turned)(-there))
 
 
 def led_to(writer: Writer) -> tuple[Array, Array, Array]:
@@ -160,7 +151,7 @@ def is_led_to(writer: Writer, centre: Array, odometer_m: Array, reach: Array | f
     return to, followed & (jnp.hypot(*(place - centre)) < limit_m)
 
 
-def recognised(
+def match_node(
     writer: Writer, place: tuple[Array, Array], found: Openings, back: Array, reach: Array, when: Array
 ) -> tuple[Array, Array]:
     """Match a place to a known divergence that lies elsewhere by odometry, which drifts: `(node, bool: matched)`.
@@ -169,10 +160,7 @@ def recognised(
     of the followed link, as seen from the last node. The nearest match counts, if no other is nearly as near.
 
     Args:
-      writer: `Writer`.
       place: `[2]` float32, its centre, odometry; float32, odometer there.
-      found: its `Openings`.
-      back: float32, bearing of the way in, radians.
       reach: float32, metres: a node within it is matched without these conditions.
       when: bool, False: do nothing.
     """
@@ -182,7 +170,7 @@ def recognised(
     leads = followed & (jnp.arange(n) == to)
     seen = jnp.where(followed, jnp.stack([map_.x_m[to], map_.y_m[to]]) + centre - expected, centre)
     off_m = jnp.hypot(map_.x_m - seen[0], map_.y_m - seen[1])
-    drift_m = jnp.minimum(DRIFT[0] * odometer_m, DRIFT[1])
+    drift_m = jnp.minimum(MATCH_DRIFT[0] * odometer_m, MATCH_DRIFT[1])
     gone_m = odometer_m - writer.node_m
     limit_m = reach + jnp.where(leads, WAY_DRIFT * gone_m, jnp.where(followed, 0.0, drift_m))
     may = when & (map_.kind == btm.DIVERGENCE) & (off_m < limit_m) & (jnp.arange(n) != writer.node)
@@ -196,16 +184,12 @@ def recognised(
     return run_if(jnp.any(may), judged, (jnp.int32(0), jnp.bool_(False)))
 
 
-def doubts_of(writer: Writer, centre: Array, odometer_m: Array, found: Openings, when: Array) -> Array:
+def find_hypotheses(writer: Writer, centre: Array, odometer_m: Array, found: Openings, when: Array) -> Array:
     """Return loop-closure hypotheses for a place written as a new node: known divergences that it may be.
 
     One more node decides among them.
 
     Args:
-      writer: `Writer` before the place was written.
-      centre: `[2]` float32, of the place, odometry.
-      odometer_m: float32, there.
-      found: its `Openings`.
       when: bool, False: do nothing.
 
     Returns:
@@ -213,7 +197,7 @@ def doubts_of(writer: Writer, centre: Array, odometer_m: Array, found: Openings,
     """
     map_, n = writer.map, writer.map.kind.shape[0]
     off_m = jnp.hypot(map_.x_m - centre[0], map_.y_m - centre[1])
-    may = (map_.kind == btm.DIVERGENCE) & (off_m < jnp.minimum(DOUBT[0] * odometer_m, DOUBT[1]))
+    may = (map_.kind == btm.DIVERGENCE) & (off_m < jnp.minimum(HYPOTHESIS_DRIFT[0] * odometer_m, HYPOTHESIS_DRIFT[1]))
     may &= when & (jnp.arange(n) != writer.node)
 
     def turns(none):
@@ -223,7 +207,7 @@ def doubts_of(writer: Writer, centre: Array, odometer_m: Array, found: Openings,
     return run_if(jnp.any(may), turns, jnp.full(n, jnp.nan))
 
 
-def decided(writer: Writer, kind: Array, centre: Array, odometer_m: Array, found: Openings) -> Writer:
+def resolve_hypotheses(writer: Writer, kind: Array, centre: Array, odometer_m: Array, found: Openings) -> Writer:
     """Resolve the hypotheses about the last node by the way from there and the place at its end.
 
     A hypothesis holds if a known link leaves its node in the direction in which the robot has left this one, has the
@@ -235,10 +219,8 @@ def decided(writer: Writer, kind: Array, centre: Array, odometer_m: Array, found
       Choset and Nagatani 2001, Topological simultaneous localization and mapping.
 
     Args:
-      writer: `Writer` with `doubts` of its last node.
       kind, centre, odometer_m: of the robot's place: int32, `NONE` where it cannot be a known one; `[2]` float32,
         odometry; float32.
-      found: its `Openings`, if it is a divergence.
 
     Returns:
       `Writer`, without doubts.
@@ -253,8 +235,8 @@ def decided(writer: Writer, kind: Array, centre: Array, odometer_m: Array, found
         )
         holds &= there
         node, is_it = jnp.argmax(holds).astype(jnp.int32), jnp.sum(holds) == 1
-        joined = _joined(map_, writer.node, node, writer.doubts[node])
-        map_ = jax.tree.map(lambda yes, no: jnp.where(is_it, yes, no), joined, map_)
+        joined = _merge_last_node(map_, writer.node, node, writer.doubts[node])
+        map_ = pick(is_it, joined, map_)
         origin = jnp.where(is_it, origin.at[2].set(writer.doubts[node]), origin)
         left = jnp.where(is_it, btm.wrapped(left + writer.doubts[node]), left)
         dropped += jnp.sum(there) - is_it
@@ -281,16 +263,16 @@ def _holds(writer, node, turn, kind, centre, odometer_m, found):
     best = jnp.argmin(off)
     link, forward = (best % size).astype(jnp.int32), best < size
     to = jnp.where(forward, map_.end[link], map_.start[link])
-    way = to_odometry(jnp.stack([0.0, 0.0, turn]))(centre - writer.origin[:2])
+    way = rotate_by(turn)(centre - writer.origin[:2])
     apart_m = jnp.hypot(*(way - way_along(map_, link, forward)))
-    within_m = SAME_WAY[0] + SAME_WAY[1] * (odometer_m - writer.node_m)
+    within_m = SAME_WAY_TOLERANCE[0] + SAME_WAY_TOLERANCE[1] * (odometer_m - writer.node_m)
     _, spread = turn_to(map_, to, dataclasses.replace(found, bearing=found.bearing + turn))
-    holds = (off[best] < ALIKE_RAD) & (map_.status[link] == btm.SEARCHED) & (apart_m < within_m)
+    holds = (off[best] < SAME_EXIT_RAD) & (map_.status[link] == btm.SEARCHED) & (apart_m < within_m)
     holds &= (map_.kind[to] == kind) & ((kind != btm.DIVERGENCE) | jnp.isfinite(spread))
     return holds, link
 
 
-def _joined(map_, last, node, turn):
+def _merge_last_node(map_, last, node, turn):
     """Replace the last node by a known one, at which its link then ends and whose frame differs by `turn`, radians."""
     size = map_.start.shape[0]
     comes = (map_.end == last) & (map_.status == btm.SEARCHED)
@@ -316,14 +298,7 @@ def _joined(map_, last, node, turn):
 
 
 def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array, Array]:
-    """Find the searched link from another node at the side where the robot comes in: `(link, bool: found)`.
-
-    Args:
-      map_: `Btm`.
-      start: int32, node from which the robot comes.
-      node: int32, where it is.
-      back: float32, bearing of the way in, radians.
-    """
+    """Find the searched link from another node at the side where the robot comes in: `(link, bool: found)`."""
     ends = (map_.start == start) & (map_.end == node), (map_.start == node) & (map_.end == start)
     bearing = jnp.where(ends[0], map_.end_bearing, map_.start_bearing)
     off = jnp.where((ends[0] | ends[1]) & (map_.status == btm.SEARCHED), jnp.abs(btm.wrapped(bearing - back)), jnp.inf)
@@ -332,37 +307,26 @@ def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array,
 
 
 def is_any_open(map_: Btm, tries: Array) -> Array:
-    """Return whether any link is un-searched and not given up, such as the one the robot arrives on: bool.
-
-    Args:
-      map_: `Btm`.
-      tries: `[M]` int32, see `Writer`.
-    """
-    return jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (tries < TRIES))
+    """Return whether any link is un-searched and not given up, such as the one the robot arrives on: bool."""
+    return jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (tries < MAX_TRIES))
 
 
-def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Writer, Btm, Array, Array]:
+def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Writer, Btm, Array, Array]:
     """Choose the link by which the robot goes on from a place.
 
     Un-searched links that it has set off on in vain are given up, and searched ones that lead elsewhere are followed no
     more; when nothing else is left, all of them get another chance. After that the searched ones get one whenever
     un-searched ones are left that were not given up, and more are searched than the last time.
 
-    Args:
-      writer: `Writer` before the node was made.
-      map_: `Btm` with it.
-      node: int32.
-      back: float32, bearing of the way in, radians.
-
     Returns:
       `(writer, map, link, bearing)`: with what was given up; int32, `NONE` where nothing is left; radians.
     """
-    fails, vain = _failed(writer, node), (writer.tries >= TRIES) & (map_.status == btm.UNSEARCHED)
+    fails, vain = _failed(writer, node), (writer.tries >= MAX_TRIES) & (map_.status == btm.UNSEARCHED)
     writer, map_ = writer.replace(fails=fails), map_.replace(blocked=map_.blocked | vain)
 
     def chosen(map_, fails):
         open_link = btm.first_open(map_, node, back)
-        usable = map_.replace(length_m=jnp.where(fails >= FAILS, btm.NO_WAY_M, map_.length_m))
+        usable = map_.replace(length_m=jnp.where(fails >= MAX_FAILS, btm.NO_WAY_M, map_.length_m))
         hop, hop_bearing, _ = btm.next_hop(usable, node)
         bearing = map_.start_bearing[jnp.minimum(open_link, map_.start.shape[0] - 1)]
         return tuple(
@@ -373,8 +337,8 @@ def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Write
 
     def again(_):
         retried = vain & is_first
-        tries, blocked = jnp.where(retried, TRIES - 1, writer.tries), map_.blocked & ~retried
-        one_less = jnp.minimum(fails, FAILS - 1)
+        tries, blocked = jnp.where(retried, MAX_TRIES - 1, writer.tries), map_.blocked & ~retried
+        one_less = jnp.minimum(fails, MAX_FAILS - 1)
         return blocked, tries, one_less, *chosen(map_.replace(blocked=blocked), one_less)
 
     link, bearing = chosen(map_, fails)

@@ -6,66 +6,52 @@ place the robot sweeps its outline over what it has seen; where that would touch
 along a wall away from that.
 """
 
-from collections.abc import Callable
-from typing import ClassVar, Self
-
 import jax
 import jax.numpy as jnp
-from flax import struct
 from jax import Array
 
 from jexplore.arrays.loops import run_if
 from jexplore.btm import wrapped
+from jexplore.driving.records import Manoeuvre, Surround
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.surround import DIRECTION, Surround
+from jexplore.driving.sensing.surround import DIRECTION
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import DT_S
 
-TRAIL = 256  # poses of the way here that are kept
+TRAIL_POSES = 256  # poses of the way here that are kept
 TRAIL_M = 0.04  # way between two
 TRAIL_RAD = 0.05  # a pose is reached within this and half of that
-ASIDE_RAD = 1.0  # the robot goes straight back from a pose from which it has turned farther
+OFF_TRAIL_RAD = 1.0  # the robot goes straight back from a pose from which it has turned farther
 STOP_M = 0.25  # a direction is blocked whose way is no longer than this
 GO_M = 0.4  # another one is taken whose way is as long as this
 GLANCE_RAD = 0.2  # a turn is begun that can be gone on with for so long
-STEER, MOST_STEER_RAD = 3.0, 0.25  # rad/m, rad; steering per metre of offset from the trail, and its maximum
-BACK_M = 0.15  # m; least distance of backing up
-MOST_BACK_M = 8.0
-AWAY_M = 0.4  # m; distance driven ahead where it cannot back farther, and as much to the wanted side as is free
-AWAY_RAD_S = 0.0, 0.1, 0.2, 0.5, 1.0  # turning so fast
-LEAST_BACK_M = 0.005  # m; progress counted for a step, turning included
+STEER_RAD_M, MAX_STEER_RAD = 3.0, 0.25  # rad/m, rad; steering per metre of offset from the trail, and its maximum
+MIN_BACK_M = 0.15  # m; least distance of backing up
+MAX_BACK_M = 8.0
+DRIVE_AWAY_M = 0.4  # m; distance driven ahead where it cannot back farther, and as much to the wanted side as is free
+DRIVE_AWAY_RAD_S = 0.0, 0.1, 0.2, 0.5, 1.0  # turning so fast
+MIN_BACK_STEP_M = 0.005  # m; progress counted for a step, turning included
 AHEAD_S = 0.2  # s; look-ahead of a step
-FREES = 8  # steps for which it goes on with what gets it away from what it has touched
-AGAIN = 12  # and steps after these within which the next way is tried where it touches again: more than lead back
-LEAN = 0.1  # turn rate, rad/s: next to a wall the outline allows no larger one
-LEAST_LEAN = LEAN / 8
+RECOVERY_STEPS = 8  # steps for which it goes on with what gets it away from what it has touched
+TOUCH_AGAIN_STEPS = (
+    12  # and steps after these within which the next way is tried where it touches again: more than lead back
+)
+LEAN_RAD_S = 0.1  # turn rate, rad/s: next to a wall the outline allows no larger one
+MIN_LEAN_RAD_S = LEAN_RAD_S / 8
 # Recovery attempts: speeds, in halves of its speed, and turn rates away from the nearest point.
-WAYS = *((v, turn) for turns in ((0, LEAN), (0.5, -0.5), (1, -1)) for v in (-1, 1) for turn in turns), (0, 1), (0, -1)
-SLACK_M = 0.01  # between a wall and the robot's outline after a step
-STICK = 0.3  # weight of the direction taken before
+RECOVERIES = (
+    *((v, turn) for turns in ((0, LEAN_RAD_S), (0.5, -0.5), (1, -1)) for v in (-1, 1) for turn in turns),
+    (0, 1),
+    (0, -1),
+)
+OUTLINE_SLACK_M = 0.01  # between a wall and the robot's outline after a step
+KEEP_DIRECTION_WEIGHT = 0.3  # weight of the direction taken before
 
 
-@struct.dataclass
-class Manoeuvre:
-    """Memory of obstacle avoidance between steps."""
-
-    trail: Array  # [TRAIL, 3] float32, poses of the way here, odometry without corrections; a ring
-    length: Array  # int32, place of the next one, counted on
-    kept: Array  # int32, poses that it holds
-    backing: Array  # bool, it is going back
-    backed_m: Array  # float32, how far
-    away_m: Array  # float32, distance still to drive ahead because there is no room behind; 0: none
-    tried: Array  # int32, which of `WAYS` it tries to get away from what it has touched
-    frees: Array  # int32, steps left: above `AGAIN` it still goes that way, below a touch makes it try the next one
-    avoiding: Array  # bool, it goes round something
-    side: Array  # float32, radians, direction in which
-    replace: ClassVar[Callable[..., Self]]
-
-
-def at_rest(pose: Array) -> Manoeuvre:
+def initial_manoeuvre(pose: Array) -> Manoeuvre:
     """Return an empty memory at a pose `[3]`."""
     return Manoeuvre(
-        trail=jnp.zeros((TRAIL, 3)).at[0].set(pose),
+        trail=jnp.zeros((TRAIL_POSES, 3)).at[0].set(pose),
         length=jnp.int32(1),
         kept=jnp.int32(1),
         backing=jnp.bool_(False),
@@ -78,21 +64,21 @@ def at_rest(pose: Array) -> Manoeuvre:
     )
 
 
-def is_open(ways_m: Array, within_rad: float, long_m: float) -> Array:
+def has_free_way(ways_m: Array, within_rad: float, long_m: float) -> Array:
     """Return whether some direction near straight ahead is free over a length: bool."""
     return jnp.any((ways_m >= long_m) & (jnp.abs(DIRECTION) <= within_rad))
 
 
-def remembered(now: Manoeuvre, pose: Array) -> Manoeuvre:
+def extend_trail(now: Manoeuvre, pose: Array) -> Manoeuvre:
     """Add the pose to the trail, if the robot has moved on since the last one; not while it goes back."""
-    last = now.trail[(now.length - 1) % TRAIL]
+    last = now.trail[(now.length - 1) % TRAIL_POSES]
     adds = (jnp.hypot(pose[0] - last[0], pose[1] - last[1]) >= TRAIL_M) & ~now.backing
-    at = jnp.where(adds, now.length % TRAIL, TRAIL)
-    kept = jnp.minimum(now.kept + adds, TRAIL)
+    at = jnp.where(adds, now.length % TRAIL_POSES, TRAIL_POSES)
+    kept = jnp.minimum(now.kept + adds, TRAIL_POSES)
     return now.replace(trail=now.trail.at[at].set(pose, mode="drop"), length=now.length + adds, kept=kept)
 
 
-def drive(
+def avoid_obstacles(
     now: Manoeuvre,
     around: Surround,
     ways_m: Array,
@@ -103,24 +89,19 @@ def drive(
     tuning: Tuning,
     robot: Robot,
 ) -> tuple[Manoeuvre, Array, Array]:
-    """Compute speed and turn rate towards a target, round obstacles.
+    """Compute speed and turn rate towards a target, round obstacles; `pose` is odometry without corrections.
 
     Args:
-      now: `Manoeuvre`.
-      around: `Surround`.
-      ways_m: from `surround.ways`.
-      pose: `[3]` float32, odometry without corrections.
       bearing: of the target point, radians.
       turning: int32, where the robot is to turn in place whatever the target: halves of its highest rate, to the left
         above 0; else 0.
       touched: bool, the last step was refused because of a wall.
-      tuning, robot: `Tuning`, `Robot`.
 
     Returns:
       `(after, v, omega)`: `Manoeuvre`; metres a second, radians a second.
     """
     speed = jnp.minimum(tuning.speed_m_s, robot.max_speed_m_s)
-    course, avoiding = _round(now, ways_m, pose, bearing, turning)
+    course, avoiding = _course_round(now, ways_m, pose, bearing, turning)
 
     # What would be driven, were there room.
     v = jnp.where(turning != 0, 0, speed * jnp.maximum(jnp.cos(course), 0))
@@ -140,12 +121,12 @@ def drive(
         goes, lambda _: _back_or_away(now, around, robot, pose, speed, side), still
     )
     # Nor does it go back farther where that leads nowhere and the way that it wants is free.
-    enough |= wedged & ~in_place & (now.backed_m >= BACK_M)
+    enough |= wedged & ~in_place & (now.backed_m >= MIN_BACK_M)
     backing = goes & ~(now.backing & enough)
     after = now.replace(
         backing=backing,
         away_m=jnp.where(backing, away_m, 0),
-        backed_m=jnp.where(backing, now.backed_m + jnp.maximum(jnp.abs(back_v) * DT_S, LEAST_BACK_M), 0),
+        backed_m=jnp.where(backing, now.backed_m + jnp.maximum(jnp.abs(back_v) * DT_S, MIN_BACK_STEP_M), 0),
         length=jnp.where(backing, length, now.length),
         kept=jnp.where(backing, now.kept - (now.length - length), now.kept),
         avoiding=avoiding,
@@ -157,17 +138,17 @@ def drive(
 def _tries(now, touched):
     """Advance the recovery: the next attempt, if it still tried one."""
     return now.replace(
-        tried=jnp.where(touched, jnp.where(now.frees > 0, (now.tried + 1) % len(WAYS), 0), now.tried),
-        frees=jnp.where(touched, FREES + AGAIN, jnp.maximum(now.frees - 1, 0)),
+        tried=jnp.where(touched, jnp.where(now.frees > 0, (now.tried + 1) % len(RECOVERIES), 0), now.tried),
+        frees=jnp.where(touched, RECOVERY_STEPS + TOUCH_AGAIN_STEPS, jnp.maximum(now.frees - 1, 0)),
     )
 
 
-def _round(now, ways_m, pose, bearing, turning):
+def _course_round(now, ways_m, pose, bearing, turning):
     """Return the direction in which to drive, and whether it differs from that of the target."""
     off = jnp.abs(wrapped(DIRECTION - bearing))
     here = ways_m[jnp.argmin(off)]
     free = ways_m >= GO_M
-    stick = jnp.where(now.avoiding, STICK, 0) * jnp.abs(wrapped(DIRECTION + pose[2] - now.side))
+    stick = jnp.where(now.avoiding, KEEP_DIRECTION_WEIGHT, 0) * jnp.abs(wrapped(DIRECTION + pose[2] - now.side))
     best = jnp.argmin(jnp.where(free, off + stick, jnp.inf))
     avoiding = (here < STOP_M) & jnp.any(free) & (turning == 0)
     return jnp.where(avoiding, jnp.asarray(DIRECTION)[best], bearing), avoiding
@@ -175,14 +156,14 @@ def _round(now, ways_m, pose, bearing, turning):
 
 def _room_m(around, robot, ahead_m, turn):
     """Compute the distance of the nearest point from the robot's outline after a motion, metres; below 0: inside."""
-    xy, known = surround.points(surround.moved(around, ahead_m, jnp.float32(0), turn))
+    xy, known = surround.known_points(surround.move_surround(around, ahead_m, jnp.float32(0), turn))
     outside = jnp.maximum(jnp.abs(xy[:, 0]) - robot.length_m / 2, jnp.abs(xy[:, 1]) - robot.width_m / 2)
     return jnp.min(jnp.where(known, outside, jnp.inf))
 
 
 def _meets(around, robot, ahead_m, turn):
     """Return whether the robot's outline meets a point after a short motion."""
-    return _room_m(around, robot, ahead_m, turn) < SLACK_M
+    return _room_m(around, robot, ahead_m, turn) < OUTLINE_SLACK_M
 
 
 def _backs(now, around, robot, in_place, wanted, omega, touched):
@@ -190,7 +171,7 @@ def _backs(now, around, robot, in_place, wanted, omega, touched):
 
     It starts when the robot cannot turn as wanted or has touched something; `enough`: it has backed far enough.
     """
-    margin_m = jnp.where(now.backing, 2 * surround.MARGIN_M, surround.MARGIN_M)
+    margin_m = jnp.where(now.backing, 2 * surround.OUTLINE_MARGIN_M, surround.OUTLINE_MARGIN_M)
     needed = jnp.where(now.backing, jnp.pi, jnp.minimum(wanted, GLANCE_RAD))
 
     def swept(_):
@@ -199,41 +180,42 @@ def _backs(now, around, robot, in_place, wanted, omega, touched):
 
     can = run_if(in_place | now.backing, swept, jnp.bool_(True))
     starts = (in_place & ~can) | touched
-    return starts, (now.backed_m >= BACK_M) & can | (now.backed_m > MOST_BACK_M)
+    return starts, (now.backed_m >= MIN_BACK_M) & can | (now.backed_m > MAX_BACK_M)
 
 
-def _beside(around, robot):
+def _nearest_side(around, robot):
     """Find the nearest obstacle to either side of the robot.
 
-    Returns:
-      `(side, off_m, leans)`: 1 left, -1 right; distance from the robot's front half; bool, it leaves no room to turn in
-        place while there is room on the other side and behind.
+    Returns `(side, off_m, leans)`: 1 left, -1 right; distance from the robot's front half; bool, it leaves no room to
+    turn in place while there is room on the other side and behind.
     """
-    xy, known = surround.points(around)
+    xy, known = surround.known_points(around)
     x, y = xy.T
     half_m, half_width_m = robot.length_m / 2, robot.width_m / 2
     # A wall that it touches is seen some way inside its outline.
-    beside_m = half_width_m - jnp.where(jnp.abs(x) < half_m, surround.MARGIN_M, SLACK_M)
+    beside_m = half_width_m - jnp.where(jnp.abs(x) < half_m, surround.OUTLINE_MARGIN_M, OUTLINE_SLACK_M)
 
     def nearest(there, off_m):
         return jnp.min(jnp.where(known & there, off_m, jnp.inf))
 
     left, right = (
-        nearest((jnp.abs(x) < half_m + BACK_M) & (side * y > beside_m), side * y) - half_width_m for side in (1, -1)
+        nearest((jnp.abs(x) < half_m + MIN_BACK_M) & (side * y > beside_m), side * y) - half_width_m for side in (1, -1)
     )
-    behind = nearest((x < 0) & (jnp.abs(y) < half_width_m - 2 * SLACK_M), -x) - half_m
-    margin_m = 2 * surround.MARGIN_M
+    behind = nearest((x < 0) & (jnp.abs(y) < half_width_m - 2 * OUTLINE_SLACK_M), -x) - half_m
+    margin_m = 2 * surround.OUTLINE_MARGIN_M
     needed_m = jnp.hypot(half_m + margin_m, half_width_m + margin_m) - half_width_m
-    leans = (jnp.minimum(left, right) < needed_m) & (left + right > 2 * needed_m) & (behind > BACK_M)
+    leans = (jnp.minimum(left, right) < needed_m) & (left + right > 2 * needed_m) & (behind > MIN_BACK_M)
     side = jnp.where(left < right, 1, -1)
-    off_m = nearest((x > 0) & (x < half_m + BACK_M) & (side * y > beside_m), side * y) - half_width_m
+    off_m = nearest((x > 0) & (x < half_m + MIN_BACK_M) & (side * y > beside_m), side * y) - half_width_m
     return side, off_m, leans
 
 
 def _gets_free(speed, side):
-    """Return `WAYS` as `[K, 2]`, metres and radians a second."""
+    """Return `RECOVERIES` as `[K, 2]`, metres and radians a second."""
     # Going ahead, it leaves an obstacle on the left by turning right; going back, by turning left.
-    return jnp.stack([jnp.stack([v * speed / 2, jnp.float32(turn) * side * (-1 if v > 0 else 1)]) for v, turn in WAYS])
+    return jnp.stack(
+        [jnp.stack([v * speed / 2, jnp.float32(turn) * side * (-1 if v > 0 else 1)]) for v, turn in RECOVERIES]
+    )
 
 
 def _back(now, around, robot, pose, speed):
@@ -243,48 +225,48 @@ def _back(now, around, robot, pose, speed):
     If that would touch, it goes straight back, else by the motion that leads farthest. Along a wall it leans away, to
     gain distance.
     """
-    goal = now.trail[(now.length - 1) % TRAIL]
+    goal = now.trail[(now.length - 1) % TRAIL_POSES]
     offset = goal[:2] - pose[:2]
     behind = -(offset[0] * jnp.cos(pose[2]) + offset[1] * jnp.sin(pose[2]))
     turn = wrapped(goal[2] - pose[2])
     left = offset[1] * jnp.cos(pose[2]) - offset[0] * jnp.sin(pose[2])
-    aside = jnp.abs(turn) > ASIDE_RAD
+    aside = jnp.abs(turn) > OFF_TRAIL_RAD
     v = jnp.where(aside, -speed / 2, -jnp.clip(behind / DT_S, 0, speed))
     # Going back, it comes to the left by heading to the right.
-    steered = turn - jnp.where(v < 0, jnp.clip(STEER * left, -MOST_STEER_RAD, MOST_STEER_RAD), 0)
+    steered = turn - jnp.where(v < 0, jnp.clip(STEER_RAD_M * left, -MAX_STEER_RAD, MAX_STEER_RAD), 0)
     omega = jnp.where(aside, 0, jnp.clip(steered / DT_S, -1.0, 1.0))
-    near = (behind < TRAIL_M / 2) & (aside | (jnp.abs(turn) < TRAIL_RAD + MOST_STEER_RAD))
+    near = (behind < TRAIL_M / 2) & (aside | (jnp.abs(turn) < TRAIL_RAD + MAX_STEER_RAD))
     # Along a wall, by half of what its front has room for. Where that touches, it goes straight back for a while.
-    side, off_m, leans = _beside(around, robot)
-    lean = jnp.where(now.frees == 0, jnp.clip(off_m / robot.length_m / DT_S, LEAST_LEAN, LEAN), 0.0)
+    side, off_m, leans = _nearest_side(around, robot)
+    lean = jnp.where(now.frees == 0, jnp.clip(off_m / robot.length_m / DT_S, MIN_LEAN_RAD_S, LEAN_RAD_S), 0.0)
     ways = jnp.stack([jnp.stack([-speed / 2, side * lean]), jnp.stack([v, omega])])
     ways = jnp.concatenate([ways, _gets_free(speed, side)])
     room_m = jax.vmap(lambda way: _room_m(around, robot, way[0] * AHEAD_S, way[1] * AHEAD_S))(ways)
-    leans &= (now.frees <= AGAIN) & (room_m[0] > jnp.minimum(off_m, 0) - SLACK_M)
+    leans &= (now.frees <= TOUCH_AGAIN_STEPS) & (room_m[0] > jnp.minimum(off_m, 0) - OUTLINE_SLACK_M)
     # As planned, or straight back; where neither is free, the motion that leads farthest; after contact with something
     # unseen, one attempt after the other.
-    free = room_m[1:3] >= SLACK_M
+    free = room_m[1:3] >= OUTLINE_SLACK_M
     best = jnp.where(jnp.any(free), 1 + jnp.argmax(free), jnp.argmax(room_m))
-    best = jnp.where(now.frees > AGAIN, 2 + now.tried, jnp.where(leans, 0, best))
+    best = jnp.where(now.frees > TOUCH_AGAIN_STEPS, 2 + now.tried, jnp.where(leans, 0, best))
     found, passes = ways[best], best != 1
-    near |= passes & (jnp.hypot(offset[0], offset[1]) < BACK_M)
+    near |= passes & (jnp.hypot(offset[0], offset[1]) < MIN_BACK_M)
     return found[0], found[1], jnp.where(near, now.length - 1, now.length), ~jnp.any(free) & ~leans
 
 
 def _back_or_away(now, around, robot, pose, speed, side):
     """Return `_back`, and the distance still to drive ahead: without room behind the robot drives away."""
     back_v, back_omega, length, wedged = _back(now, around, robot, pose, speed)
-    away_v, away_omega, is_free = _away(around, robot, speed, side)
-    away = is_free & (now.frees <= AGAIN) & (wedged | (now.away_m > 0))
-    left_m = jnp.maximum(jnp.where(now.away_m > 0, now.away_m, AWAY_M) - away_v * DT_S, 0)
+    away_v, away_omega, is_free = _drive_away(around, robot, speed, side)
+    away = is_free & (now.frees <= TOUCH_AGAIN_STEPS) & (wedged | (now.away_m > 0))
+    left_m = jnp.maximum(jnp.where(now.away_m > 0, now.away_m, DRIVE_AWAY_M) - away_v * DT_S, 0)
     v, omega = jnp.where(away, away_v, back_v), jnp.where(away, away_omega, back_omega)
     return v, omega, jnp.where(away, now.length, length), wedged, jnp.where(away, left_m, 0.0)
 
 
-def _away(around, robot, speed, side):
+def _drive_away(around, robot, speed, side):
     """Return speed and turn rate ahead, with as much to one side as is free: `(v, omega, is_free)`."""
-    omega = jnp.concatenate([side * jnp.asarray(AWAY_RAD_S), -side * jnp.asarray(AWAY_RAD_S[1:])])
+    omega = jnp.concatenate([side * jnp.asarray(DRIVE_AWAY_RAD_S), -side * jnp.asarray(DRIVE_AWAY_RAD_S[1:])])
     room_m = jax.vmap(lambda omega: _room_m(around, robot, speed / 2 * AHEAD_S, omega * AHEAD_S))(omega)
-    free = room_m >= SLACK_M
+    free = room_m >= OUTLINE_SLACK_M
     best = jnp.argmax(jnp.where(free, side * omega, -jnp.inf))
     return speed / 2, omega[best], jnp.any(free)

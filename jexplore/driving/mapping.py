@@ -6,51 +6,30 @@ evenly again.
 """
 
 import math
-from collections.abc import Callable
-from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
-from flax import struct
 from jax import Array, lax
 
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
-from jexplore.driving.behaviour import Latch, RunMode
-from jexplore.driving.guiding.guide import Guide
-from jexplore.driving.sensing import ground_profile, lone_steps, steadying
-from jexplore.driving.sensing.lone_steps import LoneStep
+from jexplore.driving.records import Guide, Latch, RunMode, Senses, SlopeEstimate, State, Trajectory, Writer
+from jexplore.driving.sensing import ground_profile, lone_steps, smoothing
 from jexplore.driving.settings import Robot
-from jexplore.driving.vehicle import Senses, down_directions
+from jexplore.driving.vehicle import down_directions
 
-LEAN_STEPS = 32  # steps in which the noise of the attitude is told
+SLOPE_STEPS = 32  # steps in which the noise of the attitude is told
 EVEN_DEG = 1.0  # the robot stands evenly once its lean has varied by less than this
 EVEN_LENGTHS = 0.25  # over this way, in lengths of the robot: on a long robot a gentle slope comes slowly
-MEANT_STEPS = 5  # of which the width of a passage is the mean, and the roll on it
-MEANT_M = 0.1  # as far as they are this near
+WIDTH_MEAN_STEPS = 5  # of which the width of a passage is the mean, and the roll on it
+WIDTH_MEAN_M = 0.1  # as far as they are this near
 ELSEWHERE_M = 2.0  # a node met again truly lies elsewhere if that is farther than this beyond its circle, metres
-BEYOND_M = 0.05, 1.0  # a robot beyond an opening is no farther before it and behind it
+BEYOND_OPENING_M = 0.05, 1.0  # a robot beyond an opening is no farther before it and behind it
 
 
-@struct.dataclass
-class Way:
-    """Every step of the run. T slots."""
-
-    odometer_m: Array  # [T] float32, inf where there was no step yet
-    pose: Array  # [T, 3] float32, odometry: x, y, metres; heading, radians
-    pitch: Array  # [T] float32, measured, radians
-    roll: Array  # [T] float32, as `pitch`
-    posture: Array  # [T] float32, inclination of the body, radians
-    width_m: Array  # [T] float32, of the passage; inf where a side is open
-    ground_x_m: Array  # [T] float32, odometer at the point that the downward scanner saw; inf for none
-    ground_z_m: Array  # [T] float32, its height above the start
-    mode: Array  # [T] int32, `RunMode`
-    replace: ClassVar[Callable[..., Self]]
-
-
-def no_way(size: int) -> Way:
+def no_way(size: int) -> Trajectory:
     """Return a way of no steps; `size` static."""
-    return Way(
+    return Trajectory(
         odometer_m=jnp.full(size, jnp.inf),
         pose=jnp.zeros((size, 3)),
         pitch=jnp.zeros(size),
@@ -63,46 +42,7 @@ def no_way(size: int) -> Way:
     )
 
 
-@struct.dataclass
-class Level:
-    """The lean of the ground that the robot stands on, and of what it last stood on evenly; see `lean_of`."""
-
-    even: Array  # [2] float32, radians, when it last stood evenly
-    anchor: Array  # [2] float32, radians, about which it varies little: first as it came there, then as it has settled
-    anchor_m: Array  # float32, odometer where that began
-    stands: Array  # bool, whether it stands evenly
-    left_m: Array  # float32, odometer where it last was the even one
-    since_m: Array  # float32, odometer where it came to be
-
-
-@struct.dataclass
-class Writer:
-    """State of writing a map."""
-
-    map: Btm
-    way: Way
-    node: Array  # int32, where it was last
-    node_m: Array  # float32, odometer there
-    link: Array  # int32, on which it is; M for none
-    left_bearing: Array  # float32, radians, in which it left the last node
-    entry: Array  # [2] float32, where it began to approach a divergence
-    level: Level
-    lone_step: LoneStep  # that is ahead or under the robot
-    border_m: Array  # float32, odometer at which a free space will have been entered or left; inf: none
-    passed: Array  # [4] float32, a place that was none: x, y, radius, metres; odometer there
-    tries: Array  # [M] int32, how often the robot has set off on a link that was un-searched, or may do so no more
-    fails: Array  # [M] int32, how often in a row a searched link has led elsewhere
-    last_chance: Array  # int32, searched links when those that were given up last got another chance; -1: never
-    exhausted: Array  # bool, nothing is left to follow
-    full: Array  # bool, a node did not fit
-    doubts: Array  # [N] float32, known nodes that the last one may be: turn of its frame then, radians; NaN: it is not
-    dropped: Array  # int32, such hypotheses that did not hold
-    origin: Array  # [3] float32, the last node as the odometry has it: x, y, metres; turn of its frame, radians
-    guide: Guide | None = None  # of a robot that follows a route
-    replace: ClassVar[Callable[..., Self]]
-
-
-def begin(
+def begin_map(
     n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array | bool, guide: Guide | None = None
 ) -> Writer:
     """Return a map with the start node, the link on which the robot sets off and, if it exists, the one behind.
@@ -121,7 +61,7 @@ def begin(
         link=link,
         left_bearing=jnp.float32(1) * pose[2],
         entry=jnp.zeros(2),
-        level=Level(
+        level=SlopeEstimate(
             even=jnp.zeros(2),
             anchor=jnp.zeros(2),
             anchor_m=zero,
@@ -129,7 +69,7 @@ def begin(
             left_m=zero,
             since_m=zero,
         ),
-        lone_step=lone_steps.none(),
+        lone_step=lone_steps.no_step(),
         border_m=jnp.float32(jnp.inf),
         passed=jnp.array([0.0, 0.0, 0.0, -jnp.inf], jnp.float32),
         tries=jnp.zeros(n_links, jnp.int32),
@@ -144,44 +84,40 @@ def begin(
     )
 
 
-def lean(pitch: Array, roll: Array, heading: Array) -> Array:
+def slope_under(pitch: Array, roll: Array, heading: Array) -> Array:
     """Return direction and angle of the slope under a robot: `[2, ...]`, radians, in the frame of the heading."""
     cos, sin = jnp.cos(heading), jnp.sin(heading)
     return jnp.stack([-pitch * cos - roll * sin, -pitch * sin + roll * cos])
 
 
-def lean_of(way: Way, step: Array) -> tuple[Array, Array]:
+def slope_at(way: Trajectory, step: Array) -> tuple[Array, Array]:
     """Estimate direction (odometry frame) and angle of the slope on which the robot stands.
 
     A robot that turns on a slope changes pitch and roll; the estimated slope stays the same.
 
     Args:
-      way: `Way`, with this step.
-      step: int32.
+      way: `Trajectory`, with this step.
 
     Returns:
       `(lean, odometer_m)`: `[2]` float32, radians, averaged over as many steps as the noise of the pitch requires;
         float32, in the middle of these steps.
     """
-    first = jnp.clip(step + 1 - LEAN_STEPS, 0, way.pitch.shape[0] - LEAN_STEPS)
+    first = jnp.clip(step + 1 - SLOPE_STEPS, 0, way.pitch.shape[0] - SLOPE_STEPS)
     pitch, roll, odometer_m = (
-        lax.dynamic_slice(a, (first,), (LEAN_STEPS,)) for a in (way.pitch, way.roll, way.odometer_m)
+        lax.dynamic_slice(a, (first,), (SLOPE_STEPS,)) for a in (way.pitch, way.roll, way.odometer_m)
     )
-    heading = lax.dynamic_slice(way.pose, (first, 2), (LEAN_STEPS, 1))[:, 0]
-    age = step - first - jnp.arange(LEAN_STEPS)
-    share = steadying.shares(pitch, age)
-    return lean(pitch, roll, heading) @ share, share @ jnp.where(age >= 0, odometer_m, 0)
+    heading = lax.dynamic_slice(way.pose, (first, 2), (SLOPE_STEPS, 1))[:, 0]
+    age = step - first - jnp.arange(SLOPE_STEPS)
+    share = smoothing.mean_weights(pitch, age)
+    return slope_under(pitch, roll, heading) @ share, share @ jnp.where(age >= 0, odometer_m, 0)
 
 
-def watch_level(
-    level: Level, lean: Array, odometer_m: Array | float, threshold: Array | float, even_m: Array | float
-) -> tuple[Level, Array, Array, Array]:
+def update_slope(
+    level: SlopeEstimate, lean: Array, odometer_m: Array | float, threshold: Array | float, even_m: Array | float
+) -> tuple[SlopeEstimate, Array, Array, Array]:
     """Take one more lean into account.
 
     Args:
-      level: `Level`.
-      lean: `[2]` float32, radians, from `lean_of`.
-      odometer_m: float32.
       threshold: change of inclination that is an obstacle, radians.
       even_m: the robot stands evenly once its lean has varied by less than `EVEN_DEG` over this way.
 
@@ -205,7 +141,7 @@ def watch_level(
     near = jnp.hypot(*(anchor - level.even)) <= math.radians(EVEN_DEG)
     tips = (level.left_m - level.since_m >= length_m) & (odometer_m - anchor_m < length_m)
     stays = even & (changed | near | ~tips)
-    after = Level(
+    after = SlopeEstimate(
         even=jnp.where(stays, anchor, level.even),
         anchor=anchor,
         anchor_m=anchor_m,
@@ -216,12 +152,10 @@ def watch_level(
     return after, changed, crease, steepest
 
 
-def moved(writer: Writer, centre: Array, turn: Array | float) -> Array:
+def pose_from_node(writer: Writer, centre: Array, turn: Array | float) -> Array:
     """Return the odometry pose of a node in the frame of the last one.
 
     Args:
-      writer: `Writer`.
-      centre: `[2]` float32, odometry, of the node.
       turn: of its own frame against the odometry's, radians.
 
     Returns:
@@ -232,12 +166,12 @@ def moved(writer: Writer, centre: Array, turn: Array | float) -> Array:
     return jnp.stack([cos * x - sin * y, sin * x + cos * y, btm.wrapped(writer.origin[2] - turn)])
 
 
-def pose_at(way: Way, odometer_m: Array | float) -> Array:
+def pose_at(way: Trajectory, odometer_m: Array | float) -> Array:
     """Return the pose when the odometer had a value: `[3]` float32."""
     return way.pose[jnp.argmax(way.odometer_m >= odometer_m)]
 
 
-def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array, Array]:
+def way_extremes(way: Trajectory, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array, Array]:
     """Return extremes between two places: `(metres, degrees, degrees)`; inf, 0 and 0 for no step.
 
     They are the narrowest passage, the largest inclination of the body and its largest roll.
@@ -245,9 +179,9 @@ def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, 
     within = (way.odometer_m >= from_m) & (way.odometer_m <= to_m)
     known = within & jnp.isfinite(way.width_m)
     place = jnp.where(known, way.odometer_m, jnp.inf)
-    meant = steadying.mean_near(way.width_m, place, way.odometer_m, MEANT_STEPS, MEANT_M)
+    meant = smoothing.mean_near(way.width_m, place, way.odometer_m, WIDTH_MEAN_STEPS, WIDTH_MEAN_M)
     width = jnp.min(jnp.where(known, meant, jnp.inf))
-    rolls = jnp.abs(steadying.running_mean(way.roll, MEANT_STEPS))
+    rolls = jnp.abs(smoothing.running_mean(way.roll, WIDTH_MEAN_STEPS))
     posture, roll = (jnp.degrees(jnp.max(jnp.where(within, a, 0))) for a in (way.posture, rolls))
     return width, posture, roll
 
@@ -270,28 +204,20 @@ def came_from(writer: Writer, centre: Array, radius: Array) -> Array:
 
 def came_through(writer: Writer, middles: Array, across: Array, width_m: Array) -> Array:
     """Return the last step since the last node at which the robot was just beyond an opening: `[K]` int32, -1 for none.
-
-    Args:
-      writer: `Writer`.
-      middles, across, width_m: `[K, 2]`, `[K]`, `[K]` float32, of the openings, odometry: see `openings.Openings`.
     """
     offset = writer.way.pose[:, :2] - middles[:, None]  # [K, T, 2]
     cos, sin = jnp.cos(across)[:, None], jnp.sin(across)[:, None]
     out_m, aside_m = offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin
-    there = (out_m > -BEYOND_M[0]) & (out_m < BEYOND_M[1]) & (jnp.abs(aside_m) < width_m[:, None] / 2)
+    there = (out_m > -BEYOND_OPENING_M[0]) & (out_m < BEYOND_OPENING_M[1]) & (jnp.abs(aside_m) < width_m[:, None] / 2)
     there &= _since_node(writer)
     return jnp.max(jnp.where(there, jnp.arange(there.shape[1]), -1), axis=1)
 
 
-def broken_off(writer: Writer, pose: Array, odometer_m: Array, steps: Array, when: Array) -> tuple[Btm, Array]:
+def end_broken_off(writer: Writer, pose: Array, odometer_m: Array, steps: Array, when: Array) -> tuple[Btm, Array]:
     """End the map of a run that breaks off on an un-searched link: it ends at the robot and continues un-searched.
 
     Args:
-      writer: `Writer`.
-      pose: `[3]` float32, odometry.
-      odometer_m: float32.
       steps: int32, of the run: later entries of the way are not part of the run.
-      when: bool, whether the run breaks off.
 
     Returns:
       `(map, node)`: `Btm`; int32, N where nothing was added.
@@ -303,11 +229,11 @@ def broken_off(writer: Writer, pose: Array, odometer_m: Array, steps: Array, whe
     def ended(map_):
         gone = jnp.arange(writer.way.odometer_m.shape[0]) < steps
         way = writer.way.replace(odometer_m=jnp.where(gone, writer.way.odometer_m, jnp.inf))
-        width_m, posture_deg, roll_deg = along(way, writer.node_m, odometer_m)
+        width_m, posture_deg, roll_deg = way_extremes(way, writer.node_m, odometer_m)
         map_, node = btm.add_node(map_, btm.TERMINAL, pose[0], pose[1])
         found = {"length_m": odometer_m - writer.node_m, "min_width_m": width_m}
         found |= {"link_posture_deg": posture_deg, "max_roll_deg": roll_deg}
-        found |= dict(zip(("moved_x_m", "moved_y_m", "turned"), moved(writer, pose[:2], 0.0)))
+        found |= dict(zip(("moved_x_m", "moved_y_m", "turned"), pose_from_node(writer, pose[:2], 0.0)))
         map_ = btm.end_link(map_, link, node, pose[2] + math.pi, **found)
         return btm.add_link(map_, node, pose[2])[0]
 
@@ -336,18 +262,8 @@ def is_near_known(writer: Writer, centres: Array, odometer_m: Array | float, lea
     return known | ((odometer_m - there_m < 2 * (radius + leave_m)) & (off2 < reach**2))
 
 
-def note(state: Any, senses: Senses, width_m: Array, robot: Robot) -> Writer:
-    """Record the measures of a step; no width where the robot turns in place.
-
-    Args:
-      state: `mission.State`.
-      senses: `Senses`.
-      width_m: of the passage.
-      robot: `Robot`.
-
-    Returns:
-      `Writer`.
-    """
+def record_step(state: State, senses: Senses, width_m: Array, robot: Robot) -> Writer:
+    """Record the measures of a step; no width where the robot turns in place."""
     way, at = state.writer.way, state.step
     ground_x, ground_z, ground_seen = ground_profile.ground_point(
         senses.down_m,
@@ -372,13 +288,11 @@ def note(state: Any, senses: Senses, width_m: Array, robot: Robot) -> Writer:
     return state.writer.replace(way=way)
 
 
-def truly_at(node_at: Array, before: Writer, after: Writer, at: Array) -> tuple[Array, Array]:
+def record_truth(node_at: Array, before: Writer, after: Writer, at: Array) -> tuple[Array, Array]:
     """Record the true position at which a node is made, and report wrong node matches.
 
     Args:
       node_at: `[N, 2]` float32, metres, of the existing nodes.
-      before, after: `Writer` before and after the step.
-      at: `[2]` float32, true position of the robot.
 
     Returns:
       `(node_at, is_elsewhere)`: with the new nodes of this step; bool, the matched node truly lies elsewhere.

@@ -6,8 +6,7 @@ looks down, an attitude sensor and encoders. A run is a program of the engine.
 
 import dataclasses
 import enum
-from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,39 +16,21 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
-from jexplore.driving import approach, behaviour, halls, manoeuvre, mapping, nodes
-from jexplore.driving.behaviour import Drive, FreeSpace, Latch, Track
-from jexplore.driving.events import GOAL_M, due, look_ahead, walls_of_scan
-from jexplore.driving.guiding.guide import Guide
-from jexplore.driving.guiding.steering import guided
-from jexplore.driving.manoeuvre import Manoeuvre
-from jexplore.driving.mapping import Writer
-from jexplore.driving.sensing import matching, steadying, surround
-from jexplore.driving.sensing.matching import Key
-from jexplore.driving.sensing.surround import Surround
+from jexplore.driving import approach, behaviour, manoeuvre, mapping, nodes
+from jexplore.driving.events import GOAL_M, due_node, look_ahead, walls_of_scan
+from jexplore.driving.guiding.steering import steer_along_route
+from jexplore.driving.records import Building, Draws, Guide, Latch, Senses, State
+from jexplore.driving.sensing import matching, smoothing, surround
 from jexplore.driving.settings import Noise, Robot, Tuning
-from jexplore.driving.vehicle import (
-    BEAMS,
-    Body,
-    Building,
-    Draws,
-    Senses,
-    at_rest,
-    draw,
-    levelled,
-    move,
-    sense,
-    to_odometry,
-    to_robot,
-)
+from jexplore.driving.vehicle import BEAMS, draw, initial_body, level_scan, move, read_sensors, to_odometry, to_robot
 from jexplore.engine.program import Given, Program
 
-BLOCK = 16  # steps whose random numbers are drawn at once
-SIZE = 32, 64  # most nodes and links of a map
+DRAWN_STEPS = 16  # steps whose random numbers are drawn at once
+MAP_SIZE = 32, 64  # most nodes and links of a map
 BLIND_STEPS = 20  # scans in a row, most of whose beams give no number, that end a run
 
 
-class Outcome(enum.IntEnum):
+class RunOutcome(enum.IntEnum):
     """Outcome of a run."""
 
     RUNNING = 0
@@ -70,76 +51,44 @@ class Outcome(enum.IntEnum):
     """The observations contradict the route, or the robot cannot pass there."""
 
 
-BROKEN_OFF = (Outcome.STUCK, Outcome.BLIND, Outcome.STEP_LIMIT)
+BROKEN_OFF = (RunOutcome.STUCK, RunOutcome.BLIND, RunOutcome.STEP_LIMIT)
 """A run that ends so ends at a node of type terminal, if it was on a link that it had not searched."""
-
-
-@struct.dataclass
-class State:
-    """A run in progress."""
-
-    body: Body
-    estimate: Array  # [3] float32, odometry, corrected where a node is met again
-    odometry: Array  # [3] float32, odometry without corrections
-    around: Surround  # where the last scan was taken
-    scanned: Array  # [3] float32, odometry without corrections there
-    key: Key
-    manoeuvre: Manoeuvre
-    touched: Array  # bool, a wall has just refused a step
-    odometer_m: Array  # float32
-    climbed_m: Array  # float32, height above the start as the attitude has it
-    track: Track
-    space: FreeSpace
-    drive: Drive
-    writer: Writer
-    scan_overflow: Array  # int32, ends of walls that a scan had more than there is room for
-    mode: Array  # int32
-    target: Array  # [2] float32, target point in the robot's frame
-    blocked: Array  # int32, steps in a row with ground ahead that the robot cannot climb
-    halts: Array  # bool, the ground has just refused a step
-    blind: Array  # int32, scans in a row without numbers
-    moved_m: Array  # float32, odometer when it last got on
-    moved_step: Array  # int32, and the step
-    stray_from: Array  # [2] float32, where it has been near for long, odometry
-    stray_step: Array  # int32, since which step
-    helps: Array  # int32
-    since_node: Array  # int32, of them, since the last node
-    help_at: Array  # [HELPS_KEPT, 4] float32, x, y of the first of them, odometry; step; run mode
-    node_at: Array  # [N, 2] float32, where the robot truly was when it made a node
-    mistaken: Array  # int32, times that it took a place for a node that truly lies elsewhere
-    met: Array  # [K] bool, which of the building's marks it has been at
-    truth: Array  # [T, 3] float32, true poses
-    step: Array  # int32
-    outcome: Array  # int32
-    draws: Any  # `vehicle.Draws` of `BLOCK` steps
-    replace: ClassVar[Callable[..., Self]]
 
 
 class Setup(NamedTuple):
     """Static config of a run. Hashable."""
 
     room: int  # T, steps that there is room for
-    n_nodes: int = SIZE[0]  # N, most of a map
-    n_links: int = SIZE[1]
+    n_nodes: int = MAP_SIZE[0]  # N, most of a map
+    n_links: int = MAP_SIZE[1]
 
 
-@struct.dataclass
-class Result:
-    """Result of a run."""
+class MissionTask(NamedTuple):
+    """Settings, start and route of one run; numbers are arrays."""
+
+    robot: Robot
+    tuning: Tuning
+    noise: Noise
+    start: Array  # [3] float32, building's frame
+    guide: Guide | None
+
+
+class RunResult(struct.PyTreeNode):
+    """Result of a run; fields that `State` has as well are those of its end."""
 
     map: Btm
-    outcome: Array  # int32, `Outcome`
+    outcome: Array  # int32, `RunOutcome`
     steps: Array  # int32, of `vehicle.DT_S` seconds
     path_m: Array  # float32, way in the plane
     contacts: Array  # int32, steps refused because of a wall
     refused: Array  # int32, steps refused because of the ground
     interventions: Array  # int32, of the operator
-    help_at: Array  # [HELPS_KEPT, 4] float32, x, y of the first of them, odometry; step; run mode; NaN: none
-    node_at: Array  # [N, 2] float32, where the robot truly was when it made a node
-    mistaken: Array  # int32, times that it took a place for a node that truly lies elsewhere
-    dropped: Array  # int32, hypotheses which known node a place was that did not hold
-    met: Array  # [K] bool, which of the building's marks it has been at
-    scan_overflow: Array  # int32, ends of walls that did not fit into a scan's points
+    help_at: Array
+    node_at: Array
+    mistaken: Array
+    dropped: Array  # int32, loop-closure hypotheses that did not hold
+    met: Array
+    scan_overflow: Array
     drift_m: Array  # float32, how far the odometry was off in the end
     end: Array  # [3] float32, where the robot truly was in the end
     guide: Guide | None  # of a robot that follows a route
@@ -150,25 +99,25 @@ def _is_open(building):
     return jnp.isnan(building.goal[0])
 
 
-def at_start(setup: Setup, building: Building, robot: Robot, start: Array, guide: Guide | None = None) -> State:
+def initial_state(setup: Setup, building: Building, robot: Robot, start: Array, guide: Guide | None = None) -> State:
     """Return the state before the first step, without random numbers. `setup` static; `start` from `batch.pose_in`."""
     zero, none = jnp.float32(0), jnp.int32(0)
     start = jnp.asarray(start, jnp.float32)
     return State(
-        body=at_rest(building, robot, start),
+        body=initial_body(building, robot, start),
         estimate=start,
         odometry=start,
-        around=surround.unknown(),
+        around=surround.empty_surround(),
         scanned=start,
-        key=matching.at_start(start),
-        manoeuvre=manoeuvre.at_rest(start),
+        key=matching.no_key(start),
+        manoeuvre=manoeuvre.initial_manoeuvre(start),
         touched=jnp.bool_(False),
         odometer_m=zero,
         climbed_m=zero,
-        track=behaviour.no_track(),
+        track=behaviour.empty_track(),
         space=behaviour.no_free_space(),
-        drive=behaviour.at_rest(),
-        writer=mapping.begin(setup.room, setup.n_nodes, setup.n_links, start, _is_open(building), guide),
+        drive=behaviour.initial_drive(),
+        writer=mapping.begin_map(setup.room, setup.n_nodes, setup.n_links, start, _is_open(building), guide),
         scan_overflow=none,
         mode=none,
         target=jnp.zeros(2),
@@ -187,53 +136,51 @@ def at_start(setup: Setup, building: Building, robot: Robot, start: Array, guide
         met=jnp.zeros(building.marks.shape[0], bool),
         truth=jnp.zeros((setup.room, 3)),
         step=none,
-        outcome=jnp.int32(Outcome.RUNNING),
+        outcome=jnp.int32(RunOutcome.RUNNING),
         draws=(),
     )
 
 
-def steadied(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
-    """Return the forward scan in the plane with its noise averaged: see `vehicle.levelled`."""
-    return levelled(senses.replace(ranges_m=steadying.scan(senses.ranges_m)), robot)
+def smooth_senses(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
+    """Return the forward scan in the plane with its noise averaged: see `vehicle.level_scan`."""
+    return level_scan(senses.replace(ranges_m=smoothing.smooth_ranges(senses.ranges_m)), robot)
 
 
-def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: Noise, state: State) -> State:
-    """Make one step of a run: sense, perceive, write, decide, move.
-
-    Args:
-      draws, state: `Draws`, `State`.
-      building, robot, tuning, noise: of the run.
-
-    Returns:
-      `State`.
-    """
-    senses, looked_from = sense(draws, building, robot, noise, state.body), state.odometry[2]
+def make_step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: Noise, state: State) -> State:
+    """Make one step of a run: sense, perceive, write, decide, move."""
+    senses, looked_from = read_sensors(draws, building, robot, noise, state.body), state.odometry[2]
     blind = jnp.where(jnp.sum(jnp.isnan(senses.ranges_m)) > BEAMS / 2, state.blind + 1, 0)
-    senses, is_ground = steadied(senses, robot)
+    senses, is_ground = smooth_senses(senses, robot)
     walls = walls_of_scan(senses.ranges_m, tuning, robot)
-    lean = mapping.lean(senses.pitch, senses.roll, state.odometry[2])
-    key, odometry, estimate = matching.put_right(state.key, state.odometry, state.estimate, senses.ranges_m, lean)
-    around = surround.moved(state.around, *matching.between(state.scanned, odometry), far_m=tuning.far_m)
-    around = surround.seen(around, jnp.where(is_ground, jnp.inf, senses.ranges_m))
-    ways_m = surround.ways(around, robot)
+    lean = mapping.slope_under(senses.pitch, senses.roll, state.odometry[2])
+    key, odometry, estimate = matching.correct_odometry(
+        state.key, state.odometry, state.estimate, senses.ranges_m, lean
+    )
+    around = surround.move_surround(state.around, *matching.relative_pose(state.scanned, odometry), far_m=tuning.far_m)
+    around = surround.add_scan(around, jnp.where(is_ground, jnp.inf, senses.ranges_m))
+    ways_m = surround.free_lengths(around, robot)
     state = state.replace(key=key, odometry=odometry, estimate=estimate, around=around, scanned=odometry)
     placed = to_odometry(state.estimate)
-    writer = mapping.note(state, senses, walls.beside.sum(), robot)
+    writer = mapping.record_step(state, senses, walls.beside.sum(), robot)
     ahead = look_ahead(state, writer, walls, around, placed, tuning, robot, blind != 0)
     at_goal, at = senses.beacon_m < GOAL_M, (around, ways_m, placed)
     writer, drive, ahead, event = _decided(state, writer, ahead, at, at_goal, _is_open(building), tuning, robot)
-    xy, known = surround.points(around)
+    xy, known = surround.known_points(around)
     seen = placed(xy), known
-    writer, drive, track, estimate = nodes.made(state, writer, drive, ahead.track, event, seen, tuning, robot)
-    space, drive, writer = halls.gone_on(state, ahead.space, drive, writer, event, around, estimate, tuning)
+    writer, drive, track, estimate = nodes.make_due_node(state, writer, drive, ahead.track, event, seen, tuning, robot)
+    space, drive, writer = behaviour.continue_in_hall(
+        state, ahead.space, drive, writer, event, around, estimate, tuning
+    )
     if writer.guide is not None:
-        writer, drive, track = guided(state, writer, drive, track, estimate, ways_m, event.blocked, tuning, robot)
+        writer, drive, track = steer_along_route(
+            state, writer, drive, track, estimate, ways_m, event.blocked, tuning, robot
+        )
     mode, drive, target, getting, speed = _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot)
     after = _moved(draws, building, robot, noise, state, estimate, senses, speed)
     turn = after.odometry[2] - looked_from
-    node_at, is_elsewhere = mapping.truly_at(state.node_at, state.writer, writer, state.body.pose[:2])
+    node_at, is_elsewhere = mapping.record_truth(state.node_at, state.writer, writer, state.body.pose[:2])
     after = after.replace(
-        manoeuvre=manoeuvre.remembered(getting, after.odometry),
+        manoeuvre=manoeuvre.extend_trail(getting, after.odometry),
         climbed_m=state.climbed_m - (after.odometer_m - state.odometer_m) * jnp.sign(speed[0]) * jnp.tan(senses.pitch),
         track=track,
         space=space,
@@ -249,7 +196,7 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
         step=state.step + 1,
     )
     return _end(
-        approach.helped(after, senses, event.kind != btm.NONE, building, robot),
+        approach.help_robot(after, senses, event.kind != btm.NONE, building, robot),
         at_goal & (event.kind == btm.TERMINAL),
         tuning,
     )
@@ -258,7 +205,9 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
 def _decided(state, writer, ahead, at, at_goal, is_open, tuning, robot):
     """Run branch selection and find the node that is due: `(writer, drive, ahead, event)`."""
     around, ways_m, placed = at
-    drive, track, begins, arrives, gives_up = approach.latched(state, ahead, around, ways_m, placed, tuning, robot)
+    drive, track, begins, arrives, gives_up = approach.select_branch(
+        state, ahead, around, ways_m, placed, tuning, robot
+    )
     none = jnp.stack([*ahead.track.centre, ahead.track.radius, state.odometer_m])
     early = arrives & jnp.isfinite(ahead.border_m)
     writer = writer.replace(
@@ -273,18 +222,18 @@ def _decided(state, writer, ahead, at, at_goal, is_open, tuning, robot):
         border_m=jnp.where(early, state.odometer_m, ahead.border_m),
     )
     ahead = ahead._replace(track=track)
-    return writer, drive, ahead, due(state, writer, ahead, at_goal, is_open, arrives)
+    return writer, drive, ahead, due_node(state, writer, ahead, at_goal, is_open, arrives)
 
 
 def _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot):
     """Run mode, target point and speed: `(mode, drive, target, manoeuvre, speed)`."""
     mode, drive = behaviour.choose_mode(drive, space, walls, ways_m, tuning, robot)
-    ways = surround.edge(around), halls.coast(mode, drive.side, around, tuning, robot)
-    target = behaviour.target_of(mode, drive, walls.left_m, walls.right_m, *ways, to_robot(estimate), tuning)
+    ways = surround.voronoi_edge(around), behaviour.coast_direction(mode, drive.side, around, tuning, robot)
+    target = behaviour.target_point(mode, drive, walls.left_m, walls.right_m, *ways, to_robot(estimate), tuning)
     at_target = (drive.latch == Latch.LEAVE) & (jnp.hypot(*target) < tuning.arrive_m)
     bearing = jnp.where(at_target, btm.wrapped(drive.out - estimate[2]), jnp.arctan2(target[1], target[0]))
     turning = jnp.where(drive.latch == Latch.LOOK, 2, drive.turning)
-    getting, *speed = manoeuvre.drive(
+    getting, *speed = manoeuvre.avoid_obstacles(
         state.manoeuvre, around, ways_m, state.odometry, bearing, turning, state.touched, tuning, robot
     )
     return mode, drive, target, getting, speed
@@ -308,22 +257,22 @@ def _moved(draws, building, robot, noise, state, estimate, senses, speed):
 
 def _end(state, at_end, tuning):
     ends = [
-        (state.blind >= BLIND_STEPS, Outcome.BLIND),
-        (state.since_node >= tuning.helps, Outcome.STUCK),
-        (state.writer.exhausted, Outcome.EXHAUSTED),
-        (state.writer.full, Outcome.MAP_FULL),
-        (at_end, Outcome.GOAL),
+        (state.blind >= BLIND_STEPS, RunOutcome.BLIND),
+        (state.since_node >= tuning.helps, RunOutcome.STUCK),
+        (state.writer.exhausted, RunOutcome.EXHAUSTED),
+        (state.writer.full, RunOutcome.MAP_FULL),
+        (at_end, RunOutcome.GOAL),
     ]
     if state.writer.guide is not None:
-        ends += [(state.writer.guide.lost, Outcome.LOST), (state.writer.guide.arrived, Outcome.ARRIVED)]
+        ends += [(state.writer.guide.lost, RunOutcome.LOST), (state.writer.guide.arrived, RunOutcome.ARRIVED)]
     outcome = state.outcome
     for ended, name in ends:
         outcome = jnp.where(ended, jnp.int32(name), outcome)
     return state.replace(outcome=outcome)
 
 
-def _draws_from(key, first, noise):  # of `BLOCK` steps
-    return draw(jax.vmap(lambda i: jax.random.fold_in(key, i))(first + jnp.arange(BLOCK)), noise)
+def _draws_from(key, first, noise):  # of `DRAWN_STEPS` steps
+    return draw(jax.vmap(lambda i: jax.random.fold_in(key, i))(first + jnp.arange(DRAWN_STEPS)), noise)
 
 
 def begin(setup: Setup, given: Given) -> State:
@@ -332,14 +281,12 @@ def begin(setup: Setup, given: Given) -> State:
     Args:
       setup: `Setup`. Static.
       given: `engine.program.Given`: key of the run, step i draws by `fold_in(key, i)`; the scenes are `Building`s;
-        the number is the step after which it ends as `STEP_LIMIT`, int32; the task is `(Robot, Tuning, Noise, start,
-        guide)`, whose numbers are arrays, the start from `batch.pose_in`, the guide a `Guide` or None.
-
-    Returns:
-      `State`.
+        the number is the step after which it ends as `STEP_LIMIT`, int32; the task is a
+        `MissionTask`.
     """
-    block = jax.eval_shape(_draws_from, given.key, 0, given.task[2])
-    state = at_start(setup, given.own_scene, given.task[0], *given.task[3:])
+    task: MissionTask = given.task
+    block = jax.eval_shape(_draws_from, given.key, 0, task.noise)
+    state = initial_state(setup, given.own_scene, task.robot, task.start, task.guide)
     return dataclasses.replace(state, draws=jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), block))
 
 
@@ -349,20 +296,21 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     A run that is done writes on beyond its last step, where nobody looks.
     """
     del setup
-    building, (robot, tuning, noise, *_) = given.own_scene, given.task
-    block = run_if(state.step % BLOCK == 0, lambda _: _draws_from(given.key, state.step, noise), state.draws)
-    draws = jax.tree.map(lambda a: a[state.step % BLOCK], block)
-    after = step(draws, building, robot, tuning, noise, state.replace(draws=block))
-    late = (after.outcome == Outcome.RUNNING) & (after.step >= given.numbers)
-    return after.replace(outcome=jnp.where(late, jnp.int32(Outcome.STEP_LIMIT), after.outcome))
+    building: Building = given.own_scene
+    task: MissionTask = given.task
+    block = run_if(state.step % DRAWN_STEPS == 0, lambda _: _draws_from(given.key, state.step, task.noise), state.draws)
+    draws = jax.tree.map(lambda a: a[state.step % DRAWN_STEPS], block)
+    after = make_step(draws, building, task.robot, task.tuning, task.noise, state.replace(draws=block))
+    late = (after.outcome == RunOutcome.RUNNING) & (after.step >= given.numbers)
+    return after.replace(outcome=jnp.where(late, jnp.int32(RunOutcome.STEP_LIMIT), after.outcome))
 
 
-def finish(setup: Setup, given: Given, state: State) -> Result:
-    """Return the `Result` of a run that has ended. Arguments as for `begin`."""
+def finish(setup: Setup, given: Given, state: State) -> RunResult:
+    """Return the `RunResult` of a run that has ended. Arguments as for `begin`."""
     del setup, given
     body, breaks_off = state.body, jnp.isin(state.outcome, jnp.array(BROKEN_OFF, jnp.int32))
-    map_, node = mapping.broken_off(state.writer, state.estimate, state.odometer_m, state.step, breaks_off)
-    return Result(
+    map_, node = mapping.end_broken_off(state.writer, state.estimate, state.odometer_m, state.step, breaks_off)
+    return RunResult(
         map=map_,
         outcome=state.outcome,
         steps=state.step,
@@ -388,10 +336,10 @@ def _keep(state):
 
 
 def _is_done(state):
-    return state.outcome != Outcome.RUNNING
+    return state.outcome != RunOutcome.RUNNING
 
 
-def program_of(setup: Setup) -> Program:
+def mission_program(setup: Setup) -> Program:
     """Return a run as a `Program`.
 
     Source:

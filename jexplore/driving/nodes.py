@@ -2,65 +2,28 @@
 
 import dataclasses
 import math
-from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
-from flax import struct
 from jax import Array
 
 from jexplore import btm
-from jexplore.arrays.loops import run_if
-from jexplore.btm import Btm
+from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import behaviour, links
-from jexplore.driving.behaviour import Drive, Latch, Track
-from jexplore.driving.guiding import leaving, passing
-from jexplore.driving.mapping import Writer, along, came_from, came_through, has_left, moved
+from jexplore.driving.guiding import leaving
+from jexplore.driving.mapping import came_from, came_through, has_left, pose_from_node, way_extremes
+from jexplore.driving.records import Arrival, Drive, DueNode, Latch, State, Track, Writer
 from jexplore.driving.sensing import gateways, obstacles, openings
-from jexplore.driving.sensing.ways_out import ways_out
+from jexplore.driving.sensing.exits import find_exits
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import to_odometry, towards
+from jexplore.driving.vehicle import rotate_by, to_odometry, towards
 
-OPENINGS = 8  # of a divergence
+MAX_OPENINGS = 8  # of a divergence
 DOOR_BEFORE_M = 3.0  # m; a door passed within this before another opening is the way in
-NEW_RAD = math.radians(25)  # an opening of a known place that bears farther from all its links is a new one
+NEW_LINK_RAD = math.radians(25)  # an opening of a known place that bears farther from all its links is a new one
 SHIFT_M = 0.7  # the odometry's place is corrected by half at a node met again no farther than this away, metres
 SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
-LED_M = 1.5  # and so near to where a known link leads to one
+LED_NODE_M = 1.5  # and so near to where a known link leads to one
 TURN_SHARE, SHIFT_SHARE = 0.2, 0.5  # applied shares of the correction: scan matching is more certain
-
-
-@struct.dataclass
-class Event:
-    """A node that is due in this step."""
-
-    kind: Array  # int32, place in `NODE_TYPES`; `NONE`: no node is due
-    odometer_m: Array  # float32, where
-    pose: Array  # [3] float32, odometry there
-    centre: Array  # [2] float32, of the node
-    radius: Array  # float32, of a divergence's circle
-    out: Array  # float32, radians, where the gateway of a hall leads before which a divergence lies; else NaN
-    posture: Array  # float32, radians, inclination of the body
-    steepest: Array  # float32, radians, of an obstacle
-    step_m: Array  # float32, height of a step that it has gone over, or cannot climb; 0
-    blocked: Array  # bool, an obstacle that the robot cannot pass
-    returns: Array  # bool, to the node where it started
-
-
-class Arrival(NamedTuple):
-    """The node at which the robot is, and how it is met."""
-
-    map: Btm  # with the node
-    node: Array  # int32
-    again: Array  # bool, whether it was known
-    near: Array  # int32, the known node
-    met: Array  # bool, whether the robot is at its middle, so that the odometry can be corrected
-    fits: Array  # bool, whether there was room for it
-    shift: Array  # [2] float32, correction of the odometry, metres
-    width: Array  # float32, of the way here, metres
-    posture: Array  # float32, the steepest on it, degrees
-    roll: Array  # float32, the largest roll, degrees
-    moved: Array  # [3] float32, from the last node: see `mapping.moved`
 
 
 def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
@@ -72,14 +35,14 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
     reach = jnp.where(is_divergence, jnp.maximum(0.5, smaller), SAME_NODE_M)
     may_be_last = is_divergence & has_left(writer, event.odometer_m, tuning.leave_m)
     again = (distance < reach) & ((near != writer.node) | may_be_last) & ~is_terminal
-    alike, is_alike = links.recognised(
+    alike, is_alike = links.match_node(
         writer, (event.centre, event.odometer_m), found, back, reach, is_divergence & ~again
     )
-    to, is_led = links.is_led_to(writer, event.centre, event.odometer_m, LED_M)
+    to, is_led = links.is_led_to(writer, event.centre, event.odometer_m, LED_NODE_M)
     is_led &= ~is_divergence & ~is_terminal & (writer.map.kind[to] == event.kind)
     near = jnp.where(event.returns, 0, jnp.where(is_alike, alike, jnp.where(is_led, to, near)))
     again = again | is_alike | is_led | event.returns
-    width, posture, roll = along(writer.way, writer.node_m, event.odometer_m)
+    width, posture, roll = way_extremes(writer.way, writer.node_m, event.odometer_m)
     added, new = btm.add_node(
         writer.map,
         event.kind,
@@ -91,7 +54,7 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
         obstacle=jnp.where(is_obstacle, jnp.where(event.step_m > 0, btm.STAIRS, btm.SLOPE), btm.NONE),
         step_m=jnp.where(event.step_m > 0, event.step_m, jnp.nan),
     )
-    map_ = _either_of(again, writer.map, added)
+    map_ = pick(again, writer.map, added)
     fits = again | (writer.map.n_nodes < map_.kind.shape[0])
     met = again & is_divergence & ((distance < SHIFT_M) | is_alike)
     share = jnp.where(is_alike, 1.0, SHIFT_SHARE)
@@ -103,34 +66,32 @@ def _find_openings(writer, event, points, tuning, is_divergence):
     """Find the openings of a divergence and the way in: the last one used, else the nearest to the robot's way.
 
     A robot that started inside has no way in.
-
-    Returns:
-      `(found, others, back)`: `openings.Openings`; `[K]` bool, all but the way in; its bearing, radians.
+    Returns `(found, others, back)`: `openings.Openings`; `[K]` bool, all but the way in; its bearing, radians.
     """
     came = jnp.where(
         is_divergence, came_from(writer, event.centre, event.radius) - event.centre, -towards(event.pose[2])
     )
     came = jnp.arctan2(came[1], came[0])
-    found = ways_out(
+    found = find_exits(
         points[0],
         points[1],
         event.centre,
         event.radius,
         tuning.width_m,
         circle=tuning.circle,
-        size=OPENINGS,
+        size=MAX_OPENINGS,
         seen_from=event.pose[:2],
         farther=writer.guide is None and ~links.is_any_open(writer.map, writer.tries),
     )
-    at_gateway = gateways.at_gateway(event.out, event.radius, tuning.coast_m, OPENINGS)
-    found = _either_of(jnp.isfinite(event.out), at_gateway, found)
+    at_gateway = gateways.gateway_exits(event.out, event.radius, tuning.coast_m, MAX_OPENINGS)
+    found = pick(jnp.isfinite(event.out), at_gateway, found)
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - came)), jnp.inf)
     passed = came_through(writer, event.centre + found.middle, found.across, found.width_m)
     passed = _by_door(jnp.where(found.valid, passed, -1), found.width_m, writer.way.odometer_m)
     entry = jnp.where(jnp.any(passed >= 0), jnp.argmax(passed), jnp.argmin(off))
     entry_seen = ((passed[entry] >= 0) | (off[entry] < math.pi / 3)) & ~_holds_start(writer, event)
     back = jnp.where(is_divergence & entry_seen, found.bearing[entry], came)
-    return found, found.valid & ~((jnp.arange(OPENINGS) == entry) & entry_seen), back
+    return found, found.valid & ~((jnp.arange(MAX_OPENINGS) == entry) & entry_seen), back
 
 
 def _by_door(passed, width_m, odometer_m):
@@ -173,15 +134,13 @@ def _end_way_here(map_, writer, event, at, back, step_m):
     return links.withdraw_double(map_, at.node, back, at.again & is_new), link
 
 
-def write(
-    writer: Writer, event: Event, points: tuple[Array, Array], tuning: Tuning, robot: Robot
+def write_node(
+    writer: Writer, event: DueNode, points: tuple[Array, Array], tuning: Tuning, robot: Robot
 ) -> tuple[Writer, Array, Array, Array, Array]:
     """Make the node that is due, end the link that led to it, and choose the next link.
 
     Args:
-      writer, event: `Writer`; `Event`, of any kind but `NONE`.
       points: around the robot: `[P, 2]` float32, odometry; `[P]` bool, valid.
-      tuning, robot: `Tuning`, `Robot`.
 
     Returns:
       `(writer, latch, target, out, correction)`: `Latch` and target point of branch selection, direction of the link
@@ -190,9 +149,9 @@ def write(
     is_divergence, is_terminal = event.kind == btm.DIVERGENCE, (event.kind == btm.TERMINAL) & ~event.returns
     kind, size = jnp.where(is_terminal, btm.NONE, event.kind), writer.map.start.shape[0]  # a goal is no known node
     found, others, back = _find_openings(writer, event, points, tuning, is_divergence)
-    before, writer = writer, links.decided(writer, kind, event.centre, event.odometer_m, found)
+    before, writer = writer, links.resolve_hypotheses(writer, kind, event.centre, event.odometer_m, found)
     at = _arrive(writer, event, found, back, tuning, is_divergence, is_terminal)
-    map_, step_m = obstacles.judged(at.map, writer, event, tuning, robot, at.posture, at.node)
+    map_, step_m = obstacles.classify_obstacle(at.map, writer, event, tuning, robot, at.posture, at.node)
     at, event, turn, applied, turned = _turns(writer, event, at, found, tuning)
     measured = back, found  # by the odometry; from here on as the map has them
     back, found = back + turn, dataclasses.replace(found, bearing=found.bearing + turn)
@@ -200,16 +159,16 @@ def write(
     writer, map_ = _add_openings(writer, map_, event, at, found, others, is_divergence)
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, new = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
-    passes, which = passing.is_passed(writer, event, measured, others, at, is_divergence, points, tuning)
+    passes, which = leaving.is_rejected(writer, event, measured, others, at, is_divergence, points, tuning)
     correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, applied]))
-    after, map_, onto, bearing = links.where_to(writer, map_, at.node, back)
+    after, map_, onto, bearing = links.choose_link(writer, map_, at.node, back)
     through = ~is_divergence & ~event.blocked & ~event.returns
     onto = jnp.where(through, jnp.where(goes_on, new, links.other_link(map_, at.node, link)), onto)
     usual, is_place = (onto, bearing), is_divergence & ~passes
-    left = leaving.left_by(map_, writer, event, at.node, found, is_place, points, usual, (turn, correction))
+    left = leaving.leave_place(map_, writer, event, at.node, found, is_place, points, usual, (turn, correction))
     ways = _way_out(event, found, left, turn, tuning.leave_m, is_divergence)
-    ways = to_odometry(jnp.stack([0.0, 0.0, applied - turn]))(ways[0]), ways[1] + applied - turn
-    target, out = _either_of(passes, passing.past(event, measured, which, others, points, tuning), ways)
+    ways = rotate_by(applied - turn)(ways[0]), ways[1] + applied - turn
+    target, out = pick(passes, leaving.beyond_candidate(event, measured, which, others, points, tuning), ways)
     taken = jnp.where(left.link == btm.NONE, size, left.link)
     written = after.replace(
         map=left.map,
@@ -220,13 +179,15 @@ def write(
         border_m=_border_left(writer, event),
         tries=after.tries.at[taken].add(1, mode="drop"),
         exhausted=~is_terminal & (taken == size),
-        doubts=links.doubts_of(writer, event.centre, event.odometer_m, found, is_divergence & ~at.again & at.fits),
+        doubts=links.find_hypotheses(
+            writer, event.centre, event.odometer_m, found, is_divergence & ~at.again & at.fits
+        ),
         origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(turned) - applied]),
         guide=left.guide,
     )
     unchanged = before.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
     return (
-        _either_of(passes, unchanged, _either_of(at.fits, written, _full(writer))),
+        pick(passes, unchanged, pick(at.fits, written, _full(writer))),
         jnp.where((~through & (taken < size)) | passes, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
         event.centre + correction[:2] + target,
         out,
@@ -238,54 +199,44 @@ def _way_out(event, found, left, turn, leave_m, is_divergence):
     """Return the vector from the centre to a point on the link taken: `[2]`; and its direction there, radians."""
     bearing = left.bearing
     ways = leave_m * towards(bearing), bearing
-    ways = _either_of(is_divergence, passing.through(event, found, bearing, turn, leave_m), ways)
+    ways = pick(is_divergence, leaving.beyond_opening(event, found, bearing, turn, leave_m), ways)
     if left.onward is None:
         return ways
     beyond = left.onward.middle - event.centre + (event.radius + leave_m) * towards(bearing)
-    return _either_of(left.onward.is_free, (beyond, bearing), ways)
+    return pick(left.onward.is_free, (beyond, bearing), ways)
 
 
 def _turns(writer, event, at, found, tuning):
     """Compare the bearings of a node's openings with its links.
 
-    Returns:
-      `(at, event, turn, applied, turned)`: `Arrival` with its pose from the last node; `Event`, turned; float32,
-        radians, turn that corrects the odometry, 0 elsewhere; its applied share; turn of any node, NaN if unknown.
+    Returns `(at, event, turn, applied, turned)`: `Arrival` with its pose from the last node; `DueNode`, turned;
+    float32, radians, turn that corrects the odometry, 0 elsewhere; its applied share; turn of any node, NaN if unknown.
     """
     turned, spread = links.turn_to(at.map, at.node, found)
     turn = jnp.where(at.met, turned, 0.0)
     agree = (spread < jnp.radians(tuning.agree_deg)) & (jnp.sum(found.valid) > 1)
     share = jnp.where(agree, tuning.agree_share, TURN_SHARE)
     turned = jnp.where(at.again, jnp.where(event.kind == btm.DIVERGENCE, turned, jnp.nan), 0.0)
-    at = at._replace(moved=moved(writer, event.centre, turned))
+    at = at._replace(moved=pose_from_node(writer, event.centre, turned))
     return at, dataclasses.replace(event, pose=event.pose.at[2].add(turn)), turn, share * turn, turned
 
 
-def made(
-    state: Any,
+def make_due_node(
+    state: State,
     writer: Writer,
     drive: Drive,
     track: Track,
-    event: Event,
+    event: DueNode,
     points: tuple[Array, Array],
     tuning: Tuning,
     robot: Robot,
 ) -> tuple[Writer, Drive, Track, Array]:
-    """Make the node that is due, if one is.
-
-    Args:
-      state: `mission.State`.
-      drive, track: `Drive`, `Track`.
-      others: as for `write`.
-
-    Returns:
-      `(writer, drive, track, estimate)`.
-    """
+    """Make the node that is due, if one is."""
 
     def written(carry):
         map_part, rest, drive, track, estimate = carry
         whole = writer.replace(map=map_part, **rest)
-        whole, latch, target, out, correction = write(whole, event, points, tuning, robot)
+        whole, latch, target, out, correction = write_node(whole, event, points, tuning, robot)
         about = to_odometry(jnp.append(event.centre, correction[2]))
         estimate = jnp.append(about(estimate[:2] - event.centre), estimate[2]) + correction
         latches = (event.kind == btm.DIVERGENCE) | event.blocked | event.returns
@@ -293,13 +244,13 @@ def made(
         drive = drive.replace(
             latch=jnp.where(latches, latch, drive.latch),
             target=jnp.where(latches, target, drive.target),
-            since=jnp.where(latches, behaviour.begun(jnp.hypot(*(target - estimate[:2])), tuning), drive.since),
+            since=jnp.where(latches, behaviour.latch_start(jnp.hypot(*(target - estimate[:2])), tuning), drive.since),
             surveys=jnp.int32(0),
             known=jnp.bool_(False),
             out=jnp.where(latches, out, drive.out),
             aside=jnp.where(latches, behaviour.is_aside(target - centre, out, event.radius), drive.aside),
         )
-        track = jax.tree.map(lambda none, old: jnp.where(latches, none, old), behaviour.no_track(), track)
+        track = pick(latches, behaviour.empty_track(), track)
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
 
     names = ("node", "node_m", "link", "left_bearing", "border_m", "passed", "tries", "fails", "last_chance", "full")
@@ -320,15 +271,15 @@ def _add_openings(writer, map_, event, at, found, others, when):
     leads away from the divergence.
     """
     own, bearing = links.ends_at(map_, at.node)
-    known = jnp.any(own[:, None] & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < NEW_RAD), axis=0)
+    known = jnp.any(own[:, None] & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < NEW_LINK_RAD), axis=0)
     more = at.met & ~known & jnp.isnan(event.out) if writer.guide is None else False
     goes = others & when & (~at.again | more)
     before = map_.n_links
-    for i in range(OPENINGS):
+    for i in range(MAX_OPENINGS):
         map_, _ = btm.add_link(map_, at.node, found.bearing[i], when=goes[i], opening_m=found.width_m[i])
     number = jnp.arange(map_.start.shape[0])
     once = at.again & (number >= before) & (number < map_.n_links)
-    writer = writer.replace(tries=jnp.where(once, links.TRIES - 1, writer.tries))
+    writer = writer.replace(tries=jnp.where(once, links.MAX_TRIES - 1, writer.tries))
     is_new = when & ~at.again
     map_ = map_.replace(overflow=map_.overflow + jnp.where(is_new, found.overflow, 0))
     off = jnp.hypot(event.centre[0] - map_.x_m[0], event.centre[1] - map_.y_m[0])
@@ -338,10 +289,6 @@ def _add_openings(writer, map_, event, at, found, others, when):
 
 def _full(writer):
     return writer.replace(map=writer.map.replace(overflow=writer.map.overflow + 1), full=jnp.bool_(True))
-
-
-def _either_of(condition, yes, no):
-    return jax.tree.map(lambda one, other: jnp.where(condition, one, other), yes, no)
 
 
 def _border_left(writer, event):

@@ -130,7 +130,7 @@ MOST_NODES = int(BOUNDS["nodes"][1])
 """Of a map, at most; of links twice as many."""
 BY_WORLD = {"open_m": (2.5, 5.0), "far_m": (4.0, 8.0), "coast_m": (0.0, 1.5)}
 """Thresholds whose 0 stands for another number -> that on courses, and in other worlds."""
-SEES_M = 4.0
+LEVEL_SIGHT_M = 4.0
 """The scanner that looks ahead must see level ground no nearer than this, metres."""
 FROM_ZERO = "obtuse_tol_deg", "leave_m", "tread_wave_m2", "agree_deg", "agree_share", "coast_m"
 """Thresholds that may be 0."""
@@ -155,9 +155,6 @@ def for_world(tuning: Tuning, *, is_course: bool) -> Tuning:
 
 def require_tuning(tuning: Tuning) -> None:
     """Refuse thresholds that are out of range or contradict each other.
-
-    Args:
-      tuning: `Tuning` of numbers.
 
     Raises:
       InputError: no `Tuning`, or naming the threshold and its value.
@@ -214,10 +211,10 @@ def require_robot(robot: Robot) -> None:
     require_number("robot.scan_height_m", robot.scan_height_m, low=0.2, high=10)
     require_number("robot.scan_pitch_deg", robot.scan_pitch_deg, low=-20, high=20)
     down = math.tan(math.radians(robot.scan_pitch_deg))
-    if down > 0 and (floor_m := robot.scan_height_m / down) < SEES_M:
+    if down > 0 and (floor_m := robot.scan_height_m / down) < LEVEL_SIGHT_M:
         raise InputError(
-            f"robot.scan_pitch_deg must let the scanner see {SEES_M:g} m: {robot.scan_height_m:g} m above the ground, "
-            f"{robot.scan_pitch_deg:g} degrees down, it looks into the floor after {floor_m:.1f} m"
+            f"robot.scan_pitch_deg must let the scanner see {LEVEL_SIGHT_M:g} m: {robot.scan_height_m:g} m above the "
+            f"ground, {robot.scan_pitch_deg:g} degrees down, it looks into the floor after {floor_m:.1f} m"
         )
 
 

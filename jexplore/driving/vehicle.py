@@ -5,83 +5,28 @@ A unicycle on two rigid tracks, with a scanner that looks ahead, one that looks 
 
 import math
 from collections.abc import Callable
-from typing import ClassVar, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 from jax import Array, lax
-from jax.tree_util import register_dataclass
 
 from jexplore.arrays.loops import run_if
-from jexplore.driving.building.terrain import Terrain, attitude, look_at, turned
-from jexplore.driving.building.walls import Walls, cast_along, meets
-from jexplore.driving.settings import Noise, Robot, Tuning
-
-register_dataclass(Robot, [f for f in Robot.__dataclass_fields__ if f != "name"], ["name"])
-register_dataclass(Tuning, list(Tuning.__dataclass_fields__), [])
-register_dataclass(Noise, list(Noise.__dataclass_fields__), [])
+from jexplore.driving.building.terrain import attitude, look_at, turned
+from jexplore.driving.building.walls import cast_along, meets
+from jexplore.driving.records import Building, Draws, RobotBody, Senses
+from jexplore.driving.settings import Noise, Robot
 
 DT_S = 0.1
-RANGE_M = 8.0
+SCAN_RANGE_M = 8.0
 BEAMS = 181
 ANGLES_RAD = np.radians(np.linspace(-90, 90, BEAMS)).astype(np.float32)
 BEAM_SPACING_RAD = math.pi / (BEAMS - 1)
 DOWN_BEAMS = 13
 DOWN_RAD = np.radians(np.linspace(-18, 18, DOWN_BEAMS)).astype(np.float32)
 BEACON_M = 1.0  # the goal's beacon is heard within this, where no wall lies between
-GROUND_M = 0.2  # beams of the scanner that looks ahead are followed over the ground in steps of this
+GROUND_MARCH_M = 0.2  # beams of the scanner that looks ahead are followed over the ground in steps of this
 FLOOR_M = 0.1  # a point no higher than this above the level on which the robot stands is ground
-
-
-@struct.dataclass
-class Building:
-    """Building of a run; cell (0, 0) begins at (0, 0)."""
-
-    walls: Walls
-    terrain: Terrain
-    goal: Array  # [2] float32, metres; NaN: none
-    marks: Array  # [K, 3] float32, x, y, radius, metres: places of which it is counted which ones a run has been at
-
-
-@struct.dataclass
-class Body:
-    """True state of the robot."""
-
-    pose: Array  # [3] float32, x, y, metres; heading, radians
-    pitch: Array  # float32, radians
-    roll: Array  # float32, radians
-    height_m: Array  # float32
-    rise_m: Array  # float32, highest step under the fronts of its tracks
-    path_m: Array  # float32, way in the plane
-    contacts: Array  # int32, steps refused because of a wall
-    refused: Array  # int32, steps refused because of the ground
-    replace: ClassVar[Callable[..., Self]]
-
-
-@struct.dataclass
-class Senses:
-    """Sensor readings of one step."""
-
-    ranges_m: Array  # [B] float32, inf: no return; NaN: no reading
-    down_m: Array  # [D] float32, as `ahead_m`
-    pitch: Array  # float32, radians
-    roll: Array  # float32, radians
-    beacon_m: Array  # float32, distance of the goal; inf: not heard
-    replace: ClassVar[Callable[..., Self]]
-
-
-@struct.dataclass
-class Draws:
-    """Random numbers of one step, standard normal but for the last."""
-
-    ranges: Array  # [B] float32
-    down: Array  # [D] float32
-    attitude: Array  # [2] float32, pitch and roll
-    encoders: Array  # [3] float32, length and turn of the step, and drift of the heading
-    beacon: Array  # float32
-    missing: Array  # [B] float32, uniform from 0 to 1
 
 
 def draw(keys: Array, noise: Noise) -> Draws:
@@ -123,28 +68,20 @@ def down_directions(robot: Robot) -> Array:
     return jnp.stack([jnp.sin(tilt) * ahead, jnp.sin(DOWN_RAD), -jnp.cos(tilt) * ahead], axis=1)
 
 
-def at_rest(building: Building, robot: Robot, pose: Array) -> Body:
-    """Return the `Body` of a robot that has not moved yet."""
+def initial_body(building: Building, robot: Robot, pose: Array) -> RobotBody:
+    """Return the `RobotBody` of a robot that has not moved yet."""
     pitch, roll, height, rise = attitude(building.terrain, pose, robot.length_m, robot.width_m)
     zero, none = jnp.float32(0), jnp.int32(0)
-    return Body(pose, pitch, roll, height, rise, path_m=zero, contacts=none, refused=none)
+    return RobotBody(pose, pitch, roll, height, rise, path_m=zero, contacts=none, refused=none)
 
 
-def sense(draws: Draws, building: Building, robot: Robot, noise: Noise, body: Body) -> Senses:
-    """Compute the sensor readings of one step.
-
-    Args:
-      draws: `Draws`.
-      building, robot, noise, body: `Building`, `Robot`, `Noise`, `Body`.
-
-    Returns:
-      `Senses`.
-    """
+def read_sensors(draws: Draws, building: Building, robot: Robot, noise: Noise, body: RobotBody) -> Senses:
+    """Compute the sensor readings of one step."""
     origin, direction = _mounted(body, robot.scanner_x_m, robot.scanner_height_m, down_directions(robot))
     down = look_at(building.terrain, origin, direction) + noise.range_m * draws.down
     tilt = jnp.radians(noise.attitude_deg)
     return Senses(
-        ranges_m=scan(draws, building, robot, noise, body),
+        ranges_m=forward_scan(draws, building, robot, noise, body),
         down_m=down,
         pitch=body.pitch + tilt * draws.attitude[0],
         roll=body.roll + tilt * draws.attitude[1],
@@ -166,25 +103,25 @@ def ahead_directions(robot: Robot) -> Array:
     return jnp.stack([jnp.cos(pitch) * ahead, np.sin(ANGLES_RAD), -jnp.sin(pitch) * ahead], axis=1)
 
 
-def scan(draws: Draws, building: Building, robot: Robot, noise: Noise, body: Body) -> Array:
-    """Compute the ranges of the forward scanner: `[B]` float32, metres, see `Senses`. Arguments as for `sense`.
+def forward_scan(draws: Draws, building: Building, robot: Robot, noise: Noise, body: RobotBody) -> Array:
+    """Compute the ranges of the forward scanner: `[B]` float32, metres, see `Senses`. Arguments as for `read_sensors`.
 
     Its beams lean with the robot: they meet walls, which have no upper end, and the ground.
     """
     origin, direction = _mounted(body, 0.0, robot.scan_height_m, ahead_directions(robot))
     flat = jnp.maximum(jnp.hypot(direction[:, 0], direction[:, 1]), 1e-6)
     dx, dy = direction[:, 0] / flat, direction[:, 1] / flat
-    ranges = cast_along(building.walls, origin[0], origin[1], dx, dy, RANGE_M) / flat
+    ranges = cast_along(building.walls, origin[0], origin[1], dx, dy, SCAN_RANGE_M) / flat
     terrain = building.terrain
     tilts = jnp.abs(jnp.stack([body.pitch, body.roll, jnp.radians(robot.scan_pitch_deg)]))
     meets_ground = jnp.any(tilts > 1e-3) | (terrain.peak_m > origin[2])
     ground = run_if(
         meets_ground,
-        lambda _: look_at(terrain, origin, direction, RANGE_M, GROUND_M),
+        lambda _: look_at(terrain, origin, direction, SCAN_RANGE_M, GROUND_MARCH_M),
         jnp.full(BEAMS, jnp.inf),
     )
     ranges = jnp.minimum(ranges, ground)
-    ranges = jnp.where(ranges < RANGE_M, ranges, jnp.inf) + noise.range_m * draws.ranges
+    ranges = jnp.where(ranges < SCAN_RANGE_M, ranges, jnp.inf) + noise.range_m * draws.ranges
     return jnp.where(draws.missing < noise.invalid, jnp.nan, jnp.maximum(ranges, 0.01))
 
 
@@ -197,7 +134,7 @@ def _beacon(building, body):
     return jnp.where((off_m < BEACON_M) & (off_m < wall_m), off_m, jnp.inf)
 
 
-def levelled(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
+def level_scan(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
     """Project the forward scan to the plane, by the measured attitude.
 
     A beam that ends no higher than `FLOOR_M` above the robot's level has met ground and tells nothing of walls.
@@ -209,7 +146,7 @@ def levelled(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
     """
     direction = turned(ahead_directions(robot), senses.pitch, senses.roll, 0.0)
     mount_m = robot.scan_height_m * jnp.cos(senses.pitch) * jnp.cos(senses.roll)
-    reach_m = jnp.minimum(senses.ranges_m, RANGE_M)
+    reach_m = jnp.minimum(senses.ranges_m, SCAN_RANGE_M)
     ground = (mount_m + reach_m * direction[:, 2] < FLOOR_M) & jnp.isfinite(senses.ranges_m)
     flat_m = senses.ranges_m * jnp.hypot(direction[:, 0], direction[:, 1])
     return senses.replace(ranges_m=jnp.where(ground, jnp.nan, flat_m)), ground
@@ -225,21 +162,18 @@ def move(
     building: Building,
     robot: Robot,
     noise: Noise,
-    body: Body,
+    body: RobotBody,
     estimate: Array,
     senses: Senses,
     v: Array | float,
     omega: Array | float,
-) -> tuple[Body, Array, Array]:
+) -> tuple[RobotBody, Array, Array]:
     """Move the unicycle by one step and update the odometry.
 
     A step is refused into a wall, onto a slope that is too steep, unless less steep than the present one, and up or
     down a step that is too high, unless the robot stands on it.
 
     Args:
-      draws, building, robot, noise, body: as in `sense`.
-      estimate: `[3]`, odometry.
-      senses: `Senses`.
       v, omega: metres a second, below 0 backwards; radians a second.
 
     Returns:
@@ -256,7 +190,7 @@ def move(
     climbs = (jnp.abs(pitch) <= steep) & (jnp.abs(roll) <= steep) | (jnp.abs(pitch) < jnp.abs(body.pitch))
     climbs = climbs & (rise <= jnp.maximum(robot.max_step_m + 1e-3, body.rise_m)) | (flat == 0)
     goes = ~contact & climbs
-    moved = Body(
+    moved = RobotBody(
         pose=jnp.where(goes, pose, body.pose),
         pitch=jnp.where(goes, pitch, body.pitch),
         roll=jnp.where(goes, roll, body.roll),
@@ -290,6 +224,11 @@ def to_odometry(estimate: Array) -> Callable[[Array], Array]:
         return jnp.stack([estimate[0] + cos * x - sin * y, estimate[1] + sin * x + cos * y], axis=-1)
 
     return placed
+
+
+def rotate_by(turn: Array | float) -> Callable[[Array], Array]:
+    """Return a function that rotates points `[..., 2]` about the origin, radians."""
+    return to_odometry(jnp.stack([0.0, 0.0, turn]))
 
 
 def to_robot(estimate: Array) -> Callable[[Array], Array]:

@@ -8,7 +8,7 @@ from jax import Array, lax
 FINER = 4  # heights are kept this much finer than cells: a step is a ramp of a quarter of a cell
 CONTACTS = 14  # points of a track, lengthwise, that may touch the ground
 MARCH_M = 0.1  # between two samples of a beam
-HALVINGS = 7  # of the stretch in which such a beam meets the ground
+RANGE_HALVINGS = 7  # of the stretch in which such a beam meets the ground
 MAX_DOWN_M = 2.4  # range of a beam that looks down, metres
 
 
@@ -92,9 +92,6 @@ def attitude(
     Each track rests on the two points of the ground, one before and one behind its middle, that carry it highest.
 
     Args:
-      terrain: `Terrain`.
-      pose: `(x_m, y_m, heading_rad)`.
-      length_m, width_m: of the robot.
       backwards: bool, driving backwards.
 
     Returns:
@@ -131,7 +128,6 @@ def look_at(
     """Compute ranges of beams to the ground.
 
     Args:
-      terrain: `Terrain`.
       origin: `(x_m, y_m, z_m)`, float scalars.
       direction: `[D, 3]` float32, unit vectors.
       most_m: range, metres. Static.
@@ -162,7 +158,7 @@ def look_at(
         return jnp.where(under, low, middle), jnp.where(under, middle, high)
 
     # As a loop: unrolled, XLA computes every halving anew in those that follow.
-    low, high = lax.fori_loop(0, HALVINGS, halved, (first * step, (first + 1) * step))
+    low, high = lax.fori_loop(0, RANGE_HALVINGS, halved, (first * step, (first + 1) * step))
     return jnp.where(first < n, (low + high) / 2, jnp.inf)
 
 

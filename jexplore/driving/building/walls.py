@@ -9,8 +9,8 @@ import numpy as np
 from flax import struct
 from jax import Array, lax
 
-SLACK_M = 1e-4  # segments are this much longer at both ends: no beam slips through where two meet
-FAR_M = 1e6
+SEGMENT_SLACK_M = 1e-4  # segments are this much longer at both ends: no beam slips through where two meet
+UNUSED_SLOT_M = 1e6
 
 
 @struct.dataclass
@@ -45,7 +45,7 @@ def walls_of(occupied: np.ndarray, cell_m: float, *, multiple: int = 32) -> Wall
 
     def padded(faces):
         n = max(1, -(-len(faces) // multiple)) * multiple
-        out = np.full((n, 3), FAR_M, np.float32)
+        out = np.full((n, 3), UNUSED_SLOT_M, np.float32)
         out[: len(faces)] = faces * cell_m
         return out
 
@@ -56,7 +56,7 @@ def walls_of(occupied: np.ndarray, cell_m: float, *, multiple: int = 32) -> Wall
 def segments(walls: Walls) -> np.ndarray:
     """Return the segments as `[S, 4]` float32, x0, y0, x1, y1, metres; unused slots left out. Host."""
     x, y = (np.asarray(a) for a in (walls.x, walls.y))
-    x, y = x[x[:, 0] < FAR_M], y[y[:, 0] < FAR_M]
+    x, y = x[x[:, 0] < UNUSED_SLOT_M], y[y[:, 0] < UNUSED_SLOT_M]
     return np.concatenate([x[:, [0, 1, 0, 2]], y[:, [1, 0, 2, 0]]])
 
 
@@ -69,8 +69,6 @@ def cast(
     """Compute ranges of beams to the nearest wall.
 
     Args:
-      walls: `Walls`.
-      pose: `(x_m, y_m, heading_rad)`, float scalars.
       angles_rad: `[B]` float32, relative to the heading.
       max_range_m: range, metres.
 
@@ -86,20 +84,20 @@ def cast_along(
     walls: Walls, x: Array | float, y: Array | float, dx: Array, dy: Array, max_range_m: Array | float
 ) -> Array:
     """Compute `cast` for beams with unit vectors `dx`, `dy`, `[B]` float32, and their origin `x`, `y`, metres."""
-    along_x = _nearest(walls.x, x, y, dx, dy)
-    along_y = _nearest(walls.y, y, x, dy, dx)
+    along_x = _range_bits(walls.x, x, y, dx, dy)
+    along_y = _range_bits(walls.y, y, x, dy, dx)
     # Distances are not negative: their bits, as integers, are in the same order, and integers reduce fast on a CPU.
     range_m = lax.bitcast_convert_type(jnp.minimum(along_x, along_y), jnp.float32)
     return jnp.where(range_m < max_range_m, range_m, jnp.inf)
 
 
-def _nearest(lines, a, b, da, db):
+def _range_bits(lines, a, b, da, db):
     """Return the bits of the distance to the nearest of the segments at a constant first coordinate: `[B]` int32."""
     per = 1 / jnp.where(jnp.abs(da) < 1e-7, jnp.where(da < 0, -1e-7, 1e-7), da)
     distance = (lines[:, 0] - a) * per[:, None]
     meets = b + distance * db[:, None]
-    hit = (distance >= 0) & (meets >= lines[:, 1] - SLACK_M) & (meets <= lines[:, 2] + SLACK_M)
-    bits = lax.bitcast_convert_type(jnp.where(hit, distance, jnp.float32(FAR_M)), jnp.int32)
+    hit = (distance >= 0) & (meets >= lines[:, 1] - SEGMENT_SLACK_M) & (meets <= lines[:, 2] + SEGMENT_SLACK_M)
+    bits = lax.bitcast_convert_type(jnp.where(hit, distance, jnp.float32(UNUSED_SLOT_M)), jnp.int32)
     return jnp.min(bits, axis=1)
 
 
@@ -110,11 +108,6 @@ def meets(
     width_m: Array | float,
 ) -> Array:
     """Return whether a rectangle meets a wall.
-
-    Args:
-      walls: `Walls`.
-      pose: `(x_m, y_m, heading_rad)` of its middle.
-      length_m, width_m: along the heading and across.
 
     Returns:
       bool: a segment has a point inside the rectangle; a point exactly on a side gives either answer.

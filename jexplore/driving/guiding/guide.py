@@ -8,73 +8,39 @@ this is put right at every place.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import ClassVar, NamedTuple, Self
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 from jax import Array
 
 from jexplore import btm
-from jexplore.driving.sensing.openings import Openings
-from jexplore.driving.vehicle import to_odometry
+from jexplore.driving.links import SAME_EXIT_RAD
+from jexplore.driving.records import Guide, Onward, Openings
+from jexplore.driving.vehicle import rotate_by
 
-WAYS = 8  # most of a place
-OTHERS = 4  # number of nearest places off the route kept for each place on it
-AHEAD = 4  # number of next places that may match the robot's place
-SURE = 0.1, 1.0  # a match lies within this share of the way plus this many metres of its mapped position
-NEAR = 0.2, 1.5  # within these if its exits are exactly those of the map
-THERE_M = 0.7  # one that is so near is it, if only the way on is there
-HERE_M = 0.4  # and one that is as near as this is it, whatever is seen there: the robot steers on
-ALIKE_RAD = math.radians(40)  # ways that lie no farther apart are one
+PLACE_EXITS = 8  # most of a place
+OFF_ROUTE_PLACES = 4  # number of nearest places off the route kept for each place on it
+NEXT_PLACES = 4  # number of next places that may match the robot's place
+MATCH_TOLERANCE = 0.1, 1.0  # a match lies within this share of the way plus this many metres of its mapped position
+EXACT_MATCH_TOLERANCE = 0.2, 1.5  # within these if its exits are exactly those of the map
+AT_MAPPED_M = 0.7  # one that is so near is it, if only the way on is there
+AT_MAPPED_UNSEEN_M = 0.4  # and one that is as near as this is it, whatever is seen there: the robot steers on
 MISFIT_M = 0.3  # m; a missing or additional exit adds this to the distance from the mapped position
 BACK_RAD = math.radians(120)  # an exit that bears farther from the expected direction does not count
-TOWARD_M = 1.5  # at a place that the map does not have, the robot turns to the next if that is farther than this
+NEXT_PLACE_M = 1.5  # at a place that the map does not have, the robot turns to the next if that is farther than this
 HEADING_SHARE = 0.5  # of what the ways of a place say of the heading, by their median
-MOST_RAD = math.radians(10)  # and no more than this: the middle of one seen elsewhere turns its ways
-ANCHOR = 0.3  # of what a place says of where the map lies: it may be another, and its middle is seen differently
-OTHER = 0.5  # a place is not on the route if another of the map lies nearer than this share
-OPEN_M = 2.0  # m; without an opening, an exit exists if a strip from the place's middle is free this far
+MAX_HEADING_TURN_RAD = math.radians(10)  # and no more than this: the middle of one seen elsewhere turns its ways
+ANCHOR_SHARE = 0.3  # of what a place says of where the map lies: it may be another, and its middle is seen differently
+OTHER_PLACE_SHARE = 0.5  # a place is not on the route if another of the map lies nearer than this share
+OPEN_STRIP_M = 2.0  # m; without an opening, an exit exists if a strip from the place's middle is free this far
 STRIP_M = 0.6  # so wide
-STRAIGHT, FAR_M = 1.15, 2.0  # least ratio of length and distance of ends, m, of a way that is not straight
-ASIDE_M = 0.0, -0.2, 0.2, -0.4, 0.4  # m; offsets of the strip from the middle
-
-
-class Onward(NamedTuple):
-    """The way on from a place."""
-
-    bearing: Array  # float32, radians, odometry
-    middle: Array  # [2] float32, odometry, from where it leaves
-    is_free: Array  # bool, it is no opening, but free
-
-
-@struct.dataclass
-class Guide:
-    """A route of at most K places, and how far the robot has come on it. Bearings are the map's."""
-
-    out: Array  # [K] float32, radians, bearing of the way on
-    ways: Array  # [K, WAYS] float32, radians, of all ways of the place; NaN: none
-    leg: Array  # [K, 2] float32, metres, from the place before
-    length_m: Array  # [K] float32, of the way from the place before
-    count: Array  # int32, places
-    others: Array  # [K, OTHERS, 2] float32, metres, from the place to places that are not on the route; NaN: none
-    tail_m: Array  # float32, way from the last place to the end; 0: the route ends there
-    end_leg: Array  # [2] float32, metres, from the last place to the end
-    at: Array  # int32, the place ahead
-    from_xy: Array  # [2] float32, odometry, of the place before
-    from_m: Array  # float32, odometer there
-    turned: Array  # float32, radians, the map's bearings less those of the odometry
-    seen: Array  # [K, WAYS] float32, radians, bearings of the ways that were found; NaN: none
-    missed: Array  # int32, places that were not found
-    extra: Array  # int32, places that the map does not have
-    strays: Array  # bool, the last place was not on the route
-    arrived: Array  # bool
-    lost: Array  # bool, it is where the map does not help it on
-    blocked: Array  # bool, because it cannot pass what lies before it
-    walled: Array  # bool, because there is a wall
-    steers: Array  # bool, it steers for the next place or the end
-    replace: ClassVar[Callable[..., Self]]
+STRAIGHT_LEG_RATIO, STRAIGHT_LEG_M = (
+    1.15,
+    2.0,
+)  # least ratio of length and distance of ends, m, of a way that is not straight
+STRIP_OFFSETS_M = 0.0, -0.2, 0.2, -0.4, 0.4  # m; offsets of the strip from the middle
 
 
 def guide_of(
@@ -97,16 +63,15 @@ def guide_of(
       tail_m, end_leg, others: see `Guide`.
       node_xy: where the route begins, odometry, metres; the odometry's axes are those of the map.
       start_m: how far the robot stands from there.
-      size: K, as many places or more.
     """
     n, none = len(out), np.bool_(False)
-    angles, legs = np.full((size, WAYS), np.nan, np.float32), np.zeros((size, 2), np.float32)
+    angles, legs = np.full((size, PLACE_EXITS), np.nan, np.float32), np.zeros((size, 2), np.float32)
     for place, of_place in zip(angles, ways):
-        place[: len(of_place)] = of_place[:WAYS]
+        place[: len(of_place)] = of_place[:PLACE_EXITS]
     legs[:n] = np.reshape(leg, (n, 2))
-    elsewhere = np.full((size, OTHERS, 2), np.nan, np.float32)
+    elsewhere = np.full((size, OFF_ROUTE_PLACES, 2), np.nan, np.float32)
     for place, of_place in zip(elsewhere, others):
-        place[: len(of_place)] = np.reshape(of_place, (-1, 2))[:OTHERS]
+        place[: len(of_place)] = np.reshape(of_place, (-1, 2))[:OFF_ROUTE_PLACES]
     # Ignored types: numpy on the host, where the record says what it is on the device.
     values = {
         "out": np.pad(np.asarray(out, np.float32), (0, size - n)),
@@ -121,7 +86,7 @@ def guide_of(
         "from_xy": np.asarray(node_xy, np.float32),
         "from_m": np.float32(-start_m),
         "turned": np.float32(0),
-        "seen": np.full((size, WAYS), np.nan, np.float32),
+        "seen": np.full((size, PLACE_EXITS), np.nan, np.float32),
         "missed": np.int32(0),
         "extra": np.int32(0),
         "strays": none,
@@ -134,7 +99,7 @@ def guide_of(
     return Guide(**values)  # type: ignore[arg-type]
 
 
-def at_place(
+def match_place(
     guide: Guide,
     odometer_m: Array,
     centre: Array,
@@ -145,11 +110,6 @@ def at_place(
     """Match a place to one of the next places of the route, or to none of the map.
 
     Args:
-      guide: `Guide`.
-      odometer_m: float32, at the place.
-      centre: `[2]` float32, of the place, odometry.
-      found: its `Openings`.
-      when: bool, the robot is at a place.
       reach_m: free length of a strip `STRIP_M` wide from a point in a direction, odometry, radians: metres.
 
     Returns:
@@ -162,19 +122,21 @@ def at_place(
     place, expected, off_m, fits, is_like, last, off_ways, begins, is_free, misfit, way = near
     best = jnp.argmin(jnp.where(fits, off_m + MISFIT_M * misfit, jnp.inf))
     is_known, at = when & fits[best], jnp.minimum(place[best], size - 1)
-    turn = HEADING_SHARE * jnp.clip(jnp.nan_to_num(jnp.nanmedian(off_ways[best])), -MOST_RAD, MOST_RAD)
+    turn = HEADING_SHARE * jnp.clip(
+        jnp.nan_to_num(jnp.nanmedian(off_ways[best])), -MAX_HEADING_TURN_RAD, MAX_HEADING_TURN_RAD
+    )
     toward = _toward(guide, centre)
     # Only back: the way on is closed, unless the route ends there.
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - toward)), jnp.inf)
     walled = when & ~is_known & ~guide.strays & (jnp.sum(found.valid) == 1) & (jnp.min(off) > BACK_RAD)
-    stop, *_, is_end = next_of(guide)
-    walled &= ~is_end | (jnp.hypot(*(stop - centre)) > TOWARD_M)
+    stop, *_, is_end = next_stop(guide)
+    walled &= ~is_end | (jnp.hypot(*(stop - centre)) > NEXT_PLACE_M)
     moved = guide.replace(
         at=jnp.where(is_known, place[best] + 1, guide.at),
-        from_xy=jnp.where(is_known, expected[best] + ANCHOR * (centre - expected[best]), guide.from_xy),
+        from_xy=jnp.where(is_known, expected[best] + ANCHOR_SHARE * (centre - expected[best]), guide.from_xy),
         from_m=jnp.where(is_known, odometer_m, guide.from_m),
         turned=guide.turned + jnp.where(is_known, turn, 0),
-        seen=guide.seen.at[jnp.where(is_known & is_like[best], at, size)].set(seen[:WAYS], mode="drop"),
+        seen=guide.seen.at[jnp.where(is_known & is_like[best], at, size)].set(seen[:PLACE_EXITS], mode="drop"),
         missed=guide.missed + jnp.where(is_known, best.astype(jnp.int32), 0),
         extra=guide.extra + (when & ~is_known),
         strays=jnp.where(when, ~is_known, guide.strays),
@@ -184,7 +146,7 @@ def at_place(
     goes_on = is_known & ~last[best]
     bearing = jnp.where(goes_on, way[best] - moved.turned, toward)
     middle = jnp.where(goes_on & is_free[best], begins[best], centre)
-    by_strip = jnp.where(goes_on, is_free[best], ~is_known & (reach_m(centre, toward) > OPEN_M))
+    by_strip = jnp.where(goes_on, is_free[best], ~is_known & (reach_m(centre, toward) > OPEN_STRIP_M))
     return moved, Onward(bearing, middle, by_strip)
 
 
@@ -193,8 +155,8 @@ def _toward(guide, centre):
     n, stops = guide.out.shape[0], guide.at + jnp.arange(2)
     leg = jnp.where((stops == guide.count)[:, None], guide.end_leg, guide.leg[jnp.minimum(stops, n - 1)])
     leg = jnp.where((stops > guide.count)[:, None], 0.0, leg)
-    off = guide.from_xy + _turned(guide)(jnp.cumsum(leg, axis=0)) - centre
-    ahead = off[jnp.where(jnp.hypot(*off[0]) > TOWARD_M, 0, 1)]
+    off = guide.from_xy + _to_odometry_axes(guide)(jnp.cumsum(leg, axis=0)) - centre
+    ahead = off[jnp.where(jnp.hypot(*off[0]) > NEXT_PLACE_M, 0, 1)]
     return jnp.arctan2(ahead[1], ahead[0])
 
 
@@ -216,73 +178,74 @@ class _NextOnes(NamedTuple):
 
 def _next_ones(guide, centre, found, seen, reach_m):
     """Compute `_NextOnes`; `seen` are the mapped bearings of the openings."""
-    place, size = guide.at + jnp.arange(AHEAD), guide.out.shape[0]
+    place, size = guide.at + jnp.arange(NEXT_PLACES), guide.out.shape[0]
     at = jnp.minimum(place, size - 1)
-    length_m, expected = jnp.cumsum(guide.length_m[at]), _expected(guide, at)
+    length_m, expected = jnp.cumsum(guide.length_m[at]), _expected_positions(guide, at)
     off_m = jnp.hypot(*(expected - centre).T)
-    ways, out, after_m, leads = guide.ways[at], guide.out[at], *_leads_on(guide, at, expected, centre)
+    ways, out, after_m, leads = guide.ways[at], guide.out[at], *_bearings_on(guide, at, expected, centre)
     apart = btm.wrapped(ways[:, :, None] - seen)  # [AHEAD, WAYS, V]
-    alike = jnp.abs(apart) < ALIKE_RAD
+    alike = jnp.abs(apart) < SAME_EXIT_RAD
     missing = jnp.sum(jnp.isfinite(ways), axis=1) - jnp.sum(jnp.any(alike, axis=2), axis=1)
     more = jnp.sum(found.valid) - jnp.sum(jnp.any(alike, axis=1), axis=1)
     last = (place == guide.count - 1) & (guide.tail_m == 0)
-    by_leg, by_map = (jnp.any(jnp.abs(btm.wrapped(way[:, None] - seen)) < ALIKE_RAD, axis=1) for way in (leads, out))
+    by_leg, by_map = (
+        jnp.any(jnp.abs(btm.wrapped(way[:, None] - seen)) < SAME_EXIT_RAD, axis=1) for way in (leads, out)
+    )
     is_seen = last | by_leg | by_map
     begins, free_m = _strip(reach_m, expected, out - guide.turned)
-    is_free = ~is_seen & (off_m < THERE_M) & (free_m > jnp.minimum(OPEN_M, after_m))
-    others = expected[:, None] + _turned(guide)(guide.others[at])
+    is_free = ~is_seen & (off_m < AT_MAPPED_M) & (free_m > jnp.minimum(OPEN_STRIP_M, after_m))
+    others = expected[:, None] + _to_odometry_axes(guide)(guide.others[at])
     other_m = jnp.nan_to_num(jnp.hypot(others[..., 0] - centre[0], others[..., 1] - centre[1]), nan=jnp.inf)
-    fits = (off_m <= SURE[0] * length_m + SURE[1]) & (missing <= 1) & (more <= 2)
-    fits |= (off_m <= NEAR[0] * length_m + NEAR[1]) & (missing == 0) & (more == 0)
-    fits &= jnp.min(other_m, axis=1) > OTHER * off_m
-    is_like = (fits | (off_m < THERE_M)) & (is_seen | is_free) & (place < guide.count)
-    fits = is_like | ((off_m < HERE_M) & (place < guide.count))
+    fits = (off_m <= MATCH_TOLERANCE[0] * length_m + MATCH_TOLERANCE[1]) & (missing <= 1) & (more <= 2)
+    fits |= (off_m <= EXACT_MATCH_TOLERANCE[0] * length_m + EXACT_MATCH_TOLERANCE[1]) & (missing == 0) & (more == 0)
+    fits &= jnp.min(other_m, axis=1) > OTHER_PLACE_SHARE * off_m
+    is_like = (fits | (off_m < AT_MAPPED_M)) & (is_seen | is_free) & (place < guide.count)
+    fits = is_like | ((off_m < AT_MAPPED_UNSEEN_M) & (place < guide.count))
     off_ways = jnp.where(alike, apart, jnp.nan)
     way = jnp.where(by_leg, leads, out)
     return _NextOnes(place, expected, off_m, fits, is_like, last, off_ways, begins, is_free, missing + more, way)
 
 
-def _leads_on(guide, places, expected, centre):
+def _bearings_on(guide, places, expected, centre):
     """Return distance, metres, and mapped bearing of each place's successor; NaN: the way there is not straight."""
     n, after = guide.out.shape[0], places + 1
     is_place = after < guide.count
     leg = jnp.where(is_place[:, None], guide.leg[jnp.minimum(after, n - 1)], guide.end_leg)
     length_m = jnp.where(is_place, guide.length_m[jnp.minimum(after, n - 1)], guide.tail_m)
-    off = expected + _turned(guide)(leg) - centre
+    off = expected + _to_odometry_axes(guide)(leg) - centre
     leg_m, bearing = jnp.hypot(*leg.T), jnp.arctan2(off[:, 1], off[:, 0]) + guide.turned
-    return leg_m, jnp.where((leg_m > FAR_M) & (length_m < STRAIGHT * leg_m), bearing, jnp.nan)
+    return leg_m, jnp.where((leg_m > STRAIGHT_LEG_M) & (length_m < STRAIGHT_LEG_RATIO * leg_m), bearing, jnp.nan)
 
 
 def _strip(reach_m, places, bearings):
     """Find the longest free strip in a direction from each place or from points next to it.
 
-    Returns:
-      `(start, length)`: `[A, 2]`, `[A]`, metres.
+    Returns `(start, length)`: `[A, 2]`, `[A]`, metres.
     """
     across = jnp.stack([-jnp.sin(bearings), jnp.cos(bearings)], axis=1)
-    begins = places[:, None] + jnp.asarray(ASIDE_M)[:, None] * across[:, None]  # [A, S, 2]
+    begins = places[:, None] + jnp.asarray(STRIP_OFFSETS_M)[:, None] * across[:, None]  # [A, S, 2]
     free_m = jax.vmap(jax.vmap(reach_m, (0, None)))(begins, bearings)
-    best = jnp.argmax(jnp.minimum(free_m, OPEN_M + 0.1), axis=1)
+    best = jnp.argmax(jnp.minimum(free_m, OPEN_STRIP_M + 0.1), axis=1)
     pick = jnp.arange(len(places)), best
     return begins[pick], free_m[pick]
 
 
 def is_next(guide: Guide, centre: Array) -> Array:
     """Return whether the map has the next place of the route at a point, `[2]`, odometry: bool."""
-    return (guide.at < guide.count) & (jnp.hypot(*(next_of(guide)[0] - centre)) < THERE_M)
+    return (guide.at < guide.count) & (jnp.hypot(*(next_stop(guide)[0] - centre)) < AT_MAPPED_M)
 
 
-def _expected(guide, places):
+def _expected_positions(guide, places):
     """Return the expected positions of the next places, odometry: `[A, 2]`."""
-    return guide.from_xy + _turned(guide)(jnp.cumsum(guide.leg[places], axis=0))
+    return guide.from_xy + _to_odometry_axes(guide)(jnp.cumsum(guide.leg[places], axis=0))
 
 
-def _turned(guide):
+def _to_odometry_axes(guide):
     """Return the function that turns a way on the map into the odometry frame."""
-    return to_odometry(jnp.stack([0.0, 0.0, -guide.turned]))
+    return rotate_by(-guide.turned)
 
 
-def next_of(guide: Guide) -> tuple[Array, Array, Array, Array]:
+def next_stop(guide: Guide) -> tuple[Array, Array, Array, Array]:
     """Return the next place of the route, or its end.
 
     Returns:
@@ -293,4 +256,4 @@ def next_of(guide: Guide) -> tuple[Array, Array, Array, Array]:
     leg = jnp.where(left > 0, guide.leg[at], guide.end_leg)
     length_m = jnp.where(left > 0, guide.length_m[at], guide.tail_m)
     is_end = (left <= 0) | ((left == 1) & (guide.tail_m == 0))
-    return guide.from_xy + _turned(guide)(leg), jnp.hypot(*leg), length_m, is_end
+    return guide.from_xy + _to_odometry_axes(guide)(leg), jnp.hypot(*leg), length_m, is_end

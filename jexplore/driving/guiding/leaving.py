@@ -1,8 +1,9 @@
-"""By which link a robot that follows a route leaves a place."""
+"""Candidates that a robot rejects, and the links and points by which it leaves a place."""
 
 import dataclasses
 import functools
-from typing import Any, NamedTuple
+import math
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -10,10 +11,13 @@ from jax import Array
 from jexplore import btm
 from jexplore.btm import Btm
 from jexplore.driving import links
-from jexplore.driving.guiding.guide import BACK_RAD, STRIP_M, Guide, Onward, at_place, is_next
-from jexplore.driving.mapping import Writer
-from jexplore.driving.sensing.openings import Openings
-from jexplore.driving.vehicle import to_odometry
+from jexplore.driving.guiding.guide import BACK_RAD, STRIP_M, is_next, match_place
+from jexplore.driving.records import Arrival, DueNode, Guide, Onward, Openings, Writer
+from jexplore.driving.settings import Tuning
+from jexplore.driving.vehicle import rotate_by, to_odometry, towards
+
+CORNER_WIDTH_RATIO = 1.3  # of a circle's diameter: with only one opening, wider than this, it lies in a corner
+IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farther from it
 
 
 class Left(NamedTuple):
@@ -26,27 +30,16 @@ class Left(NamedTuple):
     onward: Onward | None  # what the route says: radians and metres, turned as the map's node has them
 
 
-def passes_by(writer: Writer, centre: Array, passes: Array) -> Array:
-    """Return whether a robot rejects a candidate, `[2]`, odometry: never where its route has the next place."""
-    return passes if writer.guide is None else passes & ~is_next(writer.guide, centre)
-
-
-def corrected(guide: Guide, centre: Array, correction: Array) -> Guide:
-    """Apply a correction of the odometry to a guide.
-
-    Args:
-      guide: `Guide`.
-      centre: `[2]` float32, about which the odometry has been turned.
-      correction: `[3]` float32, metres and radians.
-    """
+def correct_guide(guide: Guide, centre: Array, correction: Array) -> Guide:
+    """Apply a correction of the odometry to a guide."""
     from_xy = to_odometry(jnp.append(centre, correction[2]))(guide.from_xy - centre) + correction[:2]
     return guide.replace(from_xy=from_xy, turned=guide.turned - correction[2])
 
 
-def left_by(
+def leave_place(
     map_: Btm,
     writer: Writer,
-    event: Any,
+    event: DueNode,
     node: Array,
     found: Openings,
     is_place: Array,
@@ -60,16 +53,11 @@ def left_by(
     steers for the next place.
 
     Args:
-      map_: `Btm` with the node.
-      writer, event: `Writer` before it; `nodes.Event`.
-      node: int32.
-      found: its `Openings`, as stored in the map's node.
       is_place: bool, whether it is a divergence.
-      points: see `links.reach_m`.
       usual: `(link, bearing)`: int32, link chosen without a route; float32, its bearing in the node's frame, radians.
       turned: `(turn, correction)`: float32, rotation of the node's bearings (also of `found` and `usual`) against the
         odometry in which they were measured, radians; `[3]` float32, correction of the odometry by a share of that
-        turn, metres and radians, see `corrected`.
+        turn, metres and radians, see `correct_guide`.
 
     Returns:
       `Left`; without a route, the given values. `onward` is the guide's, turned by `turn` about `event.centre`;
@@ -80,18 +68,82 @@ def left_by(
         return Left(None, map_, onto, bearing, None)
     free_m = functools.partial(links.reach_m, points, width_m=STRIP_M)
     measured = dataclasses.replace(found, bearing=found.bearing - turn)
-    ahead, way = at_place(writer.guide, event.odometer_m, event.centre, measured, is_place, free_m)
+    ahead, way = match_place(writer.guide, event.odometer_m, event.centre, measured, is_place, free_m)
     to_node = to_odometry(jnp.append(event.centre, turn))
     way = way._replace(bearing=way.bearing + turn, middle=to_node(way.middle - event.centre))
-    ahead = corrected(ahead, event.centre, correction)
-    link, out, off = links.toward(map_, node, way.bearing)
-    is_open = jnp.any(found.valid & (jnp.abs(btm.wrapped(found.bearing - way.bearing)) < links.ALIKE_RAD))
+    ahead = correct_guide(ahead, event.centre, correction)
+    link, out, off = links.link_toward(map_, node, way.bearing)
+    is_open = jnp.any(found.valid & (jnp.abs(btm.wrapped(found.bearing - way.bearing)) < links.SAME_EXIT_RAD))
     there = jnp.isfinite(off)
     link, out = jnp.where(there, link, onto), jnp.where(there, out, bearing)
-    wanted = is_place & (off > links.ALIKE_RAD) & (way.is_free | is_open)
+    wanted = is_place & (off > links.SAME_EXIT_RAD) & (way.is_free | is_open)
     map_, new = btm.add_link(map_, node, way.bearing, when=wanted)
     is_new = wanted & (new < map_.start.shape[0])
     link, out = jnp.where(is_new, new, link), jnp.where(is_new, way.bearing, out)
     ahead = ahead.replace(steers=ahead.steers | (is_place & (off > BACK_RAD) & ~is_new))
     way = way._replace(is_free=is_new & way.is_free)
     return Left(ahead, map_, jnp.where(is_place, link, onto), jnp.where(is_place, out, bearing), way)
+
+
+def is_rejected(writer: Writer, event: DueNode, measured: tuple[Array, Openings], others: Array, at: Arrival,
+              is_divergence: Array, points: tuple[Array, Array], tuning: Tuning) -> tuple[Array, Array]:  # fmt: skip
+    """Decide whether to reject a candidate, and which of its openings the robot takes: `(passes, which)`.
+
+    A candidate with two openings in line is a stretch of a passage, unless the link leads to a node there. So is a
+    candidate whose only opening lies in line with the way in, if the passage is closed beyond its circle only. A
+    candidate with a single opening much wider than its circle lies in the corner of a room.
+
+    Args:
+      measured: bearing of the way in, radians, and `Openings` of the place, in the odometry frame.
+    """
+    back, found = measured
+    n, other = jnp.sum(found.valid), jnp.argmax(others)
+    straight = jnp.abs(btm.wrapped(found.bearing[other] - back)) > math.pi - IN_LINE_RAD
+    followed, to = links.leads_to(writer)
+    in_line = (jnp.sum(others) == 1) & straight & ~(at.again & followed & (at.near == to))
+    free_m = links.reach_m(points, event.centre, back, event.radius)
+    in_line &= (n == 2) | ((n == 1) & (free_m > tuning.circle * event.radius))
+    wide = (found.width_m > CORNER_WIDTH_RATIO * 2 * event.radius) | is_behind(found)
+    corner = (n == 1) & jnp.any(found.valid & wide) & ~at.again
+    passes = is_divergence & (in_line | corner)
+    if writer.guide is not None:  # never where the route has the next place
+        passes &= ~is_next(writer.guide, event.centre)
+    return passes, jnp.where(corner, jnp.argmax(found.valid), other)
+
+
+def beyond_candidate(event: DueNode, measured: tuple[Array, Openings], which: Array, others: Array,
+         points: tuple[Array, Array], tuning: Tuning) -> tuple[Array, Array]:  # fmt: skip
+    """Return a point beyond a rejected candidate, relative to its centre: `[2]`; and a direction there, radians.
+
+    If the exit is a door of an area beyond its circle, which may be a place itself: straight on, if that is free.
+    Arguments as for `is_rejected`; `which`, int32, is its result.
+    """
+    back, found = measured
+    leave_m, on_m, ahead = tuning.leave_m, event.radius + tuning.leave_m, back + math.pi
+    far = jnp.any(others) & (jnp.hypot(*found.middle[which]) > tuning.circle * event.radius)
+    far &= links.reach_m(points, event.centre, ahead, event.radius) > on_m + leave_m
+    target, out = beyond_opening(event, found, found.bearing[which], 0.0, leave_m)
+    return jnp.where(far, on_m * towards(ahead), target), jnp.where(far, ahead, out)
+
+
+def beyond_opening(
+    event: DueNode, found: Openings, bearing: Array, turn: Array | float, leave_m: Array | float
+) -> tuple[Array, Array]:
+    """Return a point beyond the opening in a direction, relative to the centre; straight on where no opening exists.
+
+    Returns:
+      `(point, out)`: `[2]`, metres; direction of the opening's passage, radians. `turn` is that of the bearings against
+        the odometry, radians; `leave_m` metres.
+    """
+    off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - bearing)), jnp.inf)
+    which = jnp.argmin(off)
+    middle, across = found.middle[which], found.across[which] + turn
+    middle = rotate_by(turn)(middle)
+    plain = (event.radius + leave_m) * towards(bearing)
+    near = (off[which] < math.pi / 4) & ~is_behind(found)[which]
+    return jnp.where(near, middle + leave_m * towards(across), plain), jnp.where(near, across, bearing)
+
+
+def is_behind(found: Openings) -> Array:
+    """Return openings whose narrowest place lies behind the centre, so that they have one wall only: `[K]` bool."""
+    return found.middle[:, 0] * jnp.cos(found.across) + found.middle[:, 1] * jnp.sin(found.across) < 0

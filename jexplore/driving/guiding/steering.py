@@ -1,81 +1,67 @@
 """Steering of a robot that follows a route: towards the next place, and at the end."""
 
 import math
-from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
+from jexplore.arrays.loops import pick
 from jexplore.driving import behaviour
-from jexplore.driving.behaviour import Drive, Latch, RunMode, Track
-from jexplore.driving.guiding.guide import AHEAD, THERE_M, Guide, next_of
-from jexplore.driving.mapping import Writer
+from jexplore.driving.guiding.guide import AT_MAPPED_M, NEXT_PLACES, next_stop
+from jexplore.driving.records import Drive, Guide, Latch, RunMode, State, Track, Writer
 from jexplore.driving.sensing import surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import towards
 
-LOST = 1.5, 5.0  # ratio and m of the way: without any next place within these the robot is lost
+LOST_BOUND = 1.5, 5.0  # ratio and m of the way: without any next place within these the robot is lost
 END_M = 0.4, 0.2, 0.8  # m; tolerance of the end, increase per metre of excess way, and maximum
-STRAIGHT = 1.25, 1.0  # ratio and m: a link not longer than the distance of its ends by more is straight
-STEERS = 1.5, 3.0  # ratio and m of the way along which the robot steers for the next place
+STRAIGHT_LINK = 1.25, 1.0  # ratio and m: a link not longer than the distance of its ends by more is straight
+STEER_BOUND = 1.5, 3.0  # ratio and m of the way along which the robot steers for the next place
 SIGHT_M = 2.5  # a place that is so near, with a free way to it, is steered for anywhere
 NOT_SEEN_M = 1.5  # at one so near that has not been seen yet, the robot looks round
 MEETS_M = 0.4  # in free space it has been at one so near
-SEES_M = 4.0  # the robot knows of no free way farther than this
-SLACK_M = 0.3  # m; a way to a place may fall short by this
+KNOWN_WAY_M = 4.0  # the robot knows of no free way farther than this
+SIGHT_SLACK_M = 0.3  # m; a way to a place may fall short by this
 HOP_M = 1.0  # m; free length required of a way to steer along
-KEEPS = 0.5  # of a direction's distance from that taken before, against that from where the place lies
-ASIDE_RAD = math.radians(110)  # no way farther off leads towards a place
+KEEP_COURSE_WEIGHT = 0.5  # of a direction's distance from that taken before, against that from where the place lies
+TOWARDS_RAD = math.radians(110)  # no way farther off leads towards a place
 
 
-def on_the_way(
+def update_progress(
     guide: Guide, odometer_m: Array, estimate: Array, ways_m: Array, is_blocked: Array, robot: Robot
 ) -> Guide:
     """Check whether the route's end has been reached, or the robot is lost.
 
     The end is reached where it lies, with a free way there: a robot that has gone as far as the map says may have gone
     another way, through a room above all.
-
-    Args:
-      guide: `Guide`.
-      odometer_m: float32.
-      estimate: `[3]` float32, odometry.
-      ways_m: `surround.ways` there.
-      is_blocked: bool, whether the robot has just found that it cannot pass what lies before it.
-      robot: `Robot`.
-
-    Returns:
-      `Guide`.
     """
     gone_m, left = odometer_m - guide.from_m, guide.count - guide.at
-    place = jnp.minimum(guide.at + jnp.arange(AHEAD), guide.out.shape[0] - 1)
-    end, _, length_m, is_end = next_of(guide)
+    place = jnp.minimum(guide.at + jnp.arange(NEXT_PLACES), guide.out.shape[0] - 1)
+    end, _, length_m, is_end = next_stop(guide)
     off_m, _, sees = _sight(end, estimate, ways_m, robot)
     within_m = jnp.clip(END_M[0] + END_M[1] * (gone_m - length_m), END_M[0], END_M[2])
     arrived = guide.arrived | (is_end & sees & (off_m < within_m))
-    length_m = jnp.sum(jnp.where(jnp.arange(AHEAD) < left, guide.length_m[place], 0))
-    length_m += jnp.where(left < AHEAD, guide.tail_m, 0)
+    length_m = jnp.sum(jnp.where(jnp.arange(NEXT_PLACES) < left, guide.length_m[place], 0))
+    length_m += jnp.where(left < NEXT_PLACES, guide.tail_m, 0)
     blocked = guide.blocked | (is_blocked & ~arrived)
-    too_far = gone_m > LOST[0] * length_m + LOST[1]
+    too_far = gone_m > LOST_BOUND[0] * length_m + LOST_BOUND[1]
     return guide.replace(arrived=arrived, lost=guide.lost | (~arrived & too_far) | blocked, blocked=blocked)
 
 
 def _sight(place, estimate, ways_m, robot):
     """Return the position of a place relative to the robot.
 
-    Returns:
-      `(off_m, bearing, sees)`: metres; radians, in the robot's frame; bool, the way there is free.
+    Returns `(off_m, bearing, sees)`: metres; radians, in the robot's frame; bool, the way there is free.
     """
     off = place - estimate[:2]
     off_m, bearing = jnp.hypot(*off), btm.wrapped(jnp.arctan2(off[1], off[0]) - estimate[2])
     at = jnp.argmin(jnp.abs(btm.wrapped(surround.DIRECTION - bearing)))
-    return off_m, bearing, (ways_m[at] + robot.length_m / 2 > off_m - SLACK_M) & (off_m < SEES_M)
+    return off_m, bearing, (ways_m[at] + robot.length_m / 2 > off_m - SIGHT_SLACK_M) & (off_m < KNOWN_WAY_M)
 
 
-def guided(
-    state: Any,
+def steer_along_route(
+    state: State,
     writer: Writer,
     drive: Drive,
     track: Track,
@@ -91,20 +77,8 @@ def guided(
     missing in the map, at its start, and when the target is in sight, it drives along the free way that bears nearest
     to it. Near a place that it has not recognised it goes to the mapped position and looks round; in free space, where
     no place can be seen, coming near is arriving.
-
-    Args:
-      state: `mission.State` before the step.
-      writer: `Writer`.
-      drive, track: `Drive`, `Track`.
-      estimate: `[3]` float32, odometry.
-      ways_m: `surround.ways` there.
-      is_blocked: see `on_the_way`.
-      tuning, robot: `Tuning`, `Robot`.
-
-    Returns:
-      `(writer, drive, track)`.
     """
-    guide = on_the_way(writer.guide, state.odometer_m, estimate, ways_m, is_blocked, robot)  # type: ignore[arg-type]
+    guide = update_progress(writer.guide, state.odometer_m, estimate, ways_m, is_blocked, robot)  # type: ignore[arg-type]
     nodes = jnp.stack([writer.map.x_m, writer.map.y_m], axis=1)
     nodes = jnp.where((writer.map.kind == btm.DIVERGENCE)[:, None], nodes, jnp.inf)
     looked = jnp.stack([writer.passed[:2], nodes[writer.node]])
@@ -114,26 +88,26 @@ def guided(
 
 def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot):
     """Return `(guide, drive, track)`; `places`: nodes, and where the robot has just looked round: pair of `[P, 2]`."""
-    place, leg_m, length_m, is_end = next_of(guide)
+    place, leg_m, length_m, is_end = next_stop(guide)
     off_m, bearing, sees = _sight(place, estimate, ways_m, robot)
     gone_m, leaves = state.odometer_m - guide.from_m, drive.latch == Latch.LEAVE
     is_near = sees & (off_m < SIGHT_M)
     is_free = (drive.latch == Latch.FREE) | (leaves & (guide.steers | is_near | (is_end & sees)))
     # A place where it has been before is no help, unless it is the one that it looks for.
-    is_old = jnp.any(jnp.hypot(*(places[0] - track.centre).T) < THERE_M) & guide.strays
-    is_old &= jnp.hypot(*(track.centre - place)) > THERE_M
+    is_old = jnp.any(jnp.hypot(*(places[0] - track.centre).T) < AT_MAPPED_M) & guide.strays
+    is_old &= jnp.hypot(*(track.centre - place)) > AT_MAPPED_M
     is_believed = behaviour.is_believed(track, tuning.votes) & ~(is_end & sees) & ~is_old
-    is_straight = length_m < STRAIGHT[0] * leg_m + STRAIGHT[1]
-    limit_m = STEERS[0] * jnp.where(is_straight, length_m, leg_m) + STEERS[1]
+    is_straight = length_m < STRAIGHT_LINK[0] * leg_m + STRAIGHT_LINK[1]
+    limit_m = STEER_BOUND[0] * jnp.where(is_straight, length_m, leg_m) + STEER_BOUND[1]
     may = is_free & ~is_believed & ~guide.arrived & (gone_m < limit_m)
-    has_looked = jnp.any(jnp.hypot(*(places[1] - place).T) < THERE_M)
+    has_looked = jnp.any(jnp.hypot(*(places[1] - place).T) < AT_MAPPED_M)
     looks = may & ~is_end & sees & (off_m < NOT_SEEN_M) & ~has_looked & ~state.space.inside
     meets = may & ~is_end & sees & (off_m < MEETS_M) & state.space.inside
     is_open = ways_m > jnp.minimum(HOP_M, off_m)
     off = jnp.abs(btm.wrapped(surround.DIRECTION - bearing))
     before = jnp.where(guide.steers & leaves, btm.wrapped(drive.out - estimate[2]), 0.0)
     turns = jnp.abs(btm.wrapped(surround.DIRECTION - before))
-    cost = jnp.where(is_open & (off < ASIDE_RAD), off + KEEPS * turns, jnp.inf)
+    cost = jnp.where(is_open & (off < TOWARDS_RAD), off + KEEP_COURSE_WEIGHT * turns, jnp.inf)
     best = jnp.where(sees, bearing, jnp.asarray(surround.DIRECTION)[jnp.argmin(cost)]) + estimate[2]
     wants = guide.strays | (guide.at == 0) | is_end | is_near
     wants |= ((state.mode != RunMode.CENTRAL) & (state.mode != RunMode.BRANCH_SELECTION)) | guide.steers
@@ -145,7 +119,7 @@ def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot
     frees = guide.steers & leaves & ~steers & ~looks & ~meets
     latch = jnp.where(frees, Latch.FREE, jnp.where(steers | meets, Latch.LEAVE, drive.latch))
     latch = jnp.where(looks, Latch.APPROACH, latch)
-    there = behaviour.believed(place, 1.0)
+    there = behaviour.certain_track(place, 1.0)
     drive = drive.replace(
         latch=latch.astype(jnp.int32),
         target=jnp.where(steers, hop, jnp.where(looks, place, jnp.where(meets, beyond, drive.target))),
@@ -154,7 +128,7 @@ def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot
         aside=drive.aside & ~steers & ~meets,
         known=drive.known | looks,
     )
-    track = jax.tree.map(lambda new, old: jnp.where(looks, new, old), there, track)
+    track = pick(looks, there, track)
     after = guide.replace(
         steers=steers,
         at=guide.at + meets,

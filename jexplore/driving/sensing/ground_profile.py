@@ -8,20 +8,20 @@ import numpy as np
 from flax import struct
 from jax import Array, lax
 
-from jexplore.driving.sensing import steadying
+from jexplore.driving.sensing import smoothing
 from jexplore.driving.sensing.perception import running_sum
 
-CELLS, CELL_M = 1024, 0.02  # of a profile: what lies beyond is left out
+PROFILE_CELLS, PROFILE_CELL_M = 1024, 0.02  # of a profile: what lies beyond is left out
 STEP_M = 0.04  # a rise of the profile by more than this from point to point is a step
 FLANK_M = 0.10  # m; a step is the difference of mean heights this far before and behind a place, less one cell
 FACE_M = 0.04  # m; within this of a step, points may lie on its face
-RISE_M = FLANK_M + CELL_M  # between the middles of both flanks
-LEAST_M = 0.015  # no lower step is told of
-SURE = 4.5  # standard deviations of a point; a lower one may be noise
+RISE_M = FLANK_M + PROFILE_CELL_M  # between the middles of both flanks
+MIN_STEP_M = 0.015  # no lower step is told of
+NOISE_DEVIATIONS = 4.5  # standard deviations of a point; a lower one may be noise
 TREADS_M = np.linspace(0.20, 0.44, 13)  # periods of steps that are tried
 
-_ANGLE = 2 * math.pi * CELL_M * np.arange(CELLS) / TREADS_M[:, None]
-_WAVES = np.concatenate([np.cos(_ANGLE), np.sin(_ANGLE)]).astype(np.float32)
+_ANGLE = 2 * math.pi * PROFILE_CELL_M * np.arange(PROFILE_CELLS) / TREADS_M[:, None]
+_TREAD_WAVES = np.concatenate([np.cos(_ANGLE), np.sin(_ANGLE)]).astype(np.float32)
 
 
 def ground_point(
@@ -58,8 +58,7 @@ def ground_point(
     return jnp.sum(jnp.where(valid, x, 0)) * per, jnp.sum(jnp.where(valid, z, 0)) * per, n > 0
 
 
-@struct.dataclass
-class Profile:
+class Profile(struct.PyTreeNode):
     """Features of the height profile of an obstacle."""
 
     variance_m2: Array  # float32, residual variance about the least-squares line, n - 2 in the denominator
@@ -94,10 +93,13 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
     residual = jnp.where(valid, z - slope * x, 0)
     enough = n >= 3
     cells = _cell_of(x, valid)
-    heights = [jnp.zeros(CELLS, jnp.float32).at[cells].add(a, mode="drop") for a in (1.0, z)]
+    heights = [jnp.zeros(PROFILE_CELLS, jnp.float32).at[cells].add(a, mode="drop") for a in (1.0, z)]
     rises = _rises(*heights)
     steps = _steps(rises)
-    highest, noise = jnp.max(rises) - jnp.abs(slope) * RISE_M, steadying.deviation(steadying.jumps_of(z, valid))
+    highest, noise = (
+        jnp.max(rises) - jnp.abs(slope) * RISE_M,
+        smoothing.deviation(smoothing.second_differences(z, valid)),
+    )
     variance = jnp.where(enough, jnp.sum(residual**2) / jnp.maximum(n - 2, 1), 0)
     return Profile(
         variance_m2=variance,
@@ -106,25 +108,25 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
         slope=jnp.where(enough, slope, 0),
         step_m=jnp.where(enough, _median(rises, steps), 0),
         riser_m=jnp.where(enough, _riser(steps, rises, *heights), 0),
-        highest_m=jnp.where(enough & (highest > LEAST_M) & (highest > SURE * noise), highest, 0),
+        highest_m=jnp.where(enough & (highest > MIN_STEP_M) & (highest > NOISE_DEVIATIONS * noise), highest, 0),
         count=n.astype(jnp.int32),
     )
 
 
 def _cell_of(x_m, valid):
-    """Return cells of the way, each of length `CELL_M`, from the first point: `[P]` int32, beyond the last for none."""
+    """Return cells of the way from the first point: `[P]` int32, beyond the last for none."""
     first = jnp.min(jnp.where(valid, x_m, jnp.inf))
-    return jnp.where(valid, ((x_m - first) / CELL_M).astype(jnp.int32), CELLS)
+    return jnp.where(valid, ((x_m - first) / PROFILE_CELL_M).astype(jnp.int32), PROFILE_CELLS)
 
 
 def _tread_wave(x_m, residual_m, valid):
     """Return the largest power, in square metres, of a residual's waves as long as a tread."""
-    total = jnp.zeros(CELLS, jnp.float32).at[_cell_of(x_m, valid)].add(residual_m, mode="drop")
-    mean = _WAVES @ total / jnp.maximum(jnp.sum(valid), 1)  # [2 * periods]
+    total = jnp.zeros(PROFILE_CELLS, jnp.float32).at[_cell_of(x_m, valid)].add(residual_m, mode="drop")
+    mean = _TREAD_WAVES @ total / jnp.maximum(jnp.sum(valid), 1)  # [2 * periods]
     return jnp.max(2 * jnp.sum(mean.reshape(2, -1) ** 2, axis=0))
 
 
-def sudden(x_m: Array, z_m: Array, valid: Array) -> Array:
+def steepest_rise(x_m: Array, z_m: Array, valid: Array) -> Array:
     """Return the largest rise between neighbouring points of a profile beyond a slope of 45 degrees: float32, metres.
 
     Steps are that steep, slopes are not. Arguments as for `profile`, in the order of time.
@@ -140,7 +142,7 @@ def _rises(count, total):
     Arguments: points in each cell, and the sum of their heights.
     """
     # Points come in the order of time, about in that of x: flanks are sums over sorted cells of the way.
-    n, wide = CELLS, round(FLANK_M / CELL_M)
+    n, wide = PROFILE_CELLS, round(FLANK_M / PROFILE_CELL_M)
     run_n, run_z = (jnp.pad(running_sum(a), (1, 0)) for a in (count, total))
 
     def window(run, low, high):  # sums of cells [i + low, i + high)
@@ -160,7 +162,7 @@ def _steps(rise):
 
     A step is a place steeper than its neighbours; where the robot's body tips, heights are off for a moment.
     """
-    wide = round(FLANK_M / CELL_M)
+    wide = round(FLANK_M / PROFILE_CELL_M)
     top = lax.reduce_window(rise, -jnp.inf, lax.max, (2 * wide + 1,), (1,), "SAME")
     return (rise == top) & (rise > top.max() / 2)
 
@@ -175,12 +177,12 @@ def _riser(step, rise, count, total):
     """Estimate the height of a riser: the median over all, each between the mean heights of the adjacent treads.
 
     The place where a flank's rise is largest is selected by noise too: it locates a step but overestimates its height.
-
-    Args:
-      step, rise: from `_steps`, `_rises`.
-      count, total: as for `_rises`.
     """
-    n, cell, (short, *_, long) = CELLS, jnp.arange(CELLS), np.round(TREADS_M / CELL_M).astype(int)
+    n, cell, (short, *_, long) = (
+        PROFILE_CELLS,
+        jnp.arange(PROFILE_CELLS),
+        np.round(TREADS_M / PROFILE_CELL_M).astype(int),
+    )
     earlier = [jnp.pad(step, (k, 0))[:n] for k in range(1, short // 2)]
     step &= ~functools.reduce(jnp.logical_or, earlier)  # of cells that rise alike the first
     number = jnp.cumsum(step)
@@ -189,7 +191,7 @@ def _riser(step, rise, count, total):
     # What lies between steps too far apart for a tread belongs to either of them.
     tread = 2 * number + ((next_ - last > long) & (next_ - cell < cell - last))
     off = jnp.minimum(cell - last, next_ - cell)
-    near = (off > round(FACE_M / CELL_M)) & (off <= short)
+    near = (off > round(FACE_M / PROFILE_CELL_M)) & (off <= short)
     at = jnp.where(near, tread, 2 * n + 1)
     points, sums = (jnp.zeros(2 * n + 2, jnp.float32).at[at].add(a) for a in (count, total))
     mean = sums / jnp.maximum(points, 1)

@@ -4,41 +4,38 @@ Tracks slip where they turn, and encoders do not notice; walls stay where they a
 """
 
 import math
-from collections.abc import Callable
-from typing import ClassVar, Self
 
-import jax
 import jax.numpy as jnp
-from flax import struct
 from jax import Array, lax
 
-from jexplore.arrays.loops import run_if
+from jexplore.arrays.loops import pick, run_if
+from jexplore.driving.records import KeyScan
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, to_odometry, to_robot
 
 EVERY_M, EVERY_RAD = 0.2, 0.25  # m, rad; scans are matched after this way or turn
 KEY_M, KEY_RAD = 1.0, 0.6  # m, rad; the reference scan is replaced after this way or turn
-NEIGHBOURS = 5  # beams on either side through whose points a line is laid
+LINE_BEAMS = 5  # beams on either side through whose points a line is laid
 REACH_M = 0.3  # as far as they are this near
-EVEN = 0.04  # a line is even across which its points vary by no more than this share of along it
-ROUNDS = 6
+LINE_FLATNESS = 0.04  # a line is even across which its points vary by no more than this share of along it
+MATCH_ROUNDS = 6
 GATE_M = 0.3, 0.1  # a point farther from its line than this counts not, in the first round and from the third on
 RANGE_SD_M = 0.03  # of a point from its line
-DOUBT = 0.1  # standard deviation of the encoders, as a share of way and turn
-DOUBT_M, DOUBT_RAD = 0.01, math.radians(0.5)  # these
-LEAST = 30  # points that must lie on lines
-MOST = 4  # standard deviations; a match that is farther off is discarded
+ENCODER_SHARE = 0.1  # standard deviation of the encoders, as a share of way and turn
+ENCODER_M, ENCODER_RAD = 0.01, math.radians(0.5)  # these
+MIN_POINTS = 30  # points that must lie on lines
+MAX_DEVIATIONS = 4  # standard deviations; a match that is farther off is discarded
 PLANE_RAD = math.radians(6)  # scans are of one plane if the robot leans no more otherwise
 TILT_RAD = math.radians(12)  # one of a robot that leans more is bent
-SHARE = 0.6  # of the points; with fewer the next scan is matched with this one
+KEY_SHARE = 0.6  # of the points; with fewer the next scan is matched with this one
 
 
-def _lines(ranges_m):
+def _fit_lines(ranges_m):
     """Fit a line through every point of a scan and its neighbours: `(mean, normal, there)`."""
     valid = jnp.isfinite(ranges_m)
     r = jnp.where(valid, ranges_m, 0)
     x, y = r * jnp.cos(ANGLES_RAD), r * jnp.sin(ANGLES_RAD)
-    wide = [jnp.pad(a, NEIGHBOURS) for a in (x, y)]
-    known = jnp.pad(valid, NEIGHBOURS)
+    wide = [jnp.pad(a, LINE_BEAMS) for a in (x, y)]
+    known = jnp.pad(valid, LINE_BEAMS)
     n = ranges_m.shape[0]
 
     def added(k, moments):
@@ -48,17 +45,17 @@ def _lines(ranges_m):
         terms = weight, weight * dx, weight * dy, weight * dx * dx, weight * dx * dy, weight * dy * dy
         return [total + term for total, term in zip(moments, terms)]
 
-    count, sx, sy, sxx, sxy, syy = lax.fori_loop(0, 2 * NEIGHBOURS + 1, added, [jnp.zeros(n)] * 6)
+    count, sx, sy, sxx, sxy, syy = lax.fori_loop(0, 2 * LINE_BEAMS + 1, added, [jnp.zeros(n)] * 6)
     per = 1 / jnp.maximum(count, 1)
     mx, my = sx * per, sy * per
     cxx, cxy, cyy = sxx * per - mx * mx, sxy * per - mx * my, syy * per - my * my
     half, root = (cxx + cyy) / 2, jnp.hypot((cxx - cyy) / 2, cxy)
     along = 0.5 * jnp.arctan2(2 * cxy, cxx - cyy)
-    there = valid & (count >= NEIGHBOURS) & (half - root < EVEN * (half + root))
+    there = valid & (count >= LINE_BEAMS) & (half - root < LINE_FLATNESS * (half + root))
     return (x + mx, y + my), (-jnp.sin(along), jnp.cos(along)), there
 
 
-def match(before_m: Array, ranges_m: Array, moved: Array, since: Array) -> tuple[Array, Array]:
+def match_scans(before_m: Array, ranges_m: Array, moved: Array, since: Array) -> tuple[Array, Array]:
     """Estimate the motion between two scans.
 
     Args:
@@ -74,12 +71,14 @@ def match(before_m: Array, ranges_m: Array, moved: Array, since: Array) -> tuple
     Source:
       Censi, An ICP variant using a point-to-line metric (2008). Changed: beams find their partners by their bearing.
     """
-    (mean_x, mean_y), (normal_x, normal_y), there = _lines(before_m)
+    (mean_x, mean_y), (normal_x, normal_y), there = _fit_lines(before_m)
     valid = jnp.isfinite(ranges_m)
     r = jnp.where(valid, ranges_m, 0)
     x, y = r * jnp.cos(ANGLES_RAD), r * jnp.sin(ANGLES_RAD)
     way, turn = jnp.hypot(since[0], since[1]), jnp.abs(since[2])
-    sd = jnp.stack([DOUBT_M + DOUBT * way, DOUBT_M + DOUBT * way, DOUBT_RAD + DOUBT * turn])
+    sd = jnp.stack(
+        [ENCODER_M + ENCODER_SHARE * way, ENCODER_M + ENCODER_SHARE * way, ENCODER_RAD + ENCODER_SHARE * turn]
+    )
     prior = 1 / sd**2
 
     def nearer(i, carry):
@@ -98,10 +97,10 @@ def match(before_m: Array, ranges_m: Array, moved: Array, since: Array) -> tuple
         vector = -(rows * weight) @ off + prior * (moved - found)
         step = _solved(matrix, vector)
         n = jnp.sum(counts)
-        return jnp.where(n >= LEAST, found + step, found), n
+        return jnp.where(n >= MIN_POINTS, found + step, found), n
 
-    found, n = lax.fori_loop(0, ROUNDS, nearer, (moved, jnp.int32(0)))
-    sure = (n >= LEAST) & jnp.all(jnp.abs(found - moved) < MOST * sd)
+    found, n = lax.fori_loop(0, MATCH_ROUNDS, nearer, (moved, jnp.int32(0)))
+    sure = (n >= MIN_POINTS) & jnp.all(jnp.abs(found - moved) < MAX_DEVIATIONS * sd)
     return jnp.where(sure, found, moved), jnp.where(sure, n / jnp.maximum(jnp.sum(valid), 1), 0.0)
 
 
@@ -117,58 +116,46 @@ def _solved(a, b):
     return rows @ b * per
 
 
-@struct.dataclass
-class Key:
-    """The scan with which the next ones are matched. Poses are odometry without corrections at nodes."""
-
-    ranges_m: Array  # [B] float32
-    lean: Array  # [2] float32, radians, of the ground where it was taken, see `mapping.lean`
-    pose: Array  # [3] float32, where it was taken
-    last: Array  # [3] float32, where a scan was matched with it last
-    replace: ClassVar[Callable[..., Self]]
-
-
-def at_start(pose: Array) -> Key:
+def no_key(pose: Array) -> KeyScan:
     """Return a state without a scan; the first one becomes it. `pose`: `[3]`."""
     far = pose + jnp.array([0.0, 0.0, 10.0])
-    return Key(jnp.full(BEAMS, jnp.nan), jnp.zeros(2), far, far)
+    return KeyScan(jnp.full(BEAMS, jnp.nan), jnp.zeros(2), far, far)
 
 
-def between(one: Array, other: Array) -> Array:
+def relative_pose(one: Array, other: Array) -> Array:
     """Return the second pose in the frame of the first: `[3]`."""
     return jnp.stack([*to_robot(one)(other[:2]), other[2] - one[2]])
 
 
-def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array, lean: Array) -> tuple[Key, Array, Array]:
-    """Correct the odometry by scan matching, if the robot has moved on since the last time.
+def correct_odometry(
+    key: KeyScan, odometry: Array, estimate: Array, ranges_m: Array, lean: Array
+) -> tuple[KeyScan, Array, Array]:
+    """Correct both poses, without and with corrections at nodes, by scan matching, if the robot has moved on.
 
     A scan serves for as long as the robot sees much of the same: every change to another adds an error.
 
     Args:
-      key: `Key`.
-      odometry, estimate: `[3]`, poses without corrections at nodes and with these.
-      ranges_m: `[B]` float32, the last scan.
-      lean: `[2]` float32, radians, of the ground, see `mapping.lean`; a scan is not matched with one of another
+      lean: `[2]` float32, radians, of the ground, see `mapping.slope_under`; a scan is not matched with one of another
         plane, nor where the robot leans much.
 
     Returns:
       `(key, odometry, estimate)`: both poses are moved alike.
     """
-    since = between(key.last, odometry)
+    since = relative_pose(key.last, odometry)
     is_due = (jnp.hypot(since[0], since[1]) >= EVERY_M) | (jnp.abs(since[2]) >= EVERY_RAD)
 
     def right(carry):
         key, odometry, estimate = carry
-        moved = between(key.pose, odometry)
-        found, share = match(key.ranges_m, ranges_m, moved, since)
+        moved = relative_pose(key.pose, odometry)
+        found, share = match_scans(key.ranges_m, ranges_m, moved, since)
         in_plane = (jnp.hypot(*(lean - key.lean)) < PLANE_RAD) & (jnp.hypot(*lean) < TILT_RAD)
         found, share = jnp.where(in_plane, found, moved), jnp.where(in_plane, share, 0.0)
         after = jnp.concatenate([to_odometry(key.pose)(found[:2]), key.pose[2:] + found[2:]])
         step, turn = to_robot(odometry)(after[:2]), after[2] - odometry[2]
         estimate = jnp.concatenate([to_odometry(estimate)(step), estimate[2:] + turn])
-        is_far = (jnp.hypot(found[0], found[1]) >= KEY_M) | (jnp.abs(found[2]) >= KEY_RAD) | (share < SHARE)
-        fresh = Key(ranges_m, lean, after, after)
+        is_far = (jnp.hypot(found[0], found[1]) >= KEY_M) | (jnp.abs(found[2]) >= KEY_RAD) | (share < KEY_SHARE)
+        fresh = KeyScan(ranges_m, lean, after, after)
         old = key.replace(last=after)
-        return jax.tree.map(lambda one, other: jnp.where(is_far, one, other), fresh, old), after, estimate
+        return pick(is_far, fresh, old), after, estimate
 
     return run_if(is_due, right, (key, odometry, estimate))

@@ -1,23 +1,23 @@
 """Classification of obstacles: slope or stairs, inclination, height of steps."""
 
 import math
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
 from jexplore.btm import Btm
+from jexplore.driving.records import DueNode, Writer
 from jexplore.driving.sensing import ground_profile
 from jexplore.driving.sensing.ground_profile import Profile
 from jexplore.driving.settings import Robot, Tuning
 
 # Shares that a point has of the variance besides, and of that of noise: of noise alone, such as 5 cm of range noise
 # leave on a slope, the best wave has more once in 200.
-STANDS_OUT = 10.0, 8.0
-SURE = 5  # thresholds; a larger wave is stairs however large the rest
+NOISE_SHARES = 10.0, 8.0
+SURE_WAVE_RATIO = 5  # thresholds; a larger wave is stairs however large the rest
 ALONG_RAD = math.radians(45)  # ground counts that a robot sees which heads no farther off than when it is there
-MARGIN_M = 0.1  # m; margin of an obstacle's profile from the nodes at its ends
+PROFILE_MARGIN_M = 0.1  # m; margin of an obstacle's profile from the nodes at its ends
 
 
 def is_stairs(found: Profile, tuning: Tuning) -> Array:
@@ -27,8 +27,8 @@ def is_stairs(found: Profile, tuning: Tuning) -> Array:
     """
     rest = found.variance_m2 - found.tread_wave_m2
     noise = jnp.minimum(found.noise_m**2, rest)  # of points far apart neighbours differ by risers
-    share = (STANDS_OUT[0] * rest + STANDS_OUT[1] * noise) / jnp.maximum(found.count, 1)
-    doubt = jnp.minimum(share, SURE * tuning.tread_wave_m2)
+    share = (NOISE_SHARES[0] * rest + NOISE_SHARES[1] * noise) / jnp.maximum(found.count, 1)
+    doubt = jnp.minimum(share, SURE_WAVE_RATIO * tuning.tread_wave_m2)
     return found.tread_wave_m2 > jnp.maximum(tuning.tread_wave_m2, doubt)
 
 
@@ -38,16 +38,18 @@ def _gone_over(writer, event):
     Points that the robot has seen while it was turned away from its way are left out.
     """
     way = writer.way
-    within = (way.ground_x_m > writer.node_m + MARGIN_M) & (way.ground_x_m < event.odometer_m - MARGIN_M)
+    within = (way.ground_x_m > writer.node_m + PROFILE_MARGIN_M) & (
+        way.ground_x_m < event.odometer_m - PROFILE_MARGIN_M
+    )
     there = jnp.minimum(jnp.searchsorted(way.odometer_m, way.ground_x_m), len(way.odometer_m) - 1)
     within &= jnp.abs(btm.wrapped(way.pose[:, 2] - way.pose[there, 2])) < ALONG_RAD
     return ground_profile.profile(way.ground_x_m, way.ground_z_m, within & jnp.isfinite(way.ground_x_m))
 
 
-def judged(
+def classify_obstacle(
     map_: Btm,
-    writer: Any,
-    event: Any,
+    writer: Writer,
+    event: DueNode,
     tuning: Tuning,
     robot: Robot,
     posture: Array,
@@ -56,9 +58,6 @@ def judged(
     """Classify the obstacle behind the robot, once it has passed it.
 
     Args:
-      map_: `Btm` with the node that is due.
-      writer, event: `Writer`, `Event`.
-      tuning, robot: `Tuning`, `Robot`.
       posture: float32, degrees, largest inclination of the body on the way here.
       here: int32, the node.
 

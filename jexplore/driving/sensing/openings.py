@@ -3,42 +3,33 @@
 import math
 
 import jax.numpy as jnp
-from flax import struct
 from jax import Array
 
 from jexplore.btm import wrapped
+from jexplore.driving.records import Openings
 from jexplore.driving.sensing.perception import running_sum
 
 BEARINGS = 240  # directions round a place in which its nearest point is looked for
-NEAR = 1.15  # radii within which a wall divides two openings
+NEAR_WALL_RADII = 1.15  # radii within which a wall divides two openings
 GRAZE_RAD = math.radians(4)  # a narrower gap, with beams a degree apart, is a wall seen at a grazing angle
 DOOR_M = 1.25  # a gap is a door up to this width, or the next
-NARROW, LEADS_M = 0.6, 0.6  # radii, m; a gap as narrow as this that is free this far is a door, however far its walls
+NARROW, LEADS_ON_M = (
+    0.6,
+    0.6,
+)  # radii, m; a gap as narrow as this that is free this far is a door, however far its walls
 WALL = 40  # directions on either side of a gap in which its walls are looked at
-FAR_M = 10.0  # no point lies farther away
-CORNER = 0.65  # of the width of a gap: walls that meet so close beyond it are a corner
+MAX_POINT_M = 10.0  # no point lies farther away
+CORNER_DEPTH = 0.65  # of the width of a gap: walls that meet so close beyond it are a corner
 POCKET = 1.2  # of the width of a gap: walls so close beyond it are those of a pocket
 DEEP = 0.75  # share of the directions beyond a gap in which they are
 SEEN = 0.7  # and in which there must be walls
 DOOR = 3  # directions that a door takes at least
-BEYOND_M = 0.25  # m; points farther behind its wall are seen through a door in it
+BEYOND_POCKET_M = 0.25  # m; points farther behind its wall are seen through a door in it
 BOTH_ENDS = 0.75  # share of the directions of a wall that its ends are
-AHEAD = 0.6  # radii from the centre from which on they are
+AHEAD_RADII = 0.6  # radii from the centre from which on they are
 ALIKE_M = 0.02  # m; longer connections of the walls on both sides of a gap weigh less by this scale
 PASSAGE_RAD = math.radians(30)  # a link bears as its passage does if that differs no more from where it is seen
 APART_RAD = math.radians(40)  # and no other opening bears so nearly alike
-
-
-@struct.dataclass
-class Openings:
-    """Ways out of a place, counter-clockwise from -180 degrees. Unused slots: `valid` is False."""
-
-    bearing: Array  # [K] float32, radians
-    middle: Array  # [K, 2] float32, of the narrowest place between the walls on both sides, as seen from the centre
-    across: Array  # [K] float32, radians, direction square to that, outward
-    width_m: Array  # [K] float32, of that
-    valid: Array  # [K] bool
-    overflow: Array  # int32, openings that did not fit
 
 
 def _next(here):
@@ -50,13 +41,12 @@ def _next(here):
     return jnp.min(later, axis=0) % BEARINGS
 
 
-def gaps(point: Array, last: Array, here: Array, width_m: Array | float) -> tuple[Array, Array, Array]:
+def find_gaps(point: Array, last: Array, here: Array, width_m: Array | float) -> tuple[Array, Array, Array]:
     """Find gaps from every direction to the next, counter-clockwise and round the circle, that has a point.
 
     Args:
       point, last: `[BEARINGS, 2]` float32, the nearest and the farthest point in every direction.
       here: `[BEARINGS]` bool, whether there is any.
-      width_m: least width of an opening.
 
     Returns:
       `(after, width, is_gap)`: `[BEARINGS, 2]`, the point where it ends; `[BEARINGS]`, how wide it is, and whether that
@@ -79,7 +69,7 @@ def _grazes(point, after, here, centre, seen_from):
     return (jnp.abs(wrapped(apart)) < GRAZE_RAD) & (span > 0) & (span < BEARINGS // 2)
 
 
-def polar(offset: Array, distance: Array, inside: Array, most_m: Array | float) -> tuple[Array, Array, Array]:
+def polar_points(offset: Array, distance: Array, inside: Array, most_m: Array | float) -> tuple[Array, Array, Array]:
     """Find the nearest point in every direction and the farthest, for a wall may lead straight outward.
 
     Args:
@@ -103,33 +93,21 @@ def polar(offset: Array, distance: Array, inside: Array, most_m: Array | float) 
     return point, last, here
 
 
-def _leads_on(distance, here, whole):
-    """Return directions after which a gap leads on, other than a corner outside the circle: `[BEARINGS]` bool.
-
-    Args:
-      distance, here: `[BEARINGS]`, of the points in the circle; bool, valid.
-      whole: `polar` of all points.
-    """
+def _leads_out(distance, here, whole):
+    """Return directions after which a gap leads on, other than a corner outside the circle: `[BEARINGS]` bool."""
     order, following = jnp.arange(BEARINGS), _next(here)
     reach_m = jnp.where(whole[2], jnp.hypot(*whole[0].T), jnp.inf)
     later = (order - order[:, None]) % BEARINGS
     between = (later > 0) & (later < ((following - order) % BEARINGS)[:, None])
     ends_m = jnp.maximum(distance, distance[following])
-    return jnp.any(between & (reach_m > ends_m[:, None] + LEADS_M), axis=1)
+    return jnp.any(between & (reach_m > ends_m[:, None] + LEADS_ON_M), axis=1)
 
 
 def _pockets(point, whole, first, last, valid, width_m):
     """Classify the area beyond gaps of a circle: a passage that leads on, or a pocket whose walls are all in sight.
 
-    Args:
-      point: `[BEARINGS, 2]`, `polar` of the points in the circle.
-      whole: `polar` of all points.
-      first, last: `[K]` int32, begin and end of the gaps. valid: `[K]` bool.
-      width_m: least width of an opening.
-
-    Returns:
-      `(stays, door, following)`: `[K]` bool, gaps that are exits themselves; `[BEARINGS]` bool, directions after which
-        a door opens in the wall of a pocket; `[BEARINGS]` int32, its end.
+    Returns `(stays, door, following)`: `[K]` bool, gaps that are exits themselves; `[BEARINGS]` bool, directions after
+    which a door opens in the wall of a pocket; `[BEARINGS]` int32, its end.
     """
     one, other = point[first], point[last]
     along = other - one
@@ -145,31 +123,27 @@ def _pockets(point, whole, first, last, valid, width_m):
     deep = ordered[jnp.arange(len(first)), jnp.minimum((DEEP * n).astype(jnp.int32), BEARINGS - 1)]
     pocket = valid & seen & (deep < POCKET * chord)
     # A piece of wall all of which lies beyond is seen through a door.
-    ends = gaps(place, place, here, width_m)[2]
+    ends = find_gaps(place, place, here, width_m)[2]
     piece = (running_sum(ends.astype(jnp.float32)) - ends) % jnp.maximum(jnp.sum(ends), 1)
     least = jnp.min(jnp.where((piece[:, None] == piece) & known[:, None, :], depth[:, None, :], jnp.inf), axis=2)
-    beyond = known & (least > deep[:, None] + BEYOND_M) & pocket[:, None]
+    beyond = known & (least > deep[:, None] + BEYOND_POCKET_M) & pocket[:, None]
     ring = here & ~jnp.any(beyond, axis=0)
-    open_, after = gaps(place, far, ring, width_m)[2], _next(ring)
+    open_, after = find_gaps(place, far, ring, width_m)[2], _next(ring)
     # Where a wall is seen from the side its points lie far apart, in directions next to each other: no door.
     open_ &= (after - jnp.arange(BEARINGS)) % BEARINGS >= DOOR
     # Nor where a passage is not known farther: its ends lie beyond the points taken for its wall.
-    flat = depth <= deep[:, None] + BEYOND_M
+    flat = depth <= deep[:, None] + BEYOND_POCKET_M
     inside = between & pocket[:, None] & flat & flat[:, after]
     door = open_ & jnp.any(inside, axis=0)
     has_door = jnp.any(inside & open_, axis=1)
-    return valid & ~(pocket & (has_door | (deep < CORNER * chord))), door, after
+    return valid & ~(pocket & (has_door | (deep < CORNER_DEPTH * chord))), door, after
 
 
-def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
+def find_openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
              circle: Array | float, size: int, seen_from: Array | None = None) -> Openings:  # fmt: skip
     """Find gaps between neighbouring points in a circle, seen from its centre, that a robot fits through.
 
     Args:
-      xy, valid: `[P, 2]` float32 and `[P]` bool, what lies round the robot.
-      centre: `[2]` float32.
-      radius_m: distance of the walls from the centre.
-      width_m: least width of an opening [W].
       circle: radius of the search circle [k], in `radius_m`; points beyond it are left out.
       size: K, most openings. Static.
       seen_from: `[2]` float32, position of the robot: a gap narrower than `GRAZE_RAD` from there is a wall seen at a
@@ -181,29 +155,28 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     Source:
       Mano et al., section III.B and Fig. 2(f). Changed: points in polar order about the centre; the paper takes those
       of one scan, in polar order about the robot, which does not see behind it. A wall no nearer to the centre than
-      `NEAR` radii (or as many distances of the nearest wall, if larger) does not divide an opening, unless that leaves
-      a gap as narrow as a door which leads on. Where a gap leads into a pocket whose walls are all in sight, the doors
-      in these count instead; a corner does not, unless there is no other exit.
+      `NEAR_WALL_RADII` radii (or as many distances of the nearest wall, if larger) does not divide an opening, unless
+      that leaves a gap as narrow as a door which leads on. Where a gap leads into a pocket whose walls are all in
+      sight, the doors in these count instead; a corner does not, unless there is no other exit.
     """
     offset = xy - centre
     search_m = circle * radius_m
     distance = jnp.hypot(*offset.T)
-    point, last, here = polar(offset, distance, valid & (distance <= search_m), search_m)
-    whole = polar(offset, distance, valid, FAR_M)
+    point, last, here = polar_points(offset, distance, valid & (distance <= search_m), search_m)
+    whole = polar_points(offset, distance, valid, MAX_POINT_M)
     # A wall is what lies between two gaps.
-    after, gap_m, gap_here = gaps(point, last, here, width_m)
+    after, gap_m, gap_here = find_gaps(point, last, here, width_m)
     gap_here &= ~_grazes(point, after, here, centre, seen_from)
     wall = (running_sum(gap_here.astype(jnp.float32)) - gap_here) % jnp.maximum(jnp.sum(gap_here), 1)
     distance = jnp.where(here, jnp.hypot(*point.T), jnp.inf)
     nearest_m = jnp.min(jnp.where(wall[:, None] == wall, distance[:, None], jnp.inf), axis=0)
-    door = gap_here & (gap_m < jnp.maximum(NARROW * radius_m, DOOR_M)) & _leads_on(distance, here, whole)
+    door = gap_here & (gap_m < jnp.maximum(NARROW * radius_m, DOOR_M)) & _leads_out(distance, here, whole)
     beside = jnp.any(door & ((wall[:, None] == wall) | (wall[:, None] == wall[_next(here)])), axis=1)
-    here &= (nearest_m <= NEAR * jnp.maximum(radius_m, jnp.min(distance))) | beside
-    after, width, gap_here = gaps(point, last, here, width_m)
+    here &= (nearest_m <= NEAR_WALL_RADII * jnp.maximum(radius_m, jnp.min(distance))) | beside
+    after, width, gap_here = find_gaps(point, last, here, width_m)
     gap_here &= ~_grazes(point, after, here, centre, seen_from)
     only = jnp.sum(here) == 1
-    place = running_sum(gap_here.astype(jnp.float32)).astype(jnp.int32) - 1
-    chosen = gap_here & (place == jnp.arange(size)[:, None])  # [K, BEARINGS]
+    chosen = first_true(gap_here, size)
     valid = jnp.any(chosen, axis=1)
     begins = jnp.argmax(chosen, axis=1)
     order = (begins[:, None] + 1 + jnp.arange(BEARINGS)) % BEARINGS
@@ -213,25 +186,30 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     middle = jnp.where(only, -point[jnp.argmax(here)], middle)
     across = jnp.where(only, jnp.arctan2(middle[:, 1], middle[:, 0]), across)
     wide = jnp.where(only, jnp.sum(jnp.where(gap_here, width, 0)), narrowest)
-    doors = _doors(whole[0], door, door_end, size)
+    doors = _pocket_doors(whole[0], door, door_end, size)
     stays |= valid & only
     own = jnp.where(jnp.any(stays) | jnp.any(doors[0]), stays, valid), middle, across, wide
     more = jnp.sum(gap_here, dtype=jnp.int32) - size, jnp.sum(door, dtype=jnp.int32) - size
     together = [jnp.concatenate(pair) for pair in zip(own, doors)]
-    return in_order(together, jnp.maximum(more[0], 0) + jnp.maximum(more[1], 0), size)
+    return sort_openings(together, jnp.maximum(more[0], 0) + jnp.maximum(more[1], 0), size)
 
 
-def _doors(place, door, door_end, size):
+def first_true(mask: Array, size: int) -> Array:
+    """Return which value each of the first K True ones of a mask is: `[K, N]` bool."""
+    number = running_sum(mask.astype(jnp.float32)).astype(jnp.int32) - 1
+    return mask & (number == jnp.arange(size)[:, None])
+
+
+def _pocket_doors(place, door, door_end, size):
     """Find doors in the walls of pockets: `(valid, middle, across, width)` of as many."""
-    number = running_sum(door.astype(jnp.float32)).astype(jnp.int32) - 1
-    chosen = door & (number == jnp.arange(size)[:, None])
+    chosen = first_true(door, size)
     at = jnp.argmax(chosen, axis=1)
     one, other = place[at], place[door_end[at]]
     along = other - one
     return jnp.any(chosen, axis=1), (one + other) / 2, jnp.arctan2(-along[:, 0], along[:, 1]), jnp.hypot(*along.T)
 
 
-def in_order(together, more, size):
+def sort_openings(together, more, size):
     """Sort `Openings` counter-clockwise, of which some did not fit before."""
     valid, middle, across, wide = together
     # The direction of its passage, if from the centre it looks much like that and no other opening does.
@@ -257,15 +235,8 @@ def in_order(together, more, size):
 def _narrowest(point, here, gap_here, first, last, radius_m):
     """Find the narrowest place between the walls on both sides of gaps.
 
-    Args:
-      point, here: as in `gaps`.
-      gap_here: `[BEARINGS]` bool, a gap begins there.
-      first, last: `[K]` int32, begin and end of these gaps.
-      radius_m: of the circle; narrower places behind the centre or abeam are not searched.
-
-    Returns:
-      `(middle, across, width)`: `[K, 2]`; `[K]`, direction square to the connection, outward; its length. Nearly as
-        short connections are averaged too, against noise on even walls.
+    Returns `(middle, across, width)`: `[K, 2]`; `[K]`, direction square to the connection, outward; its length. Nearly
+    as short connections are averaged too, against noise on even walls.
     """
     before = (first[:, None] - jnp.arange(WALL)) % BEARINGS
     # No gap lies between a point of the wall before and the gap: none has begun on the way back from it.
@@ -280,7 +251,7 @@ def _narrowest(point, here, gap_here, first, last, radius_m):
     along = ends[1] - ends[0]
     outward = jnp.stack([along[:, 1], -along[:, 0]], axis=1) / jnp.maximum(jnp.hypot(*along.T), 1e-6)[:, None]
     out = jnp.einsum("kid,kd->ki", left, outward)[:, :, None] + jnp.einsum("kjd,kd->kj", right, outward)[:, None, :]
-    beside = out / 2 >= AHEAD * radius_m
+    beside = out / 2 >= AHEAD_RADII * radius_m
     # With one wall only, both its ends are meant, not two places in its middle.
     steps = jnp.arange(WALL)[:, None] + jnp.arange(WALL)
     apart = steps < BOTH_ENDS * ((first - last) % BEARINGS)[:, None, None]

@@ -3,44 +3,33 @@
 Scans are in the robot's frame: x forward, y left, metres. A beam without a reading is no point; NaN counts as none.
 """
 
-from collections.abc import Callable
-from typing import ClassVar, Self
-
 import jax.numpy as jnp
-from flax import struct
 from jax import Array, lax
 from jax.typing import ArrayLike
 
 from jexplore.arrays.delaunay import circumcircles, delaunay
 from jexplore.arrays.loops import stored
+from jexplore.driving.records import Divergence
 
-NEIGHBOURS = 6  # beams on either side that a point is smoothed with
-MISSED = 3  # beams without a reading that are bridged
-AGREE = 0.1  # where the readings on both sides differ by less than this share
-MEANT = 3  # beams on either side that the width of a passage is the mean of
-MEANT_M = 0.15  # where they are nearer than this
-GUARD_M = 0.1  # a wall this near to the robot's sides is in its way
-SPACING = 0.49  # of points along a wall, in least openings: two neighbours of one point are nearer than such an opening
-ROOMY = 0.9  # of the radius of the circle that free space has room for
-ROOMY_BACK = 0.0, 0.2, 0.4, 0.6  # radii by which that may begin nearer
-RECESS = 0.25  # least openings; points no farther beyond the chord of two corners of a triangle are one wall
-CLOSE = 0.6  # if its points fill this share of the way between them
-JUMP = 1 / SPACING  # distance between the points of neighbouring beams beyond which a wall ends, in spacings
-
-
-@struct.dataclass
-class Divergence:
-    """The triangles of a scan that may mark a dead end, a corner, a T or a crossing."""
-
-    corners: Array  # [T, 3, 2] float32, metres
-    centre: Array  # [T, 2] float32, of the circle through the corners
-    radius: Array  # [T] float32, metres
-    valid: Array  # [T] bool
-    overflow: Array  # int32, ends of walls and triangles that did not fit
-    replace: ClassVar[Callable[..., Self]]
+SMOOTHED_BEAMS = 6  # beams on either side that a point is smoothed with
+BRIDGED_BEAMS = 3  # beams without a reading that are bridged
+BRIDGE_SHARE = 0.1  # where the readings on both sides differ by less than this share
+CLEARANCE_BEAMS = 3  # beams on either side that the width of a passage is the mean of
+CLEARANCE_STEP_M = 0.15  # where they are nearer than this
+FRONT_GUARD_M = 0.1  # a wall this near to the robot's sides is in its way
+SPACING_WIDTHS = (
+    0.49  # of points along a wall, in least openings: two neighbours of one point are nearer than such an opening
+)
+ROOMY_SHARE = 0.9  # of the radius of the circle that free space has room for
+ROOMY_BACK_RADII = 0.0, 0.2, 0.4, 0.6  # radii by which that may begin nearer
+RECESS_WIDTHS = 0.25  # least openings; points no farther beyond the chord of two corners of a triangle are one wall
+WALL_FILL_SHARE = 0.6  # if its points fill this share of the way between them
+WALL_JUMP = (
+    1 / SPACING_WIDTHS
+)  # distance between the points of neighbouring beams beyond which a wall ends, in spacings
 
 
-def points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
+def beam_points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
     """Convert ranges to points.
 
     Args:
@@ -48,35 +37,35 @@ def points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
       angles_rad: `[B]` float32.
 
     Returns:
-      `(xy, valid)`: `[B, 2]` float32, 0 where invalid; `[B]` bool. Up to `MISSED` beams without a reading between two
-        that nearly agree are given the mean of these.
+      `(xy, valid)`: `[B, 2]` float32, 0 where invalid; `[B]` bool. Up to `BRIDGED_BEAMS` beams without a reading
+        between two that nearly agree are given the mean of these.
     """
     before = after = ranges_m
     missed = -jnp.ones_like(ranges_m)
-    for k in range(1, MISSED + 1):
+    for k in range(1, BRIDGED_BEAMS + 1):
         missed = missed + jnp.isnan(before) + jnp.isnan(after)
         before = jnp.where(jnp.isnan(before), jnp.pad(ranges_m, (k, 0), constant_values=jnp.nan)[:-k], before)
         after = jnp.where(jnp.isnan(after), jnp.pad(ranges_m, (0, k), constant_values=jnp.nan)[k:], after)
-    bridged = jnp.isnan(ranges_m) & (missed <= MISSED) & (jnp.abs(after - before) < AGREE * jnp.minimum(after, before))
+    bridged = (
+        jnp.isnan(ranges_m)
+        & (missed <= BRIDGED_BEAMS)
+        & (jnp.abs(after - before) < BRIDGE_SHARE * jnp.minimum(after, before))
+    )
     ranges_m = jnp.where(bridged, (before + after) / 2, ranges_m)
     valid = jnp.isfinite(ranges_m)
     r = jnp.where(valid, ranges_m, 0)
     return jnp.stack([r * jnp.cos(angles_rad), r * jnp.sin(angles_rad)], axis=1), valid
 
 
-def smoothed(xy: Array, valid: Array, reach_m: Array | float) -> Array:
+def smooth_points(xy: Array, valid: Array, reach_m: Array | float) -> Array:
     """Move every point to the mean of its wall's points near it: many close by, few far away.
 
     Args:
-      xy, valid: from `points`, in the order of the beams.
       reach_m: how near, metres; float32.
-
-    Returns:
-      `[B, 2]` float32.
     """
     n = xy.shape[0]
-    x, y = (jnp.pad(xy[:, i], NEIGHBOURS) for i in range(2))
-    there = jnp.pad(valid, NEIGHBOURS)
+    x, y = (jnp.pad(xy[:, i], SMOOTHED_BEAMS) for i in range(2))
+    there = jnp.pad(valid, SMOOTHED_BEAMS)
     here = xy[:, 0], xy[:, 1]
 
     def added(k, sums):
@@ -85,17 +74,13 @@ def smoothed(xy: Array, valid: Array, reach_m: Array | float) -> Array:
         weight = (near & known).astype(jnp.float32)
         return [total + weight * value for total, value in zip(sums, (*other, 1.0))]
 
-    sums = lax.fori_loop(0, 2 * NEIGHBOURS + 1, added, [jnp.zeros(n)] * 3)
+    sums = lax.fori_loop(0, 2 * SMOOTHED_BEAMS + 1, added, [jnp.zeros(n)] * 3)
     count = jnp.maximum(sums[2], 1)
     return jnp.where(valid[:, None], jnp.stack([sums[0] / count, sums[1] / count], axis=1), xy)
 
 
 def sides(xy: Array, valid: Array, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array]:
     """Compute the least distance to the walls on both sides, in a region of fixed length before the robot.
-
-    Args:
-      xy, valid: from `points`.
-      from_m, to_m: the region, metres before the robot.
 
     Returns:
       `(left_m, right_m)`: float32, inf where the side is open.
@@ -116,18 +101,15 @@ def is_roomy(
     """Return whether a circle as large as free space fits next to the nearer wall somewhere ahead: bool.
 
     Args:
-      xy, valid: from `points`.
-      from_m: begin of the circle, metres before the robot, or nearer by up to `ROOMY_BACK` of its radius: an obstacle
-        abeam may have hidden it earlier.
-      left_m, right_m: from `sides`.
-      open_m: its radius [C1], metres; a tenth less does.
+      from_m: begin of the circle, metres before the robot, or nearer by up to `ROOMY_BACK_RADII` of its radius: an
+        obstacle abeam may have hidden it earlier.
     """
     at_left = left_m > right_m
     wall = jnp.minimum(jnp.minimum(left_m, right_m), open_m)
     aside = jnp.where(at_left, 1, -1) * (open_m - wall)
-    ahead = from_m + open_m * (1 - jnp.asarray(ROOMY_BACK))  # [K]
+    ahead = from_m + open_m * (1 - jnp.asarray(ROOMY_BACK_RADII))  # [K]
     off2 = (xy[:, 0] - ahead[:, None]) ** 2 + (xy[:, 1] - aside) ** 2
-    return jnp.any(~jnp.any(valid & (off2 < (ROOMY * open_m) ** 2), axis=1))
+    return jnp.any(~jnp.any(valid & (off2 < (ROOMY_SHARE * open_m) ** 2), axis=1))
 
 
 def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Array]:
@@ -135,23 +117,19 @@ def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Arr
 
     Points more ahead than aside are left out.
 
-    Args:
-      xy, valid: from `points`.
-      to_m: length of the region, metres before the robot's middle.
-
     Returns:
       `(left_m, right_m)`: float32, inf where the side is open.
     """
     within = valid & (xy[:, 0] >= 0) & (xy[:, 0] <= jnp.minimum(to_m, jnp.abs(xy[:, 1])))
     n, y = xy.shape[0], jnp.where(within, xy[:, 1], jnp.inf)
-    padded = jnp.pad(y, MEANT, constant_values=jnp.inf)
+    padded = jnp.pad(y, CLEARANCE_BEAMS, constant_values=jnp.inf)
 
     def added(k, sums):
         other = lax.dynamic_slice(padded, (k,), (n,))
-        near = (jnp.abs(other - y) < MEANT_M) & (other * y > 0)
+        near = (jnp.abs(other - y) < CLEARANCE_STEP_M) & (other * y > 0)
         return sums[0] + jnp.where(near, other, 0), sums[1] + near
 
-    total, count = lax.fori_loop(0, 2 * MEANT + 1, added, (jnp.zeros(n), jnp.zeros(n)))
+    total, count = lax.fori_loop(0, 2 * CLEARANCE_BEAMS + 1, added, (jnp.zeros(n), jnp.zeros(n)))
     mean = jnp.where(within, total / jnp.maximum(count, 1), jnp.inf)
     left = jnp.min(jnp.where(y >= 0, mean, jnp.inf))
     right = jnp.min(jnp.where(y <= 0, -mean, jnp.inf))
@@ -160,13 +138,13 @@ def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Arr
 
 def front(xy: Array, valid: Array, width_m: Array | float) -> tuple[Array, Array]:
     """Return distances of the nearest points ahead of the left and right halves: float32, metres; inf for none."""
-    ahead = valid & (jnp.abs(xy[:, 1]) <= width_m / 2 + GUARD_M / 2) & (xy[:, 0] > 0)
+    ahead = valid & (jnp.abs(xy[:, 1]) <= width_m / 2 + FRONT_GUARD_M / 2) & (xy[:, 0] > 0)
     left = jnp.min(jnp.where(ahead & (xy[:, 1] >= 0), xy[:, 0], jnp.inf))
     right = jnp.min(jnp.where(ahead & (xy[:, 1] <= 0), xy[:, 0], jnp.inf))
     return left, right
 
 
-def resampled(
+def resample_walls(
     xy: Array,
     valid: Array,
     near_m: Array | float,
@@ -179,7 +157,6 @@ def resampled(
     """Place points at even distances along the walls that a scan shows, and at both ends of every wall.
 
     Args:
-      xy, valid: from `points`, in the order of the beams.
       near_m, far_m: only points with near < x < far.
       aside_m: only points with abs(y) < aside.
       spacing_m: distance along a wall, metres; more where the points would not fit.
@@ -191,7 +168,7 @@ def resampled(
     inside = valid & (xy[:, 0] > near_m) & (xy[:, 0] < far_m) & (jnp.abs(xy[:, 1]) < aside_m)
     step = jnp.hypot(*jnp.diff(xy, axis=0).T)
     # A wall goes on from beam to beam; it does not where a beam is missing or the distance jumps.
-    jump = ~(inside[1:] & inside[:-1]) | (step > JUMP * spacing_m)
+    jump = ~(inside[1:] & inside[:-1]) | (step > WALL_JUMP * spacing_m)
     edge = jnp.ones(1, bool)
     ends = inside & (jnp.concatenate([edge, jump]) | jnp.concatenate([jump, edge]))
     along = running_sum(jnp.concatenate([jnp.zeros(1), jnp.where(jump, 0, step)]))
@@ -226,17 +203,11 @@ def far_bound(
     far_m: Array | float, width_m: Array | float, beam_spacing_rad: Array | float, wall_m: Array | float
 ) -> Array:
     """Compute the distance up to which neighbouring beams on a wall lie closer than the least opening: float32, metres.
-
-    Args:
-      far_m: the bound without that [D2].
-      width_m: least opening [W].
-      beam_spacing_rad: between beams.
-      wall_m: distance of the nearer wall abeam.
     """
     return jnp.minimum(far_m, 0.95 * jnp.sqrt(width_m * jnp.minimum(wall_m, far_m) / beam_spacing_rad))
 
 
-def divergences(
+def find_divergences(
     xy: Array,
     valid: Array,
     *,
@@ -249,15 +220,9 @@ def divergences(
     """Find triangles that touch three walls: between them the way divides, bends or ends.
 
     Args:
-      xy, valid: from `points`.
-      far_m: bound of the range [D2], metres.
-      width_m: no side is shorter [W], metres.
       obtuse_tol_deg: no angle is more than this above 90 degrees.
       open_m: circles as large as this lie in free space and are left out [C1], metres.
       size: most scan points. Static.
-
-    Returns:
-      `Divergence`.
 
     Source:
       Mano et al., section III.A.1; Silver et al. 2004. Changed: the tolerance (a dead end's triangle has a right angle,
@@ -265,18 +230,20 @@ def divergences(
     """
     # Beams far aside meet a wall next to a tilted robot too far apart, however near ahead.
     valid &= jnp.sum(xy**2, axis=1) < far_m**2
-    xy = smoothed(xy, valid, width_m / 4)
-    chosen, there, spacing, overflow = resampled(xy, valid, -far_m, far_m, open_m, SPACING * width_m, size=size)
+    xy = smooth_points(xy, valid, width_m / 4)
+    chosen, there, spacing, overflow = resample_walls(
+        xy, valid, -far_m, far_m, open_m, SPACING_WIDTHS * width_m, size=size
+    )
     triangles = delaunay(chosen, there)
     centre, radius, side2 = circumcircles(chosen, triangles.corner)
     longest = jnp.max(side2, axis=1)
     product = jnp.sqrt(side2[:, 0] * side2[:, 1] * side2[:, 2] / jnp.maximum(longest, 1e-12))  # of the shorter sides
     cosine = (jnp.sum(side2, axis=1) - 2 * longest) / jnp.maximum(2 * product, 1e-12)  # of the largest angle
     # Two points with one between them on a wall make no side: noise may push that one out of the circle.
-    side = jnp.maximum(width_m, spacing / SPACING)
+    side = jnp.maximum(width_m, spacing / SPACING_WIDTHS)
     keep = triangles.valid & (jnp.min(side2, axis=1) > side**2) & (radius < open_m)
     keep &= cosine >= -jnp.sin(jnp.radians(obtuse_tol_deg))
-    keep &= ~_on_one_wall(chosen, there, centre, triangles.corner, spacing, RECESS * width_m)
+    keep &= ~_on_one_wall(chosen, there, centre, triangles.corner, spacing, RECESS_WIDTHS * width_m)
     corners = chosen[jnp.minimum(triangles.corner, size - 1)]
     return Divergence(corners=corners, centre=centre, radius=radius, valid=keep, overflow=overflow + triangles.overflow)
 
@@ -311,7 +278,7 @@ def _on_one_wall(xy, valid, centre, corner, spacing_m, recess_m):
         between = is_other & (_turned_left(from_x, from_y, x, y) < _turned_left(from_x, from_y, to_x, to_y))
         # Points between, and whether one of them lies beyond, in one sum.
         total = jnp.sum(jnp.where(between, jnp.where(is_beyond, n + 1, 1), 0), axis=0)
-        one_wall |= (total <= n) & ((total + 1) * spacing_m > CLOSE * chord_m)
+        one_wall |= (total <= n) & ((total + 1) * spacing_m > WALL_FILL_SHARE * chord_m)
     return one_wall
 
 
@@ -324,10 +291,6 @@ def _turned_left(x, y, to_x, to_y):
 
 def nearest(found: Divergence, place: Array) -> tuple[Array, Array]:
     """Find the triangle whose centre is nearest to a place.
-
-    Args:
-      found: `Divergence`.
-      place: `[2]` float32.
 
     Returns:
       `(which, distance_m)`: int32, float32; inf without a triangle.

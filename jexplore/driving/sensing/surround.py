@@ -8,75 +8,65 @@ import math
 
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 from jax import Array
 
 from jexplore.arrays import vectorised
 from jexplore.btm import wrapped
+from jexplore.driving.records import Surround
 from jexplore.driving.settings import Robot
 from jexplore.driving.vehicle import ANGLES_RAD, to_robot
 
 SECTORS = 360  # directions, a degree each, from -180 degrees
-NONE = 2**31 - 1
-BEHIND = 88  # degrees from straight ahead from which on the last scan is not all there is
+NO_POINT = 2**31 - 1
+BEHIND_DEG = 88  # degrees from straight ahead from which on the last scan is not all there is
 MEMORY_M = 0.5  # m; points this much farther than those of triangles are forgotten
 DIRECTIONS = 72  # in which the way is looked at
 TURN_STEPS = 36  # of half a turn each way
-OPPOSITE = 0.26  # cosine: what lies at least 75 degrees from the nearest point is on the other side
-MARGIN_M = 0.03  # between a wall and the robot's outline where it turns
-BESIDE_M = 0.05  # m; margin to the sides of the driven way
-COAST = 0.85  # of the distance at which a wall is followed: half of the strip that must be free
+OPPOSITE_COS = 0.26  # cosine: what lies at least 75 degrees from the nearest point is on the other side
+OUTLINE_MARGIN_M = 0.03  # between a wall and the robot's outline where it turns
+SIDE_MARGIN_M = 0.05  # m; margin to the sides of the driven way
+COAST_WIDTH_SHARE = 0.85  # of the distance at which a wall is followed: half of the strip that must be free
 COAST_FREE_M = 2.0  # m; and free over this length
 
-_IS_BEHIND = np.abs(np.arange(SECTORS) - SECTORS // 2) > BEHIND
+_IS_BEHIND = np.abs(np.arange(SECTORS) - SECTORS // 2) > BEHIND_DEG
 DIRECTION = np.radians(np.arange(DIRECTIONS) * (360 / DIRECTIONS) - 180).astype(np.float32)
 _SWEEP = np.radians(np.arange(1, TURN_STEPS + 1) * (180 / TURN_STEPS)).astype(np.float32)
 
 
-@struct.dataclass
-class Surround:
-    """The nearest point in every direction, robot's frame."""
-
-    x_m: Array  # [SECTORS] float32; inf: nothing known
-    y_m: Array  # [SECTORS] float32, as `x_m`
-
-
-def unknown() -> Surround:
+def empty_surround() -> Surround:
     """Return an empty `Surround`."""
     return Surround(jnp.full(SECTORS, jnp.inf), jnp.full(SECTORS, jnp.inf))
 
 
-def points(around: Surround) -> tuple[Array, Array]:
+def known_points(around: Surround) -> tuple[Array, Array]:
     """Return `(xy, known)`: `[SECTORS, 2]` float32, metres, 0 where nothing is known; `[SECTORS]` bool."""
     known = jnp.isfinite(around.x_m)
     return jnp.where(known[:, None], jnp.stack([around.x_m, around.y_m], axis=1), 0), known
 
 
-def moved(
+def move_surround(
     around: Surround, ahead_m: Array, aside_m: Array, turn: Array, *, far_m: Array | float = math.inf
 ) -> Surround:
     """Return the same points after the robot has moved.
 
     Args:
-      around: `Surround`.
       ahead_m, aside_m: how far, in its old frame.
       turn: counter-clockwise, radians.
       far_m: points farther away by `MEMORY_M` are forgotten, metres; inf: none.
     """
-    xy, known = points(around)
+    xy, known = known_points(around)
     x, y = to_robot(jnp.stack([ahead_m, aside_m, turn]))(xy).T
     known &= x * x + y * y < (far_m + MEMORY_M) ** 2
     return Surround(jnp.where(known, x, jnp.inf), jnp.where(known, y, jnp.inf))
 
 
-def seen(around: Surround, ranges_m: Array) -> Surround:
+def add_scan(around: Surround, ranges_m: Array) -> Surround:
     """Add one more scan: ahead it replaces everything where its beams gave numbers.
 
     Args:
-      around: `Surround`.
       ranges_m: `[181]` float32, beams from -90 to 90 degrees; inf: no return; NaN: no reading.
     """
-    xy, known = points(around)
+    xy, known = known_points(around)
     first = SECTORS // 4
     scan = jnp.pad(ranges_m, (first, SECTORS - first - len(ranges_m)), constant_values=jnp.nan)
     fresh = ~jnp.isnan(scan)
@@ -86,8 +76,8 @@ def seen(around: Surround, ranges_m: Array) -> Surround:
     sector = jnp.where(known, sector % SECTORS, SECTORS)
     # Of the points that were known the nearest in every direction: distance and number in one integer.
     millimetres = (1000 * jnp.hypot(xy[:, 0], xy[:, 1])).astype(jnp.int32)
-    code = jnp.full(SECTORS, NONE, jnp.int32).at[sector].min(millimetres * 512 + jnp.arange(SECTORS), mode="drop")
-    there = code != NONE
+    code = jnp.full(SECTORS, NO_POINT, jnp.int32).at[sector].min(millimetres * 512 + jnp.arange(SECTORS), mode="drop")
+    there = code != NO_POINT
     at = jnp.where(there, code % 512, 0)
     nearer = fresh & jnp.isfinite(scan) & (~there | (1000 * scan < code // 512))
     replaces = jnp.where(_IS_BEHIND, nearer, fresh)
@@ -102,7 +92,7 @@ def seen(around: Surround, ranges_m: Array) -> Surround:
     return Surround(either(jnp.cos, 0), either(jnp.sin, 1))
 
 
-def edge(around: Surround) -> tuple[Array, Array]:
+def voronoi_edge(around: Surround) -> tuple[Array, Array]:
     """Return the edge of the generalised Voronoi graph between the nearest point and the nearest on the other side.
 
     Returns:
@@ -112,7 +102,7 @@ def edge(around: Surround) -> tuple[Array, Array]:
     Source:
       Choset and Nagatani, Topological simultaneous localization and mapping (2001): tracing an edge.
     """
-    xy, known = points(around)
+    xy, known = known_points(around)
     range_m = jnp.hypot(xy[:, 0], xy[:, 1])
 
     def nearest(side):
@@ -122,7 +112,7 @@ def edge(around: Surround) -> tuple[Array, Array]:
 
     one_m, one = nearest(True)
     # The nearest of another wall lies in quite another direction.
-    other_m, other = nearest(xy[:, 0] * jnp.cos(one) + xy[:, 1] * jnp.sin(one) < OPPOSITE * range_m)
+    other_m, other = nearest(xy[:, 0] * jnp.cos(one) + xy[:, 1] * jnp.sin(one) < OPPOSITE_COS * range_m)
     both = jnp.isfinite(one_m) & jnp.isfinite(other_m)
     along = (one + other) / 2  # square to the difference of both directions
     along = wrapped(jnp.where(jnp.cos(along) < 0, along + math.pi, along))
@@ -130,19 +120,14 @@ def edge(around: Surround) -> tuple[Array, Array]:
     return jnp.where(both, along, 0.0), jnp.where(both, off_m, 0.0)
 
 
-def free_turn(around: Surround, robot: Robot, margin_m: Array | float = MARGIN_M) -> tuple[Array, Array]:
+def free_turn(around: Surround, robot: Robot, margin_m: Array | float = OUTLINE_MARGIN_M) -> tuple[Array, Array]:
     """Compute the angle by which the robot can turn in place before its outline meets a point.
-
-    Args:
-      around: `Surround`.
-      robot: `Robot`.
-      margin_m: added on every side.
 
     Returns:
       `(left, right)`: float32, radians, pi at most.
     """
     length, width = robot.length_m / 2 + margin_m, robot.width_m / 2 + margin_m
-    xy, known = points(around)
+    xy, known = known_points(around)
     x, y = xy[:, 0], xy[:, 1]
     near = known & (x * x + y * y < length**2 + width**2)
     cos, sin = jnp.cos(_SWEEP)[:, None], jnp.sin(_SWEEP)[:, None]
@@ -155,17 +140,17 @@ def free_turn(around: Surround, robot: Robot, margin_m: Array | float = MARGIN_M
     return free(1), free(-1)
 
 
-def ways(around: Surround, robot: Robot) -> Array:
+def free_lengths(around: Surround, robot: Robot) -> Array:
     """Compute the free length in every direction of `DIRECTION`, before the robot's front: `[DIRECTIONS]` float32."""
-    xy, known = points(around)
+    xy, known = known_points(around)
     x, y = xy[:, 0], xy[:, 1]
     cos, sin = np.cos(DIRECTION)[:, None], np.sin(DIRECTION)[:, None]
     along, aside = x * cos + y * sin, y * cos - x * sin
-    meets = known & (along > 0) & (jnp.abs(aside) < robot.width_m / 2 + BESIDE_M)
+    meets = known & (along > 0) & (jnp.abs(aside) < robot.width_m / 2 + SIDE_MARGIN_M)
     return jnp.min(jnp.where(meets, along, jnp.inf), axis=1) - robot.length_m / 2
 
 
-def along_wall(around: Surround, side: Array, coast_m: Array | float, robot: Robot) -> Array:
+def wall_direction(around: Surround, side: Array, coast_m: Array | float, robot: Robot) -> Array:
     """Return the direction in which the robot follows a wall: float32, radians.
 
     From where the nearest point is it is the first, away from the side of the wall, in which a strip is free that
@@ -173,17 +158,15 @@ def along_wall(around: Surround, side: Array, coast_m: Array | float, robot: Rob
     are narrower than that. Far from any wall it is straight on.
 
     Args:
-      around: `Surround`.
       side: int32, where the wall is to be: 1 to the left, -1 to the right.
       coast_m: how far from it the robot keeps, metres.
-      robot: `Robot`.
     """
-    xy, known = points(around)
+    xy, known = known_points(around)
     x, y = xy[:, 0], -side * xy[:, 1]  # the wall to the right
     cos, sin = np.cos(DIRECTION)[:, None], np.sin(DIRECTION)[:, None]
     along, aside = x * cos + y * sin, y * cos - x * sin
-    least_m = robot.width_m / 2 + BESIDE_M
-    half_m = jnp.maximum(least_m, jnp.minimum(COAST * coast_m, least_m + along / 2))
+    least_m = robot.width_m / 2 + SIDE_MARGIN_M
+    half_m = jnp.maximum(least_m, jnp.minimum(COAST_WIDTH_SHARE * coast_m, least_m + along / 2))
     meets = known & (along > 0) & (jnp.abs(aside) < half_m)
     free_m = jnp.min(jnp.where(meets, along, jnp.inf), axis=1)
     free = free_m >= COAST_FREE_M

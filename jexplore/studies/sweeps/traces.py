@@ -12,7 +12,7 @@ import numpy as np
 
 from jexplore.config import InputError, require_different
 from jexplore.driving import batch
-from jexplore.driving.batch import MAX_STEPS, numbers_of
+from jexplore.driving.batch import MAX_STEPS, settings_arrays
 from jexplore.driving.settings import for_world, require_noise, require_tuning
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
@@ -218,7 +218,7 @@ def _run_group(plan, group, numbers, on_unit, how):
         on_unit(numbers[place], table)
 
     n, (robots, tunings, noises) = len(which), (job.robot, tuning, noise)
-    records = numbers_of(robots, n), numbers_of(tunings, n), numbers_of(noises, n)
+    records = settings_arrays(robots, n), settings_arrays(tunings, n), settings_arrays(noises, n)
     limits = {"max_steps": job.max_steps, "size": job.size}
     return batch.run_missions(
         job.building, *records, job.starts_of(which), job.seed, which, blocks=blocks, on_block=on_block, **limits, **how

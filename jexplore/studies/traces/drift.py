@@ -9,7 +9,7 @@ import numpy as np
 
 from jexplore.config import InputError, as_record, checked_names
 from jexplore.driving import batch
-from jexplore.driving.batch import Driven, numbers_of
+from jexplore.driving.batch import Driven, settings_arrays
 from jexplore.driving.settings import Noise, Robot, Tuning, require_noise
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.studies.traces.job import NOISE, TraceJob, own_values, prepare_trace, with_values
@@ -133,9 +133,9 @@ def drift(
     n = len(made.which)
     costs = batch.run_missions(
         plan.building,
-        numbers_of(plan.robot, n),
-        numbers_of(tunings, n),
-        numbers_of(noises, n),
+        settings_arrays(plan.robot, n),
+        settings_arrays(tunings, n),
+        settings_arrays(noises, n),
         plan.starts_of(made.which),
         plan.seed,
         made.which,

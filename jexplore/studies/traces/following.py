@@ -12,9 +12,10 @@ import numpy as np
 
 from jexplore.config import MAX_SEED, InputError, as_record, checked_names, require_kind, require_whole
 from jexplore.driving import vehicle
-from jexplore.driving.batch import MAX_STEPS, building_of, numbers_of, outcome_names, pose_in, run_missions
+from jexplore.driving.batch import MAX_STEPS, building_of, outcome_names, pose_in, run_missions, settings_arrays
 from jexplore.driving.events import LOOK_M
-from jexplore.driving.guiding.guide import OTHERS, Guide, guide_of
+from jexplore.driving.guiding.guide import OFF_ROUTE_PLACES, guide_of
+from jexplore.driving.records import Building, Guide
 from jexplore.driving.settings import Noise, Robot, Tuning, for_world, require_noise, require_tuning
 from jexplore.studies import checks
 from jexplore.studies.traces import routes
@@ -108,16 +109,16 @@ def follow(
 
 
 def _driven(world, btm, found, robot, settings, seed, how):
-    """Drive all routes: their `mission.Result`."""
+    """Drive all routes: their `mission.RunResult`."""
     building = building_of(world, marks_m=_refused_places(btm, found))
     begun = [start_of(world, building, robot, btm, route) for route in found]
     guides = _guides(world, btm, found, [start[1:] for start in begun])
     n, longest = len(found), max(route.length_m for route in found)
     return run_missions(
         building,
-        numbers_of(robot, n),
-        numbers_of(settings[0], n),
-        numbers_of(settings[1], n),
+        settings_arrays(robot, n),
+        settings_arrays(settings[0], n),
+        settings_arrays(settings[1], n),
         np.stack([pose for pose, *_ in begun]),
         seed,
         np.arange(n),
@@ -165,7 +166,7 @@ def _checked(world, btm, found, robot, tuning, noise):
 
 
 def start_of(
-    world: World, building: vehicle.Building, robot: Robot, btm: BtmMap, route: Route
+    world: World, building: Building, robot: Robot, btm: BtmMap, route: Route
 ) -> tuple[np.ndarray, float, tuple[float, float]]:
     """Find the start of a robot that follows a route: on its first link, or near it; where it can turn, if possible.
 
@@ -246,7 +247,7 @@ def _guides(world, btm, found, begun):
 def _nearest(node, others):
     """Return the nearest of other nodes relative to one: pairs of metres."""
     legs = ((other.x_m - node.x_m, other.y_m - node.y_m) for other in others)
-    return sorted(legs, key=lambda leg: math.hypot(*leg))[:OTHERS]
+    return sorted(legs, key=lambda leg: math.hypot(*leg))[:OFF_ROUTE_PLACES]
 
 
 def _ways(btm, node):

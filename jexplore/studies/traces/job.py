@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from jexplore.config import BOUNDS, MAX_RUNS, InputError, as_record, checked_names, require_setting
-from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start
-from jexplore.driving.mission import SIZE
+from jexplore.driving.mission import MAP_SIZE
+from jexplore.driving.records import Building
 from jexplore.driving.settings import (
     BY_WORLD,
     MOST_NODES,
@@ -46,7 +46,7 @@ class TraceJob:
     """Runs that are to be made."""
 
     world: World
-    building: vehicle.Building
+    building: Building
     truth: Truth
     begins: np.ndarray
     """`[S, 3]` float32, poses in the building: run i of every setting begins at i modulo S."""
@@ -61,7 +61,7 @@ class TraceJob:
     """Name of a threshold -> `[S]` values."""
     settings: int
     max_steps: int
-    size: tuple[int, int] = SIZE
+    size: tuple[int, int] = MAP_SIZE
     """Most nodes and links of a map; see `room_for`."""
     attributes: tuple[tuple[str, Any, tuple[float, float]], ...] = ()
     """Name, value and place, metres: the node of every run's map that is nearest to the place in truth gets it."""
@@ -167,14 +167,15 @@ def prepare_trace(
 def room_for(world: World, truth: Truth, nodes: int | None = None, links: int | None = None) -> tuple[int, int]:
     """Return the most nodes and links of a map.
 
-    By default `SIZE` of a course; where there is no goal `SPARE` nodes for each one of the true map, on a course that
-    many at least, in other worlds `ROOMY`, in doublings, so that similar buildings share a program; two links a node.
+    By default `MAP_SIZE` of a course; where there is no goal `SPARE` nodes for each one of the true map, on a
+    course that many at least, in other worlds `ROOMY`, in doublings, so that similar buildings share a program; two
+    links a node.
 
     Raises:
       InputError: a number out of range.
     """
-    wanted = max(SPARE * len(truth.map.nodes), ROOMY if world.course is None else SIZE[0])
-    room = SIZE[0] if _has_goal(world) else 1 << (min(wanted, MOST_NODES) - 1).bit_length()
+    wanted = max(SPARE * len(truth.map.nodes), ROOMY if world.course is None else MAP_SIZE[0])
+    room = MAP_SIZE[0] if _has_goal(world) else 1 << (min(wanted, MOST_NODES) - 1).bit_length()
     room = require_setting("nodes", room if nodes is None else nodes)
     return room, require_setting("links", 2 * room if links is None else links)
 

@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike
 
 from jexplore import btm
 from jexplore.driving import behaviour, events, mission, vehicle
-from jexplore.driving.batch import Driven, room_for
-from jexplore.driving.behaviour import RunMode
+from jexplore.driving.batch import Driven, step_slots
 from jexplore.driving.building.walls import segments
+from jexplore.driving.mission import RunOutcome
+from jexplore.driving.records import RunMode
 from jexplore.driving.sensing import surround
 from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.report.operator_view import Recording
@@ -36,7 +37,7 @@ def scan_points(plan: tracing.TraceJob, track: Driven) -> np.ndarray:
 
 def _numbers(settings):
     """Convert a record of settings to numbers on the device."""
-    return jax.tree.map(lambda a: jnp.asarray(a[0]), tracing.numbers_of(settings, 1))
+    return jax.tree.map(lambda a: jnp.asarray(a[0]), tracing.settings_arrays(settings, 1))
 
 
 def _key(plan):
@@ -59,10 +60,10 @@ def wall_lines(plan: tracing.TraceJob) -> np.ndarray:
 def _frame(key, building, robot, tuning, noise, state):
     """Make one step, and return its view."""
     draws = vehicle.draw_one(key, noise)
-    senses = vehicle.sense(draws, building, robot, noise, state.body)
-    after = mission.step(draws, building, robot, tuning, noise, state)
-    walls = events.walls_of_scan(mission.steadied(senses, robot)[0].ranges_m, tuning, robot)
-    found = events.triangles(*surround.points(after.around), walls.beside.min(), tuning)
+    senses = vehicle.read_sensors(draws, building, robot, noise, state.body)
+    after = mission.make_step(draws, building, robot, tuning, noise, state)
+    walls = events.walls_of_scan(mission.smooth_senses(senses, robot)[0].ranges_m, tuning, robot)
+    found = events.triangles(*surround.known_points(after.around), walls.beside.min(), tuning)
     best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
     there = found.valid[best]
     seen = {
@@ -97,12 +98,14 @@ def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n:
 
     robot, tuning, noise = (_numbers(s) for s in plan.first_settings())
     building = jax.device_put(plan.building)
-    setup = mission.Setup(room_for(plan.max_steps), *plan.size)
+    setup = mission.Setup(step_slots(plan.max_steps), *plan.size)
     key = _key(plan)
     # With exactly the types that a step returns, not weak ones: else the second step would be compiled once more.
-    state = jax.tree.map(lambda a: jnp.asarray(a, a.dtype), mission.at_start(setup, building, robot, plan.begins[0]))
+    state = jax.tree.map(
+        lambda a: jnp.asarray(a, a.dtype), mission.initial_state(setup, building, robot, plan.begins[0])
+    )
     frames, steps = [], 0
-    while int(state.outcome) == mission.Outcome.RUNNING and steps < plan.max_steps:
+    while int(state.outcome) == RunOutcome.RUNNING and steps < plan.max_steps:
         state, seen = _frame(jax.random.fold_in(key, steps), building, robot, tuning, noise, state)
         frames.append(jax.device_get(seen))
         steps += 1

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jexplore.driving import vehicle
-from jexplore.driving.batch import Driven, numbers_of
+from jexplore.driving.batch import Driven, settings_arrays
 from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.studies.traces.job import TraceJob, own_values, with_values
 from jexplore.worlds.readers.scans import ScanLog
@@ -31,7 +31,7 @@ def scans_of(plan: TraceJob, way: Driven, *, setting: int = 0, run: int = 0, eve
     """
     steps = np.arange(0, len(way.truth), every)
     ranges = measured(plan, steps, way.truth[steps], setting=setting, run=run)
-    ranges = np.where(np.isnan(ranges), 0.0, np.minimum(ranges, vehicle.RANGE_M)).astype(np.float64)
+    ranges = np.where(np.isnan(ranges), 0.0, np.minimum(ranges, vehicle.SCAN_RANGE_M)).astype(np.float64)
     origin = np.array([*plan.world.origin_m, 0.0])
     return ScanLog(
         poses=way.truth[steps] + origin,
@@ -39,12 +39,12 @@ def scans_of(plan: TraceJob, way: Driven, *, setting: int = 0, run: int = 0, eve
         ranges=ranges,
         angles_rad=vehicle.ANGLES_RAD.astype(np.float64),
         times=vehicle.DT_S * steps,
-        max_range_m=vehicle.RANGE_M,
+        max_range_m=vehicle.SCAN_RANGE_M,
     )
 
 
 def measured(plan: TraceJob, steps: np.ndarray, poses: np.ndarray, *, setting: int = 0, run: int = 0) -> np.ndarray:
-    """Compute the scans in some steps of a run, in the plane, see `vehicle.levelled`.
+    """Compute the scans in some steps of a run, in the plane, see `vehicle.level_scan`.
 
     Args:
       plan: `TraceJob`.
@@ -56,7 +56,7 @@ def measured(plan: TraceJob, steps: np.ndarray, poses: np.ndarray, *, setting: i
       `[n, B]` float32, metres; inf: no return; NaN: no reading, or ground.
     """
     _, noise = with_values(plan.tuning, plan.noise, own_values(plan.swept, setting))
-    settings: list[Any] = [jax.tree.map(lambda a: a[0], numbers_of(record, 1)) for record in (plan.robot, noise)]
+    settings: list[Any] = [jax.tree.map(lambda a: a[0], settings_arrays(record, 1)) for record in (plan.robot, noise)]
     key = jax.random.fold_in(random_key(np.uint32(plan.seed)), run)
     building, found = jax.device_put(plan.building), []
     for first in range(0, len(steps), TOGETHER):
@@ -72,8 +72,10 @@ def measured(plan: TraceJob, steps: np.ndarray, poses: np.ndarray, *, setting: i
 def _measured(key, building, robot, noise, steps_and_poses):
     def one(of):
         step, pose = of
-        body = vehicle.at_rest(building, robot, pose)
-        senses = vehicle.sense(vehicle.draw_one(jax.random.fold_in(key, step), noise), building, robot, noise, body)
-        return vehicle.levelled(senses, robot)[0].ranges_m
+        body = vehicle.initial_body(building, robot, pose)
+        senses = vehicle.read_sensors(
+            vehicle.draw_one(jax.random.fold_in(key, step), noise), building, robot, noise, body
+        )
+        return vehicle.level_scan(senses, robot)[0].ranges_m
 
     return jax.lax.map(one, jax.tree.map(jnp.asarray, steps_and_poses))

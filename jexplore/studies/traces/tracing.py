@@ -13,8 +13,8 @@ import numpy as np
 from jexplore import btm
 from jexplore.config import checked_names, require_engine
 from jexplore.driving import batch, vehicle
-from jexplore.driving.batch import Driven, numbers_of, outcome_names
-from jexplore.driving.behaviour import RunMode
+from jexplore.driving.batch import Driven, outcome_names, settings_arrays
+from jexplore.driving.records import RunMode
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.runner import Costs
 from jexplore.report import store
@@ -132,9 +132,9 @@ def _run(plan, made, how):
     n, (tuning, noise) = len(made.which), made.tuning_and_noise
     report = batch.run_missions(
         plan.building,
-        numbers_of(plan.robot, n),
-        numbers_of(tuning, n),
-        numbers_of(noise, n),
+        settings_arrays(plan.robot, n),
+        settings_arrays(tuning, n),
+        settings_arrays(noise, n),
         plan.starts_of(made.which),
         plan.seed,
         made.which,

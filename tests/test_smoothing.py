@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jexplore.driving.sensing import steadying
+from jexplore.driving.sensing import smoothing
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS
 
 pytestmark = pytest.mark.jit
-SCAN, SHARES = jax.jit(steadying.scan), jax.jit(steadying.shares)
+SCAN, SHARES = jax.jit(smoothing.smooth_ranges), jax.jit(smoothing.mean_weights)
 AGE = jnp.arange(31, -1, -1)
 
 

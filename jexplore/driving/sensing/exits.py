@@ -9,26 +9,29 @@ from jax import Array
 
 from jexplore.arrays.loops import run_if
 from jexplore.btm import wrapped
+from jexplore.driving.records import Openings
 from jexplore.driving.sensing.openings import (
     APART_RAD,
     BEARINGS,
     DOOR_M,
-    FAR_M,
-    LEADS_M,
-    Openings,
-    gaps,
-    in_order,
-    openings,
-    polar,
+    LEADS_ON_M,
+    MAX_POINT_M,
+    find_gaps,
+    find_openings,
+    first_true,
+    polar_points,
+    sort_openings,
 )
-from jexplore.driving.sensing.perception import running_sum
 
-WIDER = 1.5  # search circles, in which doors that lie partly outside one are looked for
+WIDER_CIRCLE = 1.5  # search circles, in which doors that lie partly outside one are looked for
 SOMEWHAT_WIDER = 1.25  # radii; wide enough for both jambs, before the next door is in sight
-OTHER_M = 0.5  # from the middle of every other opening
-WIDE_M = 2.0  # a place is wide from this radius on: doors are looked for wall by wall
-ROOM_M, ROOM = 1.2, 2.0  # m, radii; as a last resort, from this radius on, and this far from the middle
-JAMB = 60  # directions in which a door's other jamb is looked for
+SAME_OPENING_M = 0.5  # from the middle of every other opening
+WIDE_PLACE_M = 2.0  # a place is wide from this radius on: doors are looked for wall by wall
+LAST_RESORT_M, LAST_RESORT_RADII = (
+    1.2,
+    2.0,
+)  # m, radii; as a last resort, from this radius on, and this far from the middle
+JAMB_DIRECTIONS = 60  # directions in which a door's other jamb is looked for
 MOST_DOOR_M = 1.5  # such a door is no wider
 BEHIND_RAD = math.radians(12)  # what bears no farther from a door, and lies beyond it, is behind it
 THROUGH_M = 0.5  # m; a point seen through a door's gap and farther by this is behind it too
@@ -37,10 +40,10 @@ BESIDE_RAD = math.radians(60)  # if an opening of the wider circle bears no fart
 STRAIGHT_RAD = math.radians(30)  # one that leads no farther off the direction of its middle lies straight ahead
 
 
-def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
+def find_exits(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
              circle: Array | float, size: int, seen_from: Array | None = None,
              farther: Array | bool = False) -> Openings:  # fmt: skip
-    """Find the `openings` of a place, and doors in adjacent walls whose farther jamb lies outside the search circle.
+    """Find the openings of a place, and doors in adjacent walls whose farther jamb lies outside the search circle.
 
     Two doors that face each other across a passage are rarely opposite to the centimetre. A door whose middle lies in
     the circle belongs to the place, as the one across the passage does; in the circle alone it and the passage are one
@@ -51,7 +54,7 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     next door of the wall too, all may be one gap again: then the openings of a somewhat wider circle count, which holds
     both jambs of the first door and nothing of the next.
 
-    Args: as for `openings`; and
+    Args: as for `find_openings`; and
       farther: bool, search doors wall by wall in smaller rooms as well, and farther away. The circles at both ends of a
         long room are one place: one may have a door that the other lacks. Searched everywhere, such doors lead to one
         place from many.
@@ -63,17 +66,19 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     """
 
     def seen(wider):
-        return openings(xy, valid, centre, radius_m, width_m, circle=circle * wider, size=size, seen_from=seen_from)
+        return find_openings(
+            xy, valid, centre, radius_m, width_m, circle=circle * wider, size=size, seen_from=seen_from
+        )
 
-    views = jax.vmap(seen)(jnp.array([1.0, SOMEWHAT_WIDER, WIDER]))
+    views = jax.vmap(seen)(jnp.array([1.0, SOMEWHAT_WIDER, WIDER_CIRCLE]))
     found, near, more = (jax.tree.map(lambda a, i=i: a[i], views) for i in range(3))
-    found = _parted(found, near, more, circle * radius_m)
+    found = _divide_by_doors(found, near, more, circle * radius_m)
     askew = _askew(found)
     # The walls of a gap wider than half a turn face each other on the other side of the centre: one opening.
     merged = found.valid & (askew > MERGED_RAD) & (askew < math.pi - MERGED_RAD) & (found.width_m > DOOR_M)
     kept, inside = found.valid & ~merged, jnp.hypot(*more.middle.T) <= circle * radius_m
     straight = jnp.any(merged) & (_askew(more) < STRAIGHT_RAD)
-    extra = _others(kept, found, more) & ((inside & (more.width_m <= DOOR_M)) | straight)
+    extra = _new_openings(kept, found, more) & ((inside & (more.width_m <= DOOR_M)) | straight)
     beside = jnp.abs(wrapped(found.bearing[:, None] - more.bearing)) < BESIDE_RAD
     merged &= jnp.any(extra & beside, axis=1)
     parts = (found.valid & ~merged, found), (extra, more)
@@ -81,30 +86,28 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
 
     def with_doors(_):
         offset = xy - centre
-        place, _, here = polar(offset, jnp.hypot(*offset.T), valid, FAR_M)
-        reach_m = jnp.where(farther, jnp.maximum(ROOM, circle), circle) * radius_m
+        place, _, here = polar_points(offset, jnp.hypot(*offset.T), valid, MAX_POINT_M)
+        reach_m = jnp.where(farther, jnp.maximum(LAST_RESORT_RADII, circle), circle) * radius_m
         doors, too_many = _wall_doors(place, here, width_m, reach_m, size)
-        return _joined(together, doors, radius_m > WIDE_M), too_many
+        return _merge_doors(together, doors, radius_m > WIDE_PLACE_M), too_many
 
     none = [jnp.concatenate([a, jnp.zeros_like(a[: 2 * size])]) for a in together], jnp.int32(0)
-    together, too_many = run_if(radius_m > jnp.where(farther, ROOM_M, WIDE_M), with_doors, none)
-    out = in_order(together, found.overflow, size)
+    together, too_many = run_if(radius_m > jnp.where(farther, LAST_RESORT_M, WIDE_PLACE_M), with_doors, none)
+    out = sort_openings(together, found.overflow, size)
     overflow = jnp.maximum(out.overflow, jnp.maximum(jnp.maximum(near.overflow, more.overflow), too_many))
     return dataclasses.replace(out, overflow=overflow)
 
 
-def _parted(found, near, more, reach_m):
+def _divide_by_doors(found, near, more, reach_m):
     """Return the openings of the circle; where a door in the somewhat wider circle divides one, its own instead.
 
-    Args:
-      found, near, more: `Openings` of K, of the circle, the somewhat wider and the wider one.
-      reach_m: radius of the circle.
-
-    Returns:
-      `Openings` of 2 K, in no order; the overflow is the circle's.
+    Returns `Openings` of 2 K, in no order; the overflow is the circle's.
     """
     (away_m, at), (near_m, near_at) = ((jnp.hypot(*a.middle.T), _direction(a)) for a in (found, near))
-    alike, seen = _alike(found, near), jnp.any(_alike(found, near) | _alike(more, near), axis=0)
+    alike, seen = (
+        _match_positions(found, near),
+        jnp.any(_match_positions(found, near) | _match_positions(more, near), axis=0),
+    )
     door = near.valid & (near.width_m <= DOOR_M) & (near_m <= reach_m) & ~seen
     # Points seen through a gap, outside the circle, may bear otherwise than the gap.
     outside, straight = away_m > reach_m, _askew(near) < STRAIGHT_RAD
@@ -121,10 +124,10 @@ def _parted(found, near, more, reach_m):
     return jax.tree.map(lambda a, b: jnp.concatenate([a, b]) if a.ndim else a, found, near)
 
 
-def _alike(one, other):
+def _match_positions(one, other):
     """Match openings by position: `[K, K]` bool."""
     off = jnp.hypot(*jnp.moveaxis(one.middle[:, None] - other.middle, -1, 0))
-    return one.valid[:, None] & other.valid & (off < OTHER_M)
+    return one.valid[:, None] & other.valid & (off < SAME_OPENING_M)
 
 
 def _direction(found):
@@ -137,22 +140,18 @@ def _askew(found):
     return jnp.abs(wrapped(found.across - _direction(found)))
 
 
-def _others(there, found, more):
+def _new_openings(there, found, more):
     """Return the openings of another view that are not among those given: `[K]` bool."""
     off = jnp.hypot(*jnp.moveaxis(more.middle[:, None] - found.middle, -1, 0))
     alike = there & (jnp.abs(wrapped(more.across[:, None] - found.across)) < APART_RAD)
-    return more.valid & (jnp.min(jnp.where(there, off, jnp.inf), axis=1) > OTHER_M) & ~jnp.any(alike, axis=1)
+    return more.valid & (jnp.min(jnp.where(there, off, jnp.inf), axis=1) > SAME_OPENING_M) & ~jnp.any(alike, axis=1)
 
 
-def _joined(found, doors, is_wide):
+def _merge_doors(found, doors, is_wide):
     """Merge openings and doors: `(valid, middle, across, width)`.
 
     A door behind another does not belong to the place, nor does one seen through a narrow opening and farther by
     `THROUGH_M`. An opening at a door is that door; in rooms that are not wide, only a narrow opening is.
-
-    Args:
-      found, doors: `(valid, middle, across, width)` of any number of openings, and of doors.
-      is_wide: bool, the room is wide.
     """
     away_m, bearing = jnp.hypot(*doors[1].T), jnp.arctan2(doors[1][:, 1], doors[1][:, 0])
     off = jnp.abs(wrapped(bearing[:, None] - bearing))
@@ -171,14 +170,7 @@ def _joined(found, doors, is_wide):
 def _wall_doors(place, here, width_m, reach_m, size):
     """Find doors in the walls of a wide place: narrow gaps, free behind, from a wall's end to the next wall.
 
-    Args:
-      place, here: `[BEARINGS, 2]`, `[BEARINGS]`, the nearest points in every direction, from `polar`.
-      width_m: least width of an opening.
-      reach_m: their middles are no farther away.
-      size: K.
-
-    Returns:
-      `((valid, middle, across, width), too_many)`: of 2 K; int32, those that did not fit.
+    Returns `((valid, middle, across, width), too_many)`: of 2 K; int32, those that did not fit.
     """
     mirrored = jnp.array([1.0, -1.0])
     one, n_one = _from_ends(place, here, width_m, reach_m, size)
@@ -191,24 +183,22 @@ def _wall_doors(place, here, width_m, reach_m, size):
 def _from_ends(place, here, width_m, reach_m, size):
     """Find doors as `_wall_doors` does, in one sense of rotation: from a wall's end to the nearest later point.
 
-    Returns:
-      `(doors, n)`: `(valid, middle, across, width)` of K; int32, their number.
+    Returns `(doors, n)`: `(valid, middle, across, width)` of K; int32, their number.
     """
-    order, ends = jnp.arange(BEARINGS), gaps(place, place, here, width_m)[2]
-    later = (order[:, None] + 1 + jnp.arange(JAMB)) % BEARINGS
+    order, ends = jnp.arange(BEARINGS), find_gaps(place, place, here, width_m)[2]
+    later = (order[:, None] + 1 + jnp.arange(JAMB_DIRECTIONS)) % BEARINGS
     there = here[later]
     way = place[later] - place[:, None]  # [BEARINGS, JAMB, 2]
     chord = jnp.where(there, jnp.hypot(way[..., 0], way[..., 1]), jnp.inf)
     at = jnp.argmin(chord, axis=1)
     wide, along = chord[order, at], way[order, at]
     out = jnp.stack([along[:, 1], -along[:, 0]], axis=1) / jnp.maximum(wide, 1e-6)[:, None]
-    between = jnp.arange(JAMB) < at[:, None]
+    between = jnp.arange(JAMB_DIRECTIONS) < at[:, None]
     deep_m = jnp.where(there, jnp.einsum("bjd,bd->bj", way, out), jnp.inf)
-    leads_on = jnp.any(between & (deep_m > LEADS_M), axis=1)
+    leads_on = jnp.any(between & (deep_m > LEADS_ON_M), axis=1)
     middle = place + along / 2
     door = ends & leads_on & (wide > width_m) & (wide <= MOST_DOOR_M) & (jnp.hypot(*middle.T) <= reach_m)
-    number = running_sum(door.astype(jnp.float32)).astype(jnp.int32) - 1
-    chosen = door & (number == jnp.arange(size)[:, None])
+    chosen = first_true(door, size)
     first = jnp.argmax(chosen, axis=1)
     doors = jnp.any(chosen, axis=1), middle[first], jnp.arctan2(out[first, 1], out[first, 0]), wide[first]
     return doors, jnp.sum(door, dtype=jnp.int32)

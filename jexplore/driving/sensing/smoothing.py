@@ -12,23 +12,19 @@ from jexplore.arrays.loops import run_if
 
 _JUMP_OF_ONE = 0.6745 * math.sqrt(6)  # median of second differences of noise whose standard deviation is 1
 STEADY_DEG = 0.33  # standard deviation of a mean attitude
-MOST_STEPS = 16  # readings of which it is the mean
+MAX_MEAN_STEPS = 16  # readings of which it is the mean
 STEADY_M = 0.015  # standard deviation of a mean range
-MOST_PAIRS = 6  # beams on either side of which it is the mean
-AGREE = 3.7  # standard deviations within which two beams and the one between them agree
+MAX_BEAM_PAIRS = 6  # beams on either side of which it is the mean
+AGREE_DEVIATIONS = 3.7  # standard deviations within which two beams and the one between them agree
 
 
 def deviation(jumps: Array) -> Array:
-    """Estimate the standard deviation of the noise of readings by `jumps_of`: float32; 0 without any."""
+    """Estimate the standard deviation of the noise of readings by `second_differences`: float32; 0 without any."""
     return jnp.nan_to_num(jnp.nanmedian(jumps)) / _JUMP_OF_ONE
 
 
-def jumps_of(values: Array, there: Array) -> Array:
+def second_differences(values: Array, there: Array) -> Array:
     """Return twice the deviation of readings from the line through their neighbours: `[S - 2]`, NaN if one is missing.
-
-    Args:
-      values: `[S]` float32.
-      there: `[S]` bool, the reading is valid.
     """
     both = there[2:] & there[1:-1] & there[:-2]
     return jnp.where(both, jnp.abs(values[2:] - 2 * values[1:-1] + values[:-2]), jnp.nan)
@@ -61,7 +57,7 @@ def mean_near(values: Array, place_m: Array, here_m: Array, n: int, within_m: fl
     return total / jnp.maximum(count, 1)
 
 
-def shares(angle: Array, age: Array) -> Array:
+def mean_weights(angle: Array, age: Array) -> Array:
     """Compute the weight of each of the last readings in their mean: the last one alone where the noise is small.
 
     Args:
@@ -71,10 +67,10 @@ def shares(angle: Array, age: Array) -> Array:
     Returns:
       `[S]` float32, whose sum is 1.
     """
-    steady, jumps = math.radians(STEADY_DEG), jumps_of(angle, age >= 0)
+    steady, jumps = math.radians(STEADY_DEG), second_differences(angle, age >= 0)
 
     def several(_):
-        n = jnp.clip(jnp.round((deviation(jumps) / steady) ** 2), 1, MOST_STEPS)
+        n = jnp.clip(jnp.round((deviation(jumps) / steady) ** 2), 1, MAX_MEAN_STEPS)
         counts = (age >= 0) & (age < n)
         return counts / jnp.sum(counts)
 
@@ -82,7 +78,7 @@ def shares(angle: Array, age: Array) -> Array:
     return run_if(_deviates_more(jumps, steady * math.sqrt(1.5)), several, (age == 0).astype(jnp.float32))
 
 
-def scan(ranges_m: Array) -> Array:
+def smooth_ranges(ranges_m: Array) -> Array:
     """Average ranges over symmetric pairs of beams as long as these agree: walls stay straight.
 
     The reciprocal range of a straight wall is a sine of the bearing: over a few degrees it is a line.
@@ -95,24 +91,24 @@ def scan(ranges_m: Array) -> Array:
     """
     near = jnp.where(jnp.isnan(ranges_m), jnp.nan, 1 / ranges_m)  # 0: no return
     returns = jnp.isfinite(ranges_m)
-    jumps = jumps_of(near, returns) * ranges_m[1:-1] ** 2
+    jumps = second_differences(near, returns) * ranges_m[1:-1] ** 2
 
     def mean(_):
         sd = deviation(jumps)
-        pairs = jnp.clip(jnp.round(((sd / STEADY_M) ** 2 - 1) / 2), 0, MOST_PAIRS)
-        limit = AGREE * sd / jnp.where(returns, ranges_m, 1) ** 2
-        wide = jnp.pad(near, MOST_PAIRS, constant_values=jnp.nan)
+        pairs = jnp.clip(jnp.round(((sd / STEADY_M) ** 2 - 1) / 2), 0, MAX_BEAM_PAIRS)
+        limit = AGREE_DEVIATIONS * sd / jnp.where(returns, ranges_m, 1) ** 2
+        wide = jnp.pad(near, MAX_BEAM_PAIRS, constant_values=jnp.nan)
 
         def added(k, carry):
             total, count, goes_on = carry
-            before, after = (lax.dynamic_slice(wide, (MOST_PAIRS + j,), near.shape) for j in (-k, k))
+            before, after = (lax.dynamic_slice(wide, (MAX_BEAM_PAIRS + j,), near.shape) for j in (-k, k))
             middle = (before + after) / 2
             missing = jnp.isnan(middle)
             goes_on &= (k <= pairs) & (missing | (jnp.abs(middle - near) < limit))
             counts = goes_on & ~missing
             return total + jnp.where(counts, 2 * middle, 0), count + 2 * counts, goes_on
 
-        total, count, _ = lax.fori_loop(1, MOST_PAIRS + 1, added, (near, jnp.ones_like(near), returns))
+        total, count, _ = lax.fori_loop(1, MAX_BEAM_PAIRS + 1, added, (near, jnp.ones_like(near), returns))
         return jnp.where(returns, count / total, ranges_m)
 
     return run_if(_deviates_more(jumps, STEADY_M * math.sqrt(2)), mean, ranges_m)

@@ -1,0 +1,374 @@
+"""Records of a trace run: what the robot senses, remembers and writes.
+
+Frozen pytrees of one robot. Poses are x, y, metres, and heading, radians; unless said otherwise in the odometry frame.
+In the robot's frame x is ahead and y to the left.
+"""
+
+import enum
+from typing import NamedTuple
+
+from flax import struct
+from jax import Array
+from jax.tree_util import register_dataclass
+
+from jexplore.btm import Btm
+from jexplore.driving.building.terrain import Terrain
+from jexplore.driving.building.walls import Walls
+from jexplore.driving.settings import Noise, Robot, Tuning
+
+register_dataclass(Robot, [f for f in Robot.__dataclass_fields__ if f != "name"], ["name"])
+register_dataclass(Tuning, list(Tuning.__dataclass_fields__), [])
+register_dataclass(Noise, list(Noise.__dataclass_fields__), [])
+
+
+class Building(struct.PyTreeNode):
+    """Building of a run; cell (0, 0) begins at (0, 0)."""
+
+    walls: Walls
+    terrain: Terrain
+    goal: Array  # [2] float32, metres; NaN: none
+    marks: Array  # [K, 3] float32, x, y, radius, metres: places of which it is counted which ones a run has been at
+
+
+class RobotBody(struct.PyTreeNode):
+    """True state of the robot."""
+
+    pose: Array  # [3] float32, building's frame
+    pitch: Array  # float32, radians
+    roll: Array  # float32, radians
+    height_m: Array  # float32
+    rise_m: Array  # float32, highest step under the fronts of its tracks
+    path_m: Array  # float32, way in the plane
+    contacts: Array  # int32, steps refused because of a wall
+    refused: Array  # int32, steps refused because of the ground
+
+
+class Senses(struct.PyTreeNode):
+    """Sensor readings of one step."""
+
+    ranges_m: Array  # [B] float32, inf: no return; NaN: no reading
+    down_m: Array  # [D] float32, as `ranges_m`, of the scanner that looks down
+    pitch: Array  # float32, radians
+    roll: Array  # float32, radians
+    beacon_m: Array  # float32, distance of the goal; inf: not heard
+
+
+class Draws(struct.PyTreeNode):
+    """Random numbers of one step, standard normal but for the last."""
+
+    ranges: Array  # [B] float32
+    down: Array  # [D] float32
+    attitude: Array  # [2] float32, pitch and roll
+    encoders: Array  # [3] float32, length and turn of the step, and drift of the heading
+    beacon: Array  # float32
+    missing: Array  # [B] float32, uniform from 0 to 1
+
+
+class Surround(struct.PyTreeNode):
+    """The nearest point in every direction, robot's frame."""
+
+    x_m: Array  # [SECTORS] float32; inf: nothing known
+    y_m: Array  # [SECTORS] float32, as `x_m`
+
+
+class KeyScan(struct.PyTreeNode):
+    """The scan with which the next ones are matched. Poses are odometry without corrections at nodes."""
+
+    ranges_m: Array  # [B] float32
+    lean: Array  # [2] float32, radians, of the ground where it was taken, see `mapping.slope_under`
+    pose: Array  # [3] float32, where it was taken
+    last: Array  # [3] float32, where a scan was matched with it last
+
+
+class Manoeuvre(struct.PyTreeNode):
+    """Memory of obstacle avoidance between steps."""
+
+    trail: Array  # [TRAIL_POSES, 3] float32, poses of the way here, odometry without corrections; a ring
+    length: Array  # int32, place of the next one, counted on
+    kept: Array  # int32, poses that it holds
+    backing: Array  # bool, it is going back
+    backed_m: Array  # float32, how far
+    away_m: Array  # float32, distance still to drive ahead because there is no room behind; 0: none
+    tried: Array  # int32, which of `RECOVERIES` it tries to get away from what it has touched
+    frees: Array  # int32, steps left: above `TOUCH_AGAIN_STEPS` it still goes that way, below a touch makes it try the
+    # next one
+    avoiding: Array  # bool, it goes round something
+    side: Array  # float32, radians, direction in which
+
+
+class Divergence(struct.PyTreeNode):
+    """The triangles of a scan that may mark a dead end, a corner, a T or a crossing; robot's frame."""
+
+    corners: Array  # [T, 3, 2] float32, metres
+    centre: Array  # [T, 2] float32, of the circle through the corners
+    radius: Array  # [T] float32, metres
+    valid: Array  # [T] bool
+    overflow: Array  # int32, ends of walls and triangles that did not fit
+
+
+class Openings(struct.PyTreeNode):
+    """Exits of a place, counter-clockwise from -180 degrees. Unused slots: `valid` is False."""
+
+    bearing: Array  # [K] float32, radians
+    middle: Array  # [K, 2] float32, of the narrowest place between the walls on both sides, as seen from the centre
+    across: Array  # [K] float32, radians, direction square to that, outward
+    width_m: Array  # [K] float32, of that
+    valid: Array  # [K] bool
+    overflow: Array  # int32, openings that did not fit
+
+
+class LoneStep(struct.PyTreeNode):
+    """A step ahead of the robot or under it, or several close together."""
+
+    from_m: Array  # float32, odometer at the first of them, inf: none
+    to_m: Array  # float32, at the last
+    height_m: Array  # float32, of the highest
+
+
+class RunMode(enum.IntEnum):
+    """Run mode of the robot."""
+
+    CENTRAL = 0
+    WALL_FOLLOWING = 1
+    DEAD_END = 2
+    BRANCH_SELECTION = 3
+    CONTACT_GUARD = 4
+
+
+class Latch(enum.IntEnum):
+    """State of branch selection until its target is reached."""
+
+    FREE = 0
+    APPROACH = 1  # the centre of a divergence
+    LEAVE = 2  # a point on one of its links
+    LOOK = 3  # the robot turns at its centre and looks round
+
+
+class Track(struct.PyTreeNode):
+    """A divergence that may lie ahead: where scan after scan has shown its triangle."""
+
+    centre: Array  # [2] float32, metres
+    radius: Array  # float32, metres
+    seen: Array  # uint32, a bit a scan, the last one lowest: whether it showed the triangle
+    age: Array  # int32, scans since it was first seen; 0: no divergence
+    out: Array  # float32, radians: of a place before a gateway of a hall, where that leads; NaN: of no other
+
+
+class FreeSpace(struct.PyTreeNode):
+    """Free space, seen with hysteresis."""
+
+    inside: Array  # bool
+    streak: Array  # int32, steps in a row that say otherwise
+    since_m: Array  # float32, odometer at the first of them
+
+
+class Drive(struct.PyTreeNode):
+    """Memory of driving between steps."""
+
+    latch: Array  # int32, `Latch`
+    target: Array  # [2] float32, of the latch, metres
+    since: Array  # int32, steps of the latch; begins below 0 where the target is far away
+    out: Array  # float32, radians, direction of the link that is taken
+    looked: Array  # float32, radians turned while looking round
+    looked_m: Array  # float32, odometer when the robot last did
+    aside: Array  # bool, a wide place is left by an opening that is seen from the side
+    known: Array  # bool, the place that is approached is a node, met again
+    surveys: Array  # int32, places that it has gone to since the last node, each better than the one before
+    side: Array  # int32, where the wall is that is followed: 1 left, -1 right, 0 none
+    began: Array  # [5] float32, where it began to follow that since the last node: x, y, metres; how far it has turned
+    # as it followed it, radians; odometer there; heading at the step before; NaN: it does not
+    turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
+    left_m: Array  # float32, last distance of a left wall within C1, or of one next to which it can turn
+    right_m: Array  # float32, as `left_m`, on the right
+
+
+class Onward(NamedTuple):
+    """The way on from a place."""
+
+    bearing: Array  # float32, radians
+    middle: Array  # [2] float32, from where it leaves
+    is_free: Array  # bool, it is no opening, but free
+
+
+class Guide(struct.PyTreeNode):
+    """A route of at most K places, and how far the robot has come on it. Bearings are the map's."""
+
+    out: Array  # [K] float32, radians, bearing of the way on
+    ways: Array  # [K, PLACE_EXITS] float32, radians, of all exits of the place; NaN: none
+    leg: Array  # [K, 2] float32, metres, from the place before
+    length_m: Array  # [K] float32, of the way from the place before
+    count: Array  # int32, places
+    others: Array  # [K, OFF_ROUTE_PLACES, 2] float32, metres, from the place to places off the route; NaN: none
+    tail_m: Array  # float32, way from the last place to the end; 0: the route ends there
+    end_leg: Array  # [2] float32, metres, from the last place to the end
+    at: Array  # int32, the place ahead
+    from_xy: Array  # [2] float32, of the place before
+    from_m: Array  # float32, odometer there
+    turned: Array  # float32, radians, the map's bearings less those of the odometry
+    seen: Array  # [K, PLACE_EXITS] float32, radians, bearings of the exits that were found; NaN: none
+    missed: Array  # int32, places that were not found
+    extra: Array  # int32, places that the map does not have
+    strays: Array  # bool, the last place was not on the route
+    arrived: Array  # bool
+    lost: Array  # bool, it is where the map does not help it on
+    blocked: Array  # bool, because it cannot pass what lies before it
+    walled: Array  # bool, because there is a wall
+    steers: Array  # bool, it steers for the next place or the end
+
+
+class Trajectory(struct.PyTreeNode):
+    """Every step of the run. T slots."""
+
+    odometer_m: Array  # [T] float32, inf where there was no step yet
+    pose: Array  # [T, 3] float32
+    pitch: Array  # [T] float32, measured, radians
+    roll: Array  # [T] float32, as `pitch`
+    posture: Array  # [T] float32, inclination of the body, radians
+    width_m: Array  # [T] float32, of the passage; inf where a side is open
+    ground_x_m: Array  # [T] float32, odometer at the point that the downward scanner saw; inf for none
+    ground_z_m: Array  # [T] float32, its height above the start
+    mode: Array  # [T] int32, `RunMode`
+
+
+class SlopeEstimate(struct.PyTreeNode):
+    """Slope of the ground under the robot, and of what it last stood on evenly; see `mapping.slope_at`."""
+
+    even: Array  # [2] float32, radians, when it last stood evenly
+    anchor: Array  # [2] float32, radians, about which it varies little: first as it came there, then as it has settled
+    anchor_m: Array  # float32, odometer where that began
+    stands: Array  # bool, whether it stands evenly
+    left_m: Array  # float32, odometer where it last was the even one
+    since_m: Array  # float32, odometer where it came to be
+
+
+class Writer(struct.PyTreeNode):
+    """State of writing a map. N nodes, M links."""
+
+    map: Btm
+    way: Trajectory
+    node: Array  # int32, where it was last
+    node_m: Array  # float32, odometer there
+    link: Array  # int32, on which it is; M for none
+    left_bearing: Array  # float32, radians, in which it left the last node
+    entry: Array  # [2] float32, where it began to approach a divergence
+    level: SlopeEstimate
+    lone_step: LoneStep  # that is ahead or under the robot
+    border_m: Array  # float32, odometer at which a free space will have been entered or left; inf: none
+    passed: Array  # [4] float32, the candidate last rejected: x, y, radius, metres; odometer there
+    tries: Array  # [M] int32, how often the robot has set off on a link that was un-searched, or may do so no more
+    fails: Array  # [M] int32, how often in a row a searched link has led elsewhere
+    last_chance: Array  # int32, searched links when those that were given up last got another chance; -1: never
+    exhausted: Array  # bool, nothing is left to follow
+    full: Array  # bool, a node did not fit
+    doubts: Array  # [N] float32, loop-closure hypotheses: nodes that the last one may be: turn of its frame then,
+    # radians; NaN: it is not
+    dropped: Array  # int32, such hypotheses that did not hold
+    origin: Array  # [3] float32, the last node: x, y, metres; turn of its frame, radians
+    guide: Guide | None = None  # of a robot that follows a route
+
+
+class DueNode(struct.PyTreeNode):
+    """A node that is due in this step."""
+
+    kind: Array  # int32, place in `NODE_TYPES`; `NONE`: no node is due
+    odometer_m: Array  # float32, where
+    pose: Array  # [3] float32, there
+    centre: Array  # [2] float32, of the node
+    radius: Array  # float32, of a divergence's circle
+    out: Array  # float32, radians, where the gateway of a hall leads before which a divergence lies; else NaN
+    posture: Array  # float32, radians, inclination of the body
+    steepest: Array  # float32, radians, of an obstacle
+    step_m: Array  # float32, height of a step that it has gone over, or cannot climb; 0
+    blocked: Array  # bool, an obstacle that the robot cannot pass
+    returns: Array  # bool, to the node where it started
+
+
+class Arrival(NamedTuple):
+    """The node at which the robot is, and how it is met."""
+
+    map: Btm  # with the node
+    node: Array  # int32
+    again: Array  # bool, whether it was known
+    near: Array  # int32, the known node
+    met: Array  # bool, whether the robot is at its middle, so that the odometry can be corrected
+    fits: Array  # bool, whether there was room for it
+    shift: Array  # [2] float32, correction of the odometry, metres
+    width: Array  # float32, of the way here, metres
+    posture: Array  # float32, the steepest on it, degrees
+    roll: Array  # float32, the largest roll, degrees
+    moved: Array  # [3] float32, from the last node: see `mapping.pose_from_node`
+
+
+class ScanWalls(NamedTuple):
+    """Walls seen in one scan, robot's frame."""
+
+    xy: Array  # [B, 2] float32, metres
+    valid: Array  # [B] bool
+    region: tuple[Array | float, Array | float]  # the stretch that is watched for free space, metres ahead
+    region_sides: tuple[Array | float, Array | float]  # clearance to the left and right there, metres
+    roomy: Array | bool  # whether a circle as large as C1 fits there
+    closed: Array | bool  # whether the way ahead is closed
+    fronts_m: tuple[Array | float, Array | float]  # free length ahead of the left and right half of the robot's width
+    left_m: Array  # float32, clearance by which it steers
+    right_m: Array  # float32, as `left_m`
+    beside: Array  # [2] float32, clearance to the left and right of the robot
+
+
+class Ahead(NamedTuple):
+    """Divergences, free space and ground ahead, and the nodes just passed."""
+
+    leans: Array  # bool, the robot stands otherwise than where it last stood evenly, or the ground rises before it
+    track: Track
+    scan_overflow: Array  # int32, ends of walls that did not fit into the scan's points
+    space: FreeSpace
+    border_m: Array  # float32, odometer at which the free space will have been entered or left; inf: none
+    missed: Array  # bool, where the free space begins was not reached before it ends
+    is_noted: Array  # bool, where it begins and ends there are nodes
+    level: SlopeEstimate
+    changed: Array  # bool, whether the robot stands on ground of another inclination now
+    crease_m: Array  # float32, odometer where it changed
+    steepest: Array  # float32, the larger inclination, radians
+    blocked: Array  # int32, steps in a row with ground ahead that the robot cannot climb
+    lone_step: LoneStep  # that is ahead, under the robot or just passed
+    is_lone: Array  # bool, whether it has just passed it
+    lone_step_after: LoneStep  # remaining state once the node is made
+    beyond: tuple[Array, Array]  # height of the step and inclination of the slope that stop it, see `_ground_ahead`
+
+
+class State(struct.PyTreeNode):
+    """A run in progress."""
+
+    body: RobotBody
+    estimate: Array  # [3] float32, odometry, corrected where a node is met again
+    odometry: Array  # [3] float32, odometry without corrections
+    around: Surround  # where the last scan was taken
+    scanned: Array  # [3] float32, odometry without corrections there
+    key: KeyScan
+    manoeuvre: Manoeuvre
+    touched: Array  # bool, a wall has just refused a step
+    odometer_m: Array  # float32
+    climbed_m: Array  # float32, height above the start as the attitude has it
+    track: Track
+    space: FreeSpace
+    drive: Drive
+    writer: Writer
+    scan_overflow: Array  # int32, ends of walls that a scan had more than there is room for
+    mode: Array  # int32
+    target: Array  # [2] float32, target point in the robot's frame
+    blocked: Array  # int32, steps in a row with ground ahead that the robot cannot climb
+    halts: Array  # bool, the ground has just refused a step
+    blind: Array  # int32, scans in a row without numbers
+    moved_m: Array  # float32, odometer when it last got on
+    moved_step: Array  # int32, and the step
+    stray_from: Array  # [2] float32, where it has been near for long
+    stray_step: Array  # int32, since which step
+    helps: Array  # int32
+    since_node: Array  # int32, of them, since the last node
+    help_at: Array  # [HELPS_KEPT, 4] float32, x, y of the first of them; step; run mode
+    node_at: Array  # [N, 2] float32, where the robot truly was when it made a node
+    mistaken: Array  # int32, times that it took a place for a node that truly lies elsewhere
+    met: Array  # [K] bool, which of the building's marks it has been at
+    truth: Array  # [T, 3] float32, true poses
+    step: Array  # int32
+    outcome: Array  # int32
+    draws: Draws | tuple[()]  # of `DRAWN_STEPS` steps
