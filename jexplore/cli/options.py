@@ -20,7 +20,14 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import tyro
-from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
 
 from jexplore.config import InputError
 
@@ -149,21 +156,12 @@ def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
             options = read()
     except SystemExit as end:
         if end.code:
-            raise InputError(_stray(rest, one_line(said.getvalue())) or f"wrong options for {name}") from None
+            raise InputError(one_line(said.getvalue())) from None
         _show_help(read)
         print("\n".join(["examples:", *(f"  jexplore {line}" for line in EXAMPLES[name])]))
         raise
     _require_once(rest, commands[name])
     return options
-
-
-def _stray(arguments, line):
-    """Explain an unknown option; name the option before it that does not take the value."""
-    word = line.removeprefix("unknown option ").partition(";")[0]
-    if word == line or word.startswith("-") or word not in arguments:
-        return line
-    before = [text for text in arguments[: arguments.index(word)] if text.startswith("--")]
-    return f"unexpected {word!r}: {before[-1]} takes fewer values" if before else f"unexpected {word!r}"
 
 
 def _show_help(read):
@@ -193,6 +191,39 @@ def _require_once(arguments, command):
 _REGISTRY = ConstructorRegistry()
 
 
+@_REGISTRY.primitive_rule
+def _numbers(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """Read an integer or a number, and say so where it is none."""
+    if info.type not in (int, float):
+        return None
+
+    def number(texts):
+        try:
+            return info.type(texts[0])
+        except ValueError:
+            kind = "an integer" if info.type is int else "a number"
+            raise ValueError(f"must be {kind}, got {texts[0]!r}") from None
+
+    def is_number(value):
+        return isinstance(value, (int, info.type)) and not isinstance(value, bool)
+
+    return PrimitiveConstructorSpec(1, info.type.__name__.upper(), number, is_number, lambda value: [str(value)])
+
+
+@_REGISTRY.primitive_rule
+def _optional(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """Read a type that may be None as the type: None cannot be given."""
+    kinds = typing.get_args(info.type)
+    if len(kinds) != 2 or kinds[1] is not types.NoneType:
+        return None
+    inner: Any = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(kinds[0], info.markers))
+    return dataclasses.replace(
+        inner,
+        is_instance=lambda value: value is None or inner.is_instance(value),
+        str_from_instance=lambda value: ["None"] if value is None else inner.str_from_instance(value),
+    )
+
+
 @_REGISTRY.struct_rule
 def _records(info: StructTypeInfo) -> StructConstructorSpec | None:
     """Convert a record to options: its docstrings as running text, and no empty defaults."""
@@ -206,14 +237,11 @@ def _records(info: StructTypeInfo) -> StructConstructorSpec | None:
             default = tyro.MISSING_NONPROP
         elif field.default_factory is not dataclasses.MISSING:
             default = field.default_factory()
-        hint = hints[field.name]
-        kinds = [one for one in typing.get_args(hint) if one is not type(None)]
-        metavar = kinds[0].__name__.upper() if isinstance(hint, types.UnionType) and kinds[0] in (int, float) else None
         text = field.metadata.get("off") if default is True else None
         fields.append(
             StructFieldSpec(
                 name=field.name,
-                type=_with(hint, tyro.conf.arg(metavar=metavar, help_behavior_hint=_default_text)),
+                type=_with(hints[field.name], tyro.conf.arg(help_behavior_hint=_default_text)),
                 default=default,
                 helptext=text or texts.get(field.name),
             )
@@ -257,45 +285,11 @@ class _Page(io.StringIO):
         return self.coloured
 
 
-_REWORDED = (
-    (r"^Error parsing [\w.-]*(lidar|rules|tuning|noise|limits): ", ""),
-    (r"^Error parsing (\S+): invalid literal for int\(\).*?: (.*)$", r"\1 must be an integer, got \2"),
-    (r"^Error parsing (\S+): could not convert string to float: (.*)$", r"\1 must be a number, got \2"),
-    (
-        r"^Error parsing (\S+): no type matching \{None\}\|INT .*? from \[(.*?)\]\. .*$",
-        r"\1 must be an integer, got \2",
-    ),
-    (
-        r"^Error parsing (\S+): no type matching \{None\}\|FLOAT .*? from \[(.*?)\]\. .*$",
-        r"\1 must be a number, got \2",
-    ),
-    (
-        r"^Error parsing (\S+): no type matching \{None\}\|\{\[INT .*? from (\[.*?\])\. .*$",
-        r"\1 must be integers, got \2",
-    ),
-    (
-        r"^Error parsing (\S+): no type matching \{None\}\|\{FLOAT FLOAT FLOAT\} .*? from (\[.*?\])\. .*$",
-        r"\1 must be three numbers, got \2",
-    ),
-    (r"^Error parsing ", ""),
-    (
-        r"^invalid choice (.*) for argument '(.*)'\. Expected one of \((.*)\) ?\.$",
-        lambda found: found[2] + " must be one of " + found[3].replace("'", "") + ", got " + found[1],
-    ),
-    (r"^Missing value for argument '(.*)'\..*$", r"\1 needs a value"),
-    (r"^Unrecognized options: (\S+?)(, .*)?$", r"unknown option \1"),
-)
-"""tyro's words, and ours where they are plainer."""
-
-
 def one_line(box: str) -> str:
-    """Convert tyro's box of several lines to one line."""
-    rows = [row.strip("│ ").strip() for row in box.splitlines() if row.strip() and row.strip()[0] not in "╭╰"]
-    parts = [[]]
-    for row in rows:
-        parts[-1].append(row) if set(row) != {"─"} else parts.append([])
-    text = " ".join(" ".join(parts[0]).split())
-    for pattern, better in _REWORDED:
-        text = re.sub(pattern, better, text)
-    meant = re.search(r"Perhaps you meant:\s+(--[\w.-]+)", " ".join(row for part in parts[1:] for row in part))
-    return text + (f"; did you mean {meant[1]}?" if meant else "")
+    """Convert tyro's box of several lines to one line: its message, and the first option that it guesses."""
+    rows = [row.strip("│ ").strip() for row in box.splitlines() if row.strip("╭╰│ ")]
+    message = itertools.takewhile(lambda row: set(row) != {"─"}, (row for row in rows if row[0] not in "╭╰"))
+    text = " ".join(" ".join(message).split())
+    text = re.sub(r"^Error parsing ([^-]\S*: )?", "", text)  # a record's own error names the field
+    meant = re.search(r"Perhaps you meant:\s+(--[\w.-]+)", " ".join(rows))
+    return text[0].lower() + text[1:].removesuffix(".") + (f"; did you mean {meant[1]}?" if meant else "")
