@@ -206,12 +206,12 @@ def test_version_and_help(capsys):
 
 
 def test_the_defaults_are_smaller_on_request(monkeypatch):
-    large = options.parse(["compare"], main.COMMANDS)
+    large = options.parse_options(["compare"], main.COMMANDS)
     monkeypatch.setenv(options.SMALL, "1")
-    small = options.parse(["compare"], main.COMMANDS)
+    small = options.parse_options(["compare"], main.COMMANDS)
     assert small.episodes < large.episodes / 3
     monkeypatch.setenv(options.SMALL, "0")
-    assert options.parse(["compare"], main.COMMANDS) == large
+    assert options.parse_options(["compare"], main.COMMANDS) == large
 
 
 @pytest.mark.parametrize(
@@ -336,14 +336,16 @@ def test_memory_that_runs_out_is_one_line(error, capsys, monkeypatch):
 def test_no_option_of_any_command_may_be_repeated(command):
     page = io.StringIO()
     with contextlib.redirect_stdout(page), pytest.raises(SystemExit):
-        options.parse([command, "--help"], main.COMMANDS)
+        options.parse_options([command, "--help"], main.COMMANDS)
     values = {"INT": ["3"], "FLOAT": ["0.5"], "X": ["1", "2", "3"]}
     found = re.findall(r"^[│| ]+(--[\w.-]+)(?: ([A-Z]+|\{\w+))?", page.getvalue(), re.MULTILINE)
     assert len(found) > 1 or command == "strategies"
     for option, kind in found:
         text = values.get(kind, [kind[1:]] if kind.startswith("{") else ["3"] if kind else [])
         with pytest.raises(InputError, match=f"^{option} is given twice, and can be given once"):
-            options.parse([command, *(["map"] if command == "segment" else []), *[option, *text] * 2], main.COMMANDS)
+            options.parse_options(
+                [command, *(["map"] if command == "segment" else []), *[option, *text] * 2], main.COMMANDS
+            )
 
 
 def test_without_a_home(tmp_path):

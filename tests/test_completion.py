@@ -15,7 +15,7 @@ def test_examples_of_help_are_commands(name, capsys):
     for example in options.EXAMPLES[name]:
         command, *rest = shlex.split(example)
         assert command == name
-        assert type(options.parse([name, *rest], main.COMMANDS)) is main.COMMANDS[name]
+        assert type(options.parse_options([name, *rest], main.COMMANDS)) is main.COMMANDS[name]
     assert main.main([name, "--help"]) == 0
     assert f"  jexplore {options.EXAMPLES[name][0]}\n" in capsys.readouterr().out
 

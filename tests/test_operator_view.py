@@ -12,7 +12,7 @@ import pytest
 from ref import browser
 from ref.browser import TIMERS
 
-from jexplore.report.operator_view import Recording, page
+from jexplore.report.operator_view import RunRecording, page
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
 
 N, B = 60, 19
@@ -99,7 +99,7 @@ def recording(**changes):
         "right_m": np.full(N, 1.234),
         "map": BtmMap(nodes, links),
     }
-    return Recording(**fields | changes)
+    return RunRecording(**fields | changes)
 
 
 def data_of(text):

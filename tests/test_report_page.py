@@ -94,12 +94,12 @@ def test_changes_come_back(images, most):
     np.testing.assert_array_equal(image, after)
 
 
-def decoded(packed):
+def decoded(packed_numbers):
     """An array of the page, by `struct`."""
-    raw = base64.b64decode(packed["base64"])
-    letter, size = {"i2": ("h", 2), "i4": ("i", 4)}[packed["type"]]
+    raw = base64.b64decode(packed_numbers["base64"])
+    letter, size = {"i2": ("h", 2), "i4": ("i", 4)}[packed_numbers["type"]]
     whole = struct.unpack(f"<{len(raw) // size}{letter}", raw)
-    return (np.array(whole) * packed["step"]).reshape(packed["shape"])
+    return (np.array(whole) * packed_numbers["step"]).reshape(packed_numbers["shape"])
 
 
 def images_of(raw, sizes, shape):

@@ -295,7 +295,7 @@ def test_an_option_that_switches_off_says_what_it_does(capsys, monkeypatch):
         "--no-report": "Leave out report.html.",
         "--rules.no-look-around": "A robot that arrives at a live target does not turn to look all round.",
     }
-    assert not options.parse(["explore", "--rules.no-look-around"], main.COMMANDS).rules.look_around
+    assert not options.parse_options(["explore", "--rules.no-look-around"], main.COMMANDS).rules.look_around
 
 
 def test_a_text_over_several_lines_is_one_paragraph():

@@ -39,7 +39,7 @@ def is_small() -> bool:
     return os.environ.get(SMALL, "0") not in ("", "0")
 
 
-STRATEGIES = ("closest", "closest+recheck", "random")
+DEFAULT_STRATEGIES = ("closest", "closest+recheck", "random")
 """Default strategies of `jexplore compare`."""
 
 
@@ -47,7 +47,7 @@ def default_worlds() -> tuple[str, ...]:
     return ("cave", "maze") if is_small() else ("cave", "office", "hospital")
 
 
-Numbers = Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]", help_behavior_hint="")]
+IntegerList = Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]", help_behavior_hint="")]
 Number = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
 OwnNames = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
 OneWorld = Annotated[str, tyro.conf.arg(metavar="WORLD")]
@@ -120,7 +120,7 @@ def option_names(kind: type, prefix: str = "--") -> list[str]:
     return names
 
 
-def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
+def parse_options(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
     """Parse the command line into a command's record and its options.
 
     Args:

@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from jexplore.report.page.assemble import assembled, plain, script_data
-from jexplore.report.page.packing import packed
+from jexplore.report.page.assemble import map_page
+from jexplore.report.page.packing import packed_numbers
 from jexplore.report.store import jsonable
 from jexplore.tracemap.record import BtmMap
 
@@ -25,8 +25,8 @@ _STEPS = {
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Recording:
-    """Recording of a run, frame by frame (N frames), and the map that it left. Numpy arrays, on the host.
+class RunRecording:
+    """RunRecording of a run, frame by frame (N frames), and the map that it left. Numpy arrays, on the host.
 
     Raises:
       ValueError: a shape, a type or a number that does not fit.
@@ -157,18 +157,18 @@ def _data(recording):
         "robot_m": [float(size) for size in recording.robot_m],
         "nodes": rows_of(recording.map.nodes),
         "links": rows_of(recording.map.links),
-        "arrays": {name: packed(values, _STEPS.get(name, 1), name) for name, values in arrays.items()},
+        "arrays": {name: packed_numbers(values, _STEPS.get(name, 1), name) for name, values in arrays.items()},
     }
 
 
-def page(recording: Recording) -> str:
+def page(recording: RunRecording) -> str:
     """Return a run as one HTML file that replays in a browser: no network, no server, no other file.
 
     Metres are kept to 1 cm (poses and walls to 1 mm), angles of beams to 0.1 mrad, tilt to 0.01 degrees. The page is
     plain ASCII, so it may be written in any encoding.
 
     Args:
-      recording: a `Recording`.
+      recording: a `RunRecording`.
 
     Returns:
       The page, text.
@@ -177,5 +177,4 @@ def page(recording: Recording) -> str:
       ValueError: a number too large to be kept.
     """
     modes = '<div id="modekey" aria-label="Colours of the run modes"></div>'
-    title, data = plain(recording.title), script_data(_data(recording))
-    return assembled("trace.html", title=title, own_style=assembled("trace.css"), data=data, own_controls=modes)
+    return map_page("trace", recording.title, _data(recording), ("trace.js",), own_controls=modes)

@@ -60,7 +60,7 @@ def _bytes(colour):
     return np.array([round(255 * value) for value in to_rgb(colour)], np.uint8)
 
 
-def figure(pictures: Sequence[Any], scores: Any) -> Figure:
+def rooms_figure(pictures: Sequence[Any], scores: Any) -> Figure:
     """Draw a page with a row for every map and known share, and a column for every variant.
 
     Args:

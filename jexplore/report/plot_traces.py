@@ -29,7 +29,7 @@ WALL, POINT, LINK = "#dddddd", "#555555", "black"
 WAY, REFUSED = PALETTE[0], "#e01010"
 STUB_M = 0.8  # drawn length of a link that nobody has followed
 LONG_IN, LEGEND_IN = 8.0, 1.9
-NEAR_M = 0.25  # by which a first pass of a node may be farther than the nearest
+FIRST_PASS_M = 0.25  # by which a first pass of a node may be farther than the nearest
 _HALO: Any = (patheffects.withStroke(linewidth=2.2, foreground="white"),)
 
 
@@ -179,7 +179,7 @@ def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2
     now, above, taken = 0, ax.get_xaxis_transform(), [-math.inf] * 3
     for node in btm.nodes:
         apart = np.hypot(*(xy[now:] - (node.x_m, node.y_m)).T)
-        near = np.append(apart <= apart.min() + NEAR_M, False)  # later passes count no more than the first
+        near = np.append(apart <= apart.min() + FIRST_PASS_M, False)  # later passes count no more than the first
         first = int(np.argmax(near))
         now += first + int(np.argmin(apart[first : first + int(np.argmin(near[first:]))]))
         ax.axvline(driven[now], color="#999999", linewidth=0.8, linestyle=":", zorder=0)
@@ -216,7 +216,7 @@ def _limits(btm, walls, trail, points):
     return low - 1.5 * STUB_M, high + 1.5 * STUB_M
 
 
-def figure(
+def trace_figure(
     btm: BtmMap,
     walls: ArrayLike | None,
     trail: ArrayLike,

@@ -28,7 +28,7 @@ def show_table(
     """Print tables in readable form.
 
     In a pipe or a file this is `print` of the Markdown. On a terminal rich draws them: headings and texts fold, numbers
-    do not, and a table that is still too wide is cut into parts below each other, which all begin with the first column,
+    do not, and a table that is still too wide is cut into parts, which all begin with its first column,
     or two if these are text. `COLUMNS` and `NO_COLOR` count.
 
     Args:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jexplore.report.page.packing import base64_of, change, packed, runs
+from jexplore.report.page.packing import base64_of, change, packed_numbers, runs
 
 STATE, FRONTIER, OWN_ROOM = 3, 4, 8
 """Of the code of a cell: the bits of its state (0 unknown, 1 free, 2 occupied); whether it is a frontier cell that can
@@ -137,9 +137,9 @@ def page_data(replays: Sequence[ReplayData]) -> dict[str, Any]:
                 "episode": int(replay.episode),
                 "start": [int(replay.rows[0]), int(replay.cols[0])],
                 "moves": base64_of(moves.astype(np.uint8).tobytes()),
-                **{name: packed(getattr(replay, name)) for name in ("steps", "heading_deg", "target", "until")},
-                "known_m2": packed(replay.known_m2, 0.01, "known_m2"),
-                "sizes": packed([len(part) for part in replay.changes]),
+                **{name: packed_numbers(getattr(replay, name)) for name in ("steps", "heading_deg", "target", "until")},
+                "known_m2": packed_numbers(replay.known_m2, 0.01, "known_m2"),
+                "sizes": packed_numbers([len(part) for part in replay.changes]),
                 "changes": base64_of(b"".join(replay.changes)),
                 "has_own_room": bool(replay.has_own_room),
             }

@@ -6,15 +6,15 @@ import numbers
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from jexplore.report.page.assemble import assembled, plain, script_data
+from jexplore.report.page.assemble import assembled, html_text, script_data
 from jexplore.report.page.packing import base64_of
 from jexplore.report.page.replay import ReplayData, page_data
 from jexplore.report.store import jsonable
 from jexplore.report.tables import table_cells
 
-MOST_BYTES = 10_000_000
-MOST_ROWS = 200  # of a table that are shown
-LONGEST_TEXT = 400  # characters of a setting
+MAX_REPORT_BYTES = 10_000_000
+MAX_SHOWN_ROWS = 200  # of a table that are shown
+MAX_SETTING_CHARS = 400  # characters of a setting
 FEW_FRAMES = 60  # of a replay; rather than fewer, fewer replays
 MANY_FRAMES = 300
 
@@ -28,7 +28,7 @@ def report_page(
     warnings: Iterable[str] = (),
     *,
     notes: Iterable[str] = (),
-    max_bytes: int = MOST_BYTES,
+    max_bytes: int = MAX_REPORT_BYTES,
 ) -> str:
     """Return the report of a run, one HTML file: no network, no server, no other file; replays need JavaScript.
 
@@ -80,7 +80,7 @@ def _cut(replays, shown, frames):
 
 
 def _page(title, above, settings, replays, notes):
-    lines = "".join(f"<li>{plain(note)}</li>" for note in notes)
+    lines = "".join(f"<li>{html_text(note)}</li>" for note in notes)
     below = f'<ul class="notes">{lines}</ul>' if lines else ""
     if replays:
         below = assembled("replays.html", own_controls="", notes=below)
@@ -88,7 +88,7 @@ def _page(title, above, settings, replays, notes):
         below = f"<section>{below}</section>"
     data = script_data(page_data(replays))
     return assembled(
-        "report.html", title=plain(title), sections="\n".join(filter(None, [*above, below, settings])), data=data
+        "report.html", title=html_text(title), sections="\n".join(filter(None, [*above, below, settings])), data=data
     )
 
 
@@ -97,18 +97,23 @@ def _asked(asked):
     asked = {str(name): value for name, value in jsonable(dict(asked)).items()}
     command = asked.pop("command", None)
     shown = command if command is None or isinstance(command, str) else " ".join(map(str, command))
-    head = "" if shown is None else f"<pre>{plain(_cut_text(shown))}</pre>"
+    head = "" if shown is None else f"<pre>{html_text(_cut_text(shown))}</pre>"
     entries = list(_flat(asked))
     rows = "".join(
-        f"<div><dt>{plain(name)}</dt><dd>{plain(_cut_text(text))}</dd></div>" for name, text in entries[:MOST_ROWS]
+        f"<div><dt>{html_text(name)}</dt><dd>{html_text(_cut_text(text))}</dd></div>"
+        for name, text in entries[:MAX_SHOWN_ROWS]
     )
-    more = f'<p class="soft">The first {MOST_ROWS} of {len(entries)} settings.</p>' if len(entries) > MOST_ROWS else ""
+    more = (
+        f'<p class="soft">The first {MAX_SHOWN_ROWS} of {len(entries)} settings.</p>'
+        if len(entries) > MAX_SHOWN_ROWS
+        else ""
+    )
     summary = f"<summary><h2>What was asked, and with what: {len(entries)} entries</h2></summary>"
     return head, f"<section><details>{summary}<dl>{rows}</dl>{more}</details></section>" if rows else ""
 
 
 def _cut_text(text):
-    return text if len(text) <= LONGEST_TEXT else text[:LONGEST_TEXT] + "…"
+    return text if len(text) <= MAX_SETTING_CHARS else text[:MAX_SETTING_CHARS] + "…"
 
 
 def _flat(value, name=""):
@@ -127,12 +132,12 @@ def _flat(value, name=""):
 def _warnings(lines):
     if not lines:
         return ""
-    items = "".join(f"<li>{plain(line)}</li>" for line in lines)
+    items = "".join(f"<li>{html_text(line)}</li>" for line in lines)
     return f'<section class="warnings"><h2>Warnings</h2><ul>{items}</ul></section>'
 
 
 def _tables(tables):
-    made = [f"<h3>{plain(heading)}</h3>{_table(heading, found)}" for heading, found in tables]
+    made = [f"<h3>{html_text(heading)}</h3>{_table(heading, found)}" for heading, found in tables]
     return f"<section><h2>Tables</h2>{''.join(made)}</section>" if made else ""
 
 
@@ -154,16 +159,16 @@ def _cells(found):
 
 def _table(heading, found):
     head, rows, is_right = _cells(found)
-    kept = rows[:MOST_ROWS]
+    kept = rows[:MAX_SHOWN_ROWS]
 
     def line(tag, cells):
         parts = (f"<{tag}{' class=right' if right else ''}>{cell}</{tag[:2]}>" for cell, right in zip(cells, is_right))
         return f"<tr>{''.join(parts)}</tr>"
 
-    names = line('th scope="col"', map(plain, head))
-    body = "".join(line("td", map(plain, row)) for row in kept)
-    more = f'<p class="soft">The first {MOST_ROWS} of {len(rows)} rows.</p>' if len(rows) > len(kept) else ""
-    region = f'<div class="table" tabindex="0" role="region" aria-label="{plain(heading)}">'
+    names = line('th scope="col"', map(html_text, head))
+    body = "".join(line("td", map(html_text, row)) for row in kept)
+    more = f'<p class="soft">The first {MAX_SHOWN_ROWS} of {len(rows)} rows.</p>' if len(rows) > len(kept) else ""
+    region = f'<div class="table" tabindex="0" role="region" aria-label="{html_text(heading)}">'
     return f"{region}<table><thead>{names}</thead><tbody>{body}</tbody></table></div>{more}"
 
 
@@ -194,7 +199,7 @@ def _plots(figures, max_bytes):
     kept = dict(made)
     while sum(map(len, kept.values())) > max_bytes:
         del kept[max(kept, key=lambda name: len(kept[name]))]
-    shown = (kept.get(name, f"<p>The picture {plain(name)} is too large for this page.</p>") for name in made)
+    shown = (kept.get(name, f"<p>The picture {html_text(name)} is too large for this page.</p>") for name in made)
     return f'<section class="plots"><h2>Plots</h2>{"".join(shown)}</section>' if made else ""
 
 
@@ -206,6 +211,6 @@ def _figure(name, raw, alt):
         kind = "svg+xml"
     else:
         raise ValueError(f"expected {name} as the bytes of a PNG or SVG file, got {raw[:8]!r}")
-    caption = f"<figcaption>{plain(alt)}</figcaption>"
-    image = f'<img src="data:image/{kind};base64,{base64_of(raw)}" alt="{plain(alt)}">'
-    return f'<figure title="{plain(name)}">{image}{caption}</figure>'
+    caption = f"<figcaption>{html_text(alt)}</figcaption>"
+    image = f'<img src="data:image/{kind};base64,{base64_of(raw)}" alt="{html_text(alt)}">'
+    return f'<figure title="{html_text(name)}">{image}{caption}</figure>'

@@ -9,7 +9,17 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jexplore.report.plot import wrapped
-from jexplore.report.plots.looks import FONT, GREY, band_of, legend_below, looks_of, page_of, panels, plain, ratio_scale
+from jexplore.report.plots.looks import (
+    FONT,
+    GREY,
+    band_of,
+    legend_below,
+    looks_of,
+    panels,
+    panels_page,
+    plain_axes,
+    ratio_scale,
+)
 
 
 def quartiles(progress: Any) -> np.ndarray:
@@ -51,7 +61,7 @@ def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, band: flo
     return line
 
 
-def coverage_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
+def coverage_curves_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
     """Draw the known part of the knowable share along the path: a panel a world, medians and quartile bands.
 
     Args:
@@ -62,7 +72,7 @@ def coverage_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
     """
     strategies = list(dict.fromkeys(name for _, known in entries for name in known))
     looks, lines = looks_of(strategies), {}
-    page, n_cols = page_of(len(entries))
+    page, n_cols = panels_page(len(entries))
     for number, ax, lowest in panels(page, len(entries), n_cols, sharey=True):
         world, known = entries[number]
         driven = [part[np.isfinite(part)] for part in map(np.asarray, known.values())]
@@ -80,7 +90,7 @@ def coverage_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
         ax.set_title(wrapped(world, 44, max_lines=2), fontsize=9)
         ax.set_xlabel("path length (m)" if lowest else "")
         ax.set_ylabel("known of what can be known (%)" if number % n_cols == 0 else "")
-        plain(ax, grid="both")
+        plain_axes(ax, grid="both")
     shown = [name for name in strategies if name in lines]
     legend_below(page, [lines[name] for name in shown], shown)
     return page
@@ -109,7 +119,7 @@ def draw_profile(ax: Axes, ratio: Any, share: Any, low: Any, high: Any, look: Ma
     return line
 
 
-def profile_figure(table: Any, *, over: str = "best") -> Figure:
+def profile_curves_figure(table: Any, *, over: str = "best") -> Figure:
     """Draw performance profiles: the share of starts whose path is at most a multiple of the reference's.
 
     Args:
@@ -133,6 +143,6 @@ def profile_figure(table: Any, *, over: str = "best") -> Figure:
     by = "the shortest one" if over == "best" else f"that of {wrapped(table['strategy'].iloc[0], 60, max_lines=1)}"
     ax.set(ylim=(-1, 101), xlabel=f"path length over {by} from the same start")
     ax.set_ylabel("starts with at most that ratio (%)")
-    plain(ax, grid="both")
+    plain_axes(ax, grid="both")
     legend_below(page, list(lines.values()), list(lines))
     return page

@@ -11,10 +11,10 @@ from matplotlib.patches import Rectangle
 
 from jexplore.report.plot import PALETTE, wrapped
 from jexplore.report.plot_traces import WALL, draw_btm
-from jexplore.report.plots.looks import FONT, plain
+from jexplore.report.plots.looks import FONT, plain_axes
 from jexplore.tracemap.record import BtmMap
 
-NAMES = {
+ERROR_NAMES = {
     "length_scale": "encoder length scale",
     "turn_scale": "encoder turn scale",
     "heading_bias_deg_m": "heading bias (°/m)",
@@ -68,7 +68,7 @@ def draw_cells(ax: Axes, centres: Any, cell_m: float) -> PatchCollection:
     return cells
 
 
-def figure(summary: Any, pictures: Pictures | None = None) -> Figure:
+def drift_figure(summary: Any, pictures: Pictures | None = None) -> Figure:
     """Draw a column of panels for every error: structure, coordinates, grid map; below two pictures of one run.
 
     Args:
@@ -93,9 +93,9 @@ def figure(summary: Any, pictures: Pictures | None = None) -> Figure:
         draw_curve(column[1], own, "node_error_m", BTM)
         draw_curve(column[2], own, "on_wall", GRID, scale=100, label="cells on a true wall")
         draw_curve(column[2], own, "doubled", TWICE, scale=100, label="wall drawn twice")
-        column[2].set_xlabel(wrapped(NAMES.get(error, error), 26), fontsize=FONT)
+        column[2].set_xlabel(wrapped(ERROR_NAMES.get(error, error), 26), fontsize=FONT)
         for ax in column:
-            plain(ax, grid="y")
+            plain_axes(ax, grid="y")
             ax.tick_params(labelsize=7)
     for ax, label in zip(axes[:, 0], ("maps with the true\nstructure (%)", "nodes off by (m)", "grid map (%)")):
         ax.set_ylabel(label, fontsize=FONT)

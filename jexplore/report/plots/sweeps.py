@@ -17,9 +17,9 @@ from jexplore.report.plots.looks import (
     GREY,
     legend_below,
     looks_of,
-    page_of,
     panels,
-    plain,
+    panels_page,
+    plain_axes,
     ratio_range,
     ratio_scale,
     ratio_ticks,
@@ -66,7 +66,7 @@ def draw_response(ax: Axes, x: Any, estimate: Any, low: Any, high: Any, look: Ma
     return container
 
 
-def response_figure(
+def response_curves_figure(
     table: Any, setting: str, *, label: str = "path length (m)", ratio: bool = False, averaged: str = ""
 ) -> Figure:
     """Draw curves over one setting: one panel a world, one line a strategy.
@@ -91,7 +91,7 @@ def response_figure(
     if not is_number:
         looks = {name: {**look, "linestyle": "none"} for name, look in looks.items()}
     spread = span * min(SPREAD * (len(strategies) - 1), MOST_SPREAD)
-    page, n_cols = page_of(len(worlds))
+    page, n_cols = panels_page(len(worlds))
     for number, ax, lowest in panels(page, len(worlds), n_cols, sharex=True):
         own = table[table["world"] == worlds[number]]
         for name, rows in own.groupby("strategy", sort=False):
@@ -105,7 +105,7 @@ def response_figure(
         ax.set_title(wrapped(worlds[number], 44, max_lines=2), fontsize=9)
         ax.set_xlabel(setting if lowest else "")
         ax.set_ylabel(wrapped(label, 40, max_lines=2) if number % n_cols == 0 else "")
-        plain(ax, grid="both")
+        plain_axes(ax, grid="both")
     legend_below(page, [lines[name] for name in lines], list(lines))
     _above(page, averaged)
     return page
@@ -162,7 +162,7 @@ def _norm(values, ratio) -> Any:
     return Normalize(low, high if high > low else low + 1.0)
 
 
-def heat_figure(
+def heat_maps_figure(
     table: Any, x: str, y: str, *, label: str = "path length (m)", ratio: bool = False, averaged: str = ""
 ) -> Figure:
     """Draw colours over two settings: a row of panels a world, one panel a strategy, on one colour scale.
@@ -202,7 +202,7 @@ def heat_figure(
         ax.set_title(wrapped(strategies[place], int(12 * wide), max_lines=2), fontsize=9)
         ax.set_xlabel(x if line // n_lines == len(worlds) - 1 and place + n_cols >= len(strategies) else "")
         ax.set_ylabel(f"{wrapped(world, int(10 * tall), max_lines=2)}\n{y}" if col == 0 else "")
-        plain(ax)
+        plain_axes(ax)
         ax.spines[:].set_visible(False)
     colours = ScalarMappable(norm, RATIOS if ratio else LENGTHS)
     bar = page.colorbar(colours, ax=list(grid.flat), fraction=0.05, shrink=0.9, pad=0.02)

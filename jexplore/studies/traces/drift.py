@@ -85,7 +85,7 @@ class Drift:
                 map=self.example.map,
                 placed=self.example.placed,
             )
-        return plots.figure(self.summary, pictures)
+        return plots.drift_figure(self.summary, pictures)
 
 
 @checked_names
