@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
-from jexplore.cli.options import IntegerList, Number, OutFolder, OwnNames
+from jexplore.cli.options import IntegerList, Number, OutFolder, OwnNames, fields_of
 from jexplore.cli.output.console import Out, progress_of
 
 
@@ -48,14 +48,7 @@ class Bench:
 
         with Out(self, "bench") as out:
             plan = bench.prepare_bench(
-                worlds=self.worlds,
-                strategies=self.strategies,
-                engine=self.engine,
-                batch_sizes=self.batch_sizes,
-                sides=self.sides,
-                episodes=self.episodes,
-                repeat=self.repeat,
-                quick=self.quick,
+                **fields_of(self, "worlds strategies engine batch_sizes sides episodes repeat quick"),
             )
             with progress_of(plan.total, "measurements") as progress:
                 progress.update(0)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from jexplore.cli.options import OutFolder
+from jexplore.cli.options import OutFolder, fields_of
 from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError, Lidar, Rules
@@ -59,14 +59,7 @@ class Bound:
             with note_if_slow("jexplore: loading worlds"):
                 tasks = bound.prepare_bounds(
                     self.worlds,
-                    starts=self.starts,
-                    seed=self.seed,
-                    cell_m=self.cell_m,
-                    start=self.start,
-                    seconds=self.seconds,
-                    max_floods=self.max_floods,
-                    lidar=self.lidar,
-                    rules=self.rules,
+                    **fields_of(self, "starts seed cell_m start seconds max_floods lidar rules"),
                 )
             ledger = out.keep(bound.asked(tasks), len(tasks))
             if ledger is None:

@@ -16,6 +16,7 @@ from jexplore.cli.options import (
     PolygonText,
     StartText,
     default_worlds,
+    fields_of,
     is_small,
 )
 from jexplore.cli.output.console import Out, note_if_slow, working
@@ -119,14 +120,7 @@ class Compare:
             jobs = prepare_jobs(
                 worlds,
                 strategies,
-                episodes=self.episodes,
-                seed=self.seed,
-                cell_m=self.cell_m,
-                start=self.start,
-                within=self.within,
-                from_map=self.from_map,
-                lidar=self.lidar,
-                rules=self.rules,
+                **fields_of(self, "episodes seed cell_m start within from_map lidar rules"),
             )
             tasks, reported = self._bound_tasks(jobs), jobs if self.report else None
             ran = run_with_bar(self, jobs, out, tasks)
@@ -225,7 +219,6 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequenc
     Args:
       options: of the command.
       jobs: to be run.
-      out: `Out`.
       starts: that are bounded afterwards; the last units of the run.
     """
     from jexplore.engine.backend import use_compilation_cache
@@ -257,7 +250,6 @@ def show_finished(
     """Print the results of a finished run for `--resume`, draw missing pictures and return the exit status.
 
     Args:
-      out: `Out`.
       tables: called with the results and the content of run.json.
       figures: called with the results and whether they are a league's, as for `finish_comparison`.
       jobs: of the run, for a report; None for none.
@@ -286,9 +278,6 @@ def finish_comparison(
     """Write, print and draw the common output of comparisons and reproductions; return the exit status.
 
     Args:
-      out: `Out`.
-      found: `Comparison`.
-      ran: `Ran`.
       text: the tables.
       figures: `{name: function}`, which draws it.
       record: called with more entries of run.json, returns all.

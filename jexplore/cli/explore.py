@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
-from jexplore.cli.options import MapFile, OneStrategy, OneWorld, OutFolder, PolygonText, StartText
+from jexplore.cli.options import MapFile, OneStrategy, OneWorld, OutFolder, PolygonText, StartText, fields_of
 from jexplore.cli.output.console import Out, compiling, progress_of
 from jexplore.config import Lidar, Rules
 
@@ -55,14 +55,7 @@ class Explore:
             job = prepare_job(
                 self.world,
                 self.strategy,
-                seed=self.seed,
-                episode=self.episode,
-                cell_m=self.cell_m,
-                start=self.start,
-                within=self.within,
-                from_map=self.from_map,
-                lidar=self.lidar,
-                rules=self.rules,
+                **fields_of(self, "seed episode cell_m start within from_map lidar rules"),
             )
             with compiling():
                 found = run_job(job)

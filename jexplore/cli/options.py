@@ -62,6 +62,11 @@ OutFolder = Annotated[
 EngineName = Literal["auto", "jax"]
 
 
+def fields_of(options: Any, names: str) -> dict[str, Any]:
+    """Return some fields of a record by name, for a function whose arguments are called the same."""
+    return {name: getattr(options, name) for name in names.split()}
+
+
 def help_text(commands: Mapping[str, type]) -> str:
     """Return the text of `jexplore --help`. `commands`: name -> class of its options."""
     lines = ["usage: jexplore {" + ",".join(commands) + "} [options]", ""]

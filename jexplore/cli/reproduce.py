@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.compare import FINISHING, finish_comparison, run_with_bar, show_finished
-from jexplore.cli.options import EngineName, OutFolder, is_small
+from jexplore.cli.options import EngineName, OutFolder, fields_of, is_small
 from jexplore.cli.output.console import Out, note_if_slow
 from jexplore.config import Lidar, Rules
 
@@ -59,12 +59,7 @@ class Reproduce:
         with Out(self, "reproduce") as out:
             jobs = reproduction.prepare_paper(
                 self.paper,
-                maps=self.maps,
-                episodes=self.episodes,
-                seed=self.seed,
-                cell_m=self.cell_m,
-                lidar=self.lidar,
-                rules=self.rules,
+                **fields_of(self, "maps episodes seed cell_m lidar rules"),
             )
             ran = run_with_bar(self, jobs, out)
             if ran is None:

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
-from jexplore.cli.options import OutFolder, OwnModel, OwnNames
+from jexplore.cli.options import OutFolder, OwnModel, OwnNames, fields_of
 from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.config import Lidar, Rules
 
@@ -73,11 +73,7 @@ class Train:
                 worlds,
                 watched,
                 numbers_of(self.set),
-                rounds=self.rounds,
-                check_every=self.check_every,
-                patience=self.patience,
-                starts=self.starts,
-                seed=self.seed,
+                **fields_of(self, "rounds check_every patience starts seed"),
                 model=None if self.model is None else load_model(self.model),
             )
             ledger = out.keep(training.asked(plan), plan.units)

@@ -47,7 +47,6 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 15
     Equal figures give equal files. A PDF holds its fonts as outlines that can be edited (TrueType).
 
     Args:
-      figure: the figure.
       path: the file; without an ending it is a PNG.
       dpi: pixels an inch, of pixels and of what a vector has of them.
 
@@ -121,10 +120,8 @@ def bars(ax: Axes, labels: Sequence[str], means: Any, sds: Any, title: str = "",
     """Draw mean path lengths as bars with whiskers of one standard deviation and numbers next to them, first on top.
 
     Args:
-      ax: the axes.
       labels: `[K]` texts.
       means, sds: `[K]` metres; a NaN mean leaves a gap marked "no data", a NaN or zero sd has no whisker.
-      title: of the axes.
       styles: `[K]` dicts of bar properties (`facecolor`, `hatch`); by default the palette in order.
       at: `[K]` places on the axis, rising; by default 0 to K - 1.
       thickness: of a bar, on the same scale.
@@ -199,7 +196,6 @@ def draw_path(ax: Axes, rows: Any, cols: Any, cell_m: float, *, width: float = 1
     """Draw the driven path, coloured from start to end by distance driven, the start a ring and the end a cross.
 
     Args:
-      ax: the axes.
       rows, cols: `[N]` cells in the order driven, N >= 1.
       cell_m: edge of a cell, metres.
       width: of the line, points.
@@ -241,7 +237,6 @@ def draw_rooms(ax: Axes, world: Any, *, numbers: bool = True) -> tuple[Any, list
     """Draw the true floor plan with its rooms in soft colours, and each room's number near its middle.
 
     Args:
-      ax: the axes.
       world: `World`; without rooms its floor stays white.
       numbers: whether to print the numbers.
 
@@ -288,9 +283,6 @@ def paths_figure(entries: Sequence[tuple[str, Sequence[tuple[str, Any, Any, Any,
       entries: one or more `(world name, panels)`; a panel is `(strategy, state, rows, cols, cell_m, path_m)`: the final
         map `[H, W]` uint8, the cells driven `[N]`, the edge of a cell and the path length, metres. Rows may differ in
         length.
-
-    Returns:
-      `Figure`.
     """
     n_cols = max(len(panels) for _, panels in entries)
     sizes = [_panel_in([np.shape(panel[1]) for panel in panels], long_in=3.0) for _, panels in entries]
@@ -323,10 +315,6 @@ def episode_figure(state: Any, rows: Any, cols: Any, cell_m: float, *,
       cell_m: edge of a cell, metres.
       path_m: `[T]` float, path length at each scan, not decreasing.
       known_cells: `[T]` int, cells known after that scan.
-      title: of the figure.
-
-    Returns:
-      `Figure`.
     """
     width, height = _panel_in([np.shape(state)], long_in=5.2)
     figure = Figure(figsize=(width + 4.4, max(height, 3.2) + 0.7), layout="constrained")
@@ -344,7 +332,6 @@ def draw_coverage(ax: Any, path_m: Any, known_m2: Any) -> LineCollection:
     """Draw the known area over path length, in colours like the path, with its share of the final area on the right.
 
     Args:
-      ax: the axes.
       path_m, known_m2: `[T]` metres and square metres, T >= 1.
 
     Returns:
@@ -371,9 +358,6 @@ def worlds_figure(worlds: Sequence[tuple[str, Any]]) -> Figure:
 
     Args:
       worlds: one or more `(name, World)`.
-
-    Returns:
-      `Figure`.
     """
     n_rows, n_cols = _grid(len(worlds))
     shapes = [world.shape for _, world in worlds]

@@ -31,11 +31,7 @@ def draw_segments(ax: Axes, picture: Any) -> AxesImage:
     The paper's variants also show the Voronoi graph as thin lines, critical points as dots.
 
     Args:
-      ax: `Axes`.
       picture: `segmentation.Picture`.
-
-    Returns:
-      The image's artist.
     """
     height, width = picture.label.shape
     count = int(picture.label.max()) + 1
@@ -66,9 +62,6 @@ def rooms_figure(pictures: Sequence[Any], scores: Any) -> Figure:
     Args:
       pictures: list of `segmentation.Picture`.
       scores: `Segmentation.scores`, in the order of the pictures.
-
-    Returns:
-      `Figure`.
     """
     variants = list(dict.fromkeys(picture.variant for picture in pictures))
     n_rows = math.ceil(len(pictures) / len(variants))

@@ -38,7 +38,6 @@ def draw_btm(ax: Axes, btm: BtmMap, *, legend: bool = True) -> list[Line2D]:
 
     Args:
       ax: `Axes`, in metres; its limits are left to matplotlib.
-      btm: `BtmMap`.
       legend: bool, put a legend next to the axes.
 
     Returns:
@@ -90,11 +89,7 @@ def draw_route(ax: Axes, btm: BtmMap, route: Route) -> list[Line2D]:
 
     Args:
       ax: `Axes`, in metres, of `draw_btm`.
-      btm: `BtmMap`.
       route: `Route` over it.
-
-    Returns:
-      Handles for a legend.
     """
     places, handles = {node.id: (node.x_m, node.y_m) for node in btm.nodes}, []
     lines = _lines(btm, places)
@@ -139,7 +134,6 @@ def draw_trail(ax: Axes, trail: ArrayLike, modes: ArrayLike, mode_names: Sequenc
       ax: `Axes`, in metres.
       trail: `[T, 3]` x and y, metres, and heading, which is not drawn.
       modes: `[T]` int, index into `mode_names`: of the piece that leads to this pose.
-      mode_names: list of text.
 
     Returns:
       Handles for a legend: the modes that occur, and the two marks.
@@ -165,8 +159,6 @@ def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2
     """Draw the body's inclination over the driven way; lines with ids mark where it first came to the nodes.
 
     Args:
-      ax: `Axes`.
-      btm: `BtmMap`.
       trail: `[T, 3]` x and y, metres, and heading; T >= 1.
       pitch_deg: `[T]` degrees.
 
@@ -231,18 +223,12 @@ def trace_figure(
     """Draw a page with the building, the run through it and the resulting map.
 
     Args:
-      btm: `BtmMap`.
       walls: `[S, 4]` x and y of either end, metres, of the true building; None leaves it out.
       trail: `[T, 3]` x and y, metres, and heading.
       points: `[P, 2]` points of scans, metres; None leaves them out.
       modes: `[T]` int, index into `mode_names`.
-      mode_names: list of text.
-      title: of the page.
       pitch_deg: `[T]` inclination of the body, degrees: a panel below the map. None for none.
       route: a `Route` over the map, drawn with it. None for none.
-
-    Returns:
-      `Figure`.
 
     Source:
       The resulting map of Mano et al., whose figure is lost: drawn after its description.

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from jexplore.cli.options import EngineName, OneStrategy, OneWorld, OutFolder
+from jexplore.cli.options import EngineName, OneStrategy, OneWorld, OutFolder, fields_of
 from jexplore.cli.output.console import Out, compiling, say, working
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
@@ -104,17 +104,9 @@ class Trace:
             noise = self.noise if self.noise_m is None else dataclasses.replace(self.noise, range_m=self.noise_m)
             plan = prepare_trace(
                 self.world,
-                robot=self.robot,
-                runs=self.runs,
-                starts=self.starts,
-                seed=self.seed,
-                tuning=self.tuning,
+                **fields_of(self, "robot runs starts seed tuning"),
                 noise=noise,
-                start=self.start,
-                sweep=self.sweep,
-                settings=self.settings,
-                cell_m=self.cell_m,
-                max_steps=self.max_steps,
+                **fields_of(self, "start sweep settings cell_m max_steps"),
                 attributes=self.attribute,
                 nodes=self.nodes,
                 links=self.links,
@@ -227,10 +219,7 @@ def _trace_episode(out, options, arguments):
         found = extraction.extracted(
             options.world,
             options.strategy,
-            seed=options.seed,
-            cell_m=options.cell_m,
-            clutter_m=options.clutter_m,
-            tuning=options.tuning,
+            **fields_of(options, "seed cell_m clutter_m tuning"),
         )
     pictures = {"btm.png": lambda path: plot.save_figure(found.figure(), path)}
     text = trace_tables.map_tables(found.map) + "\n" + "\n".join(found.agreement())

@@ -26,7 +26,6 @@ def map_page(kind: str, title: str, data: Any, scripts: Sequence[str], **parts: 
 
     Args:
       kind: "station" or "trace": names the body and the style.
-      title: text.
       data: for the scripts, plain JSON types.
       scripts: names of files, in order; they follow replay.js and tracemap.js in one scope.
       **parts: HTML of the body by name.
@@ -48,9 +47,6 @@ def assembled(template: str, **parts: str) -> str:
       template: name of the file.
       **parts: HTML by name, inserted as it is. Any other name is that of another file of this folder, filled in the
         same way.
-
-    Returns:
-      The page, text.
     """
 
     def fill(match):

@@ -37,19 +37,14 @@ def report_page(
     written in any encoding.
 
     Args:
-      title: of the page.
       asked: name -> value, nested: settings, versions. `command`, a text or a list of words, stands above all else; the
         rest is folded, at the end.
       tables: pairs of a heading and a table as the terminal has it, by `aligned_table`; or a DataFrame, whose index is
         not shown, a list of mappings with the same keys, or of rows the first of which has the names of the columns.
       figures: name, the bytes of a PNG or SVG file, and a caption.
-      replays: list of `ReplayData`.
       warnings: lines.
       notes: lines about the replays.
       max_bytes: of the page.
-
-    Returns:
-      The page, text.
 
     Raises:
       ValueError: a figure that is neither PNG nor SVG, or a page that is too large without any replay.

@@ -42,13 +42,9 @@ def station_page(title: str, panels: Sequence[MapPanel], robots: Sequence[Body],
     What the given robots may not use is found here; for a robot that is typed in the page repeats the comparisons.
 
     Args:
-      title: of the page.
       panels: one or more; the first is shown large.
       robots: those that can be chosen by name.
       notes: sentences, such as what the maps say differently.
-
-    Returns:
-      The page, text.
     """
     writers = list(dict.fromkeys(writer for panel in panels for writer in sources_of(panel.map, panel.name)))
     data = {

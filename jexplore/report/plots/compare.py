@@ -90,7 +90,6 @@ def draw_ratios(ax: Axes, estimates: Estimates, looks: Sequence[dict[str, Any]],
     The axis shows all ratios; an interval that goes on beyond it ends in an arrow head.
 
     Args:
-      ax: the axes.
       estimates: ratios and intervals, in order of the rows.
       looks: K dicts of line properties.
       points: K arrays of single ratios, drawn pale; by default none.
@@ -120,7 +119,6 @@ def draw_panel(ax: Axes, panel: ComparisonPanel, strategies: Sequence[str]) -> l
     """Draw the left part of a panel alone, with the names of the strategies.
 
     Args:
-      ax: the axes.
       panel: numbers of K strategies.
       strategies: `[K]` names.
 
@@ -143,9 +141,6 @@ def comparison_figure(panels: Sequence[ComparisonPanel], strategies: Sequence[st
     Args:
       panels: one or more.
       strategies: `[K]` names, the reference first.
-
-    Returns:
-      `Figure`.
 
     Source:
       Holz et al. 2010, Figure 8, shows means and standard deviations. Changed: every episode, intervals, paired ratios.

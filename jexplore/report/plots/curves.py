@@ -66,9 +66,6 @@ def coverage_curves_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> 
 
     Args:
       entries: one or more `(world, {strategy: progress})`, progress `[N, M]` as in `draw_progress`.
-
-    Returns:
-      `Figure`.
     """
     strategies = list(dict.fromkeys(name for _, known in entries for name in known))
     looks, lines = looks_of(strategies), {}
@@ -125,9 +122,6 @@ def profile_curves_figure(table: Any, *, over: str = "best") -> Figure:
     Args:
       table: columns `strategy`, `ratio`, `share`, `low`, `high`, from `aggregate.profiles`; one row or more.
       over: denominator of the ratios, for the label: "best" or "first".
-
-    Returns:
-      `Figure`.
 
     Source:
       Dolan and More 2002.

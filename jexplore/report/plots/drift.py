@@ -42,15 +42,11 @@ def draw_curve(ax: Axes, table: Any, name: str, colour: str, *, scale: float = 1
     """Draw a measure over the values of one error, in a band from low to high.
 
     Args:
-      ax: `Axes`.
       table: columns `value`, `name`, `name_low`, `name_high`; values rise.
       name: of the measure.
       colour: of the line.
       scale: by which the measure is multiplied, 100 for per cent.
       label: for a legend.
-
-    Returns:
-      The `Line2D`.
     """
     x = table["value"].to_numpy(float)
     low, high = (scale * table[f"{name}_{end}"].to_numpy(float) for end in ("low", "high"))
@@ -74,9 +70,6 @@ def drift_figure(summary: Any, pictures: Pictures | None = None) -> Figure:
     Args:
       summary: columns as of `studies.traces.drift.summarised`, one row or more.
       pictures: `Pictures`; None leaves them out.
-
-    Returns:
-      `Figure`.
     """
     errors = list(dict.fromkeys(summary["error"]))
     width, below = max(PANEL_IN[0] * len(errors) + 0.6, 6.4), 0.0

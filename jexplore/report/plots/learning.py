@@ -15,9 +15,6 @@ def training_figure(curve: Any, best: int) -> Figure:
     Args:
       curve: table with the columns `round`, `ratio` and `validation`.
       best: the round of the best check.
-
-    Returns:
-      `Figure`.
     """
     page = Figure(figsize=(6.4, 3.6), layout="constrained")
     ax = page.add_subplot()
@@ -38,9 +35,6 @@ def dependence_figure(table: Any) -> Figure:
 
     Args:
       table: from `learn.dependence.dependence`.
-
-    Returns:
-      `Figure`.
     """
     spread = table.groupby("feature")["score"].agg(lambda a: a.max() - a.min()).sort_values(ascending=False)
     rows = -(-len(spread) // FEATURES_ACROSS)

@@ -103,7 +103,6 @@ def ratio_scale(ax: Any, name: str, low: float, high: float) -> None:
     """Make an axis logarithmic, from `low` to `high`, with round numbers.
 
     Args:
-      ax: the axes.
       name: "x" or "y".
       low, high: positive, low < high.
     """

@@ -21,9 +21,6 @@ def league_figure(table: "pd.DataFrame") -> Figure:
 
     Args:
       table: from `league.standings`.
-
-    Returns:
-      `Figure`.
     """
     kinds = [name for name in table.columns if name.startswith("ratio of ")]
     at = np.arange(len(table))
@@ -66,9 +63,6 @@ def papers_figure(tables: "pd.DataFrame", short: Mapping[str, str]) -> Figure:
     Args:
       tables: columns `environment`, `world`, `strategy`, `mean`, `sd`, `paper_mean`, `paper_sd`; one row or more.
       short: `{strategy: label}`, in the order of colours.
-
-    Returns:
-      `Figure`.
 
     Source:
       Holz et al. 2010, Figure 8. Changed: the bars lie, and the paper's own stand below ours.

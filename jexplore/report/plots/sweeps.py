@@ -49,7 +49,6 @@ def draw_response(ax: Axes, x: Any, estimate: Any, low: Any, high: Any, look: Ma
     """Draw one strategy's line over a setting, with an interval at every value.
 
     Args:
-      ax: the axes.
       x: `[K]` float, rising.
       estimate: `[K]` float; NaN breaks the line.
       low, high: `[K]` float; NaN has no interval.
@@ -78,9 +77,6 @@ def response_curves_figure(
       label: of the estimates.
       ratio: bool, estimates are ratios: a logarithmic axis with a line at 1.
       averaged: name of the averaged settings: a line above the panels.
-
-    Returns:
-      `Figure`.
     """
     worlds, strategies = (list(dict.fromkeys(table[key])) for key in ("world", "strategy"))
     levels = _levels(table[setting])
@@ -131,14 +127,10 @@ def draw_heat(ax: Axes, values: Any, norm: Normalize, *, ratio: bool, decimals: 
     """Draw a matrix as colours with its numbers, if it is small: bright is long, or blue below and red above 1.
 
     Args:
-      ax: the axes.
       values: `[R, C]` float, row 0 at the bottom; NaN stays white.
       norm: of the colours.
       ratio: whether the numbers are ratios.
       decimals: of the numbers.
-
-    Returns:
-      The image.
     """
     values = np.asarray(values, np.float64)
     image = ax.imshow(values, origin="lower", aspect="auto", cmap=RATIOS if ratio else LENGTHS, norm=norm)
@@ -173,9 +165,6 @@ def heat_maps_figure(
       label: of the estimates.
       ratio: bool, estimates are ratios: blue below 1, red above.
       averaged: name of the averaged settings: a line above the panels.
-
-    Returns:
-      `Figure`.
     """
     worlds, strategies = (list(dict.fromkeys(table[key])) for key in ("world", "strategy"))
     across, up = _levels(table[x]), _levels(table[y])

@@ -23,14 +23,7 @@ STEP_LOOKS = (
 
 
 def bounds_figure(found: Any) -> Figure:
-    """Draw the walks of the first starts, with the cells that make their lower bounds, on the true floor plans.
-
-    Args:
-      found: `Bounds`.
-
-    Returns:
-      `Figure`.
-    """
+    """Draw the walks of the first starts, with the cells that make their lower bounds, on the true floor plans."""
     maps = {str(world.name): world for world in found.worlds}
     rows = found.table.to_dict("records")[:MAX_PANELS]
     page, n_cols = panels_page(len(rows))
@@ -62,9 +55,6 @@ def waste_figure(entries: Sequence[tuple[str, Any, Any, Any, float]]) -> Figure:
 
     Args:
       entries: `(title, occupied, way, kinds, cell_m)`: `[H, W]` bool, `[n + 1, 2]` int cells, `[n]` int kinds of steps.
-
-    Returns:
-      `Figure`; of more than `MAX_PANELS` entries it shows the first ones.
     """
     entries = list(entries)[:MAX_PANELS]
     page, n_cols = panels_page(len(entries))
