@@ -133,8 +133,6 @@ def require_number(
     """Refuse `value` unless it is a finite number within the bounds.
 
     Args:
-      name: what the user calls it, for the message.
-      value: the number.
       low, high: bounds, inclusive unless `low_open` / `high_open`.
 
     Raises:

@@ -27,7 +27,6 @@ def read_stub(module: str, stub: str) -> Lazy:
 
     Args:
       module: name of the module that is given the names, such as `jexplore`.
-      stub: name of the stub, a file next to this one.
 
     Returns:
       `Lazy`. Its `get` raises `AttributeError` for other names, and for those of extras that cannot be loaded.

@@ -78,7 +78,7 @@ def test_styles_differ_and_do_not_depend_on_what_follows():
     ],
 )
 def test_wrapped(text, width, lines, expected):
-    assert plot.wrapped(text, width, max_lines=lines) == expected
+    assert plot.wrapped_text(text, width, max_lines=lines) == expected
 
 
 def test_map_by_pixels(ax):

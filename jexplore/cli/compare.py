@@ -218,7 +218,6 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequenc
 
     Args:
       options: of the command.
-      jobs: to be run.
       starts: that are bounded afterwards; the last units of the run.
     """
     from jexplore.engine.backend import use_compilation_cache
@@ -252,7 +251,6 @@ def show_finished(
     Args:
       tables: called with the results and the content of run.json.
       figures: called with the results and whether they are a league's, as for `finish_comparison`.
-      jobs: of the run, for a report; None for none.
     """
     from jexplore.studies.results import saving
     from jexplore.studies.results.loading import load, record_of
@@ -278,10 +276,8 @@ def finish_comparison(
     """Write, print and draw the common output of comparisons and reproductions; return the exit status.
 
     Args:
-      text: the tables.
       figures: `{name: function}`, which draws it.
       record: called with more entries of run.json, returns all.
-      jobs: of the run, for a report; None for none.
       more: files besides: name -> what writes it.
     """
     from jexplore.studies.results import saving

@@ -62,10 +62,7 @@ class Explore:
             measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
             times = {"compile_s": found.compile_s, "run_s": found.run_s}
             record = out.record(arguments, self, result=measures, worlds=[describe(found.world)], **times)
-            lines = [
-                f"{name:<18} " + ("-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value))
-                for name, value in measures.items()
-            ]
+            lines = [f"{name:<18} {_text(value)}" for name, value in measures.items()]
             if found.final.plans is None:
                 lines.append(f"warning: an episode of {found.measures['plans']} plans cannot be replayed: no animation")
             return out.finish(record, {}, "\n".join(lines), self._pictures(out, found, record))
@@ -74,6 +71,7 @@ class Explore:
         """Return pictures, animation and page: name -> writer."""
         from jexplore.exploration.results import map_state, to_occupancy
         from jexplore.report import plot
+        from jexplore.report.tables import aligned_table
         from jexplore.studies.replays import replay_of
         from jexplore.studies.results.report import write_report
         from jexplore.worlds.readers.ros import write_ros
@@ -87,8 +85,11 @@ class Explore:
 
         def page(path):
             replays = [] if found.final.plans is None else [replay_of(found)]
-            tables = [("What it measured", [["", ""], *([name, value] for name, value in record["result"].items())])]
-            write_report(path, "jexplore explore", record, tables, [out.run.path / "episode.png"], replays)
+            rows = [[name, _text(value)] for name, value in record["result"].items()]
+            table = aligned_table(["measure", "value"], rows, left=["measure"])
+            write_report(
+                path, "jexplore explore", record, [("What it measured", table)], [out.run.path / "episode.png"], replays
+            )
 
         def explored(path):
             final, world = found.final, found.world
@@ -99,3 +100,7 @@ class Explore:
         if found.final.plans is not None:
             writers["episode.gif"] = animation
         return writers | ({"report.html": page} if self.report else {})
+
+
+def _text(value):
+    return "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)

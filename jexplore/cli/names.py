@@ -44,10 +44,6 @@ _FOREIGN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?=$|[
 def check_names(command: str, options: Any) -> None:
     """Refuse names, files and numbers among a command's options that can stand for nothing.
 
-    Args:
-      command: its name.
-      options: the record of its options.
-
     Raises:
       InputError: naming the first one, and what would be right.
     """

@@ -128,13 +128,6 @@ def option_names(kind: type, prefix: str = "--") -> list[str]:
 def parse_options(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
     """Parse the command line into a command's record and its options.
 
-    Args:
-      arguments: list of text, the command first.
-      commands: name -> class of its options.
-
-    Returns:
-      A record of one of these classes.
-
     Raises:
       InputError: an unknown command or option, one that is repeated, a value of the wrong kind or out of bounds.
       SystemExit: with status 0, once help has been printed.
@@ -198,7 +191,7 @@ _REGISTRY = ConstructorRegistry()
 
 @_REGISTRY.primitive_rule
 def _numbers(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """Read an integer or a number, and say so where it is none."""
+    """Read an integer or another number; the message of a wrong one says which."""
     if info.type not in (int, float):
         return None
 

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from jexplore.report.plot import PALETTE, wrapped
+from jexplore.report.plot import PALETTE, wrapped_text
 from jexplore.tracemap.record import NODE_TYPES, NOWHERE, BtmMap
 from jexplore.tracemap.route import Route
 
@@ -254,7 +254,7 @@ def trace_figure(
     ax.set_ylabel("y (m)", fontsize=8)
     ax.tick_params(labelsize=8)
     if title:
-        ax.set_title(wrapped(title, int(11 * width), max_lines=2), fontsize=10, parse_math=False)
+        ax.set_title(wrapped_text(title, int(11 * width), max_lines=2), fontsize=10, parse_math=False)
     if handles:
         page.legend(handles=handles, loc="outside right upper", fontsize=8, frameon=False)
     if pitched:

@@ -44,7 +44,6 @@ def assembled(template: str, **parts: str) -> str:
     """Fill in a file of this folder at the names in double braces.
 
     Args:
-      template: name of the file.
       **parts: HTML by name, inserted as it is. Any other name is that of another file of this folder, filled in the
         same way.
     """

@@ -18,8 +18,6 @@ def packed_numbers(values: Any, step: float = 1.0, name: str = "values") -> dict
 
     Args:
       values: numbers of any shape. An infinity below 0 becomes NaN.
-      step: resolution.
-      name: for the error.
 
     Returns:
       A dict for JSON: `type` ("i2" or "i4"), `step`, `shape`, `base64`.
@@ -78,7 +76,6 @@ def change(image: np.ndarray, found: bytes) -> None:
 
     Args:
       image: `[..., ]` uint8, contiguous.
-      found: bytes.
     """
     flat, at, gap, shift = image.reshape(-1), 0, 0, 0
     fresh = iter(found)

@@ -2,7 +2,6 @@
 
 import json
 import math
-import numbers
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -22,7 +21,7 @@ MANY_FRAMES = 300
 def report_page(
     title: str,
     asked: Mapping[str, Any],
-    tables: Iterable[tuple[str, Any]] = (),
+    tables: Iterable[tuple[str, str]] = (),
     figures: Iterable[tuple[str, bytes, str]] = (),
     replays: Sequence[ReplayData] = (),
     warnings: Iterable[str] = (),
@@ -39,12 +38,8 @@ def report_page(
     Args:
       asked: name -> value, nested: settings, versions. `command`, a text or a list of words, stands above all else; the
         rest is folded, at the end.
-      tables: pairs of a heading and a table as the terminal has it, by `aligned_table`; or a DataFrame, whose index is
-        not shown, a list of mappings with the same keys, or of rows the first of which has the names of the columns.
+      tables: pairs of a heading and a table as the terminal has it, by `aligned_table`.
       figures: name, the bytes of a PNG or SVG file, and a caption.
-      warnings: lines.
-      notes: lines about the replays.
-      max_bytes: of the page.
 
     Raises:
       ValueError: a figure that is neither PNG nor SVG, or a page that is too large without any replay.
@@ -136,24 +131,8 @@ def _tables(tables):
     return f"<section><h2>Tables</h2>{''.join(made)}</section>" if made else ""
 
 
-def _cells(found):
-    """Return names of the columns, rows of texts, and which columns are aligned to the right."""
-    if isinstance(found, str):
-        return table_cells(found)
-    if hasattr(found, "columns"):  # a DataFrame
-        head, rows = list(found.columns), list(found.itertuples(index=False, name=None))
-    else:
-        rows = list(found)
-        is_mappings = bool(rows) and isinstance(rows[0], Mapping)
-        head = list(rows[0]) if rows else []
-        rows = [list(row.values()) for row in rows] if is_mappings else rows[1:]
-    rows = [[_plain_value(cell) for cell in row] for row in rows]
-    is_right = [all(_is_number(row[i]) or row[i] is None for row in rows) for i in range(len(head))]
-    return [str(name).replace("_", " ") for name in head], [[_text(cell) for cell in row] for row in rows], is_right
-
-
 def _table(heading, found):
-    head, rows, is_right = _cells(found)
+    head, rows, is_right = table_cells(found)
     kept = rows[:MAX_SHOWN_ROWS]
 
     def line(tag, cells):
@@ -165,18 +144,6 @@ def _table(heading, found):
     more = f'<p class="soft">The first {MAX_SHOWN_ROWS} of {len(rows)} rows.</p>' if len(rows) > len(kept) else ""
     region = f'<div class="table" tabindex="0" role="region" aria-label="{html_text(heading)}">'
     return f"{region}<table><thead>{names}</thead><tbody>{body}</tbody></table></div>{more}"
-
-
-def _plain_value(value):
-    """Return a number, a truth value, text or None."""
-    value = value.item() if hasattr(value, "item") else value
-    if value is None or type(value).__name__ in ("NAType", "NaTType") or (isinstance(value, float) and value != value):
-        return None
-    return value if isinstance(value, (bool, numbers.Real)) else str(value)
-
-
-def _is_number(value):
-    return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
 def _text(value):

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jexplore.report.plot import wrapped
+from jexplore.report.plot import wrapped_text
 from jexplore.report.plots.looks import FONT, GREY, looks_of, plain_axes, ratio_range, ratio_scale
 
 GOLDEN_RATIO_PART = 0.6180339887
@@ -49,9 +49,6 @@ def draw_points(ax: Axes, points: Sequence[Any], estimates: Estimates, looks: Se
 
     Args:
       ax: the axes; their y axis gets a row a strategy, without labels.
-      points: K arrays of numbers, in order of the rows.
-      estimates: their means and intervals.
-      looks: K dicts of line properties, from `looks_of`.
       ended_well: K bool arrays: other numbers are crosses; by default all are dots.
 
     Returns:
@@ -91,7 +88,6 @@ def draw_ratios(ax: Axes, estimates: Estimates, looks: Sequence[dict[str, Any]],
 
     Args:
       estimates: ratios and intervals, in order of the rows.
-      looks: K dicts of line properties.
       points: K arrays of single ratios, drawn pale; by default none.
 
     Returns:
@@ -118,17 +114,13 @@ def _beyond(ax, estimates, low, high):
 def draw_panel(ax: Axes, panel: ComparisonPanel, strategies: Sequence[str]) -> list[Any]:
     """Draw the left part of a panel alone, with the names of the strategies.
 
-    Args:
-      panel: numbers of K strategies.
-      strategies: `[K]` names.
-
     Returns:
       K error bars (`ErrorbarContainer`), None without a mean.
     """
     bars = _left(ax, panel, list(looks_of(strategies).values()))
-    ax.set_yticks(range(len(strategies)), [wrapped(name, LABEL_CHARS) for name in strategies])
+    ax.set_yticks(range(len(strategies)), [wrapped_text(name, LABEL_CHARS) for name in strategies])
     ax.set_xlabel(panel.label)
-    ax.set_title(wrapped(panel.title, 62, max_lines=2), fontsize=9, loc="left").set_parse_math(False)
+    ax.set_title(wrapped_text(panel.title, 62, max_lines=2), fontsize=9, loc="left").set_parse_math(False)
     plain_axes(ax, grid="x")
     return bars
 
@@ -139,13 +131,12 @@ def comparison_figure(panels: Sequence[ComparisonPanel], strategies: Sequence[st
     Strategies stand in the order given in every panel; one that did not run in a world leaves its row empty.
 
     Args:
-      panels: one or more.
       strategies: `[K]` names, the reference first.
 
     Source:
       Holz et al. 2010, Figure 8, shows means and standard deviations. Changed: every episode, intervals, paired ratios.
     """
-    labels = [wrapped(name, LABEL_CHARS) for name in strategies]
+    labels = [wrapped_text(name, LABEL_CHARS) for name in strategies]
     looks = list(looks_of(strategies).values())
     n_cols = 1 if len(panels) <= ONE_COLUMN_PANELS else 2
     n_rows = math.ceil(len(panels) / n_cols)
@@ -167,7 +158,7 @@ def comparison_figure(panels: Sequence[ComparisonPanel], strategies: Sequence[st
             left.set_yticklabels([])
         same_below = not lowest and panels[number + n_cols].label == panel.label
         left.set_xlabel("" if same_below else panel.label)
-        right.set_xlabel(wrapped(f"ratio to {strategies[0]}", 34, max_lines=2) if lowest else "")
+        right.set_xlabel(wrapped_text(f"ratio to {strategies[0]}", 34, max_lines=2) if lowest else "")
         plain_axes(right, grid="x")
     _legend(page, panels)
     return page

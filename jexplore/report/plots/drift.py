@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from jexplore.report.plot import PALETTE, wrapped
+from jexplore.report.plot import PALETTE, wrapped_text
 from jexplore.report.plot_traces import WALL, draw_btm
 from jexplore.report.plots.looks import FONT, plain_axes
 from jexplore.tracemap.record import BtmMap
@@ -43,10 +43,6 @@ def draw_curve(ax: Axes, table: Any, name: str, colour: str, *, scale: float = 1
 
     Args:
       table: columns `value`, `name`, `name_low`, `name_high`; values rise.
-      name: of the measure.
-      colour: of the line.
-      scale: by which the measure is multiplied, 100 for per cent.
-      label: for a legend.
     """
     x = table["value"].to_numpy(float)
     low, high = (scale * table[f"{name}_{end}"].to_numpy(float) for end in ("low", "high"))
@@ -69,7 +65,6 @@ def drift_figure(summary: Any, pictures: Pictures | None = None) -> Figure:
 
     Args:
       summary: columns as of `studies.traces.drift.summarised`, one row or more.
-      pictures: `Pictures`; None leaves them out.
     """
     errors = list(dict.fromkeys(summary["error"]))
     width, below = max(PANEL_IN[0] * len(errors) + 0.6, 6.4), 0.0
@@ -86,7 +81,7 @@ def drift_figure(summary: Any, pictures: Pictures | None = None) -> Figure:
         draw_curve(column[1], own, "node_error_m", BTM)
         draw_curve(column[2], own, "on_wall", GRID, scale=100, label="cells on a true wall")
         draw_curve(column[2], own, "doubled", TWICE, scale=100, label="wall drawn twice")
-        column[2].set_xlabel(wrapped(ERROR_NAMES.get(error, error), 26), fontsize=FONT)
+        column[2].set_xlabel(wrapped_text(ERROR_NAMES.get(error, error), 26), fontsize=FONT)
         for ax in column:
             plain_axes(ax, grid="y")
             ax.tick_params(labelsize=7)
@@ -124,4 +119,4 @@ def _draw_pair(page, pictures):
         ax.tick_params(labelsize=7)
         ax.set_title(title, fontsize=9)
     axes[0].set_ylabel("y (m)", fontsize=FONT)
-    page.suptitle(wrapped(f"one run: {pictures.title}", 90, max_lines=2), fontsize=9, parse_math=False)
+    page.suptitle(wrapped_text(f"one run: {pictures.title}", 90, max_lines=2), fontsize=9, parse_math=False)

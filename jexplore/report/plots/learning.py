@@ -14,7 +14,6 @@ def training_figure(curve: Any, best: int) -> Figure:
 
     Args:
       curve: table with the columns `round`, `ratio` and `validation`.
-      best: the round of the best check.
     """
     page = Figure(figsize=(6.4, 3.6), layout="constrained")
     ax = page.add_subplot()

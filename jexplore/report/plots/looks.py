@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from jexplore.report.plot import PALETTE, wrapped
+from jexplore.report.plot import PALETTE, wrapped_text
 
 COLOURS = (*PALETTE[:6], "#000000")
 """For lines and points: the palette without its yellow and grey, which thin marks on white would lose."""
@@ -74,7 +74,7 @@ def panels_page(count: int) -> tuple[Figure, int]:
 
 def legend_below(figure: Figure, handles: Sequence[Any], labels: Sequence[object]) -> None:
     """Add a legend below the panels, in as many columns as fit; the figure grows by its height."""
-    texts = [wrapped(label, 38, max_lines=2) for label in labels]
+    texts = [wrapped_text(label, 38, max_lines=2) for label in labels]
     longest = max((len(line) for text in texts for line in text.split("\n")), default=1)
     n_cols = max(1, min(len(texts), int(figure.get_figwidth() / (0.068 * longest + 0.55))))
     n_rows = math.ceil(len(texts) / n_cols)

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from jexplore.report.plot import PALETTE, bars, style_of, wrapped
+from jexplore.report.plot import PALETTE, bars, style_of, wrapped_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,7 +77,7 @@ def papers_figure(tables: "pd.DataFrame", short: Mapping[str, str]) -> Figure:
         styles = []
         for strategy in rows["strategy"]:
             styles += [colours[strategy], {**PALE, "edgecolor": colours[strategy]["facecolor"]}]
-        title = f"{name}\n" + wrapped(f"ours in {rows['world'].iloc[0]}", 38, max_lines=2)
+        title = f"{name}\n" + wrapped_text(f"ours in {rows['world'].iloc[0]}", 38, max_lines=2)
         centres = (2 + PAIR_GAP) * np.arange(len(rows))
         at = (centres[:, None] + [-0.5, 0.5]).ravel()
         bars(ax, [""] * len(means), means, sds, title, styles=styles, at=at, thickness=0.92)

@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
-from jexplore.report.plot import wrapped
+from jexplore.report.plot import wrapped_text
 from jexplore.report.plots.looks import (
     FONT,
     GREY,
@@ -52,10 +52,6 @@ def draw_response(ax: Axes, x: Any, estimate: Any, low: Any, high: Any, look: Ma
       x: `[K]` float, rising.
       estimate: `[K]` float; NaN breaks the line.
       low, high: `[K]` float; NaN has no interval.
-      look: line properties, from `looks_of`.
-
-    Returns:
-      The `ErrorbarContainer`.
     """
     estimate, low, high = (np.asarray(part, np.float64) for part in (estimate, low, high))
     ends = np.nan_to_num(np.maximum(np.stack([estimate - low, high - estimate]), 0.0))
@@ -74,7 +70,6 @@ def response_curves_figure(
       table: columns `world`, `strategy`, the setting, `estimate`, `low`, `high`, from `response.response`; one row or
         more.
       setting: name of the column; text or truth values stand side by side in order of first appearance.
-      label: of the estimates.
       ratio: bool, estimates are ratios: a logarithmic axis with a line at 1.
       averaged: name of the averaged settings: a line above the panels.
     """
@@ -98,9 +93,9 @@ def response_curves_figure(
         if len(levels) <= NUMBERS or not is_number:
             ax.set_xticks([place[level] for level in levels], [_text(level) for level in levels])
         ax.set_xlim(min(place.values()) - 0.09 * span, max(place.values()) + 0.09 * span)
-        ax.set_title(wrapped(worlds[number], 44, max_lines=2), fontsize=9)
+        ax.set_title(wrapped_text(worlds[number], 44, max_lines=2), fontsize=9)
         ax.set_xlabel(setting if lowest else "")
-        ax.set_ylabel(wrapped(label, 40, max_lines=2) if number % n_cols == 0 else "")
+        ax.set_ylabel(wrapped_text(label, 40, max_lines=2) if number % n_cols == 0 else "")
         plain_axes(ax, grid="both")
     legend_below(page, [lines[name] for name in lines], list(lines))
     _above(page, averaged)
@@ -109,7 +104,7 @@ def response_curves_figure(
 
 def _above(page, text):
     if text:
-        text = wrapped(text, int(12 * page.get_figwidth()), max_lines=3)
+        text = wrapped_text(text, int(12 * page.get_figwidth()), max_lines=3)
         page.suptitle(text, fontsize=FONT, color=GREY, parse_math=False)
 
 
@@ -128,9 +123,6 @@ def draw_heat(ax: Axes, values: Any, norm: Normalize, *, ratio: bool, decimals: 
 
     Args:
       values: `[R, C]` float, row 0 at the bottom; NaN stays white.
-      norm: of the colours.
-      ratio: whether the numbers are ratios.
-      decimals: of the numbers.
     """
     values = np.asarray(values, np.float64)
     image = ax.imshow(values, origin="lower", aspect="auto", cmap=RATIOS if ratio else LENGTHS, norm=norm)
@@ -162,7 +154,6 @@ def heat_maps_figure(
     Args:
       table: columns `world`, `strategy`, the two settings, `estimate`, from `response.response`; one row or more.
       x, y: names of the columns; every value has a place of its own, whatever lies between.
-      label: of the estimates.
       ratio: bool, estimates are ratios: blue below 1, red above.
       averaged: name of the averaged settings: a line above the panels.
     """
@@ -188,9 +179,9 @@ def heat_maps_figure(
         cells[[up.index(v) for v in own[y]], [across.index(v) for v in own[x]]] = own["estimate"]
         draw_heat(ax, cells, norm, ratio=ratio, decimals=decimals)
         _ticks(ax, across, up, int(wide / 0.42), int(tall / 0.24))
-        ax.set_title(wrapped(strategies[place], int(12 * wide), max_lines=2), fontsize=9)
+        ax.set_title(wrapped_text(strategies[place], int(12 * wide), max_lines=2), fontsize=9)
         ax.set_xlabel(x if line // n_lines == len(worlds) - 1 and place + n_cols >= len(strategies) else "")
-        ax.set_ylabel(f"{wrapped(world, int(10 * tall), max_lines=2)}\n{y}" if col == 0 else "")
+        ax.set_ylabel(f"{wrapped_text(world, int(10 * tall), max_lines=2)}\n{y}" if col == 0 else "")
         plain_axes(ax)
         ax.spines[:].set_visible(False)
     colours = ScalarMappable(norm, RATIOS if ratio else LENGTHS)

@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jexplore.report.plot import draw_map, draw_path, scale_bar, wrapped
+from jexplore.report.plot import draw_map, draw_path, scale_bar, wrapped_text
 from jexplore.report.plots.looks import legend_below, panels, panels_page
 
 MAX_PANELS = 12
@@ -38,7 +38,7 @@ def bounds_figure(found: Any) -> Figure:
         style: Any = {"ls": "none", "marker": "D", "ms": 3.5, "mfc": WITNESS_COLOUR, "mec": "white", "mew": 0.5}
         handles = [*handles, *ax.plot(at[:, 1], at[:, 0], zorder=5, **style)]
         scale_bar(ax)
-        ax.set_title(f"{wrapped(row['world'], 40, max_lines=2)}\n{_between(row)}", fontsize=8, parse_math=False)
+        ax.set_title(f"{wrapped_text(row['world'], 40, max_lines=2)}\n{_between(row)}", fontsize=8, parse_math=False)
     legend_below(page, handles, BOUNDS_LABELS[: len(handles)])
     return page
 
@@ -70,7 +70,7 @@ def waste_figure(entries: Sequence[tuple[str, Any, Any, Any, float]]) -> Figure:
             )
         start = ax.plot(*at[0], "o", ms=6, mfc="white", mec="black", mew=1.4, ls="none", zorder=7)
         scale_bar(ax)
-        ax.set_title(wrapped(title, 44, max_lines=2), fontsize=8, parse_math=False)
+        ax.set_title(wrapped_text(title, 44, max_lines=2), fontsize=8, parse_math=False)
     lines = [Line2D([], [], color=colour, linewidth=2) for colour, _ in STEP_LOOKS]
     legend_below(page, [*lines, *start], [*(what for _, what in STEP_LOOKS), "start"][: len(lines) + len(start)])
     return page
