@@ -18,7 +18,7 @@ from jexplore.cli.compare import Compare
 from jexplore.cli.explore import Explore
 from jexplore.cli.listings import Strategies, Worlds
 from jexplore.cli.names import check_names
-from jexplore.cli.options import completion_text, help_text, parse_options
+from jexplore.cli.options import help_text, parse_options
 from jexplore.cli.output.console import INTERRUPTED, say
 from jexplore.cli.output.signals import Signals
 from jexplore.cli.output.terminal import plain_warnings
@@ -125,8 +125,6 @@ def _dispatch(arguments, signals):
         print(help_text(COMMANDS), end="")
     elif arguments[0] == "--version":
         print(f"jexplore {__version__}")
-    elif arguments[0] == "--completion":
-        print(completion_text(COMMANDS), end="")
     else:
         try:
             options = parse_options(arguments, COMMANDS)

@@ -73,8 +73,7 @@ def help_text(commands: Mapping[str, type]) -> str:
     lines += ["A laboratory for mobile-robot exploration.", "", "commands:"]
     lines += [f"  {name:<12}{(command.__doc__ or '').splitlines()[0]}" for name, command in commands.items()]
     lines += ["", "options:", "  -h, --help  Show this, or the options of a command: jexplore compare --help."]
-    lines += ["  --version   Show the version."]
-    return "\n".join([*lines, "  --completion  Print what completes commands and options in bash and zsh.", ""])
+    return "\n".join([*lines, "  --version   Show the version.", ""])
 
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
@@ -95,34 +94,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "bench": ("bench --quick",),
 }
 """Command -> command lines that its help shows, without the program's name."""
-
-
-def completion_text(commands: Mapping[str, type]) -> str:
-    """Return a script by which bash, and zsh after `bashcompinit`, complete commands, options and files."""
-    cases = "\n".join(f'    {name}) words="{" ".join(option_names(kind))}" ;;' for name, kind in commands.items())
-    return f"""_jexplore() {{
-  local words
-  case ${{COMP_WORDS[1]}} in
-{cases}
-  esac
-  [ "$COMP_CWORD" -gt 1 ] || words="{" ".join(commands)} --help --version --completion"
-  COMPREPLY=($(compgen -W "$words" -- "${{COMP_WORDS[COMP_CWORD]}}"))
-}}
-complete -o default -F _jexplore jexplore
-"""
-
-
-def option_names(kind: type, prefix: str = "--") -> list[str]:
-    """Return the options of a command, in order, those of the records in it as `--lidar.range-m`."""
-    names = []
-    for field in dataclasses.fields(kind):
-        name = prefix + field.name.rstrip("_").replace("_", "-")
-        own = _hints(kind)[field.name]
-        if dataclasses.is_dataclass(own):
-            names += option_names(typing.cast(type, own), f"{name}.")
-        elif tyro.conf.Positional not in getattr(own, "__metadata__", ()):
-            names.append(f"{prefix}no-{field.name.replace('_', '-')}" if field.default is True else name)
-    return names
 
 
 def parse_options(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:

@@ -18,11 +18,7 @@ _RESOLUTION = {  # of the arrays that are no whole numbers
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RunRecording:
-    """RunRecording of a run, frame by frame (N frames), and the map that it left. Numpy arrays, on the host.
-
-    Raises:
-      ValueError: a shape, a type or a number that does not fit.
-    """
+    """A run, frame by frame (N frames, one or more), and the map that it left. Numpy arrays, on the host."""
 
     title: str
     dt_s: float
