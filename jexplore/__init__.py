@@ -10,7 +10,7 @@ Importing this loads neither jax nor numpy; a name is loaded from its module whe
 `__init__.pyi`; those about trace maps are in `jx.btm`.
 """
 
-from jexplore.lazy import read as _read
+from jexplore.lazy import read_stub as _read
 
 _LAZY = _read(__name__, "__init__.pyi")
 __getattr__ = _LAZY.get

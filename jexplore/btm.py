@@ -17,7 +17,7 @@ from flax import struct
 from jax import Array
 
 from jexplore.arrays.loops import settled
-from jexplore.lazy import read as _read
+from jexplore.lazy import read_stub as _read
 from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLE_SHAPES, STATUS, BtmMap, Link, Node, direction_deg
 
 if TYPE_CHECKING:

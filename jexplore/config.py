@@ -23,7 +23,7 @@ GENERATOR = "threefry2x32"  # of random numbers, as JAX names it; its draws are 
 ENGINES = ("auto", "jax")
 SWEEP_ENGINES = (*ENGINES, "ray")  # of a sweep: its units as tasks of a Ray cluster
 MAX_RUNS = 1_000_000  # episodes of one strategy in one world; runs of a trace
-BOUNDS: dict[str, tuple[float, float]] = {
+NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
     "seed": (0, MAX_SEED),
     "episodes": (1, MAX_RUNS),
     "episode": (0, MAX_RUNS - 1),
@@ -68,10 +68,10 @@ def shown(value: Any) -> str:
     except Exception:  # whole numbers of more digits than Python writes out
         text = f"<{type(value).__name__}>"
     text = " ".join(text.split())
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+    return text if len(text) <= _MAX_SHOWN_CHARS else text[: _MAX_SHOWN_CHARS - 3] + "..."
 
 
-_LONGEST = 200  # characters of a value that a message shows
+_MAX_SHOWN_CHARS = 200  # characters of a value that a message shows
 _SHORT = reprlib.Repr()  # stays short and quick however deep and repetitive a value is
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
 
@@ -133,8 +133,6 @@ def require_number(
     """Refuse `value` unless it is a finite number within the bounds.
 
     Args:
-      name: what the user calls it, for the message.
-      value: the number.
       low, high: bounds, inclusive unless `low_open` / `high_open`.
 
     Raises:
@@ -156,12 +154,12 @@ def require_number(
 
 
 def require_setting(name: str, value: Any) -> Any:
-    """Return a number that lies within its `BOUNDS`.
+    """Return a number that lies within its `NUMBER_BOUNDS`.
 
     Raises:
       InputError: not a number, not an integer where it must be one, or outside the bounds.
     """
-    low, high = BOUNDS[name]
+    low, high = NUMBER_BOUNDS[name]
     if isinstance(low, int):
         return require_whole(name, value, low, int(high))
     return require_number(name, value, low=low, high=high)
@@ -240,7 +238,7 @@ def _checked_function(function, own=""):
     return checked
 
 
-ALIKE = 0.65  # share of its letters that a name has in common with one that was meant; resolution and elevation: 0.63
+MIN_NAME_LIKENESS = 0.65  # share of letters in common with the name that was meant; resolution and elevation: 0.63
 _NAMELESS = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.VAR_POSITIONAL)
 
 
@@ -254,7 +252,7 @@ def _unknown_argument(own, name, known, parameters):
     records = {key: parameters[key].default for key in known if dataclasses.is_dataclass(parameters[key].default)}
     inside = {field.name: key for key, record in records.items() for field in dataclasses.fields(record)}
     without_unit = [one for one in (*known, *inside) if one.startswith(f"{name}_")]
-    near = without_unit or difflib.get_close_matches(name, [*known, *inside], n=1, cutoff=ALIKE)
+    near = without_unit or difflib.get_close_matches(name, [*known, *inside], n=1, cutoff=MIN_NAME_LIKENESS)
     meant = [f"{inside[one]}={{{one!r}: ...}}" if one in inside else repr(one) for one in near[:1]]
     hint = f"; did you mean {meant[0]}?" if meant else ""
     return InputError(f"unknown argument of {own}: {name!r}{hint} (there are: {', '.join(known)})")

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 
 class Lazy(NamedTuple):
-    """The names that a module takes from its stub: see `read`."""
+    """The names that a module takes from its stub: see `read_stub`."""
 
     module_of: dict[str, str]
     """Name -> module that has it, without the package's name."""
@@ -22,12 +22,11 @@ class Lazy(NamedTuple):
     """The module's `__getattr__`."""
 
 
-def read(module: str, stub: str) -> Lazy:
+def read_stub(module: str, stub: str) -> Lazy:
     """Read a stub.
 
     Args:
       module: name of the module that is given the names, such as `jexplore`.
-      stub: name of the stub, a file next to this one.
 
     Returns:
       `Lazy`. Its `get` raises `AttributeError` for other names, and for those of extras that cannot be loaded.

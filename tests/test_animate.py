@@ -102,11 +102,10 @@ def test_gif_colours_do_not_flicker(tmp_path):
         assert np.isin(np.unique(picture @ code), np.array(animate._GIF_PALETTE) @ code).all()
 
 
-@pytest.mark.parametrize("as_list", [True, False])
 @pytest.mark.parametrize(("n", "most"), [(1, 5), (5, 5), (6, 5), (11, 5), (64, 5), (7, 1), (40, 2)])
-def test_gif_keeps_few_frames_evenly_and_the_last(n, most, as_list):
+def test_gif_keeps_few_frames_evenly_and_the_last(n, most):
     made = (lambda number=number: number for number in range(n))
-    kept = animate._thinned(list(made) if as_list else made, most)
+    kept = animate._thinned(made, most)
     assert len(kept) == min(n, most)
     assert kept[-1] == n - 1
     assert kept == sorted(set(kept))
@@ -129,7 +128,7 @@ def test_gif_frames_may_share_one_buffer(tmp_path):
     assert counts[0] < counts[-1] / 5
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 700), (900, 3), (1300, 900)])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 700), (1300, 900)])
 def test_gif_of_any_shape(shape):
     state = np.zeros(shape, np.uint8)
     state[-1, -1] = 2

@@ -122,7 +122,7 @@ def test_lanes_and_native_driving_are_measured_as_well(monkeypatch):
         (("--sides", "31"), "sides must be an integer from 32 to 2048, got 31"),
         (("--sides", "2049"), "sides must be an integer from 32 to 2048, got 2049"),
         (("--sides", "64", "64"), "different integers"),
-        (("--sides", "x"), "--sides must be integers"),
+        (("--sides", "x"), "--sides: Could not find valid parse"),
         (("--sides",), "sides must be one or more"),
         (("--episodes", "0"), "episodes must be an integer from 1"),
         (("--repeat", "0"), "repeat must be an integer from 1"),

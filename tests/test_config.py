@@ -4,7 +4,7 @@ import types
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jexplore.config import InputError, Lidar, Rules, as_record, require_kind, require_number, require_whole, shown
@@ -45,6 +45,7 @@ values = st.recursive(
 )
 
 
+@settings(max_examples=30)
 @given(values)
 def test_any_value_is_taken_or_refused_in_one_short_line(value):
     for check in (

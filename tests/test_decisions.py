@@ -16,7 +16,7 @@ from jexplore.learn.decisions import Decisions
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.policies.learned import features, model, networks
 from jexplore.policies.learned.strategy import policy_of
-from jexplore.report.plots import dependence as plots
+from jexplore.report.plots.learning import dependence_figure
 from jexplore.worlds.world import World
 
 WORLDS = ["rooms#1000:width_m=6,height_m=6", "maze#1000:width_m=6,height_m=6"]
@@ -229,7 +229,7 @@ def test_what_a_weighted_sum_says_is_its_weights(env):
     for name, own in table.groupby("feature"):
         i = features.NAMES.index(name)
         np.testing.assert_allclose(own["score"], learned.weights["weights"][i] * (own["value"] - means[i]), atol=1e-4)
-    assert plots.figure(table).axes[0].get_title() == table.loc[table["score"].abs().idxmax(), "feature"]
+    assert dependence_figure(table).axes[0].get_title() == table.loc[table["score"].abs().idxmax(), "feature"]
 
 
 def test_masked_choices_by_hand():

@@ -16,7 +16,7 @@ import yaml
 
 import jexplore as jx
 from jexplore.cli.main import COMMANDS, main
-from jexplore.cli.options import parse
+from jexplore.cli.options import parse_options
 from jexplore.config import InputError
 from jexplore.policies.catalogue import entries
 from jexplore.report.folders import OUR_FILES
@@ -251,7 +251,7 @@ def test_page_of_an_episode_shows_the_whole_example():
 def test_commands_parse(page):
     for words in commands_in(page):
         try:
-            assert isinstance(parse(words, COMMANDS), COMMANDS[words[0]])
+            assert isinstance(parse_options(words, COMMANDS), COMMANDS[words[0]])
         except InputError as error:
             pytest.fail(f"{page}: jexplore {' '.join(words)}: {error}")
 
@@ -343,7 +343,7 @@ def leaves(tree):
 def test_every_option_is_in_the_reference(name, capsys, monkeypatch):
     monkeypatch.setattr(shutil, "get_terminal_size", lambda *_: os.terminal_size((300, 100)))
     with pytest.raises(SystemExit):
-        parse([name, "--help"], COMMANDS)
+        parse_options([name, "--help"], COMMANDS)
     told = set(re.findall(r"│ (--[\w.-]+)", capsys.readouterr().out))
     page = script("generate").commands_page(COMMANDS)
     own = re.search(rf"^## jexplore {name}\n(.*?)(?=^## )", page, re.S | re.M)[1]
@@ -462,7 +462,7 @@ def test_what_draws_a_picture_is_told(name):
     told = [" ".join(text_of(page).replace("\\\n", " ").split()) for page in PAGES]
     assert any(command in text for text in told), command
     if command.startswith("jexplore "):
-        parse(shlex.split(command)[1:], COMMANDS)
+        parse_options(shlex.split(command)[1:], COMMANDS)
 
 
 def test_a_stale_picture_is_found(tmp_path):

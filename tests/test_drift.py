@@ -86,7 +86,7 @@ def test_what_is_summed_up():
 def test_the_figure():
     cells = np.array([[1.0, 1.0], [1.1, 1.0]])
     pictures = plots.Pictures("slip 0.3", np.array([[0.0, -1.0, 5.0, -1.0]]), cells, 0.1, MAP, MAP)
-    page = plots.figure(summarised(table(), AXES, Noise()), pictures)
+    page = plots.drift_figure(summarised(table(), AXES, Noise()), pictures)
     page.draw_without_rendering()
     assert len(page.axes) == 3 * 2 + 2
     line = page.axes[2].lines[0]  # nodes off, over slip
@@ -95,7 +95,7 @@ def test_the_figure():
     np.testing.assert_allclose(page.axes[0].lines[0].get_ydata(), [100.0, 75.0])
     squares = page.axes[6].collections[0].get_paths()
     np.testing.assert_allclose([path.vertices[:4].mean(axis=0) for path in squares], cells)
-    assert len(plots.figure(summarised(table(), {"slip": [0.02, 0.3]}, Noise())).axes) == 3
+    assert len(plots.drift_figure(summarised(table(), {"slip": [0.02, 0.3]}, Noise())).axes) == 3
 
 
 @pytest.mark.parametrize(

@@ -215,8 +215,3 @@ def test_a_name_that_tables_cannot_hold_is_refused():
     for check in (names.check_world, names.check_strategy):
         with pytest.raises(InputError, match="must be UTF-8"):
             check("caf\udce9.png@0.1")
-
-
-def test_a_value_too_many_is_told_with_its_option(capsys):
-    assert main.main(["explore", "--world", "cave", "office"]) == 2
-    assert capsys.readouterr().err == "jexplore: error: unexpected 'office': --world takes fewer values\n"

@@ -11,7 +11,7 @@ from scipy import stats as scipy_stats
 from jexplore.cli import main
 from jexplore.config import InputError
 from jexplore.policies import parse_strategy
-from jexplore.report import plot_league
+from jexplore.report.plots.standings import league_figure
 from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds, standings, standings_table
 from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
 from jexplore.studies.statistics.paired import holm
@@ -158,7 +158,7 @@ def test_worlds_that_were_seen_from_the_start_do_not_count():
     nothing = standings(episodes({("v", "a"): [0.0], ("v", "b"): [0.0]}))
     assert nothing["ratio"].isna().all()
     assert "- " in standings_table(nothing)
-    plot_league.figure(nothing)
+    league_figure(nothing)
 
 
 @pytest.mark.jit
@@ -233,5 +233,5 @@ def test_the_table_and_the_picture():
     assert "1.50" in text
     assert "1 of 1" in text
     assert "ms a plan" not in standings_table(table)
-    page = plot_league.figure(table)
+    page = league_figure(table)
     assert [t.get_text() for t in page.axes[0].get_yticklabels()] == ["b+c", "a"]

@@ -1113,7 +1113,7 @@ def test_a_node_that_does_not_fit_is_counted_and_overwrites_none():
         writer, *_ = write_node(full, event(kind, 6, (6.0, 0.0, 0.0), steepest=9, step_m=0.1))
         assert int(writer.map.overflow) >= 1
         assert int(writer.map.n_nodes) == NODES
-        record.check(btm.to_map(writer.map))
+        record.check_map(btm.to_map(writer.map))
         for name in ("x_m", "y_m", "kind", "posture_deg", "obstacle", "inclination_deg", "step_m"):
             np.testing.assert_array_equal(getattr(writer.map, name), getattr(full.map, name))
 

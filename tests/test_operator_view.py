@@ -12,7 +12,7 @@ import pytest
 from ref import browser
 from ref.browser import TIMERS
 
-from jexplore.report.operator_view import Recording, page
+from jexplore.report.operator_view import RunRecording, page
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
 
 N, B = 60, 19
@@ -99,7 +99,7 @@ def recording(**changes):
         "right_m": np.full(N, 1.234),
         "map": BtmMap(nodes, links),
     }
-    return Recording(**fields | changes)
+    return RunRecording(**fields | changes)
 
 
 def data_of(text):
@@ -211,43 +211,6 @@ def test_the_page_is_small():
     text = page(recording(**grown))
     assert len(text) < 1_200_000
     np.testing.assert_array_equal(unpacked(data_of(text)["arrays"]["chosen"]), 1)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"pose": np.zeros((N, 2))}, r"expected pose of shape \[N = 60, 3\], got \[60, 2\]"),
-        ({"ranges_m": np.zeros((N, B + 1))}, r"expected ranges_m of shape \[N = 60, B = 19\], got \[60, 20\]"),
-        (
-            {"triangles_m": np.zeros((N, 3, 3))},
-            r"expected triangles_m of shape \[N = 60, K = 3, 3, 2\], got \[60, 3, 3\]",
-        ),
-        ({"link_searched_frame": np.zeros(2, int)}, r"expected link_searched_frame of shape \[L = 3\], got \[2\]"),
-        ({"walls_m": np.zeros(4)}, r"expected walls_m of shape \[S = 4, 4\], got \[4\]"),
-        ({"votes": np.zeros(N)}, "expected votes of integers, got float64"),
-        ({"left_m": np.full(N, "a")}, "expected left_m of numbers, got <U1"),
-        ({"time_s": np.zeros(N)}, "expected time_s to increase"),
-        ({"pose": np.full((N, 3), np.nan)}, "expected pose finite, got NaN"),
-        ({"mode": np.full(N, 3)}, "expected mode from 0 to 2, got 3"),
-        ({"n_nodes": np.full(N, 4)}, "expected n_nodes from 0 to 3, got 4"),
-        ({"chosen": np.full(N, 1)}, "expected chosen to name a surviving triangle, got 1 in frame 0"),
-        ({"dt_s": 0.0}, "expected dt_s and robot_m above 0, got 0.0"),
-        ({"goal_m": (1.0,)}, "expected goal_m as x, y or None"),
-        (
-            {"map": BtmMap(recording().map.nodes[1:], recording().map.links), "n_nodes": np.ones(N, int)},
-            "expected link 0 to start at a node of the map, got 0",
-        ),
-    ],
-)
-def test_what_does_not_fit_is_refused(changes, message):
-    with pytest.raises(ValueError, match=message):
-        recording(**changes)
-
-
-def test_no_frames_are_refused():
-    none = {name: value[:0] for name, value in vars(recording()).items() if np.shape(value)[:1] == (N,)}
-    with pytest.raises(ValueError, match="expected one or more frames, got none"):
-        recording(**none)
 
 
 SCENARIO = """

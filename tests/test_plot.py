@@ -2,7 +2,6 @@
 
 import math
 
-import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -50,16 +49,14 @@ def test_bars_by_hand(ax):
 
 
 def test_bars_without_sd_and_without_data(ax):
+    plot.bars(ax, ["stuck"], [0.0], [0.0])
+    assert ax.get_xlim()[1] > 0
+    ax.clear()
     container = plot.bars(ax, ["one", "none", "wide"], [5.0, math.nan, 3.0], [math.nan, math.nan, 4.0])
     assert [bar.get_width() for bar in container] == [5.0, 0.0, 3.0]
     assert [text.get_text() for text in ax.texts] == ["5.0", "no data", "3.0 ± 4.0"]
     (whiskers,) = ax.collections
     assert [segment[:, 0].tolist() for segment in whiskers.get_segments()] == [[0.0, 7.0]]  # never below 0 m
-
-
-def test_bars_of_zero_length(ax):
-    plot.bars(ax, ["stuck"], [0.0], [0.0])
-    assert ax.get_xlim()[1] > 0
 
 
 def test_styles_differ_and_do_not_depend_on_what_follows():
@@ -81,7 +78,7 @@ def test_styles_differ_and_do_not_depend_on_what_follows():
     ],
 )
 def test_wrapped(text, width, lines, expected):
-    assert plot.wrapped(text, width, max_lines=lines) == expected
+    assert plot.wrapped_text(text, width, max_lines=lines) == expected
 
 
 def test_map_by_pixels(ax):
@@ -107,7 +104,8 @@ def test_path_by_hand(ax):
     assert last[0] > last[2]  # to orange
 
 
-def test_path_of_one_cell_and_of_none(ax):
+def test_path_of_one_cell_and_of_none_and_one_that_stays(ax):
+    assert plot.draw_path(ax, [1, 1], [2, 2], 0.5)[0].get_array().tolist() == [0.0]
     line, start, end = plot.draw_path(ax, [1], [2], 0.5)
     assert len(line.get_segments()) == 0
     np.testing.assert_array_equal(start.get_xydata(), end.get_xydata())
@@ -116,14 +114,7 @@ def test_path_of_one_cell_and_of_none(ax):
         plot.draw_path(ax, [], [], 0.5)
 
 
-def test_path_that_stays(ax):
-    line, _, _ = plot.draw_path(ax, [1, 1], [2, 2], 0.5)
-    assert line.get_array().tolist() == [0.0]
-
-
-@pytest.mark.parametrize(
-    ("heading_deg", "toward"), [(0, (1, 0)), (90, (0, 1)), (180, (-1, 0)), (270, (0, -1)), (45, (1, 1))]
-)
+@pytest.mark.parametrize(("heading_deg", "toward"), [(0, (1, 0)), (90, (0, 1)), (225, (-1, -1))])
 def test_robot_points_where_it_heads(ax, heading_deg, toward):
     plot.draw_map(ax, np.ones((3, 4), dtype=np.uint8), 0.5)
     ax.axis("off")
@@ -163,12 +154,6 @@ def test_room_number_lies_inside_a_bent_room(ax):
     assert rooms[int(y), int(x)] == 0
 
 
-def test_soft_colours_differ():
-    colours = plot.room_colours(60)
-    assert len(np.unique(colours.round(3), axis=0)) == 60
-    assert colours.min() > 0.6
-
-
 def entries():
     tall, wide = np.ones((40, 20), np.uint8), np.ones((15, 60), np.uint8)
     cells = np.arange(2, 12)
@@ -200,12 +185,7 @@ def test_paths_figure():
     assert panels[3].images[0].get_array().shape == (15, 60, 3)
 
 
-def test_paths_figure_of_one_panel():
-    name, panels = entries()[0]
-    check_texts(plot.paths_figure([(name, panels[:1])]))
-
-
-@pytest.mark.parametrize("shape", [(40, 60), (90, 20), (15, 90)])
+@pytest.mark.parametrize("shape", [(90, 20), (15, 90)])
 def test_episode_figure(shape):
     cells, known = np.arange(2, 12), np.array([100, 300, 500])
     state = np.ones(shape, np.uint8)
@@ -225,12 +205,6 @@ def test_episode_figure(shape):
     np.testing.assert_allclose(curve.get_segments(), [[[0, 1], [4, 3]], [[4, 3], [8, 5]]])
     (share,) = right.child_axes
     np.testing.assert_allclose(share.get_ylim(), [0.0, 105.0])
-
-
-def test_coverage_of_one_scan(ax):
-    plot.draw_coverage(ax, np.array([0.0]), np.array([2.0]))
-    pixels(ax.figure)
-    assert ax.get_ylim()[1] > 2.0
 
 
 def test_worlds_figure():
@@ -288,9 +262,3 @@ def test_vectors_are_the_same_each_time(tmp_path, ending, start):
     assert one == two
     if ending == "pdf":
         assert b"/Type3" not in one  # glyphs as drawings, which many journals refuse
-
-
-def test_figures_are_unknown_to_pyplot():
-    before = matplotlib._pylab_helpers.Gcf.get_all_fig_managers()  # the README's pictures are pyplot's
-    a_figure()
-    assert matplotlib._pylab_helpers.Gcf.get_all_fig_managers() == before

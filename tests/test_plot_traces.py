@@ -158,16 +158,16 @@ def pages():
     pitch = np.sin(np.arange(121))
     crowd = [Node(i, 8.0, -4.0 + 0.1 * i, "free_space") for i in range(3)]
     return {
-        "all": plot_traces.figure(COURSE, WALLS, TRAIL, points, RUN, MODES, "A run_1 of $x$", pitch_deg=pitch),
-        "no pitch": plot_traces.figure(COURSE, WALLS, TRAIL, points, RUN, MODES, "A title of many words " * 12),
-        "map only": plot_traces.figure(COURSE, None, np.zeros((0, 3)), None, [], MODES, pitch_deg=[]),
-        "nothing": plot_traces.figure(BtmMap((), ()), None, np.zeros((0, 3)), None, [], MODES, ""),
-        "long": plot_traces.figure(
+        "all": plot_traces.trace_figure(COURSE, WALLS, TRAIL, points, RUN, MODES, "A run_1 of $x$", pitch_deg=pitch),
+        "no pitch": plot_traces.trace_figure(COURSE, WALLS, TRAIL, points, RUN, MODES, "A title of many words " * 12),
+        "map only": plot_traces.trace_figure(COURSE, None, np.zeros((0, 3)), None, [], MODES, pitch_deg=[]),
+        "nothing": plot_traces.trace_figure(BtmMap((), ()), None, np.zeros((0, 3)), None, [], MODES, ""),
+        "long": plot_traces.trace_figure(
             BtmMap(tuple(Node(i, 3.0 * i, 0.0, "terminal") for i in range(10)), ()),
             *(None, TRAIL[:81] * [4, 1, 1], None, RUN[:81], MODES, "Corridor"),
             pitch_deg=pitch[:81],
         ),
-        "close": plot_traces.figure(BtmMap(tuple(crowd), ()), None, TRAIL, None, RUN, MODES, "", pitch_deg=pitch),
+        "close": plot_traces.trace_figure(BtmMap(tuple(crowd), ()), None, TRAIL, None, RUN, MODES, "", pitch_deg=pitch),
     }
 
 

@@ -363,7 +363,7 @@ def test_an_interruption_keeps_pairs(small, tmp_path, capsys, monkeypatch):
         ("tiny --episodes 0", "episodes must be an integer from 1"),
         ("tiny --maps nowhere", "there is no file nowhere/stage/cave_filled.png"),
         ("tiny --episods 3", "did you mean --episodes?"),
-        ("tiny tiny", "unexpected 'tiny'"),
+        ("tiny tiny", "unrecognized options: tiny"),
     ],
 )
 def test_bad_input_is_one_line(command, message, small, no_run, capsys, tmp_path, monkeypatch):
@@ -376,9 +376,9 @@ def test_bad_input_is_one_line(command, message, small, no_run, capsys, tmp_path
 
 
 def test_the_default_is_smaller_on_request(monkeypatch):
-    assert options.parse(["reproduce"], main.COMMANDS).episodes == 100
+    assert options.parse_options(["reproduce"], main.COMMANDS).episodes == 100
     monkeypatch.setenv(options.SMALL, "1")
-    assert options.parse(["reproduce", "holz2010"], main.COMMANDS).episodes == 5
+    assert options.parse_options(["reproduce", "holz2010"], main.COMMANDS).episodes == 5
 
 
 def test_bars_at_places():

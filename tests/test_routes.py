@@ -556,7 +556,7 @@ def test_the_picture_shows_the_route_and_what_is_refused(robot):
 
     btm = line(None, ("stairs", 0.15), None, max_step_m=0.1)
     route = jx.btm.route(btm, robot, 0, 2)
-    ax = plot_traces.figure(btm, None, np.zeros((0, 3)), None, [], [], route=route).axes[0]
+    ax = plot_traces.trace_figure(btm, None, np.zeros((0, 3)), None, [], [], route=route).axes[0]
     band = [c for c in ax.collections if isinstance(c, LineCollection) and c.get_linewidth()[0] == 7]
     red = [mark for mark in ax.lines if to_rgb(mark.get_markeredgecolor()) == to_rgb(plot_traces.REFUSED)]
     if robot == "kamui":

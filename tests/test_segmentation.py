@@ -9,7 +9,7 @@ from ref.figures import check_texts
 from jexplore import segment
 from jexplore.cli import main
 from jexplore.config import InputError
-from jexplore.report.plot_rooms import figure
+from jexplore.report.plot_rooms import rooms_figure
 from jexplore.studies.room_variants import VARIANTS, segmentations
 from jexplore.studies.segmentation import COLUMNS, segment_maps
 from jexplore.worlds.world import occupancy_to_world
@@ -132,7 +132,7 @@ def test_a_picture_that_is_open_at_its_edge_is_scored(tmp_path, open_in):
 
 def test_the_picture(pictures, tmp_path):
     found = segment_maps(pictures[0], truth=[pictures[1]], variants=["voronoi", "holz"])
-    page = figure(found.pictures, found.scores)
+    page = rooms_figure(found.pictures, found.scores)
     titles = [ax.get_title() for ax in page.axes]
     assert len(titles) == 2
     assert "holz: 2 rooms, MCC" in titles[1]
@@ -143,7 +143,7 @@ def test_the_picture(pictures, tmp_path):
     said = [text.get_text() for text in page.legends[0].get_texts()]
     assert said == ["wall or unknown", "floor of no room", "Voronoi graph", "critical point", "door found"]
     check_texts(page)
-    plain = figure(found.pictures[:1], found.scores[:1])
+    plain = rooms_figure(found.pictures[:1], found.scores[:1])
     assert [text.get_text() for text in plain.legends[0].get_texts()] == [*said[:2], "door found"]
 
 

@@ -27,11 +27,13 @@ AWAY_M = 100.0  # m; the corrected map is shifted by this here, so that it is kn
 @pytest.fixture(scope="module")
 def made(tmp_path_factory, jit_on):
     """The folder of a sweep of two settings with two runs of each, and its page; what was printed; the maps drawn."""
-    out, drawn, figure = tmp_path_factory.mktemp("runs") / "new", [], plot_traces.figure
+    out, drawn, figure = tmp_path_factory.mktemp("runs") / "new", [], plot_traces.trace_figure
     with jit_on(), pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as said:
         patch.setattr(corrected, "correct_map", lambda btm: moved_map(btm, Move(AWAY_M)))
         patch.setattr(
-            plot_traces, "figure", lambda btm, *more, **options: drawn.append(btm) or figure(btm, *more, **options)
+            plot_traces,
+            "trace_figure",
+            lambda btm, *more, **options: drawn.append(btm) or figure(btm, *more, **options),
         )
         options = (
             "--noise-m",
@@ -113,12 +115,12 @@ def test_files_text_and_picture_show_one_map(made):
     out, said, drawn = made
     found = json_form.read_btm(out / "btm.json")
     assert min(node.x_m for node in found.nodes) > 0.9 * AWAY_M
-    assert trace_tables.tables(found) in said
+    assert trace_tables.map_tables(found) in said
     assert [check_map(one) for one in drawn] == [found]
 
 
 def test_what_it_says(ran):
-    said = trace_tables.tables(json_form.read_btm(ran / "btm.json")).splitlines()
+    said = trace_tables.map_tables(json_form.read_btm(ran / "btm.json")).splitlines()
     assert [cell.strip() for cell in said[0].split("|")[1:4]] == ["node", "x m", "y m"]
     assert sum("divergence" in line for line in said) == 2
     assert sum("| un-searched |" in line for line in said) == 2
@@ -140,14 +142,14 @@ def test_a_map_from_an_episode(tmp_path, capsys):
         (("--robot", "tank"), "robot must be one of kamui, wheeled, got 'tank'"),
         (("--world", "curse"), "there is no world 'curse'"),
         (("--runs", "0"), "runs must be an integer from 1"),
-        (("--runs", "x"), "--runs must be an integer"),
+        (("--runs", "x"), "--runs: must be an integer"),
         (("--noise-m", "-1"), "noise.range_m must be a number at least 0"),
         (("--noise-m", "nan"), "noise.range_m must be a number at least 0"),
         (("--tuning.arrive-m", "5"), "tuning.arrive_m must be less than tuning.open_m, got 5 and 2.5"),
         (("--tuning.votes", "0"), "tuning.votes must be an integer from 1 to 9"),
         (("--start", "0.1", "0.1", "0"), "lies in a wall"),
-        (("--start", "2.5", "27"), "--start must be three numbers, got ['2.5', '27']"),
-        (("--start", "2.5", "27", "east"), "--start must be three numbers, got ['2.5', '27', 'east']"),
+        (("--start", "2.5", "27"), "missing value for argument '--start'. Expected 3 values"),
+        (("--start", "2.5", "27", "east"), "--start: Could not parse arguments ['2.5', '27', 'east']"),
         (("--start", "2.5", "27", "nan"), "start heading must be a number"),
         (("--robot", "kamui:width_m=3"), "does not fit there"),
         (("--sweep", "voices=3"), "sweep must be NAME="),

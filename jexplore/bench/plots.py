@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from jexplore.report.plot import PALETTE, wrapped
+from jexplore.report.plot import PALETTE, wrapped_text
 
 MARKERS = "osD^vP*X<>"
 
@@ -26,7 +26,7 @@ def _draw(ax, lines, title, x_label, y_label):
     looks = zip(itertools.cycle(PALETTE), itertools.cycle(MARKERS))
     for (name, (xs, ys)), (colour, marker) in zip(lines.items(), looks):
         label = ax.plot(xs, ys, color=colour, marker=marker, markersize=4, linewidth=1.2)[0]
-        label.set_label(wrapped(name, 34, max_lines=2).replace("$", r"\$"))
+        label.set_label(wrapped_text(name, 34, max_lines=2).replace("$", r"\$"))
     ax.set_xscale("log", base=2)
     ax.set_yscale("log")
     ticks = sorted({x for xs, _ in lines.values() for x in xs})

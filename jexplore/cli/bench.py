@@ -3,9 +3,8 @@
 import dataclasses
 from collections.abc import Sequence
 
-from jexplore.cli.options import Number, Numbers, OutFolder, OwnNames
+from jexplore.cli.options import IntegerList, Number, OutFolder, OwnNames, fields_of
 from jexplore.cli.output.console import Out, progress_of
-from jexplore.cli.output.terminal import show_table
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,10 +20,10 @@ class Bench:
     """Run episodes in these worlds, named as for `jexplore compare` (default: cave office hospital)."""
     strategies: OwnNames = None
     """Measure these strategies (default: closest+recheck)."""
-    batch_sizes: Numbers = None
+    batch_sizes: IntegerList = None
     """Run this number of episodes, or of lanes of the engine jax on an accelerator (default: 1 4 16 64; up to 4096
     lanes)."""
-    sides: Numbers = None
+    sides: IntegerList = None
     """Measure the cost by map size, cells a side, 32 to 2048 (default: 64 128 256 512)."""
     engine: OwnNames = None
     """Measure these engines: auto, jax or both, as for `jexplore compare` (default: both)."""
@@ -49,26 +48,15 @@ class Bench:
 
         with Out(self, "bench") as out:
             plan = bench.prepare_bench(
-                worlds=self.worlds,
-                strategies=self.strategies,
-                engine=self.engine,
-                batch_sizes=self.batch_sizes,
-                sides=self.sides,
-                episodes=self.episodes,
-                repeat=self.repeat,
-                quick=self.quick,
+                **fields_of(self, "worlds strategies engine batch_sizes sides episodes repeat quick"),
             )
             with progress_of(plan.total, "measurements") as progress:
                 progress.update(0)
                 report = bench.run_bench(plan, cache=self.cache, on_progress=progress.update)
             figure = plots.figure(report)
             record = out.record(arguments, self, measured=report["settings"])
-            wrote = out.write(
-                {
-                    "bench.json": lambda path: store.write_json(report, path),
-                    "bench.png": lambda path: plot.save_figure(figure, path),
-                    "run.json": lambda path: store.write_json(record, path),
-                }
-            )
-            show_table(tables.tables(report))
-            print(f"\n{wrote}")
+            files = {
+                "bench.json": lambda path: store.write_json(report, path),
+                "bench.png": lambda path: plot.save_figure(figure, path),
+            }
+            return out.finish(record, files, tables.tables(report))

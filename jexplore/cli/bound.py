@@ -1,19 +1,17 @@
 """The command `jexplore bound`."""
 
 import dataclasses
-import sys
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import tyro
 
-from jexplore.cli.listings import describe
-from jexplore.cli.options import OutFolder
-from jexplore.cli.output.console import Out, note, say, working
+from jexplore.cli.options import OutFolder, fields_of
+from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError, Lidar, Rules
 
-Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORLD [WORLD ...]", help_behavior_hint="(required)")]
+WorldNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORLD [WORLD ...]", help_behavior_hint="(required)")]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,7 +22,7 @@ class Bound:
     bounds.parquet, walks.parquet, bounds.png and run.json.
     """
 
-    worlds: tyro.conf.Positional[Names] = ()
+    worlds: tyro.conf.Positional[WorldNames] = ()
     """Worlds, as for `jexplore compare`."""
     starts: int = 5
     """Number of starts to bound in each world: those of the first episodes of `jexplore compare`."""
@@ -53,21 +51,15 @@ class Bound:
         """Run the command and return the exit status, None for 0."""
         from jexplore.report import plot, store
         from jexplore.studies.bounds import bound
+        from jexplore.studies.results.provenance import describe
 
         if not self.worlds:
             raise InputError("expected worlds: jexplore bound cave maze#3")
         with Out(self, "bound") as out:
-            with note("jexplore: loading worlds"):
+            with note_if_slow("jexplore: loading worlds"):
                 tasks = bound.prepare_bounds(
                     self.worlds,
-                    starts=self.starts,
-                    seed=self.seed,
-                    cell_m=self.cell_m,
-                    start=self.start,
-                    seconds=self.seconds,
-                    max_floods=self.max_floods,
-                    lidar=self.lidar,
-                    rules=self.rules,
+                    **fields_of(self, "starts seed cell_m start seconds max_floods lidar rules"),
                 )
             ledger = out.keep(bound.asked(tasks), len(tasks))
             if ledger is None:
@@ -82,16 +74,6 @@ class Bound:
             files = {
                 "bounds.parquet": lambda path: store.write_parquet(found.table, path),
                 "walks.parquet": lambda path: store.write_parquet(found.walks, path),
-                "run.json": lambda path: store.write_json(record, path),
             }
-            out.write(files, is_finished=not found.interrupted)
-            try:
-                show_table(found.to_markdown())
-                sys.stdout.flush()
-            finally:  # a reader of the output who goes away costs no pictures
-                drawn = out.draw({"bounds.png": lambda path: plot.save_figure(found.figure(), path)})
-            print(f"wrote {', '.join([*files, *drawn])} to {out.run.path}/")
-            if found.interrupted:
-                out.say_kept()
-                return say("jexplore: interrupted, what was finished was written", 130)
-        return 0
+            pictures = {"bounds.png": lambda path: plot.save_figure(found.figure(), path)}
+            return out.finish(record, files, found.to_markdown(), pictures, interrupted=found.interrupted > 0)

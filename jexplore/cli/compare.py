@@ -2,14 +2,13 @@
 
 import dataclasses
 import functools
-import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from jexplore.cli.options import (
-    STRATEGIES,
+    DEFAULT_STRATEGIES,
     EngineName,
     MapFile,
     OutFolder,
@@ -17,9 +16,10 @@ from jexplore.cli.options import (
     PolygonText,
     StartText,
     default_worlds,
+    fields_of,
     is_small,
 )
-from jexplore.cli.output.console import Out, note, say, working
+from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError, Lidar, Rules
 
@@ -111,7 +111,7 @@ class Compare:
         worlds, strategies = (
             (league_worlds(self.cell_m, self.league_seeds), LEAGUE_STRATEGIES)
             if self.league
-            else (default_worlds(), STRATEGIES)
+            else (default_worlds(), DEFAULT_STRATEGIES)
         )
         worlds = worlds if self.worlds is None else self.worlds
         strategies = strategies if self.strategies is None else self.strategies
@@ -120,20 +120,13 @@ class Compare:
             jobs = prepare_jobs(
                 worlds,
                 strategies,
-                episodes=self.episodes,
-                seed=self.seed,
-                cell_m=self.cell_m,
-                start=self.start,
-                within=self.within,
-                from_map=self.from_map,
-                lidar=self.lidar,
-                rules=self.rules,
+                **fields_of(self, "episodes seed cell_m start within from_map lidar rules"),
             )
             tasks, reported = self._bound_tasks(jobs), jobs if self.report else None
             ran = run_with_bar(self, jobs, out, tasks)
             if ran is None:
                 return show_finished(out, _tables, figures_of, reported)
-            with note(FINISHING):
+            with note_if_slow(FINISHING):
                 found = assemble(jobs, ran)
                 record, text = functools.partial(out.record, arguments, self), found.to_markdown()
                 if self.league:
@@ -141,8 +134,10 @@ class Compare:
                     record = functools.partial(record, **entries)
             found, more, files = self._beside(found, [] if ran.costs.interrupted else tasks, out, ran)
             text += more
-            with note(FINISHING):
-                return finish(out, found, ran, text, figures_of(found, league=self.league), record, reported, files)
+            with note_if_slow(FINISHING):
+                return finish_comparison(
+                    out, found, ran, text, figures_of(found, league=self.league), record, reported, files
+                )
 
     def _bound_tasks(self, jobs):
         """Return the starts to be bounded, if bounds are asked for."""
@@ -204,7 +199,7 @@ def _league(found, ran):
     world, names, plan_ms = found.worlds[0], list(dict.fromkeys(found.episodes["strategy"])), {}
     if not ran.costs.interrupted:
         try:
-            with note("jexplore: measuring what a plan costs; Ctrl-C leaves that out"):
+            with note_if_slow("jexplore: measuring what a plan costs; Ctrl-C leaves that out"):
                 plan_ms = plan_costs(world, names)
         except (InputError, KeyboardInterrupt):
             print("warning: what a plan costs could not be measured", file=sys.stderr)
@@ -223,8 +218,6 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequenc
 
     Args:
       options: of the command.
-      jobs: to be run.
-      out: `Out`.
       starts: that are bounded afterwards; the last units of the run.
     """
     from jexplore.engine.backend import use_compilation_cache
@@ -256,10 +249,8 @@ def show_finished(
     """Print the results of a finished run for `--resume`, draw missing pictures and return the exit status.
 
     Args:
-      out: `Out`.
       tables: called with the results and the content of run.json.
-      figures: called with the results and whether they are a league's, as for `finish`.
-      jobs: of the run, for a report; None for none.
+      figures: called with the results and whether they are a league's, as for `finish_comparison`.
     """
     from jexplore.studies.results import saving
     from jexplore.studies.results.loading import load, record_of
@@ -272,7 +263,7 @@ def show_finished(
     return 0
 
 
-def finish(
+def finish_comparison(
     out: Out,
     found: "Comparison",
     ran: "Ran",
@@ -285,31 +276,14 @@ def finish(
     """Write, print and draw the common output of comparisons and reproductions; return the exit status.
 
     Args:
-      out: `Out`.
-      found: `Comparison`.
-      ran: `Ran`.
-      text: the tables.
       figures: `{name: function}`, which draws it.
       record: called with more entries of run.json, returns all.
-      jobs: of the run, for a report; None for none.
       more: files besides: name -> what writes it.
     """
     from jexplore.studies.results import saving
 
     costs, made = ran.costs, record(**saving.entries_of(found), **saving.engine_of(ran.costs))
     files = saving.files_of(found, made, more)
-    out.write(files, is_finished=not costs.interrupted)
-
-    try:
-        show_table(text)
-        for line in found.warnings:
-            print(f"warning: {line}")
-        sys.stdout.flush()
-    finally:  # a reader of the output who goes away costs no pictures
-        jobs = None if costs.interrupted else jobs
-        drawn = out.draw(saving.pictures_of(out.run.path, found, ran.firsts, made, figures, jobs))
-    print(f"wrote {', '.join([*files, *drawn])} to {out.run.path}{os.sep}")
-    if costs.interrupted:
-        out.say_kept()
-        return say("jexplore: interrupted, what was finished was written", 130)
-    return 0
+    text += "".join(f"warning: {line}\n" for line in found.warnings)
+    pictures = saving.pictures_of(out.run.path, found, ran.firsts, made, figures, None if costs.interrupted else jobs)
+    return out.finish(made, files, text, pictures, interrupted=costs.interrupted)

@@ -1,11 +1,9 @@
 """The command `jexplore explore`."""
 
 import dataclasses
-import os
 from collections.abc import Sequence
 
-from jexplore.cli.listings import describe
-from jexplore.cli.options import MapFile, OneStrategy, OneWorld, OutFolder, PolygonText, StartText
+from jexplore.cli.options import MapFile, OneStrategy, OneWorld, OutFolder, PolygonText, StartText, fields_of
 from jexplore.cli.output.console import Out, compiling, progress_of
 from jexplore.config import Lidar, Rules
 
@@ -50,39 +48,30 @@ class Explore:
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
-        from jexplore.report import store
         from jexplore.studies.explore import prepare_job, run_job
+        from jexplore.studies.results.provenance import describe
 
         with Out(self, "explore") as out:
             job = prepare_job(
                 self.world,
                 self.strategy,
-                seed=self.seed,
-                episode=self.episode,
-                cell_m=self.cell_m,
-                start=self.start,
-                within=self.within,
-                from_map=self.from_map,
-                lidar=self.lidar,
-                rules=self.rules,
+                **fields_of(self, "seed episode cell_m start within from_map lidar rules"),
             )
             with compiling():
                 found = run_job(job)
             measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
             times = {"compile_s": found.compile_s, "run_s": found.run_s}
             record = out.record(arguments, self, result=measures, worlds=[describe(found.world)], **times)
-            out.write({"run.json": lambda path: store.write_json(record, path)})
-            for name, value in measures.items():
-                text = "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
-                print(f"{name:<18} {text}")
+            lines = [f"{name:<18} {_text(value)}" for name, value in measures.items()]
             if found.final.plans is None:
-                print(f"warning: an episode of {found.measures['plans']} plans cannot be played again: no animation")
-            print(f"wrote {', '.join([*self._draw(out, found, record), 'run.json'])} to {out.run.path}{os.sep}")
+                lines.append(f"warning: an episode of {found.measures['plans']} plans cannot be replayed: no animation")
+            return out.finish(record, {}, "\n".join(lines), self._pictures(out, found, record))
 
-    def _draw(self, out, found, record):
-        """Draw pictures, animation and page; return the names of those written."""
+    def _pictures(self, out, found, record):
+        """Return pictures, animation and page: name -> writer."""
         from jexplore.exploration.results import map_state, to_occupancy
         from jexplore.report import plot
+        from jexplore.report.tables import aligned_table
         from jexplore.studies.replays import replay_of
         from jexplore.studies.results.report import write_report
         from jexplore.worlds.readers.ros import write_ros
@@ -96,8 +85,11 @@ class Explore:
 
         def page(path):
             replays = [] if found.final.plans is None else [replay_of(found)]
-            tables = [("What it measured", [["", ""], *([name, value] for name, value in record["result"].items())])]
-            write_report(path, "jexplore explore", record, tables, [out.run.path / "episode.png"], replays)
+            rows = [[name, _text(value)] for name, value in record["result"].items()]
+            table = aligned_table(["measure", "value"], rows, left=["measure"])
+            write_report(
+                path, "jexplore explore", record, [("What it measured", table)], [out.run.path / "episode.png"], replays
+            )
 
         def explored(path):
             final, world = found.final, found.world
@@ -107,4 +99,8 @@ class Explore:
         writers = {"episode.png": picture, "explored.yaml": explored}
         if found.final.plans is not None:
             writers["episode.gif"] = animation
-        return out.draw(writers | ({"report.html": page} if self.report else {}))
+        return writers | ({"report.html": page} if self.report else {})
+
+
+def _text(value):
+    return "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)

@@ -2,18 +2,14 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import tyro
 
 from jexplore.cli.options import OutFolder
-from jexplore.cli.output.console import Out, note, working
+from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_line, show_table
 from jexplore.config import require_number
-
-if TYPE_CHECKING:
-    from jexplore.studies.geometry import Geometry
-    from jexplore.worlds.world import World
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,15 +50,19 @@ class Worlds:
                 "Map files: map.yaml (ROS), map.png@16x16 (metres), map.png@0.05 (metres a pixel), map.map, plan.json, "
                 "scans.log, run.bag, run.mcap"
             )
-            return
-        from jexplore.report import plot, store
+            return None
+        from jexplore.engine.backend import use_compilation_cache
+        from jexplore.report import plot
+        from jexplore.report.tables import aligned_table
         from jexplore.studies.checks import ready_worlds
+        from jexplore.studies.geometry import geometry, geometry_table
+        from jexplore.studies.results.provenance import describe
         from jexplore.worlds.regions import warn_of_floor
         from jexplore.worlds.starts import start_region
 
         with Out(self, "worlds") as out:
             require_number("clearance_m", self.clearance_m, high=100)
-            with note("jexplore: loading worlds"):
+            with note_if_slow("jexplore: loading worlds"):
                 worlds = ready_worlds(self.worlds or tuple(GENERATORS), self.cell_m)
             for world in worlds:
                 warn_of_floor(world, start_region(world, self.clearance_m), self.clearance_m, drawn=True)
@@ -74,24 +74,20 @@ class Worlds:
                 size = f"{width * world.cell_m:.1f} x {height * world.cell_m:.1f}"
                 n_rooms = "-" if about["rooms"] is None else str(about["rooms"])
                 rows.append((world.name, f"{width} x {height}", size, f"{world.free_m2:.1f}", n_rooms, start))
-            measured = measure(worlds, self.clearance_m) if self.geometry else []
-            for about, one in zip(described, measured):
-                about["geometry"] = dataclasses.asdict(one)
+            measured = []
+            if self.geometry:
+                use_compilation_cache()
+                with working(len(worlds), "worlds") as on_progress:
+                    for world, about in zip(worlds, described):
+                        measured.append(geometry(world, clearance_m=self.clearance_m))
+                        about["geometry"] = dataclasses.asdict(measured[-1])
+                        on_progress(len(measured))
             record = out.record(arguments, self, worlds=described)
             figure = plot.worlds_figure([(world.name, world) for world in worlds])
-            wrote = out.write(
-                {
-                    "worlds.png": lambda path: plot.save_figure(figure, path),
-                    "run.json": lambda path: store.write_json(record, path),
-                }
-            )
-            head = ["world", "cells", "metres", "free m²", "rooms", "start"]
-            show_table(head, rows, left=head)
-            if self.geometry:
-                from jexplore.studies.geometry import geometry_table
-
-                show_table(f"\n{geometry_table(measured)}")
-            print(wrote)
+            left = ["world", "cells", "metres", "free m²", "rooms", "start"]
+            text = aligned_table(left, rows, left=left)
+            text += f"\n{geometry_table(measured)}" if measured else ""
+            return out.finish(record, {"worlds.png": lambda path: plot.save_figure(figure, path)}, text)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,24 +105,3 @@ class Strategies:
         show_table(head, [(f"+{name}", text) for name, text in MODIFIERS.items()], left=head)
         show_line("Names are put together as strategy+modifier:parameter=value,..., such as closest+recheck")
         show_line("One's own: module:function+modifier:parameter=value,..., of a module here or installed")
-
-
-def measure(worlds: "Sequence[World]", clearance_m: float) -> "list[Geometry]":
-    """Measure the geometry of worlds, with progress on stderr."""
-    from jexplore.engine.backend import use_compilation_cache
-    from jexplore.studies.geometry import geometry
-
-    use_compilation_cache()
-    found = []
-    with working(len(worlds), "worlds") as on_progress:
-        for world in worlds:
-            found.append(geometry(world, clearance_m=clearance_m))
-            on_progress(len(found))
-    return found
-
-
-def describe(world: "World") -> dict[str, Any]:
-    """Return a world's entries in a table of worlds."""
-    from jexplore.studies.results import provenance
-
-    return provenance.describe(world)

@@ -18,15 +18,15 @@ from jexplore.cli.compare import Compare
 from jexplore.cli.explore import Explore
 from jexplore.cli.listings import Strategies, Worlds
 from jexplore.cli.names import check_names
-from jexplore.cli.options import completion_text, help_text, parse
-from jexplore.cli.output.console import say
-from jexplore.cli.output.signals import INTERRUPTED, Signals
+from jexplore.cli.options import help_text, parse_options
+from jexplore.cli.output.console import INTERRUPTED, say
+from jexplore.cli.output.signals import Signals
 from jexplore.cli.output.terminal import plain_warnings
 from jexplore.cli.reproduce import Reproduce
 from jexplore.cli.segment import Segment
-from jexplore.cli.sweep import Merge, Sweep
+from jexplore.cli.sweep import Merge, SweepCommand
 from jexplore.cli.tracemaps.merge_maps import MergeMaps
-from jexplore.cli.tracemaps.route import Route
+from jexplore.cli.tracemaps.route import RouteCommand
 from jexplore.cli.tracemaps.station import Station
 from jexplore.cli.tracemaps.trace import Trace
 from jexplore.cli.train import Train
@@ -39,14 +39,14 @@ M_ARENA_MAX = -8  # of glibc's mallopt: most heaps
 COMMANDS: dict[str, type] = {
     "compare": Compare,
     "explore": Explore,
-    "sweep": Sweep,
+    "sweep": SweepCommand,
     "merge": Merge,
     "bound": Bound,
     "train": Train,
     "reproduce": Reproduce,
     "segment": Segment,
     "trace": Trace,
-    "route": Route,
+    "route": RouteCommand,
     "merge-maps": MergeMaps,
     "station": Station,
     "worlds": Worlds,
@@ -125,11 +125,9 @@ def _dispatch(arguments, signals):
         print(help_text(COMMANDS), end="")
     elif arguments[0] == "--version":
         print(f"jexplore {__version__}")
-    elif arguments[0] == "--completion":
-        print(completion_text(COMMANDS), end="")
     else:
         try:
-            options = parse(arguments, COMMANDS)
+            options = parse_options(arguments, COMMANDS)
         except SystemExit:  # help has been printed
             return 0
         if signals is not None:

@@ -19,8 +19,8 @@ from typing import Any
 
 from jexplore.arrays.files import missing
 from jexplore.config import (
-    BOUNDS,
     ENGINES,
+    NUMBER_BOUNDS,
     SWEEP_ENGINES,
     InputError,
     require_different,
@@ -45,17 +45,13 @@ _FOREIGN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?=$|[
 def check_names(command: str, options: Any) -> None:
     """Refuse names, files and numbers among a command's options that can stand for nothing.
 
-    Args:
-      command: its name.
-      options: the record of its options.
-
     Raises:
       InputError: naming the first one, and what would be right.
     """
     if hasattr(options, "lanes"):
         require_engine(options.engine, options.lanes, SWEEP_ENGINES if command == "sweep" else ENGINES)
     for option in sorted(vars(options), key=lambda name: name != "cell_m"):  # which worlds are checked by
-        check = CHECKS.get(f"{command} {option}") or CHECKS.get(option)
+        check = OPTION_CHECKS.get(f"{command} {option}") or OPTION_CHECKS.get(option)
         if check is check_world:
             check = functools.partial(check_world, cell_m=getattr(options, "cell_m", 0.1))
         given = getattr(options, option)
@@ -71,7 +67,7 @@ def check_names(command: str, options: Any) -> None:
     if command == "train":
         check_train(options)
     if getattr(options, "engine", None) == "ray":
-        require_ray()
+        _require_ray()
 
 
 def _check_one(check, text, option, is_alone):
@@ -173,7 +169,7 @@ def check_spec(path: str) -> None:
         check_strategy(name)
 
 
-def require_ray() -> None:
+def _require_ray() -> None:
     """Refuse the engine ray where Ray is not installed."""
     if importlib.util.find_spec("ray") is None:
         raise InputError("the engine ray needs Ray: pip install 'jexplore[ray]'")
@@ -199,14 +195,14 @@ def check_train(options: Any) -> None:
     require_names_apart(options.worlds or (), options.validation or ())
 
 
-CHECKS: dict[str, Callable[[Any], object]] = {
-    **{name: functools.partial(require_setting, name) for name in BOUNDS},
+OPTION_CHECKS: dict[str, Callable[[Any], object]] = {
+    **{name: functools.partial(require_setting, name) for name in NUMBER_BOUNDS},
     **dict.fromkeys(("world", "worlds", "validation", "drive"), check_world),
     **dict.fromkeys(("strategy", "strategies"), check_strategy),
     **dict.fromkeys(("map", "from_map", "model", "truth", "parts"), check_file),
     "segment maps": check_world,
     "start": read_start,
-    "trace start": lambda coordinate: None,  # see `check_trace`
+    "trace start": lambda coordinate: None,  # checked with the rest of a trace, below
     "within": read_polygon,
     "robot": robot_of,
     "noise": require_noise,

@@ -20,7 +20,14 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import tyro
-from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
 
 from jexplore.config import InputError
 
@@ -32,7 +39,7 @@ def is_small() -> bool:
     return os.environ.get(SMALL, "0") not in ("", "0")
 
 
-STRATEGIES = ("closest", "closest+recheck", "random")
+DEFAULT_STRATEGIES = ("closest", "closest+recheck", "random")
 """Default strategies of `jexplore compare`."""
 
 
@@ -40,7 +47,7 @@ def default_worlds() -> tuple[str, ...]:
     return ("cave", "maze") if is_small() else ("cave", "office", "hospital")
 
 
-Numbers = Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]", help_behavior_hint="")]
+IntegerList = Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]", help_behavior_hint="")]
 Number = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
 OwnNames = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
 OneWorld = Annotated[str, tyro.conf.arg(metavar="WORLD")]
@@ -55,14 +62,18 @@ OutFolder = Annotated[
 EngineName = Literal["auto", "jax"]
 
 
+def fields_of(options: Any, names: str) -> dict[str, Any]:
+    """Return some fields of a record by name, for a function whose arguments are called the same."""
+    return {name: getattr(options, name) for name in names.split()}
+
+
 def help_text(commands: Mapping[str, type]) -> str:
     """Return the text of `jexplore --help`. `commands`: name -> class of its options."""
     lines = ["usage: jexplore {" + ",".join(commands) + "} [options]", ""]
     lines += ["A laboratory for mobile-robot exploration.", "", "commands:"]
     lines += [f"  {name:<12}{(command.__doc__ or '').splitlines()[0]}" for name, command in commands.items()]
     lines += ["", "options:", "  -h, --help  Show this, or the options of a command: jexplore compare --help."]
-    lines += ["  --version   Show the version."]
-    return "\n".join([*lines, "  --completion  Print what completes commands and options in bash and zsh.", ""])
+    return "\n".join([*lines, "  --version   Show the version.", ""])
 
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
@@ -85,43 +96,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
 """Command -> command lines that its help shows, without the program's name."""
 
 
-def completion_text(commands: Mapping[str, type]) -> str:
-    """Return a script by which bash, and zsh after `bashcompinit`, complete commands, options and files."""
-    cases = "\n".join(f'    {name}) words="{" ".join(option_names(kind))}" ;;' for name, kind in commands.items())
-    return f"""_jexplore() {{
-  local words
-  case ${{COMP_WORDS[1]}} in
-{cases}
-  esac
-  [ "$COMP_CWORD" -gt 1 ] || words="{" ".join(commands)} --help --version --completion"
-  COMPREPLY=($(compgen -W "$words" -- "${{COMP_WORDS[COMP_CWORD]}}"))
-}}
-complete -o default -F _jexplore jexplore
-"""
-
-
-def option_names(kind: type, prefix: str = "--") -> list[str]:
-    """Return the options of a command, in order, those of the records in it as `--lidar.range-m`."""
-    names = []
-    for field in dataclasses.fields(kind):
-        name = prefix + field.name.rstrip("_").replace("_", "-")
-        own = _hints(kind)[field.name]
-        if dataclasses.is_dataclass(own):
-            names += option_names(typing.cast(type, own), f"{name}.")
-        elif tyro.conf.Positional not in getattr(own, "__metadata__", ()):
-            names.append(f"{prefix}no-{field.name.replace('_', '-')}" if field.default is True else name)
-    return names
-
-
-def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
+def parse_options(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
     """Parse the command line into a command's record and its options.
-
-    Args:
-      arguments: list of text, the command first.
-      commands: name -> class of its options.
-
-    Returns:
-      A record of one of these classes.
 
     Raises:
       InputError: an unknown command or option, one that is repeated, a value of the wrong kind or out of bounds.
@@ -149,21 +125,12 @@ def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
             options = read()
     except SystemExit as end:
         if end.code:
-            raise InputError(_stray(rest, one_line(said.getvalue())) or f"wrong options for {name}") from None
+            raise InputError(one_line(said.getvalue())) from None
         _show_help(read)
         print("\n".join(["examples:", *(f"  jexplore {line}" for line in EXAMPLES[name])]))
         raise
     _require_once(rest, commands[name])
     return options
-
-
-def _stray(arguments, line):
-    """Explain an unknown option; name the option before it that does not take the value."""
-    word = line.removeprefix("unknown option ").partition(";")[0]
-    if word == line or word.startswith("-") or word not in arguments:
-        return line
-    before = [text for text in arguments[: arguments.index(word)] if text.startswith("--")]
-    return f"unexpected {word!r}: {before[-1]} takes fewer values" if before else f"unexpected {word!r}"
 
 
 def _show_help(read):
@@ -193,6 +160,39 @@ def _require_once(arguments, command):
 _REGISTRY = ConstructorRegistry()
 
 
+@_REGISTRY.primitive_rule
+def _numbers(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """Read an integer or another number; the message of a wrong one says which."""
+    if info.type not in (int, float):
+        return None
+
+    def number(texts):
+        try:
+            return info.type(texts[0])
+        except ValueError:
+            kind = "an integer" if info.type is int else "a number"
+            raise ValueError(f"must be {kind}, got {texts[0]!r}") from None
+
+    def is_number(value):
+        return isinstance(value, (int, info.type)) and not isinstance(value, bool)
+
+    return PrimitiveConstructorSpec(1, info.type.__name__.upper(), number, is_number, lambda value: [str(value)])
+
+
+@_REGISTRY.primitive_rule
+def _optional(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """Read a type that may be None as the type: None cannot be given."""
+    kinds = typing.get_args(info.type)
+    if len(kinds) != 2 or kinds[1] is not types.NoneType:
+        return None
+    inner: Any = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(kinds[0], info.markers))
+    return dataclasses.replace(
+        inner,
+        is_instance=lambda value: value is None or inner.is_instance(value),
+        str_from_instance=lambda value: ["None"] if value is None else inner.str_from_instance(value),
+    )
+
+
 @_REGISTRY.struct_rule
 def _records(info: StructTypeInfo) -> StructConstructorSpec | None:
     """Convert a record to options: its docstrings as running text, and no empty defaults."""
@@ -206,14 +206,11 @@ def _records(info: StructTypeInfo) -> StructConstructorSpec | None:
             default = tyro.MISSING_NONPROP
         elif field.default_factory is not dataclasses.MISSING:
             default = field.default_factory()
-        hint = hints[field.name]
-        kinds = [one for one in typing.get_args(hint) if one is not type(None)]
-        metavar = kinds[0].__name__.upper() if isinstance(hint, types.UnionType) and kinds[0] in (int, float) else None
         text = field.metadata.get("off") if default is True else None
         fields.append(
             StructFieldSpec(
                 name=field.name,
-                type=_with(hint, tyro.conf.arg(metavar=metavar, help_behavior_hint=_default_text)),
+                type=_with(hints[field.name], tyro.conf.arg(help_behavior_hint=_default_text)),
                 default=default,
                 helptext=text or texts.get(field.name),
             )
@@ -257,45 +254,11 @@ class _Page(io.StringIO):
         return self.coloured
 
 
-_REWORDED = (
-    (r"^Error parsing [\w.-]*(lidar|rules|tuning|noise|limits): ", ""),
-    (r"^Error parsing (\S+): invalid literal for int\(\).*?: (.*)$", r"\1 must be an integer, got \2"),
-    (r"^Error parsing (\S+): could not convert string to float: (.*)$", r"\1 must be a number, got \2"),
-    (
-        r"^Error parsing (\S+): no type matching \{None\}\|INT .*? from \[(.*?)\]\. .*$",
-        r"\1 must be an integer, got \2",
-    ),
-    (
-        r"^Error parsing (\S+): no type matching \{None\}\|FLOAT .*? from \[(.*?)\]\. .*$",
-        r"\1 must be a number, got \2",
-    ),
-    (
-        r"^Error parsing (\S+): no type matching \{None\}\|\{\[INT .*? from (\[.*?\])\. .*$",
-        r"\1 must be integers, got \2",
-    ),
-    (
-        r"^Error parsing (\S+): no type matching \{None\}\|\{FLOAT FLOAT FLOAT\} .*? from (\[.*?\])\. .*$",
-        r"\1 must be three numbers, got \2",
-    ),
-    (r"^Error parsing ", ""),
-    (
-        r"^invalid choice (.*) for argument '(.*)'\. Expected one of \((.*)\) ?\.$",
-        lambda found: found[2] + " must be one of " + found[3].replace("'", "") + ", got " + found[1],
-    ),
-    (r"^Missing value for argument '(.*)'\..*$", r"\1 needs a value"),
-    (r"^Unrecognized options: (\S+?)(, .*)?$", r"unknown option \1"),
-)
-"""tyro's words, and ours where they are plainer."""
-
-
 def one_line(box: str) -> str:
-    """Convert tyro's box of several lines to one line."""
-    rows = [row.strip("│ ").strip() for row in box.splitlines() if row.strip() and row.strip()[0] not in "╭╰"]
-    parts = [[]]
-    for row in rows:
-        parts[-1].append(row) if set(row) != {"─"} else parts.append([])
-    text = " ".join(" ".join(parts[0]).split())
-    for pattern, better in _REWORDED:
-        text = re.sub(pattern, better, text)
-    meant = re.search(r"Perhaps you meant:\s+(--[\w.-]+)", " ".join(row for part in parts[1:] for row in part))
-    return text + (f"; did you mean {meant[1]}?" if meant else "")
+    """Convert tyro's box of several lines to one line: its message, and the first option that it guesses."""
+    rows = [row.strip("│ ").strip() for row in box.splitlines() if row.strip("╭╰│ ")]
+    message = itertools.takewhile(lambda row: set(row) != {"─"}, (row for row in rows if row[0] not in "╭╰"))
+    text = " ".join(" ".join(message).split())
+    text = re.sub(r"^Error parsing ([^-]\S*: )?", "", text)  # a record's own error names the field
+    meant = re.search(r"Perhaps you meant:\s+(--[\w.-]+)", " ".join(rows))
+    return text[0].lower() + text[1:].removesuffix(".") + (f"; did you mean {meant[1]}?" if meant else "")

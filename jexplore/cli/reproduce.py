@@ -7,9 +7,9 @@ from typing import Annotated
 
 import tyro
 
-from jexplore.cli.compare import FINISHING, finish, run_with_bar, show_finished
-from jexplore.cli.options import EngineName, OutFolder, is_small
-from jexplore.cli.output.console import Out, note
+from jexplore.cli.compare import FINISHING, finish_comparison, run_with_bar, show_finished
+from jexplore.cli.options import EngineName, OutFolder, fields_of, is_small
+from jexplore.cli.output.console import Out, note_if_slow
 from jexplore.config import Lidar, Rules
 
 
@@ -59,21 +59,18 @@ class Reproduce:
         with Out(self, "reproduce") as out:
             jobs = reproduction.prepare_paper(
                 self.paper,
-                maps=self.maps,
-                episodes=self.episodes,
-                seed=self.seed,
-                cell_m=self.cell_m,
-                lidar=self.lidar,
-                rules=self.rules,
+                **fields_of(self, "maps episodes seed cell_m lidar rules"),
             )
             ran = run_with_bar(self, jobs, out)
             if ran is None:
                 return show_finished(
                     out, lambda found, _: found.to_markdown(), lambda found, league: {"reproduce.png": found.figure}
                 )
-            with note(FINISHING):
+            with note_if_slow(FINISHING):
                 found = reproduction.assemble(self.paper, self.maps, jobs, ran)
                 tables, orderings = (table.to_dict("records") for table in (found.tables, found.orderings))
                 entries = {"notes": found.notes, "tables": tables, "orderings": orderings}
                 record = functools.partial(out.record, arguments, self, **entries)
-                return finish(out, found.comparison, ran, found.to_markdown(), {"reproduce.png": found.figure}, record)
+                return finish_comparison(
+                    out, found.comparison, ran, found.to_markdown(), {"reproduce.png": found.figure}, record
+                )

@@ -8,7 +8,6 @@ import tyro
 
 from jexplore.cli.options import OutFolder
 from jexplore.cli.output.console import Out, working
-from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
 
 
@@ -62,7 +61,7 @@ class Segment:
         from jexplore.config import require_whole
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.report import plot, store
-        from jexplore.report.plot_rooms import figure
+        from jexplore.report.plot_rooms import rooms_figure
         from jexplore.studies.room_variants import Settings
         from jexplore.studies.segmentation import SHARES, segment_maps
 
@@ -85,16 +84,12 @@ class Segment:
                     on_progress=on_progress,
                 )
             record = out.record(arguments, self, scores=found.scores.to_dict("records"))
-            wrote = out.write(
-                {
-                    "scores.parquet": lambda path: store.write_parquet(found.scores, path),
-                    "segments.png": lambda path: plot.save_figure(figure(found.pictures, found.scores), path),
-                    "run.json": lambda path: store.write_json(record, path),
-                }
-            )
-            show_table(found.to_markdown())
-            overflow = found.scores[found.scores["overflow"] > 0]
-            for _, row in overflow.iterrows():
+            files = {
+                "scores.parquet": lambda path: store.write_parquet(found.scores, path),
+                "segments.png": lambda path: plot.save_figure(rooms_figure(found.pictures, found.scores), path),
+            }
+            text = found.to_markdown()
+            for _, row in found.scores[found.scores["overflow"] > 0].iterrows():
                 what = f"{row['overflow']} edges, nodes, peaks or passes did not fit"
-                print(f"warning: {row['map']}: {row['variant']}: {what}")
-            print(wrote)
+                text += f"warning: {row['map']}: {row['variant']}: {what}\n"
+            return out.finish(record, files, text)

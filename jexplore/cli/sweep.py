@@ -2,17 +2,15 @@
 
 import dataclasses
 import functools
-import os
 import re
-import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jexplore.cli.listings import describe
+from jexplore.cli.compare import FINISHING
 from jexplore.cli.options import OutFolder
-from jexplore.cli.output.console import Out, note, say, working
+from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
 
@@ -21,13 +19,12 @@ if TYPE_CHECKING:
 
 Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR [DIR ...]", help_behavior_hint="(required)")]
 LONG_S = 3600.0  # a sweep that is expected to take longer wants --yes
-SHOWN = 24  # rows of the summary that are printed, and
-REPORTED = 200  # on the page
-FINISHING = "jexplore: computing statistics and drawing"
+PRINTED_ROWS = 24  # of the summary
+REPORTED_ROWS = 200  # of the summary, on the page
 
 
 @dataclasses.dataclass(frozen=True)
-class Sweep:
+class SweepCommand:
     """Compare strategies over many settings of scanner, rules, worlds and parameters.
 
     Reads the varied settings from a YAML file, in which a list is an axis of the product: worlds: [cave, office],
@@ -75,7 +72,7 @@ class Sweep:
             raise InputError("expected a file that says what is varied: jexplore sweep SPEC.yaml")
         shard = shard_of(self.shard)
         spec = read_spec(self.spec)
-        with note("jexplore: loading worlds"):
+        with note_if_slow("jexplore: loading worlds"):
             plan = ready(spec)
         numbers = plans.in_shard(len(plan.units), shard)
         if not numbers:
@@ -96,7 +93,7 @@ class Sweep:
             total = sum(plan.size(number) for number in numbers)
             with working(total, "runs" if spec.robots else "episodes") as on_progress:
                 found = run_sweep(plan, ledger=ledger, shard=shard, **how, on_progress=on_progress)
-            with note(FINISHING):
+            with note_if_slow(FINISHING):
                 return _finish(out, found, arguments, self, plan)
 
 
@@ -119,7 +116,7 @@ def _show_finished(out, plan):
     from jexplore.studies.results.loading import load, record_of
 
     found = load(out.run.path)
-    show_table(found.to_markdown(SHOWN))
+    show_table(found.to_markdown(PRINTED_ROWS))
     out.draw_missing(_pictures(out, found, record_of(out.run.path), plan))
     return 0
 
@@ -136,6 +133,7 @@ def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, pl
     """Write, print and draw; return the exit status."""
     from jexplore.arrays.plain_yaml import dump
     from jexplore.report import store
+    from jexplore.studies.results.provenance import describe
     from jexplore.studies.results.saving import engine_of
     from jexplore.studies.sweeps.spec import plain
 
@@ -158,21 +156,11 @@ def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, pl
         "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
         "summary.csv": lambda path: found.summary.to_csv(path, index=False),
         "asked.yaml": lambda path: path.write_text(dump(plain(found.spec))),
-        "run.json": lambda path: store.write_json(record, path),
     }
-    out.write(files, is_finished=not found.missing)
-    try:
-        show_table(found.to_markdown(SHOWN))
-        sys.stdout.flush()
-    finally:  # a reader of the output who goes away costs no pictures
-        drawn = out.draw(_pictures(out, found, record, plan if options.report else None))
-    if found.missing:
-        print(f"warning: {found.missing} episodes are missing")
-    print(f"wrote {', '.join([*files, *drawn])} to {out.run.path}{os.sep}")
-    if found.missing:
-        out.say_kept()
-        return say("jexplore: interrupted, what was finished was written", 130)
-    return 0
+    text = found.to_markdown(PRINTED_ROWS)
+    text += f"warning: {found.missing} episodes are missing\n" if found.missing else ""
+    pictures = _pictures(out, found, record, plan if options.report else None)
+    return out.finish(record, files, text, pictures, interrupted=found.missing > 0)
 
 
 def _picture(make, path):
@@ -192,9 +180,9 @@ def _report(out, found, record, plan, names, path):
     jobs, settings = zip(*plan.first_jobs())
     replays, notes = replays_for(jobs, record, labels=labels_of(settings))
     rows = len(found.summary)
-    heading = "Every setting" if rows <= REPORTED else f"The first {REPORTED} of {rows} rows of summary.csv"
-    tables = [(heading, found.table(REPORTED))]
-    pictures = out.there(names)
+    heading = "Every setting" if rows <= REPORTED_ROWS else f"The first {REPORTED_ROWS} of {rows} rows of summary.csv"
+    tables = [(heading, found.table(REPORTED_ROWS))]
+    pictures = [file for name in names if (file := out.run.path / name).is_file()]
     write_report(path, "jexplore sweep", record, tables, pictures, replays, notes)
 
 
@@ -221,7 +209,7 @@ class Merge:
         from jexplore.studies.results.loading import merge
 
         with Out(self, "sweep") as out:
-            with note("jexplore: reading the parts"):
+            with note_if_slow("jexplore: reading the parts"):
                 found, plan = merge(self.parts, trust=self.trust)
             out.asked, out.units = {"command": "sweep", **plan.asked()}, len(plan.units)
             return _finish(out, found, arguments, self, plan, parts=self.parts)

@@ -1,12 +1,10 @@
 """The command `jexplore train`."""
 
 import dataclasses
-import os
 from collections.abc import Sequence
 
-from jexplore.cli.listings import describe
-from jexplore.cli.options import OutFolder, OwnModel, OwnNames
-from jexplore.cli.output.console import Out, note, say, working
+from jexplore.cli.options import OutFolder, OwnModel, OwnNames, fields_of
+from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.config import Lidar, Rules
 
 
@@ -65,7 +63,7 @@ class Train:
 
         with Out(self, "train") as out:
             use_compilation_cache()
-            with note("jexplore: loading worlds"):
+            with note_if_slow("jexplore: loading worlds"):
                 how = {"cell_m": self.cell_m, "lidar": self.lidar, "rules": self.rules}
                 worlds = bank.prepare_bank(bank.TRAINING if self.worlds is None else self.worlds, **how)
                 watched = bank.prepare_bank(bank.VALIDATION if self.validation is None else self.validation, **how)
@@ -75,11 +73,7 @@ class Train:
                 worlds,
                 watched,
                 numbers_of(self.set),
-                rounds=self.rounds,
-                check_every=self.check_every,
-                patience=self.patience,
-                starts=self.starts,
-                seed=self.seed,
+                **fields_of(self, "rounds check_every patience starts seed"),
                 model=None if self.model is None else load_model(self.model),
             )
             ledger = out.keep(training.asked(plan), plan.units)
@@ -93,6 +87,7 @@ class Train:
     def _finish(self, out, found, plan, arguments):
         from jexplore.policies.learned.model import write_page, write_weights
         from jexplore.report import plot, store
+        from jexplore.studies.results.provenance import describe
 
         interrupted = found.ended == "interrupted"
         command = ["jexplore", *arguments]
@@ -104,18 +99,13 @@ class Train:
             "model.msgpack": lambda path: write_weights(path, model),
             "model.json": lambda path: write_page(path, model),
             "curve.parquet": lambda path: store.write_parquet(found.curve, path),
-            "run.json": lambda path: store.write_json(record, path),
         }
-        out.write(files, is_finished=not interrupted)
-        checks = found.curve.dropna(subset=["validation"])
-        for row in checks.to_dict("records"):
-            mark = "  <- kept" if row["round"] == found.best else ""
-            print(f"round {row['round']:>5}: {row['validation']:.3f} of closest+recheck on the validation worlds{mark}")
-        drawn = out.draw({"curve.png": lambda path: plot.save_figure(found.figure(), path)})
-        print(f"wrote {', '.join([*files, *drawn])} to {out.run.path}{os.sep}")
+        lines = [
+            f"round {row['round']:>5}: {row['validation']:.3f} of closest+recheck on the validation worlds"
+            + ("  <- kept" if row["round"] == found.best else "")
+            for row in found.curve.dropna(subset=["validation"]).to_dict("records")
+        ]
         if found.ended == "not finite":
-            print("warning: the weights became no finite numbers; the best ones before are written")
-        if interrupted:
-            out.say_kept()
-            return say("jexplore: interrupted, what was finished was written", 130)
-        return 0
+            lines.append("warning: the weights became no finite numbers; the best ones before are written")
+        pictures = {"curve.png": lambda path: plot.save_figure(found.figure(), path)}
+        return out.finish(record, files, "\n".join(lines), pictures, interrupted=interrupted)

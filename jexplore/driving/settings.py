@@ -7,7 +7,15 @@ single batch. The docstrings are the command line's help texts.
 import dataclasses
 import math
 
-from jexplore.config import BOUNDS, InputError, Settings, checked_names, require_kind, require_number, require_whole
+from jexplore.config import (
+    NUMBER_BOUNDS,
+    InputError,
+    Settings,
+    checked_names,
+    require_kind,
+    require_number,
+    require_whole,
+)
 
 
 @checked_names
@@ -126,7 +134,7 @@ class Tuning(Settings):
     """The robot turns at this rate for each radian of bearing of the target point [kw], in 1/s."""
 
 
-MOST_NODES = int(BOUNDS["nodes"][1])
+MOST_NODES = int(NUMBER_BOUNDS["nodes"][1])
 """Of a map, at most; of links twice as many."""
 BY_WORLD = {"open_m": (2.5, 5.0), "far_m": (4.0, 8.0), "coast_m": (0.0, 1.5)}
 """Thresholds whose 0 stands for another number -> that on courses, and in other worlds."""

@@ -109,9 +109,9 @@ class Trained:
 
     def figure(self) -> "Figure":
         """Draw the curve."""
-        from jexplore.report.plots import training
+        from jexplore.report.plots.learning import training_figure
 
-        return training.figure(self.curve, self.best)
+        return training_figure(self.curve, self.best)
 
 
 def prepare_training(

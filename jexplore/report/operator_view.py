@@ -4,20 +4,12 @@ import dataclasses
 
 import numpy as np
 
-from jexplore.report.page.assemble import assembled, plain, script_data
-from jexplore.report.page.packing import packed
+from jexplore.report.page.assemble import map_page
+from jexplore.report.page.packing import packed_numbers
 from jexplore.report.store import jsonable
 from jexplore.tracemap.record import BtmMap
 
-_SHAPES = {
-    **{"time_s": "N", "pose": "N3", "estimate": "N3", "mode": "N", "target_m": "N2"},
-    **{"angles_rad": "B", "ranges_m": "NB", "triangles_m": "NK32", "chosen": "N", "pitch_deg": "N", "roll_deg": "N"},
-    **{"n_nodes": "N", "n_links": "N", "votes": "N", "left_m": "N", "right_m": "N"},
-    **{"walls_m": "S4", "link_searched_frame": "L"},
-}
-_INTEGERS = ("mode", "chosen", "n_nodes", "n_links", "votes", "link_searched_frame")
-_FINITE = ("time_s", "pose", "estimate", "walls_m", "angles_rad")
-_STEPS = {
+_RESOLUTION = {  # of the arrays that are no whole numbers
     **{"time_s": 1e-3, "pose": 1e-3, "estimate": 1e-3, "walls_m": 1e-3, "angles_rad": 1e-4},
     **{"target_m": 1e-2, "ranges_m": 1e-2, "triangles_m": 1e-2, "left_m": 1e-2, "right_m": 1e-2},
     **{"pitch_deg": 1e-2, "roll_deg": 1e-2},
@@ -25,12 +17,8 @@ _STEPS = {
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Recording:
-    """Recording of a run, frame by frame (N frames), and the map that it left. Numpy arrays, on the host.
-
-    Raises:
-      ValueError: a shape, a type or a number that does not fit.
-    """
+class RunRecording:
+    """A run, frame by frame (N frames, one or more), and the map that it left. Numpy arrays, on the host."""
 
     title: str
     dt_s: float
@@ -79,57 +67,6 @@ class Recording:
     robot_m: tuple[float, float] = (0.70, 0.39)
     """Length and width of the robot, for its outline."""
 
-    def __post_init__(self) -> None:
-        _check_shapes(self)
-        _check_values(self)
-
-
-def _check_shapes(recording):
-    sizes = {"L": len(recording.map.links)}
-    for name, dims in _SHAPES.items():
-        array = np.asarray(getattr(recording, name))
-        wanted = [int(dim) if dim.isdigit() else sizes.setdefault(dim, size) for dim, size in zip(dims, array.shape)]
-        if array.ndim != len(dims) or list(array.shape) != wanted:
-            expected = ", ".join(dim if dim.isdigit() else f"{dim} = {sizes.get(dim, 'any')}" for dim in dims)
-            raise ValueError(f"expected {name} of shape [{expected}], got {list(array.shape)}")
-        if not np.issubdtype(array.dtype, np.integer if name in _INTEGERS else np.number):
-            kind = "integers" if name in _INTEGERS else "numbers"
-            raise ValueError(f"expected {name} of {kind}, got {array.dtype}")
-    if not sizes["N"]:
-        raise ValueError("expected one or more frames, got none")
-
-
-def _check_values(recording):
-    for name in _FINITE:
-        if not np.isfinite(getattr(recording, name)).all():
-            raise ValueError(f"expected {name} finite, got NaN or an infinity")
-    if not (np.diff(recording.time_s) > 0).all():
-        raise ValueError("expected time_s to increase from frame to frame, got a step back or none")
-    if not (0 < recording.dt_s < np.inf and all(0 < size < np.inf for size in recording.robot_m)):
-        raise ValueError(f"expected dt_s and robot_m above 0, got {recording.dt_s} and {recording.robot_m}")
-    if recording.goal_m is not None and not (len(recording.goal_m) == 2 and np.isfinite(recording.goal_m).all()):
-        raise ValueError(f"expected goal_m as x, y or None, got {recording.goal_m}")
-    frames, most = len(recording.time_s), recording.triangles_m.shape[1]
-    bounds = {
-        **{"mode": (0, len(recording.mode_names) - 1), "chosen": (-1, most - 1), "link_searched_frame": (0, frames)},
-        **{"n_nodes": (0, len(recording.map.nodes)), "n_links": (0, len(recording.map.links))},
-    }
-    for name, (low, high) in bounds.items():
-        values = np.asarray(getattr(recording, name))
-        wrong = values[(values < low) | (values > high)]
-        if wrong.size:
-            raise ValueError(f"expected {name} from {low} to {high}, got {wrong[0]}")
-    rows = np.flatnonzero(recording.chosen >= 0)
-    lost = rows[~_present(recording)[rows, recording.chosen[rows]]]
-    if lost.size:
-        raise ValueError(
-            f"expected chosen to name a surviving triangle, got {recording.chosen[lost[0]]} in frame {lost[0]}"
-        )
-    known = {node.id for node in recording.map.nodes}
-    for link in recording.map.links:
-        if link.start not in known:
-            raise ValueError(f"expected link {link.id} to start at a node of the map, got {link.start}")
-
 
 def _present(recording):
     """Return `[N, K]` bool, True where a triangle exists."""
@@ -138,7 +75,7 @@ def _present(recording):
 
 def _data(recording):
     """Return the data for the page: packed arrays by name, the rest as is. Triangles lie end to end, without NaN."""
-    arrays = {name: getattr(recording, name) for name in _SHAPES}
+    arrays = {name: value for name, value in vars(recording).items() if isinstance(value, np.ndarray)}
     present = _present(recording)
     rank = np.cumsum(present, axis=1) - 1
     rows = np.flatnonzero(recording.chosen >= 0)
@@ -157,25 +94,21 @@ def _data(recording):
         "robot_m": [float(size) for size in recording.robot_m],
         "nodes": rows_of(recording.map.nodes),
         "links": rows_of(recording.map.links),
-        "arrays": {name: packed(values, _STEPS.get(name, 1), name) for name, values in arrays.items()},
+        "arrays": {name: packed_numbers(values, _RESOLUTION.get(name, 1), name) for name, values in arrays.items()},
     }
 
 
-def page(recording: Recording) -> str:
+def page(recording: RunRecording) -> str:
     """Return a run as one HTML file that replays in a browser: no network, no server, no other file.
 
     Metres are kept to 1 cm (poses and walls to 1 mm), angles of beams to 0.1 mrad, tilt to 0.01 degrees. The page is
     plain ASCII, so it may be written in any encoding.
 
     Args:
-      recording: a `Recording`.
-
-    Returns:
-      The page, text.
+      recording: a `RunRecording`.
 
     Raises:
       ValueError: a number too large to be kept.
     """
     modes = '<div id="modekey" aria-label="Colours of the run modes"></div>'
-    title, data = plain(recording.title), script_data(_data(recording))
-    return assembled("trace.html", title=title, own_style=assembled("trace.css"), data=data, own_controls=modes)
+    return map_page("trace", recording.title, _data(recording), ("trace.js",), own_controls=modes)

@@ -47,7 +47,6 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 15
     Equal figures give equal files. A PDF holds its fonts as outlines that can be edited (TrueType).
 
     Args:
-      figure: the figure.
       path: the file; without an ending it is a PNG.
       dpi: pixels an inch, of pixels and of what a vector has of them.
 
@@ -63,7 +62,7 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 15
         figure.savefig(part, format=ending, dpi=dpi, metadata=dates.get(ending), **small)
 
 
-def wrapped(text: object, width: int, *, max_lines: int = 3) -> str:
+def wrapped_text(text: object, width: int, *, max_lines: int = 3) -> str:
     """Wrap `text` into at most `max_lines` lines of at most `width` characters.
 
     Lines break before + : @ / # and after a comma or blank; what does not fit loses its middle to an ellipsis.
@@ -121,16 +120,11 @@ def bars(ax: Axes, labels: Sequence[str], means: Any, sds: Any, title: str = "",
     """Draw mean path lengths as bars with whiskers of one standard deviation and numbers next to them, first on top.
 
     Args:
-      ax: the axes.
       labels: `[K]` texts.
       means, sds: `[K]` metres; a NaN mean leaves a gap marked "no data", a NaN or zero sd has no whisker.
-      title: of the axes.
       styles: `[K]` dicts of bar properties (`facecolor`, `hatch`); by default the palette in order.
       at: `[K]` places on the axis, rising; by default 0 to K - 1.
       thickness: of a bar, on the same scale.
-
-    Returns:
-      The `BarContainer`.
 
     Source:
       Holz et al. 2010, Figure 8. Changed: the bars lie, so that long names stay readable.
@@ -199,10 +193,8 @@ def draw_path(ax: Axes, rows: Any, cols: Any, cell_m: float, *, width: float = 1
     """Draw the driven path, coloured from start to end by distance driven, the start a ring and the end a cross.
 
     Args:
-      ax: the axes.
       rows, cols: `[N]` cells in the order driven, N >= 1.
       cell_m: edge of a cell, metres.
-      width: of the line, points.
 
     Returns:
       `(line, start, end)`: a `LineCollection` of N - 1 segments valued 0 to 1, and two `Line2D` markers.
@@ -239,11 +231,6 @@ def room_colours(count: int) -> np.ndarray:
 
 def draw_rooms(ax: Axes, world: Any, *, numbers: bool = True) -> tuple[Any, list[Any]]:
     """Draw the true floor plan with its rooms in soft colours, and each room's number near its middle.
-
-    Args:
-      ax: the axes.
-      world: `World`; without rooms its floor stays white.
-      numbers: whether to print the numbers.
 
     Returns:
       `(image, texts)`.
@@ -288,9 +275,6 @@ def paths_figure(entries: Sequence[tuple[str, Sequence[tuple[str, Any, Any, Any,
       entries: one or more `(world name, panels)`; a panel is `(strategy, state, rows, cols, cell_m, path_m)`: the final
         map `[H, W]` uint8, the cells driven `[N]`, the edge of a cell and the path length, metres. Rows may differ in
         length.
-
-    Returns:
-      `Figure`.
     """
     n_cols = max(len(panels) for _, panels in entries)
     sizes = [_panel_in([np.shape(panel[1]) for panel in panels], long_in=3.0) for _, panels in entries]
@@ -307,8 +291,8 @@ def paths_figure(entries: Sequence[tuple[str, Sequence[tuple[str, Any, Any, Any,
             draw_map(ax, state, cell_m)
             marks = draw_path(ax, rows, cols, cell_m)[1:]
             scale_bar(ax)
-            _plain(ax.set_title(f"{wrapped(strategy, int(11 * width), max_lines=2)}\n{path_m:.1f} m", fontsize=9))
-        _plain(line[0].set_ylabel(wrapped(world, int(12 * height), max_lines=3), fontsize=9))
+            _plain(ax.set_title(f"{wrapped_text(strategy, int(11 * width), max_lines=2)}\n{path_m:.1f} m", fontsize=9))
+        _plain(line[0].set_ylabel(wrapped_text(world, int(12 * height), max_lines=3), fontsize=9))
     _path_legend(figure, list(grid.flat), marks)
     return figure
 
@@ -323,10 +307,6 @@ def episode_figure(state: Any, rows: Any, cols: Any, cell_m: float, *,
       cell_m: edge of a cell, metres.
       path_m: `[T]` float, path length at each scan, not decreasing.
       known_cells: `[T]` int, cells known after that scan.
-      title: of the figure.
-
-    Returns:
-      `Figure`.
     """
     width, height = _panel_in([np.shape(state)], long_in=5.2)
     figure = Figure(figsize=(width + 4.4, max(height, 3.2) + 0.7), layout="constrained")
@@ -336,7 +316,7 @@ def episode_figure(state: Any, rows: Any, cols: Any, cell_m: float, *,
     left.set(xlabel="x (m)", ylabel="y (m)")
     figure.legend(handles=marks, loc="outside lower left", ncols=2, frameon=False, fontsize=8)
     draw_coverage(right, path_m, np.asarray(known_cells) * cell_m**2)
-    _plain(figure.suptitle(wrapped(title, int(11 * figure.get_figwidth()), max_lines=2), fontsize=11))
+    _plain(figure.suptitle(wrapped_text(title, int(11 * figure.get_figwidth()), max_lines=2), fontsize=11))
     return figure
 
 
@@ -344,7 +324,6 @@ def draw_coverage(ax: Any, path_m: Any, known_m2: Any) -> LineCollection:
     """Draw the known area over path length, in colours like the path, with its share of the final area on the right.
 
     Args:
-      ax: the axes.
       path_m, known_m2: `[T]` metres and square metres, T >= 1.
 
     Returns:
@@ -371,9 +350,6 @@ def worlds_figure(worlds: Sequence[tuple[str, Any]]) -> Figure:
 
     Args:
       worlds: one or more `(name, World)`.
-
-    Returns:
-      `Figure`.
     """
     n_rows, n_cols = _grid(len(worlds))
     shapes = [world.shape for _, world in worlds]
@@ -393,6 +369,6 @@ def worlds_figure(worlds: Sequence[tuple[str, Any]]) -> Figure:
         scale_bar(ax)
         n_rooms = 0 if world.rooms is None else len(np.unique(world.rooms[world.rooms >= 0]))
         rooms = f", {n_rooms} room{'s' if n_rooms > 1 else ''}" if n_rooms else ""
-        name = wrapped(name, int(11 * width), max_lines=2)
+        name = wrapped_text(name, int(11 * width), max_lines=2)
         _plain(ax.set_title(f"{name}\n{world.free_m2:.0f} m² free{rooms}", fontsize=9))
     return figure

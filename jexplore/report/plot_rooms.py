@@ -12,7 +12,7 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from jexplore.report.plot import room_colours, scale_bar, wrapped
+from jexplore.report.plot import room_colours, scale_bar, wrapped_text
 from jexplore.report.plots.looks import legend_below
 
 SIDE_IN = 4.2  # of a panel, the longer side
@@ -29,13 +29,6 @@ def draw_segments(ax: Axes, picture: Any) -> AxesImage:
     """Draw rooms in colours; rings at found doors, squares at missed ones, crosses at contacts without a door.
 
     The paper's variants also show the Voronoi graph as thin lines, critical points as dots.
-
-    Args:
-      ax: `Axes`.
-      picture: `segmentation.Picture`.
-
-    Returns:
-      The image's artist.
     """
     height, width = picture.label.shape
     count = int(picture.label.max()) + 1
@@ -60,15 +53,11 @@ def _bytes(colour):
     return np.array([round(255 * value) for value in to_rgb(colour)], np.uint8)
 
 
-def figure(pictures: Sequence[Any], scores: Any) -> Figure:
+def rooms_figure(pictures: Sequence[Any], scores: Any) -> Figure:
     """Draw a page with a row for every map and known share, and a column for every variant.
 
     Args:
-      pictures: list of `segmentation.Picture`.
       scores: `Segmentation.scores`, in the order of the pictures.
-
-    Returns:
-      `Figure`.
     """
     variants = list(dict.fromkeys(picture.variant for picture in pictures))
     n_rows = math.ceil(len(pictures) / len(variants))
@@ -79,7 +68,7 @@ def figure(pictures: Sequence[Any], scores: Any) -> Figure:
         draw_segments(ax, picture)
         share = "" if picture.explored == 1 else f", {picture.explored:.0%} known"
         agreement = "" if np.isnan(row["mcc"]) else f", MCC {row['mcc']:.2f}, {_doors(row)}"
-        title = f"{wrapped(picture.name, 40, max_lines=1)}{share}\n"
+        title = f"{wrapped_text(picture.name, 40, max_lines=1)}{share}\n"
         ax.set_title(f"{title}{picture.variant}: {int(row['rooms'])} rooms{agreement}", fontsize=8, parse_math=False)
     handles = _handles(pictures)
     legend_below(page, handles, [handle.get_label() for handle in handles])

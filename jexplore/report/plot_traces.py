@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from jexplore.report.plot import PALETTE, wrapped
+from jexplore.report.plot import PALETTE, wrapped_text
 from jexplore.tracemap.record import NODE_TYPES, NOWHERE, BtmMap
 from jexplore.tracemap.route import Route
 
@@ -29,7 +29,7 @@ WALL, POINT, LINK = "#dddddd", "#555555", "black"
 WAY, REFUSED = PALETTE[0], "#e01010"
 STUB_M = 0.8  # drawn length of a link that nobody has followed
 LONG_IN, LEGEND_IN = 8.0, 1.9
-NEAR_M = 0.25  # by which a first pass of a node may be farther than the nearest
+FIRST_PASS_M = 0.25  # by which a first pass of a node may be farther than the nearest
 _HALO: Any = (patheffects.withStroke(linewidth=2.2, foreground="white"),)
 
 
@@ -38,7 +38,6 @@ def draw_btm(ax: Axes, btm: BtmMap, *, legend: bool = True) -> list[Line2D]:
 
     Args:
       ax: `Axes`, in metres; its limits are left to matplotlib.
-      btm: `BtmMap`.
       legend: bool, put a legend next to the axes.
 
     Returns:
@@ -90,11 +89,7 @@ def draw_route(ax: Axes, btm: BtmMap, route: Route) -> list[Line2D]:
 
     Args:
       ax: `Axes`, in metres, of `draw_btm`.
-      btm: `BtmMap`.
       route: `Route` over it.
-
-    Returns:
-      Handles for a legend.
     """
     places, handles = {node.id: (node.x_m, node.y_m) for node in btm.nodes}, []
     lines = _lines(btm, places)
@@ -139,7 +134,6 @@ def draw_trail(ax: Axes, trail: ArrayLike, modes: ArrayLike, mode_names: Sequenc
       ax: `Axes`, in metres.
       trail: `[T, 3]` x and y, metres, and heading, which is not drawn.
       modes: `[T]` int, index into `mode_names`: of the piece that leads to this pose.
-      mode_names: list of text.
 
     Returns:
       Handles for a legend: the modes that occur, and the two marks.
@@ -165,8 +159,6 @@ def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2
     """Draw the body's inclination over the driven way; lines with ids mark where it first came to the nodes.
 
     Args:
-      ax: `Axes`.
-      btm: `BtmMap`.
       trail: `[T, 3]` x and y, metres, and heading; T >= 1.
       pitch_deg: `[T]` degrees.
 
@@ -179,7 +171,7 @@ def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2
     now, above, taken = 0, ax.get_xaxis_transform(), [-math.inf] * 3
     for node in btm.nodes:
         apart = np.hypot(*(xy[now:] - (node.x_m, node.y_m)).T)
-        near = np.append(apart <= apart.min() + NEAR_M, False)  # later passes count no more than the first
+        near = np.append(apart <= apart.min() + FIRST_PASS_M, False)  # later passes count no more than the first
         first = int(np.argmax(near))
         now += first + int(np.argmin(apart[first : first + int(np.argmin(near[first:]))]))
         ax.axvline(driven[now], color="#999999", linewidth=0.8, linestyle=":", zorder=0)
@@ -216,7 +208,7 @@ def _limits(btm, walls, trail, points):
     return low - 1.5 * STUB_M, high + 1.5 * STUB_M
 
 
-def figure(
+def trace_figure(
     btm: BtmMap,
     walls: ArrayLike | None,
     trail: ArrayLike,
@@ -231,18 +223,12 @@ def figure(
     """Draw a page with the building, the run through it and the resulting map.
 
     Args:
-      btm: `BtmMap`.
       walls: `[S, 4]` x and y of either end, metres, of the true building; None leaves it out.
       trail: `[T, 3]` x and y, metres, and heading.
       points: `[P, 2]` points of scans, metres; None leaves them out.
       modes: `[T]` int, index into `mode_names`.
-      mode_names: list of text.
-      title: of the page.
       pitch_deg: `[T]` inclination of the body, degrees: a panel below the map. None for none.
       route: a `Route` over the map, drawn with it. None for none.
-
-    Returns:
-      `Figure`.
 
     Source:
       The resulting map of Mano et al., whose figure is lost: drawn after its description.
@@ -268,7 +254,7 @@ def figure(
     ax.set_ylabel("y (m)", fontsize=8)
     ax.tick_params(labelsize=8)
     if title:
-        ax.set_title(wrapped(title, int(11 * width), max_lines=2), fontsize=10, parse_math=False)
+        ax.set_title(wrapped_text(title, int(11 * width), max_lines=2), fontsize=10, parse_math=False)
     if handles:
         page.legend(handles=handles, loc="outside right upper", fontsize=8, frameon=False)
     if pitched:

@@ -34,12 +34,8 @@ def aligned_table(head: Sequence[str], lines: Iterable[Sequence[str]], *, left: 
     """Format texts as one aligned Markdown table.
 
     Args:
-      head: `[K]` texts, the names of the columns.
       lines: lists of `[K]` texts. Bars in texts are escaped.
       left: names of the columns that are aligned to the left; the others are to the right.
-
-    Returns:
-      Text that ends with a newline.
     """
     is_left = [name in left for name in head]
     head, *lines = ([" ".join(cell.split()).replace("|", "\\|") for cell in line] for line in [head, *lines])

@@ -167,9 +167,9 @@ class Reproduction:
 
     def figure(self) -> "Figure":
         """Draw mean paths as bars, ours and the paper's, one panel an environment: a matplotlib `Figure`."""
-        from jexplore.report import plot_papers
+        from jexplore.report.plots.standings import papers_figure
 
-        return plot_papers.figure(self.tables, self.paper.short)
+        return papers_figure(self.tables, self.paper.short)
 
     def _repr_markdown_(self):
         return self.to_markdown()

@@ -6,11 +6,13 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from jexplore.arrays.files import first_line
+from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
 
 if TYPE_CHECKING:
@@ -21,15 +23,17 @@ PREPARING = "jexplore: making programs ready"
 COMPILING = "jexplore: compiling (kept for later runs)"
 under_way: "list[Out]" = []
 """Outputs being written by this process."""
-LONGEST = 400  # characters of a message; a name or a file may be quoted in it
+MAX_MESSAGE_CHARS = 400  # a name or a file may be quoted in it
 PATIENCE_S = 2.0  # work that lasts longer shows how far it is
 TICK_S = 1.0  # between two times that a clock shows
 TENTH = 0.1  # of all work, and
 SILENCE_S = 30.0  # the time after which a log gets another line
+INTERRUPTED = 130  # exit status of a run that was ended by Ctrl-C
 
 
 def say(line: str, status: int) -> int:
-    print(line if len(line) <= LONGEST else line[: LONGEST - 3] + "...", file=sys.stderr, flush=True)
+    """Print a line on stderr, cut short, and return the exit status."""
+    tell(line if len(line) <= MAX_MESSAGE_CHARS else line[: MAX_MESSAGE_CHARS - 3] + "...")
     return status
 
 
@@ -103,8 +107,8 @@ class _Lines:
         pass
 
 
-def tell(line):
-    """Print a line on stderr, if it is not empty."""
+def tell(line: str) -> None:
+    """Print a line on stderr."""
     if sys.stderr is not None:
         print(line, file=sys.stderr, flush=True)
 
@@ -119,7 +123,7 @@ def progress_of(total: int, unit: str) -> Iterator[Progress]:
 
 
 @contextlib.contextmanager
-def note(text: str) -> Iterator[Callable[[], None]]:
+def note_if_slow(text: str) -> Iterator[Callable[[], None]]:
     """Name a slow step on stderr, once, if it takes long; the block gets a function that cancels the note."""
     timer = threading.Timer(PATIENCE_S, lambda: tell(text))
     timer.daemon = True
@@ -284,13 +288,34 @@ class Out:
             "environment": {**store.environment(), "commit": provenance.commit()},
         } | ({} if self.asked is None else {"asked": self.asked, "units": self.units})
 
-    def write(self, writers: Mapping[str, Callable[[Path], Any]], *, is_finished: bool = True) -> str:
-        """Write the files, all or none, and return a line that says where.
+    def finish(
+        self,
+        record: Mapping[str, Any],
+        files: Mapping[str, Callable[[Path], Any]],
+        text: str,
+        pictures: Mapping[str, Callable[[Path], Any]] = MappingProxyType({}),
+        *,
+        interrupted: bool = False,
+    ) -> int:
+        """Write the files and run.json, all or none; print the text and add the pictures; return the exit status.
 
-        The line is printed last, so that a reader of the output who goes away costs no results.
+        A reader of the output who goes away costs neither results nor pictures.
         """
-        folder = self.run.write(writers, is_finished=is_finished)
-        return f"wrote {', '.join(writers)} to {os.fspath(folder)}{os.sep}"
+        from jexplore.report import store
+
+        files = {**files, "run.json": lambda path: store.write_json(record, path)}
+        self.run.write(files, is_finished=not interrupted)
+        try:
+            if text:
+                show_table(text)
+            sys.stdout.flush()
+        finally:
+            drawn = self.draw(pictures)
+        print(f"wrote {', '.join([*files, *drawn])} to {self.run.path}{os.sep}")
+        if interrupted:
+            self.say_kept()
+            return say("jexplore: interrupted, what was finished was written", INTERRUPTED)
+        return 0
 
     def draw(self, writers: Mapping[str, Callable[[Path], Any]]) -> list[str]:
         """Add pictures to the output; return the names of those written.
@@ -309,13 +334,8 @@ class Out:
                 print(f"warning: {name} could not be drawn: {first_line(error)}", file=sys.stderr)
         return drawn
 
-    def there(self, names: Iterable[str]) -> list[Path]:
-        """Return those of some files that the folder has."""
-        return [self.run.path / name for name in names if (self.run.path / name).is_file()]
-
     def draw_missing(self, writers: Mapping[str, Callable[[Path], Any]]) -> None:
         """Add the pictures that a finished run lacks, and tell so."""
-        have = {file.name for file in self.there(writers)}
-        drawn = self.draw({name: write for name, write in writers.items() if name not in have})
+        drawn = self.draw({name: write for name, write in writers.items() if not (self.run.path / name).is_file()})
         what = f"drew {', '.join(drawn)}" if drawn else "nothing was left to do"
         print(f"{self.run.path}{os.sep} holds all of it: {what}")

@@ -22,7 +22,6 @@ import time
 from jexplore.cli.output.console import say, tell, under_way
 from jexplore.engine.threads import interruption
 
-INTERRUPTED = 130  # exit status of a run that was ended by Ctrl-C
 SOON_S = 0.3  # what has ended by then needs no answer; interruptions closer than this are one: some tools send two
 GRACE_S = 0.8  # in which SIGTERM may end a run in an orderly way
 LAST_S = 1.0  # at most, for the last words, however slow the folder or the reader of stderr is

@@ -1,6 +1,7 @@
 """Printed output of commands: on a terminal tables that fit its width, in pipes and files the Markdown itself."""
 
 import contextlib
+import itertools
 import re
 import shutil
 import sys
@@ -10,12 +11,11 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Any, TextIO
 
 from jexplore.config import InputWarning
+from jexplore.report.tables import aligned_table, table_cells
 
-GAP = 2  # blank columns between two columns of a table
-NARROW = 12  # text is folded to no fewer columns than this while another part of the table can take the rest
-FEW = NARROW // 2  # text that lacks no more than this is rather not folded
+COLUMN_GAP = 2  # blank columns of the terminal between two columns of a table
+FOLDED_TEXT = 16  # columns that a text keeps while other columns of the table need room
 _STEERING = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
-_PIECE = re.compile(r"\s+|[,:;+/-]*[^\s,:;+/-]+[,:;+/-]*|[,:;+/-]+")  # text is folded between such pieces
 
 
 def show_table(
@@ -27,10 +27,9 @@ def show_table(
 ) -> None:
     """Print tables in readable form.
 
-    In a pipe or a file this is `print` of the Markdown. On a terminal every table is drawn to fit the width: headings
-    fold first, then columns of text, never numbers, and a first cell that repeats the row above is left blank; a table
-    that is still too wide is cut into parts below each other, which all begin with the first column, or two if these
-    are text. `COLUMNS` and `NO_COLOR` count.
+    In a pipe or a file this is `print` of the Markdown. On a terminal rich draws them: headings and texts fold, numbers
+    do not, and a table that is still too wide is cut into parts, which all begin with its first column,
+    or two if these are text. `COLUMNS` and `NO_COLOR` count.
 
     Args:
       table: Markdown text, which may hold other lines between its tables; or a data frame; or, with `rows`, headings.
@@ -48,17 +47,48 @@ def show_table(
     from rich.text import Text
 
     console = Console(file=file, force_jupyter=False, highlight=False)
-    for part in _parts(text):
-        if isinstance(part, str):
-            line = part.lstrip("#").lstrip() if part.startswith("#") else part
-            console.print(Text(line, style="bold" if part.startswith("#") else ""))
-        else:
-            rows, is_left = part
-            for i, block in enumerate(_blocks(rows, is_left, console.width)):
-                if i:
-                    console.print()
-                console.print(_drawn(*block))
-    console.print()
+    for is_table, lines in itertools.groupby(text.split("\n"), lambda line: line.startswith("|")):
+        lines = list(lines)
+        if is_table:
+            _draw_table(console, *table_cells("\n".join(lines)))
+            continue
+        for line in lines:
+            console.print(Text(line.lstrip("# "), style="bold") if line.startswith("#") else Text(line))
+
+
+def _draw_table(console, head, rows, is_right):
+    """Draw a table, in parts of as many columns as fit, all of which begin with its first columns."""
+    from rich import box
+    from rich.cells import cell_len
+    from rich.table import Table
+    from rich.text import Text
+
+    columns = [list(column) for column in zip(head, *rows)]
+    full = [max(map(cell_len, column)) for column in columns]
+    words = [max(map(cell_len, column[0].split()), default=1) for column in columns]
+    least = [
+        max(word, max(map(cell_len, column[1:]), default=1)) if right else min(whole, FOLDED_TEXT)
+        for column, whole, word, right in zip(columns, full, words, is_right)
+    ]
+    if sum(full) + COLUMN_GAP * (len(full) - 1) <= console.width:
+        least = full
+    keys = 2 if is_right[:2] == [False, False] and any(is_right) else 1
+    rest = list(range(keys, len(columns))) or [0]
+    while rest:
+        part = [*range(min(keys, rest[0])), rest.pop(0)]
+        while rest and sum(least[i] + COLUMN_GAP for i in [*part, rest[0]]) - COLUMN_GAP <= console.width:
+            part.append(rest.pop(0))
+        table = Table(box=box.SIMPLE_HEAD, padding=(0, COLUMN_GAP - 1, 0, 0), pad_edge=False, show_edge=False)
+        most = max(1, (console.width - COLUMN_GAP * (len(part) - 1)) // len(part))  # where nothing else fits
+        for i in part:
+            width = (least[i] if len(part) > keys + 1 else min(least[i], most)) if is_right[i] else None
+            how: Any = {"justify": "right" if is_right[i] else "left", "width": width, "overflow": "fold"}
+            table.add_column(Text(columns[i][0]), vertical="top", **how)
+        for cells in zip(*(columns[i][1:] for i in part)):
+            table.add_row(*map(Text, cells))
+        console.print(table)
+        if rest:
+            console.print()
 
 
 def show_line(text: str, indent: int = 0) -> None:
@@ -94,8 +124,6 @@ def plain_warnings() -> Iterator[None]:
 
 
 def _markdown(table, rows, left):
-    from jexplore.report.tables import aligned_table
-
     head, rows = (table.columns, table.itertuples(index=False)) if rows is None else (table, rows)
     head, rows = [str(name) for name in head], [list(row) for row in rows]
     if left is None:
@@ -107,119 +135,3 @@ def _cell(value):
     if value is None or value != value:
         return "-"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _parts(text) -> Iterator[Any]:
-    """Yield lines of Markdown, and its tables: `(rows of cells, headings first; whether columns go to the left)`."""
-    lines = text.split("\n")
-    i = 0
-    while i < len(lines):
-        n = 0
-        while i + n < len(lines) and lines[i + n].startswith("|"):
-            n += 1
-        rows = [_cells(line) for line in lines[i : i + n]]
-        if n >= 2 and len({len(row) for row in rows}) == 1 and all(re.fullmatch(":?-+:?", cell) for cell in rows[1]):
-            yield [rows[0], *rows[2:]], [not cell.endswith(":") for cell in rows[1]]
-            i += n
-        else:
-            yield lines[i]
-            i += 1
-
-
-def _cells(line):
-    cells = re.split(r"(?<!\\)\|", line.strip().removeprefix("|").removesuffix("|"))
-    return [cell.strip().replace("\\|", "|") for cell in cells]
-
-
-def _blocks(rows, is_left, width):
-    """Yield the parts of a table below each other, each no wider than `width`: `(rows, is_left, widths)`."""
-    from rich.cells import cell_len
-
-    texts = list(zip(*rows))
-    full = [max(map(cell_len, column)) for column in texts]
-    least = []  # what a column needs
-    for column, whole, to_left in zip(texts, full, is_left):
-        cells = max((cell_len(cell) for cell in column[1:]), default=0)
-        word = max((cell_len(word) for word in column[0].split()), default=0)
-        least.append(max(1, min(whole, max(word, min(cells, NARROW) if to_left else cells))))
-    parts = [list(range(len(least)))]
-    if sum(full) + GAP * (len(full) - 1) > width and is_left[0]:
-        rows = [rows[0], *_once(rows[1:])]
-    if sum(least) + GAP * (len(least) - 1) > width:
-        keys = 2 if is_left[:2] == [True, True] and not all(is_left) else 1
-        whole_keys = full[:keys] + least[keys:]
-        parts, roomy = _cut(least, keys, width), _cut(whole_keys, keys, width)
-        if len(roomy) == len(parts):  # then there is no need to fold them
-            parts, least = roomy, whole_keys
-    for columns in parts:
-        widths = _shared([least[i] for i in columns], [full[i] for i in columns], width - GAP * (len(columns) - 1))
-        yield [[row[i] for i in columns] for row in rows], [is_left[i] for i in columns], widths
-
-
-def _cut(least, keys, width):
-    """Divide columns into parts: the first `keys` of the table and as many others as fit, at least one."""
-    parts = []
-    rest = list(range(keys, len(least))) or [0]
-    while rest:
-        part = [*range(min(keys, rest[0])), rest.pop(0)]
-        while rest and sum(least[i] + GAP for i in [*part, rest[0]]) - GAP <= width:
-            part.append(rest.pop(0))
-        while len(part) > 1 and len(part) * (1 + GAP) - GAP > width:  # a terminal of a few columns
-            part.pop(0)
-        parts.append(part)
-    return parts
-
-
-def _once(rows):
-    """Yield the same rows, the first cell left blank if it equals that of the row above."""
-    before = None
-    for row in rows:
-        yield ["" if row[0] == before else row[0], *row[1:]]
-        before = row[0]
-
-
-def _shared(least, full, width):
-    """Distribute the width over columns: their full width if possible.
-
-    The rest goes to texts that would then not have to be folded, and to the narrowest columns.
-    """
-    widths = list(least)
-    while sum(widths) > max(width, len(widths)):
-        widths[widths.index(max(widths))] -= 1
-    for i, lacks in enumerate(whole - has for whole, has in zip(full, widths)):
-        if widths[i] == NARROW and lacks <= min(FEW, width - sum(widths)):
-            widths[i] += lacks
-    for _ in range(width - sum(widths)):
-        wanting = [i for i in range(len(widths)) if widths[i] < full[i]]
-        if not wanting:
-            break
-        widths[min(wanting, key=widths.__getitem__)] += 1
-    return widths
-
-
-def _fold(text, width):
-    """Fold a text into lines of at most `width` columns: cut after spaces and separators, or anywhere without them."""
-    from rich.cells import cell_len, chop_cells
-
-    lines = [""]
-    for piece in _PIECE.findall(text):
-        if cell_len(lines[-1] + piece.rstrip()) > width:
-            lines.append("")
-        chopped = chop_cells(piece, width) if cell_len(piece.rstrip()) > width else [piece]
-        lines[-1:] = [lines[-1] + chopped[0], *chopped[1:]]
-    return "\n".join(line.strip() for line in lines if line.strip())
-
-
-def _drawn(rows, is_left, widths):
-    """Make a table of rich, folded already."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    head, *body = [[Text(_fold(cell, width)) for cell, width in zip(row, widths)] for row in rows]
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False)
-    for cell, to_left, width in zip(head, is_left, widths):
-        table.add_column(cell, justify="left" if to_left else "right", vertical="top", width=width, no_wrap=True)
-    for row in body:
-        table.add_row(*row)
-    return table

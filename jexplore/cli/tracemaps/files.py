@@ -10,13 +10,13 @@ from typing import Annotated
 
 import tyro
 
-from jexplore.cli.output.console import note, progress_of
+from jexplore.cli.output.console import note_if_slow, progress_of
 from jexplore.config import InputError
 
 Files = Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE [FILE ...]", help_behavior_hint="(required)")]
 
 
-Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
+MapNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
 TRACED = "btm"  # what every run calls its map
 
 
@@ -45,7 +45,8 @@ def _name(path):
 @contextlib.contextmanager
 def comparing(count: int) -> Iterator[Callable[[int], None]]:
     """Show progress of merging a number of maps. The block gets the function to call."""
-    with progress_of((count - 1) ** 2, "pairs of maps") as progress, note("jexplore: comparing maps") as call_off:
+    pairs = (count - 1) ** 2
+    with progress_of(pairs, "pairs of maps") as progress, note_if_slow("jexplore: comparing maps") as call_off:
         progress.update(0)
 
         def on_progress(compared):

@@ -8,7 +8,7 @@ import tyro
 
 from jexplore.cli.output.console import say
 from jexplore.cli.output.terminal import show_line, show_table
-from jexplore.cli.tracemaps.files import Files, Names, comparing, file_out, names_of, require_once
+from jexplore.cli.tracemaps.files import Files, MapNames, comparing, file_out, names_of, require_once
 from jexplore.config import InputError
 from jexplore.tracemap.merging.limits import Limits
 
@@ -25,8 +25,8 @@ class MergeMaps:
 
     maps: tyro.conf.Positional[Files] = ()
     """Files of the maps, such as btm.json. The result lies in the frame of the first."""
-    names: Names = ()
-    """Names of the maps in the output; by default those of their files, btm.json by its folder."""
+    names: MapNames = ()
+    """MapNames of the maps in the output; by default those of their files, btm.json by its folder."""
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Write the map into this file; by default it is not written."""
     overwrite: bool = False

@@ -1,8 +1,6 @@
 """The command `jexplore route`."""
 
 import dataclasses
-import os
-import sys
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -21,7 +19,7 @@ Start = Annotated[str | None, tyro.conf.arg(name="from", metavar="PLACE", help_b
 
 
 @dataclasses.dataclass(frozen=True)
-class Route:
+class RouteCommand:
     """Find the shortest way over a Behavioral Trace Map that a robot may use.
 
     Prints a table of links and by which way to leave every node; then the links that the robot may not use, with all
@@ -76,10 +74,7 @@ class Route:
             status = _tell(btm, route)
             driven, changed = (NO_ROUTE, btm) if status else self._followed(btm, route)
             status = status or driven
-            wrote = _write(out, self, arguments, btm, route, changed)
-            sys.stdout.flush()
-            drawn = out.draw({"route.png": lambda path: _draw(btm, route, path)})
-            print(f"wrote {', '.join([*wrote, *drawn])} to {out.run.path}{os.sep}")
+            _write(out, self, arguments, btm, route, changed)
             return status
 
     def _require_drive(self):
@@ -138,23 +133,19 @@ def _tell(btm, route) -> int:
 
 
 def _write(out, options, arguments, btm, route, changed):
-    """Write the findings; return the names of the files."""
+    """Write the findings and draw them."""
     from jexplore.report import store
 
     record = out.record(arguments, options, map=btm.attributes)
     found = {**store.jsonable(route), "is_found": route.is_found}
     for name in ("refused", "barriers"):
         found[name] = [{"id": own, "reasons": list(why)} for own, why in getattr(route, name)]
-    files = {
-        "route.json": lambda path: store.write_json(found, path),
-        "run.json": lambda path: store.write_json(record, path),
-    }
+    files = {"route.json": lambda path: store.write_json(found, path)}
     if options.drive is not None:
         from jexplore.tracemap import json_form
 
         files["btm.json"] = lambda path: store.write_json(json_form.to_json(changed), path)
-    out.write(files)
-    return list(files)
+    out.finish(record, files, "", {"route.png": lambda path: _draw(btm, route, path)})
 
 
 def _draw(btm, route, path):
@@ -164,5 +155,5 @@ def _draw(btm, route, path):
     from jexplore.report import plot, plot_traces
 
     title = route.trouble or f"{route.robot}, node {route.start} to {route.end}, {route.length_m:.2f} m"
-    figure = plot_traces.figure(btm, None, np.zeros((0, 3)), None, [], [], title, route=route)
+    figure = plot_traces.trace_figure(btm, None, np.zeros((0, 3)), None, [], [], title, route=route)
     plot.save_figure(figure, path)

@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.output.terminal import show_line, show_table
-from jexplore.cli.tracemaps.files import Files, Names, comparing, file_out, names_of, require_once
+from jexplore.cli.tracemaps.files import Files, MapNames, comparing, file_out, names_of, require_once
 from jexplore.config import InputError
 
 
@@ -21,7 +21,7 @@ class Station:
 
     maps: tyro.conf.Positional[Files] = ()
     """Files of the maps, such as btm.json. The global map lies in the frame of the first."""
-    names: Names = ()
+    names: MapNames = ()
     """Call the maps so; by default by their files, btm.json by its folder."""
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Write the page into this file, such as page.html."""

@@ -3,17 +3,14 @@
 import dataclasses
 import functools
 import math
-import os
 import sys
 from collections.abc import Sequence
 from typing import Annotated
 
 import tyro
 
-from jexplore.cli.listings import describe
-from jexplore.cli.options import EngineName, OneStrategy, OneWorld, OutFolder
+from jexplore.cli.options import EngineName, OneStrategy, OneWorld, OutFolder, fields_of
 from jexplore.cli.output.console import Out, compiling, say, working
-from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
 
@@ -107,17 +104,9 @@ class Trace:
             noise = self.noise if self.noise_m is None else dataclasses.replace(self.noise, range_m=self.noise_m)
             plan = prepare_trace(
                 self.world,
-                robot=self.robot,
-                runs=self.runs,
-                starts=self.starts,
-                seed=self.seed,
-                tuning=self.tuning,
+                **fields_of(self, "robot runs starts seed tuning"),
                 noise=noise,
-                start=self.start,
-                sweep=self.sweep,
-                settings=self.settings,
-                cell_m=self.cell_m,
-                max_steps=self.max_steps,
+                **fields_of(self, "start sweep settings cell_m max_steps"),
                 attributes=self.attribute,
                 nodes=self.nodes,
                 links=self.links,
@@ -133,6 +122,7 @@ class Trace:
     def _run(self, out, plan, ledger, arguments):
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.report import store, trace_tables
+        from jexplore.studies.results.provenance import describe
         from jexplore.studies.results.saving import engine_of
         from jexplore.studies.traces import tracing
         from jexplore.tracemap.corrected import correct_map
@@ -153,11 +143,11 @@ class Trace:
             **_exchanged(first),
             "runs.parquet": lambda path: store.write_parquet(found.table, path),
         }
-        text = trace_tables.tables(first) + "\n" + "\n".join(trace_tables.summary(found))
+        text = trace_tables.map_tables(first) + "\n" + "\n".join(trace_tables.summary(found))
         pictures = {"btm.png": functools.partial(_draw, found, first)}
         if self.animate and not costs.interrupted:
             pictures["btm.html"] = functools.partial(_write_view, found)
-        return _finish_trace(out, record, files, text, pictures, costs.interrupted)
+        return out.finish(record, files, text, pictures, interrupted=costs.interrupted)
 
 
 def _write_view(found, path):
@@ -188,7 +178,7 @@ def _draw(found, first, path):
     from jexplore.studies.traces import recording
 
     plan, track = found.plan, found.driven
-    figure = plot_traces.figure(
+    figure = plot_traces.trace_figure(
         first,
         recording.wall_lines(plan),
         recording.moved(track.estimate, plan.world.origin_m),
@@ -214,23 +204,6 @@ def _exchanged(found):
     return {**files, "btm.graphml": lambda path: path.write_text(graph, encoding="utf-8")}
 
 
-def _finish_trace(out, record, files, text, pictures, interrupted=False):
-    from jexplore.report import store
-
-    files = {**files, "run.json": lambda path: store.write_json(record, path)}
-    out.write(files, is_finished=not interrupted)
-    try:
-        show_table(text)
-        sys.stdout.flush()
-    finally:  # a reader of the output who goes away costs no pictures
-        drawn = out.draw(pictures)
-    print(f"wrote {', '.join([*files, *drawn])} to {out.run.path}{os.sep}")
-    if interrupted:
-        out.say_kept()
-        return say("jexplore: interrupted, what was finished was written", 130)
-    return 0
-
-
 def _trace_episode(out, options, arguments):
     """Extract a map from the grid of an exploration episode."""
     from jexplore.report import plot, trace_tables
@@ -246,12 +219,9 @@ def _trace_episode(out, options, arguments):
         found = extraction.extracted(
             options.world,
             options.strategy,
-            seed=options.seed,
-            cell_m=options.cell_m,
-            clutter_m=options.clutter_m,
-            tuning=options.tuning,
+            **fields_of(options, "seed cell_m clutter_m tuning"),
         )
     pictures = {"btm.png": lambda path: plot.save_figure(found.figure(), path)}
-    text = trace_tables.tables(found.map) + "\n" + "\n".join(found.agreement())
+    text = trace_tables.map_tables(found.map) + "\n" + "\n".join(found.agreement())
     record = out.record(arguments, options, result=found.measures, agreement=found.agreement())
-    return _finish_trace(out, record, _exchanged(found.map), text, pictures)
+    return out.finish(record, _exchanged(found.map), text, pictures)

@@ -4,10 +4,11 @@ import html
 import importlib.resources
 import json
 import re
+from collections.abc import Sequence
 from typing import Any
 
 
-def plain(text: object) -> str:
+def html_text(text: object) -> str:
     """Escape any text for HTML, in plain ASCII, so that a page may be written in any encoding."""
     return html.escape(str(text)).encode("ascii", "xmlcharrefreplace").decode("ascii")
 
@@ -20,16 +21,31 @@ def script_data(found: Any) -> str:
     return text
 
 
+def map_page(kind: str, title: str, data: Any, scripts: Sequence[str], **parts: str) -> str:
+    """Return a page of Behavioral Trace Maps: one HTML file that needs no network, no server and no other file.
+
+    Args:
+      kind: "station" or "trace": names the body and the style.
+      data: for the scripts, plain JSON types.
+      scripts: names of files, in order; they follow replay.js and tracemap.js in one scope.
+      **parts: HTML of the body by name.
+    """
+    return assembled(
+        "map.html",
+        title=html_text(title),
+        own_style=assembled(f"{kind}.css"),
+        own_body=assembled(f"{kind}.html", **parts),
+        own_script="\n".join(map(assembled, scripts)),
+        data=script_data(data),
+    )
+
+
 def assembled(template: str, **parts: str) -> str:
     """Fill in a file of this folder at the names in double braces.
 
     Args:
-      template: name of the file.
       **parts: HTML by name, inserted as it is. Any other name is that of another file of this folder, filled in the
         same way.
-
-    Returns:
-      The page, text.
     """
 
     def fill(match):

@@ -6,20 +6,18 @@ from typing import Any
 import numpy as np
 
 MOST_CODE = 15  # of a cell
-LONGEST = 15  # cells of a run; a longer one is several
+MAX_RUN_CELLS = 15  # cells of a run; a longer one is several
 
 
 def base64_of(raw: bytes) -> str:
     return base64.b64encode(raw).decode("ascii")
 
 
-def packed(values: Any, step: float = 1.0, name: str = "values") -> dict[str, Any]:
+def packed_numbers(values: Any, step: float = 1.0, name: str = "values") -> dict[str, Any]:
     """Encode an array as little-endian whole multiples of a step, in base64; the type's extremes are NaN and +infinity.
 
     Args:
       values: numbers of any shape. An infinity below 0 becomes NaN.
-      step: resolution.
-      name: for the error.
 
     Returns:
       A dict for JSON: `type` ("i2" or "i4"), `step`, `shape`, `base64`.
@@ -58,11 +56,11 @@ def runs(before: np.ndarray, after: np.ndarray) -> bytes:
     codes = after[changed]
     first = np.flatnonzero(np.concatenate([[True], (np.diff(changed) != 1) | (np.diff(codes) != 0)]))
     lengths = np.diff(np.concatenate([first, [len(changed)]]))
-    pieces = -(-lengths // LONGEST)
+    pieces = -(-lengths // MAX_RUN_CELLS)
     own = np.repeat(np.arange(len(first)), pieces)  # the run of each piece
     rank = np.arange(len(own)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    starts = changed[first][own] + LONGEST * rank
-    length = np.minimum(lengths[own] - LONGEST * rank, LONGEST)
+    starts = changed[first][own] + MAX_RUN_CELLS * rank
+    length = np.minimum(lengths[own] - MAX_RUN_CELLS * rank, MAX_RUN_CELLS)
     gaps = starts - np.concatenate([[0], (starts + length)[:-1]])
     wide = np.maximum(1, -(-np.frexp(gaps)[1] // 7))  # bytes of each gap
     table = np.zeros((len(gaps), int(wide.max()) + 1), np.uint8)
@@ -78,7 +76,6 @@ def change(image: np.ndarray, found: bytes) -> None:
 
     Args:
       image: `[..., ]` uint8, contiguous.
-      found: bytes.
     """
     flat, at, gap, shift = image.reshape(-1), 0, 0, 0
     fresh = iter(found)

@@ -179,6 +179,13 @@ function makePlane(canvas, {view, bounds, centre, changed, clicked = () => {}, m
   return Object.assign(plane, {sx, sy, begin, trace, path, stroke, fill, disc, label, drawGrid, drawTarget, drawBar, look, zoom});
 }
 
+// ---- buttons that move maps; returns the same for keys
+function makeZoom(look, zoom) {
+  const whole = () => look("whole"), closer = () => zoom(1.3), farther = () => zoom(1 / 1.3);
+  for (const [id, action] of Object.entries({whole, closer, farther})) $(id).addEventListener("click", action);
+  return {w: whole, "+": closer, "=": closer, "-": farther};
+}
+
 // ---- layers: boxes to switch them. Of each: name, text, colour (a name among the inks, or a style), title, off.
 function makeLayers(list, shown, changed, styles = {}) {
   const swatches = [];

@@ -20,7 +20,7 @@ const dashOf = (replay) => names.indexOf(nameOf(replay)) < PALETTE.length ? [] :
 const episodes = [...new Set(replays.map(({episode}) => episode))];
 let measure = "metres", world = -1, episode = episodes[0], large = -1;  // world: -1 for all; large: number of the replay that is enlarged
 const time = replays.length ? makeTimeline({show, keys: $("replays"), more: {
-  w: () => look(), "+": () => zoom(1.3), "=": () => zoom(1.3), "-": () => zoom(1 / 1.3), Escape: () => enlarge(-1),
+  ...makeZoom(look, zoom), Escape: () => enlarge(-1),
 }}) : null;
 
 // ---- data
@@ -248,7 +248,6 @@ function start() {
   const choose = () => { world = Number($("world").value); episode = Number($("episode").value); large = -1; $("tiles").classList.remove("large"); arrange(); retime(); };
   for (const id of ["world", "episode"]) $(id).addEventListener("change", choose);
   $("measure").addEventListener("change", () => { measure = $("measure").value; retime(); });
-  for (const [id, action] of Object.entries({whole: look, closer: () => zoom(1.3), farther: () => zoom(1 / 1.3)})) $(id).addEventListener("click", action);
   const changed = () => { paintAll(); showSoon(); };
   const dressLayers = makeLayers(LAYERS, shown, changed, {
     truth: () => ({background: mixed(ink.unknown, ink.wall, 0.42)}), path: () => ({background: stripes(names.slice(0, PALETTE.length).map((_, i) => PALETTE[i])), height: "4px"}),

@@ -2,19 +2,18 @@
 
 import json
 import math
-import numbers
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from jexplore.report.page.assemble import assembled, plain, script_data
+from jexplore.report.page.assemble import assembled, html_text, script_data
 from jexplore.report.page.packing import base64_of
 from jexplore.report.page.replay import ReplayData, page_data
 from jexplore.report.store import jsonable
 from jexplore.report.tables import table_cells
 
-MOST_BYTES = 10_000_000
-MOST_ROWS = 200  # of a table that are shown
-LONGEST_TEXT = 400  # characters of a setting
+MAX_REPORT_BYTES = 10_000_000
+MAX_SHOWN_ROWS = 200  # of a table that are shown
+MAX_SETTING_CHARS = 400  # characters of a setting
 FEW_FRAMES = 60  # of a replay; rather than fewer, fewer replays
 MANY_FRAMES = 300
 
@@ -22,13 +21,13 @@ MANY_FRAMES = 300
 def report_page(
     title: str,
     asked: Mapping[str, Any],
-    tables: Iterable[tuple[str, Any]] = (),
+    tables: Iterable[tuple[str, str]] = (),
     figures: Iterable[tuple[str, bytes, str]] = (),
     replays: Sequence[ReplayData] = (),
     warnings: Iterable[str] = (),
     *,
     notes: Iterable[str] = (),
-    max_bytes: int = MOST_BYTES,
+    max_bytes: int = MAX_REPORT_BYTES,
 ) -> str:
     """Return the report of a run, one HTML file: no network, no server, no other file; replays need JavaScript.
 
@@ -37,19 +36,10 @@ def report_page(
     written in any encoding.
 
     Args:
-      title: of the page.
       asked: name -> value, nested: settings, versions. `command`, a text or a list of words, stands above all else; the
         rest is folded, at the end.
-      tables: pairs of a heading and a table as the terminal has it, by `aligned_table`; or a DataFrame, whose index is
-        not shown, a list of mappings with the same keys, or of rows the first of which has the names of the columns.
+      tables: pairs of a heading and a table as the terminal has it, by `aligned_table`.
       figures: name, the bytes of a PNG or SVG file, and a caption.
-      replays: list of `ReplayData`.
-      warnings: lines.
-      notes: lines about the replays.
-      max_bytes: of the page.
-
-    Returns:
-      The page, text.
 
     Raises:
       ValueError: a figure that is neither PNG nor SVG, or a page that is too large without any replay.
@@ -80,7 +70,7 @@ def _cut(replays, shown, frames):
 
 
 def _page(title, above, settings, replays, notes):
-    lines = "".join(f"<li>{plain(note)}</li>" for note in notes)
+    lines = "".join(f"<li>{html_text(note)}</li>" for note in notes)
     below = f'<ul class="notes">{lines}</ul>' if lines else ""
     if replays:
         below = assembled("replays.html", own_controls="", notes=below)
@@ -88,7 +78,7 @@ def _page(title, above, settings, replays, notes):
         below = f"<section>{below}</section>"
     data = script_data(page_data(replays))
     return assembled(
-        "report.html", title=plain(title), sections="\n".join(filter(None, [*above, below, settings])), data=data
+        "report.html", title=html_text(title), sections="\n".join(filter(None, [*above, below, settings])), data=data
     )
 
 
@@ -97,18 +87,23 @@ def _asked(asked):
     asked = {str(name): value for name, value in jsonable(dict(asked)).items()}
     command = asked.pop("command", None)
     shown = command if command is None or isinstance(command, str) else " ".join(map(str, command))
-    head = "" if shown is None else f"<pre>{plain(_cut_text(shown))}</pre>"
+    head = "" if shown is None else f"<pre>{html_text(_cut_text(shown))}</pre>"
     entries = list(_flat(asked))
     rows = "".join(
-        f"<div><dt>{plain(name)}</dt><dd>{plain(_cut_text(text))}</dd></div>" for name, text in entries[:MOST_ROWS]
+        f"<div><dt>{html_text(name)}</dt><dd>{html_text(_cut_text(text))}</dd></div>"
+        for name, text in entries[:MAX_SHOWN_ROWS]
     )
-    more = f'<p class="soft">The first {MOST_ROWS} of {len(entries)} settings.</p>' if len(entries) > MOST_ROWS else ""
+    more = (
+        f'<p class="soft">The first {MAX_SHOWN_ROWS} of {len(entries)} settings.</p>'
+        if len(entries) > MAX_SHOWN_ROWS
+        else ""
+    )
     summary = f"<summary><h2>What was asked, and with what: {len(entries)} entries</h2></summary>"
     return head, f"<section><details>{summary}<dl>{rows}</dl>{more}</details></section>" if rows else ""
 
 
 def _cut_text(text):
-    return text if len(text) <= LONGEST_TEXT else text[:LONGEST_TEXT] + "…"
+    return text if len(text) <= MAX_SETTING_CHARS else text[:MAX_SETTING_CHARS] + "…"
 
 
 def _flat(value, name=""):
@@ -127,56 +122,28 @@ def _flat(value, name=""):
 def _warnings(lines):
     if not lines:
         return ""
-    items = "".join(f"<li>{plain(line)}</li>" for line in lines)
+    items = "".join(f"<li>{html_text(line)}</li>" for line in lines)
     return f'<section class="warnings"><h2>Warnings</h2><ul>{items}</ul></section>'
 
 
 def _tables(tables):
-    made = [f"<h3>{plain(heading)}</h3>{_table(heading, found)}" for heading, found in tables]
+    made = [f"<h3>{html_text(heading)}</h3>{_table(heading, found)}" for heading, found in tables]
     return f"<section><h2>Tables</h2>{''.join(made)}</section>" if made else ""
 
 
-def _cells(found):
-    """Return names of the columns, rows of texts, and which columns are aligned to the right."""
-    if isinstance(found, str):
-        return table_cells(found)
-    if hasattr(found, "columns"):  # a DataFrame
-        head, rows = list(found.columns), list(found.itertuples(index=False, name=None))
-    else:
-        rows = list(found)
-        is_mappings = bool(rows) and isinstance(rows[0], Mapping)
-        head = list(rows[0]) if rows else []
-        rows = [list(row.values()) for row in rows] if is_mappings else rows[1:]
-    rows = [[_plain_value(cell) for cell in row] for row in rows]
-    is_right = [all(_is_number(row[i]) or row[i] is None for row in rows) for i in range(len(head))]
-    return [str(name).replace("_", " ") for name in head], [[_text(cell) for cell in row] for row in rows], is_right
-
-
 def _table(heading, found):
-    head, rows, is_right = _cells(found)
-    kept = rows[:MOST_ROWS]
+    head, rows, is_right = table_cells(found)
+    kept = rows[:MAX_SHOWN_ROWS]
 
     def line(tag, cells):
         parts = (f"<{tag}{' class=right' if right else ''}>{cell}</{tag[:2]}>" for cell, right in zip(cells, is_right))
         return f"<tr>{''.join(parts)}</tr>"
 
-    names = line('th scope="col"', map(plain, head))
-    body = "".join(line("td", map(plain, row)) for row in kept)
-    more = f'<p class="soft">The first {MOST_ROWS} of {len(rows)} rows.</p>' if len(rows) > len(kept) else ""
-    region = f'<div class="table" tabindex="0" role="region" aria-label="{plain(heading)}">'
+    names = line('th scope="col"', map(html_text, head))
+    body = "".join(line("td", map(html_text, row)) for row in kept)
+    more = f'<p class="soft">The first {MAX_SHOWN_ROWS} of {len(rows)} rows.</p>' if len(rows) > len(kept) else ""
+    region = f'<div class="table" tabindex="0" role="region" aria-label="{html_text(heading)}">'
     return f"{region}<table><thead>{names}</thead><tbody>{body}</tbody></table></div>{more}"
-
-
-def _plain_value(value):
-    """Return a number, a truth value, text or None."""
-    value = value.item() if hasattr(value, "item") else value
-    if value is None or type(value).__name__ in ("NAType", "NaTType") or (isinstance(value, float) and value != value):
-        return None
-    return value if isinstance(value, (bool, numbers.Real)) else str(value)
-
-
-def _is_number(value):
-    return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
 def _text(value):
@@ -194,7 +161,7 @@ def _plots(figures, max_bytes):
     kept = dict(made)
     while sum(map(len, kept.values())) > max_bytes:
         del kept[max(kept, key=lambda name: len(kept[name]))]
-    shown = (kept.get(name, f"<p>The picture {plain(name)} is too large for this page.</p>") for name in made)
+    shown = (kept.get(name, f"<p>The picture {html_text(name)} is too large for this page.</p>") for name in made)
     return f'<section class="plots"><h2>Plots</h2>{"".join(shown)}</section>' if made else ""
 
 
@@ -206,6 +173,6 @@ def _figure(name, raw, alt):
         kind = "svg+xml"
     else:
         raise ValueError(f"expected {name} as the bytes of a PNG or SVG file, got {raw[:8]!r}")
-    caption = f"<figcaption>{plain(alt)}</figcaption>"
-    image = f'<img src="data:image/{kind};base64,{base64_of(raw)}" alt="{plain(alt)}">'
-    return f'<figure title="{plain(name)}">{image}{caption}</figure>'
+    caption = f"<figcaption>{html_text(alt)}</figcaption>"
+    image = f'<img src="data:image/{kind};base64,{base64_of(raw)}" alt="{html_text(alt)}">'
+    return f'<figure title="{html_text(name)}">{image}{caption}</figure>'

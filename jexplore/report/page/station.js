@@ -145,13 +145,13 @@ function drawNode(panel, node) {
   const {plane} = panel, {pen, sx, sy, disc, fill, stroke} = plane, x = sx(node.x_m), y = sy(node.y_m), radio = radioOf(node);
   if (shown.radio && radio) { disc(node.x_m, node.y_m, 24); fill(ink[radio.colour], 0.22); stroke(ink[radio.colour], 1); }
   const seen = writersOf(node).filter((writer) => !hidden.has(writer));
-  traceMark(pen, node.type, x, y); pen.save(); pen.clip();
-  seen.forEach((writer, i) => { pen.fillStyle = colourOf(writer); pen.fillRect(x - 10 + 20 * i / seen.length, y - 10, 20 / seen.length + 0.5, 20); });
-  pen.restore(); traceMark(pen, node.type, x, y); pen.lineJoin = "round"; stroke(ink.ink, 2.2);
+  drawNodeMark(plane, node, panel === current && picked?.kind === "node" && picked.id === node.id, shown.ids, () => {
+    pen.save(); pen.clip();
+    seen.forEach((writer, i) => { pen.fillStyle = colourOf(writer); pen.fillRect(x - 10 + 20 * i / seen.length, y - 10, 20 / seen.length + 0.5, 20); });
+    pen.restore();
+  });
   if (panel === current && shown.refused && use.barriers.has(node.id)) { disc(node.x_m, node.y_m, 13); stroke(ink.chosen, 2.2, [4, 3]); }
-  if (panel === current && picked?.kind === "node" && picked.id === node.id) { disc(node.x_m, node.y_m, 16); stroke(ink.focus, 3); }
   drawNotes(plane, node, x, y);
-  if (shown.ids) plane.label(String(node.id), x + 12, y - 13, ink.ink, "left", 13);
 }
 function drawRoute(panel) {
   const {plane} = panel, {pen, stroke, sx, sy, fill} = plane;

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from jexplore.report.page.assemble import assembled, plain, script_data
+from jexplore.report.page.assemble import map_page
 from jexplore.tracemap.merging.join import FROM
 from jexplore.tracemap.merging.notes import MERGED_FROM, sources_of
 from jexplore.tracemap.passable import (
@@ -24,31 +24,27 @@ from jexplore.tracemap.route import LENGTH_UNIT_M, Index, index_of
 
 
 @dataclasses.dataclass(frozen=True)
-class Panel:
+class MapPanel:
     """A map of the page, in a frame of its own."""
 
     name: str
     map: BtmMap
-    """A proper one; see `record.check`."""
+    """A proper one; see `record.check_map`."""
     maps: tuple[str, ...]
     """Names of the maps that it was made of."""
     note: str = ""
     """Reason for standing apart, or a note about its frame: a sentence."""
 
 
-def station_page(title: str, panels: Sequence[Panel], robots: Sequence[RobotBody], notes: Sequence[str] = ()) -> str:
+def station_page(title: str, panels: Sequence[MapPanel], robots: Sequence[RobotBody], notes: Sequence[str] = ()) -> str:
     """Return maps as one HTML file: no network, no server, no other file. It is plain ASCII.
 
     What the given robots may not use is found here; for a robot that is typed in the page repeats the comparisons.
 
     Args:
-      title: of the page.
       panels: one or more; the first is shown large.
       robots: those that can be chosen by name.
       notes: sentences, such as what the maps say differently.
-
-    Returns:
-      The page, text.
     """
     writers = list(dict.fromkeys(writer for panel in panels for writer in sources_of(panel.map, panel.name)))
     data = {
@@ -60,10 +56,10 @@ def station_page(title: str, panels: Sequence[Panel], robots: Sequence[RobotBody
         "notes": list(notes),
         "panels": [_panel(panel, robots) for panel in panels],
     }
-    return assembled("station.html", title=plain(title), own_style=assembled("station.css"), data=script_data(data))
+    return map_page("station", title, data, ("routes.js", "station.js", "station_side.js"))
 
 
-def _panel(panel: Panel, robots: Sequence[RobotBody]) -> dict[str, Any]:
+def _panel(panel: MapPanel, robots: Sequence[RobotBody]) -> dict[str, Any]:
     """Return a map's data for the page, plain JSON types; ids as keys become text."""
     btm, index = panel.map, index_of(panel.map)
     nodes = index.nodes
@@ -90,14 +86,14 @@ def _reasons(of: Mapping[int, Sequence[str]]) -> dict[str, list[str]]:
     return {str(key): list(why) for key, why in of.items() if why}
 
 
-def _item(item: Node | Link, panel: Panel) -> dict[str, Any]:
+def _item(item: Node | Link, panel: MapPanel) -> dict[str, Any]:
     """Return fields of a node or link; its sources and their differences, apart from the other attributes."""
     own = dict(item.attributes)
     told = own.pop(FROM, {panel.name: item.id}) if MERGED_FROM in panel.map.attributes else {panel.name: item.id}
     return {**vars(item), "from": told, "conflicts": own.pop(CONFLICTS, {}), "attributes": own}
 
 
-def _node(node: Node, panel: Panel) -> dict[str, Any]:
+def _node(node: Node, panel: MapPanel) -> dict[str, Any]:
     bearings, angles = panel.map.bearings_deg(node.id), panel.map.angles_deg(node.id)
     return {
         **_item(node, panel),
@@ -107,7 +103,7 @@ def _node(node: Node, panel: Panel) -> dict[str, Any]:
     }
 
 
-def _link(link: Link, panel: Panel, index: Index) -> dict[str, Any]:
+def _link(link: Link, panel: MapPanel, index: Index) -> dict[str, Any]:
     metres, nodes = None if link.end == NOWHERE else length_of(link, index.nodes), index.nodes
     blocks = blockages_of(link)
     return {

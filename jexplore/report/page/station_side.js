@@ -239,14 +239,13 @@ for (const id of ["robot", "known"]) $(id).addEventListener("change", () => show
 const chosen = (id) => $(id).value === "" ? null : $(id).value === UNSEARCHED ? UNSEARCHED : Number($(id).value);
 for (const id of ["from", "to"]) $(id).addEventListener("change", () => setEnds(chosen("from"), chosen("to")));
 $("clear").addEventListener("click", () => setEnds(null, null));
-const actions = {whole: () => current.plane.look("whole"), closer: () => current.plane.zoom(1.3), farther: () => current.plane.zoom(1 / 1.3)};
-for (const [id, action] of Object.entries(actions)) $(id).addEventListener("click", action);
+const zoomKeys = makeZoom((kind) => current.plane.look(kind), (factor) => current.plane.zoom(factor));
 const pan = (u, v) => { const {view} = current; view.kind = "free"; view.x += u * 60 / view.scale; view.y += v * 60 / view.scale; drawSoon(); };
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest?.("select, input:not([type=checkbox])")) return;
   const arrows = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}[event.key];
   const action = arrows ? event.target.tagName === "CANVAS" && (() => pan(...arrows)) : {
-    w: actions.whole, "+": actions.closer, "=": actions.closer, "-": actions.farther, Escape: () => { picked = null; setEnds(null, null); },
+    ...zoomKeys, Escape: () => { picked = null; setEnds(null, null); },
   }[event.key];
   if (action) { event.preventDefault(); action(); }
 });

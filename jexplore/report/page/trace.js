@@ -51,7 +51,7 @@ const time = makeTimeline({
   show,
   isOther: (event) => event.target.closest?.(".table") && event.key.startsWith("Arrow"),
   more: {
-    f: () => plane.look("follow"), w: () => plane.look("whole"), "+": () => plane.zoom(1.3), "=": () => plane.zoom(1.3), "-": () => plane.zoom(1 / 1.3),
+    f: () => plane.look("follow"), ...makeZoom((kind) => plane.look(kind), (factor) => plane.zoom(factor)),
     Escape: () => { picked = -1; time.showAll(); },
   },
 });
@@ -180,10 +180,7 @@ function drawLinks() {
 }
 function drawNodes() {
   nodes.slice(0, run.n_nodes[time.frame]).forEach((node, index) => {
-    const x = sx(node.x_m), y = sy(node.y_m);
-    traceMark(pen, node.type, x, y); fill(ink.card); pen.lineJoin = "round"; stroke(ink.ink, 2.4);
-    if (index === picked) { disc(node.x_m, node.y_m, 16); stroke(ink.focus, 3); }
-    label(String(node.id), x + 13, y - 13, ink.ink, "left", 13);
+    drawNodeMark(plane, node, index === picked, true, () => fill(ink.card));
   });
 }
 function drawRobot() {
@@ -351,9 +348,7 @@ function pick(index, go) {
   time.pause();
   if (go) time.seek(Math.min(madeAt[index], frames - 1)); else time.showAll();
 }
-for (const [id, action] of Object.entries({
-  follow: () => plane.look("follow"), whole: () => plane.look("whole"), closer: () => plane.zoom(1.3), farther: () => plane.zoom(1 / 1.3),
-})) $(id).addEventListener("click", action);
+$("follow").addEventListener("click", () => plane.look("follow"));
 const dressLayers = makeLayers(LAYERS, shown, showSoon, {
   dash: () => ({borderTop: `2px dashed ${ink.soft}`, height: "0"}), wall: () => ({borderTop: `3px solid ${ink.wall}`, height: "0"}),
   modes: () => ({background: `linear-gradient(90deg, ${PALETTE[0]} 34%, ${PALETTE[1]} 34% 67%, ${PALETTE[2]} 67%)`, height: "4px"}),

@@ -30,6 +30,13 @@ function drawStub({trace, stroke, fill, disc, label, sx, sy}, start, tip, colour
   disc(...tip, 8); fill(ink.floor); stroke(colour, 1.6);
   label("?", sx(tip[0]), sy(tip[1]) + 0.5, ink.ink, "center", 11);
 }
+function drawNodeMark({pen, sx, sy, disc, stroke, label}, node, isPicked, hasId, paint) {  // paint(x, y) fills the mark
+  const x = sx(node.x_m), y = sy(node.y_m);
+  traceMark(pen, node.type, x, y); paint(x, y);
+  traceMark(pen, node.type, x, y); pen.lineJoin = "round"; stroke(ink.ink, 2.2);
+  if (isPicked) { disc(node.x_m, node.y_m, 16); stroke(ink.focus, 3); }
+  if (hasId) label(String(node.id), x + 12, y - 13, ink.ink, "left", 13);
+}
 const MARK = 7;  // half a square, pixels
 function traceMark(pen, type, x, y) {
   pen.beginPath();

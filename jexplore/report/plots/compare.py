@@ -9,12 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jexplore.report.plot import wrapped
-from jexplore.report.plots.looks import FONT, GREY, looks_of, plain, ratio_range, ratio_scale
+from jexplore.report.plot import wrapped_text
+from jexplore.report.plots.looks import FONT, GREY, looks_of, plain_axes, ratio_range, ratio_scale
 
-GOLDEN = 0.6180339887
-LABEL = 38  # characters of a strategy's name in a line
-MANY = 4  # more panels than this stand in two columns
+GOLDEN_RATIO_PART = 0.6180339887
+LABEL_CHARS = 38  # characters of a strategy's name in a line
+ONE_COLUMN_PANELS = 4  # more panels than this stand in two columns
 
 
 class Estimates(NamedTuple):
@@ -25,7 +25,7 @@ class Estimates(NamedTuple):
     high: Any
 
 
-class Panel(NamedTuple):
+class ComparisonPanel(NamedTuple):
     """Content of one pair of axes: one world, or all of them."""
 
     title: str
@@ -40,7 +40,7 @@ class Panel(NamedTuple):
 
 def _spread(count, width):
     """Return `[count]` places within `± width`, neighbours in number far apart."""
-    return (np.arange(1, count + 1) * GOLDEN % 1.0 - 0.5) * 2 * width
+    return (np.arange(1, count + 1) * GOLDEN_RATIO_PART % 1.0 - 0.5) * 2 * width
 
 
 def draw_points(ax: Axes, points: Sequence[Any], estimates: Estimates, looks: Sequence[dict[str, Any]], *,
@@ -49,9 +49,6 @@ def draw_points(ax: Axes, points: Sequence[Any], estimates: Estimates, looks: Se
 
     Args:
       ax: the axes; their y axis gets a row a strategy, without labels.
-      points: K arrays of numbers, in order of the rows.
-      estimates: their means and intervals.
-      looks: K dicts of line properties, from `looks_of`.
       ended_well: K bool arrays: other numbers are crosses; by default all are dots.
 
     Returns:
@@ -90,9 +87,7 @@ def draw_ratios(ax: Axes, estimates: Estimates, looks: Sequence[dict[str, Any]],
     The axis shows all ratios; an interval that goes on beyond it ends in an arrow head.
 
     Args:
-      ax: the axes.
       estimates: ratios and intervals, in order of the rows.
-      looks: K dicts of line properties.
       points: K arrays of single ratios, drawn pale; by default none.
 
     Returns:
@@ -116,43 +111,34 @@ def _beyond(ax, estimates, low, high):
                 ax.plot([at], [row], mark, color="black", ms=5, clip_on=False, zorder=6)
 
 
-def draw_panel(ax: Axes, panel: Panel, strategies: Sequence[str]) -> list[Any]:
+def draw_panel(ax: Axes, panel: ComparisonPanel, strategies: Sequence[str]) -> list[Any]:
     """Draw the left part of a panel alone, with the names of the strategies.
-
-    Args:
-      ax: the axes.
-      panel: numbers of K strategies.
-      strategies: `[K]` names.
 
     Returns:
       K error bars (`ErrorbarContainer`), None without a mean.
     """
     bars = _left(ax, panel, list(looks_of(strategies).values()))
-    ax.set_yticks(range(len(strategies)), [wrapped(name, LABEL) for name in strategies])
+    ax.set_yticks(range(len(strategies)), [wrapped_text(name, LABEL_CHARS) for name in strategies])
     ax.set_xlabel(panel.label)
-    ax.set_title(wrapped(panel.title, 62, max_lines=2), fontsize=9, loc="left").set_parse_math(False)
-    plain(ax, grid="x")
+    ax.set_title(wrapped_text(panel.title, 62, max_lines=2), fontsize=9, loc="left").set_parse_math(False)
+    plain_axes(ax, grid="x")
     return bars
 
 
-def figure(panels: Sequence[Panel], strategies: Sequence[str]) -> Figure:
+def comparison_figure(panels: Sequence[ComparisonPanel], strategies: Sequence[str]) -> Figure:
     """Draw paths episode by episode, and next to them the ratios to the first strategy; a pair of axes a panel.
 
     Strategies stand in the order given in every panel; one that did not run in a world leaves its row empty.
 
     Args:
-      panels: one or more.
       strategies: `[K]` names, the reference first.
-
-    Returns:
-      `Figure`.
 
     Source:
       Holz et al. 2010, Figure 8, shows means and standard deviations. Changed: every episode, intervals, paired ratios.
     """
-    labels = [wrapped(name, LABEL) for name in strategies]
+    labels = [wrapped_text(name, LABEL_CHARS) for name in strategies]
     looks = list(looks_of(strategies).values())
-    n_cols = 1 if len(panels) <= MANY else 2
+    n_cols = 1 if len(panels) <= ONE_COLUMN_PANELS else 2
     n_rows = math.ceil(len(panels) / n_cols)
     pitch = 0.09 + 0.14 * max(label.count("\n") + 1 for label in labels)
     names_in = 0.068 * max(len(line) for label in labels for line in label.split("\n")) + 0.25
@@ -172,8 +158,8 @@ def figure(panels: Sequence[Panel], strategies: Sequence[str]) -> Figure:
             left.set_yticklabels([])
         same_below = not lowest and panels[number + n_cols].label == panel.label
         left.set_xlabel("" if same_below else panel.label)
-        right.set_xlabel(wrapped(f"ratio to {strategies[0]}", 34, max_lines=2) if lowest else "")
-        plain(right, grid="x")
+        right.set_xlabel(wrapped_text(f"ratio to {strategies[0]}", 34, max_lines=2) if lowest else "")
+        plain_axes(right, grid="x")
     _legend(page, panels)
     return page
 

@@ -8,8 +8,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jexplore.report.plot import wrapped
-from jexplore.report.plots.looks import FONT, GREY, band_of, legend_below, looks_of, page_of, panels, plain, ratio_scale
+from jexplore.report.plot import wrapped_text
+from jexplore.report.plots.looks import (
+    FONT,
+    GREY,
+    band_of,
+    legend_below,
+    looks_of,
+    panels,
+    panels_page,
+    plain_axes,
+    ratio_scale,
+)
 
 
 def quartiles(progress: Any) -> np.ndarray:
@@ -34,11 +44,6 @@ def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, band: flo
     Args:
       ax: the axes, metres and per cent.
       progress: `[N, M]` float, metres at 1 / M, 2 / M, ... of what can be known, NaN where that was never known.
-      look: line properties, from `looks_of`.
-      band: how opaque the band is.
-
-    Returns:
-      The line of medians, `M` points.
     """
     low, median, high = quartiles(progress)
     share = np.arange(1, len(median) + 1) * 100 / len(median)
@@ -51,18 +56,15 @@ def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, band: flo
     return line
 
 
-def coverage_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
+def coverage_curves_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
     """Draw the known part of the knowable share along the path: a panel a world, medians and quartile bands.
 
     Args:
       entries: one or more `(world, {strategy: progress})`, progress `[N, M]` as in `draw_progress`.
-
-    Returns:
-      `Figure`.
     """
     strategies = list(dict.fromkeys(name for _, known in entries for name in known))
     looks, lines = looks_of(strategies), {}
-    page, n_cols = page_of(len(entries))
+    page, n_cols = panels_page(len(entries))
     for number, ax, lowest in panels(page, len(entries), n_cols, sharey=True):
         world, known = entries[number]
         driven = [part[np.isfinite(part)] for part in map(np.asarray, known.values())]
@@ -77,10 +79,10 @@ def coverage_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
         if not np.any(shown > 0):
             at = {"ha": "center", "va": "center", "fontsize": FONT, "color": GREY, "transform": ax.transAxes}
             ax.text(0.5, 0.5, "all was known at the start" if shown.size else "no data", **at)
-        ax.set_title(wrapped(world, 44, max_lines=2), fontsize=9)
+        ax.set_title(wrapped_text(world, 44, max_lines=2), fontsize=9)
         ax.set_xlabel("path length (m)" if lowest else "")
         ax.set_ylabel("known of what can be known (%)" if number % n_cols == 0 else "")
-        plain(ax, grid="both")
+        plain_axes(ax, grid="both")
     shown = [name for name in strategies if name in lines]
     legend_below(page, [lines[name] for name in shown], shown)
     return page
@@ -94,11 +96,6 @@ def draw_profile(ax: Axes, ratio: Any, share: Any, low: Any, high: Any, look: Ma
       ax: the axes, ratios and per cent.
       ratio: `[K]` float, rising.
       share, low, high: `[K]` float from 0 to 1; a NaN has no band.
-      look: line properties, from `looks_of`.
-      band: how opaque the band is.
-
-    Returns:
-      The line, `K` points.
     """
     low, high = (np.asarray(part, np.float64) for part in (low, high))
     if np.isfinite(low).any():
@@ -109,15 +106,12 @@ def draw_profile(ax: Axes, ratio: Any, share: Any, low: Any, high: Any, look: Ma
     return line
 
 
-def profile_figure(table: Any, *, over: str = "best") -> Figure:
+def profile_curves_figure(table: Any, *, over: str = "best") -> Figure:
     """Draw performance profiles: the share of starts whose path is at most a multiple of the reference's.
 
     Args:
       table: columns `strategy`, `ratio`, `share`, `low`, `high`, from `aggregate.profiles`; one row or more.
       over: denominator of the ratios, for the label: "best" or "first".
-
-    Returns:
-      `Figure`.
 
     Source:
       Dolan and More 2002.
@@ -130,9 +124,9 @@ def profile_figure(table: Any, *, over: str = "best") -> Figure:
         lines[name] = draw_profile(ax, ratio, share, low, high, looks[name], band=band_of(len(looks)))
     least, most = float(table["ratio"].min()), float(table["ratio"].max())
     ratio_scale(ax, "x", least, max(most, 1.05 * least))
-    by = "the shortest one" if over == "best" else f"that of {wrapped(table['strategy'].iloc[0], 60, max_lines=1)}"
+    by = "the shortest one" if over == "best" else f"that of {wrapped_text(table['strategy'].iloc[0], 60, max_lines=1)}"
     ax.set(ylim=(-1, 101), xlabel=f"path length over {by} from the same start")
     ax.set_ylabel("starts with at most that ratio (%)")
-    plain(ax, grid="both")
+    plain_axes(ax, grid="both")
     legend_below(page, list(lines.values()), list(lines))
     return page

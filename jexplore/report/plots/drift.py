@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from jexplore.report.plot import PALETTE, wrapped
+from jexplore.report.plot import PALETTE, wrapped_text
 from jexplore.report.plot_traces import WALL, draw_btm
-from jexplore.report.plots.looks import FONT, plain
+from jexplore.report.plots.looks import FONT, plain_axes
 from jexplore.tracemap.record import BtmMap
 
-NAMES = {
+ERROR_NAMES = {
     "length_scale": "encoder length scale",
     "turn_scale": "encoder turn scale",
     "heading_bias_deg_m": "heading bias (°/m)",
@@ -42,15 +42,7 @@ def draw_curve(ax: Axes, table: Any, name: str, colour: str, *, scale: float = 1
     """Draw a measure over the values of one error, in a band from low to high.
 
     Args:
-      ax: `Axes`.
       table: columns `value`, `name`, `name_low`, `name_high`; values rise.
-      name: of the measure.
-      colour: of the line.
-      scale: by which the measure is multiplied, 100 for per cent.
-      label: for a legend.
-
-    Returns:
-      The `Line2D`.
     """
     x = table["value"].to_numpy(float)
     low, high = (scale * table[f"{name}_{end}"].to_numpy(float) for end in ("low", "high"))
@@ -68,15 +60,11 @@ def draw_cells(ax: Axes, centres: Any, cell_m: float) -> PatchCollection:
     return cells
 
 
-def figure(summary: Any, pictures: Pictures | None = None) -> Figure:
+def drift_figure(summary: Any, pictures: Pictures | None = None) -> Figure:
     """Draw a column of panels for every error: structure, coordinates, grid map; below two pictures of one run.
 
     Args:
       summary: columns as of `studies.traces.drift.summarised`, one row or more.
-      pictures: `Pictures`; None leaves them out.
-
-    Returns:
-      `Figure`.
     """
     errors = list(dict.fromkeys(summary["error"]))
     width, below = max(PANEL_IN[0] * len(errors) + 0.6, 6.4), 0.0
@@ -93,9 +81,9 @@ def figure(summary: Any, pictures: Pictures | None = None) -> Figure:
         draw_curve(column[1], own, "node_error_m", BTM)
         draw_curve(column[2], own, "on_wall", GRID, scale=100, label="cells on a true wall")
         draw_curve(column[2], own, "doubled", TWICE, scale=100, label="wall drawn twice")
-        column[2].set_xlabel(wrapped(NAMES.get(error, error), 26), fontsize=FONT)
+        column[2].set_xlabel(wrapped_text(ERROR_NAMES.get(error, error), 26), fontsize=FONT)
         for ax in column:
-            plain(ax, grid="y")
+            plain_axes(ax, grid="y")
             ax.tick_params(labelsize=7)
     for ax, label in zip(axes[:, 0], ("maps with the true\nstructure (%)", "nodes off by (m)", "grid map (%)")):
         ax.set_ylabel(label, fontsize=FONT)
@@ -131,4 +119,4 @@ def _draw_pair(page, pictures):
         ax.tick_params(labelsize=7)
         ax.set_title(title, fontsize=9)
     axes[0].set_ylabel("y (m)", fontsize=FONT)
-    page.suptitle(wrapped(f"one run: {pictures.title}", 90, max_lines=2), fontsize=9, parse_math=False)
+    page.suptitle(wrapped_text(f"one run: {pictures.title}", 90, max_lines=2), fontsize=9, parse_math=False)

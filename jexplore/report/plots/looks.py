@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from jexplore.report.plot import PALETTE, wrapped
+from jexplore.report.plot import PALETTE, wrapped_text
 
 COLOURS = (*PALETTE[:6], "#000000")
 """For lines and points: the palette without its yellow and grey, which thin marks on white would lose."""
 LINES = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (5, 1.4, 1.2, 1.4)))
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+LINE_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 FONT = 8  # points
 GREY = "#777777"
 
@@ -34,13 +34,13 @@ def looks_of(strategies: Iterable[Any]) -> dict[Any, dict[str, Any]]:
         name: {
             "color": COLOURS[i % len(COLOURS)],
             "linestyle": LINES[i // len(COLOURS) % len(LINES)],
-            "marker": MARKERS[(i + i // len(COLOURS)) % len(MARKERS)],
+            "marker": LINE_MARKERS[(i + i // len(COLOURS)) % len(LINE_MARKERS)],
         }
         for i, name in enumerate(strategies)
     }
 
 
-def plain(ax: Axes, *, grid: Any = None) -> None:
+def plain_axes(ax: Axes, *, grid: Any = None) -> None:
     """Style axes: small numbers, no upper and right edge, a pale grid along `grid`, no mathematics in names."""
     ax.tick_params(labelsize=FONT)
     ax.spines[["top", "right"]].set_visible(False)
@@ -64,7 +64,7 @@ def panels(figure: Figure, count: int, n_cols: int, **how: Any) -> Iterator[tupl
         yield number, ax, number + n_cols >= count
 
 
-def page_of(count: int) -> tuple[Figure, int]:
+def panels_page(count: int) -> tuple[Figure, int]:
     """Make a page for `count` panels of curves with a legend below, and return how many stand side by side."""
     n_cols = count if count <= 3 else 2 if count == 4 else 3 if count <= 9 else 4
     wide, tall = (3.5, 2.7) if count > 1 else (5.4, 3.6)
@@ -74,7 +74,7 @@ def page_of(count: int) -> tuple[Figure, int]:
 
 def legend_below(figure: Figure, handles: Sequence[Any], labels: Sequence[object]) -> None:
     """Add a legend below the panels, in as many columns as fit; the figure grows by its height."""
-    texts = [wrapped(label, 38, max_lines=2) for label in labels]
+    texts = [wrapped_text(label, 38, max_lines=2) for label in labels]
     longest = max((len(line) for text in texts for line in text.split("\n")), default=1)
     n_cols = max(1, min(len(texts), int(figure.get_figwidth() / (0.068 * longest + 0.55))))
     n_rows = math.ceil(len(texts) / n_cols)
@@ -103,7 +103,6 @@ def ratio_scale(ax: Any, name: str, low: float, high: float) -> None:
     """Make an axis logarithmic, from `low` to `high`, with round numbers.
 
     Args:
-      ax: the axes.
       name: "x" or "y".
       low, high: positive, low < high.
     """

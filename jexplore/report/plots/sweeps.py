@@ -11,15 +11,15 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
-from jexplore.report.plot import wrapped
+from jexplore.report.plot import wrapped_text
 from jexplore.report.plots.looks import (
     FONT,
     GREY,
     legend_below,
     looks_of,
-    page_of,
     panels,
-    plain,
+    panels_page,
+    plain_axes,
     ratio_range,
     ratio_scale,
     ratio_ticks,
@@ -49,14 +49,9 @@ def draw_response(ax: Axes, x: Any, estimate: Any, low: Any, high: Any, look: Ma
     """Draw one strategy's line over a setting, with an interval at every value.
 
     Args:
-      ax: the axes.
       x: `[K]` float, rising.
       estimate: `[K]` float; NaN breaks the line.
       low, high: `[K]` float; NaN has no interval.
-      look: line properties, from `looks_of`.
-
-    Returns:
-      The `ErrorbarContainer`.
     """
     estimate, low, high = (np.asarray(part, np.float64) for part in (estimate, low, high))
     ends = np.nan_to_num(np.maximum(np.stack([estimate - low, high - estimate]), 0.0))
@@ -66,7 +61,7 @@ def draw_response(ax: Axes, x: Any, estimate: Any, low: Any, high: Any, look: Ma
     return container
 
 
-def response_figure(
+def response_curves_figure(
     table: Any, setting: str, *, label: str = "path length (m)", ratio: bool = False, averaged: str = ""
 ) -> Figure:
     """Draw curves over one setting: one panel a world, one line a strategy.
@@ -75,12 +70,8 @@ def response_figure(
       table: columns `world`, `strategy`, the setting, `estimate`, `low`, `high`, from `response.response`; one row or
         more.
       setting: name of the column; text or truth values stand side by side in order of first appearance.
-      label: of the estimates.
       ratio: bool, estimates are ratios: a logarithmic axis with a line at 1.
       averaged: name of the averaged settings: a line above the panels.
-
-    Returns:
-      `Figure`.
     """
     worlds, strategies = (list(dict.fromkeys(table[key])) for key in ("world", "strategy"))
     levels = _levels(table[setting])
@@ -91,7 +82,7 @@ def response_figure(
     if not is_number:
         looks = {name: {**look, "linestyle": "none"} for name, look in looks.items()}
     spread = span * min(SPREAD * (len(strategies) - 1), MOST_SPREAD)
-    page, n_cols = page_of(len(worlds))
+    page, n_cols = panels_page(len(worlds))
     for number, ax, lowest in panels(page, len(worlds), n_cols, sharex=True):
         own = table[table["world"] == worlds[number]]
         for name, rows in own.groupby("strategy", sort=False):
@@ -102,10 +93,10 @@ def response_figure(
         if len(levels) <= NUMBERS or not is_number:
             ax.set_xticks([place[level] for level in levels], [_text(level) for level in levels])
         ax.set_xlim(min(place.values()) - 0.09 * span, max(place.values()) + 0.09 * span)
-        ax.set_title(wrapped(worlds[number], 44, max_lines=2), fontsize=9)
+        ax.set_title(wrapped_text(worlds[number], 44, max_lines=2), fontsize=9)
         ax.set_xlabel(setting if lowest else "")
-        ax.set_ylabel(wrapped(label, 40, max_lines=2) if number % n_cols == 0 else "")
-        plain(ax, grid="both")
+        ax.set_ylabel(wrapped_text(label, 40, max_lines=2) if number % n_cols == 0 else "")
+        plain_axes(ax, grid="both")
     legend_below(page, [lines[name] for name in lines], list(lines))
     _above(page, averaged)
     return page
@@ -113,7 +104,7 @@ def response_figure(
 
 def _above(page, text):
     if text:
-        text = wrapped(text, int(12 * page.get_figwidth()), max_lines=3)
+        text = wrapped_text(text, int(12 * page.get_figwidth()), max_lines=3)
         page.suptitle(text, fontsize=FONT, color=GREY, parse_math=False)
 
 
@@ -131,14 +122,7 @@ def draw_heat(ax: Axes, values: Any, norm: Normalize, *, ratio: bool, decimals: 
     """Draw a matrix as colours with its numbers, if it is small: bright is long, or blue below and red above 1.
 
     Args:
-      ax: the axes.
       values: `[R, C]` float, row 0 at the bottom; NaN stays white.
-      norm: of the colours.
-      ratio: whether the numbers are ratios.
-      decimals: of the numbers.
-
-    Returns:
-      The image.
     """
     values = np.asarray(values, np.float64)
     image = ax.imshow(values, origin="lower", aspect="auto", cmap=RATIOS if ratio else LENGTHS, norm=norm)
@@ -162,7 +146,7 @@ def _norm(values, ratio) -> Any:
     return Normalize(low, high if high > low else low + 1.0)
 
 
-def heat_figure(
+def heat_maps_figure(
     table: Any, x: str, y: str, *, label: str = "path length (m)", ratio: bool = False, averaged: str = ""
 ) -> Figure:
     """Draw colours over two settings: a row of panels a world, one panel a strategy, on one colour scale.
@@ -170,12 +154,8 @@ def heat_figure(
     Args:
       table: columns `world`, `strategy`, the two settings, `estimate`, from `response.response`; one row or more.
       x, y: names of the columns; every value has a place of its own, whatever lies between.
-      label: of the estimates.
       ratio: bool, estimates are ratios: blue below 1, red above.
       averaged: name of the averaged settings: a line above the panels.
-
-    Returns:
-      `Figure`.
     """
     worlds, strategies = (list(dict.fromkeys(table[key])) for key in ("world", "strategy"))
     across, up = _levels(table[x]), _levels(table[y])
@@ -199,10 +179,10 @@ def heat_figure(
         cells[[up.index(v) for v in own[y]], [across.index(v) for v in own[x]]] = own["estimate"]
         draw_heat(ax, cells, norm, ratio=ratio, decimals=decimals)
         _ticks(ax, across, up, int(wide / 0.42), int(tall / 0.24))
-        ax.set_title(wrapped(strategies[place], int(12 * wide), max_lines=2), fontsize=9)
+        ax.set_title(wrapped_text(strategies[place], int(12 * wide), max_lines=2), fontsize=9)
         ax.set_xlabel(x if line // n_lines == len(worlds) - 1 and place + n_cols >= len(strategies) else "")
-        ax.set_ylabel(f"{wrapped(world, int(10 * tall), max_lines=2)}\n{y}" if col == 0 else "")
-        plain(ax)
+        ax.set_ylabel(f"{wrapped_text(world, int(10 * tall), max_lines=2)}\n{y}" if col == 0 else "")
+        plain_axes(ax)
         ax.spines[:].set_visible(False)
     colours = ScalarMappable(norm, RATIOS if ratio else LENGTHS)
     bar = page.colorbar(colours, ax=list(grid.flat), fraction=0.05, shrink=0.9, pad=0.02)

@@ -100,9 +100,9 @@ class Bounds:
 
     def figure(self) -> "Figure":
         """Draw the walks and the witnesses of the first starts: a matplotlib `Figure`."""
-        from jexplore.report.plots import bounds
+        from jexplore.report.plots.walks import bounds_figure
 
-        return bounds.figure(self)
+        return bounds_figure(self)
 
     def _repr_markdown_(self):
         return self.to_markdown()

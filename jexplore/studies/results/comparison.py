@@ -213,11 +213,11 @@ class Comparison(ByStrategy):
 
     def waste_figure(self) -> "Figure":
         """Draw the first paths, coloured by their use, with `keep="paths"`: a matplotlib `Figure`."""
-        from jexplore.report.plots import waste as pictures
+        from jexplore.report.plots.walks import waste_figure
 
         worlds = {world.name: world for world in self.worlds}
         kinds = [(pair, ways[0], waste.waste_of(ways[0], worlds[pair[0]].cell_m)) for pair, ways in self.paths.items()]
-        return pictures.figure(
+        return waste_figure(
             [
                 (f"{strategy} in {world}", worlds[world].occupied, way[:, :2], found.kinds, worlds[world].cell_m)
                 for (world, strategy), way, found in kinds

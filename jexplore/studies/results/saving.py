@@ -16,7 +16,8 @@ from jexplore.arrays.files import first_line
 from jexplore.config import InputError, InputWarning
 from jexplore.engine.runner import Costs
 from jexplore.exploration.batch import Job, Outcomes
-from jexplore.report import folders, plot, plot_league, store
+from jexplore.report import folders, plot, store
+from jexplore.report.plots.standings import league_figure
 from jexplore.studies.results import provenance
 from jexplore.studies.results.report import replays_for, write_report
 from jexplore.studies.statistics.by_world import markdown_table
@@ -58,7 +59,7 @@ def write_details(found: Any, path: Path) -> None:
 def figures_of(found: Any, *, league: bool = False) -> dict[str, Callable[[], Any]]:
     """Return pictures of a `Comparison`: name of a file -> function that draws it."""
     if league:
-        return {"league.png": lambda: plot_league.figure(found.standings)}
+        return {"league.png": lambda: league_figure(found.standings)}
     figures = {"compare.png": found.compare_figure, "coverage.png": found.coverage_figure}
     figures |= {"waste.png": found.waste_figure} if found.paths else {}
     # Without any episode 0, as after an early interruption, there is no path to draw.

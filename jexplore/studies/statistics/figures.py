@@ -49,7 +49,7 @@ def compare_figure(
     if len(worlds) <= MOST_WORLDS or not panels:
         summary = summarise(episodes) if summary is None else summary
         panels += [_in_world(world, episodes, summary, strategies) for world in worlds[:MOST_WORLDS]]
-    return compare.figure(panels, strategies)
+    return compare.comparison_figure(panels, strategies)
 
 
 def draw_world(ax: Any, episodes: "pd.DataFrame", summary: "pd.DataFrame", world: str) -> list[Any]:
@@ -79,11 +79,11 @@ def _estimates(table, strategies, *columns, scale=1.0):
 
 
 def _in_world(world, episodes, summary, strategies):
-    from jexplore.report.plots.compare import Panel
+    from jexplore.report.plots.compare import ComparisonPanel
 
     own, rows = episodes[episodes["world"] == world], summary[summary["world"] == world]
     parts = [own[own["strategy"] == name] for name in strategies]
-    return Panel(
+    return ComparisonPanel(
         title=str(world),
         label="path length (m)",
         points=[part["path_m"].to_numpy(np.float64) for part in parts],
@@ -96,13 +96,13 @@ def _in_world(world, episodes, summary, strategies):
 
 
 def _over_worlds(episodes, table, strategies):
-    from jexplore.report.plots.compare import Panel
+    from jexplore.report.plots.compare import ComparisonPanel
 
     ratios: Any = paths_by_world(episodes)
     own = [np.exp(ratios["log_ratio"][ratios["strategy"] == name].to_numpy(np.float64)) for name in strategies]
     own[0] = own[0][:0]  # the reference relative to itself
     n = int(table["worlds"].max())
-    return Panel(
+    return ComparisonPanel(
         title=f"over {n} worlds, which count the same",
         label=f"starts with a shorter path than {strategies[0]} (%)",
         points=[np.zeros(0)] * len(strategies),
@@ -129,7 +129,7 @@ def coverage_figure(progress: Mapping[tuple[str, str], np.ndarray]) -> "Figure":
     if not worlds:
         raise InputError("progress must be of one world or more to be drawn, got none")
     entries = [(str(one), {name: rows for (world, name), rows in progress.items() if world == one}) for one in worlds]
-    return curves.coverage_figure(entries)
+    return curves.coverage_curves_figure(entries)
 
 
 def profile_figure(episodes: "pd.DataFrame", *, over: str = "best") -> "Figure":
@@ -139,7 +139,7 @@ def profile_figure(episodes: "pd.DataFrame", *, over: str = "best") -> "Figure":
     table = profiles(episodes, over=over)
     if not len(table):
         raise InputError("episodes must have a start that every strategy has, got none")
-    return curves.profile_figure(table, over=over)
+    return curves.profile_curves_figure(table, over=over)
 
 
 def _label(value, ratio, episodes) -> str:
@@ -174,7 +174,9 @@ def response_figure(
 
     table = response(episodes, setting, value=value, ratio=ratio, **how)
     averaged = f"{_averaged(episodes, table, setting)}, with {100 * how.get('confidence', 0.95):g} % intervals"
-    return sweeps.response_figure(table, setting, label=_label(value, ratio, episodes), ratio=ratio, averaged=averaged)
+    return sweeps.response_curves_figure(
+        table, setting, label=_label(value, ratio, episodes), ratio=ratio, averaged=averaged
+    )
 
 
 def heat_figure(
@@ -203,4 +205,4 @@ def heat_figure(
     if not len(table):
         raise InputError("episodes must be of two strategies or more for ratios, got one")
     averaged = _averaged(episodes, table, x, y)
-    return sweeps.heat_figure(table, x, y, label=_label(value, ratio, episodes), ratio=ratio, averaged=averaged)
+    return sweeps.heat_maps_figure(table, x, y, label=_label(value, ratio, episodes), ratio=ratio, averaged=averaged)

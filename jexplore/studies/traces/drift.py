@@ -76,7 +76,7 @@ class Drift:
         pictures = None
         if self.example is not None:
             drawn, cell_m = self.example.drawn, self.example.drawn.map.cell_m
-            what = ", ".join(f"{plots.NAMES.get(name, name)} {value:g}" for name, value in self.example.errors.items())
+            what = ", ".join(f"{plots.ERROR_NAMES.get(name, name)} {value:g}" for name, value in self.example.errors.items())
             pictures = plots.Pictures(
                 title=what or "no further error",
                 walls=wall_lines(self.plan),
@@ -85,7 +85,7 @@ class Drift:
                 map=self.example.map,
                 placed=self.example.placed,
             )
-        return plots.figure(self.summary, pictures)
+        return plots.drift_figure(self.summary, pictures)
 
 
 @checked_names

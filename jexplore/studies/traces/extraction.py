@@ -49,7 +49,9 @@ class Extracted:
         trail = np.stack([x, y, np.zeros(len(x))], axis=1)
         walls = segments(walls_of(world.occupied, world.cell_m)) + np.tile(np.asarray(world.origin_m), 2)
         modes = np.zeros(len(x), int)
-        return plot_traces.figure(self.map, walls, trail, None, modes, [self.episode.strategy], self.episode.title)
+        return plot_traces.trace_figure(
+            self.map, walls, trail, None, modes, [self.episode.strategy], self.episode.title
+        )
 
 
 def extracted(

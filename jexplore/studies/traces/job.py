@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jexplore.config import BOUNDS, MAX_RUNS, InputError, as_record, checked_names, require_setting
+from jexplore.config import MAX_RUNS, NUMBER_BOUNDS, InputError, as_record, checked_names, require_setting
 from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start
 from jexplore.driving.mission import MAP_SIZE
 from jexplore.driving.records import Building
@@ -34,7 +34,7 @@ from jexplore.worlds.regions import warn_of_outside
 from jexplore.worlds.starts import draw_starts, start_region
 from jexplore.worlds.world import World, with_ring
 
-MOST_STEPS = int(BOUNDS["max_steps"][1])
+MOST_STEPS = int(NUMBER_BOUNDS["max_steps"][1])
 STEPS_M2 = 100  # steps of 4 cm for each square metre of free area: four metres of way
 CLEARANCE_M = 0.5  # of starts that are drawn
 ROOMY = 128  # most nodes of a map of a building, at least

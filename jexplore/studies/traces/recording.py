@@ -16,7 +16,7 @@ from jexplore.driving.mission import RunOutcome
 from jexplore.driving.records import RunMode
 from jexplore.driving.sensing import surround
 from jexplore.engine.draws import pinned_draws, random_key
-from jexplore.report.operator_view import Recording
+from jexplore.report.operator_view import RunRecording
 from jexplore.studies.traces import tracing
 from jexplore.studies.traces.scans import measured
 
@@ -85,7 +85,7 @@ def _frame(key, building, robot, tuning, noise, state):
     return after, seen
 
 
-def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> Recording:
+def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> RunRecording:
     """Record the operator's view of run 0.
 
     Args:
@@ -93,7 +93,7 @@ def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n:
       on_progress: called with the number of finished steps.
 
     Returns:
-      `Recording`.
+      `RunRecording`.
     """
 
     robot, tuning, noise = (_numbers(s) for s in plan.first_settings())
@@ -116,7 +116,7 @@ def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n:
     there, searched = status[:, used] != btm.NONE, status[:, used] == btm.SEARCHED
     origin = plan.world.origin_m
     goal = None if np.isnan(plan.building.goal).any() else tuple(np.asarray(plan.building.goal) + origin)
-    return Recording(
+    return RunRecording(
         title=f"{plan.robot.name} in {plan.world.name}",
         dt_s=vehicle.DT_S,
         mode_names=MODE_NAMES,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from jexplore.config import InputError, checked_names, require_kind
 from jexplore.driving.settings import ROBOTS
-from jexplore.report.page.station import Panel, station_page
+from jexplore.report.page.station import MapPanel, station_page
 from jexplore.tracemap.merging import notes
 from jexplore.tracemap.merging.match import Merging, match_maps
 from jexplore.tracemap.merging.merge import Merged, merge_maps
@@ -48,7 +48,7 @@ def station(maps: Sequence[BtmMap], names: Sequence[str] | None = None, *, title
     return page_of(panels, said, title)
 
 
-def page_of(panels: Sequence[Panel], said: Sequence[str], title: str | None = None) -> str:
+def page_of(panels: Sequence[MapPanel], said: Sequence[str], title: str | None = None) -> str:
     """Make the page of the result of `panels_of`."""
     names = [name for panel in panels for name in panel.maps]
     return station_page(title or f"Station: {', '.join(names)}", panels, list(ROBOTS.values()), said)
@@ -58,7 +58,7 @@ def panels_of(
     maps: Sequence[BtmMap],
     names: Sequence[str] | None = None,
     on_progress: Callable[[int], object] = lambda compared: None,
-) -> tuple[list[Panel], list[str]]:
+) -> tuple[list[MapPanel], list[str]]:
     """Merge maps as far as they fit.
 
     Args:
@@ -84,7 +84,7 @@ def panels_of(
         require_near(given[name], name)
         notes.require_sources(given[name], name)
     if len(given) == 1:
-        return [Panel(name, btm, (name,)) for name, btm in given.items()], [
+        return [MapPanel(name, btm, (name,)) for name, btm in given.items()], [
             line for btm in given.values() for line in notes.conflicts(btm)
         ]
     return _panels(given, on_progress)
@@ -105,7 +105,7 @@ def _panels(given, on_progress):
     panels = [_joined(found, given, main) for found in groups]
     for name, btm in left.items():
         why = NONE[outcome] if main is None else WHY[_outcome(main, btm)]
-        panels.append(Panel(name, btm, (name,), f"Stands apart: {why}."))
+        panels.append(MapPanel(name, btm, (name,), f"Stands apart: {why}."))
     said = [line for found in groups for line in found.notes]
     return panels, said + [line for btm in left.values() for line in notes.conflicts(btm)]
 
@@ -114,8 +114,8 @@ def _joined(found: Merged, given, main):
     maps = tuple(name for name in given if name in found.moves)
     note = f"In the frame of {next(name for name, move in found.moves.items() if move == Move())}."
     if found.map is main:
-        return Panel(TOGETHER, found.map, maps, note)
-    return Panel(" and ".join(maps), found.map, maps, f"Stands apart: {WHY[_outcome(main, found.map)]}. {note}")
+        return MapPanel(TOGETHER, found.map, maps, note)
+    return MapPanel(" and ".join(maps), found.map, maps, f"Stands apart: {WHY[_outcome(main, found.map)]}. {note}")
 
 
 def _outcome(main, btm):
