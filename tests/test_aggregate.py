@@ -199,8 +199,6 @@ def test_other_wrong_input_is_refused():
         share_over_worlds([1.5, 0.5], ["x", "x"])
     with pytest.raises(ValueError, match="one for each of 2 kinds"):
         over_worlds.mean_over_worlds([1.0, math.nan], ["x", "x"])
-    with pytest.raises(ValueError, match="confidence"):
-        share_over_worlds([0.5, 0.7], ["x", "x"], confidence=95)
     table = episodes({("w", "a"): [1.0], ("w", "b"): [2.0]})
     with pytest.raises(InputError, match="over must be first or best, got 'worst'"):
         scores_of(table, over="worst")
@@ -321,10 +319,9 @@ def test_sizes_are_monotone():
     values, reference = pairs(12, np.random.default_rng(1))
     of = lambda **how: sample_size(values, reference, **how)  # noqa: E731
     assert of(within=0.01) > of(within=0.02) > of(within=0.1) >= 2
-    assert of(confidence=0.99) > of(confidence=0.9)
     assert of(assurance=0.95) > of(assurance=0.8) > of(assurance=0.5)
     assert of(within=0.02) == sample_size(values * 7, reference * 7, within=0.02)
-    assert of(within=1e-9) == sizes.MOST
+    assert of(within=1e-9) == sizes.MAX_NEEDED
 
 
 def test_the_interval_comes_out_as_narrow_as_assured():
@@ -355,7 +352,7 @@ def test_pilots_that_tell_nothing_are_refused(values, reference, message):
         sample_size(values, reference)
 
 
-@pytest.mark.parametrize("how", [{"within": 0}, {"within": math.nan}, {"confidence": 95}, {"assurance": 1}])
+@pytest.mark.parametrize("how", [{"within": 0}, {"within": math.nan}, {"assurance": 1}])
 def test_shares_out_of_range_are_refused(how):
     with pytest.raises(InputError, match=next(iter(how))):
         sample_size([1.0, 2.0, 4.0], [1.0, 3.0, 3.0], **how)

@@ -15,7 +15,6 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.reach import FAR, STRAIGHT
 from jexplore.studies.bounds import beside, pieces, scene, search, subsets
 from jexplore.studies.bounds import bound as study
-from jexplore.studies.bounds import start as single
 from jexplore.studies.bounds.floor import Floor, edge_of, walk_cost
 from jexplore.studies.bounds.sights import Coverage
 from jexplore.studies.checks import ready_starts
@@ -196,9 +195,9 @@ def test_a_range_shorter_than_a_cell_or_two(range_m):
 
 
 def test_metres_are_rounded_down():
-    assert single.low_metres(65536 * 10, 0.1) == 0.999  # ten diagonal steps would cost more than they measure
-    assert single.low_metres(0, 0.1) == 0.0
-    assert single.low_metres(92682 * 1000, 0.1) <= 100 * math.sqrt(2)
+    assert study.low_metres(65536 * 10, 0.1) == 0.999  # ten diagonal steps would cost more than they measure
+    assert study.low_metres(0, 0.1) == 0.0
+    assert study.low_metres(92682 * 1000, 0.1) <= 100 * math.sqrt(2)
 
 
 def test_the_same_twice_under_max_floods():
@@ -211,29 +210,29 @@ def test_the_same_twice_under_max_floods():
 def test_an_enclosed_start_and_nothing_to_see():
     occupied = np.ones((9, 9), bool)
     occupied[4, 4] = False
-    found = single.solve(
-        single.Task(World(occupied=occupied, cell_m=0.1, name="cell"), (4, 4, 0), LIDAR, RULES, 1.0, None)
+    found = study.solve(
+        study.BoundTask(World(occupied=occupied, cell_m=0.1, name="cell"), (4, 4, 0), LIDAR, RULES, 1.0, None)
     )
-    assert (found.row["status"], found.row["low_m"]) == (single.STUCK, 0.0)
+    assert (found.row["status"], found.row["low_m"]) == (study.STUCK, 0.0)
     occupied[3:6, 3:6] = False
     far = Lidar(n_beams=181, range_m=2.0)
-    found = single.solve(
-        single.Task(World(occupied=occupied, cell_m=0.1, name="hut"), (4, 4, 0), far, RULES, 1.0, None)
+    found = study.solve(
+        study.BoundTask(World(occupied=occupied, cell_m=0.1, name="hut"), (4, 4, 0), far, RULES, 1.0, None)
     )
-    assert found.row["status"] == single.STUCK  # one clear cell, the start's own
+    assert found.row["status"] == study.STUCK  # one clear cell, the start's own
     occupied = np.ones((11, 11), bool)
     occupied[2:9, 2:9] = False
-    found = single.solve(
-        single.Task(World(occupied=occupied, cell_m=0.1, name="hall"), (5, 5, 0), far, RULES, 1.0, None)
+    found = study.solve(
+        study.BoundTask(World(occupied=occupied, cell_m=0.1, name="hall"), (5, 5, 0), far, RULES, 1.0, None)
     )
-    assert (found.row["status"], found.row["high_m"], found.row["low_any_m"]) == (single.OPTIMAL, 0.0, 0.0)
+    assert (found.row["status"], found.row["high_m"], found.row["low_any_m"]) == (study.OPTIMAL, 0.0, 0.0)
 
 
 def test_no_time_for_a_walk_leaves_a_weak_bound():
     world = jx.load_world("office", cell_m=0.1)
     start = tuple(int(v) for v in ready_starts(world, "random", 1, seed=0, rules=Rules())[0])
-    found = single.solve(single.Task(world, start, Lidar(), Rules(), None, 3)).row
-    assert found["status"] == single.WEAK
+    found = study.solve(study.BoundTask(world, start, Lidar(), Rules(), None, 3)).row
+    assert found["status"] == study.WEAK
     assert math.isnan(found["high_m"])
     assert 0 < found["low_any_m"] <= found["low_m"]
 
@@ -266,7 +265,7 @@ def test_the_command(tmp_path, capsys):
     said = capsys.readouterr().out
     assert said.splitlines()[-1].startswith("wrote bounds.parquet, walks.parquet, run.json, bounds.png")
     table = jx.load(out)
-    assert list(table.columns) == list(single.COLUMNS)
+    assert list(table.columns) == list(study.BOUND_COLUMNS)
     assert len(table) == 2
     assert (table["high_m"] >= table["low_m"]).all()
     assert main.main([*command, "--resume"]) == 0

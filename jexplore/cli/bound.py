@@ -69,7 +69,7 @@ class Bound:
                     lidar=self.lidar,
                     rules=self.rules,
                 )
-            ledger = out.keep(bound.asked(tasks), len(tasks))
+            ledger = out.keep(bound.asked_of_bounds(tasks), len(tasks))
             if ledger is None:
                 table = store.read_parquet(out.run.path / "bounds.parquet")
                 show_table(bound.bounds_table(table))

@@ -42,14 +42,7 @@ class Floor:
         return found[found >= 0]
 
     def flood(self, costs: np.ndarray) -> np.ndarray:
-        """Compute costs of the shortest paths from cells with given costs.
-
-        Args:
-          costs: `[n]` int32, of `cells`; FAR where not given.
-
-        Returns:
-          `[n]` int32.
-        """
+        """Compute costs of the shortest paths from cells with given costs, FAR where not given: both `[n]` int32."""
         self.budget.spent += 1
         start = np.full(self._shape, FAR, np.int32)
         start.reshape(-1)[self._at] = costs

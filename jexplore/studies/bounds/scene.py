@@ -59,25 +59,14 @@ class Scene:
 
 
 def prepare_scene(world: World, start: tuple[int, int, int], lidar: Lidar, rules: Rules, looks: int) -> Scene | None:
-    """Make a `Scene`.
-
-    Args:
-      world: `World`.
-      start: row, col, heading in degrees.
-      lidar: `Lidar`.
-      rules: `Rules`.
-      looks: scans at the start.
-
-    Returns:
-      `Scene`; None where the start is enclosed.
-    """
+    """Make the `Scene` of a start (row, col, heading in degrees), with `looks` scans there; None if it is enclosed."""
     pad = int(rays_of(lidar, world.cell_m).length.max()) + 1
     occupied = np.pad(world.occupied, pad, constant_values=True)
     row, col = start[0] + pad, start[1] + pad
     clear = ~_within(occupied, radius_d2(rules.clearance_m, world.cell_m))
     rows, cols = np.indices(occupied.shape)
     near = (rows - row) ** 2 + (cols - col) ** 2 <= radius_d2(rules.near_m, world.cell_m)
-    stand = flooded(clear | (~occupied & near), row, col)
+    stand = reachable_from(clear | (~occupied & near), row, col)
     goal = clear & stand
     if occupied[row, col] or not np.any(goal & ((rows != row) | (cols != col))):
         return None
@@ -88,7 +77,7 @@ def prepare_scene(world: World, start: tuple[int, int, int], lidar: Lidar, rules
         must_see[sights.seen(row * width + col, (start[2] // 45 + look * HEADINGS // looks) % HEADINGS)] = False
     return Scene(
         *(width, pad, world.shape, row * width + col, occupied.reshape(-1), stand.reshape(-1)),
-        any=flooded(~occupied, row, col).reshape(-1),
+        any=reachable_from(~occupied, row, col).reshape(-1),
         must_see=must_see,
         sights=sights,
     )
@@ -102,7 +91,7 @@ def _within(occupied, d2):
     return (rows - at[0]) ** 2 + (cols - at[1]) ** 2 <= d2
 
 
-def flooded(free: np.ndarray, row: int, col: int) -> np.ndarray:
+def reachable_from(free: np.ndarray, row: int, col: int) -> np.ndarray:
     """Return the cells that a path reaches, among them the start, which need not be free.
 
     A diagonal motion needs both orthogonal neighbours, so that it reaches nothing that straight ones do not.

@@ -20,6 +20,11 @@ class Rays(NamedTuple):
     length: np.ndarray  # [R] int32, cells entered
     headings: np.ndarray  # [8, R] bool, which of them a scan with each heading has
 
+    @property
+    def count_type(self) -> np.dtype[Any]:
+        """Return the type that counts of steps fit into."""
+        return np.min_scalar_type(self.drow.shape[1])
+
 
 @functools.lru_cache(maxsize=8)
 def rays_of(lidar: Lidar, cell_m: float) -> Rays:
@@ -35,13 +40,9 @@ def rays_of(lidar: Lidar, cell_m: float) -> Rays:
 
 
 class Sights:
-    """Visibility on a map that is padded with walls by the scanner's range.
-
-    Cells are flat numbers in the padded map.
-    """
+    """Visibility on a map padded with walls by the scanner's range; cells are flat numbers in the padded map."""
 
     def __init__(self, occupied: np.ndarray, pad: int, rays: Rays) -> None:
-        """Prepare a map: `occupied` is `[H, W]` bool, padded by `pad` cells on each side."""
         self.rays, self._occupied = rays, occupied.reshape(-1)
         self._offset = rays.drow * occupied.shape[1] + rays.dcol
         self._within = np.arange(self._offset.shape[1]) < rays.length[:, None]
@@ -50,13 +51,9 @@ class Sights:
         self._first, self._last = pad * occupied.shape[1], (occupied.shape[0] - pad) * occupied.shape[1]
 
     def region(self, cell: int, stand: np.ndarray) -> np.ndarray:
-        """Return cells from which some beam enters a cell: `[n]` int, sorted, itself included.
+        """Return cells of `stand` from which some beam enters a free cell: `[n]` int, sorted, itself included.
 
-        Cast from where the robot stands: sight on a lattice is not symmetric.
-
-        Args:
-          cell: free.
-          stand: `[P]` bool, where a robot may stand; nowhere in the padding.
+        Cast from where the robot stands: sight on a lattice is not symmetric. `stand` is `[P]` bool, without padding.
         """
         place = cell - self._leads
         known = np.flatnonzero((place >= self._first) & (place < self._last))
@@ -91,7 +88,7 @@ class TableOfSights(Sights):
         super().__init__(occupied, pad, rays)
         n = self._last - self._first  # cells of the rows that are not padding
         free, still = (~self._occupied).astype(np.uint8), np.empty(n, np.uint8)
-        self._free_steps = np.zeros((len(rays.length), n), _counts(rays))
+        self._free_steps = np.zeros((len(rays.length), n), rays.count_type)
         for ray, steps in enumerate(rays.length):  # one step of one ray at a time, for all cells together
             still[:] = 1
             for leads in self._offset[ray, :steps]:
@@ -101,7 +98,7 @@ class TableOfSights(Sights):
     @staticmethod
     def size(shape: tuple[int, int], pad: int, rays: Rays) -> int:
         """Return the bytes of the table of a map of this shape, without padding."""
-        return len(rays.length) * shape[0] * (shape[1] + 2 * pad) * _counts(rays)().itemsize
+        return len(rays.length) * shape[0] * (shape[1] + 2 * pad) * rays.count_type.itemsize
 
     def _sees(self, ray, step, place):
         return self._free_steps[ray, place - self._first] > step
@@ -110,11 +107,6 @@ class TableOfSights(Sights):
         own = slice(None) if heading is None else self.rays.headings[heading]
         offset, steps = self._offset[own], self._free_steps[own, cell - self._first]
         return np.append(cell + offset[np.arange(offset.shape[1]) < steps[:, None]], cell)
-
-
-def _counts(rays: Rays) -> Any:
-    """Return the type that counts of steps fit into."""
-    return np.uint8 if rays.drow.shape[1] < 256 else np.uint16
 
 
 class Coverage:
