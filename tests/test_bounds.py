@@ -128,7 +128,7 @@ def test_the_walk_sees_everything_and_keeps_to_the_corner_rule():
         assert row["low_any_m"] > 0.5 * row["high_m"]
 
 
-@pytest.mark.parametrize("kind", ["rooms", "cave", "maze"])
+@pytest.mark.parametrize("kind", ["rooms", "cave"])
 def test_no_episode_is_shorter_than_the_bound_of_any_robot(kind):
     world = jx.load_world(f"{kind}:width_m=7,height_m=7", cell_m=0.1)
     episodes = jx.compare(world, ["closest", "closest+recheck", "random"], episodes=4, lidar=NEAR).to_pandas()
@@ -208,24 +208,14 @@ def test_the_same_twice_under_max_floods():
 
 
 def test_an_enclosed_start_and_nothing_to_see():
-    occupied = np.ones((9, 9), bool)
-    occupied[4, 4] = False
-    found = study.solve(
-        study.BoundTask(World(occupied=occupied, cell_m=0.1, name="cell"), (4, 4, 0), LIDAR, RULES, 1.0, None)
-    )
-    assert (found.row["status"], found.row["low_m"]) == (study.STUCK, 0.0)
-    occupied[3:6, 3:6] = False
-    far = Lidar(n_beams=181, range_m=2.0)
-    found = study.solve(
-        study.BoundTask(World(occupied=occupied, cell_m=0.1, name="hut"), (4, 4, 0), far, RULES, 1.0, None)
-    )
-    assert found.row["status"] == study.STUCK  # one clear cell, the start's own
-    occupied = np.ones((11, 11), bool)
-    occupied[2:9, 2:9] = False
-    found = study.solve(
-        study.BoundTask(World(occupied=occupied, cell_m=0.1, name="hall"), (5, 5, 0), far, RULES, 1.0, None)
-    )
-    assert (found.row["status"], found.row["high_m"], found.row["low_any_m"]) == (study.OPTIMAL, 0.0, 0.0)
+    for half, status in ((0, study.STUCK), (1, study.STUCK), (3, study.OPTIMAL)):  # of 1: one clear cell, the start's
+        occupied = np.ones((11, 11), bool)
+        occupied[5 - half : 6 + half, 5 - half : 6 + half] = False
+        world = World(occupied=occupied, cell_m=0.1, name="hall")
+        lidar = Lidar(n_beams=181, range_m=2.0)
+        row = study.solve(study.BoundTask(world, (5, 5, 0), lidar, RULES, 1.0, None)).row
+        assert (row["status"], row["low_m"], row["low_any_m"]) == (status, 0.0, 0.0)
+    assert row["high_m"] == 0.0
 
 
 def test_no_time_for_a_walk_leaves_a_weak_bound():
@@ -241,15 +231,10 @@ def test_no_time_for_a_walk_leaves_a_weak_bound():
     ("options", "message"),
     [
         ({"seconds": 0}, "seconds must be"),
-        ({"starts": 0}, "starts must be"),
-        ({"lidar": Lidar(sigma_m=0.1)}, "without noise"),
         ({"lidar": Lidar(dropout=0.1)}, "without noise"),
         ({"lidar": Lidar(no_echo="unknown")}, "no_echo must be free"),
-        ({"lidar": Lidar(min_range_m=0.1)}, "sees all from the robot's centre"),
         ({"lidar": Lidar(left_m=0.1)}, "sees all from the robot's centre"),
-        ({"start": "here"}, "start must be random, world, cells"),
         ({"max_floods": 0}, "max_floods must be"),
-        ({"workers": 0}, "workers must be"),
         ({"start": "world"}, "has no start of its own"),
     ],
 )

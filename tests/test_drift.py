@@ -105,8 +105,6 @@ def test_the_figure():
         ({"axes": {"drift": [1.0]}}, "axes must be errors of jx.btm.Noise, .*, got 'drift'"),
         ({"axes": {"slip": []}}, "slip must have a value or more"),
         ({"axes": {"slip": [0.9]}}, "noise.slip must be"),
-        ({"sweep": ["votes=1,5"]}, "unknown argument of drift: 'sweep'"),
-        ({"runs": 0}, "runs"),
     ],
 )
 def test_what_cannot_be_asked(options, says):

@@ -43,9 +43,6 @@ def near(marks, *places):
     return len(marks) == len(places) and set(off.argmin(axis=1)) == set(range(len(places))) and off.min(1).max() <= 0.25
 
 
-# ---------------------------------------------------------------- what there is
-
-
 def test_two_rooms_and_a_door():
     """A junction in the middle of either room, as far from the walls as these are apart by half."""
     found = truth(drawn(A, B))
@@ -80,9 +77,6 @@ def test_a_junction_counts_as_reached_within_half_a_metre_at_least():
     assert not found.is_door.any()
 
 
-# ---------------------------------------------------------------- what can be reached
-
-
 def test_a_closet_gives_marks_where_its_door_is_wide_enough():
     """A T before its door, an eighth of its width off the middle, and a dead end at either end."""
     doors = (6.2, 1.6, 6.4, 2.4), (6.2, 1.6, 6.4, 1.8)
@@ -107,9 +101,6 @@ def test_the_start_may_be_nearer_to_a_wall_than_the_robot_fits():
 def test_a_junction_in_whose_circle_the_robot_starts_is_one_as_well():
     found = truth(drawn(A, B), start_rc=(20, 28))
     assert near(found.marks[~found.is_door], (2, 2), (5, 2))
-
-
-# ---------------------------------------------------------------- the course
 
 
 def test_of_a_course_the_topology_is_taken():
@@ -166,9 +157,6 @@ def test_a_start_in_the_circle_of_a_divergence_is_on_no_link(place, count):
 def test_other_worlds_have_no_true_map():
     world = drawn(A, B)
     assert maps_from(world, truth(world), (2.0, 1.0, 0.0)) == ()
-
-
-# ---------------------------------------------------------------- false divergences
 
 
 TRUTH = TraceTruth(

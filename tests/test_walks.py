@@ -8,8 +8,8 @@ import pytest
 import jexplore as jx
 from jexplore.config import Lidar, Rules
 from jexplore.reach import FAR, STRAIGHT
-from jexplore.studies.bounds import scene, search, stops, walks
 from jexplore.studies.bounds import bound as study
+from jexplore.studies.bounds import scene, search, stops, walks
 from jexplore.studies.bounds.sights import Coverage, Sights, TableOfSights, rays_of
 from jexplore.studies.checks import ready_starts
 from jexplore.worlds.world import World
@@ -144,9 +144,9 @@ def test_an_insertion_costs_what_it_says():
         assert order.pairs[at] == (cell, stop)
         assert order.cost == before + extra
         assert made.inside[cell][made.places[stop]]
-    copy, settled = order.copy(), order.cost
+    before = order.cost
     order.settle()
-    assert order.cost <= settled == copy.cost
+    assert order.cost <= before
     assert sorted(order.witnesses) == sorted(cells)
     better = stops.improved_order(order, np.random.default_rng(1), 30)
     assert sorted(better.witnesses) == sorted(cells)
@@ -182,7 +182,7 @@ def test_a_bad_walk_is_mended_from_a_good_order(monkeypatch):
     good, bad = walks_of(own), walks_of(own)
     good.find(lambda: False)
     good.shorten(lambda: False)
-    monkeypatch.setattr(walks, "improved", lambda order, *_, **__: order)
+    monkeypatch.setattr(walks, "improved_order", lambda order, *_, **__: order)
     monkeypatch.setattr(walks, "STALE", 1)
     assert bad.find(lambda: False)
     assert bad.cost > good.cost
@@ -246,17 +246,15 @@ def test_a_table_too_large_changes_nothing(monkeypatch):
     np.testing.assert_array_equal(whole.walk, other.walk)
 
 
-@pytest.mark.parametrize("floods", [1, 40, 120, 250, 400])
-def test_less_time_gives_weaker_bounds_and_never_wrong_ones(floods):
+def test_less_time_gives_weaker_bounds_and_never_wrong_ones():
     world = jx.load_world("rooms:width_m=5,height_m=5", cell_m=0.1)
     start = tuple(int(v) for v in ready_starts(world, "random", 1, seed=1, rules=RULES)[0])
     lidar = Lidar(n_beams=61, range_m=2.0)
     best = study.solve(study.BoundTask(world, start, lidar, RULES, None, 20_000)).row
     assert best["status"] == study.OPTIMAL
-    row = study.solve(study.BoundTask(world, start, lidar, RULES, None, floods)).row
-    assert 0 < row["low_any_m"] <= row["low_m"] <= best["high_m"]
-    assert row["low_any_m"] <= best["high_m"]
-    assert row["method"] in ("subsets", "pieces", "farthest")
-    assert row["witnesses"] > 0
-    if row["status"] != study.WEAK:
-        assert row["high_m"] >= best["high_m"] - 1e-9
+    for floods in (1, 40, 120, 250, 400):
+        row = study.solve(study.BoundTask(world, start, lidar, RULES, None, floods)).row
+        assert 0 < row["low_any_m"] <= row["low_m"] <= best["high_m"]
+        assert row["method"] in ("subsets", "pieces", "farthest")
+        assert row["witnesses"] > 0
+        assert row["status"] == study.WEAK or row["high_m"] >= best["high_m"] - 1e-9

@@ -50,7 +50,7 @@ class TraceJob:
     truth: TraceTruth
     begins: np.ndarray
     """`[S, 3]` float32, poses in the building: run i of every setting begins at i modulo S."""
-    robot: Any
+    robot: Robot
     tuning: Tuning
     """Numbers, or arrays `[S]` where a threshold is swept."""
     noise: Noise
@@ -76,7 +76,7 @@ class TraceJob:
         """Return the nodes of the true map, or of its part that the robot can reach."""
         return len(self.truth.map.nodes)
 
-    def first_settings(self) -> tuple[Any, Tuning, Noise]:
+    def first_settings(self) -> tuple[Robot, Tuning, Noise]:
         """Return robot, thresholds and noise of run 0."""
         return self.robot, *with_values(self.tuning, self.noise, own_values(self.swept, 0))
 
