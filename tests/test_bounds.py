@@ -16,7 +16,7 @@ from jexplore.reach import FAR, STRAIGHT
 from jexplore.studies.bounds import beside, pieces, scene, search, subsets
 from jexplore.studies.bounds import bound as study
 from jexplore.studies.bounds.floor import Floor, edge_of, walk_cost
-from jexplore.studies.bounds.sights import Coverage
+from jexplore.studies.bounds.scene import Coverage
 from jexplore.studies.checks import ready_starts
 from jexplore.worlds.world import World
 

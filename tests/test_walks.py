@@ -10,7 +10,7 @@ from jexplore.config import Lidar, Rules
 from jexplore.reach import FAR, STRAIGHT
 from jexplore.studies.bounds import bound as study
 from jexplore.studies.bounds import scene, search, stops, walks
-from jexplore.studies.bounds.sights import Coverage, Sights, TableOfSights, rays_of
+from jexplore.studies.bounds.scene import Coverage, Sights, TableOfSights, rays_of
 from jexplore.studies.checks import ready_starts
 from jexplore.worlds.world import World
 

@@ -7,13 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from jexplore.reach import FAR
-from jexplore.studies.bounds.floor import Floor, walk_cost
+from jexplore.studies.bounds.floor import Floor, Tour, walk_cost
 from jexplore.studies.bounds.pieces import bound_by_pieces
-from jexplore.studies.bounds.scene import Scene
-from jexplore.studies.bounds.sights import Coverage
+from jexplore.studies.bounds.scene import Coverage, Scene
 from jexplore.studies.bounds.stops import telling
 from jexplore.studies.bounds.subsets import Subsets
-from jexplore.studies.bounds.tour import Tour
 from jexplore.studies.bounds.walks import Walks
 
 MOST_WITNESSES = 20  # whose subsets are all looked at

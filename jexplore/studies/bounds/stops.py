@@ -2,7 +2,7 @@
 
 How far the stops are apart is known, so that hundreds of orders can be tried a second: some witnesses are taken out and
 put in again where they cost least, parts are turned round, and for an order the best stops are found exactly. What a
-walk really costs in an order, with every place that sees a witness, `tour` says.
+walk really costs in an order, with every place that sees a witness, `floor.Tour` says.
 """
 
 import itertools

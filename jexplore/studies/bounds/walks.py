@@ -6,10 +6,9 @@ import numpy as np
 from scipy import ndimage
 
 from jexplore.reach import FAR
-from jexplore.studies.bounds.floor import Floor
-from jexplore.studies.bounds.sights import Coverage
+from jexplore.studies.bounds.floor import Floor, Tour
+from jexplore.studies.bounds.scene import Coverage
 from jexplore.studies.bounds.stops import StopOrder, Stops, improved_order, new_order
-from jexplore.studies.bounds.tour import Tour
 
 NEW = 16  # witnesses that one walk gives, at most
 PATCH_SAMPLES = 4  # unseen cells of a patch of which one becomes a witness

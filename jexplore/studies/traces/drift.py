@@ -132,8 +132,7 @@ def drift(
     tunings, noises = with_values(plan.tuning, plan.noise, {name: v[made.setting] for name, v in swept.items()})
     n = len(made.which)
     costs = batch.run_missions(
-        plan.building,
-        *(numbers_of(record, n) for record in (plan.robot, tunings, noises)),
+        *(plan.building, numbers_of(plan.robot, n), numbers_of(tunings, n), numbers_of(noises, n)),
         *(plan.starts_of(made.which), plan.seed, made.which),
         max_steps=plan.max_steps,
         size=plan.size,

@@ -91,8 +91,7 @@ def follow(
     begun = [start_of(world, building, body, btm, route) for route in found]
     n, longest = len(found), max(route.length_m for route in found)
     result = run_missions(
-        building,
-        *(numbers_of(record, n) for record in (body, tuning, noise)),
+        *(building, numbers_of(body, n), numbers_of(tuning, n), numbers_of(noise, n)),
         *(np.stack([pose for pose, *_ in begun]), seed, np.arange(n)),
         _guides(world, btm, found, [start[1:] for start in begun]),
         max_steps=int(min(max(MAX_STEPS, STEPS_M * longest), MAX_TRACE_STEPS)),

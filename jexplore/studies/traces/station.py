@@ -4,6 +4,7 @@ Plain Python: importing this loads neither jax nor numpy.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from jexplore.config import InputError, checked_names, require_kind
 from jexplore.driving.settings import ROBOTS
@@ -76,9 +77,10 @@ def panels_of(
         given[name] = check(btm)
         require_near(given[name], name)
         notes.require_sources(given[name], name)
-    groups, left, outcome = [], given, Merging.MERGED
+    groups: list[Merged] = []
+    left, outcome = given, Merging.MERGED
     while len(left) > 1:
-        once = {} if groups else {"on_progress": on_progress}
+        once: Any = {} if groups else {"on_progress": on_progress}
         found = merge_maps(list(left.values()), list(left), **once)
         outcome = found.outcome
         if len(found.moves) < 2:

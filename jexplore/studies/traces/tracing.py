@@ -120,8 +120,7 @@ def _run(plan, made, how):
     """Make the missing runs: `Costs`."""
     n, (tuning, noise) = len(made.which), with_values(plan.tuning, plan.noise, made.chosen)
     report = batch.run_missions(
-        plan.building,
-        *(numbers_of(record, n) for record in (plan.robot, tuning, noise)),
+        *(plan.building, numbers_of(plan.robot, n), numbers_of(tuning, n), numbers_of(noise, n)),
         *(plan.starts_of(made.which), plan.seed, made.which),
         max_steps=plan.max_steps,
         size=plan.size,
