@@ -23,7 +23,7 @@ from jexplore.report.trace_tables import share
 from jexplore.studies.bounds.bound import bound
 from jexplore.studies.comparison import compare
 from jexplore.studies.traces.drift import drift
-from jexplore.studies.traces.job import CLEARANCE_M
+from jexplore.studies.traces.job import START_CLEARANCE_M
 from jexplore.studies.traces.storage import storage
 from jexplore.studies.traces.tracing import trace
 from jexplore.worlds import load_world
@@ -88,7 +88,7 @@ def paths(given):
     head("building", "starts", "who", "way m", "times the shortest known", "ended complete")
     for name in given.buildings:
         world = load_world(name)
-        starts = draw_starts(world, given.seed, given.starts, CLEARANCE_M)
+        starts = draw_starts(world, given.seed, given.starts, START_CLEARANCE_M)
         ways, known = collections.defaultdict(list), []
         for start in starts:
             here = dataclasses.replace(world, start=tuple(int(n) for n in start))

@@ -21,7 +21,7 @@ from jexplore.bench.tables import markdown
 from jexplore.config import InputError
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.rooms.scores import rooms_of, score, scored_regions
-from jexplore.studies.room_variants import Settings, divided
+from jexplore.studies.room_variants import RoomSettings, divided
 from jexplore.worlds import load_world
 
 CELL_M = 0.05
@@ -64,7 +64,7 @@ def maps_of(folder: Path, own: int) -> Iterator[Map]:
             yield Map(f"{kind}#{seed}", is_furnished, ~world.occupied, world.rooms)
 
 
-def judged(one: Map, variant: str, settings: Settings) -> tuple[float, int]:
+def judged(one: Map, variant: str, settings: RoomSettings) -> tuple[float, int]:
     """MCC and room count error."""
     (found,) = divided(one.free, np.zeros_like(one.free), [variant], settings, CELL_M)
     scores = score(one.truth, scored_regions(np.where(one.free, found.label, -1), one.free, min_px=LEAST_PX))
@@ -74,7 +74,7 @@ def judged(one: Map, variant: str, settings: Settings) -> tuple[float, int]:
 def left_out(maps: list[Map], variant: str) -> list[list[str]]:
     """Prints curve and choices of a variant; returns its line of the last table."""
     grid = GRIDS[variant]
-    settings = [Settings(**dict(zip(grid, values))) for values in itertools.product(*grid.values())]
+    settings = [RoomSettings(**dict(zip(grid, values))) for values in itertools.product(*grid.values())]
     # [settings, maps, 2]
     scores = np.array([[judged(one, variant, setting) for one in maps] for setting in settings], float)
     building, is_furnished = np.array([one.building for one in maps]), np.array([one.is_furnished for one in maps])

@@ -13,7 +13,7 @@ from jexplore.driving.batch import Driven
 from jexplore.driving.settings import Noise
 from jexplore.report.plots import drift as plots
 from jexplore.studies.traces.drift import drift, placed_truly, summarised
-from jexplore.studies.traces.storage import packed, storage
+from jexplore.studies.traces.storage import packed_map, storage
 from jexplore.tracemap.record import BtmMap, Link, Node
 from jexplore.worlds.readers.scans import ScanLog, fold_scans
 from jexplore.worlds.world import World
@@ -105,8 +105,6 @@ def test_the_figure():
         ({"axes": {"drift": [1.0]}}, "axes must be errors of jx.btm.Noise, .*, got 'drift'"),
         ({"axes": {"slip": []}}, "slip must have a value or more"),
         ({"axes": {"slip": [0.9]}}, "noise.slip must be"),
-        ({"sweep": ["votes=1,5"]}, "unknown argument of drift: 'sweep'"),
-        ({"runs": 0}, "runs"),
     ],
 )
 def test_what_cannot_be_asked(options, says):
@@ -134,7 +132,7 @@ def test_a_study_is_runs_of_traces(tmp_path):
 
 def test_bytes_of_a_packed_map():
     """8 bytes a node, 16 a link."""
-    data = packed(MAP)
+    data = packed_map(MAP)
     assert len(data) == 3 * 8 + 3 * 16
     nodes, links = data[:24], data[24:]
     assert np.frombuffer(nodes[8:12], "<i2").tolist() == [320, 0]
@@ -142,9 +140,9 @@ def test_bytes_of_a_packed_map():
     assert np.frombuffer(links[16:20], "<i2").tolist() == [1, -1]
     assert links[32 + 4] == 1 + 2  # searched, blocked
     assert np.frombuffer(links[5:11], "<i2").tolist() == [0, 180, 320]
-    assert packed(BtmMap((), ())) == b""
+    assert packed_map(BtmMap((), ())) == b""
     far = dataclasses.replace(NODES[1], x_m=9999.0)
-    assert np.frombuffer(packed(BtmMap((NODES[0], far), ()))[8:10], "<i2").tolist() == [32767]
+    assert np.frombuffer(packed_map(BtmMap((NODES[0], far), ()))[8:10], "<i2").tolist() == [32767]
 
 
 def test_bytes_of_a_room():

@@ -92,11 +92,6 @@ def test_a_way_less_or_more_is_no_other_place(ways):
     assert bearing == pytest.approx(270)
 
 
-def test_a_place_without_the_way_on_is_another():
-    after, _ = met(a_guide(), 9.0, (10.0, 0.5), place(WEST, EAST, NORTH))
-    assert counts(after) == (0, 0, 1)
-
-
 @pytest.mark.parametrize(("free_m", "taken"), [(1.9, False), (2.1, True)])
 def test_a_place_whose_way_on_is_free_but_no_opening_is_the_one(free_m, taken):
     after, bearing = met(a_guide(), 9.0, (10.0, 0.5), place(WEST, EAST, NORTH), free_m=free_m)

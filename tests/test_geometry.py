@@ -8,7 +8,7 @@ import pytest
 
 from jexplore.cli import main
 from jexplore.config import InputError
-from jexplore.studies.geometry import COLUMNS, geometry, geometry_table, medians
+from jexplore.studies.geometry import GEOMETRY_COLUMNS, geometry, geometry_table, medians
 from jexplore.worlds import load_world
 from jexplore.worlds.world import World
 
@@ -103,7 +103,7 @@ def test_turning_a_map_changes_nothing():
     for turn in (np.fliplr, np.flipud, np.transpose):
         other = world.replace(occupied=turn(world.occupied).copy(), rooms=turn(world.rooms).copy())
         one, two = (geometry(w) for w in (world, other))
-        for field, _ in COLUMNS.values():
+        for field, _ in GEOMETRY_COLUMNS.values():
             assert getattr(two, field) == pytest.approx(getattr(one, field), rel=0.02, abs=0.02), field
 
 

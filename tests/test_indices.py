@@ -10,7 +10,7 @@ from jexplore.studies.bounds.scene import prepare_scene
 from jexplore.studies.explore import explore, frames
 from jexplore.studies.geometry import geometry
 from jexplore.studies.replays import replay_of
-from jexplore.studies.room_variants import Settings, divided
+from jexplore.studies.room_variants import RoomSettings, divided
 from jexplore.worlds.world import occupancy_to_world
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
@@ -125,7 +125,7 @@ def test_a_learner_sees_the_cells_of_the_array():
 @pytest.mark.parametrize("variant", ["voronoi", "distance", "wurm"])
 def test_rooms_are_those_of_the_same_plan_in_walls(variant):
     made = [
-        divided(~world.occupied, np.zeros_like(world.occupied), [variant], Settings(), 0.1)[0]
+        divided(~world.occupied, np.zeros_like(world.occupied), [variant], RoomSettings(), 0.1)[0]
         for world in (PLAIN, WALLED)
     ]
     assert np.array_equal(made[0].label, made[1].label[1:-1, 1:-1])

@@ -406,11 +406,11 @@ def test_a_map_has_as_much_room_as_is_asked_for():
 
 def test_room_for_the_maps_of_buildings():
     plan = job.prepare_trace("rooms")
-    assert plan.size == (job.ROOMY, 2 * job.ROOMY)
+    assert plan.size == (job.MIN_NODES, 2 * job.MIN_NODES)
     assert not plan.is_narrow
     many = plan.truth._replace(map=dataclasses.replace(plan.truth.map, nodes=plan.truth.map.nodes[:1] * 70))
-    assert job.room_for(plan.world, many) == (256, 512)
-    assert job.room_for(plan.world, many, links=30) == (256, 30)
+    assert job.map_room(plan.world, many) == (256, 512)
+    assert job.map_room(plan.world, many, links=30) == (256, 30)
     for wrong in ({"nodes": 1}, {"links": 1}, {"nodes": job.MOST_NODES + 1}):
         with pytest.raises(InputError, match=next(iter(wrong))):
             job.prepare_trace("course", **wrong)

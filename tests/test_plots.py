@@ -264,8 +264,8 @@ def test_response_figure():
     assert axes[0].get_ylabel() == "path length (m)"
     assert figure._suptitle.get_text() == "means over 4 starts and all values of rules.clearance_m, with 95 % intervals"
     check_texts(figure)
-    many = figures.response_figure(sweep(worlds=("v", "w", "x")), RANGE, over_worlds=True, confidence=0.8)
-    assert many._suptitle.get_text() == "means over 3 worlds, with 80 % intervals"
+    many = figures.response_figure(sweep(worlds=("v", "w", "x")), RANGE, over_worlds=True)
+    assert many._suptitle.get_text() == "means over 3 worlds, with 95 % intervals"
     ratios = figures.response_figure(table, RANGE, ratio=True)
     assert shown(ratios)[0].get_yscale() == "log"
     assert shown(ratios)[0].get_ylabel() == "path length over that of a"

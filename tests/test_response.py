@@ -9,7 +9,7 @@ import pytest
 from jexplore.config import InputError
 from jexplore.studies.statistics.over_worlds import ALL_WORLDS, mean_over_worlds
 from jexplore.studies.statistics.paired import mean_interval, paired_ratio
-from jexplore.studies.statistics.response import BINS, response, settings_of
+from jexplore.studies.statistics.response import BINS, response, setting_columns
 
 RANGE, CLEARANCE = "lidar.range_m", "rules.clearance_m"
 
@@ -125,7 +125,7 @@ def test_rows_without_a_value_are_left_out():
 
 
 def test_what_is_a_setting():
-    assert settings_of(sweep()) == ["seed", RANGE, CLEARANCE]
+    assert setting_columns(sweep()) == ["seed", RANGE, CLEARANCE]
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from jexplore.rooms import baselines, doors
 from jexplore.rooms.maoris import _free_space, maoris
 from jexplore.rooms.scores import components, score
 from jexplore.rooms.watershed import SMALLEST_ROOM_M2
-from jexplore.studies.room_variants import BEST, VARIANTS
+from jexplore.studies.room_variants import BEST, ROOM_VARIANTS
 from jexplore.worlds.world import occupancy_to_world
 
 
@@ -323,7 +323,7 @@ def test_turning_a_building_leaves_its_rooms():
 
 @pytest.mark.jit
 def test_maoris_is_a_variant_and_not_the_default():
-    assert "maoris" in VARIANTS
+    assert "maoris" in ROOM_VARIANTS
     assert BEST != "maoris"
     free = np.zeros((42, 84), bool)
     free[1:41, 1:41] = free[1:41, 43:83] = free[17:25, 41:43] = True

@@ -10,8 +10,8 @@ from jexplore import segment
 from jexplore.cli import main
 from jexplore.config import InputError
 from jexplore.report.plot_rooms import rooms_figure
-from jexplore.studies.room_variants import VARIANTS, segmentations
-from jexplore.studies.segmentation import COLUMNS, segment_maps
+from jexplore.studies.room_variants import ROOM_VARIANTS, segmentations
+from jexplore.studies.segmentation import SCORE_COLUMNS, segment_maps
 from jexplore.worlds.world import occupancy_to_world
 
 pytestmark = pytest.mark.jit
@@ -41,9 +41,9 @@ def pictures(tmp_path_factory):
 
 
 def test_two_rooms_are_found_whole(pictures):
-    variants = [name for name in VARIANTS if name != "morphological"]  # to which both together are one small room
+    variants = [name for name in ROOM_VARIANTS if name != "morphological"]  # to which both together are one small room
     found = segment_maps(pictures[0], truth=[pictures[1]], variants=variants)
-    assert tuple(found.scores.columns) == COLUMNS
+    assert tuple(found.scores.columns) == SCORE_COLUMNS
     assert found.scores["variant"].tolist() == variants
     assert found.scores["rooms"].tolist() == found.scores["rooms_truth"].tolist() == [2] * len(variants)
     assert (found.scores["mcc"] > 0.97).all()
@@ -199,7 +199,7 @@ def test_truth_without_rooms_or_with_too_many_is_refused(pictures, tmp_path):
         segment_maps(name, truth=[picture(tmp_path / "many.png", cells)], cell_m=0.2)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", ROOM_VARIANTS)
 def test_a_hall_is_one_room(variant):
     free = np.zeros((40, 40), bool)
     free[2:38, 2:38] = True

@@ -17,7 +17,7 @@ from jexplore.cli.main import main
 from jexplore.driving.settings import ROBOTS
 from jexplore.report.page.assemble import assembled
 from jexplore.studies.traces import routes
-from jexplore.studies.traces.station import TOGETHER, panels_of
+from jexplore.studies.traces.station import GLOBAL_MAP, panels_of
 from jexplore.tracemap import json_form
 from jexplore.tracemap.merging.merge import merge_maps
 from jexplore.tracemap.merging.rigid import Move, moved_map
@@ -115,7 +115,7 @@ def test_refusals_of_robots_with_a_name_by_hand():
 def test_maps_that_fit_are_one_and_others_stand_apart():
     apart = chain("TDFDT", [(1, 90)])
     panels, said = panels_of([first(), second(), apart], ["a", "b", "c"])
-    assert [(panel.name, panel.maps) for panel in panels] == [(TOGETHER, ("a", "b")), ("c", ("c",))]
+    assert [(panel.name, panel.maps) for panel in panels] == [(GLOBAL_MAP, ("a", "b")), ("c", ("c",))]
     assert panels[0].map == merge_maps([first(), second()], ["a", "b"]).map
     assert panels[0].note == "In the frame of a."
     assert panels[1].map == check_map(apart)
@@ -140,7 +140,7 @@ def test_ways_that_contradict_are_told_as_well():
         other, nodes=tuple(dataclasses.replace(x, type="free_space") if x.id == 4 else x for x in other.nodes)
     )
     panels, said = panels_of([one, other], ["a", "b"])
-    assert [panel.name for panel in panels] == [TOGETHER]
+    assert [panel.name for panel in panels] == [GLOBAL_MAP]
     assert said == list(merge_maps([one, other], ["a", "b"]).notes)
     assert said == [
         "node 3: victim is True in a and False in b",
@@ -494,11 +494,11 @@ def test_maps_apart_are_asked_one_by_one(body):
     page = jx.btm.station([*maps, chain("TDFDT").with_attributes({"seed": 3})], ["a", NASTY, "c"])
     seen = json.loads(body(page, APART)["test"])
     assert seen["captions"] == [
-        f"{TOGETHER}a, {NASTY}. In the frame of a.Enlarge",
+        f"{GLOBAL_MAP}a, {NASTY}. In the frame of a.Enlarge",
         "cStands apart: it has not enough in common with the other maps.Enlarge",
     ]
     assert seen["about"] == [f"About the map: 1robot: kamui (a) or wheeled ({NASTY})"]
-    assert (seen["first"]["map"], seen["second"]["map"], seen["large"]) == (TOGETHER, "c", "c")
+    assert (seen["first"]["map"], seen["second"]["map"], seen["large"]) == (GLOBAL_MAP, "c", "c")
     assert (seen["froms"], seen["route"]["links"]) == (6, [0, 1, 2, 3])
 
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import sys
 import warnings
 
 import numpy as np
@@ -120,18 +119,6 @@ def test_interval_covers_the_ratio_about_as_often_as_promised(n, equal):
     assert 0.92 <= hits / 2000 <= 0.985
 
 
-def test_pairing_makes_intervals_narrower():
-    rng = np.random.default_rng(3)
-    widths = {True: [], False: []}
-    for _ in range(60):
-        b = rng.gamma(9.0, 10.0, 25)
-        a = 0.8 * b + rng.normal(0.0, 3.0, 25)
-        for is_paired, reference in ((True, b), (False, rng.permutation(b))):
-            found = paired.paired_ratio(a, reference)
-            widths[is_paired].append(found.high - found.low)
-    assert np.mean(widths[True]) < 0.5 * np.mean(widths[False])
-
-
 @settings(max_examples=30, deadline=None)
 @given(VECTORS, st.randoms(use_true_random=False), st.floats(0.1, 10.0))
 def test_order_and_unit_do_not_matter(values, random, factor):
@@ -147,14 +134,6 @@ def test_order_and_unit_do_not_matter(values, random, factor):
         (found.ratio, found.low, found.high), rel=1e-6, nan_ok=True
     )
     assert math.isnan(found.low) or found.low < found.ratio < found.high
-
-
-@settings(max_examples=30, deadline=None)
-@given(VECTORS)
-def test_a_sample_against_itself(values):
-    found = paired.paired_ratio(values, values)
-    assert found.ratio == 1.0
-    assert np.isnan([found.low, found.high, found.p]).all()
 
 
 @settings(max_examples=20, deadline=None)
@@ -187,7 +166,7 @@ def test_means_of_zero_and_ratios_without_end():
     some = paired.paired_ratio([1.0, 3.0], [0.0, 4.0])
     assert some.ratio == 1.0
     assert some.low < 1 < some.high
-    sure = paired.paired_ratio([1.0, 300.0], [290.0, 1.0], confidence=0.9999)
+    sure = paired.paired_ratio([1.0, 300.0], [290.0, 1.0])
     assert 0 <= sure.low < sure.ratio < sure.high <= math.inf
 
 
@@ -207,13 +186,8 @@ def test_bad_vectors(values):
         paired.mean_interval(values)
     with pytest.raises(ValueError, match="expected reference as a vector"):
         paired.paired_ratio([1.0, 2.0], values)
-
-
-def test_bad_lengths_and_confidence():
     with pytest.raises(ValueError, match="got 2 and 3"):
         paired.paired_ratio([1.0, 2.0], [1.0, 2.0, 3.0])
-    with pytest.raises(ValueError, match="confidence"):
-        paired.mean_interval([1.0, 2.0], confidence=95)
 
 
 def test_p_is_corrected_for_the_strategies_of_each_world():
@@ -321,10 +295,9 @@ def test_markdown_small_p_missing_sd_and_bars_in_names():
     rng = np.random.default_rng(5)
     a = rng.normal(100.0, 0.1, 20)
     summary = by_world.summarise(both(a, a * 1.5 + rng.normal(0, 0.1, 20)).assign(world="a|b"))
-    text = by_world.markdown_table(summary, confidence=0.9)
+    text = by_world.markdown_table(summary)
     assert "<0.001" in text
     assert "a\\|b" in text
-    assert "90 % interval" in text
     assert "[99.9" in text  # narrow intervals have two decimals
     assert "nan" not in by_world.markdown_table(by_world.summarise(table(path_m=[12.5])))
 
@@ -415,12 +388,3 @@ def test_unequal_coverage_without_a_comparable_pair():
         both([10.0, 20.0], [1.0, 2.0], explored_fraction=[0.2, 0.3], outcome="BLOCKED"), blind
     )
     assert line.count("no pair to compare") == 2
-
-
-def test_import_is_light():
-    import subprocess
-
-    heavy = "{'pandas', 'scipy', 'scipy.stats', 'jax'}"
-    code = f"import sys, jexplore.studies.statistics.by_world; print(sorted({heavy} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from jexplore.studies.traces.truth import NEAR_M, Truth, false_divergences, maps_from, truth_of
+from jexplore.studies.traces.truth import REACHED_M, TraceTruth, false_divergences, maps_from, truth_of
 from jexplore.tracemap.record import BtmMap, Node
 from jexplore.tracemap.rooted import topology_from
 from jexplore.worlds.generators.course import course
@@ -43,9 +43,6 @@ def near(marks, *places):
     return len(marks) == len(places) and set(off.argmin(axis=1)) == set(range(len(places))) and off.min(1).max() <= 0.25
 
 
-# ---------------------------------------------------------------- what there is
-
-
 def test_two_rooms_and_a_door():
     """A junction in the middle of either room, as far from the walls as these are apart by half."""
     found = truth(drawn(A, B))
@@ -54,7 +51,7 @@ def test_two_rooms_and_a_door():
     assert near(junctions, (2, 2), (5, 2))
     np.testing.assert_allclose(sorted(junctions[:, 2]), [1.2, 1.6], atol=0.1)
     assert near(doors, (3.7, 2))
-    assert doors[0, 2] == NEAR_M
+    assert doors[0, 2] == REACHED_M
     assert [node.type for node in found.map.nodes] == ["divergence", "divergence"]
 
 
@@ -76,11 +73,8 @@ def test_a_junction_counts_as_reached_within_half_a_metre_at_least():
     """The dead ends of a passage of 0.6 m are half of that from its walls."""
     found = truth(drawn((0.4, 1.0, 5.4, 1.6), openings=()), start_rc=(13, 29))
     assert near(found.marks, (0.7, 1.3), (5.1, 1.3))
-    assert found.marks[:, 2].tolist() == [NEAR_M] * 2
+    assert found.marks[:, 2].tolist() == [REACHED_M] * 2
     assert not found.is_door.any()
-
-
-# ---------------------------------------------------------------- what can be reached
 
 
 def test_a_closet_gives_marks_where_its_door_is_wide_enough():
@@ -109,9 +103,6 @@ def test_a_junction_in_whose_circle_the_robot_starts_is_one_as_well():
     assert near(found.marks[~found.is_door], (2, 2), (5, 2))
 
 
-# ---------------------------------------------------------------- the course
-
-
 def test_of_a_course_the_topology_is_taken():
     world = course(0)
     assert world.course is not None
@@ -123,7 +114,7 @@ def test_of_a_course_the_topology_is_taken():
     np.testing.assert_array_equal(found.marks[:, :2], places)
     assert len(places) < len(found.map.nodes)
     assert not found.is_door.any()
-    assert (found.marks[:, 2] >= NEAR_M).all()
+    assert (found.marks[:, 2] >= REACHED_M).all()
 
 
 def maps(world, pose):
@@ -168,10 +159,7 @@ def test_other_worlds_have_no_true_map():
     assert maps_from(world, truth(world), (2.0, 1.0, 0.0)) == ()
 
 
-# ---------------------------------------------------------------- false divergences
-
-
-TRUTH = Truth(
+TRUTH = TraceTruth(
     map=BtmMap((), ()),
     marks=np.array([[1.0, 2.0, 0.5], [5.0, 2.0, 1.5], [8.0, 2.0, 0.5]]),
     is_door=np.array([False, False, True]),

@@ -57,9 +57,11 @@ def test_of_a_comparison(tmp_path, capsys):
     assert main.main([*command, "--episodes", "3"]) == 0
     assert "to leftovers" in capsys.readouterr().out
     again = jx.load(tmp_path / "run").to_pandas()
-    np.testing.assert_allclose(again[list(waste.COLUMNS)], table[list(waste.COLUMNS)])
+    np.testing.assert_allclose(again[list(waste.WASTE_COLUMNS)], table[list(waste.WASTE_COLUMNS)])
     assert (tmp_path / "run" / "waste.png").stat().st_size > 1000
     assert main.main([*command, "--episodes", "5", "--resume"]) == 0  # the ways of the first three are there
     longer = jx.load(tmp_path / "run")
     assert (longer.resumed, len(longer.episodes)) == (6, 10)
-    np.testing.assert_allclose(longer.wasted.query("episode < 3")[list(waste.COLUMNS)], table[list(waste.COLUMNS)])
+    np.testing.assert_allclose(
+        longer.wasted.query("episode < 3")[list(waste.WASTE_COLUMNS)], table[list(waste.WASTE_COLUMNS)]
+    )

@@ -61,7 +61,7 @@ class Bound:
                     self.worlds,
                     **fields_of(self, "starts seed cell_m start seconds max_floods lidar rules"),
                 )
-            ledger = out.keep(bound.asked(tasks), len(tasks))
+            ledger = out.keep(bound.asked_of_bounds(tasks), len(tasks))
             if ledger is None:
                 table = store.read_parquet(out.run.path / "bounds.parquet")
                 show_table(bound.bounds_table(table))

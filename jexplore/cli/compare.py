@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from jexplore.exploration.batch import Job
-    from jexplore.studies.bounds.bound import Task
+    from jexplore.studies.bounds.bound import BoundTask
     from jexplore.studies.results.comparison import Comparison
     from jexplore.studies.results.units import Ran
 
@@ -141,12 +141,12 @@ class Compare:
 
     def _bound_tasks(self, jobs):
         """Return the starts to be bounded, if bounds are asked for."""
-        from jexplore.studies.bounds.bound import tasks_of
+        from jexplore.studies.bounds.bound import bound_tasks
 
         if not self.bounds:
             return []
         pairs = [(job.world, (int(r), int(c), int(h))) for job in jobs for r, c, h in job.starts]
-        return tasks_of(pairs, self.lidar, self.rules, self.bound_seconds)
+        return bound_tasks(pairs, self.lidar, self.rules, self.bound_seconds)
 
     def _beside(self, found, tasks, out, ran):
         """Complete a comparison by the extra requests, with their tables and files: `(found, text, files)`."""
@@ -175,9 +175,9 @@ def _more_tables(episodes, league):
     from jexplore.studies.statistics import waste
 
     text, by = "", ["strategy"] if league else ["world", "strategy"]
-    if waste.COLUMNS[0] in episodes:
+    if waste.WASTE_COLUMNS[0] in episodes:
         text += f"\nWhere path is wasted:\n\n{waste.waste_table(episodes, by)}"
-    if beside.COLUMNS[0] in episodes:
+    if beside.RATIO_COLUMNS[0] in episodes:
         text += f"\nBeside the shortest walks of a robot that knows the map:\n\n{beside.beside_table(episodes, by)}"
     return text
 
@@ -213,7 +213,7 @@ def _league(found, ran):
     return text, entries
 
 
-def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequence[Task]" = ()) -> "Ran | None":
+def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequence[BoundTask]" = ()) -> "Ran | None":
     """Compile and run the unfinished part, with a note and a bar: a `Ran`; None if everything is finished.
 
     Args:

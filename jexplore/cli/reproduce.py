@@ -67,7 +67,7 @@ class Reproduce:
                     out, lambda found, _: found.to_markdown(), lambda found, league: {"reproduce.png": found.figure}
                 )
             with note_if_slow(FINISHING):
-                found = reproduction.assemble(self.paper, self.maps, jobs, ran)
+                found = reproduction.assemble_paper(self.paper, self.maps, jobs, ran)
                 tables, orderings = (table.to_dict("records") for table in (found.tables, found.orderings))
                 entries = {"notes": found.notes, "tables": tables, "orderings": orderings}
                 record = functools.partial(out.record, arguments, self, **entries)

@@ -62,7 +62,7 @@ class Segment:
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.report import plot, store
         from jexplore.report.plot_rooms import rooms_figure
-        from jexplore.studies.room_variants import Settings
+        from jexplore.studies.room_variants import RoomSettings
         from jexplore.studies.segmentation import SHARES, segment_maps
 
         with Out(self, "segment") as out:
@@ -80,7 +80,7 @@ class Segment:
                     partial=self.partial,
                     cell_m=self.cell_m,
                     seed=self.seed,
-                    **{name: getattr(self, name) for name in Settings._fields},
+                    **{name: getattr(self, name) for name in RoomSettings._fields},
                     on_progress=on_progress,
                 )
             record = out.record(arguments, self, scores=found.scores.to_dict("records"))

@@ -36,13 +36,13 @@ LIDAR, RULES = Lidar(), Rules()  # the defaults
 CELL_BYTES = 120  # of one episode under way and of the world itself, measured on a CPU; a cell of the padded map
 TRAIL_BYTES = 24  # a step
 BEAM_BYTES = 64  # a step of a beam, while the table is made
-MEMORY_SHARE = 0.8  # of the machine's memory that a run may be expected to need
+RUN_MEMORY_SHARE = 0.8  # of the machine's memory that a run may be expected to need
 # Bytes of address space. Below, JAX's threads do not start (2.2e9 ended the smallest run, 3e9 did not).
 ADDRESSES = 3 * 10**9
 LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # of a container: cgroup 2 and 1
 
 
-def listed(kind: str, items: Any) -> list[Any]:
+def list_of(kind: str, items: Any) -> list[Any]:
     """Make a list of one or more different items; a single one may stand for itself."""
     if isinstance(items, (str, os.PathLike, World)):
         items = [items]
@@ -63,19 +63,8 @@ def ready_settings(lidar: LidarLike, rules: RulesLike) -> tuple[Lidar, Rules]:
 
 
 def ready_worlds(worlds: WorldLike | Iterable[WorldLike], cell_m: float) -> list[World]:
-    """Make worlds of names and `World` records, in order.
-
-    Args:
-      worlds: one or more world names or `World`s; a single one may stand for itself.
-      cell_m: edge of a cell, metres, for those that are loaded.
-
-    Returns:
-      A list of `World`s with different names.
-
-    Raises:
-      InputError: none, one twice, a `World` without a name or free cell, or a name that cannot be loaded.
-    """
-    worlds = listed("worlds", worlds)
+    """Make worlds with different names of names and `World` records, in order; a single one may stand for itself."""
+    worlds = list_of("worlds", worlds)
     require_different("worlds", [w.name if isinstance(w, World) else str(w) for w in worlds])
     for world in worlds:
         if isinstance(world, World) and not world.name:
@@ -89,9 +78,6 @@ def require_different_buildings(worlds: Iterable[World]) -> None:
     """Refuse one building under two names, such as `cave` and `cave#0`: statistics would count it as two.
 
     Buildings are the same whose occupied cells, cell size and ground are.
-
-    Raises:
-      InputError: naming both.
     """
     names: dict[Any, str] = {}
     for world in worlds:
@@ -107,42 +93,20 @@ def require_different_buildings(worlds: Iterable[World]) -> None:
 
 
 def ready_strategies(strategies: StrategyLike | Iterable[StrategyLike]) -> list[Strategy]:
-    """Make strategies of names and objects, in order.
-
-    Args:
-      strategies: what `policies.strategy` takes, one or more; a single one may stand for itself.
-
-    Returns:
-      A list of `Strategy`, with different names.
-
-    Raises:
-      InputError: none, one twice, or something that is no strategy.
-    """
+    """Make strategies with different names of what `policies.strategy` takes, in order; one may stand for itself."""
     if callable(strategies) or isinstance(strategies, (Policy, Strategy)):
         strategies = [strategies]
-    strategies = listed("strategies", strategies)
+    strategies = list_of("strategies", strategies)
     ready = [strategy(given) for given in strategies]
     require_different("strategies", [one.name for one in ready], "; jx.strategy(..., name=...) tells them apart")
     return ready
 
 
 def ready_starts(world: World, start: StartLike, n: int, *, seed: int, rules: Rules) -> np.ndarray:
-    """Draw or read the starts of n episodes in a world.
+    """Draw or read the starts of n episodes in a world: `[n, 3]` int32, row, col, heading in degrees.
 
-    Args:
-      world: `World`.
-      start: "random" (drawn, start i the same for every n), "world" (the world's own, n times), or cells or a `Pose`,
-        n times: see `poses.read_start`.
-      n: episodes.
-      seed: of the drawing.
-      rules: `Rules`.
-
-    Returns:
-      `[n, 3]` int32: row, col, heading in degrees.
-
-    Raises:
-      InputError: no clear cell, no start of its own, a start in a wall or enclosed.
-      InputWarning: see `regions.warn_of_floor`.
+    `start` is "random" (drawn, start i the same for every n), "world" (the world's own, n times), or cells or a `Pose`,
+    n times: see `poses.read_start`.
     """
     require_clearance(world, rules)
     start, clearance_m, near_m = read_start(start), rules.clearance_m, rules.near_m
@@ -164,7 +128,7 @@ def ready_starts(world: World, start: StartLike, n: int, *, seed: int, rules: Ru
 
 
 def memory_needed(world: World, lidar: Lidar, rules: Rules, workers: int) -> int:
-    """Estimate the bytes that episodes in a world take at a time. An int."""
+    """Estimate the bytes that episodes in a world take at a time."""
     rows, cols = (bucket(side) for side in ringed_shape(world.occupied))
     steps = max(LEAST_LIMIT, rows * cols, rules.max_steps or 0)
     beams = HEADINGS * lidar.n_beams * n_steps(farthest(lidar, world.cell_m))
@@ -196,11 +160,7 @@ def _require_addresses(need):
 
 
 def require_clearance(world: World, rules: Rules) -> None:
-    """Refuse a clearance of more cells than the kernels look across.
-
-    Raises:
-      InputError: naming it and the largest one for the world's cells.
-    """
+    """Refuse a clearance of more cells than the kernels look across."""
     if radius_d2(rules.clearance_m, world.cell_m) >= WORD**2:
         most = (WORD - 0.5) * world.cell_m
         raise InputError(
@@ -210,14 +170,10 @@ def require_clearance(world: World, rules: Rules) -> None:
 
 
 def require_memory(world: World, lidar: Lidar, rules: Rules) -> None:
-    """Refuse what would not fit into the machine's memory.
-
-    Raises:
-      InputError: naming the world and the sizes, or the limit on address space.
-    """
+    """Refuse what would not fit into the machine's memory."""
     have, need = _memory(), memory_needed(world, lidar, rules, os.cpu_count() or 1)
     _require_addresses(need)
-    if have is not None and need > MEMORY_SHARE * have:
+    if have is not None and need > RUN_MEMORY_SHARE * have:
         rows, cols = world.shape
         raise InputError(
             f"{world.name!r}: {rows} x {cols} cells and {lidar.n_beams} beams of {lidar.range_m:g} m need about "

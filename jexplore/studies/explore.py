@@ -91,24 +91,14 @@ class Episode:
         """Draw the last map with the path, and the growth of the known area: a matplotlib `Figure`."""
         final, cell_m = self.final, self.world.cell_m
         return plot.episode_figure(
-            map_state(final.hits, final.misses, self.rules.p_free),
-            final.rows,
-            final.cols,
-            cell_m,
+            *(map_state(final.hits, final.misses, self.rules.p_free), final.rows, final.cols, cell_m),
             path_m=length_along_m(final.rows, final.cols, cell_m),
             known_cells=final.known,
             title=self.title,
         )
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the last map with the path, in metres of the map's frame.
-
-        Args:
-          ax: matplotlib `Axes`; by default those of a new figure.
-
-        Returns:
-          The `Axes`.
-        """
+        """Draw the last map with the path, in metres of the map's frame, on `Axes`, by default new; return them."""
         from matplotlib.transforms import Affine2D
 
         ax, final, world = axes_of(ax), self.final, self.world
@@ -146,13 +136,9 @@ class Episode:
         return html_of(self._picture, caption, list(found), [list(found.values())])
 
     def save_gif(
-        self,
-        path: str | os.PathLike[str],
-        *,
-        max_frames: int = MAX_FRAMES,
-        fps: int = 12,
+        self, path: str | os.PathLike[str], *, max_frames: int = MAX_FRAMES, fps: int = 12,
         on_progress: Callable[[int], object] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Write the episode as an animation, GIF or MP4 by the file's ending: known map, frontiers, target, path.
 
         Args:
@@ -160,9 +146,6 @@ class Episode:
           max_frames: of more steps, that many are shown, evenly spaced, the last among them.
           fps: frames a second.
           on_progress: called with 1 for each frame drawn.
-
-        Raises:
-          InputError: there is no such format, the file cannot be written, or the episode made more plans than are kept.
         """
         animate.save_animation(self._pictures(max_frames, on_progress), path, cell_m=self.world.cell_m, fps=fps)
 
@@ -188,19 +171,12 @@ class Episode:
 
 @checked_names
 def explore(
-    world: WorldLike,
-    strategy: StrategyLike,
-    *,
-    seed: int = 0,
-    episode: int = 0,
-    cell_m: float = 0.1,
-    start: StartLike = "random",
-    start_m: Sequence[float] | None = None,
-    within: str | Polygon | None = None,
-    from_map: KnownMap | None = None,
-    lidar: LidarLike = LIDAR,
-    rules: RulesLike = RULES,
-) -> Episode:
+    world: WorldLike, strategy: StrategyLike, *,
+    seed: int = 0, episode: int = 0, cell_m: float = 0.1,
+    start: StartLike = "random", start_m: Sequence[float] | None = None,
+    within: str | Polygon | None = None, from_map: KnownMap | None = None,
+    lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
+) -> Episode:  # fmt: skip
     """Run one episode and keep its map and way.
 
     It is that episode of a comparison with the same world, strategy, seed, start, scanner and rules.
@@ -224,36 +200,16 @@ def explore(
     Raises:
       InputError: a name, number, map or start that cannot be used. Raised before anything is compiled.
     """
-    job = prepare_job(
-        world,
-        strategy,
-        seed=seed,
-        episode=episode,
-        cell_m=cell_m,
-        start=start,
-        start_m=start_m,
-        within=within,
-        from_map=from_map,
-        lidar=lidar,
-        rules=rules,
-    )
-    return run_job(job)
+    where = {"cell_m": cell_m, "start": start, "start_m": start_m, "within": within, "from_map": from_map}
+    return run_job(prepare_job(world, strategy, seed=seed, episode=episode, lidar=lidar, rules=rules, **where))
 
 
 def prepare_job(
-    world: WorldLike,
-    strategy: StrategyLike,
-    *,
-    seed: int,
-    cell_m: float,
-    start: StartLike,
-    lidar: LidarLike,
-    rules: RulesLike,
-    start_m: Sequence[float] | None = None,
-    within: str | Polygon | None = None,
-    from_map: KnownMap | None = None,
+    world: WorldLike, strategy: StrategyLike, *,
+    seed: int, cell_m: float, start: StartLike, lidar: LidarLike, rules: RulesLike,
+    start_m: Sequence[float] | None = None, within: str | Polygon | None = None, from_map: KnownMap | None = None,
     episode: int = 0,
-) -> Job:
+) -> Job:  # fmt: skip
     """Check and load everything before `explore` runs: a `Job` of as many episodes, all from its start."""
     seed, episode = require_setting("seed", seed), require_setting("episode", episode)
     (parsed,), (world,) = ready_strategies(strategy), ready_worlds(world, cell_m)
@@ -276,21 +232,11 @@ def run_job(job: Job) -> Episode:
     assert final is not None  # a run that was interrupted has raised
     has_rooms, cell_m = job.world.rooms is not None, job.world.cell_m
     found = columns(result, job.starts, seed=job.seed, cell_m=cell_m, has_rooms=has_rooms)
+    last = {name: values[number] for name, values in found.items()}
     row, col, heading_deg = (int(value) for value in job.starts[number])
-
-    def plain(value):
-        return value.item() if hasattr(value, "item") else value
-
     return Episode(
-        world=job.world,
-        strategy=job.strategy.name,
-        start=(row, col, heading_deg),
-        seed=job.seed,
-        number=number,
-        lidar=lidar,
-        rules=rules,
-        final=final,
-        measures={name: plain(values[number]) for name, values in found.items()},
+        *(job.world, job.strategy.name, (row, col, heading_deg), job.seed, number, lidar, rules, final),
+        measures={name: value.item() if hasattr(value, "item") else value for name, value in last.items()},
         asked=job.strategy,
         compile_s=report.costs.compile_s,
         run_s=report.costs.run_s,
@@ -298,11 +244,7 @@ def run_job(job: Job) -> Episode:
 
 
 def steps_of(episode: Episode) -> Iterator[replay.Moment]:
-    """Yield the episode again: its last `replay.Moment` at every step.
-
-    Raises:
-      InputError: the episode made more plans than are kept.
-    """
+    """Yield the episode again: its last `replay.Moment` at every step."""
     if episode.final.plans is None:
         raise InputError(f"{episode.title}: an episode of {episode.measures['plans']} plans cannot be played again")
     site = prepare_site(episode.world, episode.lidar, episode.rules)
@@ -315,15 +257,7 @@ def steps_of(episode: Episode) -> Iterator[replay.Moment]:
 
 
 def frames(episode: Episode, *, max_frames: int = MAX_FRAMES) -> Iterator[Frame]:
-    """Play the episode again, step by step.
-
-    Args:
-      episode: `Episode`.
-      max_frames: most frames, evenly spaced over the steps; the last step is always one.
-
-    Yields:
-      `Frame`s.
-    """
+    """Play the episode again, step by step, `max_frames` at most, evenly spaced, the last one always."""
     final, n = episode.final, len(episode.final.rows) - 1
     chosen = set(np.unique(np.linspace(n, 0, min(max_frames, n + 1)).round().astype(int)).tolist())
     shape, ring = episode.world.shape, ring_of(episode.world.occupied)
@@ -349,15 +283,10 @@ def _map_of(episode, moment):
 
 
 def maps_at(episode: Episode, shares: Sequence[float]) -> Iterator[tuple[float, float, np.ndarray]]:
-    """Yield the maps of the robot when it first knew some shares of its final known cells.
+    """Yield the robot's maps when it first knew some shares, ascending, of its final known cells, past the start.
 
-    Args:
-      episode: `Episode`.
-      shares: ascending numbers from 0 to 1. Those that it had passed with its first scans at the start are left out.
-
-    Yields:
-      `(share, explored, state)`: the share that was reached, that which was known then, and `[H, W]` uint8, see
-      `results.map_state`.
+    Yields `(share, explored, state)`: the share that was reached, that which was known then, and `[H, W]` uint8, see
+    `results.map_state`.
     """
     known = episode.final.known / episode.final.known[-1]
     left = [share for share in shares if share > known[0]]

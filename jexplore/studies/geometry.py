@@ -27,13 +27,13 @@ from jexplore.config import require_number
 from jexplore.report.tables import aligned_table, number_text
 from jexplore.rooms.scores import scored_regions
 from jexplore.studies.room_variants import segmentations
-from jexplore.studies.segmentation import SMALLEST_M2
+from jexplore.studies.segmentation import MIN_SCORED_M2
 from jexplore.worlds.starts import clear_of_walls, label_components
 from jexplore.worlds.world import World, with_ring
 
-WALL_M = 1.25  # an obstacle longer than this, its boundary than 2.5 m, is a wall; a shorter one furniture or a column
+WALL_LENGTH_M = 1.25  # an obstacle longer than this, its boundary than 2.5 m, is a wall; a shorter one an island
 LEG_M = 0.3  # an island longer than this is more than a leg
-WIDE_M = 1.6  # an opening from this width on is no door
+WIDE_OPENING_M = 1.6  # an opening from this width on is no door
 SMALL_M2, LARGE_M2 = 8.0, 60.0  # rooms below, rooms over
 CORRIDOR_M = (0.8, 4.0)  # a narrower one is a slot, a wider one a hall
 SLENDER = 3.0  # least ratio of length and width of a corridor
@@ -63,23 +63,23 @@ class Geometry:
     opening_m: float
     """Median width of an opening, metres."""
     wide_openings: float
-    """Share of the openings that are `WIDE_M` wide or wider."""
+    """Share of the openings that are `WIDE_OPENING_M` wide or wider."""
     corridor_low_m: float
     corridor_high_m: float
     """Quartiles of the width of the corridors, over the cells of their axes, metres."""
     dead_ends: float
     """Share of the rooms that have exactly one opening."""
     loops_per_1000_m2: float
-    """Ways round: obstacles longer than `WALL_M` that the free space surrounds, a 1000 m2 of free area."""
+    """Ways round: obstacles longer than `WALL_LENGTH_M` that the free space surrounds, a 1000 m2 of free area."""
     islands_per_100_m2: float
-    """Obstacles up to `WALL_M` long that touch no wall, a 100 m2 of free area."""
+    """Obstacles up to `WALL_LENGTH_M` long that touch no wall, a 100 m2 of free area."""
     long_islands_per_100_m2: float
     """Those of them that are longer than `LEG_M`."""
     clear_share: float
     """Of the free cells, those of the largest region that a robot with the clearance can drive over."""
 
 
-COLUMNS = {
+GEOMETRY_COLUMNS = {
     "rooms/100 m²": ("rooms_per_100_m2", 2),
     "room m²": ("room_m2", 1),
     "< 8 m²": ("small_rooms", 2),
@@ -98,19 +98,10 @@ COLUMNS = {
 
 
 def geometry(world: World, *, clearance_m: float = 0.30) -> Geometry:
-    """Measure a world, generated or read from a file.
+    """Measure a world, generated or read from a file; see the module for what everything means.
 
-    See the module for what everything means.
-
-    Args:
-      world: a `World`.
-      clearance_m: of the robot whose share of the free cells is told: no obstacle within it, centre to centre, metres.
-
-    Returns:
-      `Geometry`. Lengths are good to a cell.
-
-    Raises:
-      InputError: the clearance is no number from 0 to 100.
+    `clearance_m` is that of the robot whose share of the free cells is told: no obstacle within it, centre to centre.
+    Lengths are good to a cell.
     """
     require_number("clearance_m", clearance_m, high=100)
     world = with_ring(world)
@@ -123,7 +114,7 @@ def geometry(world: World, *, clearance_m: float = 0.30) -> Geometry:
     doors = np.bincount(np.array([room for rooms in joined for room in rooms], int), minlength=len(area))[area > 0]
     area = area[area > 0]  # numbers may be left out
     corridor = _corridor_widths(walls, cell_m)
-    furniture = lengths[lengths <= WALL_M]
+    furniture = lengths[lengths <= WALL_LENGTH_M]
     clear = label_components(clear_of_walls(world.occupied, clearance_m, cell_m))
     per_m2 = 1 / world.free_m2
     return Geometry(
@@ -137,11 +128,11 @@ def geometry(world: World, *, clearance_m: float = 0.30) -> Geometry:
         large_rooms=_mean(area > LARGE_M2),
         openings=len(widths),
         opening_m=_median(widths),
-        wide_openings=_mean(widths >= WIDE_M - 1e-9),
+        wide_openings=_mean(widths >= WIDE_OPENING_M - 1e-9),
         corridor_low_m=float(np.quantile(corridor, 0.25)) if len(corridor) else np.nan,
         corridor_high_m=float(np.quantile(corridor, 0.75)) if len(corridor) else np.nan,
         dead_ends=_mean(doors == 1),
-        loops_per_1000_m2=1000 * per_m2 * int((lengths > WALL_M).sum()),
+        loops_per_1000_m2=1000 * per_m2 * int((lengths > WALL_LENGTH_M).sum()),
         islands_per_100_m2=100 * per_m2 * len(furniture),
         long_islands_per_100_m2=100 * per_m2 * int((furniture > LEG_M).sum()),
         clear_share=int(np.bincount(clear[clear >= 0], minlength=1).max()) / int(free.sum()),
@@ -153,17 +144,17 @@ def geometry_table(found: Sequence[Geometry]) -> str:
     rows = [[one.world, *_texts(dataclasses.asdict(one))] for one in found]
     if len(found) > 1:
         rows.append(["median", *_texts(medians(found))])
-    return aligned_table(["world", *COLUMNS], rows, left=["world"])
+    return aligned_table(["world", *GEOMETRY_COLUMNS], rows, left=["world"])
 
 
 def medians(found: Sequence[Geometry]) -> dict[str, float]:
     """Compute the median of every column of the table over worlds: field -> number, NaN without any."""
-    values = {field: np.array([getattr(one, field) for one in found], float) for field, _ in COLUMNS.values()}
+    values = {field: np.array([getattr(one, field) for one in found], float) for field, _ in GEOMETRY_COLUMNS.values()}
     return {field: _median(some[~np.isnan(some)]) for field, some in values.items()}
 
 
 def _texts(values: dict[str, Any]) -> list[str]:
-    return [number_text(values[field], decimals) for field, decimals in COLUMNS.values()]
+    return [number_text(values[field], decimals) for field, decimals in GEOMETRY_COLUMNS.values()]
 
 
 def _median(values):
@@ -188,7 +179,7 @@ def _obstacles(occupied, cell_m):
     edge = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     inside = np.ones(len(lengths), bool)
     inside[edge] = inside[0] = False
-    return (inside & (lengths <= WALL_M))[labels], lengths[inside]
+    return (inside & (lengths <= WALL_LENGTH_M))[labels], lengths[inside]
 
 
 def _known_rooms(free, rooms):
@@ -217,20 +208,10 @@ def _known_rooms(free, rooms):
 
 
 def _found_rooms(walls, cell_m):
-    """Return rooms by their Voronoi graph.
-
-    Args:
-      walls: `[H, W]` bool.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      `labels`: `[H, W]` int32, room number from 0; -1 for none.
-      `joined`: for every opening the numbers of the rooms it joins.
-      `at`: for every opening the cells in it, `[n, 2]`.
-    """
+    """Return rooms by their Voronoi graph: `[H, W]` numbers, -1 for none; of every opening its rooms, and its cells."""
     settings = [segment.criteria(prominence=segment.PROMINENCE_M / cell_m)]
     (made,) = segmentations(~walls, settings)
-    labels = scored_regions(np.where(walls, -1, made.label), ~walls, min_px=round(SMALLEST_M2 / cell_m**2))
+    labels = scored_regions(np.where(walls, -1, made.label), ~walls, min_px=round(MIN_SCORED_M2 / cell_m**2))
     joined, at = [], []
     for k, cell in enumerate(made.graph.cell[made.critical]):
         seeds = made.seed[2 * k : 2 * k + 2]

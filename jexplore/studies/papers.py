@@ -18,7 +18,7 @@ class Claim(NamedTuple):
     words: str = ""  # what that adds to "a shorter than b"
 
 
-class Environment(NamedTuple):
+class PaperEnvironment(NamedTuple):
     """An environment of a paper."""
 
     where: str  # its table and figure
@@ -35,7 +35,7 @@ class Paper(NamedTuple):
     runs: int  # the paper's, of each strategy in each environment
     reference: str  # the strategy that ratios are taken to
     short: dict[str, str]  # strategy -> the paper's abbreviation
-    environments: dict[str, Environment]
+    environments: dict[str, PaperEnvironment]
     claims: tuple[Claim, ...]
     remark: str  # what it leaves open
 
@@ -43,53 +43,32 @@ class Paper(NamedTuple):
 RANDOM, CLOSEST, RECHECK = "random", "closest", "closest+recheck"
 SEGMENT = "closest+recheck+segment"
 DT100, DT500 = "decision-theoretic:samples=100", "decision-theoretic:samples=500"
+HOLZ_STRATEGIES = (RANDOM, CLOSEST, RECHECK, SEGMENT, DT100, DT500)
 
 HOLZ2010 = Paper(
     title="Holz, Basilico, Amigoni, Behnke 2010: Evaluating the Efficiency of Frontier-based Exploration Strategies",
     runs=10,
     reference=CLOSEST,
-    short={RANDOM: "RF", CLOSEST: "CF", RECHECK: "CF+RR", SEGMENT: "CF+RR+Seg.", DT100: "DT n=100", DT500: "DT n=500"},
+    short=dict(zip(HOLZ_STRATEGIES, ("RF", "CF", "CF+RR", "CF+RR+Seg.", "DT n=100", "DT n=500"))),
     environments={
-        "Cave": Environment(
-            where="Table 1, Figure 8a",
-            file="stage/cave_filled.png",
-            scale="@16x16",
-            counterpart="cave",
-            paths={
-                RANDOM: (102.84, 34.50),
-                CLOSEST: (73.71, 1.00),
-                RECHECK: (70.45, 0.97),
-                SEGMENT: (72.89, 5.77),
-                DT100: (100.01, 17.64),
-                DT500: (98.27, 11.76),
-            },
-        ),
-        "AVZ": Environment(
-            where="Table 2, Figure 8b",
-            file="avz/avz5floor_open.yaml",
-            scale="",
-            counterpart="office",
-            paths={
-                RANDOM: (601.51, 141.93),
-                CLOSEST: (382.07, 3.99),
-                RECHECK: (361.88, 3.01),
-                SEGMENT: (359.77, 12.91),
-                DT500: (447.68, 32.78),
-            },
-        ),
-        "Hospital": Environment(
-            where="Table 3, Figure 8c",
-            file="stage/hospital_section.png",
-            scale="@49.3x20.1",
-            counterpart="hospital",
-            paths={
-                RANDOM: (669.17, 186.41),
-                CLOSEST: (281.07, 3.82),
-                RECHECK: (253.09, 3.12),
-                SEGMENT: (221.37, 19.97),
-                DT500: (312.68, 38.11),
-            },
-        ),
+        name: PaperEnvironment(*where, {strategy: path for strategy, path in zip(HOLZ_STRATEGIES, paths) if path})
+        for name, where, paths in (
+            (
+                "Cave",
+                ("Table 1, Figure 8a", "stage/cave_filled.png", "@16x16", "cave"),
+                ((102.84, 34.50), (73.71, 1.00), (70.45, 0.97), (72.89, 5.77), (100.01, 17.64), (98.27, 11.76)),
+            ),
+            (
+                "AVZ",
+                ("Table 2, Figure 8b", "avz/avz5floor_open.yaml", "", "office"),
+                ((601.51, 141.93), (382.07, 3.99), (361.88, 3.01), (359.77, 12.91), None, (447.68, 32.78)),
+            ),
+            (
+                "Hospital",
+                ("Table 3, Figure 8c", "stage/hospital_section.png", "@49.3x20.1", "hospital"),
+                ((669.17, 186.41), (281.07, 3.82), (253.09, 3.12), (221.37, 19.97), None, (312.68, 38.11)),
+            ),
+        )
     },
     claims=(
         *(

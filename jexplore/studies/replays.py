@@ -24,11 +24,10 @@ from jexplore.grid import is_free, is_occupied
 from jexplore.planning import field
 from jexplore.policies import Strategy, room_wise
 from jexplore.report.page.replay import FRONTIER, OWN_ROOM, ReplayData, changes_of, evenly
-from jexplore.studies.explore import Episode
+from jexplore.studies.explore import MAX_FRAMES, Episode
 from jexplore.worlds.world import World, ring_of
 
 MAX_PAIRS = 12  # of world and strategy that are replayed on one page
-MAX_FRAMES = 300  # of a replay
 EPISODES = 3  # of each pair
 FEWER_FRAMES = 100  # of a replay of a later episode: maps are what a replay costs
 
@@ -47,44 +46,35 @@ def _own_room(params, belief):
 
 
 def replay_data(
-    world: World,
-    strategy: Strategy,
-    final: Final,
-    *,
-    start: tuple[int, int, int],
-    seed: int,
-    number: int,
-    lidar: Lidar,
-    rules: Rules,
-    outcome: str = "",
-    max_frames: int = MAX_FRAMES,
-    engine: str = "auto",
-) -> ReplayData:
-    """Convert one episode to the frames of a page.
+    world: World, strategy: Strategy, final: Final, *, start: tuple[int, int, int], seed: int, number: int,
+    lidar: Lidar, rules: Rules, outcome: str = "", max_frames: int = MAX_FRAMES, engine: str = "auto",
+) -> ReplayData:  # fmt: skip
+    """Convert one episode to the frames of a page: the maps after the last scan at each place that is shown.
 
     Args:
-      world: `World`.
-      strategy: `Strategy`.
+      world, strategy: as they were run.
       final: end state of the episode.
       start: row, col, heading in degrees.
-      seed: of the run.
-      number: of the episode.
-      lidar: `Lidar`.
-      rules: `Rules`.
+      seed, number: of the run, and of the episode.
+      lidar, rules: as they were run.
       outcome: how it ended, a word.
       max_frames: the most frames, evenly spaced over the steps; the last step is always one.
       engine: "jax": no native code; the frames are the same.
-
-    Returns:
-      `ReplayData`: the maps after the last scan at each place that is shown.
-
-    Raises:
-      InputError: the episode made more plans than are kept.
     """
     if final.plans is None:
         raise InputError(f"{strategy.name} in {world.name}: an episode of so many plans cannot be played again")
     shown = evenly(len(final.rows) - 1, max_frames)
-    changes, headings = _seen(world, strategy, final, start, seed, number, lidar, rules, shown, engine)
+    own_room, seen = isinstance(strategy.policy.params, room_wise.Params), None
+    if engine != "jax" and not own_room:  # which JAX segments
+        seen = show_episode(world, strategy, lidar, rules, start, final, shown, FRONTIER)
+    if seen is not None:
+        changes, headings = changes_of(iter(seen[0])), 45 * seen[1]
+    else:
+        headings, site = [], prepare_site(world, lidar, rules)
+        found = before_leaving(moments(site, strategy, start, seed, number, final.plans), shown)
+        params = strategy.policy.params._replace(inner=()) if own_room else None
+        changes = changes_of(_images(world, params, found, headings))
+    changes = tuple(changes)  # only then headings are there
     target, until = _aims(final, shown)
     return ReplayData(
         world=world.name,
@@ -103,23 +93,8 @@ def replay_data(
         until=until,
         known_m2=final.known[shown] * world.cell_m**2,
         changes=changes,
-        has_own_room=_has_own_room(strategy),
+        has_own_room=own_room,
     )
-
-
-def _has_own_room(strategy):
-    return isinstance(strategy.policy.params, room_wise.Params)
-
-
-def _seen(world, strategy, final, start, seed, number, lidar, rules, shown, engine):
-    """Return what `changes_of` makes of the maps at some steps, and the headings there, degrees."""
-    if engine != "jax" and not _has_own_room(strategy):  # which JAX segments
-        seen = show_episode(world, strategy, lidar, rules, start, final, shown, FRONTIER)
-        if seen is not None:
-            return tuple(changes_of(iter(seen[0]))), 45 * seen[1]
-    headings, site = [], prepare_site(world, lidar, rules)
-    found = before_leaving(moments(site, strategy, start, seed, number, final.plans), shown)
-    return tuple(changes_of(_images(world, strategy, found, headings))), headings
 
 
 def before_leaving(found: Iterable[Moment], shown: Iterable[int]) -> Iterator[Moment]:
@@ -133,13 +108,12 @@ def before_leaving(found: Iterable[Moment], shown: Iterable[int]) -> Iterator[Mo
     yield from [last for _ in left if last is not None]
 
 
-def _images(world, strategy, found, headings):
-    """Yield the codes of all cells at some moments; note the robot's heading there."""
+def _images(world, params, found, headings):
+    """Yield the codes of all cells at some moments; note the robot's heading there. `params` of a room-wise policy."""
     ring = ring_of(world.occupied)
     for moment in found:
         codes = np.array(_codes(moment.belief))
-        if _has_own_room(strategy):
-            params = strategy.policy.params._replace(inner=())
+        if params is not None:
             codes += np.uint8(OWN_ROOM) * np.asarray(_own_room(params, moment.belief))
         headings.append(45 * moment.heading)
         yield within(codes, world.shape, ring)
@@ -172,24 +146,16 @@ def replay_of(episode: Episode, *, max_frames: int = MAX_FRAMES) -> ReplayData:
 
 
 def replays_of(
-    jobs: Sequence[Job],
-    lidar: Lidar,
-    rules: Rules,
-    *,
-    outcomes: Sequence[Outcomes] | None = None,
-    episodes: int = EPISODES,
-    max_pairs: int = MAX_PAIRS,
-    max_frames: int = MAX_FRAMES,
-    labels: Sequence[str] = (),
-    engine: str = "auto",
+    jobs: Sequence[Job], lidar: Lidar, rules: Rules, *,
+    outcomes: Sequence[Outcomes] | None = None, episodes: int = EPISODES, max_pairs: int = MAX_PAIRS,
+    max_frames: int = MAX_FRAMES, labels: Sequence[str] = (), engine: str = "auto",
     on_progress: Callable[[int], object] | None = None,
-) -> tuple[list[ReplayData], list[str]]:
-    """Replay the first episodes of the first jobs, for a page.
+) -> tuple[list[ReplayData], list[str]]:  # fmt: skip
+    """Replay the first episodes of the first jobs, for a page: the replays, and lines about missing ones.
 
     Args:
       jobs: of a run, in its order.
-      lidar: `Lidar` of the jobs that have none of their own.
-      rules: `Rules` of the jobs that have none of their own.
+      lidar, rules: of the jobs that have none of their own.
       outcomes: of the jobs, with episode 0. Missing episodes are run, which costs little with compiled programs.
       episodes: most episodes shown of each job.
       max_pairs: most jobs shown, the first ones.
@@ -197,10 +163,6 @@ def replays_of(
       labels: what tells each job from others of its world and strategy; by default its seed.
       engine: as in `batch.run_jobs`.
       on_progress: called with the number of finished replays.
-
-    Returns:
-      `(replays, notes)`: a `ReplayData` for each episode that is shown, episode by episode; a list of lines that name
-        missing ones and the reason.
     """
     notes = []
     if len(jobs) > max_pairs:

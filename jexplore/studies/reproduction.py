@@ -1,7 +1,4 @@
-"""Reproduction of a paper's tables: its strategies in its environments, its figures and ours, and tests of its claims.
-
-pandas and matplotlib are imported by the functions that need them.
-"""
+"""Reproduction of a paper's tables: its strategies in its environments, its figures and ours, tests of its claims."""
 
 import dataclasses
 import functools
@@ -33,7 +30,6 @@ MAPS = "The worlds are public maps of the paper's environments; that they equal 
 
 
 def find(name: str) -> Paper:
-    """Find the `Paper` of a name; refuse one that is not in `PAPERS`."""
     if name not in PAPERS:
         raise unknown("paper", name, PAPERS)
     return PAPERS[name]
@@ -48,11 +44,7 @@ def world_names(paper: Paper, maps: str | os.PathLike[str] | None = None) -> dic
 
 
 def require_maps(paper: Paper, maps: str | os.PathLike[str]) -> None:
-    """Refuse a folder that lacks a map of the paper.
-
-    Raises:
-      InputError: naming the first one that is missing.
-    """
+    """Refuse a folder that lacks a map of the paper, naming the first one that is missing."""
     files = [environment.file for environment in paper.environments.values()]
     for file in files:
         path = os.path.join(os.path.expanduser(maps), file)
@@ -63,9 +55,7 @@ def require_maps(paper: Paper, maps: str | os.PathLike[str]) -> None:
 def verdict(direction: str, ours: paired.PairedRatio, than: paired.PairedRatio | float = 1.0) -> str:
     """Decide whether a ratio's interval lies wholly on the claimed side of a number, or of another ratio's interval.
 
-    Returns:
-      "holds", "does not hold", or "undecided" where the intervals meet, or one is missing or has fewer than
-        `paired.MIN_PAIRS` pairs.
+    "undecided" where the intervals meet, or one is missing or has fewer than `paired.MIN_PAIRS` pairs.
     """
     is_ratio = isinstance(than, paired.PairedRatio)
     low, high = (than.low, than.high) if is_ratio else (than, than)
@@ -179,7 +169,6 @@ class Reproduction:
 
 
 def _table_text(rows):
-    """Format one environment of `Reproduction.tables` as Markdown."""
     n_first = int(rows["first_n"].fillna(0).max())
     head = ["strategy", "paper m", "n", "ours m", "95 % interval", f"ours m, first {n_first} episodes"]
     head += ["paper ratio", "our ratio", "explored", "outcomes"]
@@ -197,7 +186,6 @@ def _table_text(rows):
 
 
 def _orderings_text(orderings):
-    """Format `Reproduction.orderings` as Markdown."""
     head = ["environment", "claim", "verdict", "paper ratio", "our ratio", "against", "pairs", "both COMPLETE"]
     lines = [
         [
@@ -212,16 +200,10 @@ def _orderings_text(orderings):
 
 
 def prepare_paper(
-    name: str,
-    *,
-    maps: str | os.PathLike[str] | None,
-    episodes: int,
-    seed: int,
-    cell_m: float,
-    lidar: LidarLike,
-    rules: RulesLike,
-) -> list[Job]:
-    """Check and load everything before `reproduce` runs: a list of `Job`. Arguments as there."""
+    name: str, *, maps: str | os.PathLike[str] | None, episodes: int, seed: int, cell_m: float,
+    lidar: LidarLike, rules: RulesLike,
+) -> list[Job]:  # fmt: skip
+    """Check and load everything before `reproduce` runs. Arguments as there."""
     paper, jobs = find(name), []
     if maps is not None:
         require_maps(paper, maps)
@@ -238,7 +220,7 @@ def notes_of(paper: Paper, maps: str | os.PathLike[str] | None) -> tuple[str, ..
     return (COUNTERPARTS if maps is None else MAPS, paper.remark)
 
 
-def assemble(name: str, maps: str | os.PathLike[str] | None, jobs: Sequence[Job], ran: Ran) -> Reproduction:
+def assemble_paper(name: str, maps: str | os.PathLike[str] | None, jobs: Sequence[Job], ran: Ran) -> Reproduction:
     """Make the `Reproduction` of finished jobs; an interrupted run gives the part that `comparison.assemble` keeps."""
     paper = find(name)
     return Reproduction(paper, comparison.assemble(jobs, ran), world_names(paper, maps), notes_of(paper, maps))
@@ -246,20 +228,11 @@ def assemble(name: str, maps: str | os.PathLike[str] | None, jobs: Sequence[Job]
 
 @checked_names
 def reproduce(
-    paper: str = "holz2010",
-    *,
-    maps: str | os.PathLike[str] | None = None,
-    episodes: int = 100,
-    seed: int = 0,
-    cell_m: float = 0.1,
-    lidar: LidarLike = LIDAR,
-    rules: RulesLike = RULES,
-    engine: str = "auto",
-    lanes: int | None = None,
-    workers: int | None = None,
-    on_progress: Callable[[int], Any] | None = None,
-    progress: bool | None = None,
-) -> Reproduction:
+    paper: str = "holz2010", *, maps: str | os.PathLike[str] | None = None,
+    episodes: int = 100, seed: int = 0, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
+    engine: str = "auto", lanes: int | None = None, workers: int | None = None,
+    on_progress: Callable[[int], Any] | None = None, progress: bool | None = None,
+) -> Reproduction:  # fmt: skip
     """Run a paper's strategies in its environments, and compare the tables and the claims.
 
     Args:
@@ -279,4 +252,4 @@ def reproduce(
     use_compilation_cache()
     with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
         ran = run_units(jobs, engine=engine, lanes=lanes, workers=workers, on_progress=moved)
-    return assemble(paper, maps, jobs, ran)
+    return assemble_paper(paper, maps, jobs, ran)

@@ -15,12 +15,12 @@ from jexplore.rooms import watershed
 from jexplore.rooms.baselines import BASELINES
 from jexplore.worlds.world import ring_of
 
-VARIANTS = ("voronoi", *BASELINES, *segment.MAX_HOPS)
+ROOM_VARIANTS = ("voronoi", *BASELINES, *segment.MAX_HOPS)
 BEST = "voronoi"  # by left-out scores: `benchmarks/segmentation_left_out.py`
 
 
 @functools.partial(checked_names, own="segment_maps")
-class Settings(NamedTuple):
+class RoomSettings(NamedTuple):
     """Numbers and choices of all variants."""
 
     ratio: float = watershed.RATIO  # voronoi: see `watershed.RoomCriteria`
@@ -32,7 +32,7 @@ class Settings(NamedTuple):
     lines: bool = False  # see `segment.Form`
 
 
-class Found(NamedTuple):
+class RoomMap(NamedTuple):
     """A map in rooms."""
 
     label: np.ndarray  # [H, W] int32; negative for none
@@ -41,12 +41,8 @@ class Found(NamedTuple):
     overflow: int  # what did not fit
 
 
-def require(settings: Settings) -> None:
-    """Refuse settings that make no sense.
-
-    Raises:
-      InputError: a number out of range, a metric that is not known.
-    """
+def require(settings: RoomSettings) -> None:
+    """Refuse settings that make no sense."""
     if settings.metric not in segment.METRICS:
         raise unknown("metric", settings.metric, segment.METRICS)
     require_number("ratio", settings.ratio, high=1)
@@ -55,19 +51,11 @@ def require(settings: Settings) -> None:
 
 
 def divided(
-    free: np.ndarray, unseen: np.ndarray, variants: Sequence[str], settings: Settings, cell_m: float
-) -> list[Found]:
-    """Divide a map by several variants.
+    free: np.ndarray, unseen: np.ndarray, variants: Sequence[str], settings: RoomSettings, cell_m: float
+) -> list[RoomMap]:
+    """Divide a map by several variants, names in `ROOM_VARIANTS`.
 
-    Args:
-      free: `[H, W]` bool.
-      unseen: `[H, W]` bool, cells that nobody has seen; for the paper's variants they are obstacles.
-      variants: names in `VARIANTS`.
-      settings: `Settings`.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      A list of `Found`.
+    `free` and `unseen` are `[H, W]` bool; cells that nobody has seen are obstacles for the paper's variants.
     """
     paper = [name for name in variants if name in segment.MAX_HOPS]
     prominence = settings.prominence_m / cell_m
@@ -80,7 +68,7 @@ def divided(
 
 def _of_graph(made, size):
     cell = made.graph.cell
-    return Found(made.label, cell[cell < size], cell[made.critical], int(made.overflow))
+    return RoomMap(made.label, cell[cell < size], cell[made.critical], int(made.overflow))
 
 
 def _cleared(variant, free, unseen, settings, cell_m):
@@ -100,7 +88,7 @@ def _cleared(variant, free, unseen, settings, cell_m):
         label = BASELINES[variant](np.asarray(inside), np.sqrt(np.asarray(d2)) - 0.5, cell_m)
     own = np.where(free, label[1 : height + 1, 1 : width + 1], -1)
     none = np.zeros(0, int)
-    return Found(own, none, none, int(overflow))
+    return RoomMap(own, none, none, int(overflow))
 
 
 @functools.partial(jax.jit, static_argnames=("form",))
@@ -111,15 +99,9 @@ def _each(free, settings, *, form):
 def segmentations(
     free: np.ndarray, settings: Sequence[segment.Criteria], *, metric: str = "geodesic", lines: bool = False
 ) -> list[segment.Segments]:
-    """Segment a map by many settings, as one compiled batch.
+    """Segment a map, `[H, W]` bool, by many settings, as one compiled batch; `metric` and `lines` as of `segment.Form`.
 
-    Args:
-      free: `[H, W]` bool, numpy.
-      settings: list of `segment.Criteria`.
-      metric, lines: see `segment.Form`.
-
-    Returns:
-      A list of `segment.Segments` of numpy arrays, whose labels are cut to the map and whose flat indices count in it.
+    Labels are cut to the map and flat indices count in it; all arrays are numpy's.
     """
     (height, width), ring = free.shape, ring_of(~free)
     shape = bucket(height + 2 * ring), bucket(width + 2 * ring)

@@ -10,9 +10,9 @@ from jexplore.config import InputError, checked_names, require_different, unknow
 from jexplore.exploration.results import FREE, UNKNOWN
 from jexplore.rooms.doors import Doors, compared
 from jexplore.rooms.scores import AGREEMENT, rooms_of, score, scored_regions
-from jexplore.studies.checks import LIDAR, RULES, listed, ready_worlds
+from jexplore.studies.checks import LIDAR, RULES, list_of, ready_worlds
 from jexplore.studies.explore import maps_at, prepare_job, run_job
-from jexplore.studies.room_variants import BEST, VARIANTS, Settings, divided, require
+from jexplore.studies.room_variants import BEST, ROOM_VARIANTS, RoomSettings, divided, require
 from jexplore.worlds import known_generators, names
 from jexplore.worlds.names import short_names
 from jexplore.worlds.readers.images import load_image, read_pixels
@@ -23,18 +23,18 @@ from jexplore.worlds.world import World
 if TYPE_CHECKING:
     import pandas as pd
 
-SMALLEST_M2 = 0.25  # regions up to this area are not scored: 100 pixels of 0.05 m
+MIN_SCORED_M2 = 0.25  # regions up to this area are not scored: 100 pixels of 0.05 m
 SHARES = (0.25, 0.5, 0.75)  # of the cells known in the end, at which partial maps are taken
 EXPLORER = "closest+recheck"  # the strategy of the episodes that partial maps come from
 COUNTS = ("rooms", "rooms_truth", "room_count_error", "doors", "doors_missed", "doors_extra", "overflow")
 MOST_ROOMS = 10_000  # of a ground truth
-COLUMNS = (
+SCORE_COLUMNS = (
     *("map", "variant", "stage", "explored", *AGREEMENT, "rooms", "rooms_truth", "room_count_error"),
     *("variation_of_information", "doors", "doors_missed", "doors_extra", "overflow"),
 )
 
 
-class Task(NamedTuple):
+class MapWithRooms(NamedTuple):
     """A map and its true rooms."""
 
     world: World
@@ -59,13 +59,12 @@ class Picture(NamedTuple):
 class Segmentation(NamedTuple):
     """Scores and pictures of segmentations."""
 
-    scores: (
-        "pd.DataFrame"  # one row a map, variant and share, columns `COLUMNS`; NaN where the true rooms are not known
-    )
+    scores: "pd.DataFrame"
+    """One row a map, variant and share, columns `SCORE_COLUMNS`; NaN where the true rooms are not known."""
     pictures: list[Picture]
 
     def to_markdown(self) -> str:
-        """Format a table for every share of the map and every variant: all scores, their means and medians. Text."""
+        """Format a table for every share of the map and every variant: all scores, their means and medians."""
         from jexplore.report.tables import aligned_table
 
         text = []
@@ -87,7 +86,7 @@ def _text(value, whole):
     return "-" if np.isnan(value) else f"{value:.0f}" if whole and value.is_integer() else f"{value:.3f}"
 
 
-SETTINGS = Settings()
+ROOM_DEFAULTS = RoomSettings()
 
 
 @checked_names
@@ -95,9 +94,10 @@ def segment_maps(
     maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World], *,
     truth: str | Sequence[str] | None = None, variants: str | Sequence[str] = BEST, partial: bool = False,
     cell_m: float = 0.05, seed: int = 0, on_progress: Callable[[int], Any] | None = None,
-    ratio: float = SETTINGS.ratio, smallest_m2: float = SETTINGS.smallest_m2, clutter_m: float = SETTINGS.clutter_m,
-    prominence_m: float = SETTINGS.prominence_m, gamma: float = SETTINGS.gamma,
-    metric: str = SETTINGS.metric, lines: bool = SETTINGS.lines,
+    ratio: float = ROOM_DEFAULTS.ratio, smallest_m2: float = ROOM_DEFAULTS.smallest_m2,
+    clutter_m: float = ROOM_DEFAULTS.clutter_m,
+    prominence_m: float = ROOM_DEFAULTS.prominence_m, gamma: float = ROOM_DEFAULTS.gamma,
+    metric: str = ROOM_DEFAULTS.metric, lines: bool = ROOM_DEFAULTS.lines,
 ) -> Segmentation:  # fmt: skip
     """Divide maps into rooms and score the result.
 
@@ -105,7 +105,7 @@ def segment_maps(
       maps: names (`worlds.load_world`) or `World`s; one may stand for itself.
       truth: pictures with the true rooms, in the order of the maps: as the map, with doorways closed by lines. By
         default worlds that know their rooms are scored by them.
-      variants: names in `room_variants.VARIANTS`: voronoi, distance, morphological, maoris, thrun, wurm, holz. By
+      variants: names in `room_variants.ROOM_VARIANTS`: voronoi, distance, morphological, maoris, thrun, wurm, holz. By
         default the one with the best scores on maps that it was not chosen on.
       partial: also segment the maps that a robot has when it first knows 25, 50 and 75 % of what it will know. Stages
         that it has passed with its very first scans are left out.
@@ -123,8 +123,8 @@ def segment_maps(
       InputError: a name, number, picture or setting that cannot be used. Raised before anything is compiled.
       InputWarning: the largest region of a map lies outside a building: its rooms are not those of the building.
     """
-    chosen: Any = listed("variants", variants)
-    numbers = Settings(ratio, smallest_m2, clutter_m, prominence_m, gamma, metric, lines)
+    chosen: Any = list_of("variants", variants)
+    numbers = RoomSettings(ratio, smallest_m2, clutter_m, prominence_m, gamma, metric, lines)
     tasks = prepare_maps(maps, truth, chosen, cell_m, numbers)
     jobs = [
         prepare_job(task.world, EXPLORER, seed=seed, cell_m=cell_m, start="random", lidar=LIDAR, rules=RULES)
@@ -144,14 +144,11 @@ def segment_maps(
                 on_progress(done)
     import pandas as pd
 
-    return Segmentation(pd.DataFrame(rows, columns=list(COLUMNS)), pictures)
+    return Segmentation(pd.DataFrame(rows, columns=list(SCORE_COLUMNS)), pictures)
 
 
 def _stages(world, job):
-    """Return the maps of a world to be segmented: `(stage, explored, free, unseen)`; the whole one last.
-
-    Without a job only the whole map is returned.
-    """
+    """Return the maps to be segmented, `(stage, explored, free, unseen)`: with a job partial ones, then the whole."""
     partial = () if job is None else maps_at(run_job(job), SHARES)
     whole = 1.0, 1.0, ~world.occupied, np.zeros_like(world.occupied)
     return [*((*shares, state == FREE, state == UNKNOWN) for *shares, state in partial), whole]
@@ -162,24 +159,24 @@ def prepare_maps(
     truth: Any,
     variants: Any,
     cell_m: float,
-    settings: Settings,
-) -> list[Task]:
-    """Check and load everything before `segment_maps` runs: a list of `Task`. Arguments as there."""
-    variants = listed("variants", variants)
+    settings: RoomSettings,
+) -> list[MapWithRooms]:
+    """Check and load everything before `segment_maps` runs. Arguments as there."""
+    variants = list_of("variants", variants)
     require_different("variants", variants)
     for variant in variants:
-        if variant not in VARIANTS:
-            raise unknown("variant", variant, VARIANTS)
+        if variant not in ROOM_VARIANTS:
+            raise unknown("variant", variant, ROOM_VARIANTS)
     require(settings)
     worlds = ready_worlds(maps, cell_m)
     for world in worlds:
         warn_of_outside(world, start_region(world, RULES.clearance_m))
     if truth is None:
-        return [Task(world, world.rooms) for world in worlds]
-    truth = listed("truth", truth)
+        return [MapWithRooms(world, world.rooms) for world in worlds]
+    truth = list_of("truth", truth)
     if len(truth) != len(worlds):
         raise InputError(f"expected ground truth for each of {len(worlds)} maps, got {len(truth)}")
-    return [Task(world, _rooms_in(picture, world)) for world, picture in zip(worlds, truth)]
+    return [MapWithRooms(world, _rooms_in(picture, world)) for world, picture in zip(worlds, truth)]
 
 
 def _rooms_in(picture, world):
@@ -196,17 +193,17 @@ def _rooms_in(picture, world):
     found = rooms_of(~closed & ~world.occupied, min_px=_smallest_px(world.cell_m))
     count = int(found.max(initial=-1)) + 1
     if not 0 < count <= MOST_ROOMS:
-        raise InputError(f"{picture!r}: must have 1 to {MOST_ROOMS} rooms of more than {SMALLEST_M2} m2, got {count}")
+        raise InputError(f"{picture!r}: must have 1 to {MOST_ROOMS} rooms of more than {MIN_SCORED_M2} m2, got {count}")
     return found
 
 
 def _smallest_px(cell_m):
-    return round(SMALLEST_M2 / cell_m**2)
+    return round(MIN_SCORED_M2 / cell_m**2)
 
 
 def _judged(task, variant, stage, explored, free, made):
     """Return a row of scores, and a picture."""
-    row: dict[str, Any] = dict.fromkeys(COLUMNS, np.nan)
+    row: dict[str, Any] = dict.fromkeys(SCORE_COLUMNS, np.nan)
     least = _smallest_px(task.world.cell_m)
     found = scored_regions(np.where(free, made.label, -1), free, min_px=least)
     row |= {"map": os.fspath(task.world.name), "variant": variant, "rooms": found.max() + 1}

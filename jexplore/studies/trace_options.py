@@ -24,20 +24,10 @@ def require_start_pose(start: Sequence[float]) -> None:
 
 
 def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np.ndarray]:
-    """Read the values of thresholds to be swept.
+    """Read the values of thresholds to be swept: `{name: [S] values}`, S = 1 without a sweep.
 
-    Lists alone make every combination; with a range among them, `settings` draws by Latin hypercube.
-
-    Args:
-      sweep: list of text: `votes=1,3,5` a list, `circle=1.1:2.0` a range.
-      settings: number of draws, if there is a range.
-      seed: of the draws.
-
-    Returns:
-      `{name: [S] values}`, S = 1 without a sweep.
-
-    Raises:
-      InputError: no such threshold, or an invalid value.
+    Each text is a list, `votes=1,3,5`, or a range, `circle=1.1:2.0`. Lists alone make every combination; with a range
+    among them, `settings` draws by Latin hypercube.
     """
     known = {field.name: field.type for field in dataclasses.fields(Tuning)} | {
         f"{NOISE}{field.name}": field.type for field in dataclasses.fields(Noise)
@@ -80,11 +70,7 @@ def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np
 
 
 def attributes_of(texts: Sequence[str]) -> tuple[tuple[str, Any, tuple[float, float]], ...]:
-    """Read attributes of nodes, each `NAME=VALUE@X,Y`: a value of JSON, else text; a place in metres.
-
-    Raises:
-      InputError: naming the invalid text.
-    """
+    """Read attributes of nodes, each `NAME=VALUE@X,Y`: a value of JSON, else text; a place in metres."""
     found = []
     for text in texts:
         what, _, place = text.rpartition("@")

@@ -31,7 +31,7 @@ class Station:
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
         from jexplore.report import store
-        from jexplore.studies.traces.station import page_of, panels_of
+        from jexplore.studies.traces.station import page_from, panels_of
         from jexplore.tracemap import json_form
 
         if not self.maps:
@@ -44,7 +44,7 @@ class Station:
         maps = [json_form.read_btm(path) for path in self.maps]
         with comparing(len(maps)) as on_progress:
             panels, said = panels_of(maps, names, on_progress)
-        page = page_of(panels, said)
+        page = page_from(panels, said)
         with store.atomic(out) as part:
             part.write_text(page, encoding="ascii")
         show_table(*_table(panels))

@@ -113,7 +113,7 @@ class Trace:
             )
             if plan.is_narrow:
                 say(f"jexplore: note: the true map has {plan.places} nodes, this one has room for {plan.size[0]}", 0)
-            ledger = out.keep(tracing.asked(plan), len(tracing.blocks_of(plan)))
+            ledger = out.keep(tracing.asked_of_runs(plan), len(tracing.run_blocks(plan)))
             if ledger is None:
                 out.draw_missing({})
                 return 0
@@ -159,8 +159,8 @@ def _write_view(found, path):
 
     n = len(found.driven.truth)
     with working(n, "steps") as on_progress:
-        seen = recording.record(found.plan, lambda done: on_progress(min(done, n)))
-    way_m = recording.moved(found.driven.truth, found.plan.world.origin_m)[:, :2]
+        seen = recording.record_run(found.plan, lambda done: on_progress(min(done, n)))
+    way_m = recording.in_world_frame(found.driven.truth, found.plan.world.origin_m)[:, :2]
     m = min(n, len(seen.pose))
     off_m = np.hypot(*(seen.pose[:m, :2] - way_m[:m]).T).max()
     if len(seen.pose) != n or off_m > SAME_WAY_M:
@@ -181,7 +181,7 @@ def _draw(found, first, path):
     figure = plot_traces.trace_figure(
         first,
         recording.wall_lines(plan),
-        recording.moved(track.estimate, plan.world.origin_m),
+        recording.in_world_frame(track.estimate, plan.world.origin_m),
         recording.scan_points(plan, track),
         track.mode,
         recording.MODE_NAMES,

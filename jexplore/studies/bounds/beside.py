@@ -1,7 +1,4 @@
-"""Episodes compared with the bounds of their starts.
-
-pandas is imported by the functions that need it.
-"""
+"""Episodes compared with the bounds of their starts."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
@@ -17,19 +14,15 @@ if TYPE_CHECKING:
     import pandas as pd
 
 START = ("start_row", "start_col", "start_heading_deg")
-COLUMNS = ("path_over_high", "path_over_low_any")
-"""Columns of `beside`, ratios of the path: to the walk that was found, and to the lower bound of every robot."""
+RATIO_COLUMNS = ("path_over_high", "path_over_low_any")
+"""Columns of ratios of the path: to the walk that was found, and to the lower bound of every robot."""
 
 
-def beside(episodes: "pd.DataFrame", bounds: "pd.DataFrame", digests: Mapping[str, str]) -> "pd.DataFrame":
-    """Add the columns `COLUMNS` to the table of episodes; NaN for an incomplete episode or one without a bound.
+def with_bound_ratios(episodes: "pd.DataFrame", bounds: "pd.DataFrame", digests: Mapping[str, str]) -> "pd.DataFrame":
+    """Add the columns `RATIO_COLUMNS` to the table of episodes; NaN for an incomplete episode or one without a bound.
 
     A ratio to the walk that was found may be below 1: that walk is short, not the shortest, and stands on clear cells.
-
-    Args:
-      episodes: the table of a comparison, a pandas DataFrame.
-      bounds: `Bounds.table`.
-      digests: world -> SHA-256 of the world that the episodes ran in.
+    `digests` is world -> SHA-256 of the world that the episodes ran in.
 
     Raises:
       InputError: bounds of another world of the same name; no start in common.
@@ -43,22 +36,15 @@ def beside(episodes: "pd.DataFrame", bounds: "pd.DataFrame", digests: Mapping[st
     if not found["low_any_m"].notna().any():
         raise InputError("bounds must be of the episodes' worlds and starts, and have none of them")
     path_m = episodes["path_m"].where(episodes["outcome"] == "COMPLETE").to_numpy()
-    ratios = {}
-    for name, column in zip(COLUMNS, ("high_m", "low_any_m")):
-        length = found[column].where(found[column] > 0)
-        ratios[name] = path_m / length.to_numpy()
-    return episodes.assign(**ratios)
+    lengths = (found[column].where(found[column] > 0).to_numpy() for column in ("high_m", "low_any_m"))
+    return episodes.assign(**{name: path_m / length for name, length in zip(RATIO_COLUMNS, lengths)})
 
 
 def beside_table(table: "pd.DataFrame", by: Sequence[str] = ("world", "strategy")) -> str:
-    """Format ratios to the bounds as Markdown: means of logarithms, each world once, and the worst episode's.
+    """Format ratios from `with_bound_ratios` as Markdown, a row for each value of the columns `by`.
 
-    Intervals (95 %) are for other worlds of the same kinds, as in a league; where there are several kinds, each one's
-    ratio to the walk is a column.
-
-    Args:
-      table: a result of `beside`.
-      by: columns; a row for each of their values.
+    Means are of logarithms, each world once; next to them the worst episode's. Intervals (95 %) are for other worlds of
+    the same kinds, as in a league; where there are several kinds, each one's ratio to the walk is a column.
     """
     found = table.assign(kind=[kind_of(world) for world in table["world"]])
     kinds = [] if "world" in by else list(dict.fromkeys(found["kind"]))
@@ -67,11 +53,11 @@ def beside_table(table: "pd.DataFrame", by: Sequence[str] = ("world", "strategy"
     lines = []
     for names, rows in found.groupby(list(by), sort=False):
         own = cast(Any, rows)
-        high, low = (own[name].dropna() for name in COLUMNS)
-        line = [*map(str, cast(tuple, names)), str(len(low)), _over_worlds(own, COLUMNS[0])]
-        line += [_over_worlds(own[own["kind"] == kind], COLUMNS[0]).split(" ")[0] for kind in kinds]
+        high, low = (own[name].dropna() for name in RATIO_COLUMNS)
+        line = [*map(str, cast(tuple, names)), str(len(low)), _over_worlds(own, RATIO_COLUMNS[0])]
+        line += [_over_worlds(own[own["kind"] == kind], RATIO_COLUMNS[0]).split(" ")[0] for kind in kinds]
         line += [number_text(high.max(), 3), str(int((high < 1).sum()))]
-        lines.append([*line, _over_worlds(own, COLUMNS[1]), number_text(low.max(), 3)])
+        lines.append([*line, _over_worlds(own, RATIO_COLUMNS[1]), number_text(low.max(), 3)])
     return aligned_table(head, lines, left=by)
 
 

@@ -1,7 +1,4 @@
-"""Bounds: for each start how short a walk is that sees everything, and how short none is.
-
-pandas and matplotlib are imported by the functions that need them.
-"""
+"""Bounds: for each start how short a walk is that sees everything, and how short none is."""
 
 import concurrent.futures
 import concurrent.futures.process
@@ -15,17 +12,21 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from jexplore.config import InputError, Lidar, Rules, checked_names, require_setting, require_whole
 from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.engine.runner import own_cores
+from jexplore.exploration.results import length_along_m
+from jexplore.raycast import scans_all_round
+from jexplore.reach import DIAGONAL, FAR, STRAIGHT
 from jexplore.report.ledger import Ledger
 from jexplore.report.tables import aligned_table, number_text
-from jexplore.studies.bounds.beside import beside
-from jexplore.studies.bounds.start import COLUMNS, Solved, Task, solve
+from jexplore.studies.bounds.beside import with_bound_ratios
+from jexplore.studies.bounds.scene import prepare_scene
+from jexplore.studies.bounds.search import Budget, SearchResult, search
 from jexplore.studies.checks import (
     LIDAR,
     RULES,
@@ -50,13 +51,76 @@ JOIN_S = 5.0  # seconds that a process may take to end
 WALK, WITNESSES = "_walk", "_witnesses"  # columns of a unit's file besides
 
 
+BOUND_COLUMNS = (
+    *("world", "start_row", "start_col", "low_m", "low_any_m", "high_m", "status", "witnesses", "seconds"),
+    *("method", "start_heading_deg", "sha256"),
+)
+"""Columns of a table of bounds."""
+OPTIMAL, BOUNDED, WEAK, STUCK = "OPTIMAL", "BOUNDED", "WEAK", "STUCK"
+"""Status of a row: the walk is the shortest; it is between two bounds; no walk was found in the time, and the lower
+bound is weak; the start is enclosed."""
+
+
+class BoundTask(NamedTuple):
+    """One start to be bounded."""
+
+    world: World
+    start: tuple[int, int, int]  # row, col, heading in degrees
+    lidar: Lidar
+    rules: Rules
+    seconds: float | None
+    max_floods: int | None
+
+
+class Solved(NamedTuple):
+    """Result of a task."""
+
+    row: dict[str, Any]  # `BOUND_COLUMNS`
+    walk: np.ndarray  # [K, 2] int32, row and col
+    witnesses: np.ndarray  # [N, 2] int32
+
+
+def low_metres(cost: int, cell_m: float) -> float:
+    """Convert a least cost to a least length in metres: rounded down to a millimetre.
+
+    A diagonal step costs a millionth more than sqrt(2) straight ones, so a walk may be that much shorter than its cost.
+    """
+    shortest = cost / STRAIGHT * (STRAIGHT * math.sqrt(2) / DIAGONAL) * cell_m
+    return math.floor(shortest * 1000 * (1 - 1e-12)) / 1000
+
+
+def solve(task: BoundTask) -> Solved:
+    """Bound one start."""
+    world, start = task.world, task.start
+    scene = prepare_scene(world, start, task.lidar, task.rules, scans_all_round(task.lidar.fov_deg))
+    row: dict[str, Any] = {"world": os.fspath(world.name), "start_row": start[0], "start_col": start[1]}
+    row |= {"start_heading_deg": start[2], "sha256": digest(world)}
+    if scene is None:
+        row |= {"low_m": 0.0, "low_any_m": 0.0, "high_m": math.nan, "status": STUCK, "witnesses": 0, "seconds": 0.0}
+        nothing = np.zeros((0, 2), np.int32)
+        return Solved({name: row.get(name, "-") for name in BOUND_COLUMNS}, nothing, nothing)
+    everything = SearchResult(np.array([scene.start]), 0, 0, 0, True, [], "subsets")  # is seen from the start
+    if scene.must_see.any():
+        search(scene, Budget(None, 1))  # compiles
+    budget = Budget(task.seconds, task.max_floods)
+    found = search(scene, budget) if scene.must_see.any() else everything
+    status = OPTIMAL if found.optimal else WEAK if found.high >= FAR else BOUNDED
+    walk, witnesses = (
+        np.stack(scene.cells(np.array(cells, int)), axis=1).astype(np.int32) for cells in (found.walk, found.witnesses)
+    )
+    row |= {"low_m": low_metres(found.low, world.cell_m), "low_any_m": low_metres(found.low_any, world.cell_m)}
+    row["high_m"] = math.nan if status == WEAK else float(length_along_m(*walk.T, world.cell_m)[-1])
+    row |= {"status": status, "witnesses": len(witnesses), "seconds": budget.elapsed_s, "method": found.method}
+    return Solved({name: row[name] for name in BOUND_COLUMNS}, walk, witnesses)
+
+
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Bounds:
     """Result of `bound`. Tables are pandas DataFrames."""
 
     table: "pd.DataFrame"
-    """One row a world and start: `low_m`, `low_any_m`, `high_m`, metres; `status`; see `COLUMNS`.
+    """One row a world and start: `low_m`, `low_any_m`, `high_m`, metres; `status`; see `BOUND_COLUMNS`.
 
     `high_m` is the length of a walk on which the reference robot, which knows the map, stands on clear cells and turns
     for nothing, sees all that an episode must see. None of its walks is shorter than `low_m`; none of any robot that
@@ -73,17 +137,13 @@ class Bounds:
     """Starts that are missing because the run was interrupted."""
 
     def to_pandas(self) -> "pd.DataFrame":
-        """Return the table."""
         return self.table
 
     def to_markdown(self) -> str:
-        """Return the table, with ratios, as Markdown."""
         return bounds_table(self.table)
 
     def beside(self, comparison: Any) -> "pd.DataFrame":
-        """Compare the episodes of a `Comparison` with the bounds: see `beside.beside`.
-
-        Scanner, clearance and starts must be the same.
+        """Compare the episodes of a `Comparison` with the bounds: see `beside.with_bound_ratios`.
 
         Raises:
           InputError: no comparison; one with another scanner, another clearance, or noise.
@@ -92,11 +152,11 @@ class Bounds:
             raise InputError(f"expected a comparison, got {type(comparison).__name__}")
         if comparison.lidar is not None and comparison.rules is not None:
             require_perfect(comparison.lidar)
-            for name, value in settings_of(comparison.lidar, comparison.rules).items():
+            for name, value in bound_settings(comparison.lidar, comparison.rules).items():
                 if self.settings[name] != value:
                     raise InputError(f"the bounds are for {name} {self.settings[name]:g}, the episodes had {value:g}")
         digests = {os.fspath(world.name): digest(world) for world in comparison.worlds}
-        return beside(comparison.episodes, self.table, digests)
+        return with_bound_ratios(comparison.episodes, self.table, digests)
 
     def figure(self) -> "Figure":
         """Draw the walks and the witnesses of the first starts: a matplotlib `Figure`."""
@@ -126,20 +186,11 @@ def bounds_table(table: "pd.DataFrame") -> str:
 
 @checked_names
 def bound(
-    worlds: WorldLike | Iterable[WorldLike],
-    *,
-    starts: int = 5,
-    seed: int = 0,
-    cell_m: float = 0.1,
-    start: StartLike = "random",
-    seconds: float = 10.0,
-    max_floods: int | None = None,
-    lidar: LidarLike = LIDAR,
-    rules: RulesLike = RULES,
-    workers: int = 1,
-    on_progress: Callable[[int], object] | None = None,
-    progress: bool | None = None,
-) -> Bounds:
+    worlds: WorldLike | Iterable[WorldLike], *,
+    starts: int = 5, seed: int = 0, cell_m: float = 0.1, start: StartLike = "random",
+    seconds: float = 10.0, max_floods: int | None = None, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
+    workers: int = 1, on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
+) -> Bounds:  # fmt: skip
     """Bound the shortest walks that a robot with the map could drive, from the starts of `compare`.
 
     Args:
@@ -162,64 +213,43 @@ def bound(
     Raises:
       InputError: a name, number, map or start that cannot be used; noise; no time.
     """
-    tasks = prepare_bounds(
-        worlds,
-        starts=starts,
-        seed=seed,
-        cell_m=cell_m,
-        start=start,
-        seconds=seconds,
-        max_floods=max_floods,
-        lidar=lidar,
-        rules=rules,
-    )
+    places = {"starts": starts, "seed": seed, "cell_m": cell_m, "start": start}
+    tasks = prepare_bounds(worlds, **places, seconds=seconds, max_floods=max_floods, lidar=lidar, rules=rules)
     with progress_bar(progress, len(tasks), "starts", on_progress) as moved:
         return run_bounds(tasks, workers=workers, on_progress=moved)
 
 
 def prepare_bounds(
-    worlds: WorldLike | Iterable[WorldLike],
-    *,
-    starts: int,
-    seed: int,
-    cell_m: float,
-    start: StartLike,
-    seconds: float,
-    max_floods: int | None,
-    lidar: LidarLike,
-    rules: RulesLike,
-) -> list[Task]:
-    """Check and load everything before `bound` runs: a list of `Task`. Arguments as there."""
+    worlds: WorldLike | Iterable[WorldLike], *, starts: int, seed: int, cell_m: float, start: StartLike,
+    seconds: float, max_floods: int | None, lidar: LidarLike, rules: RulesLike,
+) -> list[BoundTask]:  # fmt: skip
+    """Check and load everything before `bound` runs: the tasks. Arguments as there."""
     lidar, rules = ready_settings(lidar, rules)
     starts, seed = require_setting("starts", starts), require_setting("seed", seed)
     seconds = require_setting("seconds", seconds)
     if max_floods is not None:
         require_whole("max_floods", max_floods, 1, 10**9)
     require_perfect(lidar)
-    pairs: list[tuple[World, tuple[int, int, int]]] = []
+    tasks, limits = [], (None if max_floods else seconds, max_floods)
     for world in ready_worlds(worlds, cell_m):
         require_whole_world(world)
         places = ready_starts(world, start, starts if start == "random" else 1, seed=seed, rules=rules)
-        pairs += [(world, (int(r), int(c), int(h))) for r, c, h in places]
-    limits = None if max_floods else seconds, max_floods
-    return [Task(world, start_at, lidar, rules, *limits) for world, start_at in pairs]
+        tasks += [BoundTask(world, (int(r), int(c), int(h)), lidar, rules, *limits) for r, c, h in places]
+    return tasks
 
 
 def require_perfect(lidar: Lidar) -> None:
-    """Refuse a scanner with noise, whose beams may say nothing, or that is not at the robot's centre.
-
-    Raises:
-      InputError: naming what must be 0.
-    """
-    if lidar.sigma_m or lidar.dropout:
-        raise InputError("bounds are of a scanner without noise: lidar.sigma_m and lidar.dropout must be 0")
-    if lidar.no_echo != "free":
-        raise InputError("bounds are of a scanner that shows what it has no echo from: lidar.no_echo must be free")
-    if lidar.min_range_m or lidar.mount_m:
-        raise InputError(
-            "bounds are of a scanner that sees all from the robot's centre: "
-            "lidar.min_range_m, forward_m and left_m must be 0"
-        )
+    """Refuse a scanner with noise, whose beams may say nothing, or that is not at the robot's centre."""
+    for is_bad, needs in (
+        (lidar.sigma_m or lidar.dropout, "without noise: lidar.sigma_m and lidar.dropout must be 0"),
+        (lidar.no_echo != "free", "that shows what it has no echo from: lidar.no_echo must be free"),
+        (
+            lidar.min_range_m or lidar.mount_m,
+            "that sees all from the robot's centre: lidar.min_range_m, forward_m and left_m must be 0",
+        ),
+    ):
+        if is_bad:
+            raise InputError(f"bounds are of a scanner {needs}")
 
 
 def require_whole_world(world: World) -> None:
@@ -228,25 +258,24 @@ def require_whole_world(world: World) -> None:
         raise InputError(f"{world.name!r}: bounds are of whole worlds, of which nothing is known beforehand")
 
 
-def tasks_of(
+def bound_tasks(
     pairs: Iterable[tuple[World, tuple[int, int, int]]], lidar: Lidar, rules: Rules, seconds: float
-) -> list[Task]:
-    """Return the tasks of some starts, each once. Raises as `require_perfect` and `require_whole_world`."""
+) -> list[BoundTask]:
+    """Return the tasks of some starts, each once."""
     require_perfect(lidar)
     pairs = list(pairs)
     for world, _ in pairs:
         require_whole_world(world)
-    found = {(world.name, *start): Task(world, start, lidar, rules, seconds, None) for world, start in pairs}
-    return list(found.values())
+    return list({(of.name, *start): BoundTask(of, start, lidar, rules, seconds, None) for of, start in pairs}.values())
 
 
-def settings_of(lidar: Lidar, rules: Rules) -> dict[str, Any]:
+def bound_settings(lidar: Lidar, rules: Rules) -> dict[str, Any]:
     """Return the settings that bounds depend on, apart from world and start."""
-    own = {"n_beams": lidar.n_beams, "fov_deg": lidar.fov_deg, "range_m": lidar.range_m, "yaw_deg": lidar.yaw_deg}
+    own = {name: getattr(lidar, name) for name in ("n_beams", "fov_deg", "range_m", "yaw_deg")}
     return own | {"clearance_m": rules.clearance_m, "near_m": rules.near_m}
 
 
-def asked(tasks: Sequence[Task]) -> dict[str, Any]:
+def asked_of_bounds(tasks: Sequence[BoundTask]) -> dict[str, Any]:
     """Return all that the results of some tasks depend on, as plain values."""
     starts = hashlib.sha256(json.dumps([task.start for task in tasks]).encode())
     worlds = {os.fspath(task.world.name): task.world for task in tasks}
@@ -258,25 +287,16 @@ def asked(tasks: Sequence[Task]) -> dict[str, Any]:
         "start cells": starts.hexdigest()[:12],
         "seconds": tasks[0].seconds,
         "max_floods": tasks[0].max_floods,
-        **settings_of(tasks[0].lidar, tasks[0].rules),
+        **bound_settings(tasks[0].lidar, tasks[0].rules),
     }
 
 
 def run_bounds(
-    tasks: Sequence[Task],
-    *,
-    ledger: Ledger | None = None,
-    first: int = 0,
-    workers: int | None = None,
+    tasks: Sequence[BoundTask], *,
+    ledger: Ledger | None = None, first: int = 0, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
-) -> Bounds:
-    """Bound all starts that the ledger does not have.
-
-    Args:
-      tasks: `Task`s.
-      ledger: where starts are kept as soon as they are bounded.
-      first: the first one's unit in it.
-      workers, on_progress: as of `bound`.
+) -> Bounds:  # fmt: skip
+    """Bound all starts that the ledger, in which `first` is the first one's unit, does not have.
 
     Raises:
       KeyboardInterrupt: none was finished.
@@ -298,7 +318,7 @@ def run_bounds(
     except KeyboardInterrupt:
         if not done:
             raise
-    return assemble(tasks, done)
+    return assemble_bounds(tasks, done)
 
 
 def _run(left, tasks, workers, take):
@@ -339,40 +359,30 @@ def _begin_worker():
 def _to_table(found):
     import pandas as pd
 
-    packed = {WALK: [found.walk.tobytes()], WITNESSES: [found.witnesses.tobytes()]}
-    return pd.DataFrame([found.row]).assign(**packed)
+    return pd.DataFrame([{**found.row, WALK: found.walk.tobytes(), WITNESSES: found.witnesses.tobytes()}])
 
 
 def _of_table(table):
     walk, witnesses = (np.frombuffer(table[name].iloc[0], np.int32).reshape(-1, 2) for name in (WALK, WITNESSES))
-    return Solved(table.loc[:, list(COLUMNS)].to_dict("records")[0], walk, witnesses)
+    return Solved(table.loc[:, list(BOUND_COLUMNS)].to_dict("records")[0], walk, witnesses)
 
 
-def assemble(tasks: Sequence[Task], done: dict[int, Solved]) -> Bounds:
-    """Make the `Bounds` of the finished tasks.
-
-    Raises:
-      KeyboardInterrupt: there are none.
-    """
+def assemble_bounds(tasks: Sequence[BoundTask], done: dict[int, Solved]) -> Bounds:
+    """Make the `Bounds` of the finished tasks."""
     import pandas as pd
 
     if not done:
         raise KeyboardInterrupt
-    numbers = sorted(done)
-    rows, steps = [done[i].row for i in numbers], []
-    for k, i in enumerate(numbers):
-        walk = done[i].walk
-        own = {"world": done[i].row["world"], "start": k, "step": np.arange(len(walk))}
-        steps.append(pd.DataFrame({**own, "row": walk[:, 0], "col": walk[:, 1]}))
-    worlds = {os.fspath(tasks[i].world.name): tasks[i].world for i in numbers}
-    witnesses = {k: done[i].witnesses for k, i in enumerate(numbers)}
-    walks = pd.concat(steps, ignore_index=True)
-    missing = len(tasks) - len(done)
+    found, steps = [done[i] for i in sorted(done)], []
+    for k, one in enumerate(found):
+        own = {"world": one.row["world"], "start": k, "step": np.arange(len(one.walk))}
+        steps.append(pd.DataFrame({**own, "row": one.walk[:, 0], "col": one.walk[:, 1]}))
+    worlds = {os.fspath(tasks[i].world.name): tasks[i].world for i in sorted(done)}
     return Bounds(
-        pd.DataFrame(rows),
-        walks,
-        tuple(worlds.values()),
-        witnesses,
-        settings_of(tasks[0].lidar, tasks[0].rules),
-        missing,
+        table=pd.DataFrame([one.row for one in found]),
+        walks=pd.concat(steps, ignore_index=True),
+        worlds=tuple(worlds.values()),
+        witnesses={k: one.witnesses for k, one in enumerate(found)},
+        settings=bound_settings(tasks[0].lidar, tasks[0].rules),
+        interrupted=len(tasks) - len(done),
     )

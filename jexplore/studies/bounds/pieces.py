@@ -21,7 +21,7 @@ SAFE = 1e-6  # relative: what HiGHS's tolerances may add to a bound
 MOST_ROUNDS = 60  # of cuts
 
 
-class Pieces(NamedTuple):
+class EdgePieces(NamedTuple):
     """Edges of regions, cut into pieces."""
 
     region: np.ndarray  # [P] int, which region each belongs to
@@ -39,8 +39,8 @@ def cut_up(floor: Floor, places: np.ndarray, side: int) -> list[np.ndarray]:
     return [*cut_up(floor, places[low], side), *cut_up(floor, places[~low], side)]
 
 
-def prepare_pieces(floor: Floor, regions: Sequence[np.ndarray], most: int, from_start: np.ndarray) -> Pieces:
-    """Prepare the `Pieces` of the edges of regions, at most about `most` in all: one flood each."""
+def prepare_pieces(floor: Floor, regions: Sequence[np.ndarray], most: int, from_start: np.ndarray) -> EdgePieces:
+    """Prepare the `EdgePieces` of the edges of regions, at most about `most` in all: one flood each."""
     edges = [edge_of(floor, places) for places in regions]
     side = 4
     while sum(len(cut_up(floor, edge, side)) for edge in edges) > most and side < 2**12:
@@ -53,13 +53,13 @@ def prepare_pieces(floor: Floor, regions: Sequence[np.ndarray], most: int, from_
         cost[i] = [away[other].min() for other in flat]
     start = np.array([from_start[part].min() for part in flat], np.float64)
     region = np.repeat(np.arange(len(parts)), [len(own) for own in parts])
-    return Pieces(region, np.minimum(cost, cost.T) / STRAIGHT, start / STRAIGHT)
+    return EdgePieces(region, np.minimum(cost, cost.T) / STRAIGHT, start / STRAIGHT)
 
 
 class Path:
     """The program: which edges between pieces are taken, where the path begins and ends."""
 
-    def __init__(self, pieces: Pieces, high: float) -> None:
+    def __init__(self, pieces: EdgePieces, high: float) -> None:
         self.pieces, self.high = pieces, high
         n, self.n_regions = len(pieces.region), int(pieces.region.max()) + 1
         a, b = np.triu_indices(n, 1)
@@ -185,7 +185,7 @@ def bound_by_pieces(
     over: Callable[[], bool],
     branches: bool = True,
 ) -> int:
-    """Compute a lower bound of every walk that sees all witnesses.
+    """Compute a lower bound of every walk that sees all witnesses: a cost, at most `high`.
 
     Args:
       floor: `Floor`.
@@ -196,9 +196,6 @@ def bound_by_pieces(
       left_s: seconds that are left.
       over: called between programs: whether the time is over.
       branches: whether to branch after the linear relaxation.
-
-    Returns:
-      Cost, int; at most `high`.
     """
     regions = [places for places in regions if len(places) and from_start[places].min() > 0]
     if not regions:

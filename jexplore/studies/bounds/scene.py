@@ -1,8 +1,8 @@
-"""Cells that a walk must see, and the cells from which each is visible. On the host, exact."""
+"""Cells that a walk must see, those from which each is visible, and those seen from a cell. On the host, exact."""
 
 import dataclasses
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,9 +10,131 @@ from scipy import ndimage
 
 from jexplore.config import Lidar, Rules
 from jexplore.grid import radius_d2
-from jexplore.raycast import HEADINGS
-from jexplore.studies.bounds.sights import TABLE_BYTES, Sights, TableOfSights, rays_of
+from jexplore.raycast import HEADINGS, beam_table
 from jexplore.worlds.world import World
+
+TABLE_BYTES = 1_000_000_000  # of the visibility from every cell; larger tables are not kept and each scan is cast anew
+ROWS_BYTES = 300_000_000  # of the cache of single cells
+
+
+class Rays(NamedTuple):
+    """The different beams of the eight headings: the cells that each enters, in order, relative to the robot's."""
+
+    drow: np.ndarray  # [R, S] int32
+    dcol: np.ndarray  # [R, S] int32
+    length: np.ndarray  # [R] int32, cells entered
+    headings: np.ndarray  # [8, R] bool, which of them a scan with each heading has
+
+    @property
+    def count_type(self) -> np.dtype[Any]:
+        """Return the type that counts of steps fit into."""
+        return np.min_scalar_type(self.drow.shape[1])
+
+
+@functools.lru_cache(maxsize=8)
+def rays_of(lidar: Lidar, cell_m: float) -> Rays:
+    """Return the `Rays` of a scanner."""
+    table = beam_table(lidar, cell_m, 1)
+    steps = max(1, int(np.max(table.length)))
+    drow, dcol = (np.asarray(a)[:, :steps].swapaxes(1, 2).reshape(-1, steps) for a in (table.drow, table.dcol))
+    length = np.asarray(table.length).reshape(-1)
+    keys, which = np.unique(np.concatenate([length[:, None], drow, dcol], axis=1), axis=0, return_inverse=True)
+    headings = np.zeros((HEADINGS, len(keys)), bool)
+    headings[np.arange(HEADINGS)[:, None], which.reshape(HEADINGS, -1)] = True
+    return Rays(keys[:, 1 : steps + 1], keys[:, steps + 1 :], keys[:, 0], headings)
+
+
+class Sights:
+    """Visibility on a map padded with walls by the scanner's range; cells are flat numbers in the padded map."""
+
+    def __init__(self, occupied: np.ndarray, pad: int, rays: Rays) -> None:
+        self.rays, self._occupied = rays, occupied.reshape(-1)
+        self._offset = rays.drow * occupied.shape[1] + rays.dcol
+        self._within = np.arange(self._offset.shape[1]) < rays.length[:, None]
+        self._ray, self._step = np.nonzero(self._within)
+        self._leads = self._offset[self._ray, self._step]
+        self._first, self._last = pad * occupied.shape[1], (occupied.shape[0] - pad) * occupied.shape[1]
+
+    def region(self, cell: int, stand: np.ndarray) -> np.ndarray:
+        """Return cells of `stand` from which some beam enters a free cell: `[n]` int, sorted, itself included.
+
+        Cast from where the robot stands: sight on a lattice is not symmetric. `stand` is `[P]` bool, without padding.
+        """
+        place = cell - self._leads
+        known = np.flatnonzero((place >= self._first) & (place < self._last))
+        known = known[stand[place[known]]]
+        sees = self._sees(self._ray[known], self._step[known], place[known])
+        found = np.append(place[known[sees]], cell)
+        return np.unique(found[stand[found]])
+
+    def _sees(self, ray, step, place):
+        """Return whether rays from some cells get as far as some step: `[n]` bool."""
+        sees, left = np.zeros(len(ray), bool), np.arange(len(ray))
+        for back in range(int(step.max(initial=-1)) + 1):  # cells on the way there, from the last one backwards
+            sees[left[step[left] == back]] = True
+            left = left[step[left] > back]
+            left = left[~self._occupied[place[left] + self._offset[ray[left], step[left] - back - 1]]]
+        return sees
+
+    def seen(self, cell: int, heading: int | None = None) -> np.ndarray:
+        """Return free cells seen by a robot on a cell, turned to all headings or to one: `[n]` int, itself included."""
+        own = slice(None) if heading is None else self.rays.headings[heading]
+        at = cell + self._offset[own]
+        open_way = np.logical_and.accumulate(
+            self._within[own] & ~self._occupied[np.where(self._within[own], at, cell)], 1
+        )
+        return np.append(at[open_way], cell)
+
+
+class TableOfSights(Sights):
+    """The same, with every ray of every cell followed once; after that a region or a view is a look-up."""
+
+    def __init__(self, occupied: np.ndarray, pad: int, rays: Rays) -> None:
+        super().__init__(occupied, pad, rays)
+        n = self._last - self._first  # cells of the rows that are not padding
+        free, still = (~self._occupied).astype(np.uint8), np.empty(n, np.uint8)
+        self._free_steps = np.zeros((len(rays.length), n), rays.count_type)
+        for ray, steps in enumerate(rays.length):  # one step of one ray at a time, for all cells together
+            still[:] = 1
+            for leads in self._offset[ray, :steps]:
+                still &= free[self._first + leads : self._last + leads]
+                self._free_steps[ray] += still
+
+    @staticmethod
+    def size(shape: tuple[int, int], pad: int, rays: Rays) -> int:
+        """Return the bytes of the table of a map of this shape, without padding."""
+        return len(rays.length) * shape[0] * (shape[1] + 2 * pad) * rays.count_type.itemsize
+
+    def _sees(self, ray, step, place):
+        return self._free_steps[ray, place - self._first] > step
+
+    def seen(self, cell: int, heading: int | None = None) -> np.ndarray:
+        own = slice(None) if heading is None else self.rays.headings[heading]
+        offset, steps = self._offset[own], self._free_steps[own, cell - self._first]
+        return np.append(cell + offset[np.arange(offset.shape[1]) < steps[:, None]], cell)
+
+
+class Coverage:
+    """Cells seen along walks, with a cache for single cells."""
+
+    def __init__(self, sights: Sights, must_see: np.ndarray) -> None:
+        self.sights, self.cells = sights, np.flatnonzero(must_see)
+        self._place = np.full(len(must_see), -1, np.int32)
+        self._place[self.cells] = np.arange(len(self.cells))
+        self._rows: dict[int, np.ndarray] = {}
+
+    def unseen(self, walk: np.ndarray) -> np.ndarray:
+        """Return cells that must be seen and are not seen from a walk: `[n]` int."""
+        seen = np.zeros(-(-len(self.cells) // 8), np.uint8)
+        for cell in dict.fromkeys(walk.tolist()):
+            if len(self._rows) * len(seen) > ROWS_BYTES:
+                self._rows.clear()
+            if cell not in self._rows:
+                own = np.zeros(len(self.cells) + 1, bool)  # the last is of what need not be seen
+                own[self._place[self.sights.seen(cell)]] = True
+                self._rows[cell] = np.packbits(own[:-1])
+            seen |= self._rows[cell]
+        return self.cells[np.unpackbits(seen, count=len(self.cells)) == 0]
 
 
 @functools.lru_cache(maxsize=2)
@@ -59,25 +181,14 @@ class Scene:
 
 
 def prepare_scene(world: World, start: tuple[int, int, int], lidar: Lidar, rules: Rules, looks: int) -> Scene | None:
-    """Make a `Scene`.
-
-    Args:
-      world: `World`.
-      start: row, col, heading in degrees.
-      lidar: `Lidar`.
-      rules: `Rules`.
-      looks: scans at the start.
-
-    Returns:
-      `Scene`; None where the start is enclosed.
-    """
+    """Make the `Scene` of a start (row, col, heading in degrees), with `looks` scans there; None if it is enclosed."""
     pad = int(rays_of(lidar, world.cell_m).length.max()) + 1
     occupied = np.pad(world.occupied, pad, constant_values=True)
     row, col = start[0] + pad, start[1] + pad
     clear = ~_within(occupied, radius_d2(rules.clearance_m, world.cell_m))
     rows, cols = np.indices(occupied.shape)
     near = (rows - row) ** 2 + (cols - col) ** 2 <= radius_d2(rules.near_m, world.cell_m)
-    stand = flooded(clear | (~occupied & near), row, col)
+    stand = reachable_from(clear | (~occupied & near), row, col)
     goal = clear & stand
     if occupied[row, col] or not np.any(goal & ((rows != row) | (cols != col))):
         return None
@@ -88,7 +199,7 @@ def prepare_scene(world: World, start: tuple[int, int, int], lidar: Lidar, rules
         must_see[sights.seen(row * width + col, (start[2] // 45 + look * HEADINGS // looks) % HEADINGS)] = False
     return Scene(
         *(width, pad, world.shape, row * width + col, occupied.reshape(-1), stand.reshape(-1)),
-        any=flooded(~occupied, row, col).reshape(-1),
+        any=reachable_from(~occupied, row, col).reshape(-1),
         must_see=must_see,
         sights=sights,
     )
@@ -102,7 +213,7 @@ def _within(occupied, d2):
     return (rows - at[0]) ** 2 + (cols - at[1]) ** 2 <= d2
 
 
-def flooded(free: np.ndarray, row: int, col: int) -> np.ndarray:
+def reachable_from(free: np.ndarray, row: int, col: int) -> np.ndarray:
     """Return the cells that a path reaches, among them the start, which need not be free.
 
     A diagonal motion needs both orthogonal neighbours, so that it reaches nothing that straight ones do not.

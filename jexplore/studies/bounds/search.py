@@ -1,27 +1,25 @@
 """The search for the shortest walk of one start: a short one, and how short none is."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from jexplore.reach import FAR
-from jexplore.studies.bounds.floor import Floor, walk_cost
+from jexplore.studies.bounds.floor import Floor, Tour, walk_cost
 from jexplore.studies.bounds.pieces import bound_by_pieces
-from jexplore.studies.bounds.scene import Scene
-from jexplore.studies.bounds.sights import Coverage
+from jexplore.studies.bounds.scene import Coverage, Scene
 from jexplore.studies.bounds.stops import telling
 from jexplore.studies.bounds.subsets import Subsets
-from jexplore.studies.bounds.tour import Tour
 from jexplore.studies.bounds.walks import Walks
 
 MOST_WITNESSES = 20  # whose subsets are all looked at
-MOST_BYTES = 1_500_000_000  # that they may take
+MAX_SUBSET_BYTES = 1_500_000_000  # that they may take
 MOST_REGIONS = 24  # of a bound by pieces
-CLOSE = 1.01  # a walk that is not so close to the bound is looked for once more
-FAR_OFF = 1.08  # a bound with a larger ratio to the walk is tried by pieces
-MANY = 24  # unseen cells of which the one that costs most becomes a witness
+CLOSE_RATIO = 1.01  # a walk that is not so close to the bound is looked for once more
+FAR_RATIO = 1.08  # a bound with a larger ratio to the walk is tried by pieces
+UNSEEN_TRIED = 24  # unseen cells of which the one that costs most becomes a witness
 WALKS = 0.35  # of the budget, for walks; the first one may take all
 # Latest ends of the parts as shares of the rest: witnesses, the lower bound by subsets and by pieces,
 # walks once more, the subsets of robots that stand anywhere.
@@ -57,7 +55,7 @@ class Budget:
         return 1e9 if self.floods is not None else max(0.0, share * (self.seconds or 0.0) - self.elapsed_s)
 
 
-class Found(NamedTuple):
+class SearchResult(NamedTuple):
     """Result of a search. Costs as in `reach`."""
 
     walk: np.ndarray  # numbers of cells, from the start on
@@ -73,7 +71,7 @@ class LowerBound(NamedTuple):
     """No walk that sees some witnesses costs less."""
 
     low: int
-    method: str
+    method: str  # as in `SearchResult`
     witnesses: list[int]
 
 
@@ -103,7 +101,7 @@ class Search:
         tour = Tour(self.floor, self.from_start, self.region)
         tour.to(order)
         unseen, _ = self.floor.farthest_first(unseen, walk)
-        some = unseen[np.unique(np.linspace(0, len(unseen) - 1, MANY).astype(int))].tolist()
+        some = unseen[np.unique(np.linspace(0, len(unseen) - 1, UNSEEN_TRIED).astype(int))].tolist()
         return max(some, key=lambda cell: int(tour.insertions(cell).min()))
 
     def farthest(self, cells: list[int]) -> int:
@@ -113,14 +111,8 @@ class Search:
     def shortest(self, share: float, high: int, known: Sequence[int] = ()) -> tuple[Subsets, np.ndarray | None]:
         """Search exactly: witnesses that the shortest walk does not see are added, known ones first, until it sees all.
 
-        Args:
-          share: of the budget.
-          high: cost of a walk that is known: longer ones are not looked for.
-          known: witnesses to begin with.
-
-        Returns:
-          `(Subsets, walk)`; None for the walk where the budget, the memory or the number of witnesses has ended first,
-          or none is shorter than the known one.
+        Walks longer than `high` are not looked for. The walk is None where this share of the budget, the memory or the
+        number of witnesses has ended first, or none is shorter than the known one.
         """
         subsets, walk = Subsets(self.floor, high), self.floor.cells[self.start]
         while True:
@@ -133,7 +125,7 @@ class Search:
             for _ in subsets.add(cell, self.region(cell)):
                 if self.budget.over(share):
                     return subsets, None
-            full = len(subsets.witnesses) >= MOST_WITNESSES or 2 * subsets.bytes > MOST_BYTES
+            full = len(subsets.witnesses) >= MOST_WITNESSES or 2 * subsets.bytes > MAX_SUBSET_BYTES
             if full or subsets.low >= high:
                 return subsets, None
             walk = subsets.walk()
@@ -157,7 +149,7 @@ class Search:
         found = [LowerBound(min(subsets.low, walks.cost), "subsets", list(subsets.witnesses))]
         if exact is None:
             found.append(LowerBound(self.farthest(walks.witnesses), "farthest", walks.witnesses))
-        if exact is None and found[0].low * FAR_OFF < walks.cost:
+        if exact is None and found[0].low * FAR_RATIO < walks.cost:
             found.append(LowerBound(self.by_pieces(known, pieces_until, walks.cost), "pieces", list(known)))
         return max(found, key=lambda bound: bound.low), subsets.order, exact
 
@@ -165,17 +157,15 @@ class Search:
         """Compute the bound of many witnesses, see `pieces`; 0 if the share is spent."""
         if self.budget.over(share):
             return 0
-        regions = [self.region(cell) for cell in cells]
-        left: Callable[[], float] = lambda: self.budget.left_s(share)  # noqa: E731
         return bound_by_pieces(
-            *(self.floor, regions, self.from_start, high),
-            left_s=left,
+            *(self.floor, [self.region(cell) for cell in cells], self.from_start, high),
+            left_s=lambda: self.budget.left_s(share),
             over=lambda: self.budget.over(share),
             branches=self.budget.floods is None,  # else it would end when the clock says so
         )
 
 
-def search(scene: Scene, budget: Budget, seed: int = 0) -> Found:
+def search(scene: Scene, budget: Budget, seed: int = 0) -> SearchResult:
     """Search the shortest walk of a start within the budget: see the modules `walks`, `subsets` and `pieces`."""
     coverage, regions = Coverage(scene.sights, scene.must_see), {}
     clear, rng = Search(scene, scene.clear, budget, coverage, regions), np.random.default_rng(seed)
@@ -183,12 +173,12 @@ def search(scene: Scene, budget: Budget, seed: int = 0) -> Found:
     if not walks.find(budget.over):
         wide = Search(scene, scene.any, budget, coverage, regions)
         low, low_any = clear.farthest(walks.witnesses), wide.farthest(walks.witnesses)
-        return Found(walks.walk, FAR, max(low, low_any), low_any, False, walks.witnesses, "farthest")
+        return SearchResult(walks.walk, FAR, max(low, low_any), low_any, False, walks.witnesses, "farthest")
     walks.shorten(lambda: budget.over(WALKS))
     tell, until, pieces, again, wide_until = (budget.share(part) for part in (TELLING, CLEAR, PIECES, AGAIN, ANY))
     known = telling(walks.stops, walks.witnesses, MOST_REGIONS, rng, lambda: budget.over(tell))
     best, order, exact = clear.bound(known, walks, until, pieces)
-    if exact is None and best.low * CLOSE < walks.cost:
+    if exact is None and best.low * CLOSE_RATIO < walks.cost:
         walks.shorten(lambda: budget.over(again), order)
     walk, high = walks.walk, walks.cost
     if exact is not None:
@@ -201,4 +191,4 @@ def search(scene: Scene, budget: Budget, seed: int = 0) -> Found:
         low_any = min(other.low, high)
         best = max(best, other, key=lambda bound: bound.low)
     low = min(best.low, high)
-    return Found(walk, high, low, low_any, low >= high, best.witnesses, best.method)
+    return SearchResult(walk, high, low, low_any, low >= high, best.witnesses, best.method)

@@ -2,7 +2,7 @@
 
 How far the stops are apart is known, so that hundreds of orders can be tried a second: some witnesses are taken out and
 put in again where they cost least, parts are turned round, and for an order the best stops are found exactly. What a
-walk really costs in an order, with every place that sees a witness, `tour` says.
+walk really costs in an order, with every place that sees a witness, `floor.Tour` says.
 """
 
 import itertools
@@ -30,7 +30,6 @@ class Stops:
     """`[K]` int, the floor's place of each stop."""
 
     def __init__(self, floor: Floor, from_start: np.ndarray, region: Callable[[int], np.ndarray]) -> None:
-        """Prepare stops: `from_start` is `[n]` int32, costs to every place; `region` gives places that see a cell."""
         self._floor, self._all_from_start, self._region = floor, from_start, region
         self.inside, self.own, self._number = {}, {}, {}
         self.from_start, self.places = np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -79,14 +78,11 @@ class Stops:
         return self._number[place]
 
 
-class Order:
+class StopOrder:
     """Witnesses in an order, a stop for each."""
 
     def __init__(self, stops: Stops, pairs: Iterable[tuple[int, int]] = ()) -> None:
         self._stops, self.pairs = stops, list(pairs)
-
-    def copy(self) -> "Order":
-        return Order(self._stops, self.pairs)
 
     @property
     def witnesses(self) -> list[int]:
@@ -107,12 +103,7 @@ class Order:
         return int(self._legs().sum())
 
     def insertion(self, cell: int, noise: np.ndarray | float = 1.0) -> tuple[int, int, int]:
-        """Find where one more witness costs least: `(cost, place in the order, stop)`.
-
-        Args:
-          cell: the witness.
-          noise: factors of the costs, of each place and stop or any that broadcasts.
-        """
+        """Find where one more witness costs least, times `noise`: `(cost, place in the order, stop)`."""
         made, own, numbers = self._stops, self._stops.own[cell], self._numbers()
         there = np.flatnonzero(made.inside[cell][made.places[numbers]]) if len(numbers) else numbers
         if len(there):  # a stop that there is sees it
@@ -173,28 +164,20 @@ class Order:
         return turned
 
 
-def new_order(stops: Stops, cells: Sequence[int]) -> Order:
-    """Build an `Order` of witnesses that are put in one after the other."""
-    order = Order(stops)
+def new_order(stops: Stops, cells: Sequence[int]) -> StopOrder:
+    """Build an `StopOrder` of witnesses that are put in one after the other."""
+    order = StopOrder(stops)
     for cell in cells:
         order.insert(cell)
     order.settle()
     return order
 
 
-def improved(
-    order: Order, rng: np.random.Generator, tries: int, most: int = GONE, over: Callable[[], bool] = lambda: False
-) -> Order:
-    """Shorten an order: a number of times, some witnesses are taken out and put in again.
-
-    Args:
-      order: not changed.
-      rng: draws the witnesses.
-      tries: number of times.
-      most: most witnesses taken out at once.
-      over: called regularly; True: stop.
-    """
-    best = now = order.copy()
+def improved_order(
+    order: StopOrder, rng: np.random.Generator, tries: int, most: int = GONE, over: Callable[[], bool] = lambda: False
+) -> StopOrder:
+    """Return a shorter order, found by taking out up to `most` witnesses and putting them in again, `tries` times."""
+    best = now = order
     least = cost = best.cost
     for number in range(tries):
         if len(now.pairs) < 2 or (number % 8 == 7 and over()):
@@ -209,7 +192,7 @@ def improved(
         if new < cost or (new < cost * (1 + WORSE * (1 - number / tries)) and rng.random() < 0.5):
             now, cost = other, new
             if cost < least:
-                best, least = now.copy(), cost
+                best, least = now, cost
     return best
 
 
@@ -223,7 +206,7 @@ def _renewed(order, rng, most):
         numbers = order._numbers()
         gone = set(np.argsort(made.apart[numbers[first], numbers], kind="stable")[:size].tolist())
     cells = [order.pairs[i][0] for i in sorted(gone)]
-    other = Order(made, (pair for i, pair in enumerate(order.pairs) if i not in gone))
+    other = StopOrder(made, (pair for i, pair in enumerate(order.pairs) if i not in gone))
     if rng.random() < 0.33:  # the farthest from the start first, else in any order
         cells.sort(key=lambda cell: -int(made.from_start[made.own[cell]].min()))
     else:
@@ -238,21 +221,21 @@ def _renewed(order, rng, most):
 def telling(
     stops: Stops, cells: Sequence[int], most: int, rng: np.random.Generator, over: Callable[[], bool]
 ) -> list[int]:
-    """Choose witnesses that together make a walk long, the most important first.
+    """Choose up to `most` witnesses that together make a walk long, the most important first; fewer once `over`.
 
-    Each next one makes the short walk that sees those before longest. At most `most`, fewer if `over` returns True.
+    Each next one makes the short walk that sees those before longest.
     """
-    order, chosen, left = Order(stops), [], list(cells)
+    order, chosen, left = StopOrder(stops), [], list(cells)
     while left and len(chosen) < most and not over():
         left.sort(key=lambda cell: -order.insertion(cell)[0])
         tried = []
         for cell in left[:2]:
-            grown = order.copy()
+            grown = StopOrder(stops, order.pairs)
             grown.insert(cell)
             grown.settle()
             mixed = [*chosen, cell]
             fresh = new_order(stops, [mixed[i] for i in rng.permutation(len(mixed))])
-            pair = [improved(one, rng, 10, 6) for one in (grown, fresh)]
+            pair = [improved_order(one, rng, 10, 6) for one in (grown, fresh)]
             tried.append((cell, min(pair, key=lambda one: one.cost)))
         cell, order = max(tried, key=lambda one: one[1].cost)
         chosen.append(cell)

@@ -39,12 +39,7 @@ class Subsets:
         return 4 * len(self.floor.cells) * len(self._costs) + 4 * n * 2**n
 
     def add(self, cell: int, places: np.ndarray) -> Iterator[None]:
-        """Add a witness; the caller may look at the clock after each flood, and stop: then nothing has changed.
-
-        Args:
-          cell: the witness.
-          places: those that see it.
-        """
+        """Add a witness and the places that see it; the caller may stop after each flood: then nothing has changed."""
         assert len(places), "a witness that nobody can see"
         n = len(self.witnesses)
         edges = [*self._edges, edge_of(self.floor, places)]
@@ -110,10 +105,7 @@ class Subsets:
 
 
 class _Ahead:
-    """Least cost of a walk that still has to see some witnesses.
-
-    It is the shortest way from edge to edge in the best order, and the farthest edge.
-    """
+    """Least cost of a walk that still has to see some witnesses: from edge to edge in the best order."""
 
     def __init__(self, apart, away):
         """Prepare costs: `apart` is `[n, n]`, between edges; `away` is `[n, E]`, from the places of all edges."""
@@ -129,10 +121,9 @@ class _Ahead:
 
 
 def _onward(apart):
-    """Compute the least cost to see some witnesses from the edge of the first on, in the best order of the others.
+    """Compute the least cost to see the others of a set from the edge of one on, in the best order: `[2**n, n]` int32.
 
-    Returns:
-      `[2**n, n]` int32, over sets and their first ones (Held and Karp, over the distances between edges).
+    Over sets and their first ones, by Held and Karp's recursion on the distances between edges.
     """
     n, apart = len(apart), np.minimum(apart, FAR - 1).astype(np.int32)  # two FARs do not fit
     found, masks = np.full((1 << n, n), FAR, np.int32), np.arange(1 << n)

@@ -6,16 +6,15 @@ import numpy as np
 from scipy import ndimage
 
 from jexplore.reach import FAR
-from jexplore.studies.bounds.floor import Floor
-from jexplore.studies.bounds.sights import Coverage
-from jexplore.studies.bounds.stops import Order, Stops, improved, new_order
-from jexplore.studies.bounds.tour import Tour
+from jexplore.studies.bounds.floor import Floor, Tour
+from jexplore.studies.bounds.scene import Coverage
+from jexplore.studies.bounds.stops import StopOrder, Stops, improved_order, new_order
 
 NEW = 16  # witnesses that one walk gives, at most
-SAMPLES = 4  # unseen cells of a patch of which one becomes a witness
-TRIES = 80  # of a new order; half for one that was tried before
-FEW = 12  # of an order that sees not yet everything
-KEPT = 3  # orders
+PATCH_SAMPLES = 4  # unseen cells of a patch of which one becomes a witness
+ORDER_TRIES = 80  # of a new order; half for one that was tried before
+FIRST_TRIES = 12  # of an order that sees not yet everything
+KEPT_ORDERS = 3  # orders
 STALE = 10  # orders in a row without a shorter walk, after which none is looked for
 
 
@@ -37,12 +36,11 @@ class Walks:
         coverage: Coverage,
         rng: np.random.Generator,
     ) -> None:
-        """Prepare walks; `region` gives places that see a cell."""
         self.floor, self.region, self.coverage, self._rng = floor, region, coverage, rng
         self.stops = Stops(floor, from_start, region)
         self.walk, self.cost = np.zeros(0, np.int64), FAR
         self._tour = Tour(floor, from_start, region)
-        self._kept: list[Order] = [Order(self.stops)]
+        self._kept: list[StopOrder] = [StopOrder(self.stops)]
 
     @property
     def witnesses(self) -> list[int]:
@@ -60,7 +58,7 @@ class Walks:
             self._see(walk, unseen, over)
             if over():
                 return False
-            self._kept = [improved(self._kept[0], self._rng, FEW, over=over)]
+            self._kept = [improved_order(self._kept[0], self._rng, FIRST_TRIES, over=over)]
             walk = self._exact(self._kept[0])
             if not len(walk):
                 return False
@@ -68,15 +66,13 @@ class Walks:
     def shorten(self, over: Callable[[], bool], first: Sequence[int] = ()) -> None:
         """Search for shorter walks until `over`, or until nothing has improved for long.
 
-        Args:
-          over: returns True to stop.
-          first: cells in an order to try, into which the other witnesses are put.
+        `first` are cells in an order to try, into which the other witnesses are put.
         """
         if first:
             for cell in first:
                 if cell not in self.stops.own:
                     self._add(cell)
-            order = Order(self.stops, ((cell, int(self.stops.own[cell][0])) for cell in first))
+            order = StopOrder(self.stops, ((cell, int(self.stops.own[cell][0])) for cell in first))
             order.settle()
             for cell in self.witnesses:
                 if cell not in first:
@@ -87,10 +83,10 @@ class Walks:
         while not over() and stale < STALE and self.cost > 0:
             cells = self.witnesses
             fresh = new_order(self.stops, [cells[i] for i in self._rng.permutation(len(cells))])
-            tried = [improved(order, self._rng, TRIES // 2, over=over) for order in self._kept]
-            tried.append(improved(fresh, self._rng, TRIES, over=over))
-            tried.sort(key=lambda order: order.cost)
-            self._kept = [one for i, one in enumerate(tried) if one.cost not in [o.cost for o in tried[:i]]][:KEPT]
+            tried = [improved_order(order, self._rng, ORDER_TRIES // 2, over=over) for order in self._kept]
+            tried.append(improved_order(fresh, self._rng, ORDER_TRIES, over=over))
+            by_cost = {order.cost: order for order in reversed(tried)}  # of equal costs the first
+            self._kept = [by_cost[cost] for cost in sorted(by_cost)][:KEPT_ORDERS]
             walk, cost = self._exact(self._kept[0]), self._tour.cost
             if cost >= self.cost:
                 stale += 1
@@ -128,10 +124,7 @@ class Walks:
             order.insert(cell)
 
     def _new_witnesses(self, walk, unseen):
-        """Return one cell of each patch of unseen ones, the farthest patches first.
-
-        It is the cell that is farthest from being seen, and of equals the one that fewest places see.
-        """
+        """Return of each patch of unseen cells the one farthest from being seen, of equals the one least seen."""
         scene = self.floor.scene
         mask = np.zeros(len(scene.occupied), bool)
         mask[unseen] = True
@@ -141,7 +134,7 @@ class Walks:
         _, first = np.unique(patches, return_index=True)
         for patch in patches[np.sort(first)][:NEW]:
             own = unseen[patches == patch]
-            some = own[np.unique(np.linspace(0, len(own) - 1, SAMPLES).astype(int))].tolist()
+            some = own[np.unique(np.linspace(0, len(own) - 1, PATCH_SAMPLES).astype(int))].tolist()
             sizes = {cell: (int(away[self.region(cell)].min()), -len(self.region(cell))) for cell in some}
             found.append(max(some, key=lambda cell: sizes[cell]))
         return found

@@ -1,9 +1,7 @@
 """Summaries of many episodes in one number: chances of a shorter path, interquartile means, performance profiles.
 
-With two worlds or more, worlds are the sample: all count the same, however many episodes they have, and intervals are
-for other worlds of the same kinds in the same shares. In a single world the starts are.
-
-pandas and scipy are imported by the functions that need them.
+With two worlds or more, worlds are the sample: all count the same, however many episodes they have, and intervals, of
+95 %, are for other worlds of the same kinds in the same shares. In a single world the starts are.
 """
 
 import dataclasses
@@ -62,22 +60,16 @@ def _unit_means(values, unit, kinds):
     return sums / np.bincount(unit, minlength=len(kinds)).reshape(-1, *[1] * (values.ndim - 1))
 
 
-def improvement(
-    values: ArrayLike, reference: ArrayLike, worlds: Iterable[object] | None = None, *, confidence: float = 0.95
-) -> Estimate:
+def improvement(values: ArrayLike, reference: ArrayLike, worlds: Iterable[object] | None = None) -> Estimate:
     """Estimate the chance that a path is shorter than the reference's from the same start; equal ones count half.
 
     Args:
       values, reference: `[N]` path lengths of the same starts in the same order, inf for an episode that has failed;
         two that have failed are equal.
       worlds: `[N]`, the world of each; None for a single one.
-      confidence: nominal coverage of the interval, by `share_over_worlds`.
 
     Returns:
       `Estimate`; p is of the chance being 1/2. No interval for fewer than two worlds, or two starts in a single one.
-
-    Raises:
-      InputError: lengths that differ, NaN, negative numbers.
 
     Source:
       Agarwal et al. 2021, probability of improvement. Changed: paired by start, and the sample are worlds.
@@ -87,7 +79,7 @@ def improvement(
     if len(values) != len(reference):
         raise InputError(f"reference must be as many as the values, {len(values)}, got {len(reference)}")
     wins = (values < reference) + 0.5 * (values == reference)
-    return Estimate(*share_over_worlds(_unit_means(wins, unit, kinds), kinds, confidence=confidence), len(kinds))
+    return Estimate(*share_over_worlds(_unit_means(wins, unit, kinds), kinds), len(kinds))
 
 
 def _quantile(values, weights, share):
@@ -96,9 +88,7 @@ def _quantile(values, weights, share):
     return values[int(reached.argmax())]
 
 
-def interquartile_mean(
-    scores: ArrayLike, worlds: Iterable[object] | None = None, *, confidence: float = 0.95
-) -> Estimate:
+def interquartile_mean(scores: ArrayLike, worlds: Iterable[object] | None = None) -> Estimate:
     """Compute the mean of the middle half of scores, robust against a few lost or lucky episodes.
 
     Scores that lie across a quartile count with the part that is inside. The interval is `M exp(± t s / M)`, s the
@@ -107,15 +97,11 @@ def interquartile_mean(
 
     Args:
       scores: `[N]` ratios of paths, from `scores_of`; inf for an episode that has failed.
-      worlds: `[N]`, the world of each; None for a single one.
-      confidence: nominal coverage.
+      worlds: as of `improvement`.
 
     Returns:
       `Estimate`; p is of the mean being 1. Infinite if more than a quarter has failed; no interval then, for fewer than
         two worlds (starts in a single one), or without any spread.
-
-    Raises:
-      InputError: NaN, negative scores, or not as many worlds as scores.
 
     Source:
       Agarwal et al. 2021; the standard error of a trimmed mean by Tukey and McLaughlin 1963. Changed: worlds weigh the
@@ -135,25 +121,18 @@ def interquartile_mean(
         return Estimate(mean, math.nan, math.nan, math.nan, len(kinds))
     pulled = _unit_means(np.clip(scores, low, high), unit, kinds)
     logs = math.log(mean) + (pulled - pulled.mean()) / (0.5 * mean)
-    _, low, high, p = mean_over_worlds(logs, kinds, confidence=confidence)
+    _, low, high, p = mean_over_worlds(logs, kinds)
     return Estimate(mean, safe_exp(low), safe_exp(high), p, len(kinds))
 
 
 def scores_of(episodes: "pd.DataFrame", *, over: str = "first") -> "pd.DataFrame":
-    """Compute path lengths as ratios, start by start: of the starts that every strategy has.
+    """Compute path lengths over those of the first strategy, or of the `best`: of the starts that every strategy has.
 
     Two paths of no length have the ratio 1. The ratio of an episode that has failed (see `comparable_paths`) is
     infinite; where the one that it is divided by has failed, it is 0, or NaN if both have.
 
-    Args:
-      episodes: the table of episodes of a comparison, a pandas DataFrame.
-      over: one of `OVER`.
-
     Returns:
       A DataFrame of ratios: a row a start, indexed by `world` and `episode`, and a column a strategy.
-
-    Raises:
-      InputError: another `over`, or an episode that occurs twice.
     """
     if over not in OVER:
         raise InputError(f"over must be {' or '.join(OVER)}, got {over!r}")
@@ -165,12 +144,8 @@ def scores_of(episodes: "pd.DataFrame", *, over: str = "first") -> "pd.DataFrame
     return paths.div(by, axis=0).mask(nothing.astype(bool), 1.0)
 
 
-def aggregates(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.DataFrame":
+def aggregates(episodes: "pd.DataFrame") -> "pd.DataFrame":
     """Tabulate one row a strategy: chance of a shorter path than the first one's, and the middle of their ratios.
-
-    Args:
-      episodes: the table of episodes of a comparison, a pandas DataFrame.
-      confidence: nominal coverage of the intervals.
 
     Returns:
       A DataFrame: `strategy`; `units`, worlds, or starts in a single world; `shorter`, `shorter_low`, `shorter_high`,
@@ -183,13 +158,12 @@ def aggregates(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.Dat
     paths, scores = tables
     worlds, rows = paths.index.get_level_values("world"), []
     for name in paths.columns:
-        better = improvement(paths[name], paths.iloc[:, 0], worlds, confidence=confidence)
+        *better, units = dataclasses.astuple(improvement(paths[name], paths.iloc[:, 0], worlds))
         if name == paths.columns[0]:
-            better = Estimate(math.nan, math.nan, math.nan, math.nan, better.n)
+            better = [math.nan] * 4
         there = scores[name].notna().to_numpy(bool)
-        middle = interquartile_mean(scores[name][there], worlds[there], confidence=confidence)
-        rows.append((name, better.n, better.value, better.low, better.high, better.p))
-        rows[-1] += (middle.value, middle.low, middle.high)
+        middle = interquartile_mean(scores[name][there], worlds[there])
+        rows.append((name, units, *better, middle.value, middle.low, middle.high))
     columns = ["strategy", "units", "shorter", "shorter_low", "shorter_high", "shorter_p", "iqm", "iqm_low", "iqm_high"]
     return pd.DataFrame(rows, columns=columns)
 
@@ -204,23 +178,17 @@ def _ratios(scores):
     return np.geomspace(low, high, 101) if low < 1 else np.concatenate([[1.0], np.geomspace(1.0, high, 101)[1:]])
 
 
-def profiles(
-    episodes: "pd.DataFrame", *, over: str = "best", ratios: ArrayLike | None = None, confidence: float = 0.95
-) -> "pd.DataFrame":
+def profiles(episodes: "pd.DataFrame", *, over: str = "best", ratios: ArrayLike | None = None) -> "pd.DataFrame":
     """Compute performance profiles: the share of starts whose path is at most a multiple of the reference's.
 
     Args:
-      episodes: the table of episodes of a comparison, a pandas DataFrame.
+      episodes: the table of episodes of a comparison.
       over: one of `OVER`: denominator of the ratios.
       ratios: `[K]` positive numbers, rising; by default 101 up to the 99th percentile, `MOST_RATIO` at most.
-      confidence: nominal coverage of the band, at every ratio by itself, by `share_over_worlds`.
 
     Returns:
       A DataFrame with the columns `PROFILE_COLUMNS`, a row a strategy and ratio. Episodes that have failed are in no
         share; worlds count the same.
-
-    Raises:
-      InputError: another `over`, or ratios that are not positive and rising.
 
     Source:
       Dolan and More 2002; with bands as by Agarwal et al. 2021. Changed: the bands are over worlds.
@@ -236,6 +204,6 @@ def profiles(
         values, unit, kinds = _checked(scores[name], scores.index.get_level_values("world"), "scores")
         shares = _unit_means((values[:, None] <= at * (1 + 1e-12)).astype(np.float64), unit, kinds)
         for ratio, share in zip(at.tolist(), shares.T):
-            value, low, high, _ = share_over_worlds(share, kinds, confidence=confidence)
+            value, low, high, _ = share_over_worlds(share, kinds)
             rows.append((name, ratio, value, low, high))
     return pd.DataFrame(rows, columns=list(PROFILE_COLUMNS))

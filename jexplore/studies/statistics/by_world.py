@@ -1,7 +1,4 @@
-"""Episodes of a comparison as a table: means, paired ratios, and warnings about unequal coverage.
-
-pandas is imported by the function that needs it.
-"""
+"""Episodes of a comparison as a table: means, paired ratios, and warnings about unequal coverage."""
 
 import dataclasses
 import math
@@ -22,7 +19,7 @@ OUTCOMES = ("COMPLETE", "BLOCKED", "STEP_LIMIT", "PLAN_LIMIT", "STUCK")
 EQUAL_SHARE = 0.95
 """Share of the less thorough episode's known cells at which a pair is compared (equal coverage)."""
 
-TOLERANCE = 0.01
+EQUAL_FRACTION = 0.01
 """Explored fractions that differ by no more are equal."""
 
 _MEANS = ("plans", "scans", "turning_rad", "explored_fraction", "exhausted", "room_entries")
@@ -71,15 +68,11 @@ def _n_different(rows):
     return 1 if len(rows) and all(rows[name].nunique() == 1 for name in _SAME) else len(rows)
 
 
-def summarise(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.DataFrame":
+def summarise(episodes: "pd.DataFrame") -> "pd.DataFrame":
     """Tabulate one row a world and strategy, in order of first appearance.
 
     Strategies are compared with the first strategy of the table, over the episodes that both have. In its own rows,
     `ratio` is 1 and `ratio_low`, `ratio_high` and `p` are NaN; in a world without it, so is `ratio`.
-
-    Args:
-      episodes: the table of episodes, a pandas DataFrame.
-      confidence: nominal coverage of the intervals.
 
     Returns:
       A DataFrame with the columns `SUMMARY_COLUMNS`: `n` episodes, 1 where one is repeated; `mean`, `sd` (divided by
@@ -105,10 +98,10 @@ def summarise(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.Data
             elif first in strategies:
                 ours, theirs = _pairs(rows, strategies[first])
                 if len(ours):
-                    versus = paired_ratio(ours["path_m"], theirs["path_m"], confidence=confidence)
+                    versus = paired_ratio(ours["path_m"], theirs["path_m"])
             n = _n_different(rows)
             row = (world, strategy, n, path_m.mean(), path_m.std(ddof=1) if n > 1 else math.nan)
-            row += (*mean_interval(path_m, confidence=confidence), versus.ratio, versus.low, versus.high, versus.p)
+            row += (*mean_interval(path_m), versus.ratio, versus.low, versus.high, versus.p)
             means = [rows[name].astype("Float64").mean() for name in _MEANS]
             means = [math.nan if pd.isna(mean) else float(mean) for mean in means]
             table.append((*row, math.nan, *means, _outcomes(rows)))
@@ -118,20 +111,16 @@ def summarise(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.Data
     return found
 
 
-def markdown_table(summary: Any, *, confidence: float = 0.95, as_text: Callable[..., str] = aligned_table) -> str:
-    """Format a summary as one aligned Markdown table.
+def markdown_table(summary: Any, *, as_text: Callable[..., str] = aligned_table) -> str:
+    """Format a summary from `summarise` as one Markdown table; missing values are `-`.
 
     Args:
-      summary: from `summarise`.
-      confidence: that of its intervals, for the heading.
-      as_text: what makes text of the names of columns and the texts of rows.
-
-    Returns:
-      Text that ends with a newline. Missing values are `-`; bars in names are escaped.
+      summary: the table.
+      as_text: makes text of the names of columns and the texts of rows.
     """
     widths_m = [high - low for low, high in zip(summary["ci_low"], summary["ci_high"]) if math.isfinite(high - low)]
     decimals = 1 if widths_m and min(widths_m) >= 1 else 2
-    head = ["world", "strategy", "n", "path m", f"{100 * confidence:g} % interval", "ratio to the first", "p (Holm)"]
+    head = ["world", "strategy", "n", "path m", "95 % interval", "ratio to the first", "p (Holm)"]
     head += ["plans", "scans", "turning rad", "explored", "exhausted", "room entries", "outcomes"]
     lines = []
     for row in summary.itertuples(index=False):
@@ -145,17 +134,14 @@ def markdown_table(summary: Any, *, confidence: float = 0.95, as_text: Callable[
 
 
 def path_at_equal_coverage(progress: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute path lengths of paired episodes at which both knew equally many cells.
+    """Compute path lengths of paired episodes at which both knew equally many cells: two of `[N]` float64, metres.
 
     Of each pair the one that knew less in the end sets the mark: the last one up to `EQUAL_SHARE` of its own. Paths are
-    those that the robots had driven when they first knew as much: recorded, not interpolated.
+    those that the robots had driven when they first knew as much: recorded, not interpolated; NaN without a mark.
 
     Args:
       progress, reference: `[N, 100]` float, metres: path at each per cent of what can be known in the world, NaN
         where that was never known; of the same episodes.
-
-    Returns:
-      two of `[N]` float64, metres; NaN for a pair of which one never came to a mark.
     """
     marks = np.minimum(*(np.isfinite(metres).sum(axis=1) for metres in (progress, reference)))
     mark = np.floor(EQUAL_SHARE * marks + 1e-9).astype(int) - 1
@@ -173,11 +159,11 @@ def _ratio_text(values, reference, keep):
     return f"{ratio_text(found.ratio, found.low, found.high)} over {found.n} pair{'s' if found.n > 1 else ''}"
 
 
-def _unequal(ours, theirs, tolerance, progress):
+def _unequal(ours, theirs, progress):
     """Describe differences of paired episodes and the ratios at equal coverage, as text; None without any."""
     fraction, fraction_ref = (rows["explored_fraction"].to_numpy(dtype=np.float64) for rows in (ours, theirs))
     ended, ended_ref = ours["outcome"].to_numpy(), theirs["outcome"].to_numpy()
-    n_ended, apart = int((ended != ended_ref).sum()), np.abs(fraction - fraction_ref) > tolerance
+    n_ended, apart = int((ended != ended_ref).sum()), np.abs(fraction - fraction_ref) > EQUAL_FRACTION
     if not n_ended and not apart.any():
         return None
     n, said = len(ours), []
@@ -185,9 +171,10 @@ def _unequal(ours, theirs, tolerance, progress):
         said.append(f"outcomes differ in {n_ended} of {n} pairs ({_outcomes(ours)} against {_outcomes(theirs)})")
     if apart.any():
         means = f"mean {fraction.mean():.3f} against {fraction_ref.mean():.3f}"
-        said.append(f"explored fractions differ by more than {tolerance:g} in {apart.sum()} of {n} pairs ({means})")
-    everything = np.ones(n, dtype=bool)
-    whole = _ratio_text(ours["path_m"].to_numpy(), theirs["path_m"].to_numpy(), everything)
+        said.append(
+            f"explored fractions differ by more than {EQUAL_FRACTION:g} in {apart.sum()} of {n} pairs ({means})"
+        )
+    whole = _ratio_text(ours["path_m"].to_numpy(), theirs["path_m"].to_numpy(), np.ones(n, dtype=bool))
     text = f"{' and '.join(said)}; a truncated path is not a short one: path ratio {whole}; "
     if progress is not None:
         path_m, path_ref_m = path_at_equal_coverage(*progress)
@@ -198,47 +185,31 @@ def _unequal(ours, theirs, tolerance, progress):
     return f"{text}where both are COMPLETE and equally explored, at path_m_at_95, {at_95}"
 
 
-def _cut_short(episodes):
-    """Yield a line for every strategy in a world with episodes that a limit ended, or with refused steps."""
-    for world, strategies in _groups(episodes).items():
-        for strategy, rows in strategies.items():
-            limited = int(rows["outcome"].isin(["STEP_LIMIT", "PLAN_LIMIT"]).sum())
-            if limited:
-                yield f"{world}: {strategy}: {limited} of {len(rows)} episodes were cut short by a limit"
-            refused = int(rows["refused"].sum()) if "refused" in rows else 0
-            if refused:
-                yield f"{world}: {strategy}: {refused} steps were refused, into cells that proved not to be free"
+def _flaws(episodes):
+    """Yield lines on strategies with episodes that a limit ended or refused steps, and that are one repeated."""
+    groups = [(f"{world}: {name}", rows) for world, own in _groups(episodes).items() for name, rows in own.items()]
+    for who, rows in groups:
+        if limited := int(rows["outcome"].isin(["STEP_LIMIT", "PLAN_LIMIT"]).sum()):
+            yield f"{who}: {limited} of {len(rows)} episodes were cut short by a limit"
+        if refused := int(rows["refused"].sum()) if "refused" in rows else 0:
+            yield f"{who}: {refused} steps were refused, into cells that proved not to be free"
+    for who, rows in groups:
+        if _n_different(rows) < len(rows):
+            yield f"{who}: all {len(rows)} episodes are the very same one, which counts once"
 
 
-def _repeated(episodes):
-    """Yield a line for every strategy in a world whose episodes are all the same."""
-    for world, strategies in _groups(episodes).items():
-        for strategy, rows in strategies.items():
-            if _n_different(rows) < len(rows):
-                yield f"{world}: {strategy}: all {len(rows)} episodes are the very same one, which counts once"
-
-
-def warnings_of(
-    episodes: "pd.DataFrame",
-    progress: Mapping[tuple[str, str], np.ndarray] | None = None,
-    *,
-    tolerance: float = TOLERANCE,
-) -> list[str]:
+def warnings_of(episodes: "pd.DataFrame", progress: Mapping[tuple[str, str], np.ndarray] | None = None) -> list[str]:
     """Describe what makes the comparison with the first strategy unfair, and the ratio at equal coverage.
 
-    Warns where the outcomes of paired episodes differ, or their explored fractions by more than `tolerance`, or where
-    strategies do not have the same episodes. Two ratios are then given in addition to that of the whole paths: that at
-    equal coverage (`path_at_equal_coverage`), where `progress` is given, over all pairs with a mark; and that over the
-    pairs that are COMPLETE on both sides with equal explored fractions, at the recorded `path_m_at_95`: pairs that are
+    Warns where the outcomes of paired episodes differ, or their explored fractions by more than `EQUAL_FRACTION`, or
+    where strategies do not have the same episodes. Two ratios are then given in addition to that of the whole paths: at
+    equal coverage (`path_at_equal_coverage`), where `progress` is given, over all pairs with a mark; and over the pairs
+    that are COMPLETE on both sides with equal explored fractions, at the recorded `path_m_at_95`: pairs that are
     selected by how they ended. Warns also where the episodes of a strategy are one episode repeated.
 
     Args:
       episodes: the table of episodes.
       progress: (world, strategy) -> `[N, 100]` float, as in `path_at_equal_coverage`, in the order of the table's rows.
-      tolerance: difference of explored fractions that still counts as equal coverage.
-
-    Returns:
-      A list of lines, one or two a world and strategy; empty if all is well.
 
     Raises:
       InputError: an episode occurs twice, or paired episodes start differently.
@@ -258,12 +229,11 @@ def warnings_of(
                 found.append(f"{name}: {have} make {len(ours)} pairs; only pairs are compared")
             both = None
             if progress:
-                tables = ((rows, ours, strategy), (reference, theirs, str(first)))
                 both = [
-                    progress[world, key][rows.set_index("episode").index.get_indexer(some.index)]
-                    for rows, some, key in tables
+                    progress[world, key][of.set_index("episode").index.get_indexer(some.index)]
+                    for of, some, key in ((rows, ours, strategy), (reference, theirs, str(first)))
                 ]
-            unequal = _unequal(ours, theirs, tolerance, both) if len(ours) else None
+            unequal = _unequal(ours, theirs, both) if len(ours) else None
             if unequal:
                 found.append(f"{name}: {unequal}")
-    return [*found, *_cut_short(episodes), *_repeated(episodes)]
+    return [*found, *_flaws(episodes)]

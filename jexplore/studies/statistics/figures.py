@@ -1,7 +1,4 @@
-"""Pictures of tables of episodes: estimated here, drawn by `report.plots`.
-
-pandas and matplotlib are imported by the functions that need them.
-"""
+"""Pictures of tables of episodes: estimated here, drawn by `report.plots`."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -14,7 +11,7 @@ from jexplore.studies.statistics.by_world import summarise
 from jexplore.studies.statistics.league import paths_by_world, standings
 from jexplore.studies.statistics.over_worlds import ALL_WORLDS
 from jexplore.studies.statistics.paired import MIN_PAIRS
-from jexplore.studies.statistics.response import response, settings_of
+from jexplore.studies.statistics.response import response, setting_columns
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,13 +26,8 @@ def compare_figure(
 ) -> "Figure":
     """Draw every episode's path with means, intervals and paired ratios: a panel a world, and one for six or more.
 
-    Args:
-      episodes: the table of episodes of a comparison, a pandas DataFrame of one row or more.
-      summary: from `by_world.summarise`, if it is there already.
-      table: from `league.standings`, if it is there already; used with six worlds or more.
-
-    Returns:
-      A matplotlib `Figure`. With more than `MOST_WORLDS` worlds it has the panel of all of them only.
+    `summary` and `table` are those of `summarise` and `standings` if they are there already. With more than
+    `MOST_WORLDS` worlds the picture has the panel of all of them only.
     """
     from jexplore.report.plots import compare
 
@@ -53,16 +45,9 @@ def compare_figure(
 
 
 def draw_world(ax: Any, episodes: "pd.DataFrame", summary: "pd.DataFrame", world: str) -> list[Any]:
-    """Draw the path lengths of one world as points, with means and intervals.
+    """Draw the path lengths of one world as points, with means and intervals from `summarise`.
 
-    Args:
-      ax: matplotlib `Axes`.
-      episodes: the table of episodes of a comparison.
-      summary: from `by_world.summarise`.
-      world: its name.
-
-    Returns:
-      One `ErrorbarContainer` a strategy.
+    Returns one `ErrorbarContainer` a strategy.
     """
     from jexplore.report.plots import compare
 
@@ -117,11 +102,7 @@ def _over_worlds(episodes, table, strategies):
 def coverage_figure(progress: Mapping[tuple[str, str], np.ndarray]) -> "Figure":
     """Draw the known part of the knowable share along the path, one panel a world: medians and quartile bands.
 
-    Args:
-      progress: `{(world, strategy): [N, 100] metres}`, as `Comparison.progress`; one entry or more.
-
-    Returns:
-      A matplotlib `Figure`. Of more than `MOST_WORLDS` worlds it shows the first ones.
+    `progress` is `{(world, strategy): [N, 100] metres}`, as `Comparison.progress`; `MOST_WORLDS` worlds are shown.
     """
     from jexplore.report.plots import curves
 
@@ -133,7 +114,7 @@ def coverage_figure(progress: Mapping[tuple[str, str], np.ndarray]) -> "Figure":
 
 
 def profile_figure(episodes: "pd.DataFrame", *, over: str = "best") -> "Figure":
-    """Draw performance profiles of a comparison's strategies: see `aggregate.profiles`. A matplotlib `Figure`."""
+    """Draw performance profiles of a comparison's strategies: see `aggregate.profiles`."""
     from jexplore.report.plots import curves
 
     table = profiles(episodes, over=over)
@@ -149,7 +130,8 @@ def _label(value, ratio, episodes) -> str:
 
 def _averaged(episodes, table, *own) -> str:
     """Return a line that names the settings over which a table from `response` averages."""
-    varied = [name for name in settings_of(episodes) if name not in own and episodes[name].nunique(dropna=False) > 1]
+    others = (name for name in setting_columns(episodes) if name not in own)
+    varied = [name for name in others if episodes[name].nunique(dropna=False) > 1]
     what = "worlds" if ALL_WORLDS in set(table["world"]) else "starts"
     return f"means over {table['n'].max()} {what}" + (f" and all values of {', '.join(varied)}" if varied else "")
 
@@ -159,24 +141,14 @@ def response_figure(
 ) -> "Figure":
     """Draw curves of a mean or a paired ratio over one setting, one line a strategy, one panel a world.
 
-    Args:
-      episodes: a table of episodes with settings as columns, a pandas DataFrame.
-      setting: one of the columns, such as `lidar.range_m`.
-      value, ratio: the drawn quantity, and `how` (`over_worlds`, `bins`, `confidence`): as for `response.response`.
-
-    Returns:
-      A matplotlib `Figure`.
-
-    Raises:
-      InputError: as `response.response`.
+    `how` (`over_worlds`, `bins`) and the other arguments are those of `response.response`.
     """
     from jexplore.report.plots import sweeps
 
     table = response(episodes, setting, value=value, ratio=ratio, **how)
-    averaged = f"{_averaged(episodes, table, setting)}, with {100 * how.get('confidence', 0.95):g} % intervals"
-    return sweeps.response_curves_figure(
-        table, setting, label=_label(value, ratio, episodes), ratio=ratio, averaged=averaged
-    )
+    averaged = f"{_averaged(episodes, table, setting)}, with 95 % intervals"
+    label = _label(value, ratio, episodes)
+    return sweeps.response_curves_figure(table, setting, label=label, ratio=ratio, averaged=averaged)
 
 
 def heat_figure(
@@ -184,16 +156,7 @@ def heat_figure(
 ) -> "Figure":
     """Draw colours of a mean or a paired ratio over two settings, one panel a strategy, a row a world.
 
-    Args:
-      episodes: a table of episodes with settings as columns, a pandas DataFrame.
-      x, y: two of the columns.
-      value, ratio: the drawn quantity, and `how`: as for `response.response`.
-
-    Returns:
-      A matplotlib `Figure`.
-
-    Raises:
-      InputError: as `response.response`; the settings are the same.
+    Arguments are those of `response.response`; `x` and `y` are two different settings.
     """
     from jexplore.report.plots import sweeps
 

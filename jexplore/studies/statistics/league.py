@@ -43,11 +43,7 @@ LEAGUE_STRATEGIES = (
 
 
 def league_worlds(cell_m: float = 0.1, seeds: int = LEAGUE_SEEDS) -> tuple[str, ...]:
-    """Return names of the league's worlds: `seeds` of each generator, and of furnished buildings in fine cells.
-
-    Raises:
-      InputError: `seeds` is no number from 1 to `MOST_SEEDS`.
-    """
+    """Return names of the league's worlds: `seeds` of each generator, and of furnished buildings in fine cells."""
     seeds = require_whole("league_seeds", seeds, 1, MOST_SEEDS)
     plain = [f"{kind}#{seed}" for kind in LEAGUE_KINDS for seed in range(seeds)]
     furnished = [FURNISHED[seed % len(FURNISHED)].format(seed) for seed in range(seeds)]
@@ -56,9 +52,6 @@ def league_worlds(cell_m: float = 0.1, seeds: int = LEAGUE_SEEDS) -> tuple[str, 
 
 def paths_by_world(episodes: "pd.DataFrame") -> "pd.DataFrame":
     """Compute mean paths in every world of a strategy and of the first one, over the starts from which neither failed.
-
-    Args:
-      episodes: the table of episodes of a comparison, a pandas DataFrame.
 
     Returns:
       A DataFrame with the columns `world`, `strategy`, `mean`, `reference`, metres, and `log_ratio`, the logarithm of
@@ -87,9 +80,6 @@ def standings(episodes: "pd.DataFrame") -> "pd.DataFrame":
     neither failed. Worlds count the same, whatever their size: ratios are averaged as logarithms. Intervals are by
     `mean_over_worlds`: they speak of other worlds of the same kinds in the same shares, not of other kinds. Worlds in
     which a strategy saw all from the start have no ratio.
-
-    Args:
-      episodes: the table of episodes of a comparison, a pandas DataFrame.
 
     Returns:
       A DataFrame: `strategy`; `worlds`, in which all ran; `paired`, worlds in which there is a ratio; `ratio`,
@@ -162,14 +152,7 @@ def _with_interval(value, low, high, *, decimals):
 
 
 def over_worlds_text(table: "pd.DataFrame") -> str:
-    """Summarise a comparison over two worlds or more: a line, the standings, and how to read them.
-
-    Args:
-      table: from `standings`.
-
-    Returns:
-      Markdown that ends with a newline.
-    """
+    """Summarise a comparison over two worlds or more, from `standings`, as Markdown, with how to read it."""
     worlds = max(table["worlds"], default=0)
     return f"""\
 Over {worlds} worlds, which count the same; intervals (95 %) are for other worlds like these:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jexplore.config import InputError
-from jexplore.studies.statistics.by_world import TOLERANCE
-from jexplore.studies.statistics.paired import t_interval
+from jexplore.studies.statistics.by_world import EQUAL_FRACTION
+from jexplore.studies.statistics.paired import UPPER, t_interval
 from jexplore.worlds import GENERATORS
 
 if TYPE_CHECKING:
@@ -29,12 +29,10 @@ def kind_of(world: object) -> str:
     return "furnished" if furnished else match[1]
 
 
-def moments(values: np.ndarray, kinds: Sequence[str]) -> tuple[float, float, float, int]:
-    """Estimate the mean of a stratified sample and its error.
+def mean_and_error(values: np.ndarray, kinds: Sequence[str]) -> tuple[float, float, float, int]:
+    """Estimate the mean of `[N]` values, N >= 1, stratified by kind, and its error.
 
-    Args:
-      values: `[N]` float64, N >= 1.
-      kinds: `[N]`, the stratum of each; with a single value in some stratum, all count as one.
+    With a single value in some stratum, all count as one.
 
     Returns:
       `(mean, standard error, freedom, most)`: the last two are the degrees of freedom of the standard error, by
@@ -57,24 +55,17 @@ def _vector(values, kinds):
     return values
 
 
-def mean_over_worlds(
-    values: ArrayLike, kinds: Sequence[str], *, confidence: float = 0.95
-) -> tuple[float, float, float, float]:
+def mean_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, float, float, float]:
     """Estimate the mean over worlds drawn from several kinds, in the present shares, and its interval.
 
     The t interval is for other worlds of the same kinds in the same shares: how much worlds of one kind differ makes it
     wide, how much kinds differ does not. With a single world of some kind, all count as one kind.
 
     Args:
-      values: `[N]` finite numbers, one a world.
-      kinds: `[N]`, the kind of each world.
-      confidence: nominal coverage.
+      values, kinds: `[N]` finite numbers, one a world, and the kind of each.
 
     Returns:
       `(mean, low, high, p)`, p of the hypothesis that the mean is 0; NaN where there is no value, or no spread.
-
-    Raises:
-      ValueError: not a vector of finite numbers, or not as many kinds; a confidence outside (0, 1).
 
     Source:
       The stratified mean; degrees of freedom by Satterthwaite 1946.
@@ -82,13 +73,11 @@ def mean_over_worlds(
     values = _vector(values, kinds)
     if not len(values):
         return math.nan, math.nan, math.nan, math.nan
-    mean, error, freedom, _ = moments(values, kinds)
-    return mean, *t_interval(mean, error, freedom, confidence)
+    mean, error, freedom, _ = mean_and_error(values, kinds)
+    return mean, *t_interval(mean, error, freedom)
 
 
-def share_over_worlds(
-    values: ArrayLike, kinds: Sequence[str], *, confidence: float = 0.95
-) -> tuple[float, float, float, float]:
+def share_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, float, float, float]:
     """Estimate the mean over worlds of a share, such as of starts with a shorter path, and its interval.
 
     The interval is Wilson's, of as many independent yes or no answers as have the standard error of this mean: many
@@ -97,15 +86,11 @@ def share_over_worlds(
 
     Args:
       values: `[N]` numbers from 0 to 1, one a world.
-      kinds: `[N]`, the kind of each world, as for `mean_over_worlds`.
-      confidence: nominal coverage.
+      kinds: as of `mean_over_worlds`.
 
     Returns:
       `(mean, low, high, p)`, p of the hypothesis that the mean is 1/2: below 0.05 just where the 95 % interval leaves
         out 1/2. The last three are NaN for fewer than two worlds, the mean for none.
-
-    Raises:
-      ValueError: as `mean_over_worlds`; a number outside [0, 1].
 
     Source:
       Wilson 1927; the effective number, and Student's t for the normal quantile, by Korn and Graubard 1998.
@@ -115,14 +100,12 @@ def share_over_worlds(
     values = _vector(values, kinds)
     if ((values < 0) | (values > 1)).any():
         raise ValueError(f"expected shares from 0 to 1, got {values}")
-    if not 0 < confidence < 1:
-        raise ValueError(f"expected confidence between 0 and 1, got {confidence!r}")
     if len(values) < 2:
         return (float(values[0]) if len(values) else math.nan), math.nan, math.nan, math.nan
-    mean, error, freedom, most = moments(values, kinds)
+    mean, error, freedom, most = mean_and_error(values, kinds)
     mean = min(max(mean, 0.0), 1.0)
     number, freedom = (mean * (1 - mean) / error**2, freedom) if error else (float(len(values)), most)
-    t = float(stdtrit(freedom, 0.5 + confidence / 2))
+    t = float(stdtrit(freedom, UPPER))
     centre, wide = mean + t**2 / (2 * number), t * math.sqrt(mean * (1 - mean) / number + (t / number / 2) ** 2)
     low, high = ((centre + side * wide) / (1 + t**2 / number) for side in (-1, 1))
     p = 2 * float(stdtr(freedom, -abs(mean - 0.5) * 2 * math.sqrt(number)))
@@ -136,20 +119,14 @@ def _table_of(episodes, value, strategies):
 
 
 def comparable_paths(episodes: "pd.DataFrame") -> "pd.DataFrame":
-    """Return path lengths of the starts that every strategy has, infinite for failed episodes.
+    """Return path lengths of the starts that every strategy has, metres, infinite for failed episodes.
 
     An episode that is not COMPLETE has failed if another from the same start is, or, where none is, if it has explored
     less than another, by more than 0.01 of what can be explored.
 
-    Args:
-      episodes: the table of episodes of a comparison, a pandas DataFrame.
-
     Returns:
-      A DataFrame of metres, inf where an episode has failed: a row a start, indexed by `world` and `episode`, worlds in
-        order of first appearance, and a column a strategy, in that order as well.
-
-    Raises:
-      InputError: an episode of a strategy in a world occurs twice.
+      A DataFrame: a row a start, indexed by `world` and `episode`, worlds in order of first appearance, and a column a
+        strategy, in that order as well.
     """
     twice = episodes.duplicated(["world", "strategy", "episode"])
     if twice.any():
@@ -161,7 +138,7 @@ def comparable_paths(episodes: "pd.DataFrame") -> "pd.DataFrame":
     explored, outcome, paths = (
         _table_of(episodes, name, strategies) for name in ("explored_fraction", "outcome", "path_m")
     )
-    complete, less = outcome == "COMPLETE", explored.lt(explored.max(axis=1) - TOLERANCE, axis=0)
+    complete, less = outcome == "COMPLETE", explored.lt(explored.max(axis=1) - EQUAL_FRACTION, axis=0)
     failed = ~complete & (less | complete.any(axis=1).to_numpy(bool)[:, None])
     paths = paths.mask(failed, np.inf)
     place = {world: i for i, world in enumerate(order)}

@@ -1,6 +1,6 @@
 """Paired samples: ratios of means with intervals, and p values corrected for their number.
 
-numpy at import; scipy is imported by the function that needs it (it takes half a second).
+scipy is imported by the function that needs it (it takes half a second).
 """
 
 import dataclasses
@@ -9,6 +9,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+UPPER = 0.5 + 0.95 / 2
+"""Quantile at the upper end of all intervals, which are of 95 %."""
 MIN_PAIRS = 6
 """Fewer pairs decide nothing, whatever their interval."""
 
@@ -33,29 +35,16 @@ def _vector(values, name):
     return values
 
 
-def t_interval(
-    estimate: float, standard_error: float, freedom: float, confidence: float = 0.95
-) -> tuple[float, float, float]:
-    """Compute the interval `estimate ± t standard_error`, and p of the hypothesis that the value is 0.
+def t_interval(estimate: float, standard_error: float, freedom: float) -> tuple[float, float, float]:
+    """Compute the interval `estimate ± t standard_error`: `(low, high, p)`, p of the hypothesis that the value is 0.
 
-    Args:
-      estimate, standard_error: floats of one unit.
-      freedom: degrees of freedom of the standard error.
-      confidence: nominal coverage.
-
-    Returns:
-      `(low, high, p)`; NaN where the standard error is 0 or not finite, or there are no degrees of freedom.
-
-    Raises:
-      ValueError: a confidence outside (0, 1).
+    NaN where the standard error is 0 or not finite, or there are no degrees of `freedom`.
     """
     from scipy.special import stdtr, stdtrit
 
-    if not 0 < confidence < 1:
-        raise ValueError(f"expected confidence between 0 and 1, got {confidence!r}")
     if not (math.isfinite(estimate) and 0 < standard_error < math.inf and freedom > 0):
         return math.nan, math.nan, math.nan
-    half = float(stdtrit(freedom, 0.5 + confidence / 2)) * standard_error
+    half = float(stdtrit(freedom, UPPER)) * standard_error
     return estimate - half, estimate + half, 2 * float(stdtr(freedom, -abs(estimate) / standard_error))
 
 
@@ -71,7 +60,7 @@ def safe_exp(value: float) -> float:
         return float(np.exp(value))
 
 
-def paired_ratio(values: ArrayLike, reference: ArrayLike, *, confidence: float = 0.95) -> PairedRatio:
+def paired_ratio(values: ArrayLike, reference: ArrayLike) -> PairedRatio:
     """Estimate the ratio R of the means of paired samples, with an interval and a test.
 
     The interval is `R exp(± t s)`, where `s` is the standard error of the logarithm of R by the delta method: the
@@ -84,14 +73,10 @@ def paired_ratio(values: ArrayLike, reference: ArrayLike, *, confidence: float =
     episode repeated) count as a single pair. One pair, or pairs without any spread, have no interval and no p.
 
     Args:
-      values, reference: `[N]` finite numbers from 0, N >= 1, the same episodes in the same order.
-      confidence: nominal coverage.
-
-    Returns:
-      `PairedRatio`; it does not depend on the order of the pairs.
+      values, reference: `[N]` finite numbers from 0, N >= 1, the same episodes; their order does not matter.
 
     Raises:
-      ValueError: not vectors, lengths that differ, empty, not finite, negative, or a confidence outside (0, 1).
+      ValueError: not vectors, lengths that differ, empty, not finite, or negative.
 
     Source:
       The delta method for a ratio of means, on the logarithm; Fieller 1954 treats the same problem.
@@ -109,30 +94,20 @@ def paired_ratio(values: ArrayLike, reference: ArrayLike, *, confidence: float =
         error = _standard_error(values / mean - reference / mean_reference)
         equal = int((values == reference).sum())
         freedom = n - max(equal, 1)
-    low, high, p = t_interval(math.log(ratio) if error else math.nan, error, freedom, confidence)
+    low, high, p = t_interval(math.log(ratio) if error else math.nan, error, freedom)
     return PairedRatio(ratio, safe_exp(low), safe_exp(high), p, n)
 
 
-def mean_interval(values: ArrayLike, *, confidence: float = 0.95) -> tuple[float, float]:
-    """Compute the interval of a mean, `mean exp(± t s)`, as in `paired_ratio`.
+def mean_interval(values: ArrayLike) -> tuple[float, float]:
+    """Compute the interval of a mean, `mean exp(± t s)`, as in `paired_ratio`: `(low, high)` in the unit of `values`.
 
     s is the standard error of the logarithm of the mean, with n - 1 degrees of freedom. Never below 0; skewed as path
-    lengths are.
-
-    Args:
-      values: `[N]` finite numbers from 0, N >= 1.
-      confidence: nominal coverage.
-
-    Returns:
-      `(low, high)` in the unit of `values`; NaN for one value, or values that are all the same.
-
-    Raises:
-      ValueError: as `paired_ratio`.
+    lengths are. NaN for one value, or values that are all the same.
     """
     values = np.sort(_vector(values, "values"))
     mean, n = values.mean(), len(values)
     error = _standard_error(values / mean) if n > 1 and mean > 0 else 0.0
-    low, high, _ = t_interval(math.log(mean) if error else math.nan, error, n - 1, confidence)
+    low, high, _ = t_interval(math.log(mean) if error else math.nan, error, n - 1)
     return safe_exp(low), safe_exp(high)
 
 

@@ -1,7 +1,4 @@
-"""Paths as functions of settings: means or paired ratios at every value of one setting, or of two.
-
-pandas is imported by the functions that need it.
-"""
+"""Paths as functions of settings: means or paired ratios at every value of one setting, or of two."""
 
 import difflib
 import math
@@ -25,17 +22,13 @@ MOST_PANELS = 6
 """With more worlds than this, their means are shown instead of each."""
 
 
-def settings_of(episodes: "pd.DataFrame") -> list[str]:
+def setting_columns(episodes: "pd.DataFrame") -> list[str]:
     """Return the setting columns of a table of episodes: those with a dot in their name, `seed` and `cell_m`."""
     return [name for name in map(str, episodes.columns) if "." in name or name in SHARED]
 
 
 def require_column(episodes: "pd.DataFrame", name: str, what: str) -> None:
-    """Refuse a column that a table does not have.
-
-    Raises:
-      InputError: there is no such column; says which is near.
-    """
+    """Refuse a column that a table does not have; say which is near."""
     if name not in episodes.columns:
         near = difflib.get_close_matches(str(name), map(str, episodes.columns), 1)
         raise InputError(
@@ -53,10 +46,7 @@ def _numbers(episodes, name):
 
 
 def _cut(table, own, bins):
-    """Bin settings of a table that have many values, as of random draws, into parts of equally many.
-
-    A part stands at the mean of its values, rounded.
-    """
+    """Bin settings of many values, as of random draws, into parts of equally many, each at the mean of its values."""
     draws = len(table[own].drop_duplicates())
     is_grid = math.prod(table[name].nunique() for name in own) <= 4 * draws or draws <= 2 * BINS
     bins = bins or (BINS if len(own) == 1 else math.ceil(math.sqrt(draws) / 2))
@@ -85,7 +75,7 @@ def _with_reference(table):
 
     Settings that some strategy does not have, being parameters of another, are not compared.
     """
-    keys = [name for name in settings_of(table) if table[name].groupby(table["strategy"]).count().min() > 0]
+    keys = [name for name in setting_columns(table) if table[name].groupby(table["strategy"]).count().min() > 0]
     keys = ["world", "episode", *keys]
     first = table["strategy"].iloc[0]
     reference = table.loc[(table["strategy"] == first).to_numpy(), [*keys, "value"]]
@@ -97,15 +87,9 @@ def _with_reference(table):
 
 
 def response(
-    episodes: "pd.DataFrame",
-    settings: str | Sequence[str],
-    *,
-    value: str = "path_m",
-    ratio: bool = False,
-    over_worlds: bool | None = None,
-    bins: int | None = None,
-    confidence: float = 0.95,
-) -> "pd.DataFrame":
+    episodes: "pd.DataFrame", settings: str | Sequence[str], *, value: str = "path_m", ratio: bool = False,
+    over_worlds: bool | None = None, bins: int | None = None,
+) -> "pd.DataFrame":  # fmt: skip
     """Estimate a mean, or a paired ratio to the first strategy, with its interval, at every value of a setting or two.
 
     In one world the sample are its starts, episodes of one number and seed, each with its mean over all other settings:
@@ -113,15 +97,14 @@ def response(
     `mean_over_worlds`.
 
     Args:
-      episodes: a table of episodes with settings as columns, such as `lidar.range_m`: a pandas DataFrame. A row is
-        paired with that of the first strategy in the same world, episode and settings.
+      episodes: a table of episodes with settings as columns, such as `lidar.range_m`. A row is paired with that of the
+        first strategy in the same world, episode and settings.
       settings: one of the columns, or two. Rows without it (another strategy's parameter) are left out.
       value: the column that is averaged; rows without it are left out.
       ratio: give ratios to the first strategy of the table instead of means.
       over_worlds: give the mean over worlds instead of every world; by default with more than `MOST_PANELS`.
       bins: number of bins, with equal numbers of values, of a setting with more than 24 values, or of two that are
         drawn at random; by default 12, or, for two settings, a number that puts about four draws into each bin.
-      confidence: nominal coverage.
 
     Returns:
       A DataFrame: `world` (`over_worlds.ALL_WORLDS` for the mean over them), `strategy`, the settings under their
@@ -148,7 +131,7 @@ def response(
     rows = []
     by = ["strategy", *own] if over_worlds else ["world", "strategy", *own]
     for key, some in table.groupby(by, sort=False):
-        estimate = _over_worlds(some, ratio, confidence) if over_worlds else _in_world(some, ratio, confidence)
+        estimate = _over_worlds(some, ratio) if over_worlds else _in_world(some, ratio)
         rows.append((*([ALL_WORLDS] if over_worlds else []), *key, *estimate))
     found = pd.DataFrame(rows, columns=["world", "strategy", *own, "n", "estimate", "low", "high"])
     order: Any = [found["world"].map(list(dict.fromkeys(found["world"])).index)]
@@ -156,24 +139,24 @@ def response(
     return found.iloc[np.lexsort([pd.factorize(one, sort=True)[0] for one in reversed(order)])].reset_index(drop=True)
 
 
-def _in_world(rows, ratio, confidence):
+def _in_world(rows, ratio):
     """Return `(n, estimate, low, high)` of the starts of one world, strategy and setting."""
     starts = rows.groupby(["episode", *(["seed"] if "seed" in rows else [])])[["value", "reference"]].mean()
     values, reference = starts.to_numpy().T
     if not ratio:
-        return len(values), float(values.mean()), *mean_interval(values, confidence=confidence)
-    found = paired_ratio(values, reference, confidence=confidence)
+        return len(values), float(values.mean()), *mean_interval(values)
+    found = paired_ratio(values, reference)
     return found.n, found.ratio, found.low, found.high
 
 
-def _over_worlds(rows, ratio, confidence):
+def _over_worlds(rows, ratio):
     """Return `(n, estimate, low, high)` of the worlds of one strategy and setting."""
     means = rows.groupby("world", sort=False)[["value", "reference"]].mean()
     if ratio:
         means = means[(means > 0).all(axis=1)]
     values = (means["value"] / means["reference"]).to_numpy()
     kinds = [kind_of(world) for world in means.index]
-    mean, low, high, _ = mean_over_worlds(np.log(values) if ratio else values, kinds, confidence=confidence)
+    mean, low, high, _ = mean_over_worlds(np.log(values) if ratio else values, kinds)
     if ratio:
         return len(values), safe_exp(mean), safe_exp(low), safe_exp(high)
     return len(values), mean, max(low, 0.0) if math.isfinite(low) else low, high

@@ -20,7 +20,7 @@ TRANSIT_M = 2.0
 LEFTOVER_M2 = 3.0
 NEW, IDLE, LEFTOVER = 0, 1, 2
 """Kind of a step: new cells, or too short for a transit; part of a transit; part of a visit to a leftover."""
-COLUMNS = ("idle_m", "leftovers", "leftover_m", "leftover_m2")
+WASTE_COLUMNS = ("idle_m", "leftovers", "leftover_m", "leftover_m2")
 """Columns of `wasted`: metres that show nothing new; visits to leftovers, the metres of their transits and visits, and
 the area that they show."""
 
@@ -36,15 +36,7 @@ class Waste(NamedTuple):
 
 
 def waste_of(way: np.ndarray, cell_m: float) -> Waste:
-    """Measure the wasted parts of one way.
-
-    Args:
-      way: `[n + 1, 3]` int32: row, col and known cells, at the start and after each of n steps.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      `Waste`.
-    """
+    """Measure the wasted parts of a way: `[n + 1, 3]` int32, row, col and known cells after 0 to n steps."""
     at_m, new = length_along_m(way[:, 0], way[:, 1], cell_m), np.diff(way[:, 2])
     step_m, idle = np.diff(at_m), new == 0
     kinds = np.full(len(new), NEW, np.int8)
@@ -65,35 +57,24 @@ def waste_of(way: np.ndarray, cell_m: float) -> Waste:
 def wasted(
     episodes: "pd.DataFrame", paths: Mapping[tuple[str, str], Sequence[np.ndarray]], cells_m: Mapping[str, float]
 ) -> "pd.DataFrame":
-    """Add the columns `COLUMNS` to the table of episodes.
+    """Add the columns `WASTE_COLUMNS` to the table of episodes.
 
-    Args:
-      episodes: the table, a pandas DataFrame.
-      paths: as `Comparison.paths`.
-      cells_m: world -> edge of its cells, metres.
-
-    Raises:
-      InputError: no ways were kept.
+    `paths` are `Comparison.paths`; `cells_m` is world -> edge of its cells, metres.
     """
     if not paths:
         raise InputError('no ways were kept: compare(..., keep="paths")')
-    rows = {name: np.full(len(episodes), np.nan) for name in COLUMNS}
+    rows = {name: np.full(len(episodes), np.nan) for name in WASTE_COLUMNS}
     for (world, strategy), ways in paths.items():
         own = np.flatnonzero((episodes["world"] == world).to_numpy() & (episodes["strategy"] == strategy).to_numpy())
         for at, way in zip(own, ways):
             found = waste_of(way, cells_m[world])
-            for name in COLUMNS:
+            for name in WASTE_COLUMNS:
                 rows[name][at] = getattr(found, name)
     return episodes.assign(**rows)
 
 
 def waste_table(table: "pd.DataFrame", by: Sequence[str] = ("world", "strategy")) -> str:
-    """Format shares of the path as Markdown.
-
-    Args:
-      table: from `wasted`.
-      by: columns; a row for each of their values.
-    """
+    """Format shares of the path from `wasted` as Markdown, a row for each value of the columns `by`."""
     head = [*by, "path m", "shows nothing new", "after 95 %", "leftovers", "to leftovers", "that show m2"]
     lines = []
     for names, rows in table.groupby(list(by), sort=False):

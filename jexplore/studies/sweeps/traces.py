@@ -22,7 +22,7 @@ from jexplore.studies.results.provenance import digest
 from jexplore.studies.sweeps.plan import kind_of
 from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
 from jexplore.studies.traces.job import NOISE, TraceJob, prepare_trace, with_values
-from jexplore.studies.traces.tracing import table_of
+from jexplore.studies.traces.tracing import trace_table
 from jexplore.version import __version__
 from jexplore.worlds.world import World
 
@@ -212,7 +212,7 @@ def _run_group(plan, group, numbers, on_unit, how):
 
     def on_block(place, result, driven):
         first, n = blocks[place]
-        table, _ = table_of(job, result, setting[first : first + n], which[first : first + n], {})
+        table, _ = trace_table(job, result, setting[first : first + n], which[first : first + n], {})
         for name in plan.columns[1:]:
             table[name] = [plan.settings[i][name] for i in table["setting"]]
         on_unit(numbers[place], table)

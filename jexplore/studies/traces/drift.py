@@ -15,7 +15,7 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.studies.traces.job import NOISE, TraceJob, own_values, prepare_trace, with_values
 from jexplore.studies.traces.odometry_map import OdometryMap, occupied_centres, odometry_map
 from jexplore.studies.traces.scans import scans_of
-from jexplore.studies.traces.tracing import table_of
+from jexplore.studies.traces.tracing import trace_table
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.world import World
 
@@ -31,7 +31,7 @@ AXES: dict[str, tuple[float, ...]] = {
     "slip": (0.02, 0.1, 0.2, 0.3, 0.4),
 }
 """Errors of the odometry, fields of `Noise` -> the values of each that are tried."""
-RANGE_M = 0.01  # range noise of a study, by default
+RANGE_NOISE_M = 0.01  # range noise of a study, by default
 SCAN_EVERY = 10  # steps between two scans that are drawn
 
 
@@ -65,7 +65,6 @@ class Drift:
 
     @property
     def summary(self) -> "pd.DataFrame":
-        """Tabulate a row for every error and value: see `summarised`."""
         return summarised(self.runs, self.axes, self.plan.noise)
 
     def figure(self) -> "Figure":
@@ -76,7 +75,8 @@ class Drift:
         pictures = None
         if self.example is not None:
             drawn, cell_m = self.example.drawn, self.example.drawn.map.cell_m
-            what = ", ".join(f"{plots.ERROR_NAMES.get(name, name)} {value:g}" for name, value in self.example.errors.items())
+            errors = self.example.errors.items()
+            what = ", ".join(f"{plots.ERROR_NAMES.get(name, name)} {value:g}" for name, value in errors)
             pictures = plots.Pictures(
                 title=what or "no further error",
                 walls=wall_lines(self.plan),
@@ -118,9 +118,10 @@ def drift(
 
     Raises:
       InputError: no such error, no value, or one out of range; else as `prepare_trace`.
-      KeyboardInterrupt: no run has been finished.
     """
-    noise = as_record("noise", noise or Noise(range_m=RANGE_M), Noise)
+    import pandas as pd
+
+    noise = as_record("noise", noise or Noise(range_m=RANGE_NOISE_M), Noise)
     plan = prepare_trace(
         world, noise=noise, tuning=tuning, robot=robot, runs=runs, starts=starts, seed=seed, start=start,
         cell_m=cell_m, max_steps=max_steps, attributes=attributes, nodes=nodes, links=links,
@@ -132,13 +133,8 @@ def drift(
     tunings, noises = with_values(plan.tuning, plan.noise, {name: v[made.setting] for name, v in swept.items()})
     n = len(made.which)
     costs = batch.run_missions(
-        plan.building,
-        settings_arrays(plan.robot, n),
-        settings_arrays(tunings, n),
-        settings_arrays(noises, n),
-        plan.starts_of(made.which),
-        plan.seed,
-        made.which,
+        *(plan.building, settings_arrays(plan.robot, n), settings_arrays(tunings, n), settings_arrays(noises, n)),
+        *(plan.starts_of(made.which), plan.seed, made.which),
         max_steps=plan.max_steps,
         size=plan.size,
         blocks=[(i, 1) for i in range(n)],
@@ -148,7 +144,8 @@ def drift(
     ).costs
     if costs.interrupted and not made.rows:
         raise KeyboardInterrupt
-    return Drift(plan, values, made.table(), made.example)
+    table = pd.concat([made.rows[i] for i in sorted(made.rows)])
+    return Drift(plan, values, table.sort_values(["setting", "run"], ignore_index=True), made.example)
 
 
 def _settings(axes, noise):
@@ -185,7 +182,7 @@ class _Made:
         """Take run i: a `Result` with a leading axis of 1, and its way."""
         plan, setting, run = self.plan, int(self.setting[i]), int(self.which[i])
         errors = own_values(plan.swept, setting)
-        row, maps = table_of(plan, result, self.setting[i : i + 1], self.which[i : i + 1], errors)
+        row, maps = trace_table(plan, result, self.setting[i : i + 1], self.which[i : i + 1], errors)
         found = maps[0]
         log = scans_of(plan, way, setting=setting, run=run, every=SCAN_EVERY)
         drawn = odometry_map(log, plan.world, cell_m=plan.world.cell_m)
@@ -199,37 +196,20 @@ class _Made:
         if self.on_progress is not None:
             self.on_progress(len(self.rows))
 
-    def table(self):
-        """Return the table of all runs."""
-        import pandas as pd
-
-        table = pd.concat([self.rows[i] for i in sorted(self.rows)])
-        return table.sort_values(["setting", "run"], ignore_index=True)
-
 
 def _rank(drawn):
-    """Return a measure of how broken a grid map is: the larger, the worse."""
     return np.nan_to_num(drawn.doubled), -np.nan_to_num(drawn.on_wall, nan=1.0)
 
 
 def placed_truly(btm: BtmMap, node_at: np.ndarray, way: Driven, origin_m: tuple[float, float] = (0.0, 0.0)) -> BtmMap:
-    """Move the nodes of a map to their true positions: as seen from the robot's true pose when it made them.
+    """Move the nodes of a run's map, and turn its bearings, to their true ones: as seen from the robot's true pose.
 
-    Args:
-      btm: as a run wrote it, `BtmMap`.
-      node_at: `[N, 2]`, true positions of the robot when it made each node, metres, in the world's frame.
-      way: of the run, `Driven`.
-      origin_m: of the world.
-
-    Returns:
-      `BtmMap`, with bearings turned accordingly.
+    `node_at` is `[N, 2]`, true positions of the robot when it made each node, metres, in the world's frame.
     """
-    turns, nodes = {}, []
+    turns, nodes, origin = {}, [], np.array([*origin_m, 0.0])
     for node, at in zip(btm.nodes, node_at):
-        step = int(np.argmin(np.hypot(*(way.truth[:, :2] + np.asarray(origin_m) - at).T)))
-        true, own = (
-            np.array([*pose[:2] + np.asarray(origin_m), pose[2]]) for pose in (way.truth[step], way.estimate[step])
-        )
+        step = int(np.argmin(np.hypot(*(way.truth[:, :2] + origin[:2] - at).T)))
+        true, own = (np.asarray(poses[step]) + origin for poses in (way.truth, way.estimate))
         turn = true[2] - own[2]
         dx, dy = node.x_m - own[0], node.y_m - own[1]
         x_m = true[0] + np.cos(turn) * dx - np.sin(turn) * dy
@@ -245,12 +225,7 @@ def placed_truly(btm: BtmMap, node_at: np.ndarray, way: Driven, origin_m: tuple[
 
 
 def summarised(runs: Any, axes: Mapping[str, Sequence[float]], noise: Noise) -> "pd.DataFrame":
-    """Tabulate a row for every error and value.
-
-    Args:
-      runs: `Drift.runs`, a pandas DataFrame.
-      axes: `Drift.axes`.
-      noise: the study's own.
+    """Tabulate `Drift.runs`, a row for every error and value of `Drift.axes`; `noise` is the study's own.
 
     Returns:
       Columns `error`, `value`, `n` runs; `true`, the share whose map has the true structure, with its 95 % Wilson

@@ -55,29 +55,12 @@ class Extracted:
 
 
 def extracted(
-    world: str | os.PathLike[str] | World,
-    strategy: str = "closest+recheck",
-    *,
-    seed: int = 0,
-    cell_m: float = 0.1,
-    clutter_m: float = CLUTTER_M,
-    tuning: Tuning | None = None,
-) -> Extracted:
-    """Explore a world and extract the map from the last grid.
+    world: str | os.PathLike[str] | World, strategy: str = "closest+recheck", *, seed: int = 0, cell_m: float = 0.1,
+    clutter_m: float = CLUTTER_M, tuning: Tuning | None = None,
+) -> Extracted:  # fmt: skip
+    """Explore a world, a course from its own start, and extract the map from the last grid.
 
-    Args:
-      world: name or `World`. A course is explored from its own start.
-      strategy: name of a strategy.
-      seed: of the episode.
-      cell_m: edge of a cell, metres.
-      clutter_m: see `extract.extract`.
-      tuning: `Tuning`; its reference width and C1 are used.
-
-    Returns:
-      `Extracted`.
-
-    Raises:
-      InputError: as `explore.explore`, or thresholds that contradict each other.
+    `tuning` gives the reference width and C1; `clutter_m` as of `extract.extract`, the others as of `explore.explore`.
     """
     own = isinstance(world, str) and world.partition("#")[0].partition(":")[0] == "course"
     is_course = own or getattr(world, "course", None) is not None
@@ -105,24 +88,14 @@ def extracted(
 
 
 def matched(found: BtmMap, true: BtmMap, cell_m: float) -> tuple[int, int, int]:
-    """Return divergences of one map that lie where another has one of the same degree.
-
-    Args:
-      found, true: `BtmMap`.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      `(hits, n_found, n_true)`: true divergences that were found, divergences found, true ones.
-    """
+    """Count divergences of one map that lie where another has one of the same degree: `(hits, n_found, n_true)`."""
     ours, theirs = ([n for n in m.nodes if n.type == "divergence"] for m in (found, true))
-    left, hits = list(ours), 0
+    left = list(ours)
     for node in theirs:
         near = [o for o in left if np.hypot(o.x_m - node.x_m, o.y_m - node.y_m) <= NEAR_CELLS * cell_m]
         near = [o for o in near if len(found.bearings_deg(o.id)) == len(true.bearings_deg(node.id))]
-        if near:
-            left.remove(near[0])
-            hits += 1
-    return hits, len(ours), len(theirs)
+        left = [o for o in left if o not in near[:1]]
+    return len(ours) - len(left), len(ours), len(theirs)
 
 
 def agreement(found: BtmMap, true: BtmMap, cell_m: float) -> str:

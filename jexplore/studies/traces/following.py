@@ -19,29 +19,22 @@ from jexplore.driving.records import Building, Guide
 from jexplore.driving.settings import Noise, Robot, Tuning, for_world, require_noise, require_tuning
 from jexplore.studies import checks
 from jexplore.studies.traces import routes
-from jexplore.studies.traces.job import MOST_STEPS
+from jexplore.studies.traces.job import MAX_TRACE_STEPS
 from jexplore.tracemap.merging.rigid import apart_deg
 from jexplore.tracemap.passable import BLOCKED, BLOCKED_FOR, CONFLICTS, FOUND_BY, blocked_for
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, length_of
 from jexplore.tracemap.route import Route
 from jexplore.worlds.world import World, with_ring
 
-SIZE = 32, 64  # most nodes and links of the map that a robot writes on its way
+FOLLOWER_SIZE = 32, 64  # most nodes and links of the map that a robot writes on its way
 PLACES = 8  # a guide has room for places in multiples of this
-CLEAR_M = (
-    1.5,
-    1.0,
-    2.0,
-    0.6,
-    3.0,
-    0.3,
-)  # m; starts along a link: the first one where the robot can turn, or that is free
-ASIDE_M = 0.0, 0.3, -0.3, 0.6, -0.6  # m; offsets from the link where the robot cannot turn anywhere on it
-ROOM_M = 0.05  # m; margin of a robot that turns at its start
-SAME_DEG = 40.0  # ways that lie no farther apart are one
+CLEAR_M = 1.5, 1.0, 2.0, 0.6, 3.0, 0.3  # m; starts along a link: the first where the robot can turn, or that is free
+START_OFFSETS_M = 0.0, 0.3, -0.3, 0.6, -0.6  # m; offsets from the link where the robot cannot turn anywhere on it
+TURNING_MARGIN_M = 0.05  # m; margin of a robot that turns at its start
+SAME_EXIT_DEG = 40.0  # ways that lie no farther apart are one
 ONE_DEG = 20.0  # links of a node that leave it no farther apart are one way: two nodes of a passage
 STEPS_M = 60  # steps that a robot has for each metre of its route
-STRAIGHT = 0.8  # of its length lie the ends of a link apart at least, if its middle is known
+STRAIGHT_SHARE = 0.8  # of its length lie the ends of a link apart at least, if its middle is known
 ON_IT_M = 1.0  # a robot so near to the middle of a link is on it
 
 
@@ -63,18 +56,11 @@ class Followed:
 
 @checked_names
 def follow(
-    world: str | os.PathLike[str] | World,
-    btm: BtmMap,
-    found: Sequence[Route],
-    robot: str | Robot,
-    *,
-    noise: Noise | Mapping[str, Any] | None = None,
-    tuning: Tuning | Mapping[str, Any] | None = None,
-    seed: int = 0,
-    cell_m: float = 0.1,
-    workers: int | None = None,
-    on_progress: Callable[[int], Any] | None = None,
-) -> Followed:
+    world: str | os.PathLike[str] | World, btm: BtmMap, found: Sequence[Route], robot: str | Robot, *,
+    noise: Noise | Mapping[str, Any] | None = None, tuning: Tuning | Mapping[str, Any] | None = None,
+    seed: int = 0, cell_m: float = 0.1,
+    workers: int | None = None, on_progress: Callable[[int], Any] | None = None,
+) -> Followed:  # fmt: skip
     """Let a robot follow routes in the true building.
 
     It starts on the first link of a route, a little beyond the node. From there on it knows of the map only the
@@ -102,31 +88,20 @@ def follow(
     world = with_ring(*checks.ready_worlds([world], cell_m))
     body, tuning, noise = _checked(world, btm, found, robot, tuning, noise)
     seed = require_whole("seed", seed, 0, MAX_SEED)
-    how = {"workers": workers, "on_progress": on_progress}
-    result = _driven(world, btm, found, body, (tuning, noise), seed, how)
+    building = building_of(world, marks_m=_refused_places(btm, found))
+    begun = [start_of(world, building, body, btm, route) for route in found]
+    n, longest = len(found), max(route.length_m for route in found)
+    result = run_missions(
+        *(building, settings_arrays(body, n), settings_arrays(tuning, n), settings_arrays(noise, n)),
+        *(np.stack([pose for pose, *_ in begun]), seed, np.arange(n)),
+        _guides(world, btm, found, [start[1:] for start in begun]),
+        max_steps=int(min(max(MAX_STEPS, STEPS_M * longest), MAX_TRACE_STEPS)),
+        size=FOLLOWER_SIZE,
+        workers=workers,
+        on_progress=on_progress,
+    ).result
     changed, told = _changed(btm, found, result, body)
     return Followed(_table(world, btm, found, result), changed, tuple(told))
-
-
-def _driven(world, btm, found, robot, settings, seed, how):
-    """Drive all routes: their `mission.RunResult`."""
-    building = building_of(world, marks_m=_refused_places(btm, found))
-    begun = [start_of(world, building, robot, btm, route) for route in found]
-    guides = _guides(world, btm, found, [start[1:] for start in begun])
-    n, longest = len(found), max(route.length_m for route in found)
-    return run_missions(
-        building,
-        settings_arrays(robot, n),
-        settings_arrays(settings[0], n),
-        settings_arrays(settings[1], n),
-        np.stack([pose for pose, *_ in begun]),
-        seed,
-        np.arange(n),
-        guides,
-        max_steps=int(min(max(MAX_STEPS, STEPS_M * longest), MOST_STEPS)),
-        size=SIZE,
-        **how,
-    ).result
 
 
 def _refused_places(btm, found):
@@ -136,14 +111,14 @@ def _refused_places(btm, found):
     for link in btm.links:
         if link.id in refused and link.end != NOWHERE:
             a, b = nodes[link.start], nodes[link.end]
-            if math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) > STRAIGHT * length_of(link, nodes):
+            if math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) > STRAIGHT_SHARE * length_of(link, nodes):
                 places.append(((a.x_m + b.x_m) / 2, (a.y_m + b.y_m) / 2, ON_IT_M))
     return np.reshape(places, (-1, 3))
 
 
 def _checked(world, btm, found, robot, tuning, noise):
     """Check and return `(Robot, Tuning, Noise)`."""
-    btm = routes.checked(btm)
+    btm = routes.checked_map(btm)
     body = routes.robot_of(robot) if isinstance(robot, str) else robot
     tuning = for_world(as_record("tuning", tuning or {}, Tuning), is_course=world.course is not None)
     noise = as_record("noise", noise or {}, Noise)
@@ -172,11 +147,6 @@ def start_of(
 
     A map is off by as much as the odometry of the robot that wrote it.
 
-    Args:
-      world, building: `World` and its `Building`.
-      robot: `Robot`.
-      btm, route: the map, and a route on it.
-
     Returns:
       `(start, from_m, beside_m)`: `[3]` float32, from `pose_in`; distance from the node; x, y, offset from the link.
 
@@ -187,7 +157,7 @@ def start_of(
     node = next(node for node in btm.nodes if node.id == step.start)
     angle = math.radians(step.bearing_deg)
     device, fits = jax.tree.map(jnp.asarray, building), []
-    for aside in ASIDE_M:
+    for aside in START_OFFSETS_M:
         beside = -aside * math.sin(angle), aside * math.cos(angle)
         for metres in (m for m in CLEAR_M if m <= max((step.length_m or 0) / 2, CLEAR_M[-1])):
             x_m, y_m = node.x_m + metres * math.cos(angle), node.y_m + metres * math.sin(angle)
@@ -207,7 +177,7 @@ def start_of(
 
 def _turning(robot):
     """Return a square in which a robot can turn, with some room."""
-    side_m = math.hypot(robot.length_m, robot.width_m) + 2 * ROOM_M
+    side_m = math.hypot(robot.length_m, robot.width_m) + 2 * TURNING_MARGIN_M
     return dataclasses.replace(robot, length_m=side_m, width_m=side_m)
 
 
@@ -290,9 +260,6 @@ def _table(world, btm, found, result):
     )
 
 
-# Differences
-
-
 def _changed(btm, found, result, robot):
     """Return the map with the differences found, and sentences."""
     links = {link.id: link for link in btm.links}
@@ -301,9 +268,10 @@ def _changed(btm, found, result, robot):
         if link := _blocked_link(btm, route, jax.tree.map(lambda a, i=i: a[i], result), robot):
             links[link.id] = _blocked(links[link.id], robot, walled=bool(result.guide.walled[i]))
             told.append(f"link {link.id} could not be passed by {robot.name}")
-        for node, bearing in _new_ways(btm, route, result.guide.seen[i]):
+        ways = zip(_places(btm, route), result.guide.seen[i])
+        for node, bearing in [(step.end, math.degrees(b) % 360.0) for step, own in ways for b in own[np.isfinite(own)]]:
             there = [_bearing(link, node) for link in links.values() if node in (link.start, link.end)]
-            if all(abs(apart_deg(bearing, own)) > SAME_DEG for own in there if own is not None):
+            if all(abs(apart_deg(bearing, own)) > SAME_EXIT_DEG for own in there if own is not None):
                 links[count] = Link(count, node, NOWHERE, STATUS[0], bearing, attributes={FOUND_BY: robot.name})
                 told.append(f"node {node} has a way at {bearing:.0f} degrees that the map did not have")
                 count += 1
@@ -317,10 +285,7 @@ def _places(btm, route):
 
 
 def _blocked_link(btm, route, result, robot):
-    """Return the link of a route that its robot has found to be blocked: the obstacle lies before its front.
-
-    None if no link is blocked, or it is unknown because the robot's last place is not on the map.
-    """
+    """Return the link on which a robot's front met an obstacle; None if none, or its last place is not on the map."""
     guide = result.guide
     if not (guide.blocked | guide.walled) or (guide.strays and not guide.walled):
         return None
@@ -340,13 +305,6 @@ def _blocked(link, robot, *, walled):
         own[CONFLICTS] = {name: told for name, told in own[CONFLICTS].items() if name not in (BLOCKED, BLOCKED_FOR)}
     own |= {BLOCKED: True} if walled else blocked_for(robot)
     return dataclasses.replace(link, attributes={**own, FOUND_BY: robot.name})
-
-
-def _new_ways(btm, route, seen):
-    """Yield new exits at the places of a route: pairs of a node and a bearing, degrees."""
-    for step, ways in zip(_places(btm, route), seen):
-        for bearing in ways[np.isfinite(ways)]:
-            yield step.end, math.degrees(float(bearing)) % 360.0
 
 
 def _bearing(link, node):

@@ -28,16 +28,16 @@ from jexplore.driving.settings import (
 )
 from jexplore.studies import checks
 from jexplore.studies.trace_options import NOISE, attributes_of, require_start_pose, swept_values
-from jexplore.studies.traces.truth import Truth, maps_from, truth_of
+from jexplore.studies.traces.truth import TraceTruth, maps_from, truth_of
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.regions import warn_of_outside
 from jexplore.worlds.starts import draw_starts, start_region
 from jexplore.worlds.world import World, with_ring
 
-MOST_STEPS = int(NUMBER_BOUNDS["max_steps"][1])
+MAX_TRACE_STEPS = int(NUMBER_BOUNDS["max_steps"][1])
 STEPS_M2 = 100  # steps of 4 cm for each square metre of free area: four metres of way
-CLEARANCE_M = 0.5  # of starts that are drawn
-ROOMY = 128  # most nodes of a map of a building, at least
+START_CLEARANCE_M = 0.5  # of starts that are drawn
+MIN_NODES = 128  # most nodes of a map of a building, at least
 SPARE = 2  # default room for nodes, for each node of the true map
 
 
@@ -47,10 +47,10 @@ class TraceJob:
 
     world: World
     building: Building
-    truth: Truth
+    truth: TraceTruth
     begins: np.ndarray
     """`[S, 3]` float32, poses in the building: run i of every setting begins at i modulo S."""
-    robot: Any
+    robot: Robot
     tuning: Tuning
     """Numbers, or arrays `[S]` where a threshold is swept."""
     noise: Noise
@@ -62,7 +62,7 @@ class TraceJob:
     settings: int
     max_steps: int
     size: tuple[int, int] = MAP_SIZE
-    """Most nodes and links of a map; see `room_for`."""
+    """Most nodes and links of a map; see `map_room`."""
     attributes: tuple[tuple[str, Any, tuple[float, float]], ...] = ()
     """Name, value and place, metres: the node of every run's map that is nearest to the place in truth gets it."""
 
@@ -76,8 +76,8 @@ class TraceJob:
         """Return the nodes of the true map, or of its part that the robot can reach."""
         return len(self.truth.map.nodes)
 
-    def first_settings(self) -> tuple[Any, Tuning, Noise]:
-        """Return robot, thresholds and noise of run 0: `(Robot, Tuning, Noise)`."""
+    def first_settings(self) -> tuple[Robot, Tuning, Noise]:
+        """Return robot, thresholds and noise of run 0."""
         return self.robot, *with_values(self.tuning, self.noise, own_values(self.swept, 0))
 
     @functools.cached_property
@@ -98,29 +98,18 @@ class TraceJob:
 
 
 def own_values(swept: dict[str, np.ndarray], i: int) -> dict[str, float]:
-    """Return the values of setting i."""
     return {name: int(v[i]) if name in WHOLE else float(v[i]) for name, v in swept.items()}
 
 
 @functools.partial(checked_names, own="trace")
 def prepare_trace(
-    world: str | os.PathLike[str] | World = "course",
-    *,
-    robot: str | Robot = "kamui",
-    runs: int | None = None,
-    starts: int | None = None,
-    seed: int = 0,
-    tuning: Tuning | Mapping[str, Any] | None = None,
-    noise: Noise | Mapping[str, Any] | None = None,
-    start: tuple[float, float, float] | None = None,
-    sweep: Sequence[str] = (),
-    settings: int = 100,
-    cell_m: float = 0.1,
-    max_steps: int | None = None,
-    attributes: Sequence[str] = (),
-    nodes: int | None = None,
-    links: int | None = None,
-) -> TraceJob:
+    world: str | os.PathLike[str] | World = "course", *,
+    robot: str | Robot = "kamui", runs: int | None = None, starts: int | None = None, seed: int = 0,
+    tuning: Tuning | Mapping[str, Any] | None = None, noise: Noise | Mapping[str, Any] | None = None,
+    start: tuple[float, float, float] | None = None, sweep: Sequence[str] = (), settings: int = 100,
+    cell_m: float = 0.1, max_steps: int | None = None, attributes: Sequence[str] = (),
+    nodes: int | None = None, links: int | None = None,
+) -> TraceJob:  # fmt: skip
     """Check everything before anything is compiled.
 
     Args:
@@ -136,63 +125,49 @@ def prepare_trace(
       cell_m: edge of a cell, metres.
       max_steps: steps after which a run ends as STEP_LIMIT; by default `MAX_STEPS`, in buildings more by free area.
       attributes: see `attributes_of`.
-      nodes, links: most of a map; a run that needs more ends as MAP_FULL. By default see `room_for`.
-
-    Returns:
-      `TraceJob`.
+      nodes, links: most of a map; a run that needs more ends as MAP_FULL. By default see `map_room`.
 
     Raises:
       InputError: what cannot be run, in one line.
     """
-    world = _loaded(world, cell_m, start, starts)
+    (world,) = checks.ready_worlds([world], cell_m)
+    if start is None and world.course is None and (starts or world.start is None):
+        warn_of_outside(world, start_region(world, START_CLEARANCE_M))
+    world = with_ring(world)
     if starts is not None and start is not None:
         raise InputError("start and starts exclude each other: give one of them")
     starts = None if starts is None else require_setting("starts", starts)
     n_runs: int = require_setting("runs", (starts or 1) if runs is None else runs)
     seed, settings = require_setting("seed", seed), require_setting("settings", settings)
     most: int = require_setting("max_steps", _enough(world) if max_steps is None else max_steps)
-    robot, tuning, noise = _sound(world, robot, tuning, noise)
-    swept = _for_world(world, swept_values(sweep, settings, seed))
+    robot = robot_of(robot) if isinstance(robot, str) else robot
+    tuning, noise = as_record("tuning", tuning or {}, Tuning), as_record("noise", noise or {}, Noise)
+    tuning = for_world(tuning, is_course=world.course is not None)
+    _require(robot, tuning, noise)
+    own, swept = for_world(Tuning(), is_course=world.course is not None), swept_values(sweep, settings, seed)
+    for name in BY_WORLD.keys() & swept.keys():  # 0 stands for the world's own number
+        swept[name] = np.where(swept[name] == 0, getattr(own, name), swept[name])
     count = len(next(iter(swept.values()))) if swept else 1
     if count * n_runs > MAX_RUNS:
         raise InputError(f"{count} settings x {n_runs} runs are more than {MAX_RUNS}; use fewer")
     for i in range(count):
         _require(robot, *with_values(tuning, noise, own_values(swept, i)))
     places = _placed(world, _ends(world, start, starts, seed), robot, tuning)
-    size = room_for(world, places[1], nodes, links)
+    size = map_room(world, places[1], nodes, links)
     found = robot, tuning, noise, n_runs, seed, swept, count, most, size
     return TraceJob(world, *places, *found, attributes_of(attributes))
 
 
-def room_for(world: World, truth: Truth, nodes: int | None = None, links: int | None = None) -> tuple[int, int]:
+def map_room(world: World, truth: TraceTruth, nodes: int | None = None, links: int | None = None) -> tuple[int, int]:
     """Return the most nodes and links of a map.
 
-    By default `MAP_SIZE` of a course; where there is no goal `SPARE` nodes for each one of the true map, on a
-    course that many at least, in other worlds `ROOMY`, in doublings, so that similar buildings share a program; two
-    links a node.
-
-    Raises:
-      InputError: a number out of range.
+    By default `MAP_SIZE` of a course; where there is no goal `SPARE` nodes for each one of the true map, on a course
+    that many at least, elsewhere `MIN_NODES`, in doublings, so that similar buildings share a program; two links a node.
     """
-    wanted = max(SPARE * len(truth.map.nodes), ROOMY if world.course is None else MAP_SIZE[0])
+    wanted = max(SPARE * len(truth.map.nodes), MIN_NODES if world.course is None else MAP_SIZE[0])
     room = MAP_SIZE[0] if _has_goal(world) else 1 << (min(wanted, MOST_NODES) - 1).bit_length()
     room = require_setting("nodes", room if nodes is None else nodes)
     return room, require_setting("links", 2 * room if links is None else links)
-
-
-def _sound(world, robot, tuning, noise):
-    """Check robot, thresholds and noise, with defaults for missing ones."""
-    robot = robot_of(robot) if isinstance(robot, str) else robot
-    tuning, noise = as_record("tuning", tuning or {}, Tuning), as_record("noise", noise or {}, Noise)
-    tuning = for_world(tuning, is_course=world.course is not None)
-    _require(robot, tuning, noise)
-    return robot, tuning, noise
-
-
-def _for_world(world, swept):
-    """Replace swept values of 0 by the numbers that they stand for."""
-    own = for_world(Tuning(), is_course=world.course is not None)
-    return {name: np.where(v == 0, getattr(own, name), v) if name in BY_WORLD else v for name, v in swept.items()}
 
 
 def _require(robot, tuning, noise):
@@ -208,7 +183,7 @@ def _has_goal(world):
 def _enough(world):
     """Return the steps that suffice for a world, in whole `MAX_STEPS`."""
     wanted = MAX_STEPS if _has_goal(world) else STEPS_M2 * world.free_m2
-    return int(min(-(-max(wanted, MAX_STEPS) // MAX_STEPS) * MAX_STEPS, MOST_STEPS))
+    return int(min(-(-max(wanted, MAX_STEPS) // MAX_STEPS) * MAX_STEPS, MAX_TRACE_STEPS))
 
 
 def _placed(world, ends, robot, tuning):
@@ -232,14 +207,6 @@ def with_values(tuning, noise, values):
     return dataclasses.replace(tuning, **thresholds), dataclasses.replace(noise, **errors)
 
 
-def _loaded(world, cell_m, start, starts):
-    """Load the world of runs, with its ring; tell if starts are drawn outside a building."""
-    (world,) = checks.ready_worlds([world], cell_m)
-    if start is None and world.course is None and (starts or world.start is None):
-        warn_of_outside(world, start_region(world, CLEARANCE_M))
-    return with_ring(world)
-
-
 def _ends(world, start, starts, seed) -> tuple[Any, Any]:
     """Return the starts of runs, a list of poses, and the end, in the world's frame."""
     goal = None if world.course is None else world.course.goal_m
@@ -248,9 +215,7 @@ def _ends(world, start, starts, seed) -> tuple[Any, Any]:
         return [tuple(start)], goal
     if world.course is not None and starts is None:
         return [world.course.start_pose], goal
-    cells = [world.start] if world.start and starts is None else draw_starts(world, seed, starts or 1, CLEARANCE_M)
+    is_own, half = world.start and starts is None, world.cell_m / 2
+    cells = [world.start] if is_own else draw_starts(world, seed, starts or 1, START_CLEARANCE_M)
     x_m, y_m = world.origin_m
-    half = world.cell_m / 2
-    return [
-        (x_m + col * world.cell_m + half, y_m + row * world.cell_m + half, float(deg)) for row, col, deg in cells
-    ], goal
+    return [(x_m + c * world.cell_m + half, y_m + r * world.cell_m + half, float(deg)) for r, c, deg in cells], goal

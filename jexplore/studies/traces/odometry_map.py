@@ -12,10 +12,10 @@ from jexplore.tracemap.merging.rigid import Move, fit
 from jexplore.worlds.readers.scans import ScanLog, ScanMap, fold_scans
 from jexplore.worlds.world import World
 
-NEAR_M = 0.1  # an occupied cell whose centre lies this near to a true wall is correct
-APART_M = 0.3  # a wall is doubled if it was drawn in places farther apart than this
+ON_WALL_M = 0.1  # an occupied cell whose centre lies this near to a true wall is correct
+DOUBLED_M = 0.3  # a wall is doubled if it was drawn in places farther apart than this
 PIECE_M = 0.25  # length of the pieces of wall of which it is asked
-FEW = 4  # beams that a piece of wall must have stopped to count
+MIN_BEAMS = 4  # beams that a piece of wall must have stopped to count
 MIDDLE = 5.0, 95.0  # per cent: the places in which a piece was drawn are those of its beams between these
 WIDE_M, NARROW_M = (0.5,) * 4, (0.2,) * 4 + (0.15,) * 4  # rounds: cells farther from a wall than this do not pull
 BEGINNINGS = 8  # scans from whose places an alignment begins, besides that of the whole way
@@ -133,23 +133,23 @@ def _closest(points, walls, tree, move, gates_m):
 
 
 def _near(points, tree):
-    """Share of points within `NEAR_M` of a wall."""
-    return float(np.mean(tree.query(points)[0] <= NEAR_M)) if len(points) else math.nan
+    """Share of points within `ON_WALL_M` of a wall."""
+    return float(np.mean(tree.query(points)[0] <= ON_WALL_M)) if len(points) else math.nan
 
 
 def _doubled(log, tree, normals, piece):
     """See `OdometryMap.doubled`."""
     hit = log.echo
     true, drawn = (_ends(log, poses)[hit] for poses in (log.poses, log.odometry))
-    off, at = tree.query(true, distance_upper_bound=NEAR_M)
+    off, at = tree.query(true, distance_upper_bound=ON_WALL_M)
     there = np.isfinite(off)
     at, drawn, true = at[there], drawn[there], true[there]
     across = np.sum((drawn - true) * normals[at], axis=1)
     order = np.lexsort([across, piece[at]])
     across, groups = across[order], np.unique(piece[at][order], return_index=True)[1]
-    some = [own for own in np.split(across, groups[1:]) if len(own) >= FEW]
+    some = [own for own in np.split(across, groups[1:]) if len(own) >= MIN_BEAMS]
     spans = [np.ptp(np.percentile(own, MIDDLE)) for own in some]
-    return float(np.mean(np.array(spans) > APART_M)) if spans else math.nan
+    return float(np.mean(np.array(spans) > DOUBLED_M)) if spans else math.nan
 
 
 def _ends(log, poses):

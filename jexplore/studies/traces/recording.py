@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike
 
 from jexplore import btm
 from jexplore.driving import behaviour, events, mission, vehicle
-from jexplore.driving.batch import Driven, step_slots
+from jexplore.driving.batch import Driven, settings_arrays, step_slots
 from jexplore.driving.building.walls import segments
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.records import RunMode
 from jexplore.driving.sensing import surround
 from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.report.operator_view import RunRecording
-from jexplore.studies.traces import tracing
+from jexplore.studies.traces.job import TraceJob
 from jexplore.studies.traces.scans import measured
 
 TRIANGLES = 8  # most that are shown of a scan
@@ -25,7 +25,7 @@ MODE_NAMES = tuple(mode.name.lower().replace("_", " ") for mode in RunMode)
 POINT_EVERY = 5  # steps between two scans whose points are drawn
 
 
-def scan_points(plan: tracing.TraceJob, track: Driven) -> np.ndarray:
+def scan_points(plan: TraceJob, track: Driven) -> np.ndarray:
     """Return points of some scans of run 0 along its way, as measured: `[P, 2]`, metres, in the world's frame."""
     steps = np.arange(0, len(track.truth), POINT_EVERY)
     found = measured(plan, steps, track.truth[steps])
@@ -35,22 +35,12 @@ def scan_points(plan: tracing.TraceJob, track: Driven) -> np.ndarray:
     return (track.estimate[steps, None, :2] + reach)[hit] + np.asarray(plan.world.origin_m)
 
 
-def _numbers(settings):
-    """Convert a record of settings to numbers on the device."""
-    return jax.tree.map(lambda a: jnp.asarray(a[0]), tracing.settings_arrays(settings, 1))
-
-
-def _key(plan):
-    """Return the key of run 0."""
-    return jax.random.fold_in(random_key(np.uint32(plan.seed)), 0)
-
-
-def moved(poses: ArrayLike, origin_m: tuple[float, float]) -> np.ndarray:
+def in_world_frame(poses: ArrayLike, origin_m: tuple[float, float]) -> np.ndarray:
     """Convert poses `[n, 3]` to the world's frame."""
     return np.asarray(poses) + np.array([*origin_m, 0.0], np.float32)
 
 
-def wall_lines(plan: tracing.TraceJob) -> np.ndarray:
+def wall_lines(plan: TraceJob) -> np.ndarray:
     """Return the building's walls in the world's frame: `[S, 4]`, metres."""
     return segments(plan.building.walls) + np.tile(np.asarray(plan.world.origin_m), 2)
 
@@ -85,21 +75,14 @@ def _frame(key, building, robot, tuning, noise, state):
     return after, seen
 
 
-def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> RunRecording:
-    """Record the operator's view of run 0.
-
-    Args:
-      plan: `tracing.TraceJob`.
-      on_progress: called with the number of finished steps.
-
-    Returns:
-      `RunRecording`.
-    """
-
-    robot, tuning, noise = (_numbers(s) for s in plan.first_settings())
+def record_run(plan: TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> RunRecording:
+    """Record the operator's view of run 0; `on_progress` is called with the number of finished steps."""
+    robot, tuning, noise = (
+        jax.tree.map(lambda a: jnp.asarray(a[0]), settings_arrays(record, 1)) for record in plan.first_settings()
+    )
     building = jax.device_put(plan.building)
     setup = mission.Setup(step_slots(plan.max_steps), *plan.size)
-    key = _key(plan)
+    key = jax.random.fold_in(random_key(np.uint32(plan.seed)), 0)
     # With exactly the types that a step returns, not weak ones: else the second step would be compiled once more.
     state = jax.tree.map(
         lambda a: jnp.asarray(a, a.dtype), mission.initial_state(setup, building, robot, plan.begins[0])
@@ -125,8 +108,8 @@ def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n:
         angles_rad=vehicle.ANGLES_RAD,
         time_s=vehicle.DT_S * np.arange(steps),
         target_m=series.pop("target") + np.asarray(origin),
-        pose=moved(series.pop("pose"), origin),
-        estimate=moved(series.pop("estimate"), origin),
+        pose=in_world_frame(series.pop("pose"), origin),
+        estimate=in_world_frame(series.pop("estimate"), origin),
         n_links=there.sum(axis=1),
         link_searched_frame=np.where(searched.any(axis=0), searched.argmax(axis=0), steps),
         map=btm.to_map(jax.device_get(state.writer.map), origin_m=origin),

@@ -14,19 +14,19 @@ from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check_map
 from jexplore.tracemap.route import Index, Route, Sheet, index_of
 from jexplore.tracemap.shortest import Problem, walks
 
-Place = int | str | tuple[float, float]
+RoutePlace = int | str | tuple[float, float]
 UNSEARCHED = "unsearched"
 """The place to go to that is the nearest un-searched link."""
 WITHIN_M = 2.0
-MANY = 12  # ids of nodes that a message lists
+MAX_LISTED_IDS = 12  # ids of nodes that a message lists
 
 
 @checked_names
 def route(
     btm: BtmMap,
     robot: str | Robot,
-    start: Place,
-    end: Place,
+    start: RoutePlace,
+    end: RoutePlace,
     *,
     known_only: bool = False,
     within_m: float = WITHIN_M,
@@ -52,30 +52,23 @@ def route(
 
 @checked_names
 def routes(
-    btm: BtmMap,
-    robots: Sequence[str | Robot],
-    pairs: Iterable[tuple[Place, Place]],
-    *,
-    known_only: bool = False,
-    within_m: float = WITHIN_M,
-) -> list[list[Route]]:
+    btm: BtmMap, robots: Sequence[str | Robot], pairs: Iterable[tuple[RoutePlace, RoutePlace]], *,
+    known_only: bool = False, within_m: float = WITHIN_M,
+) -> list[list[Route]]:  # fmt: skip
     """Find the routes of many robots between many pairs of places, side by side.
 
     Robots that may use the same of the map are one problem.
 
     Args:
       btm: the map.
-      robots: as in `route`.
-      pairs: `(start, end)`, as in `route`.
-      known_only, within_m: as in `route`.
+      robots: names or `Robot`s.
+      pairs: of places, as of `route`.
+      known_only, within_m: as of `route`.
 
     Returns:
       A list for every robot, of a `Route` for every pair.
-
-    Raises:
-      InputError: as `route`.
     """
-    btm = checked(btm)
+    btm = checked_map(btm)
     require_number("within_m", within_m)
     if isinstance(robots, (str, Robot)):
         raise InputError(f"robots must be a list, got {shown(robots)}")
@@ -98,12 +91,8 @@ def routes(
     return found
 
 
-def checked(btm: BtmMap) -> BtmMap:
-    """Check the map: with plain values.
-
-    Raises:
-      InputError: it is no proper map, or one without a node.
-    """
+def checked_map(btm: BtmMap) -> BtmMap:
+    """Check the map, which must have a node."""
     if not isinstance(btm, BtmMap):
         raise InputError(f'btm must be a jx.btm.BtmMap, such as jx.btm.read_btm("btm.json"), got {shown(btm)}')
     btm = check_map(btm)
@@ -144,11 +133,11 @@ def _robot(robot):
     return robot
 
 
-def _goal(index: Index, place: Place, within_m: float) -> int | None:
+def _goal(index: Index, place: RoutePlace, within_m: float) -> int | None:
     return None if isinstance(place, str) and place == UNSEARCHED else _node(index, place, "to", within_m)
 
 
-def _node(index: Index, place: Place, name: str, within_m: float) -> int:
+def _node(index: Index, place: RoutePlace, name: str, within_m: float) -> int:
     """Find the id of the requested node."""
     ids = index.nodes
     numbers = _numbers(place)
@@ -168,7 +157,7 @@ def _node(index: Index, place: Place, name: str, within_m: float) -> int:
 
 def _named(ids):
     """Format ids of nodes in a sentence."""
-    if len(ids) <= MANY:
+    if len(ids) <= MAX_LISTED_IDS:
         return f"node{'s' * (len(ids) > 1)} {', '.join(map(str, ids))}"
     return f"{len(ids)} nodes, with ids from {ids[0]} to {ids[-1]}"
 

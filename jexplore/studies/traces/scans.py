@@ -12,18 +12,12 @@ from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.studies.traces.job import TraceJob, own_values, with_values
 from jexplore.worlds.readers.scans import ScanLog
 
-EVERY = 5  # steps between two scans of a log: 0.2 m of way
-TOGETHER = 64  # scans that are made in one call
+LOG_EVERY_STEPS = 5  # steps between two scans of a log: 0.2 m of way
+SCANS_A_CALL = 64  # scans that are made in one call
 
 
-def scans_of(plan: TraceJob, way: Driven, *, setting: int = 0, run: int = 0, every: int = EVERY) -> ScanLog:
-    """Reproduce the scans of a run as they were measured, noise included.
-
-    Args:
-      plan: `TraceJob`.
-      way: of the run, `Driven`.
-      setting, run: its numbers; together they make its noise.
-      every: steps between two scans.
+def scans_of(plan: TraceJob, way: Driven, *, setting: int = 0, run: int = 0, every: int = LOG_EVERY_STEPS) -> ScanLog:
+    """Reproduce the scans of a run as they were measured, noise included; `setting` and `run` together make its noise.
 
     Returns:
       `ScanLog` in the world's frame: `poses` are true, `odometry` holds the estimated poses: odometry, corrected by
@@ -44,26 +38,19 @@ def scans_of(plan: TraceJob, way: Driven, *, setting: int = 0, run: int = 0, eve
 
 
 def measured(plan: TraceJob, steps: np.ndarray, poses: np.ndarray, *, setting: int = 0, run: int = 0) -> np.ndarray:
-    """Compute the scans in some steps of a run, in the plane, see `vehicle.level_scan`.
+    """Compute the scans in some steps of a run from true poses `[n, 3]` in the building, see `vehicle.level_scan`.
 
-    Args:
-      plan: `TraceJob`.
-      steps: `[n]` int.
-      poses: `[n, 3]` float32, true poses of the robot in these, in the building.
-      setting, run: numbers of the run.
-
-    Returns:
-      `[n, B]` float32, metres; inf: no return; NaN: no reading, or ground.
+    Returns `[n, B]` float32, metres; inf: no return; NaN: no reading, or ground.
     """
     _, noise = with_values(plan.tuning, plan.noise, own_values(plan.swept, setting))
     settings: list[Any] = [jax.tree.map(lambda a: a[0], settings_arrays(record, 1)) for record in (plan.robot, noise)]
     key = jax.random.fold_in(random_key(np.uint32(plan.seed)), run)
     building, found = jax.device_put(plan.building), []
-    for first in range(0, len(steps), TOGETHER):
-        own = steps[first : first + TOGETHER], poses[first : first + TOGETHER]
-        lack = TOGETHER - len(own[0])
+    for first in range(0, len(steps), SCANS_A_CALL):
+        own = steps[first : first + SCANS_A_CALL], poses[first : first + SCANS_A_CALL]
+        lack = SCANS_A_CALL - len(own[0])
         some = np.pad(own[0], (0, lack), "edge"), np.pad(own[1], ((0, lack), (0, 0)), "edge")
-        found.append(np.asarray(_measured(key, building, *settings, some))[: TOGETHER - lack])
+        found.append(np.asarray(_measured(key, building, *settings, some))[: SCANS_A_CALL - lack])
     return np.concatenate(found)
 
 

@@ -4,6 +4,7 @@ Plain Python: importing this loads neither jax nor numpy.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from jexplore.config import InputError, checked_names, require_kind
 from jexplore.driving.settings import ROBOTS
@@ -14,13 +15,13 @@ from jexplore.tracemap.merging.merge import Merged, merge_maps
 from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.record import BtmMap, check_map, require_near
 
-TOGETHER = "global map"
+GLOBAL_MAP = "global map"
 WHY = {
     Merging.NOT_ENOUGH_IN_COMMON: "it has not enough in common with the other maps",
     Merging.AMBIGUOUS: "it could be laid on the other maps in more than one way",
 }
 """Why a map stands apart from a global map."""
-NONE = {
+WHY_NONE = {
     Merging.NOT_ENOUGH_IN_COMMON: "no two of the maps have enough in common",
     Merging.AMBIGUOUS: "the maps could be laid on each other in more than one way",
 }
@@ -45,10 +46,10 @@ def station(maps: Sequence[BtmMap], names: Sequence[str] | None = None, *, title
       InputError: no map, names that are not as many or not different, or an improper map.
     """
     panels, said = panels_of(maps, names)
-    return page_of(panels, said, title)
+    return page_from(panels, said, title)
 
 
-def page_of(panels: Sequence[MapPanel], said: Sequence[str], title: str | None = None) -> str:
+def page_from(panels: Sequence[MapPanel], said: Sequence[str], title: str | None = None) -> str:
     """Make the page of the result of `panels_of`."""
     names = [name for panel in panels for name in panel.maps]
     return station_page(title or f"Station: {', '.join(names)}", panels, list(ROBOTS.values()), said)
@@ -61,16 +62,9 @@ def panels_of(
 ) -> tuple[list[MapPanel], list[str]]:
     """Merge maps as far as they fit.
 
-    Args:
-      maps, names: as of `station`.
-      on_progress: called as by `merge_maps`, while all maps are compared.
-
     Returns:
       Panels, the map that most maps are in first; and what merged maps say differently, sentences: attributes, and
       ways of one place that lead elsewhere.
-
-    Raises:
-      InputError: as `station`.
     """
     names = [str(i) for i in range(len(maps))] if names is None else list(names)
     if not maps:
@@ -83,18 +77,10 @@ def panels_of(
         given[name] = check_map(btm)
         require_near(given[name], name)
         notes.require_sources(given[name], name)
-    if len(given) == 1:
-        return [MapPanel(name, btm, (name,)) for name, btm in given.items()], [
-            line for btm in given.values() for line in notes.conflicts(btm)
-        ]
-    return _panels(given, on_progress)
-
-
-def _panels(given, on_progress):
-    """Merge two maps or more, by name."""
-    groups, left, outcome = [], given, Merging.MERGED
+    groups: list[Merged] = []
+    left, outcome = given, Merging.MERGED
     while len(left) > 1:
-        once = {} if groups else {"on_progress": on_progress}
+        once: Any = {} if groups else {"on_progress": on_progress}
         found = merge_maps(list(left.values()), list(left), **once)
         outcome = found.outcome
         if len(found.moves) < 2:
@@ -104,8 +90,8 @@ def _panels(given, on_progress):
     main = groups[0].map if groups else None
     panels = [_joined(found, given, main) for found in groups]
     for name, btm in left.items():
-        why = NONE[outcome] if main is None else WHY[_outcome(main, btm)]
-        panels.append(MapPanel(name, btm, (name,), f"Stands apart: {why}."))
+        why = "" if len(given) == 1 else WHY_NONE[outcome] if main is None else WHY[_outcome(main, btm)]
+        panels.append(MapPanel(name, btm, (name,), why and f"Stands apart: {why}."))
     said = [line for found in groups for line in found.notes]
     return panels, said + [line for btm in left.values() for line in notes.conflicts(btm)]
 
@@ -114,7 +100,7 @@ def _joined(found: Merged, given, main):
     maps = tuple(name for name in given if name in found.moves)
     note = f"In the frame of {next(name for name, move in found.moves.items() if move == Move())}."
     if found.map is main:
-        return MapPanel(TOGETHER, found.map, maps, note)
+        return MapPanel(GLOBAL_MAP, found.map, maps, note)
     return MapPanel(" and ".join(maps), found.map, maps, f"Stands apart: {WHY[_outcome(main, found.map)]}. {note}")
 
 

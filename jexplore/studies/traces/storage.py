@@ -38,12 +38,9 @@ _LINK = (
 
 @checked_names
 def storage(
-    world: str | os.PathLike[str] | World,
-    btm: BtmMap | None = None,
-    *,
-    drawn: ScanMap | None = None,
-    cell_m: float = 0.1,
-) -> dict[str, int]:
+    world: str | os.PathLike[str] | World, btm: BtmMap | None = None, *,
+    drawn: ScanMap | None = None, cell_m: float = 0.1,
+) -> dict[str, int]:  # fmt: skip
     """Count the bytes of a building in several forms.
 
     Args:
@@ -54,34 +51,29 @@ def storage(
       cell_m: edge of a cell, metres.
 
     Returns:
-      Name -> bytes: `btm_json`, without spaces; `btm_packed`, see `packed`; `grid_packed`, two bits a cell of the
+      Name -> bytes: `btm_json`, without spaces; `btm_packed`, see `packed_map`; `grid_packed`, two bits a cell of the
       building's bounding box; `pose_graph`, a pose with a scan and an edge to the next for every metre of searched
       link, and an edge for every link that closes a cycle. `_zlib` after the first three: compressed.
-
-    Raises:
-      InputError: no such world.
     """
     world = with_ring(*checks.ready_worlds([world], cell_m))
     free = ~world.occupied
-    if btm is None:
-        btm = world.course.topology if world.course is not None else _read_off(free, world.cell_m)
+    if btm is None and world.course is not None:
+        btm = world.course.topology
+    elif btm is None:  # the map that a robot should write there
+        open_m = for_world(Tuning(), is_course=False).open_m
+        btm = extract(free, np.ones_like(free), world.cell_m, open_m=open_m)
     text = json.dumps(jsonable(to_json(btm)), separators=(",", ":")).encode()
     forms = {
         "btm_json": text,
-        "btm_packed": packed(btm),
-        "grid_packed": _grid(_plan(world) if drawn is None else _drawn(drawn)),
+        "btm_packed": packed_map(btm),
+        "grid_packed": _grid(_states(world, drawn)),
     }
     found = {name: len(data) for name, data in forms.items()}
     found |= {f"{name}_zlib": len(zlib.compress(data, 9)) for name, data in forms.items()}
     return {**found, "pose_graph": _pose_graph(btm)}
 
 
-def _read_off(free, cell_m):
-    """Return the map that a robot should write there."""
-    return extract(free, np.ones_like(free), cell_m, open_m=for_world(Tuning(), is_course=False).open_m)
-
-
-def packed(btm: BtmMap) -> bytes:
+def packed_map(btm: BtmMap) -> bytes:
     """Pack the map into two arrays of records, one after the other: 8 bytes a node, 16 a link, without attributes.
 
     Places, lengths and bearings are whole centimetres and degrees of 16 bits, widths and openings decimetres, steps
@@ -117,17 +109,12 @@ def _whole(value, scale, size=1):
     return UNKNOWN if value is None else min(round(value * scale), 2 ** (8 * size - 1) - 1)
 
 
-def _plan(world):
-    """Return states of cells of the finished plan: 0 unknown, 1 free, 2 occupied and next to a free one."""
-    free = ~world.occupied
-    beside = ndimage.binary_dilation(free, np.ones((3, 3), bool))
-    return np.where(free, 1, np.where(beside, 2, 0)).astype(np.uint8)
-
-
-def _drawn(drawn):
-    """Return states of cells of a `ScanMap`, as `_plan`."""
-    known, occupied = is_known(drawn.grid), is_occupied(drawn.grid, P_FREE)
-    return np.asarray(known).astype(np.uint8) + np.asarray(occupied)
+def _states(world, drawn):
+    """Return states of cells, of a `ScanMap` or the plan: 0 unknown, 1 free, 2 occupied and next to a free one."""
+    if drawn is not None:
+        return np.asarray(is_known(drawn.grid)).astype(np.uint8) + np.asarray(is_occupied(drawn.grid, P_FREE))
+    near_free = ndimage.binary_dilation(~world.occupied, np.ones((3, 3), bool))
+    return (near_free * np.where(world.occupied, 2, 1)).astype(np.uint8)
 
 
 def _grid(states):

@@ -34,7 +34,7 @@ from jexplore.version import __version__
 from jexplore.worlds.readers.scans import ScanLog
 from jexplore.worlds.world import World
 
-FRAME = "odom"  # of a run's map: its places are those of the odometry, corrected by scans and at nodes met again
+ODOMETRY_FRAME = "odom"  # of a run's map: places as by the odometry, corrected by scans and at nodes met again
 FIRST = "_first"  # column of a unit's file: map and way of run 0
 
 
@@ -59,22 +59,22 @@ class Traced:
 
     @property
     def truth(self) -> BtmMap | None:
-        """Return the true map, a `BtmMap`: see `TraceJob.topology`."""
+        """Return the true map: see `TraceJob.topology`."""
         return self.plan.topology
 
     def scans(self) -> ScanLog:
-        """Return the scans of run 0 along its way, a `ScanLog`: see `scans.scans_of`."""
+        """Return the scans of run 0 along its way: see `scans.scans_of`."""
         return scans_of(self.plan, self.driven)
 
 
-def blocks_of(plan: TraceJob) -> list[tuple[int, int]]:
-    """Return the units of a plan: a list of `(first run, number of runs)`."""
+def run_blocks(plan: TraceJob) -> list[tuple[int, int]]:
+    """Return the units of a plan: `(first run, number of runs)`."""
     n = plan.runs * plan.settings
     size = max(LEAST, -(-n // MOST_UNITS))
     return [(first, min(size, n - first)) for first in range(0, n, size)]
 
 
-def asked(plan: TraceJob) -> dict[str, Any]:
+def asked_of_runs(plan: TraceJob) -> dict[str, Any]:
     """Return all that the results of a plan depend on, as plain values."""
     return {
         "version": __version__,
@@ -87,24 +87,13 @@ def asked(plan: TraceJob) -> dict[str, Any]:
 
 
 def execute(
-    plan: TraceJob,
-    *,
-    engine: str = "auto",
-    lanes: int | None = None,
-    workers: int | None = None,
-    on_progress: Callable[[int], Any] | None = None,
-    ledger: Ledger | None = None,
-) -> Traced:
+    plan: TraceJob, *, engine: str = "auto", lanes: int | None = None, workers: int | None = None,
+    on_progress: Callable[[int], Any] | None = None, ledger: Ledger | None = None,
+) -> Traced:  # fmt: skip
     """Make the runs of a plan that the ledger does not have.
 
-    Args:
-      plan: `TraceJob`.
-      engine, lanes, workers: see `runner.find_resources`; results are equal but for rounding.
-      on_progress: called with the number of finished runs, including earlier ones.
-      ledger: stores units, those of `blocks_of`, as soon as they are finished.
-
-    Returns:
-      `Traced`. After Ctrl-C it holds what was finished.
+    `on_progress` is called with the number of finished runs, including earlier ones. After Ctrl-C the result holds what
+    was finished.
 
     Raises:
       KeyboardInterrupt: run 0 has not been finished.
@@ -129,15 +118,10 @@ def execute(
 
 def _run(plan, made, how):
     """Make the missing runs: `Costs`."""
-    n, (tuning, noise) = len(made.which), made.tuning_and_noise
+    n, (tuning, noise) = len(made.which), with_values(plan.tuning, plan.noise, made.chosen)
     report = batch.run_missions(
-        plan.building,
-        settings_arrays(plan.robot, n),
-        settings_arrays(tuning, n),
-        settings_arrays(noise, n),
-        plan.starts_of(made.which),
-        plan.seed,
-        made.which,
+        *(plan.building, settings_arrays(plan.robot, n), settings_arrays(tuning, n), settings_arrays(noise, n)),
+        *(plan.starts_of(made.which), plan.seed, made.which),
         max_steps=plan.max_steps,
         size=plan.size,
         blocks=[made.blocks[i] for i in made.left],
@@ -152,7 +136,7 @@ class _Made:
     """Finished runs of a plan."""
 
     def __init__(self, plan, ledger):
-        self.plan, self.ledger, self.blocks = plan, ledger, blocks_of(plan)
+        self.plan, self.ledger, self.blocks = plan, ledger, run_blocks(plan)
         self.setting = np.repeat(np.arange(plan.settings), plan.runs)
         self.which = np.tile(np.arange(plan.runs, dtype=np.int32), plan.settings)
         self.chosen = {name: values[self.setting] for name, values in plan.swept.items()}
@@ -164,17 +148,12 @@ class _Made:
             self.first = _read_first(self.tables[0].pop(FIRST).iloc[0]) if 0 in self.tables else None
         self.left = [i for i in range(len(self.blocks)) if i not in self.tables]
 
-    @property
-    def tuning_and_noise(self):
-        """Return `(Tuning, Noise)` of arrays, a value a run where one is swept."""
-        return with_values(self.plan.tuning, self.plan.noise, self.chosen)
-
     def put(self, place, result, driven, keep=True):
         """Take the runs of a block, the one at this place in `left`."""
         unit = self.left[place]
         at = slice(self.blocks[unit][0], sum(self.blocks[unit]))
         own = {name: values[at] for name, values in self.chosen.items()}
-        self.tables[unit], found = table_of(self.plan, result, self.setting[at], self.which[at], own)
+        self.tables[unit], found = trace_table(self.plan, result, self.setting[at], self.which[at], own)
         self.maps.update(enumerate(found, at.start))
         if unit == 0 and driven is not None:
             self.first = found[0], driven
@@ -241,12 +220,9 @@ def trace(
 
 
 def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
-    """Return the map of run i of a `Result` as the robot wrote it: `BtmMap`."""
-    import jax
-
-    own = jax.tree.map(lambda a: a[i], result.map)
-    about = {"world": plan.world.name, "robot": plan.robot.name, "seed": plan.seed, "frame": FRAME}
-    found = btm.to_map(own, origin_m=plan.world.origin_m, **about)
+    """Return the map of run i of a `Result` as the robot wrote it."""
+    about = {"world": plan.world.name, "robot": plan.robot.name, "seed": plan.seed, "frame": ODOMETRY_FRAME}
+    found = btm.to_map(jax.tree.map(lambda a: a[i], result.map), origin_m=plan.world.origin_m, **about)
     for link in found.links:
         if link.attributes.get(BLOCKED):
             found = found.with_attributes(blocked_for(plan.robot), link=link.id)
@@ -267,14 +243,12 @@ def _helps(help_at, origin_m):
     return "; ".join(told)
 
 
-def table_of(plan: TraceJob, result: Any, setting: Any, which: Any, chosen: dict[str, Any]) -> tuple[Any, list[BtmMap]]:
+def trace_table(
+    plan: TraceJob, result: Any, setting: np.ndarray, which: np.ndarray, chosen: Mapping[str, Any]
+) -> tuple[Any, list[BtmMap]]:
     """Return the table of finished runs, and all their maps, repaired.
 
-    Args:
-      plan: `TraceJob`.
-      result: `Result` of n runs.
-      setting, which: `[n]` int, numbers of setting and run.
-      chosen: name -> `[n]`, further columns.
+    `setting` and `which` are `[n]` int, numbers of setting and run; `chosen` are further columns, name -> `[n]`.
     """
     import pandas as pd
 
