@@ -20,8 +20,6 @@ from typing import Any
 from jexplore.arrays.files import missing
 from jexplore.config import (
     BOUNDS,
-    ENGINES,
-    SWEEP_ENGINES,
     InputError,
     require_different,
     require_engine,
@@ -52,7 +50,7 @@ def check_names(command: str, options: Any) -> None:
       InputError: naming the first one, and what would be right.
     """
     if hasattr(options, "lanes"):
-        require_engine(options.engine, options.lanes, SWEEP_ENGINES if command == "sweep" else ENGINES)
+        require_engine(options.engine, options.lanes)
     for option in sorted(vars(options), key=lambda name: name != "cell_m"):  # which worlds are checked by
         check = CHECKS.get(f"{command} {option}") or CHECKS.get(option)
         if check is check_world:
@@ -69,8 +67,6 @@ def check_names(command: str, options: Any) -> None:
         check_trace(options)
     if command == "train":
         check_train(options)
-    if getattr(options, "engine", None) == "ray":
-        require_ray()
 
 
 def _check_one(check, text, option, is_alone):
@@ -169,12 +165,6 @@ def check_spec(path: str) -> None:
         check_world(os.fspath(world), cell_m)
     for name, _ in () if spec.robots else spec.strategy_list():
         check_strategy(name)
-
-
-def require_ray() -> None:
-    """Refuse the engine ray where Ray is not installed."""
-    if importlib.util.find_spec("ray") is None:
-        raise InputError("the engine ray needs Ray: pip install 'jexplore[ray]'")
 
 
 def check_trace(options: Any) -> None:

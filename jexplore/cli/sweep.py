@@ -44,14 +44,12 @@ class Sweep:
     """Begin although it will take more than an hour."""
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="")] = None
     """Make only part I of N (1/4 to 4/4), each in a folder of its own; `jexplore merge` puts the parts together."""
-    engine: Literal["auto", "jax", "ray"] = "auto"
-    """Run episodes as for `jexplore compare`, or as tasks of a Ray cluster."""
+    engine: Literal["auto", "jax"] = "auto"
+    """Run episodes as for `jexplore compare`."""
     lanes: int | None = None
     """With --engine jax on a GPU: episodes at a time; by default as many as its memory holds."""
     workers: int | None = None
     """Cores that run episodes, one each; by default all that this process may use."""
-    gpu: bool = False
-    """Give every task of the engine ray a GPU, instead of the cores that --workers says (default: one)."""
     out: OutFolder = None
     """Folder to write."""
     overwrite: bool = False
@@ -92,7 +90,7 @@ class Sweep:
             ledger = out.keep(plan.asked(shard), len(plan.units), wanted=len(numbers), shorter=plan.shorter(shard))
             if ledger is None:
                 return _show_finished(out, plan if self.report else None)
-            how: dict[str, Any] = {name: getattr(self, name) for name in ("engine", "lanes", "workers", "gpu")}
+            how: dict[str, Any] = {name: getattr(self, name) for name in ("engine", "lanes", "workers")}
             total = sum(plan.size(number) for number in numbers)
             with working(total, "runs" if spec.robots else "episodes") as on_progress:
                 found = run_sweep(plan, ledger=ledger, shard=shard, **how, on_progress=on_progress)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jexplore.arrays.pictures import shown_figure
-from jexplore.config import SWEEP_ENGINES, InputError, checked_names, require_engine
+from jexplore.config import InputError, checked_names, require_engine
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
 from jexplore.report.ledger import Ledger
@@ -195,7 +195,6 @@ def run_sweep(
     engine: str = "auto",
     lanes: int | None = None,
     workers: int | None = None,
-    gpu: bool = False,
     on_progress: Callable[[int], object] | None = None,
 ) -> Swept:
     """Run the units of a sweep that the ledger does not have.
@@ -204,9 +203,7 @@ def run_sweep(
       plan: from `ready`.
       ledger: stores units as soon as they are finished.
       shard: `(i, n)`: only every n-th unit, from the i-th on.
-      engine: as in `batch.run_jobs`, or "ray": units are tasks of a Ray cluster.
-      lanes, workers: as in `batch.run_jobs`; on a Ray cluster every task takes `workers` cores, 1 by default.
-      gpu: every task of a Ray cluster takes a GPU.
+      engine, lanes, workers: as in `batch.run_jobs`.
       on_progress: called with the number of finished episodes, including earlier ones.
 
     Returns:
@@ -217,14 +214,11 @@ def run_sweep(
     """
     import pandas as pd
 
-    require_engine(engine, lanes, SWEEP_ENGINES)
-    if gpu and engine != "ray":
-        raise InputError("gpu is for the engine ray: others take the GPUs that they find")
+    require_engine(engine, lanes)
     numbers, tables, begun = in_shard(len(plan.units), shard), {}, {}
     if ledger is not None:
         tables = {i: ledger.get(i) for i in numbers if i in ledger.done}
-        is_here = engine != "ray"  # whose workers make whole units
-        begun = {i: ledger.get(i) for i in numbers if is_here and i in ledger.parts}
+        begun = {i: ledger.get(i) for i in numbers if i in ledger.parts}
     before = {i: len(table) for i, table in (tables | begun).items()}
 
     def on_unit(number, table):
@@ -235,7 +229,7 @@ def run_sweep(
     left = [number for number in numbers if number not in tables]
     progress = None if on_progress is None else (lambda done: on_progress(done + sum(before.values())))
     how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
-    costs = _run_left(plan, left, on_unit, how, gpu, progress, begun) if left else Costs()
+    costs = _run_left(plan, left, on_unit, how, progress, begun) if left else Costs()
     if not tables:
         raise KeyboardInterrupt
     table = ordered(typed(pd.concat([tables[i] for i in sorted(tables)], ignore_index=True), plan), plan)
@@ -244,18 +238,12 @@ def run_sweep(
     return Swept(plan.spec, table, tuple(plan.columns), costs, wanted - len(table), resumed, plan.reference)
 
 
-def _run_left(plan, left, on_unit, how, gpu, on_progress, begun):
-    """Run some units of a sweep by whatever engine: `Costs`."""
+def _run_left(plan, left, on_unit, how, on_progress, begun):
+    """Run some units of a sweep: `Costs`."""
     if isinstance(plan, TracePlan):
-        if how["engine"] == "ray":
-            raise InputError("engine ray is for strategies: a sweep of robots runs on this machine, or by --shard")
         return run_traces(plan, left, on_unit, **how, on_progress=on_progress)
-    if how["engine"] != "ray":
-        use_compilation_cache()
-        return run_block_units(plan, left, on_unit, **how, on_progress=on_progress, begun=begun)
-    from jexplore.studies.sweeps import cluster
-
-    return cluster.run_units(plan, left, on_unit, on_progress=on_progress, cpus=how["workers"] or 1, gpus=int(gpu))
+    use_compilation_cache()
+    return run_block_units(plan, left, on_unit, **how, on_progress=on_progress, begun=begun)
 
 
 def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -283,7 +271,6 @@ def sweep(
     engine: str = "auto",
     lanes: int | None = None,
     workers: int | None = None,
-    gpu: bool = False,
     on_progress: Callable[[int], object] | None = None,
     progress: bool | None = None,
 ) -> Swept:
@@ -291,7 +278,7 @@ def sweep(
 
     Args:
       spec: a `Sweep`, a mapping of its fields, or a YAML file. `jexplore sweep` keeps what it finishes; this does not.
-      engine, lanes, workers, gpu, on_progress: as in `run_sweep`.
+      engine, lanes, workers, on_progress: as in `run_sweep`.
       progress: whether a bar shows how much is finished; by default in notebooks.
 
     Returns:
@@ -300,14 +287,14 @@ def sweep(
     Raises:
       InputError: what cannot be run, in one line. Raised before anything is compiled.
     """
-    require_engine(engine, lanes, SWEEP_ENGINES)
+    require_engine(engine, lanes)
     if isinstance(spec, (str, os.PathLike)):
         spec = read_spec(spec)
     elif isinstance(spec, Mapping):
         spec = sweep_from(spec)
     if not isinstance(spec, Sweep):
         raise InputError(f"a sweep must be a jx.Sweep, a mapping or a YAML file, got {spec!r}")
-    how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "gpu": gpu}
+    how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
     plan = ready(spec)
     total = sum(map(plan.size, range(len(plan.units))))
     with progress_bar(progress, total, "runs" if spec.robots else "episodes", on_progress) as moved:

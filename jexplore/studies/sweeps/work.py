@@ -31,7 +31,6 @@ def run_block_units(
     engine: str = "auto",
     lanes: int | None = None,
     workers: int | None = None,
-    in_lanes: bool | None = None,
     on_progress: Callable[[int], object] | None = None,
     begun: Mapping[int, "pd.DataFrame"] = MappingProxyType({}),
 ) -> Costs:
@@ -41,7 +40,7 @@ def run_block_units(
       plan: `Plan`.
       numbers: of the units, in order.
       on_unit: called with the number of a unit and its table, once all its episodes have ended.
-      engine, lanes, workers, in_lanes, on_progress: as in `batch.run_jobs`.
+      engine, lanes, workers, on_progress: as in `batch.run_jobs`.
       begun: number of a unit -> its first episodes, which are there already.
 
     Returns:
@@ -66,7 +65,7 @@ def run_block_units(
                 on_unit(number, typed(pd.concat([*parts, table_of(rows)], ignore_index=True), plan))
 
         progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
-        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "in_lanes": in_lanes}
+        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
         how["alike"] = plan.alike
         try:
             found = batch.run_jobs(jobs, Lidar(), Rules(), **how, on_progress=progress, on_job=on_job).costs
