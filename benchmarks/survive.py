@@ -26,7 +26,7 @@ from jexplore.config import Lidar, Rules
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
 from jexplore.report.folders import claimed
-from jexplore.report.ledger import Ledger
+from jexplore.report.ledger import open_ledger
 from jexplore.studies.comparison import compare
 from jexplore.studies.results import units
 from jexplore.studies.results.comparison import prepare_jobs
@@ -101,7 +101,7 @@ def cost(args):
         seconds = {}
         for kind in ("plain", "kept")[:: 1 if turn % 2 else -1]:
             with tempfile.TemporaryDirectory() as temporary, claimed(Path(temporary) / "run") as run:
-                ledger = Ledger(run, {}, len(units.cut(jobs)))
+                ledger = open_ledger(run, {}, len(units.cut(jobs)))
                 clock, began = time.process_time(), time.perf_counter()
                 if kind == "plain":
                     batch.run_jobs(jobs, Lidar(), Rules(), workers=1)

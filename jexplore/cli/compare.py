@@ -238,11 +238,12 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequenc
     def asked_of(jobs):
         return provenance.asked(jobs) | more
 
-    shorter = loading.shorter_of(jobs, keep, asked_of)
+    shorter = loading.shorter_of(jobs, asked_of, len(starts))
     ledger = out.keep(asked_of(jobs), len(units.cut(jobs)) + len(starts), shorter=shorter)
     if ledger is None:
         return None
     how = {name: getattr(options, name) for name in ("engine", "lanes", "workers")}
+    how["earlier"] = loading.earlier_pieces(ledger, jobs)
     with working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
         return units.run_units(jobs, ledger=ledger, **how, on_progress=on_progress, keep=keep)
 

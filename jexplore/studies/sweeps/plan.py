@@ -17,8 +17,7 @@ from jexplore.grid import radius_d2
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import joined
 from jexplore.raycast import scans_all_round
-from jexplore.report.ledger import Shorter
-from jexplore.report.store import read_parquet
+from jexplore.report.ledger import ShorterRuns
 from jexplore.studies.checks import (
     ready_starts,
     ready_strategies,
@@ -143,37 +142,18 @@ class Plan:
             "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
         }
 
-    def shorter(self, shard: tuple[int, int] | None = None) -> Shorter:
+    def after(self, n: int) -> "Plan":
+        """Return the plan of the episodes from number n on."""
+        units, programs = _cut(self.spec, self.records, self.shapes, len(self.strategies), self.episodes, n)
+        return dataclasses.replace(self, units=units, programs=programs)
+
+    def shorter(self, shard: tuple[int, int] | None = None) -> ShorterRuns:
         """Return sweeps of fewer episodes, which this one may continue."""
 
         def asked(n):
             return dataclasses.replace(self, spec=dataclasses.replace(self.spec, episodes=n)).asked(shard)
 
-        return Shorter(self.spec.episodes, asked, lambda folder: read_parquet(folder / "episodes.parquet"), self._recut)
-
-    def _recut(self, rows):
-        """Yield the units of which a table has episodes: number, table, bool: complete."""
-        where = rows.groupby(["setting", "world", "strategy", "episode"]).indices
-        for number, blocks in enumerate(self.units):
-            keys = [key for block in blocks for key in self._episodes_of(block) if key in where]
-            if keys:
-                own = rows.iloc[[where[key][0] for key in keys]].reset_index(drop=True)
-                yield number, own, len(keys) == self.size(number)
-
-    def _episodes_of(self, block):
-        world, strategy = os.fspath(self.spec.worlds[block.world]), self.strategies[block.strategy].name
-        return [(block.setting, world, strategy, block.first + i) for i in range(block.n)]
-
-    def left_of(self, number: int, begun: Any) -> list[Block]:
-        """Return the missing part of a unit of which a table has the first episodes of its blocks; None: the whole."""
-        have = (
-            set() if begun is None else set(zip(*(begun[name] for name in ("setting", "world", "strategy", "episode"))))
-        )
-        left = []
-        for block in self.units[number]:
-            n = next((i for i, key in enumerate(self._episodes_of(block)) if key not in have), block.n)
-            left += [block._replace(first=block.first + n, n=block.n - n)] if n < block.n else []
-        return left
+        return ShorterRuns(self.spec.episodes, asked, lambda n: len(self.after(n).units))
 
     def _one_of_each_kind(self):
         """Yield one of all settings and worlds that share a program, with every strategy: `Job`s of no episode."""
@@ -299,7 +279,7 @@ def program_key(shape: tuple[int, int], cell_m: float, lidar: Lidar, rules: Rule
     return padded, clearance, lidar.n_beams, around, cell_m > COARSE_M
 
 
-def _cut(spec, records, shapes, n_strategies, total):
+def _cut(spec, records, shapes, n_strategies, total, after=0):
     """Divide the work into blocks, those that share a program together: `(units, number of programs)`."""
     by_key = collections.defaultdict(list)
     for i, (_, cell_m, lidar, rules) in enumerate(records):
@@ -310,7 +290,7 @@ def _cut(spec, records, shapes, n_strategies, total):
         worth = round(UNIT_S / (CELL_S * padded[0] * padded[1]))  # so that large maps lose no more to a kill
         size = max(min(UNIT, max(LEAST, worth)), -(-total // MOST_UNITS))
         unit, room = [], size
-        for block in _blocks(pairs, n_strategies, spec.episodes, size):
+        for block in _blocks(pairs, n_strategies, range(after, spec.episodes, size), spec.episodes):
             if unit and block.n > room:
                 units.append(unit)
                 unit, room = [], size
@@ -320,11 +300,11 @@ def _cut(spec, records, shapes, n_strategies, total):
     return units, len(by_key)
 
 
-def _blocks(pairs, n_strategies, episodes, size) -> Iterator[Block]:
+def _blocks(pairs, n_strategies, firsts, episodes) -> Iterator[Block]:
     for setting, world in pairs:
-        for first in range(0, episodes, size):
+        for first in firsts:
             for strategy in range(n_strategies):
-                yield Block(setting, world, strategy, first, min(size, episodes - first))
+                yield Block(setting, world, strategy, first, min(firsts.step, episodes - first))
 
 
 def in_shard(units: int, shard: tuple[int, int] | None) -> list[int]:

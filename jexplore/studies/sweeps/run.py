@@ -17,6 +17,7 @@ from jexplore.config import InputError, checked_names, require_engine
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
 from jexplore.report.ledger import Ledger
+from jexplore.report.store import read_parquet
 from jexplore.report.tables import aligned_table, number_text, ratio_text, spread_text
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.tables import ByStrategy
@@ -215,11 +216,16 @@ def run_sweep(
     import pandas as pd
 
     require_engine(engine, lanes)
-    numbers, tables, begun = in_shard(len(plan.units), shard), {}, {}
+    earlier = None
+    if ledger is not None and ledger.after:
+        assert isinstance(plan, Plan)
+        earlier = read_parquet(ledger.folder.parent / "episodes.parquet")
+        earlier, plan = earlier[earlier["episode"] < ledger.after], plan.after(ledger.after)
+    numbers, tables = in_shard(len(plan.units), shard), {}
     if ledger is not None:
         tables = {i: ledger.get(i) for i in numbers if i in ledger.done}
-        begun = {i: ledger.get(i) for i in numbers if i in ledger.parts}
-    before = {i: len(table) for i, table in (tables | begun).items()}
+    n_earlier = 0 if earlier is None else len(earlier)
+    resumed = n_earlier + sum(map(len, tables.values()))
 
     def on_unit(number, table):
         if ledger is not None:
@@ -227,23 +233,17 @@ def run_sweep(
         tables[number] = table
 
     left = [number for number in numbers if number not in tables]
-    progress = None if on_progress is None else (lambda done: on_progress(done + sum(before.values())))
-    how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
-    costs = _run_left(plan, left, on_unit, how, progress, begun) if left else Costs()
-    if not tables:
-        raise KeyboardInterrupt
-    table = ordered(typed(pd.concat([tables[i] for i in sorted(tables)], ignore_index=True), plan), plan)
-    wanted = sum(plan.size(number) for number in numbers)
-    resumed = sum(n for i, n in before.items() if i in tables)  # what was begun and has not ended is not in the table
-    return Swept(plan.spec, table, tuple(plan.columns), costs, wanted - len(table), resumed, plan.reference)
-
-
-def _run_left(plan, left, on_unit, how, on_progress, begun):
-    """Run some units of a sweep: `Costs`."""
-    if isinstance(plan, TracePlan):
-        return run_traces(plan, left, on_unit, **how, on_progress=on_progress)
+    progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
+    run = run_traces if isinstance(plan, TracePlan) else run_block_units
+    how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": progress}
     use_compilation_cache()
-    return run_block_units(plan, left, on_unit, **how, on_progress=on_progress, begun=begun)
+    costs = run(plan, left, on_unit, **how) if left else Costs()  # type: ignore[arg-type]
+    if numbers and not tables:
+        raise KeyboardInterrupt
+    found = [*([] if earlier is None else [earlier]), *(tables[i] for i in sorted(tables))]
+    table = ordered(typed(pd.concat(found, ignore_index=True), plan), plan)
+    missing = n_earlier + sum(plan.size(number) for number in numbers) - len(table)
+    return Swept(plan.spec, table, tuple(plan.columns), costs, missing, resumed, plan.reference)
 
 
 def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:

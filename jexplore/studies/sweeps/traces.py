@@ -14,7 +14,6 @@ from jexplore.config import InputError, require_different
 from jexplore.driving import batch
 from jexplore.driving.batch import MAX_STEPS, numbers_of
 from jexplore.driving.settings import for_world, require_noise, require_tuning
-from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
 from jexplore.report.tables import aligned_table, number_text, spread_text
 from jexplore.studies.checks import require_different_buildings
@@ -185,7 +184,6 @@ def run_traces(
     Returns:
       `Costs`, added up; `interrupted` after Ctrl-C.
     """
-    use_compilation_cache()
     costs, done = Costs(), 0
     for group in dict.fromkeys(plan.units[number][0] for number in numbers):
         mine = [number for number in numbers if plan.units[number][0] == group]

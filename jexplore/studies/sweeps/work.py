@@ -4,8 +4,7 @@ pandas is imported by the functions that need it.
 """
 
 import collections
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,7 +31,6 @@ def run_block_units(
     lanes: int | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
-    begun: Mapping[int, "pd.DataFrame"] = MappingProxyType({}),
 ) -> Costs:
     """Run units of a sweep.
 
@@ -41,16 +39,13 @@ def run_block_units(
       numbers: of the units, in order.
       on_unit: called with the number of a unit and its table, once all its episodes have ended.
       engine, lanes, workers, on_progress: as in `batch.run_jobs`.
-      begun: number of a unit -> its first episodes, which are there already.
 
     Returns:
       `Costs`, added up; `interrupted` after Ctrl-C.
     """
-    import pandas as pd
-
     costs, done = Costs(), 0
     for window in windows(plan, numbers):
-        blocks = [(number, block) for number in window for block in plan.left_of(number, begun.get(number))]
+        blocks = [(number, block) for number in window for block in plan.units[number]]
         left = collections.Counter(number for number, _ in blocks)
         tables: dict[int, list[Any]] = {number: [] for number in window}
         jobs = [plan.job(block, window.index(number)) for number, block in blocks]
@@ -61,8 +56,7 @@ def run_block_units(
             left[number] -= 1
             if not left[number]:
                 rows = [own for _, own in sorted(tables.pop(number), key=lambda own: own[0])]
-                parts = [begun[number]] if number in begun else []
-                on_unit(number, typed(pd.concat([*parts, table_of(rows)], ignore_index=True), plan))
+                on_unit(number, typed(table_of(rows), plan))
 
         progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
