@@ -60,7 +60,7 @@ class Sweep:
     """Continue the run in the folder, if any: finished units are not computed again. With a larger number of episodes
     it keeps the earlier ones."""
     trust: bool = False
-    """Let --resume take strategies of your own for what they were when the run began, even where nothing tells."""
+    """Let --resume take strategies of your own for what they were when the run began, although they have changed."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
@@ -210,7 +210,7 @@ class Merge:
     overwrite: bool = False
     """Replace the run that the folder holds."""
     trust: bool = False
-    """Take strategies of your own for the same in all parts, even where nothing tells."""
+    """Take strategies of your own for the same in all parts, although they have changed."""
     report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
     """Write report.html, the whole run in one page with replays."""
 

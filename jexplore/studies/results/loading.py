@@ -226,13 +226,8 @@ def _part_of(asked):
 def _require_same_strategies(part, asked, first):
     """Refuse a part whose strategies compute something else than those of the first one."""
     for name, digest in asked.get("own", {}).items():
-        if digest is None:
-            raise InputError(
-                f"{part} was made with {name!r}, which calls back into Python, so that nothing tells whether it was "
-                "the same in all parts: --trust if you know that it was"
-            )
         if digest != first.get("own", {}).get(name):
-            raise InputError(f"{part} was made with another {name!r}, one that computes something else: make it again")
+            raise InputError(f"{part} was made with another {name!r}: make it again, or trust it (--trust)")
 
 
 def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, Plan | TracePlan]:

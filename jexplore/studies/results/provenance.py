@@ -14,14 +14,13 @@ import jax
 import numpy as np
 
 from jexplore.arrays.files import read_yaml
-from jexplore.arrays.padding import bucket
 from jexplore.config import InputError
 from jexplore.exploration.batch import Job
-from jexplore.exploration.site import prepare_site
+from jexplore.policies import Strategy
 from jexplore.policies.catalogue import adapt
 from jexplore.version import __version__
 from jexplore.worlds import names
-from jexplore.worlds.world import World, ringed_shape
+from jexplore.worlds.world import World
 
 GIT_S = 5.0  # seconds that git may take
 
@@ -95,29 +94,20 @@ def commit() -> str | None:
         return None
 
 
-def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
-    """Compute digests of strategies that are not determined by their names: users' own and those with weights.
+def own_digests(strategies: Iterable[Strategy]) -> dict[str, str]:
+    """Return digests of strategies that are not determined by their names: users' own and those with weights.
 
     Returns:
-      name -> SHA-256, in hexadecimal digits, of all parameters and of the strategy's traced computation in the jobs'
-      worlds; None if unknown, see `traced.digest`.
+      name -> SHA-256, in hexadecimal digits, of all parameters and of the fingerprint of a user's functions.
     """
-    parts: dict[str, dict[Any, str | None]] = {}
-    for job in jobs:
-        policy, sides = job.strategy.policy, tuple(bucket(side) for side in ringed_shape(job.world.occupied))
-        leaves, theirs = jax.tree.leaves(policy.params), adapt.is_theirs(policy)
-        where = sides, job.world.within is None, job.world.cell_m, job.lidar, job.rules
-        own = parts.setdefault(job.strategy.name, {}) if theirs or any(map(np.ndim, leaves)) else None
-        if own is None or where in own:
-            continue
-        own["numbers"] = hashlib.sha256(b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in leaves)).hexdigest()
-        if theirs:
-            assert job.lidar is not None
-            assert job.rules is not None
-            site = prepare_site(job.world, job.lidar, job.rules)
-            own[where] = adapt.digest_of(site.with_strategy(job.strategy)[0].policy)
-    told = {name: list(own.values()) for name, own in parts.items()}
-    return {name: None if None in own else hashlib.sha256(repr(own).encode()).hexdigest() for name, own in told.items()}
+    found = {}
+    for strategy in strategies:
+        leaves, is_theirs = jax.tree.leaves(strategy.policy.params), adapt.is_theirs(strategy.policy)
+        if is_theirs or any(map(np.ndim, leaves)):
+            own = hashlib.sha256(b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in leaves))
+            own.update((adapt.digest_of(strategy.policy) if is_theirs else "").encode())
+            found[strategy.name] = own.hexdigest()
+    return found
 
 
 def asked(jobs: Sequence[Job]) -> dict[str, Any]:
@@ -138,7 +128,7 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
         "rules": list(dict.fromkeys(rules for _, rules in settings)),
         "starts": starts.hexdigest(),
         "digests": {name: digest(world) for name, world in worlds.items()},
-        "own": own_digests(jobs),
+        "own": own_digests(job.strategy for job in jobs),
     }
 
 
