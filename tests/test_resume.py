@@ -299,7 +299,7 @@ def interrupt(_, done):
 
 def test_an_interruption_without_a_whole_unit_leaves_the_shorter_run(want, tmp_path, capsys, monkeypatch):
     """A finished run of 4 episodes, and units of 32, of which none is whole."""
-    monkeypatch.setattr(units, "LEAST", 32)
+    monkeypatch.setattr(units, "MIN_UNIT_EPISODES", 32)
     run, command = tmp_path / "run", [*COMMAND, "--workers", "1", "--no-report", "--resume", "--episodes"]
     assert main.main([*command, "4", "--out", str(run)]) == 0
     with monkeypatch.context() as patch:

@@ -239,7 +239,7 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequenc
         return provenance.asked(jobs) | more
 
     shorter = loading.shorter_of(jobs, asked_of, len(starts))
-    ledger = out.keep(asked_of(jobs), len(units.cut(jobs)) + len(starts), shorter=shorter)
+    ledger = out.keep(asked_of(jobs), len(units.cut_jobs(jobs)) + len(starts), shorter=shorter)
     if ledger is None:
         return None
     how = {name: getattr(options, name) for name in ("engine", "lanes", "workers")}
@@ -298,7 +298,7 @@ def finish(
     from jexplore.studies.results import saving
 
     costs, made = ran.costs, record(**saving.entries_of(found), **saving.engine_of(ran.costs))
-    files = saving.files_of(found, made, more)
+    files = saving.comparison_files(found, made, more)
     out.write(files, is_finished=not costs.interrupted)
 
     try:

@@ -129,4 +129,4 @@ def describe(world: "World") -> dict[str, Any]:
     """Return a world's entries in a table of worlds."""
     from jexplore.studies.results import provenance
 
-    return provenance.describe(world)
+    return provenance.describe_world(world)

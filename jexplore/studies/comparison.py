@@ -16,7 +16,7 @@ from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, StartLik
 from jexplore.studies.results import loading, provenance, saving
 from jexplore.studies.results.comparison import Comparison, Made, assemble, prepare_jobs
 from jexplore.studies.results.progress import progress_bar
-from jexplore.studies.results.units import cut, run_units
+from jexplore.studies.results.units import cut_jobs, run_units
 from jexplore.worlds.restrict import KnownMap, Polygon
 
 
@@ -99,7 +99,7 @@ def _run(jobs, asked, settings, how, shown, ledger=None):
         "wall_s": (datetime.datetime.now(datetime.UTC) - began).total_seconds(),
         "configuration": {**names, **settings, **how, "lidar": lidar, "rules": rules},
         **saving.engine_of(ran.costs),
-        **{"asked": asked, "units": len(cut(jobs))},
+        **{"asked": asked, "units": len(cut_jobs(jobs))},
     }
     return dataclasses.replace(assemble(jobs, ran), made=Made(tuple(jobs), ran.firsts, record))
 
@@ -113,11 +113,11 @@ def _in_folder(out, jobs, asked, run, how, trust):
             raise InputError("overwrite and resume are for a folder: name it with out")
         return run()
     shorter = loading.shorter_of(jobs, lambda fewer: asked_of(fewer, asked.get("keep")))
-    with saving.claimed(out, **how) as folder:
-        ledger = open_ledger(folder, asked, len(cut(jobs)), resume=how["resume"], trust=trust, shorter=shorter)
+    with saving.claimed_by_call(out, **how) as folder:
+        ledger = open_ledger(folder, asked, len(cut_jobs(jobs)), resume=how["resume"], trust=trust, shorter=shorter)
         if ledger is None:
             found = loading.load(folder.path)
             return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
         found = run(ledger)
-        saving.write(folder, found)
+        saving.write_comparison(folder, found)
         return found

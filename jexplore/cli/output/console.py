@@ -278,7 +278,7 @@ class Out:
             **found,
             "wall_s": wall_s,
             "configuration": options,
-            "environment": {**store.environment(), "commit": provenance.commit()},
+            "environment": {**store.environment(), "commit": provenance.package_commit()},
         } | ({} if self.asked is None else {"asked": self.asked, "units": self.units})
 
     def write(self, writers: Mapping[str, Callable[[Path], Any]], *, is_finished: bool = True) -> str:

@@ -21,7 +21,7 @@ from jexplore.policies.policy import Policy, Strategy
 from jexplore.policies.room_wise import rebuilt
 from jexplore.raycast import Beams
 from jexplore.reach import FAR, MOTIONS, NO_MOTION
-from jexplore.users import bare, call, described
+from jexplore.users import bare, call_user, described
 
 
 def policy_from(make: Any, given: dict[str, Any]) -> Policy:
@@ -43,7 +43,7 @@ def policy_from(make: Any, given: dict[str, Any]) -> Policy:
         raise InputError(f"{described(make)} needs the parameter {missing[0]}")
     if is_score(make):
         return _score_policy(make, {key: given.get(key, p.default) for key, p in known.items()})
-    policy = make if isinstance(make, Policy) else call(make, described(make), **given)
+    policy = make if isinstance(make, Policy) else call_user(make, described(make), **given)
     if not isinstance(policy, Policy):
         raise InputError(f"{described(make)} must return a Policy, got {type(policy).__name__}")
     for role in ("init", "select", *(("live",) if policy.live is not None else ())):
@@ -102,7 +102,7 @@ class Score(_Theirs):
     ) -> tuple[Any, Choice, Array]:
         del key, beams
         known = field(belief)
-        found = call(self.function, self.what, view_of(belief, known), **dict(self.fixed), **params)
+        found = call_user(self.function, self.what, view_of(belief, known), **dict(self.fixed), **params)
         with _expected(self.what, f"a score for every cell, {_shape(known.cost.shape)} integer or float", found):
             score = jnp.asarray(found)
             if score.shape != known.cost.shape or not _is_number(score.dtype):
@@ -131,14 +131,14 @@ class Init(_Theirs):
     """The `init` of a user's strategy: its carry as arrays."""
 
     def __call__(self, params: Any, belief: Belief) -> Any:
-        return _as_arrays(call(self.function, self.what, params, belief), self.what)
+        return _as_arrays(call_user(self.function, self.what, params, belief), self.what)
 
 
 class Live(_Theirs):
     """The `live` of a user's strategy."""
 
     def __call__(self, params: Any, belief: Belief, beams: Beams, row: Array, col: Array) -> Array:
-        found = call(self.function, self.what, params, belief, beams, row, col)
+        found = call_user(self.function, self.what, params, belief, beams, row, col)
         with _expected(self.what, "one bool", found):
             answer = jnp.asarray(found)
             if answer.shape != () or answer.dtype != bool:
@@ -152,7 +152,7 @@ class Select(_Theirs):
     def __call__(
         self, key: Array, params: Any, carry: Any, belief: Belief, beams: Beams, route: Array
     ) -> tuple[Any, Choice, Array]:
-        found = call(self.function, self.what, key, params, carry, belief, beams, route)
+        found = call_user(self.function, self.what, key, params, carry, belief, beams, route)
         if not isinstance(found, tuple) or len(found) != 3 or not isinstance(found[1], Choice):
             raise InputError(f"{self.what} must return (carry, Choice, route), got {_told(found)}")
         new = _as_arrays(found[0], self.what)

@@ -38,7 +38,7 @@ from jexplore.studies.checks import (
     ready_worlds,
 )
 from jexplore.studies.results.progress import progress_bar
-from jexplore.studies.results.provenance import digest
+from jexplore.studies.results.provenance import world_digest
 from jexplore.version import __version__
 from jexplore.worlds.world import World
 
@@ -95,7 +95,7 @@ class Bounds:
             for name, value in settings_of(comparison.lidar, comparison.rules).items():
                 if self.settings[name] != value:
                     raise InputError(f"the bounds are for {name} {self.settings[name]:g}, the episodes had {value:g}")
-        digests = {os.fspath(world.name): digest(world) for world in comparison.worlds}
+        digests = {os.fspath(world.name): world_digest(world) for world in comparison.worlds}
         return beside(comparison.episodes, self.table, digests)
 
     def figure(self) -> "Figure":
@@ -253,7 +253,7 @@ def asked(tasks: Sequence[Task]) -> dict[str, Any]:
     return {
         "version": __version__,
         "worlds": list(worlds),
-        "digests": {name: digest(world) for name, world in worlds.items()},
+        "digests": {name: world_digest(world) for name, world in worlds.items()},
         "starts": len(tasks),
         "start cells": starts.hexdigest()[:12],
         "seconds": tasks[0].seconds,

@@ -12,7 +12,7 @@ from jexplore.raycast import scans_all_round
 from jexplore.reach import DIAGONAL, FAR, STRAIGHT
 from jexplore.studies.bounds.scene import Scene, prepare_scene
 from jexplore.studies.bounds.search import Budget, Found, search
-from jexplore.studies.results.provenance import digest
+from jexplore.studies.results.provenance import world_digest
 from jexplore.worlds.world import World
 
 COLUMNS = (
@@ -59,7 +59,7 @@ def solve(task: Task) -> Solved:
     world, start = task.world, task.start
     scene = prepare_scene(world, start, task.lidar, task.rules, scans_all_round(task.lidar.fov_deg))
     own = {"world": os.fspath(world.name), "start_row": start[0], "start_col": start[1]}
-    own |= {"start_heading_deg": start[2], "sha256": digest(world)}
+    own |= {"start_heading_deg": start[2], "sha256": world_digest(world)}
     nothing = np.zeros((0, 2), np.int32)
     if scene is None:
         row = {"low_m": 0.0, "low_any_m": 0.0, "high_m": math.nan, "status": STUCK, "witnesses": 0, "seconds": 0.0}

@@ -25,8 +25,8 @@ from jexplore.studies.papers import PAPERS
 from jexplore.studies.reproduction import Reproduction, notes_of, world_names
 from jexplore.studies.results.comparison import Comparison, Made
 from jexplore.studies.results.saving import DETAILS
-from jexplore.studies.results.units import COLUMNS, Piece, Seen, cut
-from jexplore.studies.sweeps.plan import Plan
+from jexplore.studies.results.units import COLUMNS, Piece, Seen, cut_jobs
+from jexplore.studies.sweeps.plan import SweepPlan
 from jexplore.studies.sweeps.run import Swept, ordered, ready
 from jexplore.studies.sweeps.spec import read_spec
 from jexplore.studies.sweeps.traces import TracePlan
@@ -199,7 +199,7 @@ def shorter_of(
     def asked(n):
         return asked_of([job._replace(starts=job.starts[:n]) for job in jobs])
 
-    return ShorterRuns(len(jobs[0].starts), asked, lambda n: len(cut(jobs, n)) + more)
+    return ShorterRuns(len(jobs[0].starts), asked, lambda n: len(cut_jobs(jobs, n)) + more)
 
 
 def _sweep(folder, record):
@@ -230,7 +230,7 @@ def _require_same_strategies(part, asked, first):
             raise InputError(f"{part} was made with another {name!r}: make it again, or trust it (--trust)")
 
 
-def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, Plan | TracePlan]:
+def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, SweepPlan | TracePlan]:
     """Join the parts of a sweep.
 
     Args:
@@ -238,7 +238,7 @@ def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tu
       trust: whether somebody else's strategies are taken for the same in all parts.
 
     Returns:
-      `(Swept, Plan)`.
+      `(Swept, SweepPlan)`.
 
     Raises:
       InputError: a folder that holds no finished part, parts of different sweeps, one that is missing or there twice.

@@ -25,7 +25,7 @@ from jexplore.worlds.world import World
 GIT_S = 5.0  # seconds that git may take
 
 
-def digest(world: World) -> str:
+def world_digest(world: World) -> str:
     """Return SHA-256 of everything in a world that an episode depends on, in hexadecimal digits."""
     found = hashlib.sha256(np.float64(world.cell_m).tobytes())
     restrictions = (array for array in (world.within, world.known) if array is not None)
@@ -36,7 +36,7 @@ def digest(world: World) -> str:
     return found.hexdigest()
 
 
-def files_of(world: World) -> dict[str, str]:
+def map_files_of(world: World) -> dict[str, str]:
     """Return the files that a world was read from: path -> SHA-256 in hexadecimal digits; empty for other worlds.
 
     Files that they name are among them.
@@ -66,7 +66,7 @@ def _file_hash(path):
 
 
 @functools.cache
-def commit() -> str | None:
+def package_commit() -> str | None:
     """Return the commit that this package was installed from; None if unknown.
 
     It ends in `+changed` if the files have changed since.
@@ -127,12 +127,12 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
         "lidar": list(dict.fromkeys(lidar for lidar, _ in settings)),
         "rules": list(dict.fromkeys(rules for _, rules in settings)),
         "starts": starts.hexdigest(),
-        "digests": {name: digest(world) for name, world in worlds.items()},
+        "digests": {name: world_digest(world) for name, world in worlds.items()},
         "own": own_digests(job.strategy for job in jobs),
     }
 
 
-def describe(world: World) -> dict[str, Any]:
+def describe_world(world: World) -> dict[str, Any]:
     """Return a world's entries in a table of worlds."""
     rows, cols = world.shape
     rooms = None if world.rooms is None else int(world.rooms.max()) + 1
@@ -144,6 +144,6 @@ def describe(world: World) -> dict[str, Any]:
         "free_m2": world.free_m2,
         "rooms": rooms,
         "start": world.start,
-        "sha256": digest(world),
-        "files": files_of(world),
+        "sha256": world_digest(world),
+        "files": map_files_of(world),
     }

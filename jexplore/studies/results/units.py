@@ -30,11 +30,11 @@ COLUMNS = (
     *("start_heading_deg", "refused", "saturated", "overflow"),
 )
 """Columns of a table of episodes. `stats` and `plot` read them by these names."""
-LEAST = 8  # least number of episodes of a unit
+MIN_UNIT_EPISODES = 8  # least number of episodes of a unit
 UNIT_S = 1.0  # seconds that a unit should take, about: writing it takes a hundredth of that
 CELL_S = 1.3e-6  # seconds of an episode of closest+recheck, for every cell of its world (benchmarks/RESULTS.md)
 FIRSTS = 12  # jobs of which what the first episode left is kept, for a report
-MOST_UNITS = 256  # of one strategy in one world
+MAX_UNITS_OF_JOB = 256  # of one strategy in one world
 PROGRESS, SEEN, WAY, MAP = "_progress_m", "_seen", "_way", "_map"  # columns of a unit's file besides `COLUMNS`
 
 
@@ -69,13 +69,13 @@ class Piece(NamedTuple):
     maps: np.ndarray | None  # [n, H, W] uint8, if they are kept
 
 
-def cut(jobs: Sequence[Job], after: int = 0) -> list[Unit]:
+def cut_jobs(jobs: Sequence[Job], after: int = 0) -> list[Unit]:
     """Cut jobs, from this episode on, into units, in the order in which they are worth doing: the first ones of all."""
     units = []
     for i, job in enumerate(jobs):
         n = len(job.starts)
         cells = job.world.shape[0] * job.world.shape[1]
-        size = max(LEAST, -(-n // MOST_UNITS), round(UNIT_S / (CELL_S * cells)))
+        size = max(MIN_UNIT_EPISODES, -(-n // MAX_UNITS_OF_JOB), round(UNIT_S / (CELL_S * cells)))
         firsts = range(after, n, size)
         units += [Unit(i, first, min(size, n - first), turn) for turn, first in enumerate(firsts)]
     return sorted(units, key=lambda unit: (unit.turn, unit.job, unit.first))
@@ -101,7 +101,7 @@ def rows_of(job: Job, unit: Unit, found: Outcomes) -> dict[str, Any]:
     return {name: rows[name] for name in COLUMNS}
 
 
-def table_of(rows: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
+def join_columns(rows: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
     """Join columns of several units, one below the other, as one table."""
     import pandas as pd
 
@@ -119,7 +119,7 @@ def piece_of(job: Job, unit: Unit, found: Outcomes) -> Piece:
     assert job.rules is not None
     result, world, strategy = found.result, job.world, job.strategy.name
     ended = np.asarray(result.outcome) != Outcome.RUNNING
-    table = table_of([rows_of(job, unit, found)])
+    table = join_columns([rows_of(job, unit, found)])
     seen = None
     if unit.first == 0 and ended[0] and found.first is not None:
         final = found.first
@@ -191,7 +191,7 @@ class _Work:
 
     def __init__(self, jobs, ledger):
         self.jobs, self.ledger, self.firsts = jobs, ledger, {}
-        self.units = cut(jobs, 0 if ledger is None else ledger.after)
+        self.units = cut_jobs(jobs, 0 if ledger is None else ledger.after)
         there = [] if ledger is None else [i for i in range(len(self.units)) if i in ledger.done]
         cells_m = [job.world.cell_m for job in jobs]
         of_unit = [unit.job for unit in self.units]

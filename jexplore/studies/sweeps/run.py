@@ -21,9 +21,8 @@ from jexplore.report.store import read_parquet
 from jexplore.report.tables import aligned_table, number_text, ratio_text, spread_text
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.tables import ByStrategy
-from jexplore.studies.results.units import COLUMNS
 from jexplore.studies.statistics.paired import paired_ratio
-from jexplore.studies.sweeps.plan import Plan, in_shard, prepare_sweep
+from jexplore.studies.sweeps.plan import SweepPlan, in_shard, prepare_sweep
 from jexplore.studies.sweeps.spec import Sweep, read_spec, sweep_from
 from jexplore.studies.sweeps.traces import TracePlan, prepare_traces, run_traces, summarise_traces, traces_table
 from jexplore.studies.sweeps.work import run_block_units, typed
@@ -189,7 +188,7 @@ def _value_text(value):
 
 
 def run_sweep(
-    plan: Plan | TracePlan,
+    plan: SweepPlan | TracePlan,
     *,
     ledger: Ledger | None = None,
     shard: tuple[int, int] | None = None,
@@ -218,7 +217,7 @@ def run_sweep(
     require_engine(engine, lanes)
     earlier = None
     if ledger is not None and ledger.after:
-        assert isinstance(plan, Plan)
+        assert isinstance(plan, SweepPlan)
         earlier = read_parquet(ledger.folder.parent / "episodes.parquet")
         earlier, plan = earlier[earlier["episode"] < ledger.after], plan.after(ledger.after)
     numbers, tables = in_shard(len(plan.units), shard), {}
@@ -252,7 +251,7 @@ def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
     return [", ".join(f"{key.rpartition('.')[2]} {_value_text(own[key])}" for key in varied) for own in settings]
 
 
-def ordered(table: "pd.DataFrame", plan: Plan | TracePlan) -> "pd.DataFrame":
+def ordered(table: "pd.DataFrame", plan: SweepPlan | TracePlan) -> "pd.DataFrame":
     """Sort rows by setting, world, strategy or robot, and episode or run, in the order of the spec."""
     if isinstance(plan, TracePlan):
         return plan.ordered(table)
@@ -301,9 +300,6 @@ def sweep(
         return run_sweep(plan, **how, on_progress=moved)
 
 
-def ready(spec: Sweep) -> Plan | TracePlan:
+def ready(spec: Sweep) -> SweepPlan | TracePlan:
     """Plan a sweep of episodes, or of robots that write maps, for `run_sweep`. Raises as `prepare_sweep`."""
     return prepare_traces(spec) if spec.robots else prepare_sweep(spec)
-
-
-__all__ = ["COLUMNS", "Swept", "run_block_units", "run_sweep", "summarise", "summary_table", "sweep"]

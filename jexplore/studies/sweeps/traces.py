@@ -17,9 +17,9 @@ from jexplore.driving.settings import for_world, require_noise, require_tuning
 from jexplore.engine.runner import Costs
 from jexplore.report.tables import aligned_table, number_text, spread_text
 from jexplore.studies.checks import require_different_buildings
-from jexplore.studies.results.provenance import digest
-from jexplore.studies.sweeps.plan import kind_of
-from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
+from jexplore.studies.results.provenance import world_digest
+from jexplore.studies.sweeps.plan import MAX_SWEEP_UNITS, column_type
+from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain_spec
 from jexplore.studies.traces.job import NOISE, TraceJob, prepare_trace, with_values
 from jexplore.studies.traces.tracing import table_of
 from jexplore.version import __version__
@@ -28,14 +28,13 @@ from jexplore.worlds.world import World
 if TYPE_CHECKING:
     import pandas as pd
 
-UNIT = 256  # runs of a unit, about
-MOST_UNITS = 4096  # larger sweeps have larger units
+UNIT_RUNS = 256  # runs of a unit, about
 RUN_S = 0.1  # processor seconds of a run of the course, about (benchmarks/RESULTS.md, Behavioral Trace Maps)
-COMPILE_S = 25.0  # of compiling a program
+TRACE_COMPILE_S = 25.0  # of compiling a program
 
 
 @dataclasses.dataclass(frozen=True)
-class Group:
+class TraceGroup:
     """Runs of one robot in one world with one seed: one call of the engine, whatever the thresholds."""
 
     world: int
@@ -51,7 +50,7 @@ class TracePlan:
 
     spec: Sweep
     settings: list[dict[str, Any]]
-    groups: list[Group]
+    groups: list[TraceGroup]
     units: list[tuple[int, int, int]]
     """Of every unit group, first run and number of runs."""
 
@@ -82,7 +81,7 @@ class TracePlan:
     @property
     def kinds(self) -> dict[str, str]:
         """Return columns of settings and the types of their values, see `plan.kind_of`."""
-        return {name: kind_of([setting[name] for setting in self.settings]) for name in self.columns[1:]}
+        return {name: column_type([setting[name] for setting in self.settings]) for name in self.columns[1:]}
 
     def size(self, unit: int) -> int:
         """Return the number of runs of a unit."""
@@ -90,14 +89,14 @@ class TracePlan:
 
     def seconds(self, workers: int) -> float:
         """Estimate the time on a number of cores, compiling included."""
-        return (RUN_S * self.episodes + COMPILE_S * self.programs) / max(workers, 1)
+        return (RUN_S * self.episodes + TRACE_COMPILE_S * self.programs) / max(workers, 1)
 
     def asked(self, shard: tuple[int, int] | None = None) -> dict[str, Any]:
         """Return all that the results depend on, as plain values."""
         return {
             "version": __version__,
-            "spec": plain(self.spec),
-            "digests": [digest(group.job.world) for group in self.groups],
+            "spec": plain_spec(self.spec),
+            "digests": [world_digest(group.job.world) for group in self.groups],
             "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
         }
 
@@ -140,9 +139,9 @@ def prepare_traces(spec: Sweep) -> TracePlan:
         for robot, kind in enumerate(spec.robots):
             for (seed, cell_m, *_), own in together.items():
                 job = prepare_trace(name, robot=kind, runs=1, seed=seed, tuning=records[own[0]][2], cell_m=cell_m)
-                groups.append(Group(world, robot, own, _with_settings(job, spec, records, own)))
+                groups.append(TraceGroup(world, robot, own, _with_settings(job, spec, records, own)))
     require_different_buildings(group.job.world for group in groups)
-    size, units = max(UNIT, -(-total // MOST_UNITS)), []
+    size, units = max(UNIT_RUNS, -(-total // MAX_SWEEP_UNITS)), []
     for i, group in enumerate(groups):
         n = len(group.settings) * spec.episodes
         units += [(i, first, min(size, n - first)) for first in range(0, n, size)]

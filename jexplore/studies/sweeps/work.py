@@ -12,8 +12,8 @@ import numpy as np
 from jexplore.config import Lidar, Rules
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
-from jexplore.studies.results.units import Unit, rows_of, table_of
-from jexplore.studies.sweeps.plan import Plan
+from jexplore.studies.results.units import Unit, join_columns, rows_of
+from jexplore.studies.sweeps.plan import SweepPlan
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,7 +23,7 @@ WINDOW_SITES = 32  # worlds made ready at a time
 
 
 def run_block_units(
-    plan: Plan,
+    plan: SweepPlan,
     numbers: Sequence[int],
     on_unit: Callable[[int, "pd.DataFrame"], object],
     *,
@@ -35,7 +35,7 @@ def run_block_units(
     """Run units of a sweep.
 
     Args:
-      plan: `Plan`.
+      plan: `SweepPlan`.
       numbers: of the units, in order.
       on_unit: called with the number of a unit and its table, once all its episodes have ended.
       engine, lanes, workers, on_progress: as in `batch.run_jobs`.
@@ -44,7 +44,7 @@ def run_block_units(
       `Costs`, added up; `interrupted` after Ctrl-C.
     """
     costs, done = Costs(), 0
-    for window in windows(plan, numbers):
+    for window in _windows(plan, numbers):
         blocks = [(number, block) for number in window for block in plan.units[number]]
         left = collections.Counter(number for number, _ in blocks)
         tables: dict[int, list[Any]] = {number: [] for number in window}
@@ -56,7 +56,7 @@ def run_block_units(
             left[number] -= 1
             if not left[number]:
                 rows = [own for _, own in sorted(tables.pop(number), key=lambda own: own[0])]
-                on_unit(number, typed(table_of(rows), plan))
+                on_unit(number, typed(join_columns(rows), plan))
 
         progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
@@ -73,7 +73,7 @@ def run_block_units(
     return costs
 
 
-def windows(plan: Plan, numbers: Sequence[int]) -> Iterator[list[int]]:
+def _windows(plan: SweepPlan, numbers: Sequence[int]) -> Iterator[list[int]]:
     """Yield units that are run together: few enough to fit into the memory."""
     window, sites, episodes = [], set(), 0
     for number in numbers:
