@@ -390,6 +390,7 @@ def test_a_finished_run_goes_on_with_more_episodes(tmp_path):
     assert longer(tmp_path, 4) is None
     for _ in range(2):  # begun, and gone on with after whatever has ended it
         book = longer(tmp_path, 10)
+        assert book is not None
         assert (book.after, book.units, book.done) == (4, 3, {0})
         assert "run.json" in names(tmp_path)  # the shorter one stays until the longer one is there
     for episodes, change, says in (

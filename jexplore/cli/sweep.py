@@ -135,7 +135,7 @@ def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, pl
     from jexplore.arrays.plain_yaml import dump
     from jexplore.report import store
     from jexplore.studies.results.saving import engine_of
-    from jexplore.studies.sweeps.spec import plain
+    from jexplore.studies.sweeps.spec import plain_spec
 
     costs = found.costs
     ran = len(found.episodes) - found.resumed
@@ -155,7 +155,7 @@ def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, pl
     files = {
         "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
         "summary.csv": lambda path: found.summary.to_csv(path, index=False),
-        "asked.yaml": lambda path: path.write_text(dump(plain(found.spec))),
+        "asked.yaml": lambda path: path.write_text(dump(plain_spec(found.spec))),
         "run.json": lambda path: store.write_json(record, path),
     }
     out.write(files, is_finished=not found.missing)

@@ -69,7 +69,7 @@ def _numbers(strategy):
 
 
 def _check(site, strategy, numbers):
-    """Refuse a user's strategy whose functions return what is wrong here."""
+    """Refuse a user's strategy whose functions return the wrong shapes or types here."""
     if not adapt.is_theirs(strategy.policy):
         return
     truth = jax.tree.map(lambda a: a[None], site.truth)

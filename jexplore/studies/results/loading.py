@@ -27,10 +27,9 @@ from jexplore.studies.results.comparison import Comparison, Made
 from jexplore.studies.results.saving import DETAILS
 from jexplore.studies.results.units import COLUMNS, Piece, Seen, cut_jobs
 from jexplore.studies.sweeps.plan import SweepPlan
-from jexplore.studies.sweeps.run import Swept, ordered, ready
+from jexplore.studies.sweeps.run import Swept, ready, whole_table
 from jexplore.studies.sweeps.spec import read_spec
 from jexplore.studies.sweeps.traces import TracePlan
-from jexplore.studies.sweeps.work import typed
 from jexplore.version import __version__
 from jexplore.worlds.world import World
 
@@ -243,7 +242,6 @@ def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tu
     Raises:
       InputError: a folder that holds no finished part, parts of different sweeps, one that is missing or there twice.
     """
-    import pandas as pd
 
     if not parts:
         raise InputError("expected the folders of all parts, got none")
@@ -278,6 +276,6 @@ def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tu
     asked = plan.asked()
     if any(store.jsonable(asked.get(key)) != next(iter(pages.values())).get(key) for key in MADE_FROM):
         raise InputError("the sweep's worlds or jexplore itself have changed since the parts were made")
-    table = ordered(typed(pd.concat([found.episodes for found in tables], ignore_index=True), plan), plan)
+    table = whole_table([found.episodes for found in tables], plan)
     costs = functools.reduce(Costs.plus, (found.costs for found in tables))
     return Swept(plan.spec, table, tuple(plan.columns), costs, reference=plan.reference), plan

@@ -189,13 +189,13 @@ class Ran(NamedTuple):
 class _Work:
     """Units in progress: finished and remaining ones."""
 
-    def __init__(self, jobs, ledger):
+    def __init__(self, jobs: Sequence[Job], ledger: Any) -> None:
         self.jobs, self.ledger, self.firsts = jobs, ledger, {}
         self.units = cut_jobs(jobs, 0 if ledger is None else ledger.after)
-        there = [] if ledger is None else [i for i in range(len(self.units)) if i in ledger.done]
-        cells_m = [job.world.cell_m for job in jobs]
-        of_unit = [unit.job for unit in self.units]
-        self.pieces = {i: of_table(ledger.get(i), of_unit[i], cells_m[of_unit[i]]) for i in there}
+        self.pieces: dict[int, Piece] = {}
+        for i in () if ledger is None else sorted(ledger.done & set(range(len(self.units)))):
+            job = self.units[i].job
+            self.pieces[i] = of_table(ledger.get(i), job, jobs[job].world.cell_m)
         self.resumed = sum(len(piece.table) for piece in self.pieces.values())
         self.left = [i for i in range(len(self.units)) if i not in self.pieces]
 

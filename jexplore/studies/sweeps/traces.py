@@ -104,14 +104,6 @@ class TracePlan:
         """Return no shorter sweeps to continue."""
         del shard
 
-    def ordered(self, table: "pd.DataFrame") -> "pd.DataFrame":
-        """Sort rows by setting, world, robot and run, in the order of the spec."""
-        worlds = {os.fspath(name): i for i, name in enumerate(self.spec.worlds)}
-        robots = {name: i for i, name in enumerate(self.spec.robots)}
-        robot, world = [robots[name] for name in table["robot"]], [worlds[name] for name in table["world"]]
-        keys: Any = [table["run"].to_numpy(), robot, world, table["setting"].to_numpy()]
-        return table.iloc[np.lexsort(keys)].reset_index(drop=True)
-
 
 def prepare_traces(spec: Sweep) -> TracePlan:
     """Check a sweep of robots, and cut its work.
@@ -172,17 +164,7 @@ def run_traces(
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
 ) -> Costs:
-    """Make units of a sweep of robots.
-
-    Args:
-      plan: `TracePlan`.
-      numbers: of the units, in order.
-      on_unit: called with the number of a unit and its table, once all its runs have ended.
-      engine, lanes, workers, on_progress: as in `batch.run_missions`.
-
-    Returns:
-      `Costs`, added up; `interrupted` after Ctrl-C.
-    """
+    """Run units of a sweep of robots; `on_unit` gets the number and the table of each that has ended."""
     costs, done = Costs(), 0
     for group in dict.fromkeys(plan.units[number][0] for number in numbers):
         mine = [number for number in numbers if plan.units[number][0] == group]
