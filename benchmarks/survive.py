@@ -26,7 +26,7 @@ from jexplore.config import Lidar, Rules
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
 from jexplore.report.folders import claimed
-from jexplore.report.ledger import Ledger
+from jexplore.report.ledger import open_ledger
 from jexplore.studies.comparison import compare
 from jexplore.studies.results import units
 from jexplore.studies.results.comparison import prepare_jobs
@@ -101,7 +101,7 @@ def cost(args):
         seconds = {}
         for kind in ("plain", "kept")[:: 1 if turn % 2 else -1]:
             with tempfile.TemporaryDirectory() as temporary, claimed(Path(temporary) / "run") as run:
-                ledger = Ledger(run, {}, len(units.cut(jobs)))
+                ledger = open_ledger(run, {}, len(units.cut_jobs(jobs)))
                 clock, began = time.process_time(), time.perf_counter()
                 if kind == "plain":
                     batch.run_jobs(jobs, Lidar(), Rules(), workers=1)
@@ -111,7 +111,8 @@ def cost(args):
         if turn:
             ratios.append(seconds["kept"][0] / seconds["plain"][0] - 1)
             written.append(seconds["kept"][1] / seconds["plain"][1] - 1)
-    print(f"{len(jobs)} jobs of {args.episodes} episodes, {len(units.cut(jobs))} units, one core, {args.repeat} turns:")
+    n_units = len(units.cut_jobs(jobs))
+    print(f"{len(jobs)} jobs of {args.episodes} episodes, {n_units} units, one core, {args.repeat} turns:")
     for what, found in (("processor time", ratios), ("the clock", written)):
         print(
             f"keeping costs {100 * np.median(found):.1f} % by {what} ({100 * min(found):.1f} to {100 * max(found):.1f})"

@@ -21,7 +21,6 @@ MAX_SEED = 2**32 - 1
 GENERATOR = "threefry2x32"  # of random numbers, as JAX names it; its draws are partitionable
 # What runs episodes and trace runs: native code where there is some and JAX for the rest; JAX alone, as the reference.
 ENGINES = ("auto", "jax")
-SWEEP_ENGINES = (*ENGINES, "ray")  # of a sweep: its units as tasks of a Ray cluster
 MAX_RUNS = 1_000_000  # episodes of one strategy in one world; runs of a trace
 NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
     "seed": (0, MAX_SEED),
@@ -165,14 +164,14 @@ def require_setting(name: str, value: Any) -> Any:
     return require_number(name, value, low=low, high=high)
 
 
-def require_engine(engine: str, lanes: int | None = None, known: Sequence[str] = ENGINES) -> None:
+def require_engine(engine: str, lanes: int | None = None) -> None:
     """Refuse an engine that does not exist, and lanes where it has none to set.
 
     Raises:
       InputError: saying which engines there are.
     """
-    if engine not in known:
-        raise InputError(f"engine must be one of {', '.join(known)}, got {shown(engine)}")
+    if engine not in ENGINES:
+        raise InputError(f"engine must be one of {', '.join(ENGINES)}, got {shown(engine)}")
     if lanes is not None:
         require_setting("lanes", lanes)
         if engine != "jax":

@@ -19,7 +19,7 @@ from jexplore.studies.comparison import compare
 from jexplore.studies.results import comparison
 from jexplore.studies.results.comparison import assemble, prepare_jobs
 from jexplore.studies.results.grids import write_maps
-from jexplore.studies.results.units import COLUMNS, Ran, cut, piece_of
+from jexplore.studies.results.units import COLUMNS, Ran, cut_jobs, piece_of
 from jexplore.studies.statistics import by_world, league, sizes
 from jexplore.worlds.readers.ros import read_ros
 from jexplore.worlds.world import World, occupancy_to_world
@@ -171,7 +171,7 @@ def stub(outcomes, **fields):
     )
     final = Final(*(np.zeros(world.shape, np.int32) for _ in range(2)), *(np.zeros(1, np.int32) for _ in range(4)), [])
     made = [batch.Outcomes(result(2, outcome=outcome, **fields), final) for outcome in outcomes]
-    pieces = [piece_of(jobs[unit.job], unit, made[unit.job]) for unit in cut(jobs)]
+    pieces = [piece_of(jobs[unit.job], unit, made[unit.job]) for unit in cut_jobs(jobs)]
     return assemble(jobs, Ran(pieces, Costs(compile_s=1.0, run_s=2.0), 0, {}))
 
 

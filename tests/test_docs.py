@@ -47,7 +47,6 @@ PARSED_ONLY = {
     "jexplore compare --strategies closest+recheck learned+recheck:path=trained/": "needs what `train` writes",
     "jexplore compare --worlds cave#0 ...": "not written out",
     "jexplore trace --runs 100": "a program for many settings at once; tests/test_tracing.py",
-    "jexplore sweep spec.yaml --engine ray": "needs Ray; tests/test_ray.py",
     "jexplore merge parts/*": "needs the parts that 16 machines wrote",
 }
 """Beginnings of command lines of which only the options are checked -> why they are not run."""

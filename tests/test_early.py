@@ -102,10 +102,9 @@ REFUSED = [
     (["compare", "--engine", "serial"], "--engine must be one of auto, jax, got 'serial'"),
     (["reproduce", "holz2010", "--engine", "native"], "--engine must be one of auto, jax, got 'native'"),
     (["trace", "--engine", "lockstep"], "--engine must be one of auto, jax, got 'lockstep'"),
-    (["sweep", "spec.yaml", "--engine", "serial"], "--engine must be one of auto, jax, ray, got 'serial'"),
+    (["sweep", "spec.yaml", "--engine", "serial"], "--engine must be one of auto, jax, got 'serial'"),
     (["bench", "--engine", "auto", "lockstep"], "engine must be one of auto, jax, got 'lockstep'"),
     (["compare", "--lanes", "4"], "lanes are for the engine jax, got 4 for auto"),
-    (["sweep", "spec.yaml", "--engine", "ray", "--lanes", "4"], "lanes are for the engine jax, got 4 for ray"),
     (["compare", "--lanes", "0"], "lanes must be an integer from 1"),
     (["compare", "--bounds", "--bound-seconds", "0"], "bound_seconds must be a number"),
     (["explore", "--frames", "0"], "frames must be an integer from 1 to 10000, got 0"),
@@ -179,14 +178,6 @@ for arguments in {[arguments for arguments, _ in REFUSED]!r}:
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-500:]
-
-
-def test_ray_that_is_not_there_is_told_first(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(names.importlib.util, "find_spec", lambda name: None)
-    (tmp_path / "spec.yaml").write_text("worlds: [cave]\n")
-    assert main.main(["sweep", str(tmp_path / "spec.yaml"), "--engine", "ray", "--out", str(tmp_path / "run")]) == 2
-    assert capsys.readouterr().err == "jexplore: error: the engine ray needs Ray: pip install 'jexplore[ray]'\n"
-    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(

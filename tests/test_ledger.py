@@ -1,5 +1,6 @@
 """Folders that are claimed, and units that survive whatever ends a run."""
 
+import datetime
 import json
 import os
 import signal
@@ -11,11 +12,36 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from jexplore.config import InputError, Lidar
-from jexplore.report import ledger
-from jexplore.report.folders import LOCK, OLD, PART, UNFINISHED, claimed
+from jexplore.config import InputError, InputWarning, Lidar
+from jexplore.report import folders, ledger
+from jexplore.report.folders import LOCK, UNFINISHED, claimed
+from jexplore.report.ledger import open_ledger
 
 ASKED = {"command": "compare", "worlds": ["cave"], "episodes": 3, "lidar": [Lidar()]}
+NOW = datetime.datetime(2026, 11, 21, 9, 30, 42)
+
+
+def texts(*names, text="new"):
+    return dict.fromkeys(names, lambda path: path.write_text(text))
+
+
+def write(path, *names, text="new", **options):
+    with claimed(path, **options) as run:
+        return run.write(texts(*names, text=text))
+
+
+def names(folder):
+    return sorted(path.name for path in Path(folder).iterdir())
+
+
+def content(folder):
+    return {path.name: path.read_text() for path in Path(folder).iterdir()}
+
+
+def python(code, *arguments):
+    return subprocess.Popen([sys.executable, "-c", code, *map(str, arguments)], stdout=subprocess.PIPE, text=True)
+
+
 HOLD = """
 import sys, time
 from jexplore.report import folders
@@ -25,38 +51,32 @@ with folders.claimed(sys.argv[1]) as run:
 """
 
 
-def texts(**files):
-    return {name.replace("_", "."): (lambda path, text=text: path.write_text(text)) for name, text in files.items()}
-
-
-def names(folder):
-    return sorted(path.name for path in Path(folder).iterdir())
-
-
-def held(folder):
-    """Another process that has the folder."""
-    process = subprocess.Popen([sys.executable, "-c", HOLD, str(folder)], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert process.stdout.readline() == "mine\n"
-    return process
-
-
 def test_a_folder_is_its_holders_until_that_is_killed(tmp_path):
-    process = held(tmp_path / "run")
+    process = python(HOLD, tmp_path / "run")
     try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "mine\n"
         for _ in range(2):  # being refused changes nothing
-            with (
-                pytest.raises(InputError, match=f"is being written by process {process.pid} on "),
-                claimed(tmp_path / "run", overwrite=True),
-            ):
-                pass
+            with pytest.raises(InputError, match=f"is being written by process {process.pid} on "):
+                write(tmp_path / "run", overwrite=True)
     finally:
         process.kill()
         process.communicate()
     assert names(tmp_path / "run") == [LOCK]  # left behind, and no lock any more
-    with claimed(tmp_path / "run") as run:
-        run.write(texts(run_json="{}"))
+    write(tmp_path / "run", "run.json")
     assert names(tmp_path / "run") == ["run.json"]
+
+
+def test_a_lock_that_cannot_be_had_is_left_out(tmp_path, monkeypatch):
+    """On a file system without locks a run goes on without."""
+    fcntl = pytest.importorskip("fcntl")
+
+    def refuse(handle, how):
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    write(tmp_path, "run.json")
+    assert names(tmp_path) == ["run.json"]
 
 
 def test_a_claim_that_keeps_nothing_leaves_nothing(tmp_path):
@@ -68,55 +88,196 @@ def test_a_claim_that_keeps_nothing_leaves_nothing(tmp_path):
     assert names(tmp_path) == []
 
 
-def test_a_file_is_added_whole_or_not_at_all(tmp_path):
+def test_only_files_of_a_run_are_replaced_and_only_when_allowed(tmp_path):
+    out = tmp_path / "a" / "b"
+    assert write(out, "run.json", "compare.png") == out
+    (out / "notes.txt").write_text("mine")
+    (out / "photo.png").write_text("mine")
+    (out / "paths.png").symlink_to(out / "photo.png")
+    before = content(out)
+    for name in ("run.json", "compare.png"):
+        with pytest.raises(InputError, match=rf"holds a run \({name}\): choose another folder or allow overwriting"):
+            write(out, "run.json")
+        assert content(out) == before
+        (out / name).unlink()
+        del before[name]
+    write(str(out), "run.json", text="newer", overwrite=True)
+    assert content(out) == {"run.json": "newer", "notes.txt": "mine", "photo.png": "mine"}
+    (out / "worlds.png").mkdir()
+    with pytest.raises(InputError, match=r"worlds\.png must be a file"):
+        write(out, "run.json", overwrite=True)
+
+
+def test_what_is_no_folder_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("keep")
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
+    bad = ["file", "file/below", "dangling", "nul\0l", f"a/b/{'x' * 300}"]
+    for path in [*(f"{tmp_path}/{name}" for name in bad), ""]:
+        for overwrite in (False, True):
+            with pytest.raises(InputError, match=r"^[^\n]*$"):
+                write(path, "run.json", overwrite=overwrite)
+    assert names(tmp_path) == ["dangling", "file"]
+
+    def refuse(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(folders.os, "open", refuse)
+    for path in (tmp_path, tmp_path / "new" / "run"):
+        with pytest.raises(InputError, match="must be a folder that can be written: Permission denied"):
+            write(path, "run.json")
+    assert names(tmp_path) == ["dangling", "file"]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError, InputError, OSError(28, "No space left on device")])
+def test_a_file_that_fails_leaves_everything_as_it_was(tmp_path, error):
     def fails(path):
         path.write_text("half")
-        raise ValueError("no")
+        raise error
 
-    with claimed(tmp_path) as run:
-        run.write(texts(run_json="{}"))
-        run.add("compare.png", lambda path: path.write_text("picture"))
-        with pytest.raises(ValueError, match="no"):
-            run.add("compare.png", fails)
-        assert names(tmp_path) == [LOCK, "compare.png", "run.json"]
-    assert (tmp_path / "compare.png").read_text() == "picture"
+    expected = pytest.raises(InputError, match="No space") if isinstance(error, OSError) else pytest.raises(error)
+    writers = {**texts("run.json"), "paths.png": fails}
+    with expected, claimed(tmp_path / "new" / "run") as run:
+        run.write(writers)
+    assert names(tmp_path) == []
+    write(tmp_path, "run.json", text="old")
+    with expected, claimed(tmp_path, overwrite=True) as run:
+        run.write(writers)
+    with expected, claimed(tmp_path, overwrite=True) as run:
+        run.add("paths.png", fails)
+    assert content(tmp_path) == {"run.json": "old"}
+    with claimed(tmp_path, overwrite=True) as run:
+        run.add("paths.png", lambda path: path.write_text("picture"))
+    assert content(tmp_path) == {"run.json": "old", "paths.png": "picture"}
 
 
-@pytest.mark.parametrize("moved", range(5))
-def test_a_holder_that_is_killed_while_files_are_moved_leaves_one_whole_run(tmp_path, moved):
-    """The first `moved` moves (old run.json away, old table away, new table in, new run.json in) have been made."""
-    stage = tmp_path / f".123-ab{PART}"
-    (stage / OLD).mkdir(parents=True)
-    for name in ("run.json", "episodes.parquet"):
-        (tmp_path / name).write_text("old")
-        (stage / name).write_text("new")
-    moves = [(tmp_path, stage / OLD, name) for name in ("run.json", "episodes.parquet")]
-    moves += [(stage, tmp_path, name) for name in ("episodes.parquet", "run.json")]
-    for source, target, name in moves[:moved]:
-        os.replace(source / name, target / name)
-    with claimed(tmp_path, overwrite=True):
-        pass
-    assert names(tmp_path) == ["episodes.parquet", "run.json"]
-    want = "new" if moved == 4 else "old"
-    assert {(tmp_path / name).read_text() for name in names(tmp_path)} == {want}
+KILLED = """
+import os, sys
+from pathlib import Path
+from jexplore.report import folders
+
+def begin(folder, last):
+    steps = 0
+    def counted(act):
+        def step(*arguments, **options):
+            nonlocal steps
+            steps += 1
+            if steps == last:
+                os.kill(os.getpid(), int(sys.argv[2]))
+            return act(*arguments, **options)
+        return step
+    with folders.claimed(folder, overwrite=True) as run:
+        folders.os.replace = counted(os.replace)
+        Path.unlink, Path.rmdir = counted(Path.unlink), counted(Path.rmdir)
+        run.write(dict.fromkeys(("run.json", "compare.png", "episodes.parquet"), lambda path: path.write_text("new")))
+
+for folder in sorted(Path(sys.argv[1]).iterdir()):
+    pid = os.fork()
+    if not pid:
+        try:
+            begin(folder, int(folder.name))
+        except KeyboardInterrupt:
+            os._exit(1)
+        os._exit(0)
+    print(int(folder.name), int(os.waitpid(pid, 0)[1] != 0))
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs signals")
+@pytest.mark.parametrize("how", ["SIGKILL", "SIGINT"])
+def test_one_whole_run_is_there_whenever_the_writer_is_ended(tmp_path, how):
+    """Nine steps: the new run counts, three old files go, it is moved, three files come, their folder goes."""
+    for step in range(1, 12):
+        write(tmp_path / f"{step:02d}", "run.json", "episodes.parquet", "paths.png", text="old")
+    said, _ = python(KILLED, tmp_path, int(getattr(signal, how))).communicate(timeout=60)
+    ended = {int(step): int(failed) for step, failed in map(str.split, said.splitlines())}
+    assert ended == {step: int(step <= 10) for step in range(1, 12)}  # the tenth is of what follows
+    for step in ended:
+        folder = tmp_path / f"{step:02d}"
+        if how == "SIGKILL":  # no mixture is taken for a run: readers look for run.json
+            assert (folder / "run.json").exists() == (step <= 2 or step >= 9)
+            with claimed(folder, overwrite=True):
+                pass
+        assert content(folder) == (
+            dict.fromkeys(("run.json", "episodes.parquet", "paths.png"), "old")
+            if step == 1
+            else dict.fromkeys(("run.json", "episodes.parquet", "compare.png"), "new")
+        ), step
+
+
+OVERWRITES = """
+import sys
+from jexplore.config import InputError
+from jexplore.report import folders
+done = 0
+while done < 15:
+    writers = dict.fromkeys(("run.json", "episodes.parquet"), lambda path: path.write_text(f"{sys.argv[2]} {done}"))
+    try:
+        with folders.claimed(sys.argv[1], overwrite=True) as run:
+            run.write(writers)
+        done += 1
+    except InputError as error:
+        assert "is being written by" in str(error), error
+"""
+TAKES_NEW_NAMES = """
+import datetime, sys
+from jexplore.report import folders
+for i in range(8):
+    writers = {"run.json": lambda path: path.write_text(f"{sys.argv[2]} {i}")}
+    with folders.claimed_new(folders.default_outs("x", datetime.datetime(2026, 1, 1), root=sys.argv[1])) as run:
+        run.write(writers)
+"""
+
+
+def test_processes_that_write_at_once_lose_no_run(tmp_path):
+    """Two overwrite what the other has written, and are refused while the other does; three take new names."""
+    one, many = tmp_path / "one", tmp_path / "many"
+    all_of_them = [python(OVERWRITES, one, k) for k in range(2)] + [python(TAKES_NEW_NAMES, many, k) for k in range(3)]
+    for process in all_of_them:
+        process.communicate(timeout=120)
+        assert process.returncode == 0
+    assert len(set(content(one).values())) == 1
+    assert names(one) == ["episodes.parquet", "run.json"]
+    runs = sorted((folder / "run.json").read_text() for folder in many.iterdir())
+    assert runs == sorted(f"{k} {i}" for k in range(3) for i in range(8))
+
+
+def test_new_folders_are_unused_and_named_in_utc(tmp_path):
+    def new(root):
+        for path in folders.default_outs("compare", NOW, root=root):
+            if path.name.endswith("compare") and not path.exists():
+                write(path, "run.json", text="theirs")  # another takes the name meanwhile
+            yield path
+
+    for _ in range(2):
+        with folders.claimed_new(new(tmp_path)) as run:
+            run.write(texts("run.json"))
+    first = "20261121T093042Z-compare"
+    assert names(tmp_path) == [first, f"{first}-2", f"{first}-3"]
+    assert [content(folder)["run.json"] for folder in sorted(tmp_path.iterdir())] == ["theirs", "new", "new"]
+    early = datetime.datetime(2026, 1, 1, 1, 0, 0, tzinfo=datetime.timezone(datetime.timedelta(hours=2)))
+    assert next(folders.default_outs("x", early)) == Path("runs/20251231T230000Z-x")
+    before = datetime.datetime.now(datetime.UTC).replace(microsecond=0, tzinfo=None)
+    stamp = datetime.datetime.strptime(next(folders.default_outs("x")).name, "%Y%m%dT%H%M%SZ-x")
+    assert 0 <= (stamp - before).total_seconds() < 60
 
 
 def table(*values):
     return pd.DataFrame({"value": list(values), "bytes": [b"x"] * len(values)})
 
 
-def begin(path, units=4, asked=ASKED, **options):
-    """Opens a ledger, and lets go of the folder: `(done, left, damaged, tables)`."""
-    with claimed(path, **options) as run, warnings.catch_warnings(record=True, action="always") as told:
-        book = ledger.Ledger(run, asked, units, resume=options.get("resume", False))
-        damaged = [str(one.message).partition(" was damaged, and its unit is made again")[0] for one in told]
-        return set(book.done), book.left, damaged, {unit: book.get(unit)["value"].tolist() for unit in book.done}
+def begin(path, units=4, asked=ASKED, resume=True, **options):
+    """Open a ledger, and let go of the folder: unit -> its values."""
+    with claimed(path, resume=resume, **options) as run:
+        book = open_ledger(run, asked, units, resume=resume)
+        assert book is not None
+        return {unit: book.get(unit)["value"].tolist() for unit in sorted(book.done)}
 
 
-def leave(path, *units):
+def leave(path, *units, asked=ASKED):
     """A run that was ended when it had finished some units."""
     with claimed(path) as run:
-        book = ledger.Ledger(run, ASKED, 4)
+        book = open_ledger(run, asked, 4)
+        assert book is not None
         for unit in units:
             book.put(unit, table(unit, unit + 0.5))
 
@@ -125,23 +286,19 @@ def test_what_is_finished_is_there_again(tmp_path):
     leave(tmp_path, 2, 0)
     assert names(tmp_path) == [UNFINISHED]
     assert names(tmp_path / UNFINISHED) == ["000000.parquet", "000002.parquet", "asked.json"]
-    assert begin(tmp_path, resume=True) == ({0, 2}, [1, 3], [], {0: [0, 0.5], 2: [2, 2.5]})
-    with claimed(tmp_path, resume=True) as run:
-        ledger.Ledger(run, ASKED, 4, resume=True).put(1, table(7))
-    assert begin(tmp_path, resume=True)[3] == {0: [0, 0.5], 1: [7], 2: [2, 2.5]}
-
-
-def test_a_folder_with_an_unfinished_run_is_not_taken_by_mistake(tmp_path):
-    leave(tmp_path, 0)
+    assert begin(tmp_path) == {0: [0, 0.5], 2: [2, 2.5]}
     with pytest.raises(InputError, match=r"holds a run that was not finished: .*--resume.*--overwrite"):
-        begin(tmp_path)
-    assert begin(tmp_path, overwrite=True)[:2] == (set(), [0, 1, 2, 3])  # thrown away when the new one begins
+        begin(tmp_path, resume=False)
+    assert begin(tmp_path, resume=False, overwrite=True) == {}  # thrown away when the new one begins
+    assert names(tmp_path) == []  # what ends before any unit leaves nothing
+    assert begin(tmp_path / "new") == {}
 
 
-def test_resume_starts_where_nothing_is(tmp_path):
-    assert begin(tmp_path / "new", resume=True)[:2] == (set(), [0, 1, 2, 3])
-    (tmp_path / "empty").mkdir()
-    assert begin(tmp_path / "empty", resume=True)[:2] == (set(), [0, 1, 2, 3])
+def test_units_without_their_page_are_nobodys(tmp_path):
+    """As a process leaves them that is killed while it throws them away."""
+    leave(tmp_path, 0, 1)
+    (tmp_path / UNFINISHED / "asked.json").unlink()
+    assert begin(tmp_path) == {}
 
 
 @pytest.mark.parametrize(
@@ -152,174 +309,101 @@ def test_resume_starts_where_nothing_is(tmp_path):
         ({"command": "reproduce"}, 4, r'its command is "compare", not "reproduce"'),
         ({"seed": 1}, 4, r"its seed is null, not 1"),
         ({}, 5, r"its units is 4, not 5"),
+        ({"own": {"mine": "b"}}, 4, r"its strategy 'mine' has changed; .* trust it \(--trust\)"),
     ],
 )
 def test_another_run_is_not_gone_on_with(tmp_path, change, units, message):
-    leave(tmp_path, 0)
-    with pytest.raises(InputError, match=f"holds another run: {message}.*--overwrite"):
-        begin(tmp_path, units=units, asked={**ASKED, **change}, resume=True)
-    assert begin(tmp_path, resume=True)[0] == {0}
+    asked = {**ASKED, "own": {"mine": "a"}}
+    leave(tmp_path, 0, asked=asked)
+    with pytest.raises(InputError, match=f"holds another run: {message}"):
+        begin(tmp_path, units=units, asked={**asked, **change})
+    assert begin(tmp_path, asked=asked) == {0: [0, 0.5]}
+
+
+def finish(path, asked, rows=()):
+    page = {"asked": ledger.jsonable(asked), "units": 4}
+    files = {"episodes.parquet": lambda path: table(*rows).to_parquet(path)}
+    with claimed(path) as run:
+        run.write({**files, "run.json": lambda path: path.write_text(json.dumps(page))})
+
+
+def reopened(path, asked, **how):
+    with claimed(path, resume=True) as run:
+        return open_ledger(run, asked, 4, resume=True, **how)
 
 
 def test_a_finished_run_is_known(tmp_path):
-    page = {"asked": {**ASKED, "lidar": [ledger.jsonable(Lidar())]}, "units": 4}
-    with claimed(tmp_path) as run:
-        run.write({"run.json": lambda path: path.write_text(json.dumps(page))})
-    with claimed(tmp_path, resume=True) as run:
-        assert ledger.is_finished(run, ASKED, 4)
-        with pytest.raises(InputError, match="its units is 4, not 5"):
-            ledger.is_finished(run, ASKED, 5)
-    for page in ([1], {"asked": [1]}, {"asked": {"own": [1]}}, {"asked": {"spec": "x"}, "units": 3}):  # something else
-        (tmp_path / "run.json").write_text(json.dumps(page))
-        with (
-            claimed(tmp_path, resume=True) as run,
-            pytest.raises(InputError, match="does not say what"),
-        ):
-            ledger.is_finished(run, ASKED, 4)
-    (tmp_path / "run.json").write_text("{")
-    with claimed(tmp_path, resume=True) as run, pytest.raises(InputError, match="is not valid JSON"):
-        ledger.is_finished(run, ASKED, 4)
-    (tmp_path / "run.json").rename(tmp_path / "compare.png")
-    with claimed(tmp_path, resume=True) as run, pytest.raises(InputError, match=r"holds a run \(compare.png\)"):
-        ledger.is_finished(run, ASKED, 4)
+    asked = {**ASKED, "own": {"mine": "a"}}
+    finish(tmp_path, asked)
+    assert reopened(tmp_path, asked) is None
+    other = {**asked, "own": {"mine": "b"}}
+    with pytest.raises(InputError, match="its strategy 'mine' has changed"):
+        reopened(tmp_path, other)
+    assert reopened(tmp_path, other, trust=True) is None
+    for page, message in (
+        *((json.dumps(page), "does not say what") for page in ([1], {"asked": [1]}, {"asked": {"own": [1]}})),
+        ("{", r"is not valid JSON .*: it must say what the run is asked; use --overwrite"),
+    ):
+        (tmp_path / "run.json").write_text(page)
+        with pytest.raises(InputError, match=message):
+            reopened(tmp_path, ASKED)
+    (tmp_path / "run.json").unlink()
+    with pytest.raises(InputError, match=r"holds a run \(episodes.parquet\)"):
+        reopened(tmp_path, ASKED)
 
 
-@pytest.mark.parametrize("cut", [0, 3, 100, -1])
-def test_a_unit_cut_short_is_made_again(tmp_path, cut):
+@pytest.mark.parametrize("damage", [0, 3, 100, -1, *((at, at + 8) for at in (4, 30, 55))])
+def test_a_unit_that_is_damaged_is_made_again(tmp_path, damage):
+    """Cut short, or changed within: nothing is told as kept that cannot be read."""
     leave(tmp_path, 0, 1)
     file = tmp_path / UNFINISHED / "000001.parquet"
-    file.write_bytes(file.read_bytes()[:cut])
+    data = bytearray(file.read_bytes())
+    if isinstance(damage, tuple):
+        data[slice(*damage)] = bytes(byte ^ 4 for byte in data[slice(*damage)])
+    else:
+        data = data[:damage]
+    file.write_bytes(data)
     (tmp_path / UNFINISHED / ".000002.parquet.1-ab.part").write_bytes(b"half")  # its writer was killed
-    assert begin(tmp_path, resume=True) == ({0}, [1, 2, 3], ["000001.parquet"], {0: [0, 0.5]})
+    with pytest.warns(InputWarning, match=r"^000001.parquet was damaged, and its unit is made again$"):
+        assert begin(tmp_path) == {0: [0, 0.5]}
     assert names(tmp_path / UNFINISHED) == ["000000.parquet", "asked.json"]
 
 
-@pytest.mark.parametrize("at", [4, 30, 55])
-def test_a_unit_damaged_inside_is_made_again(tmp_path, at):
-    """Nothing is told as kept that cannot be read."""
-    leave(tmp_path, 0, 1)
-    file = tmp_path / UNFINISHED / "000000.parquet"
-    data = bytearray(file.read_bytes())
-    data[at : at + 8] = bytes(byte ^ 4 for byte in data[at : at + 8])
-    file.write_bytes(data)
-    assert begin(tmp_path, resume=True) == ({1}, [0, 2, 3], ["000000.parquet"], {1: [1, 1.5]})
-
-
-def shorter(episodes):
-    """A run of 2 episodes a unit that goes on with runs of fewer."""
-
-    def units_of(rows):
-        for unit in range(episodes // 2):
-            own = rows[rows["value"].between(2 * unit, 2 * unit + 1)]
-            if len(own):
-                yield unit, own.reset_index(drop=True), len(own) == 2
+def longer(path, episodes, **change):
+    """The ledger of a run of 2 episodes a unit that continues runs of fewer."""
 
     def asked(n):
-        return {key: value for key, value in {**ASKED, "episodes": n}.items() if key != "command"}
+        return {key: value for key, value in {**ASKED, **change, "episodes": n}.items() if key != "command"}
 
-    return ledger.Shorter(episodes, asked, lambda folder: pd.read_parquet(folder / "episodes.parquet"), units_of)
-
-
-def lengthen(path, episodes, **change):
-    asked = {**ASKED, "episodes": episodes, **change}
-    with claimed(path, resume=True) as run:
-        assert not ledger.is_finished(run, asked, episodes // 2, shorter=shorter(episodes))
-        book = ledger.Ledger(run, asked, episodes // 2, resume=True, shorter=shorter(episodes))
-        found = {unit: book.get(unit)["value"].tolist() for unit in sorted(book.done)}
-        return found | {unit: book.get(unit)["value"].tolist() for unit in sorted(book.parts)}
-
-
-def test_a_run_goes_on_with_more_episodes(tmp_path):
-    with claimed(tmp_path) as run:
-        book = ledger.Ledger(run, {**ASKED, "episodes": 5}, 3)
-        for unit, values in enumerate([(0, 1), (2, 3), (4,)]):
-            book.put(unit, table(*values))
-    assert lengthen(tmp_path, 8) == {0: [0, 1], 1: [2, 3], 2: [4]}
-    assert lengthen(tmp_path, 8) == {0: [0, 1], 1: [2, 3], 2: [4]}  # after whatever has ended it
-    assert lengthen(tmp_path, 10) == {0: [0, 1], 1: [2, 3], 2: [4]}
-    with claimed(tmp_path, resume=True) as run:
-        book = ledger.Ledger(run, {**ASKED, "episodes": 10}, 5, resume=True, shorter=shorter(10))
-        book.put(2, table(4, 5))
-    assert lengthen(tmp_path, 12) == {0: [0, 1], 1: [2, 3], 2: [4, 5]}
-    assert len(names(tmp_path / UNFINISHED)) == 4  # with the page, nothing of shorter runs
-    for episodes, change, says in (
-        (10, {}, "holds a run of 12 episodes, more than 10: ask for 12 or more"),
-        (14, {"seed": 1}, "its seed is null, not 1"),
-        (12, {"seed": 1}, "its seed is null, not 1"),
-    ):
-        with pytest.raises(InputError, match=says):
-            begin_longer(tmp_path, episodes, change)
-
-
-def begin_longer(path, episodes, change):
-    other = shorter(episodes)
-    asks = other._replace(asked=lambda n: {**other.asked(n), **change})
-    with claimed(path, resume=True) as run:
-        ledger.Ledger(run, {**ASKED, "episodes": episodes, **change}, episodes // 2, resume=True, shorter=asks)
+    shorter = ledger.ShorterRuns(episodes, asked, lambda n: (episodes - n) // 2)
+    with claimed(path, resume=True) as run, warnings.catch_warnings(action="error"):
+        own = {"command": "compare", **asked(episodes)}
+        book = open_ledger(run, own, episodes // 2, resume=True, shorter=shorter)
+        if book is None or book.done:
+            return book
+        book.put(0, table(1))
+        return book
 
 
 def test_a_finished_run_goes_on_with_more_episodes(tmp_path):
-    page = {"asked": ledger.jsonable({**ASKED, "episodes": 4}), "units": 2}
-    files = {"episodes.parquet": lambda path: table(0, 1, 2, 3).to_parquet(path)}
-    with claimed(tmp_path) as run:
-        run.write({**files, "run.json": lambda path: path.write_text(json.dumps(page))})
-    (tmp_path / UNFINISHED).mkdir()  # as of a process that was killed before the page was there
-    (tmp_path / UNFINISHED / "000003.parquet").write_bytes(b"half")
-    with claimed(tmp_path, resume=True) as run:
-        assert ledger.is_finished(run, {**ASKED, "episodes": 4}, 2, shorter=shorter(4))
-    assert lengthen(tmp_path, 6) == {0: [0, 1], 1: [2, 3]}
-    assert "run.json" in names(tmp_path)  # the shorter one stays until the longer one is there
-
-
-def test_growing_loses_nothing_when_it_is_ended(tmp_path, monkeypatch):
-    with claimed(tmp_path) as run:
-        book = ledger.Ledger(run, {**ASKED, "episodes": 4}, 2)
-        for unit in (0, 1):
-            book.put(unit, table(2 * unit, 2 * unit + 1))
-    write = ledger.write_json
-
-    def ended(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(ledger, "write_json", ended)
-    with pytest.raises(KeyboardInterrupt):
-        lengthen(tmp_path, 8)
-    monkeypatch.setattr(ledger, "write_json", write)
-    with claimed(tmp_path, resume=True) as run:
-        assert ledger.Ledger(run, {**ASKED, "episodes": 4}, 2, resume=True).done == {0, 1}
-    assert lengthen(tmp_path, 8) == {0: [0, 1], 1: [2, 3]}
-
-
-@pytest.mark.parametrize("finished", [False, True])
-def test_a_strategy_that_cannot_be_told_is_trusted_or_refused(tmp_path, finished):
-    def opened(own, **how):
-        asked = {**ASKED, "own": own}
-        with claimed(tmp_path, resume=True) as run:
-            if finished:
-                return ledger.is_finished(run, asked, 4, **how)
-            return ledger.Ledger(run, asked, 4, resume=True, **how).done
-
-    asked = {**ASKED, "own": {"mine": "a", "asks": None}}
-    with claimed(tmp_path) as run:
-        if finished:
-            page = {"asked": ledger.jsonable(asked), "units": 4}
-            run.write({"run.json": lambda path: path.write_text(json.dumps(page))})
-        else:
-            ledger.Ledger(run, asked, 4).put(0, table(1))
-    with pytest.raises(InputError, match=r"'asks', which calls back into Python, .* --trust goes on if you know"):
-        opened({"mine": "a", "asks": None})
-    with pytest.raises(InputError, match="its strategy 'mine' computes something else now"):
-        opened({"mine": "b", "asks": None})
-    assert opened({"mine": "b", "asks": None}, trust=True) == (True if finished else {0})
-
-
-def test_a_page_that_cannot_be_read_is_told(tmp_path):
-    leave(tmp_path, 0)
-    (tmp_path / UNFINISHED / "asked.json").write_text("{")
-    with pytest.raises(
-        InputError, match=r"asked.json': is not valid JSON .*: it must say what the run is asked; use --overwrite"
+    finish(tmp_path, {**ASKED, "episodes": 4}, range(4))
+    assert longer(tmp_path, 4) is None
+    for _ in range(2):  # begun, and gone on with after whatever has ended it
+        book = longer(tmp_path, 10)
+        assert book is not None
+        assert (book.after, book.units, book.done) == (4, 3, {0})
+        assert "run.json" in names(tmp_path)  # the shorter one stays until the longer one is there
+    for episodes, change, says in (
+        (12, {}, "holds a run of 10 episodes that was not finished: finish these, then ask for more"),
+        (8, {}, "holds a run of 10 episodes, more than 8: ask for 10 or more"),
+        (10, {"seed": 1}, "its seed is null, not 1"),
     ):
-        begin(tmp_path, resume=True)
+        with pytest.raises(InputError, match=says):
+            longer(tmp_path, episodes, **change)
+    with claimed(tmp_path, resume=True) as run:
+        run.forget()
+    with pytest.raises(InputError, match="its seed is null, not 1"):
+        longer(tmp_path, 12, seed=1)
 
 
 def test_a_full_disk_leaves_what_was_finished(tmp_path, monkeypatch):
@@ -329,45 +413,27 @@ def test_a_full_disk_leaves_what_was_finished(tmp_path, monkeypatch):
         file.write(b"half")
         raise OSError(28, "No space left on device")
 
-    with claimed(tmp_path, resume=True) as run:
-        book = ledger.Ledger(run, ASKED, 4, resume=True)
-        monkeypatch.setattr(pd.DataFrame, "to_parquet", full)
+    with claimed(tmp_path, resume=True) as run, monkeypatch.context() as patch:
+        book = open_ledger(run, ASKED, 4, resume=True)
+        assert book is not None
+        patch.setattr(pd.DataFrame, "to_parquet", full)
         with pytest.raises(InputError, match="No space left on device"):
             book.put(1, table(1))
         assert book.done == {0}
-    assert begin(tmp_path, resume=True)[0] == {0}
+    assert begin(tmp_path) == {0: [0, 0.5]}
 
 
 def test_a_finished_run_leaves_no_units(tmp_path):
-    with claimed(tmp_path) as run:
-        ledger.Ledger(run, ASKED, 4).put(0, table(1))
-        run.write(texts(run_json="{}"), is_finished=False)
+    leave(tmp_path, 0)
+    with claimed(tmp_path, resume=True) as run:
+        run.write(texts("run.json"), is_finished=False)
         assert names(tmp_path) == [LOCK, UNFINISHED, "run.json"]
-        run.write(texts(run_json="{}"))
+        run.write(texts("run.json"))
     assert names(tmp_path) == ["run.json"]
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
-def test_a_lock_that_cannot_be_had_is_left_out(tmp_path, monkeypatch):
-    """On a file system without locks a run goes on without."""
-    import fcntl
-
-    def refuse(handle, how):
-        raise OSError(95, "Operation not supported")
-
-    monkeypatch.setattr(fcntl, "flock", refuse)
-    with claimed(tmp_path) as run:
-        run.write(texts(run_json="{}"))
-    assert names(tmp_path) == ["run.json"]
-
-
-def test_units_without_their_page_are_nobodys(tmp_path):
-    """As a process leaves them that is killed while it throws them away."""
-    leave(tmp_path, 0, 1)
-    (tmp_path / UNFINISHED / "asked.json").unlink()
-    assert begin(tmp_path, resume=True)[:2] == (set(), [0, 1, 2, 3])
-
-
-def test_what_ends_before_any_unit_leaves_nothing(tmp_path):
-    begin(tmp_path / "run")
-    assert names(tmp_path) == []
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are any bytes")
+def test_a_folder_whose_name_is_no_text_holds_a_run(tmp_path):
+    folder = tmp_path / os.fsdecode(b"caf\xe9")
+    leave(folder, 1, asked={**ASKED, "of": os.fspath(folder)})
+    assert begin(folder, asked={**ASKED, "of": os.fspath(folder)}) == {1: [1, 1.5]}

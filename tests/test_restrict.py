@@ -157,7 +157,7 @@ def test_both_are_arguments_of_functions_and_part_of_what_is_asked(tmp_path, mon
             "within" not in limits,
             "from_map" not in limits,
         )
-        asked.append(provenance.digest(jobs[0].world))
+        asked.append(provenance.world_digest(jobs[0].world))
     assert len(set(asked)) == 3
 
 

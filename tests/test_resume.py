@@ -243,35 +243,34 @@ def test_a_finished_run_is_not_run_again(tmp_path, capsys, monkeypatch):
 
 def test_a_strategy_that_was_written_anew_is_another_run(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
     file, command = tmp_path / "mine_again.py", [*COMMAND, "--episodes", "2", "--out", "run", "--no-report", "--resume"]
     command[command.index("--strategies") + 1 : command.index("--strategies") + 2] = ["mine_again:far"]
-    (tmp_path / "helps_again.py").write_text("SIGN = 1\n")
-    file.write_text("import helps_again\ndef far(view):\n    return view.cost * helps_again.SIGN\n")
+    file.write_text("def far(view):\n    return view.cost\n")
     assert main.main(command) == 0
-    file.write_text("from helps_again import SIGN\ndef far(view):  # the same\n    return view.cost * SIGN\n")
+    file.write_text("def far(view):  # the same\n    return view.cost\n")
     assert main.main(command) == 0
-    (tmp_path / "helps_again.py").write_text("SIGN = 2\n")
+    file.write_text("def far(view):\n    return view.cost * 2\n")
     assert main.main(command) == 2
-    said = capsys.readouterr().err
-    assert "holds another run: its strategy 'mine_again:far' computes something else now; choose another" in said
+    assert "holds another run: its strategy 'mine_again:far' has changed; choose another" in capsys.readouterr().err
     assert main.main([*command, "--trust"]) == 0
 
 
-def test_a_run_goes_on_with_more_episodes(want, tmp_path, capsys):
+def test_a_finished_run_goes_on_with_more_episodes(want, tmp_path, capsys):
     folder = tmp_path / "run"
     command = [*COMMAND, "--out", str(folder), "--no-report", "--resume", "--episodes"]
-    assert main.main([*command, "20"]) == 0  # units of 8: two of each strategy, and a half
+    assert main.main([*command, "20"]) == 0
     process = begin(folder, "--no-report", "--resume", "--episodes", "240")
     wait_for(process, folder, 8)
     process.kill()
     process.communicate()
-    assert main.main([*command, "239"]) == 2
-    assert "holds a run of 240 episodes, more than 239" in capsys.readouterr().err
+    for episodes, message in (("239", "holds a run of 240 episodes, more than 239"), ("241", "finish these")):
+        assert main.main([*command, episodes]) == 2
+        assert message in capsys.readouterr().err
+    assert load(folder).episodes.groupby("strategy").size().tolist() == [20, 20]  # until the longer one is there
     assert main.main([*command, "240"]) == 0
     record = json.loads((folder / "run.json").read_text())
     assert record["asked"]["episodes"] == 240
-    assert record["resumed"] >= 48  # what was finished, and two units
+    assert record["resumed"] >= 40 + 8 * 8
     pd.testing.assert_frame_equal(pd.read_parquet(folder / "episodes.parquet"), want.episodes)
     found = load(folder)
     for key, rows in want.progress.items():
@@ -298,38 +297,17 @@ def interrupt(_, done):
         raise KeyboardInterrupt
 
 
-def test_what_an_interruption_wrote_is_gone_on_with(want, tmp_path, capsys, monkeypatch):
-    """Units of 32 episodes, of which none is whole: what the table shows is kept all the same."""
-    monkeypatch.setattr(units, "LEAST", 32)
-    run, command = tmp_path / "run", [*COMMAND, "--episodes", "32", "--workers", "1", "--no-report"]
+def test_an_interruption_without_a_whole_unit_leaves_the_shorter_run(want, tmp_path, capsys, monkeypatch):
+    """A finished run of 4 episodes, and units of 32, of which none is whole."""
+    monkeypatch.setattr(units, "MIN_UNIT_EPISODES", 32)
+    run, command = tmp_path / "run", [*COMMAND, "--workers", "1", "--no-report", "--resume", "--episodes"]
+    assert main.main([*command, "4", "--out", str(run)]) == 0
     with monkeypatch.context() as patch:
         patch.setattr(console.Progress, "update", interrupt)
-        assert main.main([*command, "--out", str(run)]) == 130
-    said = capsys.readouterr().err
-    assert f"jexplore: 0 of 2 units and parts of others are kept; --out {run} --resume goes on with them\n" in said
-    n = len(pd.read_parquet(run / ".unfinished" / "000000-part.parquet"))
-    assert 0 < n < 32
-    assert shards(run) == ["000000-part.parquet"]
-    assert main.main([*command, "--out", str(run), "--resume"]) == 0
-    assert json.loads((run / "run.json").read_text())["resumed"] == n
-    table = pd.read_parquet(run / "episodes.parquet")
-    rows = want.episodes[want.episodes["episode"] < 32].reset_index(drop=True)
-    pd.testing.assert_frame_equal(table, rows)
-    assert not (run / ".unfinished").exists()
-
-
-def test_a_part_of_a_unit_with_gaps_is_made_whole():
-    def piece(*episodes):
-        table = pd.DataFrame({"episode": episodes})
-        progress = np.array([[float(i)] for i in episodes])
-        return units.Piece(0, table, progress, None, [np.full((1, 3), i) for i in episodes], None)
-
-    unit = units.Unit(job=0, first=8, n=8, turn=1)
-    part = piece(8, 9, 12)
-    rest = units._rest(unit, part)
-    assert [(one.first, one.n) for one in rest] == [(10, 2), (13, 3)]
-    assert units._rest(unit, None) == [unit]
-    whole = units._joined([part, piece(13, 14, 15), piece(), piece(10, 11)])
-    assert whole.table["episode"].tolist() == list(range(8, 16))
-    assert whole.progress[:, 0].tolist() == list(range(8, 16))
-    assert [path[0, 0] for path in whole.paths] == list(range(8, 16))
+        assert main.main([*command, "36", "--out", str(run)]) == 130
+    assert "no unit of work was finished: nothing is kept to go on with" in capsys.readouterr().err
+    assert len(load(run).episodes) == 8
+    assert main.main([*command, "36", "--out", str(run)]) == 0
+    rows = want.episodes[want.episodes["episode"] < 36].reset_index(drop=True)
+    pd.testing.assert_frame_equal(pd.read_parquet(run / "episodes.parquet"), rows)
+    assert json.loads((run / "run.json").read_text())["resumed"] == 8

@@ -3,8 +3,6 @@
 import itertools
 import json
 import re
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,14 +15,13 @@ from jexplore.cli import main
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.driving.settings import Tuning
 from jexplore.engine import devices
-from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
 from jexplore.studies.results.units import COLUMNS
 from jexplore.studies.sweeps import plan as plans
-from jexplore.studies.sweeps import run, traces
-from jexplore.studies.sweeps.plan import Block, in_shard, prepare_sweep
+from jexplore.studies.sweeps import traces
+from jexplore.studies.sweeps.plan import SweepBlock, in_shard, prepare_sweep
 from jexplore.studies.sweeps.run import ready, sweep
-from jexplore.studies.sweeps.spec import Range, Sweep, plain, read_spec, sweep_from
+from jexplore.studies.sweeps.spec import Range, Sweep, plain_spec, read_spec, sweep_from
 from jexplore.studies.traces import job
 
 WORLDS = ["rooms:width_m=5,height_m=5", "maze:width_m=5,height_m=5"]
@@ -63,7 +60,7 @@ def test_ranges_are_drawn_from(draw):
         counts, _ = np.histogram(values, 4, (low, high))
         assert counts.min() >= (48 if draw == "sobol" else 30)  # of 50: sobol is even
     assert {one["cell_m"] for one in found} == {0.1, 0.2}
-    assert found == sweep_from(plain(spec)).expanded()  # drawn again the same
+    assert found == sweep_from(plain_spec(spec)).expanded()  # drawn again the same
     whole = Sweep(["a"], draws=8, rules={"max_steps": Range(100, 200)}).expanded()
     assert all(isinstance(one["rules.max_steps"], int) for one in whole)
 
@@ -178,7 +175,7 @@ def test_plain_words_are_those_of_yaml_1_2(tmp_path):
     spec = read_spec(path)
     assert spec.worlds == ("no", "4:30", "2026-01-02", "1_0")
     assert (spec.seed, spec.cell_m, spec.lidar) == ((10, 8, 16), 0.1, {"range_m": 5.0})
-    asked = dump(plain(spec))
+    asked = dump(plain_spec(spec))
     path.write_text(asked)
     assert read_spec(path) == spec
     path.write_text("worlds: [cave]\nseed: 4:30\n")
@@ -204,7 +201,7 @@ def test_units_share_programs_and_miss_nothing(monkeypatch):
     plan = prepare_sweep(spec)
     assert plan.programs == 2  # one a clearance; both worlds have one size
     blocks = [block for unit in plan.units for block in unit]
-    want = {Block(s, w, k, 0, 40) for s in range(4) for w in range(2) for k in range(2)}
+    want = {SweepBlock(s, w, k, 0, 40) for s in range(4) for w in range(2) for k in range(2)}
     assert len(blocks) == len(set(blocks)) == len(want)
     assert set(blocks) == want
     for unit in plan.units:
@@ -304,7 +301,7 @@ def test_interruption_keeps_whole_units(asked, monkeypatch):
         return run(jobs, *rest, **{**how, "on_job": on_job})
 
     monkeypatch.setattr(batch, "run_jobs", stop)
-    monkeypatch.setattr(plans, "UNIT", 32)
+    monkeypatch.setattr(plans, "MAX_UNIT_EPISODES", 32)
     found = sweep(asked, workers=1)
     assert found.costs.interrupted
     assert len(found.episodes) % 30 == 0  # ten blocks of three make a unit
@@ -312,17 +309,6 @@ def test_interruption_keeps_whole_units(asked, monkeypatch):
     monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         sweep(asked)
-
-
-def test_what_was_begun_and_has_not_ended_is_not_counted_as_resumed(monkeypatch):
-    monkeypatch.setattr(plans, "UNIT", 32)
-    plan = ready(Sweep(WORLDS[:1], strategies=["closest"], episodes=64))
-    settings = {**plan.settings[0], "setting": 0, "world": WORLDS[0], "strategy": "closest"}
-    tables = [pd.DataFrame([settings | {"episode": i} for i in range(*span)]) for span in ((0, 32), (32, 37))]
-    ledger: Any = SimpleNamespace(done={0}, parts={1}, get=tables.__getitem__)
-    monkeypatch.setattr(run, "_run_left", lambda *_: Costs(interrupted=True))
-    found = run.run_sweep(plan, ledger=ledger)
-    assert (found.resumed, len(found.episodes), found.missing) == (32, 32, 32)
 
 
 YAML = """
@@ -353,7 +339,7 @@ def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
     whole = jx.load("whole")
     assert whole.spec == read_spec("s.yaml")
     pd.testing.assert_frame_equal(pd.read_csv("whole/summary.csv"), whole.summary, check_dtype=False)
-    monkeypatch.setattr(plans, "UNIT", 100)
+    monkeypatch.setattr(plans, "MAX_UNIT_EPISODES", 100)
     for i in (1, 2, 3):
         assert main.main(["sweep", "s.yaml", "--shard", f"{i}/3", "--out", f"part{i}", "--no-report"]) == 0
     assert len(jx.load("part2").episodes) == 96
@@ -386,7 +372,7 @@ def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
 @pytest.mark.jit
 def test_a_part_without_the_first_strategy_has_no_ratios(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(plans, "UNIT", 3)
+    monkeypatch.setattr(plans, "MAX_UNIT_EPISODES", 3)
     asked = {"worlds": WORLDS[:1], "strategies": ["closest", "random"], "episodes": 3, "lidar": {**SMALL, "range_m": 2}}
     (tmp_path / "s.yaml").write_text(yaml.safe_dump(asked))
     for i in (1, 2):

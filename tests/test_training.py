@@ -16,7 +16,7 @@ from jexplore.learn.settings import SETTINGS
 from jexplore.policies import parse_strategy
 from jexplore.policies.learned import model
 from jexplore.report.folders import claimed
-from jexplore.report.ledger import Ledger
+from jexplore.report.ledger import open_ledger
 from jexplore.worlds.world import World
 
 SMALL = ["rooms#1000:width_m=6,height_m=6", "maze#1000:width_m=6,height_m=6"]
@@ -210,7 +210,7 @@ def test_regression_resumed_is_regression_uninterrupted(tmp_path):
     whole = training.run_training(plans[1])
     for plan in plans:
         with claimed(tmp_path / "run", resume=True) as run:
-            kept = Ledger(run, {"asked": 0}, 2, resume=True)
+            kept = open_ledger(run, {"asked": 0}, 2, resume=True)
             assert len(kept.done) == plan.rounds - 1
             found = training.run_training(plan, ledger=kept)
     assert model.digest(found.model.weights) == model.digest(whole.model.weights)

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 import jexplore as jx
 from jexplore.config import InputError
-from jexplore.studies.results.provenance import files_of
+from jexplore.studies.results.provenance import map_files_of
 from jexplore.worlds import load_world
 from jexplore.worlds.bounds import MAX_SIDE
 from jexplore.worlds.starts import check_start, clear_of_walls, draw_start, draw_starts, label_components, start_region
@@ -421,10 +421,10 @@ def test_files_of_a_world_are_hashed_whatever_follows_their_names(tmp_path):
         ("recording:topic=/map", ["recording/metadata.yaml", "recording/part.db3"]),
         ("absent.log", []),
     ):
-        found = files_of(world.replace(name=str(tmp_path / name)))
+        found = map_files_of(world.replace(name=str(tmp_path / name)))
         assert list(found) == [str(tmp_path / file) for file in files]
         assert all(len(digest) == 64 for digest in found.values())
-    assert files_of(world.replace(name="cave#3:width_m=6")) == {}
+    assert map_files_of(world.replace(name="cave#3:width_m=6")) == {}
 
 
 def _pencil_world():

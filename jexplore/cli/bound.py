@@ -51,7 +51,7 @@ class Bound:
         """Run the command and return the exit status, None for 0."""
         from jexplore.report import plot, store
         from jexplore.studies.bounds import bound
-        from jexplore.studies.results.provenance import describe
+        from jexplore.studies.results.provenance import describe_world
 
         if not self.worlds:
             raise InputError("expected worlds: jexplore bound cave maze#3")
@@ -70,7 +70,7 @@ class Bound:
             with working(len(tasks), "starts") as on_progress:
                 found = bound.run_bounds(tasks, ledger=ledger, workers=self.workers, on_progress=on_progress)
             entries = {"interrupted": found.interrupted, "settings": found.settings}
-            record = out.record(arguments, self, **entries, worlds=[describe(world) for world in found.worlds])
+            record = out.record(arguments, self, **entries, worlds=[describe_world(world) for world in found.worlds])
             files = {
                 "bounds.parquet": lambda path: store.write_parquet(found.table, path),
                 "walks.parquet": lambda path: store.write_parquet(found.walks, path),

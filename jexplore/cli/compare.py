@@ -98,7 +98,7 @@ class Compare:
     """Continue the run in the folder, if any: finished episodes are not computed again. With a larger number of
     episodes it keeps the earlier ones."""
     trust: bool = False
-    """Let --resume take strategies of your own for what they were when the run began, even where nothing tells."""
+    """Let --resume take strategies of your own for what they were when the run began, although they have changed."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     rules: Rules = dataclasses.field(default_factory=Rules)
 
@@ -231,11 +231,12 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequenc
     def asked_of(jobs):
         return provenance.asked(jobs) | more
 
-    shorter = loading.shorter_of(jobs, keep, asked_of)
-    ledger = out.keep(asked_of(jobs), len(units.cut(jobs)) + len(starts), shorter=shorter)
+    shorter = loading.shorter_of(jobs, asked_of, len(starts))
+    ledger = out.keep(asked_of(jobs), len(units.cut_jobs(jobs)) + len(starts), shorter=shorter)
     if ledger is None:
         return None
     how = {name: getattr(options, name) for name in ("engine", "lanes", "workers")}
+    how["earlier"] = loading.earlier_pieces(ledger, jobs)
     with working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
         return units.run_units(jobs, ledger=ledger, **how, on_progress=on_progress, keep=keep)
 
@@ -283,7 +284,7 @@ def finish_comparison(
     from jexplore.studies.results import saving
 
     costs, made = ran.costs, record(**saving.entries_of(found), **saving.engine_of(ran.costs))
-    files = saving.files_of(found, made, more)
+    files = saving.comparison_files(found, made, more)
     text += "".join(f"warning: {line}\n" for line in found.warnings)
     pictures = saving.pictures_of(out.run.path, found, ran.firsts, made, figures, None if costs.interrupted else jobs)
     return out.finish(made, files, text, pictures, interrupted=costs.interrupted)

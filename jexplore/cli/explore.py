@@ -49,7 +49,7 @@ class Explore:
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
         from jexplore.studies.explore import prepare_job, run_job
-        from jexplore.studies.results.provenance import describe
+        from jexplore.studies.results.provenance import describe_world
 
         with Out(self, "explore") as out:
             job = prepare_job(
@@ -61,7 +61,7 @@ class Explore:
                 found = run_job(job)
             measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
             times = {"compile_s": found.compile_s, "run_s": found.run_s}
-            record = out.record(arguments, self, result=measures, worlds=[describe(found.world)], **times)
+            record = out.record(arguments, self, result=measures, worlds=[describe_world(found.world)], **times)
             lines = [f"{name:<18} {_text(value)}" for name, value in measures.items()]
             if found.final.plans is None:
                 lines.append(f"warning: an episode of {found.measures['plans']} plans cannot be replayed: no animation")

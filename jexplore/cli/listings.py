@@ -56,7 +56,7 @@ class Worlds:
         from jexplore.report.tables import aligned_table
         from jexplore.studies.checks import ready_worlds
         from jexplore.studies.geometry import geometry, geometry_table
-        from jexplore.studies.results.provenance import describe
+        from jexplore.studies.results.provenance import describe_world
         from jexplore.worlds.regions import warn_of_floor
         from jexplore.worlds.starts import start_region
 
@@ -66,7 +66,7 @@ class Worlds:
                 worlds = ready_worlds(self.worlds or tuple(GENERATORS), self.cell_m)
             for world in worlds:
                 warn_of_floor(world, start_region(world, self.clearance_m), self.clearance_m, drawn=True)
-            described = [describe(world) for world in worlds]
+            described = [describe_world(world) for world in worlds]
             rows = []
             for world, about in zip(worlds, described):
                 height, width = world.shape

@@ -19,9 +19,7 @@ from typing import Any
 
 from jexplore.arrays.files import missing
 from jexplore.config import (
-    ENGINES,
     NUMBER_BOUNDS,
-    SWEEP_ENGINES,
     InputError,
     require_different,
     require_engine,
@@ -49,7 +47,7 @@ def check_names(command: str, options: Any) -> None:
       InputError: naming the first one, and what would be right.
     """
     if hasattr(options, "lanes"):
-        require_engine(options.engine, options.lanes, SWEEP_ENGINES if command == "sweep" else ENGINES)
+        require_engine(options.engine, options.lanes)
     for option in sorted(vars(options), key=lambda name: name != "cell_m"):  # which worlds are checked by
         check = OPTION_CHECKS.get(f"{command} {option}") or OPTION_CHECKS.get(option)
         if check is check_world:
@@ -66,8 +64,6 @@ def check_names(command: str, options: Any) -> None:
         check_trace(options)
     if command == "train":
         check_train(options)
-    if getattr(options, "engine", None) == "ray":
-        _require_ray()
 
 
 def _check_one(check, text, option, is_alone):
@@ -167,12 +163,6 @@ def check_spec(path: str) -> None:
         check_world(os.fspath(world), cell_m)
     for name, _ in () if spec.robots else spec.strategy_list():
         check_strategy(name)
-
-
-def _require_ray() -> None:
-    """Refuse the engine ray where Ray is not installed."""
-    if importlib.util.find_spec("ray") is None:
-        raise InputError("the engine ray needs Ray: pip install 'jexplore[ray]'")
 
 
 def check_trace(options: Any) -> None:

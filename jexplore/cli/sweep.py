@@ -41,14 +41,12 @@ class SweepCommand:
     """Begin although it will take more than an hour."""
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="")] = None
     """Make only part I of N (1/4 to 4/4), each in a folder of its own; `jexplore merge` puts the parts together."""
-    engine: Literal["auto", "jax", "ray"] = "auto"
-    """Run episodes as for `jexplore compare`, or as tasks of a Ray cluster."""
+    engine: Literal["auto", "jax"] = "auto"
+    """Run episodes as for `jexplore compare`."""
     lanes: int | None = None
     """With --engine jax on a GPU: episodes at a time; by default as many as its memory holds."""
     workers: int | None = None
     """Cores that run episodes, one each; by default all that this process may use."""
-    gpu: bool = False
-    """Give every task of the engine ray a GPU, instead of the cores that --workers says (default: one)."""
     out: OutFolder = None
     """Folder to write."""
     overwrite: bool = False
@@ -59,7 +57,7 @@ class SweepCommand:
     """Continue the run in the folder, if any: finished units are not computed again. With a larger number of episodes
     it keeps the earlier ones."""
     trust: bool = False
-    """Let --resume take strategies of your own for what they were when the run began, even where nothing tells."""
+    """Let --resume take strategies of your own for what they were when the run began, although they have changed."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
@@ -89,7 +87,7 @@ class SweepCommand:
             ledger = out.keep(plan.asked(shard), len(plan.units), wanted=len(numbers), shorter=plan.shorter(shard))
             if ledger is None:
                 return _show_finished(out, plan if self.report else None)
-            how: dict[str, Any] = {name: getattr(self, name) for name in ("engine", "lanes", "workers", "gpu")}
+            how: dict[str, Any] = {name: getattr(self, name) for name in ("engine", "lanes", "workers")}
             total = sum(plan.size(number) for number in numbers)
             with working(total, "runs" if spec.robots else "episodes") as on_progress:
                 found = run_sweep(plan, ledger=ledger, shard=shard, **how, on_progress=on_progress)
@@ -133,9 +131,9 @@ def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, pl
     """Write, print and draw; return the exit status."""
     from jexplore.arrays.plain_yaml import dump
     from jexplore.report import store
-    from jexplore.studies.results.provenance import describe
+    from jexplore.studies.results.provenance import describe_world
     from jexplore.studies.results.saving import engine_of
-    from jexplore.studies.sweeps.spec import plain
+    from jexplore.studies.sweeps.spec import plain_spec
 
     costs = found.costs
     ran = len(found.episodes) - found.resumed
@@ -149,13 +147,13 @@ def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, pl
         resumed=found.resumed,
         columns=found.columns,
         reference=found.reference,
-        worlds=[describe(world) for world in plan.all_worlds()],
+        worlds=[describe_world(world) for world in plan.all_worlds()],
         **entries,
     )
     files = {
         "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
         "summary.csv": lambda path: found.summary.to_csv(path, index=False),
-        "asked.yaml": lambda path: path.write_text(dump(plain(found.spec))),
+        "asked.yaml": lambda path: path.write_text(dump(plain_spec(found.spec))),
     }
     text = found.to_markdown(PRINTED_ROWS)
     text += f"warning: {found.missing} episodes are missing\n" if found.missing else ""
@@ -200,7 +198,7 @@ class Merge:
     overwrite: bool = False
     """Replace the run that the folder holds."""
     trust: bool = False
-    """Take strategies of your own for the same in all parts, even where nothing tells."""
+    """Take strategies of your own for the same in all parts, although they have changed."""
     report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
     """Write report.html, the whole run in one page with replays."""
 

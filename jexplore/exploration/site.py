@@ -56,7 +56,8 @@ class Site(NamedTuple):
         """Return the `Setup` and the `Numbers` of a strategy here: `(setup, numbers)`."""
         params = _numbers(strategy)
         numbers = self.numbers.replace(recheck=np.bool_(strategy.recheck), params=params)
-        return self.setup._replace(policy=_traced(self, strategy, numbers)._replace(params=())), numbers
+        _check(self, strategy, numbers)
+        return self.setup._replace(policy=strategy.policy._replace(params=())), numbers
 
 
 def _numbers(strategy):
@@ -67,18 +68,17 @@ def _numbers(strategy):
         raise InputError(f"{strategy.name}: params of a Policy must be numbers and arrays") from None
 
 
-def _traced(site, strategy, numbers):
-    """Return the policy of a strategy; a user's is traced here, and refused if its result is wrong."""
+def _check(site, strategy, numbers):
+    """Refuse a user's strategy whose functions return the wrong shapes or types here."""
     if not adapt.is_theirs(strategy.policy):
-        return strategy.policy
+        return
     truth = jax.tree.map(lambda a: a[None], site.truth)
     task = np.zeros(3, np.int32)
     # Ignored types: numpy on the host, where the record says what it is on the device.
     given = Given(np.zeros((), np.int32), site.beams, truth, np.int32(0), numbers, task)  # type: ignore[arg-type]
     belief = jax.eval_shape(environment.blank_belief, given)
-    belief = belief.replace(model=belief.model.replace(native=None))  # told by what it computes, by whatever code
     route = jax.ShapeDtypeStruct(site.truth.occupied.shape, np.int8)
-    return adapt.traced_policy(strategy.policy, numbers.params, belief, site.beams, route)
+    adapt.check_policy(strategy.policy, numbers.params, belief, site.beams, route)
 
 
 def prepare_site(

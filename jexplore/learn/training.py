@@ -28,7 +28,7 @@ from jexplore.policies.learned.strategy import policy_of
 from jexplore.report.ledger import Ledger
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, WorldLike
 from jexplore.studies.results.progress import progress_bar
-from jexplore.studies.results.provenance import digest
+from jexplore.studies.results.provenance import world_digest
 from jexplore.version import __version__
 
 if TYPE_CHECKING:
@@ -236,7 +236,7 @@ def train(
 def asked(plan: Plan) -> dict[str, Any]:
     """Return all that the result depends on, as plain values."""
     worlds = {"training": plan.training.worlds, "validation": plan.validation.worlds}
-    digests = hashlib.sha256("".join(digest(w) for own in worlds.values() for w in own).encode())
+    digests = hashlib.sha256("".join(world_digest(w) for own in worlds.values() for w in own).encode())
     return {
         "version": __version__,
         "algo": plan.algo,

@@ -1,4 +1,7 @@
-"""Folders that hold one run each: claimed before a run begins, and given its files all at once, or none."""
+"""Folders that hold one run each: claimed before a run begins, and given its files all at once, or none.
+
+Everything is written under a temporary name, and counts once it is renamed.
+"""
 
 import contextlib
 import datetime
@@ -16,16 +19,8 @@ from jexplore.report.store import reason, sync_folder
 
 OUR_FILES = (
     *("run.json", "episodes.parquet", "details.npz", "report.html"),
-    *(
-        "compare.png",
-        "coverage.png",
-        "paths.png",
-        "waste.png",
-        "league.png",
-        "compare.svg",
-        "coverage.svg",
-        "league.svg",
-    ),  # compare
+    *("compare.png", "coverage.png", "paths.png", "waste.png", "league.png"),  # compare
+    *("compare.svg", "coverage.svg", "league.svg"),
     *("episode.png", "episode.gif", "explored.yaml", "explored.pgm", "worlds.png"),  # explore, worlds
     *("bounds.parquet", "walks.parquet", "bounds.png"),  # bound
     *("model.msgpack", "model.json", "curve.parquet", "curve.png"),  # train
@@ -38,56 +33,58 @@ OUR_FILES = (
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
 
-UNFINISHED = ".unfinished"  # folder for the finished part of a run, in its own
+UNFINISHED = ".unfinished"  # folder for the finished units of a run, in its own
 LOCK = ".lock"  # file that is locked while a process has the folder to itself
-PART = ".part"  # ending of hidden folders in which files are written before they are moved
-NAMES = ".names"  # file that lists the files moved from such a folder
-OLD = "old"  # folder for the files of a run being replaced, inside it
+STAGED = ".part"  # ending of hidden folders in which files are written before they count
+READY = ".ready"  # folder of a run that is written and counts; the old one goes
+MOVING = ".moving"  # the same, once the old one has gone
 
 
 class RunFolder:
     """A folder that this process has to itself, for the files of one run."""
 
     path: Path
-    overwrite: bool
 
-    def __init__(self, path: Path, overwrite: bool, made: list[Path], lock: int | None) -> None:
-        self.path, self.overwrite = path, overwrite
-        self._made, self._lock, self._keeps = made, lock, False
+    def __init__(self, path: Path, made: list[Path], lock: int) -> None:
+        self.path, self._made, self._lock, self._keeps = path, made, lock, False
 
     @property
     def unfinished(self) -> Path:
-        """Return the folder for the finished part of a run."""
+        """Return the folder for the finished units of a run."""
         return self.path / UNFINISHED
 
     def write(self, writers: Mapping[str, Callable[[Path], Any]], *, is_finished: bool = True) -> Path:
-        """Write the files of a run: all of them, or none.
+        """Write the files of a run in place of the old one's: all of them, or none.
 
-        They are first written into a hidden folder and moved once all exist, `run.json` last: if it exists, the rest
-        does. If one fails, or the user interrupts, also during the move, the folder stays as before.
+        They are written into a hidden folder, which one renaming makes the run of this folder. If a writer fails or the
+        user interrupts before that, the folder stays as before; whatever comes after, the new run is there.
 
         Args:
           writers: `{name: function}`, each called with the path that it is to write.
-          is_finished: bool, the run is finished: its ledger is removed.
+          is_finished: bool, the run is finished: its units are removed.
 
         Returns:
           `Path` of the folder.
 
         Raises:
-          InputError: a file cannot be written; or files of an old run could be moved neither forth nor back: names
-            their place.
+          InputError: a file cannot be written.
         """
         with _staged(self.path, writers) as stage:
-            _exchange(stage, self.path, _taken(self.path, True), writers)
-            sync_folder(self.path)
-        self._keeps, self.overwrite = True, True
+            _taken(self.path, True)
+            self._keeps = True
+            try:
+                os.replace(stage, self.path / READY)
+                _install(self.path)
+            except KeyboardInterrupt:
+                _install(self.path)
+                raise
         if is_finished:
             self.forget()
         return self.path
 
     def forget(self) -> None:
-        """Remove the ledger of the run: all at once, so that no part can be taken for the whole."""
-        gone = self.path / f".{os.getpid()}-{secrets.token_hex(4)}{PART}"
+        """Remove the units of the run: all at once, so that no part can be taken for the whole."""
+        gone = _hidden(self.path)
         with contextlib.suppress(OSError):
             os.replace(self.unfinished, gone)
         shutil.rmtree(gone, ignore_errors=True)
@@ -99,7 +96,7 @@ class RunFolder:
           InputError: it cannot be written.
         """
         with _staged(self.path, {name: write}) as stage:
-            for file in sorted(stage.iterdir(), reverse=True):
+            for file in stage.iterdir():
                 os.replace(file, self.path / file.name)
 
     def require_free(self) -> None:
@@ -113,12 +110,10 @@ class RunFolder:
     def release(self) -> None:
         """Give the folder back; without content, folders that were made for it are removed."""
         if self.unfinished.is_dir() and not any(self.unfinished.glob("*.parquet")):
-            _done(self.forget)
-        if self._lock is not None:
-            with contextlib.suppress(OSError):
-                os.unlink(self.path / LOCK)
-            os.close(self._lock)
-            self._lock = None
+            self.forget()
+        with contextlib.suppress(OSError):
+            os.unlink(self.path / LOCK)
+        os.close(self._lock)
         if not self._keeps:
             _remove_folders(self._made)
 
@@ -142,11 +137,18 @@ def claimed(path: str | os.PathLike[str], *, overwrite: bool = False, resume: bo
       InputError: it holds a run, finished or not, or another process writes to it; it is a file, or cannot be made or
         written.
     """
-    folder = _claim(path, overwrite, resume)
-    try:
+    if not os.fspath(path):
+        raise InputError("the output folder must have a name, got an empty one")
+    path = Path(path)
+    with _had(path, _make(path)) as folder:
+        _mend(path)
+        _taken(path, overwrite or resume)
+        if folder.unfinished.exists() and not (overwrite or resume):
+            raise InputError(
+                f"{path} holds a run that was not finished: go on with it (--resume), replace it (--overwrite) or "
+                "choose another folder"
+            )
         yield folder
-    finally:
-        folder.release()
 
 
 @contextlib.contextmanager
@@ -161,40 +163,24 @@ def claimed_new(paths: Iterable[str | os.PathLike[str]]) -> Iterator[RunFolder]:
         except (OSError, ValueError) as error:
             _remove_folders(parents)
             raise _unwritable(path, error) from error
-        folder = _claim(path, False, False)
-        folder._made = [*parents, path]
-        try:
+        with _had(path, [*parents, path]) as folder:
             yield folder
-        finally:
-            folder.release()
         return
 
 
-def _claim(path, overwrite, resume):
-    if not os.fspath(path):
-        raise InputError("the output folder must have a name, got an empty one")
-    path = Path(path)
-    made = _make(path)
+@contextlib.contextmanager
+def _had(path, made):
+    """Have a folder, of which some parents were made for it, for a block."""
     try:
         lock = _locked(path)
     except BaseException:
         _remove_folders(made)
         raise
-    folder = RunFolder(path, overwrite, made, lock)
+    folder = RunFolder(path, made, lock)
     try:
-        _mend(path)
-        _taken(path, overwrite or resume)
-        if folder.unfinished.exists() and not (overwrite or resume):
-            raise InputError(
-                f"{path} holds a run that was not finished: go on with it (--resume), replace it (--overwrite) or "
-                "choose another folder"
-            )
-    except BaseException as error:
+        yield folder
+    finally:
         folder.release()
-        if isinstance(error, OSError):
-            raise _unwritable(path, error) from error
-        raise
-    return folder
 
 
 def _unwritable(path, error):
@@ -239,7 +225,7 @@ def _taken(path, allowed):
 
 
 def _locked(path):
-    """Lock a folder for this process, until it ends: a file descriptor; None on systems without locks.
+    """Lock a folder for this process, until it ends: a file descriptor.
 
     Raises:
       InputError: another process has it, or the folder cannot be written.
@@ -273,49 +259,47 @@ def _lock(handle):
     """Lock an open file; return whether that succeeded, True on systems without locks."""
     try:
         import fcntl
-    except ImportError:
-        return True
-    try:
+
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # a file system without locks
+    except (ImportError, OSError):  # a system, or a file system, without locks
         return True
     return True
 
 
 def _mend(path):
-    """Repair a folder whose last holder was killed while files were written or moved.
-
-    The old run is whole again unless the new one is.
-    """
-    for stage in path.glob(f".*{PART}"):
-        old = stage / OLD
-        is_whole = (path / "run.json").exists() and (old / "run.json").exists()  # the new one's and the old one's
-        if old.is_dir() and not is_whole:
-            for name in _names_in(stage):
-                if not (old / name).exists() and not (stage / name).exists() and not (path / "run.json").exists():
-                    with contextlib.suppress(OSError):
-                        (path / name).unlink()  # a new file, already moved
-            for file in sorted(old.iterdir(), key=lambda file: file.name == "run.json"):
-                os.replace(file, path / file.name)
-        shutil.rmtree(stage, ignore_errors=True)
-        with contextlib.suppress(OSError):
-            stage.unlink()
-
-
-def _names_in(stage):
-    """Return the names of the files that were to be moved from a hidden folder."""
+    """Complete what the folder's last holder did not, because it was killed while files were written or moved."""
     try:
-        return (stage / NAMES).read_text(encoding="utf-8").splitlines()
-    except (OSError, ValueError):
-        return []
+        _install(path)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    for stage in path.glob(f".*{STAGED}"):
+        shutil.rmtree(stage, ignore_errors=True)
+
+
+def _install(folder):
+    """Put the run that is ready in place of the old one. Each step may be the last before the same begins anew."""
+    ready, moving = folder / READY, folder / MOVING
+    if ready.is_dir():
+        for file in _taken(folder, True):  # run.json, the first of `OUR_FILES`, before all others
+            file.unlink()
+        os.replace(ready, moving)
+    if moving.is_dir():
+        for file in sorted(moving.iterdir(), key=lambda file: file.name == "run.json"):  # if it exists, the rest does
+            os.replace(file, folder / file.name)
+        moving.rmdir()
+        sync_folder(folder)
+
+
+def _hidden(folder):
+    return Path(folder) / f".{os.getpid()}-{secrets.token_hex(4)}{STAGED}"
 
 
 @contextlib.contextmanager
 def _staged(folder, writers):
-    """Write the files of a run into a hidden folder inside `folder` that is removed afterwards."""
-    stage = Path(folder) / f".{os.getpid()}-{secrets.token_hex(4)}{PART}"
+    """Write files into a hidden folder inside `folder` that is removed afterwards."""
+    stage = _hidden(folder)
     try:
         stage.mkdir()
         for name, write in writers.items():
@@ -324,47 +308,7 @@ def _staged(folder, writers):
     except OSError as error:
         raise _unwritable(folder, error) from error
     finally:
-        if not (stage / OLD).is_dir() or not any((stage / OLD).iterdir()):  # otherwise these files exist only there
-            shutil.rmtree(stage, ignore_errors=True)
-
-
-def _exchange(stage, folder, taken, names):
-    """Move the files of a run from `stage` into `folder`, `run.json` last; those of the old run go to `stage/old`.
-
-    If it is interrupted, everything is moved back.
-    """
-    old = stage / OLD
-    (stage / NAMES).write_text("\n".join(names), encoding="utf-8")
-    old.mkdir()
-    late = sorted(names, key=lambda name: name == "run.json")
-    early = sorted((file.name for file in taken), key=lambda name: name != "run.json")
-    try:
-        for name in early:
-            os.replace(folder / name, old / name)
-        for name in late:
-            os.replace(stage / name, folder / name)
-    except BaseException as error:  # Ctrl-C too
-        for name in reversed(early):
-            if (old / name).exists():
-                _done(os.replace, old / name, folder / name)
-        for name in late:
-            if name not in early and not (stage / name).exists():
-                _done(os.unlink, folder / name)
-        if any(old.iterdir()):
-            raise InputError(f"the run in {folder} could not be replaced; its files are in {old}") from error
-        raise
-    os.replace(old, stage / "replaced")  # which goes with the stage
-
-
-def _done(act, *paths):
-    """Do necessary steps despite Ctrl-C; those that fail are left."""
-    while True:
-        try:
-            return act(*paths)
-        except KeyboardInterrupt:
-            continue
-        except OSError:
-            return None
+        shutil.rmtree(stage, ignore_errors=True)
 
 
 def default_outs(

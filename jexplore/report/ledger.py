@@ -1,149 +1,62 @@
-"""Finished units of a run: a Parquet file for every unit, so that nothing is computed twice.
+"""Finished units of a run: a file for every unit, so that nothing is computed twice.
 
-pandas and pyarrow are imported by the functions that need them.
+A unit is finished if its file exists. pandas and pyarrow are imported by the functions that need them.
 """
 
 import contextlib
 import json
 import os
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jexplore.arrays.files import first_line, opened, read_json
 from jexplore.config import InputError, InputWarning
 from jexplore.report.folders import RunFolder
-from jexplore.report.store import MOST_RECORD_BYTES, jsonable, write_json, write_parquet
+from jexplore.report.store import MAX_RECORD_BYTES, jsonable, write_json, write_parquet
 
 if TYPE_CHECKING:
     import pandas as pd
 
-ASKED = "asked.json"  # what the run is asked, in the folder of its units
-PART = "-part"  # ends the name of a unit's file, before the suffix, that holds some of its episodes only
+ASKED_FILE = "asked.json"  # what the run is asked, in the folder of its units
 
 
-class Shorter(NamedTuple):
-    """Runs that ask the same as this one, of fewer episodes: what this one goes on with."""
+class ShorterRuns(NamedTuple):
+    """Runs that ask the same as one, of fewer episodes: once finished they can be continued."""
 
-    episodes: int  # of this one
+    episodes: int  # of the longer run
     asked: Callable[[int], Mapping[str, Any]]  # settings of a run with this many episodes
-    finished: Callable[[Path], "pd.DataFrame"]  # what the folder of one that is finished holds, as rows of its units
-    units_of: Callable[["pd.DataFrame"], Iterable[tuple[int, "pd.DataFrame", bool]]]
-    """Rows -> this one's units that have any: number, table, whether it is whole."""
-
-    def includes(self, path: Path, there: Any, here: Mapping[str, Any], *, trust: bool) -> bool:
-        """Return whether the content of a folder is a shorter run.
-
-        Raises:
-          InputError: it has more episodes, or other settings.
-        """
-        asked = there.get("asked", {}) if isinstance(there, dict) else {}
-        n = asked.get("spec", asked).get("episodes")
-        if not isinstance(n, int) or not isinstance(there.get("units"), int) or n == self.episodes:
-            return False
-        if n > self.episodes:
-            raise InputError(
-                f"{path} holds a run of {n} episodes, more than {self.episodes}: ask for {n} or more, choose another "
-                "folder or allow overwriting (--overwrite)"
-            )
-        command = {"command": here["asked"]["command"]}
-        page = {"asked": jsonable({**command, **self.asked(n)}), "units": there.get("units")}
-        require_same(path, there, page, trust=trust)
-        return True
+    units_after: Callable[[int], int]  # number of units of the episodes from this number on
 
 
 class Ledger:
     """Units of a run that are finished, each a file of its own in the run's folder."""
 
     folder: Path
+    units: int
+    """Number of units of the run."""
+    after: int
+    """Number of episodes of the finished run that this one continues: those come in no unit."""
     done: set[int]
     """Numbers of the units that are finished."""
-    parts: set[int]
-    """Numbers of the units that are not finished, of which a part is kept."""
 
-    def __init__(
-        self,
-        run: RunFolder,
-        asked: Mapping[str, Any],
-        units: int,
-        *,
-        resume: bool = False,
-        trust: bool = False,
-        shorter: Shorter | None = None,
-    ) -> None:
-        """Open the ledger of a run, new or to be continued.
-
-        Args:
-          run: the run's folder.
-          asked: all settings that results depend on; plain JSON, see `store.jsonable`.
-          units: number of units of the whole run.
-          resume: bool, continue with an existing ledger; else it is removed.
-          trust: as in `require_same`.
-          shorter: other runs that may be continued.
+    def __init__(self, folder: Path, units: int, after: int) -> None:
+        """Look which units are there; remove files that are damaged or belong to none.
 
         Warns:
           InputWarning: the file of a unit is damaged.
-
-        Raises:
-          InputError: the folder holds a run with other settings, or cannot be written.
         """
-        self.folder, self.done, self.parts = run.unfinished, set(), set()
-        self.units, self.first = units, 0
-        page = {"asked": jsonable(dict(asked)), "units": units}
-        page_file, record = self.folder / ASKED, run.path / "run.json"
-        if not resume or not page_file.exists():
-            run.forget()
-        try:
-            self.folder.mkdir(exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{os.fspath(self.folder)!r} must be a folder that can be written: {error}") from error
-        is_kept = page_file.exists()
-        there = _read(page_file if is_kept else record) if is_kept or (resume and record.exists()) else None
-        if there is not None and shorter is not None and shorter.includes(run.path, there, page, trust=trust):
-            self._grow(shorter, self._all_of(there) if is_kept else [shorter.finished(run.path)], page)
-        elif there is not None and is_kept:
-            require_same(run.path, there, page, trust=trust)
-            page["first"] = there.get("first", 0)
-        else:
-            write_json(page, page_file)
-        self._open(page)
-
-    def _open(self, page):
-        """Count the units; remove files that are damaged or belong to none."""
-        self.first, self.units, self.done, self.parts = page.get("first", 0), page["units"], set(), set()
-        for file in self.folder.glob("*.parquet"):
-            number = file.stem.removesuffix(PART)
-            unit = int(number) - self.first if number.isdigit() else -1
-            if 0 <= unit < self.units and _is_whole(file):
-                (self.done if number == file.stem else self.parts).add(unit)
-                continue
-            if 0 <= unit < self.units:
-                warnings.warn(f"{file.name} was damaged, and its unit is made again", InputWarning, stacklevel=4)
-            with contextlib.suppress(OSError):
-                file.unlink()
-        self.parts -= self.done
-        for file in self.folder.glob(".*.part"):  # of a holder that was killed while it wrote
-            with contextlib.suppress(OSError):
-                file.unlink()
-
-    def _all_of(self, page):
-        """Return the tables of all units."""
-        self._open(page)
-        return [self.get(unit) for unit in sorted(self.done | self.parts)]
-
-    def _grow(self, shorter, tables, page):
-        """Cut the finished part of a shorter run into units of this one.
-
-        They get new numbers, which count once the page says so, so that whatever ends this leaves either run whole.
-        """
-        import pandas as pd
-
-        page["first"] = self.first = self.first + self.units
-        if tables:
-            for unit, table, is_whole in shorter.units_of(pd.concat(tables, ignore_index=True)):
-                write_parquet(table, self._file(unit, "" if is_whole else PART))
-        write_json(page, self.folder / ASKED)
+        self.folder, self.units, self.after, self.done = folder, units, after, set()
+        for file in folder.iterdir():
+            unit = int(file.stem) if file.stem.isdigit() else -1
+            if 0 <= unit < units and _is_whole(file):
+                self.done.add(unit)
+            elif file.name != ASKED_FILE:
+                if 0 <= unit < units:
+                    warnings.warn(f"{file.name} was damaged, and its unit is made again", InputWarning, stacklevel=4)
+                with contextlib.suppress(OSError):  # a holder that was killed while it wrote has left temporary ones
+                    file.unlink()
 
     def put(self, unit: int, table: "pd.DataFrame") -> None:
         """Store a finished unit: on the disk when this returns.
@@ -153,36 +66,22 @@ class Ledger:
         """
         write_parquet(table, self._file(unit))
         self.done.add(unit)
-        self.parts.discard(unit)
-
-    def put_part(self, unit: int, table: "pd.DataFrame") -> None:
-        """Store the finished part of a unit, in place of a smaller part. Raises as `put`."""
-        write_parquet(table, self._file(unit, PART))
-        self.parts.add(unit)
 
     def get(self, unit: int) -> "pd.DataFrame":
-        """Return the table of a finished unit, or of its finished part.
+        """Return the table of a finished unit.
 
         Raises:
           InputError: its file is missing or damaged.
         """
-        return _get(self._file(unit, PART if unit in self.parts else ""))
+        file = self._file(unit)
+        try:
+            return _table_in(file)
+        except Exception as error:  # pyarrow raises many kinds of errors for a broken file
+            what = f"was damaged meanwhile: {first_line(error)}"
+            raise InputError(f"{file} must be a unit of this run, and {what}; --resume makes it again") from error
 
-    @property
-    def left(self) -> list[int]:
-        """Return the numbers of the unfinished units."""
-        return [unit for unit in range(self.units) if unit not in self.done]
-
-    def _file(self, unit, tail=""):
-        return self.folder / f"{self.first + unit:06d}{tail}.parquet"
-
-
-def _get(file):
-    try:
-        return _table_in(file)
-    except Exception as error:  # pyarrow raises many kinds of errors for a broken file
-        what = f"was damaged meanwhile: {first_line(error)}"
-        raise InputError(f"{file} must be a unit of this run, and {what}; --resume makes it again") from error
+    def _file(self, unit):
+        return self.folder / f"{unit:06d}.parquet"
 
 
 def _is_whole(file):
@@ -201,30 +100,82 @@ def _table_in(file):
         return pd.read_parquet(content, engine="pyarrow", page_checksum_verification=True)
 
 
-def is_finished(
-    run: RunFolder, asked: Mapping[str, Any], units: int, *, trust: bool = False, shorter: Shorter | None = None
-) -> bool:
-    """Return whether a folder holds a finished run with these settings. Arguments as of `Ledger`.
+def open_ledger(
+    run: RunFolder,
+    asked: Mapping[str, Any],
+    units: int,
+    *,
+    resume: bool = False,
+    trust: bool = False,
+    shorter: ShorterRuns | None = None,
+) -> Ledger | None:
+    """Open the ledger of a run, new or to be continued.
+
+    Args:
+      run: the run's folder.
+      asked: all settings that results depend on; plain JSON, see `store.jsonable`.
+      units: number of units of the whole run.
+      resume: bool, continue with existing units; else they are removed.
+      trust: as in `require_same`.
+      shorter: finished runs that may be continued.
+
+    Returns:
+      `Ledger`; None if the folder holds the finished run.
 
     Raises:
-      InputError: it holds a run with other settings, or another command's files.
+      InputError: the folder holds a run with other settings, or another command's files, or cannot be written.
     """
-    page = run.path / "run.json"
-    if (run.unfinished / ASKED).exists():
-        return False
-    if not page.exists():
+    asked, after = jsonable(dict(asked)), 0
+    page_file, record_file = run.unfinished / ASKED_FILE, run.path / "run.json"
+    if resume and page_file.exists():
+        there = _read(page_file)
+        after = there.get("after", 0)
+        if shorter is not None:
+            _require_as_many(run.path, there, shorter.episodes, is_finished=False)
+            units = shorter.units_after(after) if after else units
+        require_same(run.path, there, {"asked": asked, "units": units}, trust=trust)
+        return Ledger(run.unfinished, units, after)
+    if resume and record_file.exists():
+        there = _read(record_file)
+        is_finished, own = not there.get("interrupted"), asked  # else its units are gone, and it begins again
+        if shorter is not None:
+            n = _require_as_many(run.path, there, shorter.episodes, is_finished=is_finished)
+            if n != shorter.episodes:
+                after, units = n, shorter.units_after(n)
+                own = jsonable({"command": asked.get("command"), **shorter.asked(n)})
+        require_same(run.path, {"asked": there.get("asked")}, {"asked": own}, trust=trust)
+        if is_finished and not after:
+            return None
+    elif resume:
         run.require_free()
-        return False
-    record, here = _read(page), {"asked": jsonable(dict(asked)), "units": units}
-    if shorter is not None and shorter.includes(run.path, record, here, trust=trust):
-        return False
-    require_same(run.path, record, here, trust=trust)
-    return not record.get("interrupted")  # else its units are gone, and it begins again
+    run.forget()
+    try:
+        run.unfinished.mkdir()
+    except OSError as error:
+        raise InputError(f"{os.fspath(run.unfinished)!r} must be a folder that can be written: {error}") from error
+    write_json({"asked": asked, "units": units, "after": after}, page_file)
+    return Ledger(run.unfinished, units, after)
+
+
+def _require_as_many(path, there, episodes, *, is_finished):
+    """Return the number of episodes of a run that is to be continued; refuse more, and fewer of an unfinished one."""
+    asked = there.get("asked", {})
+    n = asked.get("spec", asked).get("episodes")
+    if not isinstance(n, int) or n == episodes:
+        return episodes
+    if n > episodes:
+        raise InputError(
+            f"{path} holds a run of {n} episodes, more than {episodes}: ask for {n} or more, choose another folder or "
+            "allow overwriting (--overwrite)"
+        )
+    if not is_finished:
+        raise InputError(f"{path} holds a run of {n} episodes that was not finished: finish these, then ask for more")
+    return n
 
 
 def _read(file):
     try:
-        page = read_json(file, MOST_RECORD_BYTES)
+        page = read_json(file, MAX_RECORD_BYTES)
     except InputError as error:
         raise InputError(f"{error}: it must say what the run is asked; use --overwrite") from error
     asked = page.get("asked", {}) if isinstance(page, dict) else None
@@ -233,33 +184,27 @@ def _read(file):
     return page
 
 
-def require_same(path: Path, there: Any, here: Mapping[str, Any], *, trust: bool = False) -> None:
+def require_same(path: Path, there: Mapping[str, Any], here: Mapping[str, Any], *, trust: bool = False) -> None:
     """Refuse to continue a run with other settings.
 
     Args:
       path: its folder.
-      there, here: its settings, and the present ones.
-      trust: bool, take strategies as unchanged.
+      there, here: what it was asked and is asked now: `asked`, and `units` where they count.
+      trust: bool, take users' strategies as unchanged.
 
     Raises:
-      InputError: naming the first difference, or a strategy that cannot be compared.
+      InputError: naming the first difference.
     """
-    pages = (page if isinstance(page, dict) else {} for page in (there, here))
-    old, new = ({**page.get("asked", {}), "units": page.get("units")} for page in pages)
+    old, new = ({**(page.get("asked") or {}), "units": page.get("units")} for page in (there, here))
     was, is_ = old.pop("own", None) or {}, new.pop("own", None) or {}
     for key in dict.fromkeys((*new, *old)):
         if old.get(key) != new.get(key):
             raise InputError(_difference(path, key, old.get(key), new.get(key)))
     for name in () if trust else dict.fromkeys((*is_, *was)):
-        if is_.get(name) is None:
+        if was.get(name) != is_.get(name):
             raise InputError(
-                f"{path} holds a run of {name!r}, which calls back into Python, so that nothing tells whether it has "
-                "changed since: --trust goes on if you know that it has not, --overwrite begins anew"
-            )
-        if was.get(name) != is_[name]:
-            raise InputError(
-                f"{path} holds another run: its strategy {name!r} computes something else now; choose another folder "
-                "or allow overwriting (--overwrite)"
+                f"{path} holds another run: its strategy {name!r} has changed; choose another folder, allow "
+                "overwriting (--overwrite) or, if it computes the same, trust it (--trust)"
             )
 
 

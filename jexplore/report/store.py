@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 _PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "flax", "chex", "pandas", "pyarrow", "matplotlib", "pillow")
 
 
-MOST_RECORD_BYTES = 2**26
+MAX_RECORD_BYTES = 2**26
 """Of a run.json that is read: starts and settings of a hundred thousand runs."""
-MOST_VALUES = 2**28
+MAX_TABLE_VALUES = 2**28
 """Of a table that is read: 2 GiB of numbers. A few bytes of a Parquet file may stand for as many equal ones."""
 
 
@@ -99,7 +99,7 @@ def read_parquet(path: str | os.PathLike[str], *, required: Sequence[str] = ()) 
       required: names of columns that it must have.
 
     Raises:
-      InputError: the file is missing, cannot be read, is no Parquet file, has more than `MOST_VALUES`, or lacks a
+      InputError: the file is missing, cannot be read, is no Parquet file, has more than `MAX_TABLE_VALUES`, or lacks a
         required column.
     """
     import pandas as pd
@@ -108,7 +108,7 @@ def read_parquet(path: str | os.PathLike[str], *, required: Sequence[str] = ()) 
     with opened(path) as file:
         try:
             size = pq.read_metadata(file)
-            if size.num_rows * size.num_columns > MOST_VALUES:
+            if size.num_rows * size.num_columns > MAX_TABLE_VALUES:
                 raise InputError(f"{path} has {size.num_rows} rows of {size.num_columns} columns, too many to be read")
             file.seek(0)
             table = pd.read_parquet(file)

@@ -11,12 +11,12 @@ from jexplore.config import InputError, checked_names, require_engine
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.exploration.trail import RECORDS
-from jexplore.report.ledger import Ledger, is_finished
+from jexplore.report.ledger import open_ledger
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, StartLike, StrategyLike, WorldLike
 from jexplore.studies.results import loading, provenance, saving
 from jexplore.studies.results.comparison import Comparison, Made, assemble, prepare_jobs
 from jexplore.studies.results.progress import progress_bar
-from jexplore.studies.results.units import cut, run_units
+from jexplore.studies.results.units import cut_jobs, run_units
 from jexplore.worlds.restrict import KnownMap, Polygon
 
 
@@ -84,10 +84,11 @@ def asked_of(jobs: Sequence[Job], keep: str | None) -> dict[str, Any]:
 
 def _run(jobs, asked, settings, how, shown, ledger=None):
     """Run jobs, whose units a ledger keeps: a `Comparison`."""
+    earlier = [] if ledger is None else loading.earlier_pieces(ledger, jobs)
     use_compilation_cache()
     began = datetime.datetime.now(datetime.UTC)
     with progress_bar(shown[0], sum(len(job.starts) for job in jobs), "episodes", shown[1]) as moved:
-        ran = run_units(jobs, ledger=ledger, on_progress=moved, **how)
+        ran = run_units(jobs, ledger=ledger, earlier=earlier, on_progress=moved, **how)
     names = {
         f"{kind}s": list(dict.fromkeys(str(getattr(job, kind).name) for job in jobs)) for kind in ("world", "strategy")
     }
@@ -98,7 +99,7 @@ def _run(jobs, asked, settings, how, shown, ledger=None):
         "wall_s": (datetime.datetime.now(datetime.UTC) - began).total_seconds(),
         "configuration": {**names, **settings, **how, "lidar": lidar, "rules": rules},
         **saving.engine_of(ran.costs),
-        **{"asked": asked, "units": len(cut(jobs))},
+        **{"asked": asked, "units": len(cut_jobs(jobs))},
     }
     return dataclasses.replace(assemble(jobs, ran), made=Made(tuple(jobs), ran.firsts, record))
 
@@ -111,14 +112,12 @@ def _in_folder(out, jobs, asked, run, how, trust):
         if any(how.values()):
             raise InputError("overwrite and resume are for a folder: name it with out")
         return run()
-    keep = asked.get("keep")
-    shorter = loading.shorter_of(jobs, keep, lambda fewer: asked_of(fewer, keep))
-    with saving.claimed(out, **how) as folder:
-        units = len(cut(jobs))
-        if how["resume"] and is_finished(folder, asked, units, trust=trust, shorter=shorter):
+    shorter = loading.shorter_of(jobs, lambda fewer: asked_of(fewer, asked.get("keep")))
+    with saving.claimed_by_call(out, **how) as folder:
+        ledger = open_ledger(folder, asked, len(cut_jobs(jobs)), resume=how["resume"], trust=trust, shorter=shorter)
+        if ledger is None:
             found = loading.load(folder.path)
             return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
-        ledger = Ledger(folder, asked, units, resume=how["resume"], trust=trust, shorter=shorter)
         found = run(ledger)
-        saving.write(folder, found)
+        saving.write_comparison(folder, found)
         return found

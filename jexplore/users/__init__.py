@@ -56,7 +56,7 @@ def described(thing: Any) -> str:
     return f"{name_of(thing) or type(bare(thing)).__name__} ({place_of(thing)})"
 
 
-def call(function: Callable[..., Any], what: str, *args: Any, **kwargs: Any) -> Any:
+def call_user(function: Callable[..., Any], what: str, *args: Any, **kwargs: Any) -> Any:
     """Call a user's function.
 
     Raises:

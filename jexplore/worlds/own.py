@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jexplore.config import InputError, shown
-from jexplore.users import call, described
+from jexplore.users import call_user, described
 from jexplore.worlds.world import World, require_world
 
 ARRAYS = ("occupied", "rooms", "within", "known", "elevation")  # of a `World`: what two calls are compared by
@@ -42,7 +42,7 @@ def make_world(make: Callable[..., Any], seed: int, cell_m: float, parameters: d
     """
     what = described(make)
     more = {"cell_m": cell_m} if "cell_m" in inspect.signature(make).parameters else {}
-    first, again = (_require_own(call(make, what, seed, **more, **parameters), what) for _ in range(2))
+    first, again = (_require_own(call_user(make, what, seed, **more, **parameters), what) for _ in range(2))
     for name in ("cell_m", "origin_m", "start", *ARRAYS):
         one, other = getattr(first, name), getattr(again, name)
         if not (one is other is None) and not np.array_equal(np.asarray(one), np.asarray(other)):

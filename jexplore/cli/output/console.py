@@ -17,7 +17,7 @@ from jexplore.config import InputError
 
 if TYPE_CHECKING:
     from jexplore.report.folders import RunFolder
-    from jexplore.report.ledger import Ledger, Shorter
+    from jexplore.report.ledger import Ledger, ShorterRuns
 
 PREPARING = "jexplore: making programs ready"
 COMPILING = "jexplore: compiling (kept for later runs)"
@@ -235,20 +235,18 @@ class Out:
     @property
     def is_anything_kept(self) -> bool:
         """Return whether the folder holds part of an unfinished run."""
-        return self.ledger is not None and bool(self.ledger.done or self.ledger.parts) and self.run.unfinished.exists()
+        return self.ledger is not None and bool(self.ledger.done) and self.run.unfinished.exists()
 
     def say_kept(self) -> None:
         """Tell how to continue a run that was ended, or that nothing is stored."""
         if self.is_anything_kept and self.ledger is not None:
-            part = " and parts of others" if self.ledger.parts else ""
-            done = f"{len(self.ledger.done)} of {self.wanted} units{part}"
-            how = "--resume" if all((self.asked or {}).get("own", {}).values()) else "--resume --trust"
-            tell(f"jexplore: {done} are kept; --out {self.run.path} {how} goes on with them")
+            done = f"{len(self.ledger.done)} of {self.wanted} units"
+            tell(f"jexplore: {done} are kept; --out {self.run.path} --resume goes on with them")
         elif self.ledger is not None and self.wanted and not self.ledger.done:
             tell("jexplore: no unit of work was finished: nothing is kept to go on with")
 
     def keep(
-        self, asked: Mapping[str, Any], units: int, *, wanted: int | None = None, shorter: "Shorter | None" = None
+        self, asked: Mapping[str, Any], units: int, *, wanted: int | None = None, shorter: "ShorterRuns | None" = None
     ) -> "Ledger | None":
         """Store finished parts of the run, or continue with stored ones.
 
@@ -256,7 +254,7 @@ class Out:
           asked: all that the results depend on.
           units: number of units of the run.
           wanted: number made here, by default all.
-          shorter: runs of fewer episodes that may be continued.
+          shorter: finished runs of fewer episodes that may be continued.
 
         Returns:
           `Ledger`; None if the run is finished.
@@ -264,13 +262,12 @@ class Out:
         Raises:
           InputError: the folder holds a run with other settings.
         """
-        from jexplore.report.ledger import Ledger, is_finished
+        from jexplore.report.ledger import open_ledger
 
-        self.asked, self.units, self.wanted = {"command": self.command, **asked}, units, wanted or units
-        how: dict[str, Any] = {"trust": self.trust, "shorter": shorter}
-        if self.resume and is_finished(self.run, self.asked, units, **how):
-            return None
-        self.ledger = Ledger(self.run, self.asked, units, resume=self.resume, **how)
+        self.asked, self.units = {"command": self.command, **asked}, units
+        self.ledger = open_ledger(self.run, self.asked, units, resume=self.resume, trust=self.trust, shorter=shorter)
+        if self.ledger is not None:
+            self.units, self.wanted = self.ledger.units, wanted or self.ledger.units
         return self.ledger
 
     def record(self, arguments: Sequence[str], options: Any, **found: Any) -> dict[str, Any]:
@@ -285,7 +282,7 @@ class Out:
             **found,
             "wall_s": wall_s,
             "configuration": options,
-            "environment": {**store.environment(), "commit": provenance.commit()},
+            "environment": {**store.environment(), "commit": provenance.package_commit()},
         } | ({} if self.asked is None else {"asked": self.asked, "units": self.units})
 
     def finish(

@@ -122,7 +122,7 @@ class Trace:
     def _run(self, out, plan, ledger, arguments):
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.report import store, trace_tables
-        from jexplore.studies.results.provenance import describe
+        from jexplore.studies.results.provenance import describe_world
         from jexplore.studies.results.saving import engine_of
         from jexplore.studies.traces import tracing
         from jexplore.tracemap.corrected import correct_map
@@ -135,7 +135,7 @@ class Trace:
         runs_per_s = (len(found.table) - found.resumed) / costs.run_s if costs.run_s else None
         missing = plan.runs * plan.settings - len(found.table)
         entries = {"runs_per_s": runs_per_s, "resumed": found.resumed, "interrupted": missing}
-        entries["worlds"] = [describe(plan.world)]
+        entries["worlds"] = [describe_world(plan.world)]
         entries |= {"compile_s": costs.compile_s, "run_s": costs.run_s} | engine_of(costs)
         record = out.record(arguments, self, **entries)
         first = correct_map(found.first) if self.corrected else found.first

@@ -15,13 +15,13 @@ from jexplore.arrays.loops import stored
 from jexplore.config import InputError, shown
 from jexplore.engine.draws import random_key
 from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, nearest_of, view_of
-from jexplore.policies.catalogue import traced
+from jexplore.policies.catalogue.fingerprint import fingerprint
 from jexplore.policies.catalogue.own import is_score, parameters
 from jexplore.policies.policy import Policy, Strategy
 from jexplore.policies.room_wise import rebuilt
 from jexplore.raycast import Beams
 from jexplore.reach import FAR, MOTIONS, NO_MOTION
-from jexplore.users import bare, call, described
+from jexplore.users import bare, call_user, described
 
 
 def policy_from(make: Any, given: dict[str, Any]) -> Policy:
@@ -43,7 +43,7 @@ def policy_from(make: Any, given: dict[str, Any]) -> Policy:
         raise InputError(f"{described(make)} needs the parameter {missing[0]}")
     if is_score(make):
         return _score_policy(make, {key: given.get(key, p.default) for key, p in known.items()})
-    policy = make if isinstance(make, Policy) else call(make, described(make), **given)
+    policy = make if isinstance(make, Policy) else call_user(make, described(make), **given)
     if not isinstance(policy, Policy):
         raise InputError(f"{described(make)} must return a Policy, got {type(policy).__name__}")
     for role in ("init", "select", *(("live",) if policy.live is not None else ())):
@@ -63,30 +63,21 @@ def adapted(policy: Policy) -> Policy:
 
 
 class _Theirs:
-    """A function of a user's. Once it has been traced it is told from others by what it computes, so that two that
-    compute the same are compiled once; until then it is equal to itself alone.
-    """
+    """A function of a user's, equal to those of the same fingerprint: they are compiled once."""
 
-    function: Callable[..., Any]
-    fixed: tuple[tuple[str, Any], ...]
-    what: str
-    digest: str | None  # of the whole policy; None before it is traced, and where it cannot be told
+    def __init__(self, function: Callable[..., Any], fixed: tuple[tuple[str, Any], ...] = ()) -> None:
+        self.function, self.fixed, self.what = function, fixed, described(function)
+        self.digest = fingerprint(type(self).__name__, function, fixed)
 
-    def __init__(
-        self, function: Callable[..., Any], fixed: tuple[tuple[str, Any], ...] = (), digest: str | None = None
-    ) -> None:
-        self.function, self.fixed, self.what, self.digest = function, fixed, described(function), digest
-        self._key = type(self), object() if digest is None else digest
-
-    def anew(self, digest: str | None = None) -> "_Theirs":
-        """Return the same function, as it is now, or as it was when traced."""
-        return type(self)(self.function, self.fixed, digest)
+    def anew(self) -> "_Theirs":
+        """Return the same function as it is now."""
+        return type(self)(self.function, self.fixed)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Theirs) and self._key == other._key
+        return isinstance(other, _Theirs) and self.digest == other.digest
 
     def __hash__(self) -> int:
-        return hash(self._key)
+        return hash(self.digest)
 
 
 def _blank(params, belief):
@@ -111,7 +102,7 @@ class Score(_Theirs):
     ) -> tuple[Any, Choice, Array]:
         del key, beams
         known = field(belief)
-        found = call(self.function, self.what, view_of(belief, known), **dict(self.fixed), **params)
+        found = call_user(self.function, self.what, view_of(belief, known), **dict(self.fixed), **params)
         with _expected(self.what, f"a score for every cell, {_shape(known.cost.shape)} integer or float", found):
             score = jnp.asarray(found)
             if score.shape != known.cost.shape or not _is_number(score.dtype):
@@ -140,14 +131,14 @@ class Init(_Theirs):
     """The `init` of a user's strategy: its carry as arrays."""
 
     def __call__(self, params: Any, belief: Belief) -> Any:
-        return _as_arrays(call(self.function, self.what, params, belief), self.what)
+        return _as_arrays(call_user(self.function, self.what, params, belief), self.what)
 
 
 class Live(_Theirs):
     """The `live` of a user's strategy."""
 
     def __call__(self, params: Any, belief: Belief, beams: Beams, row: Array, col: Array) -> Array:
-        found = call(self.function, self.what, params, belief, beams, row, col)
+        found = call_user(self.function, self.what, params, belief, beams, row, col)
         with _expected(self.what, "one bool", found):
             answer = jnp.asarray(found)
             if answer.shape != () or answer.dtype != bool:
@@ -161,7 +152,7 @@ class Select(_Theirs):
     def __call__(
         self, key: Array, params: Any, carry: Any, belief: Belief, beams: Beams, route: Array
     ) -> tuple[Any, Choice, Array]:
-        found = call(self.function, self.what, key, params, carry, belief, beams, route)
+        found = call_user(self.function, self.what, key, params, carry, belief, beams, route)
         if not isinstance(found, tuple) or len(found) != 3 or not isinstance(found[1], Choice):
             raise InputError(f"{self.what} must return (carry, Choice, route), got {_told(found)}")
         new = _as_arrays(found[0], self.what)
@@ -304,17 +295,30 @@ def is_theirs(policy: Policy) -> bool:
     return isinstance(inner, _Theirs)
 
 
-def _anew(policy, digest=None):
-    return rebuilt(policy, lambda function: function.anew(digest) if isinstance(function, _Theirs) else function)
+def _anew(policy):
+    return rebuilt(policy, lambda function: function.anew() if isinstance(function, _Theirs) else function)
 
 
-def digest_of(policy: Policy) -> str | None:
-    """Return the digest that identifies a user's traced strategy in every process; None without one."""
-    return getattr(getattr(policy.select, "inner", policy.select), "digest", None)
+def digest_of(policy: Policy) -> str:
+    """Return the fingerprint of a user's strategy without its parameters: the same in every process."""
+    roles = (policy.init, policy.select, policy.live)
+    return fingerprint(*(getattr(role, "digest", role) for role in (getattr(role, "inner", role) for role in roles)))
 
 
-def traced_policy(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> Policy:
-    """Identify the functions of a user's strategy by their computation: traced on shapes, without compiling.
+@functools.lru_cache(maxsize=256)
+def _check(policy, tree, shapes):
+    def all_of_it(key, params, belief, beams, route):
+        carry = policy.init(params, belief)
+        carry, choice, route = policy.select(key, params, carry, belief, beams, route)
+        live = policy.live(params, belief, beams, choice.row, choice.col) if policy.live is not None else True
+        return carry, choice, route, live
+
+    with jax.disable_jit(False):
+        jax.eval_shape(all_of_it, random_key(0), *jax.tree.unflatten(tree, shapes))
+
+
+def check_policy(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> None:
+    """Call the functions of a user's strategy on shapes, without compiling.
 
     Args:
       policy: `Policy`.
@@ -324,20 +328,4 @@ def traced_policy(policy: Policy, params: Any, belief: Any, beams: Any, route: A
       InputError: a function raises, or returns the wrong thing; one line that names it.
     """
     leaves, tree = jax.tree.flatten((params, belief, beams, route))
-    shapes = tuple(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves)
-    digest = _digest(policy._replace(params=()), tree, shapes)
-    return policy if digest is None else _anew(policy, digest)
-
-
-@functools.lru_cache(maxsize=256)
-def _digest(policy, tree, shapes):
-    """See `traced.digest`. Functions that were taken anew are traced anew."""
-
-    def all_of_it(key, params, belief, beams, route):
-        carry = policy.init(params, belief)
-        carry, choice, route = policy.select(key, params, carry, belief, beams, route)
-        live = policy.live(params, belief, beams, choice.row, choice.col) if policy.live is not None else True
-        return carry, choice, route, live
-
-    with jax.disable_jit(False):
-        return traced.digest(jax.make_jaxpr(all_of_it)(random_key(0), *jax.tree.unflatten(tree, shapes)))
+    _check(policy._replace(params=()), tree, tuple(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves))

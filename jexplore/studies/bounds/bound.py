@@ -39,7 +39,7 @@ from jexplore.studies.checks import (
     ready_worlds,
 )
 from jexplore.studies.results.progress import progress_bar
-from jexplore.studies.results.provenance import digest
+from jexplore.studies.results.provenance import world_digest
 from jexplore.version import __version__
 from jexplore.worlds.world import World
 
@@ -94,7 +94,7 @@ def solve(task: BoundTask) -> Solved:
     world, start = task.world, task.start
     scene = prepare_scene(world, start, task.lidar, task.rules, scans_all_round(task.lidar.fov_deg))
     row: dict[str, Any] = {"world": os.fspath(world.name), "start_row": start[0], "start_col": start[1]}
-    row |= {"start_heading_deg": start[2], "sha256": digest(world)}
+    row |= {"start_heading_deg": start[2], "sha256": world_digest(world)}
     if scene is None:
         row |= {"low_m": 0.0, "low_any_m": 0.0, "high_m": math.nan, "status": STUCK, "witnesses": 0, "seconds": 0.0}
         nothing = np.zeros((0, 2), np.int32)
@@ -155,7 +155,7 @@ class Bounds:
             for name, value in bound_settings(comparison.lidar, comparison.rules).items():
                 if self.settings[name] != value:
                     raise InputError(f"the bounds are for {name} {self.settings[name]:g}, the episodes had {value:g}")
-        digests = {os.fspath(world.name): digest(world) for world in comparison.worlds}
+        digests = {os.fspath(world.name): world_digest(world) for world in comparison.worlds}
         return with_bound_ratios(comparison.episodes, self.table, digests)
 
     def figure(self) -> "Figure":
@@ -282,7 +282,7 @@ def asked_of_bounds(tasks: Sequence[BoundTask]) -> dict[str, Any]:
     return {
         "version": __version__,
         "worlds": list(worlds),
-        "digests": {name: digest(world) for name, world in worlds.items()},
+        "digests": {name: world_digest(world) for name, world in worlds.items()},
         "starts": len(tasks),
         "start cells": starts.hexdigest()[:12],
         "seconds": tasks[0].seconds,

@@ -79,14 +79,14 @@ class Game:
         start, world, episode = (options.get(name) for name in _OPTIONS)
         n_worlds = len(self.env.worlds)
         if world is not None:
-            world = whole("option world", world, (n,), 0, n_worlds - 1)
+            world = whole_numbers("option world", world, (n,), 0, n_worlds - 1)
         if episode is not None:
-            episode = whole("option episode", episode, (n,), 0, _INTS[1])
+            episode = whole_numbers("option episode", episode, (n,), 0, _INTS[1])
         if start is not None:
             if world is None and n_worlds > 1:
                 raise InputError("option start takes the option world as well: there are several worlds")
             world = np.zeros(n, np.int32) if world is None else world
-            start = whole("option start", start, (n, 3), *_INTS)
+            start = whole_numbers("option start", start, (n, 3), *_INTS)
             for own, (row, col, heading_deg) in zip(world.tolist(), start.tolist()):
                 place = row, col, heading_deg
                 check_start(self.env.worlds[own], place, self.rules.clearance_m, self.rules.near_m)
@@ -123,7 +123,7 @@ def mask_of(state: EnvState, targets: str) -> Array:
 
 
 @functools.partial(jax.jit, static_argnames="targets")
-def look(state: EnvState, *, targets: str) -> tuple[dict[str, Array], dict[str, Array]]:
+def observe(state: EnvState, *, targets: str) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return observation and info of a state, before `Game.fetched`."""
     episode, view = state.episode, shown(state)
     belief, shape = view.belief, view.cost.shape
@@ -162,7 +162,7 @@ def require_options(options: Any) -> dict[str, Any]:
     return dict(options or {})
 
 
-def whole(name: str, value: Any, shape: tuple[int, ...], low: int, high: int) -> np.ndarray:
+def whole_numbers(name: str, value: Any, shape: tuple[int, ...], low: int, high: int) -> np.ndarray:
     """Convert whole numbers of a shape, within bounds, both inclusive, to int32.
 
     Raises:

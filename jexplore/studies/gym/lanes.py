@@ -15,7 +15,7 @@ from jexplore.config import MAX_SEED, InputError, checked_names, require_whole
 from jexplore.engine.draws import random_key
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike
 from jexplore.studies.environment import Environment, EnvState
-from jexplore.studies.gym.game import MAX_DECISIONS, Game, copied, drawn_seed, look, mask_of, whole
+from jexplore.studies.gym.game import MAX_DECISIONS, Game, copied, drawn_seed, mask_of, observe, whole_numbers
 from jexplore.studies.gym.single import GymEnv
 
 
@@ -105,7 +105,7 @@ class GymVectorEnv(VectorEnv):
         """
         if self._states is None:
             raise InputError("there are no episodes yet; call reset first")
-        actions, over = whole("actions", actions, (self.num_envs,), 0, self._game.n_cells - 1), self._over
+        actions, over = whole_numbers("actions", actions, (self.num_envs,), 0, self._game.n_cells - 1), self._over
         self._numbers = self._numbers + over.astype(np.int32)
         self._states, rewards, seen, info = self._turn(
             self.environment.arrays, self._bases, self._numbers, self._states, actions, over
@@ -149,7 +149,7 @@ def _begun(game, arrays, bases, numbers, starts, worlds):
 
     def begin(base, number, start, world):
         state, _ = env.reset(jax.random.fold_in(base, number), start, world)
-        return state, *look(state, targets=game.targets)
+        return state, *observe(state, targets=game.targets)
 
     return jax.vmap(begin)(bases, numbers, starts, worlds)
 
@@ -164,7 +164,7 @@ def _turned(game, arrays, bases, numbers, states, actions, over):
         allowed = mask_of(state, game.targets)[row, col] & ~over
         state, _, reward, _, known = env.step(key, state, jnp.where(allowed, jnp.stack([row, col]), -1))
         state = run_if(over, lambda _: env.reset(key)[0], state)
-        seen, info = look(state, targets=game.targets)
+        seen, info = observe(state, targets=game.targets)
         return state, reward, seen, info | {"valid": known["valid"] | over}
 
     return jax.vmap(alone_on_cpu(turn))(bases, numbers, states, actions, over)

@@ -10,7 +10,7 @@ from jexplore.config import MAX_SEED, InputError, checked_names, require_whole
 from jexplore.engine.draws import random_key
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike
 from jexplore.studies.environment import Environment, EnvState
-from jexplore.studies.gym.game import MAX_DECISIONS, Game, copied, drawn_seed, look, require_options, whole
+from jexplore.studies.gym.game import MAX_DECISIONS, Game, copied, drawn_seed, observe, require_options, whole_numbers
 
 
 @checked_names
@@ -98,7 +98,7 @@ class GymEnv(gymnasium.Env):
         """
         if self._state is None:
             raise InputError("there is no episode yet; call reset first")
-        action = int(whole("action", action, (), 0, self._game.n_cells - 1))
+        action = int(whole_numbers("action", action, (), 0, self._game.n_cells - 1))
         target = divmod(action, self.environment.shape[1]) if self._mask[action] else (-1, -1)
         self._state, _, reward, _, known = self.environment.step(self._key(), self._state, target)
         self._decisions += 1
@@ -117,7 +117,7 @@ class GymEnv(gymnasium.Env):
 
     def _told(self, valid):
         """Return observation and info of the state, numbers as Python has them."""
-        self._seen, info = self._game.fetched(*look(self._state, targets=self._game.targets))
+        self._seen, info = self._game.fetched(*observe(self._state, targets=self._game.targets))
         self._mask = info["action_mask"]
         plain = {name: value.item() for name, value in info.items() if not np.ndim(value)}
         return copied(self._seen), plain | {"action_mask": self._mask.copy(), "valid": valid}

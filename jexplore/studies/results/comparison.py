@@ -270,7 +270,7 @@ def _beside_first(row):
     return ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"]), p_text(row["p_holm"])
 
 
-BOUNDS = {
+PLAN_LIMITS = {
     "saturated": "some cells were too far to plan to",
     "overflow": "a plan had to leave out some frontier clusters, mixed cells, Voronoi nodes or critical points",
 }
@@ -280,7 +280,7 @@ def _bounds_met(episodes):
     """Return warnings about episodes that met a limit of what a plan can express or has room for."""
     lines = []
     for (world, strategy), rows in episodes.groupby(["world", "strategy"], sort=False):
-        for column, what in BOUNDS.items():
+        for column, what in PLAN_LIMITS.items():
             count = int((rows[column] > 0).sum())
             if count:
                 lines.append(f"{world}: {strategy}: in {count} of {len(rows)} episodes {what}")

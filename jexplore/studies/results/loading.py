@@ -20,30 +20,29 @@ from jexplore.exploration.batch import Job
 from jexplore.exploration.state import MARKS
 from jexplore.report import store
 from jexplore.report.folders import UNFINISHED
-from jexplore.report.ledger import Shorter
+from jexplore.report.ledger import Ledger, ShorterRuns
 from jexplore.studies.papers import PAPERS
 from jexplore.studies.reproduction import Reproduction, notes_of, world_names
 from jexplore.studies.results.comparison import Comparison, Made
 from jexplore.studies.results.saving import DETAILS
-from jexplore.studies.results.units import COLUMNS, Piece, Seen, recut, to_table
-from jexplore.studies.sweeps.plan import Plan
-from jexplore.studies.sweeps.run import Swept, ordered, ready
+from jexplore.studies.results.units import COLUMNS, Piece, Seen, cut_jobs
+from jexplore.studies.sweeps.plan import SweepPlan
+from jexplore.studies.sweeps.run import Swept, ready, whole_table
 from jexplore.studies.sweeps.spec import read_spec
 from jexplore.studies.sweeps.traces import TracePlan
-from jexplore.studies.sweeps.work import typed
 from jexplore.version import __version__
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
-MOST_DETAILS_BYTES = 2**32  # unpacked; the progress of a million episodes takes a fifth
+MAX_DETAILS_BYTES = 2**32  # unpacked; the progress of a million episodes takes a fifth
 MADE_FROM = ("version", "spec", "digests")  # entries of what was asked from which a sweep is made ready again
 
 
 def _details(path, episodes):
     """Load worlds, first episodes, progress, ways and maps, as fields of a `Comparison`."""
-    arrays = read_npz(path, MOST_DETAILS_BYTES)
+    arrays = read_npz(path, MAX_DETAILS_BYTES)
     worlds, first = [], {}
     while f"world/{len(worlds)}/occupied" in arrays:
         at = f"world/{len(worlds)}"
@@ -116,7 +115,7 @@ def _load(folder, record):
             found = record[entry]
             return pd.DataFrame(found if isinstance(found, list) else [found])
     if (folder / "bench.json").is_file():
-        return read_json(folder / "bench.json", store.MOST_RECORD_BYTES)
+        return read_json(folder / "bench.json", store.MAX_RECORD_BYTES)
     raise InputError(f"{os.fspath(folder)}: `jexplore {command}` leaves no table to be read")
 
 
@@ -127,7 +126,7 @@ def record_of(folder: Path) -> dict[str, Any]:
         is_begun = (folder / UNFINISHED).is_dir()
         hint = "; it holds a run that was not finished: go on with --resume" if is_begun else ""
         raise InputError(f"{os.fspath(folder)} must be the folder of a run, with a run.json{hint}")
-    record = read_json(page, store.MOST_RECORD_BYTES)
+    record = read_json(page, store.MAX_RECORD_BYTES)
     kinds = {"command": list, "environment": dict, "configuration": dict, "asked": dict}
     parts = {name: kind() for name, kind in kinds.items()} | (record if isinstance(record, dict) else {})
     wrong = next((name for name, kind in kinds.items() if not isinstance(parts[name], kind)), None)
@@ -167,37 +166,39 @@ def _comparison(folder, record, command):
     return Reproduction(paper, found, world_names(paper, maps), notes_of(paper, maps))
 
 
-def unit_rows(folder: Path) -> "pd.DataFrame":
-    """Convert the episodes of a finished comparison to rows of its units' files, see `units.to_table`."""
-    import pandas as pd
-
-    found = load(folder)
-    found = getattr(found, "comparison", found)
-    tables = []
-    for pair, rows in found.episodes.groupby(["world", "strategy"], sort=False):
-        world, strategy = pair
-        seen = next((one for one in found.first.get(world, []) if one.strategy == strategy), None)
-        table = rows[list(COLUMNS)].reset_index(drop=True)
-        kept = found.paths.get(pair), found.maps.get(pair)
-        tables.append(to_table(Piece(0, table, found.progress[pair], seen, *kept)))
-    return pd.concat(tables, ignore_index=True)
+def earlier_pieces(ledger: Ledger, jobs: Sequence[Job]) -> list[Piece]:
+    """Return the episodes of the finished comparison that the run of a ledger continues, if any."""
+    n = ledger.after
+    if not n:
+        return []
+    found = load(ledger.folder.parent)
+    found, pieces = getattr(found, "comparison", found), []
+    of_pair = dict(iter(found.episodes.groupby(["world", "strategy"], sort=False)))
+    for i, job in enumerate(jobs):
+        pair = os.fspath(job.world.name), job.strategy.name
+        seen = next((one for one in found.first.get(pair[0], []) if one.strategy == pair[1]), None)
+        table = of_pair[pair][list(COLUMNS)].reset_index(drop=True).iloc[:n]
+        paths, maps = (kept.get(pair) for kept in (found.paths, found.maps))
+        kept = None if paths is None else paths[:n], None if maps is None else maps[:n]
+        pieces.append(Piece(i, table, found.progress[pair][:n], seen, *kept))
+    return pieces
 
 
 def shorter_of(
-    jobs: Sequence[Job], keep: str | None, asked_of: Callable[[Sequence[Job]], Mapping[str, Any]]
-) -> Shorter:
+    jobs: Sequence[Job], asked_of: Callable[[Sequence[Job]], Mapping[str, Any]], more: int = 0
+) -> ShorterRuns:
     """Return the comparisons of the same jobs with fewer episodes, which these may continue.
 
     Args:
       jobs: list of `Job`, each with as many starts.
-      keep: as in `batch.run_jobs`.
       asked_of: jobs -> what a comparison of them is asked.
+      more: number of units besides those of the jobs.
     """
 
     def asked(n):
         return asked_of([job._replace(starts=job.starts[:n]) for job in jobs])
 
-    return Shorter(len(jobs[0].starts), asked, unit_rows, functools.partial(recut, jobs, keep))
+    return ShorterRuns(len(jobs[0].starts), asked, lambda n: len(cut_jobs(jobs, n)) + more)
 
 
 def _sweep(folder, record):
@@ -224,16 +225,11 @@ def _part_of(asked):
 def _require_same_strategies(part, asked, first):
     """Refuse a part whose strategies compute something else than those of the first one."""
     for name, digest in asked.get("own", {}).items():
-        if digest is None:
-            raise InputError(
-                f"{part} was made with {name!r}, which calls back into Python, so that nothing tells whether it was "
-                "the same in all parts: --trust if you know that it was"
-            )
         if digest != first.get("own", {}).get(name):
-            raise InputError(f"{part} was made with another {name!r}, one that computes something else: make it again")
+            raise InputError(f"{part} was made with another {name!r}: make it again, or trust it (--trust)")
 
 
-def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, Plan | TracePlan]:
+def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, SweepPlan | TracePlan]:
     """Join the parts of a sweep.
 
     Args:
@@ -241,12 +237,11 @@ def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tu
       trust: whether somebody else's strategies are taken for the same in all parts.
 
     Returns:
-      `(Swept, Plan)`.
+      `(Swept, SweepPlan)`.
 
     Raises:
       InputError: a folder that holds no finished part, parts of different sweeps, one that is missing or there twice.
     """
-    import pandas as pd
 
     if not parts:
         raise InputError("expected the folders of all parts, got none")
@@ -281,6 +276,6 @@ def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tu
     asked = plan.asked()
     if any(store.jsonable(asked.get(key)) != next(iter(pages.values())).get(key) for key in MADE_FROM):
         raise InputError("the sweep's worlds or jexplore itself have changed since the parts were made")
-    table = ordered(typed(pd.concat([found.episodes for found in tables], ignore_index=True), plan), plan)
+    table = whole_table([found.episodes for found in tables], plan)
     costs = functools.reduce(Costs.plus, (found.costs for found in tables))
     return Swept(plan.spec, table, tuple(plan.columns), costs, reference=plan.reference), plan

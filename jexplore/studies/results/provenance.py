@@ -14,19 +14,18 @@ import jax
 import numpy as np
 
 from jexplore.arrays.files import read_yaml
-from jexplore.arrays.padding import bucket
 from jexplore.config import InputError
 from jexplore.exploration.batch import Job
-from jexplore.exploration.site import prepare_site
+from jexplore.policies import Strategy
 from jexplore.policies.catalogue import adapt
 from jexplore.version import __version__
 from jexplore.worlds import names
-from jexplore.worlds.world import World, ringed_shape
+from jexplore.worlds.world import World
 
 GIT_S = 5.0  # seconds that git may take
 
 
-def digest(world: World) -> str:
+def world_digest(world: World) -> str:
     """Return SHA-256 of everything in a world that an episode depends on, in hexadecimal digits."""
     found = hashlib.sha256(np.float64(world.cell_m).tobytes())
     restrictions = (array for array in (world.within, world.known) if array is not None)
@@ -37,7 +36,7 @@ def digest(world: World) -> str:
     return found.hexdigest()
 
 
-def files_of(world: World) -> dict[str, str]:
+def map_files_of(world: World) -> dict[str, str]:
     """Return the files that a world was read from: path -> SHA-256 in hexadecimal digits; empty for other worlds.
 
     Files that they name are among them.
@@ -67,7 +66,7 @@ def _file_hash(path):
 
 
 @functools.cache
-def commit() -> str | None:
+def package_commit() -> str | None:
     """Return the commit that this package was installed from; None if unknown.
 
     It ends in `+changed` if the files have changed since.
@@ -95,29 +94,20 @@ def commit() -> str | None:
         return None
 
 
-def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
-    """Compute digests of strategies that are not determined by their names: users' own and those with weights.
+def own_digests(strategies: Iterable[Strategy]) -> dict[str, str]:
+    """Return digests of strategies that are not determined by their names: users' own and those with weights.
 
     Returns:
-      name -> SHA-256, in hexadecimal digits, of all parameters and of the strategy's traced computation in the jobs'
-      worlds; None if unknown, see `traced.digest`.
+      name -> SHA-256, in hexadecimal digits, of all parameters and of the fingerprint of a user's functions.
     """
-    parts: dict[str, dict[Any, str | None]] = {}
-    for job in jobs:
-        policy, sides = job.strategy.policy, tuple(bucket(side) for side in ringed_shape(job.world.occupied))
-        leaves, theirs = jax.tree.leaves(policy.params), adapt.is_theirs(policy)
-        where = sides, job.world.within is None, job.world.cell_m, job.lidar, job.rules
-        own = parts.setdefault(job.strategy.name, {}) if theirs or any(map(np.ndim, leaves)) else None
-        if own is None or where in own:
-            continue
-        own["numbers"] = hashlib.sha256(b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in leaves)).hexdigest()
-        if theirs:
-            assert job.lidar is not None
-            assert job.rules is not None
-            site = prepare_site(job.world, job.lidar, job.rules)
-            own[where] = adapt.digest_of(site.with_strategy(job.strategy)[0].policy)
-    told = {name: list(own.values()) for name, own in parts.items()}
-    return {name: None if None in own else hashlib.sha256(repr(own).encode()).hexdigest() for name, own in told.items()}
+    found = {}
+    for strategy in strategies:
+        leaves, is_theirs = jax.tree.leaves(strategy.policy.params), adapt.is_theirs(strategy.policy)
+        if is_theirs or any(map(np.ndim, leaves)):
+            own = hashlib.sha256(b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in leaves))
+            own.update((adapt.digest_of(strategy.policy) if is_theirs else "").encode())
+            found[strategy.name] = own.hexdigest()
+    return found
 
 
 def asked(jobs: Sequence[Job]) -> dict[str, Any]:
@@ -137,12 +127,12 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
         "lidar": list(dict.fromkeys(lidar for lidar, _ in settings)),
         "rules": list(dict.fromkeys(rules for _, rules in settings)),
         "starts": starts.hexdigest(),
-        "digests": {name: digest(world) for name, world in worlds.items()},
-        "own": own_digests(jobs),
+        "digests": {name: world_digest(world) for name, world in worlds.items()},
+        "own": own_digests(job.strategy for job in jobs),
     }
 
 
-def describe(world: World) -> dict[str, Any]:
+def describe_world(world: World) -> dict[str, Any]:
     """Return a world's entries in a table of worlds."""
     rows, cols = world.shape
     rooms = None if world.rooms is None else int(world.rooms.max()) + 1
@@ -154,6 +144,6 @@ def describe(world: World) -> dict[str, Any]:
         "free_m2": world.free_m2,
         "rooms": rooms,
         "start": world.start,
-        "sha256": digest(world),
-        "files": files_of(world),
+        "sha256": world_digest(world),
+        "files": map_files_of(world),
     }

@@ -66,7 +66,7 @@ def figures_of(found: Any, *, league: bool = False) -> dict[str, Callable[[], An
     return figures | ({"paths.png": found.paths_figure} if found.first else {})
 
 
-def files_of(
+def comparison_files(
     found: Any, record: Mapping[str, Any], more: Mapping[str, Callable[[Path], Any]] = MappingProxyType({})
 ) -> dict[str, Callable[[Path], Any]]:
     """Return files of a `Comparison`, and more: name -> writer. `record`: content of run.json."""
@@ -127,7 +127,7 @@ def entries_of(found: Any) -> dict[str, Any]:
         "run_s": found.run_s,
         "interrupted": found.interrupted,
         "resumed": found.resumed,
-        "worlds": [provenance.describe(world) for world in found.worlds],
+        "worlds": [provenance.describe_world(world) for world in found.worlds],
         "summary": found.summary.to_dict("records"),
         "warnings": found.warnings,
     }
@@ -145,15 +145,15 @@ def engine_of(costs: Costs) -> dict[str, Any]:
     }
 
 
-def write(run: folders.RunFolder, found: Any, *, report: bool = True) -> Path:
+def write_comparison(run: folders.RunFolder, found: Any, *, report: bool = True) -> Path:
     """Write the files and pictures of a `Comparison` into a claimed folder; return its path.
 
     Warns:
       InputWarning: a picture that could not be drawn.
     """
-    how = {"environment": {**store.environment(), "commit": provenance.commit()}}
+    how = {"environment": {**store.environment(), "commit": provenance.package_commit()}}
     record = how | dict(found.made.record) | entries_of(found)
-    run.write(files_of(found, record), is_finished=not found.interrupted)
+    run.write(comparison_files(found, record), is_finished=not found.interrupted)
     jobs = (() if found.interrupted else found.made.jobs) if report else None
     for name, draw in pictures_of(run.path, found, found.made.firsts, record, figures_of(found), jobs).items():
         try:
@@ -164,7 +164,9 @@ def write(run: folders.RunFolder, found: Any, *, report: bool = True) -> Path:
 
 
 @contextlib.contextmanager
-def claimed(path: str | os.PathLike[str], *, overwrite: bool, resume: bool = False) -> Iterator[folders.RunFolder]:
+def claimed_by_call(
+    path: str | os.PathLike[str], *, overwrite: bool, resume: bool = False
+) -> Iterator[folders.RunFolder]:
     """Claim a folder, as `folders.claimed`, for a function: its errors name arguments instead of options."""
     try:
         with folders.claimed(os.path.expanduser(path), overwrite=overwrite, resume=resume) as run:
@@ -177,5 +179,5 @@ def save(found: Any, folder: str | os.PathLike[str], *, overwrite: bool, report:
     """Save a comparison: `Comparison.save`."""
     if not found.made.record:
         raise InputError("only what jx.compare or jx.load returned can be saved; to_csv() writes the table alone")
-    with claimed(folder, overwrite=overwrite) as run:
-        return write(run, found, report=report)
+    with claimed_by_call(folder, overwrite=overwrite) as run:
+        return write_comparison(run, found, report=report)

@@ -3,12 +3,11 @@
 pandas is imported by the functions that need it.
 """
 
-import collections
 import io
 import itertools
 import os
 import zlib
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -31,11 +30,11 @@ COLUMNS = (
     *("start_heading_deg", "refused", "saturated", "overflow"),
 )
 """Columns of a table of episodes. `stats` and `plot` read them by these names."""
-LEAST = 8  # least number of episodes of a unit
+MIN_UNIT_EPISODES = 8  # least number of episodes of a unit
 UNIT_S = 1.0  # seconds that a unit should take, about: writing it takes a hundredth of that
 CELL_S = 1.3e-6  # seconds of an episode of closest+recheck, for every cell of its world (benchmarks/RESULTS.md)
 FIRSTS = 12  # jobs of which what the first episode left is kept, for a report
-MOST_UNITS = 256  # of one strategy in one world
+MAX_UNITS_OF_JOB = 256  # of one strategy in one world
 PROGRESS, SEEN, WAY, MAP = "_progress_m", "_seen", "_way", "_map"  # columns of a unit's file besides `COLUMNS`
 
 
@@ -70,14 +69,15 @@ class Piece(NamedTuple):
     maps: np.ndarray | None  # [n, H, W] uint8, if they are kept
 
 
-def cut(jobs: Sequence[Job]) -> list[Unit]:
-    """Cut jobs into units, in the order in which they are worth doing: the first episodes of all jobs first."""
+def cut_jobs(jobs: Sequence[Job], after: int = 0) -> list[Unit]:
+    """Cut jobs, from this episode on, into units, in the order in which they are worth doing: the first ones of all."""
     units = []
     for i, job in enumerate(jobs):
         n = len(job.starts)
         cells = job.world.shape[0] * job.world.shape[1]
-        size = max(LEAST, -(-n // MOST_UNITS), round(UNIT_S / (CELL_S * cells)))
-        units += [Unit(i, first, min(size, n - first), first // size) for first in range(0, n, size)]
+        size = max(MIN_UNIT_EPISODES, -(-n // MAX_UNITS_OF_JOB), round(UNIT_S / (CELL_S * cells)))
+        firsts = range(after, n, size)
+        units += [Unit(i, first, min(size, n - first), turn) for turn, first in enumerate(firsts)]
     return sorted(units, key=lambda unit: (unit.turn, unit.job, unit.first))
 
 
@@ -101,7 +101,7 @@ def rows_of(job: Job, unit: Unit, found: Outcomes) -> dict[str, Any]:
     return {name: rows[name] for name in COLUMNS}
 
 
-def table_of(rows: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
+def join_columns(rows: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
     """Join columns of several units, one below the other, as one table."""
     import pandas as pd
 
@@ -119,7 +119,7 @@ def piece_of(job: Job, unit: Unit, found: Outcomes) -> Piece:
     assert job.rules is not None
     result, world, strategy = found.result, job.world, job.strategy.name
     ended = np.asarray(result.outcome) != Outcome.RUNNING
-    table = table_of([rows_of(job, unit, found)])
+    table = join_columns([rows_of(job, unit, found)])
     seen = None
     if unit.first == 0 and ended[0] and found.first is not None:
         final = found.first
@@ -177,31 +177,6 @@ def of_table(table: "pd.DataFrame", job: int, cell_m: float) -> Piece:
     return Piece(job, rows, marks, seen, paths, maps)
 
 
-def recut(jobs: Sequence[Job], keep: str | None, rows: "pd.DataFrame") -> Iterable[tuple[int, "pd.DataFrame", bool]]:
-    """Yield the units of some jobs of which a table has first episodes: number, table for a file, bool: complete.
-
-    Args:
-      jobs: list of `Job`.
-      keep: as in `batch.run_jobs`; episodes of which that is not kept are left out.
-      rows: as `to_table` makes them, of whatever units; others are left out.
-    """
-    needed = [WAY] * (keep is not None) + [MAP] * (keep == "maps")
-    if not {PROGRESS, *needed} <= set(rows):
-        return
-    rows = rows.dropna(subset=[PROGRESS, *needed]).sort_values("episode")
-    of_pair: dict[Any, Any] = dict(iter(rows.groupby(["world", "strategy"], sort=False)))
-    for number, unit in enumerate(cut(jobs)):
-        own = of_pair.get((os.fspath(jobs[unit.job].world.name), jobs[unit.job].strategy.name))
-        if own is None:
-            continue
-        own = own[own["episode"].between(unit.first, unit.first + unit.n - 1)]
-        own = own[own["episode"] == unit.first + np.arange(len(own))]  # up to the first that is missing
-        has_seen = unit.first == 0 and SEEN in own and own[SEEN].notna().iloc[:1].all()
-        if len(own) and (unit.first or has_seen):
-            columns = [*COLUMNS, PROGRESS, *([SEEN] if has_seen else []), *needed]
-            yield number, own[columns].reset_index(drop=True), len(own) == unit.n
-
-
 class Ran(NamedTuple):
     """Result of `run_units`."""
 
@@ -211,90 +186,43 @@ class Ran(NamedTuple):
     firsts: dict[int, Outcomes]  # number of a job, one of the first -> what its first unit left, if that was run here
 
 
-def _rest(unit: Unit, part: Piece | None) -> list[Unit]:
-    """Return the missing part of a unit that is partly finished: runs of consecutive episodes, as units."""
-    there = set() if part is None else set(part.table["episode"])
-    left = [i for i in range(unit.first, unit.first + unit.n) if i not in there]
-    runs = itertools.groupby(enumerate(left), lambda pair: pair[1] - pair[0])
-    spans = [[episode for _, episode in run] for _, run in runs]
-    return [unit._replace(first=span[0], n=len(span)) for span in spans]
-
-
-def _joined(pieces: Collection[Piece]) -> Piece:
-    """Join pieces of a unit, its episodes in order."""
-    parts = [piece for piece in pieces if len(piece.table)] or list(pieces)[:1]
-    if len(parts) == 1:
-        return parts[0]
-    import pandas as pd
-
-    table = pd.concat([part.table for part in parts], ignore_index=True)
-    order = np.argsort(table["episode"].to_numpy())
-    paths = maps = None
-    if all(part.paths is not None for part in parts):
-        every = [path for part in parts for path in part.paths or ()]
-        paths = [every[i] for i in order]
-    if all(part.maps is not None for part in parts):
-        maps = np.concatenate([part.maps for part in parts if part.maps is not None])[order]
-    return Piece(
-        parts[0].job,
-        table.iloc[order].reset_index(drop=True),
-        np.concatenate([part.progress for part in parts])[order],
-        next((part.seen for part in parts if part.seen is not None), None),
-        paths,
-        maps,
-    )
-
-
 class _Work:
-    """Units in progress: finished, remaining and returned ones."""
+    """Units in progress: finished and remaining ones."""
 
-    def __init__(self, jobs, wanted, ledger):
-        self.jobs, self.cuts, self.ledger, self.firsts = jobs, cut(jobs), ledger, {}
-        wanted = range(len(self.cuts)) if wanted is None else sorted(wanted)
-        self.pieces = {i: self._read(i) for i in wanted if ledger is not None and i in ledger.done}
-        parts = {i: self._read(i) for i in wanted if ledger is not None and i in ledger.parts}
-        self.resumed = sum(len(piece.table) for piece in (*self.pieces.values(), *parts.values()))
-        waiting = [i for i in wanted if i not in self.pieces]
-        self.left = [(i, span) for i in waiting for span in _rest(self.cuts[i], parts.get(i))]
-        # number of a unit -> its pieces: by their places in `left`, and what was there before
-        self.made = {i: {-1: part} for i, part in parts.items()}
-        self.needs = collections.Counter([*(i for i, _ in self.left), *parts])
-
-    def _read(self, number):
-        job = self.cuts[number].job
-        return of_table(self.ledger.get(number), job, self.jobs[job].world.cell_m)
+    def __init__(self, jobs: Sequence[Job], ledger: Any) -> None:
+        self.jobs, self.ledger, self.firsts = jobs, ledger, {}
+        self.units = cut_jobs(jobs, 0 if ledger is None else ledger.after)
+        self.pieces: dict[int, Piece] = {}
+        for i in () if ledger is None else sorted(ledger.done & set(range(len(self.units)))):
+            job = self.units[i].job
+            self.pieces[i] = of_table(ledger.get(i), job, jobs[job].world.cell_m)
+        self.resumed = sum(len(piece.table) for piece in self.pieces.values())
+        self.left = [i for i in range(len(self.units)) if i not in self.pieces]
 
     def put(self, place: int, found: Outcomes) -> None:
-        """Take the results of a span of `left`, and keep its unit if that was the last."""
-        number, span = self.left[place]
-        if span.first == 0 and span.job < FIRSTS:
-            self.firsts[span.job] = found
-        made = self.made.setdefault(number, {})
-        made[place] = piece_of(self.jobs[span.job], span, found)
-        if len(made) == self.needs[number]:
-            piece = _joined(made.values())
-            if self.ledger is not None:
-                self.ledger.put(number, to_table(piece))
-            self.pieces[number] = piece
+        """Take and keep the results of a unit of `left`."""
+        number = self.left[place]
+        unit = self.units[number]
+        if unit.first == 0 and unit.job < FIRSTS:
+            self.firsts[unit.job] = found
+        piece = piece_of(self.jobs[unit.job], unit, found)
+        if self.ledger is not None:
+            self.ledger.put(number, to_table(piece))
+        self.pieces[number] = piece
 
-    def end(self, outcomes: Sequence[Outcomes]) -> None:
-        """Take, after an interruption, the results of every span, and keep partly finished units."""
-        for place, found in enumerate(outcomes):
-            number, span = self.left[place]
-            if number not in self.pieces and place not in self.made.setdefault(number, {}):
-                self.made[number][place] = piece_of(self.jobs[span.job], span, found)
-        for number in self.made.keys() - self.pieces.keys():
-            self.pieces[number] = piece = _joined(self.made[number].values())
-            if self.ledger is not None and len(piece.table):
-                is_whole = len(piece.table) == self.cuts[number].n
-                (self.ledger.put if is_whole else self.ledger.put_part)(number, to_table(piece))
+    def add_parts(self, outcomes: Sequence[Outcomes]) -> None:
+        """Take, after an interruption, the finished episodes of units that are not; these are not kept."""
+        for number, found in zip(self.left, outcomes):
+            unit = self.units[number]
+            if number not in self.pieces and np.any(np.asarray(found.result.outcome) != Outcome.RUNNING):
+                self.pieces[number] = piece_of(self.jobs[unit.job], unit, found)
 
 
 def run_units(
     jobs: Sequence[Job],
     *,
     ledger: Ledger | None = None,
-    units: Iterable[int] | None = None,
+    earlier: Sequence[Piece] = (),
     engine: str = "auto",
     lanes: int | None = None,
     workers: int | None = None,
@@ -307,7 +235,7 @@ def run_units(
     Args:
       jobs: list of `Job`, each with its scanner and rules.
       ledger: where units are kept as soon as they are finished.
-      units: numbers of the units to be run or read; by default all.
+      earlier: episodes before those of the ledger, see `loading.earlier_pieces`.
       engine, lanes, workers, on_progress, keep, alike: as in `batch.run_jobs`; progress counts earlier ones too.
 
     Returns:
@@ -315,19 +243,20 @@ def run_units(
 
     Raises:
       InputError: as `batch.run_jobs`; a unit cannot be written or read.
-      KeyboardInterrupt: nothing had been finished.
+      KeyboardInterrupt: nothing had been finished, or no unit of a run that continues an earlier one.
     """
-    work, costs = _Work(jobs, units, ledger), Costs()
+    work, costs = _Work(jobs, ledger), Costs()
+    resumed = work.resumed + sum(len(piece.table) for piece in earlier)
     if work.left:
-        some = [job_of(jobs[span.job], span) for _, span in work.left]
-        progress = None if on_progress is None else (lambda done: on_progress(done + work.resumed))
+        some = [job_of(jobs[unit.job], unit) for unit in (work.units[i] for i in work.left)]
+        progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "alike": alike}
         try:
             found = batch.run_jobs(some, Lidar(), Rules(), **how, on_progress=progress, on_job=work.put)
         except KeyboardInterrupt:
-            if not work.pieces and not work.made:
-                raise
             found = batch.Finished([], Costs(interrupted=True))
         costs = found.costs
-        work.end(found.outcomes)
-    return Ran([work.pieces[i] for i in sorted(work.pieces)], costs, work.resumed, work.firsts)
+        work.add_parts(found.outcomes)
+    if not work.pieces or (ledger is not None and earlier and not ledger.done):  # the shorter run stays as it is
+        raise KeyboardInterrupt
+    return Ran([*earlier, *(work.pieces[i] for i in sorted(work.pieces))], costs, resumed, work.firsts)

@@ -12,13 +12,11 @@ import numpy as np
 from jexplore.arrays.padding import bucket
 from jexplore.config import InputError, Lidar, Rules, require_different
 from jexplore.exploration.batch import Job
-from jexplore.exploration.site import COARSE_M
-from jexplore.grid import radius_d2
+from jexplore.exploration.site import COARSE_M, reach_d2
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import joined
 from jexplore.raycast import scans_all_round
-from jexplore.report.ledger import Shorter
-from jexplore.report.store import read_parquet
+from jexplore.report.ledger import ShorterRuns
 from jexplore.studies.checks import (
     ready_starts,
     ready_strategies,
@@ -26,17 +24,17 @@ from jexplore.studies.checks import (
     require_different_buildings,
     require_memory,
 )
-from jexplore.studies.results.provenance import digest, own_digests
-from jexplore.studies.results.units import CELL_S, LEAST, UNIT_S
-from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
+from jexplore.studies.results.provenance import own_digests, world_digest
+from jexplore.studies.results.units import CELL_S, MIN_UNIT_EPISODES, UNIT_S
+from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain_spec
 from jexplore.version import __version__
 from jexplore.worlds.poses import read_start
 from jexplore.worlds.world import World, ringed_shape
 
-UNIT = 256  # episodes of a unit at most, about; one file each
-MOST_UNITS = 4096  # larger sweeps have larger units
-COMPILE_S = 12.0  # processor seconds of compiling a program, about (benchmarks/RESULTS.md, Programs)
-COSTS = {
+MAX_UNIT_EPISODES = 256  # episodes of a unit at most, about; one file each
+MAX_SWEEP_UNITS = 4096  # larger sweeps have larger units
+PROGRAM_COMPILE_S = 12.0  # processor seconds of compiling a program, about (benchmarks/RESULTS.md, Programs)
+STRATEGY_COSTS = {
     **{"closest": 1.0, "random": 3.0, "utility": 2.5, "distance-advantage": 3.0, "small-first": 3.0},
     **{"tour": 3.5, "mcdm": 4.0, "decision-theoretic": 12.0, "gain-rate": 20.0},
 }
@@ -44,7 +42,7 @@ COSTS = {
 SEGMENT_COST = 8.0
 
 
-class Block(NamedTuple):
+class SweepBlock(NamedTuple):
     """Some episodes of one strategy in one world and setting."""
 
     setting: int
@@ -55,7 +53,7 @@ class Block(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """A sweep that can be run."""
 
     spec: Sweep
@@ -68,7 +66,7 @@ class Plan:
     """(world, cell size) -> shape of the world with its ring."""
     digests: list[str]
     """Of every world and cell size."""
-    units: list[list[Block]]
+    units: list[list[SweepBlock]]
     programs: int
     """Programs that are compiled for it."""
 
@@ -121,7 +119,7 @@ class Plan:
         for name in self.columns:
             if name.startswith("strategy."):
                 found[name] = [own.get(name.partition(".")[2]) for own in self.parameters]
-        return {name: kind_of(values) for name, values in found.items()}
+        return {name: column_type(values) for name, values in found.items()}
 
     def seconds(self, workers: int) -> float:
         """Estimate the time on a number of cores, compiling included."""
@@ -131,60 +129,30 @@ class Plan:
         for _, cell_m, _, _ in self.records:
             for world in range(len(self.spec.worlds)):
                 total += CELL_S * cells[world, cell_m] * sum(each) * self.spec.episodes
-        return (total + COMPILE_S * self.programs) / max(workers, 1)
+        return (total + PROGRAM_COMPILE_S * self.programs) / max(workers, 1)
 
     def asked(self, shard: tuple[int, int] | None = None) -> dict[str, Any]:
         """Return all that the results depend on, as plain values."""
         return {
             "version": __version__,
-            "spec": plain(self.spec),
+            "spec": plain_spec(self.spec),
             "digests": self.digests,
-            "own": own_digests(self._one_of_each_kind()),
+            "own": own_digests(self.strategies),
             "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
         }
 
-    def shorter(self, shard: tuple[int, int] | None = None) -> Shorter:
+    def after(self, n: int) -> "SweepPlan":
+        """Return the plan of the episodes from number n on."""
+        units, programs = _cut(self.spec, self.records, self.shapes, len(self.strategies), self.episodes, n)
+        return dataclasses.replace(self, units=units, programs=programs)
+
+    def shorter(self, shard: tuple[int, int] | None = None) -> ShorterRuns:
         """Return sweeps of fewer episodes, which this one may continue."""
 
         def asked(n):
             return dataclasses.replace(self, spec=dataclasses.replace(self.spec, episodes=n)).asked(shard)
 
-        return Shorter(self.spec.episodes, asked, lambda folder: read_parquet(folder / "episodes.parquet"), self._recut)
-
-    def _recut(self, rows):
-        """Yield the units of which a table has episodes: number, table, bool: complete."""
-        where = rows.groupby(["setting", "world", "strategy", "episode"]).indices
-        for number, blocks in enumerate(self.units):
-            keys = [key for block in blocks for key in self._episodes_of(block) if key in where]
-            if keys:
-                own = rows.iloc[[where[key][0] for key in keys]].reset_index(drop=True)
-                yield number, own, len(keys) == self.size(number)
-
-    def _episodes_of(self, block):
-        world, strategy = os.fspath(self.spec.worlds[block.world]), self.strategies[block.strategy].name
-        return [(block.setting, world, strategy, block.first + i) for i in range(block.n)]
-
-    def left_of(self, number: int, begun: Any) -> list[Block]:
-        """Return the missing part of a unit of which a table has the first episodes of its blocks; None: the whole."""
-        have = (
-            set() if begun is None else set(zip(*(begun[name] for name in ("setting", "world", "strategy", "episode"))))
-        )
-        left = []
-        for block in self.units[number]:
-            n = next((i for i, key in enumerate(self._episodes_of(block)) if key not in have), block.n)
-            left += [block._replace(first=block.first + n, n=block.n - n)] if n < block.n else []
-        return left
-
-    def _one_of_each_kind(self):
-        """Yield one of all settings and worlds that share a program, with every strategy: `Job`s of no episode."""
-        kinds = {}
-        for _, cell_m, lidar, rules in self.records:
-            for world in range(len(self.spec.worlds)):
-                key = program_key(self.shapes[world, cell_m], cell_m, lidar, rules)
-                kinds.setdefault(key, (world, cell_m, lidar, rules))
-        for world, cell_m, lidar, rules in kinds.values():
-            for strategy in self.strategies:
-                yield Job(self.world(world, cell_m), strategy, np.zeros((0, 3), int), lidar=lidar, rules=rules)
+        return ShorterRuns(self.spec.episodes, asked, lambda n: len(self.after(n).units))
 
     def size(self, unit: int) -> int:
         """Return the number of episodes of a unit."""
@@ -210,11 +178,11 @@ class Plan:
                 for strategy in range(len(self.strategies)):
                     if len(found) == most:
                         return found
-                    job = self.job(Block(setting, world, strategy, 0, 1), 0)
+                    job = self.job(SweepBlock(setting, world, strategy, 0, 1), 0)
                     found.append((job, self.settings[setting]))
         return found
 
-    def job(self, block: Block, turn: int) -> Job:
+    def job(self, block: SweepBlock, turn: int) -> Job:
         """Make the `Job` of a block."""
         seed, cell_m, lidar, rules = self.records[block.setting]
         world = self.world(block.world, cell_m)
@@ -238,7 +206,7 @@ def _start_of(spec):
     return read_start(spec.start, spec.start_m)
 
 
-def kind_of(values: Sequence[Any]) -> str:
+def column_type(values: Sequence[Any]) -> str:
     """Return the type of a column that holds these values: "bool", "int64", "float64", or "text"."""
     if all(isinstance(value, bool) for value in values):
         return "bool"
@@ -251,10 +219,10 @@ def kind_of(values: Sequence[Any]) -> str:
 
 def _cost(name):
     head = name.partition(":")[0].split("+")
-    return COSTS.get(head[0], 3.0) + SEGMENT_COST * any(word.startswith("segment") for word in head[1:])
+    return STRATEGY_COSTS.get(head[0], 3.0) + SEGMENT_COST * any(word.startswith("segment") for word in head[1:])
 
 
-def prepare_sweep(spec: Sweep) -> Plan:
+def prepare_sweep(spec: Sweep) -> SweepPlan:
     """Check a sweep and cut its work, before anything is compiled.
 
     Raises:
@@ -273,7 +241,7 @@ def prepare_sweep(spec: Sweep) -> Plan:
         for cell_m in dict.fromkeys(cell_m for _, cell_m, _, _ in records):
             loaded = _loaded(os.fspath(spec.worlds[world]), cell_m)
             shapes[world, cell_m] = ringed_shape(loaded.occupied)
-            digests.append(digest(loaded))
+            digests.append(world_digest(loaded))
     require_different_buildings(_loaded(os.fspath(spec.worlds[world]), cell_m) for world, cell_m in shapes)
     checked = set()
     for seed, cell_m, lidar, rules in records:
@@ -286,31 +254,29 @@ def prepare_sweep(spec: Sweep) -> Plan:
                 checked.add((world, cell_m, lidar, rules.max_steps))
                 require_memory(loaded, lidar, rules)
     units, programs = _cut(spec, records, shapes, len(strategies), total)
-    return Plan(spec, settings, records, strategies, [own for _, own in listed], shapes, digests, units, programs)
+    return SweepPlan(spec, settings, records, strategies, [own for _, own in listed], shapes, digests, units, programs)
 
 
-def program_key(shape: tuple[int, int], cell_m: float, lidar: Lidar, rules: Rules) -> tuple[Any, ...]:
-    """Return the settings that must agree to share a compiled program.
-
-    These are the shape of the padded map, clearance in cells, number of beams, and scans of a look-around.
-    """
-    padded = tuple(bucket(side) for side in shape)
-    clearance, around = radius_d2(rules.clearance_m, cell_m), scans_all_round(lidar.fov_deg)
-    return padded, clearance, lidar.n_beams, around, cell_m > COARSE_M
+def _program_key(world, lidar, rules):
+    """Return what must agree to share a compiled program: shape of the padded map, clearance, beams, look-around."""
+    padded = tuple(bucket(side) for side in ringed_shape(world.occupied))
+    around = scans_all_round(lidar.fov_deg)
+    return padded, reach_d2(rules.clearance_m, world), lidar.n_beams, around, world.cell_m > COARSE_M
 
 
-def _cut(spec, records, shapes, n_strategies, total):
+def _cut(spec, records, shapes, n_strategies, total, after=0):
     """Divide the work into blocks, those that share a program together: `(units, number of programs)`."""
     by_key = collections.defaultdict(list)
+    loaded = {(world, cell_m): _loaded(os.fspath(spec.worlds[world]), cell_m) for world, cell_m in shapes}
     for i, (_, cell_m, lidar, rules) in enumerate(records):
         for world in range(len(spec.worlds)):
-            by_key[program_key(shapes[world, cell_m], cell_m, lidar, rules)].append((i, world))
+            by_key[_program_key(loaded[world, cell_m], lidar, rules)].append((i, world))
     units = []
     for (padded, *_), pairs in by_key.items():
         worth = round(UNIT_S / (CELL_S * padded[0] * padded[1]))  # so that large maps lose no more to a kill
-        size = max(min(UNIT, max(LEAST, worth)), -(-total // MOST_UNITS))
+        size = max(min(MAX_UNIT_EPISODES, max(MIN_UNIT_EPISODES, worth)), -(-total // MAX_SWEEP_UNITS))
         unit, room = [], size
-        for block in _blocks(pairs, n_strategies, spec.episodes, size):
+        for block in _blocks(pairs, n_strategies, range(after, spec.episodes, size), spec.episodes):
             if unit and block.n > room:
                 units.append(unit)
                 unit, room = [], size
@@ -320,11 +286,11 @@ def _cut(spec, records, shapes, n_strategies, total):
     return units, len(by_key)
 
 
-def _blocks(pairs, n_strategies, episodes, size) -> Iterator[Block]:
+def _blocks(pairs, n_strategies, firsts, episodes) -> Iterator[SweepBlock]:
     for setting, world in pairs:
-        for first in range(0, episodes, size):
+        for first in firsts:
             for strategy in range(n_strategies):
-                yield Block(setting, world, strategy, first, min(size, episodes - first))
+                yield SweepBlock(setting, world, strategy, first, min(firsts.step, episodes - first))
 
 
 def in_shard(units: int, shard: tuple[int, int] | None) -> list[int]:
@@ -333,7 +299,7 @@ def in_shard(units: int, shard: tuple[int, int] | None) -> list[int]:
 
 
 def summary_lines(plan: Any, workers: int, units: Sequence[int]) -> list[str]:
-    """Return the lines that `--dry-run` prints for a `Plan` or a `TracePlan`."""
+    """Return the lines that `--dry-run` prints for a `SweepPlan` or a `TracePlan`."""
     seconds = plan.seconds(workers) * len(units) / max(len(plan.units), 1)
     n_who, who, what = len(plan.spec.robots or plan.strategies), "robots", "runs"
     if not plan.spec.robots:

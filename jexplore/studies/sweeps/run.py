@@ -3,35 +3,39 @@
 pandas is imported by the functions that need it.
 """
 
+import collections
 import dataclasses
 import functools
 import itertools
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jexplore.arrays.pictures import shown_figure
-from jexplore.config import SWEEP_ENGINES, InputError, checked_names, require_engine
+from jexplore.config import InputError, Lidar, Rules, checked_names, require_engine
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
+from jexplore.exploration import batch
 from jexplore.report.ledger import Ledger
+from jexplore.report.store import read_parquet
 from jexplore.report.tables import aligned_table, number_text, ratio_text, spread_text
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.tables import ByStrategy
-from jexplore.studies.results.units import COLUMNS
+from jexplore.studies.results.units import Unit, join_columns, rows_of
 from jexplore.studies.statistics.paired import paired_ratio
-from jexplore.studies.sweeps.plan import Plan, in_shard, prepare_sweep
+from jexplore.studies.sweeps.plan import SweepPlan, in_shard, prepare_sweep
 from jexplore.studies.sweeps.spec import Sweep, read_spec, sweep_from
 from jexplore.studies.sweeps.traces import TracePlan, prepare_traces, run_traces, summarise_traces, traces_table
-from jexplore.studies.sweeps.work import run_block_units, typed
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-SHOWN = 24  # rows of the table that is printed
+SHOWN_ROWS = 24  # of the table in a notebook
+WINDOW_EPISODES = 8192  # of units that are run together
+WINDOW_SITES = 32  # worlds made ready at a time
 
 
 @checked_names
@@ -133,7 +137,7 @@ class Swept(ByStrategy):
         return bool(self.episodes[list(names)].notna().to_numpy().all(axis=1).any())
 
     def _repr_markdown_(self):
-        return self.to_markdown(SHOWN)
+        return self.to_markdown(SHOWN_ROWS)
 
     def __repr__(self) -> str:
         return f"<Sweep of {self.episodes['setting'].nunique()} settings, {len(self.episodes)} episodes>"
@@ -187,15 +191,98 @@ def _value_text(value):
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
+def run_block_units(
+    plan: SweepPlan,
+    numbers: Sequence[int],
+    on_unit: Callable[[int, "pd.DataFrame"], object],
+    *,
+    engine: str = "auto",
+    lanes: int | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int], object] | None = None,
+) -> Costs:
+    """Run units of a sweep of strategies; `on_unit` gets the number and the table of each that has ended."""
+    costs, done = Costs(), 0
+    for window in _windows(plan, numbers):
+        blocks = [(number, block) for number in window for block in plan.units[number]]
+        left = collections.Counter(number for number, _ in blocks)
+        tables: dict[int, list[Any]] = {number: [] for number in window}
+        jobs = [plan.job(block, window.index(number)) for number, block in blocks]
+
+        def on_job(place, found, blocks=blocks, left=left, tables=tables, jobs=jobs):
+            number, block = blocks[place]
+            tables[number].append((place, _rows(plan, block, jobs[place], found)))
+            left[number] -= 1
+            if not left[number]:
+                rows = [own for _, own in sorted(tables.pop(number), key=lambda own: own[0])]
+                on_unit(number, typed(join_columns(rows), plan))
+
+        progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
+        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
+        how["alike"] = plan.alike
+        try:
+            found = batch.run_jobs(jobs, Lidar(), Rules(), **how, on_progress=progress, on_job=on_job).costs
+        except KeyboardInterrupt:
+            costs.interrupted = True
+            return costs
+        costs = costs.plus(found)
+        done += sum(block.n for _, block in blocks)
+        if costs.interrupted:
+            break
+    return costs
+
+
+def _windows(plan: SweepPlan, numbers: Sequence[int]) -> Iterator[list[int]]:
+    """Yield units that are run together: few enough to fit into the memory."""
+    window, sites, episodes = [], set(), 0
+    for number in numbers:
+        own = {(block.setting, block.world) for block in plan.units[number]}
+        n = sum(block.n for block in plan.units[number])
+        if window and (episodes + n > WINDOW_EPISODES or len(sites | own) > WINDOW_SITES):
+            yield window
+            window, sites, episodes = [], set(), 0
+        window.append(number)
+        sites |= own
+        episodes += n
+    if window:
+        yield window
+
+
+def _rows(plan, block, job, found):
+    """Return the rows of a block, as columns."""
+    strategy = plan.strategies[block.strategy]
+    # The job's own starts begin with the block's first episode.
+    rows = rows_of(job._replace(strategy=strategy), Unit(0, 0, block.n, 0), found)
+    rows["episode"] = rows["episode"] + block.first
+    setting, n = plan.settings[block.setting], len(rows["episode"])
+    own = {"setting": np.full(n, block.setting)}
+    for name in plan.columns[1:]:
+        kind, _, key = name.partition(".")
+        rows[name] = [plan.parameters[block.strategy].get(key) if kind == "strategy" else setting[name]] * n
+    return own | rows
+
+
+def typed(table: "pd.DataFrame", plan: Any) -> "pd.DataFrame":
+    """Convert a table of a sweep, or of its part, to the column types of the whole plan.
+
+    Types are truth values, whole numbers, numbers (NaN where missing), and text (empty where missing).
+    """
+    for name, kind in plan.kinds.items():
+        if kind == "text":
+            table[name] = ["" if value is None or value != value else str(value) for value in table[name]]
+        else:
+            table[name] = table[name].astype(kind)
+    return table
+
+
 def run_sweep(
-    plan: Plan | TracePlan,
+    plan: SweepPlan | TracePlan,
     *,
     ledger: Ledger | None = None,
     shard: tuple[int, int] | None = None,
     engine: str = "auto",
     lanes: int | None = None,
     workers: int | None = None,
-    gpu: bool = False,
     on_progress: Callable[[int], object] | None = None,
 ) -> Swept:
     """Run the units of a sweep that the ledger does not have.
@@ -204,9 +291,7 @@ def run_sweep(
       plan: from `ready`.
       ledger: stores units as soon as they are finished.
       shard: `(i, n)`: only every n-th unit, from the i-th on.
-      engine: as in `batch.run_jobs`, or "ray": units are tasks of a Ray cluster.
-      lanes, workers: as in `batch.run_jobs`; on a Ray cluster every task takes `workers` cores, 1 by default.
-      gpu: every task of a Ray cluster takes a GPU.
+      engine, lanes, workers: as in `batch.run_jobs`.
       on_progress: called with the number of finished episodes, including earlier ones.
 
     Returns:
@@ -215,17 +300,17 @@ def run_sweep(
     Raises:
       KeyboardInterrupt: none was.
     """
-    import pandas as pd
-
-    require_engine(engine, lanes, SWEEP_ENGINES)
-    if gpu and engine != "ray":
-        raise InputError("gpu is for the engine ray: others take the GPUs that they find")
-    numbers, tables, begun = in_shard(len(plan.units), shard), {}, {}
+    require_engine(engine, lanes)
+    earlier = None
+    if ledger is not None and ledger.after:
+        assert isinstance(plan, SweepPlan)
+        earlier = read_parquet(ledger.folder.parent / "episodes.parquet")
+        earlier, plan = earlier[earlier["episode"] < ledger.after], plan.after(ledger.after)
+    numbers, tables = in_shard(len(plan.units), shard), {}
     if ledger is not None:
         tables = {i: ledger.get(i) for i in numbers if i in ledger.done}
-        is_here = engine != "ray"  # whose workers make whole units
-        begun = {i: ledger.get(i) for i in numbers if is_here and i in ledger.parts}
-    before = {i: len(table) for i, table in (tables | begun).items()}
+    n_earlier = 0 if earlier is None else len(earlier)
+    resumed = n_earlier + sum(map(len, tables.values()))
 
     def on_unit(number, table):
         if ledger is not None:
@@ -233,29 +318,17 @@ def run_sweep(
         tables[number] = table
 
     left = [number for number in numbers if number not in tables]
-    progress = None if on_progress is None else (lambda done: on_progress(done + sum(before.values())))
-    how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
-    costs = _run_left(plan, left, on_unit, how, gpu, progress, begun) if left else Costs()
-    if not tables:
+    progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
+    run = run_traces if isinstance(plan, TracePlan) else run_block_units
+    how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": progress}
+    use_compilation_cache()
+    costs = run(plan, left, on_unit, **how) if left else Costs()  # type: ignore[arg-type]
+    if numbers and not tables:
         raise KeyboardInterrupt
-    table = ordered(typed(pd.concat([tables[i] for i in sorted(tables)], ignore_index=True), plan), plan)
-    wanted = sum(plan.size(number) for number in numbers)
-    resumed = sum(n for i, n in before.items() if i in tables)  # what was begun and has not ended is not in the table
-    return Swept(plan.spec, table, tuple(plan.columns), costs, wanted - len(table), resumed, plan.reference)
-
-
-def _run_left(plan, left, on_unit, how, gpu, on_progress, begun):
-    """Run some units of a sweep by whatever engine: `Costs`."""
-    if isinstance(plan, TracePlan):
-        if how["engine"] == "ray":
-            raise InputError("engine ray is for strategies: a sweep of robots runs on this machine, or by --shard")
-        return run_traces(plan, left, on_unit, **how, on_progress=on_progress)
-    if how["engine"] != "ray":
-        use_compilation_cache()
-        return run_block_units(plan, left, on_unit, **how, on_progress=on_progress, begun=begun)
-    from jexplore.studies.sweeps import cluster
-
-    return cluster.run_units(plan, left, on_unit, on_progress=on_progress, cpus=how["workers"] or 1, gpus=int(gpu))
+    found = [*([] if earlier is None else [earlier]), *(tables[i] for i in sorted(tables))]
+    table = whole_table(found, plan)
+    missing = n_earlier + sum(plan.size(number) for number in numbers) - len(table)
+    return Swept(plan.spec, table, tuple(plan.columns), costs, missing, resumed, plan.reference)
 
 
 def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -264,16 +337,19 @@ def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
     return [", ".join(f"{key.rpartition('.')[2]} {_value_text(own[key])}" for key in varied) for own in settings]
 
 
-def ordered(table: "pd.DataFrame", plan: Plan | TracePlan) -> "pd.DataFrame":
-    """Sort rows by setting, world, strategy or robot, and episode or run, in the order of the spec."""
-    if isinstance(plan, TracePlan):
-        return plan.ordered(table)
-    worlds = {os.fspath(name): i for i, name in enumerate(plan.spec.worlds)}
-    names = {strategy.name: i for i, strategy in enumerate(plan.strategies)}
-    strategy, world = [names[name] for name in table["strategy"]], [worlds[name] for name in table["world"]]
-    keys: Any = [table["episode"].to_numpy(), strategy, world, table["setting"].to_numpy()]
-    order = np.lexsort(keys)
-    return table.iloc[order].reset_index(drop=True)
+def whole_table(tables: Sequence["pd.DataFrame"], plan: SweepPlan | TracePlan) -> "pd.DataFrame":
+    """Join tables of a sweep: rows by setting, world, strategy or robot, and episode or run, as in the spec."""
+    import pandas as pd
+
+    table = typed(pd.concat(tables, ignore_index=True), plan)
+    who, names, number = "robot", plan.spec.robots, "run"
+    if isinstance(plan, SweepPlan):
+        who, names, number = "strategy", [strategy.name for strategy in plan.strategies], "episode"
+    places = [
+        table[column].map({name: i for i, name in enumerate(given)})
+        for column, given in ((who, names), ("world", map(os.fspath, plan.spec.worlds)))
+    ]
+    return table.iloc[np.lexsort([table[number], *places, table["setting"]])].reset_index(drop=True)
 
 
 @checked_names
@@ -283,7 +359,6 @@ def sweep(
     engine: str = "auto",
     lanes: int | None = None,
     workers: int | None = None,
-    gpu: bool = False,
     on_progress: Callable[[int], object] | None = None,
     progress: bool | None = None,
 ) -> Swept:
@@ -291,7 +366,7 @@ def sweep(
 
     Args:
       spec: a `Sweep`, a mapping of its fields, or a YAML file. `jexplore sweep` keeps what it finishes; this does not.
-      engine, lanes, workers, gpu, on_progress: as in `run_sweep`.
+      engine, lanes, workers, on_progress: as in `run_sweep`.
       progress: whether a bar shows how much is finished; by default in notebooks.
 
     Returns:
@@ -300,23 +375,20 @@ def sweep(
     Raises:
       InputError: what cannot be run, in one line. Raised before anything is compiled.
     """
-    require_engine(engine, lanes, SWEEP_ENGINES)
+    require_engine(engine, lanes)
     if isinstance(spec, (str, os.PathLike)):
         spec = read_spec(spec)
     elif isinstance(spec, Mapping):
         spec = sweep_from(spec)
     if not isinstance(spec, Sweep):
         raise InputError(f"a sweep must be a jx.Sweep, a mapping or a YAML file, got {spec!r}")
-    how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "gpu": gpu}
+    how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
     plan = ready(spec)
     total = sum(map(plan.size, range(len(plan.units))))
     with progress_bar(progress, total, "runs" if spec.robots else "episodes", on_progress) as moved:
         return run_sweep(plan, **how, on_progress=moved)
 
 
-def ready(spec: Sweep) -> Plan | TracePlan:
+def ready(spec: Sweep) -> SweepPlan | TracePlan:
     """Plan a sweep of episodes, or of robots that write maps, for `run_sweep`. Raises as `prepare_sweep`."""
     return prepare_traces(spec) if spec.robots else prepare_sweep(spec)
-
-
-__all__ = ["COLUMNS", "Swept", "run_block_units", "run_sweep", "summarise", "summary_table", "sweep"]

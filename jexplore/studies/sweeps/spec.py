@@ -27,10 +27,10 @@ from jexplore.worlds.poses import read_start
 
 MAX_SETTINGS = 100_000
 MAX_TOTAL = 100_000_000  # episodes
-DRAWS = ("random", "sobol")
+DRAW_METHODS = ("random", "sobol")
 RANGE = ("low", "high", "log")
-PARTS = {"lidar": Lidar, "rules": Rules, "tuning": Tuning, "noise": Noise}
-_FIELDS_OF = {name: {field.name: field for field in dataclasses.fields(kind)} for name, kind in PARTS.items()}
+SETTING_PARTS = {"lidar": Lidar, "rules": Rules, "tuning": Tuning, "noise": Noise}
+_FIELDS_OF = {name: {field.name: field for field in dataclasses.fields(kind)} for name, kind in SETTING_PARTS.items()}
 
 
 @checked_names
@@ -108,8 +108,8 @@ class Sweep:
                 raise InputError(f"worlds must be names or files, got {world!r}")
         require_whole("episodes", self.episodes, 1, MAX_TOTAL)
         read_start(self.start, self.start_m)
-        if self.draw not in DRAWS:
-            raise unknown("draw", str(self.draw), DRAWS)
+        if self.draw not in DRAW_METHODS:
+            raise unknown("draw", str(self.draw), DRAW_METHODS)
         if self.draws is not None:
             require_whole("draws", self.draws, 1, MAX_SETTINGS)
         others = ("lidar", "rules") if self.robots else ("tuning", "noise")
@@ -119,7 +119,7 @@ class Sweep:
                 raise InputError(f"{name} is for {need}")
         for name, known in _FIELDS_OF.items():
             given = getattr(self, name)
-            if isinstance(given, PARTS[name]):
+            if isinstance(given, SETTING_PARTS[name]):
                 given = dataclasses.asdict(given)
                 object.__setattr__(self, name, given)
             if not isinstance(given, Mapping):
@@ -146,7 +146,7 @@ class Sweep:
     def axes(self) -> dict[str, Any]:
         """Return the varied settings: dotted name -> list of values, or a `Range`."""
         given = {"seed": self.seed, "cell_m": self.cell_m}
-        for part in PARTS:
+        for part in SETTING_PARTS:
             given |= {f"{part}.{key}": value for key, value in getattr(self, part).items()}
         return {key: _axis(key, value) for key, value in given.items()}
 
@@ -198,7 +198,7 @@ class Sweep:
         return [{key: _taken(key, axis, float(s)) for (key, axis), s in zip(axes.items(), row)} for row in shares]
 
     def records(self, *parts: str) -> list[tuple[Any, ...]]:
-        """Return seed, cell size and scanner and rules, or others of `PARTS`, of every setting of `expanded`.
+        """Return seed, cell size and scanner and rules, or others of `SETTING_PARTS`, of every setting of `expanded`.
 
         Raises:
           InputError: a value that cannot be used, naming it.
@@ -207,7 +207,7 @@ class Sweep:
         for setting in self.expanded():
             seed = require_setting("seed", setting["seed"])
             cell_m = require_setting("cell_m", setting["cell_m"])
-            made = [PARTS[part](**_part(setting, part)) for part in parts or ("lidar", "rules")]
+            made = [SETTING_PARTS[part](**_part(setting, part)) for part in parts or ("lidar", "rules")]
             found.append((seed, float(cell_m), *made))
         return found
 
@@ -354,7 +354,7 @@ def read_spec(path: str | os.PathLike[str]) -> Sweep:
         raise InputError(f"{os.fspath(path)}: {first_line(error)}") from error
 
 
-def plain(spec: Sweep) -> dict[str, Any]:
+def plain_spec(spec: Sweep) -> dict[str, Any]:
     """Convert a `Sweep` to plain values, from which `sweep_from` makes it again."""
 
     def simple(value):

@@ -14,13 +14,12 @@ from jexplore.config import InputError, require_different
 from jexplore.driving import batch
 from jexplore.driving.batch import MAX_STEPS, settings_arrays
 from jexplore.driving.settings import for_world, require_noise, require_tuning
-from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
 from jexplore.report.tables import aligned_table, number_text, spread_text
 from jexplore.studies.checks import require_different_buildings
-from jexplore.studies.results.provenance import digest
-from jexplore.studies.sweeps.plan import kind_of
-from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
+from jexplore.studies.results.provenance import world_digest
+from jexplore.studies.sweeps.plan import MAX_SWEEP_UNITS, column_type
+from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain_spec
 from jexplore.studies.traces.job import NOISE, TraceJob, prepare_trace, with_values
 from jexplore.studies.traces.tracing import trace_table
 from jexplore.version import __version__
@@ -29,14 +28,13 @@ from jexplore.worlds.world import World
 if TYPE_CHECKING:
     import pandas as pd
 
-UNIT = 256  # runs of a unit, about
-MOST_UNITS = 4096  # larger sweeps have larger units
+UNIT_RUNS = 256  # runs of a unit, about
 RUN_S = 0.1  # processor seconds of a run of the course, about (benchmarks/RESULTS.md, Behavioral Trace Maps)
-COMPILE_S = 25.0  # of compiling a program
+TRACE_COMPILE_S = 25.0  # of compiling a program
 
 
 @dataclasses.dataclass(frozen=True)
-class Group:
+class TraceGroup:
     """Runs of one robot in one world with one seed: one call of the engine, whatever the thresholds."""
 
     world: int
@@ -52,7 +50,7 @@ class TracePlan:
 
     spec: Sweep
     settings: list[dict[str, Any]]
-    groups: list[Group]
+    groups: list[TraceGroup]
     units: list[tuple[int, int, int]]
     """Of every unit group, first run and number of runs."""
 
@@ -83,7 +81,7 @@ class TracePlan:
     @property
     def kinds(self) -> dict[str, str]:
         """Return columns of settings and the types of their values, see `plan.kind_of`."""
-        return {name: kind_of([setting[name] for setting in self.settings]) for name in self.columns[1:]}
+        return {name: column_type([setting[name] for setting in self.settings]) for name in self.columns[1:]}
 
     def size(self, unit: int) -> int:
         """Return the number of runs of a unit."""
@@ -91,28 +89,20 @@ class TracePlan:
 
     def seconds(self, workers: int) -> float:
         """Estimate the time on a number of cores, compiling included."""
-        return (RUN_S * self.episodes + COMPILE_S * self.programs) / max(workers, 1)
+        return (RUN_S * self.episodes + TRACE_COMPILE_S * self.programs) / max(workers, 1)
 
     def asked(self, shard: tuple[int, int] | None = None) -> dict[str, Any]:
         """Return all that the results depend on, as plain values."""
         return {
             "version": __version__,
-            "spec": plain(self.spec),
-            "digests": [digest(group.job.world) for group in self.groups],
+            "spec": plain_spec(self.spec),
+            "digests": [world_digest(group.job.world) for group in self.groups],
             "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
         }
 
     def shorter(self, shard: tuple[int, int] | None = None) -> None:
         """Return no shorter sweeps to continue."""
         del shard
-
-    def ordered(self, table: "pd.DataFrame") -> "pd.DataFrame":
-        """Sort rows by setting, world, robot and run, in the order of the spec."""
-        worlds = {os.fspath(name): i for i, name in enumerate(self.spec.worlds)}
-        robots = {name: i for i, name in enumerate(self.spec.robots)}
-        robot, world = [robots[name] for name in table["robot"]], [worlds[name] for name in table["world"]]
-        keys: Any = [table["run"].to_numpy(), robot, world, table["setting"].to_numpy()]
-        return table.iloc[np.lexsort(keys)].reset_index(drop=True)
 
 
 def prepare_traces(spec: Sweep) -> TracePlan:
@@ -141,9 +131,9 @@ def prepare_traces(spec: Sweep) -> TracePlan:
         for robot, kind in enumerate(spec.robots):
             for (seed, cell_m, *_), own in together.items():
                 job = prepare_trace(name, robot=kind, runs=1, seed=seed, tuning=records[own[0]][2], cell_m=cell_m)
-                groups.append(Group(world, robot, own, _with_settings(job, spec, records, own)))
+                groups.append(TraceGroup(world, robot, own, _with_settings(job, spec, records, own)))
     require_different_buildings(group.job.world for group in groups)
-    size, units = max(UNIT, -(-total // MOST_UNITS)), []
+    size, units = max(UNIT_RUNS, -(-total // MAX_SWEEP_UNITS)), []
     for i, group in enumerate(groups):
         n = len(group.settings) * spec.episodes
         units += [(i, first, min(size, n - first)) for first in range(0, n, size)]
@@ -174,18 +164,7 @@ def run_traces(
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
 ) -> Costs:
-    """Make units of a sweep of robots.
-
-    Args:
-      plan: `TracePlan`.
-      numbers: of the units, in order.
-      on_unit: called with the number of a unit and its table, once all its runs have ended.
-      engine, lanes, workers, on_progress: as in `batch.run_missions`.
-
-    Returns:
-      `Costs`, added up; `interrupted` after Ctrl-C.
-    """
-    use_compilation_cache()
+    """Run units of a sweep of robots; `on_unit` gets the number and the table of each that has ended."""
     costs, done = Costs(), 0
     for group in dict.fromkeys(plan.units[number][0] for number in numbers):
         mine = [number for number in numbers if plan.units[number][0] == group]

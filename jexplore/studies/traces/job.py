@@ -162,7 +162,8 @@ def map_room(world: World, truth: TraceTruth, nodes: int | None = None, links: i
     """Return the most nodes and links of a map.
 
     By default `MAP_SIZE` of a course; where there is no goal `SPARE` nodes for each one of the true map, on a course
-    that many at least, elsewhere `MIN_NODES`, in doublings, so that similar buildings share a program; two links a node.
+    that many at least, elsewhere `MIN_NODES`, in doublings, so that similar buildings share a program. Two links a
+    node.
     """
     wanted = max(SPARE * len(truth.map.nodes), MIN_NODES if world.course is None else MAP_SIZE[0])
     room = MAP_SIZE[0] if _has_goal(world) else 1 << (min(wanted, MOST_NODES) - 1).bit_length()

@@ -20,8 +20,8 @@ from jexplore.engine.runner import Costs
 from jexplore.report import store
 from jexplore.report.ledger import Ledger
 from jexplore.studies.results.progress import progress_bar
-from jexplore.studies.results.provenance import digest
-from jexplore.studies.results.units import LEAST, MOST_UNITS
+from jexplore.studies.results.provenance import world_digest
+from jexplore.studies.results.units import MAX_UNITS_OF_JOB, MIN_UNIT_EPISODES
 from jexplore.studies.traces.job import TraceJob, prepare_trace, with_values
 from jexplore.studies.traces.scans import scans_of
 from jexplore.studies.traces.truth import false_divergences
@@ -70,7 +70,7 @@ class Traced:
 def run_blocks(plan: TraceJob) -> list[tuple[int, int]]:
     """Return the units of a plan: `(first run, number of runs)`."""
     n = plan.runs * plan.settings
-    size = max(LEAST, -(-n // MOST_UNITS))
+    size = max(MIN_UNIT_EPISODES, -(-n // MAX_UNITS_OF_JOB))
     return [(first, min(size, n - first)) for first in range(0, n, size)]
 
 
@@ -82,7 +82,7 @@ def asked_of_runs(plan: TraceJob) -> dict[str, Any]:
         **{name: getattr(plan, name) for name in ("robot", "tuning", "noise", "runs", "seed", "swept", "max_steps")},
         **{name: getattr(plan, name) for name in ("size", "attributes")},
         "starts": plan.begins,
-        "digest": digest(plan.world),
+        "digest": world_digest(plan.world),
     }
 
 
