@@ -10,11 +10,10 @@ from jexplore.cli.output.terminal import show_table
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
-    """Measure kernels, episodes and memory on this machine.
+    """Measure episodes on this machine.
 
-    Kernels compared with other libraries, episodes by batch size and by map size, memory, compiling. Runs on one core,
-    or on the first accelerator. Prints Markdown tables and writes bench.json, bench.png and run.json. A quiet machine
-    gives good figures.
+    Whole episodes by engine, batch size and map size, and compiling. Runs on one core, or on the first accelerator.
+    Prints Markdown tables and writes bench.json, bench.png and run.json. A quiet machine gives good figures.
     """
 
     worlds: OwnNames = None
@@ -61,7 +60,7 @@ class Bench:
             with progress_of(plan.total, "measurements") as progress:
                 progress.update(0)
                 report = bench.run_bench(plan, cache=self.cache, on_progress=progress.update)
-            figure = plots.figure(report)
+            figure = plots.bench_figure(report)
             record = out.record(arguments, self, measured=report["settings"])
             wrote = out.write(
                 {
@@ -70,5 +69,5 @@ class Bench:
                     "run.json": lambda path: store.write_json(record, path),
                 }
             )
-            show_table(tables.tables(report))
+            show_table(tables.bench_tables(report))
             print(f"\n{wrote}")
