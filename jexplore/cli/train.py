@@ -60,7 +60,7 @@ class Train:
         """Run the command and return the exit status, None for 0."""
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.learn import bank, training
-        from jexplore.learn.settings import numbers_of
+        from jexplore.learn.settings import parse_settings
         from jexplore.policies.learned.model import load_model
 
         with Out(self, "train") as out:
@@ -74,7 +74,7 @@ class Train:
                 self.network,
                 worlds,
                 watched,
-                numbers_of(self.set),
+                parse_settings(self.set),
                 rounds=self.rounds,
                 check_every=self.check_every,
                 patience=self.patience,
@@ -82,7 +82,7 @@ class Train:
                 seed=self.seed,
                 model=None if self.model is None else load_model(self.model),
             )
-            ledger = out.keep(training.asked(plan), plan.units)
+            ledger = out.keep(training.training_inputs(plan), plan.units)
             if ledger is None:
                 out.draw_missing({})
                 return 0

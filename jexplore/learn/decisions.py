@@ -28,7 +28,7 @@ from jexplore.studies.environment import Environment, EnvState
 class Told(NamedTuple):
     """Observation at a decision."""
 
-    features: Array  # [K, F] float32, see `features.NAMES`
+    features: Array  # [K, F] float32, see `features.FEATURES`
     used: Array  # [K] bool, which slots hold a cluster: what may be chosen. The nearest is slot 0
 
 
@@ -58,7 +58,7 @@ class Decisions:
     drives here as the strategy `learned+recheck` does in a comparison.
     """
 
-    n_choices = features.MOST
+    n_choices = features.SCORED_CLUSTERS
     """K, slots."""
 
     def __init__(self, bank: Bank, *, starts: int = 16, seed: int = 0, workers: int | None = None) -> None:
@@ -170,7 +170,7 @@ def _targets(env):
 
 def _told(env, state):
     beams = env.arrays[0].beams
-    blank = jnp.zeros((features.MOST, len(features.NAMES)), jnp.float32)
+    blank = jnp.zeros((features.SCORED_CLUSTERS, len(features.FEATURES)), jnp.float32)
     used = state.at.used & ~state.is_over
 
     def tell(_):

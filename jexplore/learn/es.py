@@ -35,7 +35,7 @@ def begin(weights: Any, settings: Es) -> State:
     return State(weights, theta, jax.tree.map(np.asarray, optax.adam(settings.rate).init(jnp.asarray(theta))), 0)
 
 
-def step(
+def make_round(
     state: State, network: str, bank: Bank, settings: Es, seed: int, workers: int | None = None
 ) -> tuple[State, float]:
     """Make one generation.
