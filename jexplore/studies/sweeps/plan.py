@@ -15,7 +15,7 @@ from jexplore.exploration.batch import Job
 from jexplore.exploration.site import COARSE_M
 from jexplore.grid import radius_d2
 from jexplore.policies import Strategy
-from jexplore.policies.catalogue.joined import joined
+from jexplore.policies.catalogue.joined import join_strategies
 from jexplore.raycast import scans_all_round
 from jexplore.report.ledger import Shorter
 from jexplore.report.store import read_parquet
@@ -80,7 +80,7 @@ class Plan:
     @functools.cached_property
     def together(self) -> list[Strategy]:
         """Make the strategies share a program."""
-        return joined(self.strategies)
+        return join_strategies(self.strategies)
 
     @functools.cached_property
     def alike(self) -> list[tuple[Lidar, Rules]]:
