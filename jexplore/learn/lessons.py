@@ -220,15 +220,7 @@ def together(parts: Sequence[Lessons]) -> Lessons:
 def give_lessons(
     bank: Bank, model: Model, which: Sequence[int], seed: int, asking: Asking, *, workers: int | None = None
 ) -> tuple[Lessons, np.ndarray]:
-    """Collect lessons from episodes of a policy.
-
-    Args:
-      bank: `Bank`.
-      model: the policy's.
-      which: K numbers of worlds; an episode in each, of one that is there twice from two starts.
-      seed: of the starts and of all that is random.
-      asking: `Asking`.
-      workers: cores; by default all.
+    """Collect lessons from episodes of a model's policy; `which` and `seed` are as for `Bank.log_ratios`.
 
     Returns:
       `(lessons, path_m)`: `[K]` float64, how long the robot's own path was; inf where it did not end COMPLETE. Of such

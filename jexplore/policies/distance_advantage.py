@@ -33,13 +33,7 @@ class Params(NamedTuple):
 
 
 def advantage(path_m: Array, apart_m: Array, used: Array, weight: Array | float, counts: Array | float = 1.0) -> Array:
-    """Compute the mean distance from the other targets, weighted, less the robot's path: `[M]` float32, metres.
-
-    Args:
-      path_m: `[M]` float32.
-      apart_m, used, counts: as for `mean_apart`.
-      weight: scalar.
-    """
+    """Compute the mean distance from the other targets, weighted, less the robot's path: `[M]` float32, metres."""
     return weight * mean_apart(apart_m, used, counts) - path_m
 
 

@@ -59,14 +59,9 @@ def inserted(length: Array, n: Array | int) -> Array:
 
 
 def two_opt(length: Array, route: Array, n: Array | int) -> Array:
-    """Improve a route by reversing stretches for as long as that shortens it, the best reversal first.
+    """Improve a route of `inserted` by reversing stretches for as long as that shortens it, the best reversal first.
 
-    Args:
-      length, n: as for `inserted`.
-      route: `[N]` int32.
-
-    Returns:
-      `[N]` int32. Node 0 stays first.
+    Node 0 stays first.
     """
     size = length.shape[0]
     nodes = lax.iota(jnp.int32, size)

@@ -62,12 +62,6 @@ def drawn(key: Array, belief: Belief, known: Field, params: Views) -> tuple[Arra
     Draw i depends on the key and i only, neither on how many there are nor on the map's padding. Where the disc's cell
     cannot be reached, the frontier cell itself is the view point.
 
-    Args:
-      key: consumed.
-      belief: `Belief`.
-      known: its `Field`.
-      params: `Views`.
-
     Returns:
       `row`, `col`: `[MAX_SAMPLES]` int32, the first `params.samples` of which count; H and 0 without a frontier.
 
@@ -97,15 +91,7 @@ def best_view(
     known: Field,
     beams: Beams,
 ) -> tuple[Array, Array]:
-    """Find the view point of the greatest utility.
-
-    Args:
-      utility: `(params, gain, path_m) -> float32`, growing with the gain, bits. Static.
-      key: consumed.
-      params: `Views`.
-      belief: `Belief`.
-      known: its `Field`.
-      beams: `Beams`.
+    """Find the view point of the greatest `utility(params, gain, path_m)`, float32, growing with the gain, bits.
 
     Returns:
       `(cell, overflow)`: flat index, -1 if no view point shows enough; cells whose entropy could not be counted.

@@ -309,9 +309,7 @@ def digest_of(policy: Policy) -> str | None:
 def traced_policy(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> Policy:
     """Identify the functions of a user's strategy by their computation: traced on shapes, without compiling.
 
-    Args:
-      policy: `Policy`.
-      params, belief, beams, route: what it will be called with; arrays or their shapes.
+    The other arguments are what it will be called with, arrays or their shapes.
 
     Raises:
       InputError: a function raises, or returns the wrong thing; one line that names it.

@@ -30,11 +30,7 @@ def init(params: Any, belief: Belief) -> Array:
 
 
 def is_forced(at: Targets) -> Array:
-    """Return whether the choice is forced: at most one target, or the nearest is `FORCED_M` away or less: bool.
-
-    Args:
-      at: `Targets`, the nearest first.
-    """
+    """Return whether the choice is forced: at most one target, or the first within `FORCED_M`."""
     return (jnp.sum(at.used, dtype=jnp.int32) < 2) | (at.path_m[0] <= FORCED_M)
 
 
