@@ -15,6 +15,8 @@ from ref.results import result
 from jexplore import bench
 from jexplore.bench import plots, tables, timing
 from jexplore.cli import main
+from jexplore.engine.runner import Costs
+from jexplore.exploration.batch import Outcomes
 
 SMALL = "cave:width_m=6.4,height_m=6.4"
 YARDSTICK = Path(__file__).resolve().parents[1] / "benchmarks" / "yardstick.py"
@@ -112,10 +114,7 @@ def test_lanes_are_filled_again_and_one_other_bit_is_told(monkeypatch):
         asked.append((len(starts), engine, lanes))
         found = result(len(starts))
         found.known[1] += engine == "jax"
-        costs = bench.Finished([], 0)._replace(
-            costs=type("Costs", (), {"compile_s": 0.0, "levels": {"closest": [engine]}})
-        )
-        return costs._replace(outcomes=[type("Outcomes", (), {"result": found})])
+        return bench.Finished([Outcomes(found, None)], Costs(levels={"closest": [engine]}))
 
     monkeypatch.setattr(bench, "run_once", play)
     plan = bench.prepare_bench(worlds=[SMALL], sides=[32], strategies=["closest"])

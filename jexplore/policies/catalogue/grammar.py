@@ -186,10 +186,9 @@ def strategy(
     if name is None and base is None:
         raise InputError(f"{described(what)} has no name: jx.strategy(..., name=...)")
     _require_name(base if name is None else name)
-    modifiers = {"recheck": None} if recheck else {}
-    modifiers |= {"segment": kind} if kind else {}
+    modifiers = ({"recheck": None} if recheck else {}) | ({"segment": kind} if kind else {})
     if name is None:
-        name = base + ("+recheck" if recheck else "") + (f"+segment={kind}" if kind else "")
+        name = "+".join([base or "", *(f"{key}={value}" if value else key for key, value in modifiers.items())])
         told = {k: v for k, v in given.items() if isinstance(v, (int, float, str, os.PathLike))}
         tail = ",".join(f"{key}={shown(value) if isinstance(value, int) else value}" for key, value in told.items())
         name = f"{name}:{tail}" if tail else name
