@@ -181,7 +181,7 @@ def strategy(
     kind = {True: "holz", False: None}[segment] if isinstance(segment, bool) else segment
     if kind is not None and kind not in KINDS:
         raise unknown("kind of segment:", kind, KINDS)
-    parameters(what)  # refuses what is no strategy
+    parameters(what)  # refuses anything else
     base = name_of(what)
     if name is None and base is None:
         raise InputError(f"{described(what)} has no name: jx.strategy(..., name=...)")
