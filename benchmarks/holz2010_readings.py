@@ -25,7 +25,7 @@ from jexplore.gain import look, prospect
 from jexplore.grid import empty_grid, is_free, is_occupied
 from jexplore.planning import choose, field, metres, nearest_of
 from jexplore.policies import parse_strategy, views
-from jexplore.policies.policy import Policy
+from jexplore.policies.policy import Policy, no_carry
 from jexplore.report.tables import ratio_text
 from jexplore.segment import PROMINENCE_M, criteria, form_for, segment
 from jexplore.studies.statistics.by_world import path_at_equal_coverage
@@ -86,7 +86,7 @@ def _ahead(key, params, carry, belief, beams, route):
 def theoretic_ahead(samples: int = 500, falls_back: bool = True) -> Policy:
     """`decision-theoretic` whose looks are ahead."""
     view = views.views(("lam", 0.2), samples, 1.0, 10)
-    return Policy(views.init, _ahead, (view, np.bool_(falls_back)), lambda params, *rest: views.live(params[0], *rest))
+    return Policy(no_carry, _ahead, (view, np.bool_(falls_back)), lambda params, *rest: views.live(params[0], *rest))
 
 
 def _text(found):

@@ -26,9 +26,9 @@ from jexplore.distance import nearest_site
 from jexplore.exploration.motion import motion_step
 from jexplore.grid import is_known, is_occupied
 from jexplore.planning import field, is_live, nearest_frontier
-from jexplore.policies.clusters import apart, go_to, init, seen_from, targets
+from jexplore.policies.clusters import go_to, paths_apart, seen_from, targets
 from jexplore.policies.distance_advantage import advantage
-from jexplore.policies.policy import Policy
+from jexplore.policies.policy import Policy, no_carry
 from jexplore.raycast import fold, scan
 from jexplore.reach import DIAGONAL, STRAIGHT
 from jexplore.studies.statistics.league import paths_by_world
@@ -125,7 +125,9 @@ def _select(key, params, carry, belief, beams, route):
     at = targets(belief, known)
     area = seen_from(belief, at, beams)[0].astype(jnp.float32)
     usable = jnp.where(jnp.any(area > 0), at.used & (area > 0), at.used)
-    worth = advantage(at.path_m, apart(belief, at), usable, 0.5, area) - 0.5 * belief.model.cell_m * jnp.sqrt(area)
+    worth = advantage(at.path_m, paths_apart(belief, at), usable, 0.5, area) - 0.5 * belief.model.cell_m * jnp.sqrt(
+        area
+    )
     order = jnp.argsort(jnp.where(usable, -worth, jnp.inf))
     n = jnp.minimum(jnp.sum(usable, dtype=jnp.int32), params.most)
     truth = jnp.broadcast_to(params.truth, belief.driven.shape)
@@ -151,7 +153,7 @@ def _select(key, params, carry, belief, beams, route):
 
 def rollout(most=8, margin_m=0.0, depth_m=3.0, samples=0, truth=np.True_):
     """The policy."""
-    return Policy(init, _select, Params(most, float(margin_m), float(depth_m), samples, np.asarray(truth)))
+    return Policy(no_carry, _select, Params(most, float(margin_m), float(depth_m), samples, np.asarray(truth)))
 
 
 def occupied(world):

@@ -17,14 +17,12 @@ import numpy as np
 from jax import Array
 from jax.experimental.compilation_cache import compilation_cache
 
-from jexplore.bench.engines import LIDAR, RULES, Compiler, program_of, same
+from jexplore.bench import LIDAR, RULES, is_equal, run_once
 from jexplore.bench.tables import markdown, plus_minus
-from jexplore.bench.timing import interleaved, mean_and_se, one_core, ratio, spread, surroundings
-from jexplore.config import InputError, require_whole
+from jexplore.bench.timing import interleaved, mean_and_se, median_and_min, one_core, ratio, surroundings
+from jexplore.config import ENGINES, InputError, require_whole
 from jexplore.engine.backend import start_backend
-from jexplore.exploration.native import is_native
 from jexplore.exploration.results import path_m
-from jexplore.exploration.site import drive_for
 from jexplore.exploration.state import Outcome
 from jexplore.grid import is_known
 from jexplore.planning import View
@@ -63,7 +61,7 @@ def near_and_open(view: View) -> Array:
     return open_ - view.path_m
 
 
-def beside(compiler, world, strategy, target, yardstick, n, repeat):
+def beside(world, strategy, yardstick, n, repeat):
     """Time one strategy's episodes on one core, by all that can run them, in turns with the yardstick, from the same
     starts: a dict for the report.
 
@@ -79,16 +77,14 @@ def beside(compiler, world, strategy, target, yardstick, n, repeat):
     def theirs():
         return [explorer.run(*start, recheck=strategy.recheck) for start in zip(rows, cols, headings)]
 
-    ways = {"native": program_of(compiler, "auto", world, strategy, n, n)} if is_native(strategy, LIDAR) else {}
-    ways |= {"JAX, driven natively": compiler.one_by_one(world, strategy, target)} if target else {}
-    ways["JAX"] = compiler.one_by_one(world, strategy)
-    tasks = {name: functools.partial(way.run, starts) for name, way in ways.items()} | {"yardstick": theirs}
+    tasks = {engine: functools.partial(run_once, world, strategy, starts, engine) for engine in ENGINES}
+    tasks |= {"yardstick": theirs}
     for task in tasks.values():
         task()
     runs = interleaved(tasks, repeat)
     cpu = {name: [took.cpu / n for _, took in turns] for name, turns in runs.items()}
     their = runs.pop("yardstick")[0][0]
-    found = [turns[0][0].result for turns in runs.values()]
+    found = [turns[0][0].outcomes[0].result for turns in runs.values()]
     our = found[-1]
     our_m = path_m(our.straight, our.diagonal, world.cell_m)
     their_m = np.array([episode["length"] for episode in their])
@@ -96,7 +92,7 @@ def beside(compiler, world, strategy, target, yardstick, n, repeat):
         "world": world.name,
         "strategy": strategy.name,
         "shape": list(world.shape),
-        "cpu_s_per_episode": {name: spread(values) for name, values in cpu.items()},
+        "cpu_s_per_episode": {name: median_and_min(values) for name, values in cpu.items()},
         "beside_yardstick": {name: ratio(values, cpu["yardstick"]) for name, values in cpu.items()},
         "path_m": {"ours": mean_and_se(our_m), "yardstick": mean_and_se(their_m)},
         "path_m_difference": mean_and_se(our_m - their_m),
@@ -105,14 +101,14 @@ def beside(compiler, world, strategy, target, yardstick, n, repeat):
             for key in ("plans", "scans")
         },
         "complete": float(np.mean(our.outcome == Outcome.COMPLETE)),
-        "equal": same(found),
+        "equal": is_equal(found),
     }  # fmt: skip
 
 
 def table(cases):
     """Return the cases as Markdown."""
     header = [
-        "one core", "strategy", "run by", "CPU ms", "of the yardstick", "path m", "plans", "scans", "equal",
+        "one core", "strategy", "engine", "CPU ms", "of the yardstick", "path m", "plans", "scans", "equal",
     ]  # fmt: skip
     return markdown(header, [
         [
@@ -152,7 +148,6 @@ def main():
     if importlib.util.find_spec("numba") is None:
         raise InputError(f"--yardstick {args.yardstick}: needs numba, which the extra bench installs")
     yardstick = load_yardstick(args.yardstick)
-    target = drive_for("cpu").name
     worlds = ready_worlds(args.worlds or [str(SHARED / "maps" / "stage" / name) for name in MAPS], 0.1)
     start_backend(1)
     jax.config.update("jax_enable_compilation_cache", False)
@@ -160,13 +155,9 @@ def main():
     report = {"environment": surroundings(), "episodes": args.episodes, "repeat": args.repeat}
     with one_core() as report["pinned"]:
         pass
-    compiler = Compiler()
     report["cases"] = [
-        beside(compiler, world, strategy, target, yardstick, args.episodes, args.repeat)
-        for world in worlds
-        for strategy in strategies
+        beside(world, strategy, yardstick, args.episodes, args.repeat) for world in worlds for strategy in strategies
     ]
-    report["programs"] = compiler.programs
     print(table(report["cases"]))
     if args.out is not None:
         store.write_json(report, args.out)

@@ -198,9 +198,9 @@ def generators_table() -> str:
 def strategies_table() -> str:
     """Tabulate the strategies and modifiers of this package, their parameters and sources."""
     from jexplore.policies import MODIFIERS
-    from jexplore.policies.catalogue.grammar import listing
+    from jexplore.policies.catalogue.grammar import strategies
 
-    rows = [(f"`{one.name}`", one.summary, one.parameters, one.source) for one in listing()]
+    rows = [(f"`{name}`", summary, own.strip("-"), source) for name, summary, own, source in strategies()]
     modifiers = [(f"`+{name}`", text) for name, text in MODIFIERS.items()]
     return "\n".join(
         (

@@ -14,7 +14,7 @@ from jexplore.arrays import bits
 from jexplore.arrays.loops import run_if
 from jexplore.grid import Grid, count, empty_grid, entropy, is_known, is_occupied
 from jexplore.native import kernels
-from jexplore.raycast import BLOCK, HEADINGS, Beams, fold, scan
+from jexplore.raycast import Beams, fold, scan
 
 
 @struct.dataclass
@@ -166,39 +166,6 @@ def look(
     entropy_after = -sum(jnp.where(q > 0, q * jnp.log2(jnp.where(q > 0, q, 1.0)), 0.0) for q in (hits / n, misses / n))
     change = jnp.sum(jnp.where(prospect.before > 0, prospect.before - entropy_after, 0.0))
     return ViewGain(seen.astype(jnp.float32) + change, seen, known), _wiped(scratch, corner, passed.shape)
-
-
-def unknown_near(
-    grid: Grid,
-    extent: Array | tuple[Array | int, Array | int],
-    p_free: Array | float,
-    row: Array | int,
-    col: Array | int,
-    beams: Beams,
-    within: Array | None = None,
-) -> Array:
-    """Return the most unknown cells that a beam of a look-around shows in its first `raycast.BLOCK` steps.
-
-    Args:
-      grid, extent, p_free, within: as for `stops_and_unknown`.
-      row, col: int32, the cell.
-      beams: `Beams` of 8 headings.
-
-    Returns:
-      int32; the `unknown` of a `look` is at least that.
-    """
-    turned = slice(None, None, HEADINGS // beams.around)
-    rows, cols = row + beams.drow[turned, :BLOCK], col + beams.dcol[turned, :BLOCK]
-    at = jnp.clip(rows * grid.hits.shape[1] + cols, 0, grid.hits.size - 1)
-    entered = Grid(*(a.reshape(-1).at[at].get(mode="promise_in_bounds") for a in (grid.hits, grid.misses)))
-    inner = (rows > 0) & (cols > 0) & (rows < extent[0] - 1) & (cols < extent[1] - 1)
-    step = lax.broadcasted_iota(jnp.int32, rows.shape, 1)
-    ends = is_occupied(entered, p_free) | ~inner | (step >= beams.length[turned, None])
-    end = jnp.min(jnp.where(ends, step, BLOCK), axis=1, keepdims=True)
-    new = (step < end) & ~is_known(entered)
-    if within is not None:
-        new &= within.reshape(-1).at[at].get(mode="promise_in_bounds")
-    return jnp.max(jnp.sum(new, axis=1, dtype=jnp.int32))
 
 
 def unknown_within(

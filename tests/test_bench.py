@@ -8,20 +8,15 @@ import sys
 import time
 from pathlib import Path
 
-import jax
-import numpy as np
 import pytest
 from PIL import Image
 from ref.results import result
 
 from jexplore import bench
-from jexplore.bench import engines, kernels, oracles, plots, rates, tables, timing
+from jexplore.bench import plots, tables, timing
 from jexplore.cli import main
-from jexplore.config import InputError
-from jexplore.policies import parse_strategy
-from jexplore.report import store
-from jexplore.studies.checks import ready_worlds
-from jexplore.worlds.world import World, with_ring
+from jexplore.engine.runner import Costs
+from jexplore.exploration.batch import Outcomes
 
 SMALL = "cave:width_m=6.4,height_m=6.4"
 YARDSTICK = Path(__file__).resolve().parents[1] / "benchmarks" / "yardstick.py"
@@ -31,102 +26,46 @@ def command(*options):
     return [sys.executable, "-m", "jexplore", "bench", *map(str, options)]
 
 
-@pytest.fixture(scope="module")
-def ran(tmp_path_factory):
-    """The folder of one benchmark, and what it printed."""
-    out = tmp_path_factory.mktemp("runs") / "new"
-    options = ("--worlds", SMALL, "--sides", 32, "--batch-sizes", 2, "--episodes", 3)
-    ended = subprocess.run(
-        command(*options, "--repeat", 1, "--cache", "--out", out), capture_output=True, text=True, timeout=600
-    )
-    assert ended.returncode == 0, ended.stderr
-    return out, ended.stdout
-
-
-@pytest.fixture(scope="module")
-def report(ran):
-    return json.loads((ran[0] / "bench.json").read_text())
-
-
-def test_files_and_tables(ran, report):
-    out, said = ran
+@pytest.mark.jit
+def test_both_engines_are_measured_and_give_the_same(tmp_path, capsys):
+    out = tmp_path / "new"
+    options = ("--worlds", SMALL, "--sides", 64, "--batch-sizes", 2, "--episodes", 3, "--repeat", 1, "--cache")
+    assert not main.main(["bench", *map(str, options), "--out", str(out)])
+    said = capsys.readouterr().out
     assert sorted(path.name for path in out.iterdir()) == ["bench.json", "bench.png", "run.json"]
     with Image.open(out / "bench.png") as image:
         image.verify()
-    for title in ("Kernels:", "Episodes by batch size:", "Episodes by map size:", "Programs:"):
-        assert title in said
+    assert "Episodes by batch size:" in said
+    assert "Episodes by map size:" in said
     assert "| NO |" not in said
+    report, record = (json.loads((out / name).read_text()) for name in ("bench.json", "run.json"))
     assert {"jexplore", "jax", "device", "cpu", "cores"} <= set(report["environment"])
-    assert report["settings"]["engines"] == ["auto", "jax"]
-    record = json.loads((out / "run.json").read_text())
     assert record["command"][:2] == ["jexplore", "bench"]
     assert record["measured"] == report["settings"]
-
-
-def test_every_kernel_gives_the_references_answer(report):
-    names = [
-        *("scan", "scan and fold", "plan"),
-        *("masks", "clusters", "reach", "flood", "nearest site"),
-    ]
-    assert [row["kernel"] for row in report["kernels"]] == names
-    for row in report["kernels"]:
-        assert row["references"]
-        assert row["equal"] is True, row["kernel"]
-        assert row["cpu_us"]["median"] >= row["cpu_us"]["min"] > 0
-        if row["kernel"] == "plan":
-            assert row["k"] is row["floor_us"] is None
-        else:
-            assert row["k"] == pytest.approx(row["floor_us"] / row["us"])
-        assert row["compile_s"] > 0
-    assert [row.get("side") for row in report["kernels"]] == [None] * 3 + [32] * 5
-
-
-def test_both_engines_give_the_same(report):
-    for rows in (report["batches"], report["sides"]):
+    for rows, n in ((report["batches"], 2), (report["sides"], 3)):
         assert [row["engine"] for row in rows] == ["auto", "jax"]
         assert [row["level"] for row in rows] == ["native on a CPU", "JAX"]
-        assert all(row["equal"] is True for row in rows)
         for row in rows:
-            assert row["lanes"] is row["useful"] is None
+            assert row["equal"] is True
+            assert row["episodes"] == n
             assert row["quality"]["complete"] == 1
             assert row["episodes_per_s"] > 0
-        assert rows[1]["lane_bytes"] > 0
-    assert {program["level"] for program in report["programs"]} == {"JAX"}
-    assert all(program["trace_s"] > 0 and program["compile_s"] > 0 for program in report["programs"])
-
-
-@pytest.mark.jit
-def test_lanes_and_native_driving_are_measured_as_well(monkeypatch):
-    """As of a strategy without native episodes, next to an accelerator."""
-    monkeypatch.setattr(engines, "is_native", lambda *_: False)
-    monkeypatch.setattr(engines, "has_lanes", lambda engine: engine == "jax")
-    (world,), strategy = ready_worlds([SMALL], 0.1), parse_strategy("closest")
-    wanted = [("auto", 2), ("jax", 2)]
-    driven, lanes = engines.measure_episodes(engines.Compiler(), with_ring(world), strategy, wanted, 3, 1)
-    assert [row["level"] for row in (driven, lanes)] == ["native driving", "JAX in lanes"]
-    assert driven["equal"] is lanes["equal"] is True
-    assert lanes["lanes"] == 2
-    assert 0 < lanes["useful"] <= 1
-    assert lanes["episodes"] == 4
-    assert lanes["lane_bytes_estimate"] > 0
+    assert [row["compile_s"] > 0 for row in report["batches"]] == [False, True]
+    axes = plots.bench_figure(report).axes
+    assert [(ax.get_xscale(), ax.get_yscale(), len(ax.lines)) for ax in axes] == [("log", "log", 2)] * 2
 
 
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (("--worlds", "nowhere"), "'nowhere'"),
-        (("--strategies", "dreams"), "'dreams'"),
         (("--engine", "warp"), "engine must be one of auto, jax, got 'warp'"),
         (("--engine",), "got none"),
         (("--batch-sizes", "0"), "batch_sizes must be an integer from 1"),
-        (("--sides", "31"), "sides must be an integer from 32 to 2048, got 31"),
         (("--sides", "2049"), "sides must be an integer from 32 to 2048, got 2049"),
         (("--sides", "64", "64"), "different integers"),
         (("--sides", "x"), "--sides: Could not find valid parse"),
         (("--sides",), "sides must be one or more"),
-        (("--episodes", "0"), "episodes must be an integer from 1"),
         (("--repeat", "0"), "repeat must be an integer from 1"),
-        (("--lanes", "1"), "--lanes"),
     ],
 )
 def test_wrong_input_is_one_line_before_anything_runs(options, says, capsys, monkeypatch, tmp_path):
@@ -138,13 +77,6 @@ def test_wrong_input_is_one_line_before_anything_runs(options, says, capsys, mon
     assert said.err.count("\n") == 1
     assert says in said.err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_taken_folder_is_refused(capsys, monkeypatch, tmp_path):
-    monkeypatch.setattr(bench, "prepare_bench", lambda **_: pytest.fail("it began"))
-    store.write_json({}, tmp_path / "bench.json")
-    assert main.main(["bench", "--out", str(tmp_path)]) == 2
-    assert "holds a run (bench.json)" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
@@ -159,7 +91,7 @@ def test_ctrl_c(tmp_path):
     assert not out.exists()
 
 
-def test_defaults_suit_the_machine():
+def test_defaults_suit_the_machine(monkeypatch):
     plan = bench.prepare_bench(worlds=[SMALL], sides=[32])
     assert plan.engines == ("auto", "jax")
     assert plan.batches == dict.fromkeys(plan.engines, (1, 4, 16, 64))
@@ -170,59 +102,25 @@ def test_defaults_suit_the_machine():
     assert quick.sides == (64, 128)
     assert quick.batches == {"jax": (2, 8)}
     assert [world.shape for world in quick.sized] == [(64, 64), (128, 128)]
+    monkeypatch.setattr(bench, "has_lanes", lambda engine: engine == "jax")
+    assert bench.prepare_bench(worlds=[SMALL], sides=[32]).batches["jax"][-1] == 4096
 
 
-def test_a_wrong_kernel_is_told():
-    occupied = np.ones((12, 14), bool)
-    occupied[1:-1, 1:-1] = False
-    world = World(occupied=occupied, name="empty")
-    for kernel in kernels.whole_map(world):
-        ours = kernel.step(0, None, kernel.arguments)
-        answers = [reference.answer() for reference in kernel.references]
-        assert all(reference.agree(ours, answer) for reference, answer in zip(kernel.references, answers)), kernel.name
-        wrong = jax.tree.map(lambda a: np.asarray(a) + np.asarray(1, a.dtype), ours)
-        assert not any(reference.agree(wrong, answer) for reference, answer in zip(kernel.references, answers)), (
-            kernel.name
-        )
+def test_lanes_are_filled_again_and_one_other_bit_is_told(monkeypatch):
+    monkeypatch.setattr(bench, "has_lanes", lambda engine: engine == "jax")
+    asked = []
 
+    def play(world, strategy, starts, engine, lanes=None):
+        asked.append((len(starts), engine, lanes))
+        found = result(len(starts))
+        found.known[1] += engine == "jax"
+        return bench.Finished([Outcomes(found, None)], Costs(levels={"closest": [engine]}))
 
-def test_same_sees_one_bit():
-    first, second = result(3), result(2)
-    assert engines.same([first, second])
-    second.known[1] += 1
-    assert not engines.same([first, second])
-
-
-def test_dijkstra_round_a_corner():
-    # From (0, 0), next to a wall at (0, 1): the diagonal past it is no way, north and then east is.
-    traversable = np.array([[1, 0, 1], [1, 1, 1]], bool)
-    cost, target = oracles.dijkstra(traversable, 0, 0, np.zeros((2, 3), bool), False)
-    one, far = 2**16, 2**30
-    assert cost.tolist() == [[0, far, 4 * one], [one, 2 * one, 3 * one]]
-    assert target == -1
-    graph = oracles.motion_graph(traversable)
-    assert oracles.graph_costs(graph, (2, 3), 0, 0).tolist() == cost.tolist()
-
-
-def test_dijkstra_of_a_diagonal():
-    graph = oracles.motion_graph(np.ones((3, 2), bool))
-    one, diagonal = oracles.STRAIGHT, oracles.DIAGONAL
-    expected = [[one, 0], [diagonal, one], [diagonal + one, 2 * one]]
-    assert oracles.graph_costs(graph, (3, 2), 0, 1).tolist() == expected
-
-
-def test_dijkstra_stops_at_the_lowest_of_equal_goals():
-    goals = np.zeros((3, 3), bool)
-    goals[[0, 1, 1, 2], [1, 0, 2, 1]] = True
-    cost, target = oracles.dijkstra(np.ones((3, 3), bool), 1, 1, goals, True)
-    assert (target, cost[1, 1], cost.reshape(-1)[target]) == (1, 0, 2**16)
-
-
-def test_clusters_in_order_of_their_lowest_cell():
-    frontier = np.array([[0, 0, 0, 1], [1, 0, 0, 0], [0, 1, 0, 0]], bool)
-    labels, sizes = oracles.clusters(frontier)
-    assert labels.tolist() == [[-1, -1, -1, 0], [1, -1, -1, -1], [-1, 1, -1, -1]]
-    assert sizes.tolist() == [1, 2]
+    monkeypatch.setattr(bench, "run_once", play)
+    plan = bench.prepare_bench(worlds=[SMALL], sides=[32], strategies=["closest"])
+    rows = bench.measure_episodes(plan.worlds[0], plan.strategies[0], [("auto", 2), ("jax", 4)], 3, 1)
+    assert asked[:2] == [(2, "auto", None), (8, "jax", 4)]
+    assert [row["equal"] for row in rows] == [False, False]
 
 
 def test_turns_go_forwards_and_backwards():
@@ -230,15 +128,6 @@ def test_turns_go_forwards_and_backwards():
     found = timing.interleaved({name: lambda name=name: called.append(name) or name for name in "ab"}, 3)
     assert called == ["a", "b", "b", "a", "a", "b"]
     assert [answer for answer, _ in found["b"]] == ["b"] * 3
-
-
-@pytest.mark.jit
-def test_a_floor_is_the_larger_of_its_parts():
-    assert rates.floor_s(rates.Effort()) == 0
-    assert rates.floor_s(rates.Effort(ops=1000)) == pytest.approx(1000 * rates.op_s())
-    both = rates.Effort(bytes=2**14, gathers=10)
-    assert rates.floor_s(both) == max(rates.copy_s(2**14), 10 * rates.gather_s())
-    assert rates.copy_s(3 * 2**12) > 0
 
 
 def test_table():
@@ -249,17 +138,10 @@ def test_table():
     assert text.startswith("| a")
 
 
-def test_pictures_have_logarithmic_axes(report):
-    axes = plots.figure(report).axes
-    assert [(ax.get_xscale(), ax.get_yscale()) for ax in axes[:3]] == [("log", "log")] * 3
-    assert len(axes[2].lines) == 5
-
-
 @pytest.mark.parametrize(
     ("options", "says"),
     [
         (("--yardstick", "/no/such/yardstick.py"), "--yardstick"),
-        (("--episodes", "0"), "--episodes"),
         (("--out", "/no/such/folder/x.json"), "--out"),
     ],
 )
@@ -268,8 +150,3 @@ def test_yardstick_refuses_wrong_input(options, says):
     assert ended.returncode == 2
     assert "Traceback" not in ended.stderr
     assert says in ended.stderr.strip().splitlines()[-1]
-
-
-def test_errors_are_the_packages_own():
-    with pytest.raises(InputError, match="repeat must be an integer"):
-        bench.prepare_bench(repeat=1001)

@@ -17,7 +17,7 @@ from jexplore.planning import field
 from jexplore.policies import clusters
 from jexplore.policies.distance_advantage import advantage
 from jexplore.policies.mcdm import choquet, relative
-from jexplore.policies.tour import improved, inserted
+from jexplore.policies.tour import inserted, two_opt
 from jexplore.reach import FAR, STRAIGHT, reach
 
 ONE_METRE = {"cell_m": 1.0}
@@ -110,7 +110,7 @@ def everything(belief, beams):
     """Return `Targets`, the cells seen from them, their distances, and traversable cells."""
     known = field(belief)
     at = clusters.targets(belief, known)
-    return at, clusters.seen_from(belief, at, beams), clusters.apart(belief, at), known.traversable
+    return at, clusters.seen_from(belief, at, beams), clusters.paths_apart(belief, at), known.traversable
 
 
 @pytest.mark.jit
@@ -141,28 +141,8 @@ def test_the_best_of_some_targets():
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("enough", [0, 1, 3, 12, 2**30])
-def test_what_shows_less_than_enough_is_counted(enough):
-    shape, lidar, short = (60, 70), Lidar(n_beams=61, fov_deg=270, range_m=1.6), 0
-    run = jax.jit(lambda belief, beams: (
-        at := clusters.targets(belief, field(belief)),
-        clusters.seen_from(belief, at, beams)[0],
-        clusters.shown_from(belief, at, beams, enough),
-    ))  # fmt: skip
-    for seed in range(3):
-        belief = beliefs.but_for_spots(seed, shape, clearance_d2=1)
-        at, exact, shown = jax.tree.map(np.asarray, run(belief, beliefs.table(lidar, belief)))
-        assert ((shown >= enough) == (exact >= enough)).all()
-        assert (shown <= exact).all()
-        assert (shown == exact)[exact < enough].all()
-        assert not shown[~at.used].any()
-        short += int((shown < exact).sum())
-    assert (short > 0) == (enough in (0, 1, 3))
-
-
-@pytest.mark.jit
 @given(st.integers(0, 2**30), st.integers(0, 12))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_costs_between_cells_are_those_from_each(seed, n):
     """More cells than copies of the map in the tiling, and fewer."""
     draw = np.random.default_rng(seed)
@@ -185,7 +165,7 @@ def test_costs_between_cells_are_those_from_each(seed, n):
 def test_distances_on_blocks_are_near_the_exact_ones(clearance_d2):
     """And the cells seen from the targets are those of a look-around at each."""
     shape, compared, lidar = (60, 70), 0, Lidar(n_beams=12, fov_deg=360, range_m=0.5)
-    side = clusters.blocks_of(clearance_d2)
+    side = clusters.block_side(clearance_d2)
     assert side == (1 if clearance_d2 == 0 else 4)
     for seed in range(4):
         belief = beliefs.but_for_spots(seed, shape, clearance_d2=clearance_d2)
@@ -214,8 +194,7 @@ def test_distances_on_blocks_are_near_the_exact_ones(clearance_d2):
 
 
 @pytest.mark.jit
-@pytest.mark.jit
-@pytest.mark.parametrize("wall", [28, 29, 30, 31])
+@pytest.mark.parametrize("wall", [28, 31])
 def test_no_way_leads_through_a_thin_wall_beside_the_robot(wall):
     cells = np.full((60, 70), ".")
     cells[[0, -1], :] = cells[:, [0, -1]] = cells[wall, :60] = "#"
@@ -226,7 +205,7 @@ def test_no_way_leads_through_a_thin_wall_beside_the_robot(wall):
     known = field(belief)
     at = clusters.targets(belief, known)
     cost = reach(known.traversable, at.row[0], at.col[0])[at.row[1], at.col[1]]
-    assert clusters.apart(belief, at)[0, 1] > 0.9 * cost * 0.1 / STRAIGHT > 9
+    assert clusters.paths_apart(belief, at)[0, 1] > 0.9 * cost * 0.1 / STRAIGHT > 9
 
 
 def test_no_path_no_distance():
@@ -238,7 +217,9 @@ def test_no_path_no_distance():
         jnp.asarray([1.0, jnp.inf, jnp.inf]), jnp.asarray([1, 1, 0]), jnp.int32(0),
     )  # fmt: skip
     inf = np.inf
-    np.testing.assert_array_equal(jax.jit(clusters.apart)(belief, at), [[0, inf, inf], [inf, 0, inf], [inf, inf, inf]])
+    np.testing.assert_array_equal(
+        jax.jit(clusters.paths_apart)(belief, at), [[0, inf, inf], [inf, 0, inf], [inf, inf, inf]]
+    )
 
 
 def test_advantage_by_hand():
@@ -280,24 +261,24 @@ def test_a_route_by_hand():
     lengths, n = table_of(NICHE_LENGTHS), jnp.int32(3)
     route = inserted(lengths, n)
     assert route[:4].tolist() == [0, 3, 2, 1]
-    assert improved(lengths, route, n)[:4].tolist() == [0, 1, 2, 3]
+    assert two_opt(lengths, route, n)[:4].tolist() == [0, 1, 2, 3]
     for few in range(2):
         route = inserted(lengths, jnp.int32(few))
-        assert improved(lengths, route, jnp.int32(few))[: few + 1].tolist() == list(range(few + 1))
+        assert two_opt(lengths, route, jnp.int32(few))[: few + 1].tolist() == list(range(few + 1))
 
 
 def test_the_last_way_is_open():
     """Stops in a row at 1, 2 and 10: to 10 and back would be as long in any order."""
     places = np.array([0.0, 2, 10, 1])
     lengths, n = table_of(np.abs(places[:, None] - places)), jnp.int32(3)
-    assert improved(lengths, inserted(lengths, n), n)[:4].tolist() == [0, 3, 1, 2]
+    assert two_opt(lengths, inserted(lengths, n), n)[:4].tolist() == [0, 3, 1, 2]
     for start in itertools.permutations((1, 2, 3)):
         route = jnp.asarray([0, *start, 0, 0, 0])
-        assert length_of(lengths, improved(lengths, route, n)[:4].tolist()) <= length_of(lengths, [0, *start])
+        assert length_of(lengths, two_opt(lengths, route, n)[:4].tolist()) <= length_of(lengths, [0, *start])
 
 
 def best_turns(lengths, route, n):
-    """Oracle for `improved`: every turn tried, the best one taken, of equal ones the first."""
+    """Oracle for `two_opt`: every turn tried, the best one taken, of equal ones the first."""
     while True:
         found = [(0.0, route)]
         for i, j in itertools.combinations(range(1, n + 1), 2):
@@ -310,7 +291,7 @@ def best_turns(lengths, route, n):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("n", [7, 8, 15, 20])
+@pytest.mark.parametrize("n", [8, 20])
 def test_every_turn_is_tried_however_many_stops_there_are(n):
     """More than are tried together, in a table with room for more. City blocks tie, and are whole numbers."""
     for seed in range(4):
@@ -326,7 +307,7 @@ def turned(route):
         yield [*route[:i], *route[i : j + 1][::-1], *route[j + 1 :]]
 
 
-both = jax.jit(lambda lengths, n: (first := inserted(lengths, n), improved(lengths, first, n)))
+both = jax.jit(lambda lengths, n: (first := inserted(lengths, n), two_opt(lengths, first, n)))
 
 
 def nearest_insertion(lengths, n):
@@ -341,7 +322,7 @@ def nearest_insertion(lengths, n):
 
 @pytest.mark.jit
 @given(st.integers(0, 6), hnp.arrays(np.int64, (7, 2), elements=st.integers(0, 30)), st.integers(0, 2**32 - 1))
-@settings(max_examples=150)
+@settings(max_examples=40)
 def test_routes_beside_all_permutations(n, places, seed):
     """City blocks, so that lengths are whole numbers; now and then a way is barred."""
     lengths = np.abs(places[:, None] - places).sum(-1).astype(np.float32)
@@ -387,7 +368,7 @@ SHARES = hnp.arrays(np.float32, (3, 4), elements=st.floats(0, 1, width=32))
 
 @pytest.mark.jit
 @given(SHARES, hnp.arrays(np.float32, 3, elements=st.floats(0.0625, 1, width=32)))
-@settings(max_examples=60)
+@settings(max_examples=20)
 def test_laws_of_the_choquet_integral(utilities, weights):
     weights = weights / weights.sum()
     additive = jnp.asarray([sum(weights[i] for i in range(3) if s >> i & 1) for s in range(8)], jnp.float32)
@@ -405,4 +386,4 @@ def test_laws_of_the_choquet_integral(utilities, weights):
 
 
 def test_blocks_are_as_wide_as_a_clearance_allows():
-    assert [clusters.blocks_of(d2) for d2 in (0, 1, 2, 4, 9, 100)] == [1, 2, 2, 3, 4, 4]
+    assert [clusters.block_side(d2) for d2 in (0, 1, 2, 4, 9, 100)] == [1, 2, 2, 3, 4, 4]

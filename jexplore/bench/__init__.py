@@ -1,28 +1,34 @@
-"""Measurements: kernels, whole episodes by both engines, memory, compiling.
+"""Measurements of whole episodes: by engine, by batch size, by map size.
 
-`prepare_bench` refuses invalid requests, `run_bench` measures, `tables.tables` and `plots.figure` show the results.
+`prepare_bench` refuses invalid requests, `run_bench` measures, `tables.bench_tables` and `plots.bench_figure` show it.
 """
 
 import contextlib
 import dataclasses
+import functools
 import itertools
 import os
+import statistics
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
+import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
-from jexplore.bench import beliefs, engines, kernels, plans, rates
-from jexplore.bench.engines import LIDAR, RULES
-from jexplore.bench.timing import one_core, speed_clock, surroundings
+from jexplore.bench.timing import interleaved, mean_and_se, median_and_min, one_core, speed_clock, surroundings
 from jexplore.config import ENGINES, InputError, require_engine, require_setting
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import find_resources
-from jexplore.policies import Strategy, parse_strategy
-from jexplore.studies.checks import ready_starts, ready_strategies, ready_worlds, require_memory
+from jexplore.exploration.batch import Finished, Job, run_jobs
+from jexplore.exploration.results import path_m
+from jexplore.exploration.state import Outcome, Result
+from jexplore.policies import Strategy
+from jexplore.studies.checks import LIDAR, RULES, ready_starts, ready_strategies, ready_worlds, require_memory
+from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World, with_ring
 
+SEED = 0
 DEFAULT: dict[str, Any] = {
     "worlds": ("cave", "office", "hospital"),
     "strategies": ("closest+recheck",),
@@ -34,6 +40,7 @@ DEFAULT: dict[str, Any] = {
 BATCHES_ACCELERATOR = (1, 4, 16, 64, 256, 1024, 4096)  # lanes
 QUICK: dict[str, Any] = {"worlds": ("cave",), "batches": (1, 4), "sides": (64, 128), "episodes": 4, "repeat": 2}
 GENERATOR, LEAST_M, CELL_M = "cave", 6.4, 0.1  # of the worlds of a given side
+REFILLS = 2  # episodes a lane at least, so that lanes are filled again
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +59,7 @@ class Agenda:
     @property
     def total(self) -> int:
         """Return the number of measurements that `run_bench` reports one by one."""
-        return 1 + len(self.sized) + (len(self.worlds) + len(self.sized)) * len(self.strategies)
+        return (len(self.worlds) + len(self.sized)) * len(self.strategies)
 
 
 def sized_name(side: int) -> tuple[str, float]:
@@ -61,7 +68,7 @@ def sized_name(side: int) -> tuple[str, float]:
     return f"{GENERATOR}:width_m={side * cell_m:g},height_m={side * cell_m:g}", cell_m
 
 
-def _numbers(name, values) -> tuple[int, ...]:
+def _distinct(name, values) -> tuple[int, ...]:
     values = tuple(require_setting(name, value) for value in values)
     if not values or len(set(values)) < len(values):
         raise InputError(f"{name} must be one or more different integers, got {list(values)}")
@@ -73,8 +80,13 @@ def _worlds_of(names, cell_m):
     worlds = [with_ring(world) for world in ready_worlds(names, cell_m)]
     for world in worlds:
         require_memory(world, LIDAR, RULES)
-        ready_starts(world, "random", 1, seed=engines.SEED, rules=RULES)
+        ready_starts(world, "random", 1, seed=SEED, rules=RULES)
     return worlds
+
+
+def has_lanes(engine: str) -> bool:
+    """Return whether an engine runs episodes in lanes here."""
+    return engine == "jax" and jax.default_backend() != "cpu"
 
 
 def prepare_bench(
@@ -88,19 +100,7 @@ def prepare_bench(
     repeat: int | None = None,
     quick: bool = False,
 ) -> Agenda:
-    """Check and load everything, and start JAX with one thread. None means the default.
-
-    Args:
-      worlds, strategies: names.
-      engine: names of engines; by default all.
-      batch_sizes: episodes, or lanes of the engine jax on an accelerator.
-      sides: of the maps by which cost is measured, cells.
-      episodes: by map size; in lanes the least number.
-      repeat: turns of every measurement.
-      quick: bool, use small defaults.
-
-    Returns:
-      `Agenda`.
+    """Check and load everything, and start JAX with one thread: the options of `jexplore bench`. None: the default.
 
     Raises:
       InputError: anything that cannot be measured.
@@ -110,8 +110,8 @@ def prepare_bench(
         raise InputError(f"engine must be one or more of {', '.join(ENGINES)}, got none")
     for name in engine or ():
         require_engine(name)
-    given = None if batch_sizes is None else _numbers("batch_sizes", batch_sizes)
-    sides = _numbers("sides", default["sides"] if sides is None else sides)
+    given = None if batch_sizes is None else _distinct("batch_sizes", batch_sizes)
+    sides = _distinct("sides", default["sides"] if sides is None else sides)
     numbers = {"episodes": episodes, "repeat": repeat}
     counts = {name: require_setting(name, default[name] if value is None else value) for name, value in numbers.items()}
     strategies = ready_strategies(default["strategies"] if strategies is None else strategies)
@@ -120,8 +120,7 @@ def prepare_bench(
     find_resources(in_lanes=False, workers=1)  # starts JAX; part is always measured on the CPU
     chosen = tuple(dict.fromkeys(engine or ENGINES))
     batches = {
-        name: given or (BATCHES_ACCELERATOR if engines.has_lanes(name) and not quick else default["batches"])
-        for name in chosen
+        name: given or (BATCHES_ACCELERATOR if has_lanes(name) and not quick else default["batches"]) for name in chosen
     }
     return Agenda(worlds, strategies, chosen, batches, sized, sides, **counts)
 
@@ -146,41 +145,15 @@ def _compiling(cache):
 def run_bench(
     plan: Agenda, *, cache: bool = False, on_progress: Callable[[int], Any] = lambda done: None
 ) -> dict[str, Any]:
-    """Measure everything.
+    """Measure everything: the report, dicts and lists that JSON can hold.
 
     Args:
       plan: `Agenda`.
-      cache: bool, read compiled programs from disk and keep them there: compile times are then loading times.
+      cache: read compiled programs from disk and keep them there: compile times are then loading times.
       on_progress: called with the number of finished measurements.
-
-    Returns:
-      The report: dicts and lists that JSON can hold.
     """
-    report: dict[str, Any] = {"environment": surroundings(), "settings": _settings(plan, cache)}
-    report |= {"kernels": [], "batches": [], "sides": []}
-    compiler, done = engines.Compiler(), 0
-
-    def one_more():
-        nonlocal done
-        done += 1
-        on_progress(done)
-
-    with _compiling(cache):
-        _episodes(plan, compiler, report, one_more)
-        _along(plan, compiler, report)
-        one_more()
-        for side, world in zip(plan.sides, plan.sized):
-            made = (kernels.measure_kernel(kernel, plan.repeat) for kernel in kernels.whole_map(world))
-            report["kernels"] += [{**row, "side": side} for row in made]
-            one_more()
-        report["rates"] = rates.rates()
-    report["programs"] = compiler.programs
-    return report
-
-
-def _settings(plan, cache):
     with one_core() as pinned:
-        return {
+        settings = {
             "worlds": [world.name for world in plan.worlds],
             "strategies": [strategy.name for strategy in plan.strategies],
             "engines": list(plan.engines),
@@ -193,26 +166,80 @@ def _settings(plan, cache):
             "pinned": pinned,
             "clock": speed_clock(),
         }
+    report = {"environment": surroundings(), "settings": settings, "batches": [], "sides": []}
+    by_batch = [(engine, size) for engine in plan.engines for size in plan.batches[engine]]
+    by_side = [(name, plan.batches[name][-1] if has_lanes(name) else plan.episodes) for name in plan.engines]
+    places = [("batches", by_batch, world) for world in plan.worlds]
+    places += [("sides", by_side, world) for world in plan.sized]
+    with _compiling(cache):
+        for done, ((part, wanted, world), strategy) in enumerate(itertools.product(places, plan.strategies)):
+            report[part] += measure_episodes(world, strategy, wanted, plan.episodes, plan.repeat)
+            on_progress(done + 1)
+    return report
 
 
-def _episodes(plan: Agenda, compiler, report, one_more):
-    """Measure whole episodes by world and batch size, and by map size."""
-    for world, strategy in itertools.product(plan.worlds, plan.strategies):
-        wanted = [(engine, size) for engine in plan.engines for size in plan.batches[engine]]
-        report["batches"] += engines.measure_episodes(compiler, world, strategy, wanted, plan.episodes, plan.repeat)
-        one_more()
-    for (side, world), strategy in itertools.product(zip(plan.sides, plan.sized), plan.strategies):
-        wanted = [
-            (engine, plan.batches[engine][-1] if engines.has_lanes(engine) else plan.episodes)
-            for engine in plan.engines
-        ]
-        rows = engines.measure_episodes(compiler, world, strategy, wanted, plan.episodes, plan.repeat)
-        report["sides"] += [{**row, "side": side} for row in rows]
-        one_more()
+def measure_episodes(
+    world: World, strategy: Strategy, wanted: Sequence[tuple[str, int]], episodes: int, repeat: int
+) -> list[dict[str, Any]]:
+    """Time whole episodes of a strategy in a world, in turns: a dict for each of `wanted`, pairs of engine and batch.
+
+    Args:
+      world: with a ring.
+      strategy: that is measured.
+      wanted: engines, and episodes, or lanes where the engine has them.
+      episodes: least number in lanes.
+      repeat: turns.
+    """
+    counts = [max(episodes, REFILLS * batch) if has_lanes(engine) else batch for engine, batch in wanted]
+    starts = draw_starts(world, SEED, max(counts), RULES.clearance_m)
+    tasks = {
+        i: functools.partial(run_once, world, strategy, starts[:n], engine, batch if has_lanes(engine) else None)
+        for i, ((engine, batch), n) in enumerate(zip(wanted, counts))
+    }
+    firsts = {i: task() for i, task in tasks.items()}  # compiles
+    runs = interleaved(tasks, repeat)
+    equal = is_equal([found.outcomes[0].result for turns in runs.values() for found, _ in turns])
+    rows = []
+    for i, ((engine, batch), n) in enumerate(zip(wanted, counts)):
+        quality, costs = quality_of(firsts[i].outcomes[0].result, world.cell_m), firsts[i].costs
+        took = {clock: [getattr(took, clock) / n for _, took in runs[i]] for clock in ("wall", "cpu")}
+        seconds = statistics.median(took[speed_clock()])
+        rows.append({
+            "world": world.name, "shape": list(world.shape), "strategy": strategy.name, "engine": engine,
+            "level": ", ".join(costs.levels[strategy.name]), "batch": batch, "episodes": n,
+            "compile_s": costs.compile_s, "wall_s": median_and_min(took["wall"]), "cpu_s": median_and_min(took["cpu"]),
+            "episodes_per_s": 1 / seconds, **{f"{k}_per_s": quality[k] / seconds for k in ("steps", "scans", "plans")},
+            "side": max(world.shape), "quality": quality, "equal": equal,
+        })  # fmt: skip
+    return rows
 
 
-def _along(plan, compiler, report):
-    """Measure kernels along an episode of `closest` in the first world."""
-    seen = beliefs.record(compiler, plan.worlds[0], parse_strategy("closest+recheck"))
-    report["kernels"] += [kernels.measure_kernel(kernel, plan.repeat) for kernel in kernels.scans(seen)]
-    report["kernels"].append(plans.measure_nearest(seen, plan.repeat))
+def run_once(world: World, strategy: Strategy, starts: np.ndarray, engine: str, lanes: int | None = None) -> Finished:
+    """Run episodes from some starts on one core, or in lanes.
+
+    Raises:
+      KeyboardInterrupt: not all were run.
+    """
+    found = run_jobs([Job(world, strategy, starts, SEED)], LIDAR, RULES, engine=engine, lanes=lanes, workers=1)
+    if found.costs.interrupted:
+        raise KeyboardInterrupt
+    return found
+
+
+def is_equal(results: Sequence[Result]) -> bool:
+    """Return whether `Result`s are equal to the last bit, up to the length of the shortest."""
+    n = min(len(result.outcome) for result in results)
+    first, *others = ([np.asarray(a)[:n] for a in jax.tree.leaves(result)] for result in results)
+    return all(all(np.array_equal(a, b) for a, b in zip(first, other)) for other in others)
+
+
+def quality_of(result: Result, cell_m: float) -> dict[str, Any]:
+    """Return means over episodes, and the standard error of the path."""
+    return {
+        "path_m": mean_and_se(path_m(result.straight, result.diagonal, cell_m)),
+        "explored_fraction": float(np.mean(result.explored / np.maximum(result.explorable, 1))),
+        "complete": float(np.mean(result.outcome == Outcome.COMPLETE)),
+        "plans": float(np.mean(result.plans)),
+        "scans": float(np.mean(result.scans)),
+        "steps": float(np.mean(result.straight + result.diagonal)),
+    }

@@ -9,21 +9,21 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from jexplore.report.plot import PALETTE, wrapped_text
 
-MARKERS = "osD^vP*X<>"
+LINE_MARKERS = "osD^vP*X<>"
 
 
-def _lines(rows, x_of, y_of, name_of):
-    """Group points by line: `{name: (xs, ys)}`, in ascending order of x."""
+def _points_by_line(rows, x_name, y_of, names):
+    """Group points by line: `{its names: (xs, ys)}`, in ascending order of x."""
     found = {}
-    for row in sorted(rows, key=x_of):
-        xs, ys = found.setdefault(name_of(row), ([], []))
-        xs.append(x_of(row))
+    for row in sorted(rows, key=lambda row: row[x_name]):
+        xs, ys = found.setdefault(", ".join(str(row[name]).rpartition("/")[2] for name in names), ([], []))
+        xs.append(row[x_name])
         ys.append(y_of(row))
     return found
 
 
-def _draw(ax, lines, title, x_label, y_label):
-    looks = zip(itertools.cycle(PALETTE), itertools.cycle(MARKERS))
+def _draw_lines(ax, lines, title, x_label, y_label):
+    looks = zip(itertools.cycle(PALETTE), itertools.cycle(LINE_MARKERS))
     for (name, (xs, ys)), (colour, marker) in zip(lines.items(), looks):
         label = ax.plot(xs, ys, color=colour, marker=marker, markersize=4, linewidth=1.2)[0]
         label.set_label(wrapped_text(name, 34, max_lines=2).replace("$", r"\$"))
@@ -42,22 +42,14 @@ def _draw(ax, lines, title, x_label, y_label):
         ax.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
-def figure(report: Mapping[str, Any]) -> Figure:
-    """Draw the report as a matplotlib `Figure`."""
-    figure = Figure(figsize=(9, 11), layout="constrained")
-    by_batch, by_side, by_kernel = figure.subplots(3)
-
-    def case(row):
-        return f"{row['world'].rpartition('/')[2]}, {row['strategy']}, {row['engine']}"
-
-    lines = _lines(report["batches"], lambda row: row["batch"], lambda row: row["episodes_per_s"], case)
-    _draw(by_batch, lines, "episodes by batch size", "episodes, or lanes", "episodes/s")
-    lines = _lines(
-        report["sides"], lambda row: max(row["shape"]), lambda row: 1e3 / row["episodes_per_s"],
-        lambda row: f"{row['strategy']}, {row['engine']}",
-    )  # fmt: skip
-    _draw(by_side, lines, f"an episode by map size, {report['settings']['generator']}", "cells a side", "ms/episode")
-    rows = [row for row in report["kernels"] if "side" in row]
-    lines = _lines(rows, lambda row: row["side"], lambda row: row["us"], lambda row: row["kernel"])
-    _draw(by_kernel, lines, "whole-map kernels by map size", "cells a side", "µs")
+def bench_figure(report: Mapping[str, Any]) -> Figure:
+    """Draw the report."""
+    figure = Figure(figsize=(9, 7.5), layout="constrained")
+    by_batch, by_side = figure.subplots(2)
+    names = ("world", "strategy", "engine")
+    cases = _points_by_line(report["batches"], "batch", lambda row: row["episodes_per_s"], names)
+    _draw_lines(by_batch, cases, "episodes by batch size", "episodes, or lanes", "episodes/s")
+    cases = _points_by_line(report["sides"], "side", lambda row: 1e3 / row["episodes_per_s"], ("strategy", "engine"))
+    title = f"an episode by map size, {report['settings']['generator']}"
+    _draw_lines(by_side, cases, title, "cells a side", "ms/episode")
     return figure

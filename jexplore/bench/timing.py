@@ -7,12 +7,12 @@ import platform
 import statistics
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import jax
 
+from jexplore.engine.runner import own_cores
 from jexplore.report import store
 
 _T = TypeVar("_T")
@@ -33,36 +33,10 @@ def timed(function: Callable[[], _T]) -> tuple[_T, Seconds]:
     return out, Seconds(time.perf_counter() - wall, time.process_time() - cpu)
 
 
-def compiled(
-    lowering: Callable[[], Any], options: Any = (), backend: str | None = None
-) -> tuple[Any, dict[str, float]]:
-    """Trace and compile a program.
-
-    Args:
-      lowering: function of no arguments that returns what `jax.jit(...).lower(...)` does.
-      options: pairs of name and value, options of XLA; on a CPU only.
-      backend: that it is for; None: the default one.
-
-    Returns:
-      The program, and what it took: a dict.
-    """
-    lowered, tracing = timed(lowering)
-    options = dict(options) if (backend or jax.default_backend()) == "cpu" else None
-    program, compiling = timed(lambda: lowered.compile(compiler_options=options))
-    return program, {"trace_s": tracing.wall, "compile_s": compiling.wall, "cpu_s": tracing.cpu + compiling.cpu}
-
-
 def interleaved(functions: dict[_K, Any], repeat: int) -> dict[_K, list[tuple[Any, Seconds]]]:
     """Time functions in turn, so that a slow spell of the machine meets all; every other turn backwards.
 
-    On one core, where there is a CPU only.
-
-    Args:
-      functions: `{name: function of no arguments}`.
-      repeat: turns.
-
-    Returns:
-      `{name: [(what it returned, Seconds), ...]}`, one entry a turn.
+    On one core, where there is a CPU only. Returns `{name: [(what it returned, Seconds), ...]}`, one entry a turn.
     """
     found = {name: [] for name in functions}
     with one_core():
@@ -73,7 +47,7 @@ def interleaved(functions: dict[_K, Any], repeat: int) -> dict[_K, list[tuple[An
     return found
 
 
-def spread(values: Collection[float]) -> dict[str, float]:
+def median_and_min(values: Collection[float]) -> dict[str, float]:
     """Return median and least of some numbers, as a dict."""
     return {"median": statistics.median(values), "min": min(values)}
 
@@ -93,11 +67,6 @@ def mean_and_se(values: Iterable[float]) -> dict[str, float | None]:
 def speed_clock() -> str:
     """Return the field of `Seconds` for speed: processor time on a CPU, which may be shared, else wall time."""
     return "cpu" if jax.default_backend() == "cpu" else "wall"
-
-
-def cores() -> int:
-    """Return the cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _threads():
@@ -138,19 +107,12 @@ def _cpu_model():
     return platform.processor() or None
 
 
-def _version(package):
-    with contextlib.suppress(PackageNotFoundError):
-        return version(package)
-    return None
-
-
 def surroundings() -> dict[str, Any]:
     """Describe versions, device, processor, and how busy the machine is: a dict."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {
         **store.environment(),
-        **{name: _version(name) for name in ("numba", "scikit-image")},
         "cpu": _cpu_model(),
-        "cores": cores(),
+        "cores": own_cores(),
         "load_1min": load,
     }

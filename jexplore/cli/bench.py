@@ -9,11 +9,10 @@ from jexplore.cli.output.console import Out, progress_of
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
-    """Measure kernels, episodes and memory on this machine.
+    """Measure episodes on this machine.
 
-    Kernels compared with other libraries, episodes by batch size and by map size, memory, compiling. Runs on one core,
-    or on the first accelerator. Prints Markdown tables and writes bench.json, bench.png and run.json. A quiet machine
-    gives good figures.
+    Whole episodes by engine, batch size and map size, and compiling. Runs on one core, or on the first accelerator.
+    Prints Markdown tables and writes bench.json, bench.png and run.json. A quiet machine gives good figures.
     """
 
     worlds: OwnNames = None
@@ -53,10 +52,10 @@ class Bench:
             with progress_of(plan.total, "measurements") as progress:
                 progress.update(0)
                 report = bench.run_bench(plan, cache=self.cache, on_progress=progress.update)
-            figure = plots.figure(report)
+            figure = plots.bench_figure(report)
             record = out.record(arguments, self, measured=report["settings"])
             files = {
                 "bench.json": lambda path: store.write_json(report, path),
                 "bench.png": lambda path: plot.save_figure(figure, path),
             }
-            return out.finish(record, files, tables.tables(report))
+            return out.finish(record, files, tables.bench_tables(report))

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -21,7 +20,7 @@ from jexplore.cli.options import (
 )
 from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_table
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import Lidar, Rules
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,8 +69,8 @@ class Compare:
     from the beginning, and drawn starts lie where it shows free floor."""
     league: bool = False
     """Run every strategy in 48 worlds of six kinds (in cells over 0.2 m: 40 of five), unless --worlds and --strategies
-    say otherwise. Print who ranks where over all worlds, and what a plan costs, and write league.png instead of the
-    pictures of single worlds."""
+    say otherwise. Print who ranks where over all worlds, and write league.png instead of the pictures of single
+    worlds."""
     league_seeds: int = 8
     """Number of worlds of each kind for the league, #0 and on."""
     waste: bool = False
@@ -106,7 +105,7 @@ class Compare:
         """Run the command and return the exit status, None for 0."""
         from jexplore.studies.results.comparison import assemble, prepare_jobs
         from jexplore.studies.results.saving import figures_of
-        from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
+        from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds, standings_table
 
         worlds, strategies = (
             (league_worlds(self.cell_m, self.league_seeds), LEAGUE_STRATEGIES)
@@ -130,8 +129,8 @@ class Compare:
                 found = assemble(jobs, ran)
                 record, text = functools.partial(out.record, arguments, self), found.to_markdown()
                 if self.league:
-                    text, entries = _league(found, ran)
-                    record = functools.partial(record, **entries)
+                    text = standings_table(found.standings)
+                    record = functools.partial(record, standings=found.standings.to_dict("records"))
             found, more, files = self._beside(found, [] if ran.costs.interrupted else tasks, out, ran)
             text += more
             with note_if_slow(FINISHING):
@@ -187,30 +186,8 @@ def _tables(found, record):
     from jexplore.studies.statistics.league import standings_table
 
     league = record["configuration"].get("league")
-    text = standings_table(found.standings, record.get("plan_ms", {})) if league else found.to_markdown()
+    text = standings_table(found.standings) if league else found.to_markdown()
     return text + _more_tables(getattr(found, "comparison", found).episodes, league)
-
-
-def _league(found, ran):
-    """Format standings, and the cost of a plan: `(text, entries of run.json)`."""
-    from jexplore.bench.plans import plan_costs
-    from jexplore.studies.statistics.league import standings_table
-
-    world, names, plan_ms = found.worlds[0], list(dict.fromkeys(found.episodes["strategy"])), {}
-    if not ran.costs.interrupted:
-        try:
-            with note_if_slow("jexplore: measuring what a plan costs; Ctrl-C leaves that out"):
-                plan_ms = plan_costs(world, names)
-        except (InputError, KeyboardInterrupt):
-            print("warning: what a plan costs could not be measured", file=sys.stderr)
-    text = standings_table(found.standings, plan_ms)
-    if plan_ms:
-        text += (
-            f"\nms a plan: on one core, in {world.name}, {world.shape[1]} x {world.shape[0]} cells, every strategy on\n"
-        )
-        text += "the same maps, with the default scanner and rules\n"
-    entries = {"standings": found.standings.to_dict("records"), "plan_ms": plan_ms}
-    return text, entries
 
 
 def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequence[BoundTask]" = ()) -> "Ran | None":

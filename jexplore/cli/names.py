@@ -27,7 +27,7 @@ from jexplore.config import (
     unknown,
 )
 from jexplore.driving.settings import for_world, require_noise, require_tuning, robot_of
-from jexplore.learn.settings import numbers_of, require_names_apart, require_rounds, settings_of
+from jexplore.learn.settings import parse_settings, require_names_apart, require_rounds, trainer_settings
 from jexplore.worlds import GENERATORS, known_generators, read_name
 from jexplore.worlds import names as grammar
 from jexplore.worlds.bounds import require_generator
@@ -180,7 +180,7 @@ def check_train(options: Any) -> None:
     """Refuse unknown ways of training, networks and settings, and validation worlds that are training worlds."""
     if options.network not in keys_of("jexplore.policies.learned.networks", "NETWORKS"):
         raise unknown("network", options.network, keys_of("jexplore.policies.learned.networks", "NETWORKS"))
-    settings_of(options.algo, numbers_of(options.set))
+    trainer_settings(options.algo, parse_settings(options.set))
     require_rounds(options.rounds, options.check_every)
     require_names_apart(options.worlds or (), options.validation or ())
 

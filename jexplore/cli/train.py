@@ -58,7 +58,7 @@ class Train:
         """Run the command and return the exit status, None for 0."""
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.learn import bank, training
-        from jexplore.learn.settings import numbers_of
+        from jexplore.learn.settings import parse_settings
         from jexplore.policies.learned.model import load_model
 
         with Out(self, "train") as out:
@@ -72,11 +72,11 @@ class Train:
                 self.network,
                 worlds,
                 watched,
-                numbers_of(self.set),
+                parse_settings(self.set),
                 **fields_of(self, "rounds check_every patience starts seed"),
                 model=None if self.model is None else load_model(self.model),
             )
-            ledger = out.keep(training.asked(plan), plan.units)
+            ledger = out.keep(training.training_inputs(plan), plan.units)
             if ledger is None:
                 out.draw_missing({})
                 return 0
@@ -87,13 +87,13 @@ class Train:
     def _finish(self, out, found, plan, arguments):
         from jexplore.policies.learned.model import write_page, write_weights
         from jexplore.report import plot, store
-        from jexplore.studies.results.provenance import describe
+        from jexplore.studies.results.provenance import describe_world
 
         interrupted = found.ended == "interrupted"
         command = ["jexplore", *arguments]
         model = found.model._replace(made={"command": command, **found.model.made})
         entries = {"ended": found.ended, "best": found.best, "interrupted": int(interrupted)}
-        worlds = [describe(world) for bank in (plan.training, plan.validation) for world in bank.worlds]
+        worlds = [describe_world(world) for bank in (plan.training, plan.validation) for world in bank.worlds]
         record = out.record(arguments, self, **entries, model=model.made, worlds=worlds)
         files = {
             "model.msgpack": lambda path: write_weights(path, model),

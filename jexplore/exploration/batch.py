@@ -18,7 +18,7 @@ from jexplore.native.build import Library, warn_once
 from jexplore.native.episodes import RESULT, load
 from jexplore.native.episodes import World as NativeWorld
 from jexplore.policies import Strategy
-from jexplore.policies.catalogue.joined import joined
+from jexplore.policies.catalogue.joined import join_strategies
 from jexplore.worlds.world import World, ring_of
 
 NO_RUN = -1  # number of a run that none has
@@ -218,7 +218,7 @@ def _lines_of(jobs, lidar, rules, resources, native, only, keep, alike):
     settings = [(job.lidar or lidar, job.rules or rules) for job in jobs]
     alike = [*alike, *dict.fromkeys(settings)]
     sites, fitted, lines = {}, {}, []
-    for job, strategy, own in zip(jobs, joined([job.strategy for job in jobs]), settings):
+    for job, strategy, own in zip(jobs, join_strategies([job.strategy for job in jobs]), settings):
         place = id(job.world), own
         if place not in sites:
             sites[place] = prepare_site(job.world, *own, native=native, alike=alike)

@@ -21,7 +21,7 @@ from jexplore.policies import parse_strategy
 from jexplore.policies.learned import networks
 from jexplore.policies.learned.model import Model
 
-KEPT = 5_000  # lessons, the latest: 2 kB each, in every check that is kept
+MAX_LESSONS = 5_000  # lessons, the latest: 2 kB each, in every check that is kept
 
 
 class State(NamedTuple):
@@ -38,17 +38,17 @@ def begin(weights: Any, settings: Advantage) -> State:
     return State(weights, no_lessons(), 0)
 
 
-def step(
+def make_round(
     state: State, network: str, bank: Bank, settings: Advantage, seed: int, workers: int | None = None
 ) -> tuple[State, float]:
-    """Make one round. Arguments and result as of `es.step`; the ratio is that of the paths with lessons."""
+    """Make one round. Arguments and result as of `es.make_round`; the ratio is that of the paths with lessons."""
     draw = np.random.default_rng([seed, int(state.generation)])
     which = bank.some(draw, settings.episodes)
     starts = int(draw.integers(2**31))
     asking = Asking(settings.share, settings.tried, settings.margin_m, settings.stray)
     new, path_m = give_lessons(bank, Model(network, state.weights), which, starts, asking, workers=workers)
     every = together([state.lessons, new])
-    every = Lessons(*(column[-KEPT:] for column in every))
+    every = Lessons(*(column[-MAX_LESSONS:] for column in every))
     weights = state.weights
     if len(every.weight):
         size = 2 ** (len(every.weight) - 1).bit_length()  # few sizes, so that few programs are compiled
@@ -67,7 +67,7 @@ def loss(network: str, weights: Any, some: Lessons, delta: Array | float) -> Arr
       network: one of `networks.NETWORKS`.
       weights: of that network.
       some: `Lessons`, B of them.
-      delta: errors beyond it count linearly, UNIT_M.
+      delta: errors beyond it count linearly, FEATURE_UNIT_M.
     """
     on = ~jnp.isnan(some.costs)
     n = jnp.maximum(jnp.sum(on, axis=1), 1)

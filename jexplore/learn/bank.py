@@ -48,7 +48,7 @@ class Bank:
     def log_ratios(
         self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None
     ) -> np.ndarray:
-        """Compute path lengths of strategies relative to the reference, from the same starts.
+        """Compute path lengths of N strategies relative to the reference, from the same starts.
 
         Args:
           strategies: N of them.
@@ -57,8 +57,7 @@ class Bank:
           workers: cores; by default all.
 
         Returns:
-          `[N, K]` float64, logarithms; that of `FAILED` where an episode did not end COMPLETE and the reference's did;
-            0 where the reference's did not, or saw all from the start.
+          `[N, K]` float64, see `log_ratio`.
         """
         lengths = self.lengths([parse_strategy(REFERENCE), *strategies], which, seed, workers=workers)
         return log_ratio(lengths[1:], lengths[0])
@@ -109,11 +108,8 @@ class Bank:
 def log_ratio(lengths: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """Compute logarithms of paths relative to the reference's.
 
-    The value is that of `FAILED` where a path is inf and the reference's finite, 0 where the reference's is inf or 0.
-
-    Args:
-      lengths: `[..., K]` metres.
-      reference: `[K]` metres.
+    That of `FAILED` where a path is inf and the reference's finite, 0 where the reference's is inf or 0. `lengths`:
+    `[..., K]` metres; `reference`: `[K]` metres.
     """
     usable = np.isfinite(reference) & (reference > 0)
     ratio = lengths / np.where(usable, reference, 1.0)

@@ -1,25 +1,64 @@
-"""`Decisions` as an environment of brax, with its own way of beginning anew.
+"""`Decisions` for brax: an environment, its own way of beginning anew, a distribution over slots, and a shim.
 
 brax's `AutoResetWrapper` goes back to the first state of every lane, so to the same world and the same start for ever;
-`RenewWrapper` draws another.
+`RenewWrapper` draws another. Importing this takes seconds.
 """
 
+import contextlib
+import io
+import warnings
+from collections.abc import Iterator
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from flax import struct
 from jax import Array
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jexplore.arrays.loops import run_if
 from jexplore.learn.decisions import Decisions, Told
-from jexplore.learn.shim import quietly
 from jexplore.policies.learned import features
+
+
+@contextlib.contextmanager
+def quietly() -> Iterator[None]:
+    """Silence brax and its imports, which warn of physics engines that are not installed."""
+    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+        warnings.simplefilter("ignore")
+        yield
+
 
 with quietly():
     from brax.envs.base import Env, State, Wrapper
     from brax.envs.wrappers.training import EpisodeWrapper, VmapWrapper
+    from brax.training.distribution import IdentityPostprocessor, ParametricDistribution
 
-WIDTH = len(features.NAMES) + 1  # numbers of a slot in an observation
+REMOVED = "device_put_replicated"  # of JAX
+
+
+def _replicated(tree, devices):
+    """Copy a pytree to each device, with a leading axis of the devices on every leaf."""
+    each = NamedSharding(Mesh(np.asarray(devices), ("device",)), PartitionSpec("device"))
+    return jax.tree.map(lambda leaf: jax.device_put(jnp.stack([jnp.asarray(leaf)] * len(devices)), each), tree)
+
+
+@contextlib.contextmanager
+def device_put_replicated() -> Iterator[None]:
+    """Provide `jax.device_put_replicated` for the block.
+
+    JAX 0.10 took it out, and brax 0.14.2 calls it (github.com/google/brax/issues/671).
+    """
+    setattr(jax, REMOVED, getattr(jax, REMOVED, _replicated))
+    try:
+        yield
+    finally:
+        if getattr(jax, REMOVED) is _replicated:
+            delattr(jax, REMOVED)
+
+
+SLOT_WIDTH = len(features.FEATURES) + 1  # numbers of a slot in an observation
 
 
 def flat(told: Told) -> Array:
@@ -30,7 +69,7 @@ def flat(told: Told) -> Array:
 
 def unflat(observation: Array) -> Told:
     """Convert a flat observation to `Told`."""
-    both = observation.reshape(*observation.shape[:-1], -1, WIDTH)
+    both = observation.reshape(*observation.shape[:-1], -1, SLOT_WIDTH)
     return Told(both[..., :-1], both[..., -1] > 0)
 
 
@@ -66,7 +105,7 @@ class BraxDecisions(Env):
     @property
     def observation_size(self) -> int:
         """Return K * (F + 1)."""
-        return self.decisions.n_choices * WIDTH
+        return self.decisions.n_choices * SLOT_WIDTH
 
     @property
     def action_size(self) -> int:
@@ -115,7 +154,7 @@ class RenewWrapper(Wrapper):
         return state.replace(pipeline_state=now, obs=obs)
 
 
-def wrapped(env: Env, episode_length: int = 1000, action_repeat: int = 1, randomization_fn: Any = None) -> Wrapper:
+def wrap_lanes(env: Env, episode_length: int = 1000, action_repeat: int = 1, randomization_fn: Any = None) -> Wrapper:
     """Wrap an environment: `wrap_env_fn` of `brax.training`."""
     del randomization_fn
     return RenewWrapper(EpisodeWrapper(VmapWrapper(env), episode_length, action_repeat))
@@ -123,3 +162,50 @@ def wrapped(env: Env, episode_length: int = 1000, action_repeat: int = 1, random
 
 def _typed(rng):
     return rng if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(rng)
+
+
+@struct.dataclass
+class Categorical:
+    """One of K slots, by logits `[..., K]`; a logit as low as `networks.MASKED` is never drawn."""
+
+    logits: Array
+
+    def sample(self, seed: Array) -> Array:
+        """Draw choices: `[...]` int32."""
+        return jax.random.categorical(seed, self.logits).astype(jnp.int32)
+
+    def mode(self) -> Array:
+        """Return the most likely choice: `[...]` int32."""
+        return jnp.argmax(self.logits, axis=-1).astype(jnp.int32)
+
+    def log_prob(self, slot: Array) -> Array:
+        """Return log probabilities: `[...]` float32."""
+        return jnp.take_along_axis(jax.nn.log_softmax(self.logits), slot[..., None].astype(jnp.int32), axis=-1)[..., 0]
+
+    def entropy(self) -> Array:
+        """Return the entropy: `[...]` float32, nats."""
+        logs = jax.nn.log_softmax(self.logits)
+        return -jnp.sum(jnp.exp(logs) * logs, axis=-1)
+
+    def kl_divergence(self, old: "Categorical") -> Array:
+        """Return the divergence of the old one from this: `[...]` float32, nats."""
+        ours, theirs = jax.nn.log_softmax(self.logits), jax.nn.log_softmax(old.logits)
+        return jnp.sum(jnp.exp(theirs) * (theirs - ours), axis=-1)
+
+    @property
+    def loc(self) -> Array:
+        """Return zeros: brax reports a mean of every distribution, and a choice has none."""
+        return jnp.zeros(self.logits.shape[:-1])
+
+    scale = loc
+
+
+class Slots(ParametricDistribution):
+    """`Categorical` by its logits."""
+
+    def __init__(self, n: int) -> None:
+        super().__init__(n, IdentityPostprocessor(), event_ndims=0, reparametrizable=False)
+
+    def create_dist(self, parameters: Array) -> Any:
+        """Return the `Categorical` of some logits."""
+        return Categorical(parameters)

@@ -28,7 +28,7 @@ from jexplore.studies.environment import Environment, EnvState
 class Told(NamedTuple):
     """Observation at a decision."""
 
-    features: Array  # [K, F] float32, see `features.NAMES`
+    features: Array  # [K, F] float32, see `features.FEATURES`
     used: Array  # [K] bool, which slots hold a cluster: what may be chosen. The nearest is slot 0
 
 
@@ -58,18 +58,14 @@ class Decisions:
     drives here as the strategy `learned+recheck` does in a comparison.
     """
 
-    n_choices = features.MOST
+    n_choices = features.SCORED_CLUSTERS
     """K, slots."""
 
     def __init__(self, bank: Bank, *, starts: int = 16, seed: int = 0, workers: int | None = None) -> None:
-        """Draw the starts and drive the reference from each.
+        """Draw a number of starts in each world and drive the reference from each.
 
-        Args:
-          bank: `Bank`.
-          starts: in each world. A start from which the reference does not see everything, or has nothing to see, or
-            from which nothing has to be decided, is left out.
-          seed: of the starts.
-          workers: cores; by default all.
+        A start from which the reference does not see everything, or has nothing to see, or from which nothing has to be
+        decided, is left out.
 
         Raises:
           InputError: no start is left, or numbers out of range.
@@ -90,22 +86,13 @@ class Decisions:
         self._starts = tuple(a[decides] for a in self._starts)
 
     def reset(self, key: Array) -> tuple[DecisionState, Told]:
-        """Begin an episode from a start of the bank, drawn with its world, at its first decision.
-
-        Args:
-          key: of the episode; consumed.
-
-        Returns:
-          `(state, told)`.
-        """
+        """Begin an episode from a start of the bank, drawn with its world, at its first decision; consumes the key."""
         return alone_on_cpu(self._begun)(key)
 
     def step(self, state: DecisionState, action: Array) -> tuple[DecisionState, Told, Array, Array, dict[str, Array]]:
         """Drive to a cluster, with re-checking, and on to the next decision.
 
-        Args:
-          state: `DecisionState`.
-          action: int32, the slot. An unused one moves nothing, and `info["valid"]` is False.
+        The action is a slot, int32. An unused one moves nothing, and `info["valid"]` is False.
 
         Returns:
           state: `DecisionState`; as it was once the episode is over.
@@ -170,7 +157,7 @@ def _targets(env):
 
 def _told(env, state):
     beams = env.arrays[0].beams
-    blank = jnp.zeros((features.MOST, len(features.NAMES)), jnp.float32)
+    blank = jnp.zeros((features.SCORED_CLUSTERS, len(features.FEATURES)), jnp.float32)
     used = state.at.used & ~state.is_over
 
     def tell(_):

@@ -35,18 +35,10 @@ def begin(weights: Any, settings: Es) -> State:
     return State(weights, theta, jax.tree.map(np.asarray, optax.adam(settings.rate).init(jnp.asarray(theta))), 0)
 
 
-def step(
+def make_round(
     state: State, network: str, bank: Bank, settings: Es, seed: int, workers: int | None = None
 ) -> tuple[State, float]:
-    """Make one generation.
-
-    Args:
-      state: `State`.
-      network: one of `networks.NETWORKS`.
-      bank: `Bank` to draw worlds from.
-      settings: `Es`.
-      seed: of the whole search.
-      workers: cores; by default all.
+    """Make one generation, in worlds drawn from the bank; the seed is that of the whole search.
 
     Returns:
       `(state, ratio)`: ratio of paths to the reference's, the mean over all members.

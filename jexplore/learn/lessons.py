@@ -28,7 +28,7 @@ from jexplore.policies import Strategy
 from jexplore.policies.clusters import go_to, targets
 from jexplore.policies.learned import features
 from jexplore.policies.learned.model import Model
-from jexplore.policies.learned.strategy import is_forced, judged, policy_of
+from jexplore.policies.learned.strategy import is_forced, policy_of, score_targets
 
 DECISIONS = 64  # most decisions of an episode whose candidates are tried
 NEAREST = 6  # the robot strays to one of this many targets
@@ -40,8 +40,8 @@ class Lessons(NamedTuple):
 
     features: Any  # [D, K, F] float32
     used: Any  # [D, K] bool
-    costs: Any  # [D, K] float32, what a choice cost beyond the best, UNIT_M; nan: not tried
-    weight: Any  # [D] float32, UNIT_M divided by the whole path of the episode
+    costs: Any  # [D, K] float32, what a choice cost beyond the best, FEATURE_UNIT_M; nan: not tried
+    weight: Any  # [D] float32, FEATURE_UNIT_M divided by the whole path of the episode
 
 
 class Asking(NamedTuple):
@@ -93,7 +93,7 @@ def _episode(given):
 
 def _begin(setup, given):
     state = environment.begin(setup.setup, _episode(given))
-    most, n_features = features.MOST, len(features.NAMES)
+    most, n_features = features.SCORED_CLUSTERS, len(features.FEATURES)
     return _Lesson(
         state=state,
         saved=state,
@@ -145,7 +145,7 @@ def _decide(setup, given, lesson):
     def tell():
         return features.features(state.belief, at, state.carry, given.shared)
 
-    found, told = judged(setup.network, own.numbers.params, at, tell)
+    found, told = score_targets(setup.network, own.numbers.params, at, tell)
     forced = is_forced(at)
     draw = jax.random.split(jax.random.fold_in(jax.random.fold_in(given.key, STREAM), state.plans), 3)
     goes_on = lesson.trying < 0
@@ -165,7 +165,7 @@ def _decide(setup, given, lesson):
         )
 
     lesson = run_if(asks, ask, lesson)
-    near = at.used & (jnp.arange(features.MOST) < NEAREST)
+    near = at.used & (jnp.arange(features.SCORED_CLUSTERS) < NEAREST)
     elsewhere = jnp.argmax(jnp.where(near, jax.random.uniform(draw[1], near.shape), -1.0))
     strays = goes_on & ~forced & (jax.random.uniform(draw[2]) < given.numbers.stray)
     which = jnp.where(strays, elsewhere, jnp.argmax(found))
@@ -190,10 +190,6 @@ def _must_decide(lesson):
     return ~lesson.state.walking
 
 
-def _keep(lesson):
-    return ()
-
-
 def _program(setup, network):
     return Program(
         setup=_Setup(setup._replace(capacity=1), network),
@@ -201,7 +197,7 @@ def _program(setup, network):
         advance=_advance,
         is_done=_is_done,
         finish=_finish,
-        keep=_keep,
+        keep=lambda lesson: (),
         decide=_decide,
         must_decide=_must_decide,
         drive=None if setup.native is None else _drive,
@@ -211,8 +207,8 @@ def _program(setup, network):
 
 def no_lessons() -> Lessons:
     """Return empty lessons."""
-    size = 0, features.MOST
-    blank = np.zeros((*size, len(features.NAMES)), np.float32), np.zeros(size, bool), np.zeros(size, np.float32)
+    size = 0, features.SCORED_CLUSTERS
+    blank = np.zeros((*size, len(features.FEATURES)), np.float32), np.zeros(size, bool), np.zeros(size, np.float32)
     return Lessons(*blank, np.zeros(0, np.float32))
 
 
@@ -224,15 +220,7 @@ def together(parts: Sequence[Lessons]) -> Lessons:
 def give_lessons(
     bank: Bank, model: Model, which: Sequence[int], seed: int, asking: Asking, *, workers: int | None = None
 ) -> tuple[Lessons, np.ndarray]:
-    """Collect lessons from episodes of a policy.
-
-    Args:
-      bank: `Bank`.
-      model: the policy's.
-      which: K numbers of worlds; an episode in each, of one that is there twice from two starts.
-      seed: of the starts and of all that is random.
-      asking: `Asking`.
-      workers: cores; by default all.
+    """Collect lessons from episodes of a model's policy; `which` and `seed` are as for `Bank.log_ratios`.
 
     Returns:
       `(lessons, path_m)`: `[K]` float64, how long the robot's own path was; inf where it did not end COMPLETE. Of such
@@ -262,6 +250,6 @@ def give_lessons(
                 sound = np.flatnonzero(np.isfinite(costs_m[:asked]).any(axis=1))
                 costs = costs_m[sound]
                 beyond = np.minimum(costs - np.nanmin(costs, axis=1, keepdims=True), asking.margin_m)
-                weight = np.full(len(sound), features.UNIT_M / length_m, np.float32)
-                parts.append(Lessons(told[sound], used[sound], beyond / features.UNIT_M, weight))
+                weight = np.full(len(sound), features.FEATURE_UNIT_M / length_m, np.float32)
+                parts.append(Lessons(told[sound], used[sound], beyond / features.FEATURE_UNIT_M, weight))
     return together([no_lessons(), *parts]), path_m

@@ -1,6 +1,6 @@
 """Proximal policy optimisation (Schulman et al. 2017), as brax has it, over `Decisions`.
 
-brax is imported here, in `brax_env` and in `categorical` only: importing it takes seconds.
+brax is imported here and in `brax_env` only.
 """
 
 import functools
@@ -18,7 +18,6 @@ from jexplore.engine.runner import find_resources
 from jexplore.learn.bank import Bank
 from jexplore.learn.decisions import Decisions
 from jexplore.learn.settings import Ppo
-from jexplore.learn.shim import device_put_replicated, quietly
 from jexplore.policies import Strategy
 from jexplore.policies.learned import features, networks
 from jexplore.policies.learned.model import Model
@@ -46,11 +45,11 @@ class Value(nn.Module):
         x, on = nn.relu(nn.Dense(self.width)(told)), used[..., None]
         mean = jnp.sum(jnp.where(on, x, 0.0), axis=-2) / jnp.maximum(jnp.sum(on, axis=-2), 1)
         most = jnp.max(jnp.where(on, x, 0.0), axis=-2)
-        both = jnp.concatenate([mean, most, jnp.sum(on, axis=-2) / features.MOST], axis=-1)
+        both = jnp.concatenate([mean, most, jnp.sum(on, axis=-2) / features.SCORED_CLUSTERS], axis=-1)
         return nn.Dense(1)(nn.relu(nn.Dense(self.width)(both)))[..., 0]
 
 
-def check(bank: Bank, settings: Ppo) -> None:
+def require_trainable(bank: Bank, settings: Ppo) -> None:
     """Refuse settings that brax or `Decisions` would refuse.
 
     Raises:
@@ -68,21 +67,21 @@ def check(bank: Bank, settings: Ppo) -> None:
 def begin(weights: Any, settings: Ppo) -> State:
     """Return the state of a search that begins at some weights."""
     del settings
-    blank = jnp.zeros((features.MOST, len(features.NAMES))), jnp.zeros(features.MOST, bool)
+    blank = jnp.zeros((features.SCORED_CLUSTERS, len(features.FEATURES))), jnp.zeros(features.SCORED_CLUSTERS, bool)
     value = Value().init(random_key(0), *blank)
     weights, value = jax.tree.map(np.asarray, (weights, value))
     return State(weights, value, 0)
 
 
 @pinned_draws()
-def step(
+def make_round(
     state: State, network: str, bank: Bank, settings: Ppo, seed: int, workers: int | None = None
 ) -> tuple[State, float]:
     """Make one round of brax's `ppo.train`, from the weights of the last, with new moments of the optimiser.
 
-    Arguments and result as of `es.step`; the ratio is that of the weights after the round, from new starts.
+    Arguments and result as of `es.make_round`; the ratio is that of the weights after the round, from new starts.
     """
-    from jexplore.learn.brax_env import BraxDecisions, wrapped
+    from jexplore.learn.brax_env import BraxDecisions, device_put_replicated, quietly, wrap_lanes
 
     with quietly():
         from brax.training.acme import running_statistics, specs
@@ -96,7 +95,7 @@ def step(
         _, (_, weights, value), _ = ppo.train(
             environment=env,
             num_timesteps=settings.decisions,
-            wrap_env_fn=wrapped,
+            wrap_env_fn=wrap_lanes,
             num_envs=settings.lanes,
             episode_length=10**6,
             learning_rate=settings.rate,
@@ -129,8 +128,7 @@ def _decisions(bank, starts, seed, workers):
 def _networks(network, sharpness, observation_size, action_size, preprocess_observations_fn=None):
     """Build the networks: brax's network factory."""
     del preprocess_observations_fn
-    from jexplore.learn.brax_env import unflat
-    from jexplore.learn.categorical import Slots
+    from jexplore.learn.brax_env import Slots, quietly, unflat
 
     with quietly():
         from brax.training.agents.ppo.networks import PPONetworks
@@ -145,7 +143,7 @@ def _networks(network, sharpness, observation_size, action_size, preprocess_obse
         return Value().apply(weights, *unflat(observation))
 
     def begun(key):
-        return networks.begin(network, key, len(features.NAMES))
+        return networks.initial_weights(network, key, len(features.FEATURES))
 
     def begun_value(key):
         return Value().init(key, *unflat(jnp.zeros(observation_size)))

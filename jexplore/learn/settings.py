@@ -27,7 +27,7 @@ class Advantage(NamedTuple):
     steps: int = 500  # of the fit of a round
     batch: int = 128
     rate: float = 3e-3  # of Adam
-    delta: float = 0.1  # errors beyond it count linearly, UNIT_M
+    delta: float = 0.1  # errors beyond it count linearly, FEATURE_UNIT_M
 
 
 class Ppo(NamedTuple):
@@ -46,61 +46,39 @@ class Ppo(NamedTuple):
     clip: float = 0.2
 
 
-SETTINGS = {"es": Es, "advantage": Advantage, "ppo": Ppo}
+TRAINER_SETTINGS = {"es": Es, "advantage": Advantage, "ppo": Ppo}
 """Name of a way of training -> its numbers, with their defaults."""
-BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
+SETTING_BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
     "es": {
-        "pairs": (1, 10_000),
-        "episodes": (1, 100_000),
-        "sigma": (1e-6, 10.0),
-        "rate": (1e-6, 10.0),
+        "pairs": (1, 10_000), "episodes": (1, 100_000), "sigma": (1e-6, 10.0), "rate": (1e-6, 10.0),
         "latest": (1e-6, 1.0),
     },
     "advantage": {
-        "episodes": (1, 100_000),
-        "share": (1e-6, 1.0),
-        "tried": (2, 32),
-        "margin_m": (0.1, 1e6),
-        "stray": (0.0, 1.0),
-        "steps": (1, 1_000_000),
-        "batch": (1, 100_000),
-        "rate": (1e-9, 1.0),
-        "delta": (1e-6, 1e3),
+        "episodes": (1, 100_000), "share": (1e-6, 1.0), "tried": (2, 32), "margin_m": (0.1, 1e6), "stray": (0.0, 1.0),
+        "steps": (1, 1_000_000), "batch": (1, 100_000), "rate": (1e-9, 1.0), "delta": (1e-6, 1e3),
     },
     "ppo": {
-        "decisions": (1, 10**9),
-        "lanes": (1, 4096),
-        "starts": (1, 10_000),
-        "unroll": (1, 4096),
-        "minibatches": (1, 4096),
-        "updates": (1, 1000),
-        "rate": (1e-9, 1.0),
-        "entropy": (0.0, 10.0),
-        "sharpness": (1e-3, 1e4),
-        "gae": (0.0, 1.0),
-        "clip": (1e-3, 1.0),
+        "decisions": (1, 10**9), "lanes": (1, 4096), "starts": (1, 10_000), "unroll": (1, 4096),
+        "minibatches": (1, 4096), "updates": (1, 1000), "rate": (1e-9, 1.0), "entropy": (0.0, 10.0),
+        "sharpness": (1e-3, 1e4), "gae": (0.0, 1.0), "clip": (1e-3, 1.0),
     },
-}
-"""Name of a way of training -> least and largest value of each of its numbers; `tried` ends at `features.MOST`."""
+}  # fmt: skip
+"""Name of a way of training -> least and largest value of each number; `tried` ends at `features.SCORED_CLUSTERS`."""
 
 
-def settings_of(algo: str, given: Mapping[str, Any]) -> Any:
-    """Return the numbers of a way of training: its record of `SETTINGS`.
-
-    Args:
-      algo: its name.
-      given: some of them, by name.
+def trainer_settings(algo: str, given: Mapping[str, Any]) -> Any:
+    """Return the numbers of a way of training, some of them given: its record of `TRAINER_SETTINGS`.
 
     Raises:
       InputError: an unknown way or number, or one out of range.
     """
-    if algo not in SETTINGS:
-        raise unknown("algorithm", algo, SETTINGS)
-    known, found = SETTINGS[algo](), {}
+    if algo not in TRAINER_SETTINGS:
+        raise unknown("algorithm", algo, TRAINER_SETTINGS)
+    known, found = TRAINER_SETTINGS[algo](), {}
     for key, value in given.items():
         if key not in known._fields:
             raise unknown(f"setting of {algo!r}:", key, known._fields)
-        low, high = BOUNDS[algo][key]
+        low, high = SETTING_BOUNDS[algo][key]
         if isinstance(getattr(known, key), int):
             found[key] = require_whole(key, value, int(low), int(high))
         else:
@@ -109,7 +87,7 @@ def settings_of(algo: str, given: Mapping[str, Any]) -> Any:
     return known._replace(**found)
 
 
-def numbers_of(items: Iterable[str]) -> dict[str, float]:
+def parse_settings(items: Iterable[str]) -> dict[str, float]:
     """Parse texts `name=number` to `{name: number}`.
 
     Raises:
@@ -129,15 +107,9 @@ def numbers_of(items: Iterable[str]) -> dict[str, float]:
 
 
 def require_names_apart(training: Iterable[str], validation: Iterable[str]) -> None:
-    """Refuse validation worlds that are training worlds.
-
-    Raises:
-      InputError: naming the world.
-    """
-    names = set(training)
-    for name in validation:
-        if name in names:
-            raise InputError(f"world {name!r} is in both the training and the validation worlds")
+    """Refuse validation worlds that are training worlds."""
+    for name in sorted({*training} & {*validation}):
+        raise InputError(f"world {name!r} is in both the training and the validation worlds")
 
 
 def require_rounds(rounds: int, check_every: int) -> int:

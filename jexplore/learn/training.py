@@ -19,11 +19,18 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.learn import advantage, es, ppo
 from jexplore.learn.bank import FAILED, TRAINING, VALIDATION, Bank, prepare_bank
-from jexplore.learn.settings import require_names_apart, require_rounds, settings_of
+from jexplore.learn.settings import require_names_apart, require_rounds, trainer_settings
 from jexplore.policies import Strategy
 from jexplore.policies.learned import features, networks
-from jexplore.policies.learned.model import Model, is_finite, load_model, require_sound, write_page, write_weights
-from jexplore.policies.learned.model import digest as model_digest
+from jexplore.policies.learned.model import (
+    Model,
+    is_finite,
+    load_model,
+    require_sound,
+    weights_digest,
+    write_page,
+    write_weights,
+)
 from jexplore.policies.learned.strategy import policy_of
 from jexplore.report.ledger import Ledger
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, WorldLike
@@ -36,7 +43,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STATE = "_state"  # column of a unit's file besides: the trainer's state as bytes, in the last row
-COLUMNS = ("round", "ratio", "validation")
+CURVE_COLUMNS = ("round", "ratio", "validation")
 """Columns of a curve: rounds made; ratio to the reference's of the paths on which the round was judged, in the training
 worlds (of `es` all that were driven, of `advantage` those on which lessons were given, of `ppo` some driven after it);
 ratio of the present weights on the validation worlds, where they were checked."""
@@ -46,19 +53,19 @@ class Trainer(NamedTuple):
     """A way of training as pure functions of its state, a pytree of arrays of which `weights` are the model's."""
 
     begin: Callable[[Any, Any], Any]  # (weights, settings) -> state
-    step: Callable[..., tuple[Any, float]]  # see `es.step`
+    step: Callable[..., tuple[Any, float]]  # see `es.make_round`
     check: Callable[[Bank, Any], None] = lambda bank, settings: None  # refuses, with an InputError, what cannot be used
 
 
 TRAINERS: dict[str, Trainer] = {
-    "es": Trainer(es.begin, es.step),
-    "advantage": Trainer(advantage.begin, advantage.step),
-    "ppo": Trainer(ppo.begin, ppo.step, ppo.check),
+    "es": Trainer(es.begin, es.make_round),
+    "advantage": Trainer(advantage.begin, advantage.make_round),
+    "ppo": Trainer(ppo.begin, ppo.make_round, ppo.require_trainable),
 }
-"""Name -> how; its settings are those of `settings.SETTINGS`."""
+"""Name -> how; its settings are those of `settings.TRAINER_SETTINGS`."""
 
 
-class Plan(NamedTuple):
+class TrainingPlan(NamedTuple):
     """Settings of a training."""
 
     algo: str
@@ -87,7 +94,7 @@ class Trained:
     model: Model
     """The best model by the checks."""
     curve: "pd.DataFrame"
-    """One row a round, see `COLUMNS`; the first, of round 0, is of the weights at the beginning."""
+    """One row a round, see `CURVE_COLUMNS`; the first, of round 0, is of the weights at the beginning."""
     best: int
     """The round that it is from."""
     ended: str
@@ -127,41 +134,31 @@ def prepare_training(
     starts: int,
     seed: int,
     model: Model | None = None,
-) -> Plan:
-    """Check the input and make a `Plan`.
+) -> TrainingPlan:
+    """Check the input, which is that of `train`, and make a `TrainingPlan`.
 
-    Args:
-      model: where training begins; its network is `network`, or `linear`, whose weighted sum every network has. Without
-        it, at `closest`.
+    Training begins at the model, whose network is `network`, or `linear`, whose weighted sum every network has.
 
     Raises:
       InputError: an unknown algorithm, network or setting, a number out of range, a world on both sides, a model of
         another network.
     """
-    numbers = settings_of(algo, settings)
-    networks.network(network)
+    numbers = trainer_settings(algo, settings)
+    networks.network_named(network)
     require_names_apart((world.name for world in training.worlds), (world.name for world in validation.worlds))
     TRAINERS[algo].check(training, numbers)
     seed, rounds = require_setting("seed", seed), require_setting("rounds", rounds)
     check_every = require_rounds(rounds, require_setting("check_every", check_every))
-    return Plan(
-        algo,
-        network,
-        training,
-        validation,
-        numbers,
-        rounds,
-        check_every,
-        require_setting("patience", patience),
-        require_setting("starts", starts),
-        seed,
-        _beginning(network, model, seed),
+    patience, starts = require_setting("patience", patience), require_setting("starts", starts)
+    begins = _beginning(network, model, seed)
+    return TrainingPlan(
+        algo, network, training, validation, numbers, rounds, check_every, patience, starts, seed, begins
     )
 
 
 @pinned_draws()
 def _beginning(network, model, seed):
-    weights = networks.begin(network, random_key(seed), len(features.NAMES))
+    weights = networks.initial_weights(network, random_key(seed), len(features.FEATURES))
     if model is not None:
         require_sound(model)
     if model is not None and model.network == network:
@@ -233,7 +230,7 @@ def train(
         return run_training(plan, workers=workers, on_progress=moved)
 
 
-def asked(plan: Plan) -> dict[str, Any]:
+def training_inputs(plan: TrainingPlan) -> dict[str, Any]:
     """Return all that the result depends on, as plain values."""
     worlds = {"training": plan.training.worlds, "validation": plan.validation.worlds}
     digests = hashlib.sha256("".join(world_digest(w) for own in worlds.values() for w in own).encode())
@@ -241,9 +238,9 @@ def asked(plan: Plan) -> dict[str, Any]:
         "version": __version__,
         "algo": plan.algo,
         "network": plan.network,
-        "features": list(features.NAMES),
+        "features": list(features.FEATURES),
         "settings": plan.settings._asdict(),
-        "begins": model_digest(plan.begins.weights),
+        "begins": weights_digest(plan.begins.weights),
         "devices": jax.local_device_count() if plan.algo == "ppo" else 1,  # brax draws for each of them apart
         **{name: [os.fspath(world.name) for world in own] for name, own in worlds.items()},
         "digests": digests.hexdigest(),
@@ -254,19 +251,13 @@ def asked(plan: Plan) -> dict[str, Any]:
 
 
 def run_training(
-    plan: Plan,
+    plan: TrainingPlan,
     *,
     ledger: Ledger | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
 ) -> Trained:
-    """Train, or continue a training.
-
-    Args:
-      plan: `Plan`.
-      ledger: where every check is kept, with all that is needed to go on from it.
-      workers: cores; by default all.
-      on_progress: called with the number of rounds made.
+    """Train, or continue a training of which the ledger keeps every check, with all that is needed to go on from it.
 
     Raises:
       KeyboardInterrupt: before the first check.
@@ -279,7 +270,7 @@ def run_training(
     kept = [state.weights]  # at every check
     while ledger is not None and len(tables) in ledger.done:
         table = ledger.get(len(tables))
-        tables.append(table[list(COLUMNS)])
+        tables.append(table[list(CURVE_COLUMNS)])
         state = _unpacked(state, table[STATE].iloc[-1])
         kept.append(state.weights)
     try:
@@ -289,7 +280,7 @@ def run_training(
                 break
             rows = []
             if unit == 0:
-                rows.append((0, math.nan, _checked(plan, state.weights, workers)))
+                rows.append((0, math.nan, _validation_ratio(plan, state.weights, workers)))
             for number in range(unit * plan.check_every, (unit + 1) * plan.check_every):
                 state, ratio = trainer.step(state, plan.network, plan.training, plan.settings, plan.seed, workers)
                 rows.append((number + 1, ratio, math.nan))
@@ -298,8 +289,8 @@ def run_training(
             if not is_finite(state.weights):
                 ended = "not finite"
                 break
-            rows[-1] = (*rows[-1][:2], _checked(plan, state.weights, workers))
-            table = pd.DataFrame(rows, columns=list(COLUMNS))
+            rows[-1] = (*rows[-1][:2], _validation_ratio(plan, state.weights, workers))
+            table = pd.DataFrame(rows, columns=list(CURVE_COLUMNS))
             if ledger is not None:
                 ledger.put(unit, table.assign(**{STATE: [*[b""] * (len(table) - 1), _packed(state)]}))
             tables.append(table)
@@ -322,9 +313,9 @@ def _trained(plan, tables, kept, ended):
     number = best * plan.check_every
     made = {
         **{"algo": plan.algo, "seed": plan.seed, "settings": plan.settings._asdict(), "round": number},
-        "begins": model_digest(plan.begins.weights),
+        "begins": weights_digest(plan.begins.weights),
         "checks": [
-            {"round": i * plan.check_every, "validation": float(ratio), "sha256": model_digest(weights)}
+            {"round": i * plan.check_every, "validation": float(ratio), "sha256": weights_digest(weights)}
             for i, (ratio, weights) in enumerate(zip(checks, kept))
         ],
         "training": [os.fspath(world.name) for world in plan.training.worlds],
@@ -334,7 +325,7 @@ def _trained(plan, tables, kept, ended):
     return Trained(Model(plan.network, kept[best], made), curve, number, ended)
 
 
-def _checked(plan, weights, workers):
+def _validation_ratio(plan, weights, workers):
     """Compute the ratio of some weights on the validation worlds."""
     strategy = Strategy("learned", policy_of(Model(plan.network, weights)), True)
     which = [i for i in range(len(plan.validation.worlds)) for _ in range(plan.starts)]

@@ -101,6 +101,6 @@ def look(
 
 
 def apart(native: str, cells: Array, at: Array, n: Array | int, side: int, clearance_d2: int) -> Array:
-    """Return what paths between the first n of some cells cost, `[M, M]` int32; see `policies.clusters.apart`."""
+    """Return what paths between the first n of some cells cost, `[M, M]` int32; see `policies.clusters.paths_apart`."""
     m = at.shape[1]
     return call(native, "apart", [((m, m), jnp.int32)], cells, at, numbers([n, side, clearance_d2]))[0]

@@ -7,7 +7,7 @@ the changelog.
 
 from jexplore.policies import clusters, views
 from jexplore.policies.catalogue.entries import MODIFIERS, STRATEGIES, register
-from jexplore.policies.catalogue.grammar import parameters_of, parse_strategy, strategy
+from jexplore.policies.catalogue.grammar import parse_strategy, strategy
 from jexplore.policies.policy import Entry, Policy, Strategy
 
 __all__ = [
@@ -17,7 +17,6 @@ __all__ = [
     "Policy",
     "Strategy",
     "clusters",
-    "parameters_of",
     "parse_strategy",
     "register",
     "strategy",

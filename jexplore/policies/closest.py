@@ -4,11 +4,7 @@ Yamauchi, "A Frontier-Based Approach for Autonomous Exploration", CIRA 1997; as 
 """
 
 from jexplore.planning import nearest_frontier
-from jexplore.policies.policy import Policy
-
-
-def _init(params, belief):
-    return ()
+from jexplore.policies.policy import Policy, no_carry
 
 
 def _select(key, params, carry, belief, beams, route):
@@ -18,7 +14,7 @@ def _select(key, params, carry, belief, beams, route):
 
 def closest() -> Policy:
     """Return the policy. Carry: `()`. Parameters: none."""
-    return Policy(_init, _select)
+    return Policy(no_carry, _select)
 
 
 def is_nearest(policy: Policy) -> bool:

@@ -11,10 +11,10 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore.arrays import bits
-from jexplore.arrays.loops import first_lanes, repeat, run_if
+from jexplore.arrays.loops import repeat
 from jexplore.frontier import clear_cells, frontier_clusters, most_cells
-from jexplore.gain import look, prospect, stops_and_unknown, unknown_near, unknown_within
-from jexplore.grid import Grid, empty_grid
+from jexplore.gain import look, prospect, stops_and_unknown, unknown_within
+from jexplore.grid import empty_grid
 from jexplore.native import kernels
 from jexplore.native.kernels import EVERY
 from jexplore.planning import Belief, Choice, Field, cells_of, choose, metres
@@ -56,109 +56,55 @@ def targets(belief: Belief, known: Field) -> Targets:
 
 
 def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
-    """Count the cells seen by a look-around at every target.
+    """Count the unknown and the known cells that a look-around at every target would see: `[M]` int32 each.
 
-    Args:
-      belief: `Belief`.
-      at: `Targets`.
-      beams: `Beams`.
-
-    Returns:
-      `unknown`: `[M]` int32, unknown cells that would be seen; 0 in an unused slot.
-      `known`: `[M]` int32, known cells that would be seen.
+    0 in an unused slot.
     """
-
     if kernels.target_of(belief.model.native):
-        unknown, known = _told_natively(belief, at, beams)
+        unknown, known = _seen_natively(belief, at, beams)
         return unknown, known
 
     def tell(ahead, row, col, beams, scratch):
         told, scratch = look(ahead, row, col, beams, scratch)
         return jnp.stack([told.unknown, told.known]), scratch
 
-    seen = from_each(belief, at, beams, tell, 2)
+    seen = _from_each(belief, at, beams, tell, 2)
     return seen[0], seen[1]
 
 
 def shown_from(belief: Belief, at: Targets, beams: Beams, enough: Array | int) -> Array:
-    """Count the unknown cells that a look-around at every target would show, up to a bound.
+    """Count the unknown cells that a look-around at every target would show, as `seen_from`.
 
-    A look-around ends next to the target where that alone shows enough.
-
-    Args:
-      belief: `Belief`.
-      at: `Targets`.
-      beams: `Beams`.
-      enough: int32, a number of cells.
-
-    Returns:
-      `[M]` int32: exact where it is less than `enough`, else at least that; 0 in an unused slot.
+    Native code stops counting at `enough`: exact where it is less than that, else at least that.
     """
-
     if kernels.target_of(belief.model.native):
-        return _told_natively(belief, at, beams, enough=enough)[0]
-
-    def tell(ahead, row, col, beams, scratch):
-        told, scratch = look(ahead, row, col, beams, scratch)
-        return told.unknown[None], scratch
-
-    n, m = jnp.sum(at.used, dtype=jnp.int32), at.row.shape[0]
-
-    def near(state):
-        i, shown = state
-        i_ = jnp.minimum(i, m - 1)
-        where = jnp.maximum(at.row[i_], 0), jnp.maximum(at.col[i_], 0)
-        new = unknown_near(belief.grid, belief.extent, belief.model.p_free, *where, beams, belief.within)
-        on = i < n
-        return i + on, shown.at[jnp.where(on, i, m)].set(new, mode="drop")
-
-    _, shown = repeat(lambda state: state[0] < n, near, (jnp.int32(0), jnp.zeros(m, jnp.int32)))
-    left = at.used & (shown < enough)
-
-    def look_on(shown):
-        which = first_lanes(left, m)
-        some = jnp.minimum(which, m - 1)
-        rest = at.replace(row=at.row[some], col=at.col[some], used=which < m)
-        return shown.at[which].set(from_each(belief, rest, beams, tell, 1)[0], mode="drop")
-
-    return run_if(jnp.any(left), look_on, shown)
+        return _seen_natively(belief, at, beams, enough=enough)[0]
+    return seen_from(belief, at, beams)[0]
 
 
 def unknown_from(belief: Belief, at: Targets, beams: Beams, radii_m: Sequence[float]) -> Array:
-    """Count unknown cells that a look-around at every target would show within R distances: `[R, M]` int32.
-
-    Args:
-      belief: `Belief`.
-      at: `Targets`.
-      beams: `Beams`.
-      radii_m: R distances, metres. Static.
-    """
+    """Count unknown cells that a look-around at every target would show within R distances: `[R, M]` int32."""
     d2 = (jnp.asarray(radii_m, jnp.float32) / belief.model.cell_m) ** 2
     if kernels.target_of(belief.model.native):
-        return _told_natively(belief, at, beams, d2)[:-1]
+        return _seen_natively(belief, at, beams, d2)[:-1]
 
     def tell(ahead, row, col, beams, scratch):
         return unknown_within(ahead, row, col, beams, scratch, d2)
 
-    return from_each(belief, at, beams, tell, len(radii_m))
+    return _from_each(belief, at, beams, tell, len(radii_m))
 
 
-def _told_natively(belief, at, beams, d2: Any = (math.inf,), enough: Any = EVERY):
+def _seen_natively(belief, at, beams, d2: Any = (math.inf,), enough: Any = EVERY):
     """Return what `kernels.look` tells of every target: `[R + 1, M]` int32."""
     maps = stops_and_unknown(belief.grid, belief.extent, belief.model.p_free, belief.within)
     where = jnp.stack([at.row, at.col]), jnp.sum(at.used, dtype=jnp.int32), all_round(beams)
     return kernels.look(belief.model.native, *maps, *where, d2, enough)
 
 
-def from_each(belief: Belief, at: Targets, beams: Beams, tell: Callable[..., tuple[Array, Grid]], n_told: int) -> Array:
+def _from_each(belief, at, beams, tell, n_told):
     """Evaluate a look-around at every target: `[n_told, M]` int32, 0 in an unused slot.
 
-    Args:
-      belief: `Belief`.
-      at: `Targets`.
-      beams: `Beams`.
-      tell: `(prospect, row, col, beams, scratch) -> ([n_told] int32, scratch)`, the scratch zeros before and after.
-      n_told: number of results. Static.
+    `tell(prospect, row, col, beams, scratch)` returns `[n_told]` int32 and the scratch, zeros before and after.
     """
     ahead, beams = prospect(belief.grid, belief.extent, belief.model.p_free, belief.within), all_round(beams)
     n = jnp.sum(at.used, dtype=jnp.int32)  # used slots come first
@@ -175,7 +121,7 @@ def from_each(belief: Belief, at: Targets, beams: Beams, tell: Callable[..., tup
     return repeat(lambda state: state[0] < n, evaluate, state)[1]
 
 
-def blocks_of(clearance_d2: int) -> int:
+def block_side(clearance_d2: int) -> int:
     """Return the side of the largest blocks, cells, that count as passable if one of their cells is clear. Static.
 
     No path through a straight wall arises: the cells around it that are not clear are at least 2 r + 1 cells thick.
@@ -183,20 +129,14 @@ def blocks_of(clearance_d2: int) -> int:
     return min(COARSEST, math.isqrt(clearance_d2) + 1)
 
 
-def apart(belief: Belief, at: Targets) -> Array:
-    """Estimate path lengths between all targets.
+def paths_apart(belief: Belief, at: Targets) -> Array:
+    """Estimate path lengths between all targets: `[M, M]` float32, metres, symmetric.
 
-    The map is reduced to blocks of up to 4 x 4 cells, which are passable if they hold a clear cell or one that was
-    driven on. Slanting walls and slivers of unknown cells thinner than a block may be crossed.
-
-    Args:
-      belief: `Belief`.
-      at: `Targets`.
-
-    Returns:
-      `[M, M]` float32, metres, symmetric; 0 on the diagonal of used slots; inf where a slot is unused or no path leads.
+    0 on the diagonal of used slots; inf where a slot is unused or no path leads. The map is reduced to blocks of up to
+    4 x 4 cells, which are passable if they hold a clear cell or one that was driven on. Slanting walls and slivers of
+    unknown cells thinner than a block may be crossed.
     """
-    side, n = blocks_of(belief.model.clearance_d2), jnp.sum(at.used, dtype=jnp.int32)
+    side, n = block_side(belief.model.clearance_d2), jnp.sum(at.used, dtype=jnp.int32)
     native = kernels.target_of(belief.model.native)
     if native:
         where = jnp.stack([at.row, at.col])
@@ -268,20 +208,9 @@ def go_to(belief: Belief, route: Array, known: Field, at: Targets, which: Array)
 
 
 def best_of(at: Targets, worth: Array, usable: Array) -> Array:
-    """Return the slot of greatest worth among some, else that with the shortest path; -1 without targets.
-
-    Args:
-      at: `Targets`.
-      worth: `[M]` float32.
-      usable: `[M]` bool.
-    """
+    """Return the slot of greatest worth among the usable, else that with the shortest path; -1 without targets."""
     usable = usable & at.used
     chosen = jnp.argmax(jnp.where(usable, worth, -jnp.inf))
     nearest = jnp.argmin(at.path_m)
     which = jnp.where(jnp.any(usable), chosen, nearest).astype(jnp.int32)
     return jnp.where(jnp.any(at.used), which, -1)
-
-
-def init(params: Any, belief: Belief) -> tuple[()]:
-    """Return the `init` of these strategies. Carry: `()`."""
-    return ()

@@ -17,10 +17,10 @@ from jax import Array
 from jexplore.config import require_number, require_whole
 from jexplore.native.kernels import EVERY
 from jexplore.planning import field
-from jexplore.policies.clusters import apart, best_of, go_to, init, shown_from, targets
-from jexplore.policies.policy import Policy
+from jexplore.policies.clusters import best_of, go_to, paths_apart, shown_from, targets
+from jexplore.policies.policy import Policy, no_carry
 
-LEAST = 1e-6  # keeps a quotient finite where nothing counts
+MIN_COUNT = 1e-6  # keeps a quotient finite where nothing counts
 
 
 class Params(NamedTuple):
@@ -33,13 +33,7 @@ class Params(NamedTuple):
 
 
 def advantage(path_m: Array, apart_m: Array, used: Array, weight: Array | float, counts: Array | float = 1.0) -> Array:
-    """Compute the mean distance from the other targets, weighted, less the robot's path: `[M]` float32, metres.
-
-    Args:
-      path_m: `[M]` float32.
-      apart_m, used, counts: as for `mean_apart`.
-      weight: scalar.
-    """
+    """Compute the mean distance from the other targets, weighted, less the robot's path: `[M]` float32, metres."""
     return weight * mean_apart(apart_m, used, counts) - path_m
 
 
@@ -53,7 +47,7 @@ def mean_apart(apart_m: Array, used: Array, counts: Array | float = 1.0) -> Arra
     """
     other = used[:, None] & used[None] & jnp.isfinite(apart_m) & ~jnp.eye(len(used), dtype=bool)
     share = jnp.where(other, counts, 0.0)
-    return jnp.sum(jnp.where(other, apart_m, 0.0) * share, axis=1) / jnp.maximum(jnp.sum(share, axis=1), LEAST)
+    return jnp.sum(jnp.where(other, apart_m, 0.0) * share, axis=1) / jnp.maximum(jnp.sum(share, axis=1), MIN_COUNT)
 
 
 def _select(key, params, carry, belief, beams, route):
@@ -63,7 +57,7 @@ def _select(key, params, carry, belief, beams, route):
     unknown = shown_from(belief, at, beams, jnp.where(exact, EVERY, params.min_gain))
     usable, area = at.used & (unknown >= params.min_gain), unknown.astype(jnp.float32)
     counts = jnp.where(params.by_area, area, 1.0)
-    worth = advantage(at.path_m, apart(belief, at), usable, params.weight, counts)
+    worth = advantage(at.path_m, paths_apart(belief, at), usable, params.weight, counts)
     worth = worth - params.side_weight * belief.model.cell_m * jnp.sqrt(area)
     return carry, *go_to(belief, route, known, at, best_of(at, worth, usable))
 
@@ -76,7 +70,7 @@ def _params(weight, min_gain, **more):
 
 def distance_advantage(weight: float = 1.0, min_gain: int = 1) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Params`."""
-    return Policy(init, _select, _params(weight, min_gain))
+    return Policy(no_carry, _select, _params(weight, min_gain))
 
 
 def small_first(weight: float = 0.5, side_weight: float = 0.5, min_gain: int = 1) -> Policy:
@@ -85,4 +79,4 @@ def small_first(weight: float = 0.5, side_weight: float = 0.5, min_gain: int = 1
     The defaults of the weights were chosen on worlds #1000 to #1013 of each kind (`benchmarks/tuning.py`).
     """
     side_weight = require_number("side_weight", side_weight, high=100)
-    return Policy(init, _select, _params(weight, min_gain, by_area=True, side_weight=side_weight))
+    return Policy(no_carry, _select, _params(weight, min_gain, by_area=True, side_weight=side_weight))

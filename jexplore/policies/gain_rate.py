@@ -6,10 +6,10 @@ to the path, so that the nearest ones are not preferred without bound.
 """
 
 from jexplore.policies import views
-from jexplore.policies.policy import Policy
+from jexplore.policies.policy import Policy, no_carry
 
 
 def gain_rate(samples: int = 500, plus_m: float = 1.0, spread_m: float = 1.0, min_gain: int = 10) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Views`, with plus_m, added to the path, as the weight."""
     params = views.views(("plus_m", plus_m), samples, spread_m, min_gain, by_rate=True)
-    return Policy(views.init, views.SELECT, params, views.live)
+    return Policy(no_carry, views.SELECT, params, views.live)

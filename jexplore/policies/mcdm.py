@@ -14,8 +14,8 @@ from jax import Array
 
 from jexplore.config import InputError, require_number
 from jexplore.planning import field
-from jexplore.policies.clusters import best_of, go_to, init, seen_from, targets
-from jexplore.policies.policy import Policy
+from jexplore.policies.clusters import best_of, go_to, seen_from, targets
+from jexplore.policies.policy import Policy, no_carry
 
 
 class Params(NamedTuple):
@@ -80,4 +80,4 @@ def mcdm(a: float = 0.5, d: float = 0.3, o: float = 0.2, ad: float = 0.95, ao: f
                 raise InputError(
                     f"{pair} must be at least {one}, got {getattr(params, pair)} and {getattr(params, one)}"
                 )
-    return Policy(init, _select, params)
+    return Policy(no_carry, _select, params)

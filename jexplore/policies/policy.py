@@ -43,6 +43,11 @@ class Strategy(NamedTuple):
     recheck: bool = False  # whether a target is given up as soon as it is no longer live
 
 
+def no_carry(params: Any, belief: Belief) -> tuple[()]:
+    """Return the carry of a strategy that remembers nothing: its `init`."""
+    return ()
+
+
 class Entry(NamedTuple):
     """Entry of a strategy in the list of strategies."""
 

@@ -86,12 +86,7 @@ def own_segment(params: Params, belief: Belief) -> tuple[Array, Array, Array]:
     A room has a door, and is no larger than rooms are: corridors, halls and caves get no preference. A door is a
     critical point no wider than doors are; a basin has a door if its widest exit is no wider.
 
-    Args:
-      params: `Params`.
-      belief: `Belief`.
-
-    Returns:
-      `(mask, is_room, overflow)`: `[H, W]` bool; bool; int32.
+    Returns `[H, W]` bool; bool; int32.
     """
     free = is_free(belief.grid, belief.model.p_free)
     label, door_d2, overflow = params.cut.divide(free, belief)

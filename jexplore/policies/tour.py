@@ -2,7 +2,7 @@
 
 Frontier clusters as cities of a travelling salesman, without return: Osswald, Bennewitz, Burgard, Stachniss,
 "Speeding-Up Robot Exploration by Exploiting Background Information", RA-L 1(2), 2016, there with a
-floor plan; built by nearest insertion (Rosenkrantz, Stearns, Lewis 1977) and improved by 2-opt (Croes 1958).
+floor plan; built by nearest insertion (Rosenkrantz, Stearns, Lewis 1977) and two_opt by 2-opt (Croes 1958).
 """
 
 from typing import NamedTuple
@@ -13,10 +13,10 @@ from jax import Array, lax
 from jexplore.arrays.loops import repeat
 from jexplore.config import require_whole
 from jexplore.planning import field
-from jexplore.policies.clusters import CLUSTERS, apart, go_to, init, shown_from, targets
-from jexplore.policies.policy import Policy
+from jexplore.policies.clusters import CLUSTERS, go_to, paths_apart, shown_from, targets
+from jexplore.policies.policy import Policy, no_carry
 
-FAR_M = 1e6  # stands for "no path", so that sums stay finite
+NO_PATH_M = 1e6  # stands for "no path", so that sums stay finite
 AT_A_TIME = 8  # stops of a route at which it is tried to turn it, together
 
 
@@ -58,15 +58,10 @@ def inserted(length: Array, n: Array | int) -> Array:
     return repeat(lambda state: state[0] <= n, insert, state)[1]
 
 
-def improved(length: Array, route: Array, n: Array | int) -> Array:
-    """Improve a route by reversing stretches for as long as that shortens it, the best reversal first.
+def two_opt(length: Array, route: Array, n: Array | int) -> Array:
+    """Improve a route of `inserted` by reversing stretches for as long as that shortens it, the best reversal first.
 
-    Args:
-      length, n: as for `inserted`.
-      route: `[N]` int32.
-
-    Returns:
-      `[N]` int32. Node 0 stays first.
+    Node 0 stays first.
     """
     size = length.shape[0]
     nodes = lax.iota(jnp.int32, size)
@@ -113,15 +108,15 @@ def _select(key, params, carry, belief, beams, route):
     usable = jnp.where(jnp.any(usable), usable, at.used)
     stops = jnp.argsort(~usable, stable=True)  # slots to be visited first, in their order
     n = jnp.sum(usable, dtype=jnp.int32)
-    apart_m = jnp.minimum(apart(belief, at), FAR_M)[stops][:, stops]
-    path_m = jnp.minimum(at.path_m, FAR_M)[stops]
+    apart_m = jnp.minimum(paths_apart(belief, at), NO_PATH_M)[stops][:, stops]
+    path_m = jnp.minimum(at.path_m, NO_PATH_M)[stops]
     length = jnp.zeros((CLUSTERS + 1, CLUSTERS + 1), jnp.float32)
     length = length.at[1:, 1:].set(apart_m).at[0, 1:].set(path_m).at[1:, 0].set(path_m)
-    order = improved(length, inserted(length, n), n)
+    order = two_opt(length, inserted(length, n), n)
     which = jnp.where(n > 0, stops[jnp.maximum(order[1] - 1, 0)], -1).astype(jnp.int32)
     return carry, *go_to(belief, route, known, at, which)
 
 
 def tour(min_gain: int = 1) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Params`."""
-    return Policy(init, _select, Params(require_whole("min_gain", min_gain, low=0, high=2**20)))
+    return Policy(no_carry, _select, Params(require_whole("min_gain", min_gain, low=0, high=2**20)))

@@ -8,11 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jexplore.planning import choose, field
-from jexplore.policies.policy import Policy
-
-
-def _init(params, belief):
-    return ()
+from jexplore.policies.policy import Policy, no_carry
 
 
 def kth_true(mask: Array, k: Array | int) -> tuple[Array, Array]:
@@ -36,7 +32,7 @@ def _select(key, params, carry, belief, beams, route):
 
 def uniform() -> Policy:
     """Return the policy. Carry: `()`. Parameters: none."""
-    return Policy(_init, _select)
+    return Policy(no_carry, _select)
 
 
 def is_uniform(policy: Policy) -> bool:

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from jexplore.config import require_number, require_whole
 from jexplore.planning import field
-from jexplore.policies.clusters import best_of, go_to, init, seen_from, targets
-from jexplore.policies.policy import Policy
+from jexplore.policies.clusters import best_of, go_to, seen_from, targets
+from jexplore.policies.policy import Policy, no_carry
 
 
 class Params(NamedTuple):
@@ -31,4 +31,4 @@ def _select(key, params, carry, belief, beams, route):
 def utility(beta: float = 5.0, min_gain: int = 1) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Params`."""
     params = Params(require_number("beta", beta, high=1e6), require_whole("min_gain", min_gain, low=0, high=2**20))
-    return Policy(init, _select, params)
+    return Policy(no_carry, _select, params)

@@ -20,14 +20,14 @@ from jexplore.planning import Belief, Choice, Field, choose, field, metres, near
 from jexplore.raycast import Beams, all_round
 from jexplore.reach import FAR
 
-SAMPLES = 1024  # most samples a plan
+MAX_SAMPLES = 1024  # most samples a plan
 
 
 class Views(NamedTuple):
     """Parameters of a strategy that goes to view points."""
 
     weight: float  # of the path length, in the strategy's own unit
-    samples: int  # view points that are drawn for a plan, at most `SAMPLES`
+    samples: int  # view points that are drawn for a plan, at most `MAX_SAMPLES`
     spread_m: float  # how far they may lie from a frontier cell
     min_gain: int  # unknown cells that a view point must show to be worth going to
     by_rate: bool = False  # whether `gain_for_path` divides by the path, instead of discounting
@@ -41,7 +41,7 @@ def views(weight: tuple[str, float], samples: int, spread_m: float, min_gain: in
     """
     return Views(
         require_number(*weight, high=1e6),
-        require_whole("samples", samples, low=1, high=SAMPLES),
+        require_whole("samples", samples, low=1, high=MAX_SAMPLES),
         require_number("spread_m", spread_m, high=100),
         require_whole("min_gain", min_gain, low=1, high=2**20),
         by_rate,
@@ -62,14 +62,8 @@ def drawn(key: Array, belief: Belief, known: Field, params: Views) -> tuple[Arra
     Draw i depends on the key and i only, neither on how many there are nor on the map's padding. Where the disc's cell
     cannot be reached, the frontier cell itself is the view point.
 
-    Args:
-      key: consumed.
-      belief: `Belief`.
-      known: its `Field`.
-      params: `Views`.
-
     Returns:
-      `row`, `col`: `[SAMPLES]` int32, the first `params.samples` of which count; H and 0 where there is no frontier.
+      `row`, `col`: `[MAX_SAMPLES]` int32, the first `params.samples` of which count; H and 0 without a frontier.
 
     Source:
       Gonzalez-Banos and Latombe 2002. Changed: uniform over frontier cells, and reachable, not merely visible.
@@ -77,10 +71,10 @@ def drawn(key: Array, belief: Belief, known: Field, params: Views) -> tuple[Arra
     height, width = known.cost.shape
     key_which, key_where = jax.random.split(key)
     n = jnp.sum(known.candidates, dtype=jnp.int32)
-    which = jax.random.randint(key_which, (SAMPLES,), 0, jnp.maximum(n, 1))
+    which = jax.random.randint(key_which, (MAX_SAMPLES,), 0, jnp.maximum(n, 1))
     cell = jnp.minimum(bits.nth_cells(bits.pack(known.candidates), which), height * width)
     row, col = cell // width, cell % width
-    share, turn = jax.random.uniform(key_where, (2, SAMPLES))
+    share, turn = jax.random.uniform(key_where, (2, MAX_SAMPLES))
     distance = jnp.sqrt(share) * params.spread_m / belief.model.cell_m
     near_row = row + jnp.round(distance * jnp.sin(2 * math.pi * turn)).astype(jnp.int32)
     near_col = col + jnp.round(distance * jnp.cos(2 * math.pi * turn)).astype(jnp.int32)
@@ -97,15 +91,7 @@ def best_view(
     known: Field,
     beams: Beams,
 ) -> tuple[Array, Array]:
-    """Find the view point of the greatest utility.
-
-    Args:
-      utility: `(params, gain, path_m) -> float32`, growing with the gain, bits. Static.
-      key: consumed.
-      params: `Views`.
-      belief: `Belief`.
-      known: its `Field`.
-      beams: `Beams`.
+    """Find the view point of the greatest `utility(params, gain, path_m)`, float32, growing with the gain, bits.
 
     Returns:
       `(cell, overflow)`: flat index, -1 if no view point shows enough; cells whose entropy could not be counted.
@@ -113,7 +99,7 @@ def best_view(
     """
     height, width = known.cost.shape
     row, col = drawn(key, belief, known, params)
-    usable = (row < height) & (lax.iota(jnp.int32, SAMPLES) < params.samples)
+    usable = (row < height) & (lax.iota(jnp.int32, MAX_SAMPLES) < params.samples)
     row = jnp.minimum(row, height - 1)
     ahead = prospect(belief.grid, belief.extent, belief.model.p_free, belief.within)
     beams, native = all_round(beams), kernels.target_of(belief.model.native)
@@ -126,12 +112,14 @@ def best_view(
     def going(state):
         i, best, _, _ = state
         return (
-            (i < SAMPLES) & (hope[jnp.minimum(i, SAMPLES - 1)] >= best) & (hope[jnp.minimum(i, SAMPLES - 1)] > -jnp.inf)
+            (i < MAX_SAMPLES)
+            & (hope[jnp.minimum(i, MAX_SAMPLES - 1)] >= best)
+            & (hope[jnp.minimum(i, MAX_SAMPLES - 1)] > -jnp.inf)
         )
 
     def evaluate(state):
         i, best, cell, scratch = state
-        on, i_ = going(state), jnp.minimum(i, SAMPLES - 1)
+        on, i_ = going(state), jnp.minimum(i, MAX_SAMPLES - 1)
         told, scratch = look(ahead, row[i_], col[i_], beams, scratch, native=native)
         worth, here = utility(params, told.gain, path_m[i_]), row[i_] * width + col[i_]
         better = on & (told.unknown >= params.min_gain) & ((worth > best) | ((worth == best) & (here < cell)))
@@ -176,8 +164,3 @@ def live(params: Views, belief: Belief, beams: Beams, row: Array, col: Array) ->
     else:
         seen = unknown_seen(*known, row, col, beams, belief.within)
     return seen >= params.min_gain
-
-
-def init(params: Any, belief: Belief) -> tuple[()]:
-    """Return the `init` of such a strategy. Carry: `()`."""
-    return ()

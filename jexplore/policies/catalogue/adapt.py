@@ -15,9 +15,9 @@ from jexplore.arrays.loops import stored
 from jexplore.config import InputError, shown
 from jexplore.engine.draws import random_key
 from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, nearest_of, view_of
+from jexplore.policies.catalogue.entries import REQUIRED, is_score, parameters
 from jexplore.policies.catalogue.fingerprint import fingerprint
-from jexplore.policies.catalogue.own import is_score, parameters
-from jexplore.policies.policy import Policy, Strategy
+from jexplore.policies.policy import Policy, Strategy, no_carry
 from jexplore.policies.room_wise import rebuilt
 from jexplore.raycast import Beams
 from jexplore.reach import FAR, MOTIONS, NO_MOTION
@@ -25,11 +25,7 @@ from jexplore.users import bare, call_user, described
 
 
 def policy_from(make: Any, given: dict[str, Any]) -> Policy:
-    """Return the `Policy` of a score, a constructor or a `Policy`.
-
-    Args:
-      make: one of these.
-      given: dict, parameters.
+    """Return the `Policy` of a score, a constructor or a `Policy`, with some of its parameters.
 
     Raises:
       InputError: something else; a constructor that raises or returns something else; a parameter that it needs.
@@ -38,11 +34,12 @@ def policy_from(make: Any, given: dict[str, Any]) -> Policy:
     for key in given:
         if key not in known:
             raise InputError(f"{described(make)} has no parameter {key!r} (there are: {', '.join(known) or 'none'})")
-    missing = [key for key, p in known.items() if p.default is p.empty and key not in given]
-    if missing:
-        raise InputError(f"{described(make)} needs the parameter {missing[0]}")
+    full = known | given
+    for key, value in full.items():
+        if value is REQUIRED:
+            raise InputError(f"{described(make)} needs the parameter {key}")
     if is_score(make):
-        return _score_policy(make, {key: given.get(key, p.default) for key, p in known.items()})
+        return _score_policy(make, full)
     policy = make if isinstance(make, Policy) else call_user(make, described(make), **given)
     if not isinstance(policy, Policy):
         raise InputError(f"{described(make)} must return a Policy, got {type(policy).__name__}")
@@ -80,15 +77,11 @@ class _Theirs:
         return hash(self.digest)
 
 
-def _blank(params, belief):
-    return ()
-
-
 def _score_policy(function, given):
     """Make a `Policy` of a score. Numbers and arrays among its parameters may be swept without compiling anew."""
     fixed = {key: value for key, value in given.items() if isinstance(value, (str, os.PathLike, bool, type(None)))}
     params = {key: value for key, value in given.items() if key not in fixed}
-    return Policy(_blank, Score(function, tuple(sorted(fixed.items()))), params)
+    return Policy(no_carry, Score(function, tuple(sorted(fixed.items()))), params)
 
 
 class Score(_Theirs):
@@ -320,9 +313,7 @@ def _check(policy, tree, shapes):
 def check_policy(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> None:
     """Call the functions of a user's strategy on shapes, without compiling.
 
-    Args:
-      policy: `Policy`.
-      params, belief, beams, route: what it will be called with; arrays or their shapes.
+    The other arguments are what it will be called with, arrays or their shapes.
 
     Raises:
       InputError: a function raises, or returns the wrong thing; one line that names it.

@@ -4,27 +4,28 @@ import functools
 import importlib.metadata
 import inspect
 import re
+import sys
 from collections.abc import Callable
 from typing import Any, TypeVar, overload
 
 from jexplore.arrays.files import first_line
 from jexplore.config import InputError, checked_names
-from jexplore.policies.catalogue.own import is_replaced, is_score
 from jexplore.policies.closest import closest
 from jexplore.policies.decision_theoretic import decision_theoretic
 from jexplore.policies.distance_advantage import distance_advantage, small_first
 from jexplore.policies.gain_rate import gain_rate
 from jexplore.policies.learned.strategy import learned
 from jexplore.policies.mcdm import mcdm
-from jexplore.policies.policy import Entry
+from jexplore.policies.policy import Entry, Policy
 from jexplore.policies.tour import tour
 from jexplore.policies.uniform import uniform
 from jexplore.policies.utility import utility
-from jexplore.users import place_of
+from jexplore.users import bare, described, place_of
 
+REQUIRED = inspect.Parameter.empty  # default of a parameter without one
 GROUP = "jexplore.strategies"
 """Entry points of this group, `name = "module:object"`, are strategies that a package offers."""
-NAME = r"[A-Za-z_][\w.-]*"
+STRATEGY_NAME = r"[A-Za-z_][\w.-]*"
 
 STRATEGIES: dict[str, Entry] = {
     "closest": Entry(closest, "the frontier cell with the shortest path", "Yamauchi 1997; Holz et al. 2010, Figure 3"),
@@ -91,15 +92,59 @@ SYNONYMS: dict[str, str] = {
 }
 """Name of a strategy elsewhere -> its name here, for messages."""
 
-_Made = TypeVar("_Made")
+_Thing = TypeVar("_Thing")
+
+
+def _read(make):
+    """Return the keyword parameters of a score or constructor, and whether it is a score, which needs a view."""
+    if isinstance(make, Policy):
+        return {}, False
+    try:
+        found = inspect.signature(make).parameters.values()
+    except (TypeError, ValueError):
+        what = "expected a name, a function of the view, a constructor or a Policy"
+        raise InputError(f"{make!r} is no strategy: {what}") from None
+    keyed = [p for p in found if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    needed = [p.name for p in found if p.kind <= p.POSITIONAL_OR_KEYWORD and p.default is REQUIRED]
+    if len(needed) > 1:
+        raise InputError(
+            f"{described(make)} is no strategy: a score takes one argument, the view, and parameters that have "
+            f"defaults, got {', '.join(needed)}"
+        )
+    return {p.name: p.default for p in keyed if p.name not in needed}, bool(needed)
+
+
+def parameters(make: Any) -> dict[str, Any]:
+    """Return the keyword parameters of a constructor or score -> their defaults, `REQUIRED` for none.
+
+    Raises:
+      InputError: something that is no strategy.
+    """
+    return _read(make)[0]
+
+
+def is_score(make: Any) -> bool:
+    """Return whether something is a score: it has one positional argument without a default, the view.
+
+    Raises:
+      InputError: something that is no strategy.
+    """
+    return _read(make)[1]
+
+
+def _is_replaced(thing):
+    """Return whether the module that defines a function has been imported anew since."""
+    module = sys.modules.get(getattr(bare(thing), "__module__", None) or "")
+    names = getattr(bare(thing), "__globals__", None)
+    return module is not None and names is not None and vars(module) is not names
 
 
 @overload
 def register(
     name: str, make: None = None, *, summary: str = "", source: str = "", replace: bool = False
-) -> Callable[[_Made], _Made]: ...
+) -> Callable[[_Thing], _Thing]: ...
 @overload
-def register(name: str, make: _Made, *, summary: str = "", source: str = "", replace: bool = False) -> _Made: ...
+def register(name: str, make: _Thing, *, summary: str = "", source: str = "", replace: bool = False) -> _Thing: ...
 @checked_names
 def register(name: str, make: Any = None, *, summary: str = "", source: str = "", replace: bool = False) -> Any:
     """Give a strategy a name of its own, under which modifiers, tables and the command line know it.
@@ -112,17 +157,14 @@ def register(name: str, make: Any = None, *, summary: str = "", source: str = ""
       source: of the idea; by default where it is defined.
       replace: whether the name may stand for something else already, as it does when a notebook's cell runs again.
 
-    Returns:
-      `make`.
-
     Raises:
       InputError: a name that is taken or that the grammar could not read; something that is no strategy.
     """
     if make is None:
         return functools.partial(register, name, summary=summary, source=source, replace=replace)
-    if not isinstance(name, str) or not re.fullmatch(NAME, name):
+    if not isinstance(name, str) or not re.fullmatch(STRATEGY_NAME, name):
         raise InputError(f"a strategy's name must be letters, digits, _, . and -, got {name!r}")
-    if not replace and (name in offered() or (name in STRATEGIES and not is_replaced(STRATEGIES[name].make))):
+    if not replace and (name in offered() or (name in STRATEGIES and not _is_replaced(STRATEGIES[name].make))):
         raise InputError(f"strategy {name!r} is registered already; replace=True puts another in its place")
     if name in STRATEGIES and not STRATEGIES[name].is_own:
         raise InputError(f"strategy {name!r} is one of jexplore's own; choose another name")

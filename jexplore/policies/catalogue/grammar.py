@@ -1,83 +1,49 @@
 """The grammar of strategies: `name+modifier+...:key=value,...` and `module:name+modifier+...:key=value,...`."""
 
-import inspect
 import math
 import os
 import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from jexplore.arrays.pictures import Listing
 from jexplore.config import InputError, require_number, shown, unknown
 from jexplore.policies.catalogue.adapt import adapted, policy_from, with_exact_numbers
-from jexplore.policies.catalogue.entries import MODIFIERS, SYNONYMS, Entry, entry_of, known_names, source_of
-from jexplore.policies.catalogue.own import parameters
+from jexplore.policies.catalogue.entries import (
+    MODIFIERS,
+    REQUIRED,
+    SYNONYMS,
+    entry_of,
+    known_names,
+    parameters,
+    source_of,
+)
 from jexplore.policies.policy import Policy, Strategy
 from jexplore.policies.room_wise import KINDS, segmented
 from jexplore.users import described, import_object, name_of
 
-REQUIRED = inspect.Parameter.empty
 _FOREIGN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?=$|[+:])")
 
 
-def _defaults(make):
-    """Return keyword parameters with their defaults: dict; `inspect.Parameter.empty` without one."""
-    return {key: p.default for key, p in parameters(make).items()}
-
-
-def parameters_of(name: str) -> dict[str, Any]:
-    """Return the parameters of a strategy and their defaults, from its constructor's signature: dict.
-
-    Raises:
-      InputError: no such strategy.
-    """
-    entry = entry_of(name)
-    if entry is None:
-        raise unknown("strategy", name, known_names())
-    return _defaults(entry.make)
-
-
-class Listed(NamedTuple):
-    """A line of the list of strategies."""
-
-    name: str
-    summary: str
-    parameters: str
-    source: str
-
-
-def listing() -> list[Listed]:
-    """List all named strategies, those of packages included; one that does not load says why."""
-    lines = []
+def strategies() -> Listing:
+    """List all named strategies, those of packages included, with their parameters; one that does not load says why."""
+    rows = []
     for name in known_names():
         try:
             entry = entry_of(name)
             assert entry is not None
-            own = _defaults(entry.make)
+            own = parameters(entry.make).items()
         except InputError as error:
-            lines.append(Listed(name, str(error), "", ""))
+            rows.append((name, str(error), "-", ""))
         else:
-            told = ", ".join(key if value is REQUIRED else f"{key}={value}" for key, value in own.items())
-            lines.append(Listed(name, entry.summary, told, source_of(entry)))
-    return lines
-
-
-def strategies() -> Listing:
-    """List all named strategies with their parameters, as a table that shows itself."""
-    rows = tuple((one.name, one.summary, one.parameters or "-", one.source) for one in listing())
-    return Listing(("strategy", "goes to", "parameters", "source"), rows)
-
-
-def _modifier_parameters(modifiers):
-    """Return the parameters that modifiers add to those of the strategy, with their defaults: dict."""
-    if "segment" not in modifiers:
-        return {}
-    found = _defaults(segmented)
-    return {key: found[key] for key in KINDS[modifiers["segment"] or "holz"]}
+            told = ", ".join(key if value is REQUIRED else f"{key}={value}" for key, value in own)
+            rows.append((name, entry.summary, told or "-", source_of(entry)))
+    return Listing(("strategy", "goes to", "parameters", "source"), tuple(rows))
 
 
 def _modifiers(words, text):
-    """Parse modifiers and their values after `=`: dict; None for nothing."""
+    """Parse modifiers: name -> its value, None for nothing."""
     given = {}
     for word in words:
         name, equals, kind = word.partition("=")
@@ -89,7 +55,7 @@ def _modifiers(words, text):
             raise InputError(f"modifier {name!r} takes no value, got {word!r}")
         if equals and kind not in KINDS:
             raise unknown(f"kind of {name!r}:", kind, KINDS)
-        given[name] = kind if equals else None
+        given[name] = (kind if equals else "holz") if name == "segment" else None
     return given
 
 
@@ -112,7 +78,7 @@ def _value(key, value, default, text):
 
 
 def _given(tail, allowed, head, text):
-    """Parse parameters from `key=value,...`: dict."""
+    """Parse parameters from `key=value,...`."""
     given = {}
     for item in tail.split(",") if tail else ():
         key, equals, value = item.partition("=")
@@ -125,10 +91,6 @@ def _given(tail, allowed, head, text):
     return given
 
 
-def _modified(policy, modifiers, more):
-    return segmented(policy, modifiers["segment"] or "holz", **more) if "segment" in modifiers else policy
-
-
 def _unknown(name, rest):
     """Return the error for an unknown name; for a file it tells how its module is named."""
     if re.fullmatch(r":[A-Za-z_]\w*([+:].*)?", rest):
@@ -139,6 +101,24 @@ def _unknown(name, rest):
     if os.path.isfile(f"{name}.py"):
         return InputError(f"unknown strategy {name!r}: a function of {name}.py is named like {name}:function")
     return unknown("strategy", name, known_names(), SYNONYMS)
+
+
+def _build(
+    name: str, make: Any, given: Mapping[str, Any], modifiers: Mapping[str, str | None], taken: Iterable[str] = ()
+) -> Strategy:
+    """Make a strategy of a score, constructor or `Policy`, its parameters and those of its modifiers.
+
+    Parameters that are called like those `taken`, or like a modifier's, are refused.
+    """
+    kind = modifiers.get("segment")
+    of_rooms = KINDS[kind] if kind else ()
+    for key in parameters(make):
+        if key in taken or key in of_rooms:
+            raise InputError(f"{described(make)} has a parameter {key!r}, which is one of the modifiers': rename it")
+    policy = policy_from(make, {key: value for key, value in given.items() if key not in of_rooms})
+    if kind:
+        policy = segmented(policy, kind, **{key: value for key, value in given.items() if key in of_rooms})
+    return with_exact_numbers(Strategy(name, policy, "recheck" in modifiers))
 
 
 def parse_strategy(text: str) -> Strategy:
@@ -157,26 +137,20 @@ def parse_strategy(text: str) -> Strategy:
     """
     foreign = _FOREIGN.match(text)
     if foreign and not foreign["module"].endswith(".py") and entry_of(foreign["module"]) is None:
-        entry: Entry | None = Entry(import_object(foreign["module"], foreign["name"]), is_own=True)
-        name, rest = foreign[0], text[foreign.end() :]
+        make, name = import_object(foreign["module"], foreign["name"]), foreign[0]
     else:
-        match = re.match(r"[^+:]*", text)
-        name = match[0] if match else ""
-        entry, rest = entry_of(name), text[len(name) :]
-    if entry is None:
-        raise _unknown(name, rest)
-    words, colon, tail = rest.partition(":")
+        name = re.split("[+:]", text, maxsplit=1)[0]
+        entry = entry_of(name)
+        if entry is None:
+            raise _unknown(name, text[len(name) :])
+        make = entry.make
+    words, colon, tail = text[len(name) :].partition(":")
     modifiers = _modifiers(words.split("+")[1:], text)
-    own = _defaults(entry.make)
-    more = _modifier_parameters(modifiers)
-    _require_apart(entry.make, own, more)
     if colon and not tail:
         raise InputError(f"expected key=value after the colon in {text!r}")
-    given = _given(tail, own | more, name + words, text)
-    mine = {key: value for key, value in given.items() if key in own}
-    policy = policy_from(entry.make, mine) if entry.is_own else entry.make(**mine)
-    policy = _modified(policy, modifiers, {key: value for key, value in given.items() if key not in own})
-    return with_exact_numbers(Strategy(text, policy, "recheck" in modifiers))
+    of_rooms = KINDS[modifiers["segment"]] if "segment" in modifiers else ()
+    allowed = parameters(make) | {key: value for key, value in parameters(segmented).items() if key in of_rooms}
+    return _build(text, make, _given(tail, allowed, name + words, text), modifiers)
 
 
 def strategy(
@@ -201,38 +175,24 @@ def strategy(
     if isinstance(what, (Strategy, str)):
         if name is not None or recheck or segment or given:
             raise InputError(f"{getattr(what, 'name', what)!r} says itself how it is modified: give nothing else")
-        return parse_strategy(what) if isinstance(what, str) else _checked(what)
+        return parse_strategy(what) if isinstance(what, str) else _checked_strategy(what)
     if not isinstance(recheck, bool) or not isinstance(segment, (bool, str)):
         raise InputError(f"recheck must be True or False and segment also a kind, got {recheck!r} and {segment!r}")
     kind = {True: "holz", False: None}[segment] if isinstance(segment, bool) else segment
     if kind is not None and kind not in KINDS:
         raise unknown("kind of segment:", kind, KINDS)
-    own, base = _defaults(what), name_of(what)
+    parameters(what)  # refuses anything else
+    base = name_of(what)
     if name is None and base is None:
         raise InputError(f"{described(what)} has no name: jx.strategy(..., name=...)")
     _require_name(base if name is None else name)
-    _require_apart(what, own, {"name", "recheck", "segment", *(KINDS[kind] if kind else ())})
-    words = ("+recheck" if recheck else "") + (f"+segment={kind}" if kind else "")
-    of_rooms = {key for key in (KINDS[kind] if kind else ()) if key not in own}
-    policy = _modified(
-        policy_from(what, {key: value for key, value in given.items() if key not in of_rooms}),
-        {"segment": kind} if kind else {},
-        {key: value for key, value in given.items() if key in of_rooms},
-    )
-    made = with_exact_numbers(Strategy(name or f"{base}{words}", policy, recheck))
-    tail = ",".join(
-        f"{key}={shown(value) if isinstance(value, int) else value}"
-        for key, value in given.items()
-        if isinstance(value, (int, float, str, os.PathLike))
-    )
-    return made if name or not tail else made._replace(name=f"{made.name}:{tail}")
-
-
-def _require_apart(make, own, others):
-    """Refuse parameters that would be taken for those of the modifiers."""
-    for key in own:
-        if key in others:
-            raise InputError(f"{described(make)} has a parameter {key!r}, which is one of the modifiers': rename it")
+    modifiers = ({"recheck": None} if recheck else {}) | ({"segment": kind} if kind else {})
+    if name is None:
+        name = "+".join([base or "", *(f"{key}={value}" if value else key for key, value in modifiers.items())])
+        told = {k: v for k, v in given.items() if isinstance(v, (int, float, str, os.PathLike))}
+        tail = ",".join(f"{key}={shown(value) if isinstance(value, int) else value}" for key, value in told.items())
+        name = f"{name}:{tail}" if tail else name
+    return _build(name, what, given, modifiers, ("name", "recheck", "segment"))
 
 
 def _require_name(name):
@@ -240,7 +200,7 @@ def _require_name(name):
         raise InputError(f"a strategy's name must be text, got {name!r}")
 
 
-def _checked(given):
+def _checked_strategy(given):
     """Check a `Strategy` made or kept by a user, and bring its functions up to date."""
     _require_name(given.name)
     if not isinstance(given.policy, Policy):

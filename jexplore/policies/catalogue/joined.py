@@ -64,7 +64,7 @@ def _joined(policies):
     return Joined(policies)
 
 
-def joined(strategies: Sequence[Strategy]) -> list[Strategy]:
+def join_strategies(strategies: Sequence[Strategy]) -> list[Strategy]:
     """Make strategies share a program, one for each that is given, in order.
 
     A lone one stays unchanged, and so does a user's, which may be changed and compiled again without the others. Those

@@ -1,4 +1,4 @@
-"""Features of every frontier cluster for a learned strategy: numbers of about 1, lengths divided by `UNIT_M`."""
+"""Features of every frontier cluster for a learned strategy: numbers of about 1, lengths over `FEATURE_UNIT_M`."""
 
 import math
 
@@ -8,38 +8,42 @@ from jax import Array
 from jexplore.arrays.loops import repeat
 from jexplore.grid import count, is_known
 from jexplore.planning import Belief
-from jexplore.policies.clusters import Targets, apart, unknown_from
+from jexplore.policies.clusters import Targets, paths_apart, unknown_from
 from jexplore.policies.distance_advantage import mean_apart
 from jexplore.raycast import Beams
 
-MOST = 32  # clusters that are told apart, the nearest ones
-UNIT_M = 10.0
+SCORED_CLUSTERS = 32  # clusters that are told apart, the nearest ones
+FEATURE_UNIT_M = 10.0
 RADII_M = (2.0, 4.0, 8.0)
 POCKET_M2 = 15.0  # area of which a pocket has no more
 AROUND_M = 4.0  # radius in which unknown cells at other clusters count
 STAY_M = 3.0  # how far the last target's neighbourhood reaches
-NAMES = (
-    "path",  # of the robot, UNIT_M
-    "size",  # frontier cells side by side, UNIT_M
-    *("side within 2 m", "side within 4 m", "side within 8 m"),  # of a square as large as the unknown area seen, UNIT_M
+FEATURES = (
+    "path",  # of the robot
+    "size",  # frontier cells side by side
+    *(
+        "side within 2 m",
+        "side within 4 m",
+        "side within 8 m",
+    ),  # of a square as large as the unknown area seen
     "pocket",  # 1 where nothing unknown is behind it, 0 where there is much
-    "others",  # mean distance from the other clusters, UNIT_M
+    "others",  # mean distance from the other clusters
     "others by area",  # the same, each counted by the unknown area that a look would show there
-    "nearest other",  # UNIT_M
+    "nearest other",  # distance from the nearest other
     "turn",  # from the robot's heading to where it lies: 0 ahead, 1 behind
-    "home",  # distance from the start, UNIT_M
+    "home",  # distance from the start
     "last",  # 1 where the last target was, 0 far from there
-    "detour",  # how much longer a tour of all clusters is that begins with it than one that begins best, UNIT_M
-    "side near",  # side of the unknown area seen from it and, the less the farther, from the others near it, UNIT_M
+    "detour",  # how much longer a tour of all clusters is that begins with it than one that begins best
+    "side near",  # side of the unknown area seen from it and, the less the farther, from the others near it
     "known",  # share of the cells of the map that are known, the same for all clusters
 )
-"""The features, in order. Models name those that they were trained with."""
+"""The features, in order; lengths over `FEATURE_UNIT_M`. Models name those that they were trained with."""
 
 
 def shortlist(at: Targets) -> Targets:
-    """Return the `MOST` nearest targets, in the order of their paths; the others are counted."""
-    order = jnp.argsort(at.path_m, stable=True)[:MOST]
-    left_out = jnp.maximum(jnp.sum(at.used, dtype=jnp.int32) - MOST, 0)
+    """Return the `SCORED_CLUSTERS` nearest targets, in the order of their paths; the others are counted."""
+    order = jnp.argsort(at.path_m, stable=True)[:SCORED_CLUSTERS]
+    left_out = jnp.maximum(jnp.sum(at.used, dtype=jnp.int32) - SCORED_CLUSTERS, 0)
     row, col, used, path_m, size = (a[order] for a in (at.row, at.col, at.used, at.path_m, at.size))
     return Targets(row, col, used, path_m, size, at.overflow + left_out)
 
@@ -47,12 +51,7 @@ def shortlist(at: Targets) -> Targets:
 def detours(at: Targets, apart_m: Array) -> Array:
     """Compute the cost of beginning with each target: open tours of all, always on to the nearest unvisited one.
 
-    Args:
-      at: `Targets`, M of them.
-      apart_m: `[M, M]` float32, see `clusters.apart`. Unreachable ones are left out.
-
-    Returns:
-      `[M]` float32, metres beyond the shortest of these tours; 0 in an unused slot.
+    `[M]` float32, metres beyond the shortest of these tours; 0 in an unused slot. Unreachable targets are left out.
     """
     n = len(at.used)
     slots = jnp.arange(n)
@@ -75,20 +74,13 @@ def detours(at: Targets, apart_m: Array) -> Array:
 
 
 def features(belief: Belief, at: Targets, last: Array, beams: Beams) -> Array:
-    """Compute the features of some targets.
+    """Compute the features of M targets: `[M, F]` float32, in the order of `FEATURES`; 0 in an unused slot.
 
-    Args:
-      belief: `Belief`.
-      at: `Targets`, M of them.
-      last: `[2]` int32, row and col of the last target; -1 for none.
-      beams: `Beams`.
-
-    Returns:
-      `[M, F]` float32, in the order of `NAMES`; 0 in an unused slot.
+    `last`: `[2]` int32, row and col of the last target; -1 for none.
     """
     cell_m = belief.model.cell_m
     unknown = unknown_from(belief, at, beams, RADII_M).astype(jnp.float32) * cell_m**2
-    apart_m = apart(belief, at)
+    apart_m = paths_apart(belief, at)
     nearest = jnp.min(jnp.where(jnp.eye(len(at.used), dtype=bool), jnp.inf, apart_m), axis=1)
     drow, dcol = at.row - belief.row, at.col - belief.col
     bearing = jnp.arctan2(drow.astype(jnp.float32), dcol.astype(jnp.float32))
@@ -98,18 +90,18 @@ def features(belief: Belief, at: Targets, last: Array, beams: Beams) -> Array:
         return cell_m * jnp.hypot((at.row - row).astype(jnp.float32), (at.col - col).astype(jnp.float32))
 
     columns = [
-        at.path_m / UNIT_M,
-        at.size * cell_m / UNIT_M,
-        *(jnp.sqrt(unknown) / UNIT_M),
+        at.path_m / FEATURE_UNIT_M,
+        at.size * cell_m / FEATURE_UNIT_M,
+        *(jnp.sqrt(unknown) / FEATURE_UNIT_M),
         jnp.exp(-unknown[-1] / POCKET_M2),
-        mean_apart(apart_m, at.used) / UNIT_M,
-        mean_apart(apart_m, at.used, unknown[-1]) / UNIT_M,
-        jnp.where(jnp.isfinite(nearest), nearest, 0.0) / UNIT_M,
+        mean_apart(apart_m, at.used) / FEATURE_UNIT_M,
+        mean_apart(apart_m, at.used, unknown[-1]) / FEATURE_UNIT_M,
+        jnp.where(jnp.isfinite(nearest), nearest, 0.0) / FEATURE_UNIT_M,
         turn,
-        away_m(belief.start[0], belief.start[1]) / UNIT_M,
+        away_m(belief.start[0], belief.start[1]) / FEATURE_UNIT_M,
         jnp.where(last[0] >= 0, jnp.exp(-away_m(last[0], last[1]) / STAY_M), 0.0),
-        detours(at, apart_m) / UNIT_M,
-        jnp.sqrt(jnp.exp(-apart_m / AROUND_M) @ unknown[-1]) / UNIT_M,
+        detours(at, apart_m) / FEATURE_UNIT_M,
+        jnp.sqrt(jnp.exp(-apart_m / AROUND_M) @ unknown[-1]) / FEATURE_UNIT_M,
         jnp.full(at.row.shape, count(is_known(belief.grid)) / (belief.extent[0] * belief.extent[1])),
     ]
     return jnp.where(at.used[:, None], jnp.stack(columns, axis=1), 0.0)

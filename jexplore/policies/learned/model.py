@@ -15,8 +15,8 @@ from jexplore.config import InputError, shown
 from jexplore.engine.draws import random_key
 from jexplore.policies.learned import features, networks
 
-FORMAT = 1  # of the files
-MOST_BYTES = 2**28  # of a file that is read: 64 million weights
+MODEL_FORMAT = 1  # of the files
+MAX_MODEL_BYTES = 2**28  # of a file that is read: 64 million weights
 SHIPPED = Path(__file__).parent / "models" / "default.msgpack"
 """The model that comes with the package."""
 
@@ -29,7 +29,7 @@ class Model(NamedTuple):
     made: Mapping[str, Any] = {}  # how: command, seed, worlds, curve
 
 
-def digest(weights: Any) -> str:
+def weights_digest(weights: Any) -> str:
     """Return SHA-256 of some weights, in hexadecimal digits."""
     found = hashlib.sha256()
     for path, leaf in jax.tree.leaves_with_path(weights):
@@ -45,11 +45,7 @@ def is_finite(weights: Any) -> bool:
 
 
 def require_sound(model: Model, told: str = "model") -> None:
-    """Refuse weights that are not those of their network.
-
-    Args:
-      model: `Model`.
-      told: what the message calls it.
+    """Refuse weights that are not those of their network. The message calls the model as `told`.
 
     Raises:
       InputError: an unknown network, other names or shapes, or numbers that are not finite.
@@ -66,7 +62,7 @@ def require_sound(model: Model, told: str = "model") -> None:
 
 def _blank(network):
     """Return weights of a network, all 0."""
-    shapes = jax.eval_shape(lambda: networks.begin(network, random_key(0), len(features.NAMES)))
+    shapes = jax.eval_shape(lambda: networks.initial_weights(network, random_key(0), len(features.FEATURES)))
     return jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), shapes)
 
 
@@ -79,8 +75,8 @@ def write_weights(path: Path, model: Model) -> None:
 
 def write_page(path: Path, model: Model) -> None:
     """Write the description of a model and its training, in JSON."""
-    own = {"format": FORMAT, "network": model.network, "features": list(features.NAMES)}
-    page = {**model.made, **own, "sha256": digest(model.weights)}
+    own = {"format": MODEL_FORMAT, "network": model.network, "features": list(features.FEATURES)}
+    page = {**model.made, **own, "sha256": weights_digest(model.weights)}
     path.write_text(json.dumps(page, indent=1) + "\n", encoding="utf-8")
 
 
@@ -99,18 +95,18 @@ def load_model(path: str | os.PathLike[str]) -> Model:
     file = Path(os.path.expanduser(path)).with_suffix(".msgpack")
     told = f"model {os.fspath(file)!r}"
     try:
-        page = read_json(file.with_suffix(".json"), MOST_BYTES)
-        content = read_bytes(file, MOST_BYTES)
+        page = read_json(file.with_suffix(".json"), MAX_MODEL_BYTES)
+        content = read_bytes(file, MAX_MODEL_BYTES)
     except InputError as error:
         raise InputError(f"{told} cannot be read: {error}") from error
     page = page if isinstance(page, dict) else {}
-    if page.get("format") != FORMAT:
+    if page.get("format") != MODEL_FORMAT:
         got = shown(page.get("format"))
-        raise InputError(f"{told} must be of format {FORMAT}, got {got}: train it again with this version")
+        raise InputError(f"{told} must be of format {MODEL_FORMAT}, got {got}: train it again with this version")
     name = page.get("network")
     if not isinstance(name, str) or name not in networks.NETWORKS:
         raise InputError(f"{told}: its network must be one of {', '.join(networks.NETWORKS)}, got {shown(name)}")
-    if page.get("features") != list(features.NAMES):
+    if page.get("features") != list(features.FEATURES):
         raise InputError(f"{told} was trained with other features than this version has: train it again")
     try:
         weights = serialization.from_bytes(_blank(name), content)
@@ -118,6 +114,6 @@ def load_model(path: str | os.PathLike[str]) -> Model:
     except Exception as error:  # msgpack and flax raise many kinds of errors for a file cut short
         raise InputError(f"{told} is damaged: {first_line(error)}") from error
     require_sound(model, told)
-    if digest(model.weights) != page.get("sha256"):
+    if weights_digest(model.weights) != page.get("sha256"):
         raise InputError(f"{told}: the weights are not those that its JSON file tells of")
     return model

@@ -46,7 +46,7 @@ NETWORKS: dict[str, Callable[[], Any]] = {"linear": Linear, "attention": Attenti
 """Name -> constructor."""
 
 
-def network(name: str) -> Any:
+def network_named(name: str) -> Any:
     """Return a network by its name.
 
     Raises:
@@ -61,30 +61,24 @@ PLAIN = {"linear": "weights", "attention": "plain"}
 """Name -> which of its parameters is the weighted sum of the features."""
 
 
-def begin(name: str, key: Array, n_features: int) -> Any:
+def initial_weights(name: str, key: Array, n_features: int) -> Any:
     """Return weights before training: a pytree of float32 arrays. The weighted sum is that of `closest`.
 
-    Args:
-      name: of the network.
-      key: consumed.
-      n_features: F.
+    The key is consumed.
     """
     blank = jnp.zeros((1, n_features)), jnp.ones((1,), bool)
-    weights = network(name).init(key, *blank)["params"]
+    weights = network_named(name).init(key, *blank)["params"]
     return weights | {PLAIN[name]: weights[PLAIN[name]].at[0].set(-1.0)}
 
 
 def scores(name: str, weights: Any, features: Array, used: Array) -> Array:
-    """Compute scores of clusters.
+    """Compute scores of clusters: `[..., M]` float32; `MASKED` in an unused slot.
 
     Args:
       name: of the network.
-      weights: from `begin`, or trained.
+      weights: from `initial_weights`, or trained.
       features: `[..., M, F]` float32.
       used: `[..., M]` bool.
-
-    Returns:
-      `[..., M]` float32; `MASKED` in an unused slot.
     """
-    found = network(name).apply({"params": weights}, features, used)
+    found = network_named(name).apply({"params": weights}, features, used)
     return jnp.where(used, found, MASKED)

@@ -15,13 +15,13 @@ from jax import Array
 from jexplore.arrays.loops import run_if
 from jexplore.planning import Belief, Choice, field
 from jexplore.policies.clusters import Targets, go_to, targets
-from jexplore.policies.learned.features import NAMES, features, shortlist
+from jexplore.policies.learned.features import FEATURES, features, shortlist
 from jexplore.policies.learned.model import SHIPPED, Model, load_model
 from jexplore.policies.learned.networks import MASKED, scores
 from jexplore.policies.policy import Policy
 from jexplore.raycast import Beams
 
-TINY_M = 0.5  # a target as near as this is taken without asking
+FORCED_M = 0.5  # a target as near as this is taken without asking
 
 
 def init(params: Any, belief: Belief) -> Array:
@@ -30,15 +30,11 @@ def init(params: Any, belief: Belief) -> Array:
 
 
 def is_forced(at: Targets) -> Array:
-    """Return whether the choice is forced: at most one target, or the nearest is `TINY_M` away or less: bool.
-
-    Args:
-      at: `Targets`, the nearest first.
-    """
-    return (jnp.sum(at.used, dtype=jnp.int32) < 2) | (at.path_m[0] <= TINY_M)
+    """Return whether the choice is forced: at most one target, or the first within `FORCED_M`."""
+    return (jnp.sum(at.used, dtype=jnp.int32) < 2) | (at.path_m[0] <= FORCED_M)
 
 
-def judged(network: str, weights: Any, at: Targets, tell: Callable[[], Array]) -> tuple[Array, Array]:
+def score_targets(network: str, weights: Any, at: Targets, tell: Callable[[], Array]) -> tuple[Array, Array]:
     """Score some targets; if the choice is forced, the nearest is above all others.
 
     Args:
@@ -50,14 +46,14 @@ def judged(network: str, weights: Any, at: Targets, tell: Callable[[], Array]) -
     Returns:
       `[K]` float32, scores; `[K, F]` float32, features, 0 for a forced choice.
     """
-    forced, size = is_forced(at), (len(at.used), len(NAMES))
+    forced, size = is_forced(at), (len(at.used), len(FEATURES))
     told = run_if(~forced, lambda _: tell(), jnp.zeros(size, jnp.float32))
     nearest = jnp.where(jnp.arange(size[0]) == 0, 0.0, MASKED)
     return jnp.where(forced, nearest, scores(network, weights, told, at.used)), told
 
 
 @dataclasses.dataclass(frozen=True)
-class Select:
+class NetworkSelect:
     """The `select` of a network; equal for the same one, so compiled once."""
 
     network: str
@@ -67,7 +63,7 @@ class Select:
     ) -> tuple[Array, Choice, Array]:
         known = field(belief)
         at = shortlist(targets(belief, known))
-        found, _ = judged(self.network, params, at, lambda: features(belief, at, carry, beams))
+        found, _ = score_targets(self.network, params, at, lambda: features(belief, at, carry, beams))
         which = jnp.where(at.used[0], jnp.argmax(found).astype(jnp.int32), -1)
         choice, route = go_to(belief, route, known, at, which)
         return jnp.stack([choice.row, choice.col]), choice, route
@@ -75,7 +71,7 @@ class Select:
 
 def policy_of(model: Model) -> Policy:
     """Return the policy of a model."""
-    return Policy(init, Select(model.network), model.weights)
+    return Policy(init, NetworkSelect(model.network), model.weights)
 
 
 def learned(path: Path = Path("shipped")) -> Policy:

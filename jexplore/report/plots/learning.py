@@ -1,4 +1,4 @@
-"""Curves of training, and the dependence of a model's score on its features."""
+"""Curves of training."""
 
 from typing import Any
 
@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 TRAINED, CHECKED = "#9ecae1", "#d55e00"
-FEATURES_ACROSS = 5  # panels
 
 
 def training_figure(curve: Any, best: int) -> Figure:
@@ -26,28 +25,4 @@ def training_figure(curve: Any, best: int) -> Figure:
     ax.plot([best], at.to_numpy()[:1], marker="o", ms=9, mfc="none", mec=CHECKED, ls="none", label="kept")
     ax.set(xlabel="round", ylabel="path, as a ratio to closest+recheck")
     ax.legend(frameon=False, fontsize=8)
-    return page
-
-
-def dependence_figure(table: Any) -> Figure:
-    """Draw the score as a function of each feature: a curve for each, the most influential first.
-
-    Args:
-      table: from `learn.dependence.dependence`.
-    """
-    spread = table.groupby("feature")["score"].agg(lambda a: a.max() - a.min()).sort_values(ascending=False)
-    rows = -(-len(spread) // FEATURES_ACROSS)
-    page = Figure(figsize=(9.0, 1.9 * rows), layout="constrained")
-    axes = page.subplots(rows, FEATURES_ACROSS, sharey=True, squeeze=False)
-    for ax, name in zip(axes.flat, spread.index):
-        own = table[table["feature"] == name]
-        ax.axhline(0.0, color="0.8", lw=0.8)
-        ax.plot(own["value"], own["score"], color="#d55e00", marker="o", ms=2.5, lw=1.2)
-        ax.set_title(name, fontsize=8)
-        ax.tick_params(labelsize=7)
-    for ax in axes.flat[len(spread) :]:
-        ax.set_visible(False)
-    for row in axes:
-        row[0].set_ylabel("score", fontsize=8)
-    page.supxlabel("value of the feature", fontsize=8)
     return page

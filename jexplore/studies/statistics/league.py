@@ -1,7 +1,6 @@
 """Strategies over many worlds: path lengths relative to a reference, and ranks."""
 
 import math
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -122,17 +121,12 @@ def _verdict(row):
     return "not distinguishable" if row["p_holm"] >= 0.05 else "shorter" if row["ratio"] < 1 else "longer"
 
 
-def standings_table(table: "pd.DataFrame", plan_ms: Mapping[str, float] | None = None) -> str:
-    """Format standings as one aligned Markdown table. The reference differs at the 5 % level of the corrected p.
-
-    Args:
-      table: from `standings`.
-      plan_ms: `{strategy: milliseconds a plan}`, or None.
-    """
+def standings_table(table: "pd.DataFrame") -> str:
+    """Format `standings` as one aligned Markdown table. The reference differs at the 5 % level of the corrected p."""
     kinds = [name for name in table.columns if name.startswith("ratio of ")]
     kinds = kinds if len(kinds) > 1 else []
     head = ["strategy", "ratio to the reference", "p (Holm)", "", "shorter, % of starts", "IQM of ratios", "mean rank"]
-    head += ["best in", *(k.removeprefix("ratio of ") for k in kinds), "COMPLETE"] + (["ms a plan"] if plan_ms else [])
+    head += ["best in", *(k.removeprefix("ratio of ") for k in kinds), "COMPLETE"]
     lines = []
     for row in table.to_dict("records"):
         line = [row["strategy"], ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"]), p_text(row["p_holm"])]
@@ -141,8 +135,7 @@ def standings_table(table: "pd.DataFrame", plan_ms: Mapping[str, float] | None =
         line += [ratio_text(row["iqm"], row["iqm_low"], row["iqm_high"])]
         rank = _with_interval(row["rank"], row["rank_low"], row["rank_high"], decimals=1)
         line += [rank, f"{row['best']} of {row['worlds']}"]
-        line += [*(number_text(row[k], 3) for k in kinds), f"{row['complete']:.0%}"]
-        lines.append(line + ([number_text(plan_ms.get(row["strategy"], math.nan), 2)] if plan_ms else []))
+        lines.append([*line, *(number_text(row[k], 3) for k in kinds), f"{row['complete']:.0%}"])
     return aligned_table(head, lines, left=["strategy", ""])
 
 

@@ -14,7 +14,7 @@ from jexplore.config import InputError, Lidar, Rules, require_different
 from jexplore.exploration.batch import Job
 from jexplore.exploration.site import COARSE_M, reach_d2
 from jexplore.policies import Strategy
-from jexplore.policies.catalogue.joined import joined
+from jexplore.policies.catalogue.joined import join_strategies
 from jexplore.raycast import scans_all_round
 from jexplore.report.ledger import ShorterRuns
 from jexplore.studies.checks import (
@@ -78,7 +78,7 @@ class SweepPlan:
     @functools.cached_property
     def together(self) -> list[Strategy]:
         """Make the strategies share a program."""
-        return joined(self.strategies)
+        return join_strategies(self.strategies)
 
     @functools.cached_property
     def alike(self) -> list[tuple[Lidar, Rules]]:
