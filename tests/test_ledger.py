@@ -293,13 +293,13 @@ def test_growing_loses_nothing_when_it_is_ended(tmp_path, monkeypatch):
 @pytest.mark.parametrize("finished", [False, True])
 def test_a_strategy_that_cannot_be_told_is_trusted_or_refused(tmp_path, finished):
     def opened(own, **how):
-        asked = {**ASKED, "own": own}
+        asked = {**ASKED, "own": {f"strategy {name!r}": digest for name, digest in own.items()}}
         with claimed(tmp_path, resume=True) as run:
             if finished:
                 return ledger.is_finished(run, asked, 4, **how)
             return ledger.Ledger(run, asked, 4, resume=True, **how).done
 
-    asked = {**ASKED, "own": {"mine": "a", "asks": None}}
+    asked = {**ASKED, "own": {"strategy 'mine'": "a", "strategy 'asks'": None}}
     with claimed(tmp_path) as run:
         if finished:
             page = {"asked": ledger.jsonable(asked), "units": 4}

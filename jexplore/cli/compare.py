@@ -12,6 +12,7 @@ from jexplore.cli.options import (
     STRATEGIES,
     EngineName,
     MapFile,
+    MetricNames,
     OutFolder,
     OwnNames,
     PolygonText,
@@ -68,6 +69,9 @@ class Compare:
     from_map: MapFile = None
     """Go on from a partial map of the same cells, such as explored.yaml of `jexplore explore`: what it shows is known
     from the beginning, and drawn starts lie where it shows free floor."""
+    metric: MetricNames = ()
+    """Add columns of your own: functions of an episode in a module here or installed, such as mine:crowding;
+    name=mine:crowding names the column."""
     league: bool = False
     """Run every strategy in 48 worlds of six kinds (in cells over 0.2 m: 40 of five), unless --worlds and --strategies
     say otherwise. Print who ranks where over all worlds, and what a plan costs, and write league.png instead of the
@@ -128,6 +132,7 @@ class Compare:
                 from_map=self.from_map,
                 lidar=self.lidar,
                 rules=self.rules,
+                metrics=self.metric,
             )
             tasks, reported = self._bound_tasks(jobs), jobs if self.report else None
             ran = run_with_bar(self, jobs, out, tasks)

@@ -15,7 +15,7 @@ from jexplore.arrays import bits
 from jexplore.arrays.loops import run_if, stored
 from jexplore.distance import within_packed
 from jexplore.engine.program import Given
-from jexplore.exploration import trail
+from jexplore.exploration import metrics, trail
 from jexplore.exploration.motion import motion_step, turn_between
 from jexplore.exploration.sensing import first_tally, sense, stacked, uncounted
 from jexplore.exploration.state import Outcome, Setup, State, Stream, no_counts
@@ -144,7 +144,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     here, near = (row == 0) & (col == 0), row * row + col * col <= numbers.arrival_d2
     due = walking & (here | (state.bumped >= 0) | (state.unscanned >= numbers.scan_every))
     state = state.replace(unscanned=jnp.where(due, 0, state.unscanned))
-    state = trail.note_step(sense(setup, given, state, due), walking)
+    state = metrics.take_stock(setup, given, trail.note_step(sense(setup, given, state, due), walking), walking)
     live = is_live(state.belief, *state.target)
     if setup.policy.live is not None:
         asked = state.is_view & state.walking & (numbers.recheck | near)
@@ -343,4 +343,5 @@ def begin(setup: Setup, given: Given) -> State:
         turned = (belief.heading + 8 // setup.first_scans) % 8
         return state.replace(heading=turned, belief=state.belief.replace(heading=turned))
 
-    return trail.note_step(lax.fori_loop(0, setup.first_scans, look_round, state))
+    state = trail.note_step(lax.fori_loop(0, setup.first_scans, look_round, state))
+    return metrics.take_stock(setup, given, state, state.row >= 0)

@@ -15,6 +15,7 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.program import Given, Line
 from jexplore.exploration import environment
 from jexplore.exploration.episode import program_of
+from jexplore.exploration.metrics import Metric, traced_metrics
 from jexplore.exploration.state import Numbers, Setup, Truth
 from jexplore.exploration.trail import record_of
 from jexplore.grid import in_cells, radius_d2
@@ -71,14 +72,20 @@ def _traced(site, strategy, numbers):
     """Return the policy of a strategy; a user's is traced here, and refused if its result is wrong."""
     if not adapt.is_theirs(strategy.policy):
         return strategy.policy
+    _, belief = _example(site, numbers)
+    route = jax.ShapeDtypeStruct(site.truth.occupied.shape, np.int8)
+    return adapt.traced_policy(strategy.policy, numbers.params, belief, site.beams, route)
+
+
+def _example(site, numbers):
+    """Return a `Given` of a site, and the shapes of the belief that it begins with, for tracing users' functions."""
     truth = jax.tree.map(lambda a: a[None], site.truth)
     task = np.zeros(3, np.int32)
     # Ignored types: numpy on the host, where the record says what it is on the device.
     given = Given(np.zeros((), np.int32), site.beams, truth, np.int32(0), numbers, task)  # type: ignore[arg-type]
     belief = jax.eval_shape(environment.blank_belief, given)
-    belief = belief.replace(model=belief.model.replace(native=None))  # told by what it computes, by whatever code
-    route = jax.ShapeDtypeStruct(site.truth.occupied.shape, np.int8)
-    return adapt.traced_policy(strategy.policy, numbers.params, belief, site.beams, route)
+    # A function is told by what it computes, by whatever code.
+    return given, belief.replace(model=belief.model.replace(native=None))
 
 
 def prepare_site(
@@ -89,6 +96,7 @@ def prepare_site(
     *,
     native: str | None = None,
     alike: Sequence[tuple[Lidar, Rules]] = (),
+    metrics: Sequence[Metric] = (),
 ) -> Site:
     """Prepare a world: add a ring if needed, pad it and trace the scanner's beams.
 
@@ -101,15 +109,20 @@ def prepare_site(
         JAX does.
       alike: scanners and rules of other runs. The static config then suits all of them whose scanner has as many beams,
         so that they share a program; results are the same.
+      metrics: of every episode. For those after every motion JAX drives.
 
     Returns:
       `Site` of numpy arrays.
+
+    Raises:
+      InputError: a metric that raises, returns no number, or is not pure.
     """
     ring, world = ring_of(world.occupied), with_ring(world)
     shape = shape or (bucket(world.shape[0]), bucket(world.shape[1]))
     truth = _truth(world, shape)
     limit = limit_of(world.shape)
     everyone = [(lidar, rules), *(pair for pair in alike if pair[0].n_beams == lidar.n_beams)]
+    native = None if any(metric.reduce for metric in metrics) else native
     setup = _setup(everyone, world.cell_m, shape, limit, native)
     # Ignored types: numpy on the host, where the record says what it is on the device.
     model = MapModel(
@@ -133,7 +146,10 @@ def prepare_site(
         no_echo_is_free=np.bool_(lidar.no_echo == "free"),  # type: ignore[arg-type]
         params=(),
     )
-    return Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
+    site = Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
+    if not metrics:
+        return site
+    return site._replace(setup=setup._replace(metrics=traced_metrics(metrics, *_example(site, numbers))))
 
 
 def alike(truths: Sequence[Truth]) -> list[Truth]:

@@ -64,6 +64,7 @@ class Setup(NamedTuple):
     noisy: bool  # whether the scanner's noise is simulated
     capacity: int  # T, steps that the trail has room for; at least max_steps
     native: str | None = None  # target of JAX's FFI that drives, see `native.drive`; None: JAX does
+    metrics: tuple[Any, ...] = ()  # `metrics.Metric`s
 
 
 @struct.dataclass
@@ -106,6 +107,8 @@ class Result:
     saturated: Array  # int32, cells out of reach at the end because their cost does not fit (see `reach.saturated`)
     refused: Array  # int32, steps refused because the cell ahead was not free
     overflow: Array  # int32, things that the strategy had no room for, all plans together
+    metrics: tuple[Any, ...] = ()  # int32 or float32 each, values of `Setup.metrics`
+    replace: ClassVar[Callable[..., Self]]
 
 
 @struct.dataclass
@@ -144,6 +147,7 @@ class State:
     refused: Array
     overflow: Array
     bad_targets: Array  # int32, targets in a row that no path leads to
+    metrics: Any = ()  # how often those after every motion were taken, and a value for each, see `metrics.take_stock`
     replace: ClassVar[Callable[..., Self]]
 
     @property

@@ -253,12 +253,12 @@ def require_same(path: Path, there: Any, here: Mapping[str, Any], *, trust: bool
     for name in () if trust else dict.fromkeys((*is_, *was)):
         if is_.get(name) is None:
             raise InputError(
-                f"{path} holds a run of {name!r}, which calls back into Python, so that nothing tells whether it has "
+                f"{path} holds a run of the {name}, which calls back into Python, so that nothing tells whether it has "
                 "changed since: --trust goes on if you know that it has not, --overwrite begins anew"
             )
         if was.get(name) != is_[name]:
             raise InputError(
-                f"{path} holds another run: its strategy {name!r} computes something else now; choose another folder "
+                f"{path} holds another run: its {name} computes something else now; choose another folder "
                 "or allow overwriting (--overwrite)"
             )
 

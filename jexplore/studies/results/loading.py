@@ -158,6 +158,7 @@ def _comparison(folder, record, command):
         **{name: record[name] for name in ("compile_s", "run_s", "interrupted", "resumed")},
         **_details(folder / DETAILS, episodes),
         made=Made(record=record),
+        metrics=tuple(record.get("asked", {}).get("metrics", ())),
         lidar=Lidar(**record["configuration"]["lidar"]),
         rules=Rules(**record["configuration"]["rules"]),
     )
@@ -177,7 +178,7 @@ def unit_rows(folder: Path) -> "pd.DataFrame":
     for pair, rows in found.episodes.groupby(["world", "strategy"], sort=False):
         world, strategy = pair
         seen = next((one for one in found.first.get(world, []) if one.strategy == strategy), None)
-        table = rows[list(COLUMNS)].reset_index(drop=True)
+        table = rows[[*COLUMNS, *found.metrics]].reset_index(drop=True)
         kept = found.paths.get(pair), found.maps.get(pair)
         tables.append(to_table(Piece(0, table, found.progress[pair], seen, *kept)))
     return pd.concat(tables, ignore_index=True)
@@ -226,11 +227,11 @@ def _require_same_strategies(part, asked, first):
     for name, digest in asked.get("own", {}).items():
         if digest is None:
             raise InputError(
-                f"{part} was made with {name!r}, which calls back into Python, so that nothing tells whether it was "
+                f"{part} was made with the {name}, which calls back into Python, so that nothing tells whether it was "
                 "the same in all parts: --trust if you know that it was"
             )
         if digest != first.get("own", {}).get(name):
-            raise InputError(f"{part} was made with another {name!r}, one that computes something else: make it again")
+            raise InputError(f"{part} was made with another {name}, one that computes something else: make it again")
 
 
 def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, Plan | TracePlan]:

@@ -96,18 +96,24 @@ def commit() -> str | None:
 
 
 def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
-    """Compute digests of strategies that are not determined by their names: users' own and those with weights.
+    """Compute digests of what is not determined by its name: users' strategies, those with weights, users' metrics.
 
     Returns:
-      name -> SHA-256, in hexadecimal digits, of all parameters and of the strategy's traced computation in the jobs'
-      worlds; None if unknown, see `traced.digest`.
+      "strategy 'name'" or "metric 'name'" -> SHA-256, in hexadecimal digits, of all parameters and of the traced
+      computation in the jobs' worlds; None if unknown, see `traced.digest`.
     """
     parts: dict[str, dict[Any, str | None]] = {}
     for job in jobs:
         policy, sides = job.strategy.policy, tuple(bucket(side) for side in ringed_shape(job.world.occupied))
         leaves, theirs = jax.tree.leaves(policy.params), adapt.is_theirs(policy)
         where = sides, job.world.within is None, job.world.cell_m, job.lidar, job.rules
-        own = parts.setdefault(job.strategy.name, {}) if theirs or any(map(np.ndim, leaves)) else None
+        if job.metrics and where not in parts.setdefault(f"metric {next(iter(job.metrics))!r}", {}):
+            assert job.lidar is not None
+            assert job.rules is not None
+            setup = prepare_site(job.world, job.lidar, job.rules, metrics=tuple(job.metrics.values())).setup
+            for name, metric in zip(job.metrics, setup.metrics):
+                parts.setdefault(f"metric {name!r}", {})[where] = metric.digest
+        own = parts.setdefault(f"strategy {job.strategy.name!r}", {}) if theirs or any(map(np.ndim, leaves)) else None
         if own is None or where in own:
             continue
         own["numbers"] = hashlib.sha256(b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in leaves)).hexdigest()
@@ -127,6 +133,7 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
     settings = list(dict.fromkeys((job.lidar, job.rules) for job in jobs))
     episodes = list(dict.fromkeys(len(job.starts) for job in jobs))
     seeds = list(dict.fromkeys(job.seed for job in jobs))
+    measured = {name: metric.reduce or "end" for name, metric in jobs[0].metrics.items()}
     starts = hashlib.sha256(b"".join(np.ascontiguousarray(job.starts, np.int32).tobytes() for job in jobs))
     return {
         "version": __version__,
@@ -139,6 +146,7 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
         "starts": starts.hexdigest(),
         "digests": {name: digest(world) for name, world in worlds.items()},
         "own": own_digests(jobs),
+        **({"metrics": measured} if measured else {}),
     }
 
 

@@ -22,6 +22,7 @@ from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.engine.runner import Costs
 from jexplore.policies.catalogue.entries import STRATEGIES, offered, register
 from jexplore.studies.checks import ready_strategies
+from jexplore.studies.metrics import ready_metrics
 from jexplore.studies.results.provenance import digest
 from jexplore.studies.sweeps.connection import connected, require_ray
 from jexplore.studies.sweeps.plan import Plan
@@ -39,7 +40,7 @@ LOOK_S = 5.0  # seconds after which it is looked again how large the cluster is
 class Order(NamedTuple):
     """Data of a sweep that workers get once."""
 
-    plan: Plan  # without its strategies, which workers make from their names
+    plan: Plan  # without its strategies and metrics, which workers make from their names
     strategies: list[str]
     registered: dict[str, Any]  # what names that were given in the driver stand for
     folder: str  # where the driver stands: names of files and modules are meant from there
@@ -108,7 +109,8 @@ def _prepare(version, reference):
     use_compilation_cache()
     for name, make in order.registered.items():
         register(name, make, replace=True)
-    return order, dataclasses.replace(order.plan, strategies=ready_strategies(order.strategies))
+    own = {"strategies": ready_strategies(order.strategies), "metrics": ready_metrics(order.plan.spec.metrics)}
+    return order, dataclasses.replace(order.plan, **own)
 
 
 def _require_same_worlds(plan, numbers):
@@ -234,7 +236,7 @@ class _Sweep:
         heads = {name.partition(":")[0].partition("+")[0] for name in names}
         own = {head: entry.make for head in heads if (entry := STRATEGIES.get(head)) and entry.is_own}
         registered = {head: make for head, make in own.items() if head not in offered()}
-        bare = dataclasses.replace(self.plan, strategies=[])
+        bare = dataclasses.replace(self.plan, strategies=[], metrics={})
         try:
             return self.ray.put(Order(bare, names, registered, os.getcwd(), self.cpus, self.gpus))
         except (TypeError, pickle.PicklingError) as error:

@@ -12,6 +12,7 @@ import numpy as np
 from jexplore.arrays.padding import bucket
 from jexplore.config import InputError, Lidar, Rules, require_different
 from jexplore.exploration.batch import Job
+from jexplore.exploration.metrics import Metric
 from jexplore.exploration.site import COARSE_M
 from jexplore.grid import radius_d2
 from jexplore.policies import Strategy
@@ -26,6 +27,7 @@ from jexplore.studies.checks import (
     require_different_buildings,
     require_memory,
 )
+from jexplore.studies.metrics import ready_metrics
 from jexplore.studies.results.provenance import digest, own_digests
 from jexplore.studies.results.units import CELL_S, LEAST, UNIT_S
 from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
@@ -71,6 +73,7 @@ class Plan:
     units: list[list[Block]]
     programs: int
     """Programs that are compiled for it."""
+    metrics: dict[str, Metric] = dataclasses.field(default_factory=dict)
 
     @property
     def reference(self) -> str:
@@ -184,7 +187,14 @@ class Plan:
                 kinds.setdefault(key, (world, cell_m, lidar, rules))
         for world, cell_m, lidar, rules in kinds.values():
             for strategy in self.strategies:
-                yield Job(self.world(world, cell_m), strategy, np.zeros((0, 3), int), lidar=lidar, rules=rules)
+                yield Job(
+                    self.world(world, cell_m),
+                    strategy,
+                    np.zeros((0, 3), int),
+                    lidar=lidar,
+                    rules=rules,
+                    metrics=self.metrics,
+                )
 
     def size(self, unit: int) -> int:
         """Return the number of episodes of a unit."""
@@ -220,7 +230,7 @@ class Plan:
         world = self.world(block.world, cell_m)
         starts = self.starts(world, seed, rules.clearance_m, rules.near_m)[block.first : block.first + block.n]
         strategy = self.together[block.strategy]
-        return Job(world, strategy, starts, seed, block.first, lidar, rules, turn)
+        return Job(world, strategy, starts, seed, block.first, lidar, rules, turn, self.metrics)
 
 
 @functools.lru_cache(maxsize=256)
@@ -286,7 +296,8 @@ def prepare_sweep(spec: Sweep) -> Plan:
                 checked.add((world, cell_m, lidar, rules.max_steps))
                 require_memory(loaded, lidar, rules)
     units, programs = _cut(spec, records, shapes, len(strategies), total)
-    return Plan(spec, settings, records, strategies, [own for _, own in listed], shapes, digests, units, programs)
+    parameters, metrics = [own for _, own in listed], ready_metrics(spec.metrics)
+    return Plan(spec, settings, records, strategies, parameters, shapes, digests, units, programs, metrics)
 
 
 def program_key(shape: tuple[int, int], cell_m: float, lidar: Lidar, rules: Rules) -> tuple[Any, ...]:
