@@ -26,7 +26,7 @@ REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
     "min": jnp.minimum,
     "last": lambda so_far, new: new,
 }
-"""How the values after every motion become one: name -> function of the one so far and the new one."""
+"""Ways to make one value of those after every motion: name -> function of the old and the new one."""
 
 
 @checked_names
@@ -99,8 +99,9 @@ def _digest(metric, tree, shapes):
     return found[0]
 
 
+@checked_names
 def metric(function: Any = None, *, every: str = "motion", reduce: str = "mean") -> Any:
-    """Make a metric that is taken after every motion; a bare function is one that is taken at the end.
+    """Make a metric that is taken after every motion; a bare function is taken at the end.
 
     It is taken after the scans at the start, and after every motion with the scan that belongs to it.
 
@@ -148,7 +149,7 @@ def take_stock(setup: Setup, given: Given, state: State, when: Array) -> State:
 
 
 def values_of(setup: Setup, given: Given, state: State) -> tuple[Array, ...]:
-    """Return the values of all metrics so far, in order."""
+    """Return the present values of all metrics, in order."""
     n, values = state.metrics or (None, ())
     noted, seen = iter(values), episode_view(given, state)
 

@@ -60,7 +60,6 @@ class Setup(NamedTuple):
 
     policy: Any  # `Policy` without its parameters; None: the site of no strategy yet
     first_scans: int  # scans all round at the start: 1, 2, 4 or 8
-    window: int  # half width of the square that one scan can change, cells
     noisy: bool  # whether the scanner's noise is simulated
     capacity: int  # T, steps that the trail has room for; at least max_steps
     native: str | None = None  # target of JAX's FFI that drives, see `native.drive`; None: JAX does
@@ -133,7 +132,6 @@ class State:
     came_from: Array  # [2] int32, row and col of the belief before the last motion
     unscanned: Array  # int32, cost of the way driven since the last scan
     known: Array  # int32, known cells among those that are to be known
-    tally: Any  # by which known cells are counted, see `sensing.first_tally`
     room: Array  # int32, the last room stood in; -1 for none yet
     straight: Array  # int32, and so on as in `Result`
     diagonal: Array

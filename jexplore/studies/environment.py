@@ -110,8 +110,7 @@ class Environment:
           lidar: `Lidar`, or a mapping of some of its fields.
           rules: `Rules`, or a mapping of some of its fields.
           recheck: give up a frontier cell as soon as it is no longer live.
-          paths: keep the whole way in the state, for `path`; that takes 8 bytes for every cell of the map, at least 160
-            kB.
+          paths: keep the whole way in the state, for `path`: 8 bytes for every cell of the map, at least 160 kB.
           metrics: more entries of `info`: name -> function of an `EpisodeView`, see `metric`.
 
         Raises:
@@ -121,8 +120,7 @@ class Environment:
         if not isinstance(recheck, bool):
             raise InputError(f"recheck must be True or False, got {recheck!r}")
         use_compilation_cache()
-        own = ready_metrics(metrics)
-        self._metrics = tuple(own)
+        self._metrics = ready_metrics(metrics)
         self.worlds = tuple(ready_worlds(worlds, cell_m))
         sizes = sorted({world.cell_m for world in self.worlds})
         if len(sizes) > 1:
@@ -134,14 +132,14 @@ class Environment:
         rows, cols = (max(bucket(side) for side in sides) for sides in sizes)
         self.shape = rows, cols
         find_resources()  # starts JAX
-        native = drive_for(jax.local_devices()[0].platform).name
+        native, own = drive_for(jax.local_devices()[0].platform).name, tuple(self._metrics.values())
         sites, cells = [], []
         for world in self.worlds:
             require_clearance(world, rules)
             require_memory(world, lidar, rules)
             cells.append(start_cells(world, rules.clearance_m))
             warn_of_floor(world, start_region(world, rules.clearance_m), rules.clearance_m, drawn=True)
-            sites.append(prepare_site(world, lidar, rules, self.shape, native=native, metrics=tuple(own.values())))
+            sites.append(prepare_site(world, lidar, rules, self.shape, native=native, metrics=own))
         capacity = max(site.setup.capacity for site in sites) if paths else 1
         self._setup = sites[0].setup._replace(policy=closest(), capacity=capacity)  # which nobody asks
         truths = alike([site.truth for site in sites])
@@ -208,7 +206,7 @@ class Environment:
           reward: float32, minus the metres driven.
           done: bool, the episode is over: with the step that leaves no frontier, or at a limit of the rules.
           info: dict of `valid`, bool; `outcome`, int32, an `Outcome`; `path_m`, float32, metres driven since the start;
-            `known_m2`, float32, known area; the metrics so far.
+            `known_m2`, float32, known area; the present values of the metrics.
 
         Raises:
           InputError: a key, state or action of a wrong shape or dtype; 64-bit mode.

@@ -96,7 +96,7 @@ def commit() -> str | None:
 
 
 def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
-    """Compute digests of what is not determined by its name: users' strategies, those with weights, users' metrics.
+    """Compute digests of users' metrics and strategies, and of those with weights: their names do not determine them.
 
     Returns:
       "strategy 'name'" or "metric 'name'" -> SHA-256, in hexadecimal digits, of all parameters and of the traced
