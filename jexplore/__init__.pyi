@@ -4,6 +4,7 @@ from jexplore.config import InputError as InputError
 from jexplore.config import InputWarning as InputWarning
 from jexplore.config import Lidar as Lidar
 from jexplore.config import Rules as Rules
+from jexplore.exploration.metrics import metric as metric
 from jexplore.exploration.state import Outcome as Outcome
 from jexplore.learn.training import Trained as Trained
 from jexplore.learn.training import train as train

@@ -78,7 +78,6 @@ def test_tiny_worlds_without_jit(name):
 
 SHAPE = (64, 64)  # every world is padded to it, and every scanner to these sizes: one program for all
 BEAMS_AS = (120, 181)
-WIDE = 82  # half a window that covers the map
 
 
 def a_start(seed, occupied, rules, cell_m=0.1):
@@ -114,7 +113,7 @@ def test_random_worlds_replay(seed, shape, strategy, lidar, rules):
     occupied, rooms = maps.cluttered(seed, *shape)
     result = assert_same(
         occupied, a_start(seed, occupied, rules), strategy, lidar, rules,
-        cell_m=0.1, rooms=rooms, shape=SHAPE, window=WIDE, beams_as=BEAMS_AS,
+        cell_m=0.1, rooms=rooms, shape=SHAPE, beams_as=BEAMS_AS,
     )  # fmt: skip
     limits = {8: Outcome.STEP_LIMIT, 9: Outcome.PLAN_LIMIT}
     if seed in limits:
@@ -164,15 +163,11 @@ def test_a_start_near_walls_can_end_blocked_or_stuck():
     occupied = np.repeat(np.repeat(maps.walls(BLOCKED), 3, axis=0), 3, axis=1)
     for start in ((16, 16, 90), (16, 16, 0), (6, 16, 270), (1, 1, 45)):
         for strategy in ("closest", "closest+recheck"):
-            result = assert_same(
-                occupied, start, strategy, lidar, rules, cell_m=0.1, shape=SHAPE, window=WIDE, beams_as=BEAMS_AS
-            )
+            result = assert_same(occupied, start, strategy, lidar, rules, cell_m=0.1, shape=SHAPE, beams_as=BEAMS_AS)
             outcomes.add(Outcome(int(result.outcome)).name)
     occupied[:, :] = True
     occupied[5, 5:7] = False
-    result = assert_same(
-        occupied, (5, 5, 0), "closest", lidar, rules, cell_m=0.1, shape=SHAPE, window=WIDE, beams_as=BEAMS_AS
-    )
+    result = assert_same(occupied, (5, 5, 0), "closest", lidar, rules, cell_m=0.1, shape=SHAPE, beams_as=BEAMS_AS)
     outcomes.add(Outcome(int(result.outcome)).name)
     assert outcomes >= {"BLOCKED", "STUCK"}
 
@@ -188,7 +183,7 @@ def test_random_targets_replay(seed, strategy):
     occupied, rooms = maps.cluttered(30 + seed, 40, 44)
     lidar, rules, start = Lidar(range_m=2.0, n_beams=37), Rules(max_plans=40), a_start(seed, occupied, Rules())
     result, state = play(
-        occupied, start, strategy, lidar, rules, cell_m=0.1, rooms=rooms, shape=SHAPE, window=WIDE, beams_as=BEAMS_AS,
+        occupied, start, strategy, lidar, rules, cell_m=0.1, rooms=rooms, shape=SHAPE, beams_as=BEAMS_AS,
         seed=seed,
     )  # fmt: skip
     want = replay(occupied, start, strategy, lidar, rules, cell_m=0.1, rooms=rooms, choose=choice_of(seed))
@@ -250,7 +245,7 @@ def test_noisy_episodes_replay_with_the_kernels_own_readings(seed, p_free):
     rules = Rules(clearance_m=0.0, near_m=0.0, p_free=p_free, max_steps=150, max_plans=60)
     start = a_start(seed, occupied, rules)
     how = {"cell_m": 0.1, "shape": SHAPE, "beams_as": BEAMS_AS, "seed": seed}
-    result, state = play(occupied, start, "closest", lidar, rules, window=WIDE, **how)
+    result, state = play(occupied, start, "closest", lidar, rules, **how)
     sense = readings_of(occupied, lidar, **how)
     want = replay(occupied, start, "closest", lidar, rules, cell_m=0.1, sense=sense)
     assert_equal_episodes(result, state, want, cell_m=0.1)
@@ -261,13 +256,13 @@ def test_noisy_episodes_replay_with_the_kernels_own_readings(seed, p_free):
 
 
 @pytest.mark.jit
-def test_padding_changes_nothing_and_neither_does_the_window():
+def test_padding_changes_nothing():
     occupied, rooms = maps.cluttered(22, 60, 60)
     lidar, rules = Lidar(range_m=2.4, n_beams=37), Rules()
     start = a_start(22, occupied, rules, 0.3)
     how = {"cell_m": 0.3, "rooms": rooms}
     small, small_state = play(occupied, start, "closest+recheck", lidar, rules, shape=SHAPE, **how)
-    large, large_state = play(occupied, start, "closest+recheck", lidar, rules, shape=(72, 96), window=20, **how)
+    large, large_state = play(occupied, start, "closest+recheck", lidar, rules, shape=(72, 96), **how)
     jax.tree.map(np.testing.assert_array_equal, small, large)
     np.testing.assert_array_equal(small_state.belief.grid.hits[:60, :60], large_state.belief.grid.hits[:60, :60])
 

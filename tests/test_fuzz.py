@@ -8,7 +8,7 @@ import pytest
 from ref import episodes, fuzz
 
 from jexplore.grid import in_cells, radius_d2
-from jexplore.raycast import n_steps
+from jexplore.raycast import farthest, n_steps
 
 SEED = 1
 CASES = 40
@@ -40,7 +40,7 @@ def test_cases_fit_their_programs():
         assert radius_d2(case.rules.clearance_m, case.cell_m) == fixed.clearance_d2
         assert case.rules.clearance_m <= 0.6
         assert 0.05 <= case.cell_m <= 0.3
-        assert episodes.window_of(case.lidar, case.cell_m) <= fixed.window
+        assert farthest(case.lidar, case.cell_m) <= fixed.range_cells
         assert n_steps(in_cells(case.lidar.range_m, case.cell_m)) <= fixed.beams_as[0]
         assert case.lidar.n_beams <= fixed.beams_as[1]
         assert (case.lidar.sigma_m > 0 or case.lidar.dropout > 0) == fixed.noisy
@@ -57,9 +57,7 @@ def test_whatever_differs_is_told():
         if case.rooms is not None and case.occupied.size < 1500 and fuzz.compare(case).steps > 20
     )
     episode, world = (case.start, case.strategy, case.lidar, case.rules), {"cell_m": case.cell_m, "rooms": case.rooms}
-    played = episodes.play(
-        case.occupied, *episode, **world, shape=case.fixed.shape, window=case.fixed.window, beams_as=case.fixed.beams_as
-    )
+    played = episodes.play(case.occupied, *episode, **world, shape=case.fixed.shape, beams_as=case.fixed.beams_as)
     want = episodes.replay(case.occupied, *episode, **world)
     assert episodes.differences(*played, want, **world) == []
     counts = np.zeros_like(want.hits)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+import types
 from pathlib import Path
 
 import jax
@@ -144,6 +145,20 @@ def test_a_gpu_runs_what_it_can_and_the_cpu_the_rest(monkeypatch):
     theirs = run_jobs([job], LIDAR, RULES, engine="jax").outcomes[0]
     assert_equal(dataclasses.asdict(ours.result), dataclasses.asdict(theirs.result))
     np.testing.assert_array_equal(ours.first.hits, theirs.first.hits)
+
+
+def test_a_gpu_that_jax_is_not_to_use_is_not_used(monkeypatch):
+    def count(n):
+        n._obj.value = 2
+        return 0
+
+    driver = types.SimpleNamespace(cuInit=lambda _: 0, cuDeviceGetCount=count)
+    monkeypatch.setattr(gpu.ctypes, "CDLL", lambda _: driver)
+    for platforms, n in ((None, 2), ("cpu", 0), ("cuda,cpu", 2), ("cpu,gpu", 2)):
+        with monkeypatch.context() as patch:
+            patch.setattr(gpu.jax, "config", types.SimpleNamespace(values={"jax_platforms": platforms}))
+            found = gpu.device_count()
+        assert found == n
 
 
 @needs_nvcc

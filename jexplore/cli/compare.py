@@ -10,6 +10,7 @@ from jexplore.cli.options import (
     DEFAULT_STRATEGIES,
     EngineName,
     MapFile,
+    MetricNames,
     OutFolder,
     OwnNames,
     PolygonText,
@@ -67,6 +68,9 @@ class Compare:
     from_map: MapFile = None
     """Go on from a partial map of the same cells, such as explored.yaml of `jexplore explore`: what it shows is known
     from the beginning, and drawn starts lie where it shows free floor."""
+    metric: MetricNames = ()
+    """Add columns of your own: functions of an episode in a module here or installed, such as mine:crowding;
+    name=mine:crowding names the column."""
     league: bool = False
     """Run every strategy in 48 worlds of six kinds (in cells over 0.2 m: 40 of five), unless --worlds and --strategies
     say otherwise. Print who ranks where over all worlds, and write league.png instead of the pictures of single
@@ -120,6 +124,7 @@ class Compare:
                 worlds,
                 strategies,
                 **fields_of(self, "episodes seed cell_m start within from_map lidar rules"),
+                metrics=self.metric,
             )
             tasks, reported = self._bound_tasks(jobs), jobs if self.report else None
             ran = run_with_bar(self, jobs, out, tasks)

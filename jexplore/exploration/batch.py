@@ -2,7 +2,8 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import jax
@@ -10,6 +11,7 @@ import numpy as np
 
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_engine, require_setting, require_whole
 from jexplore.engine.runner import Costs, find_resources, level_of, own_cores, require_32_bits, run_all
+from jexplore.exploration.metrics import Metric
 from jexplore.exploration.native import NativeRun, chooser_of, is_native, parts_of, play_all, result_of
 from jexplore.exploration.site import drive_for, line_of, prepare_site
 from jexplore.exploration.state import Result
@@ -35,6 +37,7 @@ class Job(NamedTuple):
     lidar: Lidar | None = None  # None: that of the run
     rules: Rules | None = None  # None: those of the run
     turn: int = 0  # jobs of a later turn are begun when all of this one have been
+    metrics: Mapping[str, Metric] = MappingProxyType({})  # name of a column -> what it holds
 
 
 class Outcomes(NamedTuple):
@@ -140,12 +143,13 @@ def _levels_of(pairs):
 def _nothing(job):
     """Return the empty outcomes of a job of which no episode was run."""
     blank = result_of(np.zeros((len(job.starts), RESULT), np.int32))
-    return Outcomes(blank, None, {})
+    zeros = np.zeros(len(job.starts), np.int32)
+    return Outcomes(blank.replace(metrics=(zeros,) * len(job.metrics)), None, {})
 
 
 def _native_runs(jobs, lidar, rules, only, keep, why_not):
     """Return a `NativeRun` for every job that native code can do, by its number; adds why there is no such code."""
-    can = [i for i, job in enumerate(jobs) if is_native(job.strategy, job.lidar or lidar)]
+    can = [i for i, job in enumerate(jobs) if is_native(job.strategy, job.lidar or lidar) and not job.metrics]
     if not can or jax.config.values["jax_disable_jit"] or jax.process_count() > 1:
         return {}
     found = load()
@@ -210,6 +214,11 @@ def _in_jax(jobs, lidar, rules, only, keep, alike, how, why_not):
     is_driven = how["engine"] == "auto" and not resources.in_lanes
     native = drive_for(resources.devices[0].platform) if is_driven else Library(None)
     why_not += [native.why_not] if native.why_not else []
+    measured = {name: metric for job in jobs for name, metric in job.metrics.items()}
+    at_end = [name for name, metric in measured.items() if not metric.reduce]
+    moving = [name for name in measured if name not in at_end]
+    why_not += [f"JAX makes episodes with metrics: {', '.join(at_end)}"] if at_end else []
+    why_not += [f"JAX drives, for metrics after every motion: {', '.join(moving)}"] if moving else []
     return resources, _lines_of(jobs, lidar, rules, resources, native.name, only, keep, alike)
 
 
@@ -219,9 +228,10 @@ def _lines_of(jobs, lidar, rules, resources, native, only, keep, alike):
     alike = [*alike, *dict.fromkeys(settings)]
     sites, fitted, lines = {}, {}, []
     for job, strategy, own in zip(jobs, join_strategies([job.strategy for job in jobs]), settings):
-        place = id(job.world), own
+        metrics = tuple(job.metrics.values())
+        place = id(job.world), own, metrics
         if place not in sites:
-            sites[place] = prepare_site(job.world, *own, native=native, alike=alike)
+            sites[place] = prepare_site(job.world, *own, native=native, alike=alike, metrics=metrics)
         if (place, id(job.strategy)) not in fitted:
             fitted[place, id(job.strategy)] = sites[place].with_strategy(strategy)
         which = resources.own(len(job.starts)) if only is None else [only] * (resources.process == 0)

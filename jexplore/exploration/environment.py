@@ -15,9 +15,9 @@ from jexplore.arrays import bits
 from jexplore.arrays.loops import run_if, stored
 from jexplore.distance import within_packed
 from jexplore.engine.program import Given
-from jexplore.exploration import trail
+from jexplore.exploration import metrics, trail
 from jexplore.exploration.motion import motion_step, turn_between
-from jexplore.exploration.sensing import first_tally, sense, stacked, uncounted
+from jexplore.exploration.sensing import known_cells, sense, stacked
 from jexplore.exploration.state import Outcome, Setup, State, Stream, no_counts
 from jexplore.frontier import disc
 from jexplore.grid import Grid, empty_grid, is_known
@@ -144,7 +144,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     here, near = (row == 0) & (col == 0), row * row + col * col <= numbers.arrival_d2
     due = walking & (here | (state.bumped >= 0) | (state.unscanned >= numbers.scan_every))
     state = state.replace(unscanned=jnp.where(due, 0, state.unscanned))
-    state = trail.note_step(sense(setup, given, state, due), walking)
+    state = metrics.take_stock(setup, given, trail.note_step(sense(setup, given, state, due), walking), walking)
     live = is_live(state.belief, *state.target)
     if setup.policy.live is not None:
         asked = state.is_view & state.walking & (numbers.recheck | near)
@@ -173,7 +173,7 @@ def drive(setup: Setup, given: Given, state: State) -> State:
     """
     if not _is_native(setup):
         return lax.while_loop(lambda state: state.walking, lambda state: advance(setup, given, state), state)
-    state, asks = drive_natively(setup, given, uncounted(state), Stage.NEXT_SCAN)
+    state, asks = drive_natively(setup, given, state, Stage.NEXT_SCAN)
     if setup.policy.live is None:
         return state
 
@@ -309,7 +309,7 @@ def begin(setup: Setup, given: Given) -> State:
     shape = truth.occupied.shape[1:]
     goal, stuck = _find_goal(given, row, col)
     belief = blank_belief(given)
-    tally, known = first_tally(setup, belief, is_blank=truth.known is None)
+    known = jnp.int32(0) if truth.known is None else known_cells(belief.grid, belief.within)
     rooms, base = stacked(given, truth.rooms)
     room = rooms[base + row, col]
     steps, choices = trail.blank(setup.capacity)
@@ -328,7 +328,6 @@ def begin(setup: Setup, given: Given) -> State:
         walking=jnp.bool_(False),
         bumped=jnp.int32(NO_MOTION),
         came_from=jnp.stack([row, col]),
-        tally=tally,
         room=room,
         outcome=jnp.where(stuck, Outcome.STUCK, Outcome.RUNNING).astype(jnp.int32),
         room_entries=(room >= 0).astype(jnp.int32),
@@ -336,11 +335,12 @@ def begin(setup: Setup, given: Given) -> State:
     )
 
     if _is_native(setup):
-        return drive_natively(setup, given, uncounted(state), Stage.FIRST_SCANS)[0]
+        return drive_natively(setup, given, state, Stage.FIRST_SCANS)[0]
 
     def look_round(_, state):
         state, belief = sense(setup, given, state, ~stuck), state.belief
         turned = (belief.heading + 8 // setup.first_scans) % 8
         return state.replace(heading=turned, belief=state.belief.replace(heading=turned))
 
-    return trail.note_step(lax.fori_loop(0, setup.first_scans, look_round, state))
+    state = trail.note_step(lax.fori_loop(0, setup.first_scans, look_round, state))
+    return metrics.take_stock(setup, given, state, state.row >= 0)

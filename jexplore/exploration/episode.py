@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jexplore.engine.program import Given, Program
-from jexplore.exploration import environment
+from jexplore.exploration import environment, metrics
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result, Setup, State
 from jexplore.exploration.trail import LOOKS, RECORDS, Trail, kept
 from jexplore.grid import beside, bordered, count, is_known
@@ -41,7 +41,6 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
       given: as for `environment.begin`.
       state: `State`.
     """
-    del setup
     shape, truth = state.shape, given.scenes
 
     def own(maps):
@@ -51,7 +50,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
     known = is_known(state.belief.grid)
     cell = state.trail[:, Trail.SPOT] // LOOKS
     explorable = (region == region[cell[0] // shape[1], cell[0] % shape[1]]) & ~occupied
-    steps = state.steps
+    steps, outcome = state.steps, environment.outcome_of(state)
     # Cells known after each step, which never become fewer; what lies beyond the last step was never reached.
     entry = lax.iota(jnp.int32, state.trail.shape[0])
     so_far = jnp.where(entry < steps, state.trail[:, Trail.KNOWN], jnp.iinfo(jnp.int32).max)
@@ -73,7 +72,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         scans=state.scans,
         plans=state.plans,
         exhausted=state.exhausted,
-        outcome=environment.outcome_of(state),
+        outcome=outcome,
         known=state.known,
         explored=jnp.sum(explorable & known, dtype=jnp.int32),
         explorable=jnp.sum(explorable, dtype=jnp.int32),
@@ -85,6 +84,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         saturated=state.saturated,
         refused=state.refused,
         overflow=state.overflow,
+        metrics=metrics.values_of(setup, given, state.replace(outcome=outcome)),
     )
 
 

@@ -28,6 +28,8 @@ MOST = 4096  # episodes in one call
 # 1,300 in a cave, and makes 100,000 a second (`benchmarks/device.py`).
 GPU_FROM = 4096
 ON_GPU, ON_CPU = "native on a GPU", "native on a CPU"
+_MEASURES = [field.name for field in dataclasses.fields(Result) if field.name != "metrics"]
+_OUTCOME = _MEASURES.index("outcome")
 _WIDTHS = {
     "straight_at": len(PERCENTILES),
     "diagonal_at": len(PERCENTILES),
@@ -93,9 +95,9 @@ def parts_of(
 def result_of(table: np.ndarray) -> Result:
     """Return the `Result` of integers as the library writes them: `[..., RESULT]` int32."""
     parts, at = {}, 0
-    for field in dataclasses.fields(Result):
-        width = _WIDTHS.get(field.name)
-        parts[field.name] = table[..., at] if width is None else table[..., at : at + width]
+    for name in _MEASURES:
+        width = _WIDTHS.get(name)
+        parts[name] = table[..., at] if width is None else table[..., at : at + width]
         at += width or 1
     return Result(**parts)
 
@@ -232,9 +234,6 @@ def _put_all(group, numbers, future):
             run.put(own, episodes.Played(played.results[at : at + len(own)], None, None, None, None), ON_GPU)
         at += len(own)
     return ""
-
-
-_OUTCOME = [field.name for field in dataclasses.fields(Result)].index("outcome")
 
 
 def play_all(

@@ -15,6 +15,7 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.program import Given, Line
 from jexplore.exploration import environment
 from jexplore.exploration.episode import program_of
+from jexplore.exploration.metrics import Metric, check_metrics
 from jexplore.exploration.state import Numbers, Setup, Truth
 from jexplore.exploration.trail import record_of
 from jexplore.grid import in_cells, radius_d2
@@ -72,13 +73,19 @@ def _check(site, strategy, numbers):
     """Refuse a user's strategy whose functions return the wrong shapes or types here."""
     if not adapt.is_theirs(strategy.policy):
         return
+    _, belief = _example(site, numbers)
+    route = jax.ShapeDtypeStruct(site.truth.occupied.shape, np.int8)
+    adapt.check_policy(strategy.policy, numbers.params, belief, site.beams, route)
+
+
+def _example(site, numbers):
+    """Return a `Given` of a site, and the shapes of the belief that it begins with, for tracing users' functions."""
     truth = jax.tree.map(lambda a: a[None], site.truth)
     task = np.zeros(3, np.int32)
     # Ignored types: numpy on the host, where the record says what it is on the device.
     given = Given(np.zeros((), np.int32), site.beams, truth, np.int32(0), numbers, task)  # type: ignore[arg-type]
     belief = jax.eval_shape(environment.blank_belief, given)
-    route = jax.ShapeDtypeStruct(site.truth.occupied.shape, np.int8)
-    adapt.check_policy(strategy.policy, numbers.params, belief, site.beams, route)
+    return given, belief
 
 
 def prepare_site(
@@ -89,6 +96,7 @@ def prepare_site(
     *,
     native: str | None = None,
     alike: Sequence[tuple[Lidar, Rules]] = (),
+    metrics: Sequence[Metric] = (),
 ) -> Site:
     """Prepare a world: add a ring if needed, pad it and trace the scanner's beams.
 
@@ -101,16 +109,20 @@ def prepare_site(
         JAX does.
       alike: scanners and rules of other runs. The static config then suits all of them whose scanner has as many beams,
         so that they share a program; results are the same.
+      metrics: of every episode. For those after every motion JAX drives.
 
     Returns:
       `Site` of numpy arrays.
+
+    Raises:
+      InputError: a metric that raises, returns no number, or is not pure.
     """
     ring, world = ring_of(world.occupied), with_ring(world)
     shape = shape or (bucket(world.shape[0]), bucket(world.shape[1]))
     truth = _truth(world, shape)
     limit = limit_of(world.shape)
     everyone = [(lidar, rules), *(pair for pair in alike if pair[0].n_beams == lidar.n_beams)]
-    setup = _setup(everyone, world.cell_m, shape, limit, native)
+    setup = _setup(everyone, shape, limit, None if any(metric.reduce for metric in metrics) else native)
     # Ignored types: numpy on the host, where the record says what it is on the device.
     model = MapModel(
         p_free=np.float32(rules.p_free),  # type: ignore[arg-type]
@@ -133,7 +145,10 @@ def prepare_site(
         no_echo_is_free=np.bool_(lidar.no_echo == "free"),  # type: ignore[arg-type]
         params=(),
     )
-    return Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
+    site = Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
+    if metrics:
+        check_metrics(metrics, *_example(site, numbers))
+    return site._replace(setup=setup._replace(metrics=tuple(metrics)))
 
 
 def alike(truths: Sequence[Truth]) -> list[Truth]:
@@ -187,16 +202,14 @@ def regions_of(world: World) -> np.ndarray:
     return ndimage.label(free)[0].astype(np.int32)  # type: ignore[index]  # scipy says too little
 
 
-def _setup(everyone, cell_m, shape, limit, native):
+def _setup(everyone, shape, limit, native):
     """Make a static config that suits several scanners and rules, those of the site first."""
     lidar, _ = everyone[0]
     max_steps = max(rules.max_steps or limit for _, rules in everyone)
-    most = max(farthest(one, cell_m) + 4 * in_cells(one.sigma_m, cell_m) for one, _ in everyone)
     noisy = any(one.sigma_m > 0 or one.dropout > 0 for one, _ in everyone)
     return Setup(
         policy=None,
         first_scans=scans_all_round(lidar.fov_deg),
-        window=math.ceil(most) + 1,
         noisy=noisy,
         capacity=max(LEAST_LIMIT, shape[0] * shape[1]) if max_steps <= limit else max_steps,
         native=None if noisy else native,

@@ -60,10 +60,10 @@ class Setup(NamedTuple):
 
     policy: Any  # `Policy` without its parameters; None: the site of no strategy yet
     first_scans: int  # scans all round at the start: 1, 2, 4 or 8
-    window: int  # half width of the square that one scan can change, cells
     noisy: bool  # whether the scanner's noise is simulated
     capacity: int  # T, steps that the trail has room for; at least max_steps
     native: str | None = None  # target of JAX's FFI that drives, see `native.drive`; None: JAX does
+    metrics: tuple[Any, ...] = ()  # `metrics.Metric`s
 
 
 @struct.dataclass
@@ -106,6 +106,8 @@ class Result:
     saturated: Array  # int32, cells out of reach at the end because their cost does not fit (see `reach.saturated`)
     refused: Array  # int32, steps refused because the cell ahead was not free
     overflow: Array  # int32, things that the strategy had no room for, all plans together
+    metrics: tuple[Any, ...] = ()  # int32 or float32 each, values of `Setup.metrics`
+    replace: ClassVar[Callable[..., Self]]
 
 
 @struct.dataclass
@@ -130,7 +132,6 @@ class State:
     came_from: Array  # [2] int32, row and col of the belief before the last motion
     unscanned: Array  # int32, cost of the way driven since the last scan
     known: Array  # int32, known cells among those that are to be known
-    tally: Any  # by which known cells are counted, see `sensing.first_tally`
     room: Array  # int32, the last room stood in; -1 for none yet
     straight: Array  # int32, and so on as in `Result`
     diagonal: Array
@@ -144,6 +145,7 @@ class State:
     refused: Array
     overflow: Array
     bad_targets: Array  # int32, targets in a row that no path leads to
+    metrics: Any = ()  # how often those after every motion were taken, and a value for each, see `metrics.take_stock`
     replace: ClassVar[Callable[..., Self]]
 
     @property

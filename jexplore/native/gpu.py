@@ -1,7 +1,6 @@
 """Batches of whole episodes by an NVIDIA GPU: a warp an episode. Built by nvcc on first use."""
 
 import ctypes
-import functools
 import os
 import shlex
 import shutil
@@ -10,6 +9,7 @@ from ctypes import POINTER, Structure, c_char_p, c_double, c_int, c_int32, c_int
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from jexplore.native.build import FOLDER, Library, build_library
@@ -66,9 +66,13 @@ def load(arch: str = "native", flags: Sequence[str] = ()) -> Library:
     return found
 
 
-@functools.cache
 def device_count() -> int:
-    """Return how many GPUs NVIDIA's driver has; 0 without one. Nothing is built for that."""
+    """Return how many GPUs NVIDIA's driver has; 0 without one, or where `JAX_PLATFORMS` leaves them out.
+
+    Nothing is built for that.
+    """
+    if not {"cuda", "gpu"} & {*(jax.config.values["jax_platforms"] or "cuda").split(",")}:
+        return 0
     try:
         driver, n = ctypes.CDLL("libcuda.so.1"), c_int(0)
         return n.value if not (driver.cuInit(0) or driver.cuDeviceGetCount(ctypes.byref(n))) else 0

@@ -203,7 +203,7 @@ def require_same(path: Path, there: Mapping[str, Any], here: Mapping[str, Any], 
     for name in () if trust else dict.fromkeys((*is_, *was)):
         if was.get(name) != is_.get(name):
             raise InputError(
-                f"{path} holds another run: its strategy {name!r} has changed; choose another folder, allow "
+                f"{path} holds another run: its {name} has changed; choose another folder, allow "
                 "overwriting (--overwrite) or, if it computes the same, trust it (--trust)"
             )
 

@@ -13,6 +13,7 @@ from jexplore.exploration.batch import Job
 from jexplore.exploration.trail import RECORDS
 from jexplore.report.ledger import open_ledger
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, StartLike, StrategyLike, WorldLike
+from jexplore.studies.metrics import MetricsLike
 from jexplore.studies.results import loading, provenance, saving
 from jexplore.studies.results.comparison import Comparison, Made, assemble, prepare_jobs
 from jexplore.studies.results.progress import progress_bar
@@ -29,7 +30,7 @@ def compare(
     lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
     engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
-    keep: str | None = None,
+    keep: str | None = None, metrics: MetricsLike = None,
     out: str | os.PathLike[str] | None = None, overwrite: bool = False, resume: bool = False, trust: bool = False,
 ) -> Comparison:  # fmt: skip
     """Run every strategy in every world, from the same starts. An interruption keeps finished episodes.
@@ -53,6 +54,7 @@ def compare(
       on_progress: called now and then with the number of episodes finished.
       progress: whether a bar shows that; by default in notebooks.
       keep: "paths" for the way of every episode, 12 bytes a step, "maps" for its last map as well, a byte a cell.
+      metrics: columns of your own: name -> function of an `EpisodeView`, see `metric`, or "module:function".
       out: folder to write, as `jexplore compare` does: see `Comparison.save`. Finished episodes are stored on the way.
       overwrite: replace a run in the folder.
       resume: continue a run in the folder, if any.
@@ -65,7 +67,7 @@ def compare(
     require_engine(engine, lanes)
     settings = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": start, "start_m": start_m}
     limits = {"within": within, "from_map": from_map}
-    jobs = prepare_jobs(worlds, strategies, **settings, **limits, lidar=lidar, rules=rules)
+    jobs = prepare_jobs(worlds, strategies, **settings, **limits, lidar=lidar, rules=rules, metrics=metrics)
     is_text = from_map is None or isinstance(from_map, (str, os.PathLike))
     settings |= limits | {"from_map": from_map if is_text else type(from_map).__name__}
     if keep is not None and keep not in tuple(RECORDS):

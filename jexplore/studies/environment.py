@@ -22,6 +22,7 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.program import Given
 from jexplore.engine.runner import find_resources, require_32_bits
 from jexplore.exploration import environment
+from jexplore.exploration.metrics import values_of
 from jexplore.exploration.site import alike, drive_for, prepare_site
 from jexplore.exploration.state import Numbers, Outcome, State, Truth, steps_m
 from jexplore.exploration.trail import LOOKS, Trail
@@ -39,6 +40,7 @@ from jexplore.studies.checks import (
     require_clearance,
     require_memory,
 )
+from jexplore.studies.metrics import MetricsLike, ready_metrics
 from jexplore.worlds.regions import warn_of_floor
 from jexplore.worlds.starts import check_start, start_cells, start_region
 from jexplore.worlds.world import World, ringed_shape
@@ -98,6 +100,7 @@ class Environment:
         rules: RulesLike = RULES,
         recheck: bool = False,
         paths: bool = False,
+        metrics: MetricsLike = None,
     ) -> None:
         """Load the worlds.
 
@@ -107,8 +110,8 @@ class Environment:
           lidar: `Lidar`, or a mapping of some of its fields.
           rules: `Rules`, or a mapping of some of its fields.
           recheck: give up a frontier cell as soon as it is no longer live.
-          paths: keep the whole way in the state, for `path`; that takes 8 bytes for every cell of the map, at least 160
-            kB.
+          paths: keep the whole way in the state, for `path`: 8 bytes for every cell of the map, at least 160 kB.
+          metrics: more entries of `info`: name -> function of an `EpisodeView`, see `metric`.
 
         Raises:
           InputError: no world, one that cannot be loaded, or one without a clear cell; cells of different sizes.
@@ -117,6 +120,7 @@ class Environment:
         if not isinstance(recheck, bool):
             raise InputError(f"recheck must be True or False, got {recheck!r}")
         use_compilation_cache()
+        self._metrics = ready_metrics(metrics)
         self.worlds = tuple(ready_worlds(worlds, cell_m))
         sizes = sorted({world.cell_m for world in self.worlds})
         if len(sizes) > 1:
@@ -128,14 +132,14 @@ class Environment:
         rows, cols = (max(bucket(side) for side in sides) for sides in sizes)
         self.shape = rows, cols
         find_resources()  # starts JAX
-        native = drive_for(jax.local_devices()[0].platform).name
+        native, own = drive_for(jax.local_devices()[0].platform).name, tuple(self._metrics.values())
         sites, cells = [], []
         for world in self.worlds:
             require_clearance(world, rules)
             require_memory(world, lidar, rules)
             cells.append(start_cells(world, rules.clearance_m))
             warn_of_floor(world, start_region(world, rules.clearance_m), rules.clearance_m, drawn=True)
-            sites.append(prepare_site(world, lidar, rules, self.shape, native=native))
+            sites.append(prepare_site(world, lidar, rules, self.shape, native=native, metrics=own))
         capacity = max(site.setup.capacity for site in sites) if paths else 1
         self._setup = sites[0].setup._replace(policy=closest(), capacity=capacity)  # which nobody asks
         truths = alike([site.truth for site in sites])
@@ -202,7 +206,7 @@ class Environment:
           reward: float32, minus the metres driven.
           done: bool, the episode is over: with the step that leaves no frontier, or at a limit of the rules.
           info: dict of `valid`, bool; `outcome`, int32, an `Outcome`; `path_m`, float32, metres driven since the start;
-            `known_m2`, float32, known area.
+            `known_m2`, float32, known area; the present values of the metrics.
 
         Raises:
           InputError: a key, state or action of a wrong shape or dtype; 64-bit mode.
@@ -211,7 +215,8 @@ class Environment:
         _require_key(key)
         self._require_one(state, "step")
         action = _whole("action", action, (2,), "row, col")
-        return _step(self._setup, self._bank, jax.random.clone(key), state, action)
+        *seen, info, values = _step(self._setup, self._bank, jax.random.clone(key), state, action)
+        return (*seen, info | dict(zip(self._metrics, values)))
 
     def path(self, state: EnvState) -> np.ndarray:
         """Return the driven way, of an environment with `paths=True`: `[n + 1, 2]` int32, row and col; on the host.
@@ -341,7 +346,8 @@ def _driven(setup, bank, key, state, action):
         "known_m2": now.known * given.numbers.model.cell_m**2,
     }
     reward = -steps_m(now.straight - episode.straight, now.diagonal - episode.diagonal, given.numbers.model.cell_m)
-    return state, shown(state), reward, now.outcome != Outcome.RUNNING, info
+    values = values_of(setup, given, now.replace(outcome=info["outcome"]))
+    return state, shown(state), reward, now.outcome != Outcome.RUNNING, info, values
 
 
 @functools.partial(jax.jit, static_argnums=0)

@@ -78,7 +78,7 @@ def _hint(error):
     jax = sys.modules.get("jax")
     if jax and isinstance(error, (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError)):
         return " Values are not known while JAX traces: jnp.where instead of if, jnp instead of math and numpy."
-    if isinstance(error, AttributeError) and type(error.obj).__name__ == "View":
+    if isinstance(error, AttributeError) and type(error.obj).__name__ in ("View", "EpisodeView"):
         fields = ", ".join(getattr(error.obj, "__dataclass_fields__", ()))
         return f" (it has {fields}; the robot is in its belief)"
     return ""

@@ -20,7 +20,7 @@ from jexplore.grid import radius_d2
 from jexplore.native.drive import find_target
 from jexplore.planning import MapModel
 from jexplore.policies import parse_strategy
-from jexplore.raycast import Beams, beam_table, by_beam, disturb, farthest, scan, scans_all_round
+from jexplore.raycast import Beams, beam_table, by_beam, disturb, scan, scans_all_round
 
 from . import plans, simulator
 
@@ -81,11 +81,6 @@ def key_of(seed):
     return jax.random.fold_in(jax.random.key(seed), 0)
 
 
-def window_of(lidar, cell_m):
-    """Half the width of the square that a scan can change, cells."""
-    return math.ceil(farthest(lidar, cell_m)) + 1
-
-
 @functools.partial(jax.jit, static_argnames="static")
 def compiled(static, key, first_scans, truth, beams, numbers, start):
     """`static` is a `Setup` but for the scans all round at the start, which may vary: fewer programs to compile."""
@@ -131,7 +126,6 @@ def play(
     known=None,
     shape=None,
     seed=0,
-    window=None,
     beams_as=None,
     native=False,
 ):
@@ -141,7 +135,6 @@ def play(
     static = Setup(
         strategy.policy._replace(params=()),
         0,
-        window_of(lidar, cell_m) if window is None else window,
         lidar.sigma_m > 0 or lidar.dropout > 0,
         CAPACITY,
         find_target().name if native else None,

@@ -31,7 +31,7 @@ class Fixed(NamedTuple):
     policy: str = "closest"  # without rechecking, which needs no program of its own
     clearance_d2: int = 9  # cells^2
     noisy: bool = False
-    window: int = 82  # half the width of the square that a scan can change, cells
+    range_cells: int = 81  # most that a scanner sees
     beams_as: tuple[int, int] = (120, 181)  # most steps and most beams
     restricted: bool = False  # whether the robot stays within a region and knows a part of the map
     native: bool = False  # whether native code drives
@@ -43,25 +43,25 @@ FEW = (
     Fixed(policy="random"),
     Fixed(clearance_d2=0, noisy=True),
     Fixed(clearance_d2=1, restricted=True, native=True),
-    Fixed(WIDE, clearance_d2=1, window=22, beams_as=(40, 181), native=True),
+    Fixed(WIDE, clearance_d2=1, range_cells=21, beams_as=(40, 181), native=True),
     Fixed(WIDE, clearance_d2=0, noisy=True),
     Fixed(policy="random", native=True),
 )
 """Seven programs; tests of episodes have the first three as well."""
 MANY = (
     *FEW,
-    Fixed(clearance_d2=1, window=10, beams_as=(16, 361)),
+    Fixed(clearance_d2=1, range_cells=9, beams_as=(16, 361)),
     Fixed(clearance_d2=0),
     Fixed(clearance_d2=25),
     Fixed(clearance_d2=0, native=True),
     Fixed(clearance_d2=1, restricted=True),
-    Fixed(TALL, clearance_d2=1, window=242, beams_as=(344, 361), native=True),
+    Fixed(TALL, clearance_d2=1, range_cells=241, beams_as=(344, 361), native=True),
     Fixed(policy="random", clearance_d2=0, noisy=True),
-    Fixed(clearance_d2=4, noisy=True, window=10, beams_as=(16, 181)),
+    Fixed(clearance_d2=4, noisy=True, range_cells=9, beams_as=(16, 181)),
     Fixed(WIDE),
-    Fixed(WIDE, clearance_d2=0, window=242, beams_as=(344, 361)),
+    Fixed(WIDE, clearance_d2=0, range_cells=241, beams_as=(344, 361)),
     Fixed(WIDE, policy="random", clearance_d2=2),
-    Fixed(WIDE, clearance_d2=1, noisy=True, window=22, beams_as=(40, 361)),
+    Fixed(WIDE, clearance_d2=1, noisy=True, range_cells=21, beams_as=(40, 361)),
     Fixed(TALL, clearance_d2=4),
     Fixed(TALL, policy="random", clearance_d2=0, noisy=True),
     Fixed(clearance_d2=1),
@@ -243,7 +243,7 @@ def _range(draw, cell_m, most_cells):
 
 def _lidar(draw, fixed, cell_m):
     steps, most_beams = fixed.beams_as
-    most_cells = fixed.window - 1
+    most_cells = fixed.range_cells
     while n_steps(most_cells) > steps:
         most_cells -= 1
     if most_beams > 181 and draw.random() < 0.5:
@@ -363,7 +363,7 @@ def compare(case, *, oracle=True, loaded=None):
     world = {name: getattr(case, name) for name in ("cell_m", "rooms", "within", "known")}
     how = {"shape": fixed.shape, "seed": case.seed, "beams_as": fixed.beams_as}
     episode = case.occupied, case.start, case.strategy, case.lidar, case.rules
-    result, state = episodes.play(*episode, window=fixed.window, native=fixed.native, **world, **how)
+    result, state = episodes.play(*episode, native=fixed.native, **world, **how)
     told = []
     if not fixed.noisy:
         told = native.differences(native.play(case, loaded), result, state, case.occupied)

@@ -3,7 +3,7 @@
 import contextlib
 import functools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -59,19 +59,19 @@ def adapted(policy: Policy) -> Policy:
     return Policy(Init(policy.init), Select(policy.select), policy.params, live)
 
 
-class _Theirs:
+class Theirs:
     """A function of a user's, equal to those of the same fingerprint: they are compiled once."""
 
     def __init__(self, function: Callable[..., Any], fixed: tuple[tuple[str, Any], ...] = ()) -> None:
         self.function, self.fixed, self.what = function, fixed, described(function)
         self.digest = fingerprint(type(self).__name__, function, fixed)
 
-    def anew(self) -> "_Theirs":
+    def anew(self) -> "Theirs":
         """Return the same function as it is now."""
         return type(self)(self.function, self.fixed)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Theirs) and self.digest == other.digest
+        return isinstance(other, Theirs) and self.digest == other.digest
 
     def __hash__(self) -> int:
         return hash(self.digest)
@@ -84,7 +84,7 @@ def _score_policy(function, given):
     return Policy(no_carry, Score(function, tuple(sorted(fixed.items()))), params)
 
 
-class Score(_Theirs):
+class Score(Theirs):
     """The `select` of a strategy that is a score: the reachable frontier cell with the highest one.
 
     Equal scores go to the lowest flat index; NaN is never chosen; without a finite score the nearest cell is.
@@ -96,7 +96,7 @@ class Score(_Theirs):
         del key, beams
         known = field(belief)
         found = call_user(self.function, self.what, view_of(belief, known), **dict(self.fixed), **params)
-        with _expected(self.what, f"a score for every cell, {_shape(known.cost.shape)} integer or float", found):
+        with expecting(self.what, f"a score for every cell, {_shape(known.cost.shape)} integer or float", found):
             score = jnp.asarray(found)
             if score.shape != known.cost.shape or not _is_number(score.dtype):
                 raise TypeError
@@ -120,26 +120,26 @@ def _highest(score, known):
     return tuple(jnp.where(found, at, nearest) for at, nearest in zip(first_at(best), nearest_of(known)))
 
 
-class Init(_Theirs):
+class Init(Theirs):
     """The `init` of a user's strategy: its carry as arrays."""
 
     def __call__(self, params: Any, belief: Belief) -> Any:
         return _as_arrays(call_user(self.function, self.what, params, belief), self.what)
 
 
-class Live(_Theirs):
+class Live(Theirs):
     """The `live` of a user's strategy."""
 
     def __call__(self, params: Any, belief: Belief, beams: Beams, row: Array, col: Array) -> Array:
         found = call_user(self.function, self.what, params, belief, beams, row, col)
-        with _expected(self.what, "one bool", found):
+        with expecting(self.what, "one bool", found):
             answer = jnp.asarray(found)
             if answer.shape != () or answer.dtype != bool:
                 raise TypeError
         return answer
 
 
-class Select(_Theirs):
+class Select(Theirs):
     """The `select` of a user's strategy: what it returns has the right shapes, and its way leads to its target."""
 
     def __call__(
@@ -151,7 +151,7 @@ class Select(_Theirs):
         new = _as_arrays(found[0], self.what)
         if _kind(new) != _kind(carry):
             raise InputError(f"{self.what} must return a carry like that of init, {_told(carry)}, got {_told(new)}")
-        with _expected(self.what, f"a route {_shape(route.shape)} int8", found[2]):
+        with expecting(self.what, f"a route {_shape(route.shape)} int8", found[2]):
             if found[2].shape != route.shape or found[2].dtype != route.dtype:
                 raise TypeError
         choice = self._choice(found[1])
@@ -161,7 +161,7 @@ class Select(_Theirs):
     def _choice(self, choice):
         def one(name, dtype):
             value = getattr(choice, name)
-            with _expected(self.what, f"a Choice whose {name} is one {dtype.__name__}", value):
+            with expecting(self.what, f"a Choice whose {name} is one {dtype.__name__}", value):
                 array = jnp.asarray(value)
                 loose = array.weak_type and jnp.issubdtype(array.dtype, jnp.integer)
                 if array.shape != () or (array.dtype != dtype and not (loose and dtype == jnp.int32)):
@@ -203,7 +203,7 @@ def _as_arrays(carry, what):
     def one(leaf):
         if isinstance(leaf, jax.Array) and not getattr(leaf, "weak_type", False):
             return leaf
-        with _expected(what, "a carry of numbers and arrays", leaf):
+        with expecting(what, "a carry of numbers and arrays", leaf):
             array = jnp.asarray(leaf)
             return lax.convert_element_type(array, array.dtype)
 
@@ -211,7 +211,8 @@ def _as_arrays(carry, what):
 
 
 @contextlib.contextmanager
-def _expected(what, expected, got):
+def expecting(what: str, expected: str, got: Any) -> Iterator[None]:
+    """Refuse, where the block does not take it, what a user's function has returned."""
     try:
         yield
     except (TypeError, ValueError, AttributeError, OverflowError):
@@ -285,11 +286,11 @@ _REAL = f"from -{np.finfo(np.float32).max:.3g} to {np.finfo(np.float32).max:.3g}
 def is_theirs(policy: Policy) -> bool:
     """Return whether a policy, or the one that it modifies, comes from outside this package."""
     inner = getattr(policy.select, "inner", policy.select)
-    return isinstance(inner, _Theirs)
+    return isinstance(inner, Theirs)
 
 
 def _anew(policy):
-    return rebuilt(policy, lambda function: function.anew() if isinstance(function, _Theirs) else function)
+    return rebuilt(policy, lambda function: function.anew() if isinstance(function, Theirs) else function)
 
 
 def digest_of(policy: Policy) -> str:

@@ -32,6 +32,7 @@ from jexplore.studies.checks import (
     require_different_buildings,
     require_memory,
 )
+from jexplore.studies.metrics import MetricsLike, ready_metrics
 from jexplore.studies.results.grids import write_maps
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import Piece, Ran, Seen
@@ -67,7 +68,7 @@ class Comparison(ByStrategy):
     """
 
     episodes: "pd.DataFrame"
-    """One row an episode, ordered by world, strategy, episode; columns `units.COLUMNS`."""
+    """One row an episode, ordered by world, strategy, episode; columns `units.COLUMNS` and `metrics`."""
     worlds: tuple[World, ...]
     """The worlds, in order."""
     first: dict[str, list[Seen]]
@@ -93,13 +94,15 @@ class Comparison(ByStrategy):
     """The scanner; None where it is not known, or there were several."""
     rules: Rules | None = None
     """The rules; None if unknown or there were several."""
+    metrics: tuple[str, ...] = ()
+    """Names of the columns of your own metrics."""
     made: Made = dataclasses.field(default=Made(), repr=False, compare=False)
     """Provenance for its folder."""
 
     @functools.cached_property
     def summary(self) -> "pd.DataFrame":
         """Tabulate means, one row a world and strategy: see `by_world.summarise`."""
-        return by_world.summarise(self.episodes)
+        return by_world.summarise(self.episodes, self.metrics)
 
     @functools.cached_property
     def standings(self) -> "pd.DataFrame":
@@ -304,18 +307,19 @@ def prepare_jobs(
     rules: RulesLike,
     within: str | Polygon | None = None,
     from_map: KnownMap | None = None,
+    metrics: MetricsLike = None,
 ) -> list[Job]:
     """Check and load everything before `compare` runs: a list of `Job`. Arguments as there."""
     lidar, rules = ready_settings(lidar, rules)
     episodes, seed = require_setting("episodes", episodes), require_setting("seed", seed)
     start = read_start(start, start_m)
-    strategies = ready_strategies(strategies)
+    strategies, own = ready_strategies(strategies), ready_metrics(metrics)
     ready, jobs = ready_worlds(worlds, cell_m), []
     require_different_buildings(ready)
     for world in (restricted(world, within, from_map) for world in ready):
         require_memory(world, lidar, rules)
         starts = ready_starts(world, start, episodes, seed=seed, rules=rules)
-        jobs += [Job(world, strategy, starts, seed, lidar=lidar, rules=rules) for strategy in strategies]
+        jobs += [Job(world, one, starts, seed, lidar=lidar, rules=rules, metrics=own) for one in strategies]
     return jobs
 
 
@@ -372,4 +376,5 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> Comparison:
         maps=maps,
         lidar=_the_only(job.lidar for job in jobs),
         rules=_the_only(job.rules for job in jobs),
+        metrics=tuple(jobs[0].metrics),
     )

@@ -82,7 +82,7 @@ def of_comparison(found: Any) -> Any:
         "strategy": list(dict.fromkeys(table["strategy"])),
         "episode": sorted(table["episode"].unique().tolist()),
     }
-    made = _dataset(table, dims, [name for name in COLUMNS if name not in dims])
+    made = _dataset(table, dims, [name for name in (*COLUMNS, *found.metrics) if name not in dims])
     shape = tuple(len(values) for values in dims.values())
     place = {value: i for i, value in enumerate(dims["episode"])}
     ends = {"progress_m": (100,), "way": _longest(found), "map": _largest(found)}
@@ -143,7 +143,7 @@ def of_sweep(found: Any) -> Any:
     table = found.episodes
     dims = {name: list(dict.fromkeys(table[name])) for name in ("setting", "world", "strategy", "episode")}
     dims["episode"].sort()
-    made = _dataset(table, dims, [name for name in COLUMNS if name not in dims])
+    made = _dataset(table, dims, [name for name in (*COLUMNS, *found.spec.metrics) if name not in dims])
     coordinates = {}
     for name in found.columns[1:]:
         along = "strategy" if name.startswith("strategy.") else "setting"

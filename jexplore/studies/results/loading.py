@@ -157,6 +157,7 @@ def _comparison(folder, record, command):
         **{name: record[name] for name in ("compile_s", "run_s", "interrupted", "resumed")},
         **_details(folder / DETAILS, episodes),
         made=Made(record=record),
+        metrics=tuple(record.get("asked", {}).get("metrics", ())),
         lidar=Lidar(**record["configuration"]["lidar"]),
         rules=Rules(**record["configuration"]["rules"]),
     )
@@ -177,7 +178,7 @@ def earlier_pieces(ledger: Ledger, jobs: Sequence[Job]) -> list[Piece]:
     for i, job in enumerate(jobs):
         pair = os.fspath(job.world.name), job.strategy.name
         seen = next((one for one in found.first.get(pair[0], []) if one.strategy == pair[1]), None)
-        table = of_pair[pair][list(COLUMNS)].reset_index(drop=True).iloc[:n]
+        table = of_pair[pair][[*COLUMNS, *found.metrics]].reset_index(drop=True).iloc[:n]
         paths, maps = (kept.get(pair) for kept in (found.paths, found.maps))
         kept = None if paths is None else paths[:n], None if maps is None else maps[:n]
         pieces.append(Piece(i, table, found.progress[pair][:n], seen, *kept))
@@ -226,7 +227,7 @@ def _require_same_strategies(part, asked, first):
     """Refuse a part whose strategies compute something else than those of the first one."""
     for name, digest in asked.get("own", {}).items():
         if digest != first.get("own", {}).get(name):
-            raise InputError(f"{part} was made with another {name!r}: make it again, or trust it (--trust)")
+            raise InputError(f"{part} was made with another {name}: make it again, or trust it (--trust)")
 
 
 def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, SweepPlan | TracePlan]:

@@ -6,8 +6,9 @@ import importlib.metadata
 import json
 import os
 import subprocess
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -16,6 +17,7 @@ import numpy as np
 from jexplore.arrays.files import read_yaml
 from jexplore.config import InputError
 from jexplore.exploration.batch import Job
+from jexplore.exploration.metrics import Metric
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue import adapt
 from jexplore.version import __version__
@@ -94,11 +96,12 @@ def package_commit() -> str | None:
         return None
 
 
-def own_digests(strategies: Iterable[Strategy]) -> dict[str, str]:
-    """Return digests of strategies that are not determined by their names: users' own and those with weights.
+def own_digests(strategies: Iterable[Strategy], metrics: Mapping[str, Metric] = MappingProxyType({})) -> dict[str, str]:
+    """Return digests of what its name does not determine: users' strategies and metrics, and strategies with weights.
 
     Returns:
-      name -> SHA-256, in hexadecimal digits, of all parameters and of the fingerprint of a user's functions.
+      "strategy 'name'" or "metric 'name'" -> SHA-256, in hexadecimal digits, of all parameters and of the fingerprint
+      of a user's functions.
     """
     found = {}
     for strategy in strategies:
@@ -106,8 +109,8 @@ def own_digests(strategies: Iterable[Strategy]) -> dict[str, str]:
         if is_theirs or any(map(np.ndim, leaves)):
             own = hashlib.sha256(b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in leaves))
             own.update((adapt.digest_of(strategy.policy) if is_theirs else "").encode())
-            found[strategy.name] = own.hexdigest()
-    return found
+            found[f"strategy {strategy.name!r}"] = own.hexdigest()
+    return found | {f"metric {name!r}": metric.digest for name, metric in metrics.items()}
 
 
 def asked(jobs: Sequence[Job]) -> dict[str, Any]:
@@ -117,6 +120,7 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
     settings = list(dict.fromkeys((job.lidar, job.rules) for job in jobs))
     episodes = list(dict.fromkeys(len(job.starts) for job in jobs))
     seeds = list(dict.fromkeys(job.seed for job in jobs))
+    measured = {name: metric.reduce or "end" for name, metric in jobs[0].metrics.items()}
     starts = hashlib.sha256(b"".join(np.ascontiguousarray(job.starts, np.int32).tobytes() for job in jobs))
     return {
         "version": __version__,
@@ -128,7 +132,8 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
         "rules": list(dict.fromkeys(rules for _, rules in settings)),
         "starts": starts.hexdigest(),
         "digests": {name: world_digest(world) for name, world in worlds.items()},
-        "own": own_digests(job.strategy for job in jobs),
+        "own": own_digests((job.strategy for job in jobs), jobs[0].metrics),
+        **({"metrics": measured} if measured else {}),
     }
 
 

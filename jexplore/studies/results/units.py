@@ -62,7 +62,7 @@ class Piece(NamedTuple):
     """Episodes of a job that have ended, in order."""
 
     job: int
-    table: "pd.DataFrame"  # columns `COLUMNS`
+    table: "pd.DataFrame"  # columns `COLUMNS`, then those of metrics
     progress: np.ndarray  # [n, MARKS] float64, metres
     seen: Seen | None  # of episode 0, where that is among them
     paths: list[np.ndarray] | None  # if they are kept
@@ -88,17 +88,19 @@ def job_of(job: Job, unit: Unit) -> Job:
 
 
 def rows_of(job: Job, unit: Unit, found: Outcomes) -> dict[str, Any]:
-    """Return the episodes of a unit that have ended, as columns: an array or a list for each of `COLUMNS`."""
+    """Return the episodes of a unit that have ended, as columns, an array or a list for each."""
     ended = np.asarray(found.result.outcome) != Outcome.RUNNING
     starts, world = job.starts[unit.first : unit.first + unit.n], job.world
     has_rooms = world.rooms is not None
     rows = columns(found.result, starts, seed=job.seed, cell_m=world.cell_m, has_rooms=has_rooms)
     rows["episode"] = rows["episode"] + unit.first
     rows |= {"world": [os.fspath(world.name)] * len(starts), "strategy": [job.strategy.name] * len(starts)}
+    for name, values in zip(job.metrics, found.result.metrics):
+        rows[name] = values.astype(np.int64 if values.dtype == np.int32 else np.float64)
     if not ended.all():
         for name, values in rows.items():
             rows[name] = list(itertools.compress(values, ended)) if isinstance(values, list) else values[ended]
-    return {name: rows[name] for name in COLUMNS}
+    return {name: rows[name] for name in (*COLUMNS, *job.metrics)}
 
 
 def join_columns(rows: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
@@ -161,7 +163,7 @@ def to_table(piece: Piece) -> "pd.DataFrame":
 
 def of_table(table: "pd.DataFrame", job: int, cell_m: float) -> Piece:
     """Return the piece that `to_table` made a table of."""
-    rows = table.loc[:, list(COLUMNS)]
+    rows = table.drop(columns=[name for name in (PROGRESS, SEEN, WAY, MAP) if name in table])
     marks = np.frombuffer(b"".join(table[PROGRESS]), np.float64).reshape(len(table), MARKS)
     seen = paths = maps = None
     if SEEN in table:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,19 +68,23 @@ def _n_different(rows):
     return 1 if len(rows) and all(rows[name].nunique() == 1 for name in _SAME) else len(rows)
 
 
-def summarise(episodes: "pd.DataFrame") -> "pd.DataFrame":
+def summarise(episodes: "pd.DataFrame", metrics: Sequence[str] = ()) -> "pd.DataFrame":
     """Tabulate one row a world and strategy, in order of first appearance.
 
     Strategies are compared with the first strategy of the table, over the episodes that both have. In its own rows,
     `ratio` is 1 and `ratio_low`, `ratio_high` and `p` are NaN; in a world without it, so is `ratio`.
 
+    Args:
+      episodes: the table of episodes, a pandas DataFrame.
+      metrics: names of more columns whose means are wanted.
+
     Returns:
-      A DataFrame with the columns `SUMMARY_COLUMNS`: `n` episodes, 1 where one is repeated; `mean`, `sd` (divided by
-        n - 1; NaN for one episode) and the interval `ci_low`, `ci_high` of the path length, metres, from
-        `mean_interval`; `ratio`, `ratio_low`, `ratio_high`, `p` from `paired_ratio`; `p_holm`, that p corrected for
-        as many strategies as are compared in the world (`holm`); the means of `plans`, `scans`, `turning_rad`,
+      A DataFrame with the columns `SUMMARY_COLUMNS`, then `metrics`: `n` episodes, 1 where one is repeated; `mean`,
+        `sd` (divided by n - 1; NaN for one episode) and the interval `ci_low`, `ci_high` of the path length, metres,
+        from `mean_interval`; `ratio`, `ratio_low`, `ratio_high`, `p` from `paired_ratio`; `p_holm`, that p corrected
+        for as many strategies as are compared in the world (`holm`); the means of `plans`, `scans`, `turning_rad`,
         `explored_fraction`, `exhausted` and `room_entries` (NaN without rooms); `outcomes`, text such as "COMPLETE 98,
-        BLOCKED 2".
+        BLOCKED 2"; means of the metrics.
 
     Raises:
       InputError: an episode occurs twice, or paired episodes start differently.
@@ -102,10 +106,11 @@ def summarise(episodes: "pd.DataFrame") -> "pd.DataFrame":
             n = _n_different(rows)
             row = (world, strategy, n, path_m.mean(), path_m.std(ddof=1) if n > 1 else math.nan)
             row += (*mean_interval(path_m), versus.ratio, versus.low, versus.high, versus.p)
-            means = [rows[name].astype("Float64").mean() for name in _MEANS]
+            means = [rows[name].astype("Float64").mean() for name in (*_MEANS, *metrics)]
             means = [math.nan if pd.isna(mean) else float(mean) for mean in means]
-            table.append((*row, math.nan, *means, _outcomes(rows)))
-    found = pd.DataFrame(table, columns=list(SUMMARY_COLUMNS))
+            means.insert(len(_MEANS), _outcomes(rows))
+            table.append((*row, math.nan, *means))
+    found = pd.DataFrame(table, columns=[*SUMMARY_COLUMNS, *metrics])
     for places in found.groupby("world", sort=False).indices.values():
         found.loc[places, "p_holm"] = holm(found["p"].iloc[places])
     return found
@@ -121,7 +126,8 @@ def markdown_table(summary: Any, *, as_text: Callable[..., str] = aligned_table)
     widths_m = [high - low for low, high in zip(summary["ci_low"], summary["ci_high"]) if math.isfinite(high - low)]
     decimals = 1 if widths_m and min(widths_m) >= 1 else 2
     head = ["world", "strategy", "n", "path m", "95 % interval", "ratio to the first", "p (Holm)"]
-    head += ["plans", "scans", "turning rad", "explored", "exhausted", "room entries", "outcomes"]
+    head += ["plans", "scans", "turning rad", "explored", "exhausted", "room entries"]
+    metrics = [name for name in summary if name not in SUMMARY_COLUMNS]
     lines = []
     for row in summary.itertuples(index=False):
         path = spread_text(row.mean, row.sd)
@@ -129,8 +135,9 @@ def markdown_table(summary: Any, *, as_text: Callable[..., str] = aligned_table)
         line += [ratio_text(row.ratio, row.ratio_low, row.ratio_high), p_text(row.p_holm)]
         line += [number_text(row.plans, 1), number_text(row.scans, 1), number_text(row.turning_rad, 1)]
         line += [number_text(row.explored_fraction, 3), number_text(row.exhausted, 1), number_text(row.room_entries, 1)]
+        line += [f"{getattr(row, name):.4g}".replace("nan", "-") for name in metrics]
         lines.append([*line, row.outcomes])
-    return as_text(head, lines, left=("world", "strategy", "outcomes"))
+    return as_text([*head, *metrics, "outcomes"], lines, left=("world", "strategy", "outcomes"))
 
 
 def path_at_equal_coverage(progress: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,6 +12,7 @@ import numpy as np
 from jexplore.arrays.padding import bucket
 from jexplore.config import InputError, Lidar, Rules, require_different
 from jexplore.exploration.batch import Job
+from jexplore.exploration.metrics import Metric
 from jexplore.exploration.site import COARSE_M, reach_d2
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import join_strategies
@@ -24,6 +25,7 @@ from jexplore.studies.checks import (
     require_different_buildings,
     require_memory,
 )
+from jexplore.studies.metrics import ready_metrics
 from jexplore.studies.results.provenance import own_digests, world_digest
 from jexplore.studies.results.units import CELL_S, MIN_UNIT_EPISODES, UNIT_S
 from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain_spec
@@ -69,6 +71,7 @@ class SweepPlan:
     units: list[list[SweepBlock]]
     programs: int
     """Programs that are compiled for it."""
+    metrics: dict[str, Metric] = dataclasses.field(default_factory=dict)
 
     @property
     def reference(self) -> str:
@@ -137,7 +140,7 @@ class SweepPlan:
             "version": __version__,
             "spec": plain_spec(self.spec),
             "digests": self.digests,
-            "own": own_digests(self.strategies),
+            "own": own_digests(self.strategies, self.metrics),
             "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
         }
 
@@ -188,7 +191,7 @@ class SweepPlan:
         world = self.world(block.world, cell_m)
         starts = self.starts(world, seed, rules.clearance_m, rules.near_m)[block.first : block.first + block.n]
         strategy = self.together[block.strategy]
-        return Job(world, strategy, starts, seed, block.first, lidar, rules, turn)
+        return Job(world, strategy, starts, seed, block.first, lidar, rules, turn, self.metrics)
 
 
 @functools.lru_cache(maxsize=256)
@@ -254,7 +257,8 @@ def prepare_sweep(spec: Sweep) -> SweepPlan:
                 checked.add((world, cell_m, lidar, rules.max_steps))
                 require_memory(loaded, lidar, rules)
     units, programs = _cut(spec, records, shapes, len(strategies), total)
-    return SweepPlan(spec, settings, records, strategies, [own for _, own in listed], shapes, digests, units, programs)
+    parameters, metrics = [own for _, own in listed], ready_metrics(spec.metrics)
+    return SweepPlan(spec, settings, records, strategies, parameters, shapes, digests, units, programs, metrics)
 
 
 def _program_key(world, lidar, rules):

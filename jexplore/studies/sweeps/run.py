@@ -48,7 +48,7 @@ class Swept(ByStrategy):
 
     spec: Sweep
     episodes: "pd.DataFrame"
-    """One row an episode, ordered by setting, world, strategy, episode; columns `units.COLUMNS`, and the settings:
+    """One row an episode, ordered by setting, world, strategy, episode; columns `units.COLUMNS`, metrics, settings:
     `setting` (its number), `lidar.range_m`, `strategy.weight`, ... Of robots one row a run, as in
     `jx.btm.trace(...).table`, with `tuning.votes`, ..."""
     columns: tuple[str, ...]
@@ -66,13 +66,13 @@ class Swept(ByStrategy):
         """Tabulate one row a setting, world and strategy; of robots see `traces.summarise_traces`.
 
         Columns are `n`, `mean` and `sd` of the path, metres, the paired `ratio` to the first strategy with `ratio_low`
-        and `ratio_high` (95 %, see `paired.paired_ratio`), mean `explored_fraction`, share `complete`; and those of
-        settings.
+        and `ratio_high` (95 %, see `paired.paired_ratio`), mean `explored_fraction`, share `complete`; those of
+        settings and metrics.
         """
         return (
             summarise_traces(self.episodes, self.columns)
             if self.spec.robots
-            else summarise(self.episodes, self.columns, self.reference)
+            else summarise(self.episodes, self.columns, self.reference, tuple(self.spec.metrics))
         )
 
     @property
@@ -143,7 +143,9 @@ class Swept(ByStrategy):
         return f"<Sweep of {self.episodes['setting'].nunique()} settings, {len(self.episodes)} episodes>"
 
 
-def summarise(episodes: "pd.DataFrame", columns: Sequence[str], first: str) -> "pd.DataFrame":
+def summarise(
+    episodes: "pd.DataFrame", columns: Sequence[str], first: str, metrics: Sequence[str] = ()
+) -> "pd.DataFrame":
     """Compute the `Swept.summary` of a table of episodes whose settings are in these columns.
 
     Ratios are to the strategy `first`; NaN where it has no episode, as in a part of a sweep.
@@ -169,6 +171,7 @@ def summarise(episodes: "pd.DataFrame", columns: Sequence[str], first: str) -> "
                     "ratio_high": np.nan if ratio is None else ratio.high,
                     "explored_fraction": some["explored_fraction"].mean(),
                     "complete": (some["outcome"] == "COMPLETE").mean(),
+                    **{name: some[name].mean() for name in metrics},
                 }
             )
     return pd.DataFrame(rows)
@@ -177,12 +180,14 @@ def summarise(episodes: "pd.DataFrame", columns: Sequence[str], first: str) -> "
 def summary_table(summary: Any, varied: Sequence[str], as_text: Callable[..., str] = aligned_table) -> str:
     """Format rows of `Swept.summary` as Markdown, or by `as_text` from names of columns and texts of rows."""
     head = ["world", *varied, "strategy", "n", "path m", "ratio to the first", "explored", "COMPLETE"]
+    metrics = list(summary)[list(summary).index("complete") + 1 :]
     lines = []
     for _, row in summary.iterrows():
         line = [row["world"], *(_value_text(row[name]) for name in varied), row["strategy"], str(row["n"])]
         line += [spread_text(row["mean"], row["sd"]), ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"])]
-        lines.append([*line, number_text(row["explored_fraction"], 3), f"{100 * row['complete']:.0f}%"])
-    return as_text(head, lines, left=("world", "strategy"))
+        line += [number_text(row["explored_fraction"], 3), f"{100 * row['complete']:.0f}%"]
+        lines.append([*line, *(_value_text(row[name]) for name in metrics)])
+    return as_text([*head, *metrics], lines, left=("world", "strategy"))
 
 
 def _value_text(value):

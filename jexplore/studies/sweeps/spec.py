@@ -23,6 +23,8 @@ from jexplore.config import (
     unknown,
 )
 from jexplore.driving.settings import Noise, Tuning
+from jexplore.studies.metrics import named_metrics
+from jexplore.users import bare, name_of
 from jexplore.worlds.poses import read_start
 
 MAX_SETTINGS = 100_000
@@ -81,6 +83,8 @@ class Sweep:
     """A `jx.btm.Tuning`, or some of its fields, for robots."""
     noise: Mapping[str, Any] | Noise = dataclasses.field(default_factory=dict)
     """A `jx.btm.Noise`, or some of its fields, for robots."""
+    metrics: Any = dataclasses.field(default_factory=dict)
+    """Columns of your own, for strategies: name -> function or "module:function", as in `jx.compare`."""
     settings: tuple[Mapping[str, Any], ...] = ()
     """Settings one by one instead of a product: mappings such as `{lidar.range_m: 4, rules.clearance_m: 0.2}`; with the
     product of the rest."""
@@ -106,6 +110,9 @@ class Sweep:
         for world in self.worlds:
             if not isinstance(world, (str, os.PathLike)):
                 raise InputError(f"worlds must be names or files, got {world!r}")
+        object.__setattr__(self, "metrics", named_metrics(self.metrics))
+        if self.robots and self.metrics:
+            raise InputError("metrics is for strategies, not for robots")
         require_whole("episodes", self.episodes, 1, MAX_TOTAL)
         read_start(self.start, self.start_m)
         if self.draw not in DRAW_METHODS:
@@ -368,6 +375,9 @@ def plain_spec(spec: Sweep) -> dict[str, Any]:
             return [simple(one) for one in value]
         if isinstance(value, os.PathLike):
             return os.fspath(value)
+        if callable(value):
+            function = bare(getattr(value, "function", value))
+            return f"{function.__module__}:{name_of(function)}"
         return value.item() if isinstance(value, np.generic) else value
 
     return {

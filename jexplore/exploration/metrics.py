@@ -1,0 +1,177 @@
+"""Metrics of a user's: pure functions of an episode's state, compiled with the rest, one number an episode."""
+
+import dataclasses
+import functools
+import re
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, Self
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jax import Array
+
+from jexplore.arrays.loops import run_if, stored
+from jexplore.config import InputError, checked_names, unknown
+from jexplore.engine.program import Given
+from jexplore.exploration.state import Setup, State, steps_m
+from jexplore.planning import Belief
+from jexplore.policies.catalogue.adapt import Theirs, expecting
+from jexplore.policies.catalogue.fingerprint import fingerprint
+from jexplore.users import call_user, described
+
+ADDRESS = re.compile(r"0x[0-9a-f]+")  # of objects, in the text of a jaxpr
+REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
+    "mean": jnp.add,
+    "sum": jnp.add,
+    "max": jnp.maximum,
+    "min": jnp.minimum,
+    "last": lambda so_far, new: new,
+}
+"""Ways to make one value of those after every motion: name -> function of the old and the new one."""
+
+
+@checked_names
+@struct.dataclass
+class EpisodeView:
+    """An episode as a metric sees it. Maps have padding, in which cells are occupied; `belief.extent` is without it."""
+
+    belief: Belief  # the robot's map, pose and start
+    occupied: Array  # [H, W] bool, the true world
+    rooms: Array  # [H, W] int32, true rooms; -1 outside rooms
+    straight: Array  # int32, straight steps
+    diagonal: Array  # int32, diagonal steps
+    turns: Array  # int32, 45-degree turns
+    scans: Array  # int32
+    plans: Array  # int32
+    known: Array  # int32, known cells among those that are to be known
+    outcome: Array  # int32, `Outcome`; RUNNING before the end
+    replace: ClassVar[Callable[..., Self]]
+
+    @property
+    def steps(self) -> Array:
+        """Return the number of steps: int32."""
+        return self.straight + self.diagonal
+
+    @property
+    def path_m(self) -> Array:
+        """Return the driven way, metres: float32."""
+        return steps_m(self.straight, self.diagonal, self.belief.model.cell_m)
+
+
+COUNTS = [field.name for field in dataclasses.fields(EpisodeView)][3:]
+
+
+class Metric(Theirs):
+    """A user's metric. `reduce`: how its values after every motion become one; None: it is taken at the end alone."""
+
+    def __init__(self, function: Callable[..., Any], reduce: str | None = None) -> None:
+        if not callable(function):
+            raise InputError(f"{described(function)} is no metric: expected a function of an EpisodeView")
+        super().__init__(function, (("reduce", reduce),))
+        self.reduce = reduce
+
+    def __call__(self, view: EpisodeView) -> Array:
+        found = call_user(self.function, self.what, view)
+        with expecting(self.what, "one bool, int32 or float32", found):
+            value = jnp.asarray(found)
+            if value.shape != () or value.dtype not in (jnp.bool_, jnp.int32, jnp.float32):
+                raise TypeError
+        return value.astype(jnp.float32 if self.reduce == "mean" else jnp.promote_types(value.dtype, jnp.int32))
+
+    def anew(self) -> Self:
+        return type(self)(self.function, self.reduce)
+
+
+@functools.lru_cache(maxsize=256)
+def _check(metric, tree, shapes):
+    """Trace a metric twice on shapes, without compiling, and refuse one that is not pure."""
+    view, found = jax.tree.unflatten(tree, shapes), []
+    try:
+        with jax.disable_jit(False), jax.checking_leaks():
+            for _ in range(2):
+                traced = jax.make_jaxpr(lambda view: metric(view))(view)
+                found.append((ADDRESS.sub("", str(traced)), fingerprint(*traced.consts)))
+    except InputError:
+        raise
+    except Exception as error:
+        if not str(error).startswith("Leaked"):
+            raise
+        raise InputError(f"{metric.what} is not pure: it keeps an array that JAX is tracing") from None
+    if found[0] != found[1]:
+        raise InputError(f"{metric.what} is not pure: two calls with the same state compute different things")
+
+
+@checked_names
+def metric(function: Any = None, *, every: str = "motion", reduce: str = "mean") -> Any:
+    """Make a metric that is taken after every motion; a bare function is taken at the end.
+
+    It is taken after the scans at the start, and after every motion with the scan that belongs to it.
+
+    Args:
+      function: of an `EpisodeView`, pure; returns one bool, int32 or float32. Without it, a decorator.
+      every: when it is taken: "motion".
+      reduce: how the values become one, of `REDUCTIONS`: "mean", "sum", "max", "min" or "last". Sums are int32 or
+        float32.
+
+    Returns:
+      What `metrics` of `jx.compare`, `jx.Sweep` and `jx.Environment` take.
+
+    Raises:
+      InputError: no function, or a word that does not exist.
+    """
+    if every != "motion":
+        raise unknown("value of every:", str(every), ["motion"])
+    if reduce not in REDUCTIONS:
+        raise unknown("reduction", str(reduce), list(REDUCTIONS))
+    if function is None:
+        return functools.partial(metric, every=every, reduce=reduce)
+    return Metric(function, reduce)
+
+
+def episode_view(given: Given, state: Any) -> EpisodeView:
+    """Return what a metric sees of a `State`."""
+    truth = given.own_scene
+    return EpisodeView(state.belief, truth.occupied, truth.rooms, *(getattr(state, name) for name in COUNTS))
+
+
+def take_stock(setup: Setup, given: Given, state: State, when: Array) -> State:
+    """Count the present values of the metrics that are taken after every motion, where `when`."""
+    own = [one for one in setup.metrics if one.reduce]
+    if not own:
+        return state
+
+    def counted(so_far):
+        n, old = so_far
+        new = [one(episode_view(given, state)) for one in own]
+        both = [REDUCTIONS[one.reduce](*values) for one, *values in zip(own, old, new)]
+        return n + 1, tuple(jnp.where(n == 0, *values) for values in zip(new, both))
+
+    blank = jnp.int32(0), tuple(jnp.zeros((), jax.eval_shape(one, episode_view(given, state)).dtype) for one in own)
+    return state.replace(metrics=run_if(when, counted, state.metrics or blank))
+
+
+def values_of(setup: Setup, given: Given, state: State) -> tuple[Array, ...]:
+    """Return the present values of all metrics, in order."""
+    n, values = state.metrics or (None, ())
+    noted, seen = iter(values), episode_view(given, state)
+
+    def now(one):
+        return stored(state.row >= 0, lambda: one(seen))
+
+    found = [next(noted) if one.reduce else now(one) for one in setup.metrics]
+    return tuple(value / n if one.reduce == "mean" else value for one, value in zip(setup.metrics, found))
+
+
+def check_metrics(metrics: Sequence[Metric], given: Given, belief: Any) -> None:
+    """Call metrics on shapes, without compiling. `given` and `belief` are those of a site, arrays or their shapes.
+
+    Raises:
+      InputError: one raises, returns no number, or is not pure: one line that names it.
+    """
+    counts = dict.fromkeys(COUNTS, jax.ShapeDtypeStruct((), jnp.int32))
+    truth = jax.eval_shape(lambda: given.own_scene)
+    view = EpisodeView(belief, truth.occupied, truth.rooms, **counts)  # type: ignore[arg-type]
+    leaves, tree = jax.tree.flatten(view)
+    for one in metrics:
+        _check(one, tree, tuple(leaves))

@@ -1,0 +1,71 @@
+"""Metrics of a user's by the names that they have as columns: checked before anything is compiled."""
+
+import keyword
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeAlias
+
+from jexplore.config import InputError, require_different
+from jexplore.exploration.metrics import Metric
+from jexplore.studies.bounds import beside
+from jexplore.studies.results import units
+from jexplore.studies.statistics import by_world, waste
+from jexplore.users import described, import_object
+
+MetricsLike: TypeAlias = Mapping[str, Any] | Iterable[str] | None
+"""Metrics by name: functions of an `EpisodeView`, `metric`s or "module:function"; or texts, "name=module:function"."""
+TAKEN = {
+    *(*units.COLUMNS, *by_world.SUMMARY_COLUMNS, *beside.RATIO_COLUMNS, *waste.WASTE_COLUMNS),
+    *("setting", "cell_m", "complete", "percent", "progress_m", "step", "way_row", "way_col", "way_known"),
+    *("map", "row", "col", "valid", "known_m2"),
+}
+"""Names in tables of episodes and their summaries, in labelled arrays, and in the info of `Environment.step`."""
+
+
+def named_metrics(metrics: MetricsLike) -> dict[str, Any]:
+    """Return metrics by name, without importing those that are texts.
+
+    Raises:
+      InputError: something else; a name that is given twice, taken, or no identifier.
+    """
+    if isinstance(metrics, Mapping):
+        pairs = list(metrics.items())
+    else:
+        texts = [metrics] if isinstance(metrics, str) else () if metrics is None else metrics
+        texts = list(texts) if isinstance(texts, Iterable) else [texts]
+        if not all(isinstance(text, str) for text in texts):
+            raise InputError(f"metrics must be a mapping of names to functions, got {metrics!r}")
+        pairs = [_named(text) for text in texts]
+    require_different("metrics", [str(name) for name, _ in pairs], "; name=module:function tells them apart")
+    for name, thing in pairs:
+        what = f"metric {thing!r}" if isinstance(thing, str) else f"metric {described(_function(thing))}"
+        if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name) or name[0] == "_":
+            raise InputError(f"{what}: its name must be an identifier such as map_error, got {name!r}")
+        if name in TAKEN:
+            raise InputError(f"{what}: its name must be new, and {name!r} is in the tables already")
+    return dict(pairs)
+
+
+def _named(text):
+    name, _, place = text.rpartition("=")
+    return name or place.rpartition(":")[2], place
+
+
+def _function(thing):
+    return getattr(thing, "function", thing)
+
+
+def ready_metrics(metrics: MetricsLike) -> dict[str, Metric]:
+    """Make metrics of functions and names, in order.
+
+    Raises:
+      InputError: as `named_metrics`; a module that does not import, something that is no function.
+    """
+    ready = {}
+    for name, thing in named_metrics(metrics).items():
+        if isinstance(thing, str):
+            module, colon, function = thing.partition(":")
+            if not (module and colon and function):
+                raise InputError(f"metric {name!r} must be module:function, got {thing!r}")
+            thing = import_object(module, function)
+        ready[name] = thing.anew() if isinstance(thing, Metric) else Metric(thing)
+    return ready
