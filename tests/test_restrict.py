@@ -40,6 +40,12 @@ def test_a_triangle_by_hand():
     assert picture(within) == ["........", ".#......", ".###....", ".#####..", "........"]
 
 
+def test_corners_may_lie_at_the_height_of_centres():
+    """A rhombus, whose left and right corners lie in the middle row of centres; those on its left edge are inside."""
+    within = stay_within(ROOM, [(1, 2.5), (4, 0.5), (7, 2.5), (4, 4.5)]).within
+    assert picture(within) == ["........", "..###...", ".######.", "..###...", "........"]
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_corners_may_go_round_either_way(turned):
     corners = [(2, 0), (5, 0), (5, 3), (2, 3)]
