@@ -109,7 +109,7 @@ def solve(task: BoundTask) -> Solved:
         np.stack(scene.cells(np.array(cells, int)), axis=1).astype(np.int32) for cells in (found.walk, found.witnesses)
     )
     row |= {"low_m": low_metres(found.low, world.cell_m), "low_any_m": low_metres(found.low_any, world.cell_m)}
-    row["high_m"] = math.nan if status == WEAK else float(length_along_m(*walk.T, world.cell_m)[-1])
+    row["high_m"] = math.nan if status == WEAK else float(length_along_m(walk[:, 0], walk[:, 1], world.cell_m)[-1])
     row |= {"status": status, "witnesses": len(witnesses), "seconds": budget.elapsed_s, "method": found.method}
     return Solved({name: row[name] for name in BOUND_COLUMNS}, walk, witnesses)
 

@@ -77,9 +77,8 @@ def _frame(key, building, robot, tuning, noise, state):
 
 def record_run(plan: TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> RunRecording:
     """Record the operator's view of run 0; `on_progress` is called with the number of finished steps."""
-    robot, tuning, noise = (
-        jax.tree.map(lambda a: jnp.asarray(a[0]), settings_arrays(record, 1)) for record in plan.first_settings()
-    )
+    records: tuple[Any, ...] = plan.first_settings()
+    robot, tuning, noise = (jax.tree.map(lambda a: jnp.asarray(a[0]), settings_arrays(record, 1)) for record in records)
     building = jax.device_put(plan.building)
     setup = mission.Setup(step_slots(plan.max_steps), *plan.size)
     key = jax.random.fold_in(random_key(np.uint32(plan.seed)), 0)

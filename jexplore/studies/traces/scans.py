@@ -43,7 +43,8 @@ def measured(plan: TraceJob, steps: np.ndarray, poses: np.ndarray, *, setting: i
     Returns `[n, B]` float32, metres; inf: no return; NaN: no reading, or ground.
     """
     _, noise = with_values(plan.tuning, plan.noise, own_values(plan.swept, setting))
-    settings: list[Any] = [jax.tree.map(lambda a: a[0], settings_arrays(record, 1)) for record in (plan.robot, noise)]
+    records: tuple[Any, ...] = plan.robot, noise
+    settings = [jax.tree.map(lambda a: a[0], settings_arrays(record, 1)) for record in records]
     key = jax.random.fold_in(random_key(np.uint32(plan.seed)), run)
     building, found = jax.device_put(plan.building), []
     for first in range(0, len(steps), SCANS_A_CALL):
