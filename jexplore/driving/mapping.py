@@ -203,7 +203,7 @@ def came_from(writer: Writer, centre: Array, radius: Array) -> Array:
 
 
 def came_through(writer: Writer, middles: Array, across: Array, width_m: Array) -> Array:
-    """Return the last step since the last node just beyond each opening: `[K]` int32, -1 for none."""
+    """Return the last step since the last node at which the robot was beyond an opening: `[K]` int32, -1 for none."""
     offset = writer.way.pose[:, :2] - middles[:, None]  # [K, T, 2]
     cos, sin = jnp.cos(across)[:, None], jnp.sin(across)[:, None]
     out_m, aside_m = offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin

@@ -202,7 +202,7 @@ def running_sum(values: Array) -> Array:
 def far_bound(
     far_m: Array | float, width_m: Array | float, beam_spacing_rad: Array | float, wall_m: Array | float
 ) -> Array:
-    """Compute up to where neighbouring beams on a wall lie closer than the least opening: float32, metres."""
+    """Compute the distance up to which neighbouring beams on a wall lie closer than the least opening: metres."""
     return jnp.minimum(far_m, 0.95 * jnp.sqrt(width_m * jnp.minimum(wall_m, far_m) / beam_spacing_rad))
 
 

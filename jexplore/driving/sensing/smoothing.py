@@ -24,7 +24,7 @@ def deviation(jumps: Array) -> Array:
 
 
 def second_differences(values: Array, there: Array) -> Array:
-    """Return twice how far readings are off the line through their neighbours: `[S - 2]`, NaN if one is missing."""
+    """Return twice the deviation of readings from the line through their neighbours: `[S - 2]`; NaN: one is missing."""
     both = there[2:] & there[1:-1] & there[:-2]
     return jnp.where(both, jnp.abs(values[2:] - 2 * values[1:-1] + values[:-2]), jnp.nan)
 
