@@ -76,7 +76,8 @@ class Drift:
         pictures = None
         if self.example is not None:
             drawn, cell_m = self.example.drawn, self.example.drawn.map.cell_m
-            what = ", ".join(f"{plots.ERROR_NAMES.get(name, name)} {value:g}" for name, value in self.example.errors.items())
+            errors = self.example.errors.items()
+            what = ", ".join(f"{plots.ERROR_NAMES.get(name, name)} {value:g}" for name, value in errors)
             pictures = plots.Pictures(
                 title=what or "no further error",
                 walls=wall_lines(self.plan),
