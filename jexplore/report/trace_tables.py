@@ -1,4 +1,4 @@
-"""Runs that write Behavioral Trace Maps, and the maps themselves, as map_tables of text."""
+"""Runs that write Behavioral Trace Maps, and the maps themselves, as tables of text."""
 
 import collections
 from typing import Any
@@ -82,7 +82,7 @@ def _cell(value, digits):
 
 
 def map_tables(found: BtmMap) -> str:
-    """Format the node and link map_tables of a map as Markdown (Mano et al., Tables I and II)."""
+    """Format the node and link tables of a map as Markdown (Mano et al., Tables I and II)."""
     head = ["node", "x m", "y m", "links", "angles deg", "type", "obstacle", "inclination deg", "step m", "posture deg"]
     lines = []
     for node in found.nodes:

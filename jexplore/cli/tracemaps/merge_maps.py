@@ -26,7 +26,7 @@ class MergeMaps:
     maps: tyro.conf.Positional[Files] = ()
     """Files of the maps, such as btm.json. The result lies in the frame of the first."""
     names: MapNames = ()
-    """MapNames of the maps in the output; by default those of their files, btm.json by its folder."""
+    """Names of the maps in the output; by default those of their files, btm.json by its folder."""
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Write the map into this file; by default it is not written."""
     overwrite: bool = False
