@@ -161,6 +161,44 @@ def test_a_scanner_that_sees_no_wall_anywhere_has_no_echo(tmp_path, no_echo, n):
         assert read_carmen(write(tmp_path, *lines)).max_range_m == no_echo
 
 
+def hall_lines(no_echo, n_poses=40):
+    """FLASER lines of a hall of 8 x 6 m from many poses, to the centimetre; four of its readings have no echo."""
+    draw = np.random.default_rng(5)
+    poses = np.column_stack([draw.uniform(1, 7, n_poses), draw.uniform(1, 5, n_poses), draw.uniform(0, 360, n_poses)])
+    for i, line in enumerate(room_lines("", poses=poses, door=False)):
+        words = line.split()
+        if i % (n_poses // 4) == 1:
+            words[100 + i] = no_echo
+        yield " ".join(words)
+
+
+def test_few_readings_without_echo_far_above_all_others(tmp_path):
+    path = write(tmp_path, *hall_lines("30.00"))
+    with pytest.warns(InputWarning, match=r"4 of its 14440 readings are 30 m or little more"):
+        assert read_carmen(path).max_range_m == 30
+    assert read_carmen(write(tmp_path, *hall_lines("9.98"))).max_range_m == 80  # echoes are as close to each other
+
+
+def test_one_reading_of_more_decimals_makes_no_echo_disappear(tmp_path):
+    """Readings to the centimetre, evenly spread; one of them has seven decimals."""
+    draw, lines = np.random.default_rng(0), []
+    for i in range(120):
+        words = [f"{reading:.2f}" for reading in draw.uniform(0.3, 7.5, 181)]
+        words[50] += "00001" if i == 3 else ""
+        x, y, heading = draw.uniform(0, 100, 3)
+        lines.append(f"FLASER 181 {' '.join(words)} {f'{x} {y} {heading} ' * 2}1 host 1")
+    assert read_carmen(write(tmp_path, *lines)).echo.all()
+
+
+def test_what_chance_gives_echoes_by_pencil():
+    """Steps of 0.01 m. Of five echoes besides the first of three at 3 m, two lie there, of the others all above 2 m."""
+    values = np.array([1.0, 1.95, 1.96, 1.97, 1.98, 1.99, 2.0, 2.5, 3.0])
+    counts = np.array([9, 1, 1, 1, 1, 1, 1, 2, 3])
+    assert carmen._chance(values, counts, 8) == pytest.approx(10 * (0.01 / 1.01) ** 2)
+    assert carmen._chance(values, np.array([9, 1, 1, 1, 1, 1, 1, 2, 1]), 8) == 1  # one says nothing
+    assert carmen._chance(values, counts, 0) == 1
+
+
 def test_a_bad_range_is_told_before_the_log_is_read(tmp_path, monkeypatch):
     monkeypatch.setattr(carmen, "read_carmen", lambda *_, **__: pytest.fail("it read"))
     for tail in ("range_m=-1", "range_m=far", "max_range_m=0", "no_echo_m=-1", "p_free=1"):
@@ -311,7 +349,7 @@ def folded_slowly(log, cell_m, range_m, no_echo_m):
     return hits, misses
 
 
-@settings(max_examples=25)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 10**6), cell_m=st.sampled_from([0.1, 0.25, 1.0]), no_echo_m=st.sampled_from([0.0, 2.0]))
 def test_any_pose_as_a_slow_plain_loop(seed, cell_m, no_echo_m):
     draw = np.random.default_rng(seed)

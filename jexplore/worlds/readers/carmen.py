@@ -17,18 +17,17 @@ from jexplore.config import InputError, InputWarning, checked_names, require_num
 from jexplore.worlds.readers.scans import ScanLog, fold_scans
 from jexplore.worlds.world import World
 
-_MAX_LOG_BYTES = 256 * 2**20
+_MAX_BYTES = 256 * 2**20
 _STEPS_DEG = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5, 400: 0.25, 401: 0.25}
 """Readings of an FLASER line -> degrees from one to the next. A scanner of 180 degrees may leave out the last one."""
 _FAR_M, _NEAR_M, _NEAR_CODES_M = 80.0, 8.0, 8.2  # a SICK's two ranges, and what the codes of the shorter one lie below
-_MAX_POSE_M = 1e6
-_RANGE_PARAMETER = re.compile(r"(robot|laser)_(front_?)?laser_?1?_max(_?range)?")
+_MAX_POSE = 1e6
+_LONGEST = re.compile(r"(robot|laser)_(front_?)?laser_?1?_max(_?range)?")
 """Parameters that say how far the scanner reaches that looks forward, metres; CARMEN has robot_front_laser_max."""
-_TOP_SHARE = 0.999  # of the largest reading: a SICK's nine codes, 8183 to 8191, lie closer together
+_SAME = 0.999  # of the largest reading: a SICK's nine codes, 8183 to 8191, lie closer together
 _PLACE_M = 0.1  # readings of one value that end in one square of this size count once: a robot may stand still
 _OFTEN = 5  # times the median count of a value; the largest echo of scans recorded in five buildings stays within it
-_Scanner = tuple[int, float, float, float | None]  # readings, start and step in radians, longest range in metres
-_Scan = tuple[_Scanner, np.ndarray, np.ndarray, np.ndarray, float]
+_CHANCE = 1e-6  # that echoes repeat the largest value so often; low, for those of one wall are no independent draws
 
 
 @checked_names
@@ -47,7 +46,8 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
         gives signs of: what `ROBOTLASER1` lines say; for `FLASER` the last `PARAM robot_front_laser_max`, without one
         80, and 8 if no reading is above 8.2, as a SICK in its mode of millimetres has it; and the largest reading,
         where it ends in more than 5 times as many places as a reading does in the median, and in more than 5 where
-        there is no other.
+        there is no other; or where echoes that lie no closer than those below it would repeat it as often by a chance
+        of less than one in a million, neighbouring beams counted once.
 
     Returns:
       `ScanLog`, scans in the order of the file. Readings of inf, NaN and below 0 stay as they are.
@@ -63,7 +63,7 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
     if max_range_m is not None:
         require_number("max_range_m", max_range_m, low_open=True, high=1000)
     scans, scanner, first, others, said_m = [], None, 0, set(), None
-    for number, line in enumerate(read_text(path, _MAX_LOG_BYTES).splitlines(), start=1):
+    for number, line in enumerate(read_text(path, _MAX_BYTES).splitlines(), start=1):
         word = line.split(maxsplit=1)[0] if line.strip() else ""
         if word not in _READ:
             others.add(word)
@@ -87,12 +87,8 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
     angles_rad = start_rad + step_rad * np.arange(n_beams)
     if max_range_m is not None:
         return ScanLog(poses, odometry, ranges, angles_rad, times, float(max_range_m))
-    if not longest_m:
-        longest_m = said_m or _FAR_M
-        if ranges.max() <= _NEAR_CODES_M:  # never with inf or NaN among them
-            longest_m = min(longest_m, _NEAR_M)
-    log = ScanLog(poses, odometry, ranges, angles_rad, times, longest_m)
-    return dataclasses.replace(log, max_range_m=_estimated_range_m(path, log))
+    log = ScanLog(poses, odometry, ranges, angles_rad, times, _longest(ranges, longest_m, said_m))
+    return dataclasses.replace(log, max_range_m=_found(path, log))
 
 
 def load_carmen(
@@ -127,10 +123,10 @@ def load_carmen(
     return scans.world(p_free=p_free, name=path)
 
 
-def _parameter(where: str, line: str) -> float | None:
+def _parameter(where, line):
     """Return the longest range stated by a PARAM line, metres; None for every other line or value."""
     words = line.split()[:3]
-    if len(words) < 2 or words[0] != "PARAM" or not _RANGE_PARAMETER.fullmatch(words[1]):
+    if len(words) < 2 or words[0] != "PARAM" or not _LONGEST.fullmatch(words[1]):
         return None
     text = " ".join(words[2:])
     try:
@@ -147,12 +143,21 @@ def _parameter(where: str, line: str) -> float | None:
     return None
 
 
-def _estimated_range_m(path: str, log: ScanLog) -> float:
-    """Return the largest reading if echoes would not repeat it as often, else the longest range of the log."""
-    values, places = _count_places(log)
-    top = values >= _TOP_SHARE * values.max(initial=0)
+def _longest(ranges, longest_m, said_m):
+    """Return the range from which a reading is no echo by the log and its scanner, metres. See `read_carmen`."""
+    if longest_m:
+        return longest_m
+    longest_m = said_m or _FAR_M
+    return min(longest_m, _NEAR_M) if ranges.max() <= _NEAR_CODES_M else longest_m  # never with inf or NaN among them
+
+
+def _found(path, log):
+    """Estimate the same from the readings: the largest range, if echoes would not repeat it as often."""
+    values, places, walls = _places(log)
+    top = values >= _SAME * values.max(initial=0)
     usual = 1 if top.all() else np.median(places[~top])
-    often = values[top & (places > _OFTEN * usual)]
+    rare = np.array([is_top and _chance(values, walls, k) < _CHANCE for k, is_top in enumerate(top)], bool)
+    often = values[(top & (places > _OFTEN * usual)) | rare]
     if not often.size:
         return log.max_range_m
     found_m = float(often[0])
@@ -166,51 +171,75 @@ def _estimated_range_m(path: str, log: ScanLog) -> float:
     return found_m
 
 
-def _count_places(log: ScanLog) -> tuple[np.ndarray, np.ndarray]:
-    """Return the different readings below the longest range, ascending, and in how many places each ends."""
+def _places(log):
+    """Return the different readings below the longest range, ascending, and how many places each was measured of.
+
+    The last array counts neighbouring beams of one value, as a wall across the way gives them, once.
+    """
     echo, angle = log.echo, log.poses[:, 2:] + log.angles_rad
     values, which = np.unique(log.ranges[echo], return_inverse=True)
     tips = (log.poses[:, None, k] + np.where(echo, log.ranges, 0) * of(angle) for k, of in enumerate((np.cos, np.sin)))
     x, y = (np.floor(tip[echo] / _PLACE_M).astype(np.int64) for tip in tips)
-    return values, np.bincount(np.unique(np.stack([which, x, y]), axis=1)[0], minlength=len(values))
+    is_first = np.insert(log.ranges[:, 1:] != log.ranges[:, :-1], 0, True, axis=1)[echo]
+
+    def counted(some):
+        cells = np.unique(np.stack([which, x, y])[:, some], axis=1)[0]
+        return np.bincount(cells, minlength=len(values))
+
+    return values, counted(np.ones(len(which), bool)), counted(is_first)
 
 
-def _flaser(where: str, words: list[str]) -> _Scan:
+def _chance(values, counts, k):
+    """Return the chance that echoes repeat value k as often as here, if they lie there no closer than below.
+
+    Of 2 n - 1 echoes after the first, n - 1 lie within a step of the value, all others down to the n-th below.
+    """
+    n, below = int(counts[k]), np.repeat(values[:k], counts[:k])
+    below = below[-n:] if n > 1 else below[:0]
+    if not below.size:
+        return 1.0
+    step_m, m = float(np.median(np.diff(values))), len(below)  # one odd reading does not set the step
+    share = step_m / (values[k] - below[0] + step_m)
+    ways = math.lgamma(n + m) - math.lgamma(n) - math.lgamma(m + 1)
+    return math.exp(min(ways + (n - 1) * math.log(share), 0.0))
+
+
+def _flaser(where, words):
     """Parse FLASER n, n readings, pose, odometry, time, host, time since the log's beginning."""
-    n = _n_readings(where, words, 1)
+    n = _count(where, words, 1)
     values = _numbers(where, words[2:], n, n + 7, n + 9)
     step_deg = _STEPS_DEG.get(n, 180 / max(n - 1, 1))
-    return (n, -math.pi / 2, math.radians(step_deg), None), *_scan(where, values, n, n + 6)
+    return (n, -math.pi / 2, math.radians(step_deg), None), *_parts(where, values, n, n + 6)
 
 
-def _robotlaser(where: str, words: list[str]) -> _Scan:
+def _robotlaser(where, words):
     """Parse a ROBOTLASER1 line.
 
     Its words are type, start angle, field of view, step, longest range, accuracy, remission mode, n, n readings, m, m
     remissions, pose, odometry, two speeds, three numbers about safety, time, host, time since the log's beginning.
     """
-    n = _n_readings(where, words, 8)
-    m = _n_readings(where, words, 9 + n, least=0)
+    n = _count(where, words, 8)
+    m = _count(where, words, 9 + n, least=0)
     kind = _numbers(where, words[1:8], 0, 7, 7)
     rest = words[9 : 9 + n] + words[10 + n + m :]
     values = _numbers(where, rest, n, n + 12, n + 14)
     start_rad, _, step_rad, longest_m = kind[1:5].tolist()
     if not step_rad > 0 or not longest_m > 0:
         raise InputError(f"{where}: the step and the longest range of a scanner must be above 0")
-    return (n, start_rad, step_rad, longest_m), *_scan(where, values, n, n + 11)
+    return (n, start_rad, step_rad, longest_m), *_parts(where, values, n, n + 11)
 
 
 _READ = {"FLASER": _flaser, "ROBOTLASER1": _robotlaser}
 
 
-def _n_readings(where: str, words: list[str], at: int, least: int = 1) -> int:
+def _count(where, words, at, least=1):
     word = words[at] if at < len(words) else ""
     if not (word.isascii() and word.isdigit() and least <= int(word[:6]) and len(word) < 6):
         raise InputError(f"{where}: word {at + 1} must be the number of readings, got {word!r}")
     return int(word)
 
 
-def _numbers(where: str, words: list[str], n: int, need: int, most: int) -> np.ndarray:
+def _numbers(where, words, n, need, most):
     """Parse the first `need` words as numbers, finite but for the first `n`, which are readings."""
     if not need <= len(words) <= most:
         what = "is cut short" if len(words) < need else "has too many words"
@@ -227,15 +256,15 @@ def _numbers(where: str, words: list[str], n: int, need: int, most: int) -> np.n
     return np.array(values)
 
 
-def _scan(where: str, values: np.ndarray, n: int, at_time: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+def _parts(where, values, n, at_time):
     """Return readings, pose, odometry, time."""
     ranges, poses = values[:n], values[n : n + 6]
-    if np.abs(poses).max() > _MAX_POSE_M:
-        raise InputError(f"{where}: a pose must lie within {_MAX_POSE_M:g} m of 0, got {np.abs(poses).max():g}")
+    if np.abs(poses).max() > _MAX_POSE:
+        raise InputError(f"{where}: a pose must lie within {_MAX_POSE:g} m of 0, got {np.abs(poses).max():g}")
     return ranges, poses[:3], poses[3:], values[at_time]
 
 
-def _describe(scanner: _Scanner) -> str:
+def _describe(scanner):
     n, start_rad, step_rad, longest_m = scanner
     below = f" below {longest_m:g} m" if longest_m else ""
     return f"{n} readings{below} from {math.degrees(start_rad):.4g} degrees by {math.degrees(step_rad):.4g}"
