@@ -195,9 +195,9 @@ class _Work:
         self.jobs, self.ledger, self.firsts = jobs, ledger, {}
         self.units = cut_jobs(jobs, 0 if ledger is None else ledger.after)
         self.pieces: dict[int, Piece] = {}
-        for i in [] if ledger is None else sorted(ledger.done & set(range(len(self.units)))):
+        for i in () if ledger is None else sorted(ledger.done & set(range(len(self.units)))):
             job = self.units[i].job
-            self.pieces[i] = of_table(ledger.get(i), job, jobs[job].world.cell_m)
+            self.pieces[i] = of_table(self.ledger.get(i), job, jobs[job].world.cell_m)
         self.resumed = sum(len(piece.table) for piece in self.pieces.values())
         self.left = [i for i in range(len(self.units)) if i not in self.pieces]
 
