@@ -251,7 +251,7 @@ def test_no_key_is_used_twice():
         dropout=jnp.float32(0.1), no_echo_is_free=jnp.bool_(True), scan_every=jnp.int32(0),
         arrival_d2=jnp.int32(0), params=(),
     )  # fmt: skip
-    program = program_of(Setup(strategy.policy, 2, 4, True, 3))
+    program = program_of(Setup(strategy.policy, 2, True, 3, window=4))
     beams, start = jax.device_put((beam_table(lidar, 1.0, 6), np.asarray([1, 1, 0], np.int32)))
 
     def run(key):

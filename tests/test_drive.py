@@ -58,7 +58,7 @@ def target(_folder):
 def setting(native, occupied=ROOM, lidar=RIGHT_ANGLES, start=(1, 2, 0)):
     """`(setup, given)` of an episode of `closest`, cells of a metre."""
     strategy, rules = Strategy("closest", closest(), False), jx.Rules(clearance_m=0, near_m=0)
-    setup = Setup(strategy.policy._replace(params=()), 1, False, 100, native)
+    setup = Setup(strategy.policy._replace(params=()), 1, False, 100, native=native)
     truth, beams = jax.tree.map(jnp.asarray, (
         episodes.truth_of(occupied, None, occupied.shape), episodes.beams_of(lidar, 1.0, occupied.shape[1], None)
     ))  # fmt: skip

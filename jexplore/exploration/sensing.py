@@ -1,5 +1,8 @@
 """Sensing: a scan at the robot's true pose, counted into its map at the estimated pose."""
 
+import functools
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
@@ -16,25 +19,43 @@ def stacked(given: Given, maps: Array) -> tuple[Array, Array]:
     return maps.reshape(-1, maps.shape[-1]), given.scene * maps.shape[-2]
 
 
-def known_cells(grid: Grid, within: Array | None = None) -> Array:
+class Square(NamedTuple):
+    """A part of a map."""
+
+    row: Array  # int32, first row
+    col: Array  # int32, first column
+    size: tuple[int, int]  # height and width; static
+
+
+def _square_round(setup, belief):
+    """Return the `Square` that holds every cell a scan can change; None where the whole map is counted as fast."""
+    height, width = shape = belief.driven.shape
+    size = min(height, 2 * setup.window + 1), min(width, 2 * setup.window + 1)
+    if not setup.window or 2 * size[0] * size[1] >= height * width:  # it is counted before and after
+        return None
+    corner = (jnp.clip(at - setup.window, 0, n - m) for at, n, m in zip((belief.row, belief.col), shape, size))
+    return Square(*corner, size)
+
+
+def known_cells(grid: Grid, within: Array | None = None, square: Square | None = None) -> Array:
     """Count the known cells that count: those of the goal. int32.
 
     Args:
       grid: `Grid`.
       within: `[H, W]` bool, the cells that count; None: all.
+      square: where they are counted; None: everywhere.
     """
-    maps = grid if within is None else (grid, within)
+    row, col, (height, width) = square or (0, 0, grid.hits.shape)
 
-    def run(maps):
+    def run(maps, row, col):
         def add(i, so_far):
-            row = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, keepdims=False), maps)
-            return so_far + (is_known(row) if within is None else is_known(row[0]) & row[1])
+            own, *more = (jax.tree.map(lambda a: lax.dynamic_slice(a, (row + i, col), (1, width)), one) for one in maps)
+            return so_far + functools.reduce(jnp.logical_and, more, is_known(own))
 
-        none = jnp.zeros(grid.hits.shape[1], jnp.int32)
-        return jnp.sum(lax.fori_loop(0, grid.hits.shape[0], add, none), dtype=jnp.int32)
+        return jnp.sum(lax.fori_loop(0, height, add, jnp.zeros((1, width), jnp.int32)), dtype=jnp.int32)
 
     # In one piece: as operations of their own, which store the map between them, it took nearly twice the time.
-    return one_kernel(run, maps)
+    return one_kernel(run, (grid,) if within is None else (grid, within), jnp.int32(row), jnp.int32(col))
 
 
 def without_silent(seen: Scan, blind: Array, no_echo_is_free: Array | bool) -> Scan:
@@ -74,6 +95,13 @@ def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
         noise = {"sigma_cells": given.numbers.sigma_cells, "dropout": given.numbers.dropout}
         seen = disturb(key, seen, state.row, state.col, state.heading, beams, belief.extent, **noise)
     seen = without_silent(seen, blind, given.numbers.no_echo_is_free)
-    grid = fold(belief.grid, belief.row, belief.col, belief.heading, seen, beams, when=when)
-    known = known_cells(grid, belief.within)
+    square, before, rest = _square_round(setup, belief), jnp.int32(0), jnp.int32(0)
+    if square is not None:
+        before = known_cells(belief.grid, belief.within, square)
+        rest = state.known - before
+    # The number is added where it changes nothing (it is never negative), so that it is made first, and the map can then
+    # be changed in place.
+    row = belief.row + jnp.minimum(before, 0)
+    grid = fold(belief.grid, row, belief.col, belief.heading, seen, beams, when=when)
+    known = rest + known_cells(grid, belief.within, square)
     return state.replace(belief=belief.replace(grid=grid), scans=state.scans + when, known=known)

@@ -122,7 +122,7 @@ def prepare_site(
     truth = _truth(world, shape)
     limit = limit_of(world.shape)
     everyone = [(lidar, rules), *(pair for pair in alike if pair[0].n_beams == lidar.n_beams)]
-    setup = _setup(everyone, shape, limit, None if any(metric.reduce for metric in metrics) else native)
+    setup = _setup(everyone, world.cell_m, shape, limit, None if any(metric.reduce for metric in metrics) else native)
     # Ignored types: numpy on the host, where the record says what it is on the device.
     model = MapModel(
         p_free=np.float32(rules.p_free),  # type: ignore[arg-type]
@@ -202,16 +202,18 @@ def regions_of(world: World) -> np.ndarray:
     return ndimage.label(free)[0].astype(np.int32)  # type: ignore[index]  # scipy says too little
 
 
-def _setup(everyone, shape, limit, native):
+def _setup(everyone, cell_m, shape, limit, native):
     """Make a static config that suits several scanners and rules, those of the site first."""
     lidar, _ = everyone[0]
     max_steps = max(rules.max_steps or limit for _, rules in everyone)
     noisy = any(one.sigma_m > 0 or one.dropout > 0 for one, _ in everyone)
+    most = max(farthest(one, cell_m) + 4 * in_cells(one.sigma_m, cell_m) for one, _ in everyone)
     return Setup(
         policy=None,
         first_scans=scans_all_round(lidar.fov_deg),
         noisy=noisy,
         capacity=max(LEAST_LIMIT, shape[0] * shape[1]) if max_steps <= limit else max_steps,
+        window=math.ceil(most) + 1,
         native=None if noisy else native,
     )
 

@@ -62,6 +62,7 @@ class Setup(NamedTuple):
     first_scans: int  # scans all round at the start: 1, 2, 4 or 8
     noisy: bool  # whether the scanner's noise is simulated
     capacity: int  # T, steps that the trail has room for; at least max_steps
+    window: int = 0  # half width of the square that a scan can change, cells; 0: the whole map
     native: str | None = None  # target of JAX's FFI that drives, see `native.drive`; None: JAX does
     metrics: tuple[Any, ...] = ()  # `metrics.Metric`s
 

@@ -127,6 +127,7 @@ def play(
     shape=None,
     seed=0,
     beams_as=None,
+    window=0,
     native=False,
 ):
     """`(Result, State)` of the kernel, of numpy arrays; `native`: whether native code drives, where it can be built."""
@@ -137,6 +138,7 @@ def play(
         0,
         lidar.sigma_m > 0 or lidar.dropout > 0,
         CAPACITY,
+        window,
         find_target().name if native else None,
     )
     numbers = numbers_of(strategy, lidar, rules, cell_m)
