@@ -105,7 +105,7 @@ class Robot:
 
     def explore(self) -> None:
         """Scan all round, then plan and drive until no frontier cell can be reached."""
-        n = scans_all_round(LIDAR.fov_deg)
+        n = scans_all_round(LIDAR)
         self.turn(8 // n, times=n)
         while True:
             maps = self.grid, self.driven, self.exhausted

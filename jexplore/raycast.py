@@ -127,16 +127,13 @@ def by_beam(offset: np.ndarray) -> np.ndarray:
     return offset.reshape(n_headings, n // BLOCK, BLOCK, n_beams).swapaxes(2, 3)
 
 
-def scans_all_round(fov_deg: float) -> int:
+def scans_all_round(lidar: Lidar) -> int:
     """Return the number of evenly turned scans of a look-around: 1, 2, 4 or 8, so that every heading is on the lattice.
 
-    Args:
-      fov_deg: field of view, degrees. A Python number.
-
     Returns:
-      int. ceil(360 / fov) where that divides 8; below 45 degrees 8 scans leave gaps.
+      int. ceil(360 / field of view) where that divides 8; below 45 degrees 8 scans leave gaps.
     """
-    return next((n for n in (1, 2, 4) if n * fov_deg >= 360), HEADINGS)
+    return next((n for n in (1, 2, 4) if n * lidar.fov_deg >= 360), HEADINGS)
 
 
 def all_round(beams: Beams) -> Beams:
@@ -233,7 +230,7 @@ def beam_table(lidar: Lidar, cell_m: float, width: int, longest: float = 0.0) ->
         length=within.sum(axis=1).astype(np.int32),  # type: ignore[arg-type]
         blind=blind.astype(np.int32),  # type: ignore[arg-type]
         reach=np.float32(reach),  # type: ignore[arg-type]
-        around=scans_all_round(lidar.fov_deg),
+        around=scans_all_round(lidar),
     )
 
 

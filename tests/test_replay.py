@@ -54,7 +54,7 @@ def test_the_replay_is_the_episode(strategy, lidar, rules, number):
     assert [(m.row, m.col) for m in (after[step] for step in sorted(after))] == list(
         zip(episode.final.rows.tolist(), episode.final.cols.tolist())
     )
-    assert len(moments) + scans_all_round(lidar.fov_deg) - 1 == measures["scans"]
+    assert len(moments) + scans_all_round(lidar) - 1 == measures["scans"]
     for name in ("scans", "exhausted", "refused"):
         assert int(getattr(last.state, name)) == measures[name]
     assert int(last.belief.exhausted.sum()) == measures["exhausted"]

@@ -72,7 +72,7 @@ def parts_of(
         height=world.shape[0],
         width=world.shape[1],
         n_beams=lidar.n_beams,
-        first_scans=scans_all_round(lidar.fov_deg),
+        first_scans=scans_all_round(lidar),
         clearance_d2=reach_d2(rules.clearance_m, world),
         near_d2=reach_d2(rules.near_m, world),
         arrival_d2=reach_d2(rules.arrival_m, world),

@@ -210,7 +210,7 @@ def _setup(everyone, cell_m, shape, limit, native):
     most = max(farthest(one, cell_m) + 4 * in_cells(one.sigma_m, cell_m) for one, _ in everyone)
     return Setup(
         policy=None,
-        first_scans=scans_all_round(lidar.fov_deg),
+        first_scans=scans_all_round(lidar),
         noisy=noisy,
         capacity=max(LEAST_LIMIT, shape[0] * shape[1]) if max_steps <= limit else max_steps,
         window=math.ceil(most) + 1,

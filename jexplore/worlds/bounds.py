@@ -86,8 +86,10 @@ def require_generator(kind: str, given: Mapping[str, Any]) -> None:
             low_m = (max(6.0, 6 * given["passage_m"]),) * 2
         case "maze":
             low_m = (2 * given["corridor_m"] + 3 * given["wall_m"],) * 2
-        case _:
+        case "rooms":
             low_m = (2 * given["room_m"],) * 2
+        case _:
+            low_m = 0.0, 0.0
     cell_m = given["cell_m"]
     require_number(f"{kind}: cell_m", cell_m, low=0.001, high=MAX_CELL_M)
     for side, low in zip(("width_m", "height_m"), low_m):

@@ -148,7 +148,7 @@ def play(
         compiled(
             static,
             key_of(seed),
-            jnp.int32(scans_all_round(lidar.fov_deg)),
+            jnp.int32(scans_all_round(lidar)),
             jax.device_put(truth_of(occupied, rooms, shape, within, known)),
             jax.device_put(beams_of(lidar, cell_m, shape[1], beams_as)),
             numbers,

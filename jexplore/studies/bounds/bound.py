@@ -92,7 +92,7 @@ def low_metres(cost: int, cell_m: float) -> float:
 def solve(task: BoundTask) -> Solved:
     """Bound one start."""
     world, start = task.world, task.start
-    scene = prepare_scene(world, start, task.lidar, task.rules, scans_all_round(task.lidar.fov_deg))
+    scene = prepare_scene(world, start, task.lidar, task.rules, scans_all_round(task.lidar))
     row: dict[str, Any] = {"world": os.fspath(world.name), "start_row": start[0], "start_col": start[1]}
     row |= {"start_heading_deg": start[2], "sha256": world_digest(world)}
     if scene is None:

@@ -264,7 +264,7 @@ def prepare_sweep(spec: Sweep) -> SweepPlan:
 def _program_key(world, lidar, rules):
     """Return what must agree to share a compiled program: shape of the padded map, clearance, beams, look-around."""
     padded = tuple(bucket(side) for side in ringed_shape(world.occupied))
-    around = scans_all_round(lidar.fov_deg)
+    around = scans_all_round(lidar)
     return padded, reach_d2(rules.clearance_m, world), lidar.n_beams, around, world.cell_m > COARSE_M
 
 
