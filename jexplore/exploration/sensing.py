@@ -99,8 +99,8 @@ def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
     if square is not None:
         before = known_cells(belief.grid, belief.within, square)
         rest = state.known - before
-    # The number is added where it changes nothing (it is never negative), so that it is made first, and the map can then
-    # be changed in place.
+    # The number is added where it changes nothing (it is never negative), so that it is made first, and the map can
+    # then be changed in place.
     row = belief.row + jnp.minimum(before, 0)
     grid = fold(belief.grid, row, belief.col, belief.heading, seen, beams, when=when)
     known = rest + known_cells(grid, belief.within, square)
