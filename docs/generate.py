@@ -216,14 +216,14 @@ def notebooks() -> list[Path]:
 
 
 def notebooks_table() -> str:
-    """Tabulate the notebooks with their first heading and the first paragraph below."""
+    """Tabulate the notebooks with their first heading and the question in bold below."""
     rows = []
     for path in notebooks():
         cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
         text = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
-        heading, *paragraphs = (" ".join(part.split()) for part in text.split("\n\n"))
-        rows.append((f"[{path.stem}](../../notebooks/{path.name})", f"{heading.lstrip('# ')}. {paragraphs[0]}"))
-    return table_of(["notebook", "what it shows"], rows)
+        heading, question = re.findall(r"^# (.+)|\*\*([^*]+)\*\*", text, re.MULTILINE)[:2]
+        rows.append((f"[{path.stem}](../../notebooks/{path.name})", heading[0], " ".join(question[1].split())))
+    return table_of(["notebook", "subject", "question"], rows)
 
 
 def api_table(*names: str) -> str:

@@ -35,7 +35,7 @@ from jexplore.worlds.world import World, ringed_shape
 
 MAX_UNIT_EPISODES = 256  # episodes of a unit at most, about; one file each
 MAX_SWEEP_UNITS = 4096  # larger sweeps have larger units
-PROGRAM_COMPILE_S = 12.0  # processor seconds of compiling a program, about (benchmarks/RESULTS.md, Programs)
+PROGRAM_COMPILE_S = 12.0  # processor seconds of compiling a program, about (benchmarks/RESULTS.md, Episodes)
 STRATEGY_COSTS = {
     **{"closest": 1.0, "random": 3.0, "utility": 2.5, "distance-advantage": 3.0, "small-first": 3.0},
     **{"tour": 3.5, "mcdm": 4.0, "decision-theoretic": 12.0, "gain-rate": 20.0},
