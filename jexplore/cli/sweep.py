@@ -57,7 +57,7 @@ class SweepCommand:
     """Continue the run in the folder, if any: finished units are not computed again. With a larger number of episodes
     it keeps the earlier ones."""
     trust: bool = False
-    """Let --resume take strategies of your own for what they were when the run began, although they have changed."""
+    """Let --resume take strategies of your own for what they were when the run began, even where nothing tells."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
@@ -198,7 +198,7 @@ class Merge:
     overwrite: bool = False
     """Replace the run that the folder holds."""
     trust: bool = False
-    """Take strategies of your own for the same in all parts, although they have changed."""
+    """Take strategies of your own for the same in all parts, even where nothing tells."""
     report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
     """Write report.html, the whole run in one page with replays."""
 

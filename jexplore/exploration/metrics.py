@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import re
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Self
 
@@ -16,11 +15,10 @@ from jexplore.config import InputError, checked_names, unknown
 from jexplore.engine.program import Given
 from jexplore.exploration.state import Setup, State, steps_m
 from jexplore.planning import Belief
+from jexplore.policies.catalogue import traced
 from jexplore.policies.catalogue.adapt import Theirs, expecting
-from jexplore.policies.catalogue.fingerprint import fingerprint
 from jexplore.users import call_user, described
 
-ADDRESS = re.compile(r"0x[0-9a-f]+")  # of objects, in the text of a jaxpr
 REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
     "mean": jnp.add,
     "sum": jnp.add,
@@ -65,11 +63,12 @@ COUNTS = [field.name for field in dataclasses.fields(EpisodeView)][3:]
 class Metric(Theirs):
     """A user's metric. `reduce`: how its values after every motion become one; None: it is taken at the end alone."""
 
-    def __init__(self, function: Callable[..., Any], reduce: str | None = None) -> None:
+    def __init__(self, function: Callable[..., Any], reduce: str | None = None, digest: str | None = None) -> None:
         if not callable(function):
             raise InputError(f"{described(function)} is no metric: expected a function of an EpisodeView")
-        super().__init__(function, (("reduce", reduce),))
+        super().__init__(function, digest=digest)
         self.reduce = reduce
+        self._key = *self._key, reduce
 
     def __call__(self, view: EpisodeView) -> Array:
         found = call_user(self.function, self.what, view)
@@ -79,19 +78,16 @@ class Metric(Theirs):
                 raise TypeError
         return value.astype(jnp.float32 if self.reduce == "mean" else jnp.promote_types(value.dtype, jnp.int32))
 
-    def anew(self) -> Self:
-        return type(self)(self.function, self.reduce)
+    def anew(self, digest: str | None = None) -> Self:
+        return type(self)(self.function, self.reduce, digest)
 
 
 @functools.lru_cache(maxsize=256)
-def _check(metric, tree, shapes):
-    """Trace a metric twice on shapes, without compiling, and refuse one that is not pure."""
-    view, found = jax.tree.unflatten(tree, shapes), []
+def _digest(metric, tree, shapes):
+    view = jax.tree.unflatten(tree, shapes)
     try:
         with jax.disable_jit(False), jax.checking_leaks():
-            for _ in range(2):
-                traced = jax.make_jaxpr(lambda view: metric(view))(view)
-                found.append((ADDRESS.sub("", str(traced)), fingerprint(*traced.consts)))
+            found = [traced.digest(jax.make_jaxpr(lambda view: metric(view))(view)) for _ in range(2)]
     except InputError:
         raise
     except Exception as error:
@@ -100,6 +96,7 @@ def _check(metric, tree, shapes):
         raise InputError(f"{metric.what} is not pure: it keeps an array that JAX is tracing") from None
     if found[0] != found[1]:
         raise InputError(f"{metric.what} is not pure: two calls with the same state compute different things")
+    return found[0]
 
 
 @checked_names
@@ -163,8 +160,12 @@ def values_of(setup: Setup, given: Given, state: State) -> tuple[Array, ...]:
     return tuple(value / n if one.reduce == "mean" else value for one, value in zip(setup.metrics, found))
 
 
-def check_metrics(metrics: Sequence[Metric], given: Given, belief: Any) -> None:
-    """Call metrics on shapes, without compiling. `given` and `belief` are those of a site, arrays or their shapes.
+def traced_metrics(metrics: Sequence[Metric], given: Given, belief: Any) -> tuple[Metric, ...]:
+    """Identify metrics by what they compute, as `adapt.traced_policy` does strategies.
+
+    Args:
+      metrics: list of `Metric`.
+      given, belief: of a site, arrays or their shapes.
 
     Raises:
       InputError: one raises, returns no number, or is not pure: one line that names it.
@@ -173,5 +174,4 @@ def check_metrics(metrics: Sequence[Metric], given: Given, belief: Any) -> None:
     truth = jax.eval_shape(lambda: given.own_scene)
     view = EpisodeView(belief, truth.occupied, truth.rooms, **counts)  # type: ignore[arg-type]
     leaves, tree = jax.tree.flatten(view)
-    for one in metrics:
-        _check(one, tree, tuple(leaves))
+    return tuple(one.anew(_digest(one, tree, tuple(leaves))) for one in metrics)

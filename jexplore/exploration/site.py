@@ -15,7 +15,7 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.program import Given, Line
 from jexplore.exploration import environment
 from jexplore.exploration.episode import program_of
-from jexplore.exploration.metrics import Metric, check_metrics
+from jexplore.exploration.metrics import Metric, traced_metrics
 from jexplore.exploration.state import Numbers, Setup, Truth
 from jexplore.exploration.trail import record_of
 from jexplore.grid import in_cells, radius_d2
@@ -57,8 +57,7 @@ class Site(NamedTuple):
         """Return the `Setup` and the `Numbers` of a strategy here: `(setup, numbers)`."""
         params = _numbers(strategy)
         numbers = self.numbers.replace(recheck=np.bool_(strategy.recheck), params=params)
-        _check(self, strategy, numbers)
-        return self.setup._replace(policy=strategy.policy._replace(params=())), numbers
+        return self.setup._replace(policy=_traced(self, strategy, numbers)._replace(params=())), numbers
 
 
 def _numbers(strategy):
@@ -69,13 +68,13 @@ def _numbers(strategy):
         raise InputError(f"{strategy.name}: params of a Policy must be numbers and arrays") from None
 
 
-def _check(site, strategy, numbers):
-    """Refuse a user's strategy whose functions return the wrong shapes or types here."""
+def _traced(site, strategy, numbers):
+    """Return the policy of a strategy; a user's is traced here, and refused if its result is wrong."""
     if not adapt.is_theirs(strategy.policy):
-        return
+        return strategy.policy
     _, belief = _example(site, numbers)
     route = jax.ShapeDtypeStruct(site.truth.occupied.shape, np.int8)
-    adapt.check_policy(strategy.policy, numbers.params, belief, site.beams, route)
+    return adapt.traced_policy(strategy.policy, numbers.params, belief, site.beams, route)
 
 
 def _example(site, numbers):
@@ -85,7 +84,8 @@ def _example(site, numbers):
     # Ignored types: numpy on the host, where the record says what it is on the device.
     given = Given(np.zeros((), np.int32), site.beams, truth, np.int32(0), numbers, task)  # type: ignore[arg-type]
     belief = jax.eval_shape(environment.blank_belief, given)
-    return given, belief
+    # A function is told by what it computes, by whatever code.
+    return given, belief.replace(model=belief.model.replace(native=None))
 
 
 def prepare_site(
@@ -146,9 +146,8 @@ def prepare_site(
         params=(),
     )
     site = Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
-    if metrics:
-        check_metrics(metrics, *_example(site, numbers))
-    return site._replace(setup=setup._replace(metrics=tuple(metrics)))
+    own = traced_metrics(metrics, *_example(site, numbers)) if metrics else ()
+    return site._replace(setup=setup._replace(metrics=own))
 
 
 def alike(truths: Sequence[Truth]) -> list[Truth]:

@@ -201,10 +201,15 @@ def require_same(path: Path, there: Mapping[str, Any], here: Mapping[str, Any], 
         if old.get(key) != new.get(key):
             raise InputError(_difference(path, key, old.get(key), new.get(key)))
     for name in () if trust else dict.fromkeys((*is_, *was)):
-        if was.get(name) != is_.get(name):
+        if is_.get(name) is None:
             raise InputError(
-                f"{path} holds another run: its {name} has changed; choose another folder, allow "
-                "overwriting (--overwrite) or, if it computes the same, trust it (--trust)"
+                f"{path} holds a run of the {name}, which calls back into Python, so that nothing tells whether it has "
+                "changed since: --trust goes on if you know that it has not, --overwrite begins anew"
+            )
+        if was.get(name) != is_[name]:
+            raise InputError(
+                f"{path} holds another run: its {name} computes something else now; choose another folder "
+                "or allow overwriting (--overwrite)"
             )
 
 

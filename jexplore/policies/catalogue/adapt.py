@@ -15,8 +15,8 @@ from jexplore.arrays.loops import stored
 from jexplore.config import InputError, shown
 from jexplore.engine.draws import random_key
 from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, nearest_of, view_of
+from jexplore.policies.catalogue import traced
 from jexplore.policies.catalogue.entries import REQUIRED, is_score, parameters
-from jexplore.policies.catalogue.fingerprint import fingerprint
 from jexplore.policies.policy import Policy, Strategy, no_carry
 from jexplore.policies.room_wise import rebuilt
 from jexplore.raycast import Beams
@@ -60,21 +60,30 @@ def adapted(policy: Policy) -> Policy:
 
 
 class Theirs:
-    """A function of a user's, equal to those of the same fingerprint: they are compiled once."""
+    """A function of a user's. Once it has been traced it is told from others by what it computes, so that two that
+    compute the same are compiled once; until then it is equal to itself alone.
+    """
 
-    def __init__(self, function: Callable[..., Any], fixed: tuple[tuple[str, Any], ...] = ()) -> None:
-        self.function, self.fixed, self.what = function, fixed, described(function)
-        self.digest = fingerprint(type(self).__name__, function, fixed)
+    function: Callable[..., Any]
+    fixed: tuple[tuple[str, Any], ...]
+    what: str
+    digest: str | None  # of the whole policy; None before it is traced, and where it cannot be told
 
-    def anew(self) -> "Theirs":
-        """Return the same function as it is now."""
-        return type(self)(self.function, self.fixed)
+    def __init__(
+        self, function: Callable[..., Any], fixed: tuple[tuple[str, Any], ...] = (), digest: str | None = None
+    ) -> None:
+        self.function, self.fixed, self.what, self.digest = function, fixed, described(function), digest
+        self._key = type(self), object() if digest is None else digest
+
+    def anew(self, digest: str | None = None) -> "Theirs":
+        """Return the same function, as it is now, or as it was when traced."""
+        return type(self)(self.function, self.fixed, digest)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Theirs) and self.digest == other.digest
+        return isinstance(other, Theirs) and self._key == other._key
 
     def __hash__(self) -> int:
-        return hash(self.digest)
+        return hash(self._key)
 
 
 def _score_policy(function, given):
@@ -289,30 +298,17 @@ def is_theirs(policy: Policy) -> bool:
     return isinstance(inner, Theirs)
 
 
-def _anew(policy):
-    return rebuilt(policy, lambda function: function.anew() if isinstance(function, Theirs) else function)
+def _anew(policy, digest=None):
+    return rebuilt(policy, lambda function: function.anew(digest) if isinstance(function, Theirs) else function)
 
 
-def digest_of(policy: Policy) -> str:
-    """Return the fingerprint of a user's strategy without its parameters: the same in every process."""
-    roles = (policy.init, policy.select, policy.live)
-    return fingerprint(*(getattr(role, "digest", role) for role in (getattr(role, "inner", role) for role in roles)))
+def digest_of(policy: Policy) -> str | None:
+    """Return the digest that identifies a user's traced strategy in every process; None without one."""
+    return getattr(getattr(policy.select, "inner", policy.select), "digest", None)
 
 
-@functools.lru_cache(maxsize=256)
-def _check(policy, tree, shapes):
-    def all_of_it(key, params, belief, beams, route):
-        carry = policy.init(params, belief)
-        carry, choice, route = policy.select(key, params, carry, belief, beams, route)
-        live = policy.live(params, belief, beams, choice.row, choice.col) if policy.live is not None else True
-        return carry, choice, route, live
-
-    with jax.disable_jit(False):
-        jax.eval_shape(all_of_it, random_key(0), *jax.tree.unflatten(tree, shapes))
-
-
-def check_policy(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> None:
-    """Call the functions of a user's strategy on shapes, without compiling.
+def traced_policy(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> Policy:
+    """Identify the functions of a user's strategy by their computation: traced on shapes, without compiling.
 
     The other arguments are what it will be called with, arrays or their shapes.
 
@@ -320,4 +316,20 @@ def check_policy(policy: Policy, params: Any, belief: Any, beams: Any, route: An
       InputError: a function raises, or returns the wrong thing; one line that names it.
     """
     leaves, tree = jax.tree.flatten((params, belief, beams, route))
-    _check(policy._replace(params=()), tree, tuple(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves))
+    shapes = tuple(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves)
+    digest = _digest(policy._replace(params=()), tree, shapes)
+    return policy if digest is None else _anew(policy, digest)
+
+
+@functools.lru_cache(maxsize=256)
+def _digest(policy, tree, shapes):
+    """See `traced.digest`. Functions that were taken anew are traced anew."""
+
+    def all_of_it(key, params, belief, beams, route):
+        carry = policy.init(params, belief)
+        carry, choice, route = policy.select(key, params, carry, belief, beams, route)
+        live = policy.live(params, belief, beams, choice.row, choice.col) if policy.live is not None else True
+        return carry, choice, route, live
+
+    with jax.disable_jit(False):
+        return traced.digest(jax.make_jaxpr(all_of_it)(random_key(0), *jax.tree.unflatten(tree, shapes)))

@@ -226,8 +226,13 @@ def _part_of(asked):
 def _require_same_strategies(part, asked, first):
     """Refuse a part whose strategies compute something else than those of the first one."""
     for name, digest in asked.get("own", {}).items():
+        if digest is None:
+            raise InputError(
+                f"{part} was made with the {name}, which calls back into Python, so that nothing tells whether it was "
+                "the same in all parts: --trust if you know that it was"
+            )
         if digest != first.get("own", {}).get(name):
-            raise InputError(f"{part} was made with another {name}: make it again, or trust it (--trust)")
+            raise InputError(f"{part} was made with another {name}, one that computes something else: make it again")
 
 
 def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, SweepPlan | TracePlan]:

@@ -6,23 +6,22 @@ import importlib.metadata
 import json
 import os
 import subprocess
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import jax
 import numpy as np
 
 from jexplore.arrays.files import read_yaml
+from jexplore.arrays.padding import bucket
 from jexplore.config import InputError
 from jexplore.exploration.batch import Job
-from jexplore.exploration.metrics import Metric
-from jexplore.policies import Strategy
+from jexplore.exploration.site import prepare_site
 from jexplore.policies.catalogue import adapt
 from jexplore.version import __version__
 from jexplore.worlds import names
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, ringed_shape
 
 GIT_S = 5.0  # seconds that git may take
 
@@ -96,21 +95,35 @@ def package_commit() -> str | None:
         return None
 
 
-def own_digests(strategies: Iterable[Strategy], metrics: Mapping[str, Metric] = MappingProxyType({})) -> dict[str, str]:
-    """Return digests of what its name does not determine: users' strategies and metrics, and strategies with weights.
+def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
+    """Compute digests of users' metrics and strategies, and of those with weights: their names do not determine them.
 
     Returns:
-      "strategy 'name'" or "metric 'name'" -> SHA-256, in hexadecimal digits, of all parameters and of the fingerprint
-      of a user's functions.
+      "strategy 'name'" or "metric 'name'" -> SHA-256, in hexadecimal digits, of all parameters and of the traced
+      computation in the jobs' worlds; None if unknown, see `traced.digest`.
     """
-    found = {}
-    for strategy in strategies:
-        leaves, is_theirs = jax.tree.leaves(strategy.policy.params), adapt.is_theirs(strategy.policy)
-        if is_theirs or any(map(np.ndim, leaves)):
-            own = hashlib.sha256(b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in leaves))
-            own.update((adapt.digest_of(strategy.policy) if is_theirs else "").encode())
-            found[f"strategy {strategy.name!r}"] = own.hexdigest()
-    return found | {f"metric {name!r}": metric.digest for name, metric in metrics.items()}
+    parts: dict[str, dict[Any, str | None]] = {}
+    for job in jobs:
+        policy, sides = job.strategy.policy, tuple(bucket(side) for side in ringed_shape(job.world.occupied))
+        leaves, theirs = jax.tree.leaves(policy.params), adapt.is_theirs(policy)
+        where = sides, job.world.within is None, job.world.cell_m, job.lidar, job.rules
+        if job.metrics and where not in parts.setdefault(f"metric {next(iter(job.metrics))!r}", {}):
+            assert job.lidar is not None
+            assert job.rules is not None
+            setup = prepare_site(job.world, job.lidar, job.rules, metrics=tuple(job.metrics.values())).setup
+            for name, metric in zip(job.metrics, setup.metrics):
+                parts.setdefault(f"metric {name!r}", {})[where] = metric.digest
+        own = parts.setdefault(f"strategy {job.strategy.name!r}", {}) if theirs or any(map(np.ndim, leaves)) else None
+        if own is None or where in own:
+            continue
+        own["numbers"] = hashlib.sha256(b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in leaves)).hexdigest()
+        if theirs:
+            assert job.lidar is not None
+            assert job.rules is not None
+            site = prepare_site(job.world, job.lidar, job.rules)
+            own[where] = adapt.digest_of(site.with_strategy(job.strategy)[0].policy)
+    told = {name: list(own.values()) for name, own in parts.items()}
+    return {name: None if None in own else hashlib.sha256(repr(own).encode()).hexdigest() for name, own in told.items()}
 
 
 def asked(jobs: Sequence[Job]) -> dict[str, Any]:
@@ -132,7 +145,7 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
         "rules": list(dict.fromkeys(rules for _, rules in settings)),
         "starts": starts.hexdigest(),
         "digests": {name: world_digest(world) for name, world in worlds.items()},
-        "own": own_digests((job.strategy for job in jobs), jobs[0].metrics),
+        "own": own_digests(jobs),
         **({"metrics": measured} if measured else {}),
     }
 

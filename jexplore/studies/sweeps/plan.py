@@ -140,7 +140,7 @@ class SweepPlan:
             "version": __version__,
             "spec": plain_spec(self.spec),
             "digests": self.digests,
-            "own": own_digests(self.strategies, self.metrics),
+            "own": own_digests(self._one_of_each_kind()),
             "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
         }
 
@@ -156,6 +156,18 @@ class SweepPlan:
             return dataclasses.replace(self, spec=dataclasses.replace(self.spec, episodes=n)).asked(shard)
 
         return ShorterRuns(self.spec.episodes, asked, lambda n: len(self.after(n).units))
+
+    def _one_of_each_kind(self):
+        """Yield one of all settings and worlds that share a program, with every strategy: `Job`s of no episode."""
+        kinds = {}
+        for _, cell_m, lidar, rules in self.records:
+            for world in range(len(self.spec.worlds)):
+                key = _program_key(self.world(world, cell_m), lidar, rules)
+                kinds.setdefault(key, (world, cell_m, lidar, rules))
+        for world, cell_m, lidar, rules in kinds.values():
+            for strategy in self.strategies:
+                own = {"lidar": lidar, "rules": rules, "metrics": self.metrics}
+                yield Job(self.world(world, cell_m), strategy, np.zeros((0, 3), int), **own)
 
     def size(self, unit: int) -> int:
         """Return the number of episodes of a unit."""
