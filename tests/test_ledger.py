@@ -309,11 +309,11 @@ def test_units_without_their_page_are_nobodys(tmp_path):
         ({"command": "reproduce"}, 4, r'its command is "compare", not "reproduce"'),
         ({"seed": 1}, 4, r"its seed is null, not 1"),
         ({}, 5, r"its units is 4, not 5"),
-        ({"own": {"mine": "b"}}, 4, r"its strategy 'mine' has changed; .* trust it \(--trust\)"),
+        ({"own": {"strategy 'mine'": "b"}}, 4, r"its strategy 'mine' computes something else now"),
     ],
 )
 def test_another_run_is_not_gone_on_with(tmp_path, change, units, message):
-    asked = {**ASKED, "own": {"mine": "a"}}
+    asked = {**ASKED, "own": {"strategy 'mine'": "a"}}
     leave(tmp_path, 0, asked=asked)
     with pytest.raises(InputError, match=f"holds another run: {message}"):
         begin(tmp_path, units=units, asked={**asked, **change})
@@ -333,11 +333,11 @@ def reopened(path, asked, **how):
 
 
 def test_a_finished_run_is_known(tmp_path):
-    asked = {**ASKED, "own": {"mine": "a"}}
+    asked = {**ASKED, "own": {"strategy 'mine'": "a"}}
     finish(tmp_path, asked)
     assert reopened(tmp_path, asked) is None
-    other = {**asked, "own": {"mine": "b"}}
-    with pytest.raises(InputError, match="its strategy 'mine' has changed"):
+    other = {**asked, "own": {"strategy 'mine'": "b"}}
+    with pytest.raises(InputError, match="its strategy 'mine' computes something else now"):
         reopened(tmp_path, other)
     assert reopened(tmp_path, other, trust=True) is None
     for page, message in (

@@ -473,7 +473,7 @@ def test_odd_yaml_is_one_line(text, tmp_path):
         (["s.yaml", "--shard", "half"], "--shard must be I/N"),
         (["s.yaml", "--shard", "9/9"], "the sweep has only 2 units"),
         (["long.yaml"], "give --yes to begin"),
-        (["s.yaml", "--engine", "slurm"], "--engine must be one of"),
+        (["s.yaml", "--engine", "slurm"], "invalid choice 'slurm' for argument '--engine'"),
     ],
 )
 def test_bad_commands_are_one_line(options, message, tmp_path, capsys, monkeypatch):

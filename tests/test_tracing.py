@@ -135,7 +135,7 @@ def test_a_map_from_an_episode(tmp_path, capsys):
         (("--tuning.arrive-m", "5"), "tuning.arrive_m must be less than tuning.open_m, got 5 and 2.5"),
         (("--tuning.votes", "0"), "tuning.votes must be an integer from 1 to 9"),
         (("--start", "0.1", "0.1", "0"), "lies in a wall"),
-        (("--start", "2.5", "27", "east"), "--start must be three numbers, got ['2.5', '27', 'east']"),
+        (("--start", "2.5", "27", "east"), "--start: Could not parse arguments ['2.5', '27', 'east']"),
         (("--start", "2.5", "27", "nan"), "start heading must be a number"),
         (("--robot", "kamui:width_m=3"), "does not fit there"),
         (("--sweep", "voices=3"), "sweep must be NAME="),

@@ -105,8 +105,7 @@ def prepare_site(
       lidar: `Lidar`.
       rules: `Rules`.
       shape: `(H, W)` to which the world is padded; by default the next that many worlds share.
-      native: target of native code that drives and plans, for one robot on a CPU; None: JAX does. For a noisy scanner
-        JAX does.
+      native: target of native code that drives and plans, for one robot on a CPU; None, or a noisy scanner: JAX does.
       alike: scanners and rules of other runs. The static config then suits all of them whose scanner has as many beams,
         so that they share a program; results are the same.
       metrics: of every episode. For those after every motion JAX drives.

@@ -1,5 +1,7 @@
 """Results of episodes for tests."""
 
+import dataclasses
+
 import numpy as np
 
 from jexplore.exploration.state import Result
@@ -8,7 +10,7 @@ from jexplore.exploration.state import Result
 def result(n=1, **fields):
     """Return a `Result` of n episodes, COMPLETE, all else 0 but for the given fields."""
     zero = np.zeros(n, np.int32)
-    values = dict.fromkeys(Result.__dataclass_fields__, zero)
+    values = {field.name: zero for field in dataclasses.fields(Result)} | {"metrics": ()}
     values |= {"outcome": zero + 1, "explorable": zero + 1, "straight_at": np.zeros((n, 4), np.int32)}
     values |= {"diagonal_at": np.zeros((n, 4), np.int32)}
     values |= dict.fromkeys(("straight_along", "diagonal_along"), np.zeros((n, 100), np.int32))
