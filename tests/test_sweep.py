@@ -15,9 +15,11 @@ from jexplore.cli import main
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.driving.settings import Tuning
 from jexplore.engine import devices
+from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
 from jexplore.studies.results.units import COLUMNS
 from jexplore.studies.sweeps import plan as plans
+from jexplore.studies.sweeps import run as runs
 from jexplore.studies.sweeps import traces
 from jexplore.studies.sweeps.plan import SweepBlock, in_shard, prepare_sweep
 from jexplore.studies.sweeps.run import ready, sweep
@@ -367,6 +369,41 @@ def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
         longer.episodes[longer.episodes["episode"] < 24].reset_index(drop=True), whole.episodes
     )
     pd.testing.assert_frame_equal(longer.episodes, sweep("s.yaml").episodes)
+
+
+def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, monkeypatch):
+    """Part 2 is made with 11 episodes and continued to 20, which cuts its work in another way than part 1 at once."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(plans, "MAX_UNIT_EPISODES", 8)
+
+    def run_units(plan, numbers, on_unit, **how):
+        for number in numbers:
+            on_unit(number, pd.concat([made(plan, block) for block in plan.units[number]]))
+        return Costs()
+
+    def made(plan, block):
+        rows = {name: np.zeros(block.n) for name in COLUMNS} | {"setting": block.setting, "world": WORLDS[0]}
+        rows |= {"strategy": plan.strategies[block.strategy].name, "outcome": "COMPLETE"}
+        rows |= {"episode": np.arange(block.first, block.first + block.n), "cell_m": 0.1}
+        return pd.DataFrame(rows)
+
+    def sweep_part(episodes, *options):
+        asked = {"worlds": WORLDS[:1], "strategies": ["closest"], "episodes": episodes}
+        (tmp_path / "s.yaml").write_text(yaml.safe_dump(asked))
+        assert main.main(["sweep", "s.yaml", "--no-report", *options]) == 0
+
+    monkeypatch.setattr(runs, "run_block_units", run_units)
+    for part in (1, 2):
+        sweep_part(11, "--shard", f"{part}/2", "--out", f"short{part}")
+    sweep_part(20, "--shard", "2/2", "--out", "short2", "--resume")
+    sweep_part(20, "--shard", "1/2", "--out", "part1")
+    capsys.readouterr()
+    assert main.main(["merge", "part1", "short2", "--out", "merged"]) == 2
+    said = capsys.readouterr().err
+    assert re.search(r"must hold each episode once: \d+ of them are there twice and \d+ nowhere, .*continue all", said)
+    sweep_part(20, "--shard", "1/2", "--out", "short1", "--resume")
+    assert main.main(["merge", "short1", "short2", "--out", "merged", "--no-report"]) == 0
+    assert jx.load("merged").episodes["episode"].tolist() == list(range(20))
 
 
 @pytest.mark.jit

@@ -9,7 +9,7 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,9 +32,6 @@ from jexplore.studies.sweeps.spec import read_spec
 from jexplore.studies.sweeps.traces import TracePlan
 from jexplore.version import __version__
 from jexplore.worlds.world import World
-
-if TYPE_CHECKING:
-    pass
 
 MAX_DETAILS_BYTES = 2**32  # unpacked; the progress of a million episodes takes a fifth
 MADE_FROM = ("version", "spec", "digests")  # entries of what was asked from which a sweep is made ready again
@@ -235,6 +232,18 @@ def _require_same_strategies(part, asked, first):
             raise InputError(f"{part} was made with another {name}, one that computes something else: make it again")
 
 
+def _require_whole(table, plan):
+    """Refuse parts that were cut in different ways: a part that was continued, beside one that was made at once."""
+    who, number = ("strategy", "episode") if isinstance(plan, SweepPlan) else ("robot", "run")
+    twice, missing = int(table.duplicated(["setting", "world", who, number]).sum()), plan.episodes - len(table)
+    if twice or missing:
+        lost = missing + twice
+        raise InputError(
+            f"the parts must hold each {number} once: {twice:,} of them are there twice and {lost:,} nowhere, as parts "
+            f"continued with more episodes are cut in another way: make the part again, or continue all parts alike"
+        )
+
+
 def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, SweepPlan | TracePlan]:
     """Join the parts of a sweep.
 
@@ -246,7 +255,8 @@ def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tu
       `(Swept, SweepPlan)`.
 
     Raises:
-      InputError: a folder that holds no finished part, parts of different sweeps, one that is missing or there twice.
+      InputError: a folder that holds no finished part, parts of different sweeps, one that is missing or there twice,
+        parts that were not continued alike.
     """
 
     if not parts:
@@ -283,5 +293,6 @@ def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tu
     if any(store.jsonable(asked.get(key)) != next(iter(pages.values())).get(key) for key in MADE_FROM):
         raise InputError("the sweep's worlds or jexplore itself have changed since the parts were made")
     table = whole_table([found.episodes for found in tables], plan)
+    _require_whole(table, plan)
     costs = functools.reduce(Costs.plus, (found.costs for found in tables))
     return Swept(plan.spec, table, tuple(plan.columns), costs, reference=plan.reference), plan
