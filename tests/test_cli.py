@@ -22,7 +22,7 @@ from jexplore.cli import main, options
 from jexplore.config import InputError
 from jexplore.exploration import batch
 from jexplore.report import store
-from jexplore.studies.results.units import COLUMNS
+from jexplore.studies.results.columns import COLUMNS
 from jexplore.worlds import GENERATORS
 
 LIDAR = ("--lidar.n-beams", "37", "--lidar.range-m", "1")

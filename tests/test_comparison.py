@@ -17,9 +17,10 @@ from jexplore.exploration.trail import Final
 from jexplore.studies import checks
 from jexplore.studies.comparison import compare
 from jexplore.studies.results import comparison
+from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.comparison import assemble, prepare_jobs
 from jexplore.studies.results.grids import write_maps
-from jexplore.studies.results.units import COLUMNS, Ran, cut_jobs, piece_of
+from jexplore.studies.results.units import Ran, cut_jobs, piece_of
 from jexplore.studies.statistics import by_world, league, sizes
 from jexplore.worlds.readers.ros import read_ros
 from jexplore.worlds.world import World, occupancy_to_world

@@ -20,7 +20,7 @@ from jexplore.cli.options import parse_options
 from jexplore.config import InputError
 from jexplore.policies.catalogue import entries
 from jexplore.report.folders import OUR_FILES
-from jexplore.studies.results.units import COLUMNS
+from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.sweeps.spec import sweep_from
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -86,6 +86,14 @@ REFUSED = [
     (["sweep", "cells.yaml"], "cell_m must be a number at least 0.001"),
     (["sweep", "twice.yaml"], "worlds must differ, got 'cave' more than once"),
     (["compare", "--workers", "99999999"], "workers must be an integer from 1 to 1024"),
+    (["compare", "--metric"], "--metric must name at least one, got none"),
+    (["compare", "--metric", "mine"], "metric 'mine' must be module:function, got 'mine'"),
+    (["compare", "--metric", "steps=mine:f"], "metric 'mine:f': its name must be new, and 'steps' is in the tables"),
+    (["compare", "--metric", "2=mine:f"], "its name must be an identifier such as map_error, got '2'"),
+    (["compare", "--metric", "no_such_module:f"], "no module 'no_such_module', neither installed nor in "),
+    (["compare", "--metric", "json:loads", "loads=json:dumps"], "metrics must differ, got 'loads' more than once"),
+    (["compare", "--metric", "json:loads,json:dumps"], "no name but several: metrics are given with spaces between"),
+    (["sweep", "metrics.yaml"], "metric 'a': 3 is no metric: expected a function or module:function"),
     (["compare", "--episodes", "0"], "episodes must be an integer from 1 to 1000000, got 0"),
     (["compare", "--cell-m", "0"], "cell_m must be a number at least 0.001"),
     (["compare", "--start", "1,2"], "start must be random, world, cells such as 12,30,90"),
@@ -156,6 +164,7 @@ def spec(tmp_path, monkeypatch):
     (tmp_path / "spec.yaml").write_text("worlds: [cave, kave]\nstrategies: [closest]\n")
     (tmp_path / "cells.yaml").write_text("worlds: [cave]\ncell_m: [0.1, 0]\n")
     (tmp_path / "large.yaml").write_text("worlds: ['hospital:furniture=0.5']\ncell_m: [0.1, 0.25]\n")
+    (tmp_path / "metrics.yaml").write_text("worlds: [cave]\nmetrics: {a: 3}\n")
     (tmp_path / "twice.yaml").write_text("worlds: [cave, cave]\n")
 
 

@@ -9,8 +9,8 @@ import pytest
 import jexplore as jx
 from jexplore.config import InputError
 from jexplore.report import store
+from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.loading import load, merge
-from jexplore.studies.results.units import COLUMNS
 from jexplore.version import __version__
 
 RECORD = {

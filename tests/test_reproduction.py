@@ -17,8 +17,8 @@ from jexplore.exploration import batch
 from jexplore.policies import parse_strategy
 from jexplore.studies import papers
 from jexplore.studies.reproduction import Reproduction, prepare_paper, reproduce, verdict, world_names
+from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.comparison import Comparison
-from jexplore.studies.results.units import COLUMNS
 from jexplore.studies.statistics import paired
 from jexplore.studies.statistics.paired import PairedRatio
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats as scipy_stats
 
 from jexplore.config import InputError
+from jexplore.studies.results.columns import SUMMARY_COLUMNS
 from jexplore.studies.statistics import by_world, paired
 
 VECTORS = st.lists(st.floats(0.5, 1000.0), min_size=2, max_size=12)
@@ -218,7 +219,7 @@ def test_summary_keeps_the_order_given_and_pairs_by_episode():
     other_world["world"] = "cave#0"
     episodes = pd.concat([both(a, b), other_world], ignore_index=True)
     summary = by_world.summarise(episodes)
-    assert list(summary.columns) == list(by_world.SUMMARY_COLUMNS)
+    assert list(summary.columns) == list(SUMMARY_COLUMNS)
     assert list(zip(summary["world"], summary["strategy"])) == [
         *(("office#1", "closest"), ("office#1", "random"), ("cave#0", "closest"), ("cave#0", "random"))
     ]

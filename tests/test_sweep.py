@@ -17,7 +17,7 @@ from jexplore.driving.settings import Tuning
 from jexplore.engine import devices
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
-from jexplore.studies.results.units import COLUMNS
+from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.sweeps import plan as plans
 from jexplore.studies.sweeps import run as runs
 from jexplore.studies.sweeps import traces

@@ -6,6 +6,7 @@ import pytest
 import jexplore as jx
 from jexplore.cli import main
 from jexplore.config import InputError
+from jexplore.studies.results.columns import WASTE_COLUMNS
 from jexplore.studies.statistics import waste
 
 
@@ -57,11 +58,9 @@ def test_of_a_comparison(tmp_path, capsys):
     assert main.main([*command, "--episodes", "3"]) == 0
     assert "to leftovers" in capsys.readouterr().out
     again = jx.load(tmp_path / "run").to_pandas()
-    np.testing.assert_allclose(again[list(waste.WASTE_COLUMNS)], table[list(waste.WASTE_COLUMNS)])
+    np.testing.assert_allclose(again[list(WASTE_COLUMNS)], table[list(WASTE_COLUMNS)])
     assert (tmp_path / "run" / "waste.png").stat().st_size > 1000
     assert main.main([*command, "--episodes", "5", "--resume"]) == 0  # the ways of the first three are there
     longer = jx.load(tmp_path / "run")
     assert (longer.resumed, len(longer.episodes)) == (6, 10)
-    np.testing.assert_allclose(
-        longer.wasted.query("episode < 3")[list(waste.WASTE_COLUMNS)], table[list(waste.WASTE_COLUMNS)]
-    )
+    np.testing.assert_allclose(longer.wasted.query("episode < 3")[list(WASTE_COLUMNS)], table[list(WASTE_COLUMNS)])

@@ -68,7 +68,7 @@ class Compare:
     from_map: MapFile = None
     """Go on from a partial map of the same cells, such as explored.yaml of `jexplore explore`: what it shows is known
     from the beginning, and drawn starts lie where it shows free floor."""
-    metric: MetricNames = ()
+    metric: MetricNames = None
     """Add columns of your own: functions of an episode in a module here or installed, such as mine:crowding;
     name=mine:crowding names the column."""
     league: bool = False
@@ -176,12 +176,13 @@ class Compare:
 def _more_tables(episodes, league):
     """Format tables of waste or bounds, if episodes have their columns: text; a league's by strategy."""
     from jexplore.studies.bounds import beside
+    from jexplore.studies.results.columns import RATIO_COLUMNS, WASTE_COLUMNS
     from jexplore.studies.statistics import waste
 
     text, by = "", ["strategy"] if league else ["world", "strategy"]
-    if waste.WASTE_COLUMNS[0] in episodes:
+    if WASTE_COLUMNS[0] in episodes:
         text += f"\nWhere path is wasted:\n\n{waste.waste_table(episodes, by)}"
-    if beside.RATIO_COLUMNS[0] in episodes:
+    if RATIO_COLUMNS[0] in episodes:
         text += f"\nBeside the shortest walks of a robot that knows the map:\n\n{beside.beside_table(episodes, by)}"
     return text
 

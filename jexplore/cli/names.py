@@ -28,6 +28,7 @@ from jexplore.config import (
 )
 from jexplore.driving.settings import for_world, require_noise, require_tuning, robot_of
 from jexplore.learn.settings import parse_settings, require_names_apart, require_rounds, trainer_settings
+from jexplore.studies.metrics import module_and_function, named_metrics
 from jexplore.worlds import GENERATORS, known_generators, read_name
 from jexplore.worlds import names as grammar
 from jexplore.worlds.bounds import require_generator
@@ -62,6 +63,8 @@ def check_names(command: str, options: Any) -> None:
             require_different(option, ones)
     if command == "trace":
         check_trace(options)
+    if command == "compare":
+        check_metrics(options)
     if command == "train":
         check_train(options)
 
@@ -75,7 +78,8 @@ def _check_one(check, text, option, is_alone):
         if len(pieces) == 1 or not all(_passes(check, piece) for piece in pieces):
             raise
         right = "must be one of them" if is_alone else f"are given with spaces between, {' '.join(pieces)}"
-        raise InputError(f"{text!r} is no name but several: {option} {right}") from None
+        what = "metrics" if option == "metric" else option
+        raise InputError(f"{text!r} is no name but several: {what} {right}") from None
 
 
 def _passes(check, text):
@@ -163,6 +167,22 @@ def check_spec(path: str) -> None:
         check_world(os.fspath(world), cell_m)
     for name, _ in () if spec.robots else spec.strategy_list():
         check_strategy(name)
+    for name, thing in spec.metrics.items():
+        if isinstance(thing, str):
+            _require_module(module_and_function(name, thing)[0])
+
+
+def check_metric(text: str) -> None:
+    """Refuse a metric whose name cannot be a column's, that is no module:function, or of no module."""
+    for name, thing in named_metrics(text).items():
+        _require_module(module_and_function(name, thing)[0])
+
+
+def check_metrics(options: Any) -> None:
+    """Refuse an option without metrics, and two metrics of one name."""
+    if options.metric == ():
+        raise InputError("--metric must name at least one, got none")
+    named_metrics(options.metric)
 
 
 def check_trace(options: Any) -> None:
@@ -196,6 +216,7 @@ OPTION_CHECKS: dict[str, Callable[[Any], object]] = {
     "within": read_polygon,
     "robot": robot_of,
     "noise": require_noise,
+    "compare metric": check_metric,
     "spec": check_spec,
     "bench engine": require_engine,
 }

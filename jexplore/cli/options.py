@@ -51,7 +51,7 @@ IntegerList = Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]
 Number = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
 OwnNames = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
 MetricNames = Annotated[
-    tuple[str, ...], tyro.conf.arg(metavar="MODULE:FUNCTION [MODULE:FUNCTION ...]", help_behavior_hint="")
+    tuple[str, ...] | None, tyro.conf.arg(metavar="MODULE:FUNCTION [MODULE:FUNCTION ...]", help_behavior_hint="")
 ]
 OneWorld = Annotated[str, tyro.conf.arg(metavar="WORLD")]
 OneStrategy = Annotated[str, tyro.conf.arg(metavar="STRATEGY")]

@@ -1,20 +1,23 @@
-"""Metrics of a user's by the names that they have as columns: checked before anything is compiled."""
+"""Users' metrics by the names that they have as columns: checked before anything is compiled.
+
+Importing this loads neither jax nor numpy.
+"""
 
 import keyword
 from collections.abc import Iterable, Mapping
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from jexplore.config import InputError, require_different
-from jexplore.exploration.metrics import Metric
-from jexplore.studies.bounds import beside
-from jexplore.studies.results import units
-from jexplore.studies.statistics import by_world, waste
+from jexplore.config import InputError, require_different, shown
+from jexplore.studies.results.columns import COLUMNS, RATIO_COLUMNS, SUMMARY_COLUMNS, WASTE_COLUMNS
 from jexplore.users import described, import_object
+
+if TYPE_CHECKING:
+    from jexplore.exploration.metrics import Metric
 
 MetricsLike: TypeAlias = Mapping[str, Any] | Iterable[str] | None
 """Metrics by name: functions of an `EpisodeView`, `metric`s or "module:function"; or texts, "name=module:function"."""
 TAKEN = {
-    *(*units.COLUMNS, *by_world.SUMMARY_COLUMNS, *beside.RATIO_COLUMNS, *waste.WASTE_COLUMNS),
+    *(*COLUMNS, *SUMMARY_COLUMNS, *RATIO_COLUMNS, *WASTE_COLUMNS),
     *("setting", "cell_m", "complete", "percent", "progress_m", "step", "way_row", "way_col", "way_known"),
     *("map", "row", "col", "valid", "known_m2"),
 }
@@ -37,6 +40,8 @@ def named_metrics(metrics: MetricsLike) -> dict[str, Any]:
         pairs = [_named(text) for text in texts]
     require_different("metrics", [str(name) for name, _ in pairs], "; name=module:function tells them apart")
     for name, thing in pairs:
+        if not (isinstance(thing, str) or callable(thing)):
+            raise InputError(f"metric {name!r}: {shown(thing)} is no metric: expected a function or module:function")
         what = f"metric {thing!r}" if isinstance(thing, str) else f"metric {described(_function(thing))}"
         if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name) or name[0] == "_":
             raise InputError(f"{what}: its name must be an identifier such as map_error, got {name!r}")
@@ -54,18 +59,29 @@ def _function(thing):
     return getattr(thing, "function", thing)
 
 
-def ready_metrics(metrics: MetricsLike) -> dict[str, Metric]:
+def module_and_function(name: str, text: str) -> tuple[str, str]:
+    """Split the text of a metric.
+
+    Raises:
+      InputError: not of the form module:function.
+    """
+    module, _, function = text.partition(":")
+    if not (module and function.isidentifier()):
+        raise InputError(f"metric {name!r} must be module:function, got {text!r}")
+    return module, function
+
+
+def ready_metrics(metrics: MetricsLike) -> "dict[str, Metric]":
     """Make metrics of functions and names, in order.
 
     Raises:
       InputError: as `named_metrics`; a module that does not import, something that is no function.
     """
+    from jexplore.exploration.metrics import Metric
+
     ready = {}
     for name, thing in named_metrics(metrics).items():
         if isinstance(thing, str):
-            module, colon, function = thing.partition(":")
-            if not (module and colon and function):
-                raise InputError(f"metric {name!r} must be module:function, got {thing!r}")
-            thing = import_object(module, function)
+            thing = import_object(*module_and_function(name, thing))
         ready[name] = thing.anew() if isinstance(thing, Metric) else Metric(thing)
     return ready

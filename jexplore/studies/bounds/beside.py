@@ -7,6 +7,7 @@ import numpy as np
 
 from jexplore.config import InputError
 from jexplore.report.tables import aligned_table, number_text, ratio_text
+from jexplore.studies.results.columns import RATIO_COLUMNS
 from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
 from jexplore.studies.statistics.paired import safe_exp
 
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 START = ("start_row", "start_col", "start_heading_deg")
-RATIO_COLUMNS = ("path_over_high", "path_over_low_any")
-"""Columns of ratios of the path: to the walk that was found, and to the lower bound of every robot."""
 
 
 def with_bound_ratios(episodes: "pd.DataFrame", bounds: "pd.DataFrame", digests: Mapping[str, str]) -> "pd.DataFrame":

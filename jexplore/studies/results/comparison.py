@@ -68,7 +68,7 @@ class Comparison(ByStrategy):
     """
 
     episodes: "pd.DataFrame"
-    """One row an episode, ordered by world, strategy, episode; columns `units.COLUMNS` and `metrics`."""
+    """One row an episode, ordered by world, strategy, episode; columns `columns.COLUMNS` and `metrics`."""
     worlds: tuple[World, ...]
     """The worlds, in order."""
     first: dict[str, list[Seen]]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jexplore.config import InputError
-from jexplore.studies.results.units import COLUMNS
+from jexplore.studies.results.columns import COLUMNS
 
 if TYPE_CHECKING:
     import pandas as pd

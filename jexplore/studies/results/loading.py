@@ -23,9 +23,10 @@ from jexplore.report.folders import UNFINISHED
 from jexplore.report.ledger import Ledger, ShorterRuns
 from jexplore.studies.papers import PAPERS
 from jexplore.studies.reproduction import Reproduction, notes_of, world_names
+from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.comparison import Comparison, Made
 from jexplore.studies.results.saving import DETAILS
-from jexplore.studies.results.units import COLUMNS, Piece, Seen, cut_jobs
+from jexplore.studies.results.units import Piece, Seen, cut_jobs
 from jexplore.studies.sweeps.plan import SweepPlan
 from jexplore.studies.sweeps.run import Swept, ready, whole_table
 from jexplore.studies.sweeps.spec import read_spec

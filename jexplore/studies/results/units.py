@@ -19,17 +19,11 @@ from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.results import columns, map_state, progress_m
 from jexplore.exploration.state import MARKS, Outcome
 from jexplore.report.ledger import Ledger
+from jexplore.studies.results.columns import COLUMNS
 
 if TYPE_CHECKING:
     import pandas as pd
 
-COLUMNS = (
-    *("world", "strategy", "episode", "seed", "start_row", "start_col", "path_m", "turning_rad"),
-    *("steps", "scans", "plans", "outcome", "exhausted", "explored_fraction"),
-    *("path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99", "room_entries"),
-    *("start_heading_deg", "refused", "saturated", "overflow"),
-)
-"""Columns of a table of episodes. `stats` and `plot` read them by these names."""
 MIN_UNIT_EPISODES = 8  # least number of episodes of a unit
 UNIT_S = 1.0  # seconds that a unit should take, about: writing it takes a hundredth of that
 CELL_S = 1.3e-6  # seconds of an episode of closest+recheck, for every cell of its world (benchmarks/RESULTS.md)

@@ -9,6 +9,7 @@ import numpy as np
 
 from jexplore.config import InputError
 from jexplore.report.tables import aligned_table, interval_text, number_text, p_text, ratio_text, spread_text
+from jexplore.studies.results.columns import MEANS, SUMMARY_COLUMNS
 from jexplore.studies.statistics.paired import PairedRatio, holm, mean_interval, paired_ratio
 
 if TYPE_CHECKING:
@@ -22,14 +23,7 @@ EQUAL_SHARE = 0.95
 EQUAL_FRACTION = 0.01
 """Explored fractions that differ by no more are equal."""
 
-_MEANS = ("plans", "scans", "turning_rad", "explored_fraction", "exhausted", "room_entries")
 _SAME = ("start_row", "start_col", "start_heading_deg", "path_m", "turning_rad", "scans", "plans", "outcome")
-SUMMARY_COLUMNS = (
-    *("world", "strategy", "n", "mean", "sd", "ci_low", "ci_high", "ratio", "ratio_low", "ratio_high", "p"),
-    "p_holm",
-    *_MEANS,
-    "outcomes",
-)
 
 
 def _groups(episodes):
@@ -106,9 +100,9 @@ def summarise(episodes: "pd.DataFrame", metrics: Sequence[str] = ()) -> "pd.Data
             n = _n_different(rows)
             row = (world, strategy, n, path_m.mean(), path_m.std(ddof=1) if n > 1 else math.nan)
             row += (*mean_interval(path_m), versus.ratio, versus.low, versus.high, versus.p)
-            means = [rows[name].astype("Float64").mean() for name in (*_MEANS, *metrics)]
+            means = [rows[name].astype("Float64").mean() for name in (*MEANS, *metrics)]
             means = [math.nan if pd.isna(mean) else float(mean) for mean in means]
-            means.insert(len(_MEANS), _outcomes(rows))
+            means.insert(len(MEANS), _outcomes(rows))
             table.append((*row, math.nan, *means))
     found = pd.DataFrame(table, columns=[*SUMMARY_COLUMNS, *metrics])
     for places in found.groupby("world", sort=False).indices.values():

@@ -12,6 +12,7 @@ import numpy as np
 from jexplore.config import InputError
 from jexplore.exploration.results import length_along_m
 from jexplore.report.tables import aligned_table, number_text
+from jexplore.studies.results.columns import WASTE_COLUMNS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -20,9 +21,6 @@ TRANSIT_M = 2.0
 LEFTOVER_M2 = 3.0
 NEW, IDLE, LEFTOVER = 0, 1, 2
 """Kind of a step: new cells, or too short for a transit; part of a transit; part of a visit to a leftover."""
-WASTE_COLUMNS = ("idle_m", "leftovers", "leftover_m", "leftover_m2")
-"""Columns of `wasted`: metres that show nothing new; visits to leftovers, the metres of their transits and visits, and
-the area that they show."""
 
 
 class Waste(NamedTuple):

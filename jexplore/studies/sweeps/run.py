@@ -48,7 +48,7 @@ class Swept(ByStrategy):
 
     spec: Sweep
     episodes: "pd.DataFrame"
-    """One row an episode, ordered by setting, world, strategy, episode; columns `units.COLUMNS`, metrics, settings:
+    """One row an episode, ordered by setting, world, strategy, episode; columns `columns.COLUMNS`, metrics, settings:
     `setting` (its number), `lidar.range_m`, `strategy.weight`, ... Of robots one row a run, as in
     `jx.btm.trace(...).table`, with `tuning.votes`, ..."""
     columns: tuple[str, ...]

@@ -1,0 +1,23 @@
+"""Names of columns of the tables of episodes and of their summaries. Importing this loads neither jax nor numpy."""
+
+COLUMNS = (
+    *("world", "strategy", "episode", "seed", "start_row", "start_col", "path_m", "turning_rad"),
+    *("steps", "scans", "plans", "outcome", "exhausted", "explored_fraction"),
+    *("path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99", "room_entries"),
+    *("start_heading_deg", "refused", "saturated", "overflow"),
+)
+"""Columns of a table of episodes. `stats` and `plot` read them by these names."""
+MEANS = ("plans", "scans", "turning_rad", "explored_fraction", "exhausted", "room_entries")
+"""Columns of which a summary has the means."""
+SUMMARY_COLUMNS = (
+    *("world", "strategy", "n", "mean", "sd", "ci_low", "ci_high", "ratio", "ratio_low", "ratio_high", "p"),
+    "p_holm",
+    *MEANS,
+    "outcomes",
+)
+"""Columns of a summary by world and strategy."""
+RATIO_COLUMNS = ("path_over_high", "path_over_low_any")
+"""Columns of ratios of the path: to the walk that was found, and to the lower bound of every robot."""
+WASTE_COLUMNS = ("idle_m", "leftovers", "leftover_m", "leftover_m2")
+"""Columns of `waste.wasted`: metres that show nothing new; visits to leftovers, the metres of their transits and
+visits, and the area that they show."""
