@@ -122,7 +122,7 @@ BAD = {
     "must return one bool, int32 or float32, got None": lambda view: None,
     "is not pure: two calls": lambda view: view.path_m + next(calls),
     "is not pure: it keeps an array": lambda view: kept.append(view.path_m) or view.path_m,
-    "raised AttributeError .*it has belief, occupied": lambda view: view.row,
+    "raised AttributeError .*it has belief, occupied, .*, outcome, steps, path_m; the robot": lambda view: view.row,
     "raised TracerBoolConversionError .*jnp.where instead of if": lambda view: 1 if view.path_m > 2 else 0,
 }
 
@@ -158,6 +158,8 @@ def length(view):
         ("of_tests", "metric 'of_tests' must be module:function, got 'of_tests'"),
         (["json:dumps", "dumps=json:loads"], "metrics must differ, got 'dumps' more than once; name=module:function"),
         ({"mine": "json:nothing"}, "module 'json' has no 'nothing'"),
+        ({"mine": "json:decoder"}, "metric 'mine': json:decoder is no function"),
+        ({"mine": 3}, "metric 'mine': 3 is no metric: expected a function or module:function"),
     ],
 )
 def test_names_of_metrics(given, says):

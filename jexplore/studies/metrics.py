@@ -82,6 +82,8 @@ def ready_metrics(metrics: MetricsLike) -> "dict[str, Metric]":
     ready = {}
     for name, thing in named_metrics(metrics).items():
         if isinstance(thing, str):
-            thing = import_object(*module_and_function(name, thing))
+            place, thing = thing, import_object(*module_and_function(name, thing))
+            if not callable(thing):
+                raise InputError(f"metric {name!r}: {place} is no function")
         ready[name] = thing.anew() if isinstance(thing, Metric) else Metric(thing)
     return ready

@@ -4,6 +4,7 @@ Every message names the user's function, its file and line, and the error.
 """
 
 import contextlib
+import dataclasses
 import functools
 import importlib
 import importlib.machinery
@@ -79,8 +80,10 @@ def _hint(error):
     if jax and isinstance(error, (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError)):
         return " Values are not known while JAX traces: jnp.where instead of if, jnp instead of math and numpy."
     if isinstance(error, AttributeError) and type(error.obj).__name__ in ("View", "EpisodeView"):
-        fields = ", ".join(getattr(error.obj, "__dataclass_fields__", ()))
-        return f" (it has {fields}; the robot is in its belief)"
+        kind = type(error.obj)
+        names = [field.name for field in dataclasses.fields(kind)]
+        names += [name for name, value in vars(kind).items() if isinstance(value, property)]
+        return f" (it has {', '.join(names)}; the robot is in its belief)"
     return ""
 
 
