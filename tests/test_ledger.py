@@ -423,6 +423,29 @@ def test_a_full_disk_leaves_what_was_finished(tmp_path, monkeypatch):
     assert begin(tmp_path) == {0: [0, 0.5]}
 
 
+@pytest.mark.parametrize("after", ["4", [], {}, -1, True, 1.5])
+def test_a_number_of_earlier_episodes_that_is_none_is_one_line(tmp_path, after):
+    leave(tmp_path, 0)
+    file = tmp_path / UNFINISHED / "asked.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "after": after}))
+    with pytest.raises(InputError, match="does not say what the run is asked"):
+        begin(tmp_path)
+
+
+def test_a_full_disk_leaves_no_lock(tmp_path, monkeypatch):
+    def full(handle, text):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", full)
+        with (
+            pytest.raises(InputError, match="must be a folder that can be written: No space left"),
+            claimed(tmp_path / "run"),
+        ):
+            pass
+    assert names(tmp_path) == []
+
+
 def test_a_finished_run_leaves_no_units(tmp_path):
     leave(tmp_path, 0)
     with claimed(tmp_path, resume=True) as run:

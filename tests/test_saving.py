@@ -88,6 +88,8 @@ def test_a_run_that_broke_off_is_gone_on_with(found, tmp_path):
     assert not (tmp_path / "run" / "run.json").exists()
     with pytest.raises(InputError, match=r"go on with it \(resume=True\), replace it \(overwrite=True\)"):
         run(out=tmp_path / "run")
+    with pytest.raises(InputError, match=r"was not finished: replace it \(overwrite=True\) or choose another folder"):
+        found[1].save(tmp_path / "run")
     again = run(out=tmp_path / "run", resume=True)
     assert again.resumed >= 8
     same(again, found[1])

@@ -87,6 +87,8 @@ class SweepCommand:
             ledger = out.keep(plan.asked(shard), len(plan.units), wanted=len(numbers), shorter=plan.shorter(shard))
             if ledger is None:
                 return _show_finished(out, plan if self.report else None)
+            if ledger.after:  # only the episodes from there on are cut into units
+                out.wanted = len(plans.in_shard(ledger.units, shard))
             how: dict[str, Any] = {name: getattr(self, name) for name in ("engine", "lanes", "workers")}
             total = sum(plan.size(number) for number in numbers)
             with working(total, "runs" if spec.robots else "episodes") as on_progress:

@@ -241,8 +241,7 @@ def _locked(path):
                 who = os.read(handle, 200).decode(errors="replace").strip() or "another process"
                 raise InputError(f"{path} is being written by {who}: wait for it, or choose another folder")
             if os.path.samestat(os.fstat(handle), os.stat(name)):  # else its holder has just removed it
-                os.ftruncate(handle, 0)
-                os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+                _sign(name, handle)
                 return handle
         except FileNotFoundError:
             pass
@@ -253,6 +252,17 @@ def _locked(path):
             os.close(handle)
             raise
         os.close(handle)
+
+
+def _sign(name, handle):
+    """Write into a locked file whose it is; without room for that, remove it."""
+    try:
+        os.ftruncate(handle, 0)
+        os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(name)
+        raise
 
 
 def _lock(handle):

@@ -165,14 +165,18 @@ def write_comparison(run: folders.RunFolder, found: Any, *, report: bool = True)
 
 @contextlib.contextmanager
 def claimed_by_call(
-    path: str | os.PathLike[str], *, overwrite: bool, resume: bool = False
+    path: str | os.PathLike[str], *, overwrite: bool, resume: bool | None = None
 ) -> Iterator[folders.RunFolder]:
-    """Claim a folder, as `folders.claimed`, for a function: its errors name arguments instead of options."""
+    """Claim a folder, as `folders.claimed`, for a function: its errors name arguments instead of options.
+
+    `resume` is None for a function without that argument.
+    """
     try:
-        with folders.claimed(os.path.expanduser(path), overwrite=overwrite, resume=resume) as run:
+        with folders.claimed(os.path.expanduser(path), overwrite=overwrite, resume=bool(resume)) as run:
             yield run
     except InputError as error:
-        raise InputError(re.sub(r"--(overwrite|resume|trust)\b", r"\1=True", str(error))) from None
+        text = str(error).replace("go on with it (--resume), ", "") if resume is None else str(error)
+        raise InputError(re.sub(r"--(overwrite|resume|trust)\b", r"\1=True", text)) from None
 
 
 def save(found: Any, folder: str | os.PathLike[str], *, overwrite: bool, report: bool) -> Path:
