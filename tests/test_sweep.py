@@ -402,6 +402,8 @@ def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, monk
     said = capsys.readouterr().err
     assert re.search(r"must hold each episode once: \d+ of them are there twice and \d+ nowhere, .*continue all", said)
     sweep_part(20, "--shard", "1/2", "--out", "short1", "--resume")
+    assert main.main(["merge", "short1", "short2", "--out", "./short1/", "--overwrite"]) == 2
+    assert "must be a folder of its own, got that of the part short1" in capsys.readouterr().err
     assert main.main(["merge", "short1", "short2", "--out", "merged", "--no-report"]) == 0
     assert jx.load("merged").episodes["episode"].tolist() == list(range(20))
 

@@ -91,6 +91,12 @@ def test_lines_between_tables_stay_and_headings_lose_their_hashes(shown):
     assert shown(30, text) == ["Orderings", "", *folded, "", "a", "─", "1", "", "end"]
 
 
+@pytest.mark.parametrize("width", [0, 1])
+def test_a_terminal_that_says_it_has_no_width_shows_tables(shown, width):
+    assert shown(width, HEAD, ROWS, left=LEFT) == shown(20, HEAD, ROWS, left=LEFT)
+    assert "6.81" in "".join(shown(width, HEAD, ROWS, left=LEFT))
+
+
 def test_elsewhere_it_is_the_markdown_itself(capsys):
     markdown = aligned_table(HEAD, ROWS, left=LEFT)
     terminal.show_table(markdown)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import os
 import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -186,6 +187,11 @@ def _report(out, found, record, plan, names, path):
     write_report(path, "jexplore sweep", record, tables, pictures, replays, notes)
 
 
+def _real(folder):
+    """Return the path by which a folder is the same however it is written."""
+    return os.path.realpath(os.path.expanduser(folder))
+
+
 @dataclasses.dataclass(frozen=True)
 class Merge:
     """Put the parts of a sweep together that were made with --shard.
@@ -208,6 +214,11 @@ class Merge:
         """Run the command and return the exit status, None for 0."""
         from jexplore.studies.results.loading import merge
 
+        if self.out is not None:
+            folder = _real(self.out)
+            part = next((part for part in self.parts if _real(part) == folder), None)
+            if part is not None:
+                raise InputError(f"--out {self.out} must be a folder of its own, got that of the part {part}")
         with Out(self, "sweep") as out:
             with note_if_slow("jexplore: reading the parts"):
                 found, plan = merge(self.parts, trust=self.trust)

@@ -271,7 +271,7 @@ def _passes_start(state):
 
 
 def due_node(state: State, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array, arrives: Array) -> DueNode:
-    """Return the node that is due, an `DueNode`; of several the one that lies first on the way.
+    """Return the node that is due, a `DueNode`; of several the one that lies first on the way.
 
     Args:
       at_goal: bool, whether the robot is at its goal.

@@ -14,6 +14,7 @@ from jexplore.config import InputWarning
 from jexplore.report.tables import aligned_table, table_cells
 
 COLUMN_GAP = 2  # blank columns of the terminal between two columns of a table
+MIN_COLUMNS = 20  # of a table and a line, on a narrower terminal as well
 FOLDED_TEXT = 16  # columns that a text keeps while other columns of the table need room
 _STEERING = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
@@ -47,6 +48,7 @@ def show_table(
     from rich.text import Text
 
     console = Console(file=file, force_jupyter=False, highlight=False)
+    console.width = max(console.width, MIN_COLUMNS)
     for is_table, lines in itertools.groupby(text.split("\n"), lambda line: line.startswith("|")):
         lines = list(lines)
         if is_table:
@@ -99,7 +101,7 @@ def show_line(text: str, indent: int = 0) -> None:
     """
     text = _STEERING.sub("\ufffd", text)
     if sys.stdout is not None and sys.stdout.isatty():
-        width = shutil.get_terminal_size().columns
+        width = max(shutil.get_terminal_size().columns, MIN_COLUMNS)
         text = textwrap.fill(text, width, subsequent_indent=" " * indent, break_on_hyphens=False)
     print(text)
 

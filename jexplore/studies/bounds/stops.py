@@ -165,7 +165,7 @@ class StopOrder:
 
 
 def new_order(stops: Stops, cells: Sequence[int]) -> StopOrder:
-    """Build an `StopOrder` of witnesses that are put in one after the other."""
+    """Build a `StopOrder` of witnesses that are put in one after the other."""
     order = StopOrder(stops)
     for cell in cells:
         order.insert(cell)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jexplore.config import InputError, require_number
-from jexplore.report.tables import aligned_table
 from jexplore.studies.statistics.by_world import summarise
 from jexplore.studies.statistics.league import paths_by_world
 from jexplore.studies.statistics.over_worlds import ALL_WORLDS, kind_of, mean_and_error, mean_over_worlds
@@ -140,13 +139,3 @@ def _or_none(function, *pilot, **how):
         return function(*pilot, **how)
     except InputError:
         return None
-
-
-def sizes_table(table: "pd.DataFrame") -> str:
-    """Format needed numbers from `sample_sizes` as one aligned Markdown table."""
-    lines = []
-    for row in table.to_dict("records"):
-        now = f"± {100 * row['within']:.1f} %" if math.isfinite(row["within"]) else "-"
-        needed = f"{row['needed']:,}" if isinstance(row["needed"], int) else "-"
-        lines.append([row["world"], row["strategy"], f"{row['n']} {row['unit']}", now, needed])
-    return aligned_table(["world", "strategy", "now", "interval", "needed"], lines, left=("world", "strategy"))

@@ -115,7 +115,7 @@ class SweepPlan:
 
     @functools.cached_property
     def kinds(self) -> dict[str, str]:
-        """Return columns of settings and the types of their values, see `kind_of`."""
+        """Return columns of settings and the types of their values, see `column_type`."""
         found = {
             name: [setting[name] for setting in self.settings] for name in self.columns if name in self.settings[0]
         }
