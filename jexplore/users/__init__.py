@@ -80,7 +80,7 @@ def _hint(error):
     if jax and isinstance(error, (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError)):
         return " Values are not known while JAX traces: jnp.where instead of if, jnp instead of math and numpy."
     if isinstance(error, AttributeError) and type(error.obj).__name__ in ("View", "EpisodeView"):
-        kind = type(error.obj)
+        kind: Any = type(error.obj)
         names = [field.name for field in dataclasses.fields(kind)]
         names += [name for name, value in vars(kind).items() if isinstance(value, property)]
         return f" (it has {', '.join(names)}; the robot is in its belief)"
