@@ -251,7 +251,10 @@ def test_a_strategy_that_was_written_anew_is_another_run(tmp_path, capsys, monke
     assert main.main(command) == 0
     file.write_text("def far(view):\n    return view.cost * 2\n")
     assert main.main(command) == 2
-    assert "holds another run: its strategy 'mine_again:far' has changed; choose another" in capsys.readouterr().err
+    assert (
+        "holds another run: its strategy 'mine_again:far' computes something else now; choose another"
+        in capsys.readouterr().err
+    )
     assert main.main([*command, "--trust"]) == 0
 
 
