@@ -33,8 +33,8 @@ def _square_round(setup, belief):
     size = min(height, 2 * setup.window + 1), min(width, 2 * setup.window + 1)
     if not setup.window or 2 * size[0] * size[1] >= height * width:  # it is counted before and after
         return None
-    corner = (jnp.clip(at - setup.window, 0, n - m) for at, n, m in zip((belief.row, belief.col), shape, size))
-    return Square(*corner, size)
+    row, col = (jnp.clip(at - setup.window, 0, n - m) for at, n, m in zip((belief.row, belief.col), shape, size))
+    return Square(row, col, size)
 
 
 def known_cells(grid: Grid, within: Array | None = None, square: Square | None = None) -> Array:

@@ -351,7 +351,7 @@ def whole_table(tables: Sequence["pd.DataFrame"], plan: SweepPlan | TracePlan) -
     if isinstance(plan, SweepPlan):
         who, names, number = "strategy", [strategy.name for strategy in plan.strategies], "episode"
     places = [
-        pd.Index(list(given)).get_indexer(table[column])
+        pd.Categorical(table[column], list(given)).codes
         for column, given in ((who, names), ("world", map(os.fspath, plan.spec.worlds)))
     ]
     return table.iloc[np.lexsort([table[number], *places, table["setting"]])].reset_index(drop=True)
