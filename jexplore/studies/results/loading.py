@@ -234,7 +234,7 @@ def _require_same_strategies(part, asked, first):
 
 
 def _require_whole(table, plan):
-    """Refuse parts that were cut in different ways, as one that was continued beside one that was not."""
+    """Refuse parts that were cut in different ways: one that was continued and one that was not."""
     who, number = ("strategy", "episode") if isinstance(plan, SweepPlan) else ("robot", "run")
     twice, missing = int(table.duplicated(["setting", "world", who, number]).sum()), plan.episodes - len(table)
     if twice or missing:
