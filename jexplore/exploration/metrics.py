@@ -1,4 +1,4 @@
-"""Metrics of a user's: pure functions of an episode's state, compiled with the rest, one number an episode."""
+"""Users' metrics: pure functions of an episode's state, compiled with the rest, one number an episode."""
 
 import dataclasses
 import functools
@@ -70,6 +70,9 @@ class Metric(Theirs):
         self.reduce = reduce
         self._key = *self._key, reduce
 
+    def __repr__(self) -> str:
+        return f"<Metric {described(self.function)}, {self.reduce or 'at the end'}>"
+
     def __call__(self, view: EpisodeView) -> Array:
         found = call_user(self.function, self.what, view)
         with expecting(self.what, "one bool, int32 or float32", found):
@@ -119,7 +122,7 @@ def metric(function: Any = None, *, every: str = "motion", reduce: str = "mean")
     """
     if every != "motion":
         raise unknown("value of every:", str(every), ["motion"])
-    if reduce not in REDUCTIONS:
+    if not isinstance(reduce, str) or reduce not in REDUCTIONS:
         raise unknown("reduction", str(reduce), list(REDUCTIONS))
     if function is None:
         return functools.partial(metric, every=every, reduce=reduce)
