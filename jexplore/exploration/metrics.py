@@ -13,7 +13,7 @@ from jax import Array
 from jexplore.arrays.loops import run_if, stored
 from jexplore.config import InputError, checked_names, unknown
 from jexplore.engine.program import Given
-from jexplore.exploration.state import Setup, State, steps_m
+from jexplore.exploration.state import Setup, State, StepCounts
 from jexplore.planning import Belief
 from jexplore.policies.catalogue import traced
 from jexplore.policies.catalogue.adapt import Theirs, expecting
@@ -31,7 +31,7 @@ REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
 
 @checked_names
 @struct.dataclass
-class EpisodeView:
+class EpisodeView(StepCounts):
     """An episode as a metric sees it. Maps have padding, in which cells are occupied; `belief.extent` is without it."""
 
     belief: Belief  # the robot's map, pose and start
@@ -45,16 +45,6 @@ class EpisodeView:
     known: Array  # int32, known cells among those that are to be known
     outcome: Array  # int32, `Outcome`; RUNNING before the end
     replace: ClassVar[Callable[..., Self]]
-
-    @property
-    def steps(self) -> Array:
-        """Return the number of steps: int32."""
-        return self.straight + self.diagonal
-
-    @property
-    def path_m(self) -> Array:
-        """Return the driven way, metres: float32."""
-        return steps_m(self.straight, self.diagonal, self.belief.model.cell_m)
 
 
 COUNTS = [field.name for field in dataclasses.fields(EpisodeView)][3:]

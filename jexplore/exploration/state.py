@@ -111,8 +111,26 @@ class Result:
     replace: ClassVar[Callable[..., Self]]
 
 
+class StepCounts:
+    """Steps of an episode, and the length of its path."""
+
+    straight: Array
+    diagonal: Array
+    belief: Belief
+
+    @property
+    def steps(self) -> Array:
+        """Return the number of steps: int32."""
+        return self.straight + self.diagonal
+
+    @property
+    def path_m(self) -> Array:
+        """Return the driven way, metres: float32."""
+        return steps_m(self.straight, self.diagonal, self.belief.model.cell_m)
+
+
 @struct.dataclass
-class State:
+class State(StepCounts):
     """An episode under way. The robot's pose is where it is; where it believes to be is in its belief."""
 
     row: Array  # int32, the robot's cell
@@ -148,16 +166,6 @@ class State:
     bad_targets: Array  # int32, targets in a row that no path leads to
     metrics: Any = ()  # how often those after every motion were taken, and a value for each, see `metrics.take_stock`
     replace: ClassVar[Callable[..., Self]]
-
-    @property
-    def steps(self) -> Array:
-        """Return the number of steps: int32."""
-        return self.straight + self.diagonal
-
-    @property
-    def path_m(self) -> Array:
-        """Return the driven way, metres: float32."""
-        return steps_m(self.straight, self.diagonal, self.belief.model.cell_m)
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -82,7 +82,7 @@ def _hint(error):
     if isinstance(error, AttributeError) and type(error.obj).__name__ in ("View", "EpisodeView"):
         kind: Any = type(error.obj)
         names = [field.name for field in dataclasses.fields(kind)]
-        names += [name for name, value in vars(kind).items() if isinstance(value, property)]
+        names += [name for one in kind.__mro__ for name, value in vars(one).items() if isinstance(value, property)]
         return f" (it has {', '.join(names)}; the robot is in its belief)"
     return ""
 
