@@ -48,9 +48,19 @@ LONG = (
 )
 
 
+def pytest_addoption(parser):
+    parser.addoption("--all", action="store_true", help="run the slow tests as well")
+
+
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """Long files first. With `--dist loadgroup` a file's tests stay together, except notebooks, which share nothing."""
+def pytest_collection_modifyitems(config, items):
+    """Long files first, slow tests only with `--all`. With `--dist loadgroup` a file's tests stay together, except
+    notebooks, which share nothing.
+    """
+    if not config.getoption("--all"):
+        slow = [item for item in items if item.get_closest_marker("slow")]
+        config.hook.pytest_deselected(items=slow)
+        items[:] = [item for item in items if not item.get_closest_marker("slow")]
 
     def turn(item):
         name = item.path.stem.removeprefix("test_")
