@@ -32,6 +32,17 @@ except AttributeError:  # another C library
     _trim = int
 
 
+MAX_RESIDENT_BYTES = 1_000_000_000  # of a worker between two tests; its peak is then about 1.5 GB
+
+
+def _resident_bytes():
+    """Return the memory of this process; 0 where the system does not tell."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return 0
+
+
 # What takes longest comes first, so that no worker is left with much at the end; neighbours share few programs, which
 # two workers would compile at the same time.
 LONG = (
@@ -110,14 +121,27 @@ def _jit_as_marked(request):
         yield
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _garbage():
-    """Drop a module's compiled programs; later collections skip what it has traced."""
-    yield
+def _drop_programs():
+    """Free the memory of compiled programs; they come back from the folder."""
     devices._compiled.cache_clear()
     jax.clear_caches()
     gc.collect()
     _trim(0)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _garbage():
+    """Drop a module's compiled programs."""
+    yield
+    _drop_programs()
+
+
+@pytest.fixture(autouse=True)
+def _memory():
+    """Drop programs, within a module too, where a worker has grown large."""
+    yield
+    if _resident_bytes() > MAX_RESIDENT_BYTES:
+        _drop_programs()
 
 
 @pytest.fixture(scope="session")
