@@ -53,11 +53,7 @@ def bounded(generate: Callable[_P, _World]) -> Callable[_P, _World]:
 
 
 def require_generator(kind: str, given: Mapping[str, Any]) -> None:
-    """Refuse parameters that a generator cannot draw.
-
-    Args:
-      kind: a key of `PARAMETERS`.
-      given: all its parameters, `cell_m` among them.
+    """Refuse parameters that a generator cannot draw; `given` are all of them, `cell_m` included.
 
     Raises:
       InputError: one out of range, a size too small to hold the layout or of more than `MAX_SIDE` cells a side.

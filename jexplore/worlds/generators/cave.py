@@ -31,21 +31,9 @@ def cave(
 ) -> World:
     """Generate an open cave: rocks with rounded, rough outlines stand free, lean on the rim or reach in from it.
 
-    Rocks are added until the free part has shrunk to `free`, or no more fit with passages between them.
-
-    Args:
-      seed: integer from 0.
-      cell_m: edge of a cell, metres, at most 0.3.
-      width_m, height_m: outer size, metres.
-      free: wanted fraction of free area, 0.5 to 0.9. Narrow places are filled afterwards: seldom more than 0.05 of the
-        area. Rocks that keep their distance leave some 0.65 free at 16 m a side and 0.8 at 100 m, whatever is wanted.
-      passage_m: least width of a passage, metres, up to a cell.
-
-    Returns:
-      A `World` without rooms. A disc of diameter `passage_m` can reach every place.
-
-    Raises:
-      InputError: a parameter out of range, or a size below 6 m or 6 passages.
+    Rocks are added until the free part has shrunk to `free`, 0.5 to 0.9, or no more fit with passages between them:
+    some 0.65 at 16 m a side and 0.8 at 100 m. Narrow places are filled afterwards, seldom more than 0.05 of the area. A
+    disc of diameter `passage_m` can reach every place, up to a cell.
     """
     rng = random_stream(seed, "cave")
     waves = _draw_waves(rng)
@@ -174,10 +162,7 @@ def _draw_group(rng, size_m, leaning):
 
 
 def _widen(occupied, radius, cell_m):
-    """Fill what a disc of `radius` cells cannot touch from the largest place it can be in, and every pocket.
-
-    Afterwards the cells with more than `PASSABLE_M` of clearance are one 4-connected component.
-    """
+    """Fill what a disc of `radius` cells cannot touch, and every pocket: the clear cells are then one component."""
     inside = largest_component(ndimage.distance_transform_edt(~occupied) > radius)
     occupied = ndimage.distance_transform_edt(~inside) > radius
     occupied |= ~largest_component(~occupied)

@@ -39,13 +39,10 @@ def course(
 
     Seed 0 is the course described in the paper: a passage, a slope of 10 degrees up and down, a junction (right), an
     elevator hall passed along its right wall, a junction (right), the goal; the lengths are ours. Every other seed
-    draws lengths, widths, the angle (6 to 15 degrees), the elements and their order. The robot's rule leads to the
-    goal; ways that it does not take are at least 6 m long. `World.course` has start, goal and true topology: a
-    divergence lies at the centre of the largest empty circle that touches three walls, links run along the centre
-    lines, and their bearings are those of the passages.
-
-    With `loops` or `repeat` there is no goal, and the topology is whole: a passage with the obstacle leads to rings or
-    equal junctions; those of seed 0 are 6 m apart.
+    draws lengths, widths, the angle (6 to 15 degrees), the elements and their order. Ways that the robot does not take
+    are at least 6 m long. `World.course` has start, goal and true topology: a divergence lies at the centre of the
+    largest empty circle that touches three walls, links run along the centre lines, and their bearings are those of the
+    passages. With `loops` or `repeat` there is no goal, and the topology is whole.
 
     All lengths are multiples of 0.2 m: a seed gives the same course for every `cell_m` that divides 0.2 m; at other
     cells widths are rounded to whole cells, and the topology with them.
@@ -55,20 +52,12 @@ def course(
       cell_m: edge of a cell, metres, at most 0.2.
       width_m: width of the passages, metres; for seeds from 1 they have 0.7 to 1.2 times this, and at least 1.2 m.
       obstacle: `slope`; in the same layout `stairs` of the same length, with treads of 0.3 m; a `platform` of one step
-        up and one down; a `sill` 0.2 m long, two cells at least; a `cross-slope`, which rises to one side; `none`,
-        level ground.
+        up and one down; a `sill` 0.2 m long, two cells at least; a `cross-slope`, which rises to one side; `none`.
       riser_m: height of a step, metres.
-      furniture: small boxes stand along some walls; they leave at least 1.2 m. The corner of a box and the two walls
-        make a right-angled triangle, which a robot may take for a divergence; the topology has none there.
+      furniture: small boxes stand along some walls; they leave at least 1.2 m. The topology has no divergence there.
       dead_ends: a way to the right, or a ring, may have a dead end, for seeds from 1.
       loops: number of independent cycles, 0 to 3: rings of at least 20 m, apart or with a side in common.
       repeat: number of T junctions, 0 or 2 to 10, equally far apart and alike; with `loops`, on the first ring.
-
-    Returns:
-      A `World` without rooms, with a start and a course, and with elevation where there is an obstacle.
-
-    Raises:
-      InputError: a parameter out of range.
 
     Source:
       Mano et al. 2009, Autonomous generation of Behavioral Trace Maps using rescue robots.

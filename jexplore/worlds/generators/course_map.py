@@ -59,17 +59,7 @@ class _Grid:
 
 
 def render_course(plan: CoursePlan, cell_m: float, obstacle: str, riser_m: float) -> World:
-    """Render a course as a world whose start is the cell that the course starts in; with elevation if it has ramps.
-
-    Args:
-      plan: of the course.
-      cell_m: edge of a cell, metres.
-      obstacle: what the ramps of the plan are; a key of `bounds.CREASES`.
-      riser_m: height of a step, metres.
-
-    Raises:
-      InputError: more than `MAX_SIDE` cells a side.
-    """
+    """Render a course as a world whose start is the course's; with elevation if it has ramps."""
     grid = _Grid(plan.areas, cell_m)
     require_side("course", *grid.shape)
     occupied = np.ones(grid.shape, bool)
@@ -95,13 +85,10 @@ def render_course(plan: CoursePlan, cell_m: float, obstacle: str, riser_m: float
 
 
 def _creases(grid: _Grid, ramp: Ramp, obstacle: str) -> list[float]:
-    """Return the positions along a ramp's passage where the ground bends, metres.
+    """Return the positions along a ramp's passage where the ground bends, metres: start, top and end; of stairs both
+    ends of the landing, of a platform its ends, of a sill its middle, of a cross slope the middles of its twists.
 
-    These are start, top and end; of stairs both ends of the landing, of a platform its ends, of a sill its middle, of a
-    cross slope the middles of the ways on which the ground twists.
-
-    A slope has its creases in the middles of cells, half a cell after the drawing: heights interpolated between the
-    middles of cells are then exact. Steps begin at edges of cells.
+    A slope has its creases half a cell after the drawing, in the middles of cells: interpolated heights are then exact.
     """
     forward = 1 if ramp.heading < 2 else -1
     run = to_cells(RAMP_M / grid.cell_m) * grid.cell_m

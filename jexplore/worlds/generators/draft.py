@@ -7,12 +7,11 @@ random numbers are drawn in metres before any cell exists: a seed gives the same
 import dataclasses
 import itertools
 import math
-import operator
 from collections.abc import Sequence
 
 import numpy as np
 
-from jexplore.config import InputError
+from jexplore.config import MAX_SEED, require_whole
 from jexplore.grid import radius_d2
 from jexplore.worlds.bounds import count_cells
 from jexplore.worlds.world import World
@@ -25,18 +24,8 @@ _STREAMS = {"cave": 1, "office": 2, "hospital": 3, "maze": 4, "rooms": 5, "cours
 
 
 def random_stream(seed: int, kind: str, *use: int) -> np.random.Generator:
-    """Return the numpy generator of a seed for a generator of worlds; `use` has one for each of its other uses.
-
-    Raises:
-      InputError: `seed` is no integer, or is negative.
-    """
-    try:
-        seed = operator.index(seed)
-    except TypeError:
-        raise InputError(f"seed must be an integer from 0, got {seed!r}") from None
-    if seed < 0:
-        raise InputError(f"seed must be an integer from 0, got {seed}")
-    return np.random.default_rng([seed, _STREAMS[kind], *use])
+    """Return the generator of a seed and a kind of world; `use` is the number of another of its uses."""
+    return np.random.default_rng([require_whole("seed", seed, 0, MAX_SEED), _STREAMS[kind], *use])
 
 
 def passable_cells(cell_m: float) -> int:
@@ -52,7 +41,7 @@ def to_cells(length: float) -> int:
 def wall_span(
     middle_m: float, side_m: float, cell_m: float, *, wall_m: float = WALL_THICK_M, outer_m: float = OUTER_WALL_M
 ) -> tuple[int, int]:
-    """Return the cells `(first, stop)` that a wall covers across its thickness: one or more, the same number anywhere.
+    """Return the cells `(first, stop)` across the thickness of a wall, at least one: the same number anywhere.
 
     `middle_m` is the place of the wall's middle; 0 and `side_m` are the outer faces of the outer walls.
     """
@@ -194,12 +183,11 @@ class FloorPlan:
         """Add a door between two rooms, in the longest stretch of wall that they share."""
         self.gap(max(self.shared_walls(a, b), key=lambda stretch: stretch[3] - stretch[2]), width, at)
 
-    def render(self, cell_m: float, *, flip_x: bool = False, flip_y: bool = False) -> World:
+    def render(self, cell_m: float, flips: Sequence[bool] = (False, False)) -> World:
         """Render the plan as cells, mirrored left to right, bottom to top; rooms are numbered as they were added.
 
-        A wall is at least one cell thick. A door has the whole number of cells nearest to its width, fewer where that
-        leaves no cell of wall on either side, but never fewer than a robot passes (`passable_cells`). Walls, blocks and
-        doorways are no room's.
+        A door has the whole number of cells nearest to its width, fewer where that leaves no cell of wall on either
+        side, but never fewer than a robot passes (`passable_cells`). Walls, blocks and doorways are no room's.
         """
         sides = (self.width_m, self.height_m)
         spans = [lambda middle, side=side: wall_span(middle, side, cell_m) for side in sides]
@@ -225,15 +213,12 @@ class FloorPlan:
             inside = block_cells(block, cell_m)
             occupied[inside] = True
             rooms[inside] = -1
-        flip = slice(None, None, -1 if flip_y else 1), slice(None, None, -1 if flip_x else 1)
+        flip = tuple(slice(None, None, -1 if flipped else 1) for flipped in flips[::-1])
         return World(occupied=occupied[flip].copy(), rooms=rooms[flip].copy(), cell_m=float(cell_m))
 
 
 def cut_length(rng: np.random.Generator, length: float, kinds: Sequence[tuple[float, float, float]]) -> list[float]:
-    """Cut a length into stretches, metres, all at least the least `low` if `length` is.
-
-    `kinds` has rows of `(weight, low, high)`: the frequency of a kind, and its lengths, metres.
-    """
+    """Cut a length into stretches of kinds `(weight, low, high)`, metres, none shorter than the least `low`."""
     weights = np.array([kind[0] for kind in kinds], float)
     lengths = []
     while sum(lengths) < length:
@@ -247,40 +232,29 @@ def cut_length(rng: np.random.Generator, length: float, kinds: Sequence[tuple[fl
     return [one * length / sum(lengths) for one in lengths]
 
 
-def n_corridors(height_m: float) -> int:
-    """Return the number of corridors along a building of a depth."""
-    return max(1, round(height_m / 10))
-
-
 def bands(
-    rng: np.random.Generator,
-    height_m: float,
-    corridor_m: float,
-    edge: tuple[float, float],
-    widths: Sequence[float] = (),
+    rng: np.random.Generator, height_m: float, widths: Sequence[float], edge: tuple[float, float]
 ) -> list[tuple[float, float]]:
-    """Stack a building: a row of rooms, a corridor, a core, a corridor, ..., a row of rooms.
+    """Stack a building of n corridors: a row of rooms, a corridor, a core, a corridor, ..., a row of rooms.
 
     Args:
       rng: numpy `Generator`.
-      height_m: metres; every 10 m have a corridor.
-      corridor_m: width of the corridors, metres, where `widths` does not give that of each.
+      height_m: metres.
+      widths: `[n]`, of the corridors, bottom to top, metres.
       edge: least and largest depth of the first and last row, as a multiple of half a corridor's share of the depth;
         the cores take the rest.
-      widths: of the corridors, bottom to top, metres.
 
     Returns:
       A list of `(y0, y1)` from 0 to `height_m`. Rows and cores have even indices, corridors odd ones.
     """
-    n = n_corridors(height_m)
-    wide = [*widths] or [corridor_m] * n
-    row = (height_m - (sum(widths) or n * corridor_m)) / (2 * n)
+    n = len(widths)
+    row = (height_m - math.fsum(widths)) / (2 * n)
     if n == 1:
         depths = [row * (share := rng.uniform(0.9, 1.1)), row * (2 - share)]
     else:
         first, last = row * rng.uniform(*edge, 2)
         depths = [first, *[(2 * n * row - first - last) / (n - 1)] * (n - 1), last]
-    heights = [depth for pair in zip(depths, [*wide, 0.0]) for depth in pair][:-1]
+    heights = [depth for pair in zip(depths, [*widths, 0.0]) for depth in pair][:-1]
     edges = [0.0, *np.cumsum(heights)[:-1].tolist(), height_m]
     return list(itertools.pairwise(edges))
 

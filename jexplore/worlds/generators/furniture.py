@@ -75,8 +75,8 @@ def furnish(plan: FloorPlan, seed: int, kind: str, furniture: float) -> None:
     """Furnish the rooms of a plan, as blocks.
 
     Doorways and a strip before them stay free. A piece that would separate two doors of a room, enclose free space or
-    take more than half of a room's standing places from a robot is left out; this is checked in the cells of
-    `CHECKED_CELLS`, so that a seed gives the same building at every `cell_m`. Pieces stay in place as the share grows.
+    take more than half of a room's standing places is left out, by the cells of `CHECKED_CELLS`, whatever `cell_m` is.
+    Pieces stay in place as the share grows.
     """
     if not furniture:
         return
@@ -89,14 +89,10 @@ def furnish(plan: FloorPlan, seed: int, kind: str, furniture: float) -> None:
         rng = random_stream(seed, kind, _FURNITURE, number)
         parts = _draw_parts(rng, plan, number, doors[number], standing)
         blocks = [blocks for rank, blocks in sorted(parts, key=lambda part: part[0]) if rank <= furniture]
-        for kept in _that_fit(blocks, [], _spaces(plan, number, doors[number], empty)):
+        rooms = zip(empty, CHECKED_CELLS)
+        spaces = [_Space(world, number, plan.rooms[number], doors[number], clear_m) for world, (_, clear_m) in rooms]
+        for kept in _that_fit(blocks, [], spaces):
             plan.blocks += kept
-
-
-def _spaces(plan: FloorPlan, number: int, doors: list[Door], empty: list[World]) -> "list[_Space]":
-    """Return a room in the cells of every check, in which `empty` is the plan."""
-    clearances_m = [clearance_m for _, clearance_m in CHECKED_CELLS]
-    return [_Space(world, number, plan.rooms[number], doors, m) for world, m in zip(empty, clearances_m)]
 
 
 def _draw_parts(

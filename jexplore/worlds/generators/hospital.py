@@ -1,7 +1,7 @@
 """A hospital wing: a ward round a core with the nurses' station, a hall, and a treatment wing."""
 
 from jexplore.worlds.bounds import bounded
-from jexplore.worlds.generators.draft import FloorPlan, bands, cut_length, n_corridors, random_stream, stand_columns
+from jexplore.worlds.generators.draft import FloorPlan, bands, cut_length, random_stream, stand_columns
 from jexplore.worlds.generators.variants import corridor_widths, finish_building
 from jexplore.worlds.world import World
 
@@ -25,26 +25,13 @@ def hospital(
     In the ward, a corridor runs round a core (several for buildings from 25 m in height; a single straight one below 15
     m). Patient rooms lie at the facades, most with a bathroom next to the entrance; nurses, stores and treatment lie in
     the core. The corridors end at the hall. The treatment wing has one corridor, patient rooms on one side and on the
-    other suites of a waiting room and the rooms behind it; it may be less deep than the ward.
-
-    Args:
-      seed: integer from 0.
-      cell_m: edge of a cell, metres, at most 0.3.
-      width_m, height_m: outer size, metres.
-      corridor_m: width of the corridors between the middles of their walls, metres.
-      room_m: width of a common patient room, metres; the others follow.
-      corridor_sd_m, furniture, wide_openings, max_loops: see `variants.finish_building`.
-
-    Returns:
-      A `World` with rooms.
-
-    Raises:
-      InputError: a parameter out of range, or a size below 32 x 11 m.
+    other suites of a waiting room and the rooms behind it; it may be less deep than the ward. `room_m` is the width of
+    a common patient room; the other parameters are those of `office`.
     """
     rng = random_stream(seed, "hospital")
     plan = FloorPlan(width_m, height_m)
-    widths = corridor_widths(seed, "hospital", n_corridors(height_m), corridor_m, corridor_sd_m)
-    stack = bands(rng, height_m, corridor_m, (1.25, 1.4), widths)
+    widths = corridor_widths(seed, "hospital", height_m, corridor_m, corridor_sd_m)
+    stack = bands(rng, height_m, widths, (1.25, 1.4))
     hall_m = rng.uniform(6.0, 8.5) if width_m > 40 else 6.0
     x0 = width_m * rng.uniform(0.45, 0.58) - hall_m / 2
     kinds = [(0.5, 0.9 * room_m, 1.05 * room_m), (0.3, 1.2 * room_m, 1.6 * room_m), (0.2, 2.2, 2.8)]
@@ -53,10 +40,8 @@ def hospital(
     for stretch in plan.shared_walls(corridor, hall):
         plan.gap(stretch, 1.2)
     _treatment(rng, plan, x0 + hall_m, stack, hall, kinds)
-    flip_x, flip_y = (rng.random(2) < 0.5).tolist()
-    variants = {"furniture": furniture, "wide_openings": wide_openings, "max_loops": max_loops}
-    variants["corridor_sd_m"] = corridor_sd_m
-    return finish_building(plan, seed, "hospital", cell_m, **variants, flip_x=flip_x, flip_y=flip_y)
+    flips = rng.random(2) < 0.5
+    return finish_building(plan, seed, "hospital", cell_m, furniture, wide_openings, max_loops, corridor_sd_m, flips)
 
 
 def _ward(rng, plan, end, stack, corridor_m, kinds):

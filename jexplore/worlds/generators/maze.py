@@ -27,22 +27,9 @@ def maze(
 ) -> World:
     """Generate a maze: every place is reached, by exactly one way if `loops` is 0.
 
-    As many corridors as fit are spread over the size, so they are at least `corridor_m` wide up to a cell, and
-    a little wider where the size is no multiple. A random depth-first walk lays them: long corridors, deep dead ends.
-
-    Args:
-      seed: integer from 0.
-      cell_m: edge of a cell, metres, at most 0.3.
-      width_m, height_m: outer size, metres.
-      corridor_m: least width of a corridor, metres.
-      wall_m: thickness of the walls, metres; at least one cell.
-      loops: fraction of the walls between two places of the perfect maze that is taken away again, 0 to 1.
-
-    Returns:
-      A `World` without rooms.
-
-    Raises:
-      InputError: a parameter out of range, a size below 2 x 2 corridors, or corridors that no robot passes.
+    As many corridors as fit are spread over the size: they are at least `corridor_m` wide, up to a cell. A random
+    depth-first walk lays them: long corridors, deep dead ends. `loops` is the fraction of the walls between two places
+    of the perfect maze that is taken away again.
     """
     shape, spans = [], []
     for side_m in (height_m, width_m):
@@ -69,14 +56,10 @@ def maze(
 
 
 def passages(rng: np.random.Generator, shape: Sequence[int], loops: float) -> list[tuple[_Place, _Place]]:
-    """Choose the neighbouring places of a maze that are joined.
+    """Choose the neighbouring places `(row, col)` of a maze that are joined; the first rows * cols - 1 pairs are a
+    tree.
 
-    Args:
-      shape: rows and columns of places.
-      loops: fraction of the walls that a spanning tree leaves, and that are opened all the same.
-
-    Returns:
-      A list of pairs of places `(row, col)`; the first rows * cols - 1 are a spanning tree.
+    `loops`: fraction of the walls that this spanning tree leaves, and that are opened all the same.
     """
     rows, cols = shape
 

@@ -34,17 +34,14 @@ class _Side:
 def draw_network(
     rng: np.random.Generator | None, width_m: float, creases: int, loops: int, repeat: int, spurs: bool
 ) -> CoursePlan:
-    """Plan a course with a number of independent cycles, or of equal junctions, or both.
-
-    The first passage has the start and the obstacle.
+    """Plan a course with independent cycles, or of equal junctions, or both; the first passage has start and obstacle.
 
     Args:
       rng: generator; None: nothing is drawn, the widths are `width_m` and all lengths 6 m.
       width_m: of the passages, metres.
       creases: places of the obstacle that become nodes; 0: no obstacle.
       loops: rings, each of which shares a side with the one before or is joined to it by a passage.
-      repeat: T junctions at equal distances, with dead ends of equal length: on the first ring, else on a straight
-        passage.
+      repeat: T junctions at equal distances, with dead ends of equal length: on the first ring, else on a straight.
       spurs: bool, rings have dead ends.
     """
     draw = _Draws(rng, width_m)
@@ -157,10 +154,7 @@ class _Passages:
         return x0, y0, x1, y1
 
     def spur(self, at: _Key, heading: int, length: float, may_fail: bool = False) -> None:
-        """Add a passage with a dead end, of a length from its mouth at a place on a line to its end.
-
-        One that may fail is left out where it would come too near to another passage.
-        """
+        """Add a passage with a dead end; one that may fail is left out where it would come near to another passage."""
         base = self._place(at)
         width = base[3] - base[1] if heading % 2 == 0 else base[2] - base[0]
         stub = _beyond(base, heading, 0.0, length)

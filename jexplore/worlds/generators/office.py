@@ -3,7 +3,7 @@
 import itertools
 
 from jexplore.worlds.bounds import bounded
-from jexplore.worlds.generators.draft import FloorPlan, bands, cut_length, n_corridors, random_stream, stand_columns
+from jexplore.worlds.generators.draft import FloorPlan, bands, cut_length, random_stream, stand_columns
 from jexplore.worlds.generators.variants import corridor_widths, finish_building
 from jexplore.worlds.world import World
 
@@ -27,31 +27,17 @@ def office(
 
     Corridors run the length of the building, one in every 10 m of its height; cross corridors join two of them, open to
     one and with a door to the other. Every corridor is a room of its own, together with the cross corridors open to it.
-
-    Args:
-      seed: integer from 0.
-      cell_m: edge of a cell, metres, at most 0.3.
-      width_m, height_m: outer size, metres.
-      corridor_m: width of the corridors between the middles of their walls, metres.
-      room_m: width of a common office, metres; the others follow.
-      corridor_sd_m, furniture, wide_openings, max_loops: see `variants.finish_building`.
-      open_plan: all beyond the first corridor forms an open-plan area, but for some rooms at one end.
-
-    Returns:
-      A `World` with rooms.
-
-    Raises:
-      InputError: a parameter out of range, or a size below 14 x 9 m.
+    With `open_plan` all beyond the first corridor forms an open-plan area, but for some rooms at one end. `corridor_m`
+    is measured between the middles of the walls, `room_m` is the width of a common office, which the others follow; the
+    others are as of `finish_building`.
     """
     rng = random_stream(seed, "office")
     plan = FloorPlan(width_m, height_m)
-    widths = corridor_widths(seed, "office", n_corridors(height_m), corridor_m, corridor_sd_m)
-    stack = bands(rng, height_m, corridor_m, (1.05, 1.25), widths)
+    widths = corridor_widths(seed, "office", height_m, corridor_m, corridor_sd_m)
+    stack = bands(rng, height_m, widths, (1.05, 1.25))
     (_open_floor if open_plan else _floor)(rng, plan, stack, corridor_m, _kinds(room_m))
-    flip_x, flip_y = (rng.random(2) < 0.5).tolist()
-    variants = {"furniture": furniture, "wide_openings": wide_openings, "max_loops": max_loops}
-    variants["corridor_sd_m"] = corridor_sd_m
-    return finish_building(plan, seed, "office", cell_m, **variants, flip_x=flip_x, flip_y=flip_y)
+    flips = rng.random(2) < 0.5
+    return finish_building(plan, seed, "office", cell_m, furniture, wide_openings, max_loops, corridor_sd_m, flips)
 
 
 def _floor(rng, plan, stack, corridor_m, kinds):
@@ -73,14 +59,8 @@ def _floor(rng, plan, stack, corridor_m, kinds):
     else:
         _row_around(rng, plan, top, corridors[-1], kinds, _open_plan, 10.0)
     for k, across in crossings.items():
-        _core(
-            rng,
-            plan,
-            (0.0, *(x for pair in across for x in pair), end),
-            stack[k],
-            corridors[k // 2 - 1 : k // 2 + 1],
-            kinds,
-        )
+        ends = 0.0, *itertools.chain(*across), end
+        _core(rng, plan, ends, stack[k], corridors[k // 2 - 1 : k // 2 + 1], kinds)
 
 
 def _open_floor(rng, plan, stack, corridor_m, kinds):
@@ -181,10 +161,7 @@ def _with_doors(plan, rect, corridors, width, kind):
 
 
 def _row(rng, plan, rect, corridor, kinds):
-    """Draw rooms side by side along a corridor.
-
-    Some lie behind a front office, some have a door to the room before.
-    """
+    """Draw rooms side by side along a corridor; some lie behind a front office, some have a door to the room before."""
     x0, y0, x1, y1 = rect
     above = plan.rooms[corridor][0][1] > y0  # the corridor lies above the row
     before = None
@@ -210,10 +187,7 @@ def _row(rng, plan, rect, corridor, kinds):
 
 
 def _core(rng, plan, ends, band, corridors, kinds):
-    """Fill the band between two corridors: an open-plan area in a long part, and rooms back to back or across.
-
-    `ends` are the begin and end of the parts, alternately, metres.
-    """
+    """Fill the band between corridors: an open-plan area in a long part, else rooms. `ends`: x0, x1 of the parts."""
     y0, y1 = band
     parts = list(zip(ends[::2], ends[1::2]))
     lengths = [x1 - x0 for x0, x1 in parts]

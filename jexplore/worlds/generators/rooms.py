@@ -27,21 +27,9 @@ def rooms(
 ) -> World:
     """Generate random rectangular rooms without corridors: cut in two again and again, then joined by doors.
 
-    The doors 0.9 to 1.2 m wide are a random spanning tree of the neighbours, and a fraction of the others.
-
-    Args:
-      seed: integer from 0.
-      cell_m: edge of a cell, metres, at most 0.3.
-      width_m, height_m: outer size, metres.
-      room_m: least side of a room, between the middles of its walls, metres.
-      extra_doors: fraction of the neighbours outside the spanning tree that have a door as well, 0 to 1.
-      furniture, wide_openings, max_loops: see `variants.finish_building`.
-
-    Returns:
-      A `World` with rooms.
-
-    Raises:
-      InputError: a parameter out of range, or a size below two rooms a side.
+    The doors 0.9 to 1.2 m wide are a random spanning tree of the neighbours, and a fraction `extra_doors` of the
+    others. `room_m` is the least side of a room, between the middles of its walls; the others are as of
+    `finish_building`.
     """
     rng = random_stream(seed, "rooms")
     plan = FloorPlan(width_m, height_m)
@@ -58,9 +46,7 @@ def rooms(
         if group[a] != group[b] or rng.random() < extra_doors:
             plan.door(a, b, rng.uniform(0.9, 1.2), rng.random())
             group[group == group[b]] = group[a]
-    return finish_building(
-        plan, seed, "rooms", cell_m, furniture=furniture, wide_openings=wide_openings, max_loops=max_loops
-    )
+    return finish_building(plan, seed, "rooms", cell_m, furniture, wide_openings, max_loops)
 
 
 def _halves(rng: np.random.Generator, rect: Rect, room_m: float) -> list[Rect]:
@@ -79,10 +65,7 @@ def _halves(rng: np.random.Generator, rect: Rect, room_m: float) -> list[Rect]:
 
 
 def _neighbours(rects: np.ndarray) -> np.ndarray:
-    """Return pairs of rooms that share enough wall for a door, `[n, 2]`.
-
-    They join all rooms: at the beginning of a cut a room begins on either side, and both are at least `room_m` long.
-    """
+    """Return pairs of rooms that share enough wall for a door, `[n, 2]`; they join all rooms."""
     x0, y0, x1, y1 = rects.T
     along_x = np.minimum(x1, x1[:, None]) - np.maximum(x0, x0[:, None]) >= _SHARED_M
     along_y = np.minimum(y1, y1[:, None]) - np.maximum(y0, y0[:, None]) >= _SHARED_M

@@ -109,11 +109,8 @@ class CourseRoute(CoursePlan):
     def junction(self, turns: Sequence[int], width: float, stub_m: float, dead_m: float = 0.0) -> None:
         """Add a corner, T or crossing. The robot takes the first way counter-clockwise from the way in.
 
-        Args:
-          turns: of RIGHT, STRAIGHT, LEFT, those in which there is an opening.
-          width: of the passage across, metres.
-          stub_m: length of the passages that the robot does not take, metres.
-          dead_m: length of the passage that it takes first, and returns from, metres. 0: there is no dead end.
+        `turns` have an opening, the passage across is `width` wide, and passages that the robot does not take are
+        `stub_m` long. With `dead_m` it first takes a passage so long, a dead end, and returns from it.
         """
         rect = self._carve(width)
         openings = [self.heading + 2, *(self.heading + turn for turn in turns)]
@@ -200,9 +197,7 @@ def fifths(rng: np.random.Generator, low: float, high: float) -> float:
 def largest_circle(rect: Sequence[float], arms: Collection[int]) -> tuple[float, float, float]:
     """Return x, y and radius of the largest empty circle at a junction: it touches three walls, at a crossing four.
 
-    Args:
-      rect: where the passages of the junction overlap; of a dead end, its last stretch.
-      arms: headings of the openings: one, two at a right angle, three or four.
+    `rect`: where the passages overlap; of a dead end, its last stretch. `arms`: headings of the openings.
     """
     x0, y0, x1, y1 = rect
     closed = sorted({0, 1, 2, 3} - set(arms))

@@ -4,6 +4,7 @@ Each is drawn from a random stream of its own, so that a building without it sta
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -21,13 +22,11 @@ _AREA_CELL_M = 0.1  # m; cell in which the area is measured: a seed gives the sa
 _OPENINGS, _LOOPS, _WIDTHS, _NICHES = 101, 102, 103, 104  # random streams
 
 
-def corridor_widths(seed: int, kind: str, n: int, corridor_m: float, sd_m: float) -> list[float]:
-    """Draw widths of `n` corridors between the middles of their walls: a truncated normal distribution, metres.
-
-    Without a standard deviation the list is empty: all are equal.
-    """
+def corridor_widths(seed: int, kind: str, height_m: float, corridor_m: float, sd_m: float) -> list[float]:
+    """Return the width of every corridor, one in every 10 m of depth: all equal, or drawn by a normal distribution."""
+    n = max(1, round(height_m / 10))
     if not sd_m:
-        return []
+        return [corridor_m] * n
     drawn = random_stream(seed, kind, _WIDTHS).normal(corridor_m, sd_m, n)
     return np.clip(drawn, _LEAST_M, max(_MOST_M, corridor_m)).tolist()
 
@@ -37,13 +36,11 @@ def finish_building(
     seed: int,
     kind: str,
     cell_m: float,
-    *,
     furniture: float,
     wide_openings: float,
     max_loops: float,
     corridor_sd_m: float = 0.0,
-    flip_x: bool = False,
-    flip_y: bool = False,
+    flips: Sequence[bool] = (False, False),
 ) -> World:
     """Draw the irregularities of a building and its furniture, and render it.
 
@@ -55,21 +52,17 @@ def finish_building(
       wide_openings: share of the doors that are openings 1.6 to 2.6 m wide where the wall allows, 0 to 1.
       max_loops: most cycles per 1000 m2: doors beyond them are closed, but none that would cut off a room. 0 to 1000.
       corridor_sd_m: standard deviation of the widths of the corridors, and depth of constrictions, metres; 0 to 1.
-      flip_x, flip_y: the building is mirrored left to right, bottom to top.
+      flips: whether the building is mirrored left to right, and bottom to top.
     """
     narrow_corridors(plan, seed, kind, corridor_sd_m)
     limit_loops(plan, seed, kind, max_loops)
     widen_openings(plan, seed, kind, wide_openings)
     furnish(plan, seed, kind, furniture)
-    return plan.render(cell_m, flip_x=flip_x, flip_y=flip_y)
+    return plan.render(cell_m, flips)
 
 
 def narrow_corridors(plan: FloorPlan, seed: int, kind: str, sd_m: float) -> None:
-    """Stand shafts and built-in cupboards in the corridors, in one of the two walls, away from doors and ends.
-
-    Their depth is the absolute value of a normal number of a standard deviation `sd_m`, metres, less where no more than
-    `_LEAST_M` would be left of the corridor.
-    """
+    """Stand shafts in the corridors, in one wall, away from doors and ends; their depths are half normal."""
     if not sd_m:
         return
     rng = random_stream(seed, kind, _NICHES)
@@ -91,8 +84,7 @@ def narrow_corridors(plan: FloorPlan, seed: int, kind: str, sd_m: float) -> None
 def limit_loops(plan: FloorPlan, seed: int, kind: str, max_loops: float) -> None:
     """Close doors until a building has at most `max_loops` cycles per 1000 m2 of free area; none that cuts off a room.
 
-    The doors of rooms with few doors go first: a second door to the same corridor, one to the neighbour; the ways round
-    by the corridors go last. With a lower limit the same doors are closed, and some more.
+    The doors of rooms with few doors go first, the ways round by the corridors last. A lower limit closes more.
     """
     if max_loops >= MAX_LOOPS:
         return
@@ -114,10 +106,7 @@ def limit_loops(plan: FloorPlan, seed: int, kind: str, max_loops: float) -> None
 
 
 def widen_openings(plan: FloorPlan, seed: int, kind: str, share: float) -> None:
-    """Make openings 1.6 to 2.6 m wide of a share of the doors, as far as their walls are long enough.
-
-    With a larger share the same doors are widened, and some more.
-    """
+    """Make openings of a share of the doors, as far as their walls are long enough; of a larger share, of some more."""
     if not share:
         return
     rng = random_stream(seed, kind, _OPENINGS)
