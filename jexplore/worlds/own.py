@@ -14,11 +14,7 @@ ARRAYS = ("occupied", "rooms", "within", "known", "elevation")  # of a `World`: 
 
 
 def own_parameters(make: Callable[..., Any]) -> dict[str, Any]:
-    """Return what a user's world takes in its name: parameter -> default, without the seed and `cell_m`.
-
-    Raises:
-      InputError: something that cannot be called with a seed, or that needs more than it.
-    """
+    """Return what a user's world takes in its name, without seed and `cell_m`: parameter -> default."""
     what = f"{described(make)} is no world: expected a function of a seed, whose other parameters have defaults"
     try:
         first, *rest = inspect.signature(make).parameters.values()
@@ -35,11 +31,7 @@ def own_parameters(make: Callable[..., Any]) -> dict[str, Any]:
 
 
 def make_world(make: Callable[..., Any], seed: int, cell_m: float, parameters: dict[str, Any]) -> World:
-    """Call a user's world twice, with `cell_m` if it takes one, and return the first.
-
-    Raises:
-      InputError: it raises, returns no `World`, one with arrays that JAX is tracing, or another one the second time.
-    """
+    """Call a user's world twice, with `cell_m` if it takes one; refuse an error, no `World`, or two that differ."""
     what = described(make)
     more = {"cell_m": cell_m} if "cell_m" in inspect.signature(make).parameters else {}
     first, again = (_require_own(call_user(make, what, seed, **more, **parameters), what) for _ in range(2))

@@ -16,8 +16,7 @@ ROBOT = (230, 159, 0)
 def floor_plan(occupied: np.ndarray, rooms: np.ndarray | None = None, start: Any = None) -> bytes:
     """Draw the arrays and the start of a `World` as the bytes of a PNG, about `LONG_PX` on its longer side.
 
-    A cell is a square of whole pixels. Of larger maps a pixel is the mean of several cells: a thin wall becomes grey
-    instead of vanishing.
+    A cell is a square of whole pixels; of larger maps a pixel is the mean of several cells: a thin wall becomes grey.
     """
     from PIL import Image, ImageDraw
 

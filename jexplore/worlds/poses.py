@@ -35,15 +35,11 @@ class Pose:
 
 
 def read_start(start: Any, start_m: Any = None) -> "str | tuple[Any, ...] | Pose":
-    """Read a start given by a user.
+    """Read a start given by a user, and return what the engine takes: a word, cells or a `Pose`.
 
-    Args:
-      start: "random"; "world"; cells, `(row, col, heading_deg)` or the text `12,30,90`; or the text
-        `2.0m,1.5m,90`: x and y in metres, marked by their `m`, and the yaw in degrees, or in radians as `1.5708rad`.
-      start_m: `(x_m, y_m, yaw_deg)`, instead of `start`.
-
-    Returns:
-      "random", "world", a tuple for `starts.check_start`, or a `Pose`.
+    `start` is "random"; "world"; cells, `(row, col, heading_deg)` or the text `12,30,90`; or the text `2.0m,1.5m,90`: x
+    and y in metres, marked by their `m`, and the yaw in degrees, or in radians as `1.5708rad`. `start_m` is `(x_m, y_m,
+    yaw_deg)`, instead of `start`.
 
     Raises:
       InputError: none of these, or both.
@@ -85,11 +81,7 @@ def _pose(*values: Any) -> Pose:
 
 
 def read_polygon(polygon: str | Polygon) -> list[tuple[float, float]]:
-    """Return the corners of a polygon, metres, from pairs or from text: `x,y x,y x,y`.
-
-    Raises:
-      InputError: not pairs of finite numbers, or fewer than three.
-    """
+    """Return the corners of a polygon, three or more, metres, from pairs or from text: `x,y x,y x,y`."""
     try:
         pairs = [pair.split(",") for pair in polygon.split()] if isinstance(polygon, str) else polygon
         corners = [(float(x), float(y)) for x, y in pairs]
@@ -105,8 +97,7 @@ def read_polygon(polygon: str | Polygon) -> list[tuple[float, float]]:
 def cell_of(world: "World", pose: Pose) -> tuple[int, int, int]:
     """Return row and column of the cell in which a pose lies, and the nearest heading of the grid in degrees.
 
-    Warns:
-      InputWarning: the heading changes by `ROUNDING_DEG` or more.
+    Warns if the heading changes by `ROUNDING_DEG` or more.
 
     Raises:
       InputError: the place lies outside.

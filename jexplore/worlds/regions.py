@@ -23,11 +23,7 @@ CORNER_CLEARANCES = 2.0  # along free cells from the clear floor into the corner
 
 
 def _regions(world: World) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Divide free cells into regions that are apart for the default robot, each by the nearest free cells.
-
-    Returns the region's number of every cell `[H, W]`, -1 for none, its area in m2 `[n]`, and whether it touches the
-    edge of the array, `[n]` bool.
-    """
+    """Return the region of every cell, -1 for none, and by region its area in m2, and whether it touches the edge."""
     floor = with_doorways(label_components(clear_in(world, GAP_M)), ~world.occupied, world.occupied.size)
     m2 = np.bincount(floor[floor >= 0]) * world.cell_m**2
     return floor, m2, np.isin(np.arange(len(m2)), _edge(floor))
@@ -90,10 +86,7 @@ def _cell_at(world: World, point_m: tuple[float, float], name: str) -> tuple[int
 
 
 def warn_of_outside(world: World, reached: np.ndarray) -> bool:
-    """Warn if robots start outside a building: on floor along the edge of the map, while other floor is enclosed.
-
-    `reached` `[H, W]` bool has the clear cells that robots reach from their starts. Returns True after a warning.
-    """
+    """Warn, and return True, if robots start on floor along the edge of the map while other floor is enclosed."""
     if np.mean(~_edge(world.occupied)) < ALONG_EDGE or not reached.any():
         return False
     floor, m2, at_edge = _regions(world)
@@ -120,14 +113,9 @@ def warn_of_outside(world: World, reached: np.ndarray) -> bool:
 def warn_of_floor(world: World, reached: np.ndarray, clearance_m: float, *, drawn: bool) -> None:
     """Warn, by one `InputWarning`, that robots start outside, or that free floor is out of their reach.
 
-    The share counts free cells in reach and adjacent ones, up to `CORNER_CLEARANCES` along free cells. Floor along the
-    edge of the map, outside a building in which robots start, is not counted.
-
-    Args:
-      world: a `World`.
-      reached: `[H, W]` bool, clear cells that robots reach from their starts.
-      clearance_m: of the robot.
-      drawn: bool, starts are drawn; a chosen one may lie outside without a warning.
+    `reached` `[H, W]` bool has the clear cells that robots reach from their starts; a start that is not `drawn` may lie
+    outside. The share counts free cells in reach and adjacent ones, up to `CORNER_CLEARANCES` along free cells, not the
+    floor outside a building in which robots start.
     """
     if not reached.any() or (drawn and warn_of_outside(world, reached)):
         return

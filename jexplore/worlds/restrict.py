@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike
 from jexplore.config import InputError
 from jexplore.grid import Grid
 from jexplore.worlds.poses import Polygon, read_polygon
-from jexplore.worlds.readers.grids import FREE_MAX, OCCUPIED_MIN, upright
-from jexplore.worlds.readers.resample import inside_polygon
+from jexplore.worlds.readers.grids import FREE_MAX, OCCUPIED_MIN, inside_polygon, upright
 from jexplore.worlds.readers.ros import read_ros
 from jexplore.worlds.readers.scans import ScanMap
 from jexplore.worlds.world import World
@@ -25,15 +24,10 @@ def restricted(world: World, within: str | Polygon | None, from_map: KnownMap | 
 
 
 def stay_within(world: World, polygon_m: str | Polygon) -> World:
-    """Return the world with a region that its robot stays in.
+    """Return the world with a region that its robot stays in: cells whose centres lie in a polygon, metres.
 
     The region is no wall: beams pass its edge. Cells outside are never entered, are no frontier's unknown cells, and
     count neither as known nor as explorable.
-
-    Args:
-      world: a world.
-      polygon_m: corners, x and y in metres as `World.origin_m`, in order round the region; three or more. Or text, see
-        `poses.read_polygon`. A cell is inside if its centre is, by the even-odd rule.
 
     Raises:
       InputError: no polygon, or no free cell inside.
@@ -53,12 +47,9 @@ def stay_within(world: World, polygon_m: str | Polygon) -> World:
 def with_known(world: World, map_: KnownMap) -> World:
     """Return the world with a partial map that its robot has from the beginning.
 
-    What it says of a cell counts as one observation; scans may contradict it.
-
-    Args:
-      world: a world.
-      map_: path of a ROS map (`map.yaml`), such as `explored.yaml` of `jexplore explore`; a `ScanMap`; or an occupancy
-        `[H, W]` of the world's cells: -1 unknown, 0 (free) to 100 (occupied). Between 25 and 65 it is unknown.
+    What it says of a cell counts as one observation; scans may contradict it. `map_` is the path of a ROS map, such as
+    `explored.yaml` of `jexplore explore`; a `ScanMap`; or an occupancy `[H, W]` of the world's cells: -1 unknown, 0
+    (free) to 100 (occupied). Between 25 and 65 it is unknown.
 
     Raises:
       InputError: a file that is no map, another size of cells, or a map of which no known free cell lies in the world.

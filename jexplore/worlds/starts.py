@@ -20,10 +20,7 @@ HEADINGS_DEG = (0, 45, 90, 135, 180, 225, 270, 315)
 
 
 def clear_of_walls(occupied: np.ndarray, clearance_m: float, cell_m: float) -> np.ndarray:
-    """Return the clear cells `[H, W]` bool: free, and no occupied cell within the clearance, centre to centre.
-
-    Only the cells of the array count: what lies outside it is not an obstacle. At 0 m every free cell is clear.
-    """
+    """Return the clear cells `[H, W]` bool: free, and no occupied cell within the clearance, centre to centre."""
     d2 = radius_d2(clearance_m, cell_m)
     rows, cols = occupied.shape
     before = np.zeros((rows, cols + 1), np.int32)  # occupied cells of the row to the left of a column edge
@@ -41,8 +38,7 @@ def clear_of_walls(occupied: np.ndarray, clearance_m: float, cell_m: float) -> n
 def label_components(mask: np.ndarray) -> np.ndarray:
     """Label 4-connected components from 0 in the order of their lowest flat indices: `[H, W]` int32, -1 elsewhere.
 
-    A diagonal step of the robot needs both its orthogonal neighbours, so what it can reach in 8 directions is
-    exactly a 4-connected component.
+    A robot's diagonal step needs both orthogonal neighbours: what it reaches in 8 directions is such a component.
     """
     labels = np.empty(mask.shape, np.int32)
     ndimage.label(mask, output=labels)
@@ -66,8 +62,7 @@ def clear_in(world: World, clearance_m: float) -> np.ndarray:
 def start_region(world: World, clearance_m: float) -> np.ndarray:
     """Return the cells that a drawn start may lie in: the largest 4-connected component of the clear cells.
 
-    Of a world with a region only what lies within counts, of one with a partial map only what this shows to be free.
-    Among components of one size it is the one with the lowest flat index. All are False if no cell is clear.
+    Only a world's region counts, and what its partial map shows to be free. Of equal ones it is the first.
     """
     clear = clear_in(world, clearance_m)
     labels = label_components(clear)
@@ -85,11 +80,10 @@ def draw_starts(world: World, seed: int, n: int, clearance_m: float) -> np.ndarr
 
 
 def draw_start(world: World, seed: int, i: int, clearance_m: float) -> tuple[int, int, int]:
-    """Start number `i` of a seed: uniform over the start region, heading uniform over the multiples of 45 degrees.
+    """Draw start `i` of a seed: uniform over the start region, heading uniform over the multiples of 45 degrees.
 
     It depends on the world and its name, the clearance, `seed` and `i` alone: neither on how many starts are drawn nor
-    on padding. Starts of one number in worlds of different names have nothing in common. Of a map file's name the
-    folder does not count; a generator's name without a seed is that with seed 0.
+    on padding. Of a map file's name the folder does not count; a generator's name without a seed is that with seed 0.
 
     Raises:
       InputError: no cell has that much clearance, or `seed` or `i` is negative.
@@ -125,19 +119,10 @@ def _draw(cells: np.ndarray, name: str, seed: int, i: int) -> tuple[int, int, in
 def check_start(
     world: World, start: Iterable[SupportsIndex], clearance_m: float, near_m: float = 0.5
 ) -> tuple[int, int, int]:
-    """Refuse a start that an episode cannot leave or stand on.
+    """Refuse a start that an episode cannot leave or stand on; return it as integers, the heading from 0 to 315.
 
-    The robot may drive over clear cells and over free cells within `near_m` of the start. A start from which no
-    clear cell but itself can be reached that way is enclosed.
-
-    Args:
-      world: a `World`.
-      start: `(row, col, heading_deg)`, integers.
-      clearance_m: of the clear cells, metres. The start itself need only be free.
-      near_m: metres.
-
-    Returns:
-      `(row, col, heading_deg)` as Python integers, the heading from 0 to 315.
+    The robot may drive over clear cells and over free cells within `near_m` of the start. A start from which no clear
+    cell but itself can be reached that way is enclosed.
 
     Raises:
       InputError: the start lies outside, in a wall, is enclosed, or its heading is not a multiple of 45 degrees.

@@ -149,11 +149,7 @@ def _as_mask(name, occupied):
 
 
 def require_world(world: World) -> World:
-    """Refuse a caller's world that the kernels cannot use; return it with its elevation as float32, its name as text.
-
-    Raises:
-      InputError: arrays of another shape or dtype than `World` says, sizes out of range, or no free cell.
-    """
+    """Refuse a world that the kernels cannot use; return it with its elevation as float32, its name as text."""
     if not isinstance(world.name, (str, os.PathLike)):
         raise InputError(f"the name of a world must be text, got {world.name!r}")
     world = world.replace(name=os.fspath(world.name))
@@ -201,9 +197,6 @@ def with_ring(world: World) -> World:
 
     Rooms, elevation, start and origin move along, so that every cell keeps its place in metres; indices grow by
     `ring_of`.
-
-    Raises:
-      InputError: the ring would make a side longer than `MAX_SIDE` cells.
     """
     occupied = world.occupied
     if not ring_of(occupied):
@@ -217,11 +210,7 @@ def with_ring(world: World) -> World:
 
 
 def pad(world: World, shape: tuple[int, int]) -> World:
-    """Return the world in a larger array of a shape: occupied rows are added at the top, columns on the right.
-
-    Raises:
-      ValueError: `shape` is smaller than the world.
-    """
+    """Return the world in an array of a shape at least as large: occupied rows at the top, columns on the right."""
     grow = [(0, new - old) for new, old in zip(shape, world.shape)]
     if len(shape) != 2 or min(after for _, after in grow) < 0:
         raise ValueError(f"expected a shape of at least {world.shape}, got {tuple(shape)}")

@@ -17,9 +17,8 @@ import numpy as np
 from jexplore.arrays.files import first_line, opened, told_kind
 from jexplore.config import InputError, checked_names, require_number, require_whole
 from jexplore.worlds.names import METADATA
-from jexplore.worlds.readers.grids import FREE_MAX, free_cells, upright
+from jexplore.worlds.readers.grids import free_cells, resample, upright
 from jexplore.worlds.readers.images import MAX_PIXELS
-from jexplore.worlds.readers.resample import resample
 from jexplore.worlds.world import World, require_hundred
 
 _TYPE = "nav_msgs/msg/OccupancyGrid"
@@ -39,18 +38,12 @@ class RecordedGrid:
 
 @checked_names
 def read_bag(path: str | os.PathLike[str], *, topic: str | None = None, message: int = -1) -> RecordedGrid:
-    """Read a map that was published while a recording was made.
+    """Read a map that was published while a recording was made; one that lies turned is laid along x and y.
 
     Args:
       path: `.bag` of ROS 1; `.db3` or `.mcap` of ROS 2, or the folder, or the `metadata.yaml` in it, of such files.
       topic: by default the only one with maps; of several, `/map`.
       message: which of its messages, counted from 0; a negative one counts from the last, -1.
-
-    Returns:
-      `RecordedGrid`. A map that lies turned in its frame has been laid along x and y: see `grids.upright`.
-
-    Warns:
-      InputWarning: the map has been turned.
 
     Raises:
       InputError: rosbags is not installed; the recording cannot be read, or has no such topic or message; the map is
@@ -96,7 +89,7 @@ def load_bag(
     free_max: int | None = None,
     occupied_min: int | None = None,
 ) -> World:
-    """Load a world from a map in a recording. Unknown cells count as occupied.
+    """Load a world from a map in a recording, with its origin. Unknown cells count as occupied.
 
     `load_world("run.bag:topic=/map,free_max=49")` is the same; topics that a name cannot hold are given here.
 
@@ -105,22 +98,14 @@ def load_bag(
       cell_m: edge of a cell, metres; the map is resampled to it.
       free_max, occupied_min: see `grids.free_cells`.
 
-    Returns:
-      A `World` as mapped, with the map's origin: a point has the same metres in ROS. It has no start.
-
-    Warns:
-      InputWarning: as `grids.free_cells` and `read_bag`.
-
     Raises:
-      InputError: as `read_bag` and `grids.free_cells`, no free cell, a mask of 0 and 1, or too large a world.
+      InputError: as `read_bag` and `grids.free_cells`, a mask of 0 and 1, or too large a world.
     """
     path = os.fspath(path)
     grid = read_bag(path, topic=topic, message=message)
     where = f"{path!r}: the map on {grid.topic}"
     require_hundred(path, grid.occupancy)
     free = free_cells(where, grid.occupancy, free_max=free_max, occupied_min=occupied_min)
-    if not free.any():
-        raise InputError(f"{where}: no cell is free (occupancy 0 to {FREE_MAX if free_max is None else free_max})")
     cells = resample(~free, (grid.resolution_m, grid.resolution_m), cell_m, name=path)
     return World(occupied=cells, cell_m=cell_m, name=path, origin_m=grid.origin_m)
 

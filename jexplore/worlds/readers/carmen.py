@@ -27,18 +27,16 @@ _LONGEST = re.compile(r"(robot|laser)_(front_?)?laser_?1?_max(_?range)?")
 _SAME = 0.999  # of the largest reading: a SICK's nine codes, 8183 to 8191, lie closer together
 _PLACE_M = 0.1  # readings of one value that end in one square of this size count once: a robot may stand still
 _OFTEN = 5  # times the median count of a value; the largest echo of scans recorded in five buildings stays within it
-_CHANCE = 1e-6  # that echoes repeat the largest value so often; low, for those of one wall are no independent draws
 
 
 @checked_names
 def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = None) -> ScanLog:
     """Read the scans of a CARMEN log that have a pose.
 
-    Read are the lines `FLASER` and `ROBOTLASER1`, of the scanner that looks forward; others are passed over. A pose is
-    the first of a line's two, which programs that correct a log's poses write; `odometry` is the second.
-
-    Of an `FLASER` line CARMEN assumes that the first of n readings points 90 degrees to the right. The next ones are 1
-    degree apart for n = 180 and 181, 0.5 for 360 and 361, 0.25 for 400 and 401, else 180 / (n - 1).
+    Read are the lines `FLASER` and `ROBOTLASER1`, of the scanner that looks forward. A pose is the first of a line's
+    two, which programs that correct a log's poses write; `odometry` is the second. Of an `FLASER` line CARMEN assumes
+    that the first of n readings points 90 degrees to the right. The next ones are 1 degree apart for n = 180 and 181,
+    0.5 for 360 and 361, 0.25 for 400 and 401, else 180 / (n - 1).
 
     Args:
       path: the log, a text file.
@@ -46,8 +44,7 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
         gives signs of: what `ROBOTLASER1` lines say; for `FLASER` the last `PARAM robot_front_laser_max`, without one
         80, and 8 if no reading is above 8.2, as a SICK in its mode of millimetres has it; and the largest reading,
         where it ends in more than 5 times as many places as a reading does in the median, and in more than 5 where
-        there is no other; or where echoes that lie no closer than those below it would repeat it as often by a chance
-        of less than one in a million, neighbouring beams counted once.
+        there is no other.
 
     Returns:
       `ScanLog`, scans in the order of the file. Readings of inf, NaN and below 0 stay as they are.
@@ -100,23 +97,9 @@ def load_carmen(
     no_echo_m: float = 0.0,
     max_range_m: float | None = None,
 ) -> World:
-    """Load a world from a CARMEN log: its scans folded into a reflection map, at `cell_m` itself.
+    """Load a world from a CARMEN log: its scans folded into a reflection map, see `read_carmen` and `fold_scans`.
 
-    Args:
-      path: the log.
-      cell_m: edge of a cell, metres.
-      p_free: a cell is free if it was seen and its reflection probability is at most this; every other is occupied.
-      range_m, no_echo_m: see `fold_scans`.
-      max_range_m: see `read_carmen`.
-
-    Returns:
-      A `World` with the origin and the start of the log.
-
-    Raises:
-      InputError: as `read_carmen` and `fold_scans`, or no free cell.
-
-    Warns:
-      InputWarning: as `read_carmen`.
+    A cell is free if it was seen and its reflection probability is at most `p_free`; every other is occupied.
     """
     log = read_carmen(path, max_range_m=max_range_m)
     scans = fold_scans(log, cell_m=cell_m, range_m=range_m, no_echo_m=no_echo_m, name=path)
@@ -152,56 +135,26 @@ def _longest(ranges, longest_m, said_m):
 
 
 def _found(path, log):
-    """Estimate the same from the readings: the largest range, if echoes would not repeat it as often."""
-    values, places, walls = _places(log)
+    """Estimate the same from the readings: the largest range, if echoes would not repeat it in as many places."""
+    echo, angle = log.echo, log.poses[:, 2:] + log.angles_rad
+    values, which = np.unique(log.ranges[echo], return_inverse=True)
+    tips = (log.poses[:, None, k] + np.where(echo, log.ranges, 0) * of(angle) for k, of in enumerate((np.cos, np.sin)))
+    cells = np.unique([which, *(np.floor(tip[echo] / _PLACE_M).astype(np.int64) for tip in tips)], axis=1)
+    places = np.bincount(cells[0], minlength=len(values))
     top = values >= _SAME * values.max(initial=0)
     usual = 1 if top.all() else np.median(places[~top])
-    rare = np.array([is_top and _chance(values, walls, k) < _CHANCE for k, is_top in enumerate(top)], bool)
-    often = values[(top & (places > _OFTEN * usual)) | rare]
+    often = values[top & (places > _OFTEN * usual)]
     if not often.size:
         return log.max_range_m
     found_m = float(often[0])
     warnings.warn(
-        f"{path!r}: {(log.ranges[log.echo] >= found_m).sum()} of its {log.echo.sum()} readings are {found_m:g} m or "
-        "little more, the largest and far more than are equal elsewhere, and count as no echo; if they are walls, "
-        f"append :max_range_m={log.max_range_m:g}",
+        f"{path!r}: {(log.ranges[echo] >= found_m).sum()} of its {echo.sum()} readings are {found_m:g} m or little "
+        "more, the largest and far more than are equal elsewhere, and count as no echo; if they are walls, append "
+        f":max_range_m={log.max_range_m:g}",
         InputWarning,
         stacklevel=3,
     )
     return found_m
-
-
-def _places(log):
-    """Return the different readings below the longest range, ascending, and how many places each was measured of.
-
-    The last array counts neighbouring beams of one value, as a wall across the way gives them, once.
-    """
-    echo, angle = log.echo, log.poses[:, 2:] + log.angles_rad
-    values, which = np.unique(log.ranges[echo], return_inverse=True)
-    tips = (log.poses[:, None, k] + np.where(echo, log.ranges, 0) * of(angle) for k, of in enumerate((np.cos, np.sin)))
-    x, y = (np.floor(tip[echo] / _PLACE_M).astype(np.int64) for tip in tips)
-    is_first = np.insert(log.ranges[:, 1:] != log.ranges[:, :-1], 0, True, axis=1)[echo]
-
-    def counted(some):
-        cells = np.unique(np.stack([which, x, y])[:, some], axis=1)[0]
-        return np.bincount(cells, minlength=len(values))
-
-    return values, counted(np.ones(len(which), bool)), counted(is_first)
-
-
-def _chance(values, counts, k):
-    """Return the chance that echoes repeat value k as often as here, if they lie there no closer than below.
-
-    Of 2 n - 1 echoes after the first, n - 1 lie within a step of the value, all others down to the n-th below.
-    """
-    n, below = int(counts[k]), np.repeat(values[:k], counts[:k])
-    below = below[-n:] if n > 1 else below[:0]
-    if not below.size:
-        return 1.0
-    step_m, m = float(np.median(np.diff(values))), len(below)  # one odd reading does not set the step
-    share = step_m / (values[k] - below[0] + step_m)
-    ways = math.lgamma(n + m) - math.lgamma(n) - math.lgamma(m + 1)
-    return math.exp(min(ways + (n - 1) * math.log(share), 0.0))
 
 
 def _flaser(where, words):
@@ -213,11 +166,7 @@ def _flaser(where, words):
 
 
 def _robotlaser(where, words):
-    """Parse a ROBOTLASER1 line.
-
-    Its words are type, start angle, field of view, step, longest range, accuracy, remission mode, n, n readings, m, m
-    remissions, pose, odometry, two speeds, three numbers about safety, time, host, time since the log's beginning.
-    """
+    """Parse type, start, field of view, step, range, 2 words, n, readings, m, remissions, poses, 5 words, time."""
     n = _count(where, words, 8)
     m = _count(where, words, 9 + n, least=0)
     kind = _numbers(where, words[1:8], 0, 7, 7)

@@ -1,4 +1,9 @@
-"""Occupancy grids of ROS: which of their cells are free, and grids that lie turned in their frame."""
+"""From pixels and polygons to cells, and from occupancy grids of ROS to free cells; nothing here ever opens a wall.
+
+A cell is occupied if any occupied pixel overlaps it, whichever of the two is larger. Two free cells side by side
+then lie over pixels that are free and connected side by side: what was apart in the picture stays apart in the world,
+for a robot and for a beam, both of which go from cell to cell across edges.
+"""
 
 import math
 import warnings
@@ -6,10 +11,12 @@ import warnings
 import numpy as np
 
 from jexplore.config import InputError, InputWarning, require_whole
+from jexplore.worlds.bounds import count_cells, require_side
 
 FREE_MAX, OCCUPIED_MIN = 25, 65  # per cent, as map_saver has them
 _SUSPECT = 0.01  # share of the known cells that another bound would make free without a word
-_SLIVER = 1e-6  # an overlap of less than this part of a cell is rounding
+LEAST_PIXEL_M, MOST_PIXEL_M = 1e-4, 1e6  # a scale beyond these is a slip of the pen
+_SLIVER = 1e-6  # an overlap of less than this part of a pixel, or of a cell at the far edge, is rounding
 
 
 def free_cells(
@@ -17,17 +24,15 @@ def free_cells(
 ) -> np.ndarray:
     """Return the free cells of an occupancy grid, -1 unknown, 0 free to 100 occupied. `where` names it in messages.
 
-    Args:
-      free_max: a cell is free if its occupancy is from 0 to this. Default: 25, or the values below `occupied_min`.
-      occupied_min: a cell is occupied if its occupancy is this or more. Default: 65, or the values above `free_max`.
-        Cells between the two count as unknown.
+    A cell is free up to `free_max`, by default 25 or the values below `occupied_min`, and occupied from `occupied_min`
+    on, by default 65 or the values above `free_max`. Cells between the two count as unknown.
 
     Warns:
       InputWarning: `free_max` is not given, and at least 1 % of the known cells lie between it and 50.
 
     Raises:
-      InputError: a bound that is no integer or out of range, `occupied_min` is not above `free_max`, or no cell is free
-        where the warning would be given.
+      InputError: a bound out of range, `occupied_min` is not above `free_max`, or no cell is free where the warning
+        would be given.
     """
     if free_max is not None:
         free_max = require_whole(f"{where}: free_max", free_max, 0, 99)
@@ -57,70 +62,73 @@ def free_cells(
 def upright(
     where: str, occupancy: np.ndarray, yaw_rad: float, resolution_m: float, origin_m: tuple[float, float]
 ) -> tuple[np.ndarray, tuple[float, float]]:
-    """Resample a grid that lies turned in its frame to one whose rows run along x.
+    """Lay a grid that is turned in its frame along x and y, cell for cell, and warn of it; `where` names it.
 
-    A turn that is a multiple of 90 degrees moves whole cells; so does one that differs from it by so little that no
-    cell is moved by half its edge. At another angle a cell has the largest occupancy of all cells that it overlaps, the
-    unknown above all but 100: no wall opens. Where its centre lies outside the grid it is unknown.
+    `yaw_rad` turns it about the lower left corner of cell (0, 0), `origin_m`, counter-clockwise: by a multiple of 90
+    degrees, or by so little more that no cell moves by half its edge. Returns the new grid, and its own `origin_m`.
 
-    Args:
-      where: what the warning, that the grid has been turned, calls it.
-      occupancy: `[H, W]` integers, -1 unknown, 0 free to 100 occupied.
-      yaw_rad: turn about the lower left corner of cell (0, 0), counter-clockwise.
-      resolution_m: edge of a cell, metres.
-      origin_m: x, y of that corner, metres.
-
-    Returns:
-      The new grid, and its own `origin_m`.
+    Raises:
+      InputError: another turn.
     """
     yaw_rad = math.remainder(yaw_rad, 2 * math.pi)
     quarters = round(yaw_rad / (math.pi / 2))
     rest_rad = yaw_rad - quarters * (math.pi / 2)
     rows, cols = occupancy.shape
-    whole = abs(rest_rad) * math.hypot(rows, cols) < 0.5
     quarters %= 4
-    if whole and not quarters:
+    if abs(rest_rad) * math.hypot(rows, cols) >= 0.5:
+        raise InputError(
+            f"{where}: is turned by {math.degrees(yaw_rad):.4g} degrees, and right angles are read; with a yaw of "
+            "0 it is the same building"
+        )
+    if not quarters:
         return occupancy, origin_m
-    if whole:
-        turned = np.ascontiguousarray(np.rot90(occupancy, -quarters))
-        low = ((0, 0), (-rows, 0), (-cols, -rows), (0, -cols))[quarters]
-        turned_deg, how = (0, 90, 180, -90)[quarters], "cell for cell"
-    else:
-        turned, low = _turned_grid(occupancy, yaw_rad)
-        turned_deg, how = math.degrees(yaw_rad), "and only cells that overlap nothing occupied or unknown are free"
+    low = ((0, 0), (-rows, 0), (-cols, -rows), (0, -cols))[quarters]
     warnings.warn(
-        f"{where}: is turned by {turned_deg:.4g} degrees; its cells have been laid along x and y, {how}",
+        f"{where}: is turned by {(0, 90, 180, -90)[quarters]} degrees; its cells have been laid along x and y",
         InputWarning,
         stacklevel=4,
     )
     x_m, y_m = (at + n * resolution_m for at, n in zip(origin_m, low))
-    return turned, (x_m, y_m)
+    return np.ascontiguousarray(np.rot90(occupancy, -quarters)), (x_m, y_m)
 
 
-def _turned_grid(occupancy: np.ndarray, yaw_rad: float) -> tuple[np.ndarray, tuple[float, float]]:
-    """Turn the grid by any angle, and return its lower left corner: x, y in cells from the old one."""
-    rows, cols = occupancy.shape
-    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    x, y = (np.array([0, cols, 0, cols]) * a + np.array([0, 0, rows, rows]) * b for a, b in ((cos, -sin), (sin, cos)))
-    low_x, low_y = float(x.min()), float(y.min())
-    shape = tuple(math.ceil(float(np.ptp(side)) - _SLIVER) for side in (y, x))
-    # 100 is 200, unknown 199; a border of 0, of which nothing is told.
-    rank = np.pad(np.where(occupancy < 0, 199, 2 * occupancy.astype(np.int16)), 1)
-    reach = 0.5 + (abs(cos) + abs(sin)) / 2 - _SLIVER  # touching squares are this far apart along one of four axes
-    out = np.full(shape, 199, np.int16)
-    x = np.arange(shape[1]) + 0.5 + low_x
-    for row in range(shape[0]):
-        y = row + 0.5 + low_y
-        u, v = cos * x + sin * y, cos * y - sin * x  # the centres, in cells of the old grid
-        (inside,) = np.nonzero((u >= 0) & (u < cols) & (v >= 0) & (v < rows))
-        u, v = u[inside], v[inside]
-        at_col, at_row = u.astype(int), v.astype(int)
-        u, v = at_col + 0.5 - u, at_row + 0.5 - v
-        worst = np.zeros(len(inside), np.int16)
-        for i, j in np.ndindex(3, 3):
-            du, dv = u + (j - 1), v + (i - 1)
-            apart = np.maximum(np.abs(du), np.abs(dv))
-            apart = np.maximum(apart, np.maximum(np.abs(cos * du - sin * dv), np.abs(sin * du + cos * dv)))
-            np.maximum(worst, np.where(apart < reach, rank[at_row + i, at_col + j], 0), out=worst)
-        out[row, inside] = worst
-    return np.where(out == 199, -1, out // 2).astype(occupancy.dtype), (low_x, low_y)
+def resample(occupied: np.ndarray, pixel_m: tuple[float, float], cell_m: float, *, name: str) -> np.ndarray:
+    """Resample the occupied cells of a picture `[h, w]`. The lower left corners of cell and pixel (0, 0) coincide.
+
+    The last row and column of cells may reach beyond the picture; only the part within counts. `pixel_m` is width and
+    height of a pixel.
+
+    Raises:
+      InputError: more than `MAX_SIDE` cells a side, or pixels beyond all measure, before anything is allocated.
+    """
+    if not LEAST_PIXEL_M <= min(pixel_m) <= max(pixel_m) <= MOST_PIXEL_M:
+        raise InputError(
+            f"{name!r}: a pixel must be {LEAST_PIXEL_M:g} to {MOST_PIXEL_M:g} m wide and high, got {pixel_m[0]:g} x "
+            f"{pixel_m[1]:g} m"
+        )
+    rows, cols = (n * size / cell_m for n, size in zip(occupied.shape, reversed(pixel_m)))
+    require_side(name, rows - _SLIVER, cols - _SLIVER, cell_m)
+    by_rows = _overlapped(occupied, pixel_m[1], cell_m)
+    return np.ascontiguousarray(_overlapped(by_rows.T, pixel_m[0], cell_m).T)
+
+
+def _overlapped(occupied: np.ndarray, pixel_m: float, cell_m: float) -> np.ndarray:
+    """Resample along the first axis alone."""
+    n = len(occupied)
+    edges = np.arange(count_cells(n * pixel_m, cell_m) + 1) * (cell_m / pixel_m)  # cell edges, in pixels
+    first = np.minimum(np.floor(edges[:-1] + _SLIVER).astype(int), n - 1)
+    last = np.ceil(edges[1:] - _SLIVER).astype(int)  # beyond the picture, a slice ends with it
+    out = np.empty((len(first), occupied.shape[1]), bool)
+    for k in range(len(first)):
+        occupied[first[k] : last[k]].any(axis=0, out=out[k])
+    return out
+
+
+def inside_polygon(corners: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return `[len(y), len(x)]` bool: points inside a polygon `[n, 2]`, by the even-odd rule."""
+    inside = np.zeros((len(y), len(x)), bool)
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0)):
+        if y0 != y1:  # the edge crosses the rows between its ends, and turns round what lies to its left
+            rows = (y0 <= y) != (y1 <= y)
+            inside[rows] ^= x < (x0 + (y[rows] - y0) / (y1 - y0) * (x1 - x0))[:, None]
+    return inside

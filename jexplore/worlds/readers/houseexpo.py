@@ -13,30 +13,21 @@ import numpy as np
 from jexplore.arrays.files import read_json
 from jexplore.config import InputError
 from jexplore.worlds.bounds import require_side
-from jexplore.worlds.readers.resample import inside_polygon
+from jexplore.worlds.readers.grids import inside_polygon
 from jexplore.worlds.world import World
 
 _MAX_PLAN_BYTES = 16 * 2**20
 
 
 def load_houseexpo(path: str, *, cell_m: float = 0.1) -> World:
-    """Load a world from a HouseExpo plan.
+    """Load a world from a HouseExpo plan: JSON with `verts` (outline) and `room_category` (name -> boxes), metres.
 
-    Cells on the outline are occupied, at least one cell thick; a cell whose centre lies inside is free; all others are
-    occupied. A room is a box of a `room_category`, numbered from 0 in the order of the file; where boxes overlap the
-    smallest one counts, and of equal ones the first.
-
-    Args:
-      path: the JSON file, with `verts` (the closed outline, metres) and `room_category` (name -> boxes
-        [x0, y0, x1, y1], metres). Its other keys are not read.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      A `World` with `rooms`, -1 at occupied cells and outside all boxes; `rooms` is None if the plan has no box.
-      The lower left corner of cell (0, 0) is that of the outline's bounding box.
+    Cells on the outline are occupied, at least one cell thick; a cell whose centre lies inside is free. A room is a box
+    [x0, y0, x1, y1], numbered from 0 in the order of the file; where boxes overlap the smallest one counts, and of
+    equal ones the first. The lower left corner of cell (0, 0) is that of the outline's bounding box.
 
     Raises:
-      InputError: the file cannot be read, is not such a plan, encloses no free cell, or is too large.
+      InputError: the file cannot be read, is not such a plan, or is too large.
     """
     plan = read_json(path, _MAX_PLAN_BYTES)
     if not isinstance(plan, dict) or "verts" not in plan:
@@ -51,8 +42,6 @@ def load_houseexpo(path: str, *, cell_m: float = 0.1) -> World:
     shape = (int(cols_rows[1]), int(cols_rows[0]))
     centres = (np.arange(n) + 0.5 for n in reversed(shape))
     occupied = _outline(corners, shape) | ~inside_polygon(corners, *centres)
-    if occupied.all():
-        raise InputError(f"{path!r}: its outline encloses no free cell at cell_m = {cell_m:g}")
     return World(
         occupied=occupied,
         rooms=_rooms(path, plan.get("room_category", {}), low, cell_m, occupied),

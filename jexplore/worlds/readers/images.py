@@ -13,8 +13,8 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from jexplore.arrays.files import first_line, read_bytes, told_kind
-from jexplore.config import InputError, InputWarning, require_number
-from jexplore.worlds.readers.resample import resample
+from jexplore.config import InputError, InputWarning
+from jexplore.worlds.readers.grids import resample
 from jexplore.worlds.world import World
 
 MAX_PIXELS = 64 * 10**6
@@ -26,7 +26,7 @@ _SATURATED = 128  # largest minus smallest of red, green, blue: a grey has 0, pu
 
 
 def load_image(path: str, scale: float | tuple[float, float], *, cell_m: float = 0.1, free: float = 250) -> World:
-    """Load a world from a picture.
+    """Load a world from a picture as drawn: its edges need not be occupied.
 
     A filled rectangle of one saturated colour in an otherwise grey picture, as in the dungeon maps, marks the start:
     its middle, heading 0. This holds only if it has the only colour and its cell is free.
@@ -38,16 +38,12 @@ def load_image(path: str, scale: float | tuple[float, float], *, cell_m: float =
       cell_m: edge of a cell, metres.
       free: a pixel is free if its grey, 0 to 255, is at least this.
 
-    Returns:
-      A `World` as drawn: its edges need not be occupied. The origin is the lower left corner of the used part.
-
     Warns:
       InputWarning: most of the picture is transparent; or as `read_pixels`.
 
     Raises:
       InputError: the file cannot be read, has no free pixel, or the world would be too large.
     """
-    require_number(f"{path!r}: free", free, low=0, high=255)
     levels = read_pixels(path)[::-1]
     occupied = _occupied(path, levels, free)
     if isinstance(scale, tuple):
@@ -89,13 +85,11 @@ def _occupied(path: str, levels: np.ndarray, free: float) -> np.ndarray:
 def read_pixels(path: str | os.PathLike[str], *, as_stored: bool = False) -> np.ndarray:
     """Read the pixels of a picture file, refused by its header if there are too many.
 
-    Args:
-      path: the file.
-      as_stored: pass over the orientation that EXIF data give, as the map servers of ROS do.
+    `as_stored` passes over the orientation that EXIF data give, as the map servers of ROS do.
 
     Returns:
-      `[h, w, c]` uint8, row 0 at the top; c is 1 (grey), 3 (red, green, blue) or 4 (and opacity). Sixteen bit greys
-      are scaled to 0..255.
+      `[h, w, c]` uint8, row 0 at the top; c is 1 (grey), 3 (red, green, blue) or 4 (and opacity). Sixteen bit greys are
+        scaled to 0..255.
 
     Warns:
       InputWarning: a JPEG that is blurred, or several frames or pages, of which the first is read.

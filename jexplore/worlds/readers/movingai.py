@@ -9,7 +9,7 @@ import numpy as np
 from jexplore.arrays.files import read_text
 from jexplore.config import InputError
 from jexplore.worlds.bounds import require_side
-from jexplore.worlds.readers.resample import resample
+from jexplore.worlds.readers.grids import resample
 from jexplore.worlds.world import World
 
 _FREE, _BLOCKED = ".GS", "@OTW"  # ground, ground, swamp; out of bounds twice, trees, water
@@ -17,19 +17,13 @@ _MAX_MAP_BYTES = 128 * 2**20
 
 
 def load_movingai(path: str, map_cell_m: float | None = None, *, cell_m: float = 0.1) -> World:
-    """Load a world from a `.map` file.
+    """Load a world from a `.map` file, whose first row of characters is the top.
 
-    Args:
-      path: the file. Its first row of characters is the top of the world.
-      map_cell_m: edge of one cell of the file, metres. Default: `cell_m`.
-      cell_m: edge of a cell of the world, metres.
-
-    Returns:
-      A `World` as drawn: its edges need not be occupied.
+    `map_cell_m` is the edge of one cell of the file, by default `cell_m`.
 
     Raises:
       InputError: the file cannot be read, its header is wrong, a row is missing or of another length, a character is
-        unknown, no cell is free, or the world would be too large.
+        unknown, or the world would be too large.
     """
     if isinstance(map_cell_m, tuple):
         raise InputError(f"{path!r}: a .map file takes the metres of one cell after the '@', as in @0.1")
@@ -50,8 +44,6 @@ def load_movingai(path: str, map_cell_m: float | None = None, *, cell_m: float =
             raise InputError(f"{path!r}: line {number} has {unknown[0]!r}; the characters are {_FREE} and {_BLOCKED}")
     characters = np.frombuffer("".join(lines).encode(), np.uint8).reshape(rows, cols)[::-1]
     occupied = ~np.isin(characters, np.frombuffer(_FREE.encode(), np.uint8))
-    if occupied.all():
-        raise InputError(f"{path!r}: no cell is free ({_FREE})")
     return World(occupied=resample(occupied, (map_cell_m, map_cell_m), cell_m, name=path), cell_m=cell_m, name=path)
 
 

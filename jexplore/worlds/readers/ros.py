@@ -19,9 +19,8 @@ from numpy.typing import ArrayLike
 
 from jexplore.arrays.files import first_line, read_yaml
 from jexplore.config import InputError, InputWarning, require_number, shown
-from jexplore.worlds.readers.grids import free_cells, upright
+from jexplore.worlds.readers.grids import LEAST_PIXEL_M, MOST_PIXEL_M, free_cells, resample, upright
 from jexplore.worlds.readers.images import grey, read_pixels, transparency
-from jexplore.worlds.readers.resample import LEAST_PIXEL_M, MOST_PIXEL_M, resample
 from jexplore.worlds.world import World, require_hundred
 
 ROS_MODES = ("trinary", "scale", "raw")
@@ -47,12 +46,10 @@ class RosInfo:
 
 
 def read_ros(path: str | os.PathLike[str]) -> tuple[np.ndarray, RosInfo]:
-    """Read the occupancy of a ROS map, cell for cell as the map server publishes it.
+    """Read the occupancy of a ROS map, cell for cell as the map server publishes it, and its yaml file.
 
-    Returns:
-      occupancy: `[H, W]` int8, -1 unknown, 0 free to 100 occupied; row 0 is the bottom. A map that `info` says is
-        turned is not turned back.
-      info: content of the yaml file.
+    The occupancy is `[H, W]` int8, -1 unknown, 0 free to 100 occupied, row 0 at the bottom. It is not turned by the
+    yaw.
 
     Raises:
       InputError: a file cannot be read, or a key is missing or wrong.
@@ -73,23 +70,16 @@ def _read(path: str) -> tuple[np.ndarray, RosInfo]:
 def load_ros(
     path: str | os.PathLike[str], *, cell_m: float = 0.1, free_max: int | None = None, occupied_min: int | None = None
 ) -> World:
-    """Load a world from a ROS map. Unknown cells count as occupied.
+    """Load a world from a ROS map, with its origin. Unknown cells count as occupied.
 
-    Args:
-      path: the yaml file.
-      cell_m: edge of a cell, metres; the map is resampled to it.
-      free_max, occupied_min: see `grids.free_cells`; for the modes scale and raw.
-
-    Returns:
-      A `World` with the map's origin: a point has the same metres in ROS. It has no start.
+    `free_max` and `occupied_min` are for the modes scale and raw, see `grids.free_cells`.
 
     Warns:
       InputWarning: pixels that stand for unknown are free by the map's own thresholds or mode, as they are in the map
         server; mode raw with a picture of black and white; as `grids.free_cells`, `grids.upright` or `read_pixels`.
 
     Raises:
-      InputError: as `read_ros` and `grids.free_cells`, no free pixel, a mask of 0 and 1 in mode raw, or too large a
-        world.
+      InputError: as `read_ros` and `grids`, no free pixel, a mask of 0 and 1 in mode raw, or too large a world.
     """
     path = str(path)
     levels, info = _read(path)

@@ -75,12 +75,7 @@ class ScanMap:
     def world(self, *, p_free: float = 0.25, name: str = "") -> World:
         """Return the map as a world to be explored: cells that are not known to be free are occupied.
 
-        Args:
-          p_free: largest reflection probability of a free cell.
-          name: of the world.
-
-        Returns:
-          A `World` as mapped: its edges need not be occupied. Its start is that of the robot, if that cell is free.
+        `p_free` is the largest reflection probability of a free cell. The start is the robot's, if that cell is free.
 
         Raises:
           InputError: a bad `p_free`, or no free cell.
