@@ -76,11 +76,7 @@ _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
 
 
 def require_kind(name: str, given: object, kind: type) -> None:
-    """Refuse a value that is not a record of a kind, and show how one is written.
-
-    Raises:
-      InputError: not such a record, but for example a dict of its fields.
-    """
+    """Refuse a value that is not a record of a kind, but for example a dict of its fields; show how one is written."""
     if isinstance(given, kind):
         return
     fields = {field.name: field.default for field in dataclasses.fields(kind)}
@@ -96,11 +92,7 @@ _Record = TypeVar("_Record")
 
 
 def as_record(name: str, given: Any, kind: type[_Record]) -> _Record:
-    """Make a record of settings from a mapping of some of its fields: `{"range_m": 4}` for `Lidar(range_m=4)`.
-
-    Raises:
-      InputError: neither, a field that the record does not have, or a value that it refuses.
-    """
+    """Make a record of settings from a mapping of some of its fields: `{"range_m": 4}` for `Lidar(range_m=4)`."""
     if isinstance(given, Mapping):
         known = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
         for key in given:
@@ -112,11 +104,7 @@ def as_record(name: str, given: Any, kind: type[_Record]) -> _Record:
 
 
 def require_whole(name: str, value: Any, low: int, high: int) -> int:
-    """Return `value` as an int within the bounds, both inclusive.
-
-    Raises:
-      InputError: not a whole number, or outside the bounds.
-    """
+    """Return `value` as an int within the bounds, both inclusive."""
     try:
         number = operator.index(value)
     except TypeError:
@@ -129,14 +117,7 @@ def require_whole(name: str, value: Any, low: int, high: int) -> int:
 def require_number(
     name: str, value: Any, *, low: float = 0.0, high: float = math.inf, low_open: bool = False, high_open: bool = False
 ) -> Any:
-    """Refuse `value` unless it is a finite number within the bounds.
-
-    Args:
-      low, high: bounds, inclusive unless `low_open` / `high_open`.
-
-    Raises:
-      InputError: not a number, NaN, infinite, or outside the bounds.
-    """
+    """Return `value` if it is a finite number within the bounds, inclusive unless `low_open` / `high_open`."""
     is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     number: Any = value
     try:
@@ -153,11 +134,7 @@ def require_number(
 
 
 def require_setting(name: str, value: Any) -> Any:
-    """Return a number that lies within its `NUMBER_BOUNDS`.
-
-    Raises:
-      InputError: not a number, not an integer where it must be one, or outside the bounds.
-    """
+    """Return a number that lies within its `NUMBER_BOUNDS`, an integer where these are."""
     low, high = NUMBER_BOUNDS[name]
     if isinstance(low, int):
         return require_whole(name, value, low, int(high))
@@ -165,11 +142,7 @@ def require_setting(name: str, value: Any) -> Any:
 
 
 def require_engine(engine: str, lanes: int | None = None) -> None:
-    """Refuse an engine that does not exist, and lanes where it has none to set.
-
-    Raises:
-      InputError: saying which engines there are.
-    """
+    """Refuse an engine that does not exist, and lanes where it has none to set."""
     if engine not in ENGINES:
         raise InputError(f"engine must be one of {', '.join(ENGINES)}, got {shown(engine)}")
     if lanes is not None:
@@ -261,11 +234,7 @@ class Settings:
     """Common base of records of settings."""
 
     def replace(self, **changes: Any) -> Self:
-        """Return the same settings with some fields changed.
-
-        Raises:
-          InputError: no such field, or a value that it refuses.
-        """
+        """Return the same settings with some fields changed, checked as when they are made."""
         return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
 

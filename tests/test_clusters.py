@@ -103,6 +103,7 @@ def test_three_niches(name, numbers):
 
 
 BETWEEN = jax.jit(clusters.costs_between)
+ROUND = Lidar(n_beams=12, fov_deg=360, range_m=0.5)
 
 
 @jax.jit
@@ -164,12 +165,12 @@ def test_costs_between_cells_are_those_from_each(seed, n):
 @pytest.mark.parametrize("clearance_d2", [0, 9])
 def test_distances_on_blocks_are_near_the_exact_ones(clearance_d2):
     """And the cells seen from the targets are those of a look-around at each."""
-    shape, compared, lidar = (60, 70), 0, Lidar(n_beams=12, fov_deg=360, range_m=0.5)
+    shape, compared = (60, 70), 0
     side = clusters.block_side(clearance_d2)
     assert side == (1 if clearance_d2 == 0 else 4)
-    for seed in range(4):
+    for seed in range(3):
         belief = beliefs.but_for_spots(seed, shape, clearance_d2=clearance_d2)
-        beams = beliefs.table(lidar, belief)
+        beams = beliefs.table(ROUND, belief)
         at, (unknown, seen_known), got, passable = jax.tree.map(np.asarray, everything(belief, beams))
         hits, misses = np.asarray(belief.grid.hits), np.asarray(belief.grid.misses)
         n = at.used.sum()
@@ -202,12 +203,12 @@ def test_no_way_leads_through_a_thin_wall_beside_the_robot(wall):
     cells[wall - 4, 10] = "R"
     belief = beliefs.belief_from(cells == "#", (cells == ".") | (cells == "R"), (wall - 4, 10), clearance_d2=9)
     belief = belief.replace(model=belief.model.replace(near_d2=jnp.int32(25)))
-    known = field(belief)
-    at = clusters.targets(belief, known)
-    cost = reach(known.traversable, at.row[0], at.col[0])[at.row[1], at.col[1]]
-    assert clusters.paths_apart(belief, at)[0, 1] > 0.9 * cost * 0.1 / STRAIGHT > 9
+    at, _, apart_m, passable = everything(belief, beliefs.table(ROUND, belief))
+    cost, _ = plans.dijkstra(np.asarray(passable), (int(at.row[0]), int(at.col[0])))
+    assert apart_m[0, 1] > 0.9 * cost[at.row[1], at.col[1]] * 0.1 / STRAIGHT > 9
 
 
+@pytest.mark.jit
 def test_no_path_no_distance():
     """Two rooms, one of them with the robot in it: a target in the other cannot be, so both are given."""
     text = "######### #?..#..?# #..R#...# #########"
@@ -253,28 +254,20 @@ def length_of(lengths, route):
     return sum(float(lengths[a][b]) for a, b in itertools.pairwise(route))
 
 
+@pytest.mark.jit
 def test_a_route_by_hand():
     """B is the nearest stop. A and C are as near to the route then; A comes first, at the end, because that is 6 more
     and before B 8. C is 8 more in either gap and 10 at the end; the first gap is taken. Turned round as a whole it is
     the shortest.
     """
-    lengths, n = table_of(NICHE_LENGTHS), jnp.int32(3)
-    route = inserted(lengths, n)
-    assert route[:4].tolist() == [0, 3, 2, 1]
-    assert two_opt(lengths, route, n)[:4].tolist() == [0, 1, 2, 3]
+    first, better = both(table_of(NICHE_LENGTHS), jnp.int32(3))
+    assert first[:4].tolist() == [0, 3, 2, 1]
+    assert better[:4].tolist() == [0, 1, 2, 3]
     for few in range(2):
-        route = inserted(lengths, jnp.int32(few))
-        assert two_opt(lengths, route, jnp.int32(few))[: few + 1].tolist() == list(range(few + 1))
-
-
-def test_the_last_way_is_open():
-    """Stops in a row at 1, 2 and 10: to 10 and back would be as long in any order."""
+        assert both(table_of(NICHE_LENGTHS), jnp.int32(few))[1][: few + 1].tolist() == list(range(few + 1))
+    # Stops in a row at 1, 2 and 10: the last way is open, and to 10 and back would be as long in any order.
     places = np.array([0.0, 2, 10, 1])
-    lengths, n = table_of(np.abs(places[:, None] - places)), jnp.int32(3)
-    assert two_opt(lengths, inserted(lengths, n), n)[:4].tolist() == [0, 3, 1, 2]
-    for start in itertools.permutations((1, 2, 3)):
-        route = jnp.asarray([0, *start, 0, 0, 0])
-        assert length_of(lengths, two_opt(lengths, route, n)[:4].tolist()) <= length_of(lengths, [0, *start])
+    assert both(table_of(np.abs(places[:, None] - places)), jnp.int32(3))[1][:4].tolist() == [0, 3, 1, 2]
 
 
 def best_turns(lengths, route, n):
@@ -291,20 +284,13 @@ def best_turns(lengths, route, n):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("n", [8, 20])
-def test_every_turn_is_tried_however_many_stops_there_are(n):
+def test_every_turn_is_tried_however_many_stops_there_are():
     """More than are tried together, in a table with room for more. City blocks tie, and are whole numbers."""
-    for seed in range(4):
+    for n, seed in ((8, 0), (8, 1), (20, 0), (20, 1)):
         places = np.random.default_rng((n, seed)).integers(0, 12, (23, 2))
         lengths = np.abs(places[:, None] - places).sum(-1).astype(np.float32)
         first, better = (route[: n + 1].tolist() for route in both(jnp.asarray(lengths), jnp.int32(n)))
         assert better == best_turns(lengths, first, n)
-
-
-def turned(route):
-    """All routes that turning one stretch round makes; the first node stays."""
-    for i, j in itertools.combinations(range(1, len(route)), 2):
-        yield [*route[:i], *route[i : j + 1][::-1], *route[j + 1 :]]
 
 
 both = jax.jit(lambda lengths, n: (first := inserted(lengths, n), two_opt(lengths, first, n)))
@@ -322,7 +308,7 @@ def nearest_insertion(lengths, n):
 
 @pytest.mark.jit
 @given(st.integers(0, 6), hnp.arrays(np.int64, (7, 2), elements=st.integers(0, 30)), st.integers(0, 2**32 - 1))
-@settings(max_examples=40)
+@settings(max_examples=25)
 def test_routes_beside_all_permutations(n, places, seed):
     """City blocks, so that lengths are whole numbers; now and then a way is barred."""
     lengths = np.abs(places[:, None] - places).sum(-1).astype(np.float32)
@@ -334,7 +320,7 @@ def test_routes_beside_all_permutations(n, places, seed):
     assert sorted(better) == list(range(n + 1))
     length = length_of(lengths, better)
     assert length <= length_of(lengths, first)
-    assert all(length <= length_of(lengths, route) + 1e-3 for route in turned(better))
+    assert better == best_turns(lengths, first, n)
     best = min(length_of(lengths, (0, *order)) for order in itertools.permutations(range(1, n + 1)))
     assert best <= length
     if n <= 2:
@@ -383,7 +369,3 @@ def test_laws_of_the_choquet_integral(utilities, weights):
         more = utilities.copy()
         more[i] = np.minimum(more[i] + 0.25, 1)
         assert (np.asarray(integral(more, MEASURE)) >= value - 1e-6).all()
-
-
-def test_blocks_are_as_wide_as_a_clearance_allows():
-    assert [clusters.block_side(d2) for d2 in (0, 1, 2, 4, 9, 100)] == [1, 2, 2, 3, 4, 4]

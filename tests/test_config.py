@@ -45,7 +45,7 @@ values = st.recursive(
 )
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(values)
 def test_any_value_is_taken_or_refused_in_one_short_line(value):
     for check in (

@@ -76,10 +76,7 @@ def ordered_cells(words: Array) -> CellOrder:
 
 
 def nth_of(order: CellOrder, n: Array, width: int) -> Array:
-    """Return the flat index of true cells of a mask W = `width` columns wide by their number, `[m]` int32, from 0.
-
-    Arbitrary if n is too large.
-    """
+    """Return flat indices of true cells of a mask `width` wide by number, `[m]` from 0; arbitrary beyond the last."""
     across, until = order
     per_row = -(-width // WORD)
     at = jnp.minimum(jnp.searchsorted(until, n, side="right").astype(jnp.int32), across.shape[0] - 1)
@@ -88,10 +85,7 @@ def nth_of(order: CellOrder, n: Array, width: int) -> Array:
 
 
 def nth_cells(words: Array, n: Array) -> Array:
-    """Return the flat index of true cells of a packed mask by their number in (row, col) order, `[m]` int32, from 0.
-
-    32 K * W if n is too large.
-    """
+    """Return flat indices `[m]` of true cells of a packed mask by their number from 0; 32 K * W if n is too large."""
     order = ordered_cells(words)
     return jnp.where(n < order.until[-1], nth_of(order, n, words.shape[1]), WORD * words.size)
 

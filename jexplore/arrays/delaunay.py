@@ -103,11 +103,9 @@ def circumcircles(points: Array, corner: Array) -> tuple[Array, Array, Array]:
 
 
 def _apexes(x, y, valid, first, second):
-    """Find the points that see every pair under the largest angle, on either side.
+    """Find the points that see every pair under the largest angle, on either side: `[2, E]` numbers, and whether valid.
 
-    Returns:
-      `(apex, there, broken)`: `[2, E]` int32, number of the point; `[2, E]` bool, valid; `[E]` bool, a point lies on
-        the straight line between both.
+    The last of the results, `[E]` bool, tells of a point on the straight line between both.
     """
     n = x.shape[0]
     codes = 1 << max(n - 1, 1).bit_length()

@@ -22,11 +22,7 @@ MOST_SPEC_BYTES = 2**20  # of a YAML file. PyYAML reads about 100 kB in a second
 
 @contextlib.contextmanager
 def opened(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """Open a regular file for reading; errors within the context are reported in the same form.
-
-    Raises:
-      InputError: no such file, a directory or another thing that is no file, or not readable.
-    """
+    """Open a regular file for reading; errors within the context too become an `InputError` of one line."""
     path = os.fspath(path)
     try:
         if os.path.isdir(path):
@@ -46,11 +42,7 @@ def opened(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
-    """Read a regular file of at least one byte; a larger one than `max_bytes` is refused before it is read.
-
-    Raises:
-      InputError: as `opened`, empty, or too large.
-    """
+    """Read a regular file of at least one byte; a larger one than `max_bytes` is refused before it is read."""
     told = repr(os.fspath(path))
     with opened(path) as file:
         size = os.fstat(file.fileno()).st_size
@@ -81,11 +73,7 @@ _KINDS = {
 
 
 def read_text(path: str | os.PathLike[str], max_bytes: int) -> str:
-    """Read a text file in UTF-8.
-
-    Raises:
-      InputError: as `read_bytes`, or not UTF-8 text.
-    """
+    """Read a text file in UTF-8, as `read_bytes`."""
     content = read_bytes(path, max_bytes)
     if told_kind(content):
         raise InputError(f"{os.fspath(path)!r}: is not the text that its name says, but {told_kind(content)}")
@@ -96,11 +84,7 @@ def read_text(path: str | os.PathLike[str], max_bytes: int) -> str:
 
 
 def json_of(text: str, told: str) -> Any:
-    """Parse a text in JSON, nested no deeper than `MOST_LEVELS`; `told` is its name in messages.
-
-    Raises:
-      InputError: no JSON, with the line, or of unusual numbers or depth.
-    """
+    """Parse a text in JSON, nested no deeper than `MOST_LEVELS`; `told` is its name in messages."""
     try:
         found = json.loads(text)
     except json.JSONDecodeError as error:
@@ -129,11 +113,7 @@ def require_shallow(value: Any, told: str) -> None:
 
 
 def yaml_of(text: str, told: str) -> Any:
-    """Parse a text in YAML, see `plain_yaml.Loader`, nested no deeper than `MOST_LEVELS`.
-
-    Raises:
-      InputError: no such YAML, with line and column.
-    """
+    """Parse a text in YAML, see `plain_yaml.Loader`, nested no deeper than `MOST_LEVELS`."""
     import yaml
 
     from jexplore.arrays.plain_yaml import Loader
@@ -157,11 +137,7 @@ def read_yaml(path: str | os.PathLike[str], max_bytes: int = MOST_SPEC_BYTES) ->
 
 
 def read_npz(path: str | os.PathLike[str], max_bytes: int) -> dict[str, Any]:
-    """Read the arrays of a file in numpy's format NPZ, `max_bytes` unpacked at most; Python objects are refused.
-
-    Raises:
-      InputError: as `opened`, no such file of numpy, damaged, or too large.
-    """
+    """Read the arrays of a file in numpy's format NPZ, `max_bytes` unpacked at most; Python objects are refused."""
     import numpy as np
 
     told = repr(os.fspath(path))

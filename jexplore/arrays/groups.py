@@ -30,11 +30,8 @@ class Groups:
 def by_parts(groups: Groups, work: Callable[[Array, Array, Any], Any], state: Any) -> Any:
     """Return the state after `work(slot, used, state)` for every part of a list, the first one first.
 
-    Args:
-      groups: `Groups`.
-      work: takes slots, `[part]` int32, which of them are used, `[part]` bool, and the state; returns a state. Where
-        none is used it must leave the state as it is, and slots may then lie beyond the list.
-      state: pytree of arrays.
+    `work` takes slots, `[part]` int32, and which of them are used. Where none is used it must leave the state as it is,
+    and slots may then lie beyond the list.
     """
     return _by_parts(groups.count, groups.cell.shape[0], groups.part, work, state)
 

@@ -79,17 +79,9 @@ def pick(condition: Array | bool, yes: Any, no: Any) -> Any:
 
 
 def run_if(predicate: Array | bool, function: Callable[[Any], Any], otherwise: Any) -> Any:
-    """Return `function(otherwise)` if a condition holds, else `otherwise`.
+    """Return `function(otherwise)` if a condition, a scalar, holds, else `otherwise`, a pytree of arrays.
 
     Under `vmap` the lanes for which it holds are gathered, one in `SHARE` of all at a time, until none is left.
-
-    Args:
-      predicate: bool scalar.
-      function: takes and returns a pytree like `otherwise`.
-      otherwise: pytree of arrays.
-
-    Returns:
-      pytree like `otherwise`.
     """
 
     def alone(predicate, function, state):
@@ -161,16 +153,9 @@ def alone_on_cpu(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def repeat(going: Callable[[Any], Array | bool], body: Callable[[Any], Any], state: Any) -> Any:
-    """Apply `body` to a state for as long as `going(state)` holds.
+    """Apply `body` to a state, a pytree of arrays, for as long as `going(state)`, a bool scalar, holds.
 
-    Args:
-      going: takes the state, returns a bool scalar.
-      body: takes and returns a state. It must leave a state that is not going as it is: under `vmap` it is applied
-        until no lane is going.
-      state: pytree of arrays.
-
-    Returns:
-      the state at the end.
+    `body` must leave a state that is not going as it is: under `vmap` it is applied until no lane is going.
     """
     if jax.config.values["jax_disable_jit"]:
         return lax.while_loop(going, body, state)
@@ -196,12 +181,7 @@ def repeat(going: Callable[[Any], Array | bool], body: Callable[[Any], Any], sta
 
 
 def settled(step: Callable[[Array], Array], start: Array) -> Array:
-    """Iterate a step until the array stays the same (fixed point).
-
-    Args:
-      step: function from array to array.
-      start: array of whole numbers, none below 0, not empty.
-    """
+    """Iterate a step until the array, of whole numbers from 0, stays the same (fixed point)."""
 
     def turn(state):
         value, _ = state
@@ -215,12 +195,7 @@ def settled(step: Callable[[Array], Array], start: Array) -> Array:
 def stored(truth: Array | bool, function: Callable[[], Any]) -> Any:
     """Return the value of `function()`, computed once and kept (materialised).
 
-    Args:
-      truth: bool scalar, always True, in a way that the compiler cannot tell.
-      function: takes nothing, returns a pytree of arrays.
-
-    Returns:
-      what `function` returns.
+    `truth`: bool scalar, always True, in a way that the compiler cannot tell.
     """
 
     def alone(truth, function):
@@ -251,13 +226,6 @@ def one_kernel(function: Callable[..., Any], *args: Any) -> Any:
 
     For kernels of many small operations. No scatter, sort or custom call may be in it. Under `vmap`, where an update
     becomes a scatter, it is a plain call.
-
-    Args:
-      function: takes and returns pytrees of arrays.
-      *args: pytrees of arrays.
-
-    Returns:
-      what `function` returns.
     """
     if jax.config.values["jax_disable_jit"] or not _on_cpu():
         return function(*args)

@@ -15,8 +15,7 @@ from jexplore.config import InputError, checked_names, unknown
 from jexplore.engine.program import Given
 from jexplore.exploration.state import Setup, State, StepCounts
 from jexplore.planning import Belief
-from jexplore.policies.catalogue import traced
-from jexplore.policies.catalogue.adapt import Theirs, expecting
+from jexplore.policies.catalogue.adapt import Theirs, computation_digest, expecting
 from jexplore.users import call_user, described
 
 REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
@@ -80,7 +79,7 @@ def _digest(metric, tree, shapes):
     view = jax.tree.unflatten(tree, shapes)
     try:
         with jax.disable_jit(False), jax.checking_leaks():
-            found = [traced.digest(jax.make_jaxpr(lambda view: metric(view))(view)) for _ in range(2)]
+            found = [computation_digest(jax.make_jaxpr(lambda view: metric(view))(view)) for _ in range(2)]
     except InputError:
         raise
     except Exception as error:

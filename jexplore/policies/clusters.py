@@ -56,10 +56,7 @@ def targets(belief: Belief, known: Field) -> Targets:
 
 
 def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
-    """Count the unknown and the known cells that a look-around at every target would see: `[M]` int32 each.
-
-    0 in an unused slot.
-    """
+    """Count unknown and known cells that a look-around at every target would see: `[M]` int32 each, 0 if unused."""
     if kernels.target_of(belief.model.native):
         unknown, known = _seen_natively(belief, at, beams)
         return unknown, known
@@ -73,10 +70,7 @@ def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
 
 
 def shown_from(belief: Belief, at: Targets, beams: Beams, enough: Array | int) -> Array:
-    """Count the unknown cells that a look-around at every target would show, as `seen_from`.
-
-    Native code stops counting at `enough`: exact where it is less than that, else at least that.
-    """
+    """Count unknown cells as `seen_from`; native code stops at `enough`: exact below that, else at least that."""
     if kernels.target_of(belief.model.native):
         return _seen_natively(belief, at, beams, enough=enough)[0]
     return seen_from(belief, at, beams)[0]
@@ -102,10 +96,7 @@ def _seen_natively(belief, at, beams, d2: Any = (math.inf,), enough: Any = EVERY
 
 
 def _from_each(belief, at, beams, tell, n_told):
-    """Evaluate a look-around at every target: `[n_told, M]` int32, 0 in an unused slot.
-
-    `tell(prospect, row, col, beams, scratch)` returns `[n_told]` int32 and the scratch, zeros before and after.
-    """
+    """Evaluate a look-around, `tell(prospect, row, col, beams, scratch)`, at every target: `[n_told, M]` int32."""
     ahead, beams = prospect(belief.grid, belief.extent, belief.model.p_free, belief.within), all_round(beams)
     n = jnp.sum(at.used, dtype=jnp.int32)  # used slots come first
 

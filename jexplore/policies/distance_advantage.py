@@ -40,10 +40,8 @@ def advantage(path_m: Array, apart_m: Array, used: Array, weight: Array | float,
 def mean_apart(apart_m: Array, used: Array, counts: Array | float = 1.0) -> Array:
     """Compute the mean distance of every target from the others: `[M]` float32, metres; 0 without others.
 
-    Args:
-      apart_m: `[M, M]` float32; inf where no path leads: such pairs do not count.
-      used: `[M]` bool, targets that count.
-      counts: `[M]` float32, how much each counts as one of the others; or one number for all.
+    `apart_m` `[M, M]` is inf where no path leads: such pairs do not count. `counts`: how much each, `[M]`, or all
+    count.
     """
     other = used[:, None] & used[None] & jnp.isfinite(apart_m) & ~jnp.eye(len(used), dtype=bool)
     share = jnp.where(other, counts, 0.0)

@@ -37,14 +37,9 @@ def relative(value: Array, used: Array) -> Array:
 
 
 def choquet(utilities: Array, measure: Array) -> Array:
-    """Compute the Choquet integral of each column.
+    """Compute the Choquet integral of each column of utilities, `[n, M]`, of n criteria: `[M]` float32.
 
-    Args:
-      utilities: `[n, M]` float32, of n criteria.
-      measure: `[2**n]` float32, weight of every set of criteria; bit i stands for criterion i.
-
-    Returns:
-      `[M]` float32.
+    `measure`: `[2**n]` float32, weight of every set of criteria; bit i stands for criterion i.
     """
     order = jnp.argsort(utilities, axis=0)
     sorted_ = jnp.take_along_axis(utilities, order, axis=0)
@@ -66,11 +61,7 @@ def _select(key, params, carry, belief, beams, route):
 
 
 def mcdm(a: float = 0.5, d: float = 0.3, o: float = 0.2, ad: float = 0.95, ao: float = 0.7, do: float = 0.4) -> Policy:
-    """Return the policy. Carry: `()`. Parameters: `Params`.
-
-    Raises:
-      InputError: a weight outside 0 to 1, or larger than that of a larger set.
-    """
+    """Return the policy. Carry: `()`. Parameters: `Params`, from 0 to 1, none above that of a larger set."""
     params = Params(
         *(require_number(name, value, high=1) for name, value in zip(Params._fields, (a, d, o, ad, ao, do)))
     )

@@ -81,12 +81,10 @@ class Params(NamedTuple):
 
 
 def own_segment(params: Params, belief: Belief) -> tuple[Array, Array, Array]:
-    """Return the robot's segment, whether it is a room, and the cells that did not fit.
+    """Return the robot's segment `[H, W]` bool, whether it is a room, and the cells that did not fit.
 
     A room has a door, and is no larger than rooms are: corridors, halls and caves get no preference. A door is a
     critical point no wider than doors are; a basin has a door if its widest exit is no wider.
-
-    Returns `[H, W]` bool; bool; int32.
     """
     free = is_free(belief.grid, belief.model.p_free)
     label, door_d2, overflow = params.cut.divide(free, belief)
@@ -165,9 +163,6 @@ def segmented(
       ratio, smallest_m2, clutter_m: see `watershed.room_criteria`.
       door_m: width of the widest door, metres; "auto" and "rooms" only.
       room_m2: area of the largest room, m^2; "auto" and "rooms" only.
-
-    Returns:
-      `Policy`.
     """
     if "ratio" in KINDS[kind]:
         cut = OfBasins(

@@ -27,14 +27,9 @@ class Params(NamedTuple):
 
 
 def inserted(length: Array, n: Array | int) -> Array:
-    """Build an open route from node 0 by nearest insertion.
+    """Build an open route from node 0 to nodes 1 to n by nearest insertion.
 
-    Args:
-      length: `[N, N]` float32, symmetric, between all nodes; nodes 1 to n are to be visited.
-      n: int32, at most N - 1.
-
-    Returns:
-      `[N]` int32, nodes in the order of the route, the first n + 1 of which count.
+    `length`: `[N, N]` float32, symmetric. Returns `[N]` int32, of which the first n + 1 count.
     """
     size = length.shape[0]
     nodes = lax.iota(jnp.int32, size)
@@ -59,10 +54,7 @@ def inserted(length: Array, n: Array | int) -> Array:
 
 
 def two_opt(length: Array, route: Array, n: Array | int) -> Array:
-    """Improve a route of `inserted` by reversing stretches for as long as that shortens it, the best reversal first.
-
-    Node 0 stays first.
-    """
+    """Improve a route of `inserted` by reversing stretches for as long as that shortens it, the best reversal first."""
     size = length.shape[0]
     nodes = lax.iota(jnp.int32, size)
 

@@ -58,11 +58,7 @@ def described(thing: Any) -> str:
 
 
 def call_user(function: Callable[..., Any], what: str, *args: Any, **kwargs: Any) -> Any:
-    """Call a user's function.
-
-    Raises:
-      InputError: it raised something: one line that says what, and where.
-    """
+    """Call a user's function; whatever it raises becomes an `InputError` of one line that says what, and where."""
     try:
         return function(*args, **kwargs)
     except InputError:
@@ -170,11 +166,7 @@ def import_object(module: str, name: str) -> Any:
 
 @contextlib.contextmanager
 def _imported_from(here, top):
-    """Import modules of a folder in their present form: those that a user has imported are set aside meanwhile.
-
-    Raises:
-      InputError: the module called `top` is hidden by one from elsewhere.
-    """
+    """Import modules of a folder in their present form: those that a user has imported are set aside meanwhile."""
     if not all(_is_own(file, here) and _content(file) == data for file, data in _LOADED.values()):
         for name in [*_LOADED]:
             sys.modules.pop(name, None)

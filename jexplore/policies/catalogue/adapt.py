@@ -2,7 +2,9 @@
 
 import contextlib
 import functools
+import hashlib
 import os
+import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -10,12 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from jexplore.arrays.loops import stored
 from jexplore.config import InputError, shown
 from jexplore.engine.draws import random_key
 from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, nearest_of, view_of
-from jexplore.policies.catalogue import traced
 from jexplore.policies.catalogue.entries import REQUIRED, is_score, parameters
 from jexplore.policies.policy import Policy, Strategy, no_carry
 from jexplore.policies.room_wise import rebuilt
@@ -25,11 +27,7 @@ from jexplore.users import bare, call_user, described
 
 
 def policy_from(make: Any, given: dict[str, Any]) -> Policy:
-    """Return the `Policy` of a score, a constructor or a `Policy`, with some of its parameters.
-
-    Raises:
-      InputError: something else; a constructor that raises or returns something else; a parameter that it needs.
-    """
+    """Return the `Policy` of a score, a constructor or a `Policy`, with some of its parameters."""
     known = parameters(make)
     for key in given:
         if key not in known:
@@ -70,7 +68,7 @@ class Theirs:
     digest: str | None  # of the whole policy; None before it is traced, and where it cannot be told
 
     def __init__(
-        self, function: Callable[..., Any], fixed: tuple[tuple[str, Any], ...] = (), digest: str | None = None
+        self, function: Callable[..., Any], fixed: tuple[tuple[str, Any], ...] = (), digest: Any = None
     ) -> None:
         self.function, self.fixed, self.what, self.digest = function, fixed, described(function), digest
         self._key = type(self), object() if digest is None else digest
@@ -141,11 +139,7 @@ class Live(Theirs):
 
     def __call__(self, params: Any, belief: Belief, beams: Beams, row: Array, col: Array) -> Array:
         found = call_user(self.function, self.what, params, belief, beams, row, col)
-        with expecting(self.what, "one bool", found):
-            answer = jnp.asarray(found)
-            if answer.shape != () or answer.dtype != bool:
-                raise TypeError
-        return answer
+        return _alike(found, jnp.bool_(True), self.what, "one bool")
 
 
 class Select(Theirs):
@@ -155,30 +149,24 @@ class Select(Theirs):
         self, key: Array, params: Any, carry: Any, belief: Belief, beams: Beams, route: Array
     ) -> tuple[Any, Choice, Array]:
         found = call_user(self.function, self.what, key, params, carry, belief, beams, route)
-        if not isinstance(found, tuple) or len(found) != 3 or not isinstance(found[1], Choice):
-            raise InputError(f"{self.what} must return (carry, Choice, route), got {_told(found)}")
-        new = _as_arrays(found[0], self.what)
-        if _kind(new) != _kind(carry):
-            raise InputError(f"{self.what} must return a carry like that of init, {_told(carry)}, got {_told(new)}")
-        with expecting(self.what, f"a route {_shape(route.shape)} int8", found[2]):
-            if found[2].shape != route.shape or found[2].dtype != route.dtype:
-                raise TypeError
-        choice = self._choice(found[1])
-        reached = _leads_there(belief, found[2], choice)
-        return new, choice.replace(cost=jnp.where(reached, choice.cost, FAR)), found[2]
+        number = jnp.int32(0)
+        wanted = carry, Choice(number, number, number, number, jnp.bool_(False), number), route
+        new, choice, way = _alike(found, wanted, self.what, "(carry, Choice, route), the carry like that of init")
+        reached = _leads_there(belief, way, choice)
+        return new, choice.replace(cost=jnp.where(reached, choice.cost, FAR)), way
 
-    def _choice(self, choice):
-        def one(name, dtype):
-            value = getattr(choice, name)
-            with expecting(self.what, f"a Choice whose {name} is one {dtype.__name__}", value):
-                array = jnp.asarray(value)
-                loose = array.weak_type and jnp.issubdtype(array.dtype, jnp.integer)
-                if array.shape != () or (array.dtype != dtype and not (loose and dtype == jnp.int32)):
-                    raise TypeError
-            return jnp.asarray(array, dtype)
 
-        numbers = {name: one(name, jnp.int32) for name in ("row", "col", "cost", "saturated", "overflow")}
-        return Choice(is_view=one("is_view", jnp.bool_), **numbers)
+def _alike(found, wanted, what, expected):
+    """Return what a user's function has returned as arrays; refuse other shapes and dtypes than those of `wanted`."""
+    if jax.tree.structure(found) != jax.tree.structure(wanted):
+        raise InputError(f"{what} must return {expected}, got {_told(found)}")
+    arrays = _as_arrays(found, what)
+    for (path, one), other in zip(jax.tree.leaves_with_path(wanted), jax.tree.leaves(arrays)):
+        if (one.shape, one.dtype) != (other.shape, other.dtype):
+            where = jax.tree_util.keystr(path, simple=True, separator=".")
+            detail = f": {where} must be {_told(one)}" if where else ""
+            raise InputError(f"{what} must return {expected}{detail}, got {_told(other)}")
+    return arrays
 
 
 def _leads_there(belief, route, choice):
@@ -206,17 +194,17 @@ def _leads_there(belief, route, choice):
     return good & there(row, col)
 
 
-def _as_arrays(carry, what):
-    """Convert the leaves of a carry to arrays of their own dtype, not Python's numbers."""
+def _as_arrays(tree, what):
+    """Convert the leaves of a pytree to arrays of their own dtype, not Python's numbers."""
 
     def one(leaf):
         if isinstance(leaf, jax.Array) and not getattr(leaf, "weak_type", False):
             return leaf
-        with expecting(what, "a carry of numbers and arrays", leaf):
+        with expecting(what, "numbers and arrays", leaf):
             array = jnp.asarray(leaf)
             return lax.convert_element_type(array, array.dtype)
 
-    return jax.tree.map(one, carry)
+    return jax.tree.map(one, tree)
 
 
 @contextlib.contextmanager
@@ -226,11 +214,6 @@ def expecting(what: str, expected: str, got: Any) -> Iterator[None]:
         yield
     except (TypeError, ValueError, AttributeError, OverflowError):
         raise InputError(f"{what} must return {expected}, got {_told(got)}") from None
-
-
-def _kind(tree):
-    leaves, structure = jax.tree.flatten(tree)
-    return structure, [(leaf.shape, leaf.dtype) for leaf in leaves]
 
 
 def _shape(shape):
@@ -255,9 +238,6 @@ def with_exact_numbers(strategy: Strategy) -> Strategy:
     """Refuse a strategy with a parameter that would change its value in episodes, as int32 or float32.
 
     Infinity is a number like any other; digits that float32 does not have are rounded.
-
-    Raises:
-      InputError: a whole number beyond int32, a number beyond float32, a complex one, NaN: names the parameter.
     """
     for path, leaf in jax.tree_util.tree_leaves_with_path(strategy.policy.params):
         what = _refused(leaf)
@@ -310,8 +290,6 @@ def digest_of(policy: Policy) -> str | None:
 def traced_policy(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> Policy:
     """Identify the functions of a user's strategy by their computation: traced on shapes, without compiling.
 
-    The other arguments are what it will be called with, arrays or their shapes.
-
     Raises:
       InputError: a function raises, or returns the wrong thing; one line that names it.
     """
@@ -323,7 +301,7 @@ def traced_policy(policy: Policy, params: Any, belief: Any, beams: Any, route: A
 
 @functools.lru_cache(maxsize=256)
 def _digest(policy, tree, shapes):
-    """See `traced.digest`. Functions that were taken anew are traced anew."""
+    """See `computation_digest`. Functions that were taken anew are traced anew."""
 
     def all_of_it(key, params, belief, beams, route):
         carry = policy.init(params, belief)
@@ -332,4 +310,47 @@ def _digest(policy, tree, shapes):
         return carry, choice, route, live
 
     with jax.disable_jit(False):
-        return traced.digest(jax.make_jaxpr(all_of_it)(random_key(0), *jax.tree.unflatten(tree, shapes)))
+        return computation_digest(jax.make_jaxpr(all_of_it)(random_key(0), *jax.tree.unflatten(tree, shapes)))
+
+
+_ADDRESS = re.compile(r"0x[0-9a-fA-FX]+")  # address of an object in memory, irrelevant here
+
+
+def computation_digest(traced: ClosedJaxpr) -> str | None:
+    """Return SHA-256 of a traced function, in hexadecimal digits: equal computations agree in every process.
+
+    The trace holds every number that the function works with, from any source: a helper, an object, a file. It does not
+    hold the Python code of a callback: None where the function calls back into Python.
+    """
+    text = traced.pretty_print(use_color=False)
+    found = hashlib.sha256(_ADDRESS.sub("", text).encode())
+    for one in _within(traced, set()):
+        arrays = list(getattr(one, "consts", ()))
+        for equation in getattr(one, "jaxpr", one).eqns:
+            if "callback" in equation.primitive.name:
+                return None
+            written = jax.tree.leaves(list(equation.params.values()))
+            arrays += [value.val for value in equation.invars if isinstance(value, Literal)]
+            arrays += [value for value in written if isinstance(value, np.ndarray)]  # the text cuts long ones short
+        for array in arrays:
+            found.update(_bytes(array))
+    return found.hexdigest()
+
+
+def _within(traced, seen) -> Iterator[Any]:
+    """Yield a traced function, and those that it calls: each once."""
+    if id(traced) not in seen:
+        seen.add(id(traced))
+        yield traced
+        for equation in getattr(traced, "jaxpr", traced).eqns:
+            for part in jax.tree.leaves(list(equation.params.values())):
+                if isinstance(part, (Jaxpr, ClosedJaxpr)):
+                    yield from _within(part, seen)
+
+
+def _bytes(array):
+    """Return the elements of an array with their type and its shape."""
+    if jnp.issubdtype(getattr(array, "dtype", np.bool_), jax.dtypes.prng_key):
+        array = jax.random.key_data(array)
+    array = np.asarray(array)
+    return f"{array.dtype}{array.shape}".encode() + np.ascontiguousarray(array).tobytes()

@@ -11,15 +11,14 @@ from typing import Any, TypeVar, overload
 from jexplore.arrays.files import first_line
 from jexplore.config import InputError, checked_names
 from jexplore.policies.closest import closest
-from jexplore.policies.decision_theoretic import decision_theoretic
 from jexplore.policies.distance_advantage import distance_advantage, small_first
-from jexplore.policies.gain_rate import gain_rate
 from jexplore.policies.learned.strategy import learned
 from jexplore.policies.mcdm import mcdm
 from jexplore.policies.policy import Entry, Policy
 from jexplore.policies.tour import tour
 from jexplore.policies.uniform import uniform
 from jexplore.policies.utility import utility
+from jexplore.policies.views import decision_theoretic, gain_rate
 from jexplore.users import bare, described, place_of
 
 REQUIRED = inspect.Parameter.empty  # default of a parameter without one
@@ -115,20 +114,12 @@ def _read(make):
 
 
 def parameters(make: Any) -> dict[str, Any]:
-    """Return the keyword parameters of a constructor or score -> their defaults, `REQUIRED` for none.
-
-    Raises:
-      InputError: something that is no strategy.
-    """
+    """Return the keyword parameters of a constructor or score -> their defaults, `REQUIRED` for none."""
     return _read(make)[0]
 
 
 def is_score(make: Any) -> bool:
-    """Return whether something is a score: it has one positional argument without a default, the view.
-
-    Raises:
-      InputError: something that is no strategy.
-    """
+    """Return whether something is a score: it has one positional argument without a default, the view."""
     return _read(make)[1]
 
 
@@ -181,11 +172,7 @@ def offered() -> dict[str, importlib.metadata.EntryPoint]:
 
 
 def entry_of(name: str) -> Entry | None:
-    """Return the entry of a strategy; None if it is unknown.
-
-    Raises:
-      InputError: a package offers it, and it does not load.
-    """
+    """Return the entry of a strategy; None if it is unknown. One of a package that does not load is refused."""
     if name not in STRATEGIES and name in offered():
         point = offered()[name]
         try:

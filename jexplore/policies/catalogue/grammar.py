@@ -106,10 +106,7 @@ def _unknown(name, rest):
 def _build(
     name: str, make: Any, given: Mapping[str, Any], modifiers: Mapping[str, str | None], taken: Iterable[str] = ()
 ) -> Strategy:
-    """Make a strategy of a score, constructor or `Policy`, its parameters and those of its modifiers.
-
-    Parameters that are called like those `taken`, or like a modifier's, are refused.
-    """
+    """Make a strategy; parameters of its function called like those `taken`, or like a modifier's, are refused."""
     kind = modifiers.get("segment")
     of_rooms = KINDS[kind] if kind else ()
     for key in parameters(make):
@@ -124,12 +121,8 @@ def _build(
 def parse_strategy(text: str) -> Strategy:
     """Make a strategy from its name.
 
-    Args:
-      text: `name+modifier+...:key=value,...`, such as `closest+recheck`, or `module:name+...` for one in a module that
-        can be imported or lies in the current folder.
-
-    Returns:
-      `Strategy`.
+    `text`: `name+modifier+...:key=value,...`, such as `closest+recheck`, or `module:name+...` for one in a module that
+    can be imported or lies in the current folder.
 
     Raises:
       InputError: unknown name, modifier or parameter, a modifier given twice, a value of the wrong kind, a module that

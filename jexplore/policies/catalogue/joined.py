@@ -67,8 +67,7 @@ def _joined(policies):
 def join_strategies(strategies: Sequence[Strategy]) -> list[Strategy]:
     """Make strategies share a program, one for each that is given, in order.
 
-    A lone one stays unchanged, and so does a user's, which may be changed and compiled again without the others. Those
-    with the same functions must have parameters of one structure: these tell them apart.
+    A lone one stays unchanged, and so does a user's. Those with the same functions need parameters of one structure.
     """
     kinds: dict[Policy, Any] = {}
     ours = [one for one in strategies if not is_theirs(one.policy)]

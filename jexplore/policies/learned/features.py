@@ -51,7 +51,7 @@ def shortlist(at: Targets) -> Targets:
 def detours(at: Targets, apart_m: Array) -> Array:
     """Compute the cost of beginning with each target: open tours of all, always on to the nearest unvisited one.
 
-    `[M]` float32, metres beyond the shortest of these tours; 0 in an unused slot. Unreachable targets are left out.
+    `[M]` float32, metres beyond the shortest of these; 0 in an unused slot. Unreachable targets are left out.
     """
     n = len(at.used)
     slots = jnp.arange(n)
@@ -74,10 +74,7 @@ def detours(at: Targets, apart_m: Array) -> Array:
 
 
 def features(belief: Belief, at: Targets, last: Array, beams: Beams) -> Array:
-    """Compute the features of M targets: `[M, F]` float32, in the order of `FEATURES`; 0 in an unused slot.
-
-    `last`: `[2]` int32, row and col of the last target; -1 for none.
-    """
+    """Compute features of targets, `[M, F]` float32, 0 in an unused slot. `last`: `[2]`, the last target; -1: none."""
     cell_m = belief.model.cell_m
     unknown = unknown_from(belief, at, beams, RADII_M).astype(jnp.float32) * cell_m**2
     apart_m = paths_apart(belief, at)

@@ -45,11 +45,7 @@ def is_finite(weights: Any) -> bool:
 
 
 def require_sound(model: Model, told: str = "model") -> None:
-    """Refuse weights that are not those of their network. The message calls the model as `told`.
-
-    Raises:
-      InputError: an unknown network, other names or shapes, or numbers that are not finite.
-    """
+    """Refuse weights that are not those of their network, or no finite numbers; `told` names the model."""
     blank = _blank(model.network)
     same = jax.tree.structure(blank) == jax.tree.structure(model.weights) and all(
         np.shape(a) == b.shape for a, b in zip(jax.tree.leaves(model.weights), jax.tree.leaves(blank))
@@ -81,14 +77,11 @@ def write_page(path: Path, model: Model) -> None:
 
 
 def load_model(path: str | os.PathLike[str]) -> Model:
-    """Load a model from its files.
-
-    Args:
-      path: of the weights or of their JSON.
+    """Load a model from its files; `path` is that of the weights or of their JSON.
 
     Raises:
-      InputError: a file is missing, damaged, of another version, of another network or other features than this
-        package has, or the two do not belong together.
+      InputError: a file is missing, damaged, of another version, network or features, or the two do not belong
+        together.
     """
     from flax import serialization
 

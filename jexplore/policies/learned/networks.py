@@ -47,11 +47,7 @@ NETWORKS: dict[str, Callable[[], Any]] = {"linear": Linear, "attention": Attenti
 
 
 def network_named(name: str) -> Any:
-    """Return a network by its name.
-
-    Raises:
-      InputError: unknown name.
-    """
+    """Return a network by its name."""
     if name not in NETWORKS:
         raise unknown("network", name, NETWORKS)
     return NETWORKS[name]()
@@ -62,23 +58,13 @@ PLAIN = {"linear": "weights", "attention": "plain"}
 
 
 def initial_weights(name: str, key: Array, n_features: int) -> Any:
-    """Return weights before training: a pytree of float32 arrays. The weighted sum is that of `closest`.
-
-    The key is consumed.
-    """
+    """Return weights before training, which choose as `closest`: float32 arrays. The key is consumed."""
     blank = jnp.zeros((1, n_features)), jnp.ones((1,), bool)
     weights = network_named(name).init(key, *blank)["params"]
     return weights | {PLAIN[name]: weights[PLAIN[name]].at[0].set(-1.0)}
 
 
 def scores(name: str, weights: Any, features: Array, used: Array) -> Array:
-    """Compute scores of clusters: `[..., M]` float32; `MASKED` in an unused slot.
-
-    Args:
-      name: of the network.
-      weights: from `initial_weights`, or trained.
-      features: `[..., M, F]` float32.
-      used: `[..., M]` bool.
-    """
+    """Compute scores `[..., M]` of clusters by their features `[..., M, F]`; `MASKED` in an unused slot."""
     found = network_named(name).apply({"params": weights}, features, used)
     return jnp.where(used, found, MASKED)

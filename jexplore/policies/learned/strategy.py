@@ -35,16 +35,10 @@ def is_forced(at: Targets) -> Array:
 
 
 def score_targets(network: str, weights: Any, at: Targets, tell: Callable[[], Array]) -> tuple[Array, Array]:
-    """Score some targets; if the choice is forced, the nearest is above all others.
+    """Score K targets, the nearest first; if the choice is forced, the nearest is above all others.
 
-    Args:
-      network: one of `networks.NETWORKS`. Static.
-      weights: of that network.
-      at: `Targets`, K of them, the nearest first.
-      tell: `() -> [K, F]`, their features; only called for an open choice.
-
-    Returns:
-      `[K]` float32, scores; `[K, F]` float32, features, 0 for a forced choice.
+    `tell() -> [K, F]` gives their features, and is only called for an open choice. Returns `[K]` float32, scores; and
+    `[K, F]` float32, features, 0 for a forced choice.
     """
     forced, size = is_forced(at), (len(at.used), len(FEATURES))
     told = run_if(~forced, lambda _: tell(), jnp.zeros(size, jnp.float32))
@@ -75,9 +69,5 @@ def policy_of(model: Model) -> Policy:
 
 
 def learned(path: Path = Path("shipped")) -> Policy:
-    """Return the policy of a model from a file; `shipped` is the one that comes with the package.
-
-    Raises:
-      InputError: see `load_model`.
-    """
+    """Return the policy of a model from a file; `shipped` is the one that comes with the package."""
     return policy_of(load_model(SHIPPED if path == Path("shipped") else path))

@@ -100,7 +100,7 @@ def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
 
     Returns:
       "strategy 'name'" or "metric 'name'" -> SHA-256, in hexadecimal digits, of all parameters and of the traced
-      computation in the jobs' worlds; None if unknown, see `traced.digest`.
+      computation in the jobs' worlds; None if unknown, see `computation_digest`.
     """
     parts: dict[str, dict[Any, str | None]] = {}
     for job in jobs:
