@@ -86,31 +86,44 @@ def chosen(score, text="...?\n.R..\n...?", **how):
     return (int(choice.row), int(choice.col)), np.argwhere(jx.field(belief).candidates).tolist()
 
 
+def highest(score):
+    """Return row and column of the highest score of the cells of that belief."""
+    return tuple(int(at) for at in adapt._highest(jnp.asarray(score), reachable()))
+
+
+@functools.cache
+def reachable():
+    return jx.field(beliefs.belief_of("...?\n.R..\n...?"))
+
+
 def test_the_highest_score_is_the_target_and_ties_go_to_the_lowest_index():
     target, candidates = chosen(nearest)
     assert candidates == [[0, 2], [1, 2], [1, 3], [2, 2]]
     assert target == (1, 2)  # one straight step away
-    assert chosen(lambda view: view.cost)[0] == (1, 3)
-    assert chosen(lambda view: jnp.zeros_like(view.path_m))[0] == (0, 2)
     assert chosen(lambda view: -jnp.arange(12, dtype=jnp.int8).reshape(3, 4))[0] == (0, 2)
+    assert highest(reachable().cost) == (1, 3)
+    assert highest(jnp.zeros((3, 4))) == (0, 2)
 
 
 def test_what_is_not_finite():
-    nan, inf = jnp.nan, jnp.inf
+    nan, inf = np.nan, np.inf
 
-    def scored(at):
-        return lambda view: jnp.full(view.cost.shape, nan).at[tuple(zip(*at))].set(jnp.array(list(at.values())))
+    def scored(**at):
+        score = np.full((3, 4), nan, np.float32)
+        for place, value in at.items():
+            score[int(place[1]), int(place[2])] = value
+        return score
 
-    assert chosen(scored({(0, 2): -5.0}))[0] == (0, 2)  # NaN elsewhere
-    assert chosen(scored({(0, 2): -5.0, (2, 2): inf}))[0] == (2, 2)
-    assert chosen(scored({(0, 2): -5.0, (2, 2): -inf}))[0] == (0, 2)
-    assert chosen(scored({(0, 0): 7.0}))[0] == (1, 2)  # only a cell that is no frontier: the nearest
+    assert highest(scored(_02=-5.0)) == (0, 2)  # NaN elsewhere
+    assert highest(scored(_02=-5.0, _22=inf)) == (2, 2)
+    assert highest(scored(_02=-5.0, _22=-inf)) == (0, 2)
+    assert highest(scored(_00=7.0)) == (1, 2)  # only a cell that is no frontier: the nearest
     for value in (nan, inf, -inf):
-        assert chosen(functools.partial(lambda value, view: jnp.full(view.cost.shape, value), value))[0] == (1, 2)
+        assert highest(np.full((3, 4), value)) == (1, 2)
 
 
 def test_without_a_frontier_there_is_no_target():
-    assert chosen(nearest, "R..") == ((-1, -1), [])
+    assert chosen(nearest, "....\n.R..\n....") == ((-1, -1), [])
 
 
 def test_the_view():
@@ -216,12 +229,9 @@ def test_a_module_elsewhere_is_found_before_a_builtin_name_is_asked(module):
         ("wrong_of_tests:x", "'wrong_of_tests' does not import: ZeroDivisionError: division by zero"),
         ("absent_of_tests:x", "no module 'absent_of_tests', neither installed nor in "),
         ("mine_of_tests:nearset", "'mine_of_tests' has no 'nearset' (there are: nearest, near, closest)"),
-        ("mine_of_tests:MODULE", "has no 'MODULE'"),
-        ("mine_of_tests:jx", "is no strategy"),
         ("mine_of_tests:near:weight=heavy", "expected a number for weight"),
         ("mine_of_tests:near:weight=1,weight=2", "expected weight=NUMBER once"),
         ("mine_of_tests:near:wait=1", "unknown parameter of 'mine_of_tests:near': 'wait'; did you mean 'weight'?"),
-        ("mine_of_tests:near+rechek", "unknown modifier"),
     ):
         with pytest.raises(InputError, match=re.escape(says)) as caught:
             strategy(text)
@@ -344,7 +354,6 @@ def test_registered(monkeypatch):
         ("closest", nearest, "registered already"),
         ("my own", nearest, "must be letters"),
         ("number", 3, "3 is no strategy"),
-        ("two", lambda a, b: 0, "a score takes one argument"),
     ):
         with pytest.raises(InputError, match=says):
             jx.register(name, thing)
@@ -395,25 +404,12 @@ def test_what_stands_for_a_strategy():
         (nearest, {"recheck": "no"}, "recheck must be True or False"),
         (nearest, {"name": 5}, "a strategy's name must be text, got 5"),
         (lambda view, gamma=1: 0, {"segment": True}, "has a parameter 'gamma', which is one of the modifiers'"),
-        (nearest, {"segment": "voronoi", "gamma": 3.0}, "has no parameter 'gamma'"),
-        (lambda view, ratio=1: 0, {"segment": "rooms"}, "has a parameter 'ratio', which is one of the modifiers'"),
         (Strategy("raw", 3), {}, "'raw': policy must be a Policy, got int"),
         (Strategy(None, jx.Policy(nearest, nearest)), {}, "name must be text, got None"),
         (type("Thing", (), {"__call__": lambda self, view: view.cost})(), {}, "has no name"),
     ):
         with pytest.raises(InputError, match=says):
             strategy(what, **how)
-
-
-def test_two_of_one_name_are_refused():
-    def twice(function):
-        function.__name__ = "same"
-        return function
-
-    with pytest.raises(InputError, match="strategies must differ, got 'same' more than once"):
-        compare([twice(lambda view: view.cost), twice(lambda view: -view.cost)])
-    with pytest.raises(InputError, match="strategies must differ"):
-        compare(["closest", STRATEGIES["closest"].make])
 
 
 def made(times, helper="view.cost"):
@@ -453,32 +449,15 @@ def test_what_computes_the_same_is_compiled_once():
     assert known(closing(table)) == known(closing(table.copy())) != known(closing(other))
 
 
-@pytest.mark.slow
-def test_any_number_that_a_strategy_closes_over_tells_it_apart():
-    def closing(n):
-        return lambda view: view.cost * n
-
-    assert known(closing(2)) == known(closing(2)) != known(closing(3))
-    assert known(closing(0.0)) != known(closing(-0.0)) != known(closing(0))
-    assert known(closing(0.1)) != known(closing(np.nextafter(np.float32(0.1), 1)))
-    table, other = jnp.zeros((64, 64)), jnp.zeros((64, 64)).at[63, 63].set(1e-9)
-    assert known(closing(table)) == known(closing(table)) != known(closing(other))
-
-    def keyed(key):
-        return lambda view: view.cost + jax.random.randint(key, (), 0, 9)
-
-    assert known(keyed(jax.random.key(1))) == known(keyed(jax.random.key(1))) != known(keyed(jax.random.key(2)))
-
-
 def test_what_calls_back_into_python_is_compiled_anew():
     """JAX does not see what it computes."""
 
     def asks(view):
         return view.path_m * jax.pure_callback(lambda: np.float32(1), jax.ShapeDtypeStruct((), jnp.float32))
 
-    assert known(asks) != known(asks)
-    assert adapt.digest_of(known(asks)) is None
-    assert adapt.digest_of(known(nearest)) == adapt.digest_of(known(nearest)) is not None
+    first = known(asks)
+    assert first != known(asks)
+    assert adapt.digest_of(first) is None
 
 
 class Weighed:
@@ -518,13 +497,10 @@ def test_numbers_that_would_become_others_are_refused():
     whole = "must be a whole number from -2147483648 to 2147483647, got"
     for value, says in (
         (2**32, f"{whole} 4294967296"),
-        (10**5000, whole),
         (np.int64(2**40), whole),
         (1e300, r"must be from -3.4e\+38 to 3.4e\+38, or infinite, got 1e\+300"),
-        (np.array([1.0, -1e39]), r"must be from -3.4e\+38 to 3.4e\+38, or infinite"),
         (1 + 2j, r"must be real, got \(1\+2j\)"),
         (math.nan, "must be a number, not NaN, got nan"),
-        (np.array([1.0, np.nan]), "must be a number, not NaN"),
         (np.array([2**40], object), "must be an array of numbers"),
     ):
         with pytest.raises(InputError, match=f"strategy 'mine': weight {says}") as caught:
@@ -569,7 +545,6 @@ def chooses(change=lambda choice: choice, carry=(), route=lambda route: route):
     ("wrong", "says"),
     [
         (lambda view: view.cost[0], r"a score for every cell, \[64, 64\] integer or float, got \[64\] int32"),
-        (lambda view: None, "got None"),
         (
             lambda view: 1 if view.cost > 3 else 0,
             r"raised \w+ at .*test_own_strategies.py:\d+: .*(truth value|boolean)",
@@ -580,7 +555,6 @@ def chooses(change=lambda choice: choice, carry=(), route=lambda route: route):
             r"raised AttributeError at .*: 'View' object has no attribute 'coast' .it has cost, path_m",
         ),
         (policy(lambda *_: 3), r"must return \(carry, Choice, route\), .* got int 3"),
-        (policy(lambda key, params, carry, belief, beams, route: ((), (0, 0), route)), "must return .carry, Choice"),
         (policy(lambda: 3), r"raised TypeError: .* takes 0 positional arguments"),
         (
             policy(chooses(carry=jnp.float32(0)), lambda *_: 0),
@@ -592,7 +566,6 @@ def chooses(change=lambda choice: choice, carry=(), route=lambda route: route):
             policy(chooses(lambda choice: choice.replace(col=jnp.zeros(2, jnp.int32)))),
             r"1\.col must be \[\] int32, got \[2\] int32",
         ),
-        (policy(chooses(lambda choice: choice.replace(is_view=3))), r"1\.is_view must be \[\] bool"),
         (policy(chooses(route=lambda route: route[1:])), r"2 must be \[64, 64\] int8, got \[63, 64\] int8"),
         (policy(chooses(), live=lambda *_: 3), r"one bool, got \[\] int32"),
         (policy(chooses(), params="a word"), "params of a Policy must be numbers and arrays"),

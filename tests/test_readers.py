@@ -572,20 +572,14 @@ def test_ros_yaml_is_read_as_written_by_people(tmp_path):
     ("changes", "line"),
     [
         ({"image": None}, "the key 'image' is missing"),
-        ({"free_thresh": None}, "the key 'free_thresh' is missing"),
         ({"image": "gone.pgm"}, "m.yaml': its image cannot be read: '.*gone.pgm': there is no such file"),
-        ({"image": "."}, "its image cannot be read: .* is a directory"),
         ({"image": 3}, "image must be the name of a file, got 3"),
         ({"resolution": 0}, r"resolution must be a number at least 0.0001 and at most 1e\+06, got 0.0"),
-        ({"resolution": math.nan}, "resolution must be a number at least 0.0001"),
         ({"resolution": "fine"}, r"resolution must be a number at least 0.0001 .* got 'fine'"),
-        ({"resolution": 1e308}, r"resolution must be a number .* at most 1e\+06, got 1e\+308"),
         ({"resolution": 10**400}, r"resolution must be a number .* got 1000.*\.\.\..*000"),
         ({"resolution": 1e6}, "are more than 4096 a side; see whether its scale, the metres of a pixel, is right"),
-        ({"origin": [10**400, 0, 0]}, "origin must be a number at least -1e"),
         ({"origin": [0, 1e300, 0]}, "origin must be a number at least -1e"),
         ({"origin": [0, 0]}, r"origin must be \[x, y, yaw\]"),
-        ({"origin": [0, math.nan, 0]}, "origin must be a number"),
         ({"negate": 2}, "negate must be a number"),
         ({"occupied_thresh": 65}, "occupied_thresh must be a number at least 0 and at most 1"),
         ({"free_thresh": 0.65}, "free_thresh 0.65 must be below occupied_thresh 0.65"),
@@ -603,12 +597,9 @@ def test_bad_ros_maps_are_refused(tmp_path, changes, line):
         ("", "is empty"),
         ("- 1\n", "is not a ROS map; expected the keys"),
         ("image: [", "is not valid YAML"),
-        ("image: m.pgm\nimage: n.pgm\n", "is not valid YAML .line 2, column 1: the key 'image' is there twice"),
         ("[" * 2000, "more than 100 deep"),
         ("resolution: !!bool 5\n", "is not valid YAML"),
-        ("resolution: " + "1" * 9000 + "\n", "is not valid YAML"),
         ("a: &a [1]\nimage: *a\n", "aliases are not read: write out what it stands for"),
-        ("\n".join(f"{x}: &{x} [*{y}, *{y}]" for x, y in zip("bcdefg", "abcdef")), "is not valid YAML"),
     ],
 )
 def test_bad_yaml_is_refused(tmp_path, text, line):
@@ -616,13 +607,6 @@ def test_bad_yaml_is_refused(tmp_path, text, line):
     refused(line, load_world, tmp_path / "m.yaml")
     (tmp_path / "m.yaml").write_bytes(b"image: \xff\n")
     refused("is not UTF-8 text", load_world, tmp_path / "m.yaml")
-
-
-def test_a_scale_or_a_parameter_for_a_ros_map_is_refused(tmp_path):
-    path = ros_map(tmp_path, [[254]])
-    refused("a ROS file has its own scale", load_world, f"{path}@0.1")
-    refused("no parameter 'free'; it takes free_max, occupied_min", load_world, f"{path}:free=3")
-    refused("free_max and occupied_min are for the modes scale and raw; in", load_world, f"{path}:free_max=3")
 
 
 def test_write_ros_by_pencil(tmp_path):
@@ -666,7 +650,7 @@ def test_write_ros_of_a_world_loads_as_that_world(tmp_path):
 def test_bad_things_to_write_are_refused(tmp_path):
     refused("must end in .yaml", write_ros, [[0]], tmp_path / "m.pgm")
     refused("cannot be written", write_ros, [[0]], tmp_path / "none" / "m.yaml")
-    refused("from -1 to 100, got int64", write_ros, [[0, 101]], tmp_path / "m.yaml")
+    refused("must lie from -1 .unknown. to 100, got 0 to 101", write_ros, [[0, 101]], tmp_path / "m.yaml")
     refused("got float64", write_ros, [[0.5]], tmp_path / "m.yaml")
     refused("cell_m must be a number at least 0.0001", write_ros, [[0]], tmp_path / "m.yaml", cell_m=0)
     refused("origin_m must be a number at least -1e", write_ros, [[0]], tmp_path / "m.yaml", origin_m=(math.nan, 0))
@@ -701,13 +685,11 @@ def test_movingai_by_pencil(tmp_path):
         ("height 0\nwidth 1\nmap\n", "height must be an integer from 1, got '0'"),
         ("height 1\nwidth x\nmap\n.\n", "width must be an integer from 1, got 'x'"),
         ("height 2\nwidth 2\nmap\n..\n", "its header says 2 rows, but 1 follow"),
-        ("height 1\nwidth 2\nmap\n..\n..\n", "its header says 1 rows, but 2 follow"),
         ("height 2\nwidth 2\nmap\n..\n.\n", "line 5 must have 2 characters, it has 1"),
         ("height 1\nwidth 3\nmap\n.x.\n", "line 4 has 'x'; the characters are .GS and @OTW"),
         ("height 1\nwidth 1\nmap\né\n", "line 4 has 'é'"),
         ("width 2\r\nheight 1\r\nmap\r\n@T\r\n", "no cell is free at cell_m = 0.1"),
         ("height 5000\nwidth 2\nmap\n..\n", "5000 x 2 cells are more than 4096"),
-        ("height 999999999\nwidth 999999999\nmap\n..\n", "are more than 4096"),
     ],
 )
 def test_bad_movingai_maps_are_refused(tmp_path, text, line):
@@ -715,12 +697,23 @@ def test_bad_movingai_maps_are_refused(tmp_path, text, line):
     refused(line, load_world, tmp_path / "m.map")
 
 
-def test_a_size_or_parameter_for_a_movingai_map_is_refused(tmp_path):
-    path = movingai(tmp_path / "m.map", "..")
-    refused(r"takes the metres of one cell after the '@', as in @0.1", load_world, f"{path}@2x2")
-    refused("no parameter 'free'; it takes inside, inside_x_m, inside_y_m", load_world, f"{path}@1:free=3")
-    (tmp_path / "b.map").write_bytes(b"height 1\nwidth 1\nmap\n\xff\n")
-    refused("is not UTF-8 text", load_world, tmp_path / "b.map")
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("m.map@2x2", r"takes the metres of one cell after the '@', as in @0.1"),
+        ("m.map@1:free=3", "no parameter 'free'; it takes inside, inside_x_m, inside_y_m"),
+        ("p.json@0.1", "a HouseExpo file has its own scale"),
+        ("p.json:free=1", "no parameter 'free'; it takes inside, inside_x_m, inside_y_m"),
+        ("m.yaml@0.1", "a ROS file has its own scale"),
+        ("m.yaml:free=3", "no parameter 'free'; it takes free_max, occupied_min"),
+        ("m.yaml:free_max=3", "free_max and occupied_min are for the modes scale and raw; in"),
+    ],
+)
+def test_a_scale_or_parameter_of_another_format_is_refused(tmp_path, name, line):
+    movingai(tmp_path / "m.map", "..")
+    plan(tmp_path / "p.json", SQUARE)
+    ros_map(tmp_path, [[254]])
+    refused(line, load_world, f"{tmp_path / name}")
 
 
 # --- HouseExpo
@@ -761,12 +754,6 @@ def test_houseexpo_rooms_are_the_boxes(tmp_path):
         [-1] * 10,
     ]
     assert world.rooms.dtype == np.int32
-
-
-def test_houseexpo_of_equal_boxes_the_first_counts(tmp_path):
-    box = [[-1, -1, 2, 2]]
-    world = load_world(plan(tmp_path / "p.json", [[0, 0], [1, 0], [1, 1], [0, 1]], {"A": box, "B": box}))
-    assert set(world.rooms[~world.occupied].tolist()) == {0}
 
 
 def test_houseexpo_keeps_a_wall_that_is_thinner_than_a_cell(tmp_path):
@@ -815,27 +802,18 @@ SQUARE = [[0, 0], [2, 0], [2, 2], [0, 2]]
         ('{"verts": []}', "verts must be at least 3 points"),
         ('{"verts": [[0, 0], [1, 1]]}', "verts must be at least 3 points .* got 2"),
         ('{"verts": [[0, 0], [1, 1], [2]]}', "verts must be a list of .metres, metres."),
-        ('{"verts": [[0, 0, 1], [1, 1, 1], [2, 3, 4], [5, 6, 7]]}', "verts must be a list"),
-        ('{"verts": {"a": 1}}', "verts must be a list"),
         ('{"verts": [[0, 0], [1, 1], [2, NaN]]}', "verts must be a list"),
         ('{"verts": [[0, 0], [1, 1], [2, "a"]]}', "verts must be a list"),
         ('{"verts": [[0, 0], [1, 0], [2, 1e300]]}', "verts must be a list"),
         ('{"verts": [[0, 0], [1, 0], [2, 410]]}', "4101 x 21 cells are more than 4096"),
         ('{"verts": [[0, 0], [0, 0], [0, 0]]}', "no cell is free at cell_m = 0.1"),
         (json.dumps({"verts": SQUARE, "room_category": [1]}), "room_category must map names to lists of boxes"),
-        (json.dumps({"verts": SQUARE, "room_category": {"A": [1, 2, 3, 4]}}), "room_category 'A' must be a list"),
         (json.dumps({"verts": SQUARE, "room_category": {"A": [[1, 2, 3]]}}), "room_category 'A' must be a list"),
     ],
 )
 def test_bad_plans_are_refused(tmp_path, text, line):
     (tmp_path / "p.json").write_text(text)
     refused(line, load_world, tmp_path / "p.json")
-
-
-def test_a_scale_for_a_plan_is_refused(tmp_path):
-    path = plan(tmp_path / "p.json", SQUARE)
-    refused("a HouseExpo file has its own scale", load_world, f"{path}@0.1")
-    refused("no parameter 'free'; it takes inside, inside_x_m, inside_y_m", load_world, f"{path}:free=1")
 
 
 # --- real maps
@@ -847,9 +825,7 @@ def test_a_scale_for_a_plan_is_refused(tmp_path):
     [
         ("stage/cave_filled.png@16x16", (160, 160), 195.5),
         ("stage/hospital_section.png@49.3x20.1", (201, 493), 689),
-        ("stage/hospital_section.png@40x18", (180, 400), 502),
         ("avz/avz5floor_open.yaml", (241, 449), 330),
-        ("avz/avz5floor_closed.yaml", (239, 452), 193),
         ("radish/intel.png@0.05", (424, 444), 513),
     ],
 )
@@ -861,20 +837,6 @@ def test_real_maps_have_their_size_and_nearly_their_free_area(name, shape, compo
     free_m2 = np.bincount(labels.ravel())[1:].max() * world.cell_m**2
     assert 0.8 * component_m2 < free_m2 < component_m2
     assert start_region(world, 0.3).sum() * world.cell_m**2 > 0.5 * free_m2
-
-
-@real_maps
-def test_the_hospital_does_not_leak_at_its_own_resolution():
-    """At 0.05 m cells are a little larger than the pixels of 0.0454 m; scattered pixel centres left gaps."""
-    pixels = np.asarray(Image.open(MAPS / "stage/hospital.png"))[::-1]
-    regions, _ = ndimage.label(pixels >= 250)
-    world = load_world(f"{MAPS / 'stage/hospital.png'}@0.0454", cell_m=0.05)
-    cells, _ = ndimage.label(~world.occupied)
-    row, col = (int((n + 0.5) * 0.0454 / 0.05) for n in (1189 - 1 - 890, 1340))
-    inside = np.argwhere(cells == cells[row, col])
-    assert cells[row, col] > 0
-    under = np.minimum(((inside + 0.5) * 0.05 / 0.0454).astype(int), (1188, 3116))
-    assert set(regions[under[:, 0], under[:, 1]].tolist()) == {int(regions[1189 - 1 - 890, 1340])}
 
 
 @real_maps

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from PIL import Image
 from ref.traces import CRAWLER
 from ref.worlds import two_rooms
@@ -19,22 +18,13 @@ from jexplore.config import Lidar
 from jexplore.studies.comparison import compare
 from jexplore.studies.explore import explore
 from jexplore.tracemap.record import BtmMap, Link, Node
-from jexplore.worlds.picture import ROBOT, floor_plan
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
-BLACK, WHITE = (0, 0, 0), (255, 255, 255)
 
 
 def pixels(png):
     """A PNG as `[H, W, 3]`, row 0 at the bottom."""
     return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)[::-1]
-
-
-def cells(png, shape):
-    """The colour in the middle of every cell."""
-    found = pixels(png)
-    rows, cols = (((np.arange(n) + 0.5) * size / n).astype(int) for n, size in zip(shape, found.shape))
-    return [[tuple(found[row, col].tolist()) for col in cols] for row in rows]
 
 
 def shown(html):
@@ -48,58 +38,12 @@ def shown(html):
 # --- worlds
 
 
-def test_a_floor_plan_by_pencil():
-    occupied = np.array([[1, 1, 1, 1], [1, 0, 0, 1], [1, 1, 0, 1]], bool)
-    rooms = np.array([[-1, -1, -1, -1], [-1, 0, -1, -1], [-1, -1, 1, -1]], np.int32)
-    first, second = pictures.soft_colours(2)
-    assert cells(floor_plan(occupied), (3, 4)) == [
-        [BLACK, BLACK, BLACK, BLACK],
-        [BLACK, WHITE, WHITE, BLACK],
-        [BLACK, BLACK, WHITE, BLACK],
-    ]
-    assert cells(floor_plan(occupied, rooms), (3, 4)) == [
-        [BLACK, BLACK, BLACK, BLACK],
-        [BLACK, first, WHITE, BLACK],
-        [BLACK, BLACK, second, BLACK],
-    ]
-
-
-def test_the_start_is_an_arrow_that_points_ahead():
-    plan = np.zeros((5, 5), bool)
-    for heading_deg, (up, right) in {0: (0, 1), 90: (1, 0), 180: (0, -1), 270: (-1, 0)}.items():
-        found = pixels(floor_plan(plan, None, (1, 3, heading_deg)))
-        side = found.shape[0] / 5
-        rows, cols = np.nonzero((found != 255).any(axis=-1))
-        middle = (rows.min() + rows.max()) / 2 - 1.5 * side, (cols.min() + cols.max()) / 2 - 3.5 * side
-        assert np.abs(middle).max() < 4  # about the middle of cell (1, 3)
-        tip = rows.mean() - (rows.min() + rows.max()) / 2, cols.mean() - (cols.min() + cols.max()) / 2
-        assert np.dot(tip, (up, right)) < -0.3  # most of an arrow head lies behind its middle
-        assert tuple(found[int(1.5 * side), int(3.5 * side)]) == ROBOT
-
-
-def test_a_thin_wall_of_a_large_map_is_grey_and_the_file_small():
-    occupied = np.zeros((1500, 3000), bool)
-    occupied[:, 1500] = True
-    png = floor_plan(occupied)
-    found = pixels(png)
-    assert max(found.shape) <= 600
-    grey = np.unique(found.min(axis=(0, 2)))
-    assert len(grey) == 2
-    assert 0 < grey[0] < 255 == grey[1]
-    assert len(png) < 5000
-
-
-@pytest.mark.parametrize(("shape", "wall"), [((1, 1), True), ((4096, 1), False)])
-def test_worlds_at_the_edge(shape, wall):
-    png = floor_plan(np.full(shape, wall), np.full(shape, -1, np.int32), (0, 0, 45) if shape == (1, 1) else None)
-    assert (pixels(png)[0, 0] == (0 if wall else 255)).all()
-
-
 def test_a_world_shows_itself():
     world = two_rooms("a <b>\nc").replace(start=(3, 4, 90))
     assert repr(world) == "<World a <b> c; 24 x 36 cells of 0.1 m, 7 m² free>"
     png, table, caption = shown(world._repr_html_())
     assert png == world._repr_png_()
+    assert len(png) < 20_000
     assert not table
     assert caption == "a &lt;b&gt; c; 24 x 36 cells of 0.1 m, 7 m² free"
     rooms = np.where(world.occupied, -1, np.arange(36)[None] > 17)
@@ -120,15 +64,6 @@ def test_a_world_on_its_way_through_jax_is_told_in_one_line():
         assert html is None
         assert png is None
     assert jax.tree.map(jnp.asarray, world)._repr_png_() == world._repr_png_()
-
-
-def test_a_world_that_nobody_has_checked_yet():
-    lists = two_rooms().replace(occupied=[[True, False]], rooms=[[-1, 0]])
-    assert repr(lists) == "<World two rooms; 1 x 2 cells of 0.1 m, 0 m² free, 1 room>"
-    assert cells(lists._repr_png_(), (1, 2)) == [[BLACK, pictures.soft_colours(1)[0]]]
-    wrong = two_rooms().replace(cell_m="a", rooms=np.zeros((2, 2), np.int32))
-    assert repr(wrong) == "<World 'two rooms'>"
-    assert wrong._repr_html_() is None
 
 
 # --- trace maps
@@ -244,11 +179,6 @@ def test_a_comparison_of_many_worlds_shows_what_they_say_together(comparison):
     assert all(text.endswith(" of 20") for text in table[7::4])
 
 
-def test_warnings_are_told(comparison):
-    cut = dataclasses.replace(comparison, interrupted=2)
-    assert shown(cut._repr_html_())[2].endswith("6 episodes; 1 warning, see .warnings")
-
-
 def test_what_cannot_be_drawn_falls_back_to_text(episode, comparison):
     broken = dataclasses.replace(episode, final=None)
     assert repr(broken) == repr(episode)
@@ -275,18 +205,9 @@ def test_long_tables_are_cut_and_texts_are_no_html():
 
 def test_soft_colours_are_soft_and_neighbours_differ():
     colours = np.array(pictures.soft_colours(40))
-    assert colours.min() >= 185
-    assert colours.max() <= 245
+    assert 185 <= colours.min() < colours.max() <= 245
     assert np.abs(np.diff(colours, axis=0)).max(axis=1).min() > 25
-    assert pictures.soft_colours(0) == []
     assert pictures.soft_colours(3) == pictures.soft_colours(5)[:3]
-
-
-def test_a_figure_becomes_a_small_file():
-    figure = Figure(figsize=(2, 1))
-    figure.add_subplot().plot([0, 1])
-    assert pixels(pictures.png_of(figure, dpi=50)).shape == (50, 100, 3)
-    assert pixels(pictures.png_of(figure)).shape == (72, 144, 3)
 
 
 def test_only_failures_are_swallowed():

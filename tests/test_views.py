@@ -14,7 +14,7 @@ from jexplore.grid import empty_grid
 from jexplore.planning import field, nearest_frontier
 from jexplore.policies import parse_strategy, views
 from jexplore.raycast import all_round
-from jexplore.reach import FAR, STRAIGHT
+from jexplore.reach import FAR
 
 CROSS = Lidar(n_beams=4, fov_deg=360, range_m=4.0)  # in cells of one metre: four cells back, right, ahead, left
 
@@ -201,7 +201,3 @@ def test_no_samples_worth_going_to_means_the_nearest_frontier():
     want, _ = nearest_frontier(belief, jnp.full(SHAPE, -1, jnp.int8))
     assert (int(got.row), int(got.col), int(got.cost)) == (int(want.row), int(want.col), int(want.cost))
     assert not got.is_view
-
-
-def test_metres():
-    assert float(views.metres(jnp.int32(3 * STRAIGHT), jnp.float32(0.5))) == 1.5

@@ -107,14 +107,6 @@ def require_parameters(parsed: WorldName, permitted: Collection[str]) -> None:
             raise InputError(f"{parsed.name!r}: there is no parameter {key!r}; {there_are}")
 
 
-def joint_of(name: str) -> str | None:
-    """Return the separator of the name of a map file and one more parameter, `:` or `,`; None if it names no file."""
-    cuts = [match.end() for match in _CUT.finditer(name)]
-    if not cuts:
-        return None
-    return "," if ":" in name[_path_end(name, cuts) :] else ":"
-
-
 def short_names(names: Sequence[str]) -> list[str]:
     """Make short distinct names of worlds, or other files: of a path the shortest end that no other one has."""
     parts = []

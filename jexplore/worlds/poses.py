@@ -94,23 +94,25 @@ def read_polygon(polygon: str | Polygon) -> list[tuple[float, float]]:
     return corners
 
 
+def cell_at(world: "World", x_m: float, y_m: float, what: str) -> tuple[int, int]:
+    """Return row and column of the cell in which a point lies; refuse one outside, which a message calls `what`."""
+    rows, cols = world.shape
+    (low_x, low_y), cell_m = world.origin_m, world.cell_m
+    row, col = (math.floor(round((at - low) / cell_m, _SNAP)) for at, low in ((y_m, low_y), (x_m, low_x)))
+    if not (0 <= row < rows and 0 <= col < cols):
+        raise InputError(
+            f"{what}: lies outside; x is {low_x:.6g} to {low_x + cols * cell_m:.6g} m, "
+            f"y {low_y:.6g} to {low_y + rows * cell_m:.6g} m"
+        )
+    return row, col
+
+
 def cell_of(world: "World", pose: Pose) -> tuple[int, int, int]:
     """Return row and column of the cell in which a pose lies, and the nearest heading of the grid in degrees.
 
     Warns if the heading changes by `ROUNDING_DEG` or more.
-
-    Raises:
-      InputError: the place lies outside.
     """
-    spans = []
-    for value_m, low_m, n in zip((pose.x_m, pose.y_m), world.origin_m, world.shape[::-1]):
-        spans.append((math.floor(round((value_m - low_m) / world.cell_m, _SNAP)), n, low_m))
-    if not all(0 <= i < n for i, n, _ in spans):
-        (x0, x1), (y0, y1) = ((low_m, low_m + n * world.cell_m) for _, n, low_m in spans)
-        raise InputError(
-            f"start {pose} of {world.name or 'world'!r}: lies outside; x is {x0:.6g} to {x1:.6g} m, "
-            f"y {y0:.6g} to {y1:.6g} m"
-        )
+    row, col = cell_at(world, pose.x_m, pose.y_m, f"start {pose} of {world.name or 'world'!r}")
     heading = round(pose.yaw_deg / 45) * 45
     if abs(pose.yaw_deg - heading) >= ROUNDING_DEG:
         warnings.warn(
@@ -119,4 +121,4 @@ def cell_of(world: "World", pose: Pose) -> tuple[int, int, int]:
             InputWarning,
             stacklevel=2,
         )
-    return spans[1][0], spans[0][0], heading % 360
+    return row, col, heading % 360

@@ -3,14 +3,13 @@
 A region is a 4-connected component of the cells that are clear for some robot, with the adjacent free cells.
 """
 
-import math
 import warnings
 
 import numpy as np
 
 from jexplore.config import InputError, InputWarning, Rules, checked_names
 from jexplore.rooms.doors import with_doorways
-from jexplore.worlds.names import joint_of
+from jexplore.worlds.poses import cell_at
 from jexplore.worlds.starts import clear_in, label_components
 from jexplore.worlds.world import World
 
@@ -60,29 +59,14 @@ def inside(world: World, point_m: tuple[float, float] | None = None) -> World:
                 "map to all of it: close the outer wall in the map, or leave inside out"
             )
     else:
-        own = floor[_cell_at(world, point_m, name)]
+        what = f"{name!r}: inside: " + "({:g}, {:g}) m".format(*point_m)
+        own = floor[cell_at(world, *point_m, what)]
         if own < 0:
-            point = "({:g}, {:g})".format(*point_m)
-            raise InputError(f"{name!r}: inside: no robot fits in round {point} m; give another point")
+            raise InputError(f"{what}: lies in a wall, or no robot fits in there; give another point")
         keep = floor == own
     start = world.start if world.start is not None and keep[world.start[:2]] else None
     rooms = None if world.rooms is None else np.where(keep, world.rooms, -1)
     return world.replace(occupied=~keep, rooms=rooms, start=start)
-
-
-def _cell_at(world: World, point_m: tuple[float, float], name: str) -> tuple[int, int]:
-    x_m, y_m = world.origin_m
-    rows, cols = world.shape
-    row, col = (math.floor(one) for one in ((point_m[1] - y_m) / world.cell_m, (point_m[0] - x_m) / world.cell_m))
-    point = "({:g}, {:g}) m".format(*point_m)
-    if not (0 <= row < rows and 0 <= col < cols):
-        raise InputError(
-            f"{name!r}: inside: {point} lies outside the map, which is x {x_m:g} to "
-            f"{x_m + cols * world.cell_m:g}, y {y_m:g} to {y_m + rows * world.cell_m:g} m"
-        )
-    if world.occupied[row, col]:
-        raise InputError(f"{name!r}: inside: {point} lies in a wall; give a point of free floor")
-    return row, col
 
 
 def warn_of_outside(world: World, reached: np.ndarray) -> bool:
@@ -98,12 +82,10 @@ def warn_of_outside(world: World, reached: np.ndarray) -> bool:
     enclosed_m2 = m2[~own & ~at_edge & (m2 >= max(SIZEABLE_M2, SIZEABLE_SHARE * own_m2))].sum()
     if along < ALONG_EDGE or not enclosed_m2:
         return False
-    cure, joint = "for the inside use jexplore.worlds.regions.inside(world)", joint_of(str(world.name))
-    if joint:
-        cure = f"for the inside append {joint}inside=true to the name, or the point {joint}inside_x_m=X,inside_y_m=Y"
     warnings.warn(
         f"{world.name or 'world'}: robots start outside, on {own_m2:.0f} m2 along the edge of the map, and "
-        f"{enclosed_m2:.0f} m2 are enclosed; {cure}",
+        f"{enclosed_m2:.0f} m2 are enclosed; for the inside give the name of a map file the parameter inside=true, or "
+        "the point inside_x_m=X,inside_y_m=Y; of an array take jexplore.worlds.regions.inside(world)",
         InputWarning,
         stacklevel=3,
     )

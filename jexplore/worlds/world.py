@@ -11,11 +11,13 @@ import numpy as np
 from flax import struct
 from numpy.typing import ArrayLike
 
-from jexplore.arrays.pictures import axes_of, html_of, or_text
+from jexplore.arrays.pictures import axes_of, html_of, or_text, png_of, soft_colours
 from jexplore.config import InputError, checked_names, require_number, require_whole, shown
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.bounds import require_side
-from jexplore.worlds.picture import draw_plan, floor_plan
+
+ROBOT_PT = 9  # from the middle of the arrow to its tip
+ROBOT = "#e69f00"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,9 +85,21 @@ class World:
         Returns:
           The `Axes`.
         """
-        return draw_plan(
-            axes_of(ax), self.occupied, self.rooms, self.start, self.name, cell_m=self.cell_m, origin_m=self.origin_m
-        )
+        ax, (rows, cols), (x_m, y_m) = axes_of(ax), self.shape, self.origin_m
+        colours, rooms = np.full((rows, cols, 3), 255, np.uint8), np.full((rows, cols), -1)
+        if self.rooms is not None and np.max(self.rooms) >= 0:
+            rooms[:] = self.rooms
+            colours[rooms >= 0] = np.array(soft_colours(int(rooms.max()) + 1), np.uint8)[rooms[rooms >= 0]]
+        colours[np.asarray(self.occupied)] = 0
+        extent = (x_m, x_m + cols * self.cell_m, y_m, y_m + rows * self.cell_m)
+        ax.imshow(colours, origin="lower", extent=extent)
+        if self.start is not None:
+            row, col, heading_deg = self.start
+            at, marker = (x_m + (col + 0.5) * self.cell_m, y_m + (row + 0.5) * self.cell_m), (3, 0, heading_deg - 90)
+            ax.plot(*at, marker=marker, markersize=ROBOT_PT, color=ROBOT, markeredgecolor="black")
+        ax.set(xlabel="x (m)", ylabel="y (m)")
+        ax.set_title(self.name).set_parse_math(False)
+        return ax
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write walls and origin as a map of ROS's map_server: a yaml file and a PGM next to it.
@@ -127,11 +141,16 @@ class World:
 
     @or_text
     def _repr_png_(self):
-        return floor_plan(self.occupied, self.rooms, self.start)
+        from matplotlib.figure import Figure
+
+        figure = Figure(layout="constrained")
+        self.plot(figure.add_subplot())
+        return png_of(figure)
 
     @or_text
     def _repr_html_(self):
-        return html_of(floor_plan(self.occupied, self.rooms, self.start), self._told())
+        picture = self._repr_png_()
+        return html_of(picture, self._told()) if picture else None
 
 
 def _as_mask(name, occupied):
@@ -254,7 +273,19 @@ def occupancy_to_world(
       InputError: not a matrix, empty, of another dtype, a value outside -1..100, no value that is a wall, no free
         cell, or too large.
     """
-    what = name or "occupancy"
+    what, free_max = name or "occupancy", require_whole("free_max", free_max, 0, 99)
+    require_number("cell_m", cell_m, low_open=True)
+    occupancy = require_occupancy(what, occupancy, free_max)
+    require_side(what, *occupancy.shape, cell_m=cell_m)
+    occupied = occupancy.copy() if occupancy.dtype.kind == "b" else (occupancy < 0) | (occupancy > free_max)
+    if occupied.all():
+        raise InputError(f"{what!r}: no cell is free (occupancy 0 to {free_max})")
+    require_side(what, *ringed_shape(occupied), cell_m=cell_m)
+    return World(occupied=occupied, cell_m=float(cell_m), name=name, origin_m=tuple(origin_m))
+
+
+def require_occupancy(what: str, occupancy: ArrayLike, free_max: int = 1) -> np.ndarray:
+    """Return an occupancy as an array, `[H, W]` of bool or of integers from -1 to 100 that are no classes."""
     if isinstance(occupancy, np.ma.MaskedArray):
         raise InputError(f"{what!r}: has a mask; write array.filled(-1) for masked cells that are unknown")
     try:
@@ -267,21 +298,12 @@ def occupancy_to_world(
             f"got {occupancy.dtype} of shape {occupancy.shape}"
             + ("; write np.rint(100 * array).astype(int) for probabilities" if occupancy.dtype.kind == "f" else "")
         )
-    require_number("cell_m", cell_m, low_open=True)
-    free_max = require_whole("free_max", free_max, 0, 99)
-    require_side(what, *occupancy.shape, cell_m=cell_m)
-    if occupancy.dtype.kind == "b":
-        occupied = occupancy.copy()
-    else:
-        low, high = occupancy.min(), occupancy.max()
-        if low < -1 or high > 100:
+    if occupancy.dtype.kind != "b":
+        if occupancy.min() < -1 or occupancy.max() > 100:
+            low, high = occupancy.min(), occupancy.max()
             raise InputError(f"{what!r}: occupancy must lie from -1 (unknown) to 100, got {low} to {high}")
         require_hundred(what, occupancy, free_max)
-        occupied = (occupancy < 0) | (occupancy > free_max)
-    if occupied.all():
-        raise InputError(f"{what!r}: no cell is free (occupancy 0 to {free_max})")
-    require_side(what, *ringed_shape(occupied), cell_m=cell_m)
-    return World(occupied=occupied, cell_m=float(cell_m), name=name, origin_m=tuple(origin_m))
+    return occupancy
 
 
 def require_hundred(name: str, occupancy: np.ndarray, free_max: int = 1) -> None:

@@ -193,16 +193,13 @@ def _numbers(where, words, n, need, most):
     if not need <= len(words) <= most:
         what = "is cut short" if len(words) < need else "has too many words"
         raise InputError(f"{where}: {what}; the number of readings that it gives does not fit its {len(words)} others")
-    values = []
-    for i, word in enumerate(words[:need]):
-        try:
-            value = float(word)
-        except ValueError:
-            value = None
-        if value is None or (i >= n and not math.isfinite(value)):
-            raise InputError(f"{where}: has {word!r} where a number must be")
-        values.append(value)
-    return np.array(values)
+    try:
+        values = np.array(words[:need], float)
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from None
+    if not np.isfinite(values[n:]).all():
+        raise InputError(f"{where}: has a word that is no finite number where a pose or a time must be")
+    return values
 
 
 def _parts(where, values, n, at_time):

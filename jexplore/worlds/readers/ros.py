@@ -21,7 +21,7 @@ from jexplore.arrays.files import first_line, read_yaml
 from jexplore.config import InputError, InputWarning, require_number, shown
 from jexplore.worlds.readers.grids import LEAST_PIXEL_M, MOST_PIXEL_M, free_cells, resample, upright
 from jexplore.worlds.readers.images import grey, read_pixels, transparency
-from jexplore.worlds.world import World, require_hundred
+from jexplore.worlds.world import World, require_hundred, require_occupancy
 
 ROS_MODES = ("trinary", "scale", "raw")
 _FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0  # greys of a saved map
@@ -147,7 +147,8 @@ def write_ros(
         require_number("origin_m", float(value), low=-_FAR_M, high=_FAR_M)
         for value in (default_origin_m if origin_m is None else origin_m)
     )
-    occupancy = _as_occupancy(grid.occupied if isinstance(grid, World) else grid)
+    occupancy = require_occupancy("occupancy", grid.occupied if isinstance(grid, World) else grid)
+    occupancy = np.where(occupancy, 100, 0) if occupancy.dtype.kind == "b" else occupancy
     trinary = bool(np.isin(occupancy, (-1, 0, 100)).all())
     if trinary:
         pixels = np.select([occupancy == 0, occupancy == 100], [_FREE, _OCCUPIED], _UNKNOWN)
@@ -175,19 +176,6 @@ def write_ros(
 def _decimal(value: float) -> str:
     """Format a length without the rounding errors of sums, as a number for every YAML reader."""
     return np.format_float_positional(round(value, 12) + 0.0, trim="0")
-
-
-def _as_occupancy(grid: ArrayLike) -> np.ndarray:
-    grid = np.asarray(grid)
-    if grid.dtype == bool and grid.ndim == 2 and grid.size:
-        return np.where(grid, 100, 0)
-    if grid.dtype.kind not in "iu" or grid.ndim != 2 or not grid.size or grid.min() < -1 or grid.max() > 100:
-        raise InputError(
-            "occupancy must be a matrix [H, W] of bool, or of integers from -1 to 100, "
-            f"got {grid.dtype} of shape {grid.shape}"
-        )
-    require_hundred("occupancy", grid)
-    return grid
 
 
 def _occupancy(levels: np.ndarray, info: RosInfo) -> np.ndarray:
