@@ -101,17 +101,13 @@ def test_wrong_names_are_refused_in_one_line(text, message):
 # ---------------------------------------------------------------- every strategy
 
 
+QUICK = "closest", "random", "decision-theoretic", "tour", "learned", "closest+segment"
+OTHERS = [name for name in STRATEGIES if name not in QUICK]  # chosen by hand in test_clusters and test_views as well
+OTHERS += ["random+segment=auto", "decision-theoretic+segment", "closest+segment=rooms"]
+
+
 @pytest.mark.jit
-@pytest.mark.parametrize(
-    "name",
-    [
-        *STRATEGIES,
-        "closest+segment",
-        pytest.param("random+segment=auto", marks=pytest.mark.slow),
-        pytest.param("decision-theoretic+segment", marks=pytest.mark.slow),
-        pytest.param("closest+segment=rooms", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in OTHERS)])
 def test_every_strategy_keeps_the_contract(name):
     """A candidate or a view point with its cost and a route; -1 and FAR without one; traced once."""
     entry = name.partition("+")[0]

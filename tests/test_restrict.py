@@ -161,6 +161,7 @@ def test_both_are_arguments_of_functions_and_part_of_what_is_asked(tmp_path, mon
     assert len(set(asked)) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_an_environment_holds_restricted_worlds_beside_others():
     plain = jx.load_world(ROOMS).replace(name="plain")

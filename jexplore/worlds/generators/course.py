@@ -120,7 +120,6 @@ def _attempt(rng: np.random.Generator, n_elements: int, width_m: float, creases:
 def _furnish(rng: np.random.Generator, route: CourseRoute) -> None:
     """Place a box at a wall of some passages, no nearer than 1.6 m to their ends, where the nodes are."""
     for rect, heading in route.straights:
-        x0, y0, x1, y1 = rect
         along, across = (1, 0) if heading % 2 else (0, 1)
         length, width = (rect[axis + 2] - rect[axis] for axis in (along, across))
         depth = min(0.4, 0.2 * int((width - 1.2 + 1e-6) / 0.2))
@@ -129,9 +128,11 @@ def _furnish(rng: np.random.Generator, route: CourseRoute) -> None:
         at_high = bool(rng.integers(2))
         if depth <= 0 or rng.random() >= 0.4:
             continue
-        if heading % 2:
-            x0, x1 = (x1 - depth, x1) if at_high else (x0, x0 + depth)
-            route.boxes.append((x0, y0 + start, x1, y0 + start + size))
+        box = list(rect)
+        box[along], box[along + 2] = rect[along] + start, rect[along] + start + size
+        if at_high:
+            box[across] = rect[across + 2] - depth
         else:
-            y0, y1 = (y1 - depth, y1) if at_high else (y0, y0 + depth)
-            route.boxes.append((x0 + start, y0, x0 + start + size, y1))
+            box[across + 2] = rect[across] + depth
+        x0, y0, x1, y1 = box
+        route.boxes.append((x0, y0, x1, y1))

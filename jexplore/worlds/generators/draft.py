@@ -7,7 +7,7 @@ random numbers are drawn in metres before any cell exists: a seed gives the same
 import dataclasses
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -86,6 +86,18 @@ class Side:
         return (first, low, last, high) if self.vertical else (low, first, high, last)
 
 
+def sides_of(*rects: Rect) -> Iterator[Side]:
+    """Yield the four sides of every rectangle: bottom, top, left, right."""
+    for x0, y0, x1, y1 in rects:
+        yield from (Side(False, y0, 1, x0, x1), Side(False, y1, -1, x0, x1))
+        yield from (Side(True, x0, 1, y0, y1), Side(True, x1, -1, y0, y1))
+
+
+def same_place(a: float, b: float) -> bool:
+    """Return whether two coordinates are equal but for rounding."""
+    return abs(a - b) < 1e-6
+
+
 @dataclasses.dataclass(frozen=True)
 class Door:
     """A gap in a wall between two rooms."""
@@ -120,29 +132,27 @@ class FloorPlan:
 
     def beside(self, door: Door) -> tuple[int, int]:
         """Return the numbers of the rooms on both sides of a door: at the lower and at the higher coordinate."""
-        low, high = -1, -1
+        found = {-1: -1, 1: -1}
         for number, rects in enumerate(self.rooms):
-            for rect in rects:
-                across, along = (0, 1) if door.vertical else (1, 0)
-                if rect[along] < door.middle < rect[along + 2]:
-                    low = number if abs(rect[across + 2] - door.wall) < 1e-6 else low
-                    high = number if abs(rect[across] - door.wall) < 1e-6 else high
-        return low, high
+            for side in sides_of(*rects):
+                if (
+                    side.vertical == door.vertical
+                    and side.low < door.middle < side.high
+                    and same_place(side.wall, door.wall)
+                ):
+                    found[side.inward] = number
+        return found[-1], found[1]
 
     def shared_walls(self, a: int, b: int) -> list[tuple[bool, float, float, float]]:
         """Return the straight stretches of wall that two rooms share: `(vertical, wall, low, high)`, see `Door`."""
         stretches = []
-        for p in self.rooms[a]:
-            for q in self.rooms[b]:
-                for vertical in (True, False):
-                    across, along = (0, 1) if vertical else (1, 0)
-                    low, high = max(p[along], q[along]), min(p[along + 2], q[along + 2])
-                    for wall, other in ((p[across], q[across + 2]), (p[across + 2], q[across])):
-                        if abs(wall - other) < 1e-6 and high - low > 1e-6:
-                            stretches.append((vertical, wall, low, high))
+        for p, q in itertools.product(sides_of(*self.rooms[a]), sides_of(*self.rooms[b])):
+            low, high = max(p.low, q.low), min(p.high, q.high)
+            if p.vertical == q.vertical and p.inward != q.inward and same_place(p.wall, q.wall) and high - low > 1e-6:
+                stretches.append((p.vertical, p.wall, low, high))
         apart = []
         for vertical, wall, low, high in sorted(stretches):  # rectangles of one room overlap, and so may stretches
-            if apart and apart[-1][0] == vertical and abs(apart[-1][1] - wall) < 1e-6 and low < apart[-1][3]:
+            if apart and apart[-1][0] == vertical and same_place(apart[-1][1], wall) and low < apart[-1][3]:
                 low, high = apart[-1][2], max(high, apart.pop()[3])
             apart.append((vertical, wall, low, high))
         return apart
@@ -150,27 +160,23 @@ class FloorPlan:
     def bare_walls(self, room: int, keep_m: float) -> list[Side]:
         """Return the stretches of a room's walls that are `keep_m` metres and more away from its doors and openings."""
         stretches = []
-        for rect in self.rooms[room]:
-            x0, y0, x1, y1 = rect
-            sides = (Side(False, y0, 1, x0, x1), Side(False, y1, -1, x0, x1))
-            sides += (Side(True, x0, 1, y0, y1), Side(True, x1, -1, y0, y1))
-            for side in sides:
-                across, along = (0, 1) if side.vertical else (1, 0)
-                taken = [
-                    (door.middle - door.width / 2, door.middle + door.width / 2)
-                    for door in self.doors
-                    if door.vertical == side.vertical and abs(door.wall - side.wall) < 1e-6
-                ]
-                taken += [
-                    (other[along], other[along + 2])
-                    for other in self.rooms[room]
-                    if other[across] + 1e-6 < side.wall < other[across + 2] - 1e-6
-                ]
-                at = side.low
-                for low, high in sorted([*taken, (side.high + keep_m, math.inf)]):
-                    if low < side.high + keep_m + 1e-6 and min(low - keep_m, side.high) > at + 1e-6:
-                        stretches.append(dataclasses.replace(side, low=at, high=min(low - keep_m, side.high)))
-                    at = max(at, high + keep_m)
+        for side in sides_of(*self.rooms[room]):
+            across, along = (0, 1) if side.vertical else (1, 0)
+            taken = [
+                (door.middle - door.width / 2, door.middle + door.width / 2)
+                for door in self.doors
+                if door.vertical == side.vertical and same_place(door.wall, side.wall)
+            ]
+            taken += [
+                (other[along], other[along + 2])
+                for other in self.rooms[room]
+                if other[across] + 1e-6 < side.wall < other[across + 2] - 1e-6
+            ]
+            at = side.low
+            for low, high in sorted([*taken, (side.high + keep_m, math.inf)]):
+                if low < side.high + keep_m + 1e-6 and min(low - keep_m, side.high) > at + 1e-6:
+                    stretches.append(dataclasses.replace(side, low=at, high=min(low - keep_m, side.high)))
+                at = max(at, high + keep_m)
         return stretches
 
     def gap(self, stretch: tuple[bool, float, float, float], width: float, at: float = 0.5) -> None:

@@ -40,7 +40,7 @@ def hospital(
     for stretch in plan.shared_walls(corridor, hall):
         plan.gap(stretch, 1.2)
     _treatment(rng, plan, x0 + hall_m, stack, hall, kinds)
-    flips = rng.random(2) < 0.5
+    flips = (rng.random(2) < 0.5).tolist()
     return finish_building(plan, seed, "hospital", cell_m, furniture, wide_openings, max_loops, corridor_sd_m, flips)
 
 

@@ -7,6 +7,9 @@ from jexplore.worlds.generators.draft import FloorPlan, bands, cut_length, rando
 from jexplore.worlds.generators.variants import corridor_widths, finish_building
 from jexplore.worlds.world import World
 
+_LARGE = {"lobby": (3.0, 1.7, 1.2), "open": (4.5, 2.2, 1.1)}
+"""Kind of a large room -> spacing of its columns, their least distance from the walls, width of its doors, metres."""
+
 
 @bounded
 def office(
@@ -36,7 +39,7 @@ def office(
     widths = corridor_widths(seed, "office", height_m, corridor_m, corridor_sd_m)
     stack = bands(rng, height_m, widths, (1.05, 1.25))
     (_open_floor if open_plan else _floor)(rng, plan, stack, corridor_m, _kinds(room_m))
-    flips = rng.random(2) < 0.5
+    flips = (rng.random(2) < 0.5).tolist()
     return finish_building(plan, seed, "office", cell_m, furniture, wide_openings, max_loops, corridor_sd_m, flips)
 
 
@@ -53,11 +56,11 @@ def _floor(rng, plan, stack, corridor_m, kinds):
         _head(rng, plan, end, stack, corridors)
         _row(rng, plan, bottom, corridors[0], kinds)
     else:
-        _row_around(rng, plan, bottom, corridors[0], kinds, _lobby, 7.0)
+        _row_around(rng, plan, bottom, corridors[0], kinds, "lobby", 7.0)
     if crossings:
         _row(rng, plan, top, corridors[-1], kinds)
     else:
-        _row_around(rng, plan, top, corridors[-1], kinds, _open_plan, 10.0)
+        _row_around(rng, plan, top, corridors[-1], kinds, "open", 10.0)
     for k, across in crossings.items():
         ends = 0.0, *itertools.chain(*across), end
         _core(rng, plan, ends, stack[k], corridors[k // 2 - 1 : k // 2 + 1], kinds)
@@ -68,7 +71,7 @@ def _open_floor(rng, plan, stack, corridor_m, kinds):
     (y0, y1), (_, y2) = stack[:2]
     end = plan.width_m
     corridor = plan.room((0.0, y1, end, y2), kind="corridor")
-    _row_around(rng, plan, (0.0, y0, end, y1), corridor, kinds, _lobby, 7.0)
+    _row_around(rng, plan, (0.0, y0, end, y1), corridor, kinds, "lobby", 7.0)
     begin = rng.uniform(3.2, 4.4)
     area = plan.room((begin, y2, end, plan.height_m), kind="open")
     stand_columns(plan, (begin, y2, end, plan.height_m), spacing_m=6.0, margin_m=2.6)
@@ -133,31 +136,23 @@ def _head(rng, plan, end, stack, corridors):
 
 
 def _row_around(rng, plan, rect, corridor, kinds, special, size_m):
-    """Draw a row of rooms with one special room somewhere in it, about `size_m` long."""
+    """Draw a row of rooms with a large one of the kind `special` somewhere in it, about `size_m` long."""
     x0, y0, x1, y1 = rect
     size = min(size_m * rng.uniform(0.85, 1.2), (x1 - x0) / 2)
     begin = x0 + rng.uniform(3.0, x1 - x0 - size - 3.0)
-    special(plan, (begin, y0, begin + size, y1), (corridor,))
+    _large_room(plan, (begin, y0, begin + size, y1), (corridor,), special)
     _row(rng, plan, (x0, y0, begin, y1), corridor, kinds)
     _row(rng, plan, (begin + size, y0, x1, y1), corridor, kinds)
 
 
-def _lobby(plan, rect, corridors):
-    stand_columns(plan, rect, spacing_m=3.0, margin_m=1.7)
-    _with_doors(plan, rect, corridors, 1.2, "lobby")
-
-
-def _open_plan(plan, rect, corridors):
-    stand_columns(plan, rect, spacing_m=4.5, margin_m=2.2)
-    _with_doors(plan, rect, corridors, 1.1, "open")
-
-
-def _with_doors(plan, rect, corridors, width, kind):
-    """Draw a large room with two doors to every corridor next to it."""
+def _large_room(plan, rect, corridors, kind):
+    """Draw a large room with columns, and two doors to every corridor next to it."""
+    spacing_m, margin_m, door_m = _LARGE[kind]
+    stand_columns(plan, rect, spacing_m=spacing_m, margin_m=margin_m)
     room = plan.room(rect, kind=kind)
     for corridor in corridors:
-        plan.door(room, corridor, width, 0.12)
-        plan.door(room, corridor, width, 0.88)
+        for at in (0.12, 0.88):
+            plan.door(room, corridor, door_m, at)
 
 
 def _row(rng, plan, rect, corridor, kinds):
@@ -197,7 +192,7 @@ def _core(rng, plan, ends, band, corridors, kinds):
         if i == chosen:
             size = rng.uniform(8.0, 13.0)
             size = size if x1 - x0 - size >= 3.0 else x1 - x0
-            _open_plan(plan, (x0, y0, x0 + size, y1), corridors)
+            _large_room(plan, (x0, y0, x0 + size, y1), corridors, "open")
             x0 += size
         if x1 - x0 < 1.9:  # nothing is left, or a shaft
             continue

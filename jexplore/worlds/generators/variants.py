@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jexplore.worlds.bounds import MAX_LOOPS
-from jexplore.worlds.generators.draft import WALL_THICK_M, Door, FloorPlan, random_stream
+from jexplore.worlds.generators.draft import WALL_THICK_M, Door, FloorPlan, random_stream, same_place
 from jexplore.worlds.generators.furniture import furnish
 from jexplore.worlds.world import World
 
@@ -72,7 +72,7 @@ def narrow_corridors(plan: FloorPlan, seed: int, kind: str, sd_m: float) -> None
         wall = ((x0, x1) if vertical else (y0, y1))[rng.integers(2)]
         first, last = (y0, y1) if vertical else (x0, x1)
         for side in plan.bare_walls(number, _SHAFT_M[0] / 4):
-            if side.vertical == vertical and abs(side.wall - wall) < 1e-6:
+            if side.vertical == vertical and same_place(side.wall, wall):
                 length, depth, at = rng.uniform(*_SHAFT_M), abs(rng.normal(0, sd_m)), rng.random()
                 low, high = max(side.low, first + width), min(side.high, last - width)
                 depth = min(depth, width - _LEAST_M)
@@ -124,7 +124,7 @@ def _widened(doors: list[Door], i: int, width: float) -> Door | None:
     door = doors[i]
     low, high = door.low + WALL_THICK_M / 2, door.high - WALL_THICK_M / 2
     for other in doors:
-        if other is not door and other.vertical == door.vertical and abs(other.wall - door.wall) < 1e-6:
+        if other is not door and other.vertical == door.vertical and same_place(other.wall, door.wall):
             if other.middle < door.middle:
                 low = max(low, other.middle + other.width / 2)
             else:
