@@ -219,7 +219,7 @@ def test_what_a_generator_takes_is_read_from_its_signature():
         ("bare:n_doors=1.5", "n_doors must be an integer, got 1.5"),
         ("bare:loops=1", "loops must be true or false, got 1"),
         ("bare:style=1", "style must be a word, got 1"),
-        ("full", "no free cell is left at cell_m = 0.1"),
+        ("full", "no cell is free at cell_m = 0.1"),
         ("cave", "there is no world 'cave'; there are bare, full"),
     ],
 )

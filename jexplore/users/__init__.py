@@ -103,35 +103,6 @@ def is_library(file: str) -> bool:
 _LOADED: dict[str, tuple[str, bytes]] = {}  # modules of the current folder: file, and what was in it
 
 
-class _FromSource(importlib.machinery.SourceFileLoader):
-    """Loader of a file's present source. Python's bytecode cache identifies a file by size and second only."""
-
-    def get_code(self, fullname):
-        file = self.get_filename(fullname)
-        data = self.get_data(file)
-        _LOADED[fullname] = file, data
-        return self.source_to_code(data, file)
-
-
-class _Here:
-    """Finds modules of a folder, and of packages in it, before any that are installed."""
-
-    def __init__(self, folder):
-        self.folder = folder
-
-    def find_spec(self, fullname, path=None, target=None):
-        del target
-        for folder in [self.folder] if path is None else path:
-            if not _is_own(os.path.join(folder, "module.py"), self.folder):
-                continue
-            extensions = importlib.machinery.ExtensionFileLoader, importlib.machinery.EXTENSION_SUFFIXES
-            sources = _FromSource, importlib.machinery.SOURCE_SUFFIXES
-            spec = importlib.machinery.FileFinder(folder, extensions, sources).find_spec(fullname)
-            if spec is not None and spec.loader is not None:  # else a folder without __init__.py, which hides nothing
-                return spec
-        return None
-
-
 def _is_own(file, folder):
     """Return whether a file lies in a folder and is not installed, as in an environment inside that folder."""
     if is_library(file) or "site-packages" in file or "dist-packages" in file:
@@ -168,27 +139,27 @@ def import_object(module: str, name: str) -> Any:
 def _imported_from(here, top):
     """Import modules of a folder in their present form: those that a user has imported are set aside meanwhile."""
     if not all(_is_own(file, here) and _content(file) == data for file, data in _LOADED.values()):
-        for name in [*_LOADED]:
+        for name in _LOADED:
             sys.modules.pop(name, None)
         _LOADED.clear()
-    finder = _Here(here)
     aside = {name: module for name, module in sys.modules.items() if _is_theirs(name, module, here)}
     for name in aside:
         del sys.modules[name]
+    before, writes_none = set(sys.modules), sys.dont_write_bytecode
+    sys.path.insert(0, here)
+    sys.dont_write_bytecode = True  # Python knows files by size and second
+    importlib.invalidate_caches()
     try:
-        spec = finder.find_spec(top)
-        if spec is not None and top in sys.modules and top not in _LOADED:
+        spec = importlib.machinery.PathFinder.find_spec(top, [here])
+        if spec is not None and spec.origin and top in sys.modules and top not in _LOADED:
             file = getattr(sys.modules[top], "__file__", None) or "Python itself"
             raise InputError(f"{_short(spec.origin)} is hidden by another module {top!r}, of {file}: rename it")
-        sys.meta_path.insert(0, finder)
-        sys.path.insert(0, here)
-        importlib.invalidate_caches()
-        try:
-            yield
-        finally:
-            sys.meta_path.remove(finder)
-            sys.path.remove(here)
+        yield
     finally:
+        sys.dont_write_bytecode = writes_none
+        sys.path.remove(here)
+        loaded = {name: sys.modules[name] for name in set(sys.modules) - before}
+        _LOADED.update({n: (m.__file__, _content(m.__file__)) for n, m in loaded.items() if _is_theirs(n, m, here)})
         tops = {name.partition(".")[0] for name in _LOADED}
         sys.modules.update({name: module for name, module in aside.items() if name.partition(".")[0] not in tops})
 
