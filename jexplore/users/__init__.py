@@ -100,7 +100,7 @@ def is_library(file: str) -> bool:
     return file.startswith(_libraries()) or (file.startswith(_PYTHON) and not installed) or "<frozen" in file
 
 
-_LOADED: dict[str, tuple[str, bytes]] = {}  # modules of the current folder: file, and what was in it
+_LOADED: dict[str, tuple[Any, bytes | None]] = {}  # modules of the current folder: file, and what was in it
 
 
 def _is_own(file, folder):

@@ -62,7 +62,7 @@ def free_cells(
 def upright(
     where: str, occupancy: np.ndarray, yaw_rad: float, resolution_m: float, origin_m: tuple[float, float]
 ) -> tuple[np.ndarray, tuple[float, float]]:
-    """Lay a grid that is turned in its frame along x and y, cell for cell, and warn of it; `where` names it.
+    """Lay a grid that is turned in its frame along x and y, cell for cell, with a warning that names `where`.
 
     `yaw_rad` turns it about the lower left corner of cell (0, 0), `origin_m`, counter-clockwise: by a multiple of 90
     degrees, or by so little more that no cell moves by half its edge. Returns the new grid, and its own `origin_m`.
