@@ -29,7 +29,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from jexplore.config import InputError
+from jexplore.config import NUMBER_BOUNDS, InputError, require_engine, require_setting
 
 SMALL = "JEXPLORE_SMALL"
 """Environment variable: set to anything but 0, the default comparison is a small one."""
@@ -134,6 +134,16 @@ def parse_options(arguments: Sequence[str], commands: Mapping[str, type]) -> Any
         raise
     _require_once(rest, commands[name])
     return options
+
+
+def check_numbers(options: Any) -> None:
+    """Refuse numbers out of bounds, and lanes that the engine has no use for, before anything heavy is imported."""
+    if hasattr(options, "lanes"):
+        require_engine(options.engine, options.lanes)
+    for name, given in vars(options).items():
+        if name in NUMBER_BOUNDS and given is not None:
+            for one in given if isinstance(given, tuple) else (given,):
+                require_setting(name, one)
 
 
 def _show_help(read):

@@ -65,7 +65,9 @@ def ready_settings(lidar: LidarLike, rules: RulesLike) -> tuple[Lidar, Rules]:
 def ready_worlds(worlds: WorldLike | Iterable[WorldLike], cell_m: float) -> list[World]:
     """Make worlds with different names of names and `World` records, in order; a single one may stand for itself."""
     worlds = list_of("worlds", worlds)
-    require_different("worlds", [w.name if isinstance(w, World) else str(w) for w in worlds])
+    names = [w.name if isinstance(w, World) else str(w) for w in worlds]
+    require_different("worlds", names)
+    _require_texts(names)
     for world in worlds:
         if isinstance(world, World) and not world.name:
             raise InputError("a world needs a name to be told from others: world.replace(name=...)")
@@ -98,8 +100,17 @@ def ready_strategies(strategies: StrategyLike | Iterable[StrategyLike]) -> list[
         strategies = [strategies]
     strategies = list_of("strategies", strategies)
     ready = [strategy(given) for given in strategies]
-    require_different("strategies", [one.name for one in ready], "; jx.strategy(..., name=...) tells them apart")
+    names = [one.name for one in ready]
+    require_different("strategies", names, "; jx.strategy(..., name=...) tells them apart")
+    _require_texts(names)
     return ready
+
+
+def _require_texts(names):
+    """Refuse names that tables cannot hold."""
+    for name in names:
+        if name.encode(errors="replace").decode() != name:
+            raise InputError(f"{name!r}: the name of a world or strategy must be UTF-8: call the file otherwise")
 
 
 def ready_starts(world: World, start: StartLike, n: int, *, seed: int, rules: Rules) -> np.ndarray:

@@ -83,11 +83,6 @@ class Trace:
     tuning: Tuning = dataclasses.field(default_factory=Tuning)
     noise: Noise = dataclasses.field(default_factory=Noise)
 
-    @property
-    def is_one_run(self) -> bool:
-        """Return whether one worker does everything."""
-        return not self.sweep and self.runs in (None, 1) and self.starts in (None, 1)
-
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
         from jexplore.studies.traces import tracing
