@@ -102,19 +102,6 @@ def test_gif_colours_do_not_flicker(tmp_path):
         assert np.isin(np.unique(picture @ code), np.array(animate._GIF_PALETTE) @ code).all()
 
 
-@pytest.mark.parametrize(("n", "most"), [(1, 5), (5, 5), (6, 5), (11, 5), (64, 5), (7, 1), (40, 2)])
-def test_gif_keeps_few_frames_evenly_and_the_last(n, most):
-    made = (lambda number=number: number for number in range(n))
-    kept = animate._thinned(made, most)
-    assert len(kept) == min(n, most)
-    assert kept[-1] == n - 1
-    assert kept == sorted(set(kept))
-    if most > 1:
-        assert kept[0] == 0
-        gaps = np.diff(kept)
-        assert len(gaps) == 0 or gaps.max() <= 2 * n / most
-
-
 def test_gif_frames_may_share_one_buffer(tmp_path):
     def frames():
         state = np.zeros((3, 4), np.uint8)
@@ -141,7 +128,7 @@ def test_gif_of_any_shape(shape):
 def test_gif_errors(tmp_path):
     with pytest.raises(ValueError, match="one or more frames"):
         animate.save_animation([], tmp_path / "a.gif", cell_m=0.1)
-    for wrong in ({"fps": 0}, {"fps": 51}, {"max_frames": 0}):
+    for wrong in ({"fps": 0}, {"fps": 51}):
         with pytest.raises(ValueError, match="expected 0 < fps"):
             animate.save_animation([frame()], tmp_path / "a.gif", cell_m=0.1, **wrong)
     with pytest.raises(InputError, match="missing"):

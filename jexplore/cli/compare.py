@@ -243,7 +243,7 @@ def show_finished(
     show_table(tables(found, record))
     drawn = figures(found, league=bool(record["configuration"].get("league")))
     found = getattr(found, "comparison", found)
-    out.draw_missing(saving.pictures_of(out.run.path, found, {}, record, drawn, jobs))
+    out.draw_missing(saving.pictures_of(found, {}, record, drawn, jobs))
     return 0
 
 
@@ -269,5 +269,5 @@ def finish_comparison(
     costs, made = ran.costs, record(**saving.entries_of(found), **saving.engine_of(ran.costs))
     files = saving.comparison_files(found, made, more)
     text += "".join(f"warning: {line}\n" for line in found.warnings)
-    pictures = saving.pictures_of(out.run.path, found, ran.firsts, made, figures, None if costs.interrupted else jobs)
+    pictures = saving.pictures_of(found, ran.firsts, made, figures, None if costs.interrupted else jobs)
     return out.finish(made, files, text, pictures, interrupted=costs.interrupted)

@@ -65,15 +65,15 @@ class Explore:
             lines = [f"{name:<18} {_text(value)}" for name, value in measures.items()]
             if found.final.plans is None:
                 lines.append(f"warning: an episode of {found.measures['plans']} plans cannot be replayed: no animation")
-            return out.finish(record, {}, "\n".join(lines), self._pictures(out, found, record))
+            return out.finish(record, {}, "\n".join(lines), self._pictures(found, record))
 
-    def _pictures(self, out, found, record):
+    def _pictures(self, found, record):
         """Return pictures, animation and page: name -> writer."""
         from jexplore.exploration.results import map_state, to_occupancy
         from jexplore.report import plot
+        from jexplore.report.page.report import write_report
         from jexplore.report.tables import aligned_table
         from jexplore.studies.replays import replay_of
-        from jexplore.studies.results.report import write_report
         from jexplore.worlds.readers.ros import write_ros
 
         def picture(path):
@@ -87,9 +87,7 @@ class Explore:
             replays = [] if found.final.plans is None else [replay_of(found)]
             rows = [[name, _text(value)] for name, value in record["result"].items()]
             table = aligned_table(["measure", "value"], rows, left=["measure"])
-            write_report(
-                path, "jexplore explore", record, [("What it measured", table)], [out.run.path / "episode.png"], replays
-            )
+            write_report(path, record, [("What it measured", table)], ["episode.png"], replays)
 
         def explored(path):
             final, world = found.final, found.world

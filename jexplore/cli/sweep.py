@@ -118,15 +118,15 @@ def _show_finished(out, plan):
 
     found = load(out.run.path)
     show_table(found.to_markdown(PRINTED_ROWS))
-    out.draw_missing(_pictures(out, found, record_of(out.run.path), plan))
+    out.draw_missing(_pictures(found, record_of(out.run.path), plan))
     return 0
 
 
-def _pictures(out, found, record, plan):
+def _pictures(found, record, plan):
     """Return pictures of a sweep and, with a plan, its page: name -> writer."""
     drawn = {f"sweep{tail}.png": functools.partial(_picture, make) for tail, make in found.figures().items()}
     if plan is not None and not found.missing and not found.spec.robots:
-        drawn["report.html"] = functools.partial(_report, out, found, record, plan, list(drawn))
+        drawn["report.html"] = functools.partial(_report, found, record, plan, list(drawn))
     return drawn
 
 
@@ -160,7 +160,7 @@ def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, pl
     }
     text = found.to_markdown(PRINTED_ROWS)
     text += f"warning: {found.missing} episodes are missing\n" if found.missing else ""
-    pictures = _pictures(out, found, record, plan if options.report else None)
+    pictures = _pictures(found, record, plan if options.report else None)
     return out.finish(record, files, text, pictures, interrupted=found.missing > 0)
 
 
@@ -173,18 +173,19 @@ def _picture(make, path):
     plot.save_figure(figure, path.with_suffix(".svg"))
 
 
-def _report(out, found, record, plan, names, path):
+def _report(found, record, plan, names, path):
     """Write the page of a sweep, with its existing pictures."""
-    from jexplore.studies.results.report import replays_for, write_report
+    from jexplore.report.page.report import write_report
+    from jexplore.studies.replays import replays_of
     from jexplore.studies.sweeps.run import labels_of
 
     jobs, settings = zip(*plan.first_jobs())
-    replays, notes = replays_for(jobs, record, labels=labels_of(settings))
+    engine = "jax" if record["engine"] == "jax" else "auto"
+    replays, notes = replays_of(jobs, labels=labels_of(settings), engine=engine)
     rows = len(found.summary)
     heading = "Every setting" if rows <= REPORTED_ROWS else f"The first {REPORTED_ROWS} of {rows} rows of summary.csv"
     tables = [(heading, found.table(REPORTED_ROWS))]
-    pictures = [file for name in names if (file := out.run.path / name).is_file()]
-    write_report(path, "jexplore sweep", record, tables, pictures, replays, notes)
+    write_report(path, record, tables, names, replays, notes)
 
 
 def _real(folder):

@@ -19,6 +19,7 @@ from jexplore.exploration.site import prepare_site
 from jexplore.exploration.trail import Final
 from jexplore.policies import Strategy
 from jexplore.report import animate, plot
+from jexplore.report.page.replay import evenly
 from jexplore.studies.checks import (
     LIDAR,
     RULES,
@@ -259,7 +260,7 @@ def steps_of(episode: Episode) -> Iterator[replay.Moment]:
 def frames(episode: Episode, *, max_frames: int = MAX_FRAMES) -> Iterator[Frame]:
     """Play the episode again, step by step, `max_frames` at most, evenly spaced, the last one always."""
     final, n = episode.final, len(episode.final.rows) - 1
-    chosen = set(np.unique(np.linspace(n, 0, min(max_frames, n + 1)).round().astype(int)).tolist())
+    chosen = set(evenly(n, max_frames))
     shape, ring = episode.world.shape, ring_of(episode.world.occupied)
     for moment in steps_of(episode):
         if moment.step in chosen:

@@ -33,7 +33,6 @@ from jexplore.studies.checks import (
     require_memory,
 )
 from jexplore.studies.metrics import MetricsLike, ready_metrics
-from jexplore.studies.results.grids import write_maps
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import Piece, Ran, Seen
 from jexplore.studies.statistics import by_world, figures, sizes, waste
@@ -152,7 +151,9 @@ class Comparison(ByStrategy):
         """
         if not self.maps:
             raise InputError('no maps were kept: compare(..., keep="maps")')
-        return write_maps(folder, self.maps, self.episodes, self.worlds)
+        from jexplore.studies.results import saving
+
+        return saving.write_maps(self, Path(folder))
 
     def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":
         """Compute the episodes and worlds needed to know every ratio `± within`: see `sizes.sample_sizes`."""
