@@ -199,9 +199,7 @@ def _tables(found, record):
 def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequence[BoundTask]" = ()) -> "Ran | None":
     """Compile and run the unfinished part, with a note and a bar: a `Ran`; None if everything is finished.
 
-    Args:
-      options: of the command.
-      starts: that are bounded afterwards; the last units of the run.
+    `starts` are bounded afterwards, as the last units of the run.
     """
     from jexplore.engine.backend import use_compilation_cache
     from jexplore.studies.results import loading, provenance, units
@@ -232,9 +230,7 @@ def show_finished(
 ) -> int:
     """Print the results of a finished run for `--resume`, draw missing pictures and return the exit status.
 
-    Args:
-      tables: called with the results and the content of run.json.
-      figures: called with the results and whether they are a league's, as for `finish_comparison`.
+    `tables` gets the results and the content of run.json, `figures` the results and whether they are a league's.
     """
     from jexplore.studies.results import saving
     from jexplore.studies.results.loading import load, record_of
@@ -259,10 +255,7 @@ def finish_comparison(
 ) -> int:
     """Write, print and draw the common output of comparisons and reproductions; return the exit status.
 
-    Args:
-      figures: `{name: function}`, which draws it.
-      record: called with more entries of run.json, returns all.
-      more: files besides: name -> what writes it.
+    `record` gets more entries of run.json and returns all; `more` are files besides: name -> writer.
     """
     from jexplore.studies.results import saving
 

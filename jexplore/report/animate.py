@@ -123,7 +123,7 @@ def save_animation(
     *,
     cell_m: float,
     fps: float = 12,
-) -> int:
+) -> None:
     """Write an episode as an animation in the format of the file's ending, whole or not at all: a GIF, or MP4.
 
     A GIF loops. All frames share one palette, so colours do not flicker. The last frame is held for two seconds.
@@ -135,9 +135,6 @@ def save_animation(
       path: the file; without an ending it is a GIF. MP4 is written by the program ffmpeg.
       cell_m: edge of a cell, metres.
       fps: frames a second, above 0 and at most 50.
-
-    Returns:
-      Number of frames (those that look alike may be stored as one).
 
     Raises:
       InputError: there is no such format, ffmpeg is not there, or the file cannot be written.
@@ -155,7 +152,6 @@ def save_animation(
         raise ValueError("expected one or more frames, got none")
     with atomic(path) as part:
         (_write_gif if ending == ".gif" else _write_mp4)(images, part, fps)
-    return len(images)
 
 
 def _write_gif(images, path, fps):

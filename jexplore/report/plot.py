@@ -44,14 +44,7 @@ ARROW = Outline([(1.0, 0.0), (-0.6, 0.6), (-0.3, 0.0), (-0.6, -0.6), (1.0, 0.0)]
 def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 150) -> None:
     """Write a figure in the format of the file's ending, whole or not at all: pixels (png) or a vector (svg, pdf).
 
-    Equal figures give equal files. A PDF holds its fonts as outlines that can be edited (TrueType).
-
-    Args:
-      path: the file; without an ending it is a PNG.
-      dpi: pixels an inch, of pixels and of what a vector has of them.
-
-    Raises:
-      InputError: there is no such format, or the file cannot be written.
+    Without an ending it is a PNG. Equal figures give equal files. A PDF holds fonts that can be edited (TrueType).
     """
     ending, known = os.path.splitext(path)[1].lstrip(".").lower() or "png", figure.canvas.get_supported_filetypes()
     if ending not in known:
@@ -173,13 +166,7 @@ def _grid(count):
 def draw_map(ax: Axes, state: Any, cell_m: float) -> Any:
     """Draw the known map: unknown grey, free white, occupied black.
 
-    Args:
-      ax: the axes; they get equal scales and limits around the map.
-      state: `[H, W]` uint8, 0 unknown, 1 free, 2 occupied.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      The image, RGB, so that a wall thinner than a pixel darkens it instead of vanishing.
+    The image is RGB, so that a wall thinner than a pixel darkens it instead of vanishing.
     """
     return _image(ax, MAP_RGB[np.asarray(state)], cell_m)
 
@@ -192,12 +179,7 @@ def _image(ax, colours, cell_m, **properties):
 def draw_path(ax: Axes, rows: Any, cols: Any, cell_m: float, *, width: float = 1.4) -> tuple[Any, Line2D, Line2D]:
     """Draw the driven path, coloured from start to end by distance driven, the start a ring and the end a cross.
 
-    Args:
-      rows, cols: `[N]` cells in the order driven, N >= 1.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      `(line, start, end)`: a `LineCollection` of N - 1 segments valued 0 to 1, and two `Line2D` markers.
+    Return `(line, start, end)`: a `LineCollection` of a segment a step, valued 0 to 1, and two markers.
     """
     xy = np.stack([_centres_m(cols, cell_m), _centres_m(rows, cell_m)], axis=-1)
     if len(xy) == 0:
@@ -230,11 +212,7 @@ def room_colours(count: int) -> np.ndarray:
 
 
 def draw_rooms(ax: Axes, world: Any, *, numbers: bool = True) -> tuple[Any, list[Any]]:
-    """Draw the true floor plan with its rooms in soft colours, and each room's number near its middle.
-
-    Returns:
-      `(image, texts)`.
-    """
+    """Draw the true floor plan, rooms in soft colours with their numbers: `(image, texts)`."""
     rooms = np.full(world.shape, -1) if world.rooms is None else np.asarray(world.rooms)
     colours = np.ones((*world.shape, 3))
     count = int(rooms.max(initial=-1)) + 1
@@ -301,12 +279,7 @@ def episode_figure(state: Any, rows: Any, cols: Any, cell_m: float, *,
                    path_m: Any, known_cells: Any, title: str = "") -> Figure:  # fmt: skip
     """Draw one episode: the final map with its path, and the growth of the known area along the path.
 
-    Args:
-      state: `[H, W]` uint8, the final map.
-      rows, cols: `[N]` cells driven, N >= 1.
-      cell_m: edge of a cell, metres.
-      path_m: `[T]` float, path length at each scan, not decreasing.
-      known_cells: `[T]` int, cells known after that scan.
+    `path_m` and `known_cells` are the path length at each scan, `[T]`, and the cells known after it.
     """
     width, height = _panel_in([np.shape(state)], long_in=5.2)
     figure = Figure(figsize=(width + 4.4, max(height, 3.2) + 0.7), layout="constrained")
@@ -321,14 +294,7 @@ def episode_figure(state: Any, rows: Any, cols: Any, cell_m: float, *,
 
 
 def draw_coverage(ax: Any, path_m: Any, known_m2: Any) -> LineCollection:
-    """Draw the known area over path length, in colours like the path, with its share of the final area on the right.
-
-    Args:
-      path_m, known_m2: `[T]` metres and square metres, T >= 1.
-
-    Returns:
-      The `LineCollection`.
-    """
+    """Draw the known area over path length, in colours like the path, with its share of the final area on the right."""
     xy = np.stack([path_m, known_m2], axis=-1).astype(np.float64)
     end_m, final_m2 = max(float(xy[-1, 0]), 1e-9), max(float(xy[-1, 1]), 1e-9)
     line = LineCollection(list(np.stack([xy[:-1], xy[1:]], axis=1)), cmap=PROGRESS, linewidths=2.2, capstyle="round")
@@ -346,11 +312,7 @@ def draw_coverage(ax: Any, path_m: Any, known_m2: Any) -> LineCollection:
 
 
 def worlds_figure(worlds: Sequence[tuple[str, Any]]) -> Figure:
-    """Draw a contact sheet of floor plans: rooms, start, free area, number of rooms.
-
-    Args:
-      worlds: one or more `(name, World)`.
-    """
+    """Draw a contact sheet of floor plans with their names: rooms, start, free area, number of rooms."""
     n_rows, n_cols = _grid(len(worlds))
     shapes = [world.shape for _, world in worlds]
     sizes = [_panel_in(shapes[i : i + n_cols], long_in=3.0) for i in range(0, len(shapes), n_cols)]

@@ -116,8 +116,7 @@ def _require_texts(names):
 def ready_starts(world: World, start: StartLike, n: int, *, seed: int, rules: Rules) -> np.ndarray:
     """Draw or read the starts of n episodes in a world: `[n, 3]` int32, row, col, heading in degrees.
 
-    `start` is "random" (drawn, start i the same for every n), "world" (the world's own, n times), or cells or a `Pose`,
-    n times: see `poses.read_start`.
+    `start` is "random", drawn, start i the same for every n; else one for all: see `poses.read_start`.
     """
     require_clearance(world, rules)
     start, clearance_m, near_m = read_start(start), rules.clearance_m, rules.near_m

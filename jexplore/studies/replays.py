@@ -52,15 +52,8 @@ def replay_data(
 ) -> ReplayData:  # fmt: skip
     """Convert one episode to the frames of a page: the maps after the last scan at each place that is shown.
 
-    Args:
-      world, strategy: as they were run.
-      final: end state of the episode.
-      start: row, col, heading in degrees.
-      seed, number: of the run, and of the episode.
-      lidar, rules: as they were run.
-      outcome: how it ended, a word.
-      max_frames: the most frames, evenly spaced over the steps; the last step is always one.
-      engine: "jax": no native code; the frames are the same.
+    Frames are `max_frames` at most, evenly spaced over the steps, the last step among them. With engine "jax" there is
+    no native code; the frames are the same.
     """
     if final.plans is None:
         raise InputError(f"{strategy.name} in {world.name}: an episode of so many plans cannot be played again")

@@ -218,7 +218,7 @@ class Out:
         self.began = time.perf_counter()
         self.now = datetime.datetime.now(datetime.UTC)
         if self.given is None:
-            claim = folders.claimed_new(folders.default_outs(self.command, self.now))
+            claim = folders.claimed_new(self.command, self.now)
         else:
             claim = folders.claimed(self.given, overwrite=self.overwrite, resume=self.resume)
         self._stack = contextlib.ExitStack()
@@ -248,19 +248,9 @@ class Out:
     def keep(
         self, asked: Mapping[str, Any], units: int, *, wanted: int | None = None, shorter: "ShorterRuns | None" = None
     ) -> "Ledger | None":
-        """Store finished parts of the run, or continue with stored ones.
+        """Open the ledger of the run, as `ledger.open_ledger` does; None if the run is finished.
 
-        Args:
-          asked: all that the results depend on.
-          units: number of units of the run.
-          wanted: number made here, by default all.
-          shorter: finished runs of fewer episodes that may be continued.
-
-        Returns:
-          `Ledger`; None if the run is finished.
-
-        Raises:
-          InputError: the folder holds a run with other settings.
+        `wanted` units are made here, by default all.
         """
         from jexplore.report.ledger import open_ledger
 

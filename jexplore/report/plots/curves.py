@@ -23,14 +23,9 @@ from jexplore.report.plots.looks import (
 
 
 def quartiles(progress: Any) -> np.ndarray:
-    """Compute quartiles over episodes of the paths at which each share was known; never known counts as inf.
+    """Compute quartiles over episodes, `[3, M]`, of the paths at which each share was known; never known counts as inf.
 
-    Args:
-      progress: `[N, M]` float, metres, NaN where an episode never knew that share; N >= 1.
-
-    Returns:
-      `[3, M]` float64: first quartile, median and third quartile, taken from the data without interpolation; inf for an
-        episode that never knew it.
+    `progress` is `[N, M]` metres, NaN where an episode never knew that share. Quartiles are not interpolated.
     """
     driven = np.where(np.isnan(progress), np.inf, progress)
     return np.quantile(driven, [0.25, 0.5, 0.75], axis=0, method="inverted_cdf")
@@ -39,11 +34,7 @@ def quartiles(progress: Any) -> np.ndarray:
 def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, band: float = 0.18) -> Line2D:
     """Draw the known share along the path: the median path to each share, in a band from quartile to quartile.
 
-    The band ends at the share that a quarter of the episodes never knew.
-
-    Args:
-      ax: the axes, metres and per cent.
-      progress: `[N, M]` float, metres at 1 / M, 2 / M, ... of what can be known, NaN where that was never known.
+    The band ends at the share that a quarter of the episodes never knew. `progress` as of `quartiles`.
     """
     low, median, high = quartiles(progress)
     share = np.arange(1, len(median) + 1) * 100 / len(median)
@@ -57,11 +48,7 @@ def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, band: flo
 
 
 def coverage_curves_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
-    """Draw the known part of the knowable share along the path: a panel a world, medians and quartile bands.
-
-    Args:
-      entries: one or more `(world, {strategy: progress})`, progress `[N, M]` as in `draw_progress`.
-    """
+    """Draw the known part of the knowable share along the path, `(world, {strategy: progress})` a panel."""
     strategies = list(dict.fromkeys(name for _, known in entries for name in known))
     looks, lines = looks_of(strategies), {}
     page, n_cols = panels_page(len(entries))
@@ -90,13 +77,7 @@ def coverage_curves_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> 
 
 def draw_profile(ax: Axes, ratio: Any, share: Any, low: Any, high: Any, look: Mapping[str, Any], *,
                  band: float = 0.18) -> Line2D:  # fmt: skip
-    """Draw one strategy's performance profile with its band.
-
-    Args:
-      ax: the axes, ratios and per cent.
-      ratio: `[K]` float, rising.
-      share, low, high: `[K]` float from 0 to 1; a NaN has no band.
-    """
+    """Draw one strategy's performance profile with its band; a NaN has none."""
     low, high = (np.asarray(part, np.float64) for part in (low, high))
     if np.isfinite(low).any():
         ax.fill_between(ratio, 100 * low, 100 * high, step="post", color=look["color"], alpha=band, linewidth=0)
@@ -110,7 +91,7 @@ def profile_curves_figure(table: Any, *, over: str = "best") -> Figure:
     """Draw performance profiles: the share of starts whose path is at most a multiple of the reference's.
 
     Args:
-      table: columns `strategy`, `ratio`, `share`, `low`, `high`, from `aggregate.profiles`; one row or more.
+      table: from `aggregate.profiles`.
       over: denominator of the ratios, for the label: "best" or "first".
 
     Source:

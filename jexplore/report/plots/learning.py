@@ -9,11 +9,7 @@ TRAINED, CHECKED = "#9ecae1", "#d55e00"
 
 
 def training_figure(curve: Any, best: int) -> Figure:
-    """Draw ratios of paths to the reference's over the training rounds, in training and on the validation worlds.
-
-    Args:
-      curve: table with the columns `round`, `ratio` and `validation`.
-    """
+    """Draw ratios of paths to the reference's over the training rounds, in training and on the validation worlds."""
     page = Figure(figsize=(6.4, 3.6), layout="constrained")
     ax = page.add_subplot()
     rounds = curve["round"].to_numpy()

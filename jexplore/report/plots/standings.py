@@ -17,11 +17,7 @@ PAIR_GAP = 0.4  # between the pairs of bars of two strategies, in thicknesses of
 
 
 def league_figure(table: "pd.DataFrame") -> Figure:
-    """Draw ratios to the reference as dots with intervals, the shortest on top; pale dots are single kinds of worlds.
-
-    Args:
-      table: from `league.standings`.
-    """
+    """Draw `league.standings`: ratios as dots with intervals, the shortest on top; pale dots are kinds of worlds."""
     kinds = [name for name in table.columns if name.startswith("ratio of ")]
     at = np.arange(len(table))
     page = Figure(figsize=(8.4, 1.2 + 0.34 * len(table)), layout="constrained")
@@ -58,11 +54,8 @@ def _spans(table, kinds, tick):
 def papers_figure(tables: "pd.DataFrame", short: Mapping[str, str]) -> Figure:
     """Draw mean path lengths as bars with whiskers of one standard deviation, one panel an environment.
 
-    Of each strategy our bar stands above the paper's, which is pale and hatched.
-
-    Args:
-      tables: columns `environment`, `world`, `strategy`, `mean`, `sd`, `paper_mean`, `paper_sd`; one row or more.
-      short: `{strategy: label}`, in the order of colours.
+    Of each strategy our bar stands above the paper's, which is pale and hatched. `short` are labels of strategies, in
+    the order of colours.
 
     Source:
       Holz et al. 2010, Figure 8. Changed: the bars lie, and the paper's own stand below ours.

@@ -106,12 +106,7 @@ def pictures_of(
 ) -> dict[str, Callable[[Path], Any]]:
     """Return pictures of a `Comparison` and its page: name -> writer.
 
-    Args:
-      found: `Comparison`.
-      firsts: see `replays.replays_of`.
-      record: what run.json holds.
-      figures: name -> what draws it.
-      jobs: those whose first episodes the page replays; None: no page.
+    `figures` are name -> what draws it; `jobs` are those whose first episodes the page replays, None for no page.
     """
     drawn = {name: functools.partial(_picture, make) for name, make in figures.items()}
     if jobs is not None:
@@ -184,10 +179,7 @@ def write_comparison(run: folders.RunFolder, found: Any, *, report: bool = True)
 def claimed_by_call(
     path: str | os.PathLike[str], *, overwrite: bool, resume: bool | None = None
 ) -> Iterator[folders.RunFolder]:
-    """Claim a folder, as `folders.claimed`, for a function: its errors name arguments instead of options.
-
-    `resume` is None for a function without that argument.
-    """
+    """Claim a folder for a function: errors name arguments, not options; `resume` is None where there is none."""
     try:
         with folders.claimed(os.path.expanduser(path), overwrite=overwrite, resume=bool(resume)) as run:
             yield run

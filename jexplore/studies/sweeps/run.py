@@ -200,11 +200,8 @@ def run_block_units(
     plan: SweepPlan,
     numbers: Sequence[int],
     on_unit: Callable[[int, "pd.DataFrame"], object],
-    *,
-    engine: str = "auto",
-    lanes: int | None = None,
-    workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
+    **how: Any,
 ) -> Costs:
     """Run units of a sweep of strategies; `on_unit` gets the number and the table of each that has ended."""
     costs, done = Costs(), 0
@@ -223,10 +220,9 @@ def run_block_units(
                 on_unit(number, typed(join_columns(rows), plan))
 
         progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
-        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
-        how["alike"] = plan.alike
+        more = {"alike": plan.alike, "on_progress": progress, "on_job": on_job}
         try:
-            found = batch.run_jobs(jobs, Lidar(), Rules(), **how, on_progress=progress, on_job=on_job).costs
+            found = batch.run_jobs(jobs, Lidar(), Rules(), **how, **more).costs
         except KeyboardInterrupt:
             costs.interrupted = True
             return costs
@@ -285,27 +281,14 @@ def run_sweep(
     *,
     ledger: Ledger | None = None,
     shard: tuple[int, int] | None = None,
-    engine: str = "auto",
-    lanes: int | None = None,
-    workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
+    **how: Any,
 ) -> Swept:
-    """Run the units of a sweep that the ledger does not have.
+    """Run the units of a sweep that the ledger, which stores them as they are finished, does not have.
 
-    Args:
-      plan: from `ready`.
-      ledger: stores units as soon as they are finished.
-      shard: `(i, n)`: only every n-th unit, from the i-th on.
-      engine, lanes, workers: as in `batch.run_jobs`.
-      on_progress: called with the number of finished episodes, including earlier ones.
-
-    Returns:
-      `Swept`. After Ctrl-C it holds the units that were finished.
-
-    Raises:
-      KeyboardInterrupt: none was.
+    With a shard `(i, n)` only every n-th unit, from the i-th on. After Ctrl-C the result holds the units that were
+    finished; `KeyboardInterrupt` if none was. `how` are engine, lanes and workers, as of `batch.run_jobs`.
     """
-    require_engine(engine, lanes)
     earlier = None
     if ledger is not None and ledger.after:
         assert isinstance(plan, SweepPlan)
@@ -325,9 +308,8 @@ def run_sweep(
     left = [number for number in numbers if number not in tables]
     progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
     run = run_traces if isinstance(plan, TracePlan) else run_block_units
-    how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": progress}
     use_compilation_cache()
-    costs = run(plan, left, on_unit, **how) if left else Costs()  # type: ignore[arg-type]
+    costs = run(plan, left, on_unit, progress, **how) if left else Costs()  # type: ignore[arg-type]
     if numbers and not tables:
         raise KeyboardInterrupt
     found = [*([] if earlier is None else [earlier]), *(tables[i] for i in sorted(tables))]

@@ -80,7 +80,7 @@ class TracePlan:
 
     @property
     def kinds(self) -> dict[str, str]:
-        """Return columns of settings and the types of their values, see `plan.kind_of`."""
+        """Return columns of settings and the types of their values, see `plan.column_type`."""
         return {name: column_type([setting[name] for setting in self.settings]) for name in self.columns[1:]}
 
     def size(self, unit: int) -> int:
@@ -158,20 +158,16 @@ def run_traces(
     plan: TracePlan,
     numbers: Sequence[int],
     on_unit: Callable[[int, "pd.DataFrame"], object],
-    *,
-    engine: str = "auto",
-    lanes: int | None = None,
-    workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
+    **how: Any,
 ) -> Costs:
     """Run units of a sweep of robots; `on_unit` gets the number and the table of each that has ended."""
     costs, done = Costs(), 0
     for group in dict.fromkeys(plan.units[number][0] for number in numbers):
         mine = [number for number in numbers if plan.units[number][0] == group]
         progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
-        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": progress}
         try:
-            found = _run_group(plan, group, mine, on_unit, how)
+            found = _run_group(plan, group, mine, on_unit, how | {"on_progress": progress})
         except KeyboardInterrupt:
             costs.interrupted = True
             return costs
