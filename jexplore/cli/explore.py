@@ -53,9 +53,7 @@ class Explore:
 
         with Out(self, "explore") as out:
             job = prepare_job(
-                self.world,
-                self.strategy,
-                **fields_of(self, "seed episode cell_m start within from_map lidar rules"),
+                self.world, self.strategy, **fields_of(self, "seed episode cell_m start within from_map lidar rules")
             )
             with compiling():
                 found = run_job(job)

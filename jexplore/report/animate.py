@@ -118,11 +118,7 @@ def _draw_legend(image, draw, top):
 
 
 def save_animation(
-    frames: Iterable[Mapping[str, Any]],
-    path: str | os.PathLike[str],
-    *,
-    cell_m: float,
-    fps: float = 12,
+    frames: Iterable[Mapping[str, Any]], path: str | os.PathLike[str], *, cell_m: float, fps: float = 12
 ) -> None:
     """Write an episode as an animation in the format of the file's ending, whole or not at all: a GIF, or MP4.
 
