@@ -179,8 +179,6 @@ def test_words_of_a_metric():
         with pytest.raises(InputError, match=re.escape(says)):
             jx.metric(length, **how)
     assert jx.metric(reduce="max")(length).reduce == "max"
-    with pytest.raises(InputError, match="metrics is for strategies"):
-        jx.Sweep(["course"], robots=["kamui"], metrics={"mine": length})
 
 
 @pytest.fixture

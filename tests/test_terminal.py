@@ -10,7 +10,6 @@ import sys
 import time
 import warnings
 
-import jax
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -19,7 +18,6 @@ from rich.cells import cell_len
 from jexplore.cli import main, options
 from jexplore.cli.output import console, terminal
 from jexplore.config import InputWarning, Lidar, Rules
-from jexplore.engine import backend
 from jexplore.report.tables import aligned_table
 
 HEAD = ["world", "strategy", "path m", "95 % interval", "outcomes"]
@@ -300,40 +298,12 @@ def test_a_text_over_several_lines_is_one_paragraph():
     assert all("\n" not in text and "  " not in text for text in texts.values())
 
 
-def told(monkeypatch, capsys, compiled_s, seconds=0.1):
-    """Return the lines about work that has lasted for some time, `compiled_s` spent in a program."""
-    monkeypatch.setattr(console, "TICK_S", 0.01)
+def test_slow_work_is_named_once(monkeypatch, capsys):
     monkeypatch.setattr(console, "PATIENCE_S", 0.02)
-    monkeypatch.setattr(backend, "compiling_s", lambda: compiled_s)
-    with console.working(10, "runs"):
-        time.sleep(seconds)
-    return capsys.readouterr().err
-
-
-def test_only_a_program_that_is_compiled_is_told_as_compiling(monkeypatch, capsys):
-    assert told(monkeypatch, capsys, 9.0) == "jexplore: compiling (kept for later runs)\n"
-    assert told(monkeypatch, capsys, None) == "jexplore: making programs ready\n"
-    assert told(monkeypatch, capsys, 9.0, seconds=0.0) == ""
-    monkeypatch.setattr(console, "SILENCE_S", 0.0)
-    first, *more = told(monkeypatch, capsys, 9.0).splitlines()
-    assert first == "jexplore: compiling (kept for later runs)"
-    assert more
-    assert set(more) == {"jexplore: compiling (kept for later runs), 9 s"}
-
-
-def test_a_terminal_has_a_clock_that_leaves_nothing(monkeypatch, capsys):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    said = told(monkeypatch, capsys, 9.0)
-    shown = "\r\033[Kjexplore: compiling (kept for later runs), 9 s"
-    assert said.count(shown) > 1
-    assert said.replace(shown, "") == "\r\033[K"
-
-
-@pytest.mark.jit
-def test_a_program_counts_while_it_is_compiled():
-    backend.use_compilation_cache()
-    seen = []
-    jax.monitoring.register_event_listener(lambda event, **_: seen.append((event, backend.compiling_s() is not None)))
-    jax.jit(lambda a: a + 41)(1.0)
-    assert (backend.ASKED, True) in seen
-    assert backend.compiling_s() is None
+    for seconds in (0.1, 0.0):
+        with console.working(10, "runs"):
+            time.sleep(seconds)
+    with console.note_if_slow("never") as call_off:
+        call_off()
+        time.sleep(0.05)
+    assert capsys.readouterr().err == f"{console.COMPILING}\n"

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 from jexplore.cli.options import MapFile, OneStrategy, OneWorld, OutFolder, PolygonText, StartText, fields_of
-from jexplore.cli.output.console import Out, compiling, progress_of
+from jexplore.cli.output.console import COMPILING, Out, note_if_slow, progress_of
 from jexplore.config import Lidar, Rules
 
 
@@ -55,7 +55,7 @@ class Explore:
             job = prepare_job(
                 self.world, self.strategy, **fields_of(self, "seed episode cell_m start within from_map lidar rules")
             )
-            with compiling():
+            with note_if_slow(COMPILING):
                 found = run_job(job)
             measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
             times = {"compile_s": found.compile_s, "run_s": found.run_s}

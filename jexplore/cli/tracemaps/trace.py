@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.options import EngineName, OneStrategy, OneWorld, OutFolder, fields_of
-from jexplore.cli.output.console import Out, compiling, say, working
+from jexplore.cli.output.console import COMPILING, Out, note_if_slow, say, working
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
 
@@ -210,7 +210,7 @@ def _trace_episode(out, options, arguments):
         if field.name not in own and getattr(options, field.name) != getattr(plain, field.name):
             option = field.name.replace("_", "-")
             raise InputError(f"--from-episode takes no --{option}: an episode's robot is that of `jexplore explore`")
-    with compiling():
+    with note_if_slow(COMPILING):
         found = extraction.extracted(
             options.world,
             options.strategy,

@@ -27,10 +27,9 @@ from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.comparison import Comparison, Made
 from jexplore.studies.results.saving import DETAILS
 from jexplore.studies.results.units import Piece, Seen, cut_jobs
-from jexplore.studies.sweeps.plan import SweepPlan
-from jexplore.studies.sweeps.run import Swept, ready, whole_table
+from jexplore.studies.sweeps.plan import SweepPlan, prepare_sweep
+from jexplore.studies.sweeps.run import Swept, whole_table
 from jexplore.studies.sweeps.spec import read_spec
-from jexplore.studies.sweeps.traces import TracePlan
 from jexplore.version import __version__
 from jexplore.worlds.world import World
 
@@ -212,13 +211,15 @@ def _sweep(folder, record):
 
 def _require_whole(table, plan):
     """Refuse parts that were cut in different ways: one that was continued and one that was not."""
-    who, number = ("strategy", "episode") if isinstance(plan, SweepPlan) else ("robot", "run")
-    twice, missing = int(table.duplicated(["setting", "world", who, number]).sum()), plan.episodes - len(table)
+    twice, missing = (
+        int(table.duplicated(["setting", "world", "strategy", "episode"]).sum()),
+        plan.episodes - len(table),
+    )
     if twice or missing:
-        lost = missing + twice
         raise InputError(
-            f"the parts must hold each {number} once: {twice:,} of them are there twice and {lost:,} nowhere, as parts "
-            f"continued with more episodes are cut in another way: make the part again, or continue all parts alike"
+            f"the parts must hold each episode once: {twice:,} are there twice and {missing + twice:,} nowhere, "
+            "as parts continued with more episodes are cut in another way: make the part again, or continue all "
+            "alike"
         )
 
 
@@ -230,7 +231,7 @@ def _require_alike(path, there, here, trust):
         raise InputError(str(error).partition("; choose")[0]) from None
 
 
-def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, SweepPlan | TracePlan]:
+def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, SweepPlan]:
     """Join the parts of a sweep, from the folders of all of them.
 
     Args:
@@ -265,7 +266,7 @@ def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tu
     missing = [f"{i}/{n}" for i in range(1, n + 1) if i not in places]
     if missing:
         raise InputError(f"all parts must be given, and {', '.join(missing)} are not")
-    plan = ready(tables[0].spec)
+    plan = prepare_sweep(tables[0].spec)
     now = store.jsonable(plan.asked())
     _require_alike(parts[0], first, {**first, **{key: now[key] for key in MADE_FROM}}, True)
     table = whole_table([found.episodes for found in tables], plan)
