@@ -151,6 +151,7 @@ def test_only_animations_are_written(tmp_path, monkeypatch):
     assert (tmp_path / "bare").read_bytes().startswith(b"GIF8")
 
 
+@pytest.mark.slow
 def test_mp4(tmp_path):
     if not animate.FFMpegWriter.isAvailable():
         pytest.skip("no ffmpeg on the path")

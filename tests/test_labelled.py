@@ -72,6 +72,7 @@ def test_netcdf_gives_it_back(found, tmp_path):
         assert again["turning_rad"].attrs["units"] == "rad"
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_settings_are_coordinates():
     asked = {

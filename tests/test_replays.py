@@ -62,6 +62,7 @@ def test_the_way_ahead_ends_where_the_next_plan_is_made():
         assert until == next((other for other in made if other > step), n)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_own_room_is_the_strategys():
     episode = ran("closest+segment")

@@ -169,13 +169,7 @@ def _read(file):
         page = read_json(file, MAX_RECORD_BYTES)
     except InputError as error:
         raise InputError(f"{error}: it must say what the run is asked; use --overwrite") from error
-    asked, after = (page.get("asked", {}), page.get("after", 0)) if isinstance(page, dict) else (None, 0)
-    is_number = isinstance(after, int) and not isinstance(after, bool) and after >= 0
-    if (
-        not is_number
-        or not isinstance(asked, dict)
-        or not all(isinstance(asked.get(key) or {}, dict) for key in ("own", "spec"))
-    ):
+    if not isinstance(page, dict) or not isinstance(page.get("asked", {}), dict):
         raise InputError(f"{os.fspath(file)!r}: does not say what the run is asked; use --overwrite")
     return page
 

@@ -37,8 +37,6 @@ CELL_BYTES = 120  # of one episode under way and of the world itself, measured o
 TRAIL_BYTES = 24  # a step
 BEAM_BYTES = 64  # a step of a beam, while the table is made
 RUN_MEMORY_SHARE = 0.8  # of the machine's memory that a run may be expected to need
-# Bytes of address space. Below, JAX's threads do not start (2.2e9 ended the smallest run, 3e9 did not).
-ADDRESSES = 3 * 10**9
 LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # of a container: cgroup 2 and 1
 
 
@@ -156,19 +154,6 @@ def _memory():
     return min(told, default=None)
 
 
-def _require_addresses(need):
-    """Refuse a run that the limit on address space would end without a word."""
-    with contextlib.suppress(ImportError):  # Windows has none
-        import resource
-
-        limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-        if limit != resource.RLIM_INFINITY and limit < ADDRESSES + need:
-            raise InputError(
-                f"the limit on address space (ulimit -v) is {limit / 2**30:.1f} GiB, and this run needs about "
-                f"{(ADDRESSES + need) / 2**30:.1f}: raise or lift it"
-            )
-
-
 def require_clearance(world: World, rules: Rules) -> None:
     """Refuse a clearance of more cells than the kernels look across."""
     if radius_d2(rules.clearance_m, world.cell_m) >= WORD**2:
@@ -182,7 +167,6 @@ def require_clearance(world: World, rules: Rules) -> None:
 def require_memory(world: World, lidar: Lidar, rules: Rules) -> None:
     """Refuse what would not fit into the machine's memory."""
     have, need = _memory(), memory_needed(world, lidar, rules, os.cpu_count() or 1)
-    _require_addresses(need)
     if have is not None and need > RUN_MEMORY_SHARE * have:
         rows, cols = world.shape
         raise InputError(

@@ -179,7 +179,7 @@ def write_comparison(run: folders.RunFolder, found: Any, *, report: bool = True)
 def claimed_by_call(
     path: str | os.PathLike[str], *, overwrite: bool, resume: bool | None = None
 ) -> Iterator[folders.RunFolder]:
-    """Claim a folder for a function: errors name arguments, not options; `resume` is None where there is none."""
+    """Claim a folder for a function, `resume` None for one that cannot: errors name arguments, not options."""
     try:
         with folders.claimed(os.path.expanduser(path), overwrite=overwrite, resume=bool(resume)) as run:
             yield run
