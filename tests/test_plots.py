@@ -13,7 +13,7 @@ from test_aggregate import episodes, fail
 from test_response import CLEARANCE, RANGE, sweep
 
 from jexplore.config import InputError
-from jexplore.report.plots import compare, curves, looks, sweeps, walks
+from jexplore.report.plots import compare, curves, looks, standings, sweeps, walks
 from jexplore.studies.statistics import by_world, figures, league, response
 from jexplore.studies.statistics.aggregate import profiles
 from jexplore.worlds.world import World
@@ -332,6 +332,15 @@ def test_wrong_settings_are_refused():
         figures.response_figure(table, "lidar.rang_m")
     with pytest.raises(InputError, match="two strategies or more for ratios"):
         figures.heat_figure(sweep(strategies=("a",)), RANGE, CLEARANCE, ratio=True)
+
+
+def test_bars_by_hand(ax):
+    """A number without a deviation, a gap, and a whisker that never goes below 0 m."""
+    container = standings.draw_bars(ax, [0, 1, 2], [5.0, math.nan, 3.0], [math.nan, math.nan, 4.0], [{}] * 3)
+    assert [bar.get_width() for bar in container] == [5.0, 0.0, 3.0]
+    assert [text.get_text() for text in ax.texts] == ["5.0", "no data", "3.0 ± 4.0"]
+    (whiskers,) = ax.collections
+    assert [segment[:, 0].tolist() for segment in whiskers.get_segments()] == [[0.0, 7.0]]
 
 
 def test_maps_have_a_legend_and_a_scale():

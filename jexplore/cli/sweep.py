@@ -114,7 +114,9 @@ def _show_finished(out, plan):
 
 def _pictures(found, record, plan):
     """Return pictures of a sweep and, with a plan, its page: name -> writer."""
-    drawn = {f"sweep{tail}.png": functools.partial(_picture, make) for tail, make in found.figures().items()}
+    from jexplore.studies.results.saving import picture_writers
+
+    drawn = picture_writers({f"sweep{tail}.png": make for tail, make in found.figures().items()})
     if plan is not None and not found.missing:
         drawn["report.html"] = functools.partial(_report, found, record, plan, list(drawn))
     return drawn
@@ -152,15 +154,6 @@ def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, pl
     text += f"warning: {found.missing} episodes are missing\n" if found.missing else ""
     pictures = _pictures(found, record, plan if options.report else None)
     return out.finish(record, files, text, pictures, interrupted=found.missing > 0)
-
-
-def _picture(make, path):
-    """Draw a picture, as PNG and as SVG."""
-    from jexplore.report import plot
-
-    figure = make()
-    plot.save_figure(figure, path)
-    plot.save_figure(figure, path.with_suffix(".svg"))
 
 
 def _report(found, record, plan, names, path):

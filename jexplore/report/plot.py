@@ -1,6 +1,6 @@
-"""Pictures: bars, maps with paths, contact sheets.
+"""Pictures: maps with paths, contact sheets.
 
-`bars` and the `draw_*` functions take arrays and an `Axes` and return the artists; the `*_figure` functions compose
+The `draw_*` functions take arrays and an `Axes` and return the artists; the `*_figure` functions compose
 them into a `Figure` that no window or global state knows of (save it with `save_figure`). Arrays are `(row, col)` with
 row 0 at the bottom; axes are in metres from the lower left corner of cell (0, 0). A map state is uint8: 0 unknown, 1
 free, 2 occupied.
@@ -10,7 +10,7 @@ import itertools
 import math
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
@@ -24,7 +24,6 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path as Outline
-from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from jexplore.config import InputError
@@ -108,55 +107,6 @@ def _centres_m(cells, cell_m):
     return (np.asarray(cells, dtype=np.float64) + 0.5) * cell_m
 
 
-def bars(ax: Axes, labels: Sequence[str], means: Any, sds: Any, title: str = "", *,
-         styles: Iterable[Any] | None = None, at: Any = None, thickness: float = 0.72) -> Any:  # fmt: skip
-    """Draw mean path lengths as bars with whiskers of one standard deviation and numbers next to them, first on top.
-
-    Args:
-      labels: `[K]` texts.
-      means, sds: `[K]` metres; a NaN mean leaves a gap marked "no data", a NaN or zero sd has no whisker.
-      styles: `[K]` dicts of bar properties (`facecolor`, `hatch`); by default the palette in order.
-      at: `[K]` places on the axis, rising; by default 0 to K - 1.
-      thickness: of a bar, on the same scale.
-
-    Source:
-      Holz et al. 2010, Figure 8. Changed: the bars lie, so that long names stay readable.
-    """
-    means, sds = np.asarray(means, dtype=np.float64), np.asarray(sds, dtype=np.float64)
-    at, known = np.arange(len(means)) if at is None else np.asarray(at), np.isfinite(means)
-    length, spread = np.where(known, means, 0.0), np.where(known & np.isfinite(sds), sds, 0.0)
-    container = ax.barh(at, length, height=thickness, edgecolor="black", linewidth=0.6)
-    for bar, style in zip(container, styles or style_of(range(len(means))).values()):
-        bar.set(**style)
-    some = spread > 0
-    whisker = np.stack([np.minimum(spread, length), spread])[:, some]
-    ax.errorbar(length[some], at[some], xerr=whisker, fmt="none", ecolor="black", elinewidth=1, capsize=3)
-    longest = float((length + spread).max(initial=0.0)) or 1.0
-    for y, mean, sd in zip(at, means, sds):
-        text = "no data" if math.isnan(mean) else f"{mean:.1f}" + (f" ± {sd:.1f}" if math.isfinite(sd) else "")
-        x = 0.0 if math.isnan(mean) else mean + (sd if math.isfinite(sd) else 0.0)
-        ax.text(x + 0.025 * longest, y, text, va="center", ha="left", fontsize=8)
-    ax.set_xlim(0, 1.55 * longest)
-    ax.set_ylim(at[-1] + 0.5, at[0] - 0.5)
-    ax.set_yticks(at, labels, fontsize=8)
-    ax.tick_params(axis="y", length=0)
-    ax.tick_params(axis="x", labelsize=8)
-    ax.xaxis.set_major_locator(MaxNLocator(nbins=4))
-    ax.set_xlabel("path length (m)", fontsize=8)
-    ax.spines[["top", "right"]].set_visible(False)
-    _plain(ax.set_title(title, fontsize=9), *ax.get_yticklabels())
-    return container
-
-
-def style_of(strategies: Iterable[Any]) -> dict[Any, dict[str, Any]]:
-    """Return `{strategy: bar properties}` in the order given: a colour each, and a hatch from the ninth on."""
-    hatches = (None, "///", "...", "xxx", "\\\\\\")
-    return {
-        name: {"facecolor": PALETTE[i % len(PALETTE)], "hatch": hatches[i // len(PALETTE) % len(hatches)]}
-        for i, name in enumerate(strategies)
-    }
-
-
 def _grid(count):
     """Return rows and columns for `count` panels."""
     n_cols = count if count <= 3 else min(4, math.ceil(math.sqrt(count)))
@@ -211,21 +161,13 @@ def room_colours(count: int) -> np.ndarray:
     return hsv_to_rgb(np.stack([hue, tone, np.full(count, 0.96)], axis=-1))
 
 
-def draw_rooms(ax: Axes, world: Any, *, numbers: bool = True) -> tuple[Any, list[Any]]:
-    """Draw the true floor plan, rooms in soft colours with their numbers: `(image, texts)`."""
+def draw_rooms(ax: Axes, world: Any) -> Any:
+    """Draw the true floor plan, its rooms in soft colours; return the image."""
     rooms = np.full(world.shape, -1) if world.rooms is None else np.asarray(world.rooms)
     colours = np.ones((*world.shape, 3))
-    count = int(rooms.max(initial=-1)) + 1
-    colours[rooms >= 0] = room_colours(count)[rooms[rooms >= 0]]
+    colours[rooms >= 0] = room_colours(int(rooms.max(initial=-1)) + 1)[rooms[rooms >= 0]]
     colours[np.asarray(world.occupied)] = 0.0
-    image = _image(ax, colours, world.cell_m)
-    texts = []
-    for room in np.unique(rooms[rooms >= 0]) if numbers else ():
-        cells = np.argwhere(rooms == room)
-        row, col = cells[np.argmin(((cells - cells.mean(axis=0)) ** 2).sum(axis=1))]
-        x, y = _centres_m(col, world.cell_m), _centres_m(row, world.cell_m)
-        texts.append(ax.text(x, y, str(room), ha="center", va="center", fontsize=7))
-    return image, texts
+    return _image(ax, colours, world.cell_m)
 
 
 def _panel_in(shapes, *, long_in):
@@ -324,7 +266,7 @@ def worlds_figure(worlds: Sequence[tuple[str, Any]]) -> Figure:
             ax.set_visible(False)
             continue
         name, world = entry
-        draw_rooms(ax, world, numbers=False)
+        draw_rooms(ax, world)
         if world.start is not None:
             row, col, heading_deg = world.start
             draw_robot(ax, row, col, heading_deg, world.cell_m, size=10)

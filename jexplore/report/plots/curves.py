@@ -1,4 +1,4 @@
-"""Curves of strategies: the explored share along the path, and performance profiles."""
+"""Curves: the explored share along the path, performance profiles, and training."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -20,6 +20,8 @@ from jexplore.report.plots.looks import (
     plain_axes,
     ratio_scale,
 )
+
+TRAINED, CHECKED = "#9ecae1", "#d55e00"
 
 
 def quartiles(progress: Any) -> np.ndarray:
@@ -110,4 +112,20 @@ def profile_curves_figure(table: Any, *, over: str = "best") -> Figure:
     ax.set_ylabel("starts with at most that ratio (%)")
     plain_axes(ax, grid="both")
     legend_below(page, list(lines.values()), list(lines))
+    return page
+
+
+def training_figure(curve: Any, best: int) -> Figure:
+    """Draw ratios of paths to the reference's over the training rounds, in training and on the validation worlds."""
+    page = Figure(figsize=(6.4, 3.6), layout="constrained")
+    ax = page.add_subplot()
+    rounds = curve["round"].to_numpy()
+    checked = np.isfinite(curve["validation"].to_numpy())
+    ax.axhline(1.0, color="0.6", lw=0.8)
+    ax.plot(rounds, curve["ratio"], color=TRAINED, lw=1.2, label="in training")
+    ax.plot(rounds[checked], curve["validation"][checked], color=CHECKED, marker="o", ms=3.5, label="validation worlds")
+    at = curve.loc[(curve["round"] == best) & checked, "validation"]
+    ax.plot([best], at.to_numpy()[:1], marker="o", ms=9, mfc="none", mec=CHECKED, ls="none", label="kept")
+    ax.set(xlabel="round", ylabel="path, as a ratio to closest+recheck")
+    ax.legend(frameon=False, fontsize=8)
     return page

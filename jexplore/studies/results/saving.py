@@ -29,7 +29,14 @@ from jexplore.worlds.names import file_names, short_names
 from jexplore.worlds.readers.ros import write_ros
 
 DETAILS = "details.npz"
-VECTORS = ("compare.png", "coverage.png", "league.png", "reproduce.png")  # written as SVG as well
+VECTORS = (
+    "compare.png",
+    "coverage.png",
+    "league.png",
+    "reproduce.png",
+    "sweep.png",
+    "sweep-map.png",
+)  # written as SVG as well
 
 
 def write_details(found: Any, path: Path) -> None:
@@ -108,10 +115,15 @@ def pictures_of(
 
     `figures` are name -> what draws it; `jobs` are those whose first episodes the page replays, None for no page.
     """
-    drawn = {name: functools.partial(_picture, make) for name, make in figures.items()}
+    drawn = picture_writers(figures)
     if jobs is not None:
         drawn["report.html"] = functools.partial(_page, found, firsts, record, jobs, list(drawn))
     return drawn
+
+
+def picture_writers(figures: Mapping[str, Callable[[], Any]]) -> dict[str, Callable[[Path], Any]]:
+    """Return what writes pictures, `VECTORS` as SVG as well, from what draws them."""
+    return {name: functools.partial(_picture, make) for name, make in figures.items()}
 
 
 def _picture(make, path):
