@@ -234,6 +234,7 @@ def found(asked, jit_on):
         return result, devices._compiled.cache_info().misses - before
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_every_row_is_that_of_a_comparison(found, asked):
     result, _ = found
@@ -260,11 +261,13 @@ def test_every_row_is_that_of_a_comparison(found, asked):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_settings_that_differ_in_numbers_share_one_program(found):
     assert found[1] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_summary(found):
     result, _ = found
@@ -285,13 +288,37 @@ def test_summary(found):
     assert set(result.figures()) == {"", "-map"}
 
 
+NATIVE = {
+    **{"worlds": WORLDS, "strategies": ["closest+recheck", "random"], "episodes": 3},
+    "lidar": {**SMALL, "range_m": [1, 2.5], "sigma_m": [0, 0.03]},
+    "rules": {"p_free": [0.2, 0.3], "clearance_m": 0.2},
+}
+"""A sweep that native code runs."""
+
+
 @pytest.mark.jit
-def test_interruption_keeps_whole_units(asked, monkeypatch):
+def test_rows_of_a_sweep_in_native_code(monkeypatch):
+    found = sweep(NATIVE, workers=1)
+    assert (found.missing, len(found.episodes), len(found.summary)) == (0, 96, 32)
+    own = found.episodes[found.episodes["setting"] == 6]
+    lidar, rules = Lidar(n_beams=31, range_m=2.5, sigma_m=0.03), Rules(p_free=0.2, clearance_m=0.2)
+    alone = jx.compare(WORLDS, NATIVE["strategies"], episodes=3, lidar=lidar, rules=rules)
+    pd.testing.assert_frame_equal(own[list(COLUMNS)].reset_index(drop=True), alone.to_pandas())
+    row = found.summary[(found.summary["setting"] == 6) & (found.summary["strategy"] == "random")].iloc[0]
+    first, other = (alone[name]["path_m"][:3].mean() for name in NATIVE["strategies"])
+    assert row["ratio"] == pytest.approx(other / first)
+    assert found.varied == ["lidar.range_m", "lidar.sigma_m", "rules.p_free"]
+    assert "... and 27 more rows" in found.to_markdown(5)
+    assert set(found.figures()) == {"", "-map"}
+
+
+@pytest.mark.jit
+def test_interruption_keeps_whole_units(monkeypatch):
     run = batch.run_jobs
 
     def stop(jobs, *rest, **how):
         def on_job(place, outcomes, on_job=how["on_job"]):
-            if place >= 30:
+            if place >= 15:
                 raise KeyboardInterrupt
             on_job(place, outcomes)
 
@@ -299,13 +326,13 @@ def test_interruption_keeps_whole_units(asked, monkeypatch):
 
     monkeypatch.setattr(batch, "run_jobs", stop)
     monkeypatch.setattr(plans, "MAX_UNIT_EPISODES", 32)
-    found = sweep(asked, workers=1)
+    found = sweep(NATIVE, workers=1)
     assert found.costs.interrupted
     assert len(found.episodes) % 30 == 0  # ten blocks of three make a unit
-    assert found.missing == 384 - len(found.episodes)
+    assert found.missing == 96 - len(found.episodes)
     monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
-        sweep(asked)
+        sweep(NATIVE)
 
 
 YAML = """
@@ -372,7 +399,7 @@ def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, monk
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(plans, "MAX_UNIT_EPISODES", 8)
 
-    def run_units(plan, numbers, on_unit, **how):
+    def run_units(plan, numbers, on_unit, *_, **how):
         for number in numbers:
             on_unit(number, pd.concat([made(plan, block) for block in plan.units[number]]))
         return Costs()
