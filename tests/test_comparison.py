@@ -15,10 +15,11 @@ from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
 from jexplore.exploration.trail import Final
 from jexplore.studies import checks
+from jexplore.studies.checks import prepare_jobs
 from jexplore.studies.comparison import compare
 from jexplore.studies.results import comparison
 from jexplore.studies.results.columns import COLUMNS
-from jexplore.studies.results.comparison import Comparison, assemble, prepare_jobs
+from jexplore.studies.results.comparison import Comparison, assemble
 from jexplore.studies.results.units import Ran, cut_jobs, piece_of
 from jexplore.studies.statistics import by_world, league, sizes
 from jexplore.worlds.readers.ros import read_ros

@@ -13,7 +13,7 @@ from jexplore.exploration.results import map_state
 from jexplore.policies.room_wise import own_segment
 from jexplore.report.page.replay import FRONTIER, OWN_ROOM, STATE
 from jexplore.studies import explore, replays
-from jexplore.studies.comparison import prepare_jobs
+from jexplore.studies.checks import prepare_jobs
 from jexplore.studies.replays import before_leaving, replay_of, replays_of
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)

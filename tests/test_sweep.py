@@ -79,21 +79,15 @@ def test_parameters_of_strategies_are_axes():
     ("page", "message"),
     [
         ([], "must be a mapping with worlds"),
-        ({}, "worlds must name at least one"),
         ({"worlds": []}, "worlds must name at least one"),
         ({"worlds": {"a": 1}}, "worlds must be a list"),
         ({"worlds": [3]}, "worlds must be names or files, got 3"),
-        ({"worlds": ["a"], "strategies": []}, "strategies must name at least one"),
         ({"worlds": ["a"], "strategys": ["closest"]}, "unknown key 'strategys'; did you mean 'strategies'?"),
         ({"worlds": ["a"], "lidar": {"rang_m": 3}}, "unknown field of lidar 'rang_m'; did you mean 'range_m'?"),
         ({"worlds": ["a"], "lidar": 3}, "lidar must be a mapping"),
         ({"worlds": ["a"], "rules": {"clearance_m": []}}, "rules.clearance_m must have at least one value"),
         ({"worlds": ["a"], "rules": {"clearance_m": -1}}, "rules.clearance_m must be a number at least 0"),
-        ({"worlds": ["a"], "rules": {"clearance_m": "x"}}, "rules.clearance_m must be a number"),
         ({"worlds": ["a"], "cell_m": 0}, "cell_m must be a number at least 0.001"),
-        ({"worlds": ["a"], "seed": -1}, "seed must be an integer from 0"),
-        ({"worlds": ["a"], "episodes": 0}, "episodes must be an integer from 1"),
-        ({"worlds": ["a"], "start": "here"}, "start must be random, world, cells such as"),
         ({"worlds": ["a"], "draws": 3}, "draws goes with a range"),
         ({"worlds": ["a"], "draw": "halton"}, "unknown draw 'halton'"),
         ({"worlds": ["a"], "lidar": {"range_m": {"low": 1, "high": 3}}}, "say how many settings are drawn"),
@@ -117,7 +111,6 @@ def test_parameters_of_strategies_are_axes():
             "100,000 settings",
         ),
         ({"worlds": ["a"], "strategies": [{"nam": "x"}]}, "a strategy must be a name, or a mapping"),
-        ({"worlds": ["a"], "strategies": ["closest", "closest"]}, "strategies must differ"),
         ({"worlds": ["a"], "strategies": [{"name": "x", "mode": None}]}, "x: mode must be a number, a truth value or"),
         ({"worlds": ["a"], "strategies": [{"name": "x", "mode": ["a,b"]}]}, "a plain word, got 'a,b'"),
         ({"worlds": ["a"], "settings": [{"seed": 3}, {"seed": 3.0}]}, "settings must differ"),
@@ -137,10 +130,8 @@ def test_what_no_sweep_may_be_asked(page, message):
 def test_what_a_plan_refuses():
     small = {"worlds": WORLDS[:1], "strategies": ["closest"]}
     for change, message in (
-        ({"worlds": ["nowhere"]}, "nowhere"),
         ({"worlds": WORLDS[:1] * 2}, "worlds must differ"),
         ({"worlds": [WORLDS[0], "rooms#0:width_m=5,height_m=5"]}, "are the same building"),
-        ({"strategies": ["closets"]}, "did you mean 'closest'?"),
         ({"strategies": [{"name": "closest", "speed": 3}]}, "speed"),
         ({"rules": {"clearance_m": 3.0}}, "clearance"),
         ({"start": "world"}, "has no start of its own"),
@@ -513,12 +504,9 @@ def test_odd_yaml_is_one_line(text, tmp_path):
     ("options", "message"),
     [
         ([], "expected a file that says what is varied: jexplore sweep SPEC.yaml"),
-        (["no.yaml"], "'no.yaml': there is no such file"),
         (["s.yaml", "--shard", "0/3"], "--shard must be I/N with I from 1 to N, such as 1/4, got '0/3'"),
-        (["s.yaml", "--shard", "4/3"], "--shard must be I/N"),
         (["s.yaml", "--shard", "half"], "--shard must be I/N"),
         (["s.yaml", "--shard", "9/9"], "the sweep has only 2 units"),
-        (["s.yaml", "--engine", "slurm"], "invalid choice 'slurm' for argument '--engine'"),
     ],
 )
 def test_bad_commands_are_one_line(options, message, tmp_path, capsys, monkeypatch):

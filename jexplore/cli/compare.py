@@ -107,7 +107,8 @@ class Compare:
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
-        from jexplore.studies.results.comparison import assemble, prepare_jobs
+        from jexplore.studies.checks import prepare_jobs
+        from jexplore.studies.results.comparison import assemble
         from jexplore.studies.results.saving import figures_of
         from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds, standings_table
 

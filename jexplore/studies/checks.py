@@ -3,7 +3,7 @@
 import contextlib
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -11,14 +11,17 @@ import numpy as np
 
 from jexplore.arrays.bits import WORD
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, Lidar, Rules, as_record, require_different
+from jexplore.config import InputError, Lidar, Rules, as_record, require_different, require_setting
+from jexplore.exploration.batch import Job
 from jexplore.exploration.site import LEAST_LIMIT
 from jexplore.grid import radius_d2
 from jexplore.policies import Policy, Strategy, strategy
 from jexplore.raycast import HEADINGS, farthest, n_steps
+from jexplore.studies.metrics import MetricsLike, ready_metrics
 from jexplore.worlds import load_world
 from jexplore.worlds.poses import Pose, cell_of, read_start
 from jexplore.worlds.regions import warn_of_floor
+from jexplore.worlds.restrict import KnownMap, Polygon, restricted
 from jexplore.worlds.starts import check_start, draw_start, draw_starts, reached_from, start_region
 from jexplore.worlds.world import World, require_world, ringed_shape
 
@@ -174,3 +177,32 @@ def require_memory(world: World, lidar: Lidar, rules: Rules) -> None:
             f"{need / 2**30:.1f} GiB, and the machine has {have / 2**30:.1f}; use a larger cell_m, fewer beams, "
             "a shorter lidar.range_m or a smaller rules.max_steps"
         )
+
+
+def prepare_jobs(
+    worlds: WorldLike | Iterable[WorldLike],
+    strategies: StrategyLike | Iterable[StrategyLike],
+    *,
+    episodes: int,
+    seed: int,
+    cell_m: float,
+    start: StartLike,
+    start_m: Sequence[float] | None = None,
+    lidar: LidarLike,
+    rules: RulesLike,
+    within: str | Polygon | None = None,
+    from_map: KnownMap | None = None,
+    metrics: MetricsLike = None,
+) -> list[Job]:
+    """Check and load everything before `compare` runs: a list of `Job`. Arguments as there."""
+    lidar, rules = ready_settings(lidar, rules)
+    episodes, seed = require_setting("episodes", episodes), require_setting("seed", seed)
+    start = read_start(start, start_m)
+    strategies, own = ready_strategies(strategies), ready_metrics(metrics)
+    ready, jobs = ready_worlds(worlds, cell_m), []
+    require_different_buildings(ready)
+    for world in (restricted(world, within, from_map) for world in ready):
+        require_memory(world, lidar, rules)
+        starts = ready_starts(world, start, episodes, seed=seed, rules=rules)
+        jobs += [Job(world, one, starts, seed, lidar=lidar, rules=rules, metrics=own) for one in strategies]
+    return jobs

@@ -20,8 +20,16 @@ from jexplore.exploration.trail import Final
 from jexplore.policies import Strategy
 from jexplore.report import animate, plot
 from jexplore.report.page.replay import evenly
-from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, StartLike, StrategyLike, WorldLike
-from jexplore.studies.results.comparison import prepare_jobs
+from jexplore.studies.checks import (
+    LIDAR,
+    RULES,
+    LidarLike,
+    RulesLike,
+    StartLike,
+    StrategyLike,
+    WorldLike,
+    prepare_jobs,
+)
 from jexplore.worlds.restrict import KnownMap, Polygon
 from jexplore.worlds.world import World, ring_of
 
