@@ -29,7 +29,7 @@ def _dataset(table: "pd.DataFrame", dims: Mapping[str, Sequence[Any]], metrics: 
         raise InputError("labelled arrays need xarray: pip install 'jexplore[xarray]'") from error
     import pandas as pd
 
-    whole = pd.MultiIndex.from_product(dims.values(), names=list(dims))
+    whole = pd.MultiIndex.from_product(list(dims.values()), names=list(dims))
     table = table.astype({"room_entries": "float64"})
     rows = table.set_index(list(dims)).reindex(whole)
     found = xarray.Dataset(coords={name: list(values) for name, values in dims.items()})
