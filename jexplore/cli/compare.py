@@ -234,9 +234,9 @@ def show_finished(
     `tables` gets the results and the content of run.json, `figures` the results and whether they are a league's.
     """
     from jexplore.studies.results import saving
-    from jexplore.studies.results.loading import load, record_of
+    from jexplore.studies.results.loading import load, run_record
 
-    found, record = load(out.run.path), record_of(out.run.path)
+    found, record = load(out.run.path), run_record(out.run.path)
     show_table(tables(found, record))
     drawn = figures(found, league=bool(record["configuration"].get("league")))
     found = getattr(found, "comparison", found)

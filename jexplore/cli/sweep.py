@@ -104,11 +104,11 @@ def shard_of(text: str | None) -> tuple[int, int] | None:
 
 def _show_finished(out, plan):
     """Print the results of a finished sweep for `--resume`, and draw missing pictures."""
-    from jexplore.studies.results.loading import load, record_of
+    from jexplore.studies.results.loading import load, run_record
 
     found = load(out.run.path)
     show_table(found.to_markdown(PRINTED_ROWS))
-    out.draw_missing(_pictures(found, record_of(out.run.path), plan))
+    out.draw_missing(_pictures(found, run_record(out.run.path), plan))
     return 0
 
 

@@ -91,7 +91,7 @@ def load(path: str | os.PathLike[str]) -> Any:
       InputError: no folder of a run, a run that was not finished, a file that is gone or damaged.
     """
     folder = Path(os.path.expanduser(path))
-    record = record_of(folder)
+    record = run_record(folder)
     with _as_written(folder, record):
         return _load(folder, record)
 
@@ -116,7 +116,7 @@ def _load(folder, record):
     raise InputError(f"{os.fspath(folder)}: `jexplore {command}` leaves no table to be read")
 
 
-def record_of(folder: Path) -> dict[str, Any]:
+def run_record(folder: Path) -> dict[str, Any]:
     """Read the run.json of a run."""
     page = folder / "run.json"
     if not page.is_file():
@@ -247,7 +247,7 @@ def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tu
     first, n, tables, places = {}, 0, [], {}
     for part in parts:
         folder = Path(os.path.expanduser(part))
-        page = record_of(folder)
+        page = run_record(folder)
         asked = page.get("asked", {})
         shard = re.fullmatch(r"(\d{1,5})/(\d{1,5})", str(asked.get("shard")))
         if asked.get("command") != "sweep" or shard is None:
