@@ -27,9 +27,9 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
 from jexplore.report.folders import claimed
 from jexplore.report.ledger import open_ledger
+from jexplore.studies.checks import prepare_jobs
 from jexplore.studies.comparison import compare
 from jexplore.studies.results import units
-from jexplore.studies.results.comparison import prepare_jobs
 
 WORLD, STRATEGIES = "rooms:width_m=6.4,height_m=6.4", ["closest", "closest+recheck"]  # 64 x 64 cells
 

@@ -162,7 +162,12 @@ def run_line(page, line):
 
 @pytest.mark.jit
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if page not in RUN_ELSEWHERE and set(languages_in(page)) & {"python", "sh"}]
+    "page",
+    [
+        pytest.param(page, marks=[] if page == "README.md" else pytest.mark.slow)
+        for page in PAGES
+        if page not in RUN_ELSEWHERE and set(languages_in(page)) & {"python", "sh"}
+    ],
 )
 def test_what_a_page_shows_runs(page, desk, capsys):
     import matplotlib.pyplot as plt
@@ -188,6 +193,7 @@ def test_lines_that_are_not_run_are_there():
         assert any(beginning in line for line in lines), beginning
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_tutorial_from_an_empty_folder_to_a_figure(desk, capsys):
     ran = []
@@ -209,6 +215,7 @@ def test_the_tutorial_from_an_empty_folder_to_a_figure(desk, capsys):
     assert {"sweep.png", "report.html"} <= {file.name for file in (desk / "answer").iterdir()}
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_steps_are_those_of_the_strategy_that_they_say(desk, capsys):
     found = run_blocks("docs/how-to/steps.md", desk)
@@ -220,6 +227,7 @@ def test_steps_are_those_of_the_strategy_that_they_say(desk, capsys):
     assert found["many"][0].world.shape == (256,)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_longer_form():
     (own,) = re.findall(r"^## A strategy of your own\n(.*?)^## ", text_of("CONTRIBUTING.md"), re.S | re.M)
@@ -259,16 +267,15 @@ def test_commands_are_found():
     found = [words for page in PAGES for words in commands_in(page)]
     assert {words[0] for words in found} == set(COMMANDS)
     assert ["compare"] in found  # the README's first command
-    assert ["sweep", "spec.yaml", "--shard", "7/16", "--workers", "7", "--out", "parts/7", "--resume", "--yes"] in found
+    assert ["sweep", "spec.yaml", "--shard", "7/16", "--workers", "7", "--out", "parts/7", "--resume"] in found
 
 
 def test_specs_of_sweeps_can_be_run():
     specs = [(page, body) for page in PAGES for language, body in blocks(text_of(page)) if language == "yaml"]
-    assert len(specs) >= 3
+    assert len(specs) >= 2
     for page, body in specs:
         spec = sweep_from(yaml.safe_load(body), page)
-        parts = ("tuning", "noise") if spec.robots else ("lidar", "rules")
-        assert len(spec.records(*parts)) == len(spec.expanded()) > 1
+        assert len(spec.records()) == len(spec.expanded()) > 1
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -319,6 +326,7 @@ def test_pages_hold_what_they_show_without_being_built():
         assert "<!-- begin" not in re.sub(r"<!-- begin [^>]*-->\n\n\|.*?\n<!-- end -->", "", text, flags=re.S), page
 
 
+@pytest.mark.slow
 def test_the_site_has_whole_docstrings_and_files_of_the_repository(tmp_path):
     script("generate").write_site(tmp_path / "site")
     page = (tmp_path / "site" / "reference" / "api" / "steps.md").read_text(encoding="utf-8")
@@ -484,6 +492,7 @@ def test_a_stale_picture_is_found(tmp_path):
     assert "drawn now 600 x 600" in difference(old, drawn("tall.png", tall=4.0))
 
 
+@pytest.mark.slow
 def test_the_picture_of_the_worlds_is_not_stale(tmp_path):
     """The cheapest of them; `python docs/pictures.py --check` draws all."""
     pictures = script("pictures")

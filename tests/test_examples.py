@@ -16,6 +16,7 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 STUDIES = [EXAMPLES / "own_strategy.py", EXAMPLES / "sweep.py"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
 def test_an_example_runs(path, tmp_path):
     code, n = re.subn(r"""(episodes=|"episodes": )\d+""", r"\g<1>3", path.read_text(encoding="utf-8"))
@@ -41,7 +42,10 @@ def nearest(view):
 @pytest.mark.jit
 @pytest.mark.parametrize(
     ("name", "cell_m", "episode", "exhausted"),
-    [("rooms#0:width_m=8,height_m=6", 0.1, 0, 0), ("cave#3:width_m=9,height_m=8", 0.15, 2, 1)],
+    [
+        ("cave#3:width_m=9,height_m=8", 0.15, 2, 1),
+        pytest.param("rooms#0:width_m=8,height_m=6", 0.1, 0, 0, marks=pytest.mark.slow),
+    ],
 )
 def test_the_written_out_episode_is_that_of_explore(name, cell_m, episode, exhausted):
     module = runpy.run_path(str(EXAMPLES / "episode.py"))
@@ -57,6 +61,7 @@ def test_the_written_out_episode_is_that_of_explore(name, cell_m, episode, exhau
     assert robot.exhausted.sum() == runs[0].measures["exhausted"] == exhausted
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_written_out_episode_runs_as_a_script(capsys, monkeypatch):
     monkeypatch.setattr("sys.argv", ["episode.py", "maze:width_m=6,height_m=6"])

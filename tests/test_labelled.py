@@ -10,8 +10,6 @@ from ref.worlds import two_rooms
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.exploration.results import to_occupancy
 from jexplore.studies.comparison import compare
-from jexplore.studies.results import labelled
-from jexplore.studies.results.comparison import Comparison
 from jexplore.studies.sweeps.run import sweep
 from jexplore.worlds.readers.ros import read_ros
 
@@ -74,6 +72,7 @@ def test_netcdf_gives_it_back(found, tmp_path):
         assert again["turning_rad"].attrs["units"] == "rad"
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_settings_are_coordinates():
     asked = {
@@ -104,12 +103,10 @@ def test_maps_are_ros_maps_to_the_cell(found, tmp_path):
         np.testing.assert_array_equal(occupancy, to_occupancy(state))
 
 
-def test_no_maps_and_no_xarray(monkeypatch, tmp_path):
-    class Empty:
-        maps: dict = {}  # noqa: RUF012
-
+@pytest.mark.jit
+def test_no_maps_and_no_xarray(found, monkeypatch, tmp_path):
     with pytest.raises(InputError, match="no maps were kept"):
-        Comparison.save_maps(Empty(), tmp_path)  # type: ignore[arg-type]
+        dataclasses.replace(found, maps={}).save_maps(tmp_path)
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(InputError, match=r"pip install 'jexplore\[xarray\]'"):
-        labelled._xarray()
+        found.to_xarray()

@@ -72,7 +72,7 @@ def test_of_two_cuts_the_longest_file_that_exists_counts(tmp_path):
     assert parsed(name)[1] == name
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(
     st.sampled_from(KNOWN),
     st.none() | st.integers(0, 2**32 - 1),
@@ -91,7 +91,7 @@ def test_what_is_written_is_read(base, seed, parameters):
     assert [type(value) for value in found[4].values()] == [type(value) for value in parameters.values()]
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(st.text(max_size=20))
 def test_any_text_is_parsed_or_refused_in_one_line(text):
     try:
@@ -251,6 +251,7 @@ def test_every_generator_loads_by_name(name):
     assert "cell_m" not in generator_parameters(name)
 
 
+@pytest.mark.slow
 def test_importing_the_names_loads_no_heavy_library():
     code = "import sys, jexplore.worlds; print([m for m in ('jax', 'numpy', 'PIL', 'yaml') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

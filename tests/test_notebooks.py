@@ -93,6 +93,7 @@ def test_faults_are_found():
     assert list(faults(notebook)) == ["a warning", "ValueError: no"]
 
 
+@pytest.mark.slow
 @each
 def test_it_runs(path, tmp_path):
     """At the small size, in an empty folder, as it stands: no error, nothing on the error stream, pictures shown."""

@@ -128,7 +128,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("says", BAD)
-@pytest.mark.parametrize("reduce", [False, True])
+@pytest.mark.parametrize("reduce", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_bad_metric_is_refused_by_one_line_that_names_it(says, reduce, monkeypatch):
     monkeypatch.setattr(batch, "run_all", None)  # nothing runs
 
@@ -179,8 +179,6 @@ def test_words_of_a_metric():
         with pytest.raises(InputError, match=re.escape(says)):
             jx.metric(length, **how)
     assert jx.metric(reduce="max")(length).reduce == "max"
-    with pytest.raises(InputError, match="metrics is for strategies"):
-        jx.Sweep(["course"], robots=["kamui"], metrics={"mine": length})
 
 
 @pytest.fixture
@@ -218,6 +216,7 @@ def test_the_command_a_changed_function_and_more_episodes(module, capsys):
     assert 'holds another run: its metrics, turns: is null, not "end"' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_a_sweep_has_metrics_in_python_and_from_a_file(module):
     spec = {"worlds": ["rooms:width_m=6,height_m=5"], "strategies": ["closest", "random"], "episodes": 2}

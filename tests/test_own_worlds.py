@@ -9,7 +9,6 @@ import pytest
 import jexplore as jx
 from jexplore import worlds
 from jexplore.cli.main import main
-from jexplore.cli.names import check_world
 from jexplore.config import InputError
 
 CODE = """
@@ -62,7 +61,6 @@ def test_a_registered_world_is_one_like_the_others(desk, capsys):
     assert world.occupied[15, 9]
     assert not world.occupied[15, 8]
     assert [row[2] for row in jx.worlds().rows if row[0].startswith("hall")] == ["length=40"]
-    check_world("hall#4:length=50")
     assert main(["worlds", "hall", "mine_of_tests:plan#1"]) == 0
     assert "hall" in capsys.readouterr().out
     jx.register_world("hall", lambda seed: hall(seed, 60))

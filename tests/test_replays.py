@@ -12,8 +12,8 @@ from jexplore.exploration.replay import Moment
 from jexplore.exploration.results import map_state
 from jexplore.policies.room_wise import own_segment
 from jexplore.report.page.replay import FRONTIER, OWN_ROOM, STATE
-from jexplore.studies import explore
-from jexplore.studies.comparison import prepare_jobs
+from jexplore.studies import explore, replays
+from jexplore.studies.checks import prepare_jobs
 from jexplore.studies.replays import before_leaving, replay_of, replays_of
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
@@ -33,7 +33,7 @@ def test_the_last_moment_at_each_place_is_shown():
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("max_frames", [1, 20, 10**6])
+@pytest.mark.parametrize("max_frames", [1, 10**6])
 def test_frames_are_those_of_the_episode(max_frames):
     """Against the frames of the animation, which are made scan by scan."""
     episode = ran("closest+recheck", episode=1)
@@ -62,6 +62,7 @@ def test_the_way_ahead_ends_where_the_next_plan_is_made():
         assert until == next((other for other in made if other > step), n)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_own_room_is_the_strategys():
     episode = ran("closest+segment")
@@ -87,10 +88,9 @@ def jobs(jit_on):
 @pytest.mark.jit
 def test_jobs_are_replayed_from_what_they_left_or_run_again(jobs):
     outcomes = batch.run_jobs(jobs, LIDAR, Rules()).outcomes
-    seen = []
-    kept, notes = replays_of(jobs, LIDAR, Rules(), outcomes=outcomes, max_frames=30, on_progress=seen.append)
-    anew, _ = replays_of(jobs, LIDAR, Rules(), max_frames=30)
-    assert (notes, seen) == ([], [1, 2, 3])
+    kept, notes = replays_of(jobs, dict(enumerate(outcomes)), max_frames=30)
+    anew, _ = replays_of(jobs, max_frames=30)
+    assert notes == []
     assert [replay.strategy for replay in kept] == ["closest", "random", "closest+recheck"]
     for one, other, name in zip(kept, anew, ("closest", "random", "closest+recheck"), strict=True):
         assert one.changes == other.changes == replay_of(ran(name), max_frames=30).changes
@@ -101,16 +101,16 @@ def test_jobs_are_replayed_from_what_they_left_or_run_again(jobs):
 def test_later_episodes_are_those_of_the_comparison():
     settings = {"seed": 3, "cell_m": 0.1, "start": "random", "lidar": LIDAR, "rules": Rules()}
     jobs = prepare_jobs(two_rooms(), ["closest", "random"], episodes=4, **settings)
-    found, notes = replays_of(jobs, LIDAR, Rules(), episodes=2, max_frames=10)
+    found, notes = replays_of(jobs, episodes=2, max_frames=10)
     assert notes == []
     assert [(one.strategy, one.episode) for one in found] == [(s, e) for e in (0, 1) for s in ("closest", "random")]
     for one in found:
         assert one.changes == replay_of(ran(one.strategy, episode=one.episode), max_frames=10).changes
-    assert len(replays_of([job._replace(starts=job.starts[:1]) for job in jobs], LIDAR, Rules(), max_frames=3)[0]) == 2
+    assert len(replays_of([job._replace(starts=job.starts[:1]) for job in jobs], max_frames=3)[0]) == 2
 
 
 @pytest.mark.jit
-def test_what_is_missing_is_said(jobs):
+def test_what_is_missing_is_said(jobs, monkeypatch):
     outcomes = batch.run_jobs(jobs, LIDAR, Rules()).outcomes
     assert outcomes[1].first is not None
     cut = [
@@ -118,13 +118,14 @@ def test_what_is_missing_is_said(jobs):
         outcomes[1]._replace(first=outcomes[1].first._replace(plans=None)),
         outcomes[2],
     ]
-    found, notes = replays_of(jobs, LIDAR, Rules(), outcomes=cut, max_frames=3)
+    found, notes = replays_of(jobs, dict(enumerate(cut)), max_frames=3)
     assert [replay.strategy for replay in found] == ["closest+recheck"]
     assert notes == [
         "closest in two rooms, episode 0: no replay, the run was interrupted before it ended.",
         "random in two rooms, episode 0: no replay, it made more plans than are kept.",
     ]
-    found, notes = replays_of(jobs, LIDAR, Rules(), outcomes=outcomes, max_pairs=1, max_frames=3)
+    monkeypatch.setattr(replays, "MAX_PAIRS", 1)
+    found, notes = replays_of(jobs, dict(enumerate(outcomes)), max_frames=3)
     assert [replay.strategy for replay in found] == ["closest"]
     assert notes == ["Replays show the first 1 of 3 pairs of world and strategy."]
 

@@ -10,7 +10,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
@@ -85,6 +85,7 @@ def test_runs_by_hand():
     assert list(runs(np.array([4, 4, 4], np.uint8), np.array([4, 0, 4], np.uint8))) == [1, 0x10]
 
 
+@settings(max_examples=20)
 @given(arrays.arrays(np.uint8, (2, 3, 200), elements=st.integers(0, 15)), st.integers(0, 15))
 def test_changes_come_back(images, most):
     before, after = np.minimum(images, most)
@@ -319,6 +320,7 @@ def test_what_is_no_picture_is_refused():
         report_page("r", {}, figures=[("a.gif", b"GIF89a", "")])
 
 
+@pytest.mark.slow
 def test_a_large_run_fits():
     """Twelve replays of 20,000 steps in 512 x 512 cells of rubble, all of them seen, with a ring of frontier cells."""
     side, frames = 512, 300
@@ -415,6 +417,7 @@ def joined(codes):
     return "".join(map(str, codes.ravel().tolist()))
 
 
+@pytest.mark.slow
 def test_it_replays_in_a_browser(body):
     nasty = NASTY.replace("\u2028", "")
     one, other = (
@@ -467,6 +470,7 @@ document.body.dataset.test = JSON.stringify(seen);
 """
 
 
+@pytest.mark.slow
 def test_a_reader_chooses_the_episode(body):
     """In the second world only episode 0 is there: another one shows nothing, and does not fail."""
     plan = replay().truth
@@ -490,6 +494,7 @@ CanvasRenderingContext2D.prototype.stroke = function (...values) {
 """
 
 
+@pytest.mark.slow
 def test_paths_have_the_colours_of_their_strategies(body):
     text = report_page("r", {}, replays=many(3, truth=replay().truth)).replace("<style>", STROKES + "<style>")
     script = "<script>replay.seek(20); document.body.dataset.test = JSON.stringify([...drawn]);</script>"
@@ -532,6 +537,7 @@ document.body.dataset.test = JSON.stringify({seen, size, scale, cells, bare: [at
 """
 
 
+@pytest.mark.slow
 def test_things_are_drawn_where_they_are(body):
     codes = np.zeros((20, 20), np.uint8)
     codes[17, 2], codes[17, 12], codes[2, 12] = 2, 5, 1
@@ -561,6 +567,7 @@ def test_things_are_drawn_where_they_are(body):
     assert seen["bare"] == [floor, frontier]
 
 
+@pytest.mark.slow
 def test_one_frame_opens_too(body):
     still = replay(n=0)
     found = body(report_page("r", {}, replays=[still]), "#t=1")

@@ -8,7 +8,8 @@ from ref import maps
 
 import jexplore as jx
 from jexplore.config import InputError, Lidar
-from jexplore.studies.results import comparison, provenance
+from jexplore.studies import checks
+from jexplore.studies.results import provenance
 from jexplore.worlds.poses import read_polygon
 from jexplore.worlds.readers.ros import write_ros
 from jexplore.worlds.restrict import stay_within, with_known
@@ -152,7 +153,7 @@ def test_both_are_arguments_of_functions_and_part_of_what_is_asked(tmp_path, mon
     how = {"episodes": 1, "seed": 0, "cell_m": 1.0, "start": "random", "lidar": LIDAR, "rules": jx.Rules(clearance_m=0)}
     asked = []
     for limits in ({}, {"within": "0,0 4,0 4,5 0,5"}, {"from_map": "known.yaml"}):
-        jobs = comparison.prepare_jobs(ROOM, ["closest"], **how, **limits)
+        jobs = checks.prepare_jobs(ROOM, ["closest"], **how, **limits)
         assert (jobs[0].world.within is None, jobs[0].world.known is None) == (
             "within" not in limits,
             "from_map" not in limits,

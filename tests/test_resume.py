@@ -66,6 +66,7 @@ def want(jit_on):
         return comparison.compare(WORLD, STRATEGIES, episodes=240, lidar=Lidar(n_beams=31, range_m=2))
 
 
+@pytest.mark.slow
 def test_a_run_that_is_killed_again_and_again_comes_out_the_same(want, tmp_path):
     folder, before = tmp_path / "run", 0
     for _ in range(3):
@@ -101,6 +102,7 @@ def test_a_run_that_is_killed_again_and_again_comes_out_the_same(want, tmp_path)
     assert found.worlds[0].occupied.tolist() == want.worlds[0].occupied.tolist()
 
 
+@pytest.mark.slow
 def test_control_c_keeps_what_is_finished(want, tmp_path, capsys):
     folder = tmp_path / "run"
     process = begin(folder, "--episodes", "2000")
@@ -123,6 +125,7 @@ def test_control_c_keeps_what_is_finished(want, tmp_path, capsys):
     assert "holds a run" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGHUP", 129)])
 def test_a_batch_system_has_to_wait_two_seconds(name, status, want, tmp_path):
     folder = tmp_path / "run"
@@ -159,6 +162,7 @@ sys.exit(main.main())
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
 def test_what_cannot_be_interrupted_is_ended(name, status, tmp_path):
     program = [sys.executable, "-c", COMPILES, str(tmp_path / "made" / "run")]
@@ -183,6 +187,7 @@ def test_what_cannot_be_interrupted_is_ended(name, status, tmp_path):
     assert files(tmp_path) == []  # the folders that were made for it are gone
 
 
+@pytest.mark.slow
 def test_a_full_disk_costs_what_comes_after(tmp_path):
     """Files may grow to 8 KiB only: that of episode 0, with its map, does not fit."""
     folder = tmp_path / "run"
@@ -198,6 +203,7 @@ def test_a_full_disk_costs_what_comes_after(tmp_path):
     assert process.returncode == 0, said
 
 
+@pytest.mark.slow
 def test_two_processes_on_one_folder(tmp_path, capsys):
     folder = tmp_path / "run"
     process = begin(folder, "--episodes", "2000")
@@ -209,20 +215,6 @@ def test_two_processes_on_one_folder(tmp_path, capsys):
     finally:
         process.kill()
         process.communicate()
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--resume"], "--resume goes on with the run in a folder: name it with --out DIR"),
-        (["--resume", "--overwrite", "--out", "x"], "--resume goes on with a run and --overwrite replaces it"),
-    ],
-)
-def test_what_resume_needs(options, message, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert main.main([*COMMAND, *options]) == 2
-    assert message in capsys.readouterr().err
-    assert files(tmp_path) == []
 
 
 def test_a_finished_run_is_not_run_again(tmp_path, capsys, monkeypatch):
@@ -258,6 +250,7 @@ def test_a_strategy_that_was_written_anew_is_another_run(tmp_path, capsys, monke
     assert main.main([*command, "--trust"]) == 0
 
 
+@pytest.mark.slow
 def test_a_finished_run_goes_on_with_more_episodes(want, tmp_path, capsys):
     folder = tmp_path / "run"
     command = [*COMMAND, "--out", str(folder), "--no-report", "--resume", "--episodes"]

@@ -40,12 +40,6 @@ def test_parquet_round_trip_is_exact(tmp_path):
     assert files(tmp_path) == ["episodes.parquet"]
 
 
-def test_parquet_of_only_missing_rooms(tmp_path):
-    table = episodes().assign(room_entries=pd.array([pd.NA, pd.NA], dtype="Int64"))
-    store.write_parquet(table, tmp_path / "e.parquet")
-    assert store.read_parquet(tmp_path / "e.parquet")["room_entries"].dtype == "Int64"
-
-
 def test_json_whole(tmp_path):
     class Outcome(enum.IntEnum):
         COMPLETE = 0
@@ -129,12 +123,6 @@ def test_the_data_are_synced_before_the_replacement(tmp_path, monkeypatch):
     assert calls[:2] == ["fsync", "replace"]
 
 
-def test_written_files_have_the_usual_permissions(tmp_path):
-    (tmp_path / "usual").touch()
-    store.write_json({}, tmp_path / "run.json")
-    assert (tmp_path / "run.json").stat().st_mode == (tmp_path / "usual").stat().st_mode
-
-
 @pytest.mark.parametrize(
     "write", [lambda path: store.write_json({}, path), lambda path: store.write_parquet(episodes(), path)]
 )
@@ -170,7 +158,3 @@ def test_environment_is_json_and_names_what_matters(tmp_path):
     assert found["cpu_count"] >= 1
     assert found["device_count"] >= 1
     assert None not in (found["jexplore"], found["python"], found["jax"], found["jaxlib"], found["device"])
-
-
-def test_a_missing_package_is_none():
-    assert store._version("no-such-package-anywhere") is None

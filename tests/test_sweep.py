@@ -13,18 +13,15 @@ import jexplore as jx
 from jexplore.arrays.plain_yaml import Loader, dump
 from jexplore.cli import main
 from jexplore.config import InputError, Lidar, Rules
-from jexplore.driving.settings import Tuning
 from jexplore.engine import devices
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.sweeps import plan as plans
 from jexplore.studies.sweeps import run as runs
-from jexplore.studies.sweeps import traces
 from jexplore.studies.sweeps.plan import SweepBlock, in_shard, prepare_sweep
-from jexplore.studies.sweeps.run import ready, sweep
+from jexplore.studies.sweeps.run import sweep
 from jexplore.studies.sweeps.spec import Range, Sweep, plain_spec, read_spec, sweep_from
-from jexplore.studies.traces import job
 
 WORLDS = ["rooms:width_m=5,height_m=5", "maze:width_m=5,height_m=5"]
 SMALL = {"n_beams": 31}
@@ -82,21 +79,15 @@ def test_parameters_of_strategies_are_axes():
     ("page", "message"),
     [
         ([], "must be a mapping with worlds"),
-        ({}, "worlds must name at least one"),
         ({"worlds": []}, "worlds must name at least one"),
         ({"worlds": {"a": 1}}, "worlds must be a list"),
         ({"worlds": [3]}, "worlds must be names or files, got 3"),
-        ({"worlds": ["a"], "strategies": []}, "strategies must name at least one"),
         ({"worlds": ["a"], "strategys": ["closest"]}, "unknown key 'strategys'; did you mean 'strategies'?"),
         ({"worlds": ["a"], "lidar": {"rang_m": 3}}, "unknown field of lidar 'rang_m'; did you mean 'range_m'?"),
         ({"worlds": ["a"], "lidar": 3}, "lidar must be a mapping"),
         ({"worlds": ["a"], "rules": {"clearance_m": []}}, "rules.clearance_m must have at least one value"),
         ({"worlds": ["a"], "rules": {"clearance_m": -1}}, "rules.clearance_m must be a number at least 0"),
-        ({"worlds": ["a"], "rules": {"clearance_m": "x"}}, "rules.clearance_m must be a number"),
         ({"worlds": ["a"], "cell_m": 0}, "cell_m must be a number at least 0.001"),
-        ({"worlds": ["a"], "seed": -1}, "seed must be an integer from 0"),
-        ({"worlds": ["a"], "episodes": 0}, "episodes must be an integer from 1"),
-        ({"worlds": ["a"], "start": "here"}, "start must be random, world, cells such as"),
         ({"worlds": ["a"], "draws": 3}, "draws goes with a range"),
         ({"worlds": ["a"], "draw": "halton"}, "unknown draw 'halton'"),
         ({"worlds": ["a"], "lidar": {"range_m": {"low": 1, "high": 3}}}, "say how many settings are drawn"),
@@ -120,11 +111,9 @@ def test_parameters_of_strategies_are_axes():
             "100,000 settings",
         ),
         ({"worlds": ["a"], "strategies": [{"nam": "x"}]}, "a strategy must be a name, or a mapping"),
-        ({"worlds": ["a"], "strategies": ["closest", "closest"]}, "strategies must differ"),
         ({"worlds": ["a"], "strategies": [{"name": "x", "mode": None}]}, "x: mode must be a number, a truth value or"),
         ({"worlds": ["a"], "strategies": [{"name": "x", "mode": ["a,b"]}]}, "a plain word, got 'a,b'"),
         ({"worlds": ["a"], "settings": [{"seed": 3}, {"seed": 3.0}]}, "settings must differ"),
-        ({"worlds": ["a"], "strategies": ["closest"], "robots": ["kamui"]}, "cannot be compared in one sweep"),
     ],
 )
 def test_what_no_sweep_may_be_asked(page, message):
@@ -141,10 +130,8 @@ def test_what_no_sweep_may_be_asked(page, message):
 def test_what_a_plan_refuses():
     small = {"worlds": WORLDS[:1], "strategies": ["closest"]}
     for change, message in (
-        ({"worlds": ["nowhere"]}, "nowhere"),
         ({"worlds": WORLDS[:1] * 2}, "worlds must differ"),
         ({"worlds": [WORLDS[0], "rooms#0:width_m=5,height_m=5"]}, "are the same building"),
-        ({"strategies": ["closets"]}, "did you mean 'closest'?"),
         ({"strategies": [{"name": "closest", "speed": 3}]}, "speed"),
         ({"rules": {"clearance_m": 3.0}}, "clearance"),
         ({"start": "world"}, "has no start of its own"),
@@ -217,7 +204,6 @@ def test_units_share_programs_and_miss_nothing(monkeypatch):
     parts = [in_shard(len(plan.units), (i, 3)) for i in range(3)]
     assert sorted(itertools.chain(*parts)) == in_shard(len(plan.units), None) == list(range(len(plan.units)))
     assert plan.episodes == 4 * 2 * 2 * 40
-    assert 0 < plan.seconds(2) < plan.seconds(1)
 
 
 @pytest.fixture(scope="module")
@@ -239,6 +225,7 @@ def found(asked, jit_on):
         return result, devices._compiled.cache_info().misses - before
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_every_row_is_that_of_a_comparison(found, asked):
     result, _ = found
@@ -248,7 +235,7 @@ def test_every_row_is_that_of_a_comparison(found, asked):
         *("cell_m", "lidar.n_beams", "lidar.range_m", "lidar.sigma_m", "rules.p_free", "rules.clearance_m"),
         *("rules.max_steps", "strategy.weight"),
     )
-    for setting in (0, 3, 9, 14):
+    for setting in (3, 14):
         own = table[table["setting"] == setting]
         row = own.iloc[0]
         lidar = Lidar(n_beams=31, range_m=row["lidar.range_m"], sigma_m=row["lidar.sigma_m"])
@@ -265,11 +252,13 @@ def test_every_row_is_that_of_a_comparison(found, asked):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_settings_that_differ_in_numbers_share_one_program(found):
     assert found[1] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_summary(found):
     result, _ = found
@@ -290,13 +279,37 @@ def test_summary(found):
     assert set(result.figures()) == {"", "-map"}
 
 
+NATIVE = {
+    **{"worlds": WORLDS, "strategies": ["closest+recheck", "random"], "episodes": 3},
+    "lidar": {**SMALL, "range_m": [1, 2.5], "sigma_m": [0, 0.03]},
+    "rules": {"p_free": [0.2, 0.3], "clearance_m": 0.2},
+}
+"""A sweep that native code runs."""
+
+
 @pytest.mark.jit
-def test_interruption_keeps_whole_units(asked, monkeypatch):
+def test_rows_of_a_sweep_in_native_code(monkeypatch):
+    found = sweep(NATIVE, workers=1)
+    assert (found.missing, len(found.episodes), len(found.summary)) == (0, 96, 32)
+    own = found.episodes[found.episodes["setting"] == 6]
+    lidar, rules = Lidar(n_beams=31, range_m=2.5, sigma_m=0.03), Rules(p_free=0.2, clearance_m=0.2)
+    alone = jx.compare(WORLDS, NATIVE["strategies"], episodes=3, lidar=lidar, rules=rules)
+    pd.testing.assert_frame_equal(own[list(COLUMNS)].reset_index(drop=True), alone.to_pandas())
+    row = found.summary[(found.summary["setting"] == 6) & (found.summary["strategy"] == "random")].iloc[0]
+    first, other = (alone[name]["path_m"][:3].mean() for name in NATIVE["strategies"])
+    assert row["ratio"] == pytest.approx(other / first)
+    assert found.varied == ["lidar.range_m", "lidar.sigma_m", "rules.p_free"]
+    assert "... and 27 more rows" in found.to_markdown(5)
+    assert set(found.figures()) == {"", "-map"}
+
+
+@pytest.mark.jit
+def test_interruption_keeps_whole_units(monkeypatch):
     run = batch.run_jobs
 
     def stop(jobs, *rest, **how):
         def on_job(place, outcomes, on_job=how["on_job"]):
-            if place >= 30:
+            if place >= 15:
                 raise KeyboardInterrupt
             on_job(place, outcomes)
 
@@ -304,13 +317,13 @@ def test_interruption_keeps_whole_units(asked, monkeypatch):
 
     monkeypatch.setattr(batch, "run_jobs", stop)
     monkeypatch.setattr(plans, "MAX_UNIT_EPISODES", 32)
-    found = sweep(asked, workers=1)
+    found = sweep(NATIVE, workers=1)
     assert found.costs.interrupted
     assert len(found.episodes) % 30 == 0  # ten blocks of three make a unit
-    assert found.missing == 384 - len(found.episodes)
+    assert found.missing == 96 - len(found.episodes)
     monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
-        sweep(asked)
+        sweep(NATIVE)
 
 
 YAML = """
@@ -322,6 +335,7 @@ rules: {clearance_m: 0.2, p_free: [0.2, 0.3]}
 """
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -349,7 +363,7 @@ def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
         (["part1", "part3"], "all parts must be given, and 2/3 are not"),
         (["part1", "part1", "part2"], "part1 is part 1/3, and so is part1"),
         (["part1", "whole"], "whole must hold a part of a sweep"),
-        (["nowhere"], "'nowhere': there is no such file"),
+        (["nowhere"], "nowhere must be the folder of a run"),
         ([], "expected the folders of all parts, got none"),
     ):
         capsys.readouterr()
@@ -376,7 +390,7 @@ def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, monk
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(plans, "MAX_UNIT_EPISODES", 8)
 
-    def run_units(plan, numbers, on_unit, **how):
+    def run_units(plan, numbers, on_unit, *_, **how):
         for number in numbers:
             on_unit(number, pd.concat([made(plan, block) for block in plan.units[number]]))
         return Costs()
@@ -400,7 +414,7 @@ def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, monk
     capsys.readouterr()
     assert main.main(["merge", "part1", "short2", "--out", "merged"]) == 2
     said = capsys.readouterr().err
-    assert re.search(r"must hold each episode once: \d+ of them are there twice and \d+ nowhere, .*continue all", said)
+    assert re.search(r"must hold each episode once: \d+ are there twice and \d+ nowhere, .*continue all", said)
     sweep_part(20, "--shard", "1/2", "--out", "short1", "--resume")
     assert main.main(["merge", "short1", "short2", "--out", "./short1/", "--overwrite"]) == 2
     assert "must be a folder of its own, got that of the part short1" in capsys.readouterr().err
@@ -408,6 +422,7 @@ def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, monk
     assert jx.load("merged").episodes["episode"].tolist() == list(range(20))
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_a_part_without_the_first_strategy_has_no_ratios(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -445,6 +460,7 @@ def test_numbers_in_yaml(tmp_path):
     assert read_spec(tmp_path / "s.yaml").lidar == {"range_m": 10.0}
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_seeds_are_an_axis_and_types_are_the_plans():
     asked = {"worlds": WORLDS[:1], "strategies": ["closest", {"name": "tour"}], "episodes": 20}
@@ -466,29 +482,11 @@ def test_what_settings_leave_out_is_the_sweeps_own():
     ]
 
 
-def test_robots_are_judged_by_the_true_map_of_their_own_c1():
-    """Rooms that are free space have a node at every door, and none within."""
-    spec = Sweep(
-        ["rooms"],
-        robots=["kamui"],
-        episodes=1,
-        settings=[{"tuning.open_m": 1.0}, {"tuning.votes": 1}, {"tuning.votes": 3}],
-    )
-    groups = traces.prepare_traces(spec).groups
-    assert [group.settings for group in groups] == [[0], [1, 2]]
-    kinds = [{node.type for node in group.job.truth.map.nodes} for group in groups]
-    assert ["free_space" in kind for kind in kinds] == [True, False]
-    alone = [job.prepare_trace("rooms", tuning=Tuning(open_m=open_m)) for open_m in (1.0, 0.0)]
-    for group, own in zip(groups, alone):
-        assert group.job.truth.map == own.truth.map
-        assert (group.job.tuning.open_m, group.job.tuning.coast_m) == (own.tuning.open_m, own.tuning.coast_m)
-
-
 @pytest.mark.parametrize(
     "text",
     ["!!int foo", "!!timestamp foo", "[" * 3000, "&a [*a]", "[a]\nworlds: [b]", "[cave]\ncell_m: {a: 1}",
-     "[a]\nsettings: [{lidar.range_m: [4, 8]}]", "[a]\nlidar: {range_m: [[4, 8]]}", "[a]\nrobots: [1]",
-     "[a]\nrobots: [kamui]\nsettings: [{lidar.range_m: 4}]", "[a]\nsettings: [{tuning.votes: 3}]",
+     "[a]\nsettings: [{lidar.range_m: [4, 8]}]", "[a]\nlidar: {range_m: [[4, 8]]}",
+     "[a]\nsettings: [{tuning.votes: 3}]",
      "[a]\nseed: -1\ndraws: 3\nlidar: {range_m: {low: 1, high: 2}}"],
 )  # fmt: skip
 def test_odd_yaml_is_one_line(text, tmp_path):
@@ -506,81 +504,16 @@ def test_odd_yaml_is_one_line(text, tmp_path):
     ("options", "message"),
     [
         ([], "expected a file that says what is varied: jexplore sweep SPEC.yaml"),
-        (["no.yaml"], "'no.yaml': there is no such file"),
         (["s.yaml", "--shard", "0/3"], "--shard must be I/N with I from 1 to N, such as 1/4, got '0/3'"),
-        (["s.yaml", "--shard", "4/3"], "--shard must be I/N"),
         (["s.yaml", "--shard", "half"], "--shard must be I/N"),
         (["s.yaml", "--shard", "9/9"], "the sweep has only 2 units"),
-        (["long.yaml"], "give --yes to begin"),
-        (["s.yaml", "--engine", "slurm"], "invalid choice 'slurm' for argument '--engine'"),
     ],
 )
 def test_bad_commands_are_one_line(options, message, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.yaml").write_text(YAML)
-    (tmp_path / "long.yaml").write_text(YAML.replace("24", "5000000"))
     assert main.main(["sweep", *options]) == 2
     said = capsys.readouterr().err.replace("jexplore: loading worlds\n", "")  # where that takes long
     assert message in said
     assert said.count("\n") == 1
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["long.yaml", "s.yaml"]
-
-
-ROBOTS = """
-worlds: [course]
-robots: [kamui, wheeled]
-episodes: 2
-noise: {range_m: 0.03}
-tuning: {votes: [1, 5]}
-"""
-
-
-@pytest.mark.jit
-def test_robots_that_write_maps(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "r.yaml").write_text(ROBOTS)
-    assert main.main(["sweep", "r.yaml", "--dry-run"]) == 0
-    assert capsys.readouterr().out.startswith("2 settings x 1 worlds x 2 robots x 2 runs = 8 runs\n2 units of about 4")
-    assert main.main(["sweep", "r.yaml", "--out", "whole", "--workers", "1"]) == 0
-    assert "| course | kamui " in capsys.readouterr().out
-    found = jx.load("whole")
-    table = found.to_pandas()
-    assert table[["setting", "robot", "run"]].to_numpy().tolist() == [
-        [setting, robot, run] for setting in range(2) for robot in ("kamui", "wheeled") for run in range(2)
-    ]
-    assert found.varied == ["tuning.votes"]
-    for setting, votes in enumerate([1, 5]):
-        own = table[(table["setting"] == setting) & (table["robot"] == "kamui")]
-        assert own[["tuning.votes", "noise.range_m"]].drop_duplicates().to_numpy().tolist() == [[votes, 0.03]]
-        alone = jx.btm.trace(
-            "course", runs=2, tuning=jx.btm.Tuning(votes=votes), noise=jx.btm.Noise(range_m=0.03), workers=1
-        ).table
-        for name in ("path_m", "code", "steps", "outcome", "drift_m"):
-            assert own[name].tolist() == alone[name].tolist()
-    assert found.summary["n"].tolist() == [2] * 4
-    assert found.summary["goal"].iloc[2] == 1
-    with pytest.raises(InputError, match="use to_pandas"):
-        found.to_xarray()
-    for i in (1, 2):
-        assert main.main(["sweep", "r.yaml", "--shard", f"{i}/2", "--out", f"part{i}", "--workers", "1"]) == 0
-    assert main.main(["merge", "part1", "part2", "--out", "merged"]) == 0
-    pd.testing.assert_frame_equal(jx.load("merged").episodes, table)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"lidar": {"range_m": 4}}, "lidar is for strategies, not for robots"),
-        ({"robots": [], "noise": {"range_m": 0.1}}, "noise is for robots, such as robots: [kamui]"),
-        ({"robots": ["r2d2"]}, "robot must be one of kamui, wheeled, got 'r2d2'"),
-        ({"robots": ["kamui", "kamui"]}, "robots must differ"),
-        ({"tuning": {"vote": 3}}, "unknown field of tuning 'vote'; did you mean 'votes'?"),
-        ({"tuning": {"votes": 0}}, "votes"),
-        ({"noise": {"range_m": -1}}, "noise.range_m must be"),
-        ({"start": "world"}, "start is for strategies"),
-        ({"worlds": ["course", "course#0"]}, "are the same building"),
-    ],
-)
-def test_what_robots_are_not_asked(change, message):
-    with pytest.raises(InputError, match=re.escape(message)):
-        ready(sweep_from({"worlds": ["course"], "robots": ["kamui"], **change}))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["s.yaml"]

@@ -1,5 +1,6 @@
 """Output of commands: tables that fit a terminal, Markdown elsewhere, bars and lines, help texts, warnings."""
 
+import dataclasses
 import io
 import os
 import re
@@ -9,8 +10,6 @@ import sys
 import time
 import warnings
 
-import jax
-import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,8 +17,7 @@ from rich.cells import cell_len
 
 from jexplore.cli import main, options
 from jexplore.cli.output import console, terminal
-from jexplore.config import InputWarning
-from jexplore.engine import backend
+from jexplore.config import InputWarning, Lidar, Rules
 from jexplore.report.tables import aligned_table
 
 HEAD = ["world", "strategy", "path m", "95 % interval", "outcomes"]
@@ -27,7 +25,7 @@ ROWS = [
     ["cave:width_m=6.4,height_m=6.4", "closest", "6.81", "[2.0, 23.5]", "COMPLETE 3"],
     ["cave:width_m=6.4,height_m=6.4", "closest+recheck", "4.27", "[0.9, 21.3]", "COMPLETE 2, STEP_LIMIT 1"],
 ]
-LEFT = ["world", "strategy", "outcomes"]
+TABLE = aligned_table(HEAD, ROWS, left=["world", "strategy", "outcomes"])
 
 
 class Screen(io.StringIO):
@@ -45,17 +43,17 @@ def shown(monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("NO_COLOR", "1")
 
-    def show(width, *args, **kwargs):
+    def show(width, text):
         monkeypatch.setenv("COLUMNS", str(width))
         screen = Screen()
-        terminal.show_table(*args, file=screen, **kwargs)
+        terminal.show_table(text, file=screen)
         return [line.rstrip() for line in re.sub(r"\x1b\[\d*m", "", screen.getvalue()).splitlines()]
 
     return show
 
 
 def test_a_table_that_fits_is_drawn_as_it_is(shown):
-    assert shown(100, HEAD, ROWS, left=LEFT) == [
+    assert shown(100, TABLE) == [
         "world                          strategy         path m  95 % interval  outcomes",
         "─" * 95,
         "cave:width_m=6.4,height_m=6.4  closest            6.81    [2.0, 23.5]  COMPLETE 3",
@@ -65,7 +63,7 @@ def test_a_table_that_fits_is_drawn_as_it_is(shown):
 
 
 def test_a_wide_table_folds_and_is_cut_into_parts_that_begin_alike(shown):
-    assert shown(54, HEAD, ROWS, left=LEFT) == [
+    assert shown(54, TABLE) == [
         "                                     path         95 %",
         "world               strategy            m     interval",
         "─" * 54,
@@ -93,30 +91,19 @@ def test_lines_between_tables_stay_and_headings_lose_their_hashes(shown):
 
 @pytest.mark.parametrize("width", [0, 1])
 def test_a_terminal_that_says_it_has_no_width_shows_tables(shown, width):
-    assert shown(width, HEAD, ROWS, left=LEFT) == shown(20, HEAD, ROWS, left=LEFT)
-    assert "6.81" in "".join(shown(width, HEAD, ROWS, left=LEFT))
+    assert shown(width, TABLE) == shown(20, TABLE)
+    assert "6.81" in "".join(shown(width, TABLE))
 
 
 def test_elsewhere_it_is_the_markdown_itself(capsys):
-    markdown = aligned_table(HEAD, ROWS, left=LEFT)
-    terminal.show_table(markdown)
-    assert capsys.readouterr().out == markdown + "\n"
-    terminal.show_table(HEAD, ROWS, left=LEFT)
-    assert capsys.readouterr().out == markdown + "\n"
-    terminal.show_table(pd.DataFrame({"name": ["a|b", "c"], "n": [1, 20], "x": [0.123456, float("nan")]}))
-    assert capsys.readouterr().out.splitlines() == [
-        "| name |   n |      x |",
-        "| ---- | --: | -----: |",
-        "| a\\|b |   1 | 0.1235 |",
-        "| c    |  20 |      - |",
-        "",
-    ]
+    terminal.show_table(TABLE)
+    assert capsys.readouterr().out == TABLE + "\n"
 
 
 cells = st.text(st.sampled_from("ab 1+,:=[]/|-_é漢#*"), max_size=30)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=25)
 @given(st.data(), st.integers(20, 90))
 def test_no_table_is_wider_than_the_terminal_or_loses_a_character(data, width):
     n = data.draw(st.integers(1, 6))
@@ -166,6 +153,7 @@ def visible(text):
     return re.sub(r"\x1b\[[\d;]*m", "", text)
 
 
+@pytest.mark.slow
 def test_a_command_fits_a_real_terminal():
     columns = 80
     status, said = on_terminal(columns, "strategies")
@@ -177,6 +165,7 @@ def test_a_command_fits_a_real_terminal():
     assert "\x1b[" in said
 
 
+@pytest.mark.slow
 def test_no_color_is_honoured_in_help():
     _, plain = on_terminal(80, "explore", "--help", NO_COLOR="1")
     _, coloured = on_terminal(80, "explore", "--help")
@@ -277,24 +266,22 @@ def help_of(command, capsys, monkeypatch, columns=100):
     return texts, page
 
 
-@pytest.mark.parametrize("command", main.COMMANDS)
-def test_every_option_is_explained_in_whole_sentences(command, capsys, monkeypatch):
-    texts, page = help_of(command, capsys, monkeypatch)
-    few = {"strategies": 0, "station": 2, "merge": 3}  # what takes little more than files
-    assert len(texts) >= few.get(command, 5)
-    assert max(map(len, page.splitlines())) <= 100
-    for option, text in texts.items():
-        said = re.sub(r" \(default: [^()]*(\([^()]*\))?[^()]*\)$", "", text).strip()
-        assert said, option
-        assert said.endswith((".", ")")), (option, said)
-        assert said[0].isupper(), (option, said)
-        assert len(said.split()) > 2, (option, said)
-    for nothing in ("default: None", "default: True", "default: False", "default: )", "{None}"):
-        assert nothing not in page
+def test_every_option_is_explained_in_whole_sentences():
+    for command in (*main.COMMANDS.values(), Lidar, Rules):
+        texts = options.field_texts(command)
+        for field in dataclasses.fields(command):
+            if not dataclasses.is_dataclass(field.default_factory):
+                said = texts[field.name]
+                assert said.endswith("."), (command, field.name, said)
+                assert said[0].isupper(), (command, field.name, said)
+                assert len(said.split()) > 2, (command, field.name, said)
 
 
 def test_an_option_that_switches_off_says_what_it_does(capsys, monkeypatch):
-    texts, _ = help_of("explore", capsys, monkeypatch)
+    texts, page = help_of("explore", capsys, monkeypatch)
+    assert max(map(len, page.splitlines())) <= 100
+    for nothing in ("default: None", "default: True", "default: False", "default: )", "{None}"):
+        assert nothing not in page
     negative = {option: text for option, text in texts.items() if ".no-" in option or option.startswith("--no-")}
     assert negative.pop("--lidar.no-echo").startswith("A beam that nothing stops")  # no switch
     assert negative == {
@@ -311,40 +298,12 @@ def test_a_text_over_several_lines_is_one_paragraph():
     assert all("\n" not in text and "  " not in text for text in texts.values())
 
 
-def told(monkeypatch, capsys, compiled_s, seconds=0.1):
-    """Return the lines about work that has lasted for some time, `compiled_s` spent in a program."""
-    monkeypatch.setattr(console, "TICK_S", 0.01)
+def test_slow_work_is_named_once(monkeypatch, capsys):
     monkeypatch.setattr(console, "PATIENCE_S", 0.02)
-    monkeypatch.setattr(backend, "compiling_s", lambda: compiled_s)
-    with console.working(10, "runs"):
-        time.sleep(seconds)
-    return capsys.readouterr().err
-
-
-def test_only_a_program_that_is_compiled_is_told_as_compiling(monkeypatch, capsys):
-    assert told(monkeypatch, capsys, 9.0) == "jexplore: compiling (kept for later runs)\n"
-    assert told(monkeypatch, capsys, None) == "jexplore: making programs ready\n"
-    assert told(monkeypatch, capsys, 9.0, seconds=0.0) == ""
-    monkeypatch.setattr(console, "SILENCE_S", 0.0)
-    first, *more = told(monkeypatch, capsys, 9.0).splitlines()
-    assert first == "jexplore: compiling (kept for later runs)"
-    assert more
-    assert set(more) == {"jexplore: compiling (kept for later runs), 9 s"}
-
-
-def test_a_terminal_has_a_clock_that_leaves_nothing(monkeypatch, capsys):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    said = told(monkeypatch, capsys, 9.0)
-    shown = "\r\033[Kjexplore: compiling (kept for later runs), 9 s"
-    assert said.count(shown) > 1
-    assert said.replace(shown, "") == "\r\033[K"
-
-
-@pytest.mark.jit
-def test_a_program_counts_while_it_is_compiled():
-    backend.use_compilation_cache()
-    seen = []
-    jax.monitoring.register_event_listener(lambda event, **_: seen.append((event, backend.compiling_s() is not None)))
-    jax.jit(lambda a: a + 41)(1.0)
-    assert (backend.ASKED, True) in seen
-    assert backend.compiling_s() is None
+    for seconds in (0.1, 0.0):
+        with console.working(10, "runs"):
+            time.sleep(seconds)
+    with console.note_if_slow("never") as call_off:
+        call_off()
+        time.sleep(0.05)
+    assert capsys.readouterr().err == f"{console.COMPILING}\n"

@@ -47,7 +47,7 @@ class Bench:
 
         with Out(self, "bench") as out:
             plan = bench.prepare_bench(
-                **fields_of(self, "worlds strategies engine batch_sizes sides episodes repeat quick"),
+                **fields_of(self, "worlds strategies engine batch_sizes sides episodes repeat quick")
             )
             with progress_of(plan.total, "measurements") as progress:
                 progress.update(0)

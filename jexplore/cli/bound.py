@@ -58,8 +58,7 @@ class Bound:
         with Out(self, "bound") as out:
             with note_if_slow("jexplore: loading worlds"):
                 tasks = bound.prepare_bounds(
-                    self.worlds,
-                    **fields_of(self, "starts seed cell_m start seconds max_floods lidar rules"),
+                    self.worlds, **fields_of(self, "starts seed cell_m start seconds max_floods lidar rules")
                 )
             ledger = out.keep(bound.asked_of_bounds(tasks), len(tasks))
             if ledger is None:

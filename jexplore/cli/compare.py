@@ -107,7 +107,8 @@ class Compare:
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
-        from jexplore.studies.results.comparison import assemble, prepare_jobs
+        from jexplore.studies.checks import prepare_jobs
+        from jexplore.studies.results.comparison import assemble
         from jexplore.studies.results.saving import figures_of
         from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds, standings_table
 
@@ -199,9 +200,7 @@ def _tables(found, record):
 def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequence[BoundTask]" = ()) -> "Ran | None":
     """Compile and run the unfinished part, with a note and a bar: a `Ran`; None if everything is finished.
 
-    Args:
-      options: of the command.
-      starts: that are bounded afterwards; the last units of the run.
+    `starts` are bounded afterwards, as the last units of the run.
     """
     from jexplore.engine.backend import use_compilation_cache
     from jexplore.studies.results import loading, provenance, units
@@ -232,18 +231,16 @@ def show_finished(
 ) -> int:
     """Print the results of a finished run for `--resume`, draw missing pictures and return the exit status.
 
-    Args:
-      tables: called with the results and the content of run.json.
-      figures: called with the results and whether they are a league's, as for `finish_comparison`.
+    `tables` gets the results and the content of run.json, `figures` the results and whether they are a league's.
     """
     from jexplore.studies.results import saving
-    from jexplore.studies.results.loading import load, record_of
+    from jexplore.studies.results.loading import load, run_record
 
-    found, record = load(out.run.path), record_of(out.run.path)
+    found, record = load(out.run.path), run_record(out.run.path)
     show_table(tables(found, record))
     drawn = figures(found, league=bool(record["configuration"].get("league")))
     found = getattr(found, "comparison", found)
-    out.draw_missing(saving.pictures_of(out.run.path, found, {}, record, drawn, jobs))
+    out.draw_missing(saving.pictures_of(found, {}, record, drawn, jobs))
     return 0
 
 
@@ -259,15 +256,12 @@ def finish_comparison(
 ) -> int:
     """Write, print and draw the common output of comparisons and reproductions; return the exit status.
 
-    Args:
-      figures: `{name: function}`, which draws it.
-      record: called with more entries of run.json, returns all.
-      more: files besides: name -> what writes it.
+    `record` gets more entries of run.json and returns all; `more` are files besides: name -> writer.
     """
     from jexplore.studies.results import saving
 
     costs, made = ran.costs, record(**saving.entries_of(found), **saving.engine_of(ran.costs))
     files = saving.comparison_files(found, made, more)
     text += "".join(f"warning: {line}\n" for line in found.warnings)
-    pictures = saving.pictures_of(out.run.path, found, ran.firsts, made, figures, None if costs.interrupted else jobs)
+    pictures = saving.pictures_of(found, ran.firsts, made, figures, None if costs.interrupted else jobs)
     return out.finish(made, files, text, pictures, interrupted=costs.interrupted)

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 from jexplore.cli.options import MapFile, OneStrategy, OneWorld, OutFolder, PolygonText, StartText, fields_of
-from jexplore.cli.output.console import Out, compiling, progress_of
+from jexplore.cli.output.console import COMPILING, Out, note_if_slow, progress_of
 from jexplore.config import Lidar, Rules
 
 
@@ -53,11 +53,9 @@ class Explore:
 
         with Out(self, "explore") as out:
             job = prepare_job(
-                self.world,
-                self.strategy,
-                **fields_of(self, "seed episode cell_m start within from_map lidar rules"),
+                self.world, self.strategy, **fields_of(self, "seed episode cell_m start within from_map lidar rules")
             )
-            with compiling():
+            with note_if_slow(COMPILING):
                 found = run_job(job)
             measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
             times = {"compile_s": found.compile_s, "run_s": found.run_s}
@@ -65,15 +63,15 @@ class Explore:
             lines = [f"{name:<18} {_text(value)}" for name, value in measures.items()]
             if found.final.plans is None:
                 lines.append(f"warning: an episode of {found.measures['plans']} plans cannot be replayed: no animation")
-            return out.finish(record, {}, "\n".join(lines), self._pictures(out, found, record))
+            return out.finish(record, {}, "\n".join(lines), self._pictures(found, record))
 
-    def _pictures(self, out, found, record):
+    def _pictures(self, found, record):
         """Return pictures, animation and page: name -> writer."""
         from jexplore.exploration.results import map_state, to_occupancy
         from jexplore.report import plot
+        from jexplore.report.page.report import write_report
         from jexplore.report.tables import aligned_table
         from jexplore.studies.replays import replay_of
-        from jexplore.studies.results.report import write_report
         from jexplore.worlds.readers.ros import write_ros
 
         def picture(path):
@@ -87,9 +85,7 @@ class Explore:
             replays = [] if found.final.plans is None else [replay_of(found)]
             rows = [[name, _text(value)] for name, value in record["result"].items()]
             table = aligned_table(["measure", "value"], rows, left=["measure"])
-            write_report(
-                path, "jexplore explore", record, [("What it measured", table)], [out.run.path / "episode.png"], replays
-            )
+            write_report(path, record, [("What it measured", table)], ["episode.png"], replays)
 
         def explored(path):
             final, world = found.final, found.world

@@ -98,10 +98,12 @@ class Strategies:
         """Run the command and return the exit status, None for 0."""
         from jexplore.policies import MODIFIERS
         from jexplore.policies.catalogue.grammar import strategies
+        from jexplore.report.tables import aligned_table
 
         found = strategies()
-        show_table(found.head, found.rows, left=found.head)
+        show_table(aligned_table(found.head, found.rows, left=found.head))
         head = ["modifier", "meaning"]
-        show_table(head, [(f"+{name}", text) for name, text in MODIFIERS.items()], left=head)
+        modifiers = [(f"+{name}", text) for name, text in MODIFIERS.items()]
+        show_table(aligned_table(head, modifiers, left=head))
         show_line("Names are put together as strategy+modifier:parameter=value,..., such as closest+recheck")
         show_line("One's own: module:function+modifier:parameter=value,..., of a module here or installed")

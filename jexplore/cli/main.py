@@ -6,7 +6,6 @@ line and status 2 and leaves no files, an interruption with one line and status 
 keeps its finished part.
 """
 
-import contextlib
 import io
 import os
 import sys
@@ -17,8 +16,7 @@ from jexplore.cli.bound import Bound
 from jexplore.cli.compare import Compare
 from jexplore.cli.explore import Explore
 from jexplore.cli.listings import Strategies, Worlds
-from jexplore.cli.names import check_names
-from jexplore.cli.options import help_text, parse_options
+from jexplore.cli.options import check_numbers, help_text, parse_options
 from jexplore.cli.output.console import INTERRUPTED, say
 from jexplore.cli.output.signals import Signals
 from jexplore.cli.output.terminal import plain_warnings
@@ -33,8 +31,6 @@ from jexplore.cli.train import Train
 from jexplore.config import InputError
 from jexplore.engine.plugins import keep_compiler_quiet, keep_to_cpu
 from jexplore.version import __version__
-
-M_ARENA_MAX = -8  # of glibc's mallopt: most heaps
 
 COMMANDS: dict[str, type] = {
     "compare": Compare,
@@ -105,19 +101,6 @@ def _run(arguments, signals, own):
         return say(f"jexplore: error: cannot write the output: {error.strerror or error}", 1)
 
 
-def _share_heap():
-    """Make all threads share one heap, if glibc manages the memory and its variable is not set.
-
-    By default it has several, and each keeps what threads that compile have freed: a fifth of what a run takes. Workers
-    that run at once would wait for each other.
-    """
-    if sys.platform == "linux" and "MALLOC_ARENA_MAX" not in os.environ:
-        import ctypes
-
-        with contextlib.suppress(AttributeError):  # another C library
-            ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
-
-
 def _dispatch(arguments, signals):
     if not arguments:
         raise InputError(f"expected a command: {', '.join(COMMANDS)}; see jexplore --help")
@@ -131,10 +114,8 @@ def _dispatch(arguments, signals):
         except SystemExit:  # help has been printed
             return 0
         if signals is not None:
-            if getattr(options, "is_one_run", False):
-                _share_heap()
             signals.listen()
-        check_names(arguments[0], options)
+        check_numbers(options)
         status = options.execute(arguments) or 0
         sys.stdout.flush()
         return status

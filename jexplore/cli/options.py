@@ -29,7 +29,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from jexplore.config import InputError
+from jexplore.config import NUMBER_BOUNDS, InputError, require_engine, require_setting
 
 SMALL = "JEXPLORE_SMALL"
 """Environment variable: set to anything but 0, the default comparison is a small one."""
@@ -113,40 +113,34 @@ def parse_options(arguments: Sequence[str], commands: Mapping[str, type]) -> Any
         what = "expected a command first" if name.startswith("-") else "unknown command"
         raise InputError(f"{what}: {name!r}; there are {', '.join(commands)}{hint}")
 
-    def read():
-        return tyro.cli(
-            commands[name],
-            prog=f"jexplore {name}",
-            args=rest,
-            config=(tyro.conf.FlagCreatePairsOff,),
-            registry=_REGISTRY,
-        )
-
-    said = _Page()
+    page, said = _Page(), _Page()
+    page.encoding = codecs.lookup(sys.stdout.encoding or "utf-8").name  # some say UTF-8, which tyro does not know
+    page.coloured = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
+    how: Any = {"config": (tyro.conf.FlagCreatePairsOff,), "registry": _REGISTRY}
     try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            options = read()
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(page):
+            options = tyro.cli(commands[name], prog=f"jexplore {name}", args=rest, **how)
     except SystemExit as end:
         if end.code:
-            raise InputError(one_line(said.getvalue())) from None
-        _show_help(read)
+            raise InputError(one_line(said.getvalue() or page.getvalue())) from None
+        width = shutil.get_terminal_size().columns
+        for line in page.getvalue().splitlines():
+            is_paragraph = len(line) > width and line[0].isalpha()  # all else has been folded
+            print(textwrap.fill(line, width) if is_paragraph else line)
         print("\n".join(["examples:", *(f"  jexplore {line}" for line in EXAMPLES[name])]))
         raise
     _require_once(rest, commands[name])
     return options
 
 
-def _show_help(read):
-    """Print the requested help again, with the colours and the characters of the standard output."""
-    page = _Page()
-    page.encoding = codecs.lookup(sys.stdout.encoding or "utf-8").name  # some say UTF-8, which tyro does not know
-    page.coloured = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
-    with contextlib.redirect_stdout(page), contextlib.suppress(SystemExit):
-        read()
-    width = shutil.get_terminal_size().columns
-    for line in page.getvalue().splitlines():
-        is_paragraph = len(line) > width and line[0].isalpha()  # all else has been folded
-        print(textwrap.fill(line, width) if is_paragraph else line)
+def check_numbers(options: Any) -> None:
+    """Refuse numbers out of bounds, and lanes that the engine has no use for, before anything heavy is imported."""
+    if hasattr(options, "lanes"):
+        require_engine(options.engine, options.lanes)
+    for name, given in vars(options).items():
+        if name in NUMBER_BOUNDS and given is not None:
+            for one in given if isinstance(given, tuple) else (given,):
+                require_setting(name, one)
 
 
 def _require_once(arguments, command):

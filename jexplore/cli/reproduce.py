@@ -57,10 +57,7 @@ class Reproduce:
         from jexplore.studies import reproduction
 
         with Out(self, "reproduce") as out:
-            jobs = reproduction.prepare_paper(
-                self.paper,
-                **fields_of(self, "maps episodes seed cell_m lidar rules"),
-            )
+            jobs = reproduction.prepare_paper(self.paper, **fields_of(self, "maps episodes seed cell_m lidar rules"))
             ran = run_with_bar(self, jobs, out)
             if ran is None:
                 return show_finished(

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from jexplore.studies.sweeps.run import Swept
 
 Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR [DIR ...]", help_behavior_hint="(required)")]
-LONG_S = 3600.0  # a sweep that is expected to take longer wants --yes
 PRINTED_ROWS = 24  # of the summary
 REPORTED_ROWS = 200  # of the summary, on the page
 
@@ -37,9 +36,7 @@ class SweepCommand:
     spec: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SPEC.yaml", help_behavior_hint="(required)")] = ""
     """File with the varied settings."""
     dry_run: bool = False
-    """Only say how much work it is: units, compiled programs, time."""
-    yes: bool = False
-    """Begin although it will take more than an hour."""
+    """Only say how much work it is: episodes, units, compiled programs."""
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="")] = None
     """Make only part I of N (1/4 to 4/4), each in a folder of its own; `jexplore merge` puts the parts together."""
     engine: Literal["auto", "jax"] = "auto"
@@ -62,28 +59,21 @@ class SweepCommand:
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
-        from jexplore.engine.runner import own_cores
         from jexplore.studies.sweeps import plan as plans
-        from jexplore.studies.sweeps.run import ready, run_sweep
+        from jexplore.studies.sweeps.run import run_sweep
         from jexplore.studies.sweeps.spec import read_spec
 
         if not self.spec:
             raise InputError("expected a file that says what is varied: jexplore sweep SPEC.yaml")
         shard = shard_of(self.shard)
-        spec = read_spec(self.spec)
         with note_if_slow("jexplore: loading worlds"):
-            plan = ready(spec)
+            plan = plans.prepare_sweep(read_spec(self.spec))
         numbers = plans.in_shard(len(plan.units), shard)
         if not numbers:
             raise InputError(f"--shard {self.shard}: the sweep has only {len(plan.units)} units; use fewer parts")
-        cores = own_cores() if self.workers is None else self.workers
-        lines = plans.summary_lines(plan, cores, numbers)
         if self.dry_run:
-            print("\n".join(lines))
+            print("\n".join(plans.summary_lines(plan, numbers)))
             return 0
-        seconds = plan.seconds(cores) * len(numbers) / len(plan.units)
-        if seconds > LONG_S and not self.yes:
-            raise InputError(f"this will take {plans.duration(seconds)} or so ({lines[0]}): give --yes to begin")
         with Out(self, "sweep") as out:
             ledger = out.keep(plan.asked(shard), len(plan.units), wanted=len(numbers), shorter=plan.shorter(shard))
             if ledger is None:
@@ -92,7 +82,7 @@ class SweepCommand:
                 out.wanted = len(plans.in_shard(ledger.units, shard))
             how: dict[str, Any] = {name: getattr(self, name) for name in ("engine", "lanes", "workers")}
             total = sum(plan.size(number) for number in numbers)
-            with working(total, "runs" if spec.robots else "episodes") as on_progress:
+            with working(total, "episodes") as on_progress:
                 found = run_sweep(plan, ledger=ledger, shard=shard, **how, on_progress=on_progress)
             with note_if_slow(FINISHING):
                 return _finish(out, found, arguments, self, plan)
@@ -114,19 +104,21 @@ def shard_of(text: str | None) -> tuple[int, int] | None:
 
 def _show_finished(out, plan):
     """Print the results of a finished sweep for `--resume`, and draw missing pictures."""
-    from jexplore.studies.results.loading import load, record_of
+    from jexplore.studies.results.loading import load, run_record
 
     found = load(out.run.path)
     show_table(found.to_markdown(PRINTED_ROWS))
-    out.draw_missing(_pictures(out, found, record_of(out.run.path), plan))
+    out.draw_missing(_pictures(found, run_record(out.run.path), plan))
     return 0
 
 
-def _pictures(out, found, record, plan):
+def _pictures(found, record, plan):
     """Return pictures of a sweep and, with a plan, its page: name -> writer."""
-    drawn = {f"sweep{tail}.png": functools.partial(_picture, make) for tail, make in found.figures().items()}
-    if plan is not None and not found.missing and not found.spec.robots:
-        drawn["report.html"] = functools.partial(_report, out, found, record, plan, list(drawn))
+    from jexplore.studies.results.saving import picture_writers
+
+    drawn = picture_writers({f"sweep{tail}.png": make for tail, make in found.figures().items()})
+    if plan is not None and not found.missing:
+        drawn["report.html"] = functools.partial(_report, found, record, plan, list(drawn))
     return drawn
 
 
@@ -160,31 +152,23 @@ def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, pl
     }
     text = found.to_markdown(PRINTED_ROWS)
     text += f"warning: {found.missing} episodes are missing\n" if found.missing else ""
-    pictures = _pictures(out, found, record, plan if options.report else None)
+    pictures = _pictures(found, record, plan if options.report else None)
     return out.finish(record, files, text, pictures, interrupted=found.missing > 0)
 
 
-def _picture(make, path):
-    """Draw a picture, as PNG and as SVG."""
-    from jexplore.report import plot
-
-    figure = make()
-    plot.save_figure(figure, path)
-    plot.save_figure(figure, path.with_suffix(".svg"))
-
-
-def _report(out, found, record, plan, names, path):
+def _report(found, record, plan, names, path):
     """Write the page of a sweep, with its existing pictures."""
-    from jexplore.studies.results.report import replays_for, write_report
+    from jexplore.report.page.report import write_report
+    from jexplore.studies.replays import replays_of
     from jexplore.studies.sweeps.run import labels_of
 
     jobs, settings = zip(*plan.first_jobs())
-    replays, notes = replays_for(jobs, record, labels=labels_of(settings))
+    engine = "jax" if record["engine"] == "jax" else "auto"
+    replays, notes = replays_of(jobs, labels=labels_of(settings), engine=engine)
     rows = len(found.summary)
     heading = "Every setting" if rows <= REPORTED_ROWS else f"The first {REPORTED_ROWS} of {rows} rows of summary.csv"
     tables = [(heading, found.table(REPORTED_ROWS))]
-    pictures = [file for name in names if (file := out.run.path / name).is_file()]
-    write_report(path, "jexplore sweep", record, tables, pictures, replays, notes)
+    write_report(path, record, tables, names, replays, notes)
 
 
 def _real(folder):

@@ -58,10 +58,14 @@ class Train:
         """Run the command and return the exit status, None for 0."""
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.learn import bank, training
-        from jexplore.learn.settings import parse_settings
+        from jexplore.learn.settings import parse_settings, require_rounds, trainer_settings
         from jexplore.policies.learned.model import load_model
 
         with Out(self, "train") as out:
+            settings = parse_settings(self.set)
+            trainer_settings(self.algo, settings)  # before worlds are built, which takes seconds
+            require_rounds(self.rounds, self.check_every)
+            model = None if self.model is None else load_model(self.model)
             use_compilation_cache()
             with note_if_slow("jexplore: loading worlds"):
                 how = {"cell_m": self.cell_m, "lidar": self.lidar, "rules": self.rules}
@@ -72,9 +76,9 @@ class Train:
                 self.network,
                 worlds,
                 watched,
-                parse_settings(self.set),
+                settings,
                 **fields_of(self, "rounds check_every patience starts seed"),
-                model=None if self.model is None else load_model(self.model),
+                model=model,
             )
             ledger = out.keep(training.training_inputs(plan), plan.units)
             if ledger is None:

@@ -1,48 +1,12 @@
 """JAX made ready: threads for the workers, and a folder of compiled programs."""
 
 import contextlib
-import functools
 import os
-import threading
-import time
 from pathlib import Path
 
 import jax
 
 from jexplore.engine.plugins import is_idle
-
-ASKED = "/jax/compilation_cache/compile_requests_use_cache"  # what JAX tells: a program is looked for in the folder,
-FOUND = "/jax/compilation_cache/cache_hits"  # was there,
-MADE = "/jax/core/compile/backend_compile_duration"  # or is compiled now
-_since: dict[int, float] = {}  # thread that waits for a program -> since when
-
-
-def compiling_s() -> float | None:
-    """Return the seconds of the longest compilation in progress; None without one.
-
-    A program from the folder of compiled programs counts until it is found.
-    """
-    times = list(_since.values())
-    return time.monotonic() - min(times) if times else None
-
-
-@functools.cache
-def _watch_compiler():
-    """Make JAX report when a program is compiled."""
-
-    def begin(event, **_):
-        if event == ASKED:
-            _since[threading.get_ident()] = time.monotonic()
-        elif event == FOUND:
-            _since.pop(threading.get_ident(), None)
-
-    def end(event, duration_secs, **_):
-        del duration_secs
-        if event == MADE:
-            _since.pop(threading.get_ident(), None)
-
-    jax.monitoring.register_event_listener(begin)
-    jax.monitoring.register_event_duration_secs_listener(end)
 
 
 def start_backend(workers: int) -> None:
@@ -92,4 +56,3 @@ def use_compilation_cache() -> None:
         with contextlib.suppress(OSError, RuntimeError):
             jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
-    _watch_compiler()

@@ -116,7 +116,7 @@ class Trained:
 
     def figure(self) -> "Figure":
         """Draw the curve."""
-        from jexplore.report.plots.learning import training_figure
+        from jexplore.report.plots.curves import training_figure
 
         return training_figure(self.curve, self.best)
 

@@ -117,32 +117,9 @@ def _draw_legend(image, draw, top):
         left += 26 + _draw_text(image, text, (left + 15, top), font)
 
 
-def _thinned(images, max_frames):
-    """Return at most `max_frames` of the images, evenly spaced, the last always; holds at most twice as many."""
-    kept, stride, last = [], 1, None
-    for number, make in enumerate(images):
-        last = (number, make())
-        if number % stride == 0:
-            kept.append(last)
-        if len(kept) > 2 * max_frames:
-            kept, stride = kept[::2], 2 * stride
-    if last is None:
-        raise ValueError("expected one or more frames, got none")
-    if kept[-1][0] != last[0]:
-        kept.append(last)
-    if len(kept) > max_frames:
-        kept = [kept[i] for i in np.round(np.linspace(len(kept) - 1, 0, max_frames)).astype(int)[::-1]]
-    return [image for _, image in kept]
-
-
 def save_animation(
-    frames: Iterable[Mapping[str, Any]],
-    path: str | os.PathLike[str],
-    *,
-    cell_m: float,
-    fps: float = 12,
-    max_frames: int = 300,
-) -> int:
+    frames: Iterable[Mapping[str, Any]], path: str | os.PathLike[str], *, cell_m: float, fps: float = 12
+) -> None:
     """Write an episode as an animation in the format of the file's ending, whole or not at all: a GIF, or MP4.
 
     A GIF loops. All frames share one palette, so colours do not flicker. The last frame is held for two seconds.
@@ -154,26 +131,23 @@ def save_animation(
       path: the file; without an ending it is a GIF. MP4 is written by the program ffmpeg.
       cell_m: edge of a cell, metres.
       fps: frames a second, above 0 and at most 50.
-      max_frames: of more frames, that many are kept, evenly spaced, the last among them.
-
-    Returns:
-      Number of frames kept (those that look alike may be stored as one).
 
     Raises:
       InputError: there is no such format, ffmpeg is not there, or the file cannot be written.
-      ValueError: no frames, or a rate or a number out of bounds.
+      ValueError: no frames, or a rate out of bounds.
     """
-    if not 0 < fps <= 50 or max_frames < 1:
-        raise ValueError(f"expected 0 < fps <= 50 and max_frames >= 1, got {fps!r} and {max_frames!r}")
+    if not 0 < fps <= 50:
+        raise ValueError(f"expected 0 < fps <= 50, got {fps!r}")
     ending = os.path.splitext(path)[1].lower() or ".gif"
     if ending not in (".gif", ".mp4"):
         raise InputError(f"{path} must end in .gif or .mp4, got {ending}")
     if ending == ".mp4" and not FFMpegWriter.isAvailable():
         raise InputError(f"{path} needs the program ffmpeg, which is not on the path; .gif needs none")
-    images = _thinned(((lambda frame=frame: frame_image(frame, cell_m=cell_m)) for frame in frames), max_frames)
+    images = [frame_image(frame, cell_m=cell_m) for frame in frames]
+    if not images:
+        raise ValueError("expected one or more frames, got none")
     with atomic(path) as part:
         (_write_gif if ending == ".gif" else _write_mp4)(images, part, fps)
-    return len(images)
 
 
 def _write_gif(images, path, fps):

@@ -10,7 +10,7 @@ import os
 import secrets
 import shutil
 import socket
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -54,17 +54,11 @@ class RunFolder:
         return self.path / UNFINISHED
 
     def write(self, writers: Mapping[str, Callable[[Path], Any]], *, is_finished: bool = True) -> Path:
-        """Write the files of a run in place of the old one's: all of them, or none.
+        """Write the files of a run, name -> writer, in place of the old one's: all or none. Return the folder.
 
         They are written into a hidden folder, which one renaming makes the run of this folder. If a writer fails or the
-        user interrupts before that, the folder stays as before; whatever comes after, the new run is there.
-
-        Args:
-          writers: `{name: function}`, each called with the path that it is to write.
-          is_finished: bool, the run is finished: its units are removed.
-
-        Returns:
-          `Path` of the folder.
+        user interrupts before that, the folder stays as before; whatever comes after, the new run is there. The units
+        of a finished run are removed.
 
         Raises:
           InputError: a file cannot be written.
@@ -100,11 +94,7 @@ class RunFolder:
                 os.replace(file, self.path / file.name)
 
     def require_free(self) -> None:
-        """Refuse a folder that holds a run.
-
-        Raises:
-          InputError: naming one of its files.
-        """
+        """Refuse a folder that holds a run."""
         _taken(self.path, False)
 
     def release(self) -> None:
@@ -122,16 +112,9 @@ class RunFolder:
 def claimed(path: str | os.PathLike[str], *, overwrite: bool = False, resume: bool = False) -> Iterator[RunFolder]:
     """Claim a folder for one run, which no other process may claim meanwhile; missing parents are made.
 
-    Nothing in it is changed before the run is written. The claim dies with its holder, however that ends.
-
-    Args:
-      path: the folder.
-      overwrite: whether it may hold a run, which is then replaced by the new one as a whole. Files of other names
-        than a run's are never touched.
-      resume: whether it may hold a run, finished or not, that is to be gone on with.
-
-    Yields:
-      `RunFolder`.
+    Nothing in it is changed before the run is written. The claim dies with its holder, however that ends. With
+    `overwrite` it may hold a run, which the new one replaces as a whole; files of other names than a run's are never
+    touched. With `resume` it may hold a run, finished or not, to be continued.
 
     Raises:
       InputError: it holds a run, finished or not, or another process writes to it; it is a file, or cannot be made or
@@ -152,9 +135,11 @@ def claimed(path: str | os.PathLike[str], *, overwrite: bool = False, resume: bo
 
 
 @contextlib.contextmanager
-def claimed_new(paths: Iterable[str | os.PathLike[str]]) -> Iterator[RunFolder]:
-    """Claim, as `claimed`, the first of some folders that does not exist. Several processes each get their own."""
-    for path in map(Path, paths):
+def claimed_new(command: str, now: datetime.datetime) -> Iterator[RunFolder]:
+    """Claim, as `claimed`, a new folder: `runs/20261121T093042Z-compare`, or with `-2`, `-3`, ... if that exists."""
+    first = Path("runs") / f"{now.astimezone(datetime.UTC):%Y%m%dT%H%M%SZ}-{command}"
+    for count in itertools.count(1):
+        path = first if count == 1 else first.with_name(f"{first.name}-{count}")
         parents = _make(path.parent)
         try:
             path.mkdir()
@@ -225,11 +210,7 @@ def _taken(path, allowed):
 
 
 def _locked(path):
-    """Lock a folder for this process, until it ends: a file descriptor.
-
-    Raises:
-      InputError: another process has it, or the folder cannot be written.
-    """
+    """Lock a folder for this process, until it ends: a file descriptor."""
     name = path / LOCK
     while True:
         try:
@@ -319,26 +300,3 @@ def _staged(folder, writers):
         raise _unwritable(folder, error) from error
     finally:
         shutil.rmtree(stage, ignore_errors=True)
-
-
-def default_outs(
-    command: str, now: datetime.datetime | None = None, *, root: str | os.PathLike[str] = "runs"
-) -> Iterator[Path]:
-    """Yield unused folder names for a run: `runs/20261121T093042Z-compare`, then with `-2`, `-3`, ...; without end.
-
-    Args:
-      command: what was run, part of the name.
-      now: `datetime`, by default the present; one without a time zone counts as UTC.
-      root: folder of the runs.
-
-    Yields:
-      `Path`s, of which none exists when it is given.
-    """
-    now = now or datetime.datetime.now(datetime.UTC)
-    if now.tzinfo is not None:
-        now = now.astimezone(datetime.UTC)
-    first = Path(root) / f"{now:%Y%m%dT%H%M%SZ}-{command}"
-    for count in itertools.count(1):
-        path = first if count == 1 else first.with_name(f"{first.name}-{count}")
-        if not os.path.lexists(path):
-            yield path

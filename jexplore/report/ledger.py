@@ -59,20 +59,12 @@ class Ledger:
                     file.unlink()
 
     def put(self, unit: int, table: "pd.DataFrame") -> None:
-        """Store a finished unit: on the disk when this returns.
-
-        Raises:
-          InputError: it cannot be written.
-        """
+        """Store a finished unit: on the disk when this returns."""
         write_parquet(table, self._file(unit))
         self.done.add(unit)
 
     def get(self, unit: int) -> "pd.DataFrame":
-        """Return the table of a finished unit.
-
-        Raises:
-          InputError: its file is missing or damaged.
-        """
+        """Return the table of a finished unit; refuse a file that is missing or damaged."""
         file = self._file(unit)
         try:
             return _table_in(file)
@@ -85,7 +77,6 @@ class Ledger:
 
 
 def _is_whole(file):
-    """Return whether a unit's file can be read to its end and is unchanged."""
     try:
         _table_in(file)
     except Exception:  # pyarrow raises many kinds of errors for a broken file
@@ -115,12 +106,12 @@ def open_ledger(
       run: the run's folder.
       asked: all settings that results depend on; plain JSON, see `store.jsonable`.
       units: number of units of the whole run.
-      resume: bool, continue with existing units; else they are removed.
+      resume: continue with existing units; else they are removed.
       trust: as in `require_same`.
       shorter: finished runs that may be continued.
 
     Returns:
-      `Ledger`; None if the folder holds the finished run.
+      None if the folder holds the finished run.
 
     Raises:
       InputError: the folder holds a run with other settings, or another command's files, or cannot be written.
@@ -178,27 +169,16 @@ def _read(file):
         page = read_json(file, MAX_RECORD_BYTES)
     except InputError as error:
         raise InputError(f"{error}: it must say what the run is asked; use --overwrite") from error
-    asked, after = (page.get("asked", {}), page.get("after", 0)) if isinstance(page, dict) else (None, 0)
-    is_number = isinstance(after, int) and not isinstance(after, bool) and after >= 0
-    if (
-        not is_number
-        or not isinstance(asked, dict)
-        or not all(isinstance(asked.get(key) or {}, dict) for key in ("own", "spec"))
-    ):
+    if not isinstance(page, dict) or not isinstance(page.get("asked", {}), dict):
         raise InputError(f"{os.fspath(file)!r}: does not say what the run is asked; use --overwrite")
     return page
 
 
 def require_same(path: Path, there: Mapping[str, Any], here: Mapping[str, Any], *, trust: bool = False) -> None:
-    """Refuse to continue a run with other settings.
+    """Refuse to continue a run with other settings, naming the first difference.
 
-    Args:
-      path: its folder.
-      there, here: what it was asked and is asked now: `asked`, and `units` where they count.
-      trust: bool, take users' strategies as unchanged.
-
-    Raises:
-      InputError: naming the first difference.
+    `there` and `here` are what it was asked and is asked now: `asked`, and `units` where they count. With `trust`,
+    users' strategies are taken as unchanged.
     """
     old, new = ({**(page.get("asked") or {}), "units": page.get("units")} for page in (there, here))
     was, is_ = old.pop("own", None) or {}, new.pop("own", None) or {}

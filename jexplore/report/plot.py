@@ -1,6 +1,6 @@
-"""Pictures: bars, maps with paths, contact sheets.
+"""Pictures: maps with paths, contact sheets.
 
-`bars` and the `draw_*` functions take arrays and an `Axes` and return the artists; the `*_figure` functions compose
+The `draw_*` functions take arrays and an `Axes` and return the artists; the `*_figure` functions compose
 them into a `Figure` that no window or global state knows of (save it with `save_figure`). Arrays are `(row, col)` with
 row 0 at the bottom; axes are in metres from the lower left corner of cell (0, 0). A map state is uint8: 0 unknown, 1
 free, 2 occupied.
@@ -10,7 +10,7 @@ import itertools
 import math
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
@@ -24,7 +24,6 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path as Outline
-from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from jexplore.config import InputError
@@ -44,14 +43,7 @@ ARROW = Outline([(1.0, 0.0), (-0.6, 0.6), (-0.3, 0.0), (-0.6, -0.6), (1.0, 0.0)]
 def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 150) -> None:
     """Write a figure in the format of the file's ending, whole or not at all: pixels (png) or a vector (svg, pdf).
 
-    Equal figures give equal files. A PDF holds its fonts as outlines that can be edited (TrueType).
-
-    Args:
-      path: the file; without an ending it is a PNG.
-      dpi: pixels an inch, of pixels and of what a vector has of them.
-
-    Raises:
-      InputError: there is no such format, or the file cannot be written.
+    Without an ending it is a PNG. Equal figures give equal files. A PDF holds fonts that can be edited (TrueType).
     """
     ending, known = os.path.splitext(path)[1].lstrip(".").lower() or "png", figure.canvas.get_supported_filetypes()
     if ending not in known:
@@ -115,55 +107,6 @@ def _centres_m(cells, cell_m):
     return (np.asarray(cells, dtype=np.float64) + 0.5) * cell_m
 
 
-def bars(ax: Axes, labels: Sequence[str], means: Any, sds: Any, title: str = "", *,
-         styles: Iterable[Any] | None = None, at: Any = None, thickness: float = 0.72) -> Any:  # fmt: skip
-    """Draw mean path lengths as bars with whiskers of one standard deviation and numbers next to them, first on top.
-
-    Args:
-      labels: `[K]` texts.
-      means, sds: `[K]` metres; a NaN mean leaves a gap marked "no data", a NaN or zero sd has no whisker.
-      styles: `[K]` dicts of bar properties (`facecolor`, `hatch`); by default the palette in order.
-      at: `[K]` places on the axis, rising; by default 0 to K - 1.
-      thickness: of a bar, on the same scale.
-
-    Source:
-      Holz et al. 2010, Figure 8. Changed: the bars lie, so that long names stay readable.
-    """
-    means, sds = np.asarray(means, dtype=np.float64), np.asarray(sds, dtype=np.float64)
-    at, known = np.arange(len(means)) if at is None else np.asarray(at), np.isfinite(means)
-    length, spread = np.where(known, means, 0.0), np.where(known & np.isfinite(sds), sds, 0.0)
-    container = ax.barh(at, length, height=thickness, edgecolor="black", linewidth=0.6)
-    for bar, style in zip(container, styles or style_of(range(len(means))).values()):
-        bar.set(**style)
-    some = spread > 0
-    whisker = np.stack([np.minimum(spread, length), spread])[:, some]
-    ax.errorbar(length[some], at[some], xerr=whisker, fmt="none", ecolor="black", elinewidth=1, capsize=3)
-    longest = float((length + spread).max(initial=0.0)) or 1.0
-    for y, mean, sd in zip(at, means, sds):
-        text = "no data" if math.isnan(mean) else f"{mean:.1f}" + (f" ± {sd:.1f}" if math.isfinite(sd) else "")
-        x = 0.0 if math.isnan(mean) else mean + (sd if math.isfinite(sd) else 0.0)
-        ax.text(x + 0.025 * longest, y, text, va="center", ha="left", fontsize=8)
-    ax.set_xlim(0, 1.55 * longest)
-    ax.set_ylim(at[-1] + 0.5, at[0] - 0.5)
-    ax.set_yticks(at, labels, fontsize=8)
-    ax.tick_params(axis="y", length=0)
-    ax.tick_params(axis="x", labelsize=8)
-    ax.xaxis.set_major_locator(MaxNLocator(nbins=4))
-    ax.set_xlabel("path length (m)", fontsize=8)
-    ax.spines[["top", "right"]].set_visible(False)
-    _plain(ax.set_title(title, fontsize=9), *ax.get_yticklabels())
-    return container
-
-
-def style_of(strategies: Iterable[Any]) -> dict[Any, dict[str, Any]]:
-    """Return `{strategy: bar properties}` in the order given: a colour each, and a hatch from the ninth on."""
-    hatches = (None, "///", "...", "xxx", "\\\\\\")
-    return {
-        name: {"facecolor": PALETTE[i % len(PALETTE)], "hatch": hatches[i // len(PALETTE) % len(hatches)]}
-        for i, name in enumerate(strategies)
-    }
-
-
 def _grid(count):
     """Return rows and columns for `count` panels."""
     n_cols = count if count <= 3 else min(4, math.ceil(math.sqrt(count)))
@@ -173,13 +116,7 @@ def _grid(count):
 def draw_map(ax: Axes, state: Any, cell_m: float) -> Any:
     """Draw the known map: unknown grey, free white, occupied black.
 
-    Args:
-      ax: the axes; they get equal scales and limits around the map.
-      state: `[H, W]` uint8, 0 unknown, 1 free, 2 occupied.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      The image, RGB, so that a wall thinner than a pixel darkens it instead of vanishing.
+    The image is RGB, so that a wall thinner than a pixel darkens it instead of vanishing.
     """
     return _image(ax, MAP_RGB[np.asarray(state)], cell_m)
 
@@ -192,12 +129,7 @@ def _image(ax, colours, cell_m, **properties):
 def draw_path(ax: Axes, rows: Any, cols: Any, cell_m: float, *, width: float = 1.4) -> tuple[Any, Line2D, Line2D]:
     """Draw the driven path, coloured from start to end by distance driven, the start a ring and the end a cross.
 
-    Args:
-      rows, cols: `[N]` cells in the order driven, N >= 1.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      `(line, start, end)`: a `LineCollection` of N - 1 segments valued 0 to 1, and two `Line2D` markers.
+    Return `(line, start, end)`: a `LineCollection` of a segment a step, valued 0 to 1, and two markers.
     """
     xy = np.stack([_centres_m(cols, cell_m), _centres_m(rows, cell_m)], axis=-1)
     if len(xy) == 0:
@@ -229,25 +161,13 @@ def room_colours(count: int) -> np.ndarray:
     return hsv_to_rgb(np.stack([hue, tone, np.full(count, 0.96)], axis=-1))
 
 
-def draw_rooms(ax: Axes, world: Any, *, numbers: bool = True) -> tuple[Any, list[Any]]:
-    """Draw the true floor plan with its rooms in soft colours, and each room's number near its middle.
-
-    Returns:
-      `(image, texts)`.
-    """
+def draw_rooms(ax: Axes, world: Any) -> Any:
+    """Draw the true floor plan, its rooms in soft colours; return the image."""
     rooms = np.full(world.shape, -1) if world.rooms is None else np.asarray(world.rooms)
     colours = np.ones((*world.shape, 3))
-    count = int(rooms.max(initial=-1)) + 1
-    colours[rooms >= 0] = room_colours(count)[rooms[rooms >= 0]]
+    colours[rooms >= 0] = room_colours(int(rooms.max(initial=-1)) + 1)[rooms[rooms >= 0]]
     colours[np.asarray(world.occupied)] = 0.0
-    image = _image(ax, colours, world.cell_m)
-    texts = []
-    for room in np.unique(rooms[rooms >= 0]) if numbers else ():
-        cells = np.argwhere(rooms == room)
-        row, col = cells[np.argmin(((cells - cells.mean(axis=0)) ** 2).sum(axis=1))]
-        x, y = _centres_m(col, world.cell_m), _centres_m(row, world.cell_m)
-        texts.append(ax.text(x, y, str(room), ha="center", va="center", fontsize=7))
-    return image, texts
+    return _image(ax, colours, world.cell_m)
 
 
 def _panel_in(shapes, *, long_in):
@@ -301,12 +221,7 @@ def episode_figure(state: Any, rows: Any, cols: Any, cell_m: float, *,
                    path_m: Any, known_cells: Any, title: str = "") -> Figure:  # fmt: skip
     """Draw one episode: the final map with its path, and the growth of the known area along the path.
 
-    Args:
-      state: `[H, W]` uint8, the final map.
-      rows, cols: `[N]` cells driven, N >= 1.
-      cell_m: edge of a cell, metres.
-      path_m: `[T]` float, path length at each scan, not decreasing.
-      known_cells: `[T]` int, cells known after that scan.
+    `path_m` and `known_cells` are the path length at each scan, `[T]`, and the cells known after it.
     """
     width, height = _panel_in([np.shape(state)], long_in=5.2)
     figure = Figure(figsize=(width + 4.4, max(height, 3.2) + 0.7), layout="constrained")
@@ -321,14 +236,7 @@ def episode_figure(state: Any, rows: Any, cols: Any, cell_m: float, *,
 
 
 def draw_coverage(ax: Any, path_m: Any, known_m2: Any) -> LineCollection:
-    """Draw the known area over path length, in colours like the path, with its share of the final area on the right.
-
-    Args:
-      path_m, known_m2: `[T]` metres and square metres, T >= 1.
-
-    Returns:
-      The `LineCollection`.
-    """
+    """Draw the known area over path length, in colours like the path, with its share of the final area on the right."""
     xy = np.stack([path_m, known_m2], axis=-1).astype(np.float64)
     end_m, final_m2 = max(float(xy[-1, 0]), 1e-9), max(float(xy[-1, 1]), 1e-9)
     line = LineCollection(list(np.stack([xy[:-1], xy[1:]], axis=1)), cmap=PROGRESS, linewidths=2.2, capstyle="round")
@@ -346,11 +254,7 @@ def draw_coverage(ax: Any, path_m: Any, known_m2: Any) -> LineCollection:
 
 
 def worlds_figure(worlds: Sequence[tuple[str, Any]]) -> Figure:
-    """Draw a contact sheet of floor plans: rooms, start, free area, number of rooms.
-
-    Args:
-      worlds: one or more `(name, World)`.
-    """
+    """Draw a contact sheet of floor plans with their names: rooms, start, free area, number of rooms."""
     n_rows, n_cols = _grid(len(worlds))
     shapes = [world.shape for _, world in worlds]
     sizes = [_panel_in(shapes[i : i + n_cols], long_in=3.0) for i in range(0, len(shapes), n_cols)]
@@ -362,7 +266,7 @@ def worlds_figure(worlds: Sequence[tuple[str, Any]]) -> Figure:
             ax.set_visible(False)
             continue
         name, world = entry
-        draw_rooms(ax, world, numbers=False)
+        draw_rooms(ax, world)
         if world.start is not None:
             row, col, heading_deg = world.start
             draw_robot(ax, row, col, heading_deg, world.cell_m, size=10)

@@ -54,11 +54,7 @@ def _bytes(colour):
 
 
 def rooms_figure(pictures: Sequence[Any], scores: Any) -> Figure:
-    """Draw a page with a row for every map and known share, and a column for every variant.
-
-    Args:
-      scores: `Segmentation.scores`, in the order of the pictures.
-    """
+    """Draw pictures and their scores: a row for every map and known share, and a column for every variant."""
     variants = list(dict.fromkeys(picture.variant for picture in pictures))
     n_rows = math.ceil(len(pictures) / len(variants))
     tallest = max(p.label.shape[0] / max(p.label.shape) for p in pictures)

@@ -44,13 +44,7 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Provide a temporary path in the same folder that replaces `path` once the block has ended well.
 
     The data are synced before the replacement, so a reader finds the old file or the new one. If the block raises, the
-    temporary file is removed and `path` stays as it was.
-
-    Args:
-      path: the file to write.
-
-    Raises:
-      InputError: the file cannot be written.
+    temporary file is removed and `path` stays as it was. A file that cannot be written is an `InputError`.
     """
     path = Path(path)
     part = path.parent / f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part"
@@ -78,25 +72,13 @@ def sync_folder(folder):
 
 
 def write_parquet(episodes: "pd.DataFrame", path: str | os.PathLike[str]) -> None:
-    """Write a DataFrame as Parquet, without its index, whole or not at all.
-
-    Args:
-      episodes: a pandas DataFrame.
-      path: the file.
-
-    Raises:
-      InputError: the file cannot be written.
-    """
+    """Write a DataFrame as Parquet, without its index, whole or not at all."""
     with atomic(path) as part, open(part, "wb") as file:  # of a name that need not be UTF-8, as pyarrow would want it
         episodes.to_parquet(file, index=False, write_page_checksum=True)
 
 
 def read_parquet(path: str | os.PathLike[str], *, required: Sequence[str] = ()) -> "pd.DataFrame":
     """Read a DataFrame that `write_parquet` wrote; column types come back as they were.
-
-    Args:
-      path: the file.
-      required: names of columns that it must have.
 
     Raises:
       InputError: the file is missing, cannot be read, is no Parquet file, has more than `MAX_TABLE_VALUES`, or lacks a
@@ -126,10 +108,7 @@ def jsonable(value: Any) -> Any:
     """Convert `value` to plain JSON types.
 
     Numbers and arrays of numpy and jax become numbers and lists; NaN, infinities and pandas' NA become None; records
-    become objects, paths and times text, enumerations their names.
-
-    Raises:
-      TypeError: a type that has no such form.
+    become objects, paths and times text, enumerations their names. Other types are a `TypeError`.
     """
     if value is None or isinstance(value, (bool, str)):
         return value
@@ -157,16 +136,7 @@ def jsonable(value: Any) -> Any:
 
 
 def write_json(obj: Any, path: str | os.PathLike[str]) -> None:
-    """Write `obj` as JSON (see `jsonable`), indented, whole or not at all.
-
-    Args:
-      obj: nested dicts, lists, records, numbers, arrays, text.
-      path: the file.
-
-    Raises:
-      InputError: the file cannot be written.
-      TypeError: `obj` holds something that has no JSON form; nothing is written.
-    """
+    """Write `obj` as JSON (see `jsonable`), indented, whole or not at all."""
     text = json.dumps(jsonable(obj), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic(path) as part:
         part.write_text(text, encoding="utf-8", errors="backslashreplace")  # arguments may be no UTF-8
@@ -180,13 +150,7 @@ def _version(package):
 
 
 def environment() -> dict[str, Any]:
-    """Describe hardware and software of a run, for its record. Starts jax's backend.
-
-    Returns:
-      A dict: `jexplore`, `python` and the packages' versions (None for one that is not installed), `platform`,
-        `machine`, `cpu_count`, and jax's `backend`, `device` (kind of the first one) and `device_count`; the
-        `generator` of all that is random.
-    """
+    """Describe hardware and software of a run, for its record. Starts jax's backend."""
     import jax
 
     from jexplore.config import GENERATOR

@@ -3,7 +3,7 @@
 import contextlib
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -11,14 +11,17 @@ import numpy as np
 
 from jexplore.arrays.bits import WORD
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, Lidar, Rules, as_record, require_different
+from jexplore.config import InputError, Lidar, Rules, as_record, require_different, require_setting
+from jexplore.exploration.batch import Job
 from jexplore.exploration.site import LEAST_LIMIT
 from jexplore.grid import radius_d2
 from jexplore.policies import Policy, Strategy, strategy
 from jexplore.raycast import HEADINGS, farthest, n_steps
+from jexplore.studies.metrics import MetricsLike, ready_metrics
 from jexplore.worlds import load_world
 from jexplore.worlds.poses import Pose, cell_of, read_start
 from jexplore.worlds.regions import warn_of_floor
+from jexplore.worlds.restrict import KnownMap, Polygon, restricted
 from jexplore.worlds.starts import check_start, draw_start, draw_starts, reached_from, start_region
 from jexplore.worlds.world import World, require_world, ringed_shape
 
@@ -37,8 +40,6 @@ CELL_BYTES = 120  # of one episode under way and of the world itself, measured o
 TRAIL_BYTES = 24  # a step
 BEAM_BYTES = 64  # a step of a beam, while the table is made
 RUN_MEMORY_SHARE = 0.8  # of the machine's memory that a run may be expected to need
-# Bytes of address space. Below, JAX's threads do not start (2.2e9 ended the smallest run, 3e9 did not).
-ADDRESSES = 3 * 10**9
 LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # of a container: cgroup 2 and 1
 
 
@@ -65,7 +66,9 @@ def ready_settings(lidar: LidarLike, rules: RulesLike) -> tuple[Lidar, Rules]:
 def ready_worlds(worlds: WorldLike | Iterable[WorldLike], cell_m: float) -> list[World]:
     """Make worlds with different names of names and `World` records, in order; a single one may stand for itself."""
     worlds = list_of("worlds", worlds)
-    require_different("worlds", [w.name if isinstance(w, World) else str(w) for w in worlds])
+    names = [w.name if isinstance(w, World) else str(w) for w in worlds]
+    require_different("worlds", names)
+    _require_texts(names)
     for world in worlds:
         if isinstance(world, World) and not world.name:
             raise InputError("a world needs a name to be told from others: world.replace(name=...)")
@@ -98,15 +101,23 @@ def ready_strategies(strategies: StrategyLike | Iterable[StrategyLike]) -> list[
         strategies = [strategies]
     strategies = list_of("strategies", strategies)
     ready = [strategy(given) for given in strategies]
-    require_different("strategies", [one.name for one in ready], "; jx.strategy(..., name=...) tells them apart")
+    names = [one.name for one in ready]
+    require_different("strategies", names, "; jx.strategy(..., name=...) tells them apart")
+    _require_texts(names)
     return ready
+
+
+def _require_texts(names):
+    """Refuse names that tables cannot hold."""
+    for name in names:
+        if name.encode(errors="replace").decode() != name:
+            raise InputError(f"{name!r}: the name of a world or strategy must be UTF-8: call the file otherwise")
 
 
 def ready_starts(world: World, start: StartLike, n: int, *, seed: int, rules: Rules) -> np.ndarray:
     """Draw or read the starts of n episodes in a world: `[n, 3]` int32, row, col, heading in degrees.
 
-    `start` is "random" (drawn, start i the same for every n), "world" (the world's own, n times), or cells or a `Pose`,
-    n times: see `poses.read_start`.
+    `start` is "random", drawn, start i the same for every n; else one for all: see `poses.read_start`.
     """
     require_clearance(world, rules)
     start, clearance_m, near_m = read_start(start), rules.clearance_m, rules.near_m
@@ -146,19 +157,6 @@ def _memory():
     return min(told, default=None)
 
 
-def _require_addresses(need):
-    """Refuse a run that the limit on address space would end without a word."""
-    with contextlib.suppress(ImportError):  # Windows has none
-        import resource
-
-        limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-        if limit != resource.RLIM_INFINITY and limit < ADDRESSES + need:
-            raise InputError(
-                f"the limit on address space (ulimit -v) is {limit / 2**30:.1f} GiB, and this run needs about "
-                f"{(ADDRESSES + need) / 2**30:.1f}: raise or lift it"
-            )
-
-
 def require_clearance(world: World, rules: Rules) -> None:
     """Refuse a clearance of more cells than the kernels look across."""
     if radius_d2(rules.clearance_m, world.cell_m) >= WORD**2:
@@ -172,7 +170,6 @@ def require_clearance(world: World, rules: Rules) -> None:
 def require_memory(world: World, lidar: Lidar, rules: Rules) -> None:
     """Refuse what would not fit into the machine's memory."""
     have, need = _memory(), memory_needed(world, lidar, rules, os.cpu_count() or 1)
-    _require_addresses(need)
     if have is not None and need > RUN_MEMORY_SHARE * have:
         rows, cols = world.shape
         raise InputError(
@@ -180,3 +177,32 @@ def require_memory(world: World, lidar: Lidar, rules: Rules) -> None:
             f"{need / 2**30:.1f} GiB, and the machine has {have / 2**30:.1f}; use a larger cell_m, fewer beams, "
             "a shorter lidar.range_m or a smaller rules.max_steps"
         )
+
+
+def prepare_jobs(
+    worlds: WorldLike | Iterable[WorldLike],
+    strategies: StrategyLike | Iterable[StrategyLike],
+    *,
+    episodes: int,
+    seed: int,
+    cell_m: float,
+    start: StartLike,
+    start_m: Sequence[float] | None = None,
+    lidar: LidarLike,
+    rules: RulesLike,
+    within: str | Polygon | None = None,
+    from_map: KnownMap | None = None,
+    metrics: MetricsLike = None,
+) -> list[Job]:
+    """Check and load everything before `compare` runs: a list of `Job`. Arguments as there."""
+    lidar, rules = ready_settings(lidar, rules)
+    episodes, seed = require_setting("episodes", episodes), require_setting("seed", seed)
+    start = read_start(start, start_m)
+    strategies, own = ready_strategies(strategies), ready_metrics(metrics)
+    ready, jobs = ready_worlds(worlds, cell_m), []
+    require_different_buildings(ready)
+    for world in (restricted(world, within, from_map) for world in ready):
+        require_memory(world, lidar, rules)
+        starts = ready_starts(world, start, episodes, seed=seed, rules=rules)
+        jobs += [Job(world, one, starts, seed, lidar=lidar, rules=rules, metrics=own) for one in strategies]
+    return jobs

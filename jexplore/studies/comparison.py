@@ -12,10 +12,19 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.exploration.trail import RECORDS
 from jexplore.report.ledger import open_ledger
-from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, StartLike, StrategyLike, WorldLike
+from jexplore.studies.checks import (
+    LIDAR,
+    RULES,
+    LidarLike,
+    RulesLike,
+    StartLike,
+    StrategyLike,
+    WorldLike,
+    prepare_jobs,
+)
 from jexplore.studies.metrics import MetricsLike
 from jexplore.studies.results import loading, provenance, saving
-from jexplore.studies.results.comparison import Comparison, Made, assemble, prepare_jobs
+from jexplore.studies.results.comparison import Comparison, Made, assemble
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.units import cut_jobs, run_units
 from jexplore.worlds.restrict import KnownMap, Polygon

@@ -19,6 +19,7 @@ from jexplore.exploration.site import prepare_site
 from jexplore.exploration.trail import Final
 from jexplore.policies import Strategy
 from jexplore.report import animate, plot
+from jexplore.report.page.replay import evenly
 from jexplore.studies.checks import (
     LIDAR,
     RULES,
@@ -27,15 +28,9 @@ from jexplore.studies.checks import (
     StartLike,
     StrategyLike,
     WorldLike,
-    ready_settings,
-    ready_starts,
-    ready_strategies,
-    ready_worlds,
-    require_memory,
+    prepare_jobs,
 )
-from jexplore.worlds.poses import read_start
-from jexplore.worlds.restrict import KnownMap, Polygon, restricted
-from jexplore.worlds.starts import draw_start
+from jexplore.worlds.restrict import KnownMap, Polygon
 from jexplore.worlds.world import World, ring_of
 
 if TYPE_CHECKING:
@@ -204,22 +199,10 @@ def explore(
     return run_job(prepare_job(world, strategy, seed=seed, episode=episode, lidar=lidar, rules=rules, **where))
 
 
-def prepare_job(
-    world: WorldLike, strategy: StrategyLike, *,
-    seed: int, cell_m: float, start: StartLike, lidar: LidarLike, rules: RulesLike,
-    start_m: Sequence[float] | None = None, within: str | Polygon | None = None, from_map: KnownMap | None = None,
-    episode: int = 0,
-) -> Job:  # fmt: skip
-    """Check and load everything before `explore` runs: a `Job` of as many episodes, all from its start."""
-    seed, episode = require_setting("seed", seed), require_setting("episode", episode)
-    (parsed,), (world,) = ready_strategies(strategy), ready_worlds(world, cell_m)
-    lidar, rules = ready_settings(lidar, rules)
-    world = restricted(world, within, from_map)
-    require_memory(world, lidar, rules)
-    start = read_start(start, start_m)
-    (first,) = ready_starts(world, start, 1, seed=seed, rules=rules)
-    own = draw_start(world, seed, episode, rules.clearance_m) if start == "random" else first
-    return Job(world, parsed, np.tile(np.asarray(own, np.int32), (episode + 1, 1)), seed, lidar=lidar, rules=rules)
+def prepare_job(world: WorldLike, strategy: StrategyLike, *, episode: int = 0, **settings: Any) -> Job:
+    """Check and load everything before `explore` runs: a `Job` of episodes up to its own. `settings` as there."""
+    (job,) = prepare_jobs(world, strategy, episodes=require_setting("episode", episode) + 1, **settings)
+    return job
 
 
 def run_job(job: Job) -> Episode:
@@ -259,7 +242,7 @@ def steps_of(episode: Episode) -> Iterator[replay.Moment]:
 def frames(episode: Episode, *, max_frames: int = MAX_FRAMES) -> Iterator[Frame]:
     """Play the episode again, step by step, `max_frames` at most, evenly spaced, the last one always."""
     final, n = episode.final, len(episode.final.rows) - 1
-    chosen = set(np.unique(np.linspace(n, 0, min(max_frames, n + 1)).round().astype(int)).tolist())
+    chosen = set(evenly(n, max_frames))
     shape, ring = episode.world.shape, ring_of(episode.world.occupied)
     for moment in steps_of(episode):
         if moment.step in chosen:
@@ -285,8 +268,7 @@ def _map_of(episode, moment):
 def maps_at(episode: Episode, shares: Sequence[float]) -> Iterator[tuple[float, float, np.ndarray]]:
     """Yield the robot's maps when it first knew some shares, ascending, of its final known cells, past the start.
 
-    Yields `(share, explored, state)`: the share that was reached, that which was known then, and `[H, W]` uint8, see
-    `results.map_state`.
+    Each is `(share, explored, state)`: the share reached, that known then, and the map by `results.map_state`.
     """
     known = episode.final.known / episode.final.known[-1]
     left = [share for share in shares if share > known[0]]

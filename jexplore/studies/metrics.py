@@ -1,18 +1,13 @@
-"""Users' metrics by the names that they have as columns: checked before anything is compiled.
-
-Importing this loads neither jax nor numpy.
-"""
+"""Users' metrics by the names that they have as columns: checked before anything is compiled."""
 
 import keyword
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from jexplore.config import InputError, require_different, shown
+from jexplore.exploration.metrics import Metric
 from jexplore.studies.results.columns import COLUMNS, RATIO_COLUMNS, SUMMARY_COLUMNS, WASTE_COLUMNS
 from jexplore.users import described, import_object
-
-if TYPE_CHECKING:
-    from jexplore.exploration.metrics import Metric
 
 MetricsLike: TypeAlias = Mapping[str, Any] | Iterable[str] | None
 """Metrics by name: functions of an `EpisodeView`, `metric`s or "module:function"; or texts, "name=module:function"."""
@@ -59,30 +54,19 @@ def _function(thing):
     return getattr(thing, "function", thing)
 
 
-def module_and_function(name: str, text: str) -> tuple[str, str]:
-    """Split the text of a metric.
-
-    Raises:
-      InputError: not of the form module:function.
-    """
-    module, _, function = text.partition(":")
-    if not (module and function.isidentifier()):
-        raise InputError(f"metric {name!r} must be module:function, got {text!r}")
-    return module, function
-
-
-def ready_metrics(metrics: MetricsLike) -> "dict[str, Metric]":
+def ready_metrics(metrics: MetricsLike) -> dict[str, Metric]:
     """Make metrics of functions and names, in order.
 
     Raises:
       InputError: as `named_metrics`; a module that does not import, something that is no function.
     """
-    from jexplore.exploration.metrics import Metric
-
     ready = {}
     for name, thing in named_metrics(metrics).items():
         if isinstance(thing, str):
-            place, thing = thing, import_object(*module_and_function(name, thing))
+            place, (module, _, function) = thing, thing.partition(":")
+            if not (module and function.isidentifier()):
+                raise InputError(f"metric {name!r} must be module:function, got {place!r}")
+            thing = import_object(module, function)
             if not callable(thing):
                 raise InputError(f"metric {name!r}: {place} is no function")
         ready[name] = thing.anew() if isinstance(thing, Metric) else Metric(thing)

@@ -2,8 +2,9 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from types import MappingProxyType
 
 import jax
 import jax.numpy as jnp
@@ -51,15 +52,8 @@ def replay_data(
 ) -> ReplayData:  # fmt: skip
     """Convert one episode to the frames of a page: the maps after the last scan at each place that is shown.
 
-    Args:
-      world, strategy: as they were run.
-      final: end state of the episode.
-      start: row, col, heading in degrees.
-      seed, number: of the run, and of the episode.
-      lidar, rules: as they were run.
-      outcome: how it ended, a word.
-      max_frames: the most frames, evenly spaced over the steps; the last step is always one.
-      engine: "jax": no native code; the frames are the same.
+    Frames are `max_frames` at most, evenly spaced over the steps, the last step among them. With engine "jax" there is
+    no native code; the frames are the same.
     """
     if final.plans is None:
         raise InputError(f"{strategy.name} in {world.name}: an episode of so many plans cannot be played again")
@@ -146,35 +140,31 @@ def replay_of(episode: Episode, *, max_frames: int = MAX_FRAMES) -> ReplayData:
 
 
 def replays_of(
-    jobs: Sequence[Job], lidar: Lidar, rules: Rules, *,
-    outcomes: Sequence[Outcomes] | None = None, episodes: int = EPISODES, max_pairs: int = MAX_PAIRS,
-    max_frames: int = MAX_FRAMES, labels: Sequence[str] = (), engine: str = "auto",
-    on_progress: Callable[[int], object] | None = None,
+    jobs: Sequence[Job], firsts: Mapping[int, Outcomes] = MappingProxyType({}), *,
+    episodes: int = EPISODES, max_frames: int = MAX_FRAMES, labels: Sequence[str] = (), engine: str = "auto",
 ) -> tuple[list[ReplayData], list[str]]:  # fmt: skip
     """Replay the first episodes of the first jobs, for a page: the replays, and lines about missing ones.
 
     Args:
-      jobs: of a run, in its order.
-      lidar, rules: of the jobs that have none of their own.
-      outcomes: of the jobs, with episode 0. Missing episodes are run, which costs little with compiled programs.
-      episodes: most episodes shown of each job.
-      max_pairs: most jobs shown, the first ones.
-      max_frames: of a replay; those of later episodes have `FEWER_FRAMES` at most.
+      jobs: of a run, in its order, with their scanners and rules.
+      firsts: number of a job -> its outcomes, with episode 0. If one of them is missing, these are run, as later
+        episodes are, which costs little with compiled programs.
+      episodes: most episodes shown of each job; those after the first have `FEWER_FRAMES` at most.
+      max_frames: of a replay.
       labels: what tells each job from others of its world and strategy; by default its seed.
       engine: as in `batch.run_jobs`.
-      on_progress: called with the number of finished replays.
     """
     notes = []
-    if len(jobs) > max_pairs:
-        notes.append(f"Replays show the first {max_pairs} of {len(jobs)} pairs of world and strategy.")
-    jobs = list(jobs[:max_pairs])
+    if len(jobs) > MAX_PAIRS:
+        notes.append(f"Replays show the first {MAX_PAIRS} of {len(jobs)} pairs of world and strategy.")
+    jobs = list(jobs[:MAX_PAIRS])
     use_compilation_cache()
-    made = []
+    made, have = [], [firsts[i] for i in range(len(jobs)) if i in firsts]
     for episode in range(min([episodes, *(len(job.starts) for job in jobs)])):
-        if episode or outcomes is None:
-            outcomes = batch.run_jobs(jobs, lidar, rules, only=episode, engine=engine).outcomes
+        if episode or len(have) < len(jobs):
+            have = batch.run_jobs(jobs, Lidar(), Rules(), only=episode, engine=engine).outcomes
         shown = []
-        for job, found, label in zip(jobs, outcomes, labels or [""] * len(jobs)):
+        for job, found, label in zip(jobs, have, labels or [""] * len(jobs)):
             title = f"{job.strategy.name} in {job.world.name}, episode {job.first + episode}"
             if found.first is None:
                 notes.append(f"{title}: no replay, the run was interrupted before it ended.")
@@ -183,24 +173,20 @@ def replays_of(
             else:
                 shown.append((job, found, label))
         most = min(max_frames, FEWER_FRAMES) if episode else max_frames
-        call = functools.partial(_replay, episode, lidar, rules, max_frames=most, engine=engine)
         with ThreadPoolExecutor(own_cores()) as pool:
-            for replay in pool.map(call, *zip(*shown)):
-                made.append(replay)
-                if on_progress is not None:
-                    on_progress(len(made))
+            made += pool.map(functools.partial(_replay, episode, max_frames=most, engine=engine), *zip(*shown))
     return made, notes
 
 
-def _replay(episode, lidar, rules, job, found, label, **how):
+def _replay(episode, job, found, label, **how):
     """Return an episode of a job, a number from 0, as `ReplayData`."""
     replay = replay_data(
         *(job.world, job.strategy, found.first),
-        start=tuple(int(value) for value in job.starts[episode]),  # type: ignore[arg-type]  # three
+        start=tuple(job.starts[episode].tolist()),
         seed=job.seed,
         number=job.first + episode,
-        lidar=job.lidar or lidar,
-        rules=job.rules or rules,
+        lidar=job.lidar,
+        rules=job.rules,
         outcome=Outcome(int(found.result.outcome[episode])).name,
         **how,
     )

@@ -11,7 +11,7 @@ from jexplore.config import InputError, checked_names, require_engine, unknown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.report import tables
-from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike
+from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, prepare_jobs
 from jexplore.studies.papers import PAPERS, Paper
 from jexplore.studies.results import comparison
 from jexplore.studies.results.comparison import Comparison
@@ -209,7 +209,7 @@ def prepare_paper(
         require_maps(paper, maps)
     for environment, world in world_names(paper, maps).items():
         strategies = sorted(paper.environments[environment].paths, key=lambda name: name != paper.reference)
-        jobs += comparison.prepare_jobs(
+        jobs += prepare_jobs(
             [world], strategies, episodes=episodes, seed=seed, cell_m=cell_m, start="random", lidar=lidar, rules=rules
         )
     return jobs

@@ -19,13 +19,11 @@ if TYPE_CHECKING:
     from jexplore.report.folders import RunFolder
     from jexplore.report.ledger import Ledger, ShorterRuns
 
-PREPARING = "jexplore: making programs ready"
-COMPILING = "jexplore: compiling (kept for later runs)"
+COMPILING = "jexplore: making programs ready (what is compiled is kept for later runs)"
 under_way: "list[Out]" = []
 """Outputs being written by this process."""
 MAX_MESSAGE_CHARS = 400  # a name or a file may be quoted in it
 PATIENCE_S = 2.0  # work that lasts longer shows how far it is
-TICK_S = 1.0  # between two times that a clock shows
 TENTH = 0.1  # of all work, and
 SILENCE_S = 30.0  # the time after which a log gets another line
 INTERRUPTED = 130  # exit status of a run that was ended by Ctrl-C
@@ -135,50 +133,9 @@ def note_if_slow(text: str) -> Iterator[Callable[[], None]]:
 
 
 @contextlib.contextmanager
-def compiling() -> Iterator[Callable[[], None]]:
-    """Tell on stderr that programs are prepared or compiled, and for how long, if it takes long.
-
-    A clock on a terminal; elsewhere a line at first and then every half a minute. The block gets a function that calls
-    it off.
-    """
-    over = threading.Event()
-    clock = threading.Thread(target=_tell_time, args=(over,), daemon=True)
-
-    def call_off():
-        if not over.is_set():
-            over.set()
-            clock.join()
-
-    clock.start()
-    try:
-        yield call_off
-    finally:
-        call_off()
-
-
-def _tell_time(over):
-    from jexplore.engine.backend import compiling_s
-
-    began, said, said_at = time.monotonic(), None, 0.0
-    on_terminal = sys.stderr is not None and sys.stderr.isatty()
-    while not over.wait(TICK_S):
-        now, compiled_s = time.monotonic(), compiling_s() or 0.0
-        is_compiling = compiled_s > PATIENCE_S
-        spent, text = (compiled_s, COMPILING) if is_compiling else (now - began, PREPARING)
-        if spent > PATIENCE_S and on_terminal:
-            said = text
-            print(f"\r\033[K{text}, {spent:.0f} s", end="", file=sys.stderr, flush=True)
-        elif spent > PATIENCE_S and (text != said or now - said_at >= SILENCE_S):
-            tell(f"{text}, {spent:.0f} s" if text == said else text)
-            said, said_at = text, now
-    if said is not None and on_terminal:
-        print("\r\033[K", end="", file=sys.stderr, flush=True)
-
-
-@contextlib.contextmanager
 def working(total: int, unit: str) -> Iterator[Callable[[int], None]]:
     """Show progress of compiled work: a note while it compiles, then a bar. The block gets the function to call."""
-    with progress_of(total, unit) as progress, compiling() as call_off:
+    with progress_of(total, unit) as progress, note_if_slow(COMPILING) as call_off:
 
         def on_progress(done):
             call_off()
@@ -218,7 +175,7 @@ class Out:
         self.began = time.perf_counter()
         self.now = datetime.datetime.now(datetime.UTC)
         if self.given is None:
-            claim = folders.claimed_new(folders.default_outs(self.command, self.now))
+            claim = folders.claimed_new(self.command, self.now)
         else:
             claim = folders.claimed(self.given, overwrite=self.overwrite, resume=self.resume)
         self._stack = contextlib.ExitStack()
@@ -248,19 +205,9 @@ class Out:
     def keep(
         self, asked: Mapping[str, Any], units: int, *, wanted: int | None = None, shorter: "ShorterRuns | None" = None
     ) -> "Ledger | None":
-        """Store finished parts of the run, or continue with stored ones.
+        """Open the ledger of the run, as `ledger.open_ledger` does; None if the run is finished.
 
-        Args:
-          asked: all that the results depend on.
-          units: number of units of the run.
-          wanted: number made here, by default all.
-          shorter: finished runs of fewer episodes that may be continued.
-
-        Returns:
-          `Ledger`; None if the run is finished.
-
-        Raises:
-          InputError: the folder holds a run with other settings.
+        `wanted` units are made here, by default all.
         """
         from jexplore.report.ledger import open_ledger
 

@@ -7,11 +7,11 @@ import shutil
 import sys
 import textwrap
 import warnings
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, TextIO
 
 from jexplore.config import InputWarning
-from jexplore.report.tables import aligned_table, table_cells
+from jexplore.report.tables import table_cells
 
 COLUMN_GAP = 2  # blank columns of the terminal between two columns of a table
 MIN_COLUMNS = 20  # of a table and a line, on a narrower terminal as well
@@ -19,28 +19,14 @@ FOLDED_TEXT = 16  # columns that a text keeps while other columns of the table n
 _STEERING = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
-def show_table(
-    table: Any,
-    rows: Iterable[Sequence[Any]] | None = None,
-    *,
-    left: Collection[str] | None = None,
-    file: TextIO | None = None,
-) -> None:
-    """Print tables in readable form.
+def show_table(text: str, file: TextIO | None = None) -> None:
+    """Print Markdown tables in readable form; text may hold other lines between them.
 
-    In a pipe or a file this is `print` of the Markdown. On a terminal rich draws them: headings and texts fold, numbers
-    do not, and a table that is still too wide is cut into parts, which all begin with its first column,
-    or two if these are text. `COLUMNS` and `NO_COLOR` count.
-
-    Args:
-      table: Markdown text, which may hold other lines between its tables; or a data frame; or, with `rows`, headings.
-      rows: lists of cells, one for each heading.
-      left: headings of the columns that are aligned to the left, where `table` is no text; by default those that hold
-        nothing but text.
-      file: where to; by default the standard output.
+    In a pipe or a file this is `print`. On a terminal rich draws them: headings and texts fold, numbers do not, and a
+    table that is still too wide is cut into parts, which all begin with its first column, or two if these are text.
+    `COLUMNS` and `NO_COLOR` count.
     """
     file = file or sys.stdout
-    text = table if isinstance(table, str) else _markdown(table, rows, left)
     if file is None or not file.isatty():
         print(text, file=file)
         return
@@ -123,17 +109,3 @@ def plain_warnings() -> Iterator[None]:
         warnings.simplefilter("always", InputWarning)
         warnings.showwarning = show
         yield
-
-
-def _markdown(table, rows, left):
-    head, rows = (table.columns, table.itertuples(index=False)) if rows is None else (table, rows)
-    head, rows = [str(name) for name in head], [list(row) for row in rows]
-    if left is None:
-        left = [name for i, name in enumerate(head) if all(isinstance(row[i], str) for row in rows)]
-    return aligned_table(head, [[_cell(value) for value in row] for row in rows], left=left)
-
-
-def _cell(value):
-    if value is None or value != value:
-        return "-"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

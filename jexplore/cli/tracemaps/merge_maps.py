@@ -10,6 +10,7 @@ from jexplore.cli.output.console import say
 from jexplore.cli.output.terminal import show_line, show_table
 from jexplore.cli.tracemaps.files import Files, MapNames, comparing, file_out, names_of, require_once
 from jexplore.config import InputError
+from jexplore.report.tables import aligned_table
 from jexplore.tracemap.merging.limits import Limits
 
 REFUSED = 1  # exit status of maps that do not become one
@@ -52,7 +53,7 @@ class MergeMaps:
         with comparing(len(maps)) as on_progress:
             how = {"min_common": self.min_common, "limits": self.limits, "on_progress": on_progress}
             found = merge_maps(maps, names, **how)
-        show_table(*_table(found, dict(zip(names, maps))))
+        show_table(_table(found, dict(zip(names, maps))))
         for note in found.notes:
             show_line(note)
         if found.left and not (self.partial and len(found.nodes) > 1):
@@ -70,9 +71,11 @@ def _table(found, maps):
         move = found.moves.get(name)
         frame = "" if move is None else f"turned {move.turn_deg:.0f}°, moved {move.x_m:.1f}, {move.y_m:.1f} m"
         what = "merged" if shared and name not in found.left else "left apart"
-        rows.append([name, len(btm.nodes), len(btm.links), len(shared), what, frame])
-    rows.append(["together", len(found.map.nodes), len(found.map.links), found.matched, found.outcome.value, ""])
-    return ["map", "nodes", "links", "matched nodes", "what", "frame"], rows
+        rows.append([name, *map(str, (len(btm.nodes), len(btm.links), len(shared))), what, frame])
+    whole = map(str, (len(found.map.nodes), len(found.map.links), found.matched))
+    rows.append(["together", *whole, found.outcome.value, ""])
+    head = ["map", "nodes", "links", "matched nodes", "what", "frame"]
+    return aligned_table(head, rows, left=("map", "what", "frame"))
 
 
 def _is_shared(found, node):

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from jexplore.cli.output.console import Out, compiling
+from jexplore.cli.output.console import COMPILING, Out, note_if_slow
 from jexplore.cli.output.terminal import show_line, show_table
 from jexplore.config import InputError
 
@@ -93,7 +93,7 @@ class RouteCommand:
 
         use_compilation_cache()
         start = btm.nodes[0].id if self.from_ is None and btm.nodes else self.from_ or ""
-        with compiling():
+        with note_if_slow(COMPILING):
             return routes.route(
                 btm, self.robot, start, self.to or "", known_only=self.known_only, within_m=self.within_m
             )
@@ -108,7 +108,7 @@ class RouteCommand:
         from jexplore.driving.settings import Noise
         from jexplore.studies.traces.following import follow
 
-        with compiling():
+        with note_if_slow(COMPILING):
             found = follow(self.drive, btm, [route], self.robot, noise=Noise(range_m=self.noise_m), seed=self.seed)
         row = found.table.iloc[0]
         told = f"{row['outcome']} after {row['path_m']:.2f} m, {row['off_m']:.2f} m from where the map has the end"

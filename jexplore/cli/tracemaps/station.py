@@ -9,6 +9,7 @@ import tyro
 from jexplore.cli.output.terminal import show_line, show_table
 from jexplore.cli.tracemaps.files import Files, MapNames, comparing, file_out, names_of, require_once
 from jexplore.config import InputError
+from jexplore.report.tables import aligned_table
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Station:
         page = page_from(panels, said)
         with store.atomic(out) as part:
             part.write_text(page, encoding="ascii")
-        show_table(*_table(panels))
+        show_table(_table(panels))
         for line in [f"{panel.name}: {panel.note}" for panel in panels if panel.note] + said:
             show_line(line)
         print(f"wrote {self.out}")
@@ -59,5 +60,6 @@ def _table(panels):
     for panel in panels:
         followed = sum(link.end >= 0 for link in panel.map.links)
         left = len(panel.map.links) - followed
-        rows.append([panel.name, ", ".join(panel.maps), len(panel.map.nodes), followed, left])
-    return ["panel", "maps", "nodes", "searched links", "un-searched"], rows
+        rows.append([panel.name, ", ".join(panel.maps), *map(str, (len(panel.map.nodes), followed, left))])
+    head = ["panel", "maps", "nodes", "searched links", "un-searched"]
+    return aligned_table(head, rows, left=("panel", "maps"))

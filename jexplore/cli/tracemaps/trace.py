@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.options import EngineName, OneStrategy, OneWorld, OutFolder, fields_of
-from jexplore.cli.output.console import Out, compiling, say, working
+from jexplore.cli.output.console import COMPILING, Out, note_if_slow, say, working
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
 
@@ -82,11 +82,6 @@ class Trace:
     """Continue the run in the folder, if any: finished runs are not computed again."""
     tuning: Tuning = dataclasses.field(default_factory=Tuning)
     noise: Noise = dataclasses.field(default_factory=Noise)
-
-    @property
-    def is_one_run(self) -> bool:
-        """Return whether one worker does everything."""
-        return not self.sweep and self.runs in (None, 1) and self.starts in (None, 1)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
@@ -215,7 +210,7 @@ def _trace_episode(out, options, arguments):
         if field.name not in own and getattr(options, field.name) != getattr(plain, field.name):
             option = field.name.replace("_", "-")
             raise InputError(f"--from-episode takes no --{option}: an episode's robot is that of `jexplore explore`")
-    with compiling():
+    with note_if_slow(COMPILING):
         found = extraction.extracted(
             options.world,
             options.strategy,

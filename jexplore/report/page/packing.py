@@ -16,14 +16,8 @@ def base64_of(raw: bytes) -> str:
 def packed_numbers(values: Any, step: float = 1.0, name: str = "values") -> dict[str, Any]:
     """Encode an array as little-endian whole multiples of a step, in base64; the type's extremes are NaN and +infinity.
 
-    Args:
-      values: numbers of any shape. An infinity below 0 becomes NaN.
-
-    Returns:
-      A dict for JSON: `type` ("i2" or "i4"), `step`, `shape`, `base64`.
-
-    Raises:
-      ValueError: a number too large to be kept.
+    Return a dict for JSON: `type` ("i2" or "i4"), `step`, `shape`, `base64`. An infinity below 0 becomes NaN; a number
+    too large to be kept is a `ValueError`.
     """
     scaled = np.round(np.asarray(values, dtype=np.float64) / step)
     most = np.abs(scaled[np.isfinite(scaled)]).max(initial=0)
@@ -40,14 +34,8 @@ def runs(before: np.ndarray, after: np.ndarray) -> bytes:
     """Encode the changes from one image to the next of the same shape.
 
     Every run is a number of unchanged cells to skip (seven bits a byte, the lowest first, the top bit set on all but
-    the last) and a byte, 16 times the length of the run plus the code of its cells. Cells are counted row by row, and a
-    run may go on in the next row.
-
-    Args:
-      before, after: uint8 arrays of codes from 0 to `MOST_CODE`.
-
-    Returns:
-      Bytes; none where nothing changed.
+    the last) and a byte, 16 times the length of the run plus the code of its cells, 0 to `MOST_CODE`. Cells are counted
+    row by row, and a run may go on in the next row.
     """
     before, after = before.ravel(), after.ravel()
     changed = np.flatnonzero(before != after)
@@ -72,11 +60,7 @@ def runs(before: np.ndarray, after: np.ndarray) -> bytes:
 
 
 def change(image: np.ndarray, found: bytes) -> None:
-    """Change an image in place by the result of `runs`.
-
-    Args:
-      image: `[..., ]` uint8, contiguous.
-    """
+    """Change a contiguous image in place by the result of `runs`."""
     flat, at, gap, shift = image.reshape(-1), 0, 0, 0
     fresh = iter(found)
     for byte in fresh:

@@ -71,9 +71,8 @@ class ReplayData:
         frames = len(self.steps)
         if frames <= most:
             return self
-        chosen = np.unique(np.linspace(frames - 1, 0, most).round().astype(int))
-        wanted = set(chosen.tolist())
-        changes = tuple(changes_of(image for i, image in enumerate(self.maps()) if i in wanted))
+        chosen = evenly(frames - 1, most)
+        changes = tuple(changes_of(image for i, image in enumerate(self.maps()) if i in chosen))
         parts = {name: getattr(self, name)[chosen] for name in ("steps", "heading_deg", "target", "until", "known_m2")}
         return dataclasses.replace(self, changes=changes, **parts)
 

@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from jexplore.report.page.assemble import assembled, html_text, script_data
@@ -14,8 +15,38 @@ from jexplore.report.tables import table_cells
 MAX_REPORT_BYTES = 10_000_000
 MAX_SHOWN_ROWS = 200  # of a table that are shown
 MAX_SETTING_CHARS = 400  # characters of a setting
+ELSEWHERE = ("summary", "worlds", "warnings", "standings", "tables", "orderings", "measured", "asked")
+"""Entries of run.json that a report shows in another form, or not at all."""
+PICTURES = {
+    "compare.png": "Path lengths of all episodes, means with their intervals, and ratios to the first strategy",
+    "coverage.png": "Share of what can be known along the path",
+    "paths.png": "The map as each strategy saw it in episode 0, with its path",
+    "waste.png": "Where path was wasted in episode 0",
+    "league.png": "Path lengths as ratios to those of the first strategy, over all worlds",
+    "reproduce.png": "Path lengths beside the paper's",
+    "sweep.png": "Path lengths along the first setting that is varied",
+    "sweep-map.png": "Path lengths over the first two settings that are varied",
+    "episode.png": "The known map and the path at the end",
+}
+"""Captions of a run's pictures."""
 FEW_FRAMES = 60  # of a replay; rather than fewer, fewer replays
 MANY_FRAMES = 300
+
+
+def write_report(
+    path: Path, record: Mapping[str, Any], tables: Iterable[tuple[str, str]], pictures: Iterable[str],
+    replays: Sequence[ReplayData], notes: Iterable[str] = (),
+) -> None:  # fmt: skip
+    """Write the report of a run from its run.json, tables with headings, and those of its pictures that are there.
+
+    Pictures lie in the folder above that of `path`, in which files are written before they count.
+    """
+    asked = {key: value for key, value in record.items() if key not in ELSEWHERE}
+    files = [file for name in pictures if (file := path.parents[1] / name).is_file()]
+    figures = [(file.name, file.read_bytes(), PICTURES.get(file.name, file.stem)) for file in files]
+    title = f"jexplore {record['command'][1]}"
+    page = report_page(title, asked, tables, figures, replays, record.get("warnings", ()), notes=notes)
+    path.write_text(page, encoding="ascii")
 
 
 def report_page(

@@ -47,12 +47,7 @@ def draw_points(ax: Axes, points: Sequence[Any], estimates: Estimates, looks: Se
                 ended_well: Sequence[Any] | None = None) -> list[Any]:  # fmt: skip
     """Draw a row for each strategy, the first on top: its numbers as pale dots, their mean and its interval on them.
 
-    Args:
-      ax: the axes; their y axis gets a row a strategy, without labels.
-      ended_well: K bool arrays: other numbers are crosses; by default all are dots.
-
-    Returns:
-      K error bars (`ErrorbarContainer`), None without a mean.
+    Numbers that are not among `ended_well`, K bool arrays, are crosses. Return K error bars, None without a mean.
     """
     bars = []
     for row, (some, look) in enumerate(zip(points, looks)):
@@ -84,14 +79,8 @@ def draw_ratios(ax: Axes, estimates: Estimates, looks: Sequence[dict[str, Any]],
                 points: Sequence[Any] | None = None) -> list[Any]:  # fmt: skip
     """Draw a row for each strategy: its ratio to the first one with the interval, on a logarithmic axis.
 
-    The axis shows all ratios; an interval that goes on beyond it ends in an arrow head.
-
-    Args:
-      estimates: ratios and intervals, in order of the rows.
-      points: K arrays of single ratios, drawn pale; by default none.
-
-    Returns:
-      K error bars (`ErrorbarContainer`), None where there is no ratio.
+    The axis shows all ratios; an interval that goes on beyond it ends in an arrow head. `points` are K arrays of single
+    ratios, drawn pale. Return K error bars, None where there is no ratio.
     """
     points = [np.zeros(0)] * len(looks) if points is None else points
     ax.axvline(1.0, color=GREY, linewidth=1, zorder=0)
@@ -112,11 +101,7 @@ def _beyond(ax, estimates, low, high):
 
 
 def draw_panel(ax: Axes, panel: ComparisonPanel, strategies: Sequence[str]) -> list[Any]:
-    """Draw the left part of a panel alone, with the names of the strategies.
-
-    Returns:
-      K error bars (`ErrorbarContainer`), None without a mean.
-    """
+    """Draw the left part of a panel, with the names of the strategies; return K error bars, None without a mean."""
     bars = _left(ax, panel, list(looks_of(strategies).values()))
     ax.set_yticks(range(len(strategies)), [wrapped_text(name, LABEL_CHARS) for name in strategies])
     ax.set_xlabel(panel.label)
@@ -128,10 +113,7 @@ def draw_panel(ax: Axes, panel: ComparisonPanel, strategies: Sequence[str]) -> l
 def comparison_figure(panels: Sequence[ComparisonPanel], strategies: Sequence[str]) -> Figure:
     """Draw paths episode by episode, and next to them the ratios to the first strategy; a pair of axes a panel.
 
-    Strategies stand in the order given in every panel; one that did not run in a world leaves its row empty.
-
-    Args:
-      strategies: `[K]` names, the reference first.
+    Strategies, the reference first, stand in the order given; one that did not run in a world leaves its row empty.
 
     Source:
       Holz et al. 2010, Figure 8, shows means and standard deviations. Changed: every episode, intervals, paired ratios.

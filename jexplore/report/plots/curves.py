@@ -1,4 +1,4 @@
-"""Curves of strategies: the explored share along the path, and performance profiles."""
+"""Curves: the explored share along the path, performance profiles, and training."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -21,16 +21,13 @@ from jexplore.report.plots.looks import (
     ratio_scale,
 )
 
+TRAINED, CHECKED = "#9ecae1", "#d55e00"
+
 
 def quartiles(progress: Any) -> np.ndarray:
-    """Compute quartiles over episodes of the paths at which each share was known; never known counts as inf.
+    """Compute quartiles over episodes, `[3, M]`, of the paths at which each share was known; never known counts as inf.
 
-    Args:
-      progress: `[N, M]` float, metres, NaN where an episode never knew that share; N >= 1.
-
-    Returns:
-      `[3, M]` float64: first quartile, median and third quartile, taken from the data without interpolation; inf for an
-        episode that never knew it.
+    `progress` is `[N, M]` metres, NaN where an episode never knew that share. Quartiles are not interpolated.
     """
     driven = np.where(np.isnan(progress), np.inf, progress)
     return np.quantile(driven, [0.25, 0.5, 0.75], axis=0, method="inverted_cdf")
@@ -39,11 +36,7 @@ def quartiles(progress: Any) -> np.ndarray:
 def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, band: float = 0.18) -> Line2D:
     """Draw the known share along the path: the median path to each share, in a band from quartile to quartile.
 
-    The band ends at the share that a quarter of the episodes never knew.
-
-    Args:
-      ax: the axes, metres and per cent.
-      progress: `[N, M]` float, metres at 1 / M, 2 / M, ... of what can be known, NaN where that was never known.
+    The band ends at the share that a quarter of the episodes never knew. `progress` as of `quartiles`.
     """
     low, median, high = quartiles(progress)
     share = np.arange(1, len(median) + 1) * 100 / len(median)
@@ -57,11 +50,7 @@ def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, band: flo
 
 
 def coverage_curves_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
-    """Draw the known part of the knowable share along the path: a panel a world, medians and quartile bands.
-
-    Args:
-      entries: one or more `(world, {strategy: progress})`, progress `[N, M]` as in `draw_progress`.
-    """
+    """Draw the known part of the knowable share along the path, `(world, {strategy: progress})` a panel."""
     strategies = list(dict.fromkeys(name for _, known in entries for name in known))
     looks, lines = looks_of(strategies), {}
     page, n_cols = panels_page(len(entries))
@@ -90,13 +79,7 @@ def coverage_curves_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> 
 
 def draw_profile(ax: Axes, ratio: Any, share: Any, low: Any, high: Any, look: Mapping[str, Any], *,
                  band: float = 0.18) -> Line2D:  # fmt: skip
-    """Draw one strategy's performance profile with its band.
-
-    Args:
-      ax: the axes, ratios and per cent.
-      ratio: `[K]` float, rising.
-      share, low, high: `[K]` float from 0 to 1; a NaN has no band.
-    """
+    """Draw one strategy's performance profile with its band; a NaN has none."""
     low, high = (np.asarray(part, np.float64) for part in (low, high))
     if np.isfinite(low).any():
         ax.fill_between(ratio, 100 * low, 100 * high, step="post", color=look["color"], alpha=band, linewidth=0)
@@ -110,7 +93,7 @@ def profile_curves_figure(table: Any, *, over: str = "best") -> Figure:
     """Draw performance profiles: the share of starts whose path is at most a multiple of the reference's.
 
     Args:
-      table: columns `strategy`, `ratio`, `share`, `low`, `high`, from `aggregate.profiles`; one row or more.
+      table: from `aggregate.profiles`.
       over: denominator of the ratios, for the label: "best" or "first".
 
     Source:
@@ -129,4 +112,20 @@ def profile_curves_figure(table: Any, *, over: str = "best") -> Figure:
     ax.set_ylabel("starts with at most that ratio (%)")
     plain_axes(ax, grid="both")
     legend_below(page, list(lines.values()), list(lines))
+    return page
+
+
+def training_figure(curve: Any, best: int) -> Figure:
+    """Draw ratios of paths to the reference's over the training rounds, in training and on the validation worlds."""
+    page = Figure(figsize=(6.4, 3.6), layout="constrained")
+    ax = page.add_subplot()
+    rounds = curve["round"].to_numpy()
+    checked = np.isfinite(curve["validation"].to_numpy())
+    ax.axhline(1.0, color="0.6", lw=0.8)
+    ax.plot(rounds, curve["ratio"], color=TRAINED, lw=1.2, label="in training")
+    ax.plot(rounds[checked], curve["validation"][checked], color=CHECKED, marker="o", ms=3.5, label="validation worlds")
+    at = curve.loc[(curve["round"] == best) & checked, "validation"]
+    ax.plot([best], at.to_numpy()[:1], marker="o", ms=9, mfc="none", mec=CHECKED, ls="none", label="kept")
+    ax.set(xlabel="round", ylabel="path, as a ratio to closest+recheck")
+    ax.legend(frameon=False, fontsize=8)
     return page

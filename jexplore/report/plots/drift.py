@@ -39,11 +39,7 @@ class Pictures(NamedTuple):
 
 
 def draw_curve(ax: Axes, table: Any, name: str, colour: str, *, scale: float = 1.0, label: str = "") -> Any:
-    """Draw a measure over the values of one error, in a band from low to high.
-
-    Args:
-      table: columns `value`, `name`, `name_low`, `name_high`; values rise.
-    """
+    """Draw a measure over the rising values of one error, in a band from `name_low` to `name_high`."""
     x = table["value"].to_numpy(float)
     low, high = (scale * table[f"{name}_{end}"].to_numpy(float) for end in ("low", "high"))
     ax.fill_between(x, low, high, color=colour, alpha=0.18, linewidth=0)
@@ -63,8 +59,7 @@ def draw_cells(ax: Axes, centres: Any, cell_m: float) -> PatchCollection:
 def drift_figure(summary: Any, pictures: Pictures | None = None) -> Figure:
     """Draw a column of panels for every error: structure, coordinates, grid map; below two pictures of one run.
 
-    Args:
-      summary: columns as of `studies.traces.drift.summarised`, one row or more.
+    `summary` is from `studies.traces.drift.summarised`.
     """
     errors = list(dict.fromkeys(summary["error"]))
     width, below = max(PANEL_IN[0] * len(errors) + 0.6, 6.4), 0.0

@@ -100,12 +100,7 @@ def ratio_ticks(low: float, high: float) -> list[float]:
 
 
 def ratio_scale(ax: Any, name: str, low: float, high: float) -> None:
-    """Make an axis logarithmic, from `low` to `high`, with round numbers.
-
-    Args:
-      name: "x" or "y".
-      low, high: positive, low < high.
-    """
+    """Make the axis "x" or "y" logarithmic, from `low` to `high`, with round numbers."""
     axis = {"x": ax.xaxis, "y": ax.yaxis}[name]
     ax.set(**{f"{name}scale": "log"})
     axis.set_major_locator(FixedLocator(ratio_ticks(low, high)))

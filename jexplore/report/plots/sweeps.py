@@ -46,13 +46,7 @@ def _text(value):
 
 
 def draw_response(ax: Axes, x: Any, estimate: Any, low: Any, high: Any, look: Mapping[str, Any]) -> Any:
-    """Draw one strategy's line over a setting, with an interval at every value.
-
-    Args:
-      x: `[K]` float, rising.
-      estimate: `[K]` float; NaN breaks the line.
-      low, high: `[K]` float; NaN has no interval.
-    """
+    """Draw one strategy's line over a setting, with an interval at every value; a NaN has none, or breaks the line."""
     estimate, low, high = (np.asarray(part, np.float64) for part in (estimate, low, high))
     ends = np.nan_to_num(np.maximum(np.stack([estimate - low, high - estimate]), 0.0))
     style = {"ms": 4.5, "mec": "white", "mew": 0.5, "linewidth": 1.5, "elinewidth": 1.1, "capsize": 2.5}
@@ -67,8 +61,7 @@ def response_curves_figure(
     """Draw curves over one setting: one panel a world, one line a strategy.
 
     Args:
-      table: columns `world`, `strategy`, the setting, `estimate`, `low`, `high`, from `response.response`; one row or
-        more.
+      table: from `response.response`.
       setting: name of the column; text or truth values stand side by side in order of first appearance.
       ratio: bool, estimates are ratios: a logarithmic axis with a line at 1.
       averaged: name of the averaged settings: a line above the panels.
@@ -119,11 +112,7 @@ def _y_axis(ax, rows, ratio):
 
 
 def draw_heat(ax: Axes, values: Any, norm: Normalize, *, ratio: bool, decimals: int = 2) -> AxesImage:
-    """Draw a matrix as colours with its numbers, if it is small: bright is long, or blue below and red above 1.
-
-    Args:
-      values: `[R, C]` float, row 0 at the bottom; NaN stays white.
-    """
+    """Draw a matrix as colours with its numbers, if it is small: bright is long, or blue below and red above 1."""
     values = np.asarray(values, np.float64)
     image = ax.imshow(values, origin="lower", aspect="auto", cmap=RATIOS if ratio else LENGTHS, norm=norm)
     if values.shape[1] > NUMBERS or values.shape[0] > 2 * NUMBERS:
@@ -152,7 +141,7 @@ def heat_maps_figure(
     """Draw colours over two settings: a row of panels a world, one panel a strategy, on one colour scale.
 
     Args:
-      table: columns `world`, `strategy`, the two settings, `estimate`, from `response.response`; one row or more.
+      table: from `response.response`.
       x, y: names of the columns; every value has a place of its own, whatever lies between.
       ratio: bool, estimates are ratios: blue below 1, red above.
       averaged: name of the averaged settings: a line above the panels.

@@ -51,11 +51,7 @@ def _between(row):
 
 
 def waste_figure(entries: Sequence[tuple[str, Any, Any, Any, float]]) -> Figure:
-    """Draw ways on their maps, one panel each.
-
-    Args:
-      entries: `(title, occupied, way, kinds, cell_m)`: `[H, W]` bool, `[n + 1, 2]` int cells, `[n]` int kinds of steps.
-    """
+    """Draw ways on their maps, one panel each; ways are `[n + 1, 2]` cells, with kinds of their steps, `[n]`."""
     entries = list(entries)[:MAX_PANELS]
     page, n_cols = panels_page(len(entries))
     start = []

@@ -15,32 +15,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jexplore.arrays.pictures import MAX_TABLE_ROWS, axes_of, html_of, or_text, png_of
-from jexplore.config import InputError, Lidar, Rules, checked_names, require_setting, unknown
+from jexplore.config import InputError, Lidar, Rules, checked_names, unknown
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.state import Outcome
 from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
-from jexplore.studies.checks import (
-    LidarLike,
-    RulesLike,
-    StartLike,
-    StrategyLike,
-    WorldLike,
-    ready_settings,
-    ready_starts,
-    ready_strategies,
-    ready_worlds,
-    require_different_buildings,
-    require_memory,
-)
-from jexplore.studies.metrics import MetricsLike, ready_metrics
-from jexplore.studies.results.grids import write_maps
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import Piece, Ran, Seen
 from jexplore.studies.statistics import by_world, figures, sizes, waste
 from jexplore.studies.statistics.league import over_worlds_text, standings
 from jexplore.studies.statistics.paired import MIN_PAIRS
-from jexplore.worlds.poses import read_start
-from jexplore.worlds.restrict import KnownMap, Polygon, restricted
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
@@ -152,7 +135,9 @@ class Comparison(ByStrategy):
         """
         if not self.maps:
             raise InputError('no maps were kept: compare(..., keep="maps")')
-        return write_maps(folder, self.maps, self.episodes, self.worlds)
+        from jexplore.studies.results import saving
+
+        return saving.write_maps(self, Path(folder))
 
     def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":
         """Compute the episodes and worlds needed to know every ratio `± within`: see `sizes.sample_sizes`."""
@@ -292,35 +277,6 @@ def _bounds_met(episodes):
             what = "ended because the strategy chose a target that no path leads to, three times in a row"
             lines.append(f"{world}: {strategy}: {refused} of {len(rows)} episodes {what}")
     return lines
-
-
-def prepare_jobs(
-    worlds: WorldLike | Iterable[WorldLike],
-    strategies: StrategyLike | Iterable[StrategyLike],
-    *,
-    episodes: int,
-    seed: int,
-    cell_m: float,
-    start: StartLike,
-    start_m: Sequence[float] | None = None,
-    lidar: LidarLike,
-    rules: RulesLike,
-    within: str | Polygon | None = None,
-    from_map: KnownMap | None = None,
-    metrics: MetricsLike = None,
-) -> list[Job]:
-    """Check and load everything before `compare` runs: a list of `Job`. Arguments as there."""
-    lidar, rules = ready_settings(lidar, rules)
-    episodes, seed = require_setting("episodes", episodes), require_setting("seed", seed)
-    start = read_start(start, start_m)
-    strategies, own = ready_strategies(strategies), ready_metrics(metrics)
-    ready, jobs = ready_worlds(worlds, cell_m), []
-    require_different_buildings(ready)
-    for world in (restricted(world, within, from_map) for world in ready):
-        require_memory(world, lidar, rules)
-        starts = ready_starts(world, start, episodes, seed=seed, rules=rules)
-        jobs += [Job(world, one, starts, seed, lidar=lidar, rules=rules, metrics=own) for one in strategies]
-    return jobs
 
 
 def _the_only(settings: Iterable[Any]) -> Any:

@@ -1,6 +1,6 @@
 """Results as labelled arrays: xarray datasets, for netCDF and zarr. Needs xarray, the extra `xarray`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,37 +18,27 @@ UNITS = {
     **{"rules.near_m": "m", "lidar.dropout": "1", "rules.p_free": "1"},
 }
 """Name of a variable -> its unit, as UDUNITS writes it; others are counts or words."""
-MISSING = {"i": -1, "f": np.nan, "O": "", "b": False}  # kind of an array -> what stands where there is no episode
+MISSING = {"i": -1, "f": np.nan, "O": "", "b": False}  # kind of a column -> what stands where there is no episode
 
 
-def _xarray():
+def _dataset(table: "pd.DataFrame", dims: Mapping[str, Sequence[Any]], metrics: Iterable[str]) -> Any:
+    """Make a dataset of the columns of a table, whose rows are identified by the dimensions."""
     try:
         import xarray
     except ImportError as error:
         raise InputError("labelled arrays need xarray: pip install 'jexplore[xarray]'") from error
-    return xarray
+    import pandas as pd
 
-
-def _variable(column: Any, at: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> np.ndarray:
-    """Convert a column of a table to an array of the dimensions."""
-    is_nullable = column.dtype == "Int64"
-    values = column.astype("float64").to_numpy(na_value=np.nan) if is_nullable else column.to_numpy()
-    if values.dtype.kind not in "ifb":
-        values = values.astype(object)
-    array = np.full(shape, MISSING[values.dtype.kind], values.dtype)
-    array[at] = values
-    return array if array.dtype != object else array.astype(str)
-
-
-def _dataset(table: "pd.DataFrame", dims: Mapping[str, Sequence[Any]], names: Sequence[str]) -> Any:
-    """Make a dataset of some columns of a table, whose rows are identified by the dimensions."""
-    xarray = _xarray()
-    places = {name: {value: i for i, value in enumerate(values)} for name, values in dims.items()}
-    at = tuple(np.array([places[name][value] for value in table[name]], np.int64) for name in dims)
-    shape = tuple(len(values) for values in dims.values())
+    whole = pd.MultiIndex.from_product(list(dims.values()), names=list(dims))
+    table = table.astype({"room_entries": "float64"})
+    rows = table.set_index(list(dims)).reindex(whole)
     found = xarray.Dataset(coords={name: list(values) for name, values in dims.items()})
-    for name in names:
-        found[name] = tuple(dims), _variable(table[name], at, shape)
+    for name in (*COLUMNS, *metrics):
+        if name not in dims:
+            kind = table[name].dtype
+            values = rows[name].fillna(MISSING[kind.kind]).astype(str if kind.kind == "O" else kind).to_numpy()
+            values = values if kind.kind != "O" else values.astype(str)
+            found[name] = tuple(dims), values.reshape([len(values) for values in dims.values()])
     return found
 
 
@@ -61,9 +51,6 @@ def _with_units(found: Any) -> Any:
 
 def of_comparison(found: Any) -> Any:
     """Convert a `Comparison` to an `xarray.Dataset`.
-
-    Args:
-      found: `Comparison`.
 
     Returns:
       A `Dataset` with the dimensions `world`, `strategy`, `episode`: the columns of the table of episodes;
@@ -82,16 +69,17 @@ def of_comparison(found: Any) -> Any:
         "strategy": list(dict.fromkeys(table["strategy"])),
         "episode": sorted(table["episode"].unique().tolist()),
     }
-    made = _dataset(table, dims, [name for name in (*COLUMNS, *found.metrics) if name not in dims])
+    made = _dataset(table, dims, found.metrics)
     shape = tuple(len(values) for values in dims.values())
     place = {value: i for i, value in enumerate(dims["episode"])}
-    ends = {"progress_m": (100,), "way": _longest(found), "map": _largest(found)}
     arrays = {"progress_m": np.full((*shape, 100), np.nan)}
     if found.paths:
-        arrays |= {name: np.full((*shape, *ends["way"]), -1, np.int32) for name in ("way_row", "way_col", "way_known")}
+        longest = max(len(way) for ways in found.paths.values() for way in ways)
+        arrays |= {name: np.full((*shape, longest), -1, np.int32) for name in ("way_row", "way_col", "way_known")}
     if found.maps:
-        arrays["map"] = np.full((*shape, *ends["map"]), 255, np.uint8)
-    for (world, strategy), rows in groups(table):
+        largest = np.max([maps.shape[1:] for maps in found.maps.values()], axis=0)
+        arrays["map"] = np.full((*shape, *largest), 255, np.uint8)
+    for (world, strategy), rows in table.groupby(["world", "strategy"], sort=False):
         pair = world, strategy
         at = dims["world"].index(world), dims["strategy"].index(strategy)
         for i, episode in enumerate(rows["episode"]):
@@ -112,25 +100,8 @@ def of_comparison(found: Any) -> Any:
     return _with_units(made)
 
 
-def groups(table: Any) -> Any:
-    """Return pairs of world and strategy and their rows."""
-    return table.groupby(["world", "strategy"], sort=False)
-
-
-def _longest(found):
-    return (max((len(way) for ways in found.paths.values() for way in ways), default=0),)
-
-
-def _largest(found):
-    shapes = [maps.shape[1:] for maps in found.maps.values()]
-    return tuple(max((shape[axis] for shape in shapes), default=0) for axis in (0, 1))
-
-
 def of_sweep(found: Any) -> Any:
     """Convert a `Swept` to an `xarray.Dataset`.
-
-    Args:
-      found: `Swept`.
 
     Returns:
       A `Dataset` with the dimensions `setting`, `world`, `strategy`, `episode`: the columns of the table of episodes.
@@ -143,7 +114,7 @@ def of_sweep(found: Any) -> Any:
     table = found.episodes
     dims = {name: list(dict.fromkeys(table[name])) for name in ("setting", "world", "strategy", "episode")}
     dims["episode"].sort()
-    made = _dataset(table, dims, [name for name in (*COLUMNS, *found.spec.metrics) if name not in dims])
+    made = _dataset(table, dims, found.spec.metrics)
     coordinates = {}
     for name in found.columns[1:]:
         along = "strategy" if name.startswith("strategy.") else "setting"

@@ -20,22 +20,21 @@ from jexplore.exploration.batch import Job
 from jexplore.exploration.state import MARKS
 from jexplore.report import store
 from jexplore.report.folders import UNFINISHED
-from jexplore.report.ledger import Ledger, ShorterRuns
+from jexplore.report.ledger import Ledger, ShorterRuns, require_same
 from jexplore.studies.papers import PAPERS
 from jexplore.studies.reproduction import Reproduction, notes_of, world_names
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.comparison import Comparison, Made
 from jexplore.studies.results.saving import DETAILS
 from jexplore.studies.results.units import Piece, Seen, cut_jobs
-from jexplore.studies.sweeps.plan import SweepPlan
-from jexplore.studies.sweeps.run import Swept, ready, whole_table
+from jexplore.studies.sweeps.plan import SweepPlan, prepare_sweep
+from jexplore.studies.sweeps.run import Swept, whole_table
 from jexplore.studies.sweeps.spec import read_spec
-from jexplore.studies.sweeps.traces import TracePlan
 from jexplore.version import __version__
 from jexplore.worlds.world import World
 
 MAX_DETAILS_BYTES = 2**32  # unpacked; the progress of a million episodes takes a fifth
-MADE_FROM = ("version", "spec", "digests")  # entries of what was asked from which a sweep is made ready again
+MADE_FROM = ("version", "spec", "digests")  # entries of what a sweep is asked that must not have changed since
 
 
 def _details(path, episodes):
@@ -92,7 +91,7 @@ def load(path: str | os.PathLike[str]) -> Any:
       InputError: no folder of a run, a run that was not finished, a file that is gone or damaged.
     """
     folder = Path(os.path.expanduser(path))
-    record = record_of(folder)
+    record = run_record(folder)
     with _as_written(folder, record):
         return _load(folder, record)
 
@@ -117,7 +116,7 @@ def _load(folder, record):
     raise InputError(f"{os.fspath(folder)}: `jexplore {command}` leaves no table to be read")
 
 
-def record_of(folder: Path) -> dict[str, Any]:
+def run_record(folder: Path) -> dict[str, Any]:
     """Read the run.json of a run."""
     page = folder / "run.json"
     if not page.is_file():
@@ -188,10 +187,7 @@ def shorter_of(
 ) -> ShorterRuns:
     """Return the comparisons of the same jobs with fewer episodes, which these may continue.
 
-    Args:
-      jobs: list of `Job`, each with as many starts.
-      asked_of: jobs -> what a comparison of them is asked.
-      more: number of units besides those of the jobs.
+    `asked_of` returns what a comparison of jobs is asked; `more` is the number of units besides those of the jobs.
     """
 
     def asked(n):
@@ -213,86 +209,66 @@ def _sweep(folder, record):
     return Swept(spec, episodes, columns, costs, record["interrupted"], record["resumed"], record["reference"])
 
 
-def _part_of(asked):
-    """Return the index of this part of a sweep, from 0, and the number of parts."""
-    found = re.fullmatch(r"(\d{1,5})/(\d{1,5})", str(asked.get("shard")))
-    if not found:
-        raise InputError(f"the shard of a part must be I/N, got {shown(asked.get('shard'))}")
-    return int(found[1]) - 1, int(found[2])
-
-
-def _require_same_strategies(part, asked, first):
-    """Refuse a part whose strategies compute something else than those of the first one."""
-    for name, digest in asked.get("own", {}).items():
-        if digest is None:
-            raise InputError(
-                f"{part} was made with the {name}, which calls back into Python, so that nothing tells whether it was "
-                "the same in all parts: --trust if you know that it was"
-            )
-        if digest != first.get("own", {}).get(name):
-            raise InputError(f"{part} was made with another {name}, one that computes something else: make it again")
-
-
 def _require_whole(table, plan):
     """Refuse parts that were cut in different ways: one that was continued and one that was not."""
-    who, number = ("strategy", "episode") if isinstance(plan, SweepPlan) else ("robot", "run")
-    twice, missing = int(table.duplicated(["setting", "world", who, number]).sum()), plan.episodes - len(table)
+    twice, missing = (
+        int(table.duplicated(["setting", "world", "strategy", "episode"]).sum()),
+        plan.episodes - len(table),
+    )
     if twice or missing:
-        lost = missing + twice
         raise InputError(
-            f"the parts must hold each {number} once: {twice:,} of them are there twice and {lost:,} nowhere, as parts "
-            f"continued with more episodes are cut in another way: make the part again, or continue all parts alike"
+            f"the parts must hold each episode once: {twice:,} are there twice and {missing + twice:,} nowhere, "
+            "as parts continued with more episodes are cut in another way: make the part again, or continue all "
+            "alike"
         )
 
 
-def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, SweepPlan | TracePlan]:
-    """Join the parts of a sweep.
+def _require_alike(path, there, here, trust):
+    """Refuse a part that was asked something else than the others."""
+    try:
+        require_same(path, {"asked": there}, {"asked": here}, trust=trust)
+    except InputError as error:
+        raise InputError(str(error).partition("; choose")[0]) from None
+
+
+def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, SweepPlan]:
+    """Join the parts of a sweep, from the folders of all of them.
 
     Args:
-      parts: folders of all parts.
-      trust: whether somebody else's strategies are taken for the same in all parts.
-
-    Returns:
-      `(Swept, SweepPlan)`.
+      parts: folders.
+      trust: take users' strategies as the same in all parts, even where nothing tells.
 
     Raises:
       InputError: a folder that holds no finished part, parts of different sweeps, one that is missing or there twice,
         parts that were not continued alike.
     """
-
     if not parts:
         raise InputError("expected the folders of all parts, got none")
-    pages, tables, places = {}, [], {}
+    first, n, tables, places = {}, 0, [], {}
     for part in parts:
         folder = Path(os.path.expanduser(part))
-        page = record_of(folder)
+        page = run_record(folder)
         asked = page.get("asked", {})
-        if asked.get("command") != "sweep" or not asked.get("shard"):
+        shard = re.fullmatch(r"(\d{1,5})/(\d{1,5})", str(asked.get("shard")))
+        if asked.get("command") != "sweep" or shard is None:
             raise InputError(f"{part} must hold a part of a sweep, made with --shard")
         if page.get("interrupted"):
             raise InputError(f"{part} holds a part that was not finished: go on with --resume")
-        first = next(iter(pages.values()), asked)
-        for key in MADE_FROM:
-            if asked.get(key) != first.get(key):
-                raise InputError(f"{part} must be a part of the sweep in {next(iter(pages))}: another {key}")
-        if not trust:
-            _require_same_strategies(part, asked, first)
-        i, n = _part_of(asked)
-        if n != _part_of(first)[1]:
-            raise InputError(f"{part} is part {i + 1}/{n}, and {next(iter(pages))} one of {_part_of(first)[1]}")
+        i, n = int(shard[1]), int(shard[2])
+        asked = {**asked, "shard": f"one of {n}"}
+        first = first or asked
+        _require_alike(part, asked, first, trust)
         if i in places:
-            raise InputError(f"{part} is part {i + 1}/{n}, and so is {places[i]}")
-        pages[part], places[i] = asked, part
+            raise InputError(f"{part} is part {i}/{n}, and so is {places[i]}")
+        places[i] = part
         with _as_written(folder, page):
             tables.append(_sweep(folder, page))
-    n = _part_of(next(iter(pages.values())))[1]
-    missing = [f"{i + 1}/{n}" for i in range(n) if i not in places]
+    missing = [f"{i}/{n}" for i in range(1, n + 1) if i not in places]
     if missing:
         raise InputError(f"all parts must be given, and {', '.join(missing)} are not")
-    plan = ready(tables[0].spec)
-    asked = plan.asked()
-    if any(store.jsonable(asked.get(key)) != next(iter(pages.values())).get(key) for key in MADE_FROM):
-        raise InputError("the sweep's worlds or jexplore itself have changed since the parts were made")
+    plan = prepare_sweep(tables[0].spec)
+    now = store.jsonable(plan.asked())
+    _require_alike(parts[0], first, {**first, **{key: now[key] for key in MADE_FROM}}, True)
     table = whole_table([found.episodes for found in tables], plan)
     _require_whole(table, plan)
     costs = functools.reduce(Costs.plus, (found.costs for found in tables))

@@ -38,10 +38,7 @@ def world_digest(world: World) -> str:
 
 
 def map_files_of(world: World) -> dict[str, str]:
-    """Return the files that a world was read from: path -> SHA-256 in hexadecimal digits; empty for other worlds.
-
-    Files that they name are among them.
-    """
+    """Return the files that a world was read from, and those that they name: path -> SHA-256 in hexadecimal digits."""
     try:
         path = Path(names.parse_name(os.path.expanduser(world.name), generators=()).base)
     except InputError:
@@ -75,17 +72,10 @@ def package_commit() -> str | None:
     folder = Path(__file__).resolve().parents[3]
     if (folder / ".git").exists():
         try:
-            found = [
-                subprocess.run(
-                    ["git", "-C", os.fspath(folder), *arguments],
-                    capture_output=True,
-                    text=True,
-                    timeout=GIT_S,
-                    check=True,
-                ).stdout.strip()
-                for arguments in (["rev-parse", "HEAD"], ["status", "--porcelain", "--", "jexplore"])
-            ]
-            return found[0] + ("+changed" if found[1] else "")
+            how = {"cwd": folder, "text": True, "timeout": GIT_S, "stderr": subprocess.PIPE}
+            commit = subprocess.check_output(["git", "rev-parse", "HEAD"], **how)
+            changes = subprocess.check_output(["git", "status", "--porcelain", "--", "jexplore"], **how)
+            return commit.strip() + ("+changed" if changes.strip() else "")
         except (OSError, subprocess.SubprocessError):
             return None
     try:

@@ -16,16 +16,27 @@ from jexplore.arrays.files import first_line
 from jexplore.config import InputError, InputWarning
 from jexplore.engine.runner import Costs
 from jexplore.exploration.batch import Job, Outcomes
+from jexplore.exploration.results import to_occupancy
 from jexplore.report import folders, plot, store
+from jexplore.report.page.report import write_report
 from jexplore.report.plots.standings import league_figure
+from jexplore.studies.replays import replays_of
 from jexplore.studies.results import provenance
-from jexplore.studies.results.report import replays_for, write_report
 from jexplore.studies.statistics.by_world import markdown_table
 from jexplore.studies.statistics.league import standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
+from jexplore.worlds.names import file_names, short_names
+from jexplore.worlds.readers.ros import write_ros
 
 DETAILS = "details.npz"
-VECTORS = ("compare.png", "coverage.png", "league.png", "reproduce.png")  # written as SVG as well
+VECTORS = (
+    "compare.png",
+    "coverage.png",
+    "league.png",
+    "reproduce.png",
+    "sweep.png",
+    "sweep-map.png",
+)  # written as SVG as well
 
 
 def write_details(found: Any, path: Path) -> None:
@@ -56,6 +67,21 @@ def write_details(found: Any, path: Path) -> None:
     np.savez_compressed(path, **arrays)
 
 
+def write_maps(found: Any, folder: Path) -> list[Path]:
+    """Write the maps of a `Comparison` as yaml files with a picture each, as `Comparison.save_maps` does."""
+    short = dict(zip([world.name for world in found.worlds], short_names([world.name for world in found.worlds])))
+    of_name, texts, made = {world.name: world for world in found.worlds}, [], []
+    for (world, strategy), states in found.maps.items():
+        own = found.episodes[(found.episodes["world"] == world) & (found.episodes["strategy"] == strategy)]
+        texts += [f"{short[world]}-{strategy}-{number}" for number in own["episode"]]
+        made += [(of_name[world], state) for state in states]
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"{name}.yaml" for name in file_names(texts)]
+    for file, (world, state) in zip(files, made):
+        write_ros(to_occupancy(state), file, cell_m=world.cell_m, origin_m=world.origin_m)
+    return files
+
+
 def figures_of(found: Any, *, league: bool = False) -> dict[str, Callable[[], Any]]:
     """Return pictures of a `Comparison`: name of a file -> function that draws it."""
     if league:
@@ -79,7 +105,6 @@ def comparison_files(
 
 
 def pictures_of(
-    folder: Path,
     found: Any,
     firsts: Mapping[int, Outcomes],
     record: Mapping[str, Any],
@@ -88,18 +113,17 @@ def pictures_of(
 ) -> dict[str, Callable[[Path], Any]]:
     """Return pictures of a `Comparison` and its page: name -> writer.
 
-    Args:
-      folder: the run's, in which pictures are when the page is written.
-      found: `Comparison`.
-      firsts: see `report.replays_for`.
-      record: what run.json holds.
-      figures: name -> what draws it.
-      jobs: those whose first episodes the page replays; None: no page.
+    `figures` are name -> what draws it; `jobs` are those whose first episodes the page replays, None for no page.
     """
-    drawn = {name: functools.partial(_picture, make) for name, make in figures.items()}
+    drawn = picture_writers(figures)
     if jobs is not None:
-        drawn["report.html"] = functools.partial(_page, folder, found, firsts, record, jobs, list(drawn))
+        drawn["report.html"] = functools.partial(_page, found, firsts, record, jobs, list(drawn))
     return drawn
+
+
+def picture_writers(figures: Mapping[str, Callable[[], Any]]) -> dict[str, Callable[[Path], Any]]:
+    """Return what writes pictures, `VECTORS` as SVG as well, from what draws them."""
+    return {name: functools.partial(_picture, make) for name, make in figures.items()}
 
 
 def _picture(make, path):
@@ -109,14 +133,14 @@ def _picture(make, path):
         plot.save_figure(figure, path.with_suffix(".svg"))
 
 
-def _page(folder, found, firsts, record, jobs, names, path):
-    """Write the page of a comparison, with those of its pictures that are there."""
-    replays, notes = replays_for(jobs, record, firsts) if jobs else ([], [])
+def _page(found, firsts, record, jobs, names, path):
+    """Write the page of a comparison."""
+    engine = "jax" if record["engine"] == "jax" else "auto"
+    replays, notes = replays_of(jobs, firsts, engine=engine) if jobs else ([], [])
     tables = [("In each world", markdown_table(found.summary))]
     if len(found.worlds) >= MIN_PAIRS:
         tables.insert(0, ("Over all worlds", standings_table(found.standings)))
-    pictures = [folder / name for name in names if (folder / name).is_file()]
-    write_report(path, f"jexplore {record['command'][1]}", record, tables, pictures, replays, notes)
+    write_report(path, record, tables, names, replays, notes)
 
 
 def entries_of(found: Any) -> dict[str, Any]:
@@ -155,7 +179,7 @@ def write_comparison(run: folders.RunFolder, found: Any, *, report: bool = True)
     record = how | dict(found.made.record) | entries_of(found)
     run.write(comparison_files(found, record), is_finished=not found.interrupted)
     jobs = (() if found.interrupted else found.made.jobs) if report else None
-    for name, draw in pictures_of(run.path, found, found.made.firsts, record, figures_of(found), jobs).items():
+    for name, draw in pictures_of(found, found.made.firsts, record, figures_of(found), jobs).items():
         try:
             run.add(name, draw)
         except Exception as error:  # a picture less costs no results
@@ -167,10 +191,7 @@ def write_comparison(run: folders.RunFolder, found: Any, *, report: bool = True)
 def claimed_by_call(
     path: str | os.PathLike[str], *, overwrite: bool, resume: bool | None = None
 ) -> Iterator[folders.RunFolder]:
-    """Claim a folder, as `folders.claimed`, for a function: its errors name arguments instead of options.
-
-    `resume` is None for a function without that argument.
-    """
+    """Claim a folder for a function, `resume` None for one that cannot: errors name arguments, not options."""
     try:
         with folders.claimed(os.path.expanduser(path), overwrite=overwrite, resume=bool(resume)) as run:
             yield run

@@ -25,14 +25,9 @@ class ByStrategy(abc.ABC):
     episodes: "pd.DataFrame"
 
     @property
-    def _who(self) -> str:
-        """Return the column of names."""
-        return "strategy"
-
-    @property
     def strategies(self) -> tuple[str, ...]:
         """Return names of the strategies, in order."""
-        return tuple(dict.fromkeys(self.episodes[self._who]))
+        return tuple(dict.fromkeys(self.episodes["strategy"]))
 
     def __len__(self) -> int:
         return len(self.strategies)
@@ -43,8 +38,8 @@ class ByStrategy(abc.ABC):
     def __getitem__(self, name: str) -> "pd.DataFrame":
         """Return the episodes of one strategy: those rows of the table of all, counted anew from 0."""
         if name not in self.strategies:
-            raise unknown(f"{self._who} of these results:", str(name), self.strategies)
-        own: Any = self.episodes[self.episodes[self._who] == name]
+            raise unknown("strategy of these results:", str(name), self.strategies)
+        own: Any = self.episodes[self.episodes["strategy"] == name]
         return own.reset_index(drop=True)
 
     def to_pandas(self) -> "pd.DataFrame":

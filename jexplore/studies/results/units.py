@@ -226,19 +226,17 @@ def run_units(
     keep: str | None = None,
     alike: Sequence[tuple[Lidar, Rules]] = (),
 ) -> Ran:
-    """Run every episode of every job that the ledger does not have.
+    """Run every episode of every job, with its scanner and rules, that the ledger does not have.
 
     Args:
-      jobs: list of `Job`, each with its scanner and rules.
       ledger: where units are kept as soon as they are finished.
       earlier: episodes before those of the ledger, see `loading.earlier_pieces`.
-      engine, lanes, workers, on_progress, keep, alike: as in `batch.run_jobs`; progress counts earlier ones too.
+      engine, lanes, workers, on_progress, keep: as in `batch.run_jobs`; progress counts earlier ones too.
 
     Returns:
       `Ran`. After Ctrl-C it holds what had been finished.
 
     Raises:
-      InputError: as `batch.run_jobs`; a unit cannot be written or read.
       KeyboardInterrupt: nothing had been finished, or no unit of a run that continues an earlier one.
     """
     work, costs = _Work(jobs, ledger), Costs()

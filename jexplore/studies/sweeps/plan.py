@@ -35,13 +35,6 @@ from jexplore.worlds.world import World, ringed_shape
 
 MAX_UNIT_EPISODES = 256  # episodes of a unit at most, about; one file each
 MAX_SWEEP_UNITS = 4096  # larger sweeps have larger units
-PROGRAM_COMPILE_S = 12.0  # processor seconds of compiling a program, about (benchmarks/RESULTS.md, Episodes)
-STRATEGY_COSTS = {
-    **{"closest": 1.0, "random": 3.0, "utility": 2.5, "distance-advantage": 3.0, "small-first": 3.0},
-    **{"tour": 3.5, "mcdm": 4.0, "decision-theoretic": 12.0, "gain-rate": 20.0},
-}
-"""Cost of an episode of a strategy relative to closest, about; `+segment` adds to it."""
-SEGMENT_COST = 8.0
 
 
 class SweepBlock(NamedTuple):
@@ -60,7 +53,7 @@ class SweepPlan:
 
     spec: Sweep
     settings: list[dict[str, Any]]
-    records: list[tuple[Any, ...]]
+    records: list[tuple[int, float, Lidar, Rules]]
     strategies: list[Strategy]
     parameters: list[dict[str, Any]]
     """Of every strategy, those of its parameters that are settings."""
@@ -123,16 +116,6 @@ class SweepPlan:
             if name.startswith("strategy."):
                 found[name] = [own.get(name.partition(".")[2]) for own in self.parameters]
         return {name: column_type(values) for name, values in found.items()}
-
-    def seconds(self, workers: int) -> float:
-        """Estimate the time on a number of cores, compiling included."""
-        each = [_cost(strategy.name) for strategy in self.strategies]
-        cells = {key: height * width for key, (height, width) in self.shapes.items()}
-        total = 0.0
-        for _, cell_m, _, _ in self.records:
-            for world in range(len(self.spec.worlds)):
-                total += CELL_S * cells[world, cell_m] * sum(each) * self.spec.episodes
-        return (total + PROGRAM_COMPILE_S * self.programs) / max(workers, 1)
 
     def asked(self, shard: tuple[int, int] | None = None) -> dict[str, Any]:
         """Return all that the results depend on, as plain values."""
@@ -232,11 +215,6 @@ def column_type(values: Sequence[Any]) -> str:
     return "text"
 
 
-def _cost(name):
-    head = name.partition(":")[0].split("+")
-    return STRATEGY_COSTS.get(head[0], 3.0) + SEGMENT_COST * any(word.startswith("segment") for word in head[1:])
-
-
 def prepare_sweep(spec: Sweep) -> SweepPlan:
     """Check a sweep and cut its work, before anything is compiled.
 
@@ -314,24 +292,11 @@ def in_shard(units: int, shard: tuple[int, int] | None) -> list[int]:
     return list(range(units)) if shard is None else list(range(shard[0], units, shard[1]))
 
 
-def summary_lines(plan: Any, workers: int, units: Sequence[int]) -> list[str]:
-    """Return the lines that `--dry-run` prints for a `SweepPlan` or a `TracePlan`."""
-    seconds = plan.seconds(workers) * len(units) / max(len(plan.units), 1)
-    n_who, who, what = len(plan.spec.robots or plan.strategies), "robots", "runs"
-    if not plan.spec.robots:
-        who, what = "strategies", "episodes"
-    head = f"{len(plan.settings):,} settings x {len(plan.spec.worlds)} worlds x {n_who} {who}"
+def summary_lines(plan: SweepPlan, units: Sequence[int]) -> list[str]:
+    """Return the lines that `--dry-run` prints for some units of a plan."""
+    head = f"{len(plan.settings):,} settings x {len(plan.spec.worlds)} worlds x {len(plan.strategies)} strategies"
     return [
-        f"{head} x {plan.spec.episodes:,} {what} = {plan.episodes:,} {what}",
-        f"{len(units):,} units of about {plan.episodes / max(len(plan.units), 1):,.0f} {what}",
+        f"{head} x {plan.spec.episodes:,} episodes = {plan.episodes:,} episodes",
+        f"{len(units):,} units of about {plan.episodes / max(len(plan.units), 1):,.0f} episodes",
         f"{plan.programs:,} compiled programs, one for every size of map, clearance in cells and number of beams",
-        f"about {duration(seconds)} on {workers} cores, within a factor of three",
     ]
-
-
-def duration(seconds: float) -> str:
-    """Format seconds in a suitable unit."""
-    for most, unit, each in ((120, "s", 1), (7200, "min", 60), (172800, "h", 3600)):
-        if seconds < most:
-            return f"{seconds / each:.0f} {unit}"
-    return f"{seconds / 86400:.0f} days"

@@ -27,7 +27,6 @@ from jexplore.studies.results.units import Unit, join_columns, rows_of
 from jexplore.studies.statistics.paired import paired_ratio
 from jexplore.studies.sweeps.plan import SweepPlan, in_shard, prepare_sweep
 from jexplore.studies.sweeps.spec import Sweep, read_spec, sweep_from
-from jexplore.studies.sweeps.traces import TracePlan, prepare_traces, run_traces, summarise_traces, traces_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,14 +42,13 @@ WINDOW_SITES = 32  # worlds made ready at a time
 class Swept(ByStrategy):
     """Result of a sweep. Tables are pandas DataFrames.
 
-    Iterating gives the names of its strategies, or robots.
+    Iterating gives the names of its strategies.
     """
 
     spec: Sweep
     episodes: "pd.DataFrame"
     """One row an episode, ordered by setting, world, strategy, episode; columns `columns.COLUMNS`, metrics, settings:
-    `setting` (its number), `lidar.range_m`, `strategy.weight`, ... Of robots one row a run, as in
-    `jx.btm.trace(...).table`, with `tuning.votes`, ..."""
+    `setting` (its number), `lidar.range_m`, `strategy.weight`, ..."""
     columns: tuple[str, ...]
     """Names of the columns of settings."""
     costs: Costs
@@ -63,24 +61,16 @@ class Swept(ByStrategy):
 
     @functools.cached_property
     def summary(self) -> "pd.DataFrame":
-        """Tabulate one row a setting, world and strategy; of robots see `traces.summarise_traces`.
+        """Tabulate one row a setting, world and strategy.
 
         Columns are `n`, `mean` and `sd` of the path, metres, the paired `ratio` to the first strategy with `ratio_low`
         and `ratio_high` (95 %, see `paired.paired_ratio`), mean `explored_fraction`, share `complete`; those of
         settings and metrics.
         """
-        return (
-            summarise_traces(self.episodes, self.columns)
-            if self.spec.robots
-            else summarise(self.episodes, self.columns, self.reference, tuple(self.spec.metrics))
-        )
-
-    @property
-    def _who(self):
-        return "robot" if self.spec.robots else "strategy"
+        return summarise(self.episodes, self.columns, self.reference, tuple(self.spec.metrics))
 
     def _summary_text(self, as_text):
-        return (traces_table if self.spec.robots else summary_table)(self.summary, self.varied, as_text)
+        return summary_table(self.summary, self.varied, as_text)
 
     def plot(self) -> "Figure":
         """Draw the first of `figures`, as a matplotlib `Figure`: mean paths along the first number that is varied.
@@ -96,8 +86,6 @@ class Swept(ByStrategy):
         """Convert the table to an `xarray.Dataset` with labelled dimensions: see `labelled.of_sweep`."""
         from jexplore.studies.results import labelled
 
-        if self.spec.robots:
-            raise InputError("runs of robots have no labelled arrays: use to_pandas()")
         return labelled.of_sweep(self)
 
     def to_markdown(self, rows: int | None = None) -> str:
@@ -109,7 +97,7 @@ class Swept(ByStrategy):
     def table(self, rows: int | None = None) -> str:
         """Format the first rows of the summary as a Markdown table, by default all."""
         shown = self.summary if rows is None else self.summary.head(rows)
-        return (traces_table if self.spec.robots else summary_table)(shown, self.varied)
+        return summary_table(shown, self.varied)
 
     @property
     def varied(self) -> list[str]:
@@ -121,8 +109,6 @@ class Swept(ByStrategy):
         """Return pictures of the sweep, of the first varied numbers: end of a file's name -> function that draws it."""
         from jexplore.studies.statistics import figures
 
-        if self.spec.robots:
-            return {}
         numbers = [name for name in self.varied if self.episodes[name].dtype.kind in "iuf"]
         drawn: dict[str, Callable[[], Any]] = (
             {"": functools.partial(figures.response_figure, self.episodes, numbers[0])} if numbers else {}
@@ -200,11 +186,8 @@ def run_block_units(
     plan: SweepPlan,
     numbers: Sequence[int],
     on_unit: Callable[[int, "pd.DataFrame"], object],
-    *,
-    engine: str = "auto",
-    lanes: int | None = None,
-    workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
+    **how: Any,
 ) -> Costs:
     """Run units of a sweep of strategies; `on_unit` gets the number and the table of each that has ended."""
     costs, done = Costs(), 0
@@ -223,10 +206,9 @@ def run_block_units(
                 on_unit(number, typed(join_columns(rows), plan))
 
         progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
-        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
-        how["alike"] = plan.alike
+        more = {"alike": plan.alike, "on_progress": progress, "on_job": on_job}
         try:
-            found = batch.run_jobs(jobs, Lidar(), Rules(), **how, on_progress=progress, on_job=on_job).costs
+            found = batch.run_jobs(jobs, Lidar(), Rules(), **how, **more).costs
         except KeyboardInterrupt:
             costs.interrupted = True
             return costs
@@ -267,7 +249,7 @@ def _rows(plan, block, job, found):
     return own | rows
 
 
-def typed(table: "pd.DataFrame", plan: Any) -> "pd.DataFrame":
+def typed(table: "pd.DataFrame", plan: SweepPlan) -> "pd.DataFrame":
     """Convert a table of a sweep, or of its part, to the column types of the whole plan.
 
     Types are truth values, whole numbers, numbers (NaN where missing), and text (empty where missing).
@@ -281,34 +263,20 @@ def typed(table: "pd.DataFrame", plan: Any) -> "pd.DataFrame":
 
 
 def run_sweep(
-    plan: SweepPlan | TracePlan,
+    plan: SweepPlan,
     *,
     ledger: Ledger | None = None,
     shard: tuple[int, int] | None = None,
-    engine: str = "auto",
-    lanes: int | None = None,
-    workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
+    **how: Any,
 ) -> Swept:
-    """Run the units of a sweep that the ledger does not have.
+    """Run the units of a sweep that the ledger, which stores them as they are finished, does not have.
 
-    Args:
-      plan: from `ready`.
-      ledger: stores units as soon as they are finished.
-      shard: `(i, n)`: only every n-th unit, from the i-th on.
-      engine, lanes, workers: as in `batch.run_jobs`.
-      on_progress: called with the number of finished episodes, including earlier ones.
-
-    Returns:
-      `Swept`. After Ctrl-C it holds the units that were finished.
-
-    Raises:
-      KeyboardInterrupt: none was.
+    With a shard `(i, n)` only every n-th unit, from the i-th on. After Ctrl-C the result holds the units that were
+    finished; `KeyboardInterrupt` if none was. `how` are engine, lanes and workers, as of `batch.run_jobs`.
     """
-    require_engine(engine, lanes)
     earlier = None
     if ledger is not None and ledger.after:
-        assert isinstance(plan, SweepPlan)
         earlier = read_parquet(ledger.folder.parent / "episodes.parquet")
         earlier, plan = earlier[earlier["episode"] < ledger.after], plan.after(ledger.after)
     numbers, tables = in_shard(len(plan.units), shard), {}
@@ -324,10 +292,8 @@ def run_sweep(
 
     left = [number for number in numbers if number not in tables]
     progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
-    run = run_traces if isinstance(plan, TracePlan) else run_block_units
-    how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": progress}
     use_compilation_cache()
-    costs = run(plan, left, on_unit, **how) if left else Costs()  # type: ignore[arg-type]
+    costs = run_block_units(plan, left, on_unit, progress, **how) if left else Costs()
     if numbers and not tables:
         raise KeyboardInterrupt
     found = [*([] if earlier is None else [earlier]), *(tables[i] for i in sorted(tables))]
@@ -342,19 +308,17 @@ def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
     return [", ".join(f"{key.rpartition('.')[2]} {_value_text(own[key])}" for key in varied) for own in settings]
 
 
-def whole_table(tables: Sequence["pd.DataFrame"], plan: SweepPlan | TracePlan) -> "pd.DataFrame":
-    """Join tables of a sweep: rows by setting, world, strategy or robot, and episode or run, as in the spec."""
+def whole_table(tables: Sequence["pd.DataFrame"], plan: SweepPlan) -> "pd.DataFrame":
+    """Join tables of a sweep: rows by setting, world, strategy and episode, as in the spec."""
     import pandas as pd
 
     table = typed(pd.concat(tables, ignore_index=True), plan)
-    who, names, number = "robot", plan.spec.robots, "run"
-    if isinstance(plan, SweepPlan):
-        who, names, number = "strategy", [strategy.name for strategy in plan.strategies], "episode"
+    names = [strategy.name for strategy in plan.strategies]
     places = [
         pd.Categorical(table[column], list(given)).codes
-        for column, given in ((who, names), ("world", map(os.fspath, plan.spec.worlds)))
+        for column, given in (("strategy", names), ("world", map(os.fspath, plan.spec.worlds)))
     ]
-    return table.iloc[np.lexsort([table[number], *places, table["setting"]])].reset_index(drop=True)
+    return table.iloc[np.lexsort([table["episode"], *places, table["setting"]])].reset_index(drop=True)
 
 
 @checked_names
@@ -388,12 +352,7 @@ def sweep(
     if not isinstance(spec, Sweep):
         raise InputError(f"a sweep must be a jx.Sweep, a mapping or a YAML file, got {spec!r}")
     how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
-    plan = ready(spec)
+    plan = prepare_sweep(spec)
     total = sum(map(plan.size, range(len(plan.units))))
-    with progress_bar(progress, total, "runs" if spec.robots else "episodes", on_progress) as moved:
+    with progress_bar(progress, total, "episodes", on_progress) as moved:
         return run_sweep(plan, **how, on_progress=moved)
-
-
-def ready(spec: Sweep) -> SweepPlan | TracePlan:
-    """Plan a sweep of episodes, or of robots that write maps, for `run_sweep`. Raises as `prepare_sweep`."""
-    return prepare_traces(spec) if spec.robots else prepare_sweep(spec)

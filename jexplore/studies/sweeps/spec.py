@@ -22,7 +22,6 @@ from jexplore.config import (
     require_whole,
     unknown,
 )
-from jexplore.driving.settings import Noise, Tuning
 from jexplore.studies.metrics import named_metrics
 from jexplore.users import bare, name_of
 from jexplore.worlds.poses import read_start
@@ -31,7 +30,7 @@ MAX_SETTINGS = 100_000
 MAX_TOTAL = 100_000_000  # episodes
 DRAW_METHODS = ("random", "sobol")
 RANGE = ("low", "high", "log")
-SETTING_PARTS = {"lidar": Lidar, "rules": Rules, "tuning": Tuning, "noise": Noise}
+SETTING_PARTS = {"lidar": Lidar, "rules": Rules}
 _FIELDS_OF = {name: {field.name: field for field in dataclasses.fields(kind)} for name, kind in SETTING_PARTS.items()}
 
 
@@ -76,15 +75,8 @@ class Sweep:
     """A `jx.Lidar`, or some of its fields."""
     rules: Mapping[str, Any] | Rules = dataclasses.field(default_factory=dict)
     """A `jx.Rules`, or some of its fields."""
-    robots: tuple[str, ...] = ()
-    """Robots that write Behavioral Trace Maps, as `jx.btm.trace` takes them: then runs of these are made instead of
-    episodes of strategies, `episodes` of each."""
-    tuning: Mapping[str, Any] | Tuning = dataclasses.field(default_factory=dict)
-    """A `jx.btm.Tuning`, or some of its fields, for robots."""
-    noise: Mapping[str, Any] | Noise = dataclasses.field(default_factory=dict)
-    """A `jx.btm.Noise`, or some of its fields, for robots."""
     metrics: Any = dataclasses.field(default_factory=dict)
-    """Columns of your own, for strategies: name -> function or "module:function", as in `jx.compare`."""
+    """Columns of your own: name -> function or "module:function", as in `jx.compare`."""
     settings: tuple[Mapping[str, Any], ...] = ()
     """Settings one by one instead of a product: mappings such as `{lidar.range_m: 4, rules.clearance_m: 0.2}`; with the
     product of the rest."""
@@ -94,7 +86,7 @@ class Sweep:
     """Method of drawing: "sobol" (scrambled, even) or "random"."""
 
     def __post_init__(self) -> None:
-        for name in ("worlds", "strategies", "settings", "robots"):
+        for name in ("worlds", "strategies", "settings"):
             given = getattr(self, name)
             if isinstance(given, (str, os.PathLike)) or (name == "strategies" and isinstance(given, Mapping)):
                 given = (given,)
@@ -111,19 +103,12 @@ class Sweep:
             if not isinstance(world, (str, os.PathLike)):
                 raise InputError(f"worlds must be names or files, got {world!r}")
         object.__setattr__(self, "metrics", named_metrics(self.metrics))
-        if self.robots and self.metrics:
-            raise InputError("metrics is for strategies, not for robots")
         require_whole("episodes", self.episodes, 1, MAX_TOTAL)
         read_start(self.start, self.start_m)
         if self.draw not in DRAW_METHODS:
             raise unknown("draw", str(self.draw), DRAW_METHODS)
         if self.draws is not None:
             require_whole("draws", self.draws, 1, MAX_SETTINGS)
-        others = ("lidar", "rules") if self.robots else ("tuning", "noise")
-        for name in others:
-            if getattr(self, name):
-                need = "strategies, not for robots" if self.robots else "robots, such as robots: [kamui]"
-                raise InputError(f"{name} is for {need}")
         for name, known in _FIELDS_OF.items():
             given = getattr(self, name)
             if isinstance(given, SETTING_PARTS[name]):
@@ -140,14 +125,6 @@ class Sweep:
             for key, value in one.items():
                 _require_key(key)
                 _require_plain(key, value)
-                if key.partition(".")[0] in others:
-                    need = "strategies, not for robots" if self.robots else "robots, such as robots: [kamui]"
-                    raise InputError(f"{key} is for {need}")
-        if self.robots and self.strategies != type(self).strategies:
-            raise InputError("robots and strategies cannot be compared in one sweep: give one of them")
-        for robot in self.robots:
-            if not isinstance(robot, str):
-                raise InputError(f"robots must be names, got {robot!r}")
 
     @property
     def axes(self) -> dict[str, Any]:
@@ -204,8 +181,8 @@ class Sweep:
             shares = np.random.default_rng(seed).random((int(self.draws or 1), len(axes)))
         return [{key: _taken(key, axis, float(s)) for (key, axis), s in zip(axes.items(), row)} for row in shares]
 
-    def records(self, *parts: str) -> list[tuple[Any, ...]]:
-        """Return seed, cell size and scanner and rules, or others of `SETTING_PARTS`, of every setting of `expanded`.
+    def records(self) -> list[tuple[int, float, Lidar, Rules]]:
+        """Return seed, cell size, scanner and rules of every setting of `expanded`.
 
         Raises:
           InputError: a value that cannot be used, naming it.
@@ -214,8 +191,7 @@ class Sweep:
         for setting in self.expanded():
             seed = require_setting("seed", setting["seed"])
             cell_m = require_setting("cell_m", setting["cell_m"])
-            made = [SETTING_PARTS[part](**_part(setting, part)) for part in parts or ("lidar", "rules")]
-            found.append((seed, float(cell_m), *made))
+            found.append((seed, float(cell_m), Lidar(**_part(setting, "lidar")), Rules(**_part(setting, "rules"))))
         return found
 
     def strategy_list(self) -> list[tuple[str, dict[str, Any]]]:
