@@ -156,12 +156,9 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
     return world
 
 
-def read_name(
-    name: str, parameters_of: Callable[[str], Mapping[str, Any] | None] = lambda base: generator_parameters(base)
-) -> tuple[names.WorldName, tuple[Any, ...] | None]:
+def read_name(name: str) -> tuple[names.WorldName, tuple[Any, ...] | None]:
     """Take a world's name apart, and refuse a parameter that its generator or reader does not take or cannot use.
 
-    `parameters_of`: name of a generator -> its parameters with their defaults; None where these are not known yet.
     Returns the parsed name, its parameters of the kinds that they need, and what comes after the world in the arguments
     of `regions.inside`; None where no region is chosen.
 
@@ -170,9 +167,7 @@ def read_name(
     """
     parsed = names.parse_name(name, generators=known_generators())
     if parsed.kind == "generator":
-        defaults = parameters_of(parsed.base)
-        if defaults is None:
-            return parsed, None
+        defaults = generator_parameters(parsed.base)
         names.require_parameters(parsed, defaults)
         given = {key: _as_default(parsed, key, value, defaults[key]) for key, value in parsed.parameters.items()}
         return dataclasses.replace(parsed, parameters=given), None
