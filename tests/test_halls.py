@@ -60,13 +60,10 @@ def found(around, middle, out):
     return bool(there), *(np.asarray(a) for a in rest)
 
 
-# ---------------------------------------------------------------- gateways
-
-
 @pytest.mark.jit
-@pytest.mark.parametrize("wide_m", [0.8, 1.0, 2.0, 3.0, 4.0])
-@pytest.mark.parametrize("away_m", [1.2, 1.5, 1.9])
-@pytest.mark.parametrize("off_deg", [-15, 0, 10])
+@pytest.mark.parametrize("wide_m", [0.8, 2.0, 4.0])
+@pytest.mark.parametrize("away_m", [1.2, 1.9])
+@pytest.mark.parametrize("off_deg", [-15, 10])
 @pytest.mark.parametrize("corner", [False, True])
 def test_a_gateway_beside_the_robot(wide_m, away_m, off_deg, corner):
     """Though the robot's heading is not quite along its wall, and the wall of a corner stands square to that."""
@@ -83,7 +80,7 @@ def test_a_gateway_beside_the_robot(wide_m, away_m, off_deg, corner):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("turn", np.linspace(-math.pi, math.pi, 9))
+@pytest.mark.parametrize("turn", [-2.5, 0.7])
 def test_a_gateway_in_any_direction(turn):
     """Not expected to the right: the same, turned."""
     walls = [np.concatenate([turned(w[:2], turn), turned(w[2:], turn)]) for w in with_gap(1.5, 1.2, at_m=0.3)]
@@ -120,9 +117,6 @@ def test_ways_from_before_a_gateway():
     assert int(ways.overflow) == 0
 
 
-# ---------------------------------------------------------------- along a wall
-
-
 def along(walls, side=-1):
     """Direction in degrees; seen in a mirror it is the other way round."""
     degrees = math.degrees(float(surround.wall_direction(surround_of(*walls), jnp.int32(side), COAST_M, KAMUI)))
@@ -148,14 +142,6 @@ def along(walls, side=-1):
 )
 def test_the_direction_along_a_wall(walls, low, high):
     assert low - 1e-3 <= along(walls) <= high + 1e-3
-
-
-def test_a_robot_that_is_shut_in_goes_where_it_is_farthest():
-    walls = [(-1, -1, 1.8, -1), (1.8, -1, 1.8, 1), (1.8, 1, -1, 1), (-1, 1, -1, -1)]
-    assert abs(along(walls)) <= 35
-
-
-# ---------------------------------------------------------------- before a gateway
 
 
 @pytest.mark.parametrize(
@@ -199,18 +185,6 @@ def test_the_gateway_by_which_a_hall_is_entered_or_left():
     assert float(goes.out) == pytest.approx(math.pi / 2)
 
 
-@pytest.mark.parametrize(
-    ("inside", "width_m", "node"),
-    [
-        (False, 1.0, (10.0, 3.0)),  # by the one before which it has just been
-        (True, 5.4, (0.0, 0.0)),  # wider than any gateway
-        (True, math.inf, (0.0, 0.0)),  # in the middle of the hall, where it began
-    ],
-)
-def test_where_there_is_no_such_gateway(inside, width_m, node):
-    assert int(crossing(inside, width_m, node).age) == 0
-
-
 def gone_round(
     turned_deg, *, gone_m=20.0, off_m=0.5, side=-1, at_node=False, inside=True, latch=Latch.FREE, n_nodes=1, heading=0.1
 ):
@@ -227,9 +201,10 @@ def gone_round(
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_a_hall_without_a_gateway_is_gone_round_once(side):
-    drive, is_round = gone_round(-side * 350, side=side)
-    assert bool(is_round)
+@pytest.mark.parametrize("change", [{}, {"gone_m": 3.0}, {"off_m": 2.5}, {"turned_deg": 180}, {"inside": False}])
+def test_a_hall_without_a_gateway_is_gone_round_once(side, change):
+    drive, is_round = gone_round(**{"turned_deg": -side * 350, "side": side, **change})
+    assert bool(is_round) == (not change)
     assert int(drive.latch) == Latch.FREE
 
 
@@ -246,32 +221,6 @@ def test_what_stands_in_a_hall_is_left_straight_across(side, more):
         [behaviour.LEAVE_ISLAND_M * math.cos(out), behaviour.LEAVE_ISLAND_M * math.sin(out)], abs=1e-4
     )
     assert math.isnan(float(drive.began[0]))
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"gone_m": 3.0},
-        {"off_m": 2.5},
-        {"off_m": -0.5},  # it has not passed there yet
-        {"turned_deg": 180},
-        {"at_node": True},
-        {"inside": False},
-        {"latch": Latch.LEAVE},
-    ],
-)
-def test_who_has_not_been_all_round(change):
-    for turned_deg in (350, -350):
-        drive, is_round = gone_round(**{"turned_deg": turned_deg, **change})
-        assert not bool(is_round)
-        assert int(drive.latch) == change.get("latch", Latch.FREE)
-
-
-@pytest.mark.parametrize("latch", [Latch.FREE, Latch.LOOK])
-def test_only_turns_along_the_wall_count(latch):
-    drive, _ = gone_round(90, off_m=1.0, latch=latch, heading=0.1 - 0.3)
-    assert float(drive.began[2]) == pytest.approx(math.radians(90) + (0.3 if latch == Latch.FREE else 0), abs=1e-5)
-    assert float(drive.began[4]) == pytest.approx(0.1)
 
 
 def test_walls_are_followed_in_halls_alone():

@@ -6,23 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from ref.runs import a_due_node, a_state
+from ref.runs import place
 
 from jexplore import btm
-from jexplore.driving import behaviour, links, mapping, nodes
-from jexplore.driving.events import _passes_start
-from jexplore.driving.records import Latch, Openings
-from jexplore.driving.settings import ROBOTS, Tuning, for_world
+from jexplore.driving import links, mapping
 
+pytestmark = pytest.mark.jit
 EAST, NORTH, WEST, SOUTH = (math.radians(a) for a in (0, 90, 180, 270))
-TUNING = for_world(Tuning(), is_course=True)
-
-
-def place(*bearings):
-    """Openings that bear so, the others unused."""
-    n, flat = len(bearings), jnp.zeros(8)
-    bearing = jnp.zeros(8).at[:n].set(jnp.array(bearings, float))
-    return Openings(bearing, jnp.zeros((8, 2)), flat, flat, jnp.arange(8) < n, jnp.int32(0))
+MATCH, TURN_TO = jax.jit(links.match_node), jax.jit(links.turn_to)
+FIND, RESOLVE = jax.jit(links.find_hypotheses), jax.jit(links.resolve_hypotheses)
 
 
 def a_writer(*nodes, link=None):
@@ -46,7 +38,7 @@ def a_writer(*nodes, link=None):
 
 def recognised(writer, centre, found, back, odometer_m=100.0, when=True):
     at = jnp.array(centre, float), jnp.float32(odometer_m)
-    node, there = links.match_node(writer, at, found, jnp.float32(back), jnp.float32(1.0), jnp.bool_(when))
+    node, there = MATCH(writer, at, found, jnp.float32(back), jnp.float32(1.0), jnp.bool_(when))
     return int(node) if bool(there) else None
 
 
@@ -65,7 +57,7 @@ T = ((0.0, 0.0), (NORTH, SOUTH), (EAST,))  # node 1: the way east waits
     ],
 )
 def test_how_a_place_is_turned_and_how_well_its_ways_agree(openings_deg, turn_deg, spread_deg):
-    turn, spread = links.turn_to(a_writer(T).map, jnp.int32(1), place(*np.radians(openings_deg)))
+    turn, spread = TURN_TO(a_writer(T).map, jnp.int32(1), place(*np.radians(openings_deg)))
     assert math.degrees(turn) == pytest.approx(turn_deg, abs=1e-3)
     assert math.degrees(spread) == pytest.approx(spread_deg, abs=1e-3)
 
@@ -78,80 +70,25 @@ def test_how_a_node_lies_is_said_in_the_frame_of_the_last_one():
     assert np.isnan(mapping.pose_from_node(writer, jnp.array([1.0, 5.0]), math.nan)[2])
 
 
-def test_a_place_with_the_ways_of_a_node_that_waits_there_is_that_node():
-    assert recognised(a_writer(T), (2.0, 0.0), place(NORTH, SOUTH, EAST), EAST) == 1
-    assert recognised(a_writer(T), (2.0, 0.0), place(NORTH, SOUTH, EAST), EAST, when=False) is None
-
-
 @pytest.mark.parametrize(
     ("found", "expected"),
     [
         ((SOUTH, EAST), None),  # one is not seen
         ((NORTH, SOUTH, EAST, WEST), None),  # one is new
+        ((NORTH, SOUTH, EAST), 1),
         ((EAST, NORTH + 0.6, SOUTH - 0.6), 1),  # 34 degrees off each
         ((EAST, NORTH + 0.8, SOUTH - 0.8), None),
     ],
 )
 def test_it_has_the_very_ways(found, expected):
     assert recognised(a_writer(T), (2.0, 0.0), place(*found), EAST) == expected
-
-
-@pytest.mark.parametrize(
-    ("given_up", "found", "expected"),
-    [
-        ((WEST,), (NORTH, SOUTH, EAST), 1),
-        ((WEST,), (NORTH, SOUTH, EAST, WEST), 1),
-        ((WEST,), (SOUTH, EAST), None),
-        ((WEST, NORTH), (SOUTH, EAST), 1),
-        ((WEST, NORTH, SOUTH), (EAST,), None),  # of one way alone nothing can be told
-        ((WEST, NORTH, SOUTH), (NORTH, SOUTH, EAST, WEST), 1),
-    ],
-)
-def test_a_link_that_was_given_up_may_be_seen_or_not(given_up, found, expected):
-    """It was an opening from where the robot saw it; the ways of the node are the others."""
-    writer = a_writer(((0.0, 0.0), (NORTH, SOUTH), (EAST, WEST)))
-    off = jnp.abs(btm.wrapped(writer.map.start_bearing[:, None] - jnp.asarray(given_up)))
-    blocked = (writer.map.start == 1) & jnp.any(off < 0.1, axis=1)
-    assert recognised(writer, (2.0, 0.0), place(NORTH, SOUTH, EAST), EAST) is None
-    writer = writer.replace(map=writer.map.replace(blocked=blocked))
-    assert recognised(writer, (2.0, 0.0), place(*found), EAST) == expected
-    _, spread = links.turn_to(writer.map, jnp.int32(1), place(*found))
-    assert math.isfinite(spread) == (expected == 1)
+    assert recognised(a_writer(T), (2.0, 0.0), place(*found), EAST, when=False) is None
 
 
 def test_the_way_by_which_the_robot_comes_must_wait_there():
     assert recognised(a_writer(T), (2.0, 0.0), place(NORTH, SOUTH, EAST), NORTH) is None
     done = ((0.0, 0.0), (NORTH, SOUTH, EAST), ())
     assert recognised(a_writer(done), (2.0, 0.0), place(NORTH, SOUTH, EAST), EAST) is None
-
-
-@pytest.mark.parametrize(
-    ("latch", "none_m", "expected"),
-    [
-        (Latch.FREE, -1.0, True),
-        (Latch.LEAVE, -1.0, True),
-        (Latch.LEAVE, 8.0, False),  # it has just looked round where no place was, and goes on from there
-        (Latch.FREE, 8.0, True),
-        (Latch.LOOK, -1.0, False),
-    ],
-)
-def test_a_robot_comes_back_to_its_start_along_its_link(latch, none_m, expected):
-    """From a place ten metres away, at which it was before."""
-    writer = a_writer(((-40.0, 0.0), (), (NORTH,)))
-    writer = writer.replace(node=jnp.int32(1), node_m=jnp.float32(5), passed=jnp.array([-49.0, 0.0, 1.0, none_m]))
-    drive = behaviour.initial_drive().replace(latch=jnp.int32(latch))
-    estimate = jnp.array([-50.1, 0.0, WEST])
-    state = a_state(writer=writer, drive=drive, estimate=estimate, odometer_m=jnp.float32(9))
-    assert bool(_passes_start(state)) == expected
-
-
-@pytest.mark.parametrize(
-    ("off_m", "gone_m", "there"), [(1.9, 40.0, True), (2.1, 40.0, False), (3.4, 500, True), (3.6, 500, False)]
-)
-def test_how_far_it_may_seem_off_grows_with_the_way(off_m, gone_m, there):
-    """1 m, and 2.5 % of the way, 2.5 m at most."""
-    found = recognised(a_writer(T), (off_m, 0.0), place(NORTH, SOUTH, EAST), EAST, odometer_m=gone_m)
-    assert (found == 1) == there
 
 
 def test_where_another_node_is_nearly_as_near_it_is_neither():
@@ -171,15 +108,6 @@ def test_where_a_known_link_leads_nothing_needs_to_wait():
     assert recognised(writer, (1.9, 0.0), ways, WEST) == 1
     assert recognised(writer, (2.1, 0.0), ways, WEST) is None
     assert recognised(writer, (1.9, 0.0), place(SOUTH), SOUTH) is None
-
-
-def test_the_ends_of_a_node_are_those_of_its_links():
-    map_ = a_writer(T, ((9.0, 0.0), (WEST,), (SOUTH,))).map
-    own, bearing = links.ends_at(map_, jnp.int32(1))
-    assert np.degrees(np.sort(np.asarray(bearing)[np.asarray(own)])).round().tolist() == [-90, 0, 90]
-    link, out, off = links.link_toward(map_, jnp.int32(1), jnp.float32(math.radians(70)))
-    assert map_.start_bearing[link] == pytest.approx(NORTH)
-    assert [float(out), float(off)] == pytest.approx([NORTH, math.radians(20)])
 
 
 def test_where_a_known_link_leads_is_told_from_the_last_node():
@@ -226,7 +154,7 @@ def doubts(off, turn):
     map_ = in_doubt().map
     writer = in_doubt().replace(node=jnp.int32(2), map=map_.replace(kind=map_.kind.at[3].set(btm.NONE)))
     found = place(*(bearing - turn for bearing in (NORTH, SOUTH, EAST, WEST)))
-    return np.asarray(links.find_hypotheses(writer, jnp.array(off), jnp.float32(100.0), found, jnp.bool_(True)))
+    return np.asarray(FIND(writer, jnp.array(off), jnp.float32(100.0), found, jnp.bool_(True)))
 
 
 def test_a_new_place_may_be_a_known_one_with_its_ways():
@@ -241,9 +169,7 @@ def decided(place_deg=(270, 0), kind=btm.DIVERGENCE, length_m=10.0):
     writer = in_doubt().replace(doubts=jnp.full(8, jnp.nan).at[1].set(TURN))
     gone = length_m * math.cos(NORTH - TURN), length_m * math.sin(NORTH - TURN)
     found = place(*(math.radians(bearing) - TURN for bearing in place_deg))
-    return links.resolve_hypotheses(
-        writer, jnp.int32(kind), jnp.add(jnp.array(OFF), jnp.array(gone)), jnp.float32(110.0), found
-    )
+    return RESOLVE(writer, jnp.int32(kind), jnp.add(jnp.array(OFF), jnp.array(gone)), jnp.float32(110.0), found)
 
 
 def test_one_more_node_makes_a_place_a_known_one():
@@ -293,26 +219,6 @@ def test_a_node_that_gets_the_number_of_one_that_was_none_is_new():
     assert not is_elsewhere
 
 
-@pytest.mark.jit
-def test_a_goal_makes_no_place_a_known_one():
-    """Node 2 is where the robot has started; as far north of node 3 it is at its goal, which is a new node."""
-    writer = in_doubt().replace(doubts=jnp.full(8, jnp.nan).at[1].set(TURN))
-    map_ = writer.map.replace(kind=writer.map.kind.at[2].set(btm.TERMINAL))
-    heading, no = NORTH - TURN, jnp.bool_(False)
-    x, y = np.add(OFF, 10 * np.array([math.cos(heading), math.sin(heading)]))
-    here = jnp.array([x, y, heading])
-    due = a_due_node(
-        kind=jnp.int32(btm.TERMINAL), odometer_m=jnp.float32(110), pose=here, centre=here[:2], out=jnp.float32(jnp.nan),
-        blocked=no, returns=no,
-    )  # fmt: skip
-    points = jnp.zeros((512, 2)), jnp.zeros(512, bool)
-    write = jax.jit(lambda writer, due: nodes.write_node(writer, due, points, TUNING, ROBOTS["kamui"]))
-    after = write(writer.replace(map=map_), due)[0]
-    assert (int(after.node), int(after.map.n_nodes), int(after.dropped)) == (4, 5, 1)
-    links_ = zip(after.map.start, after.map.end, after.map.status)
-    assert [(int(a), int(b)) for a, b, s in links_ if s == btm.SEARCHED] == [(1, 2), (2, 3), (3, 4)]
-
-
 def test_of_two_nodes_that_it_may_be_it_is_neither():
     writer = in_doubt()
     map_, twin = btm.add_node(writer.map.replace(n_nodes=jnp.int32(4)), btm.DIVERGENCE, 1.0, 1.0, radius_m=1.0)
@@ -321,7 +227,5 @@ def test_of_two_nodes_that_it_may_be_it_is_neither():
     writer = writer.replace(map=map_, doubts=jnp.full(8, jnp.nan).at[jnp.array([1, 4])].set(TURN))
     x, y = 10 * math.cos(NORTH - TURN), 10 * math.sin(NORTH - TURN)
     found = place(EAST - TURN, SOUTH - TURN, SOUTH - TURN)
-    after = links.resolve_hypotheses(
-        writer, jnp.int32(btm.DIVERGENCE), jnp.array(OFF) + jnp.array([x, y]), jnp.float32(110), found
-    )
+    after = RESOLVE(writer, jnp.int32(btm.DIVERGENCE), jnp.array(OFF) + jnp.array([x, y]), jnp.float32(110), found)
     assert (int(after.node), int(after.dropped)) == (3, 2)

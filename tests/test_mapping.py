@@ -7,26 +7,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.passages import wall
 from ref.runs import a_due_node
 
 from jexplore import btm
 from jexplore.btm import DIVERGENCE, FREE_SPACE, NONE, OBSTACLE, SEARCHED, TERMINAL, UNSEARCHED
 from jexplore.driving import links, mapping, nodes
-from jexplore.driving.building.walls import cast, walls_of
 from jexplore.driving.nodes import SHIFT_SHARE, TURN_SHARE
 from jexplore.driving.records import Latch
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.tracemap import record
 from jexplore.tracemap.merging.rigid import apart_deg
 from jexplore.tracemap.similarity import code
-from jexplore.worlds import load_world
 
 pytestmark = pytest.mark.jit
 TUNING, KAMUI = for_world(Tuning(), is_course=True), ROBOTS["kamui"]
 EAST, NORTH, WEST, SOUTH = (math.radians(angle) for angle in (0, 90, 180, -90))
 
-
-# ---------------------------------------------------------------- changes of level
 
 STEP_M = 0.04  # at 0.4 m/s and 0.1 s a step
 
@@ -73,20 +70,15 @@ def test_a_robot_that_turns_on_a_slope_stands_on_the_same_ground():
 
 
 def test_a_pitch_that_jumps_is_averaged_and_one_that_does_not_is_not():
-    rng = np.random.default_rng(0)
-    calm, level = rng.normal(scale=0.1, size=60), np.zeros(60)
+    rng, level = np.random.default_rng(0), np.zeros(60)
+    calm = rng.normal(scale=0.1, size=60)
     lean, odometer_m = mapping.slope_at(way_of(calm, level, level), jnp.int32(59))
     assert float(lean[0]) == pytest.approx(math.radians(-calm[59]), abs=1e-6)
     assert float(odometer_m) == pytest.approx(59 * STEP_M)
-    off = []
-    for _ in range(100):
-        noisy = 5 + rng.normal(size=60)
-        lean, odometer_m = mapping.slope_at(way_of(noisy, level, level), jnp.int32(59))
-        off.append(-math.degrees(float(lean[0])) - 5)
-        assert 50 * STEP_M < float(odometer_m) < 60 * STEP_M
-    assert np.std(off) < 0.5
-    first, _ = mapping.slope_at(way_of(noisy[:1], level[:1], level[:1]), jnp.int32(0))
-    assert float(first[0]) == pytest.approx(math.radians(-noisy[0]), abs=1e-6)
+    ways = jax.tree.map(lambda *a: jnp.stack(a), *[way_of(5 + rng.normal(size=60), level, level) for _ in range(50)])
+    lean, odometer_m = jax.jit(jax.vmap(mapping.slope_at, (0, None)))(ways, 59)
+    assert np.std(np.degrees(lean[:, 0])) < 0.5
+    assert ((odometer_m > 50 * STEP_M) & (odometer_m < 60 * STEP_M)).all()
 
 
 def changes(pitch, odometer, length_m=KAMUI.length_m):
@@ -101,41 +93,18 @@ RIDE = np.arange(0, 10, STEP_M)
 BUMP = [2.0, 4.5, 7.0]  # the ground rises, falls, and is level again
 
 
-@pytest.mark.parametrize(("degrees", "within_m"), [(10, 0.03), (6, 0.05), (20, 0.03)])
+@pytest.mark.parametrize(("degrees", "within_m", "noise_deg"), [(10, 0.03, 0), (6, 0.05, 0), (10, 0.08, 0.1)])
 @pytest.mark.parametrize("direction", [-1, 1])
-def test_a_ride_up_and_down_changes_three_times(degrees, within_m, direction):
+def test_a_ride_up_and_down_changes_three_times(degrees, within_m, noise_deg, direction):
+    noise = noise_deg * np.random.default_rng(direction + 1).normal(size=RIDE.size)
     grounds = [0, direction * degrees, -direction * degrees, 0]
-    at, crease, steepest = changes(pitch_deg(RIDE, BUMP, grounds, KAMUI.length_m), RIDE)
+    at, crease, steepest = changes(pitch_deg(RIDE, BUMP, grounds, KAMUI.length_m) + noise, RIDE)
     np.testing.assert_allclose(crease, BUMP, atol=within_m)  # a degree of the turn is 3 to 12 cm long
-    np.testing.assert_allclose(steepest, degrees, atol=1)
+    np.testing.assert_allclose(steepest, degrees, atol=1.1)
     # Known once the robot has stood evenly for a quarter of its length.
-    assert ((at > crease + KAMUI.length_m / 2) & (at < crease + 0.8 * KAMUI.length_m)).all()
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_noise_changes_no_count(seed):
-    noise = 0.1 * np.random.default_rng(seed).normal(size=RIDE.size)
-    _, crease, steepest = changes(pitch_deg(RIDE, BUMP, [0, -10, 10, 0], KAMUI.length_m) + noise, RIDE)
-    np.testing.assert_allclose(crease, BUMP, atol=0.08)
-    np.testing.assert_allclose(steepest, 10, atol=1.1)
+    late_m = (at - crease) / KAMUI.length_m
+    assert noise_deg or ((late_m > 0.5) & (late_m < 0.8)).all()
     assert not changes(noise, RIDE)[0].size
-
-
-def test_a_robot_that_stands_evenly_half_way_over_an_edge_still_comes_from_the_slope():
-    last = BUMP[-1] - 0.5
-    pitch = pitch_deg(RIDE, BUMP, [0, -6, 6, 0], KAMUI.length_m)
-    half_way = (pitch > 2) & (pitch < 4) & (last < RIDE)
-    pitch = np.interp(RIDE, np.append(0, np.cumsum(np.where(half_way[1:], 0.14, STEP_M))), pitch)
-    assert np.sum(np.abs(pitch[last < RIDE] - 3) < 1) * STEP_M > KAMUI.length_m / 4 + 0.1
-    assert changes(pitch, RIDE)[0].size == 3
-
-
-def test_a_slope_is_as_steep_as_the_robot_stands_once_it_has_settled():
-    """It comes onto 6 degrees, and off them, with the last 0.8 slowly: first and first differ by less than 5."""
-    pitch = np.interp(RIDE, [2, 2.04, 2.16, 5, 5.04, 5.16], [0, 5.2, 6, 6, 0.8, 0])
-    at, _, steepest = changes(pitch, RIDE)
-    np.testing.assert_allclose(at, [2.2, 5.2], atol=0.15)
-    np.testing.assert_allclose(steepest, 6, atol=0.1)
 
 
 def test_ground_that_hardly_changes_is_level():
@@ -146,21 +115,12 @@ def test_ground_that_hardly_changes_is_level():
     assert not changes(pitch_deg(RIDE, [3.0, 6.0], [0, 4.5, 9], KAMUI.length_m), RIDE)[0].size  # little by little
 
 
-def test_a_jolt_before_a_crease_moves_it_not():
-    pitch = pitch_deg(RIDE, [4.0], [0, 10], KAMUI.length_m)
-    pitch[np.argmin(abs(RIDE - 3.56))] = 3
-    _, crease, _ = changes(pitch, RIDE)
-    np.testing.assert_allclose(crease, [4], atol=0.03)
-
-
 def test_a_crease_lies_half_way_for_a_robot_of_any_length():
     for length in (0.3, 1.2):
         at, crease, _ = changes(pitch_deg(RIDE, [4.0], [0, 12], length), RIDE, length)
         np.testing.assert_allclose(crease, [4], atol=0.06)
         assert at[0] == pytest.approx(4 + 0.75 * length, abs=0.15)
 
-
-# ---------------------------------------------------------------- record of the way
 
 STEPS, POINTS, NODES, LINKS = 160, 512, 8, 12
 BEGIN = jax.jit(mapping.begin_map, static_argnums=(0, 1, 2))
@@ -214,31 +174,6 @@ def test_narrowest_and_steepest_between_two_places():
     assert [float(value) for value in mapping.way_extremes(mapping.no_way(3), 0, 9)] == [math.inf, 0, 0]
 
 
-def test_noise_makes_a_passage_hardly_narrower():
-    rng = np.random.default_rng(0)
-    widths = 2 + 0.05 * rng.normal(size=STEPS)
-    rows = [(0.04 * i, 0.04 * i, 0, 0, 0, 0, width) for i, width in enumerate(widths)]
-    narrowest = float(mapping.way_extremes(path(begun(), *rows).way, 0, 99)[0])
-    assert widths.min() < narrowest - 0.02
-    assert narrowest == pytest.approx(min(np.mean(widths[max(0, i - 2) : i + 3]) for i in range(STEPS)), abs=1e-4)
-
-
-def test_the_pose_at_an_odometer():
-    way = path(begun(), *ROWS).way
-    for odometer, x in ((0, 0), (0.5, 1), (1, 1), (2.9, 3), (3, 3)):
-        assert mapping.pose_at(way, odometer).tolist() == pytest.approx([x, 0, x / 10])
-
-
-# ---------------------------------------------------------------- nodes
-
-
-def wall(x, y):
-    """Points every 5 cm."""
-    (x0, x1), (y0, y1) = x, y
-    n = round(math.hypot(x1 - x0, y1 - y0) / 0.05) + 1
-    return np.stack([np.linspace(x0, x1, n), np.linspace(y0, y1, n)], axis=1)
-
-
 # A T of passages two metres wide that one enters eastwards. Its circle touches two corners and the wall opposite.
 T_CENTRE, T_RADIUS = (3.75, 0.0), 1.25
 T_WALLS = np.concatenate([
@@ -284,12 +219,17 @@ def event(kind, odometer, pose, centre=None, *, radius=0.0, posture=0.0, steepes
     )
 
 
-WRITE = jax.jit(lambda writer, due, points: nodes.write_node(writer, due, points, TUNING, KAMUI))
+WRITE = jax.jit(lambda writer, due, points, tuning: nodes.write_node(writer, due, points, tuning, KAMUI))
+
+
+def outcome_of(writer, due, points=NOTHING, tuning=TUNING):
+    """Return what `nodes.write_node` does; all of one type, so that one program does for all."""
+    return WRITE(*jax.device_get((writer, due)), points, tuning)
 
 
 def write_node(writer, due, points=NOTHING):
     """`(writer, latch, target, shift)`."""
-    writer, latch, target, _, correction = WRITE(*jax.device_get((writer, due)), points)  # of one type: one program
+    writer, latch, target, _, correction = outcome_of(writer, due, points)
     return writer, int(latch), target.tolist(), correction.tolist()[:2]
 
 
@@ -318,7 +258,7 @@ def at_the_t(turn=0.0, start=begun):
     return write_node(*arrival_at_the_t(turn, start))
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.7, math.pi / 2, 3.0, -2.0])
+@pytest.mark.parametrize("turn", [0.0, 0.7, -2.0])
 def test_a_t_is_left_to_the_right_whichever_way_it_lies(turn):
     writer, latch, target, shift = at_the_t(turn)
     map_ = writer.map
@@ -342,22 +282,6 @@ def test_a_t_is_left_to_the_right_whichever_way_it_lies(turn):
     assert (int(writer.node), float(writer.node_m), bool(writer.exhausted)) == (1, 3.5, False)
 
 
-def test_a_t_is_left_along_the_passage():
-    """Branch selection is told its direction, which is that of the link as well."""
-    _, latch, target, out, _ = WRITE(*jax.device_get(arrival_at_the_t()))
-    assert (int(latch), degrees(out)) == (Latch.LEAVE, pytest.approx(-90, abs=3))
-    # Both side passages lean eastwards by 20 degrees, from the stem's corners on.
-    x = 1.2 * math.tan(math.radians(20))
-    sides = [wall((low, low + x), (y, 2.2 * y)) for low in (3, 5) for y in (1, -1)]
-    stem = [wall((0, 3), (1, 1)), wall((0, 3), (-1, -1)), wall((5, 5), (-1, 1))]
-    writer, due, _ = jax.device_get(arrival_at_the_t())
-    writer, _, target, out, _ = WRITE(writer, due, seen(np.concatenate([*stem, *sides])))
-    assert degrees(out) == pytest.approx(-70, abs=5)
-    away = np.subtract(target, T_CENTRE)
-    assert away @ np.array([math.sin(math.radians(20)), -math.cos(math.radians(20))]) > 1 + TUNING.leave_m
-    assert degrees(writer.map.start_bearing[int(writer.link)]) == pytest.approx(degrees(out), abs=1e-3)
-
-
 def test_what_is_written_of_a_t():
     written = record.check_map(btm.to_map(at_the_t()[0].map))
     assert written.nodes[1] == record.Node(1, 3.75, 0.0, "divergence", posture_deg=pytest.approx(1.5))
@@ -368,15 +292,6 @@ def test_what_is_written_of_a_t():
     assert written.angles_deg(1) == pytest.approx([90, 90, 180], abs=6)  # between bearings within 3 degrees each
 
 
-def test_where_the_way_in_is_not_seen_every_opening_is_one():
-    """The robot claims to have come from the east, where a wall is: its way in lies in no opening."""
-    writer = begun().replace(entry=jnp.asarray([9.0, 0.0]))
-    due = event(DIVERGENCE, 3.5, (3.5, 0.0, 0.0), T_CENTRE, radius=T_RADIUS)
-    writer, *_ = write_node(writer, due, seen(T_WALLS))
-    assert links_of(writer) == [(0, 1, SEARCHED)] + [(1, NONE, UNSEARCHED)] * 3
-    assert degrees(writer.map.end_bearing[0]) == pytest.approx(0, abs=1e-3)
-
-
 def test_the_way_in_is_the_opening_by_which_it_came_last():
     """Along the stem and into the south, then to the middle: its way in lies there, not where it began to approach."""
     rows = [(x, x, 0, 0, 0, 0, 2.0) for x in (0, 1, 2, 3)] + [(6, 4, -2, 0, 0, 0, 2.0), (7, 4, -1.2, 0, 0, 0, 2.0)]
@@ -385,29 +300,6 @@ def test_the_way_in_is_the_opening_by_which_it_came_last():
     writer, *_ = write_node(writer, due, seen(T_WALLS))
     assert degrees(writer.map.end_bearing[0]) == pytest.approx(-90, abs=3)
     assert sorted(degrees(writer.map.start_bearing[i]) % 360 for i in (1, 2)) == pytest.approx([90, 180], abs=3)
-
-
-def test_where_the_way_in_is_no_opening_it_is_where_it_came_into_the_circle():
-    """It came from the north-east, where nothing is seen to be open."""
-    rows = [(0, 5.5, 3, 0, 0, 0, 2.0), (1, 4.75, 1.2, 0, 0, 0, 2.0), (2, 3.8, 0.1, 0, 0, 0, 2.0)]
-    writer = path(begun(), *rows).replace(entry=jnp.asarray([1.0, 0.0]))
-    assert mapping.came_from(writer, jnp.asarray(T_CENTRE), jnp.float32(T_RADIUS)).tolist() == pytest.approx(
-        [4.75, 1.2]
-    )
-    within = writer.replace(node_m=jnp.float32(1.5))  # it has been within since the last node
-    assert mapping.came_from(within, jnp.asarray(T_CENTRE), jnp.float32(T_RADIUS)).tolist() == [1, 0]
-
-
-@pytest.mark.parametrize(("start_x", "holds"), [(3.0, True), (2.4, False)])
-def test_a_start_in_the_circle_is_no_way_in_and_no_place_to_come_back_to(start_x, holds):
-    """The T's circle reaches from x = 2.5 to 5: from within, all three of its openings are to be searched."""
-    writer = path(begun((start_x, 0, 0), behind=True), (0, start_x, 0, 0, 0, 0, 2.0), (0.5, 3.5, 0, 0, 0, 0, 2.0))
-    due = event(DIVERGENCE, 0.5, (3.5, 0.0, 0.0), T_CENTRE, radius=T_RADIUS)
-    writer, *_ = write_node(writer.replace(entry=jnp.asarray([start_x, 0.0])), due, seen(T_WALLS))
-    openings = [link for link in links_of(writer) if link[0] == 1]
-    assert len(openings) == (3 if holds else 2)
-    behind = links_of(writer).index((0, NONE, UNSEARCHED))
-    assert bool(writer.map.blocked[behind]) == holds
 
 
 def hall():
@@ -434,15 +326,6 @@ def test_a_free_space_is_two_nodes_on_the_way():
     assert written.links[2].attributes == {}
 
 
-def test_a_border_ahead_is_kept_until_it_is_reached():
-    writer = begun().replace(border_m=jnp.float32(5))
-    for kind, odometer, border in (
-        (FREE_SPACE, 4.9, 5), (FREE_SPACE, 5, math.inf), (OBSTACLE, 6, 5), (DIVERGENCE, 1, math.inf), (TERMINAL, 6, 5),
-    ):  # fmt: skip
-        after, *_ = write_node(writer, event(kind, odometer, (3.0, 0.0, 0.0), radius=1.0 * (kind == DIVERGENCE)))
-        assert float(after.border_m) == border
-
-
 def test_the_end_of_a_run_is_a_node_even_where_it_began():
     writer, latch, *_ = write_node(begun(), event(TERMINAL, 3, (0.1, 0.0, 0.5), posture=2))
     assert links_of(writer) == [(0, 1, SEARCHED)]
@@ -450,9 +333,6 @@ def test_the_end_of_a_run_is_a_node_even_where_it_began():
     assert btm.to_map(writer.map).nodes[1].type == "terminal"
     writer, *_ = write_node(hall(), event(TERMINAL, 5, (0.1, 0.0, 0.5)))
     assert links_of(writer)[1] == (1, 2, SEARCHED)
-
-
-# ---------------------------------------------------------------- known nodes, dead ends
 
 
 def at_a_dead_end(writer, centre, heading, odometer):
@@ -499,8 +379,17 @@ def test_a_dead_end_sends_back_until_nothing_is_left():
     record.check_map(btm.to_map(writer.map))
 
 
-@pytest.mark.parametrize(("turn_deg", "centre"), [(5, T_CENTRE), (-12, T_CENTRE), (8, (3.95, 0.1))])
-def test_where_a_node_is_met_again_the_heading_is_corrected(turn_deg, centre):
+@pytest.mark.parametrize(
+    ("turn_deg", "centre", "agree_deg", "share"),
+    [
+        (5, T_CENTRE, 0.0, TURN_SHARE),
+        (-12, T_CENTRE, 0.0, TURN_SHARE),
+        (8, (3.95, 0.1), 0.0, TURN_SHARE),
+        (8, T_CENTRE, 3.0, 0.75),  # where all ways agree, more of the heading is put right
+        (30, T_CENTRE, 0.0, 0.0),  # one that is off too far is left alone
+    ],
+)
+def test_where_a_node_is_met_again_the_heading_is_corrected(turn_deg, centre, agree_deg, share):
     """The openings are turned against its links by the error of the odometry."""
     t, *_ = at_the_t()
     dead, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
@@ -509,44 +398,22 @@ def test_where_a_node_is_met_again_the_heading_is_corrected(turn_deg, centre):
     due = event(DIVERGENCE, 15.5, (*centre, NORTH + turn), centre, radius=T_RADIUS)
     around = seen(turned(T_WALLS - np.array(T_CENTRE), turn) + centre)
     dead = dead.replace(entry=jnp.asarray(came, jnp.float32))
-    writer, latch, target, out, correction = WRITE(*jax.device_get((dead, due)), around)
-    want = [*SHIFT_SHARE * np.subtract(T_CENTRE, centre), -TURN_SHARE * turn]
+    tuning = dataclasses.replace(TUNING, agree_deg=agree_deg, agree_share=0.75)
+    writer, latch, target, out, correction = outcome_of(dead, due, around, tuning)
+    want = [*SHIFT_SHARE * np.subtract(T_CENTRE, centre), -share * turn]
     np.testing.assert_allclose(correction, want, atol=math.radians(1))
     np.testing.assert_allclose(correction[:2], want[:2], atol=1e-6)
+    if share == 0:
+        return
     # The robot drives to where it sees the target, as if the odometry had not been off but for the uncorrected rest.
-    left = turn - TURN_SHARE * turn
+    left = turn - share * turn
+    assert degrees(writer.origin[2]) == pytest.approx(-math.degrees(left), abs=1)
     target = turned(np.subtract(target, T_CENTRE), -left) + T_CENTRE
-    level, plain, *_ = back_at_the_t(dead, 15.5, (3.85, -4.0))
-    assert (int(latch), int(writer.link)) == (plain, int(level.link)) == (Latch.LEAVE, 3 - int(t.link))
+    assert (int(latch), int(writer.link)) == (Latch.LEAVE, 3 - int(t.link))
     assert degrees(out - left) == pytest.approx(90, abs=4)
     assert target[0] == pytest.approx(4, abs=0.15)
     assert 1 < float(target[1]) - TUNING.leave_m < 1.56
 
-
-@pytest.mark.parametrize(("agree_deg", "share"), [(3.0, 0.75), (0.0, TURN_SHARE)])
-def test_where_all_ways_of_a_node_agree_more_of_the_heading_is_put_right(agree_deg, share):
-    t, *_ = at_the_t()
-    dead, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
-    around = seen(turned(T_WALLS - np.array(T_CENTRE), math.radians(8)) + T_CENTRE)
-    due = event(DIVERGENCE, 15.5, (*T_CENTRE, NORTH), T_CENTRE, radius=T_RADIUS)
-    dead = dead.replace(entry=jnp.asarray([3.85, -4.0]))
-    tuning = dataclasses.replace(TUNING, agree_deg=agree_deg, agree_share=0.75)
-    writer, *_, correction = nodes.write_node(dead, due, around, tuning, KAMUI)
-    assert degrees(correction[2]) == pytest.approx(-8 * share, abs=1)
-    assert degrees(writer.origin[2]) == pytest.approx(-8 * (1 - share), abs=1)  # the rest
-
-
-def test_a_heading_that_is_off_too_far_is_left_alone():
-    t, *_ = at_the_t()
-    dead, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
-    for turn_deg, corrected in ((15, True), (30, False)):
-        around = seen(turned(T_WALLS - np.array(T_CENTRE), math.radians(turn_deg)) + T_CENTRE)
-        due = event(DIVERGENCE, 15.5, (*T_CENTRE, NORTH), T_CENTRE, radius=T_RADIUS)
-        *_, correction = WRITE(*jax.device_get((dead.replace(entry=jnp.asarray([3.85, -4.0])), due)), around)
-        assert degrees(correction[2]) == pytest.approx(-TURN_SHARE * turn_deg * corrected, abs=1)
-
-
-# ---------------------------------------------------------------- places that are none
 
 # A passage two metres wide that comes from the west and runs on, or bends.
 STRAIGHT = np.concatenate([wall((-3, 3), (1, 1)), wall((-3, 3), (-1, -1))])
@@ -570,34 +437,12 @@ def at_a_place(around, radius=1.0, stands=(0.0, 0.0)):
     """`(writer, latch, target, out)` before and after arrival at the origin, from the west."""
     writer = begun((-4.0, 0.0, 0.0)).replace(entry=jnp.asarray([-2.0, 0.0]))
     due = event(DIVERGENCE, 4, (*stands, 0.0), (0.0, 0.0), radius=radius)
-    after, latch, target, out, correction = WRITE(*jax.device_get((writer, due)), seen(around))
+    after, latch, target, out, correction = outcome_of(writer, due, seen(around))
     assert correction.tolist() == [0, 0, 0]
     return writer, after, int(latch), target.tolist(), float(out)
 
 
-@pytest.mark.parametrize("given_up", [False, True])
-def test_where_nothing_else_is_left_doors_of_a_long_room_are_looked_for_farther_away(given_up):
-    """A room of the office, 3.4 x 4.8 m, in which the robot has started, from the middle of its eastern end: the door
-    at the western end of the southern wall is 2.7 m away.
-    """
-    world, middle = load_world("office"), np.array((3.29, 8.30))
-    angles = np.radians(np.arange(360)).astype(np.float32)
-    x, y = middle - world.origin_m
-    ranges_m = cast(jax.tree.map(jnp.asarray, walls_of(world.occupied, world.cell_m)), (x, y, 0.0), angles, 20.0)
-    room = np.asarray(ranges_m)[:, None] * np.stack([np.cos(angles), np.sin(angles)], 1)
-    writer = begun((-2.0, 0.0, 0.0)).replace(entry=jnp.asarray([-2.0, 0.0]))
-    tries = writer.tries.at[0].set(links.MAX_TRIES if given_up else links.MAX_TRIES - 1)
-    writer = writer.replace(tries=tries)
-    assert bool(links.is_any_open(writer.map, writer.tries)) != given_up
-    due = event(DIVERGENCE, 2, (0.0, 0.0, 0.0), (0.0, 0.0), radius=1.7)
-    after, *_ = WRITE(*jax.device_get((writer, due)), seen(room))
-    assert links_of(after) == [(0, 1, SEARCHED), *[(1, NONE, UNSEARCHED)] * given_up]
-    if given_up:
-        towards = math.degrees(math.atan2(-1.7, -2.0)) % 360
-        assert degrees(after.map.start_bearing[1]) % 360 == pytest.approx(towards, abs=5)
-
-
-@pytest.mark.parametrize(("by_deg", "passes"), [(0, True), (30, True), (60, False), (90, False)])
+@pytest.mark.parametrize(("by_deg", "passes"), [(30, True), (60, False)])
 def test_a_place_with_two_openings_in_line_is_passed(by_deg, passes):
     """In line is what bends by less than 45 degrees."""
     around, radius = bend(by_deg)
@@ -612,101 +457,6 @@ def test_a_place_with_two_openings_in_line_is_passed(by_deg, passes):
     else:
         assert after.passed.tolist() == writer.passed.tolist()
         assert links_of(after) == [(0, 1, SEARCHED), (1, NONE, UNSEARCHED)]
-
-
-@pytest.mark.parametrize(("end_m", "passes"), [(2.2, True), (1.6, True), (1.4, False)])
-def test_a_place_whose_only_opening_leads_straight_on_is_passed_unless_it_lies_in_a_dead_end(end_m, passes):
-    """A robot that starts near the end of a passage has come from there, though no opening leads back."""
-    around = np.concatenate([wall((-end_m, 3), (1, 1)), wall((-end_m, 3), (-1, -1)), wall((-end_m, -end_m), (-1, 1))])
-    _, after, latch, target, out = at_a_place(around)
-    assert int(after.map.n_nodes) == 1 + (not passes)
-    assert latch == Latch.LEAVE
-    assert target[0] > 1 + TUNING.leave_m - 0.5
-    assert (target[1], out) == pytest.approx((0, 0), abs=0.1)
-
-
-def test_a_place_before_a_t_that_is_none_is_left_straight_on():
-    """A desk in the stem makes a circle that touches it; from there one branch of the T is seen and not the other.
-
-    The branch is no way out of that place: it would lead past the T.
-    """
-    occupied = np.ones((160, 90), bool)  # the stem along the columns, the T's passage along the rows
-    occupied[60:82, 10:80] = False
-    occupied[10:150, 62:80] = False
-    occupied[78:82, 38:44] = True
-    centre, robot = np.array([5.13, 7.1]), np.array([4.85, 7.0])
-    angles = np.radians(np.arange(360)).astype(np.float32)
-    ranges = np.asarray(cast(walls_of(occupied, 0.1), (*robot, 0.0), angles, 4.5))
-    there = np.isfinite(ranges)
-    around = robot + ranges[there, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)[there] - centre
-    writer, after, latch, target, out = at_a_place(around, 1.1, robot - centre)
-    assert int(after.map.n_nodes) == 1
-    assert latch == Latch.LEAVE
-    assert (target[0], target[1], out) == pytest.approx((1.1 + TUNING.leave_m, 0, 0), abs=0.1)
-    jax.tree.map(np.testing.assert_array_equal, after.replace(passed=writer.passed), writer)
-
-
-def test_a_place_that_was_none_is_known_for_a_while():
-    """Within half a metre, or half its radius, until twice its radius and the way to leave it have been gone."""
-    _, writer, *_ = at_a_place(STRAIGHT)
-    places = jnp.asarray([[0.0, 0.0], [0.45, 0.0], [0.55, 0.0], [0.0, -0.45]])
-
-    def known(writer, odometer):
-        return mapping.is_near_known(writer, places, jnp.float32(odometer), TUNING.leave_m).tolist()
-
-    assert known(writer, 4) == known(writer, 6.9) == [True, True, False, True]
-    assert known(writer, 7.1) == [False] * 4
-    large = writer.replace(passed=jnp.asarray([0.0, 0.0, 1.2, 4.0]))
-    assert known(large, 4) == [True] * 4
-
-
-@pytest.mark.parametrize(("width_m", "passes"), [(2.0, False), (2.5, False), (2.8, True)])
-def test_a_place_in_a_corner_is_passed(width_m, passes):
-    """It has one opening only, wider than 1.3 diameters of its circle, here 2.6 m."""
-    side = width_m / 2
-    walls = [wall((-3, 1), (side, side)), wall((-3, 1), (-side, -side)), wall((1, 1), (-side, side))]
-    _, after, latch, target, _ = at_a_place(np.concatenate(walls))
-    assert int(after.map.n_nodes) == 1 + (not passes)
-    if passes:  # and left by that opening
-        assert latch == Latch.LEAVE
-        assert target[0] == pytest.approx(-1 - TUNING.leave_m, abs=0.01)
-        assert target[1] == pytest.approx(0, abs=0.1)
-    else:
-        assert (latch, bool(after.exhausted)) == (Latch.FREE, True)
-
-
-# ---------------------------------------------------------------- links that lead nowhere, or elsewhere
-
-
-def test_an_unsearched_link_is_given_up_after_some_tries():
-    """The robot has set off on it so often, and now it comes to its node from the west once more."""
-    t, *_ = at_the_t()
-    onto = int(t.link)
-    assert int(t.tries[onto]) == 1
-    for tries, gives_up in ((links.MAX_TRIES - 1, False), (links.MAX_TRIES, True)):
-        tried = t.replace(tries=t.tries.at[onto].set(tries), link=jnp.int32(0), node=jnp.int32(0))
-        after, *_ = back_at_the_t(tried, 20, (1.0, 0.0))
-        assert bool(after.map.blocked[onto]) == gives_up
-        assert int(after.link) == (3 - onto if gives_up else onto)
-        assert int(after.tries[onto]) == tries + (not gives_up)
-
-
-def test_a_searched_link_that_leads_elsewhere_is_followed_no_more():
-    """Three times in a row; once it has led where it should it counts anew."""
-    t, *_ = at_the_t()
-    south = int(t.link)
-    writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
-    assert int(writer.link) == south  # back on a link that is searched
-    elsewhere, *_ = write_node(writer, event(FREE_SPACE, 12.5, (7.0, -5.0, 0.3)))
-    assert int(elsewhere.fails[south]) == 1
-    there, *_ = back_at_the_t(writer.replace(fails=writer.fails.at[south].set(2)), 15.5, (3.9, -4.0))
-    assert int(there.fails[south]) == 0
-    # From the dead end there is no other way to the un-searched links.
-    for fails, exhausted in ((1, False), (2, True)):
-        lost = writer.replace(fails=writer.fails.at[south].set(fails), last_chance=jnp.int32(2))
-        after, *_ = at_a_dead_end(lost, (4.1, -6.1), SOUTH, 20)
-        assert int(after.fails[south]) == fails + 1
-        assert bool(after.exhausted) == exhausted
 
 
 def test_when_nothing_else_is_left_links_that_were_given_up_are_tried_again():
@@ -733,52 +483,6 @@ def test_when_nothing_else_is_left_links_that_were_given_up_are_tried_again():
     assert (bool(after.exhausted), bool(after.map.blocked[north])) == (True, True)
 
 
-# ---------------------------------------------------------------- known nodes met again
-
-
-def test_what_else_is_seen_at_a_known_place_is_tried_once():
-    t, *_ = at_the_t()
-    north = 3 - int(t.link)
-    writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
-    came = 15.5, (4.0, -2.0)
-    assert int(back_at_the_t(writer, *came)[0].map.n_links) == 3
-    none = jnp.int32(NONE)
-    map_ = writer.map.replace(start=writer.map.start.at[north].set(none), status=writer.map.status.at[north].set(none))
-    after, latch, *_ = back_at_the_t(writer.replace(map=map_), *came)
-    assert links_of(after)[3:] == [(1, NONE, UNSEARCHED)]
-    assert degrees(after.map.start_bearing[3]) == pytest.approx(90, abs=3)
-    assert (int(after.link), int(after.tries[3]), latch) == (3, links.MAX_TRIES, Latch.LEAVE)
-    # From 0.75 m aside, where ways would bear otherwise, none is added.
-    beside, *_ = back_at_the_t(writer.replace(map=map_), *came, centre=(T_CENTRE[0] + 0.75, T_CENTRE[1]))
-    assert int(beside.map.n_links) == 3
-    # A link that bears no farther from it is the one.
-    for off_deg, n_links in ((20, 3), (30, 4)):
-        bearing = writer.map.start_bearing.at[north].add(math.radians(off_deg))
-        after, *_ = back_at_the_t(writer.replace(map=writer.map.replace(start_bearing=bearing)), *came)
-        assert int(after.map.n_links) == n_links
-
-
-def test_only_the_link_by_which_it_came_is_taken_away():
-    t, *_ = at_the_t()
-    writer, *_ = write_node(t, event(FREE_SPACE, 9.5, (4.0, -6.0, -0.5)))
-    aside, *_ = back_at_the_t(writer, 20, (9.0, 0.0))  # through the wall, 80 degrees from both openings
-    assert links_of(aside) == [*links_of(writer)[:3], (2, 1, SEARCHED)]
-    came = (3.9, 4.0), (3.65, -0.2)
-    back = back_at_the_t(writer, 20, *came)[0].map.end_bearing[3]
-    map_, other = btm.add_link(writer.map, 0, back)  # the same bearing, at another node
-    after, *_ = back_at_the_t(writer.replace(map=map_), 20, *came)
-    assert links_of(after)[int(other)] == (0, NONE, UNSEARCHED)
-    assert links_of(after)[3 - int(t.link)] == (NONE, NONE, NONE)
-
-
-def test_a_known_link_takes_no_other_away():
-    t, *_ = at_the_t()
-    writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
-    before = writer.map
-    writer, *_ = back_at_the_t(writer, 15.5, (3.9, 4.0))  # on the link from the south, though it came in from the north
-    jax.tree.map(np.testing.assert_array_equal, writer.map, before)
-
-
 def test_a_link_that_the_robot_has_left_for_a_known_one_is_still_to_be_searched():
     """It sets off north, and comes in at the dead end in the south by the known link from there."""
     t, *_ = at_the_t()
@@ -792,21 +496,6 @@ def test_a_link_that_the_robot_has_left_for_a_known_one_is_still_to_be_searched(
     # By another way it is a link of its own.
     other, *_ = at_a_dead_end(writer, (4.1, -6.1), SOUTH + math.radians(40), 25)
     assert links_of(other)[north] == (1, 2, SEARCHED)
-
-
-@pytest.mark.parametrize(
-    ("width_m", "odometer_m", "expected"),
-    [
-        ((1.1, 2.3), (4.0, 6.0), [0, -1]),  # a door, then a wide opening before it
-        ((1.1, 2.3), (4.0, 7.5), [0, 1]),  # long before: another way
-        ((2.3, 1.1), (4.0, 6.0), [-1, 1]),  # the door came last
-        ((2.3, 2.4), (4.0, 6.0), [0, 1]),
-        ((1.1, 1.2), (4.0, 6.0), [0, 1]),
-    ],
-)
-def test_who_comes_by_a_door_has_passed_what_lies_before_it_as_well(width_m, odometer_m, expected):
-    found = nodes._by_door(jnp.array([0, 1, -1]), jnp.array([*width_m, 0.5]), jnp.array([*odometer_m, jnp.inf]))
-    assert found.tolist() == [*expected, -1]
 
 
 def test_a_node_met_again_from_its_other_end_loses_the_double_link():
@@ -872,72 +561,6 @@ def test_past_its_start_a_robot_goes_on_behind_it():
     assert (float(writer.map.length_m[1]), bool(writer.exhausted)) == (5, True)
 
 
-def test_a_ring_through_the_start_is_closed_there():
-    writer, *_ = at_a_dead_end(begun(behind=True), (4.0, 0.0), EAST, 4)
-    writer, *_ = write_node(writer, event(FREE_SPACE, 9, (0.0, 6.0, WEST)))  # by a way of its own
-    ways = links_of(writer)
-    writer, *_ = write_node(writer, event(TERMINAL, 20, (0.1, 0.2, EAST), returns=True))
-    assert links_of(writer)[1] == (NONE, NONE, NONE)
-    assert links_of(writer)[-1] == (2, 0, SEARCHED)
-    assert len(links_of(writer)) == len(ways)
-    assert int(writer.map.n_nodes) == 3
-
-
-def test_how_near_a_known_node_is_met_again():
-    t, *_ = at_the_t()
-    writer, *_ = write_node(t, event(FREE_SPACE, 9.5, (4.0, -6.0, 0.0)))
-    for away, kind, radius, again in (
-        (1.2, DIVERGENCE, 1.25, True), (1.3, DIVERGENCE, 1.25, False), (0.45, DIVERGENCE, 0.3, True),
-        (0.55, DIVERGENCE, 0.3, False), (1.2, DIVERGENCE, 3.0, True), (2.0, DIVERGENCE, 3.0, False),
-        (0.1, FREE_SPACE, 0.0, False), (0.1, OBSTACLE, 0.0, False),
-    ):  # fmt: skip
-        after, _, _, shift = write_node(writer, event(kind, 16, (4.5, 0.0, 0.0), (3.75 + away, 0.0), radius=radius))
-        assert int(after.map.n_nodes) == 3 + (not again)
-        met = again and away < nodes.SHIFT_M  # the odometry is not corrected by more
-        assert shift == pytest.approx([-SHIFT_SHARE * away * met, 0], abs=1e-6)
-
-
-def test_a_free_space_met_again_is_passed_through():
-    writer = hall()  # node 1 at (2, 0), heading 0.25 rad
-    writer, *_ = write_node(writer, event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
-    writer, *_ = at_a_dead_end(writer, (9.0, 0.0), EAST, 9)
-    assert (int(writer.node), bool(writer.exhausted)) == (3, True)
-    writer = writer.replace(link=jnp.int32(2), left_bearing=jnp.float32(WEST))  # it turns back all the same
-    before = writer.map
-    writer, latch, _, shift = write_node(writer, event(FREE_SPACE, 12, (6.3, 0.2, WEST)))
-    assert (int(writer.node), int(writer.link), latch, shift) == (2, 1, Latch.FREE, [0, 0])
-    writer, *_ = write_node(writer, event(FREE_SPACE, 16, (2.9, 0.2, WEST)))
-    assert (int(writer.node), int(writer.link), float(writer.left_bearing)) == pytest.approx((1, 0, WEST))
-    forth = writer.replace(node=jnp.int32(0))
-    forth, *_ = write_node(forth, event(FREE_SPACE, 20, (2.1, 0.0, EAST)))
-    assert (int(forth.node), int(forth.link)) == (1, 1)
-    jax.tree.map(np.testing.assert_array_equal, forth.map, before)
-
-
-@pytest.mark.parametrize(("away", "again"), [(0.95, True), (1.05, False)])
-def test_how_near_a_known_border_is_met_again(away, again):
-    writer, *_ = write_node(hall(), event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
-    writer, *_ = write_node(writer, event(FREE_SPACE, 12, (2.0 + away, 0.0, WEST)))
-    assert int(writer.map.n_nodes) == 3 + (not again)
-    last, *_ = write_node(hall(), event(FREE_SPACE, 2.5, (2.5, 0.0, 0.0)))  # never the one made last
-    assert links_of(last)[1] == (1, 2, SEARCHED)
-
-
-def test_a_new_node_on_a_known_link_has_a_way_of_its_own():
-    t, *_ = at_the_t()
-    writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
-    before = links_of(writer)
-    writer, *_ = write_node(writer, event(FREE_SPACE, 12.5, (7.0, -5.0, 0.3)))
-    assert links_of(writer) == [*before, (2, 3, SEARCHED), (3, NONE, UNSEARCHED)]
-    assert degrees(writer.map.start_bearing[3]) == pytest.approx(90, abs=2)  # as it left the dead end
-    assert float(writer.map.length_m[3]) == 3
-    assert float(writer.map.length_m[int(t.link)]) == 6
-    assert int(writer.link) == 4
-
-
-# ---------------------------------------------------------------- obstacles
-
-
 def over(height, pitch=-10.0, heading=lambda s: 0.0):
     """The writer and the records after a ride over an obstacle from 2 m to 4 m of this profile, headed so, of
     which the robot sees what lies 0.6 m ahead.
@@ -978,24 +601,14 @@ def test_an_obstacle_is_a_slope_until_its_profile_says_otherwise():
     assert [node.posture_deg for node in written.nodes[1:]] == pytest.approx([11, 11])
 
 
-def test_ground_that_a_robot_sees_turned_round_does_not_count():
-    """On the slope it turns and looks down: what lies there is not on its way."""
-
-    def is_turned(s):
-        return 2.4 < s < 2.8
-
-    _, _, written = over(lambda x: slope(x) - 0.3 * is_turned(x - 0.6), heading=lambda s: math.pi * is_turned(s))
-    for node in written.nodes[1:]:
-        assert (node.obstacle, node.step_m) == ("slope", None)
-        assert node.attributes.get("profile_variance_m2", 0) < 1e-6
-
-
-def test_stairs_round_a_bend_are_stairs():
+def test_stairs_round_a_bend_are_stairs_and_level_ground_behind_them_is_none():
     """The robot has left the node headed elsewhere."""
-    _, _, written = over(stairs, heading=lambda s: 1.5 * (s > 2.2))
-    assert [(node.obstacle, node.step_m) for node in written.nodes[1:]] == [
-        ("stairs", pytest.approx(0.1, abs=1e-3))
-    ] * 2
+    writer, _, written = over(stairs, heading=lambda s: 1.5 * (s > 2.2))
+    assert [node.obstacle for node in written.nodes[1:]] == ["stairs"] * 2
+    assert [node.step_m for node in written.nodes[1:]] == [pytest.approx(0.1, abs=1e-3)] * 2
+    writer, *_ = write_node(writer, event(OBSTACLE, 5.9, (5.9, 0.0, 0.0), steepest=7))
+    last = btm.to_map(writer.map).nodes[3]
+    assert (last.obstacle, last.step_m, last.attributes) == ("slope", None, {})
 
 
 @pytest.mark.parametrize(("riser_m", "pitch"), [(0.1, -10), (0.05, -8)])
@@ -1015,24 +628,6 @@ def test_rough_level_ground_is_no_stairs():
     assert [(node.obstacle, node.attributes) for node in written.nodes[1:]] == [("slope", {})] * 2
 
 
-def test_level_ground_between_two_obstacles_is_not_judged():
-    writer, *_ = over(stairs)
-    writer, *_ = write_node(writer, event(OBSTACLE, 5.9, (5.9, 0.0, 0.0), steepest=7))
-    written = btm.to_map(writer.map)
-    assert [node.obstacle for node in written.nodes] == [None, "stairs", "stairs", "slope"]
-    assert written.nodes[3].step_m is None
-    assert written.nodes[3].attributes == {}
-
-
-def test_what_comes_after_an_obstacle_is_not_one():
-    writer, *_ = over(stairs)
-    writer = writer.replace(node=jnp.int32(1), node_m=jnp.float32(2))
-    after, *_ = write_node(writer, event(FREE_SPACE, 4, (9.0, 0.0, 0.0)))
-    node = btm.to_map(after.map).nodes[-1]
-    assert (node.type, node.obstacle, node.step_m, node.inclination_deg) == ("free_space", None, None, None)
-    assert node.attributes == {}
-
-
 @pytest.mark.parametrize("step_m", [0.0, 0.35])
 def test_a_blocked_obstacle_sends_back(step_m):
     t, *_ = at_the_t()
@@ -1047,6 +642,8 @@ def test_a_blocked_obstacle_sends_back(step_m):
     assert links_of(writer)[south] == (1, 2, SEARCHED)
     assert links_of(writer)[3] == (2, NONE, UNSEARCHED)
     np.testing.assert_array_equal(writer.map.blocked[:5], [False] * 3 + [True, False])
+    lone, free, *_ = write_node(begun(), event(OBSTACLE, 2, (2.0, 0.0, 0.0), blocked=True))  # on the only way: the end
+    assert (bool(lone.exhausted), free, int(lone.link)) == (True, Latch.FREE, 12)
     assert (latch, int(writer.link), bool(writer.exhausted)) == (Latch.LEAVE, south, False)
     np.testing.assert_allclose(target, [4, -4.5 + TUNING.leave_m], atol=1e-5)
     assert degrees(writer.left_bearing) == pytest.approx(90)
@@ -1054,29 +651,6 @@ def test_a_blocked_obstacle_sends_back(step_m):
     writer, *_ = back_at_the_t(writer, 12.5, (3.9, -4.0))
     jax.tree.map(np.testing.assert_array_equal, writer.map, before)
     assert int(writer.link) == 3 - south
-
-
-def test_a_blocked_obstacle_on_the_only_way_is_the_end():
-    writer, latch, *_ = write_node(begun(), event(OBSTACLE, 2, (2.0, 0.0, 0.0), blocked=True))
-    assert (bool(writer.exhausted), latch, int(writer.link)) == (True, Latch.FREE, 12)
-
-
-def test_an_obstacle_met_again_leaves_other_nodes_alone():
-    """Over a slope to a dead end and back: the nodes of the slope are met again, the dead end is not."""
-    writer, *_ = over(slope)
-    writer, *_ = at_a_dead_end(writer, (6.0, 0.0), EAST, 5.8)
-    writer = writer.replace(link=jnp.int32(2), left_bearing=jnp.float32(WEST))
-    writer, *_ = write_node(writer, event(OBSTACLE, 7.8, (4.0, 0.0, WEST), steepest=9))
-    before = btm.to_map(writer.map).nodes[3]
-    odometer = np.arange(5.8, 10, 0.04)
-    rows = [(s, 11.8 - s, 0, WEST, 10 * (7.8 < s < 9.8), 1, 2.0) for s in odometer]
-    writer, *_ = write_node(path(writer, *rows), event(OBSTACLE, 9.8, (2.0, 0.0, WEST), steepest=9))
-    assert int(writer.map.n_nodes) == 4
-    assert (int(writer.node), before.type, before.inclination_deg) == (1, "divergence", None)
-    assert btm.to_map(writer.map).nodes[3] == before
-
-
-# ---------------------------------------------------------------- overflow
 
 
 def room_for(links):
@@ -1114,20 +688,11 @@ def test_a_node_that_does_not_fit_is_counted_and_overwrites_none():
         assert int(writer.map.overflow) >= 1
         assert int(writer.map.n_nodes) == NODES
         record.check_map(btm.to_map(writer.map))
+        after, *_ = write_node(path(writer, *[(s, s, 0, 0, 10, 20, 2.0) for s in range(12)]),
+                               event(FREE_SPACE, 10, (10.0, 0.0, 0.0)))  # fmt: skip
         for name in ("x_m", "y_m", "kind", "posture_deg", "obstacle", "inclination_deg", "step_m"):
-            np.testing.assert_array_equal(getattr(writer.map, name), getattr(full.map, name))
-
-
-def test_what_comes_after_a_node_that_did_not_fit_overwrites_none():
-    full = full_of_nodes()
-    writer, *_ = write_node(full, event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
-    writer = path(writer, *[(s, s, 0, 0, 10, 20, 2.0) for s in range(12)])
-    writer, *_ = write_node(writer, event(FREE_SPACE, 10, (10.0, 0.0, 0.0)))
-    for name in ("posture_deg", "inclination_deg"):
-        np.testing.assert_array_equal(getattr(writer.map, name), getattr(full.map, name))
-
-
-# ---------------------------------------------------------------- the divergence just left
+            for one in (writer, after):
+                np.testing.assert_array_equal(getattr(one.map, name), getattr(full.map, name))
 
 
 def test_a_divergence_just_left_is_known():
@@ -1145,23 +710,17 @@ def test_a_divergence_just_left_is_known():
     assert known(0.5, begun()) == [False] * 5  # the start is not among them
 
 
-# ---------------------------------------------------------------- laws
-
-
+@pytest.mark.slow
 def test_rows_of_a_batch_are_independent():
     cases = []
     for turn, kind in ((0.2, DIVERGENCE), (1.1, OBSTACLE)):
         writer = begun().replace(entry=jnp.asarray(turned((1, 0), turn), jnp.float32))
         due = event(kind, 3.5, (*turned(T_CENTRE, turn), turn), radius=T_RADIUS)
         cases.append(jax.device_get((writer, due, seen(turned(T_WALLS, turn)))))
-    batch = jax.vmap(WRITE)(*jax.tree.map(lambda *a: np.stack(a), *cases))
+    batch = jax.jit(jax.vmap(WRITE, (0, 0, 0, None)))(*jax.tree.map(lambda *a: np.stack(a), *cases), TUNING)
     for i, case in enumerate(cases):
-        jax.tree.map(
-            lambda many, one, i=i: np.testing.assert_allclose(many[i], one, rtol=1e-5, atol=1e-5), batch, WRITE(*case)
-        )
-
-
-# ---------------------------------------------------------------- where the robot truly is
+        one = WRITE(*case, TUNING)
+        jax.tree.map(lambda many, one, i=i: np.testing.assert_allclose(many[i], one, rtol=1e-5, atol=1e-5), batch, one)
 
 
 @pytest.mark.parametrize(("off_m", "is_elsewhere"), [(0.0, False), (2.9, False), (3.1, True)])

@@ -9,7 +9,7 @@ import pytest
 
 from jexplore.driving.building.walls import UNUSED_SLOT_M, Walls, cast
 from jexplore.driving.sensing import matching
-from jexplore.driving.sensing.matching import ENCODER_M, ENCODER_RAD, ENCODER_SHARE, MIN_POINTS
+from jexplore.driving.sensing.matching import ENCODER_M, ENCODER_SHARE
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, SCAN_RANGE_M
 
 pytestmark = pytest.mark.jit
@@ -33,12 +33,15 @@ POSES = [(0.0, 0.0, 0.3), (0.5, 0.4, -1.9), (1.0, -0.5, math.pi)]
 MOTIONS = [(0.0, 0.0, 0.25), (0.2, 0.0, 0.0), (0.15, 0.02, -0.25)]
 
 
+SEEN = jax.jit(lambda walls, pose: cast(walls, pose, ANGLES_RAD, SCAN_RANGE_M))
+
+
 def scans(walls, pose, motion):
     """Exact ranges before and after a motion in the robot's frame."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     ahead, aside, turn = motion
     after = pose[0] + cos * ahead - sin * aside, pose[1] + sin * ahead + cos * aside, pose[2] + turn
-    return [np.array(cast(walls, at, ANGLES_RAD, SCAN_RANGE_M)) for at in (pose, after)]
+    return [np.array(SEEN(walls, jnp.asarray(at, jnp.float32))) for at in (pose, after)]
 
 
 def matched(before, after, guess):
@@ -51,11 +54,7 @@ def off(found, motion):
     return math.hypot(*error[:2]), abs(math.degrees(error[2]))
 
 
-# ---------------------------------------------------------------- rooms
-
-
-@pytest.mark.parametrize("pose", POSES)
-@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize(("pose", "motion"), [*zip(POSES, MOTIONS)])
 def test_in_a_room_a_wrong_guess_is_put_right(pose, motion):
     before, after = scans(ROOM, pose, motion)
     slip = 0.1 * motion[2]
@@ -73,20 +72,8 @@ def test_what_comes_out_depends_on_what_is_seen_and_not_on_where():
     np.testing.assert_allclose(matched(*turned, (0.12, 0.02, 0.22)), one, atol=1e-4)
 
 
-def test_a_point_far_from_every_line_does_not_count():
-    """Somebody walks by before the last scan."""
-    before, after = scans(ROOM, POSES[0], MOTIONS[2])
-    after[100:125] = 0.8
-    metres, degrees = off(matched(before, after, np.add(MOTIONS[2], (0.02, 0, 0.02))), MOTIONS[2])
-    assert metres < 0.01
-    assert degrees < 0.3
-
-
-# ---------------------------------------------------------------- passages
-
-
-@pytest.mark.parametrize("error", [(0.05, 0.05, 0.025), (-0.05, 0, 0), (0.05, -0.03, -0.03)])
-@pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (3.0, 0.2, 0.1), (0.0, -0.3, math.pi - 0.2)])
+@pytest.mark.parametrize("error", [(0.05, 0.05, 0.025), (0.05, -0.03, -0.03)])
+@pytest.mark.parametrize("pose", [(3.0, 0.2, 0.1), (0.0, -0.3, math.pi - 0.2)])
 def test_along_an_endless_passage_the_encoders_are_believed(pose, error):
     motion = 0.2, 0.02, 0.25
     found = matched(*scans(CORRIDOR, pose, motion), np.add(motion, error)) - motion
@@ -98,11 +85,8 @@ def test_along_an_endless_passage_the_encoders_are_believed(pose, error):
     assert abs(math.degrees(found[2])) < 0.2
 
 
-# ---------------------------------------------------------------- noise and missing beams
-
-
 @pytest.mark.parametrize(("sigma_m", "mean_m", "mean_deg"), [(0.01, 0.002, 0.1), (0.03, 0.005, 0.25)])
-@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize("pose", POSES[:1])
 def test_with_noise_there_is_no_bias(sigma_m, mean_m, mean_deg, pose):
     """Over 30 seeds. A single match is off by less than a beam, and by less than half a degree for a centimetre."""
     motion = MOTIONS[2]
@@ -116,18 +100,6 @@ def test_with_noise_there_is_no_bias(sigma_m, mean_m, mean_deg, pose):
     assert math.degrees(np.abs(error[:, 2]).max()) < 100 * sigma_m / 2
 
 
-@pytest.mark.parametrize("pose", POSES)
-def test_three_beams_of_ten_may_be_missing(pose):
-    rng = np.random.default_rng(3)
-    for motion in MOTIONS:
-        ranges = scans(ROOM, pose, motion)
-        for scan in ranges:
-            scan[rng.random(BEAMS) < 0.3] = NAN
-        metres, degrees = off(matched(*ranges, np.add(motion, (0.03, -0.03, 0.1 * motion[2]))), motion)
-        assert metres < 0.01
-        assert degrees < 0.3
-
-
 @pytest.mark.parametrize("nothing", [NAN, INF])
 def test_without_points_the_encoders_are_believed(nothing):
     before, after = scans(ROOM, POSES[0], MOTIONS[2])
@@ -135,28 +107,6 @@ def test_without_points_the_encoders_are_believed(nothing):
     guess = np.array([0.17, -0.02, 0.3], np.float32)
     for pair in ((none, after), (before, none), (none, none)):
         np.testing.assert_array_equal(matched(*pair, guess), guess.astype(float))
-
-
-@pytest.mark.parametrize(("points", "counts"), [(MIN_POINTS - 1, False), (MIN_POINTS, True)])
-def test_so_many_points_must_lie_on_lines(points, counts):
-    """The robot has not moved; the encoders say a centimetre towards the wall."""
-    before, after = scans(box(-2, -1.5, 1, 1.5), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    seen = np.full(BEAMS, NAN)
-    first = BEAMS // 2 - points // 2
-    seen[first : first + points] = after[first : first + points]
-    found = matched(before, seen, (0.01, 0, 0))
-    assert (abs(found[0]) < 0.002) == counts
-    assert (found[0] == np.float32(0.01)) == (not counts)
-
-
-def test_points_without_a_line_are_no_lines():
-    """Ranges that jump from beam to beam."""
-    before = np.where(np.arange(BEAMS) % 2, 1.0, 1.2)
-    guess = np.array([0.05, 0, 0.1], np.float32)
-    np.testing.assert_array_equal(matched(before, before, guess), guess.astype(float))
-
-
-# ---------------------------------------------------------------- weights
 
 
 def test_walls_and_encoders_are_weighed_by_their_variances():
@@ -174,26 +124,6 @@ def test_walls_and_encoders_are_weighed_by_their_variances():
     assert np.abs(found[1:]).max() < 1e-3
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.3])
-def test_the_turn_is_weighed_likewise(turn):
-    """The same wall, and the encoders report a turn that was not, with no true motion."""
-    before = np.full(BEAMS, NAN)
-    beams = np.arange(BEAMS // 2 - 20, BEAMS // 2 + 21)
-    before[beams] = 2 / np.cos(ANGLES_RAD[beams])
-    y = 2 * np.tan(ANGLES_RAD[beams])
-    error = math.radians(1)
-    angles = ANGLES_RAD[beams] - turn
-    after = np.full(BEAMS, NAN)
-    at = np.round(np.degrees(angles)).astype(int) + 90
-    after[at] = 2 / np.cos(np.radians(at - 90) + turn)
-    doubt = ENCODER_RAD + ENCODER_SHARE * (turn + error)
-    want = error * doubt**-2 / (doubt**-2 + np.sum(y**2) / matching.RANGE_SD_M**2)
-    found = matched(before, after, (0, 0, turn + error))
-    assert found[2] - turn == pytest.approx(want, rel=0.1)
-
-
-# ---------------------------------------------------------------- the scan with which others are matched
-
 LEVEL = jnp.zeros(2)
 PUT_RIGHT = jax.jit(matching.correct_odometry)
 
@@ -206,7 +136,7 @@ def driven(walls, poses, odometry, key=None):
     for i, pose in enumerate(poses):
         if i:
             now = now + jnp.asarray(np.subtract(odometry[i], odometry[i - 1]), jnp.float32)
-        key, now, _ = PUT_RIGHT(key, now, now, jnp.asarray(cast(walls, pose, ANGLES_RAD, SCAN_RANGE_M)), LEVEL)
+        key, now, _ = PUT_RIGHT(key, now, now, SEEN(walls, jnp.asarray(pose, jnp.float32)), LEVEL)
         keys.append(np.asarray(key.pose).tolist())
     return keys, np.asarray(now)
 
@@ -236,22 +166,10 @@ def test_a_match_far_from_what_the_encoders_say_is_none():
     assert float(share) == 0
 
 
-def test_where_much_else_is_seen_the_next_scan_is_matched_with_the_last_one():
-    poses = [(-1.5, 0.0, 0.0), (-1.3, 0.0, 0.0)]
-    keys, _ = driven(ROOM, poses, poses)
-    assert keys[1] == keys[0]
-    key = matching.no_key(jnp.zeros(3))
-    seen = jnp.asarray(cast(ROOM, poses[0], ANGLES_RAD, SCAN_RANGE_M))
-    key, now, _ = PUT_RIGHT(key, jnp.zeros(3), jnp.zeros(3), seen, LEVEL)
-    other = jnp.asarray(cast(box(-9, -0.4, 0.7, 6), poses[0], ANGLES_RAD, SCAN_RANGE_M))
-    key, _, _ = PUT_RIGHT(key, now + jnp.array([0.2, 0, 0]), now, other, LEVEL)
-    assert key.pose.tolist() == pytest.approx([0.2, 0, 0])
-
-
 def test_scans_of_two_planes_are_not_matched():
     """The robot leans by 10 degrees more: what it sees is not laid over what it saw."""
     key = matching.no_key(jnp.zeros(3))
-    seen = [jnp.asarray(cast(ROOM, (x, 0.0, 0.0), ANGLES_RAD, SCAN_RANGE_M)) for x in (-1.5, -1.3)]
+    seen = [SEEN(ROOM, jnp.array([x, 0.0, 0.0])) for x in (-1.5, -1.3)]
     key, now, _ = PUT_RIGHT(key, jnp.zeros(3), jnp.zeros(3), seen[0], LEVEL)
     said = now + jnp.array([0.22, 0, 0])  # 2 cm too much
     for lean_deg, found_m in ((0.0, 0.2), (5.0, 0.2), (10.0, 0.22)):

@@ -3,22 +3,22 @@
 import dataclasses
 import functools
 import math
+import re
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.runs import a_state
 
 import jexplore as jx
-from jexplore import btm
 from jexplore.config import InputError
-from jexplore.driving import approach, batch, behaviour, events, mapping, mission, vehicle
+from jexplore.driving import approach, batch, mission, vehicle
 from jexplore.driving.batch import building_of, pose_in, settings_arrays
 from jexplore.driving.building.terrain import FINER, is_level
 from jexplore.driving.mission import RunOutcome
-from jexplore.driving.records import Latch, RunMode
-from jexplore.driving.sensing import surround
-from jexplore.driving.settings import ROBOTS, Noise, Tuning, for_world, robot_of
+from jexplore.driving.records import RunMode
+from jexplore.driving.settings import ROBOTS, Noise, Tuning, for_world
 from jexplore.driving.vehicle import DT_S
 from jexplore.extraction.extract import extract
 from jexplore.studies.traces import job, tracing
@@ -57,16 +57,18 @@ def kinds(found):
 
 
 def test_the_crawlers_course(course):
+    table, driven = course.table, course.driven
     assert kinds(course.first) == "TOOODFFDT"
-    assert course.table["outcome"].tolist() == ["GOAL"]
     assert code(course.first) == code(course.truth)
-    assert course.table["contacts"].tolist() == course.table["interventions"].tolist() == [0]
-
-
-def test_nodes_lie_where_the_building_has_them(course):
+    assert table["outcome"].tolist() == ["GOAL"]
+    assert table["contacts"].tolist() == table["interventions"].tolist() == [0]
+    assert table["time_s"][0] == table["steps"][0] * DT_S == len(driven.truth) * DT_S
     for found, true in zip(course.first.nodes, course.truth.nodes):
         off = math.hypot(found.x_m - true.x_m, found.y_m - true.y_m)
         assert off < {"divergence": 0.2, "obstacle": 0.1, "free_space": 0.3, "terminal": 0.6}[true.type]
+    # Pose and estimate are of one moment; matching scans adds some millimetres each time, along passages above all.
+    np.testing.assert_allclose(driven.truth[:, :2], driven.estimate[:, :2], atol=0.15)
+    np.testing.assert_allclose(driven.truth[:, 2], driven.estimate[:, 2], atol=0.01)
 
 
 @pytest.mark.jit
@@ -100,12 +102,6 @@ def test_every_field_of_the_tables_is_set(course):
     assert np.abs(np.array(lengths) - true).max() < 0.8
 
 
-def test_pose_and_estimate_are_of_one_moment(course):
-    """Matching scans adds some millimetres each time, along passages above all."""
-    np.testing.assert_allclose(course.driven.truth[:, :2], course.driven.estimate[:, :2], atol=0.15)
-    np.testing.assert_allclose(course.driven.truth[:, 2], course.driven.estimate[:, 2], atol=0.01)
-
-
 def test_both_divergences_are_turned_right_and_modes_come_in_the_order_of_the_text(course):
     heading = course.driven.truth[:, 2]
     assert math.cos(heading[-1]) < math.cos(math.pi - 0.1)
@@ -115,18 +111,18 @@ def test_both_divergences_are_turned_right_and_modes_come_in_the_order_of_the_te
     assert order == [central, branch, central, wall, central, branch, central]
 
 
-def test_the_middle_of_passages_is_kept_within_five_centimetres(course):
-    truth, mode = course.driven.truth, course.driven.mode
-    first = (truth[:, 0] < 15) & (np.abs(truth[:, 1] - 27) < 2) & (mode == RunMode.CENTRAL)
-    assert first.sum() > 200
-    assert np.abs(truth[first, 1] - 27).max() < 0.05
-    hall = (np.abs(truth[:, 0] - 17.4) < 2) & (truth[:, 1] > 16.5) & (truth[:, 1] < 23)  # a stretch after the turn
-    assert np.abs(truth[hall, 0] - 17.4).max() < 0.05
+def test_the_middle_of_passages_is_kept(course):
+    x, y, _ = course.driven.truth.T
+    passage = (x < 15) & (np.abs(y - 27) < 2) & (course.driven.mode == RunMode.CENTRAL)
+    assert passage.sum() > 200
+    assert np.abs(y[passage] - 27).max() < 0.05
+    hall = (np.abs(x - 17.4) < 2) & (y > 12.5) & (y < 23)
+    assert np.abs(x[hall & (y > 16.5)] - 17.4).max() < 0.05
     # Where the hall ends the nearest wall on its side is its corner, behind the robot.
-    end = (np.abs(truth[:, 0] - 17.4) < 2) & (truth[:, 1] > 12.5) & (truth[:, 1] <= 16.5)
-    assert np.abs(truth[end, 0] - 17.4).max() < 0.15
+    assert np.abs(x[hall] - 17.4).max() < 0.15
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_wheeled_robot_without_the_slope():
     world = load_world("course:obstacle=none")
@@ -160,6 +156,7 @@ def test_the_wheeled_robot_cannot_pass_stairs():
     assert found.first.nodes[1].inclination_deg is None
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize(
     ("obstacle", "step_m"),
@@ -182,6 +179,7 @@ def test_what_the_robot_goes_over_is_in_its_map(obstacle, step_m):
     assert bool(over) == (step_m is None)  # whoever goes along a cross slope rolls
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize(
     "noise",
@@ -206,9 +204,8 @@ def test_a_riser_that_the_ground_refuses_is_an_obstacle():
     assert abs(found.first.nodes[1].step_m - 0.25) < 0.03
 
 
-def test_ends_by_name(course):
-    plan = course.plan
-    state = mission.initial_state(mission.Setup(10), plan.building, KAMUI, plan.begins[0])
+def test_ends_by_name():
+    state = a_state()
     full = state.replace(writer=state.writer.replace(full=True))
     done = state.replace(writer=state.writer.replace(exhausted=True))
     for at, at_end, outcome in [
@@ -224,21 +221,7 @@ def test_ends_by_name(course):
         assert int(mission._end(at, at_end, TUNING).outcome) == outcome
 
 
-@pytest.mark.jit
-def test_stairs_are_stairs():
-    found = ran(job.prepare_trace("course:obstacle=stairs", noise=Noise(range_m=0.01)))
-    (world,) = {found.plan.world.name}
-    stairs = [node for node in found.first.nodes if node.type == "obstacle"]
-    assert [node.obstacle for node in stairs] == ["stairs"] * len(stairs), world
-    assert all(abs(node.step_m - 0.10) <= 0.01 for node in stairs)
-
-
-@pytest.mark.jit
-def test_a_wider_robot_makes_the_same_map(course):
-    found = ran(job.prepare_trace("course", robot="kamui:width_m=0.6", noise=STILL))
-    assert code(found.first) == code(course.first)
-
-
+@pytest.mark.slow
 def test_a_run_depends_on_its_number_and_settings_alone(noisy, jit_on):
     with jit_on():
         lone = job.prepare_trace("course", noise=Noise(range_m=0.01), runs=2, tuning=Tuning(votes=3), seed=5)
@@ -249,30 +232,32 @@ def test_a_run_depends_on_its_number_and_settings_alone(noisy, jit_on):
     assert noisy.table["drift_m"].nunique() == len(noisy.table)  # the runs differ
 
 
+@pytest.mark.slow
 def test_threads_change_nothing(noisy, jit_on):
     with jit_on():
         other = tracing.execute(noisy.plan, workers=2)
     assert other.table.equals(noisy.table)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_lanes_give_the_same_maps_and_are_filled_again(noisy, monkeypatch):
     """As on an accelerator; five short runs in two lanes."""
     plan, draws, done = noisy.plan, np.array([0, 1, 2, 1, 3], np.int32), []
     numbers = *(settings_arrays(s, 5) for s in plan.first_settings()), plan.starts_of(draws)
-    how = {"max_steps": 300}
+    how = {"max_steps": 120}
     alone = batch.run_missions(plan.building, *numbers, 5, draws, workers=1, **how).result
     monkeypatch.setattr(batch, "find_resources", functools.partial(batch.find_resources, in_lanes=True))
     report = batch.run_missions(
         plan.building, *numbers, 5, draws, engine="jax", lanes=2, on_progress=done.append, **how
     )
     lanes = report.result
-    assert lanes.steps.tolist() == alone.steps.tolist() == [300] * 5
+    assert lanes.steps.tolist() == alone.steps.tolist() == [120] * 5
     np.testing.assert_array_equal(lanes.map.kind, alone.map.kind)
     np.testing.assert_allclose(lanes.path_m, alone.path_m, rtol=1e-4)
     assert lanes.path_m[1] == lanes.path_m[3]  # they draw alike
     assert len(set(lanes.path_m.tolist())) == 4
-    assert len(report.driven.truth) == 300
+    assert len(report.driven.truth) == 120
     assert report.costs.lanes == 2
     assert report.costs.levels == {"kamui": ["JAX in lanes"]}
     assert report.costs.useful >= 0.8
@@ -310,89 +295,26 @@ def test_how_runs_may_end(change, outcome):
 
 @pytest.mark.jit
 def test_a_robot_that_drives_up_and_down_is_helped(course):
-    plan = course.plan
-    building = jax.tree.map(jnp.asarray, plan.building)
-    state = mission.initial_state(mission.Setup(700), building, KAMUI, plan.begins[0])
-    senses = vehicle.read_sensors(vehicle.draw_one(jax.random.key(0), STILL), building, KAMUI, STILL, state.body)
+    building = jax.tree.map(jnp.asarray, course.plan.building)
+
+    @jax.jit
+    def help_robot(state, makes_node):
+        draws = vehicle.draw_one(jax.random.key(0), STILL)
+        senses = vehicle.read_sensors(draws, building, KAMUI, STILL, state.body)
+        return approach.help_robot(state, senses, makes_node, building, KAMUI)
+
+    body = vehicle.initial_body(building, KAMUI, jnp.asarray(course.plan.begins[0]))
+    state = a_state(body=body, estimate=body.pose, odometry=body.pose, stray_from=body.pose[:2])
     late = state.replace(step=jnp.int32(approach.STRAY_STEPS), moved_step=jnp.int32(approach.STRAY_STEPS - 1))
-    helped = approach.help_robot(late, senses, jnp.bool_(False), building, KAMUI)
+    helped = help_robot(late, False)
     assert (int(helped.helps), int(helped.stray_step)) == (1, approach.STRAY_STEPS)
     off = late.replace(estimate=late.estimate.at[0].add(approach.STRAY_M + 0.1))
-    for state, makes_node in ((off, False), (late, True), (late.replace(step=late.step - 1), False)):
-        after = approach.help_robot(state, senses, jnp.bool_(makes_node), building, KAMUI)
-        assert int(after.helps) == 0
-    gone = approach.help_robot(off, senses, jnp.bool_(False), building, KAMUI)
-    assert gone.stray_from.tolist() == off.estimate[:2].tolist()
+    for other, makes_node in ((off, False), (late, True), (late.replace(step=late.step - 1), False)):
+        assert int(help_robot(other, makes_node).helps) == 0
+    assert help_robot(off, False).stray_from.tolist() == off.estimate[:2].tolist()
 
 
-def seen_at(state, building):
-    """Return the perception of a robot in a state: `(writer, walls, around, ways_m, placed)`."""
-    senses = vehicle.read_sensors(vehicle.draw_one(jax.random.key(0), STILL), building, KAMUI, STILL, state.body)
-    senses, _ = mission.smooth_senses(senses, KAMUI)
-    walls = events.walls_of_scan(senses.ranges_m, TUNING, KAMUI)
-    around = surround.add_scan(surround.empty_surround(), senses.ranges_m)
-    writer = mapping.record_step(state, senses, walls.beside.sum(), KAMUI)
-    return writer, walls, around, surround.free_lengths(around, KAMUI), vehicle.to_odometry(state.estimate)
-
-
-@pytest.mark.jit
-def test_a_robot_that_has_turned_towards_what_is_none_goes_on_as_it_came(course):
-    """The false divergence lay behind it, and is no longer seen: it would drive back the way it came."""
-    building = jax.tree.map(jnp.asarray, course.plan.building)
-    state = mission.initial_state(mission.Setup(700), building, KAMUI, course.plan.begins[0])
-    x, y, heading = (float(v) for v in state.estimate)
-    writer, walls, around, ways_m, placed = seen_at(state, building)
-    ahead = events.look_ahead(state, writer, walls, around, placed, TUNING, KAMUI, False)
-    assert int(ahead.track.age) == 0
-    for out, latch in ((heading + math.pi, Latch.LEAVE), (heading, Latch.FREE)):
-        drive = {"latch": jnp.int32(Latch.APPROACH), "out": jnp.float32(out)}
-        turned = state.replace(drive=state.drive.replace(**drive, target=jnp.array([x - 3, y])))
-        after = approach.select_branch(turned, ahead, around, ways_m, placed, TUNING, KAMUI).drive
-        assert int(after.latch) == latch
-        onward = x + TUNING.leave_m * math.cos(out), y + TUNING.leave_m * math.sin(out)
-        assert latch == Latch.FREE or after.target.tolist() == pytest.approx(onward, abs=1e-4)
-
-
-@pytest.mark.jit
-def test_what_a_robot_turns_round_in_is_not_forgotten_where_it_leans(course):
-    building = jax.tree.map(jnp.asarray, course.plan.building)
-    state = mission.initial_state(mission.Setup(700), building, KAMUI, course.plan.begins[0])
-    track = behaviour.empty_track().replace(
-        centre=state.estimate[:2], radius=1.0, seen=jnp.uint32(31), age=jnp.int32(9)
-    )
-    writer, *seen, _, placed = seen_at(state, building)
-    writer = writer.replace(level=dataclasses.replace(writer.level, even=jnp.array([0.2, 0.0])))  # it stood on a slope
-    for latch, kept in ((Latch.LOOK, True), (Latch.FREE, False)):
-        now = state.replace(track=track, drive=state.drive.replace(latch=jnp.int32(latch)), step=jnp.int32(1))
-        ahead = events.look_ahead(now, writer, *seen, placed, TUNING, KAMUI, False)
-        assert bool(ahead.leans)
-        assert (int(ahead.track.age) > 0) == kept
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize("tipped_deg", [10.0, 0.0])
-def test_what_a_robot_saw_as_it_tipped_is_no_step(course, tipped_deg):
-    """Over a sill its heights are off until it stands level: then the ground before it seems to rise."""
-    building = jax.tree.map(jnp.asarray, course.plan.building)
-    state = mission.initial_state(mission.Setup(700), building, KAMUI, course.plan.begins[0])
-    step, odometer = 60, 0.04 * jnp.arange(700)
-    way = mapping.no_way(700)
-    off = (jnp.arange(700) >= 45) & (jnp.arange(700) < 58)
-    way = way.replace(
-        odometer_m=odometer,
-        ground_x_m=odometer + 0.7,
-        ground_z_m=jnp.where(off, -0.06, 0.0),
-        posture=jnp.where(off, math.radians(tipped_deg), 0.0),
-    )
-    state = state.replace(step=jnp.int32(step), odometer_m=odometer[step])
-    writer, *seen, _, placed = seen_at(state, building)
-    for past in range(step, step + 6):
-        now = state.replace(step=jnp.int32(past), odometer_m=odometer[past])
-        ahead = events.look_ahead(now, writer.replace(way=way), *seen, placed, TUNING, KAMUI, False)
-        writer = writer.replace(lone_step=ahead.lone_step_after)
-    assert bool(jnp.isfinite(writer.lone_step.from_m)) == (tipped_deg == 0)
-
-
+@pytest.mark.slow
 @pytest.mark.jit
 def test_a_map_has_as_much_room_as_is_asked_for():
     plan = job.prepare_trace("course:obstacle=none", robot="wheeled", noise=STILL, nodes=4, links=6)
@@ -404,27 +326,16 @@ def test_a_map_has_as_much_room_as_is_asked_for():
     assert kinds(found.first) == "TDFF"
 
 
+@pytest.mark.slow
+@pytest.mark.jit
 def test_room_for_the_maps_of_buildings():
-    plan = job.prepare_trace("rooms")
+    plan = job.prepare_trace("rooms", sweep=["open_m=0,3"])
+    assert plan.swept["open_m"].tolist() == [5, 3]  # 0 stands for another number, swept or not
     assert plan.size == (job.MIN_NODES, 2 * job.MIN_NODES)
     assert not plan.is_narrow
     many = plan.truth._replace(map=dataclasses.replace(plan.truth.map, nodes=plan.truth.map.nodes[:1] * 70))
     assert job.map_room(plan.world, many) == (256, 512)
     assert job.map_room(plan.world, many, links=30) == (256, 30)
-    for wrong in ({"nodes": 1}, {"links": 1}, {"nodes": job.MOST_NODES + 1}):
-        with pytest.raises(InputError, match=next(iter(wrong))):
-            job.prepare_trace("course", **wrong)
-
-
-def test_room_for_steps_doubles():
-    assert [batch.step_slots(n) for n in (1, 6000, 6001, 12000, 12001, 50000)] == [
-        6000,
-        6000,
-        12000,
-        12000,
-        24000,
-        96000,
-    ]
 
 
 @pytest.mark.jit
@@ -434,6 +345,7 @@ def test_a_room_without_a_passage():
     assert found.table["steps"][0] < 1000
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_a_room_with_four_gateways_is_a_place_with_four_links():
     """8 m x 7 m, doors of 1 m off the middle of every wall, and a passage behind each: none is missed."""
@@ -462,6 +374,7 @@ def hall(*passages):
     return world.replace(occupied=occupied)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_gateways_of_a_hall_are_places_on_a_ring():
     """Each has its passage and the ways along the wall to both sides; the hall is too wide to be a place itself."""
@@ -479,6 +392,7 @@ def test_the_gateways_of_a_hall_are_places_on_a_ring():
     assert (table["false_divergences"][0], table["mistaken"][0]) == (0, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("start", [(9.5, 9.0, 40), (4.8, 13.0, -90)])
 def test_a_hall_without_a_gateway_is_gone_round(start):
@@ -487,6 +401,7 @@ def test_a_hall_without_a_gateway_is_gone_round(start):
     assert 600 < found.table["steps"][0] < 2500
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_without_a_goal_what_lies_behind_the_start_is_searched_as_well():
     found = ran(job.prepare_trace(box(2.0, 14.0), start=(6.0, 1.2, 0), noise=STILL, **AS_ON_COURSES))
@@ -505,29 +420,29 @@ def test_without_a_goal_what_lies_behind_the_start_is_searched_as_well():
     [
         ({"start": (0.3, 0.3, 0)}, "lies in a wall"),
         ({"start": (-3, 0.3, 0)}, "lies outside"),
-        ({"start": (2.5, 26.1, 0)}, "does not fit there"),
         ({"robot": "kamui:width_m=2.2"}, "does not fit there"),
         ({"robot": "tank"}, "robot must be one of kamui, wheeled, got 'tank'"),
         ({"robot": "kamui:legs=4"}, "there is no 'legs'"),
         ({"robot": "kamui:width_m=wide"}, "width_m must be a number"),
-        ({"tuning": Tuning(arrive_m=5)}, "arrive_m must be less than tuning.open_m"),
         ({"tuning": Tuning(votes=10)}, "tuning.votes"),
         ({"noise": Noise(range_m=-1)}, "noise.range_m"),
         ({"sweep": ["vote=3"]}, "sweep must be NAME="),
         ({"sweep": ["votes=a"]}, "values must be numbers"),
-        ({"sweep": ["circle=0.5:2"]}, "tuning.circle"),
         ({"sweep": ["circle=2:1.5"]}, "a range must rise"),
-        ({"sweep": ["circle=1.2:1.5:2"]}, "values must be numbers"),
         ({"sweep": ["circle=1.2", "circle=1.5"]}, "names circle more than once"),
         ({"sweep": ["votes=2.5"]}, "votes must be integers"),
         ({"sweep": [f"{name}=" + ",".join(["1.5"] * 200) for name in ("circle", "same_m", "ahead_m")]}, "combinations"),
         ({"runs": 0}, "runs must be an integer"),
         ({"runs": 1000, "sweep": ["circle=1.2:2"], "settings": 10_000}, "use fewer"),
+        ({"sweep": ["open_m=-1,3"]}, "tuning.open_m must be a number above 0"),
         ({"max_steps": 5}, "max_steps"),
+        ({"nodes": 1}, "nodes"),
+        ({"links": 1}, "links"),
+        ({"nodes": job.MOST_NODES + 1}, "nodes"),
     ],
 )
 def test_what_is_refused(arguments, says):
-    with pytest.raises(InputError, match=says.replace("(", r"\(").replace("[", r"\[")):
+    with pytest.raises(InputError, match=re.escape(says)):
         job.prepare_trace("course", **arguments)
 
 
@@ -539,12 +454,10 @@ def test_sweeps():
     assert len(set(np.floor((values["circle"] - 1.1) / 0.9 * 64))) == 64  # one in every 64th: Latin
     assert sorted(set(values["noise.range_m"])) == [0, 0.03]
     assert job.swept_values([], 100, 0) == {}
-    for world, own in (("course", 2.5), ("rooms", 5.0)):  # 0 stands for another number, swept or not
-        assert job.prepare_trace(world, sweep=["open_m=0,3"]).swept["open_m"].tolist() == [own, 3]
-    with pytest.raises(InputError, match=r"tuning\.open_m must be a number above 0"):
-        job.prepare_trace("rooms", sweep=["open_m=-1,3"])
+    assert job.prepare_trace("course", sweep=["open_m=0,3"]).swept["open_m"].tolist() == [2.5, 3]
 
 
+@pytest.mark.slow
 def test_a_step_without_jit_is_the_step_with_and_uses_no_key_twice(noisy, jit_on):
     """And a run is its steps: run 0 with draws of its own keys, beyond the first block of draws."""
     plan = noisy.plan
@@ -572,6 +485,7 @@ def test_a_step_without_jit_is_the_step_with_and_uses_no_key_twice(noisy, jit_on
 def test_a_building_keeps_the_worlds_measures():
     world = load_world("course", 0.1)
     building = building_of(world, world.course.goal_m, np.array([[2.5, 27, 0.5]]))
+    assert [batch.step_slots(n) for n in (1, 6000, 6001, 12001)] == [6000, 6000, 12000, 24000]
     assert building.walls.x.shape == building.walls.y.shape == (32, 3)
     assert building.terrain.height_m.shape == (FINER * 512, FINER * 512)  # the same size
     assert building_of(load_world("rooms", 0.1)).terrain.height_m.shape == (2, 2)  # level
@@ -580,21 +494,3 @@ def test_a_building_keeps_the_worlds_measures():
     assert (building.marks[1:, :2] < -1e5).all()  # where nobody comes
     assert pose_in(world, (2.5, 27, 90)).tolist() == pytest.approx([2.5, 27, math.pi / 2])
     assert np.isnan(building_of(world).goal).all()
-
-
-def test_time_is_counted_in_steps(course):
-    assert course.table["time_s"][0] == course.table["steps"][0] * DT_S
-    assert len(course.driven.truth) == course.table["steps"][0]
-    assert RunOutcome[course.table["outcome"][0]] is RunOutcome.GOAL
-
-
-def test_withdrawn_links_are_left_out():
-    map_, node = btm.add_node(btm.empty(4, 4), btm.TERMINAL, 0.0, 0.0)
-    for bearing in (0.0, 1.0, 2.0):
-        map_, _ = btm.add_link(map_, node, bearing)
-    map_ = map_.replace(status=map_.status.at[1].set(btm.NONE))
-    assert [round(math.radians(link.start_bearing_deg), 3) for link in btm.to_map(map_).links] == [0.0, 2.0]
-
-
-def test_robots_are_told_apart():
-    assert robot_of("kamui:width_m=0.6") == dataclasses.replace(KAMUI, name="kamui:width_m=0.6", width_m=0.6)

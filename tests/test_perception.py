@@ -1,6 +1,5 @@
 """Perception of a scan: pencil scans, maps drawn by hand for every kind of divergence, height profiles."""
 
-import dataclasses
 import itertools
 import math
 
@@ -8,18 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from ref.passages import CORNER, EAST, FEATURES, NORTH, WIDTHS_M, building
+from ref.passages import EAST, FEATURES, NORTH, WIDTHS_M, building
 
 from jexplore.arrays.delaunay import circumcircles, delaunay
 from jexplore.driving import vehicle
 from jexplore.driving.building import terrain, walls
 from jexplore.driving.events import SCAN_POINTS
 from jexplore.driving.events import triangles as look
-from jexplore.driving.records import Divergence
-from jexplore.driving.sensing import ground_profile, obstacles, perception, surround
+from jexplore.driving.sensing import ground_profile, obstacles, perception
 from jexplore.driving.sensing.ground_profile import RISE_M
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
-from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, BEAMS, SCAN_RANGE_M
+from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, SCAN_RANGE_M
 
 pytestmark = pytest.mark.jit
 
@@ -54,9 +52,6 @@ def points_of(lines, noise_m=0):
     return points(scan_of(lines) + np.float32(noise_m), ANGLES_RAD)
 
 
-# ---------------------------------------------------------------- points
-
-
 def test_points_by_hand():
     ranges = np.array([2, 1, np.inf, np.nan, 3, 4], np.float32)
     angles = np.radians([-90, 0, 0, 45, 90, 30]).astype(np.float32)
@@ -77,18 +72,12 @@ def test_a_few_beams_that_fail_are_bridged():
         distance = np.hypot(*np.asarray(xy).T)[np.asarray(valid)]
         assert distance.min() > 1.99
         assert distance.max() < 2.11
-    for jump, n in ((2.19, 0), (2.21, 1)):  # one wall, two walls
+    for jump, gap, n in ((2.19, np.nan, 0), (2.21, np.nan, 1), (2.1, np.inf, 1)):  # one wall, two walls, nothing there
         ranges[100:] = jump
         some = ranges.copy()
-        some[99] = np.nan
+        some[99] = gap
         for scan in (some, some[::-1]):
             assert BEAMS - int(np.sum(points(scan, ANGLES_RAD)[1])) == n
-    ranges[100:] = 2.3
-    some = ranges.copy()
-    some[99:101] = np.nan
-    assert not np.asarray(points(some, ANGLES_RAD)[1])[99:101].any()
-    some[99:101] = np.inf  # nothing is there
-    assert not np.asarray(points(some, ANGLES_RAD)[1])[99:101].any()
 
 
 def test_no_reading_at_all():
@@ -101,8 +90,6 @@ def test_no_reading_at_all():
         np.testing.assert_array_equal(smoothed(xy, valid, 0.1), xy)
 
 
-# ---------------------------------------------------------------- sides and front
-
 DOTS = np.array([[0.5, 1.0], [1.0, 2.0], [1.5, 0.8], [0.5, -0.6], [1.0, -0.4], [2.0, -0.1], [-0.5, 0.2]], np.float32)
 ALL = np.ones(len(DOTS), bool)
 
@@ -111,11 +98,9 @@ ALL = np.ones(len(DOTS), bool)
     ("from_m", "to_m", "left", "right"),
     [
         (0, 1.2, 1.0, 0.4),
-        (0, 1.5, 0.8, 0.4),
         (0, 2.5, 0.8, 0.1),
         (0.6, 1.2, 2.0, 0.4),
         (1.0, 1.0, 2.0, 0.4),  # both ends belong to it
-        (1.6, 1.9, math.inf, math.inf),
         (1.6, 2.5, math.inf, 0.1),
         (-1, 0, 0.2, math.inf),
     ],
@@ -133,29 +118,16 @@ def test_sides_leave_out_what_is_no_point_and_mirror():
     assert [float(v) for v in sides(ahead, ALL[:1], 0, 2)] == [0, 0]
 
 
-def test_noise_makes_clearances_hardly_smaller():
-    rng = np.random.default_rng(3)
-    ours, least = [], []
-    for _ in range(100):
-        noise_m = rng.normal(scale=0.03, size=BEAMS).astype(np.float32)
-        place = points_of([(-9, 0.8, 9, 0.8), (-9, -1.2, 9, -1.2)], noise_m=noise_m)
-        ours.append([float(v) for v in clearances(*place, 0.35)])
-        least.append([float(v) for v in sides(*place, 0, 0.35)])
-    assert np.abs(np.mean(ours, axis=0) - [0.8, 1.2]).max() < 0.03
-    assert np.abs(np.mean(least, axis=0) - [0.8, 1.2]).min() > 0.04  # the nearest points alone
-    xy, valid = points_of([(-9, 0.8, 9, 0.8), (-9, -1.2, 9, -1.2), (0.2, 0.5, 0.3, 0.5)])
-    assert [float(v) for v in clearances(xy, valid, 0.35)] == pytest.approx([0.5, 1.2], abs=1e-5)  # a post counts
+def test_clearances_are_means_of_neighbours_and_a_post_counts():
+    walls_ = (-9, 0.8, 9, 0.8), (-9, -1.2, 9, -1.2)
+    noise_m = np.random.default_rng(3).normal(scale=0.03, size=(50, BEAMS)).astype(np.float32)
+    ours = jax.jit(jax.vmap(lambda ranges: jnp.stack(clearances(*points(ranges, ANGLES_RAD), 0.35))))(
+        scan_of(walls_) + noise_m
+    )
+    assert np.abs(ours.mean(axis=0) - np.array([0.8, 1.2])).max() < 0.03  # noise makes them hardly smaller
+    xy, valid = points_of([*walls_, (0.2, 0.5, 0.3, 0.5)])
+    assert [float(v) for v in clearances(xy, valid, 0.35)] == pytest.approx([0.5, 1.2], abs=1e-5)
     assert [float(v) for v in clearances(xy, valid & (xy[:, 1] > 0), 0.35)] == [pytest.approx(0.5), math.inf]
-
-
-@pytest.mark.parametrize("sigma_m", [0.0, 0.05, 0.3])
-def test_a_wall_ahead_is_none_beside(sigma_m):
-    rng = np.random.default_rng(4)
-    for _ in range(50):
-        noise_m = rng.normal(scale=sigma_m, size=BEAMS)
-        lines = [(-9, 1, 9, 1), (-9, -1, 9, -1), (0.45, -1, 0.45, 1)]
-        left, right = clearances(*points_of(lines, noise_m=np.maximum(noise_m, -0.4)), 0.35)
-        assert min(left, right) > (0.9 if sigma_m == 0 else 0)
 
 
 def test_front_is_as_wide_as_the_robot_and_its_guard():
@@ -168,15 +140,6 @@ def test_front_is_as_wide_as_the_robot_and_its_guard():
     assert [float(v) for v in front(dots, there, 0.32)] == [2.0, 3.0]
     assert [float(v) for v in front(dots, there, 0.2)] == [3.0, 3.0]
     assert [float(v) for v in front(dots, dots[:, 0] <= 0, 0.4)] == [math.inf, math.inf]
-
-
-def test_in_a_passage():
-    xy, valid = points_of([(-9, 0.8, 9, 0.8), (-9, -1.2, 9, -1.2), (3, -2, 3, 2)])
-    assert [float(v) for v in sides(xy, valid, 0, 1.5)] == pytest.approx([0.8, 1.2], abs=1e-5)
-    assert [float(v) for v in front(xy, valid, 0.39)] == pytest.approx([3, 3], abs=1e-4)
-
-
-# ---------------------------------------------------------------- smoothed
 
 
 def test_straight_walls_stay_exactly_straight():
@@ -205,32 +168,6 @@ def test_smoothing_takes_the_mean_of_what_is_near():
     even = smoothed(xy, valid, 0.1)
     want = [[1, 0.025], [1.02, 0.05], [1.03, 0.075], [2, 0.1], [1, 0.15]]
     np.testing.assert_allclose(even, want, atol=1e-6)
-
-
-def test_smoothing_looks_no_farther_than_some_beams():
-    n = 2 * perception.SMOOTHED_BEAMS + 1
-    xy = np.zeros((2 * n, 2), np.float32)
-    xy[0] = [n, 0]
-    even = np.asarray(smoothed(xy, np.ones(2 * n, bool), 100.0))
-    assert (even[1 : perception.SMOOTHED_BEAMS + 1, 0] > 0).all()
-    assert not even[perception.SMOOTHED_BEAMS + 1 :].any()
-
-
-def test_smoothing_reduces_noise():
-    rng = np.random.default_rng(1)
-    ranges = scan_of([(-9, 1, 9, 1)])
-    rough, smooth = [], []
-    for _ in range(20):
-        xy, valid = points(ranges + rng.normal(scale=0.02, size=BEAMS).astype(np.float32), ANGLES_RAD)
-        close = np.asarray(valid) & (np.abs(np.asarray(xy)[:, 0]) < 0.5)
-        rough.append(np.asarray(xy)[close, 1] - 1)
-        smooth.append(np.asarray(smoothed(xy, valid, TUNING.width_m / 4))[close, 1] - 1)
-    rough, smooth = np.concatenate(rough), np.concatenate(smooth)
-    assert smooth.std() < rough.std() / 2
-    assert abs(smooth.mean()) < 0.003
-
-
-# ---------------------------------------------------------------- resampled
 
 
 def sampled(xy, valid, near_m=0.3, far_m=4.0, aside_m=2.5, spacing_m=0.2, size=SCAN_POINTS):
@@ -262,17 +199,6 @@ def test_points_follow_a_bend():
     np.testing.assert_array_equal(ends, xy[[0, 3]])
 
 
-def test_the_ends_of_every_wall_are_kept():
-    xy, valid = points_of([(1, -1.5, 3, -1.5), (2, -0.4, 2, 0.4), (1, 1.5, 3, 1.5)])
-    there = np.asarray(valid)
-    first = there & ~np.pad(there, (1, 0))[:-1]
-    last = there & ~np.pad(there, (0, 1))[1:]
-    _, ends, _, overflow = sampled(xy, valid)
-    assert first.sum() == last.sum() == 3  # beams between the walls meet nothing
-    np.testing.assert_array_equal(ends, np.asarray(xy)[first | last])
-    assert overflow == 0
-
-
 def test_a_jump_of_the_range_ends_a_wall_and_nothing_lies_in_between():
     xy, valid = points_of([(1.0, -3, 1.0, 0.01), (3.0, -9, 3.0, 9)])
     ticks, ends, _, _ = sampled(xy, valid, aside_m=2.0)
@@ -282,42 +208,8 @@ def test_a_jump_of_the_range_ends_a_wall_and_nothing_lies_in_between():
     assert {1, 3} == set(np.round(ticks[:, 0]).astype(int).tolist())
 
 
-def test_a_jump_is_more_than_two_spacings():
-    assert 2 < perception.WALL_JUMP < 2.1  # two spacings are less than an opening
-    for step, n_ends in ((0.40, 2), (0.42, 6)):
-        xy = np.stack([1 + np.arange(3) * step, np.zeros(3)], 1).astype(np.float32)
-        _, ends, _, _ = sampled(xy, np.ones(3, bool))
-        assert len(ends) == (n_ends if n_ends < 6 else 3)
-
-
-def test_one_point_alone_is_both_ends():
-    xy = np.array([[1, 0], [2, 0.1], [1, 0.2]], np.float32)
-    ticks, ends, _, overflow = sampled(xy, np.array([False, True, False]))
-    assert len(ticks) == 0
-    np.testing.assert_array_equal(ends, xy[1:2])
-    assert overflow == 0
-
-
-def test_without_points_there_is_nothing():
-    ticks, ends, spacing, overflow = sampled(np.zeros((5, 2), np.float32), np.zeros(5, bool))
-    assert (len(ticks), len(ends), overflow) == (0, 0, 0)
-    assert spacing == pytest.approx(0.2)
-
-
-def test_points_out_of_bounds_are_left_out():
-    xy, valid = points_of([(-9, 1, 9, 1), (-9, -2, 9, -2), (5, -3, 5, 3)])
-    for near, far, aside in ((0.3, 4, 2.5), (1, 2, 2.5), (0.3, 4, 1.5)):
-        ticks, ends, _, _ = sampled(xy, valid, near, far, aside)
-        both = np.concatenate([ticks, ends])
-        assert len(both)
-        assert (both[:, 0] > near).all()
-        assert (both[:, 0] < far).all()
-        assert (np.abs(both[:, 1]) < aside).all()
-        assert (both[:, 1] < 0).any() == (aside > 2)
-
-
-@pytest.mark.parametrize("size", [8, 16, 48])
-def test_where_the_points_do_not_fit_the_spacing_grows(size):
+def test_where_the_points_do_not_fit_the_spacing_grows():
+    size = 8
     xy, valid = points_of([(-9, 1, 9, 1), (-9, -1, 9, -1)])
     ticks, ends, spacing, overflow = sampled(xy, valid, spacing_m=0.15, size=size)
     n_ticks = size - size // 4
@@ -331,27 +223,11 @@ def test_where_the_points_do_not_fit_the_spacing_grows(size):
     assert overflow == 4 - len(ends)
 
 
-# ---------------------------------------------------------------- the far bound
-
-
 def test_far_bound_by_hand():
     assert float(perception.far_bound(4.0, 0.39, math.pi / 180, 0.2)) == pytest.approx(2.0076, abs=1e-3)
     assert float(perception.far_bound(4.0, 0.39, math.pi / 180, 1.0)) == 4.0
     assert float(perception.far_bound(4.0, 0.39, math.pi / 180, math.inf)) == 4.0
     assert float(perception.far_bound(4.0, 0.39, math.pi / 180, 0.0)) == 0.0
-
-
-@pytest.mark.parametrize("wall_m", [0.2, 0.5, 0.8])
-def test_up_to_the_far_bound_neighbouring_beams_lie_closer_than_an_opening(wall_m):
-    far = float(perception.far_bound(100.0, TUNING.width_m, BEAM_SPACING_RAD, wall_m))
-    xy, valid = points(scan_of([(-99, wall_m, 99, wall_m)], range_m=99), ANGLES_RAD)
-    x = np.sort(np.asarray(xy)[np.asarray(valid), 0])
-    apart = np.diff(x)
-    assert (apart[x[1:] < far] < TUNING.width_m).all()
-    assert (apart[x[:-1] > 1.25 * far] > TUNING.width_m).all()
-
-
-# ---------------------------------------------------------------- divergences
 
 
 @jax.jit
@@ -377,14 +253,10 @@ def seen_from(place, x, y, heading=EAST, tuning=TUNING, noise_m=QUIET):
     return np.asarray(centre)[valid] - middle, np.asarray(found.radius)[valid]
 
 
-def test_the_formulas():
-    assert abs(0.5 - CORNER - 0.586) < 1e-3
-
-
 @pytest.mark.parametrize("width_m", WIDTHS_M)
 def test_a_straight_passage_shows_nothing(width_m):
     place = building("we", width_m)
-    for x, y, heading in itertools.product((-3, -0.7, 0), (-0.25, 0, 0.1), (-0.15, 0, 0.1)):
+    for x, y, heading in itertools.product((-3, -0.7), (-0.25, 0.1), (-0.15, 0, 0.1)):
         centres, *_ = seen_from(place, x, y * width_m, heading)
         assert len(centres) == 0
 
@@ -395,7 +267,7 @@ def test_the_circle_lies_where_three_walls_are_equally_far(name, width_m):
     """Within 4 cm and 2 % of the width: corners are rounded by as much as points are smoothed and beams are apart."""
     arms, where, radius, _ = FEATURES[name]
     place = building(arms, width_m)
-    for further, y, heading in itertools.product(np.linspace(0.5, 1.0, 6), (-0.1, 0, 0.1), (-0.1, 0, 0.1)):
+    for further, y, heading in itertools.product((0.5, 0.8, 1.0), (-0.1, 0.1), (-0.1, 0, 0.1)):
         back = width_m / 2 + further
         centres, radii = seen_from(place, -back, y * width_m, heading)
         assert len(centres) >= 1, (back, y, heading)
@@ -421,52 +293,6 @@ def test_the_way_the_robot_looks_along_does_not_matter():
     one, *_ = seen_from((walls_, middle), -2.0, 0.1, 0.05)
     other, *_ = seen_from((turned, middle), -0.1, -2.0, NORTH + 0.05)
     np.testing.assert_allclose(np.stack([-one[:, 1], one[:, 0]], 1), other, atol=0.02)
-
-
-def test_a_hall_shows_nothing_but_a_larger_bound_of_free_space_does():
-    """A hall 6 m wide has a dead end as well, with a circle of 3 m."""
-    place = building("w", 6.0)
-    for x in (-5, -2, 0, 1):
-        assert len(seen_from(place, x, 0.3)[0]) == 0
-    larger = dataclasses.replace(TUNING, open_m=3.5)
-    centres, radii = seen_from(place, -0.6, 0.0, tuning=larger)
-    assert len(centres) >= 1
-    np.testing.assert_allclose(centres[0], [0, 0], atol=0.15)
-    np.testing.assert_allclose(radii[0], 3, atol=0.15)
-
-
-def test_circles_as_large_as_free_space_are_left_out():
-    """A T 2 m wide has a circle of 1.25 m, and all its corners are within 1.1 m of the axis."""
-    place = building("wns", 2.0)
-    assert len(seen_from(place, -1.8, 0)[0]) >= 1
-    assert len(seen_from(place, -1.8, 0, tuning=dataclasses.replace(TUNING, open_m=1.4))[0]) >= 1
-    assert len(seen_from(place, -1.8, 0, tuning=dataclasses.replace(TUNING, open_m=1.1))[0]) == 0
-
-
-@jax.jit
-def driven_along(walls_, start, noise_m):
-    """Count the triangles that a robot driving straight on sees abeam and ahead, step by step."""
-
-    def step(carry, noise):
-        around, pose = carry
-        around = surround.add_scan(around, walls.cast(walls_, pose, ANGLES_RAD, SCAN_RANGE_M) + noise)
-        found = look(*surround.known_points(around), jnp.float32(1), TUNING)
-        n = jnp.sum(found.valid & (found.centre[:, 0] > -0.2))
-        return (surround.move_surround(around, 0.04, 0.0, 0.0, far_m=4.0), pose.at[0].add(0.04)), n
-
-    return jax.lax.scan(step, (surround.empty_surround(), start), noise_m)[1]
-
-
-def test_noise_makes_fewer_circles_that_touch_one_wall_twice():
-    """The wall behind is known from one scan, in few directions: a bulge there does not change any more."""
-    walls_, middle = building("we", 2.0)
-    rng = np.random.default_rng(4)
-    shown = []
-    for _ in range(6):
-        noise_m = rng.normal(scale=0.03, size=(80, BEAMS)).astype(np.float32)
-        start = np.array([middle[0] - 3.4, middle[1], EAST], np.float32)
-        shown.append(np.asarray(driven_along(walls_, start, noise_m)) > 0)
-    assert np.mean(shown) < 0.25  # 0.31 with those that touch one wall twice
 
 
 def one_wall_by_angles(xy, valid, centre, corner, spacing_m, recess_m):
@@ -499,7 +325,7 @@ def test_circles_that_touch_one_wall_twice_are_those_of_an_oracle_by_angles():
         return triangles, centre, found
 
     counts = np.zeros(2, int)
-    for _ in range(20):
+    for _ in range(12):
         ends = rng.uniform(-4, 4, (12, 2, 2))
         walls_ = [a + (b - a) * np.linspace(0, 1, max(2, int(np.hypot(*(b - a)) / 0.19)))[:, None] for a, b in ends]
         xy = np.concatenate(walls_)[:64].astype(np.float32)
@@ -510,46 +336,14 @@ def test_circles_that_touch_one_wall_twice_are_those_of_an_oracle_by_angles():
             expected = one_wall_by_angles(xy, valid, centre[t], triangles.corner[t], 0.19, 0.1)
             assert found[t] == expected
             counts[int(expected)] += 1
-    assert counts.min() > 100
-
-
-def test_where_points_are_few_neighbours_on_a_wall_make_no_side():
-    """12 points of 7 m of wall are 0.6 m apart, more than the least opening."""
-    xy, valid = points_of([(-9, 1, 9, 1), (-9, -1, 9, -1)])
-    bounds = {"far_m": 4.0, "width_m": 0.39, "obtuse_tol_deg": 10.0, "open_m": 2.5}
-    found = jax.jit(perception.find_divergences, static_argnames="size")(xy, valid, **bounds, size=16)
-    assert not np.asarray(found.valid).any()
-
-
-def test_dead_ends_show_from_1_41_reference_widths_on():
-    place = building("w", 1.2)
-    for wider, shows in ((0.85 * 1.41, False), (1.3 * 1.41, True)):
-        for back in (0.9, 1.1, 1.3):
-            assert (
-                len(seen_from(place, -back, 0, tuning=dataclasses.replace(TUNING, width_m=1.2 / wider))[0]) > 0
-            ) == shows
-
-
-def test_a_dead_end_needs_the_tolerance_of_obtuse_triangles():
-    """Its triangle is exactly right-angled: to the paper's letter about every other scan loses it."""
-    rng = np.random.default_rng(2)
-    shown = {0.0: [], 10.0: []}
-    for width_m in WIDTHS_M:
-        place = building("w", width_m)
-        for back in rng.uniform(0.8, 2.2, 20):
-            noise_m = rng.normal(scale=0.01, size=BEAMS).astype(np.float32)
-            for tolerance, seen in shown.items():
-                tuning = dataclasses.replace(TUNING, obtuse_tol_deg=tolerance)
-                seen.append(len(seen_from(place, -back, 0, tuning=tuning, noise_m=noise_m)[0]) > 0)
-    assert np.mean(shown[10.0]) >= 0.95
-    assert 0.2 < np.mean(shown[0.0]) < 0.75
+    assert counts.min() > 60
 
 
 def test_every_triangle_keeps_to_its_bounds():
     rng = np.random.default_rng(3)
     walls_, middle = building("wesn", 2.0)
     n_kept = 0
-    for _ in range(40):
+    for _ in range(15):
         pose = np.array([*(middle + rng.uniform([-3, -0.4], [-1, 0.4])), rng.uniform(-0.4, 0.4)], np.float32)
         noise_m = rng.normal(scale=0.03, size=BEAMS).astype(np.float32)
         found, *_ = look_from(walls_, pose, TUNING, noise_m)
@@ -566,58 +360,10 @@ def test_every_triangle_keeps_to_its_bounds():
             assert sum(angles) == pytest.approx(180, abs=0.01)
             assert max(angles) < 100.01
             assert radius < TUNING.open_m
-            # The rule is now a bound of the range alone: the robot knows what lies round it, and D1 is read no more.
             assert (np.hypot(*triangle.T) < TUNING.far_m).all()
             n_kept += 1
-    assert n_kept > 20
+    assert n_kept > 8
 
-
-# ---------------------------------------------------------------- room for a circle
-
-
-@pytest.mark.parametrize(
-    ("left_m", "right_m", "far_m", "roomy"),
-    [
-        (INF, INF, 9.0, True),
-        (4.1, 1.0, 9.0, True),
-        (3.9, 1.0, 9.0, True),  # 4.9 m between the walls; a circle of nine tenths of 2.5 m fits
-        (3.2, 1.0, 9.0, False),  # its middle lies 1.5 m to the left, 1.7 m from the wall there
-        (INF, 1.0, 5.6, True),  # from 0.5 m ahead on it ends at 5.5 m
-        (INF, 1.0, 4.1, True),  # from 1.0 m behind on at 4.0 m
-        (INF, 1.0, 3.8, True),  # and a tenth less does
-        (INF, 1.0, 3.6, False),
-        (INF, INF, 3.6, False),
-    ],
-)
-def test_whether_a_circle_fits_beside_the_nearer_wall(left_m, right_m, far_m, roomy):
-    """Of 2.5 m, from 0.5 m ahead on or nearer by up to 0.6 radii, touching the nearer wall, or straight ahead."""
-    sides_m = [min(v, 20.0) for v in (left_m, right_m)]
-    lines = [(-20, sides_m[0], 20, sides_m[0]), (-20, -sides_m[1], 20, -sides_m[1]), (far_m, -20, far_m, 20)]
-    xy, valid = points(scan_of(lines, range_m=30), ANGLES_RAD)
-    for mirror in (1, -1):
-        pair = (left_m, right_m)[::mirror]
-        there = xy * jnp.array([1, mirror], jnp.float32)
-        found = perception.is_roomy(there, valid, 0.5, *(jnp.float32(v) for v in pair), 2.5)
-        assert bool(found) == roomy
-
-
-def test_the_nearest_triangle():
-    centre = np.array([[3, 0], [1, 1], [0.5, 0], [2, 0]], np.float32)
-    found = Divergence(
-        corners=jnp.zeros((4, 3, 2)),
-        centre=jnp.asarray(centre),
-        radius=jnp.ones(4),
-        valid=jnp.array([True, True, False, True]),
-        overflow=jnp.int32(0),
-    )
-    for place, which, distance in (((0, 0), 1, math.sqrt(2)), ((2.6, 0), 0, 0.4), ((2.4, 0), 3, 0.4)):
-        got, away = perception.nearest(found, np.array(place, np.float32))
-        assert (int(got), float(away)) == (which, pytest.approx(distance, abs=1e-6))
-    _, away = perception.nearest(found.replace(valid=jnp.zeros(4, bool)), np.zeros(2, np.float32))
-    assert float(away) == math.inf
-
-
-# ---------------------------------------------------------------- the ground ahead
 
 GROUND_CELL_M = 0.05
 
@@ -635,7 +381,7 @@ def slope_of(angle_rad):
 
 @jax.jit
 def ahead_of(ground, x, heading, half_width_m):
-    """The point that a robot measures, and the true height above its own there."""
+    """The point that a robot measures, the true height above its own there, and its own."""
     pitch, roll, height, _ = terrain.attitude(ground, (x, 1.5, heading), KAMUI.length_m, KAMUI.width_m)
     down = vehicle.down_directions(KAMUI)
     mount = jnp.array([[KAMUI.scanner_x_m, 0.0, KAMUI.scanner_height_m]])
@@ -644,11 +390,11 @@ def ahead_of(ground, x, heading, half_width_m):
     place = KAMUI.scanner_x_m, KAMUI.scanner_height_m
     seen_x, seen_z, found = ground_profile.ground_point(ranges, down, pitch, roll, place, half_width_m)
     there = terrain.height_at(ground, x + seen_x * jnp.cos(heading), 1.5 + seen_x * jnp.sin(heading))
-    return seen_x, seen_z, found, there - height
+    return seen_x, seen_z, found, there - height, height
 
 
 def measured(ground, x, heading=0.0):
-    seen_x, seen_z, found, want = ahead_of(ground, *(np.float32(v) for v in (x, heading, KAMUI.width_m / 2)))
+    seen_x, seen_z, found, want, _ = ahead_of(ground, *(np.float32(v) for v in (x, heading, KAMUI.width_m / 2)))
     assert bool(found)
     return float(seen_x), float(seen_z), float(want)
 
@@ -659,7 +405,7 @@ def test_level_ground_is_seen_at_the_height_of_the_scanner_ahead():
     assert z == pytest.approx(0, abs=1e-3)
 
 
-@pytest.mark.parametrize("degrees", [10, 25, -10, -25])
+@pytest.mark.parametrize("degrees", [10, -25])
 def test_on_a_slope_the_true_height_ahead_is_seen(degrees):
     angle = math.radians(degrees)
     ground = ground_of(slope_of(angle))
@@ -674,17 +420,9 @@ def test_on_a_slope_the_true_height_ahead_is_seen(degrees):
 @pytest.mark.parametrize("angle", [TEN, -TEN])
 def test_before_and_behind_a_bend_of_the_ground_its_true_height_is_seen(angle, heading):
     ground = ground_of(slope_of(angle))
-    for x in np.linspace(0.6, 4.4, 20) if heading == 0 else np.linspace(1.8, 4.6, 20):
+    for x in np.linspace(0.6, 4.4, 9) if heading == 0 else np.linspace(1.8, 4.6, 9):
         _, z, want = measured(ground, x, heading)
         assert z == pytest.approx(want, abs=4e-3)
-
-
-def test_across_a_slope_the_ground_ahead_is_level():
-    ground = ground_of(slope_of(TEN))
-    for heading in (math.pi / 2, -math.pi / 2):
-        x, z, _ = measured(ground, 2.5, heading)
-        assert x == pytest.approx(0.7, abs=5e-3)
-        assert z == pytest.approx(0, abs=5e-3)
 
 
 def test_ground_points_by_hand():
@@ -709,8 +447,6 @@ def test_ground_points_by_hand():
     left_up = seen([np.inf, np.inf, 1, np.inf], roll=0.3)
     assert left_up == pytest.approx((1.1, 1.5 * cos + 0.8 * sin), abs=1e-6)
 
-
-# ---------------------------------------------------------------- profiles
 
 SLOTS_OF_PROFILE = 400
 fit = jax.jit(ground_profile.profile)
@@ -740,20 +476,17 @@ def staircase(x, tread_m, riser_m):
 WAY = np.arange(0.013, 3.0, 0.04)  # a point every step of 0.1 s at 0.4 m/s
 
 
-@pytest.mark.parametrize("n", [0, 1, 2])
-def test_fewer_than_three_points_say_nothing(n):
-    found = profile_of(np.arange(n), 3 * np.arange(n))
-    assert [float(v) for v in (found.variance_m2, found.slope, found.step_m)] == [0, 0, 0]
-
-
 def test_three_points_by_hand():
     found = profile_of([0, 1, 2], [0, 3, 0])
     assert float(found.slope) == pytest.approx(0, abs=1e-6)
     assert float(found.variance_m2) == pytest.approx(6, rel=1e-5)  # 1 + 4 + 1, over 3 - 2
     assert float(found.step_m) == 0  # no point within a flank of another
+    for n in range(3):  # fewer say nothing
+        found = profile_of(np.arange(n), 3 * np.arange(n))
+        assert [float(v) for v in (found.variance_m2, found.slope, found.step_m)] == [0, 0, 0]
 
 
-@pytest.mark.parametrize("degrees", [-30, -10, 0, 10, 45])
+@pytest.mark.parametrize("degrees", [-30, 0, 45])
 def test_a_slope_fits_a_line(degrees):
     gradient = math.tan(math.radians(degrees))
     for start in (0.0, 25.0):
@@ -764,7 +497,7 @@ def test_a_slope_fits_a_line(degrees):
         assert float(found.step_m) <= 0.17 * abs(gradient) + 1e-5
 
 
-@pytest.mark.parametrize("riser_m", [0.03, 0.05, 0.08, 0.1, 0.15, 0.2])
+@pytest.mark.parametrize("riser_m", [0.03, 0.1, 0.2])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_stairs_leave_a_twelfth_of_the_riser_squared(riser_m, sign):
     found = profile_of(WAY, staircase(WAY, 0.3, sign * riser_m))
@@ -779,7 +512,7 @@ def test_stairs_leave_a_twelfth_of_the_riser_squared(riser_m, sign):
 
 def test_variance_and_slope_are_those_of_polyfit():
     rng = np.random.default_rng(6)
-    for _ in range(60):
+    for _ in range(20):
         n = int(rng.integers(4, 200))
         x = rng.uniform(0, 40) + np.cumsum(rng.uniform(0.01, 0.06, n))
         z = rng.normal() + rng.normal() * x + rng.normal(scale=rng.choice([0.003, 0.03, 0.3]), size=n)
@@ -799,93 +532,11 @@ def test_the_order_of_the_points_does_not_matter():
     assert float(one.step_m) == pytest.approx(float(other.step_m), abs=0.005)  # points at edges of the way's cells
 
 
-def test_noise_shows_as_its_square_and_hardly_moves_the_step():
-    """Of the mean of 9 beams with 1 and with 3 cm."""
-    rng = np.random.default_rng(8)
-    for sigma in (0.01 / 3, 0.03 / 3):
-        variance, step, stairs, slopes = [], [], [], []
-        for _ in range(60):
-            noise = rng.normal(scale=sigma, size=len(WAY))
-            found = profile_of(WAY, WAY * math.tan(TEN) + noise)
-            variance.append(float(found.variance_m2))
-            slopes.append(bool(obstacles.is_stairs(found, TUNING)))
-            step.append(float(found.step_m))
-            stairs.append(float(profile_of(WAY, staircase(WAY, 0.3, 0.15) + noise).step_m))
-        assert np.mean(variance) == pytest.approx(sigma**2, rel=0.1)
-        assert not any(slopes)  # are stairs
-        assert max(step) < 0.17 * math.tan(TEN) + 4 * sigma
-        assert np.mean(stairs) == pytest.approx(0.15, abs=0.01 + sigma)
-
-
-@pytest.mark.parametrize("riser_m", [0.06, 0.12, 0.2])
-@pytest.mark.parametrize("tread_m", [0.24, 0.3])
-def test_noise_does_not_make_a_riser_higher(riser_m, tread_m):
-    """The place where its flanks differ most is selected by noise; treads differ by its height."""
-    rng = np.random.default_rng(8)
-    stairs = [staircase(WAY, tread_m, riser_m) + rng.normal(scale=0.01, size=len(WAY)) for _ in range(60)]
-    found = [profile_of(WAY, sign * z) for z in stairs for sign in (1, -1)]
-    assert np.mean([float(p.riser_m) for p in found]) == pytest.approx(riser_m, abs=0.002)
-    assert np.std([float(p.riser_m) for p in found]) < 0.004
-    assert np.mean([float(p.step_m) for p in found]) > riser_m + 0.003
-
-
 def test_a_riser_between_treads_of_any_length():
     for steps in ([0.4, 0.7, 1.0], [0.4, 1.4, 2.4], [1.5]):
         z = 0.1 * np.searchsorted(steps, WAY) + 0.02 * (WAY > 0.8) * (len(steps) == 3 and steps[1] > 1)
         assert float(profile_of(WAY, z).riser_m) == pytest.approx(0.1, abs=1e-4)
     assert float(profile_of(WAY, 0 * WAY).riser_m) == 0
-
-
-@pytest.mark.parametrize("sigma", [0.01, 0.02])
-def test_noise_alone_makes_hardly_any_stairs_of_a_slope_and_hides_none_of_ten_centimetres(sigma):
-    """Of the mean height of a scan's beams: as with 3 cm and more, and with an attitude that is a degree off."""
-    rng = np.random.default_rng(9)
-    slopes = stairs = highest = low = 0
-    for _ in range(100):
-        noise = rng.normal(scale=sigma, size=len(WAY))
-        slope = profile_of(WAY, WAY * math.tan(TEN) + noise)
-        slopes += bool(obstacles.is_stairs(slope, TUNING))
-        highest += float(profile_of(WAY, noise).highest_m) > 0
-        stairs += bool(obstacles.is_stairs(profile_of(WAY, staircase(WAY, 0.3, 0.1) + noise), TUNING))
-        low += bool(obstacles.is_stairs(profile_of(WAY, staircase(WAY, 0.3, 0.05) + noise), TUNING))
-    assert stairs == 100
-    assert low >= (99 if sigma == 0.01 else 20)
-    assert slopes <= 2  # one in some hundreds
-    assert highest <= 2  # level ground has no step
-
-
-def test_a_riser_is_sudden_and_a_slope_is_not():
-    x = jnp.asarray(WAY, jnp.float32)
-    for degrees in (-60, 0, 30, 45):
-        assert float(ground_profile.steepest_rise(x, x * math.tan(math.radians(degrees)), x > 0)) < 1e-5
-    z = jnp.where(x > 1.51, 0.2, 0.0)
-    assert float(ground_profile.steepest_rise(x, z, x > 0)) == pytest.approx(0.16, abs=1e-3)
-    assert float(ground_profile.steepest_rise(x, z, x < 1.5)) <= 0
-    assert float(ground_profile.steepest_rise(x, -z, x > 0)) <= 0  # down
-
-
-def test_a_riser_that_leans_by_two_gaps_is_still_one_step():
-    """Beams that meet the riser itself lie between both treads."""
-    x = np.arange(0, 1, 0.005) + 0.0025
-    for sign in (1, -1):
-        found = profile_of(x, sign * np.interp(x, [0.504, 0.538], [0, 0.1]))
-        assert float(found.step_m) == pytest.approx(0.1, abs=1e-4)
-        assert float(found.riser_m) == pytest.approx(0.1, abs=1e-4)
-
-
-def test_the_step_is_the_median_of_all_and_small_ones_do_not_count():
-    far_apart = np.searchsorted([0.4, 0.9, 1.4, 1.9, 2.4], WAY)
-    for steps, want in (([0.1, 0.1, 0.18, 0.1, 0.1], 0.1), ([0.02, 0.1, 0.02, 0.02, 0.12], 0.1)):
-        z = np.concatenate([[0], np.cumsum(steps)])[far_apart]
-        assert float(profile_of(WAY, z).step_m) == pytest.approx(want, abs=1e-3)
-
-
-def test_a_long_slope_has_no_step():
-    """15 m: longer than the part that is searched for steps."""
-    way = np.arange(0, 15.5, 0.04)
-    found = profile_of(way, way * math.tan(TEN))
-    assert float(found.step_m) <= 0.17 * math.tan(TEN)
-    assert float(found.slope) == pytest.approx(math.tan(TEN), abs=1e-4)
 
 
 @pytest.mark.parametrize("edge", [0.5, 1.51, 2.03])
@@ -895,20 +546,14 @@ def test_one_step_in_level_ground(edge):
     assert float(profile_of(WAY, np.where(edge < WAY, -0.12, 0)).step_m) == pytest.approx(0.12, abs=1e-4)
 
 
-@pytest.mark.parametrize(("riser_m", "tread_m"), [(0.08, 0.3), (0.1, 0.3), (0.15, 0.3)])
-def test_stairs_as_the_robot_measures_them(riser_m, tread_m):
+@pytest.mark.parametrize("riser_m", [0.08, 0.15])
+def test_stairs_as_the_robot_measures_them(riser_m):
     """Driven over, with the attitude: what stands at BTM's two obstacle nodes is stairs with this riser."""
-    steps = np.repeat(np.arange(8), round(tread_m / GROUND_CELL_M)) * riser_m
-    ground = ground_of(np.concatenate([np.zeros(20), steps]))
-    x, z = [], []
-    for at in np.arange(0.6, 2.6, 0.04):
-        _, _, height, _ = terrain.attitude(ground, (at, 1.5, 0.0), KAMUI.length_m, KAMUI.width_m)
-        seen_x, seen_z, _ = measured(ground, at)
-        x.append(at + seen_x)
-        z.append(float(height) + seen_z)
-    x, z = np.array(x), np.array(z)
-    on = x > 1.3
-    found = profile_of(x[on], z[on])
+    steps = np.repeat(np.arange(8), round(0.3 / GROUND_CELL_M)) * riser_m
+    ground, way = ground_of(np.concatenate([np.zeros(20), steps])), np.arange(0.6, 2.6, 0.04, np.float32)
+    seen = jax.vmap(ahead_of, (None, 0, None, None))(ground, way, np.float32(0), np.float32(KAMUI.width_m / 2))
+    x, z = way + np.asarray(seen[0]), np.asarray(seen[1]) + seen[4]
+    found = profile_of(x[x > 1.3], z[x > 1.3])
     assert obstacles.is_stairs(found, TUNING)
     assert float(found.step_m) == pytest.approx(riser_m, abs=0.015)
-    assert float(found.slope) == pytest.approx(riser_m / tread_m, rel=0.15)
+    assert float(found.slope) == pytest.approx(riser_m / 0.3, rel=0.15)

@@ -113,28 +113,19 @@ def test_what_0_stands_for_depends_on_the_world():
 
 def test_messages_by_hand():
     for refuse, message in (
-        (lambda: of_tuning(votes=10), "tuning.votes must be an integer from 1 to 9, got 10"),
         (lambda: of_tuning(votes=2.5), "tuning.votes must be an integer from 1 to 9, got 2.5"),
-        (lambda: of_tuning(circle=1), "tuning.circle must be a number above 1 and at most 3, got 1"),
         (lambda: of_noise(slip=0.6), "noise.slip must be a number at least 0 and at most 0.5, got 0.6"),
+        (lambda: of_tuning(arrive_m=3.5, open_m=3), "tuning.arrive_m must be less than tuning.open_m, got 3.5 and 3"),
+        (lambda: of_tuning(width_m=3, open_m=3), "tuning.width_m must be less than tuning.open_m, got 3 and 3"),
         (
             lambda: of_robot(scan_pitch_deg=10, scan_height_m=0.35),
             "robot.scan_pitch_deg must let the scanner see 4 m: 0.35 m above the ground, 10 degrees down, it looks "
             "into the floor after 2.0 m",
         ),
-        (lambda: of_robot(width_m=0), "robot.width_m must be a number above 0 and at most 10, got 0"),
     ):
         with pytest.raises(InputError) as refused:
             refuse()
         assert str(refused.value) == message
-
-
-@pytest.mark.parametrize(("low", "high"), [("width_m", "open_m"), ("arrive_m", "open_m")])
-@pytest.mark.parametrize("more", [0, 0.5])
-def test_thresholds_that_contradict_each_other(low, high, more):
-    with pytest.raises(InputError) as refused:
-        of_tuning(**{low: 3 + more, high: 3})
-    assert str(refused.value) == f"tuning.{low} must be less than tuning.{high}, got {3 + more:g} and 3"
 
 
 def test_what_comes_with_the_package_passes():
@@ -146,12 +137,7 @@ def test_what_comes_with_the_package_passes():
         assert robot.name == name
 
 
-def test_kamui_is_the_one_of_the_paper():
-    assert (KAMUI.length_m, KAMUI.width_m, KAMUI.height_m, KAMUI.max_slope_deg) == (0.70, 0.39, 0.74, 45)
-    assert KAMUI.max_speed_m_s * 3.6 == pytest.approx(7)
-    assert Tuning().width_m == Tuning().dead_end_m == KAMUI.width_m
-
-
+@pytest.mark.slow
 def test_settings_load_no_jax():
     code = "import sys, jexplore.driving.settings; assert not {'jax', 'numpy'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -60,21 +60,12 @@ def exact(terrain, x, y):
     return RegularGridInterpolator((v, u), height)(np.stack([y, x], -1))
 
 
-# ---------------------------------------------------------------- fine heights
-
-
 def test_level_ground_needs_no_grid():
     for elevation in (None, np.zeros((30, 40), np.float32)):
         terrain = terrain_of(elevation, 0.1)
         assert terrain.height_m.shape == (2, 2)
         assert terrain.height_m.dtype == np.float32
         np.testing.assert_array_equal(height_at(terrain, np.array([-3.0, 0, 1, 50]), np.array([0.0, 2, -1, 9])), 0)
-
-
-def test_level_ground_above_zero_is_kept():
-    terrain = terrain_of(np.full((1, 1), 0.7, np.float32), 0.1)
-    np.testing.assert_array_equal(terrain.height_m, np.full((FINER, FINER), np.float32(0.7)))
-    assert float(height_at(terrain, 5.0, -5.0)) == pytest.approx(0.7)
 
 
 def test_a_slope_of_few_cells_by_hand():
@@ -96,13 +87,6 @@ def test_steps_stay_at_the_edges_of_cells():
     x = np.array([1.5, 1.875, 1.9375, 2.0, 2.125, 2.5, 3.9, 4.0, 4.1])
     want = [0, 0, 1, 2, 4, 4, 4 + 0.1 * 8, 8, 12 - 0.1 * 8]
     np.testing.assert_allclose(height_at(terrain, x, np.full(9, 1.0)), want, atol=1e-5)
-
-
-def test_steps_along_y_are_those_along_x():
-    heights = np.random.default_rng(0).normal(size=(5, 7)).astype(np.float32)
-    heights[:, 2:5] = [0.1, 0.2, 0.3]
-    along, across = terrain_of(along_x(heights[0], rows=3), 0.1), terrain_of(along_x(heights[0], rows=3).T, 0.1)
-    np.testing.assert_array_equal(along.height_m, across.height_m.T)
 
 
 def test_an_uneven_rise_is_a_step_and_a_nearly_even_one_is_not():
@@ -127,9 +111,6 @@ def test_a_plane_is_exact():
     np.testing.assert_allclose(height_at(terrain, x, y)[inner], (0.3 * x - 0.5 * y)[inner], atol=1e-6)
 
 
-# ---------------------------------------------------------------- heights between the points
-
-
 def of_heights(height_m, spacing_m):
     height_m = np.array(height_m, np.float32)
     return Terrain(height_m=height_m, spacing_m=np.float32(spacing_m), peak_m=height_m.max())
@@ -140,16 +121,6 @@ def test_heights_are_scipys():
     terrain = of_heights(rng.normal(size=(7, 11)), 0.25)
     x, y = rng.uniform(-0.5, 3.2, 500), rng.uniform(-0.5, 2.2, 500)  # beyond the edges too
     np.testing.assert_allclose(height_at(terrain, x, y), exact(terrain, x, y), atol=1e-5)
-
-
-def test_heights_by_hand():
-    terrain = of_heights([[1, 2], [3, 8]], 2)
-    x = np.array([1.0, 3, 1, 3, 2, -5, 9, 9, 1.5])
-    y = np.array([1.0, 1, 3, 3, 2, -5, -5, 9, 2.5])
-    np.testing.assert_allclose(height_at(terrain, x, y), [1, 2, 3, 8, 3.5, 1, 2, 8, 3.5], atol=1e-6)
-
-
-# ---------------------------------------------------------------- attitude
 
 
 one_attitude = jax.jit(attitude)
@@ -188,7 +159,7 @@ def test_level_ground():
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("degrees", [2, 10, 30, 45])
+@pytest.mark.parametrize("degrees", [2, 45])
 def test_on_a_slope_the_pitch_is_its_angle_and_nose_up_is_negative(degrees):
     angle = math.radians(degrees)
     terrain = ground(slope_of(angle))
@@ -202,49 +173,12 @@ def test_on_a_slope_the_pitch_is_its_angle_and_nose_up_is_negative(degrees):
 
 
 @pytest.mark.jit
-def test_across_a_slope_roll_is_positive_with_the_left_side_up():
-    terrain = ground(slope_of(TEN))
-    x, height = 50.5 * CELL_M, 20 * CELL_M * math.tan(TEN)
-    right_up = stands(terrain, x, 1.5, math.pi / 2)  # looks along y, uphill is to the right
-    np.testing.assert_allclose(right_up, [0, -TEN, height, 0], atol=2e-5)
-    left_up = stands(terrain, x, 1.5, -math.pi / 2)
-    np.testing.assert_allclose(left_up, [0, TEN, height, 0], atol=2e-5)
-
-
-@pytest.mark.jit
 def test_aslant_on_a_slope_both_share_it():
     terrain = ground(slope_of(TEN))
-    for heading in (0.4, 2.0, -1.0, -2.6):
+    for heading in (0.4, 2.0, math.pi / 2, -math.pi / 2):  # roll: the left side up
         pitch, roll, *_ = stands(terrain, 50.5 * CELL_M, 1.5, heading)
         assert math.tan(pitch) == pytest.approx(-math.tan(TEN) * math.cos(heading), abs=1e-4)
         assert math.tan(roll) == pytest.approx(-math.tan(TEN) * math.sin(heading), abs=1e-4)
-
-
-@pytest.mark.jit
-def test_on_a_crest_the_robot_tips_over():
-    """Nose up before it, nose down behind it, and the middle is never below the ground."""
-    up = np.arange(31) * CELL_M * math.tan(TEN)
-    terrain = ground(np.concatenate([up, up[-2::-1]]))
-    top = 30.5 * CELL_M
-    before, on_it, behind = (stands(terrain, top + d, 0.75) for d in (-0.45, 0, 0.45))
-    assert before[0] == pytest.approx(-TEN, abs=1e-4)
-    assert behind[0] == pytest.approx(TEN, abs=1e-4)
-    assert on_it[0] == pytest.approx(0, abs=1e-4)
-    pitches = [stands(terrain, top + d, 0.75)[0] for d in np.linspace(-0.04, 0.04, 9)]
-    assert (np.diff(pitches) >= -1e-6).all()
-    for d in np.linspace(-0.45, 0.45, 13):
-        _, _, height, _ = stands(terrain, top + d, 0.75)
-        # A fine point apart from the top the ground is rounded by less than a millimetre.
-        assert height >= float(height_at(terrain, top + d, 0.75)) - LENGTH_M / CONTACTS * math.tan(TEN)
-
-
-@pytest.mark.jit
-def test_over_a_gap_narrower_than_the_robot_it_stays_level():
-    heights = np.zeros(60)
-    heights[28:33] = -1.0
-    terrain = ground(heights)
-    for x in (1.4, 1.5, 1.52):
-        np.testing.assert_allclose(stands(terrain, x, 0.75)[:3], [0, 0, 0], atol=1e-6)
 
 
 @pytest.mark.jit
@@ -262,34 +196,6 @@ def test_a_single_step_lifts_the_nose():
 
 
 @pytest.mark.jit
-def test_one_track_on_a_plank_rolls():
-    heights = np.zeros((40, 40), np.float32)
-    heights[:20] = 0.05  # y below 1 m
-    terrain = ground(heights)
-    pitch, roll, height, _ = stands(terrain, 1.0, 1.0, 0.0)  # it is on the right
-    np.testing.assert_allclose([pitch, roll, height], [0, -math.atan(0.05 / WIDTH_M), 0.025], atol=1e-5)
-    pitch, roll, height, _ = stands(terrain, 1.0, 1.0, math.pi)  # it is on the left
-    np.testing.assert_allclose([pitch, roll, height], [0, math.atan(0.05 / WIDTH_M), 0.025], atol=1e-5)
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize(("tread_cells", "riser_m"), [(5, 0.05), (5, 0.15), (6, 0.2)])
-def test_on_stairs_the_pitch_is_that_of_the_line_through_the_noses(tread_cells, riser_m):
-    """With a track longer than a tread. Contacts lie apart: a nose is touched up to their distance behind it."""
-    tread_m, apart = tread_cells * CELL_M, LENGTH_M / CONTACTS
-    terrain = ground(stairs_of(tread_cells, riser_m, 8))
-    pitches = []
-    for x in np.linspace(30 * CELL_M + 0.4, 30 * CELL_M + 8 * tread_m - 0.75, 17):
-        pitch, roll, height, _ = stands(terrain, x, 0.75)
-        assert roll == pytest.approx(0, abs=1e-6)
-        assert height > float(height_at(terrain, x, 0.75)) - apart * riser_m / tread_m
-        assert math.atan(riser_m / (tread_m + apart)) - 1e-3 < -pitch < math.atan(riser_m / (tread_m - apart)) + 1e-3
-        pitches.append(-pitch)
-        assert stands(terrain, x, 0.75, math.pi)[0] == pytest.approx(-pitch, abs=1e-5)  # the same, downstairs
-    assert np.median(pitches) == pytest.approx(math.atan(riser_m / tread_m), abs=math.radians(1))
-
-
-@pytest.mark.jit
 def test_attitude_is_that_of_brute_force():
     rng = np.random.default_rng(3)
     stairs = along_x(stairs_of(5, 0.15, 4), rows=80)
@@ -299,7 +205,7 @@ def test_attitude_is_that_of_brute_force():
     ]
     for elevation in (stairs, bumps, plateaus, stairs + plateaus):
         terrain = ground(elevation)
-        for _ in range(40):
+        for _ in range(12):
             length, width = (np.float32(v) for v in (rng.uniform(0.3, 0.9), rng.uniform(0.2, 0.6)))
             x, y, heading = (np.float32(v) for v in (rng.uniform(1, 3), rng.uniform(1, 3), rng.uniform(-4, 4)))
             got = one_attitude(terrain, (x, y, heading), length, width)
@@ -317,30 +223,13 @@ def test_half_a_turn_swaps_the_signs():
         np.testing.assert_allclose(back[:3], np.array([-1, -1, 1]) * np.array(there[:3]), atol=1e-4)
 
 
-# ---------------------------------------------------------------- looking down
-
-
 @pytest.mark.jit
-@pytest.mark.parametrize("degrees", [0, 20, 45, 60])
+@pytest.mark.parametrize("degrees", [0, 45])
 def test_looking_at_level_ground(degrees):
     tilt = math.radians(degrees)
     direction = np.array([[math.sin(tilt), 0, -math.cos(tilt)]], np.float32)
     seen = one_look_at(terrain_of(None, 0.1), (1.0, 1.0, 0.5), direction)
     assert float(seen[0]) == pytest.approx(0.5 / math.cos(tilt), abs=5e-4)
-
-
-@pytest.mark.jit
-def test_level_ground_is_looked_at_as_any_other_ground():
-    far_away = np.zeros((60, 60), np.float32)
-    far_away[-1, -1] = 0.2
-    grounds = terrain_of(None, 0.1), terrain_of(far_away, 0.1)
-    rng = np.random.default_rng(3)
-    direction = rng.normal(size=(50, 3))
-    direction = (direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32)
-    seen = [np.asarray(one_look_at(ground, (2.0, 2.0, 0.5), direction)) for ground in grounds]
-    assert 5 < np.isfinite(seen[0]).sum() < 45
-    np.testing.assert_allclose(*seen, atol=1e-3)
-    assert stands(grounds[0], 2.0, 2.0, 1.0) == stands(grounds[1], 2.0, 2.0, 1.0)
 
 
 @pytest.mark.jit
@@ -353,7 +242,7 @@ def test_beyond_the_range_and_upwards_there_is_no_ground():
     assert np.isinf(seen[1:]).all()
 
 
-def marched(terrain, origin, direction, step=2e-4):
+def marched(terrain, origin, direction, step=4e-4):
     """By small steps, float64."""
     along = np.arange(1, int(MAX_DOWN_M / step) + 1) * step
     place = np.asarray(origin, np.float64) + along[:, None, None] * np.asarray(direction, np.float64)
@@ -368,7 +257,7 @@ def test_ranges_to_slopes_and_stairs_are_those_of_small_steps():
     grazed = beams = 0
     for heights in (slope_of(TEN), stairs_of(5, 0.1, 8), stairs_of(6, 0.2, 6), -slope_of(math.radians(30))):
         terrain = ground(heights)
-        for x, heading in itertools.product((1.0, 1.6, 2.3, 3.1), (0.0, math.pi, 0.5)):
+        for x, heading in itertools.product((1.6, 3.1), (0.0, math.pi, 0.5)):
             pitch, roll, height, _ = stands(terrain, x, 1.5, heading)
             direction = turned(down, pitch, roll, heading)
             origin = tuple(np.float32(v) for v in (x, 1.5, height + 0.6))
@@ -383,9 +272,6 @@ def test_ranges_to_slopes_and_stairs_are_those_of_small_steps():
     assert grazed <= 0.01 * beams
 
 
-# ---------------------------------------------------------------- directions
-
-
 def test_directions_by_hand():
     axes = np.eye(3, dtype=np.float32)
     angle = 0.3
@@ -397,21 +283,6 @@ def test_directions_by_hand():
     np.testing.assert_allclose(left_up, [[1, 0, 0], [0, cos, sin], [0, -sin, cos]], atol=1e-6)
     to_the_left = turned(axes, 0.0, 0.0, angle)
     np.testing.assert_allclose(to_the_left, [[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]], atol=1e-6)
-
-
-@pytest.mark.jit
-def test_turning_is_a_rotation_and_roll_comes_first():
-    rng = np.random.default_rng(5)
-    axes = np.eye(3, dtype=np.float32)
-    one = jax.jit(turned)
-    zero = np.float32(0)
-    for pitch, roll, heading in rng.uniform(-3, 3, (50, 3)).astype(np.float32):
-        rows = np.asarray(one(axes, pitch, roll, heading))
-        np.testing.assert_allclose(rows @ rows.T, axes, atol=1e-6)
-        assert np.linalg.det(rows) == pytest.approx(1, abs=1e-5)
-        in_turn = one(one(one(axes, zero, roll, zero), pitch, zero, zero), zero, zero, heading)
-        np.testing.assert_allclose(rows, in_turn, atol=1e-6)
-        assert rows[0, 2] == pytest.approx(-math.sin(pitch), abs=1e-6)  # the nose, whatever roll and heading
 
 
 @pytest.mark.jit

@@ -26,7 +26,7 @@ AWAY_M = 100.0  # m; the corrected map is shifted by this here, so that it is kn
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory, jit_on):
-    """The folder of a sweep of two settings with two runs of each, and its page; what was printed; the maps drawn."""
+    """The folder of a sweep of two settings with two runs of each; what was printed; the maps drawn."""
     out, drawn, figure = tmp_path_factory.mktemp("runs") / "new", [], plot_traces.trace_figure
     with jit_on(), pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as said:
         patch.setattr(corrected, "correct_map", lambda btm: moved_map(btm, Move(AWAY_M)))
@@ -35,9 +35,8 @@ def made(tmp_path_factory, jit_on):
             "trace_figure",
             lambda btm, *more, **options: drawn.append(btm) or figure(btm, *more, **options),
         )
-        options = "--noise-m 0.01 --runs 2 --sweep votes=5,1 --seed 3 --animate --corrected"
+        options = "--noise-m 0.01 --runs 2 --sweep votes=5,1 --seed 3 --corrected"
         assert main.main(["trace", *options.split(), "--out", str(out)]) == 0
-        assert recording._frame.__wrapped__._cache_size() == 1  # the page's steps are one program
     return out, said.getvalue(), drawn
 
 
@@ -47,7 +46,7 @@ def ran(made):
 
 
 def test_files(ran):
-    names = ["btm.geojson", "btm.graphml", "btm.html", "btm.json", "btm.png", "run.json", "runs.parquet"]
+    names = ["btm.geojson", "btm.graphml", "btm.json", "btm.png", "run.json", "runs.parquet"]
     assert sorted(path.name for path in ran.iterdir()) == names
     found = json_form.read_btm(ran / "btm.json")
     assert [node.type[0] for node in found.nodes] == list("tooodffdt")
@@ -67,8 +66,12 @@ def test_files(ran):
     assert sum(f["geometry"]["type"] == "Point" for f in route["features"]) == len(found.nodes)
 
 
-def test_the_page_shows_the_run_that_was_made(ran):
-    page = (ran / "btm.html").read_text(encoding="utf-8")
+@pytest.mark.slow
+@pytest.mark.jit
+def test_the_page_shows_the_run_that_was_made(tmp_path, capsys):
+    assert main.main(["trace", "--noise-m", "0.01", "--animate", "--out", str(tmp_path / "new")]) == 0
+    assert recording._frame.__wrapped__._cache_size() == 1  # the page's steps are one program
+    page = (tmp_path / "new" / "btm.html").read_text(encoding="utf-8")
     assert "kamui in course" in page
     assert "branch selection" in page
     assert len(page) > 200_000
@@ -130,20 +133,15 @@ def test_a_map_from_an_episode(tmp_path, capsys):
     [
         (("--robot", "tank"), "robot must be one of kamui, wheeled, got 'tank'"),
         (("--world", "curse"), "there is no world 'curse'"),
-        (("--runs", "0"), "runs must be an integer from 1"),
         (("--noise-m", "nan"), "noise.range_m must be a number at least 0"),
-        (("--tuning.arrive-m", "5"), "tuning.arrive_m must be less than tuning.open_m, got 5 and 2.5"),
         (("--tuning.votes", "0"), "tuning.votes must be an integer from 1 to 9"),
         (("--start", "0.1", "0.1", "0"), "lies in a wall"),
         (("--start", "2.5", "27", "east"), "--start: Could not parse arguments ['2.5', '27', 'east']"),
         (("--start", "2.5", "27", "nan"), "start heading must be a number"),
-        (("--robot", "kamui:width_m=3"), "does not fit there"),
-        (("--sweep", "voices=3"), "sweep must be NAME="),
         (("--sweep", "circle=0.2,1.5"), "tuning.circle"),
         (("--from-episode", "--robot", "wheeled"), "--from-episode takes no --robot"),
         (("--clutter-m", "2"), "--clutter-m goes with --from-episode"),
         (("--from-episode", "--clutter-m", "-1"), "clutter_m must be"),
-        (("--world", "course:obstacle=river"), "obstacle must be one of"),
     ],
 )
 def test_what_is_refused(options, says, capsys, tmp_path, monkeypatch):
@@ -156,6 +154,7 @@ def test_what_is_refused(options, says, capsys, tmp_path, monkeypatch):
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_an_interruption_keeps_what_is_finished(tmp_path, capsys):
     calls = []
@@ -195,17 +194,13 @@ def test_divergences_are_matched_by_place_and_degree():
         ("radio_dbm=-61@-3,8e0", ("radio_dbm", -61, (-3.0, 8.0))),
         ("mail=a@b=c@1,2", ("mail", "a@b=c", (1.0, 2.0))),
         ('note={"by": "op"}@0,0', ("note", {"by": "op"}, (0.0, 0.0))),
-        ("node=1@0,0", ("node", 1, (0.0, 0.0))),
-        ("heat=NaN@0,0", ("heat", "NaN", (0.0, 0.0))),
     ],
 )
 def test_attributes_by_hand(text, want):
     assert job.attributes_of([text]) == (want,)
 
 
-@pytest.mark.parametrize(
-    "text", ["victim", "victim=1", "=1@2,3", "victim=1@2", "victim=1@2,3,4", "victim@2,3", "a=1@2,nan"]
-)
+@pytest.mark.parametrize("text", ["victim=1", "=1@2,3", "victim=1@2", "victim@2,3", "a=1@2,nan"])
 def test_attributes_that_are_none(text):
     with pytest.raises(InputError, match="attribute must be NAME=VALUE@X,Y"):
         job.prepare_trace("course", attributes=[text])
@@ -215,6 +210,8 @@ def test_an_attribute_that_json_cannot_hold():
     with pytest.raises(InputError, match="attributes must be what JSON can hold"):
         job.attributes_of(["heat=1e999@0,0"])
     assert job.attributes_of(["deep=" + "[" * 100_000 + "@0,0"])[0][1].startswith("[[")
+    with pytest.raises(InputError, match="start and starts exclude each other"):
+        job.prepare_trace("course", starts=2, start=(2.5, 27.0, 0.0))
 
 
 def test_the_nearest_node_in_truth_gets_an_attribute(ran, jit_on):
@@ -242,6 +239,7 @@ def test_starts_are_drawn_and_a_run_is_held_against_a_topology_only_from_its_sta
     assert again.runs == 5
 
 
+@pytest.mark.slow
 def test_on_a_course_without_a_goal_every_start_has_its_own_truth():
     plan = job.prepare_trace("course:loops=1", starts=12, seed=1)
     assert np.isnan(plan.building.goal).all()
@@ -278,8 +276,3 @@ def test_runs_without_a_truth_do_not_count():
     assert not any("true" in line for line in nobody)
     assert "alike" in nobody[-1]
     assert summed([True, False])[2].endswith("]")
-
-
-def test_start_and_starts_exclude_each_other():
-    with pytest.raises(InputError, match="start and starts exclude each other"):
-        job.prepare_trace("course", starts=2, start=(2.5, 27.0, 0.0))

@@ -65,13 +65,6 @@ def test_a_ramp_ahead_looks_like_a_wall_where_it_is_as_high_as_the_scanner():
     assert not is_ground.any()
 
 
-def test_a_scanner_mounted_higher_than_the_ramp_sees_over_it():
-    high = dataclasses.replace(LOW, scan_height_m=0.8)
-    assert height(TOP_M) < 0.8
-    _, senses, _, _ = seen(hall(length_m=8.0), (1.0, 4.0, 0.0), high)
-    assert senses.ranges_m[90] == pytest.approx(7.9 - 1.0, abs=0.01)
-
-
 def test_on_the_ramp_it_looks_along_it_and_distances_are_those_of_the_plan():
     building = hall(length_m=8.0)
     body, senses, level_m, is_ground = seen(building, (6.0, 4.0, 0.0))
@@ -103,8 +96,7 @@ def test_a_tilted_mount_looks_into_the_floor():
     assert np.isnan(level_m[90])
 
 
-@pytest.mark.parametrize("pitch_deg", [-30.0, -10.0, 15.0])
-@pytest.mark.parametrize("roll_deg", [-12.0, 0.0, 20.0])
+@pytest.mark.parametrize(("pitch_deg", "roll_deg"), [(-30.0, 20.0), (15.0, -12.0)])
 def test_what_is_level_lies_where_the_point_does(pitch_deg, roll_deg):
     """Every beam as a vector, turned by hand."""
     pitch, roll = math.radians(pitch_deg), math.radians(roll_deg)
@@ -119,17 +111,6 @@ def test_what_is_level_lies_where_the_point_does(pitch_deg, roll_deg):
     np.testing.assert_array_equal(np.asarray(is_ground)[sure], (z < vehicle.FLOOR_M)[sure])
     kept = ~np.asarray(is_ground)
     np.testing.assert_allclose(np.asarray(level.ranges_m)[kept], np.hypot(*points[:2])[kept], rtol=1e-5)
-
-
-def test_beams_without_a_return_or_a_number_stay_so():
-    ranges = jnp.where(jnp.arange(BEAMS) % 2, jnp.nan, jnp.inf)
-    senses = Senses(ranges, jnp.zeros(13), jnp.float32(0.2), jnp.float32(0), jnp.float32(9))
-    level, is_ground = LEVELLED(senses, LOW)
-    np.testing.assert_array_equal(level.ranges_m, ranges)
-    assert not np.asarray(is_ground).any()
-
-
-# ---------------------------------------------------------------- the goal's beacon
 
 
 @pytest.mark.parametrize(
@@ -152,9 +133,6 @@ def test_the_beacon_has_noise_and_no_goal_has_none():
     assert float(senses.beacon_m) == math.inf
 
 
-# ---------------------------------------------------------------- the encoders
-
-
 def odometry(noise, v, omega, steps=50):
     building = hall(ramp=False)
     body, estimate, gone_m = vehicle.initial_body(building, LOW, jnp.array([2.0, 4.0, 0.0])), jnp.zeros(3), 0.0
@@ -165,7 +143,7 @@ def odometry(noise, v, omega, steps=50):
     return body, np.asarray(estimate), gone_m
 
 
-@pytest.mark.parametrize("scale", [0.9, 1.02])
+@pytest.mark.parametrize("scale", [0.9])
 def test_a_scale_of_length_makes_ways_longer_and_turns_no_other(scale):
     body, estimate, gone_m = odometry(dataclasses.replace(STILL, length_scale=scale), 0.4, 0.0)
     assert float(body.path_m) == pytest.approx(2.0, rel=1e-5)
@@ -173,7 +151,7 @@ def test_a_scale_of_length_makes_ways_longer_and_turns_no_other(scale):
     np.testing.assert_allclose(estimate, [2.0 * scale, 0, 0], atol=1e-5)
 
 
-@pytest.mark.parametrize("scale", [0.95, 1.05])
+@pytest.mark.parametrize("scale", [1.05])
 def test_a_scale_of_turns(scale):
     body, estimate, _ = odometry(dataclasses.replace(STILL, turn_scale=scale), 0.0, 0.3)
     assert float(body.pose[2]) == pytest.approx(1.5, rel=1e-5)

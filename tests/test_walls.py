@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from ref import any_pose, maps
 
-from jexplore.driving.building.walls import SEGMENT_SLACK_M, UNUSED_SLOT_M, Walls, cast, meets, segments, walls_of
+from jexplore.driving.building.walls import UNUSED_SLOT_M, Walls, cast, meets, segments, walls_of
 
 QUARTERS = np.radians([0, 90, 180, -90]).astype(np.float32)
 BOX = maps.walls("""
@@ -24,9 +24,6 @@ def by_hand(lines, n):
     if lines:
         out[: len(lines)] = lines
     return out
-
-
-# ---------------------------------------------------------------- by hand
 
 
 def test_a_box_has_four_walls():
@@ -61,19 +58,6 @@ def test_a_map_without_free_cells_has_no_walls():
     assert np.isinf(cast(walls, (0.2, 0.2, 0.3), QUARTERS, 9.0)).all()
 
 
-def test_one_free_cell():
-    walls = walls_of(np.pad(np.zeros((1, 1), bool), 1, constant_values=True), 1.0, multiple=2)
-    assert walls.x.tolist() == walls.y.tolist() == [[1, 1, 2], [2, 1, 2]]
-    np.testing.assert_allclose(cast(walls, (1.25, 1.5, 0.0), QUARTERS, 9.0), [0.75, 0.5, 0.25, 0.5], atol=1e-6)
-
-
-@pytest.mark.parametrize(("n", "slots"), [(0, 16), (16, 16), (17, 32)])
-def test_slots_come_in_multiples(n, slots):
-    occupied = np.ones((3, 2 * n + 1), bool)
-    occupied[1, 1::2] = False  # n rooms of a cell: 2 n walls along either axis
-    assert walls_of(occupied, 1.0, multiple=2 * 16).x.shape == (2 * slots, 3)
-
-
 def test_ranges_by_hand():
     walls = walls_of(BOX, 0.5)
     ranges = cast(walls, (1.0, 0.75, 0.0), np.radians([0, 90, 180, -90, 45, -135]).astype(np.float32), 9.0)
@@ -101,9 +85,8 @@ def test_what_lies_behind_is_not_seen():
     np.testing.assert_array_equal(cast(walls, (0.5, -1.5, 0.0), QUARTERS, 9.0), [np.inf] * 4)
 
 
-@pytest.mark.parametrize("aside", [1e-3, 0.01, 0.5])
-@pytest.mark.parametrize("quarter", range(4))
-def test_a_beam_exactly_along_a_wall_reaches_the_end_of_the_passage(aside, quarter):
+@pytest.mark.parametrize(("quarter", "aside"), [(0, 1e-3), (1, 0.01), (2, 0.5), (3, 1e-3)])
+def test_a_beam_exactly_along_a_wall_reaches_the_end_of_the_passage(quarter, aside):
     passage = np.pad(np.zeros((1, 30), bool), 1, constant_values=True)
     occupied = np.rot90(passage, quarter)
     walls = walls_of(occupied, 1.0)
@@ -113,8 +96,6 @@ def test_a_beam_exactly_along_a_wall_reaches_the_end_of_the_passage(aside, quart
     assert float(ahead) == pytest.approx(28, abs=1e-3)
     assert float(behind) == pytest.approx(2, abs=1e-3)
 
-
-# ---------------------------------------------------------------- parity with the ray caster that traces cells
 
 CELL_M = 0.5
 SHAPE = (20, 24)
@@ -146,7 +127,7 @@ def test_ranges_are_those_of_the_cells():
     """Beams that pass a corner or the end of the range by a hair may go either way: as a beam next to them."""
     rng = np.random.default_rng(1)
     direct = 0
-    for _ in range(25):
+    for _ in range(12):
         occupied = cluttered(rng)
         walls = walls_of(occupied, CELL_M, multiple=MULTIPLE)
         assert walls.x.shape == walls.y.shape == (MULTIPLE, 3)
@@ -159,24 +140,7 @@ def test_ranges_are_those_of_the_cells():
         direct += int(same.sum())
         low, high = np.minimum(*others) - 1e-3, np.maximum(*others) + 1e-3
         assert (same | ((low <= got) & (got <= high))).all()
-    assert direct >= 0.99 * 25 * BEAMS
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize("quarter", range(4))
-def test_ranges_are_those_of_the_cells_where_beams_run_along_walls(quarter):
-    """From centres of cells, along the axes: no beam is near a corner."""
-    rng = np.random.default_rng(quarter)
-    for _ in range(15):
-        occupied = cluttered(rng)
-        row, col = rng.choice(np.argwhere(~occupied))
-        pose = tuple(np.float32(v) for v in ((col + 0.5) * CELL_M, (row + 0.5) * CELL_M, quarter * math.pi / 2))
-        axes = slice(None, None, BEAMS // 4)
-        got = by_segments(walls_of(occupied, CELL_M, multiple=MULTIPLE), pose)[axes]
-        np.testing.assert_allclose(got, by_cells(occupied, pose)[axes], atol=1e-4)
-
-
-# ---------------------------------------------------------------- corners
+    assert direct >= 0.99 * 12 * BEAMS
 
 
 def test_a_beam_through_the_touching_corners_of_two_blocks_is_stopped():
@@ -203,27 +167,11 @@ def test_nothing_leaks_where_two_walls_meet():
     corner = np.array([[0.1, 0.1], [1.0, 0.1], [0.1, 0.7], [1.0, 0.7]])
     one = jax.jit(lambda pose, angles: cast(walls, pose, angles, 50.0))
     rng = np.random.default_rng(2)
-    for _ in range(100):
+    for _ in range(30):
         place = rng.uniform([0.11, 0.11], [0.99, 0.69]).astype(np.float32)
         way = corner - place
         ranges = one((*place, np.float32(0)), np.arctan2(way[:, 1], way[:, 0]).astype(np.float32))
         np.testing.assert_allclose(ranges, np.hypot(*way.T), atol=2e-3)
-
-
-def test_an_outer_corner_is_no_larger_than_the_slack():
-    occupied = np.pad(np.zeros((9, 9), bool), 1, constant_values=True)
-    occupied[5, 5] = True
-    walls = walls_of(occupied, 1.0)
-    offsets = np.array([-20, -3, 3, 20]) * SEGMENT_SLACK_M
-    for offset in offsets:  # beams along x that pass the block's lower edge at y = 5
-        seen = float(cast(walls, (2.0, 5 + offset, 0.0), QUARTERS[:1], 50.0)[0])
-        assert seen == pytest.approx(3 if offset > 0 else 8, abs=1e-3)
-    for offset in offsets:  # and its upper edge at y = 6
-        seen = float(cast(walls, (2.0, 6 + offset, 0.0), QUARTERS[:1], 50.0)[0])
-        assert seen == pytest.approx(3 if offset < 0 else 8, abs=1e-3)
-
-
-# ---------------------------------------------------------------- laws
 
 
 @pytest.mark.jit
@@ -258,7 +206,7 @@ def test_turning_the_robot_turns_the_scan():
 def test_turning_the_map_turns_the_scan():
     rng = np.random.default_rng(5)
     height_m, width_m = SHAPE[0] * CELL_M, SHAPE[1] * CELL_M
-    for _ in range(10):
+    for _ in range(4):
         occupied = cluttered(rng)
         row, col = rng.choice(np.argwhere(~occupied))
         x, y = (np.float32((v + rng.uniform(0.05, 0.95)) * CELL_M) for v in (col, row))
@@ -299,8 +247,6 @@ def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
             np.testing.assert_allclose(cast(walls, pose, angles, 4.0), row, rtol=1e-5, atol=1e-5)
 
 
-# ---------------------------------------------------------------- rectangles
-
 rectangle_meets = jax.jit(meets)
 
 
@@ -313,6 +259,8 @@ def test_a_rectangle_in_a_box():
         ((2.5, 2, 0.3), 2.2, 0.9, False), ((2.5, 2, 0.8), 2.2, 0.9, True), ((2.5, 2, 0), 50, 50, True),
     ):  # fmt: skip
         assert bool(rectangle_meets(walls, np.float32(pose), length, width)) is want, (pose, length, width)
+    none = walls_of(np.ones((3, 3), bool), 1.0)
+    assert not rectangle_meets(none, np.float32([1.5, 1.5, 0.2]), 9.0, 9.0)
 
 
 @pytest.mark.jit
@@ -329,7 +277,7 @@ def test_a_rectangle_meets_a_wall_where_one_of_its_points_lies_in_one():
         inside = (row >= 0) & (row < occupied.shape[0]) & (col >= 0) & (col < occupied.shape[1])
         return bool((occupied[row[inside], col[inside]]).any() or not inside.all())
 
-    for _ in range(400):
+    for _ in range(150):
         row, col = free[rng.integers(len(free))]
         pose = np.float32([(col + rng.random()) * 0.5, (row + rng.random()) * 0.5, rng.uniform(-4, 4)])
         length, width = rng.uniform(0.2, 1.5), rng.uniform(0.1, 1.0)
@@ -337,8 +285,4 @@ def test_a_rectangle_meets_a_wall_where_one_of_its_points_lies_in_one():
         assert met or not covered(pose, length - 1e-4, width - 1e-4)
         assert not met or covered(pose, length + 0.05, width + 0.05)
         hits += met
-    assert 50 < hits < 350
-
-
-def test_without_walls_no_rectangle_meets_one():
-    assert not rectangle_meets(walls_of(np.ones((3, 3), bool), 1.0), np.float32([1.5, 1.5, 0.2]), 9.0, 9.0)
+    assert 20 < hits < 130

@@ -122,10 +122,8 @@ def _away_m(state, place):
 
 
 def _is_on_way(state, track, tuning):
-    """Return whether a place lies on the way to a distant exit of the place being left.
-
-    A robot that follows a route looks for its own places.
-    """
+    """Return whether a place lies on the way to a distant exit of the place being left. A robot that follows a route
+    looks for its own places."""
     writer, map_ = state.writer, state.writer.map
     if writer.guide is not None:
         return jnp.bool_(False)
@@ -140,11 +138,8 @@ def _is_on_way(state, track, tuning):
 
 
 def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot):
-    """Return the `_Look` of a robot that has looked round; in any other step only its `track` is valid.
-
-    While it sees no place where every scan on the way has shown one, it keeps looking: noise may hide the place
-    briefly.
-    """
+    """Return the `_Look` of a robot that has looked round; in any other step only its `track` is valid. While it sees
+    no place where every scan on the way has shown one, it keeps looking: noise may hide the place briefly."""
     drive, map_, had = state.drive, state.writer.map, track.age > 0
     ends = looks & ((drive.looked >= LOOK_RAD) | (left < LOOK_STEP_RAD))
     node, off_m = btm.nearest_node(map_, track.centre[0], track.centre[1], btm.DIVERGENCE)
@@ -182,11 +177,9 @@ def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot)
 
 
 def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
-    """Find the largest place that the robot sees around itself after looking round.
-
-    Returns `(track, better, there_is, middle)`: whether it is another than the one where the robot is, or the first;
-    whether there is any where the robot is; `[2]`, see `_middle`, of the node that lies there in the map.
-    """
+    """Find the largest place that the robot sees around itself after looking round. Returns `(track, better, there_is,
+    middle)`: whether it is another than the one where the robot is, or the first; whether there is any where the robot
+    is; `[2]`, see `_middle`, of the node that lies there in the map."""
     xy, known = surround.known_points(around)
     found = triangles(xy, known, tuning.far_m, tuning)
     distance = jnp.hypot(*found.centre.T)
@@ -208,11 +201,9 @@ def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
 
 
 def _middle(in_map, centres, found):
-    """Return the observed centre of a node whose circle the robot is in: `[2]` float32, odometry.
-
-    Odometry drifts, so the node is taken to be at the nearest circle of the same size seen within one radius of its
-    mapped position. Without such a circle the mapped position is returned.
-    """
+    """Return the observed centre of a node whose circle the robot is in: `[2]` float32, odometry. Odometry drifts, so
+    the node is taken to be at the nearest circle of the same size seen within one radius of its mapped position.
+    Without such a circle the mapped position is returned."""
     place, radius_m = in_map
     off_m = jnp.hypot(*(centres - place).T)
     alike = found.valid & (jnp.abs(found.radius - radius_m) < SAME_RADIUS_SHARE * radius_m)

@@ -288,10 +288,8 @@ def is_aside(target: Array, out: Array, radius_m: Array) -> Array:
 
 
 def _selected(drive, to_robot, tuning):
-    """Return the target point of branch selection, robot's frame.
-
-    On the way to one beyond an opening seen obliquely, the robot first drives to a point before it, clear of the jamb.
-    """
+    """Return the target point of branch selection, robot's frame. On the way to one beyond an opening seen obliquely,
+    the robot first drives to a point before it, clear of the jamb."""
     target = to_robot(drive.target)
     axis = to_robot(drive.target + towards(drive.out)) - target
     before_m, beside_m = target @ axis, target[1] * axis[0] - target[0] * axis[1]

@@ -13,7 +13,7 @@ from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import behaviour, links, mapping
 from jexplore.driving.nodes import SAME_NODE_M
 from jexplore.driving.records import Ahead, Divergence, DueNode, Latch, ScanWalls, State, Surround, Writer
-from jexplore.driving.sensing import gateways, ground_profile, lone_steps, perception, surround
+from jexplore.driving.sensing import gateways, ground_profile, perception, surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_robot
 
@@ -45,7 +45,7 @@ def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> ScanWalls:
     left_m, right_m = perception.sides(xy, valid, 0, until_m)
     beside = jnp.stack(perception.clearances(xy, valid, robot.length_m / 2))
     roomy = perception.is_roomy(xy, valid, region[0], *region_sides, tuning.open_m)
-    return ScanWalls(xy, valid, region, region_sides, roomy, closed, fronts_m, left_m, right_m, beside)
+    return ScanWalls(region, region_sides, roomy, closed, fronts_m, left_m, right_m, beside)
 
 
 def look_ahead(
@@ -104,7 +104,7 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
     map_ = writer.map
     is_step = map_.obstacle[jnp.minimum(writer.node, map_.kind.shape[0] - 1)] == btm.STAIRS
     is_step &= ~jnp.any(map_.blocked & (map_.start == writer.node))  # from which the robot has turned back
-    beyond_m = jnp.where(is_step, writer.node_m + lone_steps.TOGETHER_M, -jnp.inf)
+    beyond_m = jnp.where(is_step, writer.node_m + ground_profile.TOGETHER_M, -jnp.inf)
     x_m, z_m, posture = ground
     ground = jnp.where((posture < LEVEL_RAD) & (x_m > beyond_m), x_m, jnp.inf), z_m
     is_level = jnp.hypot(*level.even) < LEVEL_RAD
@@ -114,19 +114,19 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
     span_m = jnp.max(jnp.where(near, ground[1], -jnp.inf)) - jnp.min(jnp.where(near, ground[1], jnp.inf))
     now = run_if(
         looks & (span_m > ground_profile.STEP_M),
-        lambda _: lone_steps.update_step(writer.lone_step, *ground),
+        lambda _: ground_profile.update_step(writer.lone_step, *ground),
         writer.lone_step,
     )
-    passed = lone_steps.has_passed(now, state.odometer_m, robot.length_m) & ~tips & is_level
-    is_lone = run_if(passed, lambda _: lone_steps.has_tipped(now, writer.way, robot.length_m), jnp.bool_(False))
+    passed = ground_profile.has_passed(now, state.odometer_m, robot.length_m) & ~tips & is_level
+    is_lone = run_if(passed, lambda _: ground_profile.has_tipped(now, writer.way, robot.length_m), jnp.bool_(False))
     is_lone &= (now.from_m + now.to_m) / 2 > writer.node_m
     gone = (
         passed
         | state.manoeuvre.backing
-        | (changed & (crease_m > now.from_m - lone_steps.TOGETHER_M / 2))
+        | (changed & (crease_m > now.from_m - ground_profile.TOGETHER_M / 2))
         | (blocked >= BLOCKED_STEPS)
     )
-    after = pick(gone, lone_steps.no_step(), now)
+    after = pick(gone, ground_profile.no_step(), now)
     return now, is_lone & ~changed, after
 
 
@@ -208,10 +208,8 @@ def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, t
 
 
 def _recent_ground(way, state):
-    """Return the last points of the height profile and the robot's attitude there.
-
-    Returns `(x_m, z_m, posture)`, `[RECENT]` each, metres and radians; x is inf where no point exists.
-    """
+    """Return the last points of the height profile and the robot's attitude there. Returns `(x_m, z_m, posture)`,
+    `[RECENT]` each, metres and radians; x is inf where no point exists."""
     first = jnp.clip(state.step + 1 - PROFILE_STEPS, 0, way.ground_x_m.shape[0] - PROFILE_STEPS)
     arrays = way.ground_x_m, way.ground_z_m, way.posture
     x, *others = (lax.dynamic_slice(array, (first,), (PROFILE_STEPS,)) for array in arrays)
@@ -219,11 +217,8 @@ def _recent_ground(way, state):
 
 
 def _ground_ahead(x, z, robot, state):
-    """Return the rise of the ground ahead and whether the robot can climb it, as seen or as just experienced.
-
-    Returns `(rise_m, stops, beyond)`: float32; bool; pair, height of the step that stops it, 0 for none, and
-    inclination of the slope that does, radians, 0 for none, NaN where it was not seen.
-    """
+    """Return the rise of the ground ahead, whether it stops the robot, as seen or just experienced, and `beyond`: the
+    height of the step that does, 0 for none, and the inclination of the slope, radians, 0 for none, NaN if unseen."""
     nose = state.odometer_m + robot.length_m / 2
     ahead = (x > nose) & (x < nose + LOOK_M)
     behind = (x <= nose) & (x > nose - LOOK_M)
@@ -247,10 +242,8 @@ def _ground_ahead(x, z, robot, state):
 
 
 def _passes_start(state):
-    """Return whether the robot has passed its start node since the last node, along its link.
-
-    A start in the circle of a divergence is on no link; nor is a robot that leaves a rejected candidate.
-    """
+    """Return whether the robot has passed its start node since the last node, along its link. A start in the circle of
+    a divergence is on no link; nor is a robot that leaves a rejected candidate."""
     map_ = state.writer.map
     followed, to, there = links.led_to(state.writer)
     is_led, gone_m = followed & (to == 0), state.odometer_m - state.writer.node_m

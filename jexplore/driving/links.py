@@ -17,10 +17,7 @@ SAME_EXIT_RAD = math.radians(40)  # a link and an opening that lie no farther ap
 MATCH_DRIFT = 0.025, 2.5  # of the way, metres at most: how far off a known place may seem
 WAY_DRIFT = 0.05  # of the way along a known link: how far off its other node may seem
 HYPOTHESIS_DRIFT = 0.05, 4.0  # of the way, metres at most: how far off a node may seem that a new place perhaps is
-SAME_WAY_TOLERANCE = (
-    0.6,
-    0.05,
-)  # a way that is as long as a known one, this near in metres and of its length, is that one
+SAME_WAY_TOLERANCE = 0.6, 0.05  # metres, and share of its length: a way that is as long as a known one is that one
 MAX_TRIES = 3  # an un-searched link on which the robot has set off so often in vain is given up
 MAX_FAILS = 3  # a searched link that has led elsewhere so often in a row is followed no more
 SAME_END_RAD = math.radians(25)  # a robot that comes in nearer to a known link comes by it

@@ -33,9 +33,7 @@ DRIVE_AWAY_RAD_S = 0.0, 0.1, 0.2, 0.5, 1.0  # turning so fast
 MIN_BACK_STEP_M = 0.005  # m; progress counted for a step, turning included
 AHEAD_S = 0.2  # s; look-ahead of a step
 RECOVERY_STEPS = 8  # steps for which it goes on with what gets it away from what it has touched
-TOUCH_AGAIN_STEPS = (
-    12  # and steps after these within which the next way is tried where it touches again: more than lead back
-)
+TOUCH_AGAIN_STEPS = 12  # and within these it tries the next way where it touches again: more than lead back
 LEAN_RAD_S = 0.1  # turn rate, rad/s: next to a wall the outline allows no larger one
 MIN_LEAN_RAD_S = LEAN_RAD_S / 8
 # Recovery attempts: speeds, in halves of its speed, and turn rates away from the nearest point.
@@ -167,10 +165,8 @@ def _meets(around, robot, ahead_m, turn):
 
 
 def _backs(now, around, robot, in_place, wanted, omega, touched):
-    """Decide about backing up: `(starts, enough)`.
-
-    It starts when the robot cannot turn as wanted or has touched something; `enough`: it has backed far enough.
-    """
+    """Decide about backing up: `(starts, enough)`. It starts when the robot cannot turn as wanted or has touched
+    something; `enough`: it has backed far enough."""
     margin_m = jnp.where(now.backing, 2 * surround.OUTLINE_MARGIN_M, surround.OUTLINE_MARGIN_M)
     needed = jnp.where(now.backing, jnp.pi, jnp.minimum(wanted, GLANCE_RAD))
 
@@ -184,11 +180,9 @@ def _backs(now, around, robot, in_place, wanted, omega, touched):
 
 
 def _nearest_side(around, robot):
-    """Find the nearest obstacle to either side of the robot.
-
-    Returns `(side, off_m, leans)`: 1 left, -1 right; distance from the robot's front half; bool, it leaves no room to
-    turn in place while there is room on the other side and behind.
-    """
+    """Find the nearest obstacle to either side of the robot. Returns `(side, off_m, leans)`: 1 left, -1 right; distance
+    from the robot's front half; bool, it leaves no room to turn in place while there is room on the other side and
+    behind."""
     xy, known = surround.known_points(around)
     x, y = xy.T
     half_m, half_width_m = robot.length_m / 2, robot.width_m / 2
@@ -219,12 +213,9 @@ def _gets_free(speed, side):
 
 
 def _back(now, around, robot, pose, speed):
-    """Return speed and turn rate to the previous pose: `(v, omega, length, wedged)`.
-
-    `length` is the number of poses left; `wedged`: the robot can go neither there, nor straight back, nor along a wall.
-    If that would touch, it goes straight back, else by the motion that leads farthest. Along a wall it leans away, to
-    gain distance.
-    """
+    """Return speed and turn rate to the previous pose: `(v, omega, length, wedged)`; poses left; whether it can go
+    neither there, nor straight back, nor along a wall. Else it goes by the motion that leads farthest, leaning away
+    from a wall."""
     goal = now.trail[(now.length - 1) % TRAIL_POSES]
     offset = goal[:2] - pose[:2]
     behind = -(offset[0] * jnp.cos(pose[2]) + offset[1] * jnp.sin(pose[2]))

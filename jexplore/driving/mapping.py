@@ -14,7 +14,7 @@ from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving.records import Guide, Latch, RunMode, Senses, SlopeEstimate, State, Trajectory, Writer
-from jexplore.driving.sensing import ground_profile, lone_steps, smoothing
+from jexplore.driving.sensing import ground_profile, smoothing
 from jexplore.driving.settings import Robot
 from jexplore.driving.vehicle import down_directions
 
@@ -69,7 +69,7 @@ def begin_map(
             left_m=zero,
             since_m=zero,
         ),
-        lone_step=lone_steps.no_step(),
+        lone_step=ground_profile.no_step(),
         border_m=jnp.float32(jnp.inf),
         passed=jnp.array([0.0, 0.0, 0.0, -jnp.inf], jnp.float32),
         tries=jnp.zeros(n_links, jnp.int32),

@@ -63,11 +63,9 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
 
 
 def _find_openings(writer, event, points, tuning, is_divergence):
-    """Find the openings of a divergence and the way in: the last one used, else the nearest to the robot's way.
-
-    A robot that started inside has no way in.
-    Returns `(found, others, back)`: `openings.Openings`; `[K]` bool, all but the way in; its bearing, radians.
-    """
+    """Find the openings of a divergence and the way in: the last one used, else the nearest to the robot's way. A robot
+    that started inside has no way in. Returns `(found, others, back)`: `openings.Openings`; `[K]` bool, all but the way
+    in; its bearing, radians."""
     came = jnp.where(
         is_divergence, came_from(writer, event.centre, event.radius) - event.centre, -towards(event.pose[2])
     )
@@ -95,10 +93,8 @@ def _find_openings(writer, event, points, tuning, is_divergence):
 
 
 def _by_door(passed, width_m, odometer_m):
-    """Return the steps at which openings were passed, -1 for none: of doors alone, if the robot has just passed one.
-
-    A robot that comes by a door passes a wider opening before it as well.
-    """
+    """Return the steps at which openings were passed, -1 for none: of doors alone, if the robot has just passed one. A
+    robot that comes by a door passes a wider opening before it as well."""
     gone_m = odometer_m[jnp.max(passed)] - odometer_m[passed]
     door = (passed >= 0) & (gone_m < DOOR_BEFORE_M) & (width_m <= openings.DOOR_M)
     return jnp.where(jnp.any(door) & ~door, -1, passed)
@@ -111,13 +107,9 @@ def _holds_start(writer, event):
 
 
 def _end_way_here(map_, writer, event, at, back, step_m):
-    """End the link that led here: `(map, link)`.
-
-    On a known link to a known node nothing is new; a new node on it shows that the robot has left the link unawares, by
-    a way of its own. On a new link to a known node, the node's own record is removed; if the robot comes in by a known
-    link from the same node, it has left the new one unawares. A new link that leads back to its own opening could not
-    be followed and is dropped.
-    """
+    """End the link that led here: `(map, link)`. A new node on a known link ends a way of its own; a new link to a
+    known node replaces that node's record, unless the robot comes in by a known one; one that leads back to its own
+    opening is dropped."""
     size = map_.start.shape[0]
     on_known = map_.status[jnp.minimum(writer.link, size - 1)] == btm.SEARCHED
     astray = on_known & ~at.again
@@ -207,11 +199,9 @@ def _way_out(event, found, left, turn, leave_m, is_divergence):
 
 
 def _turns(writer, event, at, found, tuning):
-    """Compare the bearings of a node's openings with its links.
-
-    Returns `(at, event, turn, applied, turned)`: `Arrival` with its pose from the last node; `DueNode`, turned;
-    float32, radians, turn that corrects the odometry, 0 elsewhere; its applied share; turn of any node, NaN if unknown.
-    """
+    """Compare the bearings of a node's openings with its links: `(at, event, turn, applied, turned)`: with its pose
+    from the last node; turned; radians that correct the odometry, their applied share; turn of any node, NaN if
+    unknown."""
     turned, spread = links.turn_to(at.map, at.node, found)
     turn = jnp.where(at.met, turned, 0.0)
     agree = (spread < jnp.radians(tuning.agree_deg)) & (jnp.sum(found.valid) > 1)
@@ -263,13 +253,8 @@ def make_due_node(
 
 
 def _add_openings(writer, map_, event, at, found, others, when):
-    """Add a divergence's links: `(writer, map)`.
-
-    A new one has all its openings but the way in. One that is met again has those besides that bear otherwise than any
-    of its links, for from elsewhere more may be seen; each is given up after one try. Not so before the gateways of a
-    hall, nor where the robot follows a route. A start in the circle of a new one is on no link: what leads away from it
-    leads away from the divergence.
-    """
+    """Add a divergence's links: `(writer, map)`: the openings of a new one but the way in; at one met again, not before
+    gateways nor on a route, those besides its links, for one try. A start in its circle is on no link."""
     own, bearing = links.ends_at(map_, at.node)
     known = jnp.any(own[:, None] & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < NEW_LINK_RAD), axis=0)
     more = at.met & ~known & jnp.isnan(event.out) if writer.guide is None else False

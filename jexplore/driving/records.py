@@ -302,8 +302,6 @@ class Arrival(NamedTuple):
 class ScanWalls(NamedTuple):
     """Walls seen in one scan, robot's frame."""
 
-    xy: Array  # [B, 2] float32, metres
-    valid: Array  # [B] bool
     region: tuple[Array | float, Array | float]  # the stretch that is watched for free space, metres ahead
     region_sides: tuple[Array | float, Array | float]  # clearance to the left and right there, metres
     roomy: Array | bool  # whether a circle as large as C1 fits there

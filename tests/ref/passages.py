@@ -37,3 +37,9 @@ def building(arms, width_m):
         occupied[ways[arm_to]] = False
     middle = size * CELL_M / 2
     return walls.walls_of(occupied, CELL_M, multiple=SLOTS), np.array([middle, middle])
+
+
+def wall(x, y):
+    """Points every 5 cm from `(x[0], y[0])` to `(x[1], y[1])`: `[n, 2]`."""
+    n = round(math.hypot(x[1] - x[0], y[1] - y[0]) / 0.05) + 1
+    return np.stack([np.linspace(*x, n), np.linspace(*y, n)], axis=1)

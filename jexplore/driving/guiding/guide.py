@@ -36,10 +36,7 @@ ANCHOR_SHARE = 0.3  # of what a place says of where the map lies: it may be anot
 OTHER_PLACE_SHARE = 0.5  # a place is not on the route if another of the map lies nearer than this share
 OPEN_STRIP_M = 2.0  # m; without an opening, an exit exists if a strip from the place's middle is free this far
 STRIP_M = 0.6  # so wide
-STRAIGHT_LEG_RATIO, STRAIGHT_LEG_M = (
-    1.15,
-    2.0,
-)  # least ratio of length and distance of ends, m, of a way that is not straight
+STRAIGHT_LEG_RATIO, STRAIGHT_LEG_M = 1.15, 2.0  # ratio and m; a longer way than its ends are apart is not straight
 STRIP_OFFSETS_M = 0.0, -0.2, 0.2, -0.4, 0.4  # m; offsets of the strip from the middle
 
 
@@ -218,10 +215,8 @@ def _bearings_on(guide, places, expected, centre):
 
 
 def _strip(reach_m, places, bearings):
-    """Find the longest free strip in a direction from each place or from points next to it.
-
-    Returns `(start, length)`: `[A, 2]`, `[A]`, metres.
-    """
+    """Find the longest free strip in a direction from each place or from points next to it. Returns `(start, length)`:
+    `[A, 2]`, `[A]`, metres."""
     across = jnp.stack([-jnp.sin(bearings), jnp.cos(bearings)], axis=1)
     begins = places[:, None] + jnp.asarray(STRIP_OFFSETS_M)[:, None] * across[:, None]  # [A, S, 2]
     free_m = jax.vmap(jax.vmap(reach_m, (0, None)))(begins, bearings)

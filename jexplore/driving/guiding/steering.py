@@ -50,10 +50,8 @@ def update_progress(
 
 
 def _sight(place, estimate, ways_m, robot):
-    """Return the position of a place relative to the robot.
-
-    Returns `(off_m, bearing, sees)`: metres; radians, in the robot's frame; bool, the way there is free.
-    """
+    """Return the position of a place relative to the robot. Returns `(off_m, bearing, sees)`: metres; radians, in the
+    robot's frame; bool, the way there is free."""
     off = place - estimate[:2]
     off_m, bearing = jnp.hypot(*off), btm.wrapped(jnp.arctan2(off[1], off[0]) - estimate[2])
     at = jnp.argmin(jnp.abs(btm.wrapped(surround.DIRECTION - bearing)))

@@ -27,10 +27,7 @@ WIDER_CIRCLE = 1.5  # search circles, in which doors that lie partly outside one
 SOMEWHAT_WIDER = 1.25  # radii; wide enough for both jambs, before the next door is in sight
 SAME_OPENING_M = 0.5  # from the middle of every other opening
 WIDE_PLACE_M = 2.0  # a place is wide from this radius on: doors are looked for wall by wall
-LAST_RESORT_M, LAST_RESORT_RADII = (
-    1.2,
-    2.0,
-)  # m, radii; as a last resort, from this radius on, and this far from the middle
+LAST_RESORT_M, LAST_RESORT_RADII = 1.2, 2.0  # m, radii; as a last resort from this radius on, this far from the middle
 JAMB_DIRECTIONS = 60  # directions in which a door's other jamb is looked for
 MOST_DOOR_M = 1.5  # such a door is no wider
 BEHIND_RAD = math.radians(12)  # what bears no farther from a door, and lies beyond it, is behind it
@@ -100,9 +97,7 @@ def find_exits(xy: Array, valid: Array, centre: Array, radius_m: Array | float, 
 
 def _divide_by_doors(found, near, more, reach_m):
     """Return the openings of the circle; where a door in the somewhat wider circle divides one, its own instead.
-
-    Returns `Openings` of 2 K, in no order; the overflow is the circle's.
-    """
+    Returns `Openings` of 2 K, in no order; the overflow is the circle's."""
     (away_m, at), (near_m, near_at) = ((jnp.hypot(*a.middle.T), _direction(a)) for a in (found, near))
     alike, seen = (
         _match_positions(found, near),
@@ -148,11 +143,9 @@ def _new_openings(there, found, more):
 
 
 def _merge_doors(found, doors, is_wide):
-    """Merge openings and doors: `(valid, middle, across, width)`.
-
-    A door behind another does not belong to the place, nor does one seen through a narrow opening and farther by
-    `THROUGH_M`. An opening at a door is that door; in rooms that are not wide, only a narrow opening is.
-    """
+    """Merge openings and doors: `(valid, middle, across, width)`. A door behind another does not belong to the place,
+    nor does one seen through a narrow opening and farther by `THROUGH_M`. An opening at a door is that door; in rooms
+    that are not wide, only a narrow opening is."""
     away_m, bearing = jnp.hypot(*doors[1].T), jnp.arctan2(doors[1][:, 1], doors[1][:, 0])
     off = jnp.abs(wrapped(bearing[:, None] - bearing))
     order = jnp.arange(len(bearing))
@@ -168,10 +161,8 @@ def _merge_doors(found, doors, is_wide):
 
 
 def _wall_doors(place, here, width_m, reach_m, size):
-    """Find doors in the walls of a wide place: narrow gaps, free behind, from a wall's end to the next wall.
-
-    Returns `((valid, middle, across, width), too_many)`: of 2 K; int32, those that did not fit.
-    """
+    """Find doors in the walls of a wide place: narrow gaps, free behind, from a wall's end to the next wall. Returns
+    `((valid, middle, across, width), too_many)`: of 2 K; int32, those that did not fit."""
     mirrored = jnp.array([1.0, -1.0])
     one, n_one = _from_ends(place, here, width_m, reach_m, size)
     other, n_other = _from_ends(place[::-1] * mirrored, here[::-1], width_m, reach_m, size)
@@ -181,10 +172,8 @@ def _wall_doors(place, here, width_m, reach_m, size):
 
 
 def _from_ends(place, here, width_m, reach_m, size):
-    """Find doors as `_wall_doors` does, in one sense of rotation: from a wall's end to the nearest later point.
-
-    Returns `(doors, n)`: `(valid, middle, across, width)` of K; int32, their number.
-    """
+    """Find doors as `_wall_doors` does, in one sense of rotation: from a wall's end to the nearest later point. Returns
+    `(doors, n)`: `(valid, middle, across, width)` of K; int32, their number."""
     order, ends = jnp.arange(BEARINGS), find_gaps(place, place, here, width_m)[2]
     later = (order[:, None] + 1 + jnp.arange(JAMB_DIRECTIONS)) % BEARINGS
     there = here[later]

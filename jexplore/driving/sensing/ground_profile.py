@@ -1,4 +1,4 @@
-"""Ground ahead of the robot by the downward scanner, and features of its height profile."""
+"""Ground ahead by the downward scanner: features of its height profile, and single steps in level ground."""
 
 import functools
 import math
@@ -8,6 +8,7 @@ import numpy as np
 from flax import struct
 from jax import Array, lax
 
+from jexplore.driving.records import LoneStep, Trajectory
 from jexplore.driving.sensing import smoothing
 from jexplore.driving.sensing.perception import running_sum
 
@@ -19,6 +20,11 @@ RISE_M = FLANK_M + PROFILE_CELL_M  # between the middles of both flanks
 MIN_STEP_M = 0.015  # no lower step is told of
 NOISE_DEVIATIONS = 4.5  # standard deviations of a point; a lower one may be noise
 TREADS_M = np.linspace(0.20, 0.44, 13)  # periods of steps that are tried
+FLANK_POINTS = 3  # points on either side of a step, whose height is that between their medians: one may lie on its face
+TOGETHER_M = 1.2  # steps no farther apart are one, as high as those seen before the robot is on the first
+PASSED_M = 0.30  # m; distance of the robot's end beyond the riser: before, its own tipping shows in the profile
+ATTITUDE_MEAN_STEPS, ATTITUDE_MEAN_M = 5, 0.1  # steps, m; the attitude is averaged over these, no farther away
+TIP_SHARE = 0.5  # share of the angle at which a robot stands with one end on the riser that counts as tipping
 
 _ANGLE = 2 * math.pi * PROFILE_CELL_M * np.arange(PROFILE_CELLS) / TREADS_M[:, None]
 _TREAD_WAVES = np.concatenate([np.cos(_ANGLE), np.sin(_ANGLE)]).astype(np.float32)
@@ -137,10 +143,8 @@ def steepest_rise(x_m: Array, z_m: Array, valid: Array) -> Array:
 
 
 def _rises(count, total):
-    """Return the difference of mean heights of both flanks of every cell: `[CELLS]`, metres.
-
-    Arguments: points in each cell, and the sum of their heights.
-    """
+    """Return the difference of mean heights of both flanks of every cell: `[CELLS]`, metres. Arguments: points in each
+    cell, and the sum of their heights."""
     # Points come in the order of time, about in that of x: flanks are sums over sorted cells of the way.
     n, wide = PROFILE_CELLS, round(FLANK_M / PROFILE_CELL_M)
     run_n, run_z = (jnp.pad(running_sum(a), (1, 0)) for a in (count, total))
@@ -158,10 +162,8 @@ def _rises(count, total):
 
 
 def _steps(rise):
-    """Return the cells that are steps: `[CELLS]` bool.
-
-    A step is a place steeper than its neighbours; where the robot's body tips, heights are off for a moment.
-    """
+    """Return the cells that are steps: `[CELLS]` bool. A step is a place steeper than its neighbours; where the robot's
+    body tips, heights are off for a moment."""
     wide = round(FLANK_M / PROFILE_CELL_M)
     top = lax.reduce_window(rise, -jnp.inf, lax.max, (2 * wide + 1,), (1,), "SAME")
     return (rise == top) & (rise > top.max() / 2)
@@ -174,10 +176,8 @@ def _median(values, valid):
 
 
 def _riser(step, rise, count, total):
-    """Estimate the height of a riser: the median over all, each between the mean heights of the adjacent treads.
-
-    The place where a flank's rise is largest is selected by noise too: it locates a step but overestimates its height.
-    """
+    """Estimate the height of a riser: the median over all, each between the mean heights of the adjacent treads. The
+    place where a flank's rise is largest is selected by noise too: it locates a step but overestimates its height."""
     n, cell, (short, *_, long) = (
         PROFILE_CELLS,
         jnp.arange(PROFILE_CELLS),
@@ -198,3 +198,53 @@ def _riser(step, rise, count, total):
     before, after = jnp.pad(tread, (1, 0))[:n], tread
     seen = (points[before] > 0) & (points[after] > 0)
     return _median(jnp.where(seen, jnp.abs(mean[after] - mean[before]), rise), step)
+
+
+def no_step() -> LoneStep:
+    """Return a state without a step."""
+    return LoneStep(jnp.float32(jnp.inf), jnp.float32(jnp.inf), jnp.float32(0))
+
+
+def update_step(step: LoneStep, x_m: Array, z_m: Array) -> LoneStep:
+    """Update the single riser with the last point of the profile, of a robot on level ground before it.
+
+    Args:
+      x_m, z_m: `[P]` float32, the last points of the profile, in the order of time; x is inf for missing points.
+    """
+    there = jnp.isfinite(x_m)
+    # Behind a descending edge the ground is hidden: flanks are numbers of points, at any distance.
+    after = jnp.argsort(there)[-FLANK_POINTS:]
+    begins = jnp.min(jnp.where(there[after], x_m[after], -jnp.inf))
+    earlier = there & (x_m < begins - FACE_M)
+    before = jnp.argsort(earlier)[-FLANK_POINTS:]
+    rise = jnp.abs(jnp.sort(z_m[after])[FLANK_POINTS // 2] - jnp.sort(z_m[before])[FLANK_POINTS // 2])
+    place = (begins + x_m[before[-1]]) / 2
+    noise = smoothing.deviation(smoothing.second_differences(z_m, there))
+    is_one = earlier[before[0]] & (rise > jnp.maximum(STEP_M, NOISE_DEVIATIONS * noise))
+    joins = jnp.isfinite(step.from_m) & (place - step.to_m < TOGETHER_M)
+    return LoneStep(
+        from_m=jnp.where(is_one & ~joins, place, step.from_m),
+        to_m=jnp.where(is_one, place, step.to_m),
+        height_m=jnp.where(is_one, jnp.where(joins, jnp.maximum(rise, step.height_m), rise), step.height_m),
+    )
+
+
+def has_passed(step: LoneStep, odometer_m: Array, length_m: Array | float) -> Array:
+    """Return whether a robot of a length, metres, has passed the riser: bool."""
+    return odometer_m - step.to_m > length_m / 2 + PASSED_M
+
+
+def has_tipped(step: LoneStep, way: Trajectory, length_m: Array | float) -> Array:
+    """Return whether the robot has tipped as on a riser of this height: bool.
+
+    Otherwise it has turned away before it.
+    """
+    near = (way.odometer_m > step.from_m - length_m) & (way.odometer_m < step.to_m + length_m)
+    # Of both angles, whose noise goes either way: that of the inclination never goes below 0.
+    leant = jnp.hypot(
+        *(
+            smoothing.mean_near(a, way.odometer_m, way.odometer_m, ATTITUDE_MEAN_STEPS, ATTITUDE_MEAN_M)
+            for a in (way.pitch, way.roll)
+        )
+    )
+    return jnp.max(jnp.where(near, leant, 0)) > TIP_SHARE * jnp.arctan(step.height_m / length_m)

@@ -33,10 +33,8 @@ def is_stairs(found: Profile, tuning: Tuning) -> Array:
 
 
 def _gone_over(writer, event):
-    """Return the `Profile` of the ground between the last node and the one that is due.
-
-    Points that the robot has seen while it was turned away from its way are left out.
-    """
+    """Return the `Profile` of the ground between the last node and the one that is due. Points that the robot has seen
+    while it was turned away from its way are left out."""
     way = writer.way
     within = (way.ground_x_m > writer.node_m + PROFILE_MARGIN_M) & (
         way.ground_x_m < event.odometer_m - PROFILE_MARGIN_M

@@ -13,10 +13,7 @@ BEARINGS = 240  # directions round a place in which its nearest point is looked 
 NEAR_WALL_RADII = 1.15  # radii within which a wall divides two openings
 GRAZE_RAD = math.radians(4)  # a narrower gap, with beams a degree apart, is a wall seen at a grazing angle
 DOOR_M = 1.25  # a gap is a door up to this width, or the next
-NARROW, LEADS_ON_M = (
-    0.6,
-    0.6,
-)  # radii, m; a gap as narrow as this that is free this far is a door, however far its walls
+NARROW, LEADS_ON_M = 0.6, 0.6  # radii, m; a gap so narrow that is free this far is a door, however far its walls
 WALL = 40  # directions on either side of a gap in which its walls are looked at
 MAX_POINT_M = 10.0  # no point lies farther away
 CORNER_DEPTH = 0.65  # of the width of a gap: walls that meet so close beyond it are a corner
@@ -105,10 +102,8 @@ def _leads_out(distance, here, whole):
 
 def _pockets(point, whole, first, last, valid, width_m):
     """Classify the area beyond gaps of a circle: a passage that leads on, or a pocket whose walls are all in sight.
-
     Returns `(stays, door, following)`: `[K]` bool, gaps that are exits themselves; `[BEARINGS]` bool, directions after
-    which a door opens in the wall of a pocket; `[BEARINGS]` int32, its end.
-    """
+    which a door opens in the wall of a pocket; `[BEARINGS]` int32, its end."""
     one, other = point[first], point[last]
     along = other - one
     chord = jnp.maximum(jnp.hypot(*along.T), 1e-6)
@@ -233,11 +228,9 @@ def sort_openings(together, more, size):
 
 
 def _narrowest(point, here, gap_here, first, last, radius_m):
-    """Find the narrowest place between the walls on both sides of gaps.
-
-    Returns `(middle, across, width)`: `[K, 2]`; `[K]`, direction square to the connection, outward; its length. Nearly
-    as short connections are averaged too, against noise on even walls.
-    """
+    """Find the narrowest place between the walls on both sides of gaps. Returns `(middle, across, width)`: `[K, 2]`;
+    `[K]`, direction square to the connection, outward; its length. Nearly as short connections are averaged too,
+    against noise on even walls."""
     before = (first[:, None] - jnp.arange(WALL)) % BEARINGS
     # No gap lies between a point of the wall before and the gap: none has begun on the way back from it.
     begun = jnp.cumsum(gap_here[before], axis=1) - 1

@@ -17,16 +17,12 @@ BRIDGE_SHARE = 0.1  # where the readings on both sides differ by less than this 
 CLEARANCE_BEAMS = 3  # beams on either side that the width of a passage is the mean of
 CLEARANCE_STEP_M = 0.15  # where they are nearer than this
 FRONT_GUARD_M = 0.1  # a wall this near to the robot's sides is in its way
-SPACING_WIDTHS = (
-    0.49  # of points along a wall, in least openings: two neighbours of one point are nearer than such an opening
-)
+SPACING_WIDTHS = 0.49  # least openings between points along a wall: both neighbours of one lie nearer than an opening
 ROOMY_SHARE = 0.9  # of the radius of the circle that free space has room for
 ROOMY_BACK_RADII = 0.0, 0.2, 0.4, 0.6  # radii by which that may begin nearer
 RECESS_WIDTHS = 0.25  # least openings; points no farther beyond the chord of two corners of a triangle are one wall
 WALL_FILL_SHARE = 0.6  # if its points fill this share of the way between them
-WALL_JUMP = (
-    1 / SPACING_WIDTHS
-)  # distance between the points of neighbouring beams beyond which a wall ends, in spacings
+WALL_JUMP = 1 / SPACING_WIDTHS  # spacings between the points of neighbouring beams beyond which a wall ends
 
 
 def beam_points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
@@ -248,10 +244,8 @@ def find_divergences(
 
 
 def _on_one_wall(xy, valid, centre, corner, spacing_m, recess_m):
-    """Return which circles touch one wall twice: `[T]` bool.
-
-    Between two corners the points follow the chord closely.
-    """
+    """Return which circles touch one wall twice: `[T]` bool. Between two corners the points follow the chord
+    closely."""
     n = xy.shape[0]
     corner = jnp.minimum(corner, n - 1)
 
