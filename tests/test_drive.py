@@ -90,7 +90,7 @@ def test_the_first_scan_by_hand(target):
         "#.....?",  # ahead the range of 3 cells ends the beam after 3 cells entered
         "??#????",
     ]
-    assert (int(state.known), int(state.scans)) == (10, 1)
+    assert (int(state.n_known), int(state.scans)) == (10, 1)
     assert state.trail[0].tolist() == [8 * (1 * 7 + 2), 10]
 
 

@@ -8,7 +8,7 @@ from ref.episodes import assert_equal_episodes, choice_of, clear_cells, play, re
 
 from jexplore.config import Lidar, Rules
 from jexplore.exploration.state import Outcome, Stream
-from jexplore.exploration.trail import decode, kept
+from jexplore.exploration.trail import decode, detail_of
 from jexplore.grid import radius_d2
 
 
@@ -137,7 +137,7 @@ def test_known_cells_are_counted_in_every_corner_of_the_map():
     occupied = np.pad(np.zeros((58, 58), bool), 1, constant_values=True)
     for row, col in ((2, 2), (2, 57), (57, 2), (57, 57), (30, 30)):
         result, state = play(occupied, (row, col, 0), "closest+recheck", lidar, rules, cell_m=0.3, shape=SHAPE)
-        assert int(result.known) == ((state.belief.grid.hits + state.belief.grid.misses) > 0).sum()
+        assert int(result.n_known) == ((state.belief.grid.hits + state.belief.grid.misses) > 0).sum()
 
 
 BLOCKED = """
@@ -208,7 +208,7 @@ def test_a_view_point_is_given_up_when_it_shows_too_little_only_with_rechecking(
     for modifier in ("", "+recheck"):
         result, state = play(occupied, (1, 1, 0), VIEWS.format(modifier), **how)
         assert Outcome(int(result.outcome)) == Outcome.COMPLETE
-        final = decode(kept(state), result, occupied.shape)
+        final = decode(detail_of(state), result, occupied.shape)
         heads = [plan.target[1] for plan in final.plans if plan.target for _ in plan.motions]
         targets[modifier] = list(zip(final.cols[1:].tolist(), heads))
     # The first plan, to the cell; and then on.
@@ -227,7 +227,7 @@ def test_a_robot_looks_round_as_far_as_it_expects_to_see(seed):
     start = a_start(seed, occupied, rules)
     strategy = "decision-theoretic:samples=60,min_gain=4"
     result, state = play(occupied, start, strategy, lidar, rules, cell_m=0.1, shape=SHAPE)
-    final = decode(kept(state), result, occupied.shape)
+    final = decode(detail_of(state), result, occupied.shape)
     assert max(final.looked) == 7
     assert any(plan.is_view for plan in final.plans)
     assert int(result.exhausted) == 0

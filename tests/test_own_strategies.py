@@ -84,7 +84,7 @@ def chosen(score, text="...?\n.R..\n...?", **how):
     policy = strategy(score, name="score").policy
     route = jnp.full(belief.driven.shape, -1, jnp.int8)
     _, choice, _ = policy.select(jax.random.key(0), policy.params, (), belief, None, route)
-    return (int(choice.row), int(choice.col)), np.argwhere(jx.field(belief).candidates).tolist()
+    return (int(choice.row), int(choice.col)), np.argwhere(jx.field(belief).frontier).tolist()
 
 
 def test_the_highest_score_is_the_target_and_ties_go_to_the_lowest_index():

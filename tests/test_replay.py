@@ -50,7 +50,7 @@ def test_the_replay_is_the_episode(strategy, lidar, rules, number):
     np.testing.assert_array_equal(np.asarray(last.belief.grid.hits)[:height, :width], episode.final.hits)
     np.testing.assert_array_equal(np.asarray(last.belief.grid.misses)[:height, :width], episode.final.misses)
     after = {moment.step: moment for moment in moments}
-    assert [int(after[step].state.known) for step in sorted(after)] == episode.final.known.tolist()
+    assert [int(after[step].state.n_known) for step in sorted(after)] == episode.final.n_known.tolist()
     assert [(m.row, m.col) for m in (after[step] for step in sorted(after))] == list(
         zip(episode.final.rows.tolist(), episode.final.cols.tolist())
     )

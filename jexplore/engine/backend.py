@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 
@@ -27,16 +28,16 @@ def compiling_s() -> float | None:
 
 
 @functools.cache
-def _watch_compiler():
+def _watch_compiler() -> None:
     """Make JAX report when a program is compiled."""
 
-    def begin(event, **_):
+    def begin(event: str, **_: Any) -> None:
         if event == ASKED:
             _since[threading.get_ident()] = time.monotonic()
         elif event == FOUND:
             _since.pop(threading.get_ident(), None)
 
-    def end(event, duration_secs, **_):
+    def end(event: str, duration_secs: float, **_: Any) -> None:
         del duration_secs
         if event == MADE:
             _since.pop(threading.get_ident(), None)

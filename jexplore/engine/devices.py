@@ -3,11 +3,12 @@
 import contextlib
 import functools
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.tree_util import PyTreeDef
 
 from jexplore.engine.draws import pinned_draws
 
@@ -16,11 +17,30 @@ PROGRAMS = 32  # compiled programs that are kept in a process
 CONFIGURATION = ("jax_default_device", "jax_enable_x64")
 
 
-def _mesh(devices):
+class Device(Protocol):
+    """A device of JAX's."""
+
+    platform: str
+
+    def memory_stats(self) -> dict[str, int] | None:
+        """Return bytes in use and at most; None where a device does not say."""
+        ...
+
+
+def _sharding(devices: Sequence[Device], spec: PartitionSpec) -> Device | NamedSharding:
+    return devices[0] if len(devices) == 1 else NamedSharding(_mesh(devices), spec)
+
+
+def _mesh(devices: Sequence[Device]) -> Mesh:
     return Mesh(np.array(devices), (AXIS,))
 
 
-def on_devices(function: Callable[..., Any], devices: Sequence[Any], n_own: int) -> Callable[..., Any]:
+def part_sharding(devices: Sequence[Device]) -> Device | NamedSharding:
+    """Return where arrays with a leading axis of the devices lie, each part on its device."""
+    return _sharding(devices, PartitionSpec(AXIS))
+
+
+def on_devices(function: Callable[..., Any], devices: Sequence[Device], n_own: int) -> Callable[..., Any]:
     """Turn a function of arrays into one of arrays with a leading axis of D devices, one part for each.
 
     Nothing is exchanged: automatically split loops would put an exchange into every iteration.
@@ -34,14 +54,14 @@ def on_devices(function: Callable[..., Any], devices: Sequence[Any], n_own: int)
       function; what it returns has the leading axis as well.
     """
 
-    def local(*args):
+    def local(*args: Any) -> Any:
         own = [jax.tree.map(lambda a: a[0], arg) for arg in args[:n_own]]
         return jax.tree.map(lambda a: a[None], function(*own, *args[n_own:]))
 
     if len(devices) == 1:
         return local
 
-    def call(*args):
+    def call(*args: Any) -> Any:
         specs = tuple(PartitionSpec(AXIS) if i < n_own else PartitionSpec() for i in range(len(args)))
         return jax.shard_map(
             local, mesh=_mesh(devices), in_specs=specs, out_specs=PartitionSpec(AXIS), check_vma=False
@@ -50,26 +70,26 @@ def on_devices(function: Callable[..., Any], devices: Sequence[Any], n_own: int)
     return call
 
 
-def whole(tree: Any, devices: Sequence[Any]) -> Any:
+def whole(tree: Any, devices: Sequence[Device]) -> Any:
     """Put a pytree of arrays on every device, unsplit."""
-    return jax.device_put(tree, devices[0] if len(devices) == 1 else NamedSharding(_mesh(devices), PartitionSpec()))
+    return jax.device_put(tree, _sharding(devices, PartitionSpec()))
 
 
-def parted(tree: Any, devices: Sequence[Any]) -> Any:
+def parted(tree: Any, devices: Sequence[Device]) -> Any:
     """Put a pytree of arrays with a leading axis of the devices on them, each part on its device."""
-    return jax.device_put(tree, devices[0] if len(devices) == 1 else NamedSharding(_mesh(devices), PartitionSpec(AXIS)))
+    return jax.device_put(tree, part_sharding(devices))
 
 
 class _Function:
     """A function that is told from others by its name only: what it is made from, hashable."""
 
-    def __init__(self, function, name):
+    def __init__(self, function: Callable[..., Any], name: Hashable) -> None:
         self.function, self.name = function, name
 
-    def __eq__(self, other):
-        return self.name == other.name
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Function) and self.name == other.name
 
-    def __hash__(self):
+    def __hash__(self) -> int:
         return hash(self.name)
 
 
@@ -77,7 +97,7 @@ def compiled(
     function: Callable[..., Any],
     name: Hashable,
     arguments: tuple[Any, ...],
-    devices: Sequence[Any],
+    devices: Sequence[Device],
     *,
     donate: tuple[int, ...] = (),
     cpu_options: tuple[tuple[str, Any], ...] = (),
@@ -103,7 +123,7 @@ def compiled(
 
 
 @functools.cache
-def _is_option(option):
+def _is_option(option: tuple[str, Any]) -> bool:
     """Return whether this version of XLA knows an option, a pair of name and value."""
     try:
         with jax.default_device(jax.local_devices(backend="cpu")[0]):
@@ -116,7 +136,15 @@ def _is_option(option):
 
 
 @functools.lru_cache(maxsize=PROGRAMS)
-def _compiled(made, tree, leaves, devices, donate, options, configuration):
+def _compiled(
+    made: _Function,
+    tree: PyTreeDef,
+    leaves: tuple[jax.ShapeDtypeStruct, ...],
+    devices: tuple[Device, ...],
+    donate: tuple[int, ...],
+    options: tuple[tuple[str, Any], ...],
+    configuration: tuple[str, ...],
+) -> tuple[Callable[..., Any], Any]:
     del configuration  # it only tells programs apart
     other = devices[0].platform != jax.default_backend()  # a CPU in addition to an accelerator
     with pinned_draws(), jax.default_device(devices[0]) if other else contextlib.nullcontext():

@@ -53,13 +53,13 @@ def _move(setup, given, state, motion):
     too many ends the episode. Does nothing once the plan is done. `motion` is the route's in the robot's cell.
     """
     belief = state.belief
-    looking = state.walking & (state.looking > 0)
-    at_limit = state.walking & ~looking & (state.steps >= given.numbers.max_steps)
+    looking = state.plan_active & (state.looking > 0)
+    at_limit = state.plan_active & ~looking & (state.steps >= given.numbers.max_steps)
     drow, dcol, heading = motion_step(motion)
     occupied, base = stacked(given, given.scenes.occupied)
     wall = occupied[base + state.row + drow, state.col + dcol]
     blocked = wall | ~is_open(belief, belief.row + drow, belief.col + dcol)
-    ahead = state.walking & ~looking & ~at_limit
+    ahead = state.plan_active & ~looking & ~at_limit
     steps, refused = ahead & ~blocked, ahead & blocked
     diagonal = steps & (drow != 0) & (dcol != 0)
     drow, dcol = jnp.where(steps, drow, 0), jnp.where(steps, dcol, 0)
@@ -79,10 +79,10 @@ def _move(setup, given, state, motion):
         came_from=jnp.stack([belief.row, belief.col]),
         looking=state.looking - looking,
         looked=jnp.where(steps, 0, state.looked + looking),
-        bumped=jnp.where(state.walking, jnp.where(refused, motion, NO_MOTION), state.bumped).astype(jnp.int32),
-        walking=state.walking & ~at_limit,
+        bumped=jnp.where(state.plan_active, jnp.where(refused, motion, NO_MOTION), state.bumped).astype(jnp.int32),
+        plan_active=state.plan_active & ~at_limit,
         outcome=jnp.where(at_limit, Outcome.STEP_LIMIT, state.outcome),
-        unscanned=state.unscanned + steps * jnp.where(diagonal, DIAGONAL, STRAIGHT),
+        since_scan=state.since_scan + steps * jnp.where(diagonal, DIAGONAL, STRAIGHT),
         turns=state.turns + turn_between(state.heading, turned(state.heading)),
         straight=state.straight + (steps & ~diagonal),
         diagonal=state.diagonal + diagonal,
@@ -103,7 +103,7 @@ def _arrive(setup, state, arrived, live, numbers):
     state = state.replace(
         looking=jnp.where(looks, _n_looks(setup) - 1, state.looking),
         exhausted=state.exhausted + spent,
-        walking=jnp.where(arrived, looks, state.walking),
+        plan_active=jnp.where(arrived, looks, state.plan_active),
     )
     return state, spent
 
@@ -115,7 +115,7 @@ def _mark_exhausted(state, spent):
 
 def _limit_plans(numbers, state):
     """End an episode whose plan is done and that may make no other."""
-    spent = (state.outcome == Outcome.RUNNING) & ~state.walking & (state.plans >= numbers.max_plans)
+    spent = (state.outcome == Outcome.RUNNING) & ~state.plan_active & (state.plans >= numbers.max_plans)
     return state.replace(outcome=jnp.where(spent, Outcome.PLAN_LIMIT, state.outcome))
 
 
@@ -133,21 +133,21 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     Returns:
       `State`.
     """
-    belief, walking, numbers = state.belief, state.walking, given.numbers
+    belief, plan_active, numbers = state.belief, state.plan_active, given.numbers
     # Both orthogonal neighbours of a diagonal step belong to the driven way.
     (row, col), (row_before, col_before) = (belief.row, belief.col), state.came_from
     diagonal = (row != row_before) & (col != col_before)
     beside = jnp.stack([row, row, row_before]), jnp.stack([col, col_before, col])
-    marked = walking & jnp.stack([jnp.bool_(True), diagonal, diagonal])
+    marked = plan_active & jnp.stack([jnp.bool_(True), diagonal, diagonal])
     state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, marked)))
     row, col = state.target[0] - belief.row, state.target[1] - belief.col
     here, near = (row == 0) & (col == 0), row * row + col * col <= numbers.arrival_d2
-    due = walking & (here | (state.bumped >= 0) | (state.unscanned >= numbers.scan_every))
-    state = state.replace(unscanned=jnp.where(due, 0, state.unscanned))
-    state = metrics.take_stock(setup, given, trail.note_step(sense(setup, given, state, due), walking), walking)
+    due = plan_active & (here | (state.bumped >= 0) | (state.since_scan >= numbers.scan_every))
+    state = state.replace(since_scan=jnp.where(due, 0, state.since_scan))
+    state = metrics.take_stock(setup, given, trail.note_step(sense(setup, given, state, due), plan_active), plan_active)
     live = is_live(state.belief, *state.target)
     if setup.policy.live is not None:
-        asked = state.is_view & state.walking & (numbers.recheck | near)
+        asked = state.is_view & state.plan_active & (numbers.recheck | near)
 
         def look(_):
             return setup.policy.live(numbers.params, state.belief, given.shared, *state.target)
@@ -155,8 +155,8 @@ def advance(setup: Setup, given: Given, state: State) -> State:
         live = run_if(asked, look, live)
     bumped = state.bumped >= 0
     given_up = bumped | ((numbers.recheck | near) & ~live & ~here)
-    state = state.replace(walking=walking & ~given_up)
-    state, spent = _arrive(setup, state, walking & here & ~bumped & (state.looking == 0), live, numbers)
+    state = state.replace(plan_active=plan_active & ~given_up)
+    state, spent = _arrive(setup, state, plan_active & here & ~bumped & (state.looking == 0), live, numbers)
     state = _mark_exhausted(state, spent)
     motion = state.route[state.belief.row, state.belief.col]
     return _limit_plans(numbers, _move(setup, given, state, motion))
@@ -172,7 +172,7 @@ def drive(setup: Setup, given: Given, state: State) -> State:
       `State`.
     """
     if not _is_native(setup):
-        return lax.while_loop(lambda state: state.walking, lambda state: advance(setup, given, state), state)
+        return lax.while_loop(lambda state: state.plan_active, lambda state: advance(setup, given, state), state)
     state, asks = drive_natively(setup, given, state, Stage.NEXT_SCAN)
     if setup.policy.live is None:
         return state
@@ -228,7 +228,7 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
         plans=state.plans + 1,
         saturated=choice.saturated,
         bad_targets=bad_targets,
-        walking=~none & ~bad,
+        plan_active=~none & ~bad,
         bumped=jnp.int32(NO_MOTION),
         outcome=jnp.where(
             none, Outcome.COMPLETE, jnp.where(bad_targets >= BAD_TARGETS, Outcome.BAD_TARGET, state.outcome)
@@ -270,9 +270,9 @@ def blank_belief(given: Given) -> Belief:
     truth, (row, col, heading) = given.scenes, given.task
     flags = jnp.zeros(truth.occupied.shape[1:], bool)
     grid = empty_grid(flags.shape)
-    if truth.known is not None:
-        known = truth.known[given.scene]
-        grid = Grid(hits=(known > 0).astype(jnp.int32), misses=(known == 0).astype(jnp.int32))
+    if truth.prior is not None:
+        prior = truth.prior[given.scene]
+        grid = Grid(hits=(prior > 0).astype(jnp.int32), misses=(prior == 0).astype(jnp.int32))
     return Belief(
         grid=grid,
         driven=_mark(flags, row, col),
@@ -309,7 +309,7 @@ def begin(setup: Setup, given: Given) -> State:
     shape = truth.occupied.shape[1:]
     goal, stuck = _find_goal(given, row, col)
     belief = blank_belief(given)
-    known = jnp.int32(0) if truth.known is None else known_cells(belief.grid, belief.within)
+    n_known = jnp.int32(0) if truth.prior is None else known_cells(belief.grid, belief.within)
     rooms, base = stacked(given, truth.rooms)
     room = rooms[base + row, col]
     steps, choices = trail.blank(setup.capacity)
@@ -325,13 +325,13 @@ def begin(setup: Setup, given: Given) -> State:
         carry=setup.policy.init(given.numbers.params, belief),
         target=jnp.full((2,), -1, jnp.int32),
         is_view=jnp.bool_(False),
-        walking=jnp.bool_(False),
+        plan_active=jnp.bool_(False),
         bumped=jnp.int32(NO_MOTION),
         came_from=jnp.stack([row, col]),
         room=room,
         outcome=jnp.where(stuck, Outcome.STUCK, Outcome.RUNNING).astype(jnp.int32),
         room_entries=(room >= 0).astype(jnp.int32),
-        **no_counts() | {"known": known},
+        **no_counts() | {"n_known": n_known},
     )
 
     if _is_native(setup):

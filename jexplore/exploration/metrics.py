@@ -42,7 +42,7 @@ class EpisodeView(StepCounts):
     turns: Array  # int32, 45-degree turns
     scans: Array  # int32
     plans: Array  # int32
-    known: Array  # int32, known cells among those that are to be known
+    n_known: Array  # int32, known cells among those that are to be known
     outcome: Array  # int32, `Outcome`; RUNNING before the end
     replace: ClassVar[Callable[..., Self]]
 

@@ -98,10 +98,10 @@ def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
     square, before, rest = _square_round(setup, belief), jnp.int32(0), jnp.int32(0)
     if square is not None:
         before = known_cells(belief.grid, belief.within, square)
-        rest = state.known - before
+        rest = state.n_known - before
     # The number is added where it changes nothing (it is never negative), so that it is made first, and the map can
     # then be changed in place.
     row = belief.row + jnp.minimum(before, 0)
     grid = fold(belief.grid, row, belief.col, belief.heading, seen, beams, when=when)
-    known = rest + known_cells(grid, belief.within, square)
-    return state.replace(belief=belief.replace(grid=grid), scans=state.scans + when, known=known)
+    n_known = rest + known_cells(grid, belief.within, square)
+    return state.replace(belief=belief.replace(grid=grid), scans=state.scans + when, n_known=n_known)

@@ -93,7 +93,7 @@ class Episode:
         return plot.episode_figure(
             *(map_state(final.hits, final.misses, self.rules.p_free), final.rows, final.cols, cell_m),
             path_m=length_along_m(final.rows, final.cols, cell_m),
-            known_cells=final.known,
+            known_cells=final.n_known,
             title=self.title,
         )
 
@@ -153,7 +153,7 @@ class Episode:
         final, cell_m = self.final, self.world.cell_m
         length_m = length_along_m(final.rows, final.cols, cell_m)
         for frame in frames(self, max_frames=max_frames):
-            known_m2 = int(final.known[frame.step]) * cell_m**2
+            known_m2 = int(final.n_known[frame.step]) * cell_m**2
             yield {
                 "state": map_state(frame.hits, frame.misses, self.rules.p_free),
                 "frontier": frame.frontier,
@@ -288,7 +288,7 @@ def maps_at(episode: Episode, shares: Sequence[float]) -> Iterator[tuple[float, 
     Yields `(share, explored, state)`: the share that was reached, that which was known then, and `[H, W]` uint8, see
     `results.map_state`.
     """
-    known = episode.final.known / episode.final.known[-1]
+    known = episode.final.n_known / episode.final.n_known[-1]
     left = [share for share in shares if share > known[0]]
     for moment in steps_of(episode):
         reached = [share for share in left if share <= known[moment.step]]

@@ -224,7 +224,7 @@ def run_block_units(
 
         progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
-        how["alike"] = plan.alike
+        how["shared_with"] = plan.sharing
         try:
             found = batch.run_jobs(jobs, Lidar(), Rules(), **how, on_progress=progress, on_job=on_job).costs
         except KeyboardInterrupt:
