@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from typing import Any, ClassVar, Self
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -146,7 +147,7 @@ def all_round(beams: Beams) -> Beams:
       `Beams`, K = 1, with `around` times as many beams.
     """
 
-    def joined(table, axis):
+    def joined(table: Array, axis: int) -> Array:
         return jnp.concatenate([table[k : k + 1] for k in range(0, HEADINGS, HEADINGS // beams.around)], axis=axis)
 
     return Beams(
@@ -167,7 +168,7 @@ def farthest(lidar: Lidar, cell_m: float) -> float:
     return in_cells(lidar.range_m, cell_m) + mount
 
 
-def _cells_to(x, y):
+def _cells_to(x: float, y: float) -> np.ndarray:
     """Return cells entered on the way from a cell's centre to a point, cells: `[(drow, dcol), ...]` relative to it."""
     col, row = math.floor(x + 0.5), math.floor(y + 0.5)
     # Where the way crosses edges of columns and of rows, as parts of its length; through a corner in x first.
@@ -247,23 +248,25 @@ def scan(occupied: Array, row: Array | int, col: Array | int, heading: Array | i
     Returns:
       `Scan`. The first occupied cell that a beam enters stops it; the robot's own cell stops none.
     """
+    chex.assert_rank(occupied, 2)
+    chex.assert_type(occupied, bool)
     flat, here = occupied.reshape(-1), row * occupied.shape[1] + col
     length = lax.dynamic_index_in_dim(beams.length, heading, keepdims=False)
 
-    def blocked(offset):
+    def blocked(offset: Array) -> Array:
         return flat.at[here + offset].get(mode="clip", wrap_negative_indices=False)
 
-    def first_stop(offset, first):
+    def first_stop(offset: Array, first: Array) -> Array:
         """Return the first step of some, `[n, B]`, at which each beam is stopped or ends."""
         step = first + lax.broadcasted_iota(jnp.int32, (offset.shape[0], 1), 0)
         stopped = blocked(offset) | (step >= length)
         return jnp.min(jnp.where(stopped, step, NOT_ENDED), axis=0)
 
-    def not_ended(state):
+    def not_ended(state: tuple[Array, Array]) -> Array:
         j, end = state
         return (j * BLOCK < beams.offset.shape[1]) & (jnp.max(end) == NOT_ENDED)
 
-    def look(state):
+    def look(state: tuple[Array, Array]) -> tuple[Array, Array]:
         j, end = state
         # Sliced before it is reshaped: reshaping the whole table inside a loop would copy it.
         offset = lax.dynamic_slice(beams.offset, (heading, j * BLOCK, 0), (1, BLOCK, length.shape[0]))[0]
@@ -299,17 +302,18 @@ def fold(
     Source:
       Holz et al. 2010, section 2.1.
     """
+    chex.assert_rank([grid.hits, grid.misses], 2)
     height, width = grid.hits.shape
     here, outside = row * width + col, height * width
     end, hit = jnp.where(when, seen.end, 0), seen.hit & when
     misses = grid.misses.reshape(-1).at[here].add(jnp.asarray(when, jnp.int32))
 
-    def cells(offset, first):
+    def cells(offset: Array, first: Array) -> Array:
         """Return the cells that some blocks of steps pass; an invalid one beyond the end of the beam."""
         step = first + lax.broadcasted_iota(jnp.int32, offset.shape, offset.ndim - 1)
         return jnp.where(step < end[:, None], here + offset, outside)
 
-    def counted(state):
+    def counted(state: tuple[Array, Array]) -> tuple[Array, Array]:
         j, misses = state
         offset = lax.dynamic_slice(beams.by_beam, (heading, j, 0, 0), (1, 1, *beams.by_beam.shape[2:]))[0, 0]
         return j + 1, misses.at[cells(offset, j * BLOCK)].add(1, mode="drop")

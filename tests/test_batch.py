@@ -262,6 +262,7 @@ def test_no_key_is_used_twice():
     assert int(state.plans) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_what_is_kept_of_every_episode_is_the_same_in_lanes(jobs):
     few = [job._replace(starts=job.starts[:2]) for job in jobs[:2]]

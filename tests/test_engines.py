@@ -55,7 +55,7 @@ def test_what_is_compared_says_something(want):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("n_lanes", [7, 64])
+@pytest.mark.parametrize("n_lanes", [7, pytest.param(64, marks=pytest.mark.slow)])
 def test_lanes_give_what_one_after_the_other_does(want, n_lanes):
     report = run_jobs(some_jobs(), LIDAR, RULES, engine="jax", in_lanes=True, lanes=n_lanes)
     assert_equal(report, want)
@@ -64,6 +64,7 @@ def test_lanes_give_what_one_after_the_other_does(want, n_lanes):
     assert costs.levels == {"closest": ["JAX in lanes"], "closest+recheck": ["JAX in lanes"]}
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_whole_episodes_under_vmap_give_the_same(want):
     job = some_jobs()[0]
@@ -81,6 +82,7 @@ def test_whole_episodes_under_vmap_give_the_same(want):
     jax.tree.map(np.testing.assert_array_equal, found, want.outcomes[0].result)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("size", [7])
 def test_calls_of_any_size_give_the_same(want, size, monkeypatch):
@@ -88,6 +90,7 @@ def test_calls_of_any_size_give_the_same(want, size, monkeypatch):
     assert_equal(run_jobs(some_jobs(), LIDAR, RULES, engine="jax", workers=2), want)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("kind", ["auto", "rooms"])
 def test_a_strategy_that_draws_looks_ahead_and_divides_the_map_gives_the_same_in_lanes(kind):
@@ -139,6 +142,7 @@ def answer(process):
     return json.loads(out.splitlines()[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("n", [4])
 def test_devices_share_the_work_and_change_nothing(want, n):
@@ -146,6 +150,7 @@ def test_devices_share_the_work_and_change_nothing(want, n):
     assert found == [["one by one", n, digest(want)], ["lanes", n, digest(want)]]
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_processes_share_the_work_and_all_have_all_of_it(want):
     with socket.socket() as free:
@@ -157,6 +162,7 @@ def test_processes_share_the_work_and_all_have_all_of_it(want):
     assert [answer(process) for process in both] == [[["one by one", 2, digest(want)], alone]] * 2
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_programs_that_differ_in_what_is_fixed_are_told_apart_in_one_process():
     """Clearance is no array: in one process, lanes must be compiled anew for each."""

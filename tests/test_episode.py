@@ -46,7 +46,6 @@ def test_a_corridor_by_hand():
 
 
 PENCIL = {
-    "corridor": ("####### #S....# #######", CROSS, ONE_CELL),
     "bend": ("##### #...# #.#.# #S#.# #####", CROSS, ONE_CELL),
     "narrow view": ("##### #S..# #...# #####", Lidar(n_beams=1, fov_deg=40, range_m=1.6), ONE_CELL),
     "no look around": ("##### #S..# #...# #####", CROSS, Rules(clearance_m=0.0, near_m=1.0, look_around=False)),
@@ -62,7 +61,10 @@ PENCIL = {
 }
 
 
-@pytest.mark.parametrize("name", PENCIL)
+NEW_SHAPES = "bend", "narrow view", "scans now and then"  # each compiles hundreds of operations
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in NEW_SHAPES else n for n in PENCIL])
 def test_tiny_worlds_without_jit(name):
     text, lidar, rules = PENCIL[name]
     occupied = maps.walls(text) if name != "in a wall" else maps.walls(text.replace("S", "#"))
@@ -217,6 +219,7 @@ def test_a_view_point_is_given_up_when_it_shows_too_little_only_with_rechecking(
     assert targets["+recheck"][2] == (4, 6)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("seed", range(3))
 def test_a_robot_looks_round_as_far_as_it_expects_to_see(seed):
@@ -267,6 +270,7 @@ def test_padding_changes_nothing_and_neither_does_the_window():
     np.testing.assert_array_equal(small_state.belief.grid.hits[:60, :60], large_state.belief.grid.hits[:60, :60])
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_jit_changes_nothing():
     text, lidar, rules = PENCIL["bend"]

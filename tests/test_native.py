@@ -161,6 +161,7 @@ def test_a_gpu_that_jax_is_not_to_use_is_not_used(monkeypatch):
         assert found == n
 
 
+@pytest.mark.slow
 @needs_nvcc
 @pytest.mark.parametrize("arch", ["sm_80", "sm_90", "sm_100"])
 def test_the_cuda_library_is_built(arch):
@@ -186,6 +187,7 @@ def test_beams_enter_the_cells_of_the_table():
             np.testing.assert_array_equal(cols * beams.way[heading, beam, 0], table.dcol[heading, :n, beam])
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.skipif(not native.sanitized_environment(), reason="the compiler has no libasan.so and libstdc++.so")
 def test_sanitizers_find_nothing():
@@ -230,7 +232,9 @@ def test_radii_and_ranges_beyond_the_world(cell_m):
 
 @needs_compiler
 @pytest.mark.jit
-@pytest.mark.parametrize("name", ["closest+recheck", "gain-rate+recheck:samples=60", "random"])
+@pytest.mark.parametrize(
+    "name", ["closest+recheck", pytest.param("gain-rate+recheck:samples=60", marks=pytest.mark.slow), "random"]
+)
 def test_a_replay_shows_what_jax_does(name, monkeypatch):
     """Of a strategy with view points as well, whose choices are on the record."""
     job = job_of(name, 1)
@@ -262,6 +266,7 @@ def test_without_a_compiler_jax_runs_and_says_so_once(monkeypatch, tmp_path):
     assert_equal(dataclasses.asdict(report.outcomes[0].result), dataclasses.asdict(want))
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.usefixtures("forgetful")
 def test_a_library_that_counts_wrongly_is_not_used(monkeypatch):

@@ -151,7 +151,7 @@ def random_belief(seed, shape, unknown, occupied, clearance_d2=0):
 
 @pytest.mark.jit
 @given(st.sampled_from(SHAPES), st.integers(0, 2**20), st.sampled_from((0, 1, 2)), st.floats(0, 0.4), st.floats(0, 0.4))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_fields_and_nearest_frontiers_are_the_oracles(shape, seed, clearance_d2, unknown, occupied):
     belief = random_belief(seed, shape, unknown, occupied, clearance_d2)
     passable, cost, pred, candidates = oracle(belief)
@@ -215,7 +215,7 @@ SIDE = 192  # larger than every window
 @pytest.mark.parametrize("clearance_d2", [0, 9])
 def test_windows_never_change_the_answer(clearance_d2):
     distances = [1, 3, 9, 20, 24, 26, 27, 28, 29, 30, 31, 32, 40, 50, 57, 58, 59, 60, 61, 62, 63, 64, 80, 120, 400]
-    costs = [int(both(large_belief(seed, (SIDE, SIDE - 9), clearance_d2, distances)).cost) for seed in range(60)]
+    costs = [int(both(large_belief(seed, (SIDE, SIDE - 9), clearance_d2, distances)).cost) for seed in range(40)]
     for low, high in ((0, 20), (32, 56), (66, 10_000)):  # of every kind there were some
         assert any(low * S <= cost <= high * S for cost in costs)
     assert FAR in costs
@@ -236,6 +236,7 @@ def test_larger_maps_have_larger_windows():
     }
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("shape", [(1024, 40), (40, 2048)])
 def test_windows_of_large_maps_never_change_the_answer(shape):

@@ -488,12 +488,3 @@ def test_different_keys_differ_and_equal_keys_agree():
     read = [noisy(jax.random.key(k), ROOM, 1, 2, 1, lidar, 2.0, 0.3)[1] for k in (1, 1, 2)]
     np.testing.assert_array_equal(read[0].end, read[1].end)
     assert (np.asarray(read[0].end) != np.asarray(read[2].end)).any()
-
-
-# ---------------------------------------------------------------- bad input
-
-
-@pytest.mark.parametrize("wrong", [jnp.zeros((3, 3), jnp.int32), jnp.zeros(3, bool)])
-def test_what_is_no_occupancy_is_refused(wrong):
-    with pytest.raises(ValueError, match="expected occupied"):
-        any_pose.cast(wrong, (0.5, 0.5, 0.0), np.zeros(1), max_range_m=1.0, cell_m=1.0)

@@ -8,7 +8,6 @@ from typing import Any, Protocol
 import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jax.tree_util import PyTreeDef
 
 from jexplore.engine.draws import pinned_draws
 
@@ -138,7 +137,7 @@ def _is_option(option: tuple[str, Any]) -> bool:
 @functools.lru_cache(maxsize=PROGRAMS)
 def _compiled(
     made: _Function,
-    tree: PyTreeDef,
+    tree: Any,
     leaves: tuple[jax.ShapeDtypeStruct, ...],
     devices: tuple[Device, ...],
     donate: tuple[int, ...],

@@ -18,7 +18,7 @@ from jexplore.engine.program import Given
 from jexplore.exploration import metrics, trail
 from jexplore.exploration.motion import motion_step, turn_between
 from jexplore.exploration.sensing import known_cells, sense, stacked
-from jexplore.exploration.state import Outcome, Setup, State, Stream, no_counts
+from jexplore.exploration.state import Numbers, Outcome, Setup, State, Stream, no_counts
 from jexplore.frontier import disc
 from jexplore.grid import Grid, empty_grid, is_known
 from jexplore.native.drive import Stage
@@ -31,7 +31,7 @@ BAD_TARGETS = 3  # targets in a row that no path leads to, and an episode ends
 LOOK_AROUND = 4  # looks, at least, with which a robot looks all round on arrival, the one on arrival included
 
 
-def _mark(mask, rows, cols, when: Array | bool = True):
+def _mark(mask: Array, rows: Array, cols: Array, when: Array | bool = True) -> Array:
     """Set some cells of a mask where `when`, none of them twice; a scatter, because it updates the mask in place.
 
     Skipped cells go to rows beyond the last, each to its own: an accelerator serialises writes that may meet in a cell.
@@ -41,12 +41,12 @@ def _mark(mask, rows, cols, when: Array | bool = True):
     return mask.at[jnp.where(when, rows, outside), cols].set(True, mode="drop", unique_indices=True)
 
 
-def _n_looks(setup):
+def _n_looks(setup: Setup) -> Array:
     """Return the number of scans of a look-around on arrival: enough to see all round, at least `LOOK_AROUND`."""
     return jnp.maximum(setup.first_scans, LOOK_AROUND)
 
 
-def _move(setup, given, state, motion):
+def _move(setup: Setup, given: Given, state: State, motion: Array) -> State:
     """Return the next motion of a plan under way, before its scan: a step along the route, or a turn in place.
 
     A step into a cell that is not free is refused: the robot only turns towards it. A plan whose next step would be one
@@ -64,7 +64,7 @@ def _move(setup, given, state, motion):
     diagonal = steps & (drow != 0) & (dcol != 0)
     drow, dcol = jnp.where(steps, drow, 0), jnp.where(steps, dcol, 0)
 
-    def turned(old):
+    def turned(old: Array) -> Array:
         return jnp.where(looking, (old + 8 // _n_looks(setup)) % 8, jnp.where(ahead, heading, old))
 
     row, col = state.row + drow, state.col + dcol
@@ -92,7 +92,7 @@ def _move(setup, given, state, motion):
     )
 
 
-def _arrive(setup, state, arrived, live, numbers):
+def _arrive(setup: Setup, state: State, arrived: Array, live: Array | bool, numbers: Numbers) -> tuple[State, Array]:
     """Handle an arrival: a look-around if the target is live and the rules say so; else the plan is done.
 
     Returns:
@@ -108,12 +108,12 @@ def _arrive(setup, state, arrived, live, numbers):
     return state, spent
 
 
-def _mark_exhausted(state, spent):
+def _mark_exhausted(state: State, spent: Array) -> State:
     exhausted = _mark(state.belief.exhausted, state.target[0], state.target[1], spent)
     return state.replace(belief=state.belief.replace(exhausted=exhausted))
 
 
-def _limit_plans(numbers, state):
+def _limit_plans(numbers: Numbers, state: State) -> State:
     """End an episode whose plan is done and that may make no other."""
     spent = (state.outcome == Outcome.RUNNING) & ~state.plan_active & (state.plans >= numbers.max_plans)
     return state.replace(outcome=jnp.where(spent, Outcome.PLAN_LIMIT, state.outcome))
@@ -149,7 +149,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     if setup.policy.live is not None:
         asked = state.is_view & state.plan_active & (numbers.recheck | near)
 
-        def look(_):
+        def look(_: Array) -> Array:
             return setup.policy.live(numbers.params, state.belief, given.shared, *state.target)
 
         live = run_if(asked, look, live)
@@ -177,7 +177,7 @@ def drive(setup: Setup, given: Given, state: State) -> State:
     if setup.policy.live is None:
         return state
 
-    def answer(both):
+    def answer(both: tuple[State, Array]) -> tuple[State, Array]:
         state, _ = both
         live = setup.policy.live(given.numbers.params, state.belief, given.shared, *state.target)
         return drive_natively(setup, given, state, Stage.ANSWERED, live)
@@ -185,7 +185,7 @@ def drive(setup: Setup, given: Given, state: State) -> State:
     return lax.while_loop(lambda both: both[1], answer, (state, asks))[0]
 
 
-def _is_native(setup):
+def _is_native(setup: Setup) -> bool:
     """Return whether native code drives."""
     return target_of(setup.native) is not None
 
@@ -241,7 +241,7 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
     return _mark_exhausted(state, spent).replace(route=route, choices=state.choices.at[plan].set(entry, mode="drop"))
 
 
-def _find_goal(given, row, col):
+def _find_goal(given: Given, row: Array, col: Array) -> tuple[Array, Array]:
     """Return the cells to be known in the end, and whether the start is enclosed.
 
     Returns:
@@ -337,7 +337,7 @@ def begin(setup: Setup, given: Given) -> State:
     if _is_native(setup):
         return drive_natively(setup, given, state, Stage.FIRST_SCANS)[0]
 
-    def look_round(_, state):
+    def look_round(_: Array, state: State) -> State:
         state, belief = sense(setup, given, state, ~stuck), state.belief
         turned = (belief.heading + 8 // setup.first_scans) % 8
         return state.replace(heading=turned, belief=state.belief.replace(heading=turned))

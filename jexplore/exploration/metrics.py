@@ -76,7 +76,7 @@ class Metric(Theirs):
 
 
 @functools.lru_cache(maxsize=256)
-def _digest(metric, tree, shapes):
+def _digest(metric: Metric, tree: Any, shapes: tuple[Any, ...]) -> str | None:
     view = jax.tree.unflatten(tree, shapes)
     try:
         with jax.disable_jit(False), jax.checking_leaks():
@@ -112,7 +112,7 @@ def metric(function: Any = None, *, every: str = "motion", reduce: str = "mean")
     """
     if every != "motion":
         raise unknown("value of every:", str(every), ["motion"])
-    if not isinstance(reduce, str) or reduce not in REDUCTIONS:
+    if reduce not in list(REDUCTIONS):  # a list: what is no text may not be hashable
         raise unknown("reduction", str(reduce), list(REDUCTIONS))
     if function is None:
         return functools.partial(metric, every=every, reduce=reduce)
@@ -131,7 +131,7 @@ def take_stock(setup: Setup, given: Given, state: State, when: Array) -> State:
     if not own:
         return state
 
-    def counted(so_far):
+    def counted(so_far: Any) -> Any:
         n, old = so_far
         new = [one(episode_view(given, state)) for one in own]
         both = [REDUCTIONS[one.reduce](*values) for one, *values in zip(own, old, new)]
@@ -143,10 +143,10 @@ def take_stock(setup: Setup, given: Given, state: State, when: Array) -> State:
 
 def values_of(setup: Setup, given: Given, state: State) -> tuple[Array, ...]:
     """Return the present values of all metrics, in order."""
-    n, values = state.metrics or (None, ())
+    n, values = state.metrics or (jnp.int32(0), ())
     noted, seen = iter(values), episode_view(given, state)
 
-    def now(one):
+    def now(one: Metric) -> Array:
         return stored(state.row >= 0, lambda: one(seen))
 
     found = [next(noted) if one.reduce else now(one) for one in setup.metrics]

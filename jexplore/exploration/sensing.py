@@ -1,7 +1,7 @@
 """Sensing: a scan at the robot's true pose, counted into its map at the estimated pose."""
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ from jexplore.arrays.loops import one_kernel
 from jexplore.engine.program import Given
 from jexplore.exploration.state import Setup, State, Stream
 from jexplore.grid import Grid, is_known
+from jexplore.planning import Belief
 from jexplore.raycast import Scan, disturb, fold, scan
 
 
@@ -27,7 +28,7 @@ class Square(NamedTuple):
     size: tuple[int, int]  # height and width; static
 
 
-def _square_round(setup, belief):
+def _square_round(setup: Setup, belief: Belief) -> Square | None:
     """Return the `Square` that holds every cell a scan can change; None where the whole map is counted as fast."""
     height, width = shape = belief.driven.shape
     size = min(height, 2 * setup.window + 1), min(width, 2 * setup.window + 1)
@@ -47,8 +48,8 @@ def known_cells(grid: Grid, within: Array | None = None, square: Square | None =
     """
     row, col, (height, width) = square or (0, 0, grid.hits.shape)
 
-    def run(maps, row, col):
-        def add(i, so_far):
+    def run(maps: Any, row: Array, col: Array) -> Array:
+        def add(i: Array, so_far: Array) -> Array:
             own, *more = (jax.tree.map(lambda a: lax.dynamic_slice(a, (row + i, col), (1, width)), one) for one in maps)
             return so_far + functools.reduce(jnp.logical_and, more, is_known(own))
 
