@@ -40,17 +40,9 @@ def part_sharding(devices: Sequence[Device]) -> Device | NamedSharding:
 
 
 def on_devices(function: Callable[..., Any], devices: Sequence[Device], n_own: int) -> Callable[..., Any]:
-    """Turn a function of arrays into one of arrays with a leading axis of D devices, one part for each.
+    """Turn a function into one whose first `n_own` arguments, and results, have a leading axis of the devices.
 
     Nothing is exchanged: automatically split loops would put an exchange into every iteration.
-
-    Args:
-      function: of `n_own` pytrees that differ between devices, then some that do not.
-      devices: list of D JAX devices.
-      n_own: how many of the arguments have the leading axis.
-
-    Returns:
-      function; what it returns has the leading axis as well.
     """
 
     def local(*args: Any) -> Any:
@@ -101,18 +93,13 @@ def compiled(
     donate: tuple[int, ...] = (),
     cpu_options: tuple[tuple[str, Any], ...] = (),
 ) -> tuple[Callable[..., Any], Any]:
-    """Compile a function, once in a process for equal names and shapes: the function, and its result's shapes.
+    """Compile a function, once in a process for equal names and shapes: `(call, shapes of its result)`.
 
     Args:
-      function: to be compiled.
-      name: what it is made from, hashable: with the arguments' shapes it tells it from other functions.
+      name: what the function is made from, hashable: with the arguments' shapes it tells it from other functions.
       arguments: pytrees of arrays, or of their shapes.
-      devices: list of JAX devices.
       donate: numbers of the arguments whose memory may be used again.
-      cpu_options: pairs of name and value, options of XLA on a CPU; one that this version does not have is left out.
-
-    Returns:
-      `(call, shapes)`.
+      cpu_options: options of XLA on a CPU; one that this version does not have is left out.
     """
     leaves, tree = jax.tree.flatten(arguments)
     leaves = tuple(jax.ShapeDtypeStruct(np.shape(a), a.dtype, sharding=getattr(a, "sharding", None)) for a in leaves)

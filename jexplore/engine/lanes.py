@@ -118,11 +118,9 @@ class Group:
     ) -> tuple[Lanes, Any, Array, Array]:
         """Measure the runs in lanes `which`, `[m]` int32, begin `runs` there where they are `real`, and advance all.
 
-        All advance by a number of iterations, int32, or until as many runs are done as are measured at a time, or all.
-
-        Returns:
-          `(lanes, found, done, n)`: of the m lanes what `Program.measure` and `detail` return, something where there
-            was no run; `[L]` bool, a lane's run is done; int32, iterations.
+        All advance by a number of iterations, or until as many runs are done as are measured at a time, or all. Returns
+        `(lanes, found, done, n)`: of the m lanes what `Program.measure` and `detail` return, something where there was
+        no run; `[L]` bool, a lane's run is done; int32, iterations.
         """
         lanes, found = self._fill(lanes, which, runs, real, common)
         enough = jnp.minimum(_count(lanes.busy), which.shape[0])
@@ -231,15 +229,9 @@ def _count(mask: Array) -> Array:
 def run_in_lanes(
     lines: Sequence[Line], devices: Sequence[Device], n_lanes: int | None, costs: Any, tell: Callable[[], object]
 ) -> None:
-    """Make every run of some lines, and put the results there as they come.
+    """Make every run of some lines, `n_lanes` at a time on every device, by default as many as its memory holds.
 
-    Args:
-      n_lanes: lanes on every device; None for as many as its memory holds, at most `LANES`.
-      costs: `Costs`, added to.
-      tell: called, from the calling thread, when some have come.
-
-    Raises:
-      KeyboardInterrupt: results of earlier calls are kept.
+    `tell` is called, from the calling thread, when some have come. Ctrl-C keeps the results of earlier calls.
     """
     groups: dict[Any, list[Line]] = {}
     for line in lines:

@@ -42,18 +42,9 @@ def run_one(program: Program, given: Given) -> Any:
 def chunk(
     program: Program, draws: Array, tasks: Any, count: Array, seed: Array, scenes: Any, shared: Any, numbers: Any
 ) -> tuple[Any, Any]:
-    """Make up to C runs of one line, one after the other.
+    """Make `count` runs of one line, one after the other; `draws` and `tasks` have room for C.
 
-    Args:
-      program: `Program`. Static.
-      draws: `[C]` int32, with the seed it makes the run's key.
-      tasks: pytree of `[C, ...]`.
-      count: int32, runs to make; the rest of the C are left alone.
-      seed: uint32.
-      scenes, shared, numbers: as in `Given`.
-
-    Returns:
-      results with a leading axis C, zeros from `count` on; and the detailed record of the last run made.
+    Returns the results with a leading axis C, zeros from `count` on, and the detailed record of the last run made.
     """
 
     def one(i: Any) -> tuple[Any, Any]:

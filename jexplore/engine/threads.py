@@ -79,19 +79,12 @@ def share_out(
     on_progress: Callable[[int], object],
     give_up: Callable[[], object] = lambda: None,
 ) -> None:
-    """Process all pieces of some kinds, in the order given: each call is cut off as a worker becomes free.
+    """Process all pieces of some kinds, in the order given: each call is cut off as one of the `workers` becomes free.
 
     Those of a phase are processed in rotation, `IN_ROTATION` at a time: an interrupted one has a part of each, or, with
-    very many kinds, some whole ones.
-
-    Args:
-      kinds: list of `Pieces`.
-      workers: threads.
-      on_progress: called with the number of finished pieces, from the calling thread.
-      give_up: called when it ends early, to make running calls return.
-
-    Raises:
-      KeyboardInterrupt: after running calls have ended; their results are kept.
+    very many kinds, some whole ones. `on_progress` is called with the number of finished pieces, from the calling
+    thread; `give_up` when it ends early, to make running calls return. An interruption is raised after running calls
+    have ended; their results are kept.
     """
     waiting: collections.deque[Pieces] = collections.deque()
     running: dict[Future[tuple[Any, float]], tuple[Pieces, int, int]] = {}

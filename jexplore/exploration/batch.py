@@ -63,7 +63,8 @@ def run_jobs(
 ) -> Finished:  # fmt: skip
     """Run every episode of every job.
 
-    Jobs are made in the order given, those in native code among the others; `runner.run_all` says where it is not so.
+    Jobs are made in the order given, in native code or not; `runner.run_all` says where it is not so, and
+    `threads.share_out` cuts them into calls. A study makes its units (`studies/results/units.py`) jobs before.
     An episode's result depends on its world, start, strategy, seed and number, not on others, nor on the
     engine, or the number of lanes, cores, devices or processes. Between kinds of devices that holds for a
     scanner without noise and strategies that compare whole numbers (`closest`, `random`): noise is drawn, and the

@@ -93,11 +93,7 @@ def _move(setup: Setup, given: Given, state: State, motion: Array) -> State:
 
 
 def _arrive(setup: Setup, state: State, arrived: Array, live: Array | bool, numbers: Numbers) -> tuple[State, Array]:
-    """Handle an arrival: a look-around if the target is live and the rules say so; else the plan is done.
-
-    Returns:
-      `(state, spent)`: `spent`, bool, the target is live even then and becomes exhausted.
-    """
+    """Handle an arrival by a look-around if the target is live and the rules say so: `(state, exhausted)`."""
     looks = arrived & live & numbers.look_around & (state.looked < _n_looks(setup) - 1)
     spent = arrived & live & ~looks
     state = state.replace(
@@ -124,14 +120,6 @@ def advance(setup: Setup, given: Given, state: State) -> State:
 
     Scan first, motion last: everything is then read from the map after its update, which can so be made in place. Once
     the plan is done, maps, trail and counters stay the same.
-
-    Args:
-      setup: `Setup`. Static.
-      given: as for `begin`.
-      state: `State`.
-
-    Returns:
-      `State`.
     """
     belief, plan_active, numbers = state.belief, state.plan_active, given.numbers
     # Both orthogonal neighbours of a diagonal step belong to the driven way.
@@ -163,14 +151,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
 
 
 def drive(setup: Setup, given: Given, state: State) -> State:
-    """Advance until the plan under way is done.
-
-    Args:
-      setup, given, state: as for `advance`.
-
-    Returns:
-      `State`.
-    """
+    """Advance until the plan under way is done."""
     if not _is_native(setup):
         return lax.while_loop(lambda state: state.plan_active, lambda state: advance(setup, given, state), state)
     state, asks = drive_natively(setup, given, state, Stage.NEXT_SCAN)
@@ -191,14 +172,7 @@ def _is_native(setup: Setup) -> bool:
 
 
 def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array]:
-    """Ask the strategy for a target.
-
-    Args:
-      setup, given, state: as for `advance`; a running episode that carries out no plan.
-
-    Returns:
-      `(carry, choice, route)`: what the strategy remembers; `planning.Choice`; `[H, W]` int8, the route to it.
-    """
+    """Ask the strategy for a target, in a running episode that carries out no plan: `(carry, choice, route)`."""
     key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.POLICY), state.plans)
     return setup.policy.select(key, given.numbers.params, state.carry, state.belief, given.shared, state.route)
 
@@ -207,15 +181,8 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
     """Turn a choice into the plan and make its first motion; none ends the episode as complete, as far as is known.
 
     A target that no path leads to is refused: the strategy is asked again, and the third in a row ends the episode.
-
-    Args:
-      setup, given, state: as for `decide`.
-      choice: `planning.Choice`.
-      route: `[H, W]` int8, motions from the robot's cell to the target (`planning.readout.lay_route`).
-      live: bool, whether a look from the target is worth while: of a strategy's target it always is.
-
-    Returns:
-      `State`.
+    `route`: `[H, W]` int8, motions to the target (`planning.readout.lay_route`); `live`: bool, whether a look from the
+    target is worth while: of a strategy's target it always is.
     """
     none = choice.row < 0
     bad = ~none & (choice.cost >= FAR)
@@ -242,12 +209,7 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
 
 
 def _find_goal(given: Given, row: Array, col: Array) -> tuple[Array, Array]:
-    """Return the cells to be known in the end, and whether the start is enclosed.
-
-    Returns:
-      `(goal, stuck)`: `[ceil(H / 32), W]` uint32, packed cells that are clear in the true world and connected to the
-        start; bool.
-    """
+    """Return the cells to be known in the end, those connected to the start, packed; and whether that is enclosed."""
     model, shape = given.numbers.model, given.scenes.occupied.shape[1:]
     maps, base = stacked(given, given.scenes.occupied)
     occupied = lax.dynamic_slice(maps, (base, jnp.int32(0)), shape)
@@ -296,14 +258,8 @@ def outcome_of(state: State) -> Array:
 def begin(setup: Setup, given: Given) -> State:
     """Return the state of an episode that has made its first scans.
 
-    Args:
-      setup: `Setup`. Static.
-      given: `engine.program.Given`: key of the episode, consumed by all of its parts together, each drawing from
-        streams of its own; `Beams` with 8 headings shared; `Truth` of M worlds; `Numbers`; the task is the start,
-        `[3]` int32, row, col and heading (units of 45 degrees).
-
-    Returns:
-      `State`.
+    `given`: key of the episode, consumed by all of its parts together, each drawing from streams of its own; `Beams`
+    with 8 headings shared; `Truth` of M worlds; `Numbers`; the task is the start, `[3]` int32, row, col and heading.
     """
     truth, (row, col, _) = given.scenes, given.task
     shape = truth.occupied.shape[1:]

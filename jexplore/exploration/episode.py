@@ -34,13 +34,7 @@ def _knowable(explorable: Array, occupied: Array, within: Array | None) -> Array
 
 
 def finish(setup: Setup, given: Given, state: State) -> Result:
-    """Return the `Result` of an episode that has ended.
-
-    Args:
-      setup: `Setup`. Static.
-      given: as for `environment.begin`.
-      state: `State`.
-    """
+    """Return the `Result` of an episode that has ended."""
     shape, truth = state.shape, given.scenes
 
     def own(maps: Array) -> Array:
@@ -97,11 +91,7 @@ def _must_plan(state: State) -> Array:
 
 
 def program_of(setup: Setup, keep: str | None = None) -> Program:
-    """Return exploration as a `Program`; its `Setup` has a policy.
-
-    Args:
-      setup: `Setup`.
-      keep: the record of every episode, one of `trail.RECORDS`; None: its result only.
+    """Return exploration as a `Program`; `keep`: the record of every episode, one of `trail.RECORDS`, None: none.
 
     Source:
       Holz et al. 2010, Figure 3 and section 2.3.

@@ -154,11 +154,7 @@ def values_of(setup: Setup, given: Given, state: State) -> tuple[Array, ...]:
 
 
 def traced_metrics(metrics: Sequence[Metric], given: Given, belief: Any) -> tuple[Metric, ...]:
-    """Identify metrics by what they compute, as `adapt.traced_policy` does strategies.
-
-    Args:
-      metrics: list of `Metric`.
-      given, belief: of a site, arrays or their shapes.
+    """Identify metrics by what they compute, as `adapt.traced_policy` does strategies; `given`, `belief`: of a site.
 
     Raises:
       InputError: one raises, returns no number, or is not pure: one line that names it.

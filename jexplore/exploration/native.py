@@ -65,10 +65,11 @@ class NativePlace(NamedTuple):
     ring: int  # cells by which indices in the library are larger than the world's
 
 
-def native_place(loaded: Any, world: World, strategy: Strategy, lidar: Lidar, rules: Rules) -> NativePlace:
-    """Make a world ready for episodes in native code; of a strategy that it does not know for replays only."""
-    whole = with_ring(world)
-    chooser = chooser_of(strategy)
+def native_place(
+    loaded: Any, world: World, strategy: Strategy, lidar: Lidar, rules: Rules, *, is_replay: bool = False
+) -> NativePlace:
+    """Make a world ready for episodes in native code, or for replays, of any strategy: these take recorded targets."""
+    whole, chooser = with_ring(world), None if is_replay else chooser_of(strategy)
     spec = episodes.Spec(
         height=whole.shape[0],
         width=whole.shape[1],
@@ -188,12 +189,7 @@ class NativeRun:
 def play_on_gpu(runs: Sequence[NativeRun], tell: Callable[[], object]) -> str:
     """Run large groups on a GPU; episodes that it gives up, or that are kept whole, are left for the CPU.
 
-    Args:
-      runs: list of `NativeRun`; results are put there.
-      tell: called from the calling thread when some have come.
-
-    Returns:
-      The reason why not, a line; "" where it did, or had nothing to do.
+    `tell` is called when some have come. Returns why not, a line; "" where it did, or had nothing to do.
     """
     by_place: dict[int, list[NativeRun]] = {}
     for run in runs:
@@ -253,12 +249,7 @@ def show_episode(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the known map at some steps of a recorded episode, of any strategy.
 
-    Args:
-      world, strategy, lidar, rules: those of the episode.
-      start: row, col, heading in degrees.
-      final: the record, with its plans.
-      shown: numbers of steps, ascending.
-      frontier: added to the codes of frontier cells.
+    `start`: row, col, heading in degrees; `shown`: numbers of steps, ascending.
 
     Returns:
       `(codes, headings)`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can
@@ -269,7 +260,10 @@ def show_episode(
     if not is_exact(lidar) or found.loaded is None or final.plans is None:
         return None
     rules = dataclasses.replace(rules, max_steps=max(len(final.rows) - 1, 1), max_plans=None)
-    place, ring = native_place(found.loaded, world, strategy, lidar, rules).inner, ring_of(world.occupied)
+    place, ring = (
+        native_place(found.loaded, world, strategy, lidar, rules, is_replay=True).inner,
+        ring_of(world.occupied),
+    )
     made = [plan for plan in final.plans if plan.target is not None]
     script = episodes.Script(
         targets=np.array([plan.target for plan in made], np.int32).reshape(-1, 2) + ring,

@@ -54,18 +54,14 @@ def frontier(belief: Belief) -> np.ndarray:
 
 
 def moments(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: int, plans: Any) -> Iterator[Moment]:
-    """Yield every scan of an episode after those at the start.
+    """Yield every scan of an episode, first that after the scans at the start.
 
     Args:
       site: `Site`, with the kernels of one robot.
-      strategy: `Strategy`; asked only whether a view point is still worth going to.
+      strategy: asked only whether a view point is still worth going to.
       start: row, col, heading in degrees.
-      seed: of the run.
-      number: of the episode.
+      seed, number: of the run, and of the episode in it.
       plans: list of `trail.Plan`.
-
-    Yields:
-      `Moment`s, first that after the scans at the start.
     """
     for plan in replayed_plans(site, strategy, start, seed, number, plans):
         yield from plan.moments

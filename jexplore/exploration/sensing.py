@@ -39,13 +39,7 @@ def _square_round(setup: Setup, belief: Belief) -> Square | None:
 
 
 def known_cells(grid: Grid, within: Array | None = None, square: Square | None = None) -> Array:
-    """Count the known cells that count: those of the goal. int32.
-
-    Args:
-      grid: `Grid`.
-      within: `[H, W]` bool, the cells that count; None: all.
-      square: where they are counted; None: everywhere.
-    """
+    """Count the known cells that count, those `within` (`[H, W]` bool; None: all), in a square or everywhere: int32."""
     row, col, (height, width) = square or (0, 0, grid.hits.shape)
 
     def run(maps: Any, row: Array, col: Array) -> Array:
@@ -62,13 +56,7 @@ def known_cells(grid: Grid, within: Array | None = None, square: Square | None =
 def without_silent(seen: Scan, blind: Array, no_echo_is_free: Array | bool) -> Scan:
     """Silence the beams of a scan that say nothing: those stopped too near, and maybe those that nothing stopped.
 
-    Args:
-      seen: `Scan`, `[B]`.
-      blind: `[B]` int32, steps at which a beam that is stopped says nothing.
-      no_echo_is_free: bool scalar, whether a beam that nothing stopped shows its cells to be free.
-
-    Returns:
-      `Scan`, `[B]`: a silent beam has passed no cell and hit none.
+    `blind`: `[B]` int32, steps at which a beam that is stopped says nothing. A silent beam passes and hits no cell.
     """
     hit = seen.hit & (seen.end >= blind)
     speaks = hit | (~seen.hit & no_echo_is_free)
@@ -76,17 +64,7 @@ def without_silent(seen: Scan, blind: Array, no_echo_is_free: Array | bool) -> S
 
 
 def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
-    """Make one scan at the true pose and count it into the map at the estimated pose, if `when`.
-
-    Args:
-      setup: `Setup`. Static.
-      given: as for `environment.begin`.
-      state: `State`.
-      when: bool scalar, False: do nothing.
-
-    Returns:
-      `State`.
-    """
+    """Make one scan at the true pose and count it into the map at the estimated pose, if `when`."""
     belief, beams, occupied, base = state.belief, given.shared, *stacked(given, given.scenes.occupied)
     seen = scan(occupied, base + state.row, state.col, state.heading, beams)
     blind = lax.dynamic_index_in_dim(beams.blind, state.heading, keepdims=False)

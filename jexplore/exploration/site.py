@@ -34,11 +34,7 @@ COARSE_M = 0.15  # cells longer than this are coarse: a corridor is a few of the
 def drive_for(platform: str) -> Library:
     """Return the library that drives one robot, built if need be; its name is a target of JAX's FFI, None: JAX drives.
 
-    Args:
-      platform: of the devices that the robot's program runs on; only a CPU has native driving.
-
-    Warns:
-      InputWarning: there is no native code, once in a process.
+    Only a CPU has native driving. Warns once in a process where it cannot be built.
     """
     is_native = platform == "cpu" and not jax.config.values["jax_disable_jit"]
     return find_target() if is_native else Library(None)
@@ -98,20 +94,14 @@ def prepare_site(
     shared_with: Sequence[tuple[Lidar, Rules]] = (),
     metrics: Sequence[Metric] = (),
 ) -> Site:
-    """Prepare a world: add a ring if needed, pad it and trace the scanner's beams.
+    """Prepare a world, in numpy: add a ring if needed, pad it and trace the scanner's beams.
 
     Args:
-      world: `World`.
-      lidar: `Lidar`.
-      rules: `Rules`.
       shape: `(H, W)` to which the world is padded; by default the next that many worlds share.
       native: target of native code that drives and plans, for one robot on a CPU; None, or a noisy scanner: JAX does.
       shared_with: scanners and rules of other runs. The static config then suits all of them whose scanner has as many
         beams, so that they share a program; results are the same.
       metrics: of every episode. For those after every motion JAX drives.
-
-    Returns:
-      `Site` of numpy arrays.
 
     Raises:
       InputError: a metric that raises, returns no number, or is not pure.
@@ -246,16 +236,10 @@ def line_of(
     detailed: int = 0,
     keep: str | None = None,
 ) -> Line:
-    """Make the `Line` of a strategy's episodes.
+    """Make the `Line` of a strategy's episodes; `fitted` comes from `site.with_strategy`.
 
-    Args:
-      site: `Site`.
-      fitted: from `site.with_strategy`.
-      starts: `[N, 3]` int, row, col, heading_deg (multiples of 45).
-      seed: int.
-      which: `[n]` int, numbers of the episodes to run here.
-      detailed: number of the episode whose map and way are kept whole.
-      keep: record of every episode, see `episode.program_of`.
+    `starts`: `[N, 3]` int, row, col, heading_deg; `which`: numbers of the episodes to run here; `detailed`: of the one
+    whose map and way are kept whole; `keep`: record of every episode, see `episode.program_of`.
     """
     setup, numbers = fitted
     trim = None

@@ -108,14 +108,9 @@ class Record(NamedTuple):
 
 
 def record_of(result: Result, found: tuple[np.ndarray, ...], shape: tuple[int, ...], width: int, ring: int) -> Record:
-    """Return the `Record` of an episode.
+    """Return the `Record` of an episode with a `Result` of scalars, from what one of `RECORDS` gave.
 
-    Args:
-      result: `Result` of scalars.
-      found: what one of `RECORDS` gave, numpy.
-      shape: `(H, W)` of the world with its ring.
-      width: of the padded maps.
-      ring: of the site.
+    `shape`: of the world with its ring; `width`: of the padded maps; `ring`: of the site.
     """
     trail, *state = found
     trail = trail[: int(result.straight + result.diagonal) + 1]
@@ -126,14 +121,7 @@ def record_of(result: Result, found: tuple[np.ndarray, ...], shape: tuple[int, .
 
 
 def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int], ring: int = 0) -> Final:
-    """Make `Final` of the record of an episode.
-
-    Args:
-      found: what `detail_of` gave, numpy.
-      result: `Result` of that episode, scalars.
-      shape: of the world.
-      ring: of the site.
-    """
+    """Make `Final` of what `detail_of` gave for an episode, its `Result`, the world's shape and the site's ring."""
     hits, misses, trail, choices, bumped = found
     steps, n_plans = int(result.straight + result.diagonal), int(result.plans)
     trail = trail[: steps + 1]

@@ -22,15 +22,7 @@ class Beams(NamedTuple):
 
 @functools.lru_cache(maxsize=8)
 def trace_beams(lidar: Lidar, cell_m: float) -> Beams:
-    """Trace the beams of a scanner; the same cells as those of `raycast.beam_table`.
-
-    Args:
-      lidar: `Lidar` at the robot's centre, of which a beam sees all that it enters.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      `Beams`.
-    """
+    """Trace the beams of a scanner at the robot's centre: the same cells as those of `raycast.beam_table`."""
     reach = in_cells(lidar.range_m, cell_m)
     dx, dy = exact_direction(45.0 * np.arange(HEADINGS)[:, None] + beam_angles_deg(lidar))
     geometry = beam_geometry(np, dx, dy, 0.5, 0.5, 1e30)

@@ -70,19 +70,10 @@ def find_target() -> Library:
 
 
 def drive(setup: Any, given: Any, state: Any, stage: Stage, live: Array | bool = False) -> tuple[Any, Array]:
-    """Drive a robot until its plan is done or its strategy must be asked.
+    """Drive a robot until its plan is done or its strategy must be asked: `(state, asks)`.
 
-    Maps and trail change in place where they are used no more.
-
-    Args:
-      setup: `exploration.state.Setup` with a native target. Static.
-      given: `engine.program.Given` of an episode.
-      state: `exploration.state.State`.
-      stage: Static.
-      live: bool, what the strategy has said.
-
-    Returns:
-      `(state, asks)`: bool, whether the strategy must say whether its target is live before the robot goes on.
+    Maps and trail change in place where they are used no more. `live`: bool, what the strategy has said; `asks`: bool,
+    whether it must say whether its target is live before the robot goes on.
     """
     belief, truth, beams = state.belief, given.scenes, given.shared
     own = numbers([getattr(state, name) for name in CHANGED])

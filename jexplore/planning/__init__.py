@@ -113,12 +113,7 @@ def view_of(belief: Belief, reached: Field) -> View:
 
 
 def is_open(belief: Belief, row: Array | int, col: Array | int) -> Array:
-    """Return whether a robot would step into a cell: it is free by the map, or was driven on: bool.
-
-    Args:
-      belief: `Belief`.
-      row, col: int32, inside the map.
-    """
+    """Return whether a robot would step into a cell inside the map: it is free by the map, or was driven on: bool."""
     hits, misses = (a[row, col] for a in (belief.grid.hits, belief.grid.misses))
     free = (hits + misses > 0) & (hits.astype(jnp.float32) <= belief.model.p_free * (hits + misses).astype(jnp.float32))
     is_open = free | belief.driven[row, col]
@@ -287,13 +282,9 @@ def cut_out(belief: Belief, origin: tuple[Array, ...], shape: tuple[int, ...]) -
 
 
 def nearest_in_window(belief: Belief, route: Array, side: int) -> tuple[Array, Choice, Array]:
-    """Find the nearest frontier if a window settles it: `(undecided, choice, route)`.
+    """Find the nearest frontier if a window with a side of `windows` settles it: `(undecided, choice, route)`.
 
     Windows are as wide as a power of two, because flat indices are then cheap to take apart.
-
-    Args:
-      belief, route: as for `nearest_frontier`.
-      side: of the window, one of `windows`. Static.
     """
     bound = bound_of(side, belief.model.clearance_d2)
     radius = bound // STRAIGHT
