@@ -69,7 +69,7 @@ class OwnRuns(Protocol):
         ...
 
     def pieces(self) -> Pieces:
-        """Return what is left to be made."""
+        """Return the rest."""
         ...
 
     def give_up(self) -> None:
@@ -93,7 +93,13 @@ class Resources(NamedTuple):
 
 
 def on_cores(workers: int | None = None) -> Resources:
-    """Return resources for runs in native code alone: threads, by default one a core. JAX is not started."""
+    """Return resources for runs in native code alone: threads, by default one a core. JAX is not started.
+
+    Raises:
+      InputError: workers out of range.
+    """
+    if workers is not None:
+        require_setting("workers", workers)
     return Resources([], False, workers or own_cores(), None, 0, 1)
 
 
@@ -186,16 +192,12 @@ def run_all(
     Ctrl-C ends it early: `work` then holds the finished runs; without any, the interruption is raised.
 
     Args:
-      work: list of `Line`, each with at least one run, and of `OwnRuns`, those in one process only. In every process
-        the same, but for `which`.
-      resources: `Resources`.
+      work: `Line`s, each with at least one run, and `OwnRuns`, in one process only. In every process the same, but for
+        `which`.
       on_progress: called regularly with the number of finished runs, from the calling thread.
       on_finished: called from the calling thread with the number of a line once all its runs have come back: soon
         after, or, if several processes share the work, at the end.
       first: called before all else with a function to be called when runs have come back.
-
-    Returns:
-      `Costs`.
 
     Raises:
       MemoryError: a device's memory does not suffice for the lanes.

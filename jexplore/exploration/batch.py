@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_engine, require_setting, require_whole
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_engine, require_whole
 from jexplore.engine.program import Line
 from jexplore.engine.runner import Costs, Resources, find_resources, level_of, on_cores, require_32_bits, run_all
 from jexplore.exploration.metrics import Metric
@@ -65,71 +65,70 @@ def run_jobs(
 
     Jobs are made in the order given, in native code or not; `runner.run_all` says where it is not so, and
     `threads.share_out` cuts them into calls. A study makes its units (`studies/results/units.py`) jobs before.
-    An episode's result depends on its world, start, strategy, seed and number, not on others, nor on the
-    engine, or the number of lanes, cores, devices or processes. Between kinds of devices that holds for a
-    scanner without noise and strategies that compare whole numbers (`closest`, `random`): noise is drawn, and the
-    others choose, in floating point, which devices may round differently.
-
-    Ctrl-C ends the run early: the report then holds the finished episodes; without any, the interruption is raised.
+    An episode's result depends on its world, start, strategy, seed and number, not on others, nor on the engine, or the
+    number of lanes, cores, devices or processes. Between kinds of devices that holds for a scanner without noise and
+    strategies that compare whole numbers (`closest`, `random`): noise is drawn, and the others choose, in floating
+    point, which devices may round differently. Ctrl-C ends the run early, see `runner.run_all`.
 
     Args:
       jobs: list of `Job`, each with at least one start. In every process the same.
-      lidar: `Lidar`.
-      rules: `Rules`.
       engine: "auto": whole episodes in native code where it can; for the rest JAX, with native driving on a CPU.
         "jax": no native code; on the devices that JAX puts first.
       lanes, workers, in_lanes: of what runs in JAX, see `runner.find_resources`; native code has `workers` threads.
       on_progress: called with the number of finished episodes, now and then, from the calling thread.
       only: number of the one episode of every job that is run; None: all are.
       keep: one of `trail.RECORDS`, the record of every episode; None: results only.
-      on_job: called with the number of a job and its `Outcomes` once all its episodes have ended, soon after, from the
-        calling thread.
+      on_job: called with the number of a job and its `Outcomes` soon after all its episodes have ended.
       shared_with: scanners and rules of other runs that are to share this one's programs, see `site.prepare_site`.
-
-    Returns:
-      `Finished`.
 
     Raises:
       InputError: a start that is no cell of its world or no multiple of 45 degrees, a seed outside 0 to `MAX_SEED`; an
         engine that does not exist, lanes or workers out of range, lanes where there are none to set; a strategy of a
         user's that does not return what it should; `keep` where several processes share the work.
       InputWarning: robots are driven by JAX, because native code cannot be built; once in a process.
-      MemoryError: a device's memory does not suffice for the lanes.
+      MemoryError: see `runner.run_all`.
     """
     require_32_bits()
     require_engine(engine, lanes)
-    if workers is not None:
-        require_setting("workers", workers)
-    jobs = [_checked(job) for job in jobs]
-    settings = [(job.lidar or lidar, job.rules or rules) for job in jobs]
-    # In each process all, or one; of which number the map and the way are kept.
-    wanted = [np.arange(len(job.starts)) if only is None else np.array([only]) for job in jobs]
-    detailed = [only or (0 if job.first == 0 else NO_RUN) for job in jobs]
+    resources = on_cores(workers)
+    wanted = [_want(job, lidar, rules, only) for job in jobs]
     why_not: list[str] = []
-    work: dict[int, NativeRun | Line] = {}
-    if engine == "auto":
-        work |= _native_runs(jobs, settings, wanted, detailed, keep, why_not)
-    native, resources = [run for run in work.values() if isinstance(run, NativeRun)], on_cores(workers)
-    rest = [i for i in range(len(jobs)) if i not in work]
+    native = _native_runs(wanted, keep, why_not) if engine == "auto" else {}
+    work: dict[int, NativeRun | Line] = {**native}
+    rest = {i: own for i, own in enumerate(wanted) if i not in work}
     if rest:  # made before anything runs, as a user's strategy may be refused
         resources = find_resources(engine=engine, lanes=lanes, workers=workers, in_lanes=in_lanes)
-        work |= _lines(jobs, rest, settings, wanted, detailed, keep, shared_with, engine, resources, why_not)
+        work |= _lines(rest, keep, shared_with, engine, resources, why_not)
+    runs = [work[i] for i in range(len(wanted))]
 
-    def told(i: int) -> None:
-        if on_job is not None:
-            on_job(i, _outcomes(jobs[i], work[i]))
+    told = None if on_job is None else (lambda i: on_job(i, _outcomes(wanted[i].job, runs[i])))
 
     def use_gpu(tell: Callable[[], object]) -> None:
-        why_not.extend(filter(None, [play_on_gpu(native, tell)]))
+        why_not.extend(filter(None, [play_on_gpu([*native.values()], tell)]))
 
-    costs = run_all([work[i] for i in range(len(jobs))], resources, on_progress, told, first=use_gpu)
+    costs = run_all(runs, resources, on_progress, told, first=use_gpu)
     costs.engine, costs.why_not = engine, list(dict.fromkeys(why_not))
-    levels: dict[str, dict[str, None]] = {}
-    for i, job in enumerate(jobs):
-        for level in _levels_of(work[i], resources):
-            levels.setdefault(job.strategy.name, {})[level] = None
-    costs.levels = {name: list(found) for name, found in levels.items()}
-    return Finished([_outcomes(job, work[i]) for i, job in enumerate(jobs)], costs)
+    for own, each in zip(wanted, runs):
+        if levels := _levels_of(each, resources):
+            name = own.job.strategy.name
+            costs.levels[name] = list(dict.fromkeys([*costs.levels.get(name, ()), *levels]))
+    return Finished([_outcomes(own.job, each) for own, each in zip(wanted, runs)], costs)
+
+
+class _Wanted(NamedTuple):
+    """Episodes of a job that are to be run, with all its settings."""
+
+    job: Job
+    lidar: Lidar
+    rules: Rules
+    which: np.ndarray  # [n] int, numbers of the episodes
+    detailed: int  # number of the one of which the map and the way are kept
+
+
+def _want(job: Job, lidar: Lidar, rules: Rules, only: int | None) -> _Wanted:
+    job = _checked(job)
+    which = np.arange(len(job.starts)) if only is None else np.array([only])
+    return _Wanted(job, job.lidar or lidar, job.rules or rules, which, only or (0 if job.first == 0 else NO_RUN))
 
 
 def _levels_of(work: NativeRun | Line, resources: Resources) -> list[str]:
@@ -139,16 +138,9 @@ def _levels_of(work: NativeRun | Line, resources: Resources) -> list[str]:
     return [level_of(work, resources)] if work.n_finished else []
 
 
-def _native_runs(
-    jobs: Sequence[Job],
-    settings: Sequence[tuple[Lidar, Rules]],
-    wanted: Sequence[np.ndarray],
-    detailed: Sequence[int],
-    keep: str | None,
-    why_not: list[str],
-) -> dict[int, NativeRun]:
+def _native_runs(wanted: Sequence[_Wanted], keep: str | None, why_not: list[str]) -> dict[int, NativeRun]:
     """Return a `NativeRun` for every job that native code can do, by its number; adds why there is no such code."""
-    can = [i for i, job in enumerate(jobs) if is_native(job.strategy, settings[i][0]) and not job.metrics]
+    can = [i for i, own in enumerate(wanted) if is_native(own.job.strategy, own.lidar) and not own.job.metrics]
     if not can or jax.config.values["jax_disable_jit"] or jax.process_count() > 1:
         return {}
     found = load()
@@ -159,57 +151,50 @@ def _native_runs(
     places: dict[Any, NativePlace] = {}
     runs: dict[int, NativeRun] = {}
     for i in can:
-        job = jobs[i]
-        key = id(job.world), job.strategy.policy.select, job.strategy.recheck, *settings[i]
+        job, lidar, rules, which, detailed = wanted[i]
+        key = id(job.world), job.strategy.policy.select, job.strategy.recheck, lidar, rules
         if key not in places:
-            places[key] = native_place(found.loaded, job.world, job.strategy, *settings[i])
-        runs[i] = NativeRun(
-            places[key], job.starts, job.seed, job.first, wanted[i], detailed=detailed[i], keep=keep, phase=job.phase
-        )
+            places[key] = native_place(found.loaded, job.world, job.strategy, lidar, rules)
+        runs[i] = NativeRun(places[key], job.starts, job.seed, job.first, which, detailed, keep, job.phase)
     return runs
 
 
 def _lines(
-    jobs: Sequence[Job],
-    rest: Sequence[int],
-    settings: Sequence[tuple[Lidar, Rules]],
-    wanted: Sequence[np.ndarray],
-    detailed: Sequence[int],
+    wanted: Mapping[int, _Wanted],
     keep: str | None,
     shared_with: Sequence[tuple[Lidar, Rules]],
     engine: str,
     resources: Resources,
     why_not: list[str],
 ) -> dict[int, Line]:
-    """Return a `Line` for every job of `rest`, by its number; adds why JAX has to drive as well."""
+    """Return a `Line` for every job, by its number; adds why JAX has to drive as well."""
     if keep is not None and resources.processes > 1:
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
     is_driven = engine == "auto" and not resources.in_lanes
     native = drive_for(resources.devices[0].platform) if is_driven else Library(None)
-    measured = {name: metric.reduce for i in rest for name, metric in jobs[i].metrics.items()}
+    measured = {name: metric.reduce for own in wanted.values() for name, metric in own.job.metrics.items()}
     at_end, moving = (", ".join(name for name in measured if bool(measured[name]) == moves) for moves in (False, True))
     why_not += filter(None, [
         native.why_not,
         f"JAX makes episodes with metrics: {at_end}" * bool(at_end),
         f"JAX drives, for metrics after every motion: {moving}" * bool(moving),
     ])  # fmt: skip
-    everyone = [*shared_with, *dict.fromkeys(settings[i] for i in rest)]
+    everyone = [*shared_with, *dict.fromkeys((own.lidar, own.rules) for own in wanted.values())]
     sites: dict[Any, Site] = {}
     fitted: dict[Any, tuple[Setup, Numbers]] = {}
     lines: dict[int, Line] = {}
-    for i, strategy in zip(rest, join_strategies([jobs[i].strategy for i in rest])):
-        job = jobs[i]
+    strategies = join_strategies([own.job.strategy for own in wanted.values()])
+    for (i, (job, lidar, rules, which, detailed)), strategy in zip(wanted.items(), strategies):
         metrics = tuple(job.metrics.values())
-        place = id(job.world), settings[i], metrics
+        place = id(job.world), lidar, rules, metrics
         if place not in sites:
-            sites[place] = prepare_site(
-                job.world, *settings[i], native=native.name, shared_with=everyone, metrics=metrics
-            )
+            shared: Any = {"native": native.name, "shared_with": everyone, "metrics": metrics}
+            sites[place] = prepare_site(job.world, lidar, rules, **shared)
         key = place, id(job.strategy)
         if key not in fitted:
             fitted[key] = sites[place].with_strategy(strategy)
-        which = wanted[i][resources.process :: resources.processes]
-        line = line_of(sites[place], fitted[key], job.starts, job.seed, which, detailed=detailed[i], keep=keep)
+        own = which[resources.process :: resources.processes]
+        line = line_of(sites[place], fitted[key], job.starts, job.seed, own, detailed=detailed, keep=keep)
         line.draws, line.phase = line.draws + np.int32(job.first), job.phase
         lines[i] = line
     return lines

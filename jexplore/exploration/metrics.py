@@ -112,7 +112,7 @@ def metric(function: Any = None, *, every: str = "motion", reduce: str = "mean")
     """
     if every != "motion":
         raise unknown("value of every:", str(every), ["motion"])
-    if reduce not in list(REDUCTIONS):  # a list: what is no text may not be hashable
+    if reduce not in list(REDUCTIONS):  # a list: no hash is needed
         raise unknown("reduction", str(reduce), list(REDUCTIONS))
     if function is None:
         return functools.partial(metric, every=every, reduce=reduce)
