@@ -3,10 +3,10 @@
 import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from ref import any_pose, maps
+from ref import beams as oracle
+from ref import maps
 
 from jexplore.driving.building.walls import SEGMENT_SLACK_M, UNUSED_SLOT_M, Walls, cast, meets, segments, walls_of
 
@@ -135,10 +135,14 @@ def by_segments(walls, pose):
     return cast(walls, pose, FAN, RANGE_M)
 
 
-@jax.jit
 def by_cells(occupied, pose):
-    ranges, hit = any_pose.cast(occupied, pose, FAN, max_range_m=RANGE_M, cell_m=CELL_M)
-    return jnp.where(hit, ranges, jnp.inf)
+    """The oracle's ranges, metres; inf without a hit."""
+    (col, x), (row, y) = (divmod(float(v) / CELL_M, 1) for v in pose[:2])
+    found = (
+        oracle.cast(occupied, int(row), int(col), math.degrees(pose[2] + angle), RANGE_M / CELL_M, x, y)
+        for angle in FAN
+    )
+    return np.array([math.inf if hit is None else CELL_M * distance for _, hit, distance in found])
 
 
 @pytest.mark.jit
@@ -146,7 +150,7 @@ def test_ranges_are_those_of_the_cells():
     """Beams that pass a corner or the end of the range by a hair may go either way: as a beam next to them."""
     rng = np.random.default_rng(1)
     direct = 0
-    for _ in range(25):
+    for _ in range(10):
         occupied = cluttered(rng)
         walls = walls_of(occupied, CELL_M, multiple=MULTIPLE)
         assert walls.x.shape == walls.y.shape == (MULTIPLE, 3)
@@ -159,7 +163,7 @@ def test_ranges_are_those_of_the_cells():
         direct += int(same.sum())
         low, high = np.minimum(*others) - 1e-3, np.maximum(*others) + 1e-3
         assert (same | ((low <= got) & (got <= high))).all()
-    assert direct >= 0.99 * 25 * BEAMS
+    assert direct >= 0.99 * 10 * BEAMS
 
 
 @pytest.mark.jit
@@ -167,7 +171,7 @@ def test_ranges_are_those_of_the_cells():
 def test_ranges_are_those_of_the_cells_where_beams_run_along_walls(quarter):
     """From centres of cells, along the axes: no beam is near a corner."""
     rng = np.random.default_rng(quarter)
-    for _ in range(15):
+    for _ in range(4):
         occupied = cluttered(rng)
         row, col = rng.choice(np.argwhere(~occupied))
         pose = tuple(np.float32(v) for v in ((col + 0.5) * CELL_M, (row + 0.5) * CELL_M, quarter * math.pi / 2))
