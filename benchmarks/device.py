@@ -13,14 +13,13 @@ import os
 import subprocess
 import sys
 import time
-import unittest.mock
 
 import numpy as np
 
 import jexplore as jx
 from jexplore.config import Lidar, Rules
-from jexplore.exploration import native
-from jexplore.exploration.native import NativeRun, chooser_of, native_world, parts_of, play_all
+from jexplore.engine.runner import on_cores, run_all
+from jexplore.exploration.native import NativeRun, native_place
 from jexplore.native import episodes, gpu
 from jexplore.policies import parse_strategy
 from jexplore.worlds.starts import draw_starts
@@ -59,10 +58,7 @@ class Case:
 
     def __init__(self, world, strategy, rules=RULES, lidar=LIDAR):
         self.world, self.strategy, self.ring = world, parse_strategy(strategy), ring_of(world.occupied)
-        chooser = chooser_of(self.strategy)
-        how = world, chooser, lidar, rules
-        self.parts = parts_of(*how, recheck=self.strategy.recheck)
-        self.place = native_world(episodes.load().loaded, *how, recheck=self.strategy.recheck)
+        self.place = native_place(episodes.load().loaded, world, self.strategy, lidar, rules)
         self.starts = draw_starts(world, 2, DRAWN, rules.clearance_m)
 
     def tasks(self, n):
@@ -70,19 +66,18 @@ class Case:
         repeated = self.starts[np.arange(n) % len(self.starts)]
         at = repeated + np.array([self.ring, self.ring, 0])
         at[:, 2] //= 45
-        return self.place.tasks(at, 2, np.arange(n, dtype=np.int32))
+        return self.place.inner.tasks(at, 2, np.arange(n, dtype=np.int32))
 
     def on_gpu(self, loaded, n, **how):
         """Run n episodes on the GPU: `gpu.Played`."""
-        return gpu.play(loaded, *self.parts, self.tasks(n), np.zeros(1, np.int32), **how)
+        return gpu.play(loaded, self.place.spec, self.place.given, self.tasks(n), np.zeros(1, np.int32), **how)
 
     def on_cpu(self, n, workers):
         """Run n episodes on the CPU: `([n, RESULT], seconds)`."""
         starts = self.starts[np.arange(n) % len(self.starts)]
-        run = NativeRun(self.place, self.parts, self.world, starts, 2, 0, np.arange(n), -1, None)
-        with unittest.mock.patch.object(native, "GPU_FROM", n + 1):
-            began = time.time()
-            play_all([run], workers, lambda _: None)
+        run = NativeRun(self.place, starts, 2, 0, np.arange(n))
+        began = time.time()
+        run_all([run], on_cores(workers))
         return run.table, time.time() - began
 
 

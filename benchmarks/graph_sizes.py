@@ -62,11 +62,11 @@ def measure(world, seed=5):
     plans, shape = found.outcomes[0].first.plans, site.truth.occupied.shape
     form = form_for(shape, nodes=shape[0] * shape[1] // 4, splits=2048)
     every, most = max(1, len(plans) // PLANS), (0,) * len(WHAT)
-    for i, turn in enumerate(replay.turns(site, strategy, starts[0], seed, 0, plans)):
-        for _ in turn.moments:
+    for i, plan in enumerate(replay.replayed_plans(site, strategy, starts[0], seed, 0, plans)):
+        for _ in plan.moments:
             pass
-        if turn.belief is not None and (i % every == 0 or i > len(plans) - 3):
-            *counts, overflow = (int(count) for count in _counts(turn.belief, form))
+        if plan.belief is not None and (i % every == 0 or i > len(plans) - 3):
+            *counts, overflow = (int(count) for count in _counts(plan.belief, form))
             assert overflow == 0
             most = tuple(map(max, most, counts))
     return shape, *most

@@ -55,12 +55,12 @@ def rooms_by_walls(prominence_m: float = PROMINENCE_M) -> Policy:
 def _ahead(key, params, carry, belief, beams, route):
     """The sampled view point with the best look ahead, in the direction in which it lies from the robot."""
     view, falls_back = params
-    known = field(belief)
-    height, width = known.cost.shape
-    row, col = views.drawn(key, belief, known, view)
-    n = jnp.where(jnp.any(known.candidates), view.samples, 0)
+    reached = field(belief)
+    height, width = reached.cost.shape
+    row, col = views.drawn(key, belief, reached, view)
+    n = jnp.where(jnp.any(reached.frontier), view.samples, 0)
     row, ahead = jnp.minimum(row, height - 1), prospect(belief.grid, belief.extent, belief.model.p_free)
-    path_m = metres(known.cost[row, col], belief.model.cell_m)
+    path_m = metres(reached.cost[row, col], belief.model.cell_m)
     turn = jnp.arctan2((row - belief.row).astype(jnp.float32), (col - belief.col).astype(jnp.float32))
     heading = jnp.round(turn / (jnp.pi / 4)).astype(jnp.int32) % 8
 
@@ -75,11 +75,11 @@ def _ahead(key, params, carry, belief, beams, route):
 
     state = jnp.int32(0), jnp.float32(-jnp.inf), jnp.int32(-1), empty_grid((height, width))
     _, _, cell, _ = repeat(lambda state: state[0] < n, evaluate, state)
-    near_row, near_col = nearest_of(known)
+    near_row, near_col = nearest_of(reached)
     falls_back = falls_back & (cell < 0)
     row = jnp.where(cell >= 0, cell // width, jnp.where(falls_back, near_row, -1))
     col = jnp.where(cell >= 0, cell % width, jnp.where(falls_back, near_col, -1))
-    choice, route = choose(belief, route, known, row, col)
+    choice, route = choose(belief, route, reached, row, col)
     return carry, choice.replace(is_view=cell >= 0), route
 
 

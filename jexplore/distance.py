@@ -2,6 +2,7 @@
 
 import math
 
+import chex
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
@@ -29,6 +30,8 @@ def nearest_offset(sites: Array) -> tuple[Array, Array, Array]:
       Saito and Toriwaki 1994: columns first, then along the rows. Changed: the search along the rows stops as soon as
         no offset can bring anything nearer; distance and site share one number, so that a comparison takes one minimum.
     """
+    chex.assert_rank(sites, 2)
+    chex.assert_type(sites, bool)
     height, width = sites.shape
     rows = lax.broadcasted_iota(jnp.int32, (height, width), 0)
     below = lax.cummax(jnp.where(sites, rows, -height - REACH), axis=0)  # nearest site row at or below, in the column
@@ -38,12 +41,12 @@ def nearest_offset(sites: Array) -> tuple[Array, Array, Array]:
     near = jnp.where(jnp.abs(off) <= REACH, (off * off * CODES + REACH + 1).astype(jnp.uint32), none)
     wide = jnp.pad(near, ((0, 0), (width, width)), constant_values=none)
 
-    def may_improve(state):
+    def may_improve(state: tuple[Array, Array]) -> Array:
         dx, best = state
         furthest = jnp.max(lax.optimization_barrier(jnp.max(best, axis=0)))
         return (dx < min(width, REACH + 1)) & ((dx * dx * CODES).astype(jnp.uint32) <= furthest)
 
-    def widen(state):
+    def widen(state: tuple[Array, Array]) -> tuple[Array, Array]:
         dx, best = state
         for offset in (-dx, dx):
             other = lax.dynamic_slice_in_dim(wide, width + offset, width, axis=1)
@@ -69,10 +72,8 @@ def nearest_site(sites: Array) -> tuple[Array, Array]:
       `site`: `[H, W]` int32, flat index (row * W + col) of the nearest site; -1 without any.
 
     Raises:
-      ValueError: while tracing, if `sites` is not a bool matrix.
+      AssertionError: while tracing, if `sites` is not a bool matrix.
     """
-    if sites.ndim != 2 or sites.dtype != bool:
-        raise ValueError(f"expected sites: [H, W] bool, got {sites.shape} {sites.dtype}")
     d2, drow, dcol = nearest_offset(sites)
     rows, cols = (lax.broadcasted_iota(jnp.int32, sites.shape, axis) for axis in (0, 1))
     return d2, jnp.where(d2 < FAR, (rows + drow) * sites.shape[1] + cols + dcol, -1)
@@ -88,6 +89,8 @@ def within(mask: Array, d2: int) -> Array:
     Returns:
       `[H, W]` bool. Outside the map counts as False.
     """
+    chex.assert_rank(mask, 2)
+    chex.assert_type(mask, bool)
     return bits.unpack(within_packed(bits.pack(mask), d2), mask.shape[0])
 
 

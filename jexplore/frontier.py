@@ -3,6 +3,7 @@
 import math
 from typing import NamedTuple
 
+import chex
 import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
@@ -87,15 +88,17 @@ def plan_masks(
     Source:
       Holz et al. 2010, section 2.2 and equation 2. Changed: unknown is "never observed", not p = 0.5.
     """
-    shape = driven.shape
+    shape = grid.hits.shape
+    chex.assert_shape([driven, exhausted, inside], shape)
+    chex.assert_type([driven, exhausted, inside], bool)
 
-    def pack_all():
+    def pack_all() -> list[Array]:
         cells = is_occupied(grid, p_free), is_known(grid), driven, exhausted, inside, disc(shape, row, col, near_d2)
         return [bits.pack(mask) for mask in cells]
 
     occupied, known, driven, exhausted, inside, near = stored(row >= 0, pack_all)
 
-    def judge():
+    def judge() -> Masks:
         free = known & ~occupied
         clear = free & ~within_packed(occupied, clearance_d2)
         frontier = clear & any_within_one_packed(inside & ~known) & ~exhausted
@@ -129,7 +132,7 @@ def label_clusters(cells: sparse.Cells) -> Array:
     """
     size = cells.cell.shape[0]
 
-    def hook(label):
+    def hook(label: Array) -> Array:
         above = label[label]
         low = jnp.min(above.at[cells.near].get(mode="fill", fill_value=size), axis=1)
         low = jnp.minimum(low, above)
@@ -169,6 +172,8 @@ def frontier_clusters(
     Source:
       Yamauchi 1997 (frontier regions). Changed: the representative is a member, so that it is always a frontier cell.
     """
+    chex.assert_rank(frontier, 2)
+    chex.assert_type(frontier, bool)
     height, width = frontier.shape
     none = height * width
     cells = groups.grouped(
@@ -188,7 +193,7 @@ def frontier_clusters(
     )
 
 
-def _sizes(cells, width, max_clusters):
+def _sizes(cells: groups.Groups, width: int, max_clusters: int) -> tuple[Array, Array, Array]:
     """Label the listed cells by cluster, and sum the clusters up.
 
     Returns:
@@ -196,7 +201,7 @@ def _sizes(cells, width, max_clusters):
         cells, the sum of their rows, and of their columns.
     """
 
-    def add(slot, used, state):
+    def add(slot: Array, used: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         number, total, count = state
         at, lowest = groups.read(cells.cell, slot), groups.read(cells.lowest, slot)
         is_first = used & (lowest == slot)
@@ -215,7 +220,9 @@ def _sizes(cells, width, max_clusters):
     return number, count, total
 
 
-def _members(cells, number, total, cost, shape):
+def _members(
+    cells: groups.Groups, number: Array, total: Array, cost: Array | None, shape: tuple[int, ...]
+) -> tuple[Array, Array]:
     """Choose the cell that stands for each cluster; arguments from `_sizes` and `frontier_clusters`.
 
     Returns:
@@ -223,7 +230,7 @@ def _members(cells, number, total, cost, shape):
     """
     none, width, max_clusters = shape[0] * shape[1], shape[1], total.shape[1]
 
-    def off(slot, which):
+    def off(slot: Array, which: Array) -> Array:
         """Return the misfit of the cells of a part as representatives of their clusters."""
         at = groups.read(cells.cell, slot)
         if cost is not None:
@@ -234,11 +241,11 @@ def _members(cells, number, total, cost, shape):
         dc = (at % width * size - sum_col).astype(jnp.float32) / jnp.maximum(size, 1)
         return dr * dr + dc * dc
 
-    def least(slot, used, state):
+    def least(slot: Array, used: Array, state: Array) -> Array:
         which = jnp.where(used, groups.read(number, slot), max_clusters)
         return state.at[which].min(off(slot, which), mode="drop")
 
-    def first_of_the_best(slot, used, state):
+    def first_of_the_best(slot: Array, used: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
         chosen, label = state
         at, own = groups.read(cells.cell, slot), groups.read(number, slot)
         which = jnp.where(used, own, max_clusters)

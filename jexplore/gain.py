@@ -6,6 +6,7 @@ Unknown cells let beams through, and count as information.
 import math
 from typing import NamedTuple
 
+import chex
 import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
@@ -80,7 +81,7 @@ def window_of(beams: Beams, shape: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(min(2 * radius + 1, n) for n in shape)
 
 
-def _corner(row, col, size, shape):
+def _corner(row: Array | int, col: Array | int, size: tuple[int, ...], shape: tuple[int, ...]) -> list[Array]:
     """Return the corner of the window of a look-around at a cell: `(row, col)`."""
     return [jnp.clip(at - m // 2, 0, n - m) for at, n, m in zip((row, col), shape, size)]
 
@@ -107,9 +108,12 @@ def most(prospect: Prospect, row: Array, col: Array, beams: Beams) -> Array:
     return inside * (1 + 1e-4) + 1  # more than what float32 loses
 
 
-def _passed(prospect, row, col, beams, scratch):
+def _passed(
+    prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid
+) -> tuple[Grid, list[Array], Array, Array]:
     """Cast a look-around on a scratch: scratch, corner of the window, and there the passed and unknown cells."""
     shape, zero = prospect.stops.shape, jnp.int32(0)
+    chex.assert_shape([scratch.hits, scratch.misses], shape)
     found = scan(prospect.stops, row, col, zero, beams)
     scratch = fold(scratch, row, col, zero, found, beams)
     size = window_of(beams, shape)
@@ -118,7 +122,7 @@ def _passed(prospect, row, col, beams, scratch):
     return scratch, corner, passed > 0, unknown
 
 
-def _wiped(scratch, corner, size):
+def _wiped(scratch: Grid, corner: list[Array], size: tuple[int, ...]) -> Grid:
     """Reset a window of a scratch to zeros."""
     blank = jnp.zeros(size, jnp.int32)
     return Grid(*(lax.dynamic_update_slice(a, blank, corner) for a in (scratch.hits, scratch.misses)))
@@ -146,7 +150,7 @@ def look(
         at = jnp.stack([row, col])[:, None]
         (seen,), (known,) = kernels.look(native, prospect.stops, prospect.unknown, at, 1, beams)
 
-        def with_change(state):
+        def with_change(state: tuple[Array, Grid]) -> tuple[Array, Grid]:
             told, scratch = look(prospect, row, col, beams, state[1])
             return told.gain, scratch
 
@@ -157,7 +161,7 @@ def look(
     seen = count(passed & unknown)
     known = count(passed) - seen
 
-    def after(array):
+    def after(array: Array) -> Array:
         return array.reshape(-1).at[prospect.mixed].get(mode="fill", fill_value=0).astype(jnp.float32)
 
     # Without a Grid: hits and misses as float32 are exact up to 2**24.

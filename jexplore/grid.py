@@ -7,6 +7,7 @@ Also the only place that converts between metres and cells. Cells are `(row, col
 import math
 from typing import Any
 
+import chex
 import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
@@ -36,6 +37,13 @@ def empty_grid(shape: tuple[int, ...]) -> Grid:
     return Grid(hits=jnp.zeros(shape, jnp.int32), misses=jnp.zeros(shape, jnp.int32))
 
 
+def _observations(grid: Grid) -> Array:
+    """Return how often every cell was observed, once the dtype and the shapes are seen to be right."""
+    chex.assert_type([grid.hits, grid.misses], jnp.int32)
+    chex.assert_equal_shape([grid.hits, grid.misses])
+    return grid.hits + grid.misses
+
+
 def probability(grid: Grid) -> Array:
     """Compute the reflection probability of every cell.
 
@@ -45,7 +53,7 @@ def probability(grid: Grid) -> Array:
     Returns:
       `[H, W]` float32, hits / (hits + misses); 0.5, the prior, where nothing was observed.
     """
-    n = grid.hits + grid.misses
+    n = _observations(grid)
     return jnp.where(n > 0, grid.hits.astype(jnp.float32) / jnp.maximum(n, 1).astype(jnp.float32), jnp.float32(0.5))
 
 
@@ -56,13 +64,13 @@ def is_known(grid: Grid) -> Array:
 
 def is_free(grid: Grid, p_free: Array | float) -> Array:
     """Return known cells with a reflection probability of at most `p_free`, in float32: `[H, W]` bool."""
-    n = grid.hits + grid.misses
+    n = _observations(grid)
     return (n > 0) & (grid.hits.astype(jnp.float32) <= p_free * n.astype(jnp.float32))
 
 
 def is_occupied(grid: Grid, p_free: Array | float) -> Array:
     """Return known cells whose reflection probability is above `p_free`, in float32: `[H, W]` bool."""
-    n = grid.hits + grid.misses
+    n = _observations(grid)
     return (n > 0) & (grid.hits.astype(jnp.float32) > p_free * n.astype(jnp.float32))
 
 
@@ -80,7 +88,7 @@ def entropy(grid: Grid) -> Array:
     """
     p = probability(grid)
 
-    def plogp(q):
+    def plogp(q: Array) -> Array:
         return jnp.where(q > 0, q * jnp.log2(jnp.where(q > 0, q, 1.0)), 0.0)
 
     return -(plogp(p) + plogp(1 - p))

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from typing import Any, ClassVar, Self
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +21,7 @@ from jexplore.grid import Grid, in_cells
 
 BLOCK = 8  # steps of a beam looked at together, before asking whether all beams have ended
 NOT_ENDED = 2**30  # step number of a beam that is still under way
+BEYOND = 1e30  # cells; spacing of the crossings of an axis along which a beam does not move
 HEADINGS = 8  # lattice headings, 45 degrees apart
 
 
@@ -82,33 +84,34 @@ def beam_angles_deg(lidar: Lidar) -> np.ndarray:
     return lidar.yaw_deg - lidar.fov_deg / 2 + step * np.arange(lidar.n_beams)
 
 
-def advance_beams(xp: Any, state: Any, geometry: Any) -> tuple[Any, Any]:
+def advance_beams(
+    state: tuple[np.ndarray, np.ndarray], geometry: tuple[np.ndarray, ...]
+) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Advance every beam by one step of Amanatides and Woo's traversal; through an exact corner it steps in x first.
 
-    `xp` is numpy or jax.numpy; `state` counts the crossings, `(0, 0)` at first. Returns the next state, and the cell
-    entered with the distance at which: `(drow, dcol, entry)`, relative to the first cell, in cells.
+    `state` counts the crossings, `(0, 0)` at first. Returns the next state, and the cell entered with the distance at
+    which: `(drow, dcol, entry)`, relative to the first cell, in cells.
     """
     nx, ny = state
     sign_x, sign_y, to_x, to_y, per_x, per_y = geometry
     # The crossing distance comes from the crossing's number, never from a running sum: no drift along the beam.
     at_x, at_y = (nx + to_x) * per_x, (ny + to_y) * per_y
     step_x = at_x <= at_y
-    entry = xp.where(step_x, at_x, at_y)
-    nx, ny = xp.where(step_x, nx + 1, nx), xp.where(step_x, ny, ny + 1)
-    return (nx, ny), (sign_y * ny, sign_x * nx, entry)
+    nx, ny = np.where(step_x, nx + 1, nx), np.where(step_x, ny, ny + 1)
+    return (nx, ny), (sign_y * ny, sign_x * nx, np.where(step_x, at_x, at_y))
 
 
-def beam_geometry(xp: Any, dx: Any, dy: Any, x: Any, y: Any, far: Any) -> Any:
+def beam_geometry(dx: np.ndarray, dy: np.ndarray, x: Any, y: Any) -> tuple[np.ndarray, ...]:
     """Return signs, distance to the first crossing in units of the crossings' spacing, and that spacing, on each axis.
 
-    `dx`, `dy` are the beams' directions, `x`, `y` where in its cell, 0 to 1, a beam begins, `far` a spacing beyond all.
+    `dx`, `dy` are the beams' directions, `x`, `y` where in its cell, 0 to 1, a beam begins.
     """
-    sign_x, sign_y = xp.where(dx < 0, -1, 1), xp.where(dy < 0, -1, 1)
-    to_x, to_y = xp.where(dx < 0, x, 1 - x), xp.where(dy < 0, y, 1 - y)
-    per_x = xp.where(dx == 0, far, 1 / xp.where(dx == 0, 1, xp.abs(dx)))
-    per_y = xp.where(dy == 0, far, 1 / xp.where(dy == 0, 1, xp.abs(dy)))
-    # A beam along an axis that starts on a cell's edge never crosses the other axis, not even at distance 0 * far.
-    return sign_x, sign_y, xp.where(dx == 0, 1, to_x), xp.where(dy == 0, 1, to_y), per_x, per_y
+    sign_x, sign_y = np.where(dx < 0, -1, 1), np.where(dy < 0, -1, 1)
+    to_x, to_y = np.where(dx < 0, x, 1 - x), np.where(dy < 0, y, 1 - y)
+    per_x = np.where(dx == 0, BEYOND, 1 / np.where(dx == 0, 1, np.abs(dx)))
+    per_y = np.where(dy == 0, BEYOND, 1 / np.where(dy == 0, 1, np.abs(dy)))
+    # A beam along an axis that starts on a cell's edge never crosses the other axis, not even at distance 0 * BEYOND.
+    return sign_x, sign_y, np.where(dx == 0, 1, to_x), np.where(dy == 0, 1, to_y), per_x, per_y
 
 
 def n_steps(range_cells: float) -> int:
@@ -146,7 +149,7 @@ def all_round(beams: Beams) -> Beams:
       `Beams`, K = 1, with `around` times as many beams.
     """
 
-    def joined(table, axis):
+    def joined(table: Array, axis: int) -> Array:
         return jnp.concatenate([table[k : k + 1] for k in range(0, HEADINGS, HEADINGS // beams.around)], axis=axis)
 
     return Beams(
@@ -167,7 +170,7 @@ def farthest(lidar: Lidar, cell_m: float) -> float:
     return in_cells(lidar.range_m, cell_m) + mount
 
 
-def _cells_to(x, y):
+def _cells_to(x: float, y: float) -> np.ndarray:
     """Return cells entered on the way from a cell's centre to a point, cells: `[(drow, dcol), ...]` relative to it."""
     col, row = math.floor(x + 0.5), math.floor(y + 0.5)
     # Where the way crosses edges of columns and of rows, as parts of its length; through a corner in x first.
@@ -203,11 +206,11 @@ def beam_table(lidar: Lidar, cell_m: float, width: int, longest: float = 0.0) ->
     forward, left = (math.copysign(in_cells(abs(a), cell_m), a) for a in (lidar.forward_m, lidar.left_m))
     x, y = forward * ahead - left * aside, forward * aside + left * ahead
     inside_x, inside_y = ((a + 0.5 - np.floor(a + 0.5))[:, None] for a in (x, y))
-    geometry = beam_geometry(np, dx, dy, inside_x, inside_y, 1e30)
+    geometry = beam_geometry(dx, dy, inside_x, inside_y)
     state, steps = (np.zeros(dx.shape), np.zeros(dx.shape)), []
     size = n_steps(max(farthest(lidar, cell_m), longest))
     for _ in range(size):
-        state, step = advance_beams(np, state, geometry)
+        state, step = advance_beams(state, geometry)
         steps.append(step)
     drow, dcol, entry = (np.stack([s[i] for s in steps], axis=1) for i in range(3))
     blind = (entry < in_cells(lidar.min_range_m, cell_m)).sum(axis=1)
@@ -247,23 +250,25 @@ def scan(occupied: Array, row: Array | int, col: Array | int, heading: Array | i
     Returns:
       `Scan`. The first occupied cell that a beam enters stops it; the robot's own cell stops none.
     """
+    chex.assert_rank(occupied, 2)
+    chex.assert_type(occupied, bool)
     flat, here = occupied.reshape(-1), row * occupied.shape[1] + col
     length = lax.dynamic_index_in_dim(beams.length, heading, keepdims=False)
 
-    def blocked(offset):
+    def blocked(offset: Array) -> Array:
         return flat.at[here + offset].get(mode="clip", wrap_negative_indices=False)
 
-    def first_stop(offset, first):
+    def first_stop(offset: Array, first: Array) -> Array:
         """Return the first step of some, `[n, B]`, at which each beam is stopped or ends."""
         step = first + lax.broadcasted_iota(jnp.int32, (offset.shape[0], 1), 0)
         stopped = blocked(offset) | (step >= length)
         return jnp.min(jnp.where(stopped, step, NOT_ENDED), axis=0)
 
-    def not_ended(state):
+    def not_ended(state: tuple[Array, Array]) -> Array:
         j, end = state
         return (j * BLOCK < beams.offset.shape[1]) & (jnp.max(end) == NOT_ENDED)
 
-    def look(state):
+    def look(state: tuple[Array, Array]) -> tuple[Array, Array]:
         j, end = state
         # Sliced before it is reshaped: reshaping the whole table inside a loop would copy it.
         offset = lax.dynamic_slice(beams.offset, (heading, j * BLOCK, 0), (1, BLOCK, length.shape[0]))[0]
@@ -299,17 +304,18 @@ def fold(
     Source:
       Holz et al. 2010, section 2.1.
     """
+    chex.assert_rank([grid.hits, grid.misses], 2)
     height, width = grid.hits.shape
     here, outside = row * width + col, height * width
     end, hit = jnp.where(when, seen.end, 0), seen.hit & when
     misses = grid.misses.reshape(-1).at[here].add(jnp.asarray(when, jnp.int32))
 
-    def cells(offset, first):
+    def cells(offset: Array, first: Array) -> Array:
         """Return the cells that some blocks of steps pass; an invalid one beyond the end of the beam."""
         step = first + lax.broadcasted_iota(jnp.int32, offset.shape, offset.ndim - 1)
         return jnp.where(step < end[:, None], here + offset, outside)
 
-    def counted(state):
+    def counted(state: tuple[Array, Array]) -> tuple[Array, Array]:
         j, misses = state
         offset = lax.dynamic_slice(beams.by_beam, (heading, j, 0, 0), (1, 1, *beams.by_beam.shape[2:]))[0, 0]
         return j + 1, misses.at[cells(offset, j * BLOCK)].add(1, mode="drop")

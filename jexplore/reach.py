@@ -4,6 +4,10 @@ Costs are int32 fixed point, so that every algorithm, batch and device gives the
 round(sqrt(2) * 2**16) a diagonal one. A diagonal step needs both orthogonal neighbours traversable.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
+import chex
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
@@ -22,18 +26,20 @@ NO_MOTION = -1
 STEPS = (STRAIGHT, DIAGONAL)
 
 
-def motions_into(words):
+def motions_into(words: Array) -> list[Array]:
     """Return the cells into which a robot can make each motion: list of 8 packed masks, from traversable cells."""
     diagonal = [words & bits.shifted(words, -drow, 0) & bits.shifted(words, 0, -dcol) for drow, dcol in MOTIONS[4:]]
     return [words] * 4 + diagonal
 
 
-def source(shape, row, col):
+def source(shape: tuple[int, int], row: Array | int, col: Array | int) -> Array:
     """Return FAR everywhere but 0 at one cell: `[H, W]` int32."""
     return lax.dynamic_update_slice(jnp.full(shape, FAR, jnp.int32), jnp.zeros((1, 1), jnp.int32), (row, col))
 
 
-def _sweep(cost, possible, rows, steps, reverse):
+def _sweep(
+    cost: Array, possible: Sequence[Array], rows: tuple[Array, Array], steps: tuple[int, int], reverse: bool
+) -> Array:
     """Move from each row into the next (or the one before, if `reverse`), row after row.
 
     One buffer, read and written in place a row at a time: half the time of a scan that stacks its rows.
@@ -48,7 +54,7 @@ def _sweep(cost, possible, rows, steps, reverse):
     """
     width = cost.shape[1] - 2
 
-    def row(i, cost):
+    def row(i: Array, cost: Array) -> Array:
         at = rows[0] + rows[1] - i if reverse else i
         before = lax.dynamic_slice(cost, (at + 2 if reverse else at, 0), (1, width + 2))
         best = lax.dynamic_slice(cost, (at + 1, 1), (1, width))
@@ -61,7 +67,9 @@ def _sweep(cost, possible, rows, steps, reverse):
     return lax.fori_loop(rows[0], rows[1] + 1, row, cost)
 
 
-def _lowest_change(cost, motions, goals, rows, steps):
+def _lowest_change(
+    cost: Array, motions: Sequence[Array], goals: Array | None, rows: tuple[Array, Array], steps: tuple[int, int]
+) -> tuple[Array, Array]:
     """Return the least cost that one more motion lowers, and the cheapest goal, FAR for none: `(int32, int32)`.
 
     Row by row, of motions only those that a sweep to lower rows has not made. `cost`, `steps` as for `_sweep`;
@@ -69,7 +77,7 @@ def _lowest_change(cost, motions, goals, rows, steps):
     """
     width = cost.shape[1] - 2
 
-    def row(i, lows):
+    def row(i: Array, lows: list[Array]) -> list[Array]:
         before, own = (lax.dynamic_slice(cost, (i + k, 0), (1, width + 2)) for k in (0, 1))
         straight, ne, nw = (
             lax.dynamic_slice(motions[k], (i // bits.WORD, 0), (1, width)) >> jnp.uint32(i % bits.WORD) & 1 != 0
@@ -104,14 +112,14 @@ def reach(traversable: Array, row: Array | int, col: Array | int, goals: Array |
       see `saturated`).
 
     Raises:
-      ValueError: while tracing, if `traversable` is not a bool matrix.
+      AssertionError: while tracing, if `traversable` is not a bool matrix.
 
     Source:
       Holz et al. 2010, section 2.2 (Dijkstra without a goal). Changed: relaxed to the fixpoint, exact because costs are
       integers, row by row.
     """
-    if traversable.ndim != 2 or traversable.dtype != bool:
-        raise ValueError(f"expected traversable: [H, W] bool, got {traversable.shape} {traversable.dtype}")
+    chex.assert_rank(traversable, 2)
+    chex.assert_type(traversable, bool)
     words = bits.pack(traversable)
     if goals is not None:
         goals = jnp.pad(goals, ((0, bits.WORD * words.shape[0] - goals.shape[0]), (0, 0)))
@@ -160,7 +168,14 @@ def nearest_source(words: Array, sources: Array, n: int) -> Array:
     return jnp.where(cost < FAR, cost % scale, -1)
 
 
-def _sweeps(words, start, at, goals, limit, steps):
+def _sweeps(
+    words: Array,
+    start: Array | None,
+    at: tuple[Array | int, Array | int],
+    goals: Array | None,
+    limit: Array | int,
+    steps: tuple[int, int],
+) -> Array:
     """Compute costs of the cheapest paths, row by row in turn upwards, downwards, and across.
 
     Args:
@@ -176,20 +191,22 @@ def _sweeps(words, start, at, goals, limit, steps):
         start = None if start is None else jnp.pad(start, ((0, 0), (0, spare)), constant_values=FAR)
         return _sweeps(jnp.pad(words, ((0, 0), (0, spare))), start, at, goals, limit, steps)[:, :width]
 
-    def prepare():
+    def prepare() -> Any:
         across = bits.transposed(words)
         return motions_into(words), motions_into(across), _extent(across), _extent(words)
 
     motions, across, rows, cols = stored(words[0, 0] >= 0, prepare)
 
-    def up_and_down(cost, motions, extent, middle, far):
+    def up_and_down(
+        cost: Array, motions: Sequence[Array], extent: tuple[Array, Array], middle: Array | int, far: Array | int
+    ) -> Array:
         """Make two sweeps, of the rows that hold traversable cells no further than `far`."""
         rows = jnp.maximum(extent[0], middle - far), jnp.minimum(extent[1], middle + far)
         ahead, (ne, nw, sw, se) = motions[0], motions[4:]
         cost = _sweep(cost, (ahead, ne, nw), rows, steps, reverse=False)
         return _sweep(cost, (ahead, se, sw), rows, steps, reverse=True)
 
-    def sweep(state):
+    def sweep(state: Any) -> Any:
         cost, far, _, n = state
         cost = up_and_down(cost.T, across, cols, at[1], far).T
         cost = up_and_down(cost, motions, rows, at[0], far)
@@ -205,7 +222,7 @@ def _sweeps(words, start, at, goals, limit, steps):
 
     cost = source((height + 2, width + 2), at[0] + 1, at[1] + 1) if start is None else bordered(start, FAR)
     # A path of n cells is settled after at most n sweeps.
-    state = cost, limit // STRAIGHT if start is None else jnp.int32(FAR), limit >= 0, jnp.int32(0)
+    state: Any = cost, limit // STRAIGHT if start is None else jnp.int32(FAR), limit >= 0, jnp.int32(0)
     return lax.while_loop(lambda s: s[2] & (s[3] < height * width), sweep, state)[0][1:-1, 1:-1]
 
 
@@ -219,7 +236,7 @@ def spread(
 ) -> Array:
     """Run `_sweeps` as one piece of code: the rows are many small operations."""
 
-    def run(words, start, at, goals, limit):
+    def run(words: Array, start: Array | None, at: Any, goals: Array | None, limit: Array | int) -> Array:
         return _sweeps(words, start, at, goals, limit, steps)
 
     return one_kernel(run, words, start, at, goals, limit)
@@ -242,7 +259,7 @@ def flood(words: Array, row: Array | int, col: Array | int) -> Array:
     return one_kernel(bits.filled, words | start, start)
 
 
-def _extent(words):
+def _extent(words: Array) -> tuple[Array, Array]:
     """Return the `(first, last)` column with a True cell; `last < first` without one. int32 scalars."""
     width = words.shape[1]
     used, at = jnp.any(words != 0, axis=0), lax.iota(jnp.int32, width)

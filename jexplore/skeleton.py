@@ -1,5 +1,6 @@
 """The Voronoi graph of free space: cells equally far from two obstacles, thinned to lines and linked to a graph."""
 
+import chex
 import jax.numpy as jnp
 from flax import struct
 from jax import Array
@@ -39,6 +40,8 @@ def medial_axis(d2: Array, drow: Array, dcol: Array, gamma2: Array | float) -> A
     Source:
       Hesselink and Roerdink 2008, integer medial axis, with constant pruning.
     """
+    chex.assert_rank(d2, 2)
+    chex.assert_equal_shape([d2, drow, dcol])
     open_ = bordered((d2 > 0) & (d2 < FAR), False)
     rows, cols = bordered(drow, 0), bordered(dcol, 0)
     marked = jnp.zeros(d2.shape, bool)
@@ -64,7 +67,7 @@ def thin(words: Array) -> Array:
       Guo and Hall 1989, algorithm A1.
     """
 
-    def removable(x, first):
+    def removable(x: Array, first: bool) -> Array:
         east, north, west, south, ne, nw, sw, se = (bits.shifted(x, drow, dcol) for drow, dcol in EIGHT_NEIGHBOURS)
         if not first:
             east, north, west, south, ne, nw, sw, se = west, south, east, north, sw, se, ne, nw
@@ -76,20 +79,20 @@ def thin(words: Array) -> Array:
         middling = two_low & two_high & ~(four_low & four_high)
         return x & one & middling & ~((north | ne | ~se) & east)
 
-    def turn(words):
+    def round_(words: Array) -> Array:
         for first in (True, False):
             words = words & ~removable(words, first)
         return words
 
-    return settled(turn, words)
+    return settled(round_, words)
 
 
-def _exactly_one(masks):
+def _exactly_one(masks: tuple[Array, ...]) -> Array:
     a, b, c, d = masks
     return ((a ^ b) & ~(c | d)) | ((c ^ d) & ~(a | b))
 
 
-def _two_and_four(masks):
+def _two_and_four(masks: tuple[Array, ...]) -> tuple[Array, Array]:
     """Return the cells where at least two of four masks hold, and where all do."""
     a, b, c, d = masks
     return (a & b) | (c & d) | ((a | b) & (c | d)), a & b & c & d

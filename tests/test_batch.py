@@ -147,7 +147,7 @@ def test_results_are_in_the_order_of_starts_and_are_the_simulators(jobs, one_wor
             job.world.occupied, *map(int, start), recheck=True, n_beams=37, range_m=2.0, max_plans=30,
             rooms=job.world.rooms,
         )  # fmt: skip
-        got = [int(getattr(result, name)[i]) for name in ("straight", "diagonal", "turns", "scans", "plans", "known")]
+        got = [int(getattr(result, name)[i]) for name in ("straight", "diagonal", "turns", "scans", "plans", "n_known")]
         known = int((want.hits + want.misses > 0).sum())
         assert got == [want.straight, want.diagonal, want.turns, want.scans, want.plans, known]
         assert Outcome(int(result.outcome[i])).name == want.outcome
@@ -157,7 +157,7 @@ def test_results_are_in_the_order_of_starts_and_are_the_simulators(jobs, one_wor
             np.testing.assert_array_equal(first.hits, want.hits)
             np.testing.assert_array_equal(first.misses, want.misses)
             assert [plan.target for plan in first.plans] == [plan.target for plan in want.log]
-            assert first.known[-1] == known
+            assert first.n_known[-1] == known
             assert int(first.looked.sum()) == want.scans - 2 - want.steps
 
 
@@ -187,7 +187,7 @@ def test_paths_at_marks_are_those_of_the_trail(jobs, one_worker):
                 reached = 100 * path[:, 2] >= k * knowable
                 want = way[reached.argmax()] if reached.any() else np.nan
                 assert metres[i, k - 1] == pytest.approx(want, nan_ok=True), (i, k)
-            assert int(result.known[i]) <= knowable
+            assert int(result.n_known[i]) <= knowable
 
 
 def test_starts_and_seeds_that_cannot_be_used(jobs):
@@ -262,6 +262,7 @@ def test_no_key_is_used_twice():
     assert int(state.plans) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_what_is_kept_of_every_episode_is_the_same_in_lanes(jobs):
     few = [job._replace(starts=job.starts[:2]) for job in jobs[:2]]
@@ -274,7 +275,7 @@ def test_what_is_kept_of_every_episode_is_the_same_in_lanes(jobs):
             assert sorted(ours.records) == sorted(theirs.records) == [0, 1]
             jax.tree.map(np.testing.assert_array_equal, ours.records[1], theirs.records[1])
             first, final = ours.records[0], ours.first
-            np.testing.assert_array_equal(first.path, np.stack([final.rows, final.cols, final.known], axis=1))
+            np.testing.assert_array_equal(first.path, np.stack([final.rows, final.cols, final.n_known], axis=1))
             assert (first.state is None) == (keep == "paths")
             if first.state is not None:
                 assert first.state.shape == job.world.shape

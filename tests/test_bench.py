@@ -110,7 +110,7 @@ def test_lanes_are_filled_again_and_one_other_bit_is_told(monkeypatch):
     def play(world, strategy, starts, engine, lanes=None):
         asked.append((len(starts), engine, lanes))
         found = result(len(starts))
-        found.known[1] += engine == "jax"
+        found.n_known[1] += engine == "jax"
         return bench.Finished([Outcomes(found, None)], Costs(levels={"closest": [engine]}))
 
     monkeypatch.setattr(bench, "run_once", play)

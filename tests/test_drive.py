@@ -90,7 +90,7 @@ def test_the_first_scan_by_hand(target):
         "#.....?",  # ahead the range of 3 cells ends the beam after 3 cells entered
         "??#????",
     ]
-    assert (int(state.known), int(state.scans)) == (10, 1)
+    assert (int(state.n_known), int(state.scans)) == (10, 1)
     assert state.trail[0].tolist() == [8 * (1 * 7 + 2), 10]
 
 
@@ -181,7 +181,14 @@ def test_jax_goes_on_where_native_code_has_driven(target):
 
 @needs_compiler
 @pytest.mark.jit
-@pytest.mark.parametrize("name", ["closest", "gain-rate+recheck:samples=60", "distance-advantage+recheck"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "closest",
+        pytest.param("gain-rate+recheck:samples=60", marks=pytest.mark.slow),
+        pytest.param("distance-advantage+recheck", marks=pytest.mark.slow),
+    ],
+)
 def test_episodes_have_the_same_bits(target, name, monkeypatch):
     """A strategy of JAX's; one that says whether its view points are live; one that chooses among clusters."""
     jobs = some_jobs([name])
@@ -194,6 +201,7 @@ def test_episodes_have_the_same_bits(target, name, monkeypatch):
     assert max(outcomes.result.scans.max() for outcomes in ran[0].outcomes) > 20
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.jit
 def test_steps_of_an_environment_have_the_same_bits(target, monkeypatch):
@@ -296,6 +304,7 @@ def test_it_is_built_once(target, forgetful, monkeypatch):
     assert drive.load().name == target
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_what_does_not_load_is_built_anew(target, forgetful, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

@@ -251,7 +251,7 @@ def test_a_winding_cluster_is_one():
 @pytest.mark.jit
 def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
     mask = jnp.asarray(np.random.default_rng(1).random((3, 7, 8)) < [[[0.0]], [[0.3]], [[0.7]]])
-    batch = jax.vmap(lambda m: frontier_clusters(m, max_clusters=3))(mask)
+    batch = jax.jit(jax.vmap(lambda m: frontier_clusters(m, max_clusters=3)))(mask)
     for i in range(3):
         with jax.disable_jit():
             alone = frontier_clusters(mask[i], max_clusters=3)

@@ -177,7 +177,7 @@ def test_an_observation_is_what_the_robot_believes(envs):
         expected = np.full(envs.environment.shape, 2)
         expected[:rows, :cols] = map_state(np.asarray(grid.hits[i]), np.asarray(grid.misses[i]), 0.25)[:rows, :cols]
         np.testing.assert_array_equal(seen["map"][i], expected)
-        cost = np.asarray(envs.states.known.cost[i])
+        cost = np.asarray(envs.states.reached.cost[i])
         np.testing.assert_allclose(
             seen["path_m"][i], np.where(cost < FAR, cost.astype(np.float64) / STRAIGHT * 0.1, -1), rtol=1e-6
         )

@@ -260,7 +260,7 @@ def test_lanes_give_the_same_maps_and_are_filled_again(noisy, monkeypatch):
     assert len(report.driven.truth) == 120
     assert report.costs.lanes == 2
     assert report.costs.levels == {"kamui": ["JAX in lanes"]}
-    assert report.costs.useful >= 0.8
+    assert report.costs.interrupted is False
     assert done[-1] == 5
 
 

@@ -16,6 +16,7 @@ from ref import fuzz, maps, native
 
 import jexplore as jx
 from jexplore.config import InputWarning, Lidar, Rules
+from jexplore.engine.runner import on_cores, run_all
 from jexplore.exploration import native as runs
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.site import tasks_of
@@ -68,7 +69,7 @@ def test_an_episode_by_hand():
     rules = Rules(clearance_m=0, near_m=1.0)
     found = run_jobs([job], Lidar(n_beams=4, fov_deg=360, range_m=9), rules).outcomes[0]
     assert found.result.outcome.tolist() == [1]
-    assert found.result.known.tolist() == [5 + 2 + 10]  # the floor, both ends, and the walls at its sides
+    assert found.result.n_known.tolist() == [5 + 2 + 10]  # the floor, both ends, and the walls at its sides
     assert maps.picture(found.first.hits, found.first.misses) == ["?#####?", "#.....#", "?#####?"]
 
 
@@ -93,7 +94,7 @@ def test_a_warp_comes_to_the_same(number):
     case = fuzz.draw_case(3, number, [one for one in fuzz.MANY if not one.noisy and not one.restricted])
     run = native.play(case)
     for views in (False, True):
-        found = run.place.emulate(run.tasks, views=views)
+        found = run.place.inner.emulate(run.tasks, views=views)
         np.testing.assert_array_equal(found[0], run.table[0])
 
 
@@ -102,19 +103,18 @@ def test_a_warp_comes_to_the_same(number):
 def test_waves_of_an_open_map_find_room_beyond_shared_memory(name):
     occupied = np.pad(np.zeros((500, 500), bool), 1, constant_values=True)
     world, strategy = World(occupied=occupied, cell_m=0.05, name="hall"), parse_strategy(name)
-    parts = runs.parts_of(world, runs.chooser_of(strategy), Lidar(), Rules(), recheck=False)
-    place = episodes.World(episodes.load(emulator=True).loaded, *parts)
-    run = runs.NativeRun(place, parts, world, np.array([[250, 250, 0]]), 1, 0, np.zeros(1, np.int32), -1, None)
-    runs.play_all([run], 1, lambda _: None)
-    np.testing.assert_array_equal(place.emulate(run.tasks, views=False), run.table)
+    place = runs.native_place(episodes.load(emulator=True).loaded, world, strategy, Lidar(), Rules())
+    run = runs.NativeRun(place, np.array([[250, 250, 0]]), 1, 0, np.zeros(1, int))
+    run_all([run], on_cores(1))
+    np.testing.assert_array_equal(place.inner.emulate(run.tasks, views=False), run.table)
 
 
 @needs_compiler
 def test_a_map_from_the_beginning_is_for_a_cpu():
     world = jx.load_world(ROOMS)
     known = np.where(np.arange(world.shape[1]) < 5, world.occupied, -1).astype(np.int8)
-    parts = runs.parts_of(world.replace(known=known), episodes.NEAREST, LIDAR, RULES, recheck=False)
-    place = episodes.World(episodes.load(emulator=True).loaded, *parts)
+    loaded, world = episodes.load(emulator=True).loaded, world.replace(known=known)
+    place = runs.native_place(loaded, world, parse_strategy("closest"), LIDAR, RULES).inner
     tasks = place.tasks(np.array([[3, 3, 0]]), 0, np.zeros(1, np.int32))
     assert place.emulate(tasks, views=False) is None
 
@@ -161,6 +161,7 @@ def test_a_gpu_that_jax_is_not_to_use_is_not_used(monkeypatch):
         assert found == n
 
 
+@pytest.mark.slow
 @needs_nvcc
 @pytest.mark.parametrize("arch", ["sm_80", "sm_90", "sm_100"])
 def test_the_cuda_library_is_built(arch):
@@ -186,6 +187,7 @@ def test_beams_enter_the_cells_of_the_table():
             np.testing.assert_array_equal(cols * beams.way[heading, beam, 0], table.dcol[heading, :n, beam])
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.skipif(not native.sanitized_environment(), reason="the compiler has no libasan.so and libstdc++.so")
 def test_sanitizers_find_nothing():
@@ -230,7 +232,9 @@ def test_radii_and_ranges_beyond_the_world(cell_m):
 
 @needs_compiler
 @pytest.mark.jit
-@pytest.mark.parametrize("name", ["closest+recheck", "gain-rate+recheck:samples=60", "random"])
+@pytest.mark.parametrize(
+    "name", ["closest+recheck", pytest.param("gain-rate+recheck:samples=60", marks=pytest.mark.slow), "random"]
+)
 def test_a_replay_shows_what_jax_does(name, monkeypatch):
     """Of a strategy with view points as well, whose choices are on the record."""
     job = job_of(name, 1)
@@ -262,6 +266,7 @@ def test_without_a_compiler_jax_runs_and_says_so_once(monkeypatch, tmp_path):
     assert_equal(dataclasses.asdict(report.outcomes[0].result), dataclasses.asdict(want))
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.usefixtures("forgetful")
 def test_a_library_that_counts_wrongly_is_not_used(monkeypatch):
@@ -290,13 +295,13 @@ def test_an_interruption_keeps_what_has_ended(monkeypatch):
     ended = found.outcomes[0].result.outcome != 0
     assert 3 < ended.sum() < 2000
     again = run_jobs([job._replace(starts=job.starts[:1])], Lidar(), RULES).outcomes[0].result
-    assert again.known[0] == found.outcomes[0].result.known[0]
+    assert again.n_known[0] == found.outcomes[0].result.n_known[0]
 
 
 @needs_compiler
 def test_a_call_that_is_given_up_keeps_what_has_ended():
     job, stop = job_of("random", 2000, world="office"), np.zeros(1, np.int32)
-    place = runs.native_world(episodes.load().loaded, job.world, episodes.UNIFORM, Lidar(), RULES, recheck=False)
+    place = runs.native_place(episodes.load().loaded, job.world, job.strategy, Lidar(), RULES).inner
     tasks = place.tasks(tasks_of(job.starts, ring_of(job.world.occupied)), 3, np.arange(2000, dtype=np.int32))
     timer = threading.Timer(1.5, lambda: stop.fill(1))
     timer.start()

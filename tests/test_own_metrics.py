@@ -68,7 +68,7 @@ MEASURED = {
     "own_plans": lambda view: view.plans,
     "metres": lambda view: view.path_m,
     "crowded": jx.metric(lambda view: jnp.mean(view.belief.driven.astype(jnp.float32)), reduce="max"),
-    "seen": jx.metric(lambda view: view.known, reduce="mean"),
+    "seen": jx.metric(lambda view: view.n_known, reduce="mean"),
 }
 
 

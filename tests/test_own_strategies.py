@@ -83,7 +83,7 @@ def chosen(score, text="...?\n.R..\n...?", **how):
     policy = strategy(score, name="score").policy
     route = jnp.full(belief.driven.shape, -1, jnp.int8)
     _, choice, _ = policy.select(jax.random.key(0), policy.params, (), belief, None, route)
-    return (int(choice.row), int(choice.col)), np.argwhere(jx.field(belief).candidates).tolist()
+    return (int(choice.row), int(choice.col)), np.argwhere(jx.field(belief).frontier).tolist()
 
 
 def highest(score):

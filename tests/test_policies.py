@@ -117,12 +117,12 @@ def test_every_strategy_keeps_the_contract(name):
     chex.clear_trace_counter()
     select = jax.jit(chex.assert_max_traces(lambda key, belief: choice_of(name, key, belief), n=1))
     belief = belief_of(TEXT)
-    known = field(belief)
+    reached = field(belief)
     for seed in range(5):
         _, choice, route = select(jax.random.key(seed), belief)
-        assert known.candidates[choice.row, choice.col] | choice.is_view
-        assert known.cost[choice.row, choice.col] < FAR
-        assert choice.cost == known.cost[choice.row, choice.col]
+        assert reached.frontier[choice.row, choice.col] | choice.is_view
+        assert reached.cost[choice.row, choice.col] < FAR
+        assert choice.cost == reached.cost[choice.row, choice.col]
         again = select(jax.random.key(seed), belief)
         jax.tree.map(np.testing.assert_array_equal, again[1:], (choice, route))
         if choice.cost > 0:
@@ -152,7 +152,7 @@ def test_random_draws_are_uniform_and_do_not_depend_on_padding():
     draw = jax.jit(jax.vmap(lambda key, belief: choice_of("random", key, belief)[1], in_axes=(0, None)))
     choice, choice_wide = draw(keys, belief), draw(keys, wide)
     jax.tree.map(np.testing.assert_array_equal, choice, choice_wide)
-    candidates = np.asarray(field(belief).candidates)
+    candidates = np.asarray(field(belief).frontier)
     counts = np.zeros(candidates.shape, int)
     np.add.at(counts, (np.asarray(choice.row), np.asarray(choice.col)), 1)
     assert not counts[~candidates].any()

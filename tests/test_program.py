@@ -103,7 +103,7 @@ def by_hand(line, number):
     ],
 )
 def test_runs_are_those_that_a_loop_makes(how):
-    lines, costs = run(**how)
+    lines, _ = run(**how)
     for line in lines:
         assert line.finished.all()
         for number in (0, 7):
@@ -113,9 +113,8 @@ def test_runs_are_those_that_a_loop_makes(how):
             }
             if number == 0:
                 n = int(state.n)
-                np.testing.assert_array_equal(line.kept[:n], state.way[:n])
+                np.testing.assert_array_equal(line.detail[:n], state.way[:n])
     assert len({tuple(line.results["at"].tolist()) for line in lines}) == 3
-    assert (costs.useful is None) == ("lanes" not in how)
 
 
 @pytest.mark.jit
@@ -135,7 +134,7 @@ def test_arrays_of_a_run_that_is_done_are_kept():
         run_all([line], find_resources(**how))
         for found in line.results.values():
             assert (found == tasks).all()
-        assert (line.kept == tasks[0]).all()
+        assert (line.detail == tasks[0]).all()
 
 
 @pytest.mark.jit
@@ -143,20 +142,23 @@ def test_one_run_of_many_can_be_made_alone():
     whole, _ = run(workers=1)
     for in_lanes in (False, True):
         (line, *_) = some_lines()
-        line.which, line.keeps = np.array([7], np.int32), 7
+        line.which, line.detailed = np.array([7], np.int32), 7
         run_all([line], find_resources(in_lanes=in_lanes))
         assert line.finished.tolist() == [i == 7 for i in range(10)]
         assert line.results["at"][7] == whole[0].results["at"][7]
         n = int(line.results["n"][7])
-        np.testing.assert_array_equal(line.kept[:n], by_hand(line, 7).way[:n])
+        np.testing.assert_array_equal(line.detail[:n], by_hand(line, 7).way[:n])
 
 
 def test_what_lanes_share_is_not_gathered():
     lines = some_lines()[:2]
     with jax.disable_jit(False):
         group = Group(lines, jax.local_devices()[:1])
-        lanes = jax.tree.map(jnp.asarray, group.empty(group.queue()[2], group.common, 8))
-        text = str(jax.make_jaxpr(lambda lanes: group.go_on(lanes, 9, group.common))(lanes))
+        lanes = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), group._shapes(8))
+        runs = jax.tree.map(lambda a: a[:1], group.runs)
+        text = str(
+            jax.make_jaxpr(lambda lanes: group.step(lanes, np.zeros(1, int), runs, True, 9, group.common))(lanes)
+        )
     assert not re.search(r"i32\[[128],4\]", text)  # the weights of some lanes, or of all
 
 

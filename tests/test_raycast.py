@@ -1,7 +1,6 @@
 """Beams: pencil cases, parity with the float64 oracle, laws, noise, bad input."""
 
 import functools
-import math
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ref import any_pose, maps
 from ref import beams as oracle
+from ref import maps
 from scipy import stats
 
 from jexplore import raycast
@@ -166,22 +165,6 @@ def test_directions_are_exact_on_the_lattice():
             assert (x, y) == (c, s)
 
 
-@pytest.mark.parametrize("occupied", [np.ones((1, 1), bool), np.ones((3, 3), bool), np.ones((1, 5), bool)])
-def test_all_wall(occupied):
-    row, col = occupied.shape[0] // 2, occupied.shape[1] // 2
-    range_m, hit = any_pose.cast(jnp.asarray(occupied), ((col + 0.5), (row + 0.5), 0.0), np.radians([0, 90, 180, -90]),
-                                max_range_m=4.0, cell_m=1.0)  # fmt: skip
-    np.testing.assert_array_equal(range_m, [0.5] * 4)
-    assert hit.all()
-
-
-def test_outside_a_map_without_walls_everything_is_occupied():
-    free = jnp.zeros((1, 3), bool)
-    range_m, hit = any_pose.cast(free, (1.25, 0.5, 0.0), np.radians([0, 90, 180, -90]), max_range_m=1.5, cell_m=1.0)
-    np.testing.assert_array_equal(range_m, [1.5, 0.5, 1.25, 0.5])
-    np.testing.assert_array_equal(hit, [False, True, True, True])
-
-
 # ---------------------------------------------------------------- the oracle
 
 
@@ -231,7 +214,7 @@ LIDARS = (Lidar(n_beams=7, range_m=4), Lidar(n_beams=12, fov_deg=360, range_m=9)
 
 @pytest.mark.jit
 @given(places(), st.sampled_from(LIDARS))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_scans_are_the_oracles(place, lidar):
     for got, want in zip(sense(*place, lidar), expected(*place, lidar)):
         np.testing.assert_array_equal(got, want)
@@ -242,76 +225,6 @@ def test_a_scan_of_default_size_is_the_oracles():
     place = occupied, *np.argwhere(~occupied)[300].tolist(), 3
     for got, want in zip(sense(*place, Lidar(range_m=4), 0.1), expected(*place, Lidar(range_m=4), 0.1)):
         np.testing.assert_array_equal(got, want)
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize("heading", range(8))
-def test_the_general_form_agrees_with_the_table_on_the_lattice(heading):
-    lidar = Lidar()
-    table = raycast.beam_table(lidar, 0.1, 300)
-    angles = np.radians(raycast.beam_angles_deg(lidar))
-    traced = any_pose.beams_from((10.05, 3.45, heading * math.pi / 4), angles, max_range_m=8.0, cell_m=0.1, width=300)
-    assert traced.offset.shape == (1, *table.offset.shape[1:])
-    np.testing.assert_array_equal(traced.length[0], table.length[heading])
-    np.testing.assert_array_equal(traced.drow[0], table.drow[heading])
-    np.testing.assert_array_equal(traced.dcol[0], table.dcol[heading])
-    np.testing.assert_array_equal(traced.offset[0], table.offset[heading])
-    np.testing.assert_allclose(traced.entry[0], table.entry[heading], atol=1e-3)
-
-
-unit = st.integers(1, 1023).map(lambda n: n / 1024)
-
-
-@pytest.mark.jit
-@given(unit, unit, st.floats(-7, 7, width=32))
-@settings(max_examples=100, deadline=None)
-def test_a_beam_from_any_pose_is_the_oracles(x, y, heading):
-    """Only if float64 itself leaves no doubt about the line crossed first."""
-    angles = np.arange(12, dtype=np.float32) * np.float32(0.5)
-    got = any_pose.beams_from((x + 3, y + 5, heading), angles, max_range_m=6.0, cell_m=1.0, width=40)
-    compared = 0
-    for b, angle in enumerate(angles):
-        theta = float(np.float32(heading) + angle)
-        entries = oracle.beam_entries(
-            math.cos(theta), math.sin(theta), 6.001, float(np.float32(x + 3)) - 3, float(np.float32(y + 5)) - 5
-        )
-        distance = np.array([0, *(e[0] for e in entries)])
-        n = int((distance < 6).sum()) - 1
-        if (np.diff(distance) < 1e-3).any() or (np.abs(distance - 6) < 2e-3).any():
-            continue
-        compared += 1
-        assert int(got.length[0, b]) == n
-        assert [tuple(v) for v in np.stack([got.drow[0, :n, b], got.dcol[0, :n, b]], 1)] == [e[1:] for e in entries[:n]]
-        np.testing.assert_allclose(got.entry[0, :n, b], distance[1 : n + 1], atol=2e-4)
-    assert compared >= 3
-
-
-@pytest.mark.jit
-@given(places(), unit, unit, st.floats(-4, 4, width=32))
-@settings(max_examples=100, deadline=None)
-def test_cast_gives_the_oracles_ranges(place, x, y, heading):
-    occupied, row, col, _ = place
-    angles = np.linspace(-1, 1, 9, dtype=np.float32)
-    range_m, hit = any_pose.cast(jnp.asarray(occupied), (0.1 * (col + x), 0.1 * (row + y), heading), angles,
-                                max_range_m=0.6, cell_m=0.1)  # fmt: skip
-    for b, angle in enumerate(angles):
-        theta = float(np.float32(heading) + angle)
-        want = [
-            oracle.cast(occupied, row, col, math.degrees(theta + nudge), 6.0, x, y)[1:] for nudge in (-1e-4, 0, 1e-4)
-        ]
-        if len({w[0] for w in want}) == 1 and abs(want[1][1] - 6) > 1e-2:  # not within a hair of another cell
-            assert bool(hit[b]) == (want[1][0] is not None)
-            assert float(range_m[b]) == pytest.approx(0.1 * want[1][1], abs=2e-4)
-
-
-@pytest.mark.parametrize("k", range(1, 9))
-def test_a_pose_on_the_edge_of_a_cell_is_in_one_cell_only(k):
-    """Whatever cell it is taken to be in, the walls must stand where they are."""
-    x_m = k * 0.1
-    pose = (x_m, 0.05, 0.0)
-    range_m, hit = any_pose.cast(jnp.zeros((1, 10), bool), pose, np.radians([0, 180]), max_range_m=2.0, cell_m=0.1)
-    assert hit.all()
-    np.testing.assert_allclose(range_m, [1.0 - x_m, x_m], atol=1e-5)
 
 
 # ---------------------------------------------------------------- laws
@@ -488,12 +401,3 @@ def test_different_keys_differ_and_equal_keys_agree():
     read = [noisy(jax.random.key(k), ROOM, 1, 2, 1, lidar, 2.0, 0.3)[1] for k in (1, 1, 2)]
     np.testing.assert_array_equal(read[0].end, read[1].end)
     assert (np.asarray(read[0].end) != np.asarray(read[2].end)).any()
-
-
-# ---------------------------------------------------------------- bad input
-
-
-@pytest.mark.parametrize("wrong", [jnp.zeros((3, 3), jnp.int32), jnp.zeros(3, bool)])
-def test_what_is_no_occupancy_is_refused(wrong):
-    with pytest.raises(ValueError, match="expected occupied"):
-        any_pose.cast(wrong, (0.5, 0.5, 0.0), np.zeros(1), max_range_m=1.0, cell_m=1.0)

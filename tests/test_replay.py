@@ -35,8 +35,14 @@ VIEWS = "decision-theoretic+recheck:samples=20,min_gain=3"
         ("closest+recheck", LIDAR, Rules(), 0),
         ("random", LIDAR, Rules(look_around=False), 3),
         ("closest", Lidar(n_beams=91, fov_deg=90, range_m=1.0), Rules(), 1),
-        ("closest+recheck", ROUGH, Rules(clearance_m=0.0, near_m=0.0, p_free=0.5, max_plans=40), 2),
-        (VIEWS, LIDAR, Rules(), 1),
+        pytest.param(
+            "closest+recheck",
+            ROUGH,
+            Rules(clearance_m=0.0, near_m=0.0, p_free=0.5, max_plans=40),
+            2,
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(VIEWS, LIDAR, Rules(), 1, marks=pytest.mark.slow),
     ],
 )
 def test_the_replay_is_the_episode(strategy, lidar, rules, number):
@@ -50,7 +56,7 @@ def test_the_replay_is_the_episode(strategy, lidar, rules, number):
     np.testing.assert_array_equal(np.asarray(last.belief.grid.hits)[:height, :width], episode.final.hits)
     np.testing.assert_array_equal(np.asarray(last.belief.grid.misses)[:height, :width], episode.final.misses)
     after = {moment.step: moment for moment in moments}
-    assert [int(after[step].state.known) for step in sorted(after)] == episode.final.known.tolist()
+    assert [int(after[step].state.n_known) for step in sorted(after)] == episode.final.n_known.tolist()
     assert [(m.row, m.col) for m in (after[step] for step in sorted(after))] == list(
         zip(episode.final.rows.tolist(), episode.final.cols.tolist())
     )

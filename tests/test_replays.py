@@ -45,7 +45,7 @@ def test_frames_are_those_of_the_episode(max_frames):
         np.testing.assert_array_equal(codes & STATE, map_state(frame.hits, frame.misses, Rules().p_free))
         np.testing.assert_array_equal((codes & FRONTIER) > 0, frame.frontier)
         assert not (codes & OWN_ROOM).any()
-    np.testing.assert_allclose(replay.known_m2, episode.final.known[replay.steps] * 0.01)
+    np.testing.assert_allclose(replay.known_m2, episode.final.n_known[replay.steps] * 0.01)
     assert (replay.world, replay.strategy, replay.which) == ("two rooms", "closest+recheck", "seed 3")
     assert replay.episode == 1
     assert (replay.outcome, replay.cell_m) == (episode.measures["outcome"], 0.1)

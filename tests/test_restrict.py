@@ -127,7 +127,7 @@ def test_a_robot_stays_within_and_ends_when_it_knows_that(strategy):
     assert episode.measures["steps"] > 10
     known = episode.final.hits + episode.final.misses > 0
     assert (known & ~world.within).any()  # it sees beyond
-    assert episode.final.known[-1] == (known & world.within).sum()
+    assert episode.final.n_known[-1] == (known & world.within).sum()
 
 
 @pytest.mark.jit
@@ -142,7 +142,7 @@ def test_going_on_from_the_end_of_an_episode_there_is_nothing_left(tmp_path):
     half_map = np.where(np.arange(world.shape[1]) < world.shape[1] // 2, whole_map, -1)
     half = jx.explore(with_known(world, half_map), "closest", lidar=LIDAR)
     assert half_map[half.final.rows[0], half.final.cols[0]] == 0
-    assert half.final.known[0] >= (half_map >= 0).sum()
+    assert half.final.n_known[0] >= (half_map >= 0).sum()
     assert 0 < half.measures["steps"] < whole.measures["steps"]
 
 

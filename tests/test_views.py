@@ -85,8 +85,8 @@ LIDAR = Lidar(n_beams=8, fov_deg=360, range_m=0.7)
 
 @jax.jit
 def drawn(key, belief, params):
-    known = field(belief)
-    return *views.drawn(key, belief, known, params), known
+    reached = field(belief)
+    return *views.drawn(key, belief, reached, params), reached
 
 
 def numbers(samples=500, spread_m=0.4, weight=0.2, min_gain=5):
@@ -99,10 +99,10 @@ def test_samples_can_be_reached_and_lie_near_frontiers(seed):
     belief = beliefs.after_scans(seed, SHAPE)
     exhausted = np.random.default_rng(seed).random(SHAPE) < 0.3
     belief = belief.replace(exhausted=jnp.asarray(exhausted))
-    row, col, known = jax.tree.map(np.asarray, drawn(jax.random.key(seed), belief, numbers()))
-    assert (known.cost[row, col] < FAR).all()
+    row, col, reached = jax.tree.map(np.asarray, drawn(jax.random.key(seed), belief, numbers()))
+    assert (reached.cost[row, col] < FAR).all()
     assert not exhausted[row, col].any()
-    frontier = np.argwhere(known.candidates)
+    frontier = np.argwhere(reached.frontier)
     d2 = ((np.stack([row, col], axis=1)[:, None] - frontier) ** 2).sum(-1).min(1)
     assert d2.max() <= (4 + 0.5 * 2**0.5) ** 2  # rounded to the centre of a cell
     assert d2.max() > 3**2
@@ -148,14 +148,14 @@ def test_without_a_frontier_there_are_no_samples():
 @functools.partial(jax.jit, static_argnames=("utility",))
 def all_views(utility, key, params, belief, beams):
     """Cell, utility and unknown cells in sight of every sample, none left out, and what `best_view` finds."""
-    known = field(belief)
-    row, col = views.drawn(key, belief, known, params)
+    reached = field(belief)
+    row, col = views.drawn(key, belief, reached, params)
     around, ahead = all_round(beams), prospect(belief.grid, belief.extent, belief.model.p_free)
-    scratch = empty_grid(known.cost.shape)
+    scratch = empty_grid(reached.cost.shape)
     told = jax.lax.map(lambda at: look(ahead, *at, around, scratch)[0], (row, col))
-    worth = utility(params, told.gain, views.metres(known.cost[row, col], belief.model.cell_m))
-    best, overflow = views.best_view(utility, key, params, belief, known, beams)
-    return row * known.cost.shape[1] + col, worth, told.unknown, best, overflow
+    worth = utility(params, told.gain, views.metres(reached.cost[row, col], belief.model.cell_m))
+    best, overflow = views.best_view(utility, key, params, belief, reached, beams)
+    return row * reached.cost.shape[1] + col, worth, told.unknown, best, overflow
 
 
 @pytest.mark.jit

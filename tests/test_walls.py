@@ -3,10 +3,10 @@
 import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from ref import any_pose, maps
+from ref import beams as oracle
+from ref import maps
 
 from jexplore.driving.building.walls import UNUSED_SLOT_M, Walls, cast, meets, segments, walls_of
 
@@ -116,10 +116,14 @@ def by_segments(walls, pose):
     return cast(walls, pose, FAN, RANGE_M)
 
 
-@jax.jit
 def by_cells(occupied, pose):
-    ranges, hit = any_pose.cast(occupied, pose, FAN, max_range_m=RANGE_M, cell_m=CELL_M)
-    return jnp.where(hit, ranges, jnp.inf)
+    """The oracle's ranges, metres; inf without a hit."""
+    (col, x), (row, y) = (divmod(float(v) / CELL_M, 1) for v in pose[:2])
+    found = (
+        oracle.cast(occupied, int(row), int(col), math.degrees(pose[2] + angle), RANGE_M / CELL_M, x, y)
+        for angle in FAN
+    )
+    return np.array([math.inf if hit is None else CELL_M * distance for _, hit, distance in found])
 
 
 @pytest.mark.jit

@@ -147,10 +147,7 @@ def run_bench(
 ) -> dict[str, Any]:
     """Measure everything: the report, dicts and lists that JSON can hold.
 
-    Args:
-      plan: `Agenda`.
-      cache: read compiled programs from disk and keep them there: compile times are then loading times.
-      on_progress: called with the number of finished measurements.
+    `cache`: read compiled programs from disk and keep them there: compile times are then loading times.
     """
     with one_core() as pinned:
         settings = {
@@ -181,14 +178,9 @@ def run_bench(
 def measure_episodes(
     world: World, strategy: Strategy, wanted: Sequence[tuple[str, int]], episodes: int, repeat: int
 ) -> list[dict[str, Any]]:
-    """Time whole episodes of a strategy in a world, in turns: a dict for each of `wanted`, pairs of engine and batch.
+    """Time whole episodes in a world with a ring, in turns: a dict for each of `wanted`, pairs of engine and batch.
 
-    Args:
-      world: with a ring.
-      strategy: that is measured.
-      wanted: engines, and episodes, or lanes where the engine has them.
-      episodes: least number in lanes.
-      repeat: turns.
+    `episodes`: least number in lanes; `repeat`: turns.
     """
     counts = [max(episodes, REFILLS * batch) if has_lanes(engine) else batch for engine, batch in wanted]
     starts = draw_starts(world, SEED, max(counts), RULES.clearance_m)

@@ -7,12 +7,7 @@ from jexplore.report.tables import aligned_table
 
 
 def markdown(header: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
-    """Format a Markdown table.
-
-    Args:
-      header: column names.
-      rows: lists of text and numbers; None becomes a dash, a float three significant digits.
-    """
+    """Format a Markdown table; None becomes a dash, a float three significant digits."""
 
     def text(value):
         if value is None:

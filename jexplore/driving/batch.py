@@ -173,10 +173,10 @@ def run_missions(
     settings = MissionTask(unnamed, tunings, noises, np.asarray(starts, np.float32), guides)  # type: ignore[arg-type]
     program = mission_program(Setup(step_slots(max_steps), *size))._replace(cpu_options=COMPILER_OPTIONS)
     limit, lines = np.int32(max_steps), []
-    for turn, (first, n) in enumerate([(0, len(draws))] if blocks is None else blocks):
+    for phase, (first, n) in enumerate([(0, len(draws))] if blocks is None else blocks):
         own = jax.tree.map(lambda a, at=slice(first, first + n): a[at], (settings, draws))
         what = program, (), building, limit, seed, own[0], resources.own(n)
-        lines.append(Line(*what, keeps=0 if ways or first == 0 else -1, draws=own[1], turn=turn))
+        lines.append(Line(*what, detailed=0 if ways or first == 0 else -1, draws=own[1], phase=phase))
     tell = None if on_block is None else (lambda i: on_block(i, lines[i].results, _driven(lines[i])))
     costs = run_all(lines, resources, on_progress, tell)
     costs.engine, costs.levels = engine, {robots.name: [level_of(lines[0], resources)]}
@@ -199,9 +199,9 @@ def _merge_blocks(lines, blocks, n, costs):
 
 def _driven(line):
     """Return the trajectory of run 0; None if the group does not hold it or it was interrupted before."""
-    if line.kept is None:
+    if line.detail is None:
         return None
-    return Driven(*(np.asarray(a)[: int(line.results.steps[0])] for a in line.kept))
+    return Driven(*(np.asarray(a)[: int(line.results.steps[0])] for a in line.detail))
 
 
 def outcome_names(result: RunResult) -> list[str]:

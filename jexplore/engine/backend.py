@@ -10,16 +10,12 @@ from jexplore.engine.plugins import is_idle
 
 
 def start_backend(workers: int) -> None:
-    """Start JAX with as many threads as there will be workers.
+    """Start JAX with as many threads as there will be workers, which call compiled programs at the same time.
 
     XLA runs programs on a pool of its own, which must have a thread for every worker. It also splits operations of a
     few thousand elements over the threads of that pool, which costs a lone worker more than it gains (measured: a tenth
-    of an episode's time on a quiet machine, a third on a busy one): so one worker gets one thread. The size of the pool
-    is read from the variable NPROC when JAX starts; this must come before JAX is first used, and changes nothing later,
-    as in a notebook that has used JAX before: that costs speed, never results.
-
-    Args:
-      workers: threads that will call compiled programs at the same time.
+    of an episode's time on a quiet machine, a third on a busy one): so one worker gets one thread. JAX reads the size
+    of the pool from the variable NPROC when it is first used; a later call changes nothing: that costs speed only.
     """
     if not jax.config.values["jax_platforms"] and is_idle():
         jax.config.update("jax_platforms", "cpu")  # the plugin for CUDA would only complain
@@ -37,9 +33,7 @@ def start_backend(workers: int) -> None:
 def cache_folder() -> Path:
     """Return the folder of compiled programs, made if missing: `$XDG_CACHE_HOME/jexplore` (`~/.cache/jexplore`).
 
-    Raises:
-      OSError: it cannot be made.
-      RuntimeError: there is no home.
+    Raises OSError if it cannot be made, RuntimeError without a home.
     """
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jexplore"
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,7 @@
 """Random numbers: the generator that every draw comes from, whatever JAX's own settings say."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Generator
 from typing import Any
 
 import jax
@@ -16,7 +16,7 @@ def random_key(seed: Any) -> Array:
 
 
 @contextlib.contextmanager
-def pinned_draws() -> Iterator[None]:
+def pinned_draws() -> Generator[None]:
     """Trace with JAX's default generators within the block, or the function that this decorates.
 
     `JAX_DEFAULT_PRNG_IMPL` and `JAX_THREEFRY_PARTITIONABLE` name others for keys without a generator of their own, as a

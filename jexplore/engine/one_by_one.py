@@ -5,7 +5,7 @@ Threads share one compiled program; several devices each run a part of every cal
 
 import functools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jexplore.engine.devices import compiled, on_devices, whole
+from jexplore.engine.devices import Device, compiled, on_devices, whole
 from jexplore.engine.draws import random_key
 from jexplore.engine.program import Given, Line, Program
-from jexplore.engine.threads import Pace, Pieces, share_out
+from jexplore.engine.threads import Pace, Pieces
 
 CHUNK = 64  # most runs in one call of the compiled program on one device
 
@@ -25,58 +25,49 @@ CHUNK = 64  # most runs in one call of the compiled program on one device
 def run_one(program: Program, given: Given) -> Any:
     """Make one run from its beginning to its end: the state at the end."""
 
-    def advance(state):
+    def advance(state: Any) -> Any:
         return program.advance(program.setup, given, state)
 
-    def turn(state):
+    def decide_and_advance(state: Any) -> Any:
         state = program.decide(program.setup, given, state)
         if program.drive is not None:
             return program.drive(program.setup, given, state)
         return lax.while_loop(program.is_under_way, advance, state)
 
     state = program.begin(program.setup, given)
-    return lax.while_loop(lambda s: ~program.is_done(s), advance if program.decide is None else turn, state)
+    body = advance if program.decide is None else decide_and_advance
+    return lax.while_loop(lambda s: ~program.is_done(s), body, state)
 
 
 def chunk(
     program: Program, draws: Array, tasks: Any, count: Array, seed: Array, scenes: Any, shared: Any, numbers: Any
 ) -> tuple[Any, Any]:
-    """Make up to C runs of one line, one after the other.
+    """Make `count` runs of one line, one after the other; `draws` and `tasks` have room for C.
 
-    Args:
-      program: `Program`. Static.
-      draws: `[C]` int32, with the seed it makes the run's key.
-      tasks: pytree of `[C, ...]`.
-      count: int32, runs to make; the rest of the C are left alone.
-      seed: uint32.
-      scenes, shared, numbers: as in `Given`.
-
-    Returns:
-      results with a leading axis C, zeros from `count` on; and the record of the last run made.
+    Returns the results with a leading axis C, zeros from `count` on, and the detailed record of the last run made.
     """
 
-    def one(i):
+    def one(i: Any) -> tuple[Any, Any]:
         key = jax.random.fold_in(random_key(seed), draws[i])
         task = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, 0, False, allow_negative_indices=False), tasks)
         given = Given(key, shared, scenes, jnp.int32(0), numbers, task)
         state = run_one(program, given)
-        return program.measure(given, state), program.keep(state)
+        return program.measure(given, state), program.detail(state)
 
-    def put(i, found):
+    def put(all_: Any, i: Any, new: Any) -> Array:
+        # A scatter, one for every part of a result, would take longer to compile.
+        return lax.dynamic_update_index_in_dim(all_, jnp.asarray(new, all_.dtype), i, 0, allow_negative_indices=False)
+
+    def add(i: Any, found: tuple[Any, Any]) -> tuple[Any, Any]:
         result, last = one(i)
-        return jax.tree.map(lambda all_, new: _with(all_, i, new), found[0], result), last
+        return jax.tree.map(lambda all_, new: put(all_, i, new), found[0], result), last
 
     result, last = jax.eval_shape(one, 0)
     room = jax.tree.map(lambda a: jnp.zeros((draws.shape[0], *a.shape), a.dtype), result)
-    return lax.fori_loop(0, count, put, (room, jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), last)))
+    return lax.fori_loop(0, count, add, (room, jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), last)))
 
 
-def _with(all_, i, new):
-    """Replace entry i of an array. A scatter, one for every part of a result, would take longer to compile."""
-    return lax.dynamic_update_index_in_dim(all_, jnp.asarray(new, all_.dtype), i, 0, allow_negative_indices=False)
-
-
-def compile_chunk(line: Line, devices: Sequence[Any]) -> tuple[Callable[..., Any], Any]:
+def compile_chunk(line: Line, devices: Sequence[Device]) -> tuple[Callable[..., Any], Any]:
     """Compile the program of a line's kind: `(call, shapes of a result)`.
 
     `call(draws, tasks, count, seed, scenes, shared, numbers)`, the first three with a leading axis of the devices.
@@ -85,21 +76,24 @@ def compile_chunk(line: Line, devices: Sequence[Any]) -> tuple[Callable[..., Any
     task = jax.tree.map(lambda a: np.zeros((d, size, *a.shape[1:]), a.dtype), line.tasks)
     function = on_devices(functools.partial(chunk, line.program), devices, 3)
     blank = np.zeros((d, size), np.int32), task, np.zeros(d, np.int32)
-    place = whole((jax.tree.map(lambda a: a[None], line.scene), line.shared), devices)
-    arguments, options = (*blank, np.uint32(0), *place, line.numbers), line.program.cpu_options
+    arguments, options = (*blank, np.uint32(0), *_place(line, devices), line.numbers), line.program.cpu_options
     call, shapes = compiled(function, (chunk, line.program), arguments, devices, cpu_options=options)
     return call, jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[2:], a.dtype), shapes[0])
 
 
-def _pieces(line, call, place, d, pace):
+def _place(line: Line, devices: Sequence[Device]) -> Any:
+    return whole((jax.tree.map(lambda a: a[None], line.scene), line.shared), devices)
+
+
+def _pieces(line: Line, call: Callable[..., Any], place: Any, d: int, pace: Pace) -> Pieces:
     """Divide the runs of a line into `Pieces`: device i takes runs i, i + d, ...; the first comes alone on device 0."""
     arguments, size = (np.uint32(line.seed), *place, line.numbers), CHUNK
 
-    def parts(first, n):
+    def parts(first: int, n: int) -> list[np.ndarray]:
         some = line.which[first : first + n]
         return [some[i::d] for i in range(d)]
 
-    def make(first, n):
+    def make(first: int, n: int) -> tuple[Any, float]:
         mine = parts(first, n)
         which = np.stack([np.pad(some, (0, size - len(some))) for some in mine])
         tasks = jax.tree.map(lambda a: a[which], line.tasks)
@@ -108,61 +102,35 @@ def _pieces(line, call, place, d, pace):
         found = jax.block_until_ready(call(line.draws[which], tasks, count, *arguments))
         return found, time.perf_counter() - began
 
-    def keep(first, n, found):
+    def keep(first: int, n: int, found: tuple[Any, Any]) -> None:
         mine, (results, last) = parts(first, n), found
-        if mine[0][0] == line.keeps:
-            line.kept = jax.tree.map(lambda a: np.asarray(a)[0], last)
+        if mine[0][0] == line.detailed:
+            line.detail = jax.tree.map(lambda a: np.asarray(a)[0], last)
         results = jax.tree.map(np.asarray, results)
         for i, some in enumerate(mine):
             line.put(some, jax.tree.map(lambda a, i=i, some=some: a[i, : len(some)], results))
 
-    return Pieces(
-        total=len(line.which),
-        most=size,
-        call=make,
-        keep=keep,
-        n_devices=d,
-        turn=line.turn,
-        pace=pace,
-        first_alone=line.keeps >= 0,
-    )
+    total, first_alone = len(line.which), line.detailed >= 0
+    return Pieces(total, size, make, keep, n_devices=d, phase=line.phase, pace=pace, first_alone=first_alone)
 
 
-def run_one_by_one(
-    lines: Sequence[Line],
-    devices: Sequence[Any],
-    workers: int,
-    costs: Any,
-    on_progress: Callable[[int], object],
-) -> None:
-    """Make every run of some lines.
+def pieces_of(lines: Sequence[Line], devices: Sequence[Device], workers: int) -> list[Pieces]:
+    """Compile the programs of some lines, and return the `Pieces` of each: their results are put there as they come.
 
-    Args:
-      lines: list of `Line`; results are put there as they come.
-      devices: list of JAX devices of one kind.
-      workers: threads; 1 where there are several devices.
-      costs: `Costs`, added to.
-      on_progress: called with the number of finished runs, from the calling thread.
-
-    Raises:
-      KeyboardInterrupt: after running calls have ended; their results are kept.
+    `workers`: threads, of which each compiles a program at a time.
     """
-    began = time.perf_counter()
-    kinds, places = {line.kind: line for line in lines}, {}
+    kinds = {line.kind: line for line in lines}
     with ThreadPoolExecutor(workers) as pool:
         programs = dict(zip(kinds, pool.map(lambda line: compile_chunk(line, devices), kinds.values())))
-    work, paces = [], {}
+    places: dict[tuple[int, int], Any] = {}
+    paces: dict[Hashable, Pace] = {}
+    found: list[Pieces] = []
     for line in lines:
-        place = id(line.scene), id(line.shared)
-        if place not in places:
-            places[place] = whole((jax.tree.map(lambda a: a[None], line.scene), line.shared), devices)
+        key = id(line.scene), id(line.shared)
+        if key not in places:
+            places[key] = _place(line, devices)
         call, shapes = programs[line.kind]
         line.make_room(shapes)
         pace = paces.setdefault((line.kind, id(line.scene), id(line.numbers)), Pace())
-        work.append(_pieces(line, call, places[place], len(devices), pace))
-    costs.compile_s += time.perf_counter() - began
-    began = time.perf_counter()
-    try:
-        share_out(work, workers, on_progress)
-    finally:
-        costs.run_s += time.perf_counter() - began
+        found.append(_pieces(line, call, places[key], len(devices), pace))
+    return found

@@ -6,7 +6,6 @@ results that are equal but for rounding.
 """
 
 import dataclasses
-import threading
 from collections.abc import Callable, Hashable, Iterable
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -52,24 +51,26 @@ class Program(NamedTuple):
     advance: Callable[[Any, Given, Any], Any]  # (setup, given, state) -> state
     is_done: Callable[[Any], Any]  # (state) -> bool
     finish: Callable[[Any, Given, Any], Any]  # (setup, given, state) -> result, a pytree of arrays
-    keep: Callable[[Any], Any]  # (state) -> pytree of arrays: record of one run in addition to its result
+    detail: Callable[[Any], Any]  # (state) -> pytree of arrays: detailed record, kept of one run of a line
     decide: Callable[[Any, Given, Any], Any] | Any = None  # (setup, given, state) -> state; or None
     must_decide: Callable[[Any], Any] | None = None  # (state) -> bool, for runs that are not done
-    # (setup, given, state that has decided) -> state that must decide or is done: same as `advance` turn by
-    # turn, for one run on a CPU; None: `advance` does
+    # (setup, given, state that has decided) -> state that must decide or is done: the same as `advance` again and
+    # again, for one run on a CPU; None: `advance` does
     drive: Callable[[Any, Given, Any], Any] | None = None
-    # (state) -> pytree of arrays: record of every run in addition to its result
-    record: Callable[[Any], Any] | None = None
+    record: Callable[[Any], Any] | None = None  # (state) -> pytree of arrays: record, kept of every run
     cpu_options: tuple[tuple[str, Any], ...] = ()  # pairs of name and value: options of XLA's compiler on a CPU
 
     def measure(self, given: Given, state: Any) -> tuple[Any, Any]:
         """Return result and record of a finished run: `(result, record)`."""
         return self.finish(self.setup, given, state), () if self.record is None else self.record(state)
 
+    def waits(self, state: Any) -> Array | bool:
+        """Return whether a run that is not done must decide: bool."""
+        return False if self.must_decide is None else self.must_decide(state)
+
     def is_under_way(self, state: Any) -> Array:
         """Return whether a run is to advance: bool."""
-        waits = False if self.must_decide is None else self.must_decide(state)
-        return ~(self.is_done(state) | waits)
+        return ~(self.is_done(state) | self.waits(state))
 
 
 @dataclasses.dataclass
@@ -83,22 +84,29 @@ class Line:
     seed: int
     tasks: Any  # pytree of `[N, ...]` numpy arrays
     which: np.ndarray  # [n] int32, numbers of the runs that are to be made here; ascending
-    keeps: int = 0  # number of the run of which more than the result is kept; where it is made, it is the first
+    detailed: int = 0  # number of the run of which the detailed record is kept; where it is made, it is the first
     draws: Any = None  # [N] int32, what makes a run's key, with the seed; by default its number
-    turn: int = 0  # lines of a later turn are begun when all of this one has been, where runs come one after the other
-    # (result, record) -> record of a run on the host; of numpy arrays
-    trim: Callable[[Any, Any], Any] | None = None
-    # number of a run -> result of `trim`
-    records: dict[int, Any] = dataclasses.field(default_factory=dict, init=False)
+    phase: int = 0  # lines of a later phase are begun when all of this one have been, where runs come one by one
+    trim: Callable[[Any, Any], Any] | None = None  # (result, record), numpy -> record of a run on the host
+    records: dict[int, Any] = dataclasses.field(default_factory=dict[int, Any], init=False)  # number -> `trim`'s result
     results: Any = dataclasses.field(default=None, init=False)  # pytree of `[N, ...]` numpy arrays; zeros where unknown
     finished: np.ndarray = dataclasses.field(init=False)  # [N] bool
-    kept: Any = dataclasses.field(default=None, init=False)  # record of run `keeps`, numpy; None before
-    lock: threading.Lock = dataclasses.field(default_factory=threading.Lock, init=False)
+    detail: Any = dataclasses.field(default=None, init=False)  # of run `detailed`, numpy; None before
 
     def __post_init__(self) -> None:
         self.finished = np.zeros(len(jax.tree.leaves(self.tasks)[0]), bool)
         self.which = np.asarray(self.which, np.int32)
         self.draws = np.arange(len(self.finished), dtype=np.int32) if self.draws is None else self.draws
+
+    @property
+    def n_finished(self) -> int:
+        """Return how many runs have come back."""
+        return int(self.finished.sum())
+
+    @property
+    def is_finished(self) -> bool:
+        """Return whether all runs that are wanted here have come back."""
+        return bool(self.finished[self.which].all())
 
     def make_room(self, shapes: Any) -> None:
         """Allocate results with the shapes of `Program.measure`, if not done."""
@@ -106,21 +114,12 @@ class Line:
             self.results = jax.tree.map(lambda a: np.zeros((len(self.finished), *a.shape), a.dtype), shapes[0])
 
     def put(self, which: np.ndarray, found: tuple[Any, Any]) -> None:
-        """Store results of `Program.measure`: `[k]` numbers of runs, a pytree of `[k, ...]`. Any thread may call it."""
-        results, records = found
-        new = {}
+        """Store results of `Program.measure`: `[k]` numbers of runs, a pytree of `[k, ...]`."""
+        jax.tree.map(lambda all_, new: all_.__setitem__(which, new), self.results, found[0])
         if self.trim is not None:
             for i, number in enumerate(which):
-                new[int(number)] = self.trim(*jax.tree.map(lambda a, i=i: a[i], (results, records)))
-        with self.lock:
-            jax.tree.map(lambda all_, new: all_.__setitem__(which, new), self.results, results)
-            self.records |= new
-            self.finished[which] = True
-
-    @property
-    def left(self) -> np.ndarray:
-        """Return `[m]` int32, numbers of the runs that have no result yet."""
-        return self.which[~self.finished[self.which]]
+                self.records[int(number)] = self.trim(*jax.tree.map(lambda a, i=i: a[i], found))
+        self.finished[which] = True
 
     @property
     def kind(self) -> Hashable:
@@ -130,12 +129,12 @@ class Line:
         return self.program, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
 
     def shapes(self) -> tuple[tuple[Any, Any], Any]:
-        """Return the shapes of `measure` and `keep`: `((result, record), kept)`, pytrees."""
+        """Return the shapes of `measure` and `detail`: `((result, record), detail)`, pytrees."""
         given = given_of(self)
 
-        def one():
+        def one() -> tuple[Any, Any]:
             state = self.program.begin(self.program.setup, given)
-            return self.program.measure(given, state), self.program.keep(state)
+            return self.program.measure(given, state), self.program.detail(state)
 
         return jax.eval_shape(one)
 
@@ -158,7 +157,7 @@ def split(numbers: Any) -> tuple[list[Any], list[Any], Callable[[Iterable[Any], 
     leaves, tree = jax.tree.flatten(numbers)
     is_scalar = [jnp.ndim(leaf) == 0 for leaf in leaves]
 
-    def join(scalars, arrays):
+    def join(scalars: Iterable[Any], arrays: Iterable[Any]) -> Any:
         scalars, arrays = iter(scalars), iter(arrays)
         return jax.tree.unflatten(tree, [next(scalars) if own else next(arrays) for own in is_scalar])
 

@@ -8,60 +8,79 @@ several processes (`jax.distributed`) do as well.
 
 import dataclasses
 import os
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import numpy as np
 
 from jexplore.config import InputError, require_engine, require_setting
 from jexplore.engine.backend import start_backend
+from jexplore.engine.devices import Device
 from jexplore.engine.lanes import run_in_lanes
-from jexplore.engine.one_by_one import run_one_by_one
+from jexplore.engine.one_by_one import pieces_of
 from jexplore.engine.program import Line
+from jexplore.engine.threads import Pieces, share_out
 
 
 @dataclasses.dataclass
 class Costs:
-    """Costs of runs, and the use of their lanes."""
+    """Costs of runs."""
 
     compile_s: float = 0.0  # seconds spent compiling, or loading compiled programs
     run_s: float = 0.0  # seconds in which compiled programs ran
     engine: str = "auto"  # that was asked for
-    levels: dict[str, list[str]] = dataclasses.field(default_factory=dict)  # name of a strategy -> what ran it
-    why_not: list[str] = dataclasses.field(default_factory=list)  # lines: why there was no native code
+    levels: dict[str, list[str]] = dataclasses.field(default_factory=dict[str, list[str]])  # strategy -> what ran it
+    why_not: list[str] = dataclasses.field(default_factory=list[str])  # lines: why there was no native code
     devices: int = 1
     lanes: int = 1  # most runs at a time on one device; one a worker where they come one after the other
     interrupted: bool = False  # whether Ctrl-C ended it early; what was finished then is there
-    advanced: int = 0  # lanes that advanced, over all turns
-    room: int = 0  # lanes that could have
 
     def plus(self, later: "Costs") -> "Costs":
         """Add the costs of two runs, one after the other."""
-        total = dataclasses.replace(later)
-        for name in ("compile_s", "run_s", "advanced", "room"):
-            setattr(total, name, getattr(self, name) + getattr(later, name))
         names = dict.fromkeys([*self.levels, *later.levels])
-        total.levels = {name: _joined(self.levels.get(name, ()), later.levels.get(name, ())) for name in names}
-        total.why_not = _joined(self.why_not, later.why_not)
-        total.interrupted = self.interrupted or later.interrupted
-        return total
+        return dataclasses.replace(
+            later,
+            compile_s=self.compile_s + later.compile_s,
+            run_s=self.run_s + later.run_s,
+            levels={name: _joined(self.levels.get(name, ()), later.levels.get(name, ())) for name in names},
+            why_not=_joined(self.why_not, later.why_not),
+            interrupted=self.interrupted or later.interrupted,
+        )
 
-    @property
-    def useful(self) -> float | None:
-        """Share of the lanes that advanced, over all turns; None where runs come one after the other."""
-        return self.advanced / self.room if self.room else None
 
-
-def _joined(*lists):
+def _joined(*lists: Iterable[str]) -> list[str]:
     """Return the values of several lists, each once."""
     return list(dict.fromkeys(one for own in lists for one in own))
+
+
+class OwnRuns(Protocol):
+    """Runs that make themselves, piece by piece, on the cores of a CPU: in native code."""
+
+    @property
+    def n_finished(self) -> int:
+        """Return how many runs have come back."""
+        ...
+
+    @property
+    def is_finished(self) -> bool:
+        """Return whether all runs that are wanted here have come back."""
+        ...
+
+    def pieces(self) -> Pieces:
+        """Return the rest."""
+        ...
+
+    def give_up(self) -> None:
+        """Make calls that are under way return soon."""
+        ...
 
 
 class Resources(NamedTuple):
     """Resources for making runs."""
 
-    devices: list[Any]  # `jax.Device`
+    devices: list[Device]
     in_lanes: bool  # whether runs advance together in lanes; else they come one after the other
     workers: int  # threads that make one run after the other
     lanes: int | None  # on each device; None: as many as its memory holds
@@ -73,12 +92,23 @@ class Resources(NamedTuple):
         return np.arange(self.process, n, self.processes)
 
 
+def on_cores(workers: int | None = None) -> Resources:
+    """Return resources for runs in native code alone: threads, by default one a core. JAX is not started.
+
+    Raises:
+      InputError: workers out of range.
+    """
+    if workers is not None:
+        require_setting("workers", workers)
+    return Resources([], False, workers or own_cores(), None, 0, 1)
+
+
 def own_cores() -> int:
     """Return CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def cpu_devices() -> list[Any]:
+def cpu_devices() -> list[Device]:
     """Return the CPU as JAX devices; none if `JAX_PLATFORMS` excludes it."""
     try:
         return jax.local_devices(backend="cpu")
@@ -145,89 +175,116 @@ def level_of(line: Line, resources: Resources) -> str:
 
 
 def run_all(
-    lines: Sequence[Line],
+    work: Sequence[Line | OwnRuns],
     resources: Resources,
     on_progress: Callable[[int], object] | None = None,
-    on_line: Callable[[int], object] | None = None,
+    on_finished: Callable[[int], object] | None = None,
+    first: Callable[[Callable[[], object]], object] = lambda tell: None,
 ) -> Costs:
     """Make every run of every line.
 
     A run's result depends on its scene, program, numbers, task and key, not on what else runs, nor on the number
     of lanes, cores, devices or processes.
 
-    Ctrl-C ends it early: the lines then hold the finished runs; without any, the interruption is raised.
+    Where runs come one after the other, all of `work` is made in the order given, and `threads.share_out` cuts it into
+    calls. In lanes the lines come last: they have the devices for themselves.
+
+    Ctrl-C ends it early: `work` then holds the finished runs; without any, the interruption is raised.
 
     Args:
-      lines: list of `Line`, each with at least one run. In every process the same, but for `which`.
-      resources: `Resources`.
+      work: `Line`s, each with at least one run, and `OwnRuns`, in one process only. In every process the same, but for
+        `which`.
       on_progress: called regularly with the number of finished runs, from the calling thread.
-      on_line: called from the calling thread with the number of a line once all its runs have come back: soon after,
-        or, if several processes share the work, at the end.
-
-    Returns:
-      `Costs`.
+      on_finished: called from the calling thread with the number of a line once all its runs have come back: soon
+        after, or, if several processes share the work, at the end.
+      first: called before all else with a function to be called when runs have come back.
 
     Raises:
-      MemoryError: a device's memory does not suffice, not even for half the lanes.
+      MemoryError: a device's memory does not suffice for the lanes.
     """
-    told = set()
+    told: set[int] = set()
 
-    def tell():
-        for i, line in enumerate(lines):
-            if on_line is not None and i not in told and line.finished[line.which].all():
+    def announce() -> None:
+        for i, own in enumerate(work):
+            if on_finished is not None and i not in told and own.is_finished:
                 told.add(i)
-                on_line(i)
+                on_finished(i)
 
-    def progress(done):
+    def tell(_: int = 0) -> None:
         if on_progress is not None:
-            on_progress(done)
+            on_progress(sum(own.n_finished for own in work))
         if resources.processes == 1:
-            tell()
+            announce()
 
-    costs = Costs(devices=len(resources.devices) * resources.processes)
+    lines = [own for own in work if isinstance(own, Line)]
+    costs = Costs(devices=max(1, len(resources.devices) * resources.processes))
     try:
-        if resources.in_lanes:
-            run_in_lanes(lines, resources.devices, resources.lanes, costs, progress)
-        else:
-            costs.lanes = resources.workers
-            run_one_by_one(lines, resources.devices, resources.workers, costs, progress)
+        first(tell)
+        _run(work, lines, resources, costs, tell)
     except KeyboardInterrupt:
-        if resources.processes > 1 or not any(line.finished.any() for line in lines):
+        if resources.processes > 1 or not any(own.n_finished for own in work):
             raise
         costs.interrupted = True
     except jax.errors.JaxRuntimeError as error:
         if "RESOURCE_EXHAUSTED" in str(error):
-            raise MemoryError(str(error)) from error
+            raise MemoryError(f"{error} (fewer lanes need less)") from error
         raise
     _make_room(lines, resources.processes > 1)
     if resources.processes > 1:
         _across_processes(lines)
-    tell()
+    announce()
     return costs
 
 
-def _make_room(lines, with_kept):
-    """Allocate results of untouched lines, and their records."""
-    known = {}
+def _run(
+    work: Sequence[Line | OwnRuns], lines: list[Line], resources: Resources, costs: Costs, tell: Callable[..., None]
+) -> None:
+    """Run `run_all` without what comes after an interruption."""
+    began, own = time.perf_counter(), [each for each in work if not isinstance(each, Line)]
+    pieces: dict[int, Pieces] = {}
+    if lines and not resources.in_lanes:
+        compiled = pieces_of(lines, resources.devices, resources.workers)
+        pieces = {id(line): each for line, each in zip(lines, compiled)}
+        costs.compile_s += time.perf_counter() - began
+        began = time.perf_counter()
+
+    def give_up() -> None:
+        for each in own:
+            each.give_up()
+
+    pieces |= {id(each): each.pieces() for each in own}
+    try:
+        share_out([pieces[id(each)] for each in work if id(each) in pieces], resources.workers, tell, give_up)
+    finally:
+        costs.run_s += time.perf_counter() - began
+    if lines and resources.in_lanes:
+        run_in_lanes(lines, resources.devices, resources.lanes, costs, tell)
+    else:
+        costs.lanes = resources.workers
+
+
+def _make_room(lines: Sequence[Line], with_detail: bool) -> None:
+    """Allocate results of untouched lines, and their detailed records."""
+    shapes: dict[Any, Any] = {}
     for line in lines:
-        if line.results is None or (with_kept and line.kept is None):
-            if line.kind not in known:
-                known[line.kind] = line.shapes()
-            shapes = known[line.kind]
-            line.make_room(shapes[0])
-            if with_kept:
-                line.kept = jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), shapes[1])
+        if line.results is None or (with_detail and line.detail is None):
+            if line.kind not in shapes:
+                shapes[line.kind] = line.shapes()
+            found, detail = shapes[line.kind]
+            line.make_room(found)
+            if with_detail:
+                line.detail = jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), detail)
 
 
-def _across_processes(lines):
+def _across_processes(lines: Sequence[Line]) -> None:
     """Gather the results of all processes in every process."""
     from jax.experimental import multihost_utils
 
-    def total(parts):  # every run was made in one process, zeros elsewhere
+    def total(parts: Any) -> np.ndarray:  # every run was made in one process, zeros elsewhere
         return np.asarray(parts).sum(axis=0, dtype=parts.dtype)
 
     for line in lines:
         line.results, line.finished = jax.tree.map(
             total, multihost_utils.process_allgather((line.results, line.finished))
         )
-        line.kept = multihost_utils.broadcast_one_to_all(line.kept)  # from the first process, which makes the first run
+        line.detail = multihost_utils.broadcast_one_to_all(line.detail)  # made in the first process

@@ -7,7 +7,7 @@ import collections
 import dataclasses
 import time
 from collections.abc import Callable, Iterable
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Any
 
 CALL_S = 1.0  # seconds that a call should take: how often progress moves, and how long Ctrl-C waits
@@ -44,23 +44,25 @@ class Pace:
     piece_s: float | None = None  # seconds a piece and device, once known
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclasses.dataclass
 class Pieces:
     """Pieces of work of one kind, of which a call does several."""
 
     total: int
     most: int  # in one call on one device
     call: Callable[[int, int], tuple[Any, float]]  # (first, n) -> (found, seconds): does n pieces; threads call it
-    # (first, n, found): keeps what a call has found; the thread that calls `share_out` calls it
-    keep: Callable[[int, int, Any], object]
+    keep: Callable[[int, int, Any], object]  # (first, n, found): keeps it; the thread of `share_out` calls this
     n_devices: int = 1
-    turn: int = 0  # nothing of a later turn is begun before all of this one is
+    phase: int = 0  # nothing of a later phase is begun before all of this one is
     pace: Pace = dataclasses.field(default_factory=Pace)
     first_alone: bool = False  # whether the first call does one piece a device, whatever the pace
     next: int = dataclasses.field(default=0, init=False)
 
     def take(self, workers: int) -> tuple[int, int]:
-        """Return the next pieces, `(first, number)`: one a device at first, then as many as take about a second."""
+        """Cut off the next call, `(first, number)`: one piece a device at first, then as many as take about a second.
+
+        Only whole pieces: an episode is never cut.
+        """
         left, d = self.total - self.next, self.n_devices
         piece_s = self.pace.piece_s
         is_alone = piece_s is None or (self.first_alone and self.next == 0)
@@ -77,25 +79,20 @@ def share_out(
     on_progress: Callable[[int], object],
     give_up: Callable[[], object] = lambda: None,
 ) -> None:
-    """Process all pieces of some kinds.
+    """Process all pieces of some kinds, in the order given: each call is cut off as one of the `workers` becomes free.
 
-    Those of a turn are processed in rotation, `IN_ROTATION` at a time: an interrupted one has a part of each, or, with
-    very many kinds, some whole ones.
-
-    Args:
-      kinds: list of `Pieces`.
-      workers: threads.
-      on_progress: called with the number of finished pieces, from the calling thread.
-      give_up: called when it ends early, to make running calls return.
-
-    Raises:
-      KeyboardInterrupt: after running calls have ended; their results are kept.
+    Those of a phase are processed in rotation, `IN_ROTATION` at a time: an interrupted one has a part of each, or, with
+    very many kinds, some whole ones. `on_progress` is called with the number of finished pieces, from the calling
+    thread; `give_up` when it ends early, to make running calls return. An interruption is raised after running calls
+    have ended; their results are kept.
     """
-    waiting, running, done = collections.deque(), {}, 0
-    later = collections.deque(sorted((pieces for pieces in kinds if pieces.total), key=lambda pieces: pieces.turn))
+    waiting: collections.deque[Pieces] = collections.deque()
+    running: dict[Future[tuple[Any, float]], tuple[Pieces, int, int]] = {}
+    done = 0
+    later = collections.deque(sorted((pieces for pieces in kinds if pieces.total), key=lambda pieces: pieces.phase))
     pool = ThreadPoolExecutor(workers)
 
-    def finish(future):
+    def finish(future: Future[tuple[Any, float]]) -> int:
         pieces, first, n = running.pop(future)
         found, seconds = future.result()
         pieces.keep(first, n, found)
@@ -105,7 +102,7 @@ def share_out(
     try:
         while waiting or running or later:
             while (waiting or later) and len(running) < workers:
-                while later and (not waiting or (later[0].turn == waiting[0].turn and len(waiting) < IN_ROTATION)):
+                while later and (not waiting or (later[0].phase == waiting[0].phase and len(waiting) < IN_ROTATION)):
                     waiting.append(later.popleft())
                 pieces = waiting.popleft()
                 first, n = pieces.take(workers)

@@ -18,7 +18,7 @@ from jexplore.engine.program import Given
 from jexplore.exploration import metrics, trail
 from jexplore.exploration.motion import motion_step, turn_between
 from jexplore.exploration.sensing import known_cells, sense, stacked
-from jexplore.exploration.state import Outcome, Setup, State, Stream, no_counts
+from jexplore.exploration.state import Numbers, Outcome, Setup, State, Stream, no_counts
 from jexplore.frontier import disc
 from jexplore.grid import Grid, empty_grid, is_known
 from jexplore.native.drive import Stage
@@ -31,7 +31,7 @@ BAD_TARGETS = 3  # targets in a row that no path leads to, and an episode ends
 LOOK_AROUND = 4  # looks, at least, with which a robot looks all round on arrival, the one on arrival included
 
 
-def _mark(mask, rows, cols, when: Array | bool = True):
+def _mark(mask: Array, rows: Array, cols: Array, when: Array | bool = True) -> Array:
     """Set some cells of a mask where `when`, none of them twice; a scatter, because it updates the mask in place.
 
     Skipped cells go to rows beyond the last, each to its own: an accelerator serialises writes that may meet in a cell.
@@ -41,30 +41,30 @@ def _mark(mask, rows, cols, when: Array | bool = True):
     return mask.at[jnp.where(when, rows, outside), cols].set(True, mode="drop", unique_indices=True)
 
 
-def _n_looks(setup):
+def _n_looks(setup: Setup) -> Array:
     """Return the number of scans of a look-around on arrival: enough to see all round, at least `LOOK_AROUND`."""
     return jnp.maximum(setup.first_scans, LOOK_AROUND)
 
 
-def _move(setup, given, state, motion):
+def _move(setup: Setup, given: Given, state: State, motion: Array) -> State:
     """Return the next motion of a plan under way, before its scan: a step along the route, or a turn in place.
 
     A step into a cell that is not free is refused: the robot only turns towards it. A plan whose next step would be one
     too many ends the episode. Does nothing once the plan is done. `motion` is the route's in the robot's cell.
     """
     belief = state.belief
-    looking = state.walking & (state.looking > 0)
-    at_limit = state.walking & ~looking & (state.steps >= given.numbers.max_steps)
+    looking = state.plan_active & (state.looking > 0)
+    at_limit = state.plan_active & ~looking & (state.steps >= given.numbers.max_steps)
     drow, dcol, heading = motion_step(motion)
     occupied, base = stacked(given, given.scenes.occupied)
     wall = occupied[base + state.row + drow, state.col + dcol]
     blocked = wall | ~is_open(belief, belief.row + drow, belief.col + dcol)
-    ahead = state.walking & ~looking & ~at_limit
+    ahead = state.plan_active & ~looking & ~at_limit
     steps, refused = ahead & ~blocked, ahead & blocked
     diagonal = steps & (drow != 0) & (dcol != 0)
     drow, dcol = jnp.where(steps, drow, 0), jnp.where(steps, dcol, 0)
 
-    def turned(old):
+    def turned(old: Array) -> Array:
         return jnp.where(looking, (old + 8 // _n_looks(setup)) % 8, jnp.where(ahead, heading, old))
 
     row, col = state.row + drow, state.col + dcol
@@ -79,10 +79,10 @@ def _move(setup, given, state, motion):
         came_from=jnp.stack([belief.row, belief.col]),
         looking=state.looking - looking,
         looked=jnp.where(steps, 0, state.looked + looking),
-        bumped=jnp.where(state.walking, jnp.where(refused, motion, NO_MOTION), state.bumped).astype(jnp.int32),
-        walking=state.walking & ~at_limit,
+        bumped=jnp.where(state.plan_active, jnp.where(refused, motion, NO_MOTION), state.bumped).astype(jnp.int32),
+        plan_active=state.plan_active & ~at_limit,
         outcome=jnp.where(at_limit, Outcome.STEP_LIMIT, state.outcome),
-        unscanned=state.unscanned + steps * jnp.where(diagonal, DIAGONAL, STRAIGHT),
+        since_scan=state.since_scan + steps * jnp.where(diagonal, DIAGONAL, STRAIGHT),
         turns=state.turns + turn_between(state.heading, turned(state.heading)),
         straight=state.straight + (steps & ~diagonal),
         diagonal=state.diagonal + diagonal,
@@ -92,30 +92,26 @@ def _move(setup, given, state, motion):
     )
 
 
-def _arrive(setup, state, arrived, live, numbers):
-    """Handle an arrival: a look-around if the target is live and the rules say so; else the plan is done.
-
-    Returns:
-      `(state, spent)`: `spent`, bool, the target is live even then and becomes exhausted.
-    """
+def _arrive(setup: Setup, state: State, arrived: Array, live: Array | bool, numbers: Numbers) -> tuple[State, Array]:
+    """Handle an arrival by a look-around if the target is live and the rules say so: `(state, exhausted)`."""
     looks = arrived & live & numbers.look_around & (state.looked < _n_looks(setup) - 1)
     spent = arrived & live & ~looks
     state = state.replace(
         looking=jnp.where(looks, _n_looks(setup) - 1, state.looking),
         exhausted=state.exhausted + spent,
-        walking=jnp.where(arrived, looks, state.walking),
+        plan_active=jnp.where(arrived, looks, state.plan_active),
     )
     return state, spent
 
 
-def _mark_exhausted(state, spent):
+def _mark_exhausted(state: State, spent: Array) -> State:
     exhausted = _mark(state.belief.exhausted, state.target[0], state.target[1], spent)
     return state.replace(belief=state.belief.replace(exhausted=exhausted))
 
 
-def _limit_plans(numbers, state):
+def _limit_plans(numbers: Numbers, state: State) -> State:
     """End an episode whose plan is done and that may make no other."""
-    spent = (state.outcome == Outcome.RUNNING) & ~state.walking & (state.plans >= numbers.max_plans)
+    spent = (state.outcome == Outcome.RUNNING) & ~state.plan_active & (state.plans >= numbers.max_plans)
     return state.replace(outcome=jnp.where(spent, Outcome.PLAN_LIMIT, state.outcome))
 
 
@@ -124,60 +120,45 @@ def advance(setup: Setup, given: Given, state: State) -> State:
 
     Scan first, motion last: everything is then read from the map after its update, which can so be made in place. Once
     the plan is done, maps, trail and counters stay the same.
-
-    Args:
-      setup: `Setup`. Static.
-      given: as for `begin`.
-      state: `State`.
-
-    Returns:
-      `State`.
     """
-    belief, walking, numbers = state.belief, state.walking, given.numbers
+    belief, plan_active, numbers = state.belief, state.plan_active, given.numbers
     # Both orthogonal neighbours of a diagonal step belong to the driven way.
     (row, col), (row_before, col_before) = (belief.row, belief.col), state.came_from
     diagonal = (row != row_before) & (col != col_before)
     beside = jnp.stack([row, row, row_before]), jnp.stack([col, col_before, col])
-    marked = walking & jnp.stack([jnp.bool_(True), diagonal, diagonal])
+    marked = plan_active & jnp.stack([jnp.bool_(True), diagonal, diagonal])
     state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, marked)))
     row, col = state.target[0] - belief.row, state.target[1] - belief.col
     here, near = (row == 0) & (col == 0), row * row + col * col <= numbers.arrival_d2
-    due = walking & (here | (state.bumped >= 0) | (state.unscanned >= numbers.scan_every))
-    state = state.replace(unscanned=jnp.where(due, 0, state.unscanned))
-    state = metrics.take_stock(setup, given, trail.note_step(sense(setup, given, state, due), walking), walking)
+    due = plan_active & (here | (state.bumped >= 0) | (state.since_scan >= numbers.scan_every))
+    state = state.replace(since_scan=jnp.where(due, 0, state.since_scan))
+    state = metrics.take_stock(setup, given, trail.note_step(sense(setup, given, state, due), plan_active), plan_active)
     live = is_live(state.belief, *state.target)
     if setup.policy.live is not None:
-        asked = state.is_view & state.walking & (numbers.recheck | near)
+        asked = state.is_view & state.plan_active & (numbers.recheck | near)
 
-        def look(_):
+        def look(_: Array) -> Array:
             return setup.policy.live(numbers.params, state.belief, given.shared, *state.target)
 
         live = run_if(asked, look, live)
     bumped = state.bumped >= 0
     given_up = bumped | ((numbers.recheck | near) & ~live & ~here)
-    state = state.replace(walking=walking & ~given_up)
-    state, spent = _arrive(setup, state, walking & here & ~bumped & (state.looking == 0), live, numbers)
+    state = state.replace(plan_active=plan_active & ~given_up)
+    state, spent = _arrive(setup, state, plan_active & here & ~bumped & (state.looking == 0), live, numbers)
     state = _mark_exhausted(state, spent)
     motion = state.route[state.belief.row, state.belief.col]
     return _limit_plans(numbers, _move(setup, given, state, motion))
 
 
 def drive(setup: Setup, given: Given, state: State) -> State:
-    """Advance until the plan under way is done.
-
-    Args:
-      setup, given, state: as for `advance`.
-
-    Returns:
-      `State`.
-    """
+    """Advance until the plan under way is done."""
     if not _is_native(setup):
-        return lax.while_loop(lambda state: state.walking, lambda state: advance(setup, given, state), state)
+        return lax.while_loop(lambda state: state.plan_active, lambda state: advance(setup, given, state), state)
     state, asks = drive_natively(setup, given, state, Stage.NEXT_SCAN)
     if setup.policy.live is None:
         return state
 
-    def answer(both):
+    def answer(both: tuple[State, Array]) -> tuple[State, Array]:
         state, _ = both
         live = setup.policy.live(given.numbers.params, state.belief, given.shared, *state.target)
         return drive_natively(setup, given, state, Stage.ANSWERED, live)
@@ -185,20 +166,13 @@ def drive(setup: Setup, given: Given, state: State) -> State:
     return lax.while_loop(lambda both: both[1], answer, (state, asks))[0]
 
 
-def _is_native(setup):
+def _is_native(setup: Setup) -> bool:
     """Return whether native code drives."""
     return target_of(setup.native) is not None
 
 
 def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array]:
-    """Ask the strategy for a target.
-
-    Args:
-      setup, given, state: as for `advance`; a running episode that carries out no plan.
-
-    Returns:
-      `(carry, choice, route)`: what the strategy remembers; `planning.Choice`; `[H, W]` int8, the route to it.
-    """
+    """Ask the strategy for a target, in a running episode that carries out no plan: `(carry, choice, route)`."""
     key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.POLICY), state.plans)
     return setup.policy.select(key, given.numbers.params, state.carry, state.belief, given.shared, state.route)
 
@@ -207,15 +181,8 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
     """Turn a choice into the plan and make its first motion; none ends the episode as complete, as far as is known.
 
     A target that no path leads to is refused: the strategy is asked again, and the third in a row ends the episode.
-
-    Args:
-      setup, given, state: as for `decide`.
-      choice: `planning.Choice`.
-      route: `[H, W]` int8, motions from the robot's cell to the target (`planning.readout.lay_route`).
-      live: bool, whether a look from the target is worth while: of a strategy's target it always is.
-
-    Returns:
-      `State`.
+    `route`: `[H, W]` int8, motions to the target (`planning.readout.lay_route`); `live`: bool, whether a look from the
+    target is worth while: of a strategy's target it always is.
     """
     none = choice.row < 0
     bad = ~none & (choice.cost >= FAR)
@@ -228,7 +195,7 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
         plans=state.plans + 1,
         saturated=choice.saturated,
         bad_targets=bad_targets,
-        walking=~none & ~bad,
+        plan_active=~none & ~bad,
         bumped=jnp.int32(NO_MOTION),
         outcome=jnp.where(
             none, Outcome.COMPLETE, jnp.where(bad_targets >= BAD_TARGETS, Outcome.BAD_TARGET, state.outcome)
@@ -241,13 +208,8 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
     return _mark_exhausted(state, spent).replace(route=route, choices=state.choices.at[plan].set(entry, mode="drop"))
 
 
-def _find_goal(given, row, col):
-    """Return the cells to be known in the end, and whether the start is enclosed.
-
-    Returns:
-      `(goal, stuck)`: `[ceil(H / 32), W]` uint32, packed cells that are clear in the true world and connected to the
-        start; bool.
-    """
+def _find_goal(given: Given, row: Array, col: Array) -> tuple[Array, Array]:
+    """Return the cells to be known in the end, those connected to the start, packed; and whether that is enclosed."""
     model, shape = given.numbers.model, given.scenes.occupied.shape[1:]
     maps, base = stacked(given, given.scenes.occupied)
     occupied = lax.dynamic_slice(maps, (base, jnp.int32(0)), shape)
@@ -270,9 +232,9 @@ def blank_belief(given: Given) -> Belief:
     truth, (row, col, heading) = given.scenes, given.task
     flags = jnp.zeros(truth.occupied.shape[1:], bool)
     grid = empty_grid(flags.shape)
-    if truth.known is not None:
-        known = truth.known[given.scene]
-        grid = Grid(hits=(known > 0).astype(jnp.int32), misses=(known == 0).astype(jnp.int32))
+    if truth.prior is not None:
+        prior = truth.prior[given.scene]
+        grid = Grid(hits=(prior > 0).astype(jnp.int32), misses=(prior == 0).astype(jnp.int32))
     return Belief(
         grid=grid,
         driven=_mark(flags, row, col),
@@ -296,20 +258,14 @@ def outcome_of(state: State) -> Array:
 def begin(setup: Setup, given: Given) -> State:
     """Return the state of an episode that has made its first scans.
 
-    Args:
-      setup: `Setup`. Static.
-      given: `engine.program.Given`: key of the episode, consumed by all of its parts together, each drawing from
-        streams of its own; `Beams` with 8 headings shared; `Truth` of M worlds; `Numbers`; the task is the start,
-        `[3]` int32, row, col and heading (units of 45 degrees).
-
-    Returns:
-      `State`.
+    `given`: key of the episode, consumed by all of its parts together, each drawing from streams of its own; `Beams`
+    with 8 headings shared; `Truth` of M worlds; `Numbers`; the task is the start, `[3]` int32, row, col and heading.
     """
     truth, (row, col, _) = given.scenes, given.task
     shape = truth.occupied.shape[1:]
     goal, stuck = _find_goal(given, row, col)
     belief = blank_belief(given)
-    known = jnp.int32(0) if truth.known is None else known_cells(belief.grid, belief.within)
+    n_known = jnp.int32(0) if truth.prior is None else known_cells(belief.grid, belief.within)
     rooms, base = stacked(given, truth.rooms)
     room = rooms[base + row, col]
     steps, choices = trail.blank(setup.capacity)
@@ -325,19 +281,19 @@ def begin(setup: Setup, given: Given) -> State:
         carry=setup.policy.init(given.numbers.params, belief),
         target=jnp.full((2,), -1, jnp.int32),
         is_view=jnp.bool_(False),
-        walking=jnp.bool_(False),
+        plan_active=jnp.bool_(False),
         bumped=jnp.int32(NO_MOTION),
         came_from=jnp.stack([row, col]),
         room=room,
         outcome=jnp.where(stuck, Outcome.STUCK, Outcome.RUNNING).astype(jnp.int32),
         room_entries=(room >= 0).astype(jnp.int32),
-        **no_counts() | {"known": known},
+        **no_counts() | {"n_known": n_known},
     )
 
     if _is_native(setup):
         return drive_natively(setup, given, state, Stage.FIRST_SCANS)[0]
 
-    def look_round(_, state):
+    def look_round(_: Array, state: State) -> State:
         state, belief = sense(setup, given, state, ~stuck), state.belief
         turned = (belief.heading + 8 // setup.first_scans) % 8
         return state.replace(heading=turned, belief=state.belief.replace(heading=turned))

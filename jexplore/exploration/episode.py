@@ -1,12 +1,12 @@
 """An exploration episode as a program of the engine: from the first scan to a named outcome, and what it measured."""
 
 import jax.numpy as jnp
-from jax import lax
+from jax import Array, lax
 
 from jexplore.engine.program import Given, Program
 from jexplore.exploration import environment, metrics
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result, Setup, State
-from jexplore.exploration.trail import LOOKS, RECORDS, Trail, kept
+from jexplore.exploration.trail import LOOKS, RECORDS, Trail, detail_of
 from jexplore.grid import beside, bordered, count, is_known
 
 # A tenth of the time of compiling, and nothing gained by it: loops here store what they would compute anew.
@@ -19,13 +19,13 @@ def plan(setup: Setup, given: Given, state: State) -> State:
     return environment.commit(setup, given, state.replace(carry=carry), choice, route)
 
 
-def _shares(parts, whole, n):
+def _shares(parts: Array, whole: int, n: Array) -> Array:
     """Return the least counts that are at least `parts / whole` of n: int32. No product overflows."""
     quotient, rest = n // whole, n % whole
     return parts * quotient + -(-parts * rest // whole)
 
 
-def _knowable(explorable, occupied, within):
+def _knowable(explorable: Array, occupied: Array, within: Array | None) -> Array:
     """Count the cells that a scanner without noise can come to know: the free ones and their walls."""
     occupied = occupied if within is None else occupied & within
     near = bordered(explorable, False)
@@ -34,16 +34,10 @@ def _knowable(explorable, occupied, within):
 
 
 def finish(setup: Setup, given: Given, state: State) -> Result:
-    """Return the `Result` of an episode that has ended.
-
-    Args:
-      setup: `Setup`. Static.
-      given: as for `environment.begin`.
-      state: `State`.
-    """
+    """Return the `Result` of an episode that has ended."""
     shape, truth = state.shape, given.scenes
 
-    def own(maps):
+    def own(maps: Array) -> Array:
         return lax.dynamic_slice(maps.reshape(-1, shape[1]), (given.scene * shape[0], jnp.int32(0)), shape)
 
     occupied, region = own(truth.occupied), own(truth.region)
@@ -55,7 +49,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
     entry = lax.iota(jnp.int32, state.trail.shape[0])
     so_far = jnp.where(entry < steps, state.trail[:, Trail.KNOWN], jnp.iinfo(jnp.int32).max)
     # In whole numbers: the least count of which 100 times reaches q times the whole.
-    at = jnp.searchsorted(so_far, _shares(jnp.array(PERCENTILES), 100, state.known)).astype(jnp.int32)
+    at = jnp.searchsorted(so_far, _shares(jnp.array(PERCENTILES), 100, state.n_known)).astype(jnp.int32)
     at = jnp.minimum(at, steps)
     marks = _shares(lax.iota(jnp.int32, MARKS) + 1, MARKS, _knowable(explorable, occupied, state.belief.within))
     along = jnp.minimum(jnp.searchsorted(so_far, marks).astype(jnp.int32), steps)
@@ -63,7 +57,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
     jump = jnp.abs(cell[1:] - cell[:-1])
     is_diagonal = (jump != 1) & (jump != shape[1])
     n_diagonal = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(is_diagonal, dtype=jnp.int32)])
-    reached = (marks > 0) & (marks <= state.known)
+    reached = (marks > 0) & (marks <= state.n_known)
     diagonal_at = n_diagonal[at]
     return Result(
         straight=state.straight,
@@ -73,7 +67,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         plans=state.plans,
         exhausted=state.exhausted,
         outcome=outcome,
-        known=state.known,
+        n_known=state.n_known,
         explored=jnp.sum(explorable & known, dtype=jnp.int32),
         explorable=jnp.sum(explorable, dtype=jnp.int32),
         room_entries=state.room_entries,
@@ -88,20 +82,16 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
     )
 
 
-def _is_done(state):
+def _is_done(state: State) -> Array:
     return state.outcome != Outcome.RUNNING
 
 
-def _must_plan(state):
-    return ~state.walking
+def _must_plan(state: State) -> Array:
+    return ~state.plan_active
 
 
 def program_of(setup: Setup, keep: str | None = None) -> Program:
-    """Return exploration as a `Program`; its `Setup` has a policy.
-
-    Args:
-      setup: `Setup`.
-      keep: the record of every episode, one of `trail.RECORDS`; None: its result only.
+    """Return exploration as a `Program`; `keep`: the record of every episode, one of `trail.RECORDS`, None: none.
 
     Source:
       Holz et al. 2010, Figure 3 and section 2.3.
@@ -112,7 +102,7 @@ def program_of(setup: Setup, keep: str | None = None) -> Program:
         advance=environment.advance,
         is_done=_is_done,
         finish=finish,
-        keep=kept,
+        detail=detail_of,
         decide=plan,
         must_decide=_must_plan,
         drive=None if setup.native is None else environment.drive,

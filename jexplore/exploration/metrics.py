@@ -41,7 +41,7 @@ class EpisodeView(StepCounts):
     turns: Array  # int32, 45-degree turns
     scans: Array  # int32
     plans: Array  # int32
-    known: Array  # int32, known cells among those that are to be known
+    n_known: Array  # int32, known cells among those that are to be known
     outcome: Array  # int32, `Outcome`; RUNNING before the end
     replace: ClassVar[Callable[..., Self]]
 
@@ -75,7 +75,7 @@ class Metric(Theirs):
 
 
 @functools.lru_cache(maxsize=256)
-def _digest(metric, tree, shapes):
+def _digest(metric: Metric, tree: Any, shapes: tuple[Any, ...]) -> str | None:
     view = jax.tree.unflatten(tree, shapes)
     try:
         with jax.disable_jit(False), jax.checking_leaks():
@@ -111,7 +111,7 @@ def metric(function: Any = None, *, every: str = "motion", reduce: str = "mean")
     """
     if every != "motion":
         raise unknown("value of every:", str(every), ["motion"])
-    if not isinstance(reduce, str) or reduce not in REDUCTIONS:
+    if reduce not in list(REDUCTIONS):  # a list: no hash is needed
         raise unknown("reduction", str(reduce), list(REDUCTIONS))
     if function is None:
         return functools.partial(metric, every=every, reduce=reduce)
@@ -130,7 +130,7 @@ def take_stock(setup: Setup, given: Given, state: State, when: Array) -> State:
     if not own:
         return state
 
-    def counted(so_far):
+    def counted(so_far: Any) -> Any:
         n, old = so_far
         new = [one(episode_view(given, state)) for one in own]
         both = [REDUCTIONS[one.reduce](*values) for one, *values in zip(own, old, new)]
@@ -142,10 +142,10 @@ def take_stock(setup: Setup, given: Given, state: State, when: Array) -> State:
 
 def values_of(setup: Setup, given: Given, state: State) -> tuple[Array, ...]:
     """Return the present values of all metrics, in order."""
-    n, values = state.metrics or (None, ())
+    n, values = state.metrics or (jnp.int32(0), ())
     noted, seen = iter(values), episode_view(given, state)
 
-    def now(one):
+    def now(one: Metric) -> Array:
         return stored(state.row >= 0, lambda: one(seen))
 
     found = [next(noted) if one.reduce else now(one) for one in setup.metrics]
@@ -153,11 +153,7 @@ def values_of(setup: Setup, given: Given, state: State) -> tuple[Array, ...]:
 
 
 def traced_metrics(metrics: Sequence[Metric], given: Given, belief: Any) -> tuple[Metric, ...]:
-    """Identify metrics by what they compute, as `adapt.traced_policy` does strategies.
-
-    Args:
-      metrics: list of `Metric`.
-      given, belief: of a site, arrays or their shapes.
+    """Identify metrics by what they compute, as `adapt.traced_policy` does strategies; `given`, `belief`: of a site.
 
     Raises:
       InputError: one raises, returns no number, or is not pure: one line that names it.

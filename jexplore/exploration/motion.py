@@ -14,14 +14,7 @@ EIGHTH_TURN_RAD = 0.7853981633974483
 
 
 def motion_step(motion: Any) -> tuple[Array, Array, Array]:
-    """Return the displacement and heading of a motion.
-
-    Args:
-      motion: int, index into `reach.MOTIONS`; any shape.
-
-    Returns:
-      `(drow, dcol, heading)`, int32 of that shape.
-    """
+    """Return displacement and heading of a motion, index into `reach.MOTIONS`: `(drow, dcol, heading)`, int32."""
     table = jnp.asarray([(drow, dcol, heading) for (drow, dcol), heading in zip(MOTIONS, HEADING)], jnp.int32)
     step = table[motion]
     return step[..., 0], step[..., 1], step[..., 2]

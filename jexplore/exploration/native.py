@@ -4,14 +4,14 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Any
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jexplore.config import Lidar, Rules
-from jexplore.engine.threads import Pieces, share_out
-from jexplore.exploration.site import cost_of, limit_of, reach_d2, regions_of, tasks_of
+from jexplore.engine.threads import Pieces
+from jexplore.exploration.site import regions_of, rule_numbers, tasks_of
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result
 from jexplore.exploration.trail import Final, Record, decode, record_of
 from jexplore.native import episodes, gpu
@@ -55,80 +55,74 @@ def is_native(strategy: Strategy, lidar: Lidar) -> bool:
     return chooser_of(strategy) is not None and is_exact(lidar)
 
 
-def native_world(
-    loaded: Any, world: World, chooser: int, lidar: Lidar, rules: Rules, *, recheck: bool
-) -> episodes.World:
-    """Make a world ready for episodes in native code."""
-    return episodes.World(loaded, *parts_of(world, chooser, lidar, rules, recheck=recheck))
+class NativePlace(NamedTuple):
+    """A world, a scanner, rules and a strategy in the library, and what they are made of."""
+
+    inner: episodes.World
+    spec: episodes.Spec
+    given: episodes.Given
+    world: World  # as the user has it
+    ring: int  # cells by which indices in the library are larger than the world's
 
 
-def parts_of(
-    world: World, chooser: int, lidar: Lidar, rules: Rules, *, recheck: bool
-) -> tuple[episodes.Spec, episodes.Given]:
-    """Return what native code is given of a world, a scanner and rules."""
-    world = with_ring(world)
-    cell_m, limit = world.cell_m, limit_of(world.shape)
+def native_place(
+    loaded: Any, world: World, strategy: Strategy, lidar: Lidar, rules: Rules, *, is_replay: bool = False
+) -> NativePlace:
+    """Make a world ready for episodes in native code, or for replays, of any strategy: these take recorded targets."""
+    whole, chooser = with_ring(world), None if is_replay else chooser_of(strategy)
     spec = episodes.Spec(
-        height=world.shape[0],
-        width=world.shape[1],
+        height=whole.shape[0],
+        width=whole.shape[1],
         n_beams=lidar.n_beams,
         first_scans=scans_all_round(lidar),
-        clearance_d2=reach_d2(rules.clearance_m, world),
-        near_d2=reach_d2(rules.near_m, world),
-        arrival_d2=reach_d2(rules.arrival_m, world),
-        scan_every=cost_of(rules.scan_every_m, cell_m),
-        max_steps=rules.max_steps or limit,
-        max_plans=rules.max_plans or limit,
-        look_around=rules.look_around,
-        recheck=recheck,
-        no_echo_is_free=lidar.no_echo == "free",
-        chooser=chooser,
-        p_free=rules.p_free,
+        recheck=strategy.recheck,
+        chooser=episodes.NEAREST if chooser is None else chooser,
+        **rule_numbers(whole, lidar, rules),
     )
-    rooms = np.full(world.shape, -1, np.int32) if world.rooms is None else world.rooms
+    rooms = np.full(whole.shape, -1, np.int32) if whole.rooms is None else whole.rooms
     # A wall ends every beam within the diagonal.
-    range_m = min(lidar.range_m, (math.hypot(*world.shape) + 1) * cell_m)
-    beams = trace_beams(lidar.without_noise().replace(range_m=range_m), cell_m)
-    return spec, episodes.Given(world.occupied, rooms, regions_of(world), world.within, world.known, beams)
+    range_m = min(lidar.range_m, (math.hypot(*whole.shape) + 1) * whole.cell_m)
+    beams = trace_beams(lidar.without_noise().replace(range_m=range_m), whole.cell_m)
+    given = episodes.Given(whole.occupied, rooms, regions_of(whole), whole.within, whole.known, beams)
+    return NativePlace(episodes.World(loaded, spec, given), spec, given, world, ring_of(world.occupied))
 
 
 def result_of(table: np.ndarray) -> Result:
     """Return the `Result` of integers as the library writes them: `[..., RESULT]` int32."""
-    parts, at = {}, 0
+    parts: dict[str, np.ndarray] = {}
+    at = 0
     for name in _MEASURES:
         width = _WIDTHS.get(name)
         parts[name] = table[..., at] if width is None else table[..., at : at + width]
         at += width or 1
-    return Result(**parts)
+    return Result(**parts)  # type: ignore[arg-type]  # numpy on the host
 
 
 @dataclasses.dataclass
 class NativeRun:
     """Episodes of one strategy in one world, and what has come back; like `engine.program.Line`."""
 
-    place: episodes.World
-    parts: tuple[episodes.Spec, episodes.Given]  # of which it is made
-    world: World  # as the user has it
+    place: NativePlace
     starts: np.ndarray  # [N, 3] int, row, col, heading_deg
     seed: int
     first: int  # number of the first of these episodes
-    which: np.ndarray  # [n] int32, those that are to be run
-    keeps: int  # number of the one of which map and way are kept whole
-    keep: str | None  # one of `trail.RECORDS`
-    turn: int = 0
-    n_done: int = 0  # episodes that have come back
-    records: dict[int, Record] = dataclasses.field(default_factory=dict)
+    which: np.ndarray  # [n] int, those that are to be run, ascending
+    detailed: int = -1  # number of the one of which map and way are kept whole
+    keep: str | None = None  # one of `trail.RECORDS`
+    phase: int = 0
+    n_finished: int = 0  # episodes that have come back
+    records: dict[int, Record] = dataclasses.field(default_factory=dict[int, Record])
     final: Final | None = None
-    levels: set[str] = dataclasses.field(default_factory=set)  # what has run some of them: `ON_GPU`, `ON_CPU`
+    levels: set[str] = dataclasses.field(default_factory=set[str])  # what has run some of them: `ON_GPU`, `ON_CPU`
     table: np.ndarray = dataclasses.field(init=False)  # [N, RESULT] int32
     tasks: np.ndarray = dataclasses.field(init=False)
+    stop: np.ndarray = dataclasses.field(init=False)  # [1] int32; not 0: the rest is given up
 
     def __post_init__(self) -> None:
         n = len(self.starts)
-        self.table = np.zeros((n, episodes.RESULT), np.int32)
-        ring = ring_of(self.world.occupied)
-        self.tasks = self.place.tasks(tasks_of(self.starts, ring), self.seed, np.arange(n, dtype=np.int32) + self.first)
-        self.which = np.sort(self.which)
+        self.table, self.stop = np.zeros((n, episodes.RESULT), np.int32), np.zeros(1, np.int32)
+        starts = tasks_of(self.starts, self.place.ring)
+        self.tasks = self.place.inner.tasks(starts, self.seed, np.arange(n, dtype=np.int32) + self.first)
 
     @property
     def results(self) -> Result:
@@ -137,74 +131,81 @@ class NativeRun:
 
     @property
     def left(self) -> np.ndarray:
-        """Return `[m]` int32, numbers of the episodes that have not come back."""
+        """Return `[m]` int, numbers of the episodes that have not come back."""
         return self.which[self.table[self.which, _OUTCOME] == Outcome.RUNNING]
 
     @property
-    def is_done(self) -> bool:
+    def is_finished(self) -> bool:
         """Return whether all episodes have come back."""
-        return self.n_done == len(self.which)
+        return self.n_finished == len(self.which)
 
-    @property
-    def has_some(self) -> bool:
-        """Return whether any episode has come back."""
-        return bool((self.table[:, _OUTCOME] != Outcome.RUNNING).any())
+    def pieces(self) -> Pieces:
+        """Return the episodes that have not come back, for `threads.share_out`."""
+        left = self.left
 
-    def play(self, numbers: np.ndarray, stop: np.ndarray) -> episodes.Played:
-        """Run some of the episodes, by numbers, `[k]` int32."""
-        at = np.flatnonzero(numbers == self.keeps)
-        return self.place.play(
-            self.tasks[numbers],
-            stop,
-            paths=self.keep is not None,
-            states=self.keep == "maps",
-            whole=int(at[0]) if at.size else -1,
-        )
+        def call(first: int, n: int) -> tuple[episodes.Played, float]:
+            began, numbers = time.perf_counter(), left[first : first + n]
+            at, paths = np.flatnonzero(numbers == self.detailed), self.keep is not None
+            found = self.place.inner.play(
+                self.tasks[numbers],
+                self.stop,
+                paths=paths,
+                states=self.keep == "maps",
+                whole=int(at[0]) if at.size else -1,
+            )
+            return found, time.perf_counter() - began
+
+        def keep(first: int, n: int, found: episodes.Played) -> None:
+            self.put(left[first : first + n], found)
+
+        return Pieces(len(left), MOST, call, keep, phase=self.phase)
+
+    def give_up(self) -> None:
+        """Make `pieces` that are under way return soon."""
+        self.stop[0] = 1
 
     def put(self, numbers: np.ndarray, found: episodes.Played, level: str = ON_CPU) -> None:
-        """Keep what `play` has returned."""
+        """Keep the results of some episodes, `[k]` int."""
         ended = found.results[:, _OUTCOME] != Outcome.RUNNING
         if ended.any():
             self.levels.add(level)
         self.table[numbers[ended]] = found.results[ended]
-        self.n_done += int(ended.sum())
+        self.n_finished += int(ended.sum())
         if found.paths is None:  # not asked for, or all given up
             return
-        ring, shape, width = ring_of(self.world.occupied), self.place.shape, self.place.shape[1]
+        ring, shape = self.place.ring, self.place.inner.shape
         if found.counts is not None and found.choices is not None:
-            i = int(np.flatnonzero(numbers == self.keeps)[0])
+            i = int(np.flatnonzero(numbers == self.detailed)[0])
             bumped = found.choices[-1, 1] % 16 - 1
             whole = (*found.counts, found.paths[i], found.choices[:-1], bumped)
-            self.final = decode(whole, result_of(found.results[i]), self.world.shape, ring)
+            self.final = decode(whole, result_of(found.results[i]), self.place.world.shape, ring)
         if self.keep is not None:
             for i, number in enumerate(numbers[ended]):
                 state = () if found.states is None else (found.states[i],)
-                kept = record_of(result_of(found.results[i]), (found.paths[i], *state), shape, width, ring)
+                kept = record_of(result_of(found.results[i]), (found.paths[i], *state), shape, shape[1], ring)
                 self.records[int(number)] = kept
 
 
-def _play_on_gpu(runs, stop, progress):
+def play_on_gpu(runs: Sequence[NativeRun], tell: Callable[[], object]) -> str:
     """Run large groups on a GPU; episodes that it gives up, or that are kept whole, are left for the CPU.
 
-    Returns:
-      The reason why not; "" where it did, or had nothing to do.
+    `tell` is called when some have come. Returns why not, a line; "" where it did, or had nothing to do.
     """
-    groups = {}
+    by_place: dict[int, list[NativeRun]] = {}
     for run in runs:
         if run.keep is None:
-            groups.setdefault(id(run.place), []).append(run)
-    groups = [group for group in groups.values() if sum(len(run.which) for run in group) >= GPU_FROM]
+            by_place.setdefault(id(run.place), []).append(run)
+    groups = [group for group in by_place.values() if sum(len(run.which) for run in group) >= GPU_FROM]
     if not groups or not gpu.device_count():
         return ""
-    found = gpu.load()
+    found, why_not, stop = gpu.load(), "", np.zeros(1, np.int32)
     if found.loaded is None:
         return _told(found.why_not)
-    why_not = ""
     with ThreadPoolExecutor(1) as pool:  # the calling thread hears Ctrl-C
         for group in groups:
-            (spec, given), numbers = group[0].parts, [run.left[run.left != run.keeps] for run in group]
+            place, numbers = group[0].place, [run.left[run.left != run.detailed] for run in group]
             tasks = np.concatenate([run.tasks[own] for run, own in zip(group, numbers)])
-            future = pool.submit(gpu.play, found.loaded, spec, given, tasks, stop)
+            future = pool.submit(gpu.play, found.loaded, place.spec, place.given, tasks, stop)
             try:
                 wait([future])
             except BaseException:
@@ -212,17 +213,17 @@ def _play_on_gpu(runs, stop, progress):
                 raise
             finally:
                 why_not = _put_all(group, numbers, future) or why_not
-            progress(0)
+            tell()
     return why_not
 
 
-def _told(why_not):
-    """Why a GPU does not run episodes, which is said once."""
+def _told(why_not: str) -> str:
+    """Say once why a GPU does not run episodes."""
     warn_once(why_not, "the CPU's cores run the episodes")
     return why_not
 
 
-def _put_all(group, numbers, future):
+def _put_all(group: Sequence[NativeRun], numbers: Sequence[np.ndarray], future: Future[gpu.Played | None]) -> str:
     """Keep what a GPU has found for some runs, once it has; return why it could not go on, or ""."""
     try:
         played = future.result()
@@ -234,55 +235,6 @@ def _put_all(group, numbers, future):
             run.put(own, episodes.Played(played.results[at : at + len(own)], None, None, None, None), ON_GPU)
         at += len(own)
     return ""
-
-
-def play_all(
-    runs: Sequence[NativeRun],
-    workers: int,
-    on_progress: Callable[[int], object],
-    on_run: Callable[[int], object] | None = None,
-) -> str:
-    """Run the episodes of some `NativeRun`s on a GPU or the cores of a CPU, and put the results there.
-
-    Args:
-      runs: list of `NativeRun`.
-      workers: threads.
-      on_progress: called with the number of finished episodes, from the calling thread.
-      on_run: called from the calling thread with the number of a run once all its episodes have come back.
-
-    Returns:
-      why no GPU ran what it should have; "" otherwise.
-
-    Raises:
-      KeyboardInterrupt: after running episodes have been given up; finished ones are kept.
-    """
-    stop, told = np.zeros(1, np.int32), set()
-
-    def pieces_of(run):
-        left = run.left
-
-        def call(first, n):
-            since = time.perf_counter()
-            return run.play(left[first : first + n], stop), time.perf_counter() - since
-
-        def keep(first, n, found):
-            run.put(left[first : first + n], found)
-
-        return Pieces(total=len(left), most=MOST, call=call, keep=keep, turn=run.turn)
-
-    def progress(_):
-        for i, run in enumerate(runs):
-            if on_run is not None and i not in told and run.is_done:
-                told.add(i)
-                on_run(i)
-        on_progress(sum(run.n_done for run in runs))
-
-    def give_up():
-        stop[0] = 1
-
-    why_not = _play_on_gpu(runs, stop, progress)
-    share_out([pieces_of(run) for run in runs], workers, progress, give_up)
-    return why_not
 
 
 def show_episode(
@@ -297,12 +249,7 @@ def show_episode(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the known map at some steps of a recorded episode, of any strategy.
 
-    Args:
-      world, strategy, lidar, rules: those of the episode.
-      start: row, col, heading in degrees.
-      final: the record, with its plans.
-      shown: numbers of steps, ascending.
-      frontier: added to the codes of frontier cells.
+    `start`: row, col, heading in degrees; `shown`: numbers of steps, ascending.
 
     Returns:
       `(codes, headings)`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can
@@ -313,8 +260,10 @@ def show_episode(
     if not is_exact(lidar) or found.loaded is None or final.plans is None:
         return None
     rules = dataclasses.replace(rules, max_steps=max(len(final.rows) - 1, 1), max_plans=None)
-    place = native_world(found.loaded, world, episodes.NEAREST, lidar, rules, recheck=strategy.recheck)
-    ring = ring_of(world.occupied)
+    place, ring = (
+        native_place(found.loaded, world, strategy, lidar, rules, is_replay=True).inner,
+        ring_of(world.occupied),
+    )
     made = [plan for plan in final.plans if plan.target is not None]
     script = episodes.Script(
         targets=np.array([plan.target for plan in made], np.int32).reshape(-1, 2) + ring,

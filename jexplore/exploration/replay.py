@@ -1,19 +1,20 @@
 """An episode once more, scan by scan, by the environment's own rules with the choices that it recorded."""
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from numpy.typing import ArrayLike
 
 from jexplore.engine.draws import pinned_draws
-from jexplore.engine.program import given_of
+from jexplore.engine.program import Given, given_of
 from jexplore.exploration import environment
 from jexplore.exploration.site import Site, line_of
-from jexplore.exploration.state import State
+from jexplore.exploration.state import Setup, State
 from jexplore.exploration.trail import Plan
 from jexplore.planning import Belief, Choice, field
 from jexplore.policies.policy import Strategy
@@ -37,38 +38,36 @@ _advance = pinned_draws()(jax.jit(environment.advance, static_argnums=0))
 
 @pinned_draws()
 @functools.partial(jax.jit, static_argnums=0)
-def _commit(setup, given, state, row, col, is_view, is_bad, route):
+def _commit(
+    setup: Setup, given: Given, state: State, row: Array, col: Array, is_view: Array, is_bad: Array, route: Array
+) -> State:
     cost = jnp.where(is_bad, FAR, 0)  # what it cost is on no record; only whether a path led there matters
     return environment.commit(setup, given, state, Choice(row, col, cost, is_view=is_view), route)
 
 
-_candidates = jax.jit(lambda belief: field(belief).candidates)
+_frontier = jax.jit(lambda belief: field(belief).frontier)
 
 
 def frontier(belief: Belief) -> np.ndarray:
     """Return frontier cells that can be reached and are not exhausted: `[H, W]` bool, numpy."""
-    return np.asarray(_candidates(belief))
+    return np.asarray(_frontier(belief))
 
 
 def moments(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: int, plans: Any) -> Iterator[Moment]:
-    """Yield every scan of an episode after those at the start.
+    """Yield every scan of an episode, first that after the scans at the start.
 
     Args:
       site: `Site`, with the kernels of one robot.
-      strategy: `Strategy`; asked only whether a view point is still worth going to.
+      strategy: asked only whether a view point is still worth going to.
       start: row, col, heading in degrees.
-      seed: of the run.
-      number: of the episode.
+      seed, number: of the run, and of the episode in it.
       plans: list of `trail.Plan`.
-
-    Yields:
-      `Moment`s, first that after the scans at the start.
     """
-    for turn in turns(site, strategy, start, seed, number, plans):
-        yield from turn.moments
+    for plan in replayed_plans(site, strategy, start, seed, number, plans):
+        yield from plan.moments
 
 
-class Turn(NamedTuple):
+class ReplayedPlan(NamedTuple):
     """A plan: the belief in which it was made, and the scans that it led to."""
 
     belief: Belief | None  # None: before the first plan
@@ -76,22 +75,24 @@ class Turn(NamedTuple):
     moments: Iterator[Moment]
 
 
-def turns(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: int, plans: Any) -> Iterator[Turn]:
+def replayed_plans(
+    site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: int, plans: Any
+) -> Iterator[ReplayedPlan]:
     """Yield the plans of an episode, that which ended it included; arguments as for `moments`.
 
     Yields:
-      `Turn`s, whose moments must be taken before the next turn is.
+      `ReplayedPlan`s, whose moments must be taken before the next is.
     """
     line = line_of(
         site, site.with_strategy(strategy), np.tile(np.asarray(start, np.int32), (number + 1, 1)), seed, [number]
     )
     given, setup = jax.device_put(given_of(line, number)), line.program.setup
     state = _begin(setup, given)
-    yield Turn(None, None, iter([_moment(state, state, site.ring)]))
+    yield ReplayedPlan(None, None, iter([_moment(state, state, site.ring)]))
 
-    def carried_out():
+    def carried_out() -> Iterator[Moment]:
         nonlocal state
-        while state.walking:
+        while state.plan_active:
             before, state = state, _advance(setup, given, state)
             yield _moment(before, state, site.ring)
 
@@ -99,7 +100,7 @@ def turns(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: i
         belief, route = state.belief, _route(state, plan.motions)
         target = np.array(target_of(plan, site.ring), np.int32)
         state = _commit(setup, given, state, *target, np.bool_(plan.is_view), plan.is_bad, route)
-        yield Turn(belief, plan, carried_out())
+        yield ReplayedPlan(belief, plan, carried_out())
 
 
 def target_of(plan: Plan, ring: int) -> tuple[int, int]:
@@ -109,14 +110,14 @@ def target_of(plan: Plan, ring: int) -> tuple[int, int]:
     return plan.target[0] + ring, plan.target[1] + ring
 
 
-def _moment(before, state, ring):
+def _moment(before: State, state: State, ring: int) -> Moment:
     row, col, heading, step = (int(a) for a in (before.row, before.col, before.heading, before.steps))
     belief = before.belief
     here = state.belief.replace(row=belief.row, col=belief.col, heading=belief.heading)
     return Moment(step, row - ring, col - ring, heading, here, state)
 
 
-def _route(state, motions):
+def _route(state: State, motions: Sequence[int]) -> np.ndarray:
     """Return the map of motions of a way that begins at the robot: `[H, W]` int8."""
     route = np.full(state.shape, NO_MOTION, np.int8)
     row, col = int(state.belief.row), int(state.belief.col)

@@ -20,40 +20,22 @@ def path_m(straight: ArrayLike, diagonal: ArrayLike, cell_m: float) -> Any:
 def progress_m(result: Result, cell_m: float) -> np.ndarray:
     """Return the path driven when each 1 / `MARKS` of the world's knowable cells was first known.
 
-    Args:
-      result: `state.Result` of numpy arrays with a leading axis N.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      `[N, MARKS]` float64, metres; NaN where that share was never known.
+    `[N, MARKS]` float64, metres; NaN where that share was never known.
     """
     metres = path_m(result.straight_along, result.diagonal_along, cell_m)
     return np.where(np.asarray(result.straight_along) < 0, np.nan, metres)
 
 
 def length_along_m(rows: np.ndarray, cols: np.ndarray, cell_m: float) -> np.ndarray:
-    """Compute the length of a walk from its first cell to each of its cells, metres.
-
-    Args:
-      rows, cols: `[N]` int, neighbouring cells in the order driven, N >= 1.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      `[N]` float64, 0 at first.
-    """
+    """Return the length of a walk from its first cell to each of its N cells, neighbours in order: `[N]`, metres."""
     diagonal = np.concatenate([[0], np.cumsum((np.diff(rows) != 0) & (np.diff(cols) != 0))])
     return path_m(np.arange(len(rows)) - diagonal, diagonal, cell_m)
 
 
 def map_state(hits: np.ndarray, misses: np.ndarray, p_free: float) -> np.ndarray:
-    """Classify the cells of a reflection map as unknown, free and occupied.
+    """Classify the cells of a reflection map: `[H, W]` uint8, 0 unknown, 1 free, 2 occupied.
 
-    Args:
-      hits, misses: `[H, W]` int32.
-      p_free: largest reflection probability of a free cell.
-
-    Returns:
-      `[H, W]` uint8: 0 unknown, 1 free, 2 occupied, judged in float32 as on the device.
+    `p_free`, the largest probability of a free cell, is judged in float32 as on the device.
     """
     seen = hits + misses
     free = hits.astype(np.float32) <= np.float32(p_free) * seen.astype(np.float32)
@@ -66,17 +48,9 @@ def to_occupancy(state: np.ndarray) -> np.ndarray:
 
 
 def columns(result: Result, starts: np.ndarray, *, seed: int, cell_m: float, has_rooms: bool) -> dict[str, Any]:
-    """Return the columns of a table of episodes: one entry an episode.
+    """Return the columns of a table of episodes, arrays `[N]`, of a numpy `Result` with a leading axis N.
 
-    Args:
-      result: `state.Result` of numpy arrays with a leading axis N.
-      starts: `[N, 3]` int, row, col, heading in degrees.
-      seed: of the run.
-      cell_m: edge of a cell, metres.
-      has_rooms: whether the world has room labels.
-
-    Returns:
-      A dict of `[N]` arrays; `room_entries` is a list, of None for a world without rooms.
+    `starts`: `[N, 3]` int, row, col, heading in degrees. `room_entries` is a list, of None for a world without rooms.
     """
     n = len(result.outcome)
     table = {

@@ -1,7 +1,7 @@
 """Sensing: a scan at the robot's true pose, counted into its map at the estimated pose."""
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ from jexplore.arrays.loops import one_kernel
 from jexplore.engine.program import Given
 from jexplore.exploration.state import Setup, State, Stream
 from jexplore.grid import Grid, is_known
+from jexplore.planning import Belief
 from jexplore.raycast import Scan, disturb, fold, scan
 
 
@@ -27,7 +28,7 @@ class Square(NamedTuple):
     size: tuple[int, int]  # height and width; static
 
 
-def _square_round(setup, belief):
+def _square_round(setup: Setup, belief: Belief) -> Square | None:
     """Return the `Square` that holds every cell a scan can change; None where the whole map is counted as fast."""
     height, width = shape = belief.driven.shape
     size = min(height, 2 * setup.window + 1), min(width, 2 * setup.window + 1)
@@ -38,17 +39,11 @@ def _square_round(setup, belief):
 
 
 def known_cells(grid: Grid, within: Array | None = None, square: Square | None = None) -> Array:
-    """Count the known cells that count: those of the goal. int32.
-
-    Args:
-      grid: `Grid`.
-      within: `[H, W]` bool, the cells that count; None: all.
-      square: where they are counted; None: everywhere.
-    """
+    """Count the known cells that count, those `within` (`[H, W]` bool; None: all), in a square or everywhere: int32."""
     row, col, (height, width) = square or (0, 0, grid.hits.shape)
 
-    def run(maps, row, col):
-        def add(i, so_far):
+    def run(maps: Any, row: Array, col: Array) -> Array:
+        def add(i: Array, so_far: Array) -> Array:
             own, *more = (jax.tree.map(lambda a: lax.dynamic_slice(a, (row + i, col), (1, width)), one) for one in maps)
             return so_far + functools.reduce(jnp.logical_and, more, is_known(own))
 
@@ -61,13 +56,7 @@ def known_cells(grid: Grid, within: Array | None = None, square: Square | None =
 def without_silent(seen: Scan, blind: Array, no_echo_is_free: Array | bool) -> Scan:
     """Silence the beams of a scan that say nothing: those stopped too near, and maybe those that nothing stopped.
 
-    Args:
-      seen: `Scan`, `[B]`.
-      blind: `[B]` int32, steps at which a beam that is stopped says nothing.
-      no_echo_is_free: bool scalar, whether a beam that nothing stopped shows its cells to be free.
-
-    Returns:
-      `Scan`, `[B]`: a silent beam has passed no cell and hit none.
+    `blind`: `[B]` int32, steps at which a beam that is stopped says nothing. A silent beam passes and hits no cell.
     """
     hit = seen.hit & (seen.end >= blind)
     speaks = hit | (~seen.hit & no_echo_is_free)
@@ -75,17 +64,7 @@ def without_silent(seen: Scan, blind: Array, no_echo_is_free: Array | bool) -> S
 
 
 def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
-    """Make one scan at the true pose and count it into the map at the estimated pose, if `when`.
-
-    Args:
-      setup: `Setup`. Static.
-      given: as for `environment.begin`.
-      state: `State`.
-      when: bool scalar, False: do nothing.
-
-    Returns:
-      `State`.
-    """
+    """Make one scan at the true pose and count it into the map at the estimated pose, if `when`."""
     belief, beams, occupied, base = state.belief, given.shared, *stacked(given, given.scenes.occupied)
     seen = scan(occupied, base + state.row, state.col, state.heading, beams)
     blind = lax.dynamic_index_in_dim(beams.blind, state.heading, keepdims=False)
@@ -98,10 +77,10 @@ def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
     square, before, rest = _square_round(setup, belief), jnp.int32(0), jnp.int32(0)
     if square is not None:
         before = known_cells(belief.grid, belief.within, square)
-        rest = state.known - before
+        rest = state.n_known - before
     # The number is added where it changes nothing (it is never negative), so that it is made first, and the map can
     # then be changed in place.
     row = belief.row + jnp.minimum(before, 0)
     grid = fold(belief.grid, row, belief.col, belief.heading, seen, beams, when=when)
-    known = rest + known_cells(grid, belief.within, square)
-    return state.replace(belief=belief.replace(grid=grid), scans=state.scans + when, known=known)
+    n_known = rest + known_cells(grid, belief.within, square)
+    return state.replace(belief=belief.replace(grid=grid), scans=state.scans + when, n_known=n_known)

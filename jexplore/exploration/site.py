@@ -23,7 +23,7 @@ from jexplore.native.build import Library
 from jexplore.native.drive import find_target
 from jexplore.planning import MapModel
 from jexplore.policies.catalogue import adapt
-from jexplore.policies.policy import Strategy
+from jexplore.policies.policy import Policy, Strategy
 from jexplore.raycast import Beams, beam_table, farthest, scans_all_round
 from jexplore.worlds.world import World, ring_of, with_ring
 
@@ -34,11 +34,7 @@ COARSE_M = 0.15  # cells longer than this are coarse: a corridor is a few of the
 def drive_for(platform: str) -> Library:
     """Return the library that drives one robot, built if need be; its name is a target of JAX's FFI, None: JAX drives.
 
-    Args:
-      platform: of the devices that the robot's program runs on; only a CPU has native driving.
-
-    Warns:
-      InputWarning: there is no native code, once in a process.
+    Only a CPU has native driving. Warns once in a process where it cannot be built.
     """
     is_native = platform == "cpu" and not jax.config.values["jax_disable_jit"]
     return find_target() if is_native else Library(None)
@@ -60,7 +56,7 @@ class Site(NamedTuple):
         return self.setup._replace(policy=_traced(self, strategy, numbers)._replace(params=())), numbers
 
 
-def _numbers(strategy):
+def _numbers(strategy: Strategy) -> Any:
     """Convert a strategy's parameters to arrays."""
     try:
         return jax.tree.map(number, strategy.policy.params)
@@ -68,7 +64,7 @@ def _numbers(strategy):
         raise InputError(f"{strategy.name}: params of a Policy must be numbers and arrays") from None
 
 
-def _traced(site, strategy, numbers):
+def _traced(site: Site, strategy: Strategy, numbers: Numbers) -> Policy:
     """Return the policy of a strategy; a user's is traced here, and refused if its result is wrong."""
     if not adapt.is_theirs(strategy.policy):
         return strategy.policy
@@ -77,7 +73,7 @@ def _traced(site, strategy, numbers):
     return adapt.traced_policy(strategy.policy, numbers.params, belief, site.beams, route)
 
 
-def _example(site, numbers):
+def _example(site: Site, numbers: Numbers) -> tuple[Given, Any]:
     """Return a `Given` of a site, and the shapes of the belief that it begins with, for tracing users' functions."""
     truth = jax.tree.map(lambda a: a[None], site.truth)
     task = np.zeros(3, np.int32)
@@ -95,23 +91,17 @@ def prepare_site(
     shape: tuple[int, int] | None = None,
     *,
     native: str | None = None,
-    alike: Sequence[tuple[Lidar, Rules]] = (),
+    shared_with: Sequence[tuple[Lidar, Rules]] = (),
     metrics: Sequence[Metric] = (),
 ) -> Site:
-    """Prepare a world: add a ring if needed, pad it and trace the scanner's beams.
+    """Prepare a world, in numpy: add a ring if needed, pad it and trace the scanner's beams.
 
     Args:
-      world: `World`.
-      lidar: `Lidar`.
-      rules: `Rules`.
       shape: `(H, W)` to which the world is padded; by default the next that many worlds share.
       native: target of native code that drives and plans, for one robot on a CPU; None, or a noisy scanner: JAX does.
-      alike: scanners and rules of other runs. The static config then suits all of them whose scanner has as many beams,
-        so that they share a program; results are the same.
+      shared_with: scanners and rules of other runs. The static config then suits all of them whose scanner has as many
+        beams, so that they share a program; results are the same.
       metrics: of every episode. For those after every motion JAX drives.
-
-    Returns:
-      `Site` of numpy arrays.
 
     Raises:
       InputError: a metric that raises, returns no number, or is not pure.
@@ -119,39 +109,22 @@ def prepare_site(
     ring, world = ring_of(world.occupied), with_ring(world)
     shape = shape or (bucket(world.shape[0]), bucket(world.shape[1]))
     truth = _truth(world, shape)
-    limit = limit_of(world.shape)
-    everyone = [(lidar, rules), *(pair for pair in alike if pair[0].n_beams == lidar.n_beams)]
-    setup = _setup(everyone, world.cell_m, shape, limit, None if any(metric.reduce for metric in metrics) else native)
-    # Ignored types: numpy on the host, where the record says what it is on the device.
-    model = MapModel(
-        p_free=np.float32(rules.p_free),  # type: ignore[arg-type]
-        near_d2=np.int32(reach_d2(rules.near_m, world)),  # type: ignore[arg-type]
-        cell_m=np.float32(world.cell_m),  # type: ignore[arg-type]
-        clearance_d2=reach_d2(rules.clearance_m, world),
-        coarse=world.cell_m > COARSE_M,
-        native=setup.native,
-    )
-    numbers = Numbers(
-        model=model,
-        look_around=np.bool_(rules.look_around),  # type: ignore[arg-type]
-        recheck=np.bool_(False),  # type: ignore[arg-type]
-        scan_every=np.int32(cost_of(rules.scan_every_m, world.cell_m)),  # type: ignore[arg-type]
-        arrival_d2=np.int32(reach_d2(rules.arrival_m, world)),  # type: ignore[arg-type]
-        max_steps=np.int32(rules.max_steps or limit),  # type: ignore[arg-type]
-        max_plans=np.int32(rules.max_plans or limit),  # type: ignore[arg-type]
-        sigma_cells=np.float32(lidar.sigma_m / world.cell_m),  # type: ignore[arg-type]
-        dropout=np.float32(lidar.dropout),  # type: ignore[arg-type]
-        no_echo_is_free=np.bool_(lidar.no_echo == "free"),  # type: ignore[arg-type]
-        params=(),
-    )
+    everyone = [(lidar, rules), *(pair for pair in shared_with if pair[0].n_beams == lidar.n_beams)]
+    native = None if any(metric.reduce for metric in metrics) else native
+    setup = _setup(everyone, world.cell_m, shape, limit_of(world.shape), native)
+    own = rule_numbers(world, lidar, rules)
+    model: Any = {name: own.pop(name) for name in ("p_free", "near_d2", "clearance_d2")}
+    model = MapModel(cell_m=world.cell_m, coarse=world.cell_m > COARSE_M, native=setup.native, **model)  # type: ignore[arg-type]
+    noise: Any = {"sigma_cells": lidar.sigma_m / world.cell_m, "dropout": lidar.dropout, "recheck": False}
+    numbers = jax.tree.map(number, Numbers(model=model, params=(), **noise, **own))
     site = Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
     own = traced_metrics(metrics, *_example(site, numbers)) if metrics else ()
     return site._replace(setup=setup._replace(metrics=own))
 
 
-def alike(truths: Sequence[Truth]) -> list[Truth]:
+def unify_truths(truths: Sequence[Truth]) -> list[Truth]:
     """Return records of worlds with the same arrays: what one of them restricts is unrestricted in the others."""
-    free: dict[str, Any] = {"within": True, "known": np.int8(-1)}
+    free: dict[str, Any] = {"within": True, "prior": np.int8(-1)}
     for name, value in free.items():
         if any(getattr(truth, name) is not None for truth in truths):
             truths = [
@@ -159,6 +132,26 @@ def alike(truths: Sequence[Truth]) -> list[Truth]:
                 for truth in truths
             ]
     return list(truths)
+
+
+def rule_numbers(world: World, lidar: Lidar, rules: Rules) -> dict[str, Any]:
+    """Return the numbers of rules and scanner in cells and costs, as JAX and native code are given them.
+
+    Args:
+      world: with its ring.
+    """
+    limit = limit_of(world.shape)
+    return {
+        "p_free": float(rules.p_free),
+        "clearance_d2": reach_d2(rules.clearance_m, world),
+        "near_d2": reach_d2(rules.near_m, world),
+        "arrival_d2": reach_d2(rules.arrival_m, world),
+        "scan_every": cost_of(rules.scan_every_m, world.cell_m),
+        "max_steps": rules.max_steps or limit,
+        "max_plans": rules.max_plans or limit,
+        "look_around": bool(rules.look_around),
+        "no_echo_is_free": lidar.no_echo == "free",
+    }
 
 
 def cost_of(length_m: float, cell_m: float) -> int:
@@ -172,7 +165,7 @@ def reach_d2(radius_m: float, world: World) -> int:
     return min(radius_d2(radius_m, world.cell_m), height**2 + width**2)
 
 
-def _truth(world, shape):
+def _truth(world: World, shape: tuple[int, int]) -> Truth:
     """Make the `Truth` of a world with its ring, padded."""
     pad = [(0, full - n) for full, n in zip(shape, world.shape)]
     rooms = world.rooms if world.rooms is not None else np.full(world.shape, -1, np.int32)
@@ -183,7 +176,7 @@ def _truth(world, shape):
         region=np.pad(regions_of(world), pad),  # type: ignore[arg-type]
         extent=np.asarray(world.shape, np.int32),  # type: ignore[arg-type]
         within=None if world.within is None else np.pad(world.within, pad),  # type: ignore[arg-type]
-        known=None if world.known is None else np.pad(world.known, pad, constant_values=-1),  # type: ignore[arg-type]
+        prior=None if world.known is None else np.pad(world.known, pad, constant_values=-1),  # type: ignore[arg-type]
     )
 
 
@@ -200,7 +193,9 @@ def regions_of(world: World) -> np.ndarray:
     return ndimage.label(free)[0].astype(np.int32)  # type: ignore[index]  # scipy says too little
 
 
-def _setup(everyone, cell_m, shape, limit, native):
+def _setup(
+    everyone: Sequence[tuple[Lidar, Rules]], cell_m: float, shape: tuple[int, int], limit: int, native: str | None
+) -> Setup:
     """Make a static config that suits several scanners and rules, those of the site first."""
     lidar, _ = everyone[0]
     max_steps = max(rules.max_steps or limit for _, rules in everyone)
@@ -216,7 +211,7 @@ def _setup(everyone, cell_m, shape, limit, native):
     )
 
 
-def _beams(everyone, cell_m, shape):
+def _beams(everyone: Sequence[tuple[Lidar, Rules]], cell_m: float, shape: tuple[int, int]) -> Beams:
     """Return the beam table, the same for all rules and noise: megabytes."""
     lidar, _ = everyone[0]
     return beam_table(lidar.without_noise(), cell_m, shape[1], max(farthest(one, cell_m) for one, _ in everyone))
@@ -238,19 +233,13 @@ def line_of(
     seed: int,
     which: Any,
     *,
-    keeps: int = 0,
+    detailed: int = 0,
     keep: str | None = None,
 ) -> Line:
-    """Make the `Line` of a strategy's episodes.
+    """Make the `Line` of a strategy's episodes; `fitted` comes from `site.with_strategy`.
 
-    Args:
-      site: `Site`.
-      fitted: from `site.with_strategy`.
-      starts: `[N, 3]` int, row, col, heading_deg (multiples of 45).
-      seed: int.
-      which: `[n]` int, numbers of the episodes to run here.
-      keeps: number of the episode whose map and way are kept whole.
-      keep: record of every episode, see `episode.program_of`.
+    `starts`: `[N, 3]` int, row, col, heading_deg; `which`: numbers of the episodes to run here; `detailed`: of the one
+    whose map and way are kept whole; `keep`: record of every episode, see `episode.program_of`.
     """
     setup, numbers = fitted
     trim = None
@@ -258,4 +247,4 @@ def line_of(
         shape, width = tuple(int(n) for n in site.truth.extent), site.truth.occupied.shape[1]
         trim = functools.partial(record_of, shape=shape, width=width, ring=site.ring)
     tasks = tasks_of(starts, site.ring)
-    return Line(program_of(setup, keep), site.beams, site.truth, numbers, seed, tasks, which, keeps, trim=trim)
+    return Line(program_of(setup, keep), site.beams, site.truth, numbers, seed, tasks, which, detailed, trim=trim)

@@ -51,7 +51,7 @@ class Truth:
     region: Array  # [H, W] int32, number of each 4-connected region of free cells within
     extent: Array  # [2] int32, height and width without padding
     within: Array | None = None  # [H, W] bool, where the robot may be and what it is to know; None: everywhere
-    known: Array | None = None  # [H, W] int8, what it knows before its first scan: -1 unknown, 0 free, 1 occupied
+    prior: Array | None = None  # [H, W] int8, what it knows before its first scan: -1 unknown, 0 free, 1 occupied
     replace: ClassVar[Callable[..., Self]]
 
 
@@ -96,11 +96,11 @@ class Result:
     plans: Array  # int32, the last one, that found nothing, included
     exhausted: Array  # int32, targets that stayed live
     outcome: Array  # int32, `Outcome`
-    known: Array  # int32, known cells among those that are to be known
+    n_known: Array  # int32, known cells among those that are to be known
     explored: Array  # int32, known cells among `explorable`
     explorable: Array  # int32, free cells 4-connected to the start in the true world
     room_entries: Array  # int32
-    straight_at: Array  # [4] int32, straight steps when 50, 90, 95, 99 % of `known` were known
+    straight_at: Array  # [4] int32, straight steps when 50, 90, 95, 99 % of `n_known` were known
     diagonal_at: Array  # [4] int32, as `straight_at`
     straight_along: Array  # [MARKS] int32, straight steps when 1, 2, ... 100 % of what can be known was; -1: never
     diagonal_along: Array  # [MARKS] int32, as `straight_along`
@@ -146,11 +146,11 @@ class State(StepCounts):
     is_view: Array  # bool, whether it is a view point
     looking: Array  # int32, scans in place still to be made
     looked: Array  # int32, scans in place made since the last step
-    walking: Array  # bool, whether the plan is still being carried out
+    plan_active: Array  # bool, whether the plan is still being carried out
     bumped: Array  # int32, the motion that was refused just now, index into `reach.MOTIONS`; -1 for none
     came_from: Array  # [2] int32, row and col of the belief before the last motion
-    unscanned: Array  # int32, cost of the way driven since the last scan
-    known: Array  # int32, known cells among those that are to be known
+    since_scan: Array  # int32, cost of the way driven since the last scan
+    n_known: Array  # int32, known cells among those that are to be known
     room: Array  # int32, the last room stood in; -1 for none yet
     straight: Array  # int32, and so on as in `Result`
     diagonal: Array
@@ -176,5 +176,5 @@ class State(StepCounts):
 def no_counts() -> Any:
     """Return the counts of a `State` at zero: dict."""
     names = "straight diagonal turns scans plans exhausted saturated refused overflow bad_targets"
-    names += " known looking looked unscanned"
+    names += " n_known looking looked since_scan"
     return dict.fromkeys(names.split(), jnp.int32(0))

@@ -4,8 +4,8 @@ every step, and what it chose in every plan.
 
 import enum
 import itertools
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -44,7 +44,7 @@ def blank(capacity: int) -> tuple[Array, Array]:
 def note_step(state: State, when: Array | bool = True) -> State:
     """Add the present step to the trail of a `State`, unless there is nothing to add."""
     cell = state.row * state.shape[1] + state.col
-    entry = jnp.stack([LOOKS * cell + state.looked, state.known])
+    entry = jnp.stack([LOOKS * cell + state.looked, state.n_known])
     step = jnp.where(when, state.steps, state.trail.shape[0])
     return state.replace(trail=state.trail.at[step].set(entry, mode="drop"))
 
@@ -73,7 +73,7 @@ class Final(NamedTuple):
     rows: np.ndarray  # [n + 1] int32, the robot's cell at the start and after each of n steps
     cols: np.ndarray  # [n + 1] int32
     looked: np.ndarray  # [n + 1] int32, scans made in place there
-    known: np.ndarray  # [n + 1] int32, known cells then
+    n_known: np.ndarray  # [n + 1] int32, known cells then
     plans: list[Plan] | None  # every choice; None where there was no room for all of them
 
     def target_after(self, step: int) -> tuple[int, int] | None:
@@ -82,16 +82,16 @@ class Final(NamedTuple):
         return later[-1].target if later else None
 
 
-def kept(state: State) -> tuple[Array, Array, Array, Array, Array]:
-    """Return the record of an episode: map, trail, choices, and the last refused motion."""
+def detail_of(state: State) -> tuple[Array, Array, Array, Array, Array]:
+    """Return the detailed record of an episode: map, trail, choices, and the last refused motion."""
     return state.belief.grid.hits, state.belief.grid.misses, state.trail, state.choices, state.bumped
 
 
-def _steps(state):
+def _steps(state: State) -> tuple[Array, ...]:
     return (state.trail,)
 
 
-def _steps_and_map(state):
+def _steps_and_map(state: State) -> tuple[Array, ...]:
     grid, p_free = state.belief.grid, state.belief.model.p_free
     return state.trail, (is_free(grid, p_free) + 2 * is_occupied(grid, p_free)).astype(jnp.uint8)
 
@@ -108,14 +108,9 @@ class Record(NamedTuple):
 
 
 def record_of(result: Result, found: tuple[np.ndarray, ...], shape: tuple[int, ...], width: int, ring: int) -> Record:
-    """Return the `Record` of an episode.
+    """Return the `Record` of an episode with a `Result` of scalars, from what one of `RECORDS` gave.
 
-    Args:
-      result: `Result` of scalars.
-      found: what one of `RECORDS` gave, numpy.
-      shape: `(H, W)` of the world with its ring.
-      width: of the padded maps.
-      ring: of the site.
+    `shape`: of the world with its ring; `width`: of the padded maps; `ring`: of the site.
     """
     trail, *state = found
     trail = trail[: int(result.straight + result.diagonal) + 1]
@@ -126,14 +121,7 @@ def record_of(result: Result, found: tuple[np.ndarray, ...], shape: tuple[int, .
 
 
 def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int], ring: int = 0) -> Final:
-    """Make `Final` of the record of an episode.
-
-    Args:
-      found: what `kept` gave, numpy.
-      result: `Result` of that episode, scalars.
-      shape: of the world.
-      ring: of the site.
-    """
+    """Make `Final` of what `detail_of` gave for an episode, its `Result`, the world's shape and the site's ring."""
     hits, misses, trail, choices, bumped = found
     steps, n_plans = int(result.straight + result.diagonal), int(result.plans)
     trail = trail[: steps + 1]
@@ -149,12 +137,12 @@ def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int]
         rows=rows - ring,
         cols=cols - ring,
         looked=trail[:, Trail.SPOT] % LOOKS,
-        known=trail[:, Trail.KNOWN],
+        n_known=trail[:, Trail.KNOWN],
         plans=plans,
     )
 
 
-def _plans(choices, motions, padded, ring):
+def _plans(choices: list[Any], motions: list[int], padded: int, ring: int) -> Iterator[Plan]:
     for (code, when), (_, after) in itertools.pairwise(choices):
         first, last, refused = when // 16, after // 16, after % 16 - 1
         way = motions[first:last] + ([] if refused == NO_MOTION else [refused])

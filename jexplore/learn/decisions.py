@@ -152,7 +152,7 @@ class Decisions:
 
 
 def _targets(env):
-    return features.shortlist(targets(env.episode.belief, env.known))
+    return features.shortlist(targets(env.episode.belief, env.reached))
 
 
 def _told(env, state):

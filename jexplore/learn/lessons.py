@@ -187,7 +187,7 @@ def _is_done(lesson):
 
 
 def _must_decide(lesson):
-    return ~lesson.state.walking
+    return ~lesson.state.plan_active
 
 
 def _program(setup, network):
@@ -197,7 +197,7 @@ def _program(setup, network):
         advance=_advance,
         is_done=_is_done,
         finish=_finish,
-        keep=lambda lesson: (),
+        detail=lambda lesson: (),
         decide=_decide,
         must_decide=_must_decide,
         drive=None if setup.native is None else _drive,

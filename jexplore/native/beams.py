@@ -22,24 +22,16 @@ class Beams(NamedTuple):
 
 @functools.lru_cache(maxsize=8)
 def trace_beams(lidar: Lidar, cell_m: float) -> Beams:
-    """Trace the beams of a scanner; the same cells as those of `raycast.beam_table`.
-
-    Args:
-      lidar: `Lidar` at the robot's centre, of which a beam sees all that it enters.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      `Beams`.
-    """
+    """Trace the beams of a scanner at the robot's centre: the same cells as those of `raycast.beam_table`."""
     reach = in_cells(lidar.range_m, cell_m)
     dx, dy = exact_direction(45.0 * np.arange(HEADINGS)[:, None] + beam_angles_deg(lidar))
-    geometry = beam_geometry(np, dx, dy, 0.5, 0.5, 1e30)
+    geometry = beam_geometry(dx, dy, 0.5, 0.5)
     longest = n_steps(reach)
     is_row = np.zeros((*dx.shape, -(-longest // WORD)), np.uint32)
     length, state = np.zeros(dx.shape, np.int32), (np.zeros(dx.shape), np.zeros(dx.shape))
     for step in range(longest):
         rows = state[1]
-        state, (_, _, entry) = advance_beams(np, state, geometry)
+        state, (_, _, entry) = advance_beams(state, geometry)
         length += entry < reach
         is_row[..., step // WORD] |= (state[1] > rows).astype(np.uint32) << np.uint32(step % WORD)
     way = np.stack([geometry[0], geometry[1]], axis=-1).astype(np.int32)

@@ -56,12 +56,7 @@ def warn_once(why_not: str, instead: str = "JAX does without native code") -> No
 
 
 def find_compiler() -> list[str]:
-    """Return the command of a C++ compiler: `$CXX` if that is set, else the first of `COMPILERS` that is there; or
-    none.
-
-    Raises:
-      ValueError: `$CXX` has an open quote.
-    """
+    """Return the command of a C++ compiler: `$CXX` (ValueError at an open quote), the first of `COMPILERS`, or none."""
     own = shlex.split(os.environ.get("CXX", ""))
     return own or [path for path in map(shutil.which, COMPILERS) if path][:1]
 
@@ -69,15 +64,10 @@ def find_compiler() -> list[str]:
 def load_library(
     sources: Sequence[Path], flags: Sequence[str] = (), check: Callable[[ctypes.CDLL], str] | None = None
 ) -> Library:
-    """Load a C++ library, built if missing. Once in a process for each compiler.
+    """Load a C++ library, built if missing, once in a process for each compiler; of `sources` the first is compiled.
 
-    Args:
-      sources: the first is compiled, the others are included by it.
-      flags: of the compiler, in addition to `FLAGS`.
-      check: returns the error of a library, or "". A newly built library that fails is not kept.
-
-    Returns:
-      `Library`; without one if the compiler is missing, building fails, or nothing can be written.
+    `check` returns the error of a library, or ""; a newly built one that fails is not kept. Without a library if the
+    compiler is missing, building fails, or nothing can be written.
     """
     try:
         compiler = tuple(find_compiler())

@@ -14,7 +14,7 @@ enum Stage { kFirstScans, kNextScan, kAnswered };
 
 // The numbers of a state that driving changes, in the order of `drive.CHANGED`; then what it comes back with.
 struct Changed {
-  int32_t row, col, heading, looking, looked, walking, bumped, unscanned, known, room, straight, diagonal, turns, scans,
+  int32_t row, col, heading, looking, looked, plan_active, bumped, since_scan, known, room, straight, diagonal, turns, scans,
       exhausted, outcome, room_entries, refused, came_row, came_col;
   int32_t asks;  // whether it waits for what the strategy says of its target
 };
@@ -45,7 +45,7 @@ void Restore(Drive& episode, const Changed& in, const Terms& terms) {
   episode.at = in.row * width + in.col, episode.came = in.came_row * width + in.came_col;
   episode.target = terms.target_row < 0 ? kNone : terms.target_row * width + terms.target_col;
   episode.heading = in.heading & 7, episode.looking = in.looking, episode.looked = in.looked;
-  episode.walking = in.walking, episode.bumped = in.bumped, episode.unscanned = in.unscanned, episode.room = in.room;
+  episode.plan_active = in.plan_active, episode.bumped = in.bumped, episode.since_scan = in.since_scan, episode.room = in.room;
   episode.straight = in.straight, episode.diagonal = in.diagonal, episode.turns = in.turns, episode.scans = in.scans;
   episode.plans = terms.plans, episode.exhausted = in.exhausted, episode.refused = in.refused;
   episode.entries = in.room_entries, episode.outcome = in.outcome;
@@ -54,7 +54,7 @@ void Restore(Drive& episode, const Changed& in, const Terms& terms) {
 Changed Saved(const Drive& episode, bool asks) {
   const CountMaps& maps = episode.maps;
   return {maps.Row(episode.at), maps.Col(episode.at), episode.heading, episode.looking, episode.looked,
-          episode.walking, episode.bumped, episode.unscanned, maps.n_known, episode.room, episode.straight,
+          episode.plan_active, episode.bumped, episode.since_scan, maps.n_known, episode.room, episode.straight,
           episode.diagonal, episode.turns, episode.scans, episode.exhausted, episode.outcome, episode.entries,
           episode.refused, maps.Row(episode.came), maps.Col(episode.came), asks};
 }
@@ -70,7 +70,7 @@ bool GoOn(Drive& episode, const Terms& terms, bool may_ask) {
     return false;
   }
   if (terms.stage == kAnswered) episode.Judge(terms.live);
-  while (episode.walking && episode.outcome == kRunning) {
+  while (episode.plan_active && episode.outcome == kRunning) {
     episode.Look();
     if (may_ask && (episode.p.recheck || episode.IsNear())) return true;
     episode.Judge(episode.maps.IsLive(episode.target));

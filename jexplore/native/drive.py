@@ -15,7 +15,7 @@ from jexplore.native.kernels import KERNELS, call, numbers
 
 SOURCES = tuple(FOLDER / name for name in ("drive.cc", "plan.h", "counts.h", "paths.h", "world.h", "rules.h"))
 CHANGED = (
-    "row", "col", "heading", "looking", "looked", "walking", "bumped", "unscanned", "known", "room", "straight",
+    "row", "col", "heading", "looking", "looked", "plan_active", "bumped", "since_scan", "n_known", "room", "straight",
     "diagonal", "turns", "scans", "exhausted", "outcome", "room_entries", "refused",
 )  # fmt: skip
 """Numbers of a state that driving changes, in the order of `Changed` in drive.cc."""
@@ -70,19 +70,10 @@ def find_target() -> Library:
 
 
 def drive(setup: Any, given: Any, state: Any, stage: Stage, live: Array | bool = False) -> tuple[Any, Array]:
-    """Drive a robot until its plan is done or its strategy must be asked.
+    """Drive a robot until its plan is done or its strategy must be asked: `(state, asks)`.
 
-    Maps and trail change in place where they are used no more.
-
-    Args:
-      setup: `exploration.state.Setup` with a native target. Static.
-      given: `engine.program.Given` of an episode.
-      state: `exploration.state.State`.
-      stage: Static.
-      live: bool, what the strategy has said.
-
-    Returns:
-      `(state, asks)`: bool, whether the strategy must say whether its target is live before the robot goes on.
+    Maps and trail change in place where they are used no more. `live`: bool, what the strategy has said; `asks`: bool,
+    whether it must say whether its target is live before the robot goes on.
     """
     belief, truth, beams = state.belief, given.scenes, given.shared
     own = numbers([getattr(state, name) for name in CHANGED])
@@ -102,7 +93,7 @@ def drive(setup: Any, given: Any, state: Any, stage: Stage, live: Array | bool =
     where = {"row": state.row, "col": state.col, "heading": state.heading}
     grid = belief.grid.replace(hits=hits, misses=misses)
     belief = belief.replace(grid=grid, driven=driven, exhausted=exhausted, **where)
-    return state.replace(belief=belief, walking=state.walking != 0), asks != 0
+    return state.replace(belief=belief, plan_active=state.plan_active != 0), asks != 0
 
 
 def _terms(setup, given, state, stage, live):

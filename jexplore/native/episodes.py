@@ -132,14 +132,10 @@ class World:
             self._loaded.jexplore_forget_world(self._handle)
 
     def tasks(self, starts: np.ndarray, seed: int, draws: np.ndarray) -> np.ndarray:
-        """Make the tasks of episodes. Not while episodes run here.
+        """Make the tasks of episodes, `[N]` of `TASK`. Not while episodes run here.
 
-        Args:
-          starts: `[N, 3]` int32, row, col and heading (units of 45 degrees), in the world with its ring.
-          seed, draws: what the keys of the episodes are made of; int, `[N]` int32.
-
-        Returns:
-          `[N]` of `TASK`.
+        `starts`: `[N, 3]` int32, row, col and heading (units of 45 degrees), in the world with its ring; `seed` and
+        `draws`, `[N]` int32, make the keys.
         """
         tasks = np.zeros(len(starts), TASK)
         tasks["start"], tasks["seed"], tasks["draw"] = starts, seed, draws
@@ -150,16 +146,9 @@ class World:
     def play(
         self, tasks: np.ndarray, stop: np.ndarray, *, paths: bool = False, states: bool = False, whole: int = -1
     ) -> Played:
-        """Run episodes, one after the other.
+        """Run episodes, one after the other; once `stop`, `[1]` int32, is not 0, the rest is given up: outcome 0.
 
-        Args:
-          tasks: `[n]` of `TASK`.
-          stop: `[1]` int32; once it is not 0, the rest is given up, from some episode on: outcomes that are 0.
-          paths, states: whether they are kept.
-          whole: number of the episode of which counts and choices are kept; -1: none. Its path is kept as well.
-
-        Raises:
-          MemoryError: too little memory.
+        `paths`, `states`: whether they are kept; `whole`: number of the episode of which path, counts and choices are.
         """
         n, tasks = len(tasks), np.ascontiguousarray(tasks)
         results, steps = np.zeros((n, RESULT), np.int32), np.zeros(n, np.int64)
@@ -190,12 +179,7 @@ class World:
     def emulate(self, tasks: np.ndarray, *, views: bool) -> np.ndarray | None:
         """Run episodes as a warp of a GPU does, on the CPU: `[n, RESULT]` int32; an outcome of 0 was given up.
 
-        Args:
-          tasks: `[n]` of `TASK`, of a world in the library with the emulator.
-          views: whether scans are looked up.
-
-        Returns:
-          None where the world does not suit a GPU.
+        `views`: whether scans are looked up. The world is of the library with the emulator. None: it does not suit.
         """
         results, tasks = np.zeros((len(tasks), RESULT), np.int32), np.ascontiguousarray(tasks)
         batch = _Batch(tasks=tasks.ctypes.data, n=len(tasks), results=results.ctypes.data)
@@ -207,21 +191,10 @@ class World:
     def replay(
         self, task: np.ndarray, script: Script, shown: np.ndarray, frontier: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Show a recorded episode as the robot leaves some places.
+        """Show a recorded episode as the robot leaves some places, `[F]` numbers of steps: `(codes, headings)`.
 
-        Args:
-          task: `[1]` of `TASK`.
-          script: `Script`.
-          shown: `[F]` int, steps made before it leaves, ascending, from 0 to those of the episode.
-          frontier: added to the codes of frontier cells.
-
-        Returns:
-          `codes`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can be
-            reached.
-          `headings`: `[F]` int32, units of 45 degrees, at the last scan there.
-
-        Raises:
-          MemoryError: too little memory.
+        `codes`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can be reached.
+        `headings`: `[F]` int32, units of 45 degrees, at the last scan there.
         """
         keep: list[Any] = []
         codes, headings = np.zeros((len(shown), *self.shape), np.uint8), np.zeros(len(shown), np.int32)

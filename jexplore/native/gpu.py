@@ -45,11 +45,9 @@ def find_nvcc() -> list[str]:
 
 
 def load(arch: str = "native", flags: Sequence[str] = ()) -> Library:
-    """Return the library for a kind of GPU, built if need be.
+    """Return the library for a kind of GPU, built if need be; `arch` as nvcc names it ("sm_90"), or this machine's.
 
-    Args:
-      arch: as nvcc names it, "sm_90"; "native": that of this machine.
-      flags: of nvcc, besides `FLAGS`; "-DJEXPLORE_CLOCKS" has the time of each part told.
+    `flags`: of nvcc, besides `FLAGS`; "-DJEXPLORE_CLOCKS" has the time of each part told.
     """
     try:
         nvcc = find_nvcc()
@@ -83,21 +81,10 @@ def device_count() -> int:
 def play(
     loaded: ctypes.CDLL, spec: Spec, given: Given, tasks: np.ndarray, stop: np.ndarray, *, warps: int = 0
 ) -> Played | None:
-    """Run episodes in one world.
+    """Run episodes in one world, as `episodes.World.play`; goals and regions of the tasks are found here.
 
-    Args:
-      loaded: of `library`.
-      spec, given: their common data.
-      tasks: `[n]` of `episodes.TASK`; goal and region are found here.
-      stop: `[1]` int32; once it is not 0, the rest is given up.
-      warps: most on a multiprocessor; 0: as many as fit.
-
-    Returns:
-      `Played`; None if the world does not suit.
-
-    Raises:
-      MemoryError: the GPU has too little.
-      RuntimeError: an error of CUDA.
+    `warps`: most on a multiprocessor; 0: as many as fit. Returns None if the world does not suit. Raises MemoryError if
+    the GPU has too little, RuntimeError at an error of CUDA.
     """
     keep, tasks = [], np.ascontiguousarray(tasks, TASK)
     results, measured, why = np.zeros((len(tasks), RESULT), np.int32), Measured(), ctypes.create_string_buffer(500)

@@ -25,12 +25,7 @@ def call(
 ) -> list[Array]:
     """Call a kernel. Nothing is differentiated through it: what it returns are whole numbers.
 
-    Args:
-      native: target of the library.
-      kernel: one of `KERNELS`.
-      results: shape and dtype of each.
-      arguments: arrays.
-      in_place: how many arguments, the first, give their memory to results of the same place.
+    `results`: shape and dtype of each; `in_place`: how many arguments, the first, give their memory to results.
     """
     made = [jax.ShapeDtypeStruct(tuple(shape), dtype) for shape, dtype in results]
     aliases = {i: i for i in range(in_place)}
@@ -81,19 +76,9 @@ def look(
 ) -> Array:
     """Return what looks from the first n of some cells tell: unknown cells within R distances, then known ones.
 
-    A look ends where it has shown enough unknown cells: their number is then no less than that.
-
-    Args:
-      native: target.
-      stops, unknown: `[H, W]` bool, of `gain.stops_and_unknown`.
-      at: `[2, M]` int32, rows and columns.
-      n: int32.
-      beams: `Beams` from `raycast.all_round`.
-      d2: `[R]` float32, squared distances, cells^2.
-      enough: int32.
-
-    Returns:
-      `[R + 1, M]` int32; 0 beyond the first n.
+    A look ends where it has shown `enough` unknown cells: their number is then no less than that. `stops`, `unknown`:
+    of `gain.stops_and_unknown`; `at`: `[2, M]` int32, rows and columns; `beams` from `raycast.all_round`; `d2`: `[R]`,
+    squared distances, cells^2. Returns `[R + 1, M]` int32; 0 beyond the first n.
     """
     d2 = jnp.asarray(d2, jnp.float32)
     result, maps = ((d2.shape[0] + 1, at.shape[1]), jnp.int32), (stops, unknown, at, beams.by_beam, beams.length)

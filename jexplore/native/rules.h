@@ -118,8 +118,8 @@ struct Episode {
   Log& log;
   Result& out;
   int at, came, target = kNone, left = 0;  // cells; motions of the way that are still to be made
-  int heading, looking = 0, looked = 0, bumped = kNone, unscanned = 0, room = kNone;
-  bool walking = false;
+  int heading, looking = 0, looked = 0, bumped = kNone, since_scan = 0, room = kNone;
+  bool plan_active = false;
   int straight = 0, diagonal = 0, turns = 0, scans = 0, plans = 0, exhausted = 0, refused = 0, entries = 0;
   int outcome = kRunning, saturated = 0;
 
@@ -142,8 +142,8 @@ struct Episode {
   // `environment._arrive` and the mark of a target that is exhausted.
   DEVICE void Arrive(bool arrived, bool live) {
     if (!arrived) return;
-    walking = live && p.look_around && looked < Looks() - 1;
-    if (walking) {
+    plan_active = live && p.look_around && looked < Looks() - 1;
+    if (plan_active) {
       looking = Looks() - 1;
     } else if (live) {
       ++exhausted;
@@ -154,19 +154,19 @@ struct Episode {
   // `environment._move` and `_limit_plans`: a step along the way, or a turn in place.
   DEVICE void Move() {
     came = at;
-    if (walking && looking > 0) {
+    if (plan_active && looking > 0) {
       Face((heading + 8 / Looks()) & 7);
       --looking;
       ++looked;
       bumped = kNone;
-    } else if (walking && straight + diagonal >= p.max_steps) {
-      walking = false;
+    } else if (plan_active && straight + diagonal >= p.max_steps) {
+      plan_active = false;
       outcome = kStepLimit;
       bumped = kNone;
-    } else if (walking) {
+    } else if (plan_active) {
       Step(maps.Motion(at, left - 1));
     }
-    if (outcome == kRunning && !walking && plans >= p.max_plans) outcome = kPlanLimit;
+    if (outcome == kRunning && !plan_active && plans >= p.max_plans) outcome = kPlanLimit;
   }
 
   DEVICE void Step(int motion) {
@@ -179,7 +179,7 @@ struct Episode {
     }
     log.Leave(straight + diagonal, at, seen_from);
     const bool is_diagonal = motion >= 4;
-    unscanned += is_diagonal ? kDiagonal : kStraight;
+    since_scan += is_diagonal ? kDiagonal : kStraight;
     diagonal += is_diagonal;
     straight += !is_diagonal;
     looked = 0;
@@ -200,8 +200,8 @@ struct Episode {
     log.Chosen(plans, target == kNone ? kNone : maps.Flat(target));
     ++plans;
     bumped = kNone;
-    walking = target != kNone;
-    if (!walking) {
+    plan_active = target != kNone;
+    if (!plan_active) {
       outcome = kComplete;
       saturated = maps.Saturated();
       return;
@@ -223,8 +223,8 @@ struct Episode {
       maps.Drive(came + maps.Offset(2 - dr));  // N is motion 1, S is 3
       maps.Drive(came + maps.Offset(1 - dc));  // E is motion 0, W is 2
     }
-    if (at == target || bumped != kNone || unscanned >= p.scan_every) {
-      unscanned = 0;
+    if (at == target || bumped != kNone || since_scan >= p.scan_every) {
+      since_scan = 0;
       Scan();
     }
     Note();
@@ -233,7 +233,7 @@ struct Episode {
   // The other half: what it means for the plan, and the next motion.
   DEVICE void Judge(bool live) {
     const bool here = at == target, hit = bumped != kNone;
-    walking = !hit && !((p.recheck || IsNear()) && !live && !here);
+    plan_active = !hit && !((p.recheck || IsNear()) && !live && !here);
     Arrive(here && !hit && looking == 0, live);
     Move();
   }
@@ -260,7 +260,7 @@ struct Episode {
     const Key key = FoldIn(FoldIn({0, task.seed}, task.draw), 1);  // `engine.one_by_one.chunk`; `Stream.POLICY`
     while (outcome == kRunning && maps.GoesOn() && log.GoesOn()) {
       Plan(key);
-      while (walking && outcome == kRunning && maps.GoesOn()) Advance();
+      while (plan_active && outcome == kRunning && maps.GoesOn()) Advance();
     }
     if (outcome == kComplete && !maps.KnowsGoal(task.goal)) outcome = kBlocked;
     if (!maps.GoesOn() || !log.GoesOn()) outcome = kRunning;  // given up

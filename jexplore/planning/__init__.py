@@ -81,7 +81,7 @@ class Field:
 
     traversable: Array  # [H, W] bool
     cost: Array  # [H, W] int32
-    candidates: Array  # [H, W] bool, reachable frontier cells that are not exhausted
+    frontier: Array  # [H, W] bool, reachable frontier cells that are not exhausted
     replace: ClassVar[Callable[..., Self]]
 
 
@@ -106,19 +106,14 @@ def metres(cost: Array, cell_m: Array | float) -> Array:
     return cost.astype(jnp.float32) * (cell_m / STRAIGHT)
 
 
-def view_of(belief: Belief, known: Field) -> View:
+def view_of(belief: Belief, reached: Field) -> View:
     """Return the `View` of a belief, from its `Field`."""
-    path_m = jnp.where(known.cost < FAR, metres(known.cost, belief.model.cell_m), jnp.inf)
-    return View(known.cost, path_m, known.candidates, belief)
+    path_m = jnp.where(reached.cost < FAR, metres(reached.cost, belief.model.cell_m), jnp.inf)
+    return View(reached.cost, path_m, reached.frontier, belief)
 
 
 def is_open(belief: Belief, row: Array | int, col: Array | int) -> Array:
-    """Return whether a robot would step into a cell: it is free by the map, or was driven on: bool.
-
-    Args:
-      belief: `Belief`.
-      row, col: int32, inside the map.
-    """
+    """Return whether a robot would step into a cell inside the map: it is free by the map, or was driven on: bool."""
     hits, misses = (a[row, col] for a in (belief.grid.hits, belief.grid.misses))
     free = (hits + misses > 0) & (hits.astype(jnp.float32) <= belief.model.p_free * (hits + misses).astype(jnp.float32))
     is_open = free | belief.driven[row, col]
@@ -205,13 +200,13 @@ def first_at(mask: Array) -> tuple[Array, Array]:
 
 
 @checked_names
-def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -> tuple[Choice, Array]:
+def choose(belief: Belief, route: Array, reached: Field, row: Array, col: Array) -> tuple[Choice, Array]:
     """Make a cell of a `Field` the target and lay the route to it.
 
     Args:
       belief: `Belief`.
       route: `[H, W]` int8, see `readout`.
-      known: `Field` of the belief.
+      reached: `Field` of the belief.
       row, col: int32, a cell with a finite cost; -1 for none.
 
     Returns:
@@ -222,29 +217,29 @@ def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -
     target = (jnp.where(none, belief.row, row), jnp.where(none, belief.col, col))
     native = kernels.target_of(belief.model.native)
     if native:
-        route = kernels.lay(native, route, known.cost, known.traversable, start, target)
+        route = kernels.lay(native, route, reached.cost, reached.traversable, start, target)
     else:
-        route = lay_route(route, known.cost, known.traversable, start, target, (0, 0))
-    cost = jnp.where(none, FAR, known.cost[target])
+        route = lay_route(route, reached.cost, reached.traversable, start, target, (0, 0))
+    cost = jnp.where(none, FAR, reached.cost[target])
 
     # Only cells whose cost hardly fits can have neighbours whose cost does not.
-    dear = lowest(jnp.where(known.cost < FAR, -known.cost, 0)) <= DIAGONAL - FAR
-    out_of_reach = run_if(none & dear, lambda _: saturated(known.cost, known.traversable), jnp.int32(0))
+    dear = lowest(jnp.where(reached.cost < FAR, -reached.cost, 0)) <= DIAGONAL - FAR
+    out_of_reach = run_if(none & dear, lambda _: saturated(reached.cost, reached.traversable), jnp.int32(0))
     return Choice(row, col, cost, out_of_reach), route
 
 
-def nearest_of(known: Field) -> tuple[Array, Array]:
+def nearest_of(reached: Field) -> tuple[Array, Array]:
     """Return row and column of the cheapest candidate, of equal ones the first in (row, col) order; -1 for none."""
-    best = lowest(jnp.where(known.candidates, known.cost, FAR))
-    row, col = first_at(known.candidates & (known.cost == best))
+    best = lowest(jnp.where(reached.frontier, reached.cost, FAR))
+    row, col = first_at(reached.frontier & (reached.cost == best))
     none = best >= FAR
     return jnp.where(none, -1, row), jnp.where(none, -1, col)
 
 
 def _nearest_in_map(belief, route):
     """Find the nearest frontier of the whole map: `(choice, route)`."""
-    known = field(belief, nearest_only=True)
-    return choose(belief, route, known, *nearest_of(known))
+    reached = field(belief, nearest_only=True)
+    return choose(belief, route, reached, *nearest_of(reached))
 
 
 def windows(shape: Sequence[int], clearance_d2: int) -> list[int]:
@@ -287,13 +282,9 @@ def cut_out(belief: Belief, origin: tuple[Array, ...], shape: tuple[int, ...]) -
 
 
 def nearest_in_window(belief: Belief, route: Array, side: int) -> tuple[Array, Choice, Array]:
-    """Find the nearest frontier if a window settles it: `(undecided, choice, route)`.
+    """Find the nearest frontier if a window with a side of `windows` settles it: `(undecided, choice, route)`.
 
     Windows are as wide as a power of two, because flat indices are then cheap to take apart.
-
-    Args:
-      belief, route: as for `nearest_frontier`.
-      side: of the window, one of `windows`. Static.
     """
     bound = bound_of(side, belief.model.clearance_d2)
     radius = bound // STRAIGHT

@@ -8,15 +8,9 @@ from jexplore.reach import FAR, MOTIONS, NO_MOTION, STEPS
 
 
 def _last_motion(cost, ways_in):
-    """Apply the pinned predecessor rule to cells given with their 3 x 3 neighbourhoods.
+    """Return the first of `MOTIONS` by which cells' costs arise, -1 without one: int8.
 
-    Args:
-      cost: `[3][3]` of `[...]`, of the cell (in the middle) and its neighbours; `FAR` where no path leads, and outside
-        the map.
-      ways_in: five of `[...]` bool, the cell can be entered, and by each diagonal motion.
-
-    Returns:
-      `[...]` int8: the first of `MOTIONS` by which the cell's cost arises; -1 without one.
+    `cost`: `[3][3]` of `[...]`, of cells and their neighbours, FAR outside the map; `ways_in`: from `_enterable`.
     """
     motion = jnp.full_like(cost[1][1], NO_MOTION, jnp.int8)
     for i, (drow, dcol) in reversed(list(enumerate(MOTIONS))):

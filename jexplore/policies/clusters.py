@@ -39,18 +39,18 @@ class Targets:
     replace: ClassVar[Callable[..., Self]]
 
 
-def targets(belief: Belief, known: Field) -> Targets:
+def targets(belief: Belief, reached: Field) -> Targets:
     """Find the `Targets` of a belief and its `Field`."""
     native = kernels.target_of(belief.model.native)
     if native:
-        shape = known.cost.shape
-        (row, col, size), told = kernels.clusters(native, known.candidates, known.cost, CLUSTERS, most_cells(shape))
+        shape = reached.cost.shape
+        (row, col, size), told = kernels.clusters(native, reached.frontier, reached.cost, CLUSTERS, most_cells(shape))
         overflow = jnp.maximum(told[0] - CLUSTERS, 0) + told[1]
     else:
-        found = frontier_clusters(known.candidates, known.cost, max_clusters=CLUSTERS)
+        found = frontier_clusters(reached.frontier, reached.cost, max_clusters=CLUSTERS)
         row, col, size, overflow = found.row, found.col, found.size, found.overflow + found.left_out
     used = row >= 0
-    cost = known.cost[jnp.maximum(row, 0), jnp.maximum(col, 0)]
+    cost = reached.cost[jnp.maximum(row, 0), jnp.maximum(col, 0)]
     path_m = jnp.where(used, metres(cost, belief.model.cell_m), jnp.inf)
     return Targets(row, col, used, path_m, size, overflow)
 
@@ -190,11 +190,11 @@ def costs_between(passable: Array, row: Array, col: Array, n: Array | int) -> Ar
     return jnp.minimum(table, table.T)
 
 
-def go_to(belief: Belief, route: Array, known: Field, at: Targets, which: Array) -> tuple[Choice, Array]:
+def go_to(belief: Belief, route: Array, reached: Field, at: Targets, which: Array) -> tuple[Choice, Array]:
     """Make a target the choice: `(choice, route)`. `which`: int32 slot; -1 for none."""
     none = which < 0
     slot = jnp.maximum(which, 0)
-    choice, route = choose(belief, route, known, jnp.where(none, -1, at.row[slot]), jnp.where(none, -1, at.col[slot]))
+    choice, route = choose(belief, route, reached, jnp.where(none, -1, at.row[slot]), jnp.where(none, -1, at.col[slot]))
     return dataclasses.replace(choice, overflow=at.overflow), route
 
 

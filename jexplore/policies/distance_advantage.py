@@ -49,15 +49,15 @@ def mean_apart(apart_m: Array, used: Array, counts: Array | float = 1.0) -> Arra
 
 
 def _select(key, params, carry, belief, beams, route):
-    known = field(belief)
-    at = targets(belief, known)
+    reached = field(belief)
+    at = targets(belief, reached)
     exact = params.by_area | (params.side_weight > 0)
     unknown = shown_from(belief, at, beams, jnp.where(exact, EVERY, params.min_gain))
     usable, area = at.used & (unknown >= params.min_gain), unknown.astype(jnp.float32)
     counts = jnp.where(params.by_area, area, 1.0)
     worth = advantage(at.path_m, paths_apart(belief, at), usable, params.weight, counts)
     worth = worth - params.side_weight * belief.model.cell_m * jnp.sqrt(area)
-    return carry, *go_to(belief, route, known, at, best_of(at, worth, usable))
+    return carry, *go_to(belief, route, reached, at, best_of(at, worth, usable))
 
 
 def _params(weight, min_gain, **more):

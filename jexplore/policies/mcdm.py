@@ -50,14 +50,14 @@ def choquet(utilities: Array, measure: Array) -> Array:
 
 
 def _select(key, params, carry, belief, beams, route):
-    known = field(belief)
-    at = targets(belief, known)
+    reached = field(belief)
+    at = targets(belief, reached)
     unknown, seen_known = seen_from(belief, at, beams)
     criteria = unknown.astype(jnp.float32), -jnp.where(at.used, at.path_m, 0.0), seen_known.astype(jnp.float32)
     utilities = jnp.stack([relative(value, at.used) for value in criteria])
     measure = jnp.stack([jnp.float32(0), params.a, params.d, params.ad, params.o, params.ao, params.do, jnp.float32(1)])
     worth = choquet(utilities, measure)
-    return carry, *go_to(belief, route, known, at, best_of(at, worth, at.used))
+    return carry, *go_to(belief, route, reached, at, best_of(at, worth, at.used))
 
 
 def mcdm(a: float = 0.5, d: float = 0.3, o: float = 0.2, ad: float = 0.95, ao: float = 0.7, do: float = 0.4) -> Policy:

@@ -94,8 +94,8 @@ def two_opt(length: Array, route: Array, n: Array | int) -> Array:
 
 
 def _select(key, params, carry, belief, beams, route):
-    known = field(belief)
-    at = targets(belief, known)
+    reached = field(belief)
+    at = targets(belief, reached)
     usable = at.used & (shown_from(belief, at, beams, params.min_gain) >= params.min_gain)
     usable = jnp.where(jnp.any(usable), usable, at.used)
     stops = jnp.argsort(~usable, stable=True)  # slots to be visited first, in their order
@@ -106,7 +106,7 @@ def _select(key, params, carry, belief, beams, route):
     length = length.at[1:, 1:].set(apart_m).at[0, 1:].set(path_m).at[1:, 0].set(path_m)
     order = two_opt(length, inserted(length, n), n)
     which = jnp.where(n > 0, stops[jnp.maximum(order[1] - 1, 0)], -1).astype(jnp.int32)
-    return carry, *go_to(belief, route, known, at, which)
+    return carry, *go_to(belief, route, reached, at, which)
 
 
 def tour(min_gain: int = 1) -> Policy:

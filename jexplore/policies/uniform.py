@@ -22,12 +22,12 @@ def kth_true(mask: Array, k: Array | int) -> tuple[Array, Array]:
 
 
 def _select(key, params, carry, belief, beams, route):
-    known = field(belief)
-    n = jnp.sum(known.candidates, dtype=jnp.int32)
+    reached = field(belief)
+    n = jnp.sum(reached.frontier, dtype=jnp.int32)
     # Drawn as a number below n, never over the padded map: the draw does not depend on the map's padding.
-    row, col = kth_true(known.candidates, jax.random.randint(key, (), 0, jnp.maximum(n, 1)))
+    row, col = kth_true(reached.frontier, jax.random.randint(key, (), 0, jnp.maximum(n, 1)))
     none = n == 0
-    return carry, *choose(belief, route, known, jnp.where(none, -1, row), jnp.where(none, -1, col))
+    return carry, *choose(belief, route, reached, jnp.where(none, -1, row), jnp.where(none, -1, col))
 
 
 def uniform() -> Policy:

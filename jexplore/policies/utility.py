@@ -21,11 +21,11 @@ class Params(NamedTuple):
 
 
 def _select(key, params, carry, belief, beams, route):
-    known = field(belief)
-    at = targets(belief, known)
+    reached = field(belief)
+    at = targets(belief, reached)
     unknown, _ = seen_from(belief, at, beams)
     worth = unknown * belief.model.cell_m**2 - params.beta * at.path_m
-    return carry, *go_to(belief, route, known, at, best_of(at, worth, unknown >= params.min_gain))
+    return carry, *go_to(belief, route, reached, at, best_of(at, worth, unknown >= params.min_gain))
 
 
 def utility(beta: float = 5.0, min_gain: int = 1) -> Policy:

@@ -58,7 +58,7 @@ def gain_for_path(params: Views, gain: Array, path_m: Array) -> Array:
     return jnp.where(params.by_rate, gain / (params.weight + path_m), gain * jnp.exp(-params.weight * path_m))
 
 
-def drawn(key: Array, belief: Belief, known: Field, params: Views) -> tuple[Array, Array]:
+def drawn(key: Array, belief: Belief, reached: Field, params: Views) -> tuple[Array, Array]:
     """Draw view points near frontiers: a frontier cell each, uniformly, and a cell in a disc round it.
 
     Draw i depends on the key and i only, neither on how many there are nor on the map's padding. Where the disc's cell
@@ -70,18 +70,18 @@ def drawn(key: Array, belief: Belief, known: Field, params: Views) -> tuple[Arra
     Source:
       Gonzalez-Banos and Latombe 2002. Changed: uniform over frontier cells, and reachable, not merely visible.
     """
-    height, width = known.cost.shape
+    height, width = reached.cost.shape
     key_which, key_where = jax.random.split(key)
-    n = jnp.sum(known.candidates, dtype=jnp.int32)
+    n = jnp.sum(reached.frontier, dtype=jnp.int32)
     which = jax.random.randint(key_which, (MAX_SAMPLES,), 0, jnp.maximum(n, 1))
-    cell = jnp.minimum(bits.nth_cells(bits.pack(known.candidates), which), height * width)
+    cell = jnp.minimum(bits.nth_cells(bits.pack(reached.frontier), which), height * width)
     row, col = cell // width, cell % width
     share, turn = jax.random.uniform(key_where, (2, MAX_SAMPLES))
     distance = jnp.sqrt(share) * params.spread_m / belief.model.cell_m
     near_row = row + jnp.round(distance * jnp.sin(2 * math.pi * turn)).astype(jnp.int32)
     near_col = col + jnp.round(distance * jnp.cos(2 * math.pi * turn)).astype(jnp.int32)
     at = jnp.clip(near_row, 0, height - 1), jnp.clip(near_col, 0, width - 1)
-    good = (near_row == at[0]) & (near_col == at[1]) & (known.cost[at] < FAR) & ~belief.exhausted[at] & (n > 0)
+    good = (near_row == at[0]) & (near_col == at[1]) & (reached.cost[at] < FAR) & ~belief.exhausted[at] & (n > 0)
     return jnp.where(good, near_row, row), jnp.where(good, near_col, col)
 
 
@@ -90,7 +90,7 @@ def best_view(
     key: Array,
     params: Views,
     belief: Belief,
-    known: Field,
+    reached: Field,
     beams: Beams,
 ) -> tuple[Array, Array]:
     """Find the view point of the greatest `utility(params, gain, path_m)`, float32, growing with the gain, bits.
@@ -98,13 +98,13 @@ def best_view(
     Returns its flat index, -1 if no view point shows enough, and the cells whose entropy could not be counted. Equal
     utilities go to the lowest index.
     """
-    height, width = known.cost.shape
-    row, col = drawn(key, belief, known, params)
+    height, width = reached.cost.shape
+    row, col = drawn(key, belief, reached, params)
     usable = (row < height) & (lax.iota(jnp.int32, MAX_SAMPLES) < params.samples)
     row = jnp.minimum(row, height - 1)
     ahead = prospect(belief.grid, belief.extent, belief.model.p_free, belief.within)
     beams, native = all_round(beams), kernels.target_of(belief.model.native)
-    path_m = metres(known.cost[row, col], belief.model.cell_m)
+    path_m = metres(reached.cost[row, col], belief.model.cell_m)
     # The most promising ones first, until the best that was found is better than what the next could be.
     hope = jnp.where(usable, utility(params, most(ahead, row, col, beams), path_m), -jnp.inf)
     order = jnp.argsort(-hope)
@@ -141,14 +141,14 @@ def select(
     route: Array,
 ) -> tuple[Any, Choice, Array]:
     """Return the `select` of a strategy with a utility: the best view point, else the nearest frontier."""
-    known = field(belief)
-    width = known.cost.shape[1]
-    cell, overflow = best_view(utility, key, params, belief, known, beams)
-    row, col = nearest_of(known)
+    reached = field(belief)
+    width = reached.cost.shape[1]
+    cell, overflow = best_view(utility, key, params, belief, reached, beams)
+    row, col = nearest_of(reached)
     is_view, none = cell >= 0, row < 0
     row = jnp.where(is_view & ~none, cell // width, row)
     col = jnp.where(is_view & ~none, cell % width, col)
-    choice, route = choose(belief, route, known, row, col)
+    choice, route = choose(belief, route, reached, row, col)
     return carry, dataclasses.replace(choice, is_view=is_view & ~none, overflow=overflow), route
 
 

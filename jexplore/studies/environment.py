@@ -23,7 +23,7 @@ from jexplore.engine.program import Given
 from jexplore.engine.runner import find_resources, require_32_bits
 from jexplore.exploration import environment
 from jexplore.exploration.metrics import values_of
-from jexplore.exploration.site import alike, drive_for, prepare_site
+from jexplore.exploration.site import drive_for, prepare_site, unify_truths
 from jexplore.exploration.state import Numbers, Outcome, State, Truth, steps_m
 from jexplore.exploration.trail import LOOKS, Trail
 from jexplore.planning import Field, View, choose, field, is_live, view_of
@@ -54,7 +54,7 @@ class EnvState:
     """An episode under way, between two decisions."""
 
     episode: State
-    known: Field  # of its belief
+    reached: Field  # of its belief
     world: Array  # int32, which of the environment's worlds it is in
     ring: Array | None  # int32, cells by which indices in its maps are larger than its world's; None: 0 in all worlds
     replace: ClassVar[Callable[..., Self]]
@@ -142,7 +142,7 @@ class Environment:
             sites.append(prepare_site(world, lidar, rules, self.shape, native=native, metrics=own))
         capacity = max(site.setup.capacity for site in sites) if paths else 1
         self._setup = sites[0].setup._replace(policy=closest(), capacity=capacity)  # which nobody asks
-        truths = alike([site.truth for site in sites])
+        truths = unify_truths([site.truth for site in sites])
         scenes, numbers = (
             jax.tree.map(lambda *a: jnp.stack(a), *records) for records in (truths, [site.numbers for site in sites])
         )
@@ -273,7 +273,7 @@ def _inside(shape, row, col):
 def _seen(setup, given, episode, ring):
     """Return `EnvState` after the last scan of a plan; without a frontier the episode is over."""
     known = field(episode.belief)
-    none = ~jnp.any(known.candidates) & (episode.outcome == Outcome.RUNNING)
+    none = ~jnp.any(known.frontier) & (episode.outcome == Outcome.RUNNING)
 
     def end(episode):
         nothing, route = choose(episode.belief, episode.route, known, jnp.int32(-1), jnp.int32(-1))
@@ -284,7 +284,7 @@ def _seen(setup, given, episode, ring):
 
 def shown(state: EnvState) -> View:
     """Return the `View` of a state, in the cells of its world."""
-    view, ring = view_of(state.episode.belief, state.known), state.ring
+    view, ring = view_of(state.episode.belief, state.reached), state.ring
     if ring is None:
         return view
     view = jax.tree.map(
@@ -323,7 +323,7 @@ def _begun(setup, bank, key, start, world):
 
 
 def _driven(setup, bank, key, state, action):
-    episode, known = state.episode, state.known
+    episode, known = state.episode, state.reached
     given = _given(bank, key, state.world, episode.belief.start)
     inside, row, col = _inside(known.cost.shape, *_ringed(state.ring, *action))
     valid = inside & (known.cost[row, col] < FAR) & (episode.outcome == Outcome.RUNNING)
@@ -331,7 +331,7 @@ def _driven(setup, bank, key, state, action):
     def drive(state):
         episode = state.episode
         # What was no frontier cell when it was chosen is not given up for being none.
-        numbers = given.numbers.replace(recheck=bank.recheck & known.candidates[row, col])
+        numbers = given.numbers.replace(recheck=bank.recheck & known.frontier[row, col])
         own = given.replace(numbers=numbers)
         choice, route = choose(episode.belief, episode.route, known, row, col)
         episode = environment.commit(setup, own, episode, choice, route, is_live(episode.belief, row, col))
@@ -343,7 +343,7 @@ def _driven(setup, bank, key, state, action):
         "valid": valid,
         "outcome": environment.outcome_of(now),
         "path_m": now.path_m,
-        "known_m2": now.known * given.numbers.model.cell_m**2,
+        "known_m2": now.n_known * given.numbers.model.cell_m**2,
     }
     reward = -steps_m(now.straight - episode.straight, now.diagonal - episode.diagonal, given.numbers.model.cell_m)
     values = values_of(setup, given, now.replace(outcome=info["outcome"]))

@@ -88,7 +88,7 @@ class Episode:
         return plot.episode_figure(
             *(map_state(final.hits, final.misses, self.rules.p_free), final.rows, final.cols, cell_m),
             path_m=length_along_m(final.rows, final.cols, cell_m),
-            known_cells=final.known,
+            known_cells=final.n_known,
             title=self.title,
         )
 
@@ -148,7 +148,7 @@ class Episode:
         final, cell_m = self.final, self.world.cell_m
         length_m = length_along_m(final.rows, final.cols, cell_m)
         for frame in frames(self, max_frames=max_frames):
-            known_m2 = int(final.known[frame.step]) * cell_m**2
+            known_m2 = int(final.n_known[frame.step]) * cell_m**2
             yield {
                 "state": map_state(frame.hits, frame.misses, self.rules.p_free),
                 "frontier": frame.frontier,
@@ -270,7 +270,7 @@ def maps_at(episode: Episode, shares: Sequence[float]) -> Iterator[tuple[float, 
 
     Each is `(share, explored, state)`: the share reached, that known then, and the map by `results.map_state`.
     """
-    known = episode.final.known / episode.final.known[-1]
+    known = episode.final.n_known / episode.final.n_known[-1]
     left = [share for share in shares if share > known[0]]
     for moment in steps_of(episode):
         reached = [share for share in left if share <= known[moment.step]]

@@ -37,7 +37,7 @@ FEWER_FRAMES = 100  # of a replay of a later episode: maps are what a replay cos
 def _codes(belief):
     grid, p_free = belief.grid, belief.model.p_free
     state = is_free(grid, p_free) + 2 * is_occupied(grid, p_free)
-    return (state + FRONTIER * field(belief).candidates).astype(jnp.uint8)
+    return (state + FRONTIER * field(belief).frontier).astype(jnp.uint8)
 
 
 @jax.jit
@@ -85,7 +85,7 @@ def replay_data(
         heading_deg=np.array(headings),
         target=target,
         until=until,
-        known_m2=final.known[shown] * world.cell_m**2,
+        known_m2=final.n_known[shown] * world.cell_m**2,
         changes=changes,
         has_own_room=own_room,
     )

@@ -15,7 +15,7 @@ from jexplore.exploration.episode import program_of
 from jexplore.exploration.results import progress_m
 from jexplore.exploration.site import cost_of
 from jexplore.exploration.state import Numbers, Outcome, Setup, Stream, Truth
-from jexplore.exploration.trail import decode, kept
+from jexplore.exploration.trail import decode, detail_of
 from jexplore.grid import radius_d2
 from jexplore.native.drive import find_target
 from jexplore.planning import MapModel
@@ -50,7 +50,7 @@ def truth_of(occupied, rooms, shape, within=None, known=None):
         ],
         extent=np.asarray([occupied.shape], np.int32),
         within=None if within is None else np.pad(within, grow)[None],
-        known=None if known is None else np.pad(known, grow, constant_values=-1)[None],
+        prior=None if known is None else np.pad(known, grow, constant_values=-1)[None],
     )
 
 
@@ -254,7 +254,7 @@ def differences(result, state, want, *, cell_m, rooms=None, within=None, known=N
     """
     height, width = want.hits.shape
     at_start = 0 if known is None else int(((known >= 0) & (True if within is None else within)).sum())
-    final = decode(kept(state), result, want.hits.shape)
+    final = decode(detail_of(state), result, want.hits.shape)
     known = (want.hits + want.misses > 0) & (True if within is None else within)
     last_known = dict(want.known_after_scan)  # by the number of steps made: the last scan made there counts
     after_step = []
@@ -271,8 +271,8 @@ def differences(result, state, want, *, cell_m, rooms=None, within=None, known=N
         "hits": (state.belief.grid.hits[:height, :width], want.hits),
         "misses": (state.belief.grid.misses[:height, :width], want.misses),
         "counts in padding": (int((state.belief.grid.hits + state.belief.grid.misses)[outside].sum()), 0),
-        "known": (int(result.known), int(known.sum())),
-        "known after a step": (final.known.tolist(), after_step),
+        "known": (int(result.n_known), int(known.sum())),
+        "known after a step": (final.n_known.tolist(), after_step),
         "target": ([plan.target for plan in final.plans or ()], [plan.target for plan in want.log]),
         "motions": (sum(len(plan.motions) for plan in final.plans or ()), want.steps + want.refused),
         "believed pose": (

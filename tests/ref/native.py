@@ -7,9 +7,10 @@ import subprocess
 import jax
 import numpy as np
 
-from jexplore.exploration.native import NativeRun, chooser_of, parts_of, play_all, result_of, show_episode
+from jexplore.engine.runner import on_cores, run_all
+from jexplore.exploration.native import NativeRun, native_place, result_of, show_episode
 from jexplore.exploration.state import Result
-from jexplore.exploration.trail import decode, kept
+from jexplore.exploration.trail import decode, detail_of
 from jexplore.native import build, episodes
 from jexplore.policies import parse_strategy
 from jexplore.worlds.world import World
@@ -23,26 +24,15 @@ def play(case, loaded=None):
     world = World(occupied=case.occupied, rooms=case.rooms, cell_m=case.cell_m, within=case.within, known=case.known)
     limits = {name: getattr(case.rules, name) or CAPACITY for name in ("max_steps", "max_plans")}
     rules, strategy = dataclasses.replace(case.rules, **limits), parse_strategy(case.strategy)
-    chooser = chooser_of(strategy)
-    parts = parts_of(world, chooser, case.lidar, rules, recheck=strategy.recheck)
-    run = NativeRun(
-        episodes.World(loaded, *parts),
-        parts,
-        world,
-        np.array([case.start]),
-        case.seed,
-        0,
-        np.zeros(1, np.int32),
-        0,
-        "maps",
-    )
-    play_all([run], 1, lambda _: None)
+    place = native_place(loaded, world, strategy, case.lidar, rules)
+    run = NativeRun(place, np.array([case.start]), case.seed, 0, np.zeros(1, int), detailed=0, keep="maps")
+    run_all([run], on_cores(1))
     return run
 
 
 def differences(run, result, state, occupied):
     """List all in which a `NativeRun` of one episode, also as warps play it, differs from JAX's `(Result, State)`."""
-    found, final = jax.tree.map(lambda a: a[0], run.results), decode(kept(state), result, occupied.shape)
+    found, final = jax.tree.map(lambda a: a[0], run.results), decode(detail_of(state), result, occupied.shape)
     pairs = {
         field.name: (getattr(found, field.name), getattr(result, field.name)) for field in dataclasses.fields(Result)
     }
@@ -60,7 +50,10 @@ def differences(run, result, state, occupied):
 
 def _differences_by_warps(run):
     """List results of emulated warps that differ; an episode that they give up is for the CPU."""
-    found = {"beams": run.place.emulate(run.tasks, views=False), "views": run.place.emulate(run.tasks, views=True)}
+    found = {
+        "beams": run.place.inner.emulate(run.tasks, views=False),
+        "views": run.place.inner.emulate(run.tasks, views=True),
+    }
     gave_up = {name for name, table in found.items() if table is None or not result_of(table).outcome[0]}
     return [
         f"a warp's result by {name}" for name in found.keys() - gave_up if not np.array_equal(found[name], run.table)
@@ -71,7 +64,7 @@ def differences_among(case):
     """Play a case without counts, by warps and from its record: `(run, differences from that NativeRun)`."""
     run = play(case)
     unequal, record = _differences_by_warps(run), run.records[0]
-    three = run.place.play(np.repeat(run.tasks, 3), np.zeros(1, np.int32), paths=True, states=True, whole=1)
+    three = run.place.inner.play(np.repeat(run.tasks, 3), np.zeros(1, np.int32), paths=True, states=True, whole=1)
     for results, path, state in zip(three.results, three.paths, three.states):
         if not (np.array_equal(results, run.table[0]) and np.array_equal(path, three.paths[1])):
             unequal.append("one of three episodes")
@@ -79,7 +72,7 @@ def differences_among(case):
             unequal.append("one of three maps")
     shown, strategy = np.arange(0, len(record.path), max(len(record.path) // 10, 1)), parse_strategy(case.strategy)
     shown = np.unique([*shown, len(record.path) - 1])
-    codes, _ = show_episode(run.world, strategy, case.lidar, case.rules, case.start, run.final, shown, 4)
+    codes, _ = show_episode(run.place.world, strategy, case.lidar, case.rules, case.start, run.final, shown, 4)
     if not np.array_equal(codes[-1] & 3, record.state):
         unequal.append("the last map of a replay")
     return run, unequal

@@ -101,30 +101,30 @@ class Score(Theirs):
         self, key: Array, params: Any, carry: Any, belief: Belief, beams: Beams, route: Array
     ) -> tuple[Any, Choice, Array]:
         del key, beams
-        known = field(belief)
-        found = call_user(self.function, self.what, view_of(belief, known), **dict(self.fixed), **params)
-        with expecting(self.what, f"a score for every cell, {_shape(known.cost.shape)} integer or float", found):
+        reached = field(belief)
+        found = call_user(self.function, self.what, view_of(belief, reached), **dict(self.fixed), **params)
+        with expecting(self.what, f"a score for every cell, {_shape(reached.cost.shape)} integer or float", found):
             score = jnp.asarray(found)
-            if score.shape != known.cost.shape or not _is_number(score.dtype):
+            if score.shape != reached.cost.shape or not _is_number(score.dtype):
                 raise TypeError
         # Kept: XLA might compute it anew to compare it with its maximum, round it differently, and nothing equals that.
         score = stored(belief.row >= 0, lambda: lax.optimization_barrier(score))
-        row, col = _highest(score, known)
-        return carry, *choose(belief, route, known, row, col)
+        row, col = _highest(score, reached)
+        return carry, *choose(belief, route, reached, row, col)
 
 
 def _is_number(dtype):
     return jnp.issubdtype(dtype, jnp.integer) or jnp.issubdtype(dtype, jnp.floating)
 
 
-def _highest(score, known):
+def _highest(score, reached):
     """Return row and column of the candidate with the highest score; -1 for none."""
     real = jnp.issubdtype(score.dtype, jnp.floating)
     least = -jnp.inf if real else jnp.iinfo(score.dtype).min
-    usable = known.candidates & ~jnp.isnan(score)
+    usable = reached.frontier & ~jnp.isnan(score)
     best = usable & (score == jnp.max(jnp.where(usable, score, jnp.asarray(least, score.dtype))))
     found = jnp.any(usable & jnp.isfinite(score))
-    return tuple(jnp.where(found, at, nearest) for at, nearest in zip(first_at(best), nearest_of(known)))
+    return tuple(jnp.where(found, at, nearest) for at, nearest in zip(first_at(best), nearest_of(reached)))
 
 
 class Init(Theirs):

@@ -55,11 +55,11 @@ class NetworkSelect:
     def __call__(
         self, key: Array, params: Any, carry: Array, belief: Belief, beams: Beams, route: Array
     ) -> tuple[Array, Choice, Array]:
-        known = field(belief)
-        at = shortlist(targets(belief, known))
+        reached = field(belief)
+        at = shortlist(targets(belief, reached))
         found, _ = score_targets(self.network, params, at, lambda: features(belief, at, carry, beams))
         which = jnp.where(at.used[0], jnp.argmax(found).astype(jnp.int32), -1)
-        choice, route = go_to(belief, route, known, at, which)
+        choice, route = go_to(belief, route, reached, at, which)
         return jnp.stack([choice.row, choice.col]), choice, route
 
 

@@ -141,7 +141,7 @@ def observe(state: EnvState, *, targets: str) -> tuple[dict[str, Array], dict[st
         "outcome": outcome_of(episode),
         "straight": episode.straight,
         "diagonal": episode.diagonal,
-        "known_m2": episode.known * belief.model.cell_m**2,
+        "known_m2": episode.n_known * belief.model.cell_m**2,
     }
     return seen, info
 

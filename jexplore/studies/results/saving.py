@@ -165,7 +165,6 @@ def engine_of(costs: Costs) -> dict[str, Any]:
         "why_not_native": costs.why_not,
         "devices": costs.devices,
         "lanes": costs.lanes,
-        "useful": costs.useful,
     }
 
 

@@ -49,7 +49,7 @@ class Unit(NamedTuple):
     job: int  # number of the job
     first: int  # number of the first episode
     n: int
-    turn: int  # units of a later turn come later
+    phase: int  # units of a later phase come later
 
 
 class Piece(NamedTuple):
@@ -71,14 +71,14 @@ def cut_jobs(jobs: Sequence[Job], after: int = 0) -> list[Unit]:
         cells = job.world.shape[0] * job.world.shape[1]
         size = max(MIN_UNIT_EPISODES, -(-n // MAX_UNITS_OF_JOB), round(UNIT_S / (CELL_S * cells)))
         firsts = range(after, n, size)
-        units += [Unit(i, first, min(size, n - first), turn) for turn, first in enumerate(firsts)]
-    return sorted(units, key=lambda unit: (unit.turn, unit.job, unit.first))
+        units += [Unit(i, first, min(size, n - first), phase) for phase, first in enumerate(firsts)]
+    return sorted(units, key=lambda unit: (unit.phase, unit.job, unit.first))
 
 
 def job_of(job: Job, unit: Unit) -> Job:
     """Return the episodes of a unit as a `Job`."""
     starts = job.starts[unit.first : unit.first + unit.n]
-    return job._replace(starts=starts, first=unit.first, turn=unit.turn)
+    return job._replace(starts=starts, first=unit.first, phase=unit.phase)
 
 
 def rows_of(job: Job, unit: Unit, found: Outcomes) -> dict[str, Any]:
@@ -224,7 +224,7 @@ def run_units(
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
     keep: str | None = None,
-    alike: Sequence[tuple[Lidar, Rules]] = (),
+    shared_with: Sequence[tuple[Lidar, Rules]] = (),
 ) -> Ran:
     """Run every episode of every job, with its scanner and rules, that the ledger does not have.
 
@@ -244,7 +244,13 @@ def run_units(
     if work.left:
         some = [job_of(jobs[unit.job], unit) for unit in (work.units[i] for i in work.left)]
         progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
-        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "alike": alike}
+        how: dict[str, Any] = {
+            "engine": engine,
+            "lanes": lanes,
+            "workers": workers,
+            "keep": keep,
+            "shared_with": shared_with,
+        }
         try:
             found = batch.run_jobs(some, Lidar(), Rules(), **how, on_progress=progress, on_job=work.put)
         except KeyboardInterrupt:

@@ -77,7 +77,7 @@ class SweepPlan:
         return join_strategies(self.strategies)
 
     @functools.cached_property
-    def alike(self) -> list[tuple[Lidar, Rules]]:
+    def sharing(self) -> list[tuple[Lidar, Rules]]:
         """Return scanners and rules that bound those of all settings, see `site.prepare_site`."""
         widest: dict[int, Lidar] = {}
         for record in self.records:
@@ -180,13 +180,13 @@ class SweepPlan:
                     found.append((job, self.settings[setting]))
         return found
 
-    def job(self, block: SweepBlock, turn: int) -> Job:
+    def job(self, block: SweepBlock, phase: int) -> Job:
         """Make the `Job` of a block."""
         seed, cell_m, lidar, rules = self.records[block.setting]
         world = self.world(block.world, cell_m)
         starts = self.starts(world, seed, rules.clearance_m, rules.near_m)[block.first : block.first + block.n]
         strategy = self.together[block.strategy]
-        return Job(world, strategy, starts, seed, block.first, lidar, rules, turn, self.metrics)
+        return Job(world, strategy, starts, seed, block.first, lidar, rules, phase, self.metrics)
 
 
 @functools.lru_cache(maxsize=256)

@@ -206,7 +206,7 @@ def run_block_units(
                 on_unit(number, typed(join_columns(rows), plan))
 
         progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
-        more = {"alike": plan.alike, "on_progress": progress, "on_job": on_job}
+        more = {"shared_with": plan.sharing, "on_progress": progress, "on_job": on_job}
         try:
             found = batch.run_jobs(jobs, Lidar(), Rules(), **how, **more).costs
         except KeyboardInterrupt:

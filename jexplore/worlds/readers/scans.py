@@ -163,7 +163,7 @@ def _count_beams(
     """Count beams into a map, without the misses of the cells that they begin in."""
     limit = np.where(ends, np.nextafter(limit, np.inf), limit)
     own, within = np.divmod(at, 1)
-    geometry = beam_geometry(np, *exact_direction(np.degrees(angle)), within[:, 0], within[:, 1], 1e30)
+    geometry = beam_geometry(*exact_direction(np.degrees(angle)), within[:, 0], within[:, 1])
     # Of the beams under way: crossings made, and the cell that each is in, relative to that of the robot.
     nx = ny = row = col = np.zeros(len(limit))
 
@@ -173,7 +173,7 @@ def _count_beams(
         np.add.at(counts, (rows[inside].astype(np.int64), cols[inside].astype(np.int64)), 1)
 
     for step in range(n_steps(limit.max(initial=0))):
-        (nx, ny), (next_row, next_col, entry) = advance_beams(np, (nx, ny), geometry)
+        (nx, ny), (next_row, next_col, entry) = advance_beams((nx, ny), geometry)
         goes_on = entry < limit
         if step:
             add(hits, ends & ~goes_on)
