@@ -1,4 +1,4 @@
-"""The environment of decisions, its form in brax, and lessons: equal to strategies in a comparison."""
+"""The environment of decisions and its form in brax: equal to strategies in a comparison."""
 
 import functools
 from pathlib import Path
@@ -10,7 +10,7 @@ import pytest
 
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.exploration.state import Outcome
-from jexplore.learn import bank, brax_env, lessons
+from jexplore.learn import bank, brax_env
 from jexplore.learn.brax_env import Slots
 from jexplore.learn.decisions import Decisions
 from jexplore.policies import Strategy, parse_strategy
@@ -21,8 +21,6 @@ from jexplore.worlds.world import World
 WORLDS = ["rooms#1000:width_m=6,height_m=6", "maze#1000:width_m=6,height_m=6"]
 NEAR = Lidar(n_beams=61, range_m=1.5)
 STARTS = 3
-TRIED = 2  # candidates: there are decisions with more
-ASKED = 6  # decisions of an episode
 STEPS = 120
 
 
@@ -80,51 +78,6 @@ def test_a_policy_drives_as_its_strategy_does(own, env):
         assert n > 1
         met.add(place)
     assert len(met) > 3
-
-
-@pytest.fixture
-def few(monkeypatch):
-    """Lessons about the first few decisions of an episode."""
-    monkeypatch.setattr(lessons, "DECISIONS", ASKED)
-
-
-@pytest.mark.jit
-def test_lessons_cost_what_the_choice_costs(own, env, few):
-    learned = some_model()
-    asking = lessons.Asking(share=1.0, tried=TRIED, margin_m=1e6, stray=0.0)
-    which = [i for i in range(len(WORLDS)) for _ in range(STARTS)]
-    found, path_m = lessons.give_lessons(own, learned, which, 4, asking)
-    driven_m = own.lengths([Strategy("learned", policy_of(learned), True)], which, 4)[0]
-    np.testing.assert_allclose(path_m, driven_m, rtol=1e-5)  # the robot itself is not led astray by what it tries
-    assert len(found.weight) == ASKED * len(which)
-    assert found.used.sum(axis=1).max() > TRIED
-    reset = jax.jit(env.reset)
-    after = jax.jit(lambda state, slot: drive_on(env, learned, *env.step(state, slot)[:2]))
-    for i in range(4):
-        state, told = reset(jax.random.key(i))
-        n = int(np.sum(told.used))
-        same = np.all(np.isclose(found.features, told.features, atol=1e-5), axis=(1, 2))
-        assert same.any()
-        costs = found.costs[np.flatnonzero(same)[0]]
-        assert np.sum(~np.isnan(costs)) == min(n, TRIED)
-        tried = np.flatnonzero(~np.isnan(costs))
-        want = np.asarray([after(state, jnp.int32(slot))[0].driven_m for slot in tried]) / features.FEATURE_UNIT_M
-        np.testing.assert_allclose(costs[tried], want - want.min(), atol=1e-4)
-
-
-@pytest.mark.jit
-def test_a_try_that_has_cost_too_much_is_ended(own, few):
-    which = [0, 0, 1, 1]
-    asking = lessons.Asking(share=1.0, tried=3, margin_m=1.0, stray=0.3)
-    found, _ = lessons.give_lessons(own, some_model(), which, 1, asking)
-    assert np.nanmax(found.costs) <= 1.0 / features.FEATURE_UNIT_M + 1e-6
-    assert np.all(np.nanmin(found.costs, axis=1) == 0)
-    assert np.all(np.sum(~np.isnan(found.costs), axis=1) == np.minimum(np.sum(found.used, axis=1), 3))
-    assert np.all(~np.isnan(found.costs) <= found.used)
-    failing = bank.prepare_bank(WORLDS, lidar=NEAR, rules=Rules(max_steps=5))
-    none, path_m = lessons.give_lessons(failing, some_model(), which, 1, asking)
-    assert len(none.weight) == 0
-    assert np.all(np.isinf(path_m))
 
 
 @pytest.mark.jit

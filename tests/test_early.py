@@ -11,7 +11,7 @@ from jexplore.learn.settings import SETTING_BOUNDS, TRAINER_SETTINGS
 from jexplore.learn.training import TRAINERS
 from jexplore.policies import MODIFIERS, STRATEGIES
 from jexplore.policies.catalogue.entries import SYNONYMS, parameters
-from jexplore.policies.learned import features, networks
+from jexplore.policies.learned import networks
 from jexplore.worlds import GENERATORS, generator_parameters
 
 OURS = [name for name, entry in STRATEGIES.items() if not entry.is_own]
@@ -52,7 +52,6 @@ def test_defaults_of_a_generator_are_let_through(name):
 def test_networks_and_bounds_of_training_are_those_that_are_there():
     assert names.keys_of("jexplore.policies.learned.networks", "NETWORKS") == tuple(networks.NETWORKS)
     assert list(TRAINERS) == list(TRAINER_SETTINGS)
-    assert SETTING_BOUNDS["advantage"]["tried"][1] == features.SCORED_CLUSTERS
     assert all(tuple(SETTING_BOUNDS[algo]) == kind._fields for algo, kind in TRAINER_SETTINGS.items())
 
 
@@ -138,7 +137,7 @@ REFUSED = [
     (["trace", "--world", "course:repeat=1"], "course: repeat must be from 2 to 10, or 0 for none, got 1"),
     (["trace", "--world", "course:obstacle=ramp"], "course: obstacle must be one of slope, stairs"),
     (["sweep", "large.yaml"], "hospital: furniture needs a cell_m of at most 0.2, got 0.25"),
-    (["train", "--algo", "sgd"], "unknown algorithm 'sgd' (there are: es, advantage, ppo)"),
+    (["train", "--algo", "sgd"], "unknown algorithm 'sgd' (there are: es, ppo)"),
     (
         ["train", "--network", "linaer"],
         "unknown network 'linaer'; did you mean 'linear'?",

@@ -15,8 +15,6 @@ from jexplore.learn import bank, training
 from jexplore.learn.settings import TRAINER_SETTINGS
 from jexplore.policies import parse_strategy
 from jexplore.policies.learned import model
-from jexplore.report.folders import claimed
-from jexplore.report.ledger import open_ledger
 from jexplore.worlds.world import World
 
 SMALL = ["rooms#1000:width_m=6,height_m=6", "maze#1000:width_m=6,height_m=6"]
@@ -39,7 +37,6 @@ def toy():
     ("algo", "rounds", "settings"),
     [
         ("es", 12, {"pairs": 4, "episodes": 1, "rate": 0.1, "sigma": 0.3}),
-        ("advantage", 4, {"episodes": 4, "share": 1.0}),
         ("ppo", 2, {"decisions": 512, "lanes": 8, "starts": 1, "unroll": 8, "rate": 0.01, "minibatches": 2}),
     ],
 )
@@ -135,7 +132,6 @@ def test_patience():
         (["--algo", "sac"], "unknown algorithm 'sac' .*es"),
         (["--network", "deep"], "unknown network 'deep'"),
         (["--rounds", "7"], "rounds must be a multiple of check_every, 5, got 7"),
-        (["--algo", "advantage", "--set", "tried=1"], "tried must be an integer from 2 to 32, got 1"),
         (["--algo", "ppo", "--set", "pairs=3"], "unknown setting of 'ppo': 'pairs'"),
         (["--set", "pairs=0"], "pairs must be an integer from 1 to 10000, got 0"),
         (["--set", "sigma"], "expected NAME=NUMBER once"),
@@ -189,26 +185,6 @@ def test_training_as_a_function(tmp_path):
     wide = found.model._replace(network="attention", weights=plan.begins.weights)
     with pytest.raises(InputError, match="training of 'linear' cannot begin at a model of 'attention'"):
         jx.train(model=wide, **options)
-
-
-@pytest.mark.jit
-def test_regression_resumed_is_regression_uninterrupted(tmp_path):
-    banks = [bank.prepare_bank(worlds, lidar=NEAR) for worlds in (SMALL, WATCHED)]
-    settings = {"episodes": 2, "share": 0.5, "tried": 2, "steps": 20}
-    plans = [
-        training.prepare_training(
-            "advantage", "linear", *banks, settings, rounds=n, check_every=1, patience=0, starts=1, seed=0
-        )
-        for n in (1, 2)
-    ]
-    whole = training.run_training(plans[1])
-    for plan in plans:
-        with claimed(tmp_path / "run", resume=True) as run:
-            kept = open_ledger(run, {"asked": 0}, 2, resume=True)
-            assert len(kept.done) == plan.rounds - 1
-            found = training.run_training(plan, ledger=kept)
-    assert model.weights_digest(found.model.weights) == model.weights_digest(whole.model.weights)
-    pd.testing.assert_frame_equal(found.curve, whole.curve)
 
 
 def test_models_that_training_cannot_begin_at(tmp_path):

@@ -8,7 +8,6 @@ import numpy as np
 from jexplore.config import Lidar, Rules
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.results import path_m
-from jexplore.exploration.site import Site, drive_for, prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.studies.checks import (
@@ -43,7 +42,6 @@ class Bank:
     rules: Rules
     start: str = "random"
     """As in a comparison: drawn, or the world's own."""
-    _sites: dict[int, Site] = dataclasses.field(default_factory=dict, repr=False)
 
     def log_ratios(
         self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None
@@ -96,13 +94,6 @@ class Bank:
         for number, n in zip(numbers.tolist(), counts.tolist()):
             place = np.flatnonzero(np.asarray(which) == number)
             yield number, place, ready_starts(self.worlds[number], self.start, n, seed=seed, rules=self.rules)
-
-    def site(self, number: int) -> Site:
-        """Prepare a world, once."""
-        if number not in self._sites:
-            native = drive_for("cpu").name
-            self._sites[number] = prepare_site(self.worlds[number], self.lidar, self.rules, native=native)
-        return self._sites[number]
 
 
 def log_ratio(lengths: np.ndarray, reference: np.ndarray) -> np.ndarray:

@@ -16,20 +16,6 @@ class Es(NamedTuple):
     latest: float = 0.15  # share of the latest generation in the running mean
 
 
-class Advantage(NamedTuple):
-    """Numbers of `advantage`."""
-
-    episodes: int = 20  # of a round
-    share: float = 0.1  # of the decisions that are asked about
-    tried: int = 8  # most candidates of one
-    margin_m: float = 10.0  # a rollout ends when it costs this much more than the best before it
-    stray: float = 0.1  # share of the decisions at which the robot does not follow the policy
-    steps: int = 500  # of the fit of a round
-    batch: int = 128
-    rate: float = 3e-3  # of Adam
-    delta: float = 0.1  # errors beyond it count linearly, FEATURE_UNIT_M
-
-
 class Ppo(NamedTuple):
     """Numbers of `ppo`."""
 
@@ -46,16 +32,12 @@ class Ppo(NamedTuple):
     clip: float = 0.2
 
 
-TRAINER_SETTINGS = {"es": Es, "advantage": Advantage, "ppo": Ppo}
+TRAINER_SETTINGS = {"es": Es, "ppo": Ppo}
 """Name of a way of training -> its numbers, with their defaults."""
 SETTING_BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
     "es": {
         "pairs": (1, 10_000), "episodes": (1, 100_000), "sigma": (1e-6, 10.0), "rate": (1e-6, 10.0),
         "latest": (1e-6, 1.0),
-    },
-    "advantage": {
-        "episodes": (1, 100_000), "share": (1e-6, 1.0), "tried": (2, 32), "margin_m": (0.1, 1e6), "stray": (0.0, 1.0),
-        "steps": (1, 1_000_000), "batch": (1, 100_000), "rate": (1e-9, 1.0), "delta": (1e-6, 1e3),
     },
     "ppo": {
         "decisions": (1, 10**9), "lanes": (1, 4096), "starts": (1, 10_000), "unroll": (1, 4096),
@@ -63,7 +45,7 @@ SETTING_BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
         "sharpness": (1e-3, 1e4), "gae": (0.0, 1.0), "clip": (1e-3, 1.0),
     },
 }  # fmt: skip
-"""Name of a way of training -> least and largest value of each number; `tried` ends at `features.SCORED_CLUSTERS`."""
+"""Name of a way of training -> least and largest value of each number."""
 
 
 def trainer_settings(algo: str, given: Mapping[str, Any]) -> Any:

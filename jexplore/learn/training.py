@@ -17,7 +17,7 @@ import numpy as np
 from jexplore.config import InputError, checked_names, require_setting
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.draws import pinned_draws, random_key
-from jexplore.learn import advantage, es, ppo
+from jexplore.learn import es, ppo
 from jexplore.learn.bank import FAILED, TRAINING, VALIDATION, Bank, prepare_bank
 from jexplore.learn.settings import require_names_apart, require_rounds, trainer_settings
 from jexplore.policies import Strategy
@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 STATE = "_state"  # column of a unit's file besides: the trainer's state as bytes, in the last row
 CURVE_COLUMNS = ("round", "ratio", "validation")
 """Columns of a curve: rounds made; ratio to the reference's of the paths on which the round was judged, in the training
-worlds (of `es` all that were driven, of `advantage` those on which lessons were given, of `ppo` some driven after it);
-ratio of the present weights on the validation worlds, where they were checked."""
+worlds (of `es` all that were driven, of `ppo` some driven after it); ratio of the present weights on the validation
+worlds, where they were checked."""
 
 
 class Trainer(NamedTuple):
@@ -59,7 +59,6 @@ class Trainer(NamedTuple):
 
 TRAINERS: dict[str, Trainer] = {
     "es": Trainer(es.begin, es.make_round),
-    "advantage": Trainer(advantage.begin, advantage.make_round),
     "ppo": Trainer(ppo.begin, ppo.make_round, ppo.require_trainable),
 }
 """Name -> how; its settings are those of `settings.TRAINER_SETTINGS`."""
