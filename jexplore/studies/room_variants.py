@@ -10,7 +10,7 @@ import numpy as np
 
 from jexplore import segment
 from jexplore.arrays.padding import bucket, framed, within
-from jexplore.config import checked_names, require_number, unknown
+from jexplore.config import checked_names, require_number
 from jexplore.rooms import watershed
 from jexplore.rooms.baselines import BASELINES
 from jexplore.worlds.world import ring_of
@@ -28,8 +28,6 @@ class RoomSettings(NamedTuple):
     clutter_m: float = watershed.CLUTTER_M  # all but the paper's: smaller obstacles are no walls, metres
     prominence_m: float = segment.PROMINENCE_M  # thrun, wurm, holz: see `segment.Criteria`, metres
     gamma: float = 3.0  # cells
-    metric: str = "geodesic"  # see `segment.Form`
-    lines: bool = False  # see `segment.Form`
 
 
 class RoomMap(NamedTuple):
@@ -43,8 +41,6 @@ class RoomMap(NamedTuple):
 
 def require(settings: RoomSettings) -> None:
     """Refuse settings that make no sense."""
-    if settings.metric not in segment.METRICS:
-        raise unknown("metric", settings.metric, segment.METRICS)
     require_number("ratio", settings.ratio, high=1)
     for name, high in (("smallest_m2", 1e6), ("clutter_m", 1000), ("prominence_m", 100), ("gamma", 1000)):
         require_number(name, getattr(settings, name), high=high)
@@ -60,7 +56,7 @@ def divided(
     paper = [name for name in variants if name in segment.MAX_HOPS]
     prominence = settings.prominence_m / cell_m
     criteria = [segment.criteria(name, prominence=prominence, gamma=settings.gamma) for name in paper]
-    made = segmentations(free, criteria, metric=settings.metric, lines=settings.lines) if paper else []
+    made = segmentations(free, criteria) if paper else []
     found = {name: _of_graph(one, free.size) for name, one in zip(paper, made)}
     found |= {name: _cleared(name, free, unseen, settings, cell_m) for name in variants if name not in paper}
     return [found[name] for name in variants]
@@ -96,17 +92,15 @@ def _each(free, settings, *, form):
     return jax.lax.map(lambda criteria: segment.segment(free, criteria, form=form), settings)
 
 
-def segmentations(
-    free: np.ndarray, settings: Sequence[segment.Criteria], *, metric: str = "geodesic", lines: bool = False
-) -> list[segment.Segments]:
-    """Segment a map, `[H, W]` bool, by many settings, as one compiled batch; `metric` and `lines` as of `segment.Form`.
+def segmentations(free: np.ndarray, settings: Sequence[segment.Criteria]) -> list[segment.Segments]:
+    """Segment a map, `[H, W]` bool, by many settings, as one compiled batch.
 
     Labels are cut to the map and flat indices count in it; all arrays are numpy's.
     """
     (height, width), ring = free.shape, ring_of(~free)
     shape = bucket(height + 2 * ring), bucket(width + 2 * ring)
     padded = np.pad(free, [(ring, full - n - ring) for full, n in zip(shape, free.shape)])
-    form = segment.form_for(shape, coarse=True, metric=metric, lines=lines)
+    form = segment.form_for(shape, coarse=True)
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *settings)
     made = jax.tree.map(np.asarray, _each(padded, stacked, form=form))
 

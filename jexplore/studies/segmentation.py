@@ -97,7 +97,6 @@ def segment_maps(
     ratio: float = ROOM_DEFAULTS.ratio, smallest_m2: float = ROOM_DEFAULTS.smallest_m2,
     clutter_m: float = ROOM_DEFAULTS.clutter_m,
     prominence_m: float = ROOM_DEFAULTS.prominence_m, gamma: float = ROOM_DEFAULTS.gamma,
-    metric: str = ROOM_DEFAULTS.metric, lines: bool = ROOM_DEFAULTS.lines,
 ) -> Segmentation:  # fmt: skip
     """Divide maps into rooms and score the result.
 
@@ -114,7 +113,7 @@ def segment_maps(
       on_progress: called with the number of maps, partial ones included, that are done.
       ratio, smallest_m2, clutter_m: of voronoi, the last also of distance, morphological and maoris; see
         `room_variants.Settings`.
-      prominence_m, gamma, metric, lines: of thrun, wurm, holz.
+      prominence_m, gamma: of thrun, wurm, holz.
 
     Returns:
       `Segmentation`.
@@ -124,7 +123,7 @@ def segment_maps(
       InputWarning: the largest region of a map lies outside a building: its rooms are not those of the building.
     """
     chosen: Any = list_of("variants", variants)
-    numbers = RoomSettings(ratio, smallest_m2, clutter_m, prominence_m, gamma, metric, lines)
+    numbers = RoomSettings(ratio, smallest_m2, clutter_m, prominence_m, gamma)
     tasks = prepare_maps(maps, truth, chosen, cell_m, numbers)
     jobs = [
         prepare_job(task.world, EXPLORER, seed=seed, cell_m=cell_m, start="random", lidar=LIDAR, rules=RULES)
