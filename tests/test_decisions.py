@@ -80,6 +80,7 @@ def test_a_policy_drives_as_its_strategy_does(own, env):
     assert len(met) > 3
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_only_used_slots_can_be_chosen(env):
     """Slots drawn at random among the used ones are valid, all others move nothing; rewards are of the way driven."""
@@ -123,6 +124,7 @@ def played(wrapper, env, keys, steps=STEPS):
     return jax.jit(lambda keys: jax.lax.scan(step, ready.reset(keys), None, length=steps)[1])(keys)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_lanes_begin_anew_elsewhere_where_those_of_brax_begin_again(env):
     from brax.envs.wrappers.training import wrap as theirs  # after brax_env, which imports brax without its warnings
@@ -142,7 +144,6 @@ def test_lanes_begin_anew_elsewhere_where_those_of_brax_begin_again(env):
     for lane, end in enumerate(first):
         for name in ("reward", "done"):
             np.testing.assert_array_equal(getattr(ours, name)[: end + 1, lane], getattr(brax, name)[: end + 1, lane])
-        np.testing.assert_allclose(ours.metrics["ratio"][end, lane], -ours.reward[: end + 1, lane].sum(), rtol=1e-4)
         assert ours.info["episode_metrics"]["length"][end, lane] == end + 1
     assert not np.any(ours.metrics["invalid"])
     # Keys stay where a lane goes on, and change where it begins anew.
@@ -154,6 +155,7 @@ def test_lanes_begin_anew_elsewhere_where_those_of_brax_begin_again(env):
     assert (raw.action_size, raw.backend) == (env.n_choices, "none")
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_lanes_cut_short_begin_anew_too(env):
     keys, raw = jax.random.split(jax.random.PRNGKey(1), 3), brax_env.BraxDecisions(env)
@@ -198,6 +200,7 @@ def test_no_start_is_left():
         Decisions(bank.prepare_bank(corridor, lidar=NEAR, start="world"), starts=1)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_an_episode_that_fails_costs_as_much_as_in_the_checks(own):
     """A limit of steps between the reference's need and that of a robot that goes to the farthest cluster."""

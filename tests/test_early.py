@@ -7,7 +7,7 @@ import pytest
 
 from jexplore.cli import main, names
 from jexplore.config import InputError
-from jexplore.learn.settings import SETTING_BOUNDS, TRAINER_SETTINGS
+from jexplore.learn.settings import TRAINER_SETTINGS
 from jexplore.learn.training import TRAINERS
 from jexplore.policies import MODIFIERS, STRATEGIES
 from jexplore.policies.catalogue.entries import SYNONYMS, parameters
@@ -52,7 +52,6 @@ def test_defaults_of_a_generator_are_let_through(name):
 def test_networks_and_bounds_of_training_are_those_that_are_there():
     assert names.keys_of("jexplore.policies.learned.networks", "NETWORKS") == tuple(networks.NETWORKS)
     assert list(TRAINERS) == list(TRAINER_SETTINGS)
-    assert all(tuple(SETTING_BOUNDS[algo]) == kind._fields for algo, kind in TRAINER_SETTINGS.items())
 
 
 def test_a_default_that_is_no_plain_value_is_not_guessed():

@@ -46,16 +46,10 @@ class Bank:
     def log_ratios(
         self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None
     ) -> np.ndarray:
-        """Compute path lengths of N strategies relative to the reference, from the same starts.
+        """Compute path lengths of N strategies relative to the reference's: `[N, K]` float64, see `log_ratio`.
 
-        Args:
-          strategies: N of them.
-          which: K numbers of worlds; an episode in each, from another start if a world occurs twice.
-          seed: of the starts and all other draws.
-          workers: cores; by default all.
-
-        Returns:
-          `[N, K]` float64, see `log_ratio`.
+        `which` are K numbers of worlds: an episode in each, from another start if a world occurs twice; the same for
+        all strategies. `seed` is that of the starts and all other draws.
         """
         lengths = self.lengths([parse_strategy(REFERENCE), *strategies], which, seed, workers=workers)
         return log_ratio(lengths[1:], lengths[0])
@@ -108,18 +102,10 @@ def log_ratio(lengths: np.ndarray, reference: np.ndarray) -> np.ndarray:
 
 
 def prepare_bank(
-    worlds: WorldLike | Sequence[WorldLike],
-    *,
-    cell_m: float = 0.1,
-    lidar: LidarLike = LIDAR,
-    rules: RulesLike = RULES,
+    worlds: WorldLike | Sequence[WorldLike], *, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
     start: str = "random",
-) -> Bank:
-    """Make a `Bank`.
-
-    Raises:
-      InputError: a world that cannot be loaded, or is too large, or in which no robot can stand.
-    """
+) -> Bank:  # fmt: skip
+    """Make a `Bank`; refuse a world that cannot be loaded, is too large, or in which no robot can stand."""
     lidar, rules = ready_settings(lidar, rules)
     ready = [with_ring(world) for world in ready_worlds(worlds, cell_m)]
     for world in ready:
