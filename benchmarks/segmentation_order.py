@@ -13,7 +13,7 @@ import numpy as np
 from jexplore import segment
 from jexplore.bench.tables import markdown
 from jexplore.rooms.scores import rooms_of, score, scored_regions
-from jexplore.studies.room_variants import segmentations
+from jexplore.studies.room_variants import segmented
 from jexplore.worlds.readers.images import load_image
 
 CHOICES = {
@@ -34,7 +34,7 @@ def main(paths):
         world, truth = load_image(path, 0.05, cell_m=0.05), load_image(f"{stem}_gt_segmentation.png", 0.05, cell_m=0.05)
         free, rooms = ~world.occupied, rooms_of(~truth.occupied & ~world.occupied)
         for name, numbers in CHOICES.items():
-            (made,) = segmentations(free, [segment.criteria("holz", **numbers)])
+            made = segmented(free, segment.criteria("holz", **numbers))
             found[name].append(score(rooms, scored_regions(np.where(free, made.label, -1), free)))
     rows = []
     for name, scores in found.items():

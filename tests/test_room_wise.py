@@ -120,6 +120,7 @@ def test_the_own_segment_is_the_room():
             np.testing.assert_array_equal(mine & (np.arange(40) != 21), free & (rooms == room) & (np.arange(40) != 21))
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_views_are_taken_from_the_own_room():
     """Although paths weigh enough to favour the other room."""
@@ -134,6 +135,7 @@ def test_views_are_taken_from_the_own_room():
         assert choice.cost == field(belief).cost[choice.row, choice.col]
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_kinds_share_a_program():
     """They differ by numbers only, so that a sweep over them is compiled once."""

@@ -112,7 +112,7 @@ def segment_maps(
       seed: of the start of the episodes that partial maps come from.
       on_progress: called with the number of maps, partial ones included, that are done.
       ratio, smallest_m2, clutter_m: of voronoi, the last also of distance, morphological and maoris; see
-        `room_variants.Settings`.
+        `room_variants.RoomSettings`.
       prominence_m, gamma: of thrun, wurm, holz.
 
     Returns:
@@ -134,7 +134,8 @@ def segment_maps(
     short = short_names([os.fspath(task.world.name) for task in tasks])
     for i, task in enumerate(tasks):
         for stage, explored, free, unseen in _stages(task.world, jobs[i] if partial else None):
-            for variant, made in zip(chosen, divided(free, unseen, chosen, numbers, task.world.cell_m)):
+            for variant in chosen:
+                made = divided(free, unseen, variant, numbers, task.world.cell_m)
                 row, picture = _judged(task, variant, stage, explored, free, made)
                 rows.append(row)
                 pictures.append(picture._replace(name=short[i]))
