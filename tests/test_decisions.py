@@ -189,6 +189,7 @@ def test_masked_choices_by_hand():
     assert np.all(np.isfinite(jax.grad(lambda a: slots.entropy(a, jax.random.key(0)).sum())(logits)))
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_no_start_is_left():
     with pytest.raises(InputError, match="from no start of these worlds does"):

@@ -160,21 +160,6 @@ def test_walks_see_everything_and_become_shorter(name):
     assert not len(own.coverage.unseen(again.walk))
 
 
-@pytest.mark.slow
-def test_a_bad_walk_is_mended_from_a_good_order(monkeypatch):
-    """Without any improving: putting in one after the other is longer than the walk found before."""
-    own = searched()
-    good, bad = walks_of(own), walks_of(own)
-    good.find(lambda: False)
-    good.shorten(lambda: False)
-    monkeypatch.setattr(walks, "improved_order", lambda order, *_, **__: order)
-    monkeypatch.setattr(walks, "STALE", 1)
-    assert bad.find(lambda: False)
-    assert bad.cost > good.cost
-    bad.shorten(lambda: False, good._kept[0].witnesses)
-    assert bad.cost == good.cost
-
-
 def test_what_tells_most_comes_first():
     """Two dead ends of a corridor tell everything; cells between them nothing more."""
     occupied = np.ones((5, 62), bool)
