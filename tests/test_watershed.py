@@ -112,7 +112,7 @@ ROOMS_IN_ROCK = [np.s_[1:5, 1:20], np.s_[16:22, 1:20], np.s_[10, 10]]
     [
         # filled, and neither off the rim nor long
         (True, [np.s_[5:8, 5:8], np.s_[0:2, 10:12], np.s_[12:20, 12:14]], 4.0, 576, [np.s_[5:8, 5:8]]),
-        (False, ROOMS_IN_ROCK[2:], 4.0, 576, []),  # a pocket in thick rock makes no clutter of it
+        (False, ROOMS_IN_ROCK[2:], 4.0, 576, []),  # a pocket does not turn thick rock into clutter
         (False, ROOMS_IN_ROCK, 4.0, 576, []),
         *((True, [np.s_[4:20, 4:20]], 12.0, edges, []) for edges in (10, 576)),  # edges that do not fit are walls
         (True, HOLLOW, 9.0, 576, HOLLOW),  # as a whole

@@ -141,7 +141,7 @@ def copied(arrays: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def require_options(options: Any) -> dict[str, Any]:
-    """Return the options of a reset as a dict; refuse what is no mapping."""
+    """Return the options of a reset as a dict; refuse all but mappings."""
     if options is not None and not isinstance(options, Mapping):
         raise InputError(f"options must be a mapping of {', '.join(_OPTIONS)}, got {options!r}")
     return dict(options or {})
