@@ -129,11 +129,11 @@ def test_the_walk_sees_everything_and_keeps_to_the_corner_rule():
         assert row["low_any_m"] > 0.5 * row["high_m"]
 
 
-@pytest.mark.parametrize("kind", ["rooms", pytest.param("cave", marks=pytest.mark.slow)])
-def test_no_episode_is_shorter_than_the_bound_of_any_robot(kind):
+@pytest.mark.parametrize(("kind", "floods"), [("rooms", 600), pytest.param("cave", 1200, marks=pytest.mark.slow)])
+def test_no_episode_is_shorter_than_the_bound_of_any_robot(kind, floods):
     world = jx.load_world(f"{kind}:width_m=7,height_m=7", cell_m=0.1)
     episodes = jx.compare(world, ["closest", "closest+recheck", "random"], episodes=3, lidar=NEAR).to_pandas()
-    table = jx.bound(world, starts=3, lidar=NEAR, max_floods=600).table
+    table = jx.bound(world, starts=3, lidar=NEAR, max_floods=floods).table
     np.testing.assert_array_equal(table[["start_row", "start_col"]], episodes[["start_row", "start_col"]][:3])
     done = episodes[episodes["outcome"] == "COMPLETE"]
     assert len(done) > 6
