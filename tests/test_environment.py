@@ -83,6 +83,7 @@ def same(one, other):
     jax.tree.map(np.testing.assert_array_equal, one, other)
 
 
+@pytest.mark.slow
 def test_a_step_alone_is_a_step_among_many(env):
     key = jax.random.key(1)
     state, view = env.reset(key)
@@ -98,6 +99,7 @@ def test_a_step_alone_is_a_step_among_many(env):
     assert view.frontier.dtype == bool
 
 
+@pytest.mark.slow
 def test_the_draws_of_a_reset(env):
     world = two_rooms()
     many, view = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 200))

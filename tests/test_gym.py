@@ -64,6 +64,7 @@ def same(one, other):
 # --- as gymnasium wants them
 
 
+@pytest.mark.slow
 def test_gymnasiums_checker_has_nothing_to_say():
     """It makes environments of its own by their name; any warning is an error here."""
     made = gymnasium.make(ID, worlds=two_rooms(), lidar=LIDAR)
@@ -312,6 +313,7 @@ def test_seeds(env, envs):
     assert len(set(map(tuple, unseeded))) > 1
 
 
+@pytest.mark.slow
 def test_starts_and_worlds(envs):
     start = [[5, 5, 0], [6, 5, 45], [7, 5, 90], [8, 5, 315]]
     seen, _ = envs.reset(seed=0, options={"start": start, "world": [0, 1, 0, 1]})

@@ -91,6 +91,7 @@ def test_networks_do_not_mind_the_order_nor_unused_slots(name):
     assert np.all(np.isfinite(SCORES(name, weights, x, jnp.zeros(32, bool))))
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_training_begins_at_closest():
     weights = jax.tree.map(np.asarray, networks.initial_weights("linear", jax.random.key(0), len(features.FEATURES)))

@@ -368,6 +368,7 @@ def test_jit_changes_nothing():
     jax.tree.map(np.testing.assert_array_equal, jitted, plain)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_splits_that_do_not_fit_are_counted():
     free, thrun = jnp.asarray(parts(RING) >= 0), criteria("thrun", prominence=0.5)

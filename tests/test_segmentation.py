@@ -84,7 +84,8 @@ def test_one_room_and_no_free_space():
     assert (segmented(np.zeros((40, 40), bool), segment.criteria()).label == -1).all()
 
 
-@pytest.mark.parametrize("variant", ["voronoi", pytest.param("holz", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", ["voronoi", "holz"])
 def test_partial_maps_are_those_of_an_episode(variant):
     scores = segment_maps(SMALL, cell_m=0.1, variants=variant, partial=True).scores
     assert set(scores["stage"]) <= {0.25, 0.5, 0.75, 1.0}

@@ -159,6 +159,7 @@ def test_ratios_are_those_of_a_comparison():
             np.testing.assert_allclose(logs[i, places], want)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_training_as_a_function(tmp_path):
     options = {"worlds": SMALL, "validation": WATCHED, "lidar": NEAR, "rounds": 1, "settings": QUICK}
