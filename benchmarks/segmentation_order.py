@@ -1,4 +1,4 @@
-"""Measure the effect of choices that the paper leaves open: metric, splitter, prominence.
+"""Measure the effect of choices that the paper leaves open: prominence, gamma.
 
     python benchmarks/segmentation_order.py MAP.png...
 
@@ -13,20 +13,17 @@ import numpy as np
 from jexplore import segment
 from jexplore.bench.tables import markdown
 from jexplore.rooms.scores import rooms_of, score, scored_regions
-from jexplore.studies.room_variants import segmentations
+from jexplore.studies.room_variants import segmented
 from jexplore.worlds.readers.images import load_image
 
 CHOICES = {
-    "as shipped (prominence 0.15 m)": ({"prominence": 3.0}, {}),
-    "Euclidean (literal)": ({"prominence": 3.0}, {"metric": "euclidean"}),
-    "splitting lines (Thrun 1998)": ({"prominence": 3.0}, {"lines": True}),
-    "any minimum (literal)": ({"prominence": 0.0}, {}),
-    "any minimum, Euclidean (literal)": ({"prominence": 0.0}, {"metric": "euclidean"}),
-    "prominence 0.05 m": ({"prominence": 1.0}, {}),
-    "prominence 0.1 m": ({"prominence": 2.0}, {}),
-    "prominence 0.2 m": ({"prominence": 4.0}, {}),
-    "gamma 2 cells": ({"prominence": 3.0, "gamma": 2.0}, {}),
-    "gamma 8 cells": ({"prominence": 3.0, "gamma": 8.0}, {}),
+    "as shipped (prominence 0.15 m)": {"prominence": 3.0},
+    "any minimum (literal)": {"prominence": 0.0},
+    "prominence 0.05 m": {"prominence": 1.0},
+    "prominence 0.1 m": {"prominence": 2.0},
+    "prominence 0.2 m": {"prominence": 4.0},
+    "gamma 2 cells": {"prominence": 3.0, "gamma": 2.0},
+    "gamma 8 cells": {"prominence": 3.0, "gamma": 8.0},
 }
 
 
@@ -36,8 +33,8 @@ def main(paths):
         stem = os.path.splitext(path)[0].removesuffix("_furnitures")
         world, truth = load_image(path, 0.05, cell_m=0.05), load_image(f"{stem}_gt_segmentation.png", 0.05, cell_m=0.05)
         free, rooms = ~world.occupied, rooms_of(~truth.occupied & ~world.occupied)
-        for name, (numbers, form) in CHOICES.items():
-            (made,) = segmentations(free, [segment.criteria("holz", **numbers)], **form)
+        for name, numbers in CHOICES.items():
+            made = segmented(free, segment.criteria("holz", **numbers))
             found[name].append(score(rooms, scored_regions(np.where(free, made.label, -1), free)))
     rows = []
     for name, scores in found.items():

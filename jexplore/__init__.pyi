@@ -26,8 +26,8 @@ from jexplore.studies.environment import Environment as Environment
 from jexplore.studies.environment import EnvState as EnvState
 from jexplore.studies.explore import Episode as Episode
 from jexplore.studies.explore import explore as explore
-from jexplore.studies.gym.lanes import GymVectorEnv as GymVectorEnv  # extra
-from jexplore.studies.gym.single import GymEnv as GymEnv  # extra
+from jexplore.studies.gym.envs import GymEnv as GymEnv  # extra
+from jexplore.studies.gym.envs import GymVectorEnv as GymVectorEnv  # extra
 from jexplore.studies.reproduction import Reproduction as Reproduction
 from jexplore.studies.reproduction import reproduce as reproduce
 from jexplore.studies.results.comparison import Comparison as Comparison

@@ -1,7 +1,7 @@
 """Rooms: free space cut at the narrow places of its Voronoi graph (Holz et al. 2010, section 2.4 and Figure 7)."""
 
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,6 @@ from jax import Array, lax
 
 from jexplore.arrays import bits, sparse
 from jexplore.arrays.loops import repeat
-from jexplore.distance import nearest_site
 from jexplore.grid import beside, bordered
 from jexplore.reach import nearest_source
 from jexplore.skeleton import Graph, voronoi_graph
@@ -18,9 +17,7 @@ from jexplore.skeleton import Graph, voronoi_graph
 MAX_HOPS = {"thrun": 2**30, "wurm": 1, "holz": 2}
 """Name -> how many nodes of the reduced Voronoi graph a critical point may lie away from a junction."""
 
-METRICS = ("geodesic", "euclidean")
 PROMINENCE_M = 0.15  # by which a critical point stands out, unless said otherwise
-LINE = 256  # cells of a splitting line, at most
 
 
 @struct.dataclass
@@ -33,12 +30,10 @@ class Criteria:
 
 
 class Form(NamedTuple):
-    """Static config: shapes and code. Hashable."""
+    """Static sizes. Hashable."""
 
     nodes: int  # cells of the Voronoi graph, at most
     splits: int  # critical points, at most
-    metric: str = "geodesic"  # one of METRICS: what "closest segment" means
-    lines: bool = False  # split along the line between the two nearest obstacles (Thrun 1998)
 
 
 @struct.dataclass
@@ -55,8 +50,8 @@ class Segments:
     overflow: Array  # int32, cells of the graph and critical points that did not fit
 
 
-def form_for(shape: tuple[int, ...], *, coarse: bool = False, **changes: Any) -> Form:
-    """Return the `Form` that suits a map of a shape, with `changes` of its fields.
+def form_for(shape: tuple[int, ...], *, coarse: bool = False) -> Form:
+    """Return the `Form` that suits a map of a shape.
 
     One cell in 8 may lie on the Voronoi graph and one in 400 be critical, on small maps more; on coarse maps, where
     corridors are only a few cells wide, one in 4 and one in 96. The most that built-in worlds have on an exploring
@@ -65,7 +60,7 @@ def form_for(shape: tuple[int, ...], *, coarse: bool = False, **changes: Any) ->
     cells = shape[0] * shape[1]
     nodes = max(768, -(-cells // (4 if coarse else 8)))
     splits = max(64, cells // (96 if coarse else 400))
-    return Form(-(-nodes // 256) * 256, min(splits, 1024))._replace(**changes)
+    return Form(-(-nodes // 256) * 256, min(splits, 1024))
 
 
 def criteria(
@@ -213,7 +208,7 @@ def borders(label: Array, n: int) -> Array:
     return total.reshape(n, n)
 
 
-def merged(shared: Array, start: Array, keep_apart: bool = True) -> Array:
+def merged(shared: Array, start: Array) -> Array:
     """Join segments that touch and do not come from the same split, the longest shared border first.
 
     Segments 2 k and 2 k + 1 come from split k: no two groups that hold opposite sides of one split are joined.
@@ -221,7 +216,6 @@ def merged(shared: Array, start: Array, keep_apart: bool = True) -> Array:
     Args:
       shared: `[2 C, 2 C]` int32, from `borders`: of single segments, not of the groups that they become part of.
       start: `[2 C]` int32, for each segment the lowest that grew from the same cell.
-      keep_apart: whether splits matter. Static.
 
     Returns:
       `[2 C]` int32, the lowest segment of the group that each segment is part of.
@@ -242,45 +236,11 @@ def merged(shared: Array, start: Array, keep_apart: bool = True) -> Array:
         i, group = state
         a, b = group[low[i]], group[high[i]]
         side = group[0::2], group[1::2]
-        opposite = jnp.any(((side[0] == a) & (side[1] == b)) | ((side[0] == b) & (side[1] == a))) & keep_apart
+        opposite = jnp.any(((side[0] == a) & (side[1] == b)) | ((side[0] == b) & (side[1] == a)))
         joined = jnp.where(group == jnp.maximum(a, b), jnp.minimum(a, b), group)
         return i + 1, jnp.where(opposite | (i >= used), group, joined)
 
     return repeat(lambda state: state[0] < used, join, (jnp.int32(0), start))[1]
-
-
-def _line_cells(drow, dcol, cell):
-    """Return the cells of the lines from critical points, `[C]`, to their two nearest obstacles, at either side.
-
-    `drow`, `dcol` [H, W] tell how far away the nearest obstacle is.
-    """
-    height, width = drow.shape
-    row, col = cell // width, cell % width
-    sites = []
-    for dr, dc in ((0, 0), *sparse.EIGHT_NEIGHBOURS):
-        r, c = jnp.clip(row + dr, 0, height - 1), jnp.clip(col + dc, 0, width - 1)
-        sites.append((r + drow[r, c], c + dcol[r, c]))
-    one = sites[0]
-    apart = jnp.stack([(r - one[0]) ** 2 + (c - one[1]) ** 2 for r, c in sites])
-    which = jnp.argmax(apart, axis=0)
-    other = [jnp.stack([s[axis] for s in sites])[which, lax.iota(jnp.int32, cell.shape[0])] for axis in (0, 1)]
-    mask = jnp.zeros((height * width,), bool)
-    share = (jnp.arange(LINE, dtype=jnp.float32) / (LINE - 1))[None]
-    for to_row, to_col in (one, other):
-        r = jnp.round(row[:, None] + share * (to_row - row)[:, None]).astype(jnp.int32)
-        c = jnp.round(col[:, None] + share * (to_col - col)[:, None]).astype(jnp.int32)
-        at = jnp.where((cell < height * width)[:, None], r * width + c, height * width)
-        mask = mask.at[at].set(True, mode="drop")
-    return mask.reshape(height, width)
-
-
-def _fill_lines(label, free):
-    """Assign splitting lines to the adjacent segments."""
-    for _ in range(2):
-        b = bordered(label, -1)
-        around = [beside(b, *step) for step in sparse.EIGHT_NEIGHBOURS[:4]]
-        label = jnp.where((label < 0) & free, functools.reduce(jnp.maximum, around), label)
-    return label
 
 
 @functools.partial(jax.jit, static_argnames=("form",))
@@ -295,23 +255,20 @@ def segment(free: Array, criteria: Criteria, *, form: Form) -> Segments:
       form: `Form`. Static.
 
     Returns:
-      `Segments`. Free cells that no seed reaches have the label -1; without any critical point all have. With
-        splitting lines both sides of a line are one segment where another way joins them.
+      `Segments`. Free cells that no seed reaches have the label -1; without any critical point all have.
 
     Raises:
-      ValueError: while tracing, if `free` is not a bool matrix or the metric is not known.
+      ValueError: while tracing, if `free` is not a bool matrix.
 
     Source:
-      Holz et al. 2010, Figure 7. Changed: closest along paths, so that segments do not leak through walls
-        (`metric="euclidean"` is the literal form); the order of merging is fixed; see `skeleton.voronoi_graph`.
+      Holz et al. 2010, Figure 7. Changed: closest along paths, so that segments do not leak through walls; the order
+        of merging is fixed; see `skeleton.voronoi_graph`.
     """
     if free.ndim != 2 or free.dtype != bool:
         raise ValueError(f"expected free: [H, W] bool, got {free.shape} {free.dtype}")
-    if form.metric not in METRICS:
-        raise ValueError(f"expected metric: one of {', '.join(METRICS)}, got {form.metric!r}")
     (height, width), n = free.shape, 2 * form.splits
     none = height * width
-    graph, drow, dcol = voronoi_graph(~free, criteria.gamma**2, size=form.nodes)
+    graph, _, _ = voronoi_graph(~free, criteria.gamma**2, size=form.nodes)
     critical = critical_points(graph, criteria)
     node = jnp.nonzero(critical, size=form.splits, fill_value=form.nodes)[0]
     head = _chains(graph)[0]
@@ -319,23 +276,13 @@ def segment(free: Array, criteria: Criteria, *, form: Form) -> Segments:
     sides = jnp.where(jnp.repeat(node, 2) < form.nodes, sides, form.nodes)
     seed = sparse.at(graph.cell, sides, none)
     at_seed = jnp.full((none,), n, jnp.int32).at[seed].min(lax.iota(jnp.int32, n), mode="drop").reshape(height, width)
-
-    passable = free
-    if form.lines:
-        passable = free & ~_line_cells(drow, dcol, sparse.at(graph.cell, node, none))
-    if form.metric == "geodesic":
-        sources = jnp.where((at_seed < n) & free, at_seed, -1)
-        padded = jnp.pad(sources, ((0, -height % bits.WORD), (0, 0)), constant_values=-1)
-        label = nearest_source(bits.pack(passable), padded, n)[:height]
-    else:
-        site = nearest_site(at_seed < n)[1]
-        label = jnp.where(passable & (site >= 0), at_seed.reshape(-1)[jnp.maximum(site, 0)], -1)
+    sources = jnp.where((at_seed < n) & free, at_seed, -1)
+    padded = jnp.pad(sources, ((0, -height % bits.WORD), (0, 0)), constant_values=-1)
+    label = nearest_source(bits.pack(free), padded, n)[:height]
     # Two splits side by side may share a cell between them, which only one segment can grow from.
     start = jnp.where(seed < none, sparse.at(at_seed, seed, n), lax.iota(jnp.int32, n))
-    group = merged(borders(label, n), start, keep_apart=not form.lines)
+    group = merged(borders(label, n), start)
     label = jnp.where(label >= 0, group[jnp.maximum(label, 0)], -1)
-    if form.lines:
-        label = _fill_lines(label, free)
     count = jnp.sum(critical, dtype=jnp.int32)
     overflow = graph.overflow + jnp.maximum(count - form.splits, 0)
     return Segments(label, graph, critical, group, seed, sparse.at(graph.d2, node, 0), count, overflow)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import stats as scipy_stats
 
 from jexplore.config import InputError
-from jexplore.studies.statistics import aggregate, league, over_worlds, sizes
+from jexplore.studies.statistics import aggregate, league, sizes
 from jexplore.studies.statistics.aggregate import improvement, interquartile_mean, profiles, scores_of
 from jexplore.studies.statistics.over_worlds import comparable_paths, share_over_worlds
 from jexplore.studies.statistics.paired import paired_ratio
@@ -105,6 +105,8 @@ def test_one_world_or_none_has_no_interval():
     assert share_over_worlds([0.7], ["x"])[0] == 0.7
     assert np.isnan(share_over_worlds([0.7], ["x"])[1:]).all()
     assert np.isnan(share_over_worlds([], [])).all()
+    assert interquartile_mean([]).n == 0
+    assert profiles(episodes({("w", "a"): [0.0], ("w", "b"): [0.0]}))["share"].eq(1).all()
     one = improvement([1.0], [2.0])
     assert (one.value, one.n) == (1.0, 1)
     assert np.isnan([one.low, one.high, one.p]).all()
@@ -158,12 +160,6 @@ def test_middles_without_an_interval(scores):
     assert found.value == (scores[0] if len(set(scores)) == 1 else math.inf)
 
 
-def test_middle_of_nothing():
-    found = interquartile_mean([])
-    assert found.n == 0
-    assert math.isnan(found.value)
-
-
 @pytest.mark.parametrize(
     ("values", "worlds", "message"),
     [
@@ -183,10 +179,6 @@ def test_wrong_values_are_refused(values, worlds, message):
 def test_other_wrong_input_is_refused():
     with pytest.raises(InputError, match="reference must be as many as the values, 2, got 1"):
         improvement([1.0, 2.0], [1.0])
-    with pytest.raises(ValueError, match="shares from 0 to 1"):
-        share_over_worlds([1.5, 0.5], ["x", "x"])
-    with pytest.raises(ValueError, match="one for each of 2 kinds"):
-        over_worlds.mean_over_worlds([1.0, math.nan], ["x", "x"])
     table = episodes({("w", "a"): [1.0], ("w", "b"): [2.0]})
     with pytest.raises(InputError, match="over must be first or best, got 'worst'"):
         scores_of(table, over="worst")
@@ -266,11 +258,6 @@ def test_profiles_rise_and_reach_all_that_did_not_fail():
     assert profiles(table)["share"].groupby(profiles(table)["ratio"]).sum().iloc[0] == pytest.approx(1)  # one is best
 
 
-def test_profile_where_nobody_moved():
-    found = profiles(episodes({("w", "a"): [0.0, 0.0], ("w", "b"): [0.0, 0.0]}))
-    assert found["share"].eq(1).all()
-
-
 def test_standings_hold_the_aggregates():
     rng = np.random.default_rng(0)
     paths = {(f"cave#{i}", name): rng.gamma(9, f, 4) for i in range(6) for f, name in ((9, "a"), (8, "b"), (12, "c"))}
@@ -328,9 +315,7 @@ def test_the_interval_comes_out_as_narrow_as_assured():
         ([1.0], [2.0], "vectors of one length, 2 or more"),
         ([1.0, 2.0], [1.0], "vectors of one length"),
         ([1.0, math.nan], [1.0, 2.0], "finite numbers from 0"),
-        ([1.0, math.inf], [1.0, 2.0], "finite numbers from 0"),
         ([-1.0, 2.0], [1.0, 2.0], "finite numbers from 0"),
-        ([1.0, 2.0], [1.0, 2.0], "without any spread"),
         ([2.0, 4.0], [1.0, 2.0], "without any spread"),
         ([0.0, 0.0], [1.0, 2.0], "longer than 0"),
     ],
@@ -378,15 +363,6 @@ def test_table_of_sizes():
     one = sizes.sample_sizes(episodes({key: value for key, value in paths.items() if key[0] == "cave#0"}))
     assert one["unit"].tolist() == ["episodes"] * 2
     assert len(sizes.sample_sizes(episodes(paths).iloc[:0])) == 0
-
-
-def test_sizes_of_one_that_never_set_out():
-    """It has a ratio of zero, which no interval is a share of."""
-    rng = np.random.default_rng(3)
-    paths = {}
-    for i in range(2):
-        values, reference = pairs(8, rng)
-        paths |= {(f"cave#{i}", "a"): reference, (f"cave#{i}", "b"): values if i else 0 * values}
-    table = sizes.sample_sizes(episodes(paths), within=0.05)
-    assert np.isnan(table["within"][0])
-    assert table["needed"].isna().tolist()[:2] == [True, False]
+    still = sizes.sample_sizes(episodes(paths | {("cave#0", "b"): np.zeros(8)}))
+    assert np.isnan(still["within"][0])  # a ratio of zero, which no interval is a share of
+    assert still["needed"].isna().tolist()[:3] == [True, True, False]

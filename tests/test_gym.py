@@ -21,8 +21,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv  # noqa: E402
 from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 
 from jexplore.studies.gym import ID  # noqa: E402
-from jexplore.studies.gym.lanes import GymVectorEnv  # noqa: E402
-from jexplore.studies.gym.single import GymEnv  # noqa: E402
+from jexplore.studies.gym.envs import GymEnv, GymVectorEnv  # noqa: E402
 
 LIDAR = Lidar(n_beams=37, range_m=1.0, sigma_m=0.03, dropout=0.02)
 SEED = 2
@@ -65,6 +64,7 @@ def same(one, other):
 # --- as gymnasium wants them
 
 
+@pytest.mark.slow
 def test_gymnasiums_checker_has_nothing_to_say():
     """It makes environments of its own by their name; any warning is an error here."""
     made = gymnasium.make(ID, worlds=two_rooms(), lidar=LIDAR)
@@ -81,13 +81,14 @@ def test_the_spaces_of_many_are_those_of_one(env, envs):
     assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     seen, info = envs.reset(seed=1)
     assert seen in envs.observation_space
-    for step in range(12):
+    for _ in range(4):
         seen, reward, terminated, truncated, info = envs.step(envs.action_space.sample(tuple(info["action_mask"])))
-        assert seen in envs.observation_space, step
+        assert seen in envs.observation_space
         assert (reward.dtype, terminated.dtype, truncated.dtype) == (np.float64, bool, bool)
         assert {f"_{name}" for name in info if name[0] != "_"} == {name for name in info if name[0] == "_"}
 
 
+@pytest.mark.slow
 def test_many_in_step_are_what_gymnasium_makes_of_single_ones(envs):
     """The observations, rewards, ends and infos of `SyncVectorEnv`, over several episodes a lane."""
     worlds = [two_rooms(), two_rooms("low", rows=20)]
@@ -112,6 +113,7 @@ def test_many_in_step_are_what_gymnasium_makes_of_single_ones(envs):
     theirs.close()
 
 
+@pytest.mark.slow
 def test_made_by_name_and_wrapped():
     made = gymnasium.make_vec(ID, num_envs=2, worlds=two_rooms(), lidar=LIDAR)
     assert isinstance(made.unwrapped, GymVectorEnv)
@@ -150,10 +152,9 @@ def test_closest_by_actions_is_closest_to_the_bit(env, compared):
         assert (int(env.state.episode.scans), int(env.state.episode.plans)) == (row["scans"], row["plans"])
 
 
-def test_closest_in_lanes_is_closest_to_the_bit(compared):
+def test_closest_in_lanes_is_closest_to_the_bit(envs, compared):
     table, starts = compared
-    envs = GymVectorEnv(two_rooms(), 4, lidar=LIDAR)
-    seen, info = envs.reset(seed=[SEED] * 4, options={"start": starts, "episode": range(4)})
+    seen, info = envs.reset(seed=[SEED] * 4, options={"start": starts, "world": [0] * 4, "episode": range(4)})
     ended = np.zeros(4, int)
     for step in range(1, 60):
         seen, _, terminated, truncated, info = envs.step(nearest(seen))
@@ -187,11 +188,24 @@ def test_an_observation_is_what_the_robot_believes(envs):
         assert info["known_m2"][i] == pytest.approx(((expected > 0)[:rows, :cols]).sum() * 0.01)
 
 
+CLOSET = {
+    "worlds": with_ring(occupancy_to_world(np.zeros((3, 4), bool), name="closet")),
+    "lidar": Lidar(n_beams=721, fov_deg=360, range_m=2),
+    "rules": Rules(clearance_m=0.1),  # a corner of the closet is no place to look from
+}
+
+
+@pytest.mark.slow
+def test_in_lanes_every_other_step_begins_anew_where_all_is_seen_from_the_start():
+    many = GymVectorEnv(**CLOSET)
+    many.reset(options={"start": [(2, 2, 90)]})
+    assert [bool(many.step([0])[2][0]) for _ in range(4)] == [True, False, True, False]
+
+
+@pytest.mark.slow
 def test_by_pencil():
     """A closet that one look all round shows whole: over as it begins, which the first step says."""
-    closet = with_ring(occupancy_to_world(np.zeros((3, 4), bool), name="closet"))
-    rules = Rules(clearance_m=0.1)  # a corner of the closet is no place to look from
-    one = GymEnv(closet, lidar=Lidar(n_beams=721, fov_deg=360, range_m=2), rules=rules)
+    one = GymEnv(**CLOSET)
     seen, info = one.reset(options={"start": (2, 2, 90)})
     edge, room = [0, 2, 2, 2, 2, 0, 2], [2, 1, 1, 1, 1, 2, 2]  # the ring's corners are never seen
     assert seen["map"][:6, :7].tolist() == [edge, room, room, room, edge, [2] * 7]
@@ -207,9 +221,6 @@ def test_by_pencil():
     _, reward, terminated, truncated, info = one.step(0)
     assert (reward, terminated, truncated) == (0, True, False)
     assert info["outcome"] == jx.Outcome.COMPLETE
-    many = GymVectorEnv(closet, 1, lidar=Lidar(n_beams=721, fov_deg=360, range_m=2), rules=rules)
-    many.reset(options={"start": [(2, 2, 90)]})
-    assert [bool(many.step([0])[2][0]) for _ in range(4)] == [True, False, True, False]  # every other step begins anew
 
 
 def test_what_is_got_can_be_written_to(env):
@@ -228,6 +239,7 @@ def test_what_is_got_can_be_written_to(env):
 # --- ends
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "outcome"),
     [
@@ -270,6 +282,7 @@ def test_wrong_actions_move_nothing_and_count(env):
     assert [one.step(0)[3] for _ in range(3)] == [False, False, True]
 
 
+@pytest.mark.slow
 def test_any_cell_that_can_be_reached():
     one = GymEnv(two_rooms(), lidar=LIDAR, targets="reachable")
     seen, info = one.reset(seed=1)
@@ -296,10 +309,11 @@ def test_seeds(env, envs):
     again, _ = envs.reset(seed=[11, 12, 13, 14])
     same(lanes, again)
     assert len({tuple(robot) for robot in lanes["robot"].tolist()}) == 4
-    unseeded = [GymEnv(two_rooms(), lidar=LIDAR).reset()[0]["robot"].tolist() for _ in range(4)]
+    unseeded = [GymEnv(two_rooms(), lidar=LIDAR).reset()[0]["robot"].tolist() for _ in range(3)]
     assert len(set(map(tuple, unseeded))) > 1
 
 
+@pytest.mark.slow
 def test_starts_and_worlds(envs):
     start = [[5, 5, 0], [6, 5, 45], [7, 5, 90], [8, 5, 315]]
     seen, _ = envs.reset(seed=0, options={"start": start, "world": [0, 1, 0, 1]})
@@ -329,30 +343,23 @@ def test_a_picture(env, envs):
         ({"targets": "all"}, "targets must be frontier or reachable, got 'all'"),
         ({"max_decisions": 0}, "max_decisions must be an integer from 1"),
         ({"render_mode": "human"}, "render_mode must be None or 'rgb_array', got 'human'"),
-        ({"recheck": 1}, "recheck must be True or False"),
-        ({"worlds": "caev"}, "there is no world 'caev'"),
-        ({"worlds": []}, "worlds must name at least one"),
+        ({"num_envs": 0}, "num_envs must be an integer from 1"),
     ],
 )
 def test_bad_settings_are_refused(settings, said):
-    settings = {"worlds": two_rooms(), "lidar": LIDAR} | settings
-    for make in (GymEnv, GymVectorEnv):
+    for make in (GymEnv, GymVectorEnv)["num_envs" in settings :]:
         with pytest.raises(InputError, match=said):
-            make(**settings)
-    with pytest.raises(InputError, match="num_envs must be an integer from 1"):
-        GymVectorEnv(two_rooms(), 0)
+            make(worlds=two_rooms(), lidar=LIDAR, **settings)
 
 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
         ({"seed": -1}, "seed must be an integer from 0 to 4294967295, got -1"),
-        ({"seed": 2**32 + 1}, "seed must be an integer"),
         ({"seed": 0.5}, "seed must be"),
         ({"options": {"strat": [(1, 1, 0)] * 4}}, "unknown option 'strat'; did you mean 'start'"),
         ({"options": {"start": [(0, 0, 0)] * 4}}, "several worlds|lies in a wall"),
         ({"options": {"start": [(0, 0, 0)] * 4, "world": [0] * 4}}, "lies in a wall"),
-        ({"options": {"start": [(5, 5)] * 4, "world": [0] * 4}}, r"option start must be integers \[\d, 3\]"),
         ({"options": {"start": [(5, 5), 3] * 2, "world": [0] * 4}}, r"option start must be integers \[\d, 3\]"),
         ({"options": {"world": [2] * 4}}, r"option world must be integers \[\d\] from 0 to \d, got 2"),
         ({"options": {"episode": [-1] * 4}}, "option episode must be integers .* got -1"),
@@ -382,7 +389,6 @@ def test_bad_seeds_for_lanes_are_refused(envs):
         (64 * 64, "must be .* from 0 to 4095, got 4096"),
         (-1, "must be .* from 0 to 4095, got -1"),
         (0.5, r"must be .* got (0.5|\[4\] float64)"),
-        ("x", r"must be .* got (x|\[4\] <U1)"),
         ([1, 2, 3], r"must be .* got (\[4, 3\]|\[3\]) int64"),
     ],
 )
@@ -409,4 +415,4 @@ def test_without_the_package_it_says_what_to_install(monkeypatch):
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     with pytest.raises(ImportError, match=r"need gymnasium 1.1 or later: pip install 'jexplore\[gym\]'"):
-        importlib.import_module("jexplore.studies.gym.single")
+        importlib.import_module("jexplore.studies.gym.envs")

@@ -125,7 +125,7 @@ def test_a_learner_sees_the_cells_of_the_array():
 @pytest.mark.parametrize("variant", ["voronoi", "distance", "wurm"])
 def test_rooms_are_those_of_the_same_plan_in_walls(variant):
     made = [
-        divided(~world.occupied, np.zeros_like(world.occupied), [variant], RoomSettings(), 0.1)[0]
+        divided(~world.occupied, np.zeros_like(world.occupied), variant, RoomSettings(), 0.1)
         for world in (PLAIN, WALLED)
     ]
     assert np.array_equal(made[0].label, made[1].label[1:-1, 1:-1])

@@ -16,6 +16,7 @@ from jexplore.policies.learned import features, model, networks
 from jexplore.policies.learned.strategy import is_forced, policy_of
 from jexplore.raycast import beam_table
 
+SCORES = jax.jit(networks.scores, static_argnums=0)
 ONE_METRE = {"cell_m": 1.0}
 STAR = Lidar(n_beams=8, fov_deg=360, range_m=1.5)  # in cells of one metre: the eight cells around
 NICHES = """
@@ -81,17 +82,16 @@ def test_networks_do_not_mind_the_order_nor_unused_slots(name):
     assert sum(leaf.size for leaf in jax.tree.leaves(weights)) < 50_000
     weights = jax.tree.map(lambda a: a + 0.1 * jax.random.normal(keys[1], a.shape), weights)
     x, used = jax.random.normal(keys[2], (32, len(features.FEATURES))), jnp.arange(32) < 9
-    found = networks.scores(name, weights, x, used)
+    found = SCORES(name, weights, x, used)
     order = np.random.default_rng(0).permutation(32)
-    np.testing.assert_allclose(
-        networks.scores(name, weights, x[order], used[order]), found[order], rtol=1e-4, atol=1e-5
-    )
-    other = networks.scores(name, weights, jnp.where(used[:, None], x, 7.0), used)
+    np.testing.assert_allclose(SCORES(name, weights, x[order], used[order]), found[order], rtol=1e-4, atol=1e-5)
+    other = SCORES(name, weights, jnp.where(used[:, None], x, 7.0), used)
     np.testing.assert_allclose(other[:9], found[:9], rtol=1e-4, atol=1e-5)
     assert np.all(found[9:] == networks.MASKED)
-    assert np.all(np.isfinite(networks.scores(name, weights, x, jnp.zeros(32, bool))))
+    assert np.all(np.isfinite(SCORES(name, weights, x, jnp.zeros(32, bool))))
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_training_begins_at_closest():
     weights = jax.tree.map(np.asarray, networks.initial_weights("linear", jax.random.key(0), len(features.FEATURES)))

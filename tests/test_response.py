@@ -9,7 +9,7 @@ import pytest
 from jexplore.config import InputError
 from jexplore.studies.statistics.over_worlds import ALL_WORLDS, mean_over_worlds
 from jexplore.studies.statistics.paired import mean_interval, paired_ratio
-from jexplore.studies.statistics.response import BINS, response, setting_columns
+from jexplore.studies.statistics.response import BINS, response
 
 RANGE, CLEARANCE = "lidar.range_m", "rules.clearance_m"
 
@@ -109,23 +109,11 @@ def test_many_values_are_cut_into_parts_of_equally_many():
     assert response(near, RANGE)[RANGE].nunique() == BINS  # told apart, however near
 
 
-def test_text_and_truth_values_are_settings_too():
-    table = sweep()
-    table["rules.kind"] = np.where(table[RANGE] > 3, "far", "near")
-    found = response(table, "rules.kind")
-    assert sorted(set(found["rules.kind"])) == ["far", "near"]
-    assert len(found) == 4
-
-
 def test_rows_without_a_value_are_left_out():
     table = sweep()
     table["path_m_at_95"] = table["path_m"].where(table["episode"] > 0)
     assert response(table, RANGE, value="path_m_at_95")["n"].tolist() == [3] * 4
     assert response(table, RANGE, value="path_m_at_95", ratio=True)["n"].tolist() == [3] * 4
-
-
-def test_what_is_a_setting():
-    assert setting_columns(sweep()) == ["seed", RANGE, CLEARANCE]
 
 
 @pytest.mark.parametrize(

@@ -120,6 +120,7 @@ def test_the_own_segment_is_the_room():
             np.testing.assert_array_equal(mine & (np.arange(40) != 21), free & (rooms == room) & (np.arange(40) != 21))
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_views_are_taken_from_the_own_room():
     """Although paths weigh enough to favour the other room."""
@@ -134,6 +135,7 @@ def test_views_are_taken_from_the_own_room():
         assert choice.cost == field(belief).cost[choice.row, choice.col]
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_kinds_share_a_program():
     """They differ by numbers only, so that a sweep over them is compiled once."""
@@ -155,9 +157,10 @@ def test_the_kinds_share_a_program():
     assert views[0].live == views[1].live is not None
 
 
+@pytest.mark.jit
 def test_a_modified_strategy_asks_the_strategy_whether_a_view_point_is_live():
     belief = beliefs.belief_of("###### #.R.?# ######", cell_m=1.0)
     beams = beliefs.table(beliefs.Lidar(n_beams=4, fov_deg=360, range_m=2.0), belief)
     for min_gain in (1, 2):
         policy = parse_strategy(f"gain-rate+segment:min_gain={min_gain}").policy
-        assert bool(policy.live(policy.params, belief, beams, jnp.int32(1), jnp.int32(3))) == (min_gain == 1)
+        assert bool(jax.jit(policy.live)(policy.params, belief, beams, jnp.int32(1), jnp.int32(3))) == (min_gain == 1)

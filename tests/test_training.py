@@ -11,12 +11,10 @@ import pytest
 import jexplore as jx
 from jexplore.cli import main
 from jexplore.config import InputError, Lidar, Rules
-from jexplore.learn import bank, training
+from jexplore.learn import bank, es, ppo, training
 from jexplore.learn.settings import TRAINER_SETTINGS
 from jexplore.policies import parse_strategy
 from jexplore.policies.learned import model
-from jexplore.report.folders import claimed
-from jexplore.report.ledger import open_ledger
 from jexplore.worlds.world import World
 
 SMALL = ["rooms#1000:width_m=6,height_m=6", "maze#1000:width_m=6,height_m=6"]
@@ -39,8 +37,10 @@ def toy():
     ("algo", "rounds", "settings"),
     [
         ("es", 12, {"pairs": 4, "episodes": 1, "rate": 0.1, "sigma": 0.3}),
-        ("advantage", 4, {"episodes": 4, "share": 1.0}),
-        ("ppo", 2, {"decisions": 512, "lanes": 8, "starts": 1, "unroll": 8, "rate": 0.01, "minibatches": 2}),
+        pytest.param(
+            *("ppo", 2, {"decisions": 512, "lanes": 8, "starts": 1, "unroll": 8, "rate": 0.01, "minibatches": 2}),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_the_near_end_is_found(algo, rounds, settings):
@@ -51,6 +51,7 @@ def test_the_near_end_is_found(algo, rounds, settings):
     )
     found = training.run_training(plan)
     assert found.curve["ratio"].iloc[1:].notna().all()
+    assert found.curve["round"][found.curve["validation"].notna()].tolist() == [0, rounds // 2, rounds]
     assert found.curve["validation"].iloc[0] == 1.0
     assert found.curve["validation"].min() < 0.9
 
@@ -62,31 +63,20 @@ def quick_plan(rounds=4, **changes):
 
 
 @pytest.mark.jit
-def test_the_same_seed_gives_the_same_weights_and_more_rounds_go_on():
-    one, again = (training.run_training(quick_plan()) for _ in range(2))
-    assert model.weights_digest(one.model.weights) == model.weights_digest(again.model.weights)
-    pd.testing.assert_frame_equal(one.curve, again.curve)
-    longer = training.run_training(quick_plan(6))
-    pd.testing.assert_frame_equal(longer.curve.iloc[:5], one.curve)
-    assert list(one.curve["round"]) == [0, 1, 2, 3, 4]
-    assert one.curve["validation"].notna().tolist() == [True, False, True, False, True]
-
-
-@pytest.mark.jit
 def test_the_command_interrupted_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
     out, whole = tmp_path / "run", tmp_path / "whole"
     command = ["train", "--worlds", *SMALL, "--validation", *WATCHED, "--rounds", "4", "--check-every", "1", "--set"]
     command += ["pairs=2", "episodes=2", "--lidar.n-beams", "61", "--lidar.range-m", "1.5", "--out"]
     assert main.main([*command, str(whole)]) == 0
-    trainer, made = training.TRAINERS["es"], []
+    make_round, made = es.make_round, []
 
     def until_the_third(*args):
         made.append(args)
         if len(made) == 3:
             raise KeyboardInterrupt
-        return trainer.step(*args)
+        return make_round(*args)
 
-    monkeypatch.setitem(training.TRAINERS, "es", trainer._replace(step=until_the_third))
+    monkeypatch.setattr(es, "make_round", until_the_third)
     assert main.main([*command, str(out)]) == 130
     assert "units are kept" in capsys.readouterr().err
     assert main.main([*command, str(out), "--resume"]) == 0
@@ -104,15 +94,15 @@ def test_the_command_interrupted_goes_on_where_it_was(tmp_path, monkeypatch, cap
 
 @pytest.mark.jit
 def test_weights_that_are_no_numbers_end_training_with_the_best_before(monkeypatch):
-    trainer = training.TRAINERS["es"]
+    make_round = es.make_round
 
     def broken(state, *args):
-        new, ratio = trainer.step(state, *args)
+        new, ratio = make_round(state, *args)
         spoilt = jax.tree.map(lambda leaf: leaf * np.float32("nan"), new.weights)
         bad = new._replace(weights=spoilt) if new.generation > 2 else new
         return bad, ratio
 
-    monkeypatch.setitem(training.TRAINERS, "es", trainer._replace(step=broken))
+    monkeypatch.setattr(es, "make_round", broken)
     found = training.run_training(quick_plan())
     assert found.ended == "not finite"
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found.model.weights))
@@ -135,7 +125,6 @@ def test_patience():
         (["--algo", "sac"], "unknown algorithm 'sac' .*es"),
         (["--network", "deep"], "unknown network 'deep'"),
         (["--rounds", "7"], "rounds must be a multiple of check_every, 5, got 7"),
-        (["--algo", "advantage", "--set", "tried=1"], "tried must be an integer from 2 to 32, got 1"),
         (["--algo", "ppo", "--set", "pairs=3"], "unknown setting of 'ppo': 'pairs'"),
         (["--set", "pairs=0"], "pairs must be an integer from 1 to 10000, got 0"),
         (["--set", "sigma"], "expected NAME=NUMBER once"),
@@ -170,6 +159,7 @@ def test_ratios_are_those_of_a_comparison():
             np.testing.assert_allclose(logs[i, places], want)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_training_as_a_function(tmp_path):
     options = {"worlds": SMALL, "validation": WATCHED, "lidar": NEAR, "rounds": 1, "settings": QUICK}
@@ -191,26 +181,6 @@ def test_training_as_a_function(tmp_path):
         jx.train(model=wide, **options)
 
 
-@pytest.mark.jit
-def test_regression_resumed_is_regression_uninterrupted(tmp_path):
-    banks = [bank.prepare_bank(worlds, lidar=NEAR) for worlds in (SMALL, WATCHED)]
-    settings = {"episodes": 2, "share": 0.5, "tried": 2, "steps": 20}
-    plans = [
-        training.prepare_training(
-            "advantage", "linear", *banks, settings, rounds=n, check_every=1, patience=0, starts=1, seed=0
-        )
-        for n in (1, 2)
-    ]
-    whole = training.run_training(plans[1])
-    for plan in plans:
-        with claimed(tmp_path / "run", resume=True) as run:
-            kept = open_ledger(run, {"asked": 0}, 2, resume=True)
-            assert len(kept.done) == plan.rounds - 1
-            found = training.run_training(plan, ledger=kept)
-    assert model.weights_digest(found.model.weights) == model.weights_digest(whole.model.weights)
-    pd.testing.assert_frame_equal(found.curve, whole.curve)
-
-
 def test_models_that_training_cannot_begin_at(tmp_path):
     banks = [bank.prepare_bank(worlds, lidar=NEAR) for worlds in (SMALL, WATCHED)]
     options = {"rounds": 1, "check_every": 1, "patience": 0, "starts": 1, "seed": 0}
@@ -229,4 +199,4 @@ def test_lanes_and_worlds_that_ppo_cannot_have():
     mixed = bank.prepare_bank([jx.load_world(SMALL[0]), jx.load_world(SMALL[1], cell_m=0.2)])
     settings = TRAINER_SETTINGS["ppo"]()
     with pytest.raises(InputError, match=r"cells of one size, got 0\.1 and 0\.2 m"):
-        training.TRAINERS["ppo"].check(mixed, settings)
+        ppo.require_trainable(mixed, settings)

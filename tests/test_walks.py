@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import jexplore as jx
-from jexplore.config import Lidar, Rules
+from jexplore.config import InputError, Lidar, Rules
 from jexplore.reach import FAR, STRAIGHT
 from jexplore.studies.bounds import bound as study
 from jexplore.studies.bounds import scene, search, stops, walks
-from jexplore.studies.bounds.scene import Coverage, Sights, TableOfSights, rays_of
+from jexplore.studies.bounds.scene import Coverage, Sights, rays_of
 from jexplore.studies.checks import ready_starts
 from jexplore.worlds.world import World
 
@@ -42,7 +42,7 @@ def some_stops(own, n, seed=0):
     return made, cells
 
 
-def test_sights_by_hand():
+def test_sights_by_hand(monkeypatch):
     """A corridor of six cells with a pillar in it, and a scanner that enters two cells ahead in each direction."""
     rays = rays_of(Lidar(n_beams=4, fov_deg=360, range_m=0.2), 0.1)
     pad = int(rays.length.max()) + 1
@@ -55,36 +55,20 @@ def test_sights_by_hand():
     def flat(col):
         return (1 + pad) * width + col + pad
 
-    for kind in (Sights, TableOfSights):
-        made = kind(padded, pad, rays)
-        for col, seen in {1: [1, 2, 3], 2: [1, 2, 3], 3: [1, 2, 3], 5: [5, 6], 6: [5, 6]}.items():
-            assert set(made.seen(flat(col)).tolist()) == {flat(c) for c in seen}
-            assert made.region(flat(col), free).tolist() == [flat(c) for c in seen]  # sight is symmetric here
-        assert set(made.seen(flat(2), 0).tolist()) == {flat(c) for c in (1, 2, 3)}
-        assert made.region(flat(3), free & (np.arange(len(free)) != flat(1))).tolist() == [flat(2), flat(3)]
-    assert TableOfSights.size((3, 8), pad, rays) == made._free_steps.nbytes
+    made = Sights(padded, pad, rays)
+    for col, seen in {1: [1, 2, 3], 2: [1, 2, 3], 3: [1, 2, 3], 5: [5, 6], 6: [5, 6]}.items():
+        assert set(made.seen(flat(col)).tolist()) == {flat(c) for c in seen}
+        assert made.region(flat(col), free).tolist() == [flat(c) for c in seen]  # sight is symmetric here
+    assert set(made.seen(flat(2), 0).tolist()) == {flat(c) for c in (1, 2, 3)}
+    assert made.region(flat(3), free & (np.arange(len(free)) != flat(1))).tolist() == [flat(2), flat(3)]
+    monkeypatch.setattr(scene, "TABLE_BYTES", 10)
+    with pytest.raises(InputError, match="too many cells to be bounded"):
+        Sights(padded, pad, rays)
     must = np.zeros(len(free), bool)
     must[[flat(c) for c in (1, 3, 6)]] = True
     coverage = Coverage(made, must)
     assert coverage.unseen(np.array([flat(2)])).tolist() == [flat(6)]
     assert coverage.unseen(np.array([flat(5), flat(3)])).tolist() == []
-
-
-@pytest.mark.parametrize("range_m", [0.05, 0.1, 0.35, 1.2, 26.0])
-def test_a_table_says_what_single_looks_say(range_m):
-    rng = np.random.default_rng(0)
-    rays = rays_of(Lidar(n_beams=19, range_m=range_m), 0.1)
-    pad = int(rays.length.max()) + 1
-    occupied = rng.random((14, 17)) < 0.15
-    padded = np.pad(occupied, pad, constant_values=True)
-    one, table = Sights(padded, pad, rays), TableOfSights(padded, pad, rays)
-    assert table._free_steps.dtype == (np.uint8 if rays.drow.shape[1] < 256 else np.uint16)
-    free = ~padded.reshape(-1)
-    stand = free & (rng.random(len(free)) < 0.8)
-    for cell in rng.permutation(np.flatnonzero(free))[:30].tolist():
-        np.testing.assert_array_equal(one.region(cell, stand), table.region(cell, stand))
-        for heading in (None, 0, 5):
-            assert set(one.seen(cell, heading).tolist()) == set(table.seen(cell, heading).tolist())
 
 
 def test_stops_are_as_far_apart_as_floods_say():
@@ -176,20 +160,6 @@ def test_walks_see_everything_and_become_shorter(name):
     assert not len(own.coverage.unseen(again.walk))
 
 
-def test_a_bad_walk_is_mended_from_a_good_order(monkeypatch):
-    """Without any improving: putting in one after the other is longer than the walk found before."""
-    own = searched()
-    good, bad = walks_of(own), walks_of(own)
-    good.find(lambda: False)
-    good.shorten(lambda: False)
-    monkeypatch.setattr(walks, "improved_order", lambda order, *_, **__: order)
-    monkeypatch.setattr(walks, "STALE", 1)
-    assert bad.find(lambda: False)
-    assert bad.cost > good.cost
-    bad.shorten(lambda: False, good._kept[0].witnesses)
-    assert bad.cost == good.cost
-
-
 def test_what_tells_most_comes_first():
     """Two dead ends of a corridor tell everything; cells between them nothing more."""
     occupied = np.ones((5, 62), bool)
@@ -217,6 +187,7 @@ def test_what_tells_most_comes_first():
     assert walk.cost == (15 + 15 + 36) * STRAIGHT
 
 
+@pytest.mark.slow
 def test_a_walk_longer_than_costs_can_say():
     """A winding corridor of some 20,000 cells."""
     occupied = np.ones((201, 201), bool)
@@ -231,28 +202,13 @@ def test_a_walk_longer_than_costs_can_say():
     assert 1600 < row["low_any_m"] <= row["low_m"] <= FAR / STRAIGHT * 0.1
 
 
-def test_a_table_too_large_changes_nothing(monkeypatch):
-    world = jx.load_world("rooms:width_m=5,height_m=5", cell_m=0.1)
-    start = tuple(int(v) for v in ready_starts(world, "random", 1, seed=0, rules=RULES)[0])
-    whole = study.solve(study.BoundTask(world, start, NEAR, RULES, None, 600))
-    scene._sights.cache_clear()
-    monkeypatch.setattr(scene, "TABLE_BYTES", 10)
-    made = scene.prepare_scene(world, start, NEAR, RULES, 2)
-    assert made is not None
-    assert type(made.sights) is Sights
-    other = study.solve(study.BoundTask(world, start, NEAR, RULES, None, 600))
-    scene._sights.cache_clear()
-    assert whole.row | {"seconds": 0} == other.row | {"seconds": 0}
-    np.testing.assert_array_equal(whole.walk, other.walk)
-
-
 def test_less_time_gives_weaker_bounds_and_never_wrong_ones():
     world = jx.load_world("rooms:width_m=5,height_m=5", cell_m=0.1)
     start = tuple(int(v) for v in ready_starts(world, "random", 1, seed=1, rules=RULES)[0])
     lidar = Lidar(n_beams=61, range_m=2.0)
     best = study.solve(study.BoundTask(world, start, lidar, RULES, None, 20_000)).row
     assert best["status"] == study.OPTIMAL
-    for floods in (1, 40, 120, 250, 400):
+    for floods in (1, 120, 400):
         row = study.solve(study.BoundTask(world, start, lidar, RULES, None, floods)).row
         assert 0 < row["low_any_m"] <= row["low_m"] <= best["high_m"]
         assert row["method"] in ("subsets", "pieces", "farthest")

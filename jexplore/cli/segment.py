@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
@@ -44,11 +44,6 @@ class Segment:
     gamma: float = 3.0
     """By thrun, wurm and holz two obstacle cells must be this far apart, in cells, to have a Voronoi edge between
     them."""
-    metric: Literal["geodesic", "euclidean"] = "geodesic"
-    """By thrun, wurm and holz give a cell to the segment that is closest along paths, or as the crow flies (the paper's
-    letter)."""
-    lines: bool = False
-    """By thrun, wurm and holz split along the line between the two nearest obstacles (Thrun 1998)."""
     seed: int = 0
     """Draw the episodes that make partial maps from this seed."""
     out: OutFolder = None

@@ -18,8 +18,7 @@ class Train:
     """
 
     algo: str = "es"
-    """Train by evolution strategies (es), regression on what choices turned out to cost (advantage) or proximal policy
-    optimisation (ppo)."""
+    """Train by evolution strategies (es) or proximal policy optimisation (ppo)."""
     network: str = "linear"
     """Train a weighted sum of the features (linear) or a small network with attention over the clusters (attention)."""
     model: OwnModel = None

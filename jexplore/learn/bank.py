@@ -8,7 +8,6 @@ import numpy as np
 from jexplore.config import Lidar, Rules
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.results import path_m
-from jexplore.exploration.site import Site, drive_for, prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.studies.checks import (
@@ -43,21 +42,14 @@ class Bank:
     rules: Rules
     start: str = "random"
     """As in a comparison: drawn, or the world's own."""
-    _sites: dict[int, Site] = dataclasses.field(default_factory=dict, repr=False)
 
     def log_ratios(
         self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None
     ) -> np.ndarray:
-        """Compute path lengths of N strategies relative to the reference, from the same starts.
+        """Compute path lengths of N strategies relative to the reference's: `[N, K]` float64, see `log_ratio`.
 
-        Args:
-          strategies: N of them.
-          which: K numbers of worlds; an episode in each, from another start if a world occurs twice.
-          seed: of the starts and all other draws.
-          workers: cores; by default all.
-
-        Returns:
-          `[N, K]` float64, see `log_ratio`.
+        `which` are K numbers of worlds: an episode in each, from another start if a world occurs twice; the same for
+        all strategies. `seed` is that of the starts and all other draws.
         """
         lengths = self.lengths([parse_strategy(REFERENCE), *strategies], which, seed, workers=workers)
         return log_ratio(lengths[1:], lengths[0])
@@ -97,13 +89,6 @@ class Bank:
             place = np.flatnonzero(np.asarray(which) == number)
             yield number, place, ready_starts(self.worlds[number], self.start, n, seed=seed, rules=self.rules)
 
-    def site(self, number: int) -> Site:
-        """Prepare a world, once."""
-        if number not in self._sites:
-            native = drive_for("cpu").name
-            self._sites[number] = prepare_site(self.worlds[number], self.lidar, self.rules, native=native)
-        return self._sites[number]
-
 
 def log_ratio(lengths: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """Compute logarithms of paths relative to the reference's.
@@ -117,18 +102,10 @@ def log_ratio(lengths: np.ndarray, reference: np.ndarray) -> np.ndarray:
 
 
 def prepare_bank(
-    worlds: WorldLike | Sequence[WorldLike],
-    *,
-    cell_m: float = 0.1,
-    lidar: LidarLike = LIDAR,
-    rules: RulesLike = RULES,
+    worlds: WorldLike | Sequence[WorldLike], *, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
     start: str = "random",
-) -> Bank:
-    """Make a `Bank`.
-
-    Raises:
-      InputError: a world that cannot be loaded, or is too large, or in which no robot can stand.
-    """
+) -> Bank:  # fmt: skip
+    """Make a `Bank`; refuse a world that cannot be loaded, is too large, or in which no robot can stand."""
     lidar, rules = ready_settings(lidar, rules)
     ready = [with_ring(world) for world in ready_worlds(worlds, cell_m)]
     for world in ready:

@@ -83,22 +83,15 @@ class BraxDecisions(Env):
         """See `Decisions.reset`; `rng` may be a legacy key, as brax has them."""
         state, told = self.decisions.reset(_typed(rng))
         zero = jnp.zeros((), jnp.float32)
-        metrics = {"ratio": zero, "invalid": zero, "overflow": zero}
         whole: Any = state  # brax says that this is a state of its physics, and takes any pytree
-        return State(whole, flat(told), zero, state.is_over.astype(jnp.float32), metrics, {})
+        return State(
+            whole, flat(told), zero, state.is_over.astype(jnp.float32), {"invalid": zero, "overflow": zero}, {}
+        )
 
     def step(self, state: Any, action: Array) -> State:
-        """See `Decisions.step`.
-
-        Metrics: `ratio`, the whole path relative to the reference's, 0 before the end; `invalid`, 1 where the action
-        was an unused slot; `overflow`, clusters that did not fit, 0 before the end.
-        """
+        """See `Decisions.step`. Metrics: `invalid`, 1 where the action was an unused slot; `overflow`."""
         now, told, reward, done, info = self.decisions.step(state.pipeline_state, action.astype(jnp.int32))
-        metrics = {
-            "ratio": jnp.where(done, info["path_m"] / now.reference_m, 0.0),
-            "invalid": 1.0 - info["valid"].astype(jnp.float32),
-            "overflow": jnp.where(done, info["overflow"], 0).astype(jnp.float32),
-        }
+        metrics = {"invalid": 1.0 - info["valid"], "overflow": info["overflow"].astype(jnp.float32)}
         done = done.astype(jnp.float32)
         return state.replace(pipeline_state=now, obs=flat(told), reward=reward, done=done, metrics=metrics)
 

@@ -1,86 +1,53 @@
 """Numbers of the ways of training. Plain Python: importing this loads neither jax nor numpy."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from jexplore.config import InputError, require_number, require_whole, unknown
 
 
 class Es(NamedTuple):
-    """Numbers of `es`."""
+    """Numbers of `es`, each with its least and largest value."""
 
-    pairs: int = 12  # antithetic pairs of a generation
-    episodes: int = 16  # worlds that each member explores
-    sigma: float = 0.15  # standard deviation of a variation
-    rate: float = 0.07  # of Adam
-    latest: float = 0.15  # share of the latest generation in the running mean
-
-
-class Advantage(NamedTuple):
-    """Numbers of `advantage`."""
-
-    episodes: int = 20  # of a round
-    share: float = 0.1  # of the decisions that are asked about
-    tried: int = 8  # most candidates of one
-    margin_m: float = 10.0  # a rollout ends when it costs this much more than the best before it
-    stray: float = 0.1  # share of the decisions at which the robot does not follow the policy
-    steps: int = 500  # of the fit of a round
-    batch: int = 128
-    rate: float = 3e-3  # of Adam
-    delta: float = 0.1  # errors beyond it count linearly, FEATURE_UNIT_M
+    pairs: Annotated[int, 1, 10_000] = 12  # antithetic pairs of a generation
+    episodes: Annotated[int, 1, 100_000] = 16  # worlds that each member explores
+    sigma: Annotated[float, 1e-6, 10.0] = 0.15  # standard deviation of a variation
+    rate: Annotated[float, 1e-6, 10.0] = 0.07  # of Adam
+    latest: Annotated[float, 1e-6, 1.0] = 0.15  # share of the latest generation in the running mean
 
 
 class Ppo(NamedTuple):
-    """Numbers of `ppo`."""
+    """Numbers of `ppo`, each with its least and largest value."""
 
-    decisions: int = 16_384  # of a round, at least; a round is traced anew, and compiled if it never was
-    lanes: int = 16  # episodes at a time
-    starts: int = 16  # of the bank, in each world
-    unroll: int = 16  # decisions of a lane that an advantage is estimated from
-    minibatches: int = 4
-    updates: int = 4  # passes over what was seen
-    rate: float = 3e-4  # of Adam
-    entropy: float = 1e-3
-    sharpness: float = 10.0  # ratio of logits and scores
-    gae: float = 0.95  # lambda of the advantages; nothing is discounted
-    clip: float = 0.2
+    decisions: Annotated[int, 1, 10**9] = 16_384  # of a round, at least; a round is traced anew
+    lanes: Annotated[int, 1, 4096] = 16  # episodes at a time
+    starts: Annotated[int, 1, 10_000] = 16  # of the bank, in each world
+    unroll: Annotated[int, 1, 4096] = 16  # decisions of a lane that an advantage is estimated from
+    minibatches: Annotated[int, 1, 4096] = 4
+    updates: Annotated[int, 1, 1000] = 4  # passes over what was seen
+    rate: Annotated[float, 1e-9, 1.0] = 3e-4  # of Adam
+    entropy: Annotated[float, 0.0, 10.0] = 1e-3
+    sharpness: Annotated[float, 1e-3, 1e4] = 10.0  # ratio of logits and scores
+    gae: Annotated[float, 0.0, 1.0] = 0.95  # lambda of the advantages; nothing is discounted
+    clip: Annotated[float, 1e-3, 1.0] = 0.2
 
 
-TRAINER_SETTINGS = {"es": Es, "advantage": Advantage, "ppo": Ppo}
+TRAINER_SETTINGS = {"es": Es, "ppo": Ppo}
 """Name of a way of training -> its numbers, with their defaults."""
-SETTING_BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
-    "es": {
-        "pairs": (1, 10_000), "episodes": (1, 100_000), "sigma": (1e-6, 10.0), "rate": (1e-6, 10.0),
-        "latest": (1e-6, 1.0),
-    },
-    "advantage": {
-        "episodes": (1, 100_000), "share": (1e-6, 1.0), "tried": (2, 32), "margin_m": (0.1, 1e6), "stray": (0.0, 1.0),
-        "steps": (1, 1_000_000), "batch": (1, 100_000), "rate": (1e-9, 1.0), "delta": (1e-6, 1e3),
-    },
-    "ppo": {
-        "decisions": (1, 10**9), "lanes": (1, 4096), "starts": (1, 10_000), "unroll": (1, 4096),
-        "minibatches": (1, 4096), "updates": (1, 1000), "rate": (1e-9, 1.0), "entropy": (0.0, 10.0),
-        "sharpness": (1e-3, 1e4), "gae": (0.0, 1.0), "clip": (1e-3, 1.0),
-    },
-}  # fmt: skip
-"""Name of a way of training -> least and largest value of each number; `tried` ends at `features.SCORED_CLUSTERS`."""
 
 
 def trainer_settings(algo: str, given: Mapping[str, Any]) -> Any:
-    """Return the numbers of a way of training, some of them given: its record of `TRAINER_SETTINGS`.
-
-    Raises:
-      InputError: an unknown way or number, or one out of range.
-    """
+    """Return the numbers of a way of training, some of them given; refuse unknown ones and those out of range."""
     if algo not in TRAINER_SETTINGS:
         raise unknown("algorithm", algo, TRAINER_SETTINGS)
     known, found = TRAINER_SETTINGS[algo](), {}
+    kinds = get_type_hints(TRAINER_SETTINGS[algo], include_extras=True)
     for key, value in given.items():
         if key not in known._fields:
             raise unknown(f"setting of {algo!r}:", key, known._fields)
-        low, high = SETTING_BOUNDS[algo][key]
+        low, high = kinds[key].__metadata__
         if isinstance(getattr(known, key), int):
-            found[key] = require_whole(key, value, int(low), int(high))
+            found[key] = require_whole(key, value, low, high)
         else:
             require_number(key, value, low=low, high=high)
             found[key] = float(value)
@@ -88,11 +55,7 @@ def trainer_settings(algo: str, given: Mapping[str, Any]) -> Any:
 
 
 def parse_settings(items: Iterable[str]) -> dict[str, float]:
-    """Parse texts `name=number` to `{name: number}`.
-
-    Raises:
-      InputError: another text, or a name that is there twice.
-    """
+    """Parse texts `name=number` to `{name: number}`; refuse other texts, and a name that is there twice."""
     found = {}
     for item in items:
         name, equals, value = item.partition("=")
@@ -113,11 +76,7 @@ def require_names_apart(training: Iterable[str], validation: Iterable[str]) -> N
 
 
 def require_rounds(rounds: int, check_every: int) -> int:
-    """Return the rounds from check to check: `check_every`, or all where there are fewer.
-
-    Raises:
-      InputError: the rounds are no multiple of this.
-    """
+    """Return the rounds from check to check, of which `rounds` must be a multiple: `check_every`, or all if fewer."""
     check_every = min(check_every, rounds)
     if rounds % check_every:
         raise InputError(f"rounds must be a multiple of check_every, {check_every}, got {rounds}")

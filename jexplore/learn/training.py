@@ -17,7 +17,7 @@ import numpy as np
 from jexplore.config import InputError, checked_names, require_setting
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.draws import pinned_draws, random_key
-from jexplore.learn import advantage, es, ppo
+from jexplore.learn import es, ppo
 from jexplore.learn.bank import FAILED, TRAINING, VALIDATION, Bank, prepare_bank
 from jexplore.learn.settings import require_names_apart, require_rounds, trainer_settings
 from jexplore.policies import Strategy
@@ -45,24 +45,13 @@ if TYPE_CHECKING:
 STATE = "_state"  # column of a unit's file besides: the trainer's state as bytes, in the last row
 CURVE_COLUMNS = ("round", "ratio", "validation")
 """Columns of a curve: rounds made; ratio to the reference's of the paths on which the round was judged, in the training
-worlds (of `es` all that were driven, of `advantage` those on which lessons were given, of `ppo` some driven after it);
-ratio of the present weights on the validation worlds, where they were checked."""
+worlds (of `es` all that were driven, of `ppo` some driven after it); ratio of the present weights on the validation
+worlds, where they were checked."""
 
 
-class Trainer(NamedTuple):
-    """A way of training as pure functions of its state, a pytree of arrays of which `weights` are the model's."""
-
-    begin: Callable[[Any, Any], Any]  # (weights, settings) -> state
-    step: Callable[..., tuple[Any, float]]  # see `es.make_round`
-    check: Callable[[Bank, Any], None] = lambda bank, settings: None  # refuses, with an InputError, what cannot be used
-
-
-TRAINERS: dict[str, Trainer] = {
-    "es": Trainer(es.begin, es.make_round),
-    "advantage": Trainer(advantage.begin, advantage.make_round),
-    "ppo": Trainer(ppo.begin, ppo.make_round, ppo.require_trainable),
-}
-"""Name -> how; its settings are those of `settings.TRAINER_SETTINGS`."""
+TRAINERS = {"es": es, "ppo": ppo}
+"""Name -> module of a way of training, with pure functions `begin` and `make_round` of its state, a pytree of arrays of
+which `weights` are the model's; its settings are those of `settings.TRAINER_SETTINGS`."""
 
 
 class TrainingPlan(NamedTuple):
@@ -122,31 +111,18 @@ class Trained:
 
 
 def prepare_training(
-    algo: str,
-    network: str,
-    training: Bank,
-    validation: Bank,
-    settings: Mapping[str, Any],
-    *,
-    rounds: int,
-    check_every: int,
-    patience: int,
-    starts: int,
-    seed: int,
-    model: Model | None = None,
-) -> TrainingPlan:
+    algo: str, network: str, training: Bank, validation: Bank, settings: Mapping[str, Any], *, rounds: int,
+    check_every: int, patience: int, starts: int, seed: int, model: Model | None = None,
+) -> TrainingPlan:  # fmt: skip
     """Check the input, which is that of `train`, and make a `TrainingPlan`.
 
     Training begins at the model, whose network is `network`, or `linear`, whose weighted sum every network has.
-
-    Raises:
-      InputError: an unknown algorithm, network or setting, a number out of range, a world on both sides, a model of
-        another network.
     """
     numbers = trainer_settings(algo, settings)
     networks.network_named(network)
     require_names_apart((world.name for world in training.worlds), (world.name for world in validation.worlds))
-    TRAINERS[algo].check(training, numbers)
+    if algo == "ppo":
+        ppo.require_trainable(training, numbers)
     seed, rounds = require_setting("seed", seed), require_setting("rounds", rounds)
     check_every = require_rounds(rounds, require_setting("check_every", check_every))
     patience, starts = require_setting("patience", patience), require_setting("starts", starts)
@@ -172,25 +148,13 @@ def _beginning(network, model, seed):
 
 @checked_names
 def train(
-    algo: str = "es",
-    network: str = "linear",
-    *,
-    worlds: WorldLike | Sequence[WorldLike] = TRAINING,
-    validation: WorldLike | Sequence[WorldLike] = VALIDATION,
-    model: Model | str | os.PathLike[str] | None = None,
-    settings: Mapping[str, Any] = {},
-    rounds: int = 40,
-    check_every: int = 5,
-    patience: int = 0,
-    starts: int = 1,
-    seed: int = 0,
-    cell_m: float = 0.1,
-    lidar: LidarLike = LIDAR,
-    rules: RulesLike = RULES,
-    workers: int | None = None,
-    on_progress: Callable[[int], object] | None = None,
-    progress: bool | None = None,
-) -> Trained:
+    algo: str = "es", network: str = "linear", *,
+    worlds: WorldLike | Sequence[WorldLike] = TRAINING, validation: WorldLike | Sequence[WorldLike] = VALIDATION,
+    model: Model | str | os.PathLike[str] | None = None, settings: Mapping[str, Any] = {},
+    rounds: int = 40, check_every: int = 5, patience: int = 0, starts: int = 1, seed: int = 0,
+    cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES, workers: int | None = None,
+    on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
+) -> Trained:  # fmt: skip
     """Train a strategy that scores frontier clusters: `jexplore train` as a function.
 
     Args:
@@ -266,8 +230,7 @@ def run_training(
 
     trainer = TRAINERS[plan.algo]
     state: Any = trainer.begin(plan.begins.weights, plan.settings)
-    tables, ended = [], "rounds"
-    kept = [state.weights]  # at every check
+    tables, ended, kept = [], "rounds", [state.weights]  # the last at every check
     while ledger is not None and len(tables) in ledger.done:
         table = ledger.get(len(tables))
         tables.append(table[list(CURVE_COLUMNS)])
@@ -282,7 +245,7 @@ def run_training(
             if unit == 0:
                 rows.append((0, math.nan, _validation_ratio(plan, state.weights, workers)))
             for number in range(unit * plan.check_every, (unit + 1) * plan.check_every):
-                state, ratio = trainer.step(state, plan.network, plan.training, plan.settings, plan.seed, workers)
+                state, ratio = trainer.make_round(state, plan.network, plan.training, plan.settings, plan.seed, workers)
                 rows.append((number + 1, ratio, math.nan))
                 if on_progress is not None:
                     on_progress(number + 1)

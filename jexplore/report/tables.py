@@ -25,9 +25,10 @@ def p_text(p: float) -> str:
     return "-" if not math.isfinite(p) else "<0.001" if p < 0.001 else f"{p:.3f}"
 
 
-def ratio_text(ratio: float, low: float = math.nan, high: float = math.nan) -> str:
-    """Format a ratio and its interval with three decimals, without a missing part."""
-    return " ".join(part for part in (number_text(ratio, 3), interval_text(low, high, 3)) if part != "-") or "-"
+def ratio_text(ratio: float, low: float = math.nan, high: float = math.nan, decimals: int = 3) -> str:
+    """Format a ratio and its interval, without a missing part."""
+    texts = number_text(ratio, decimals), interval_text(low, high, decimals)
+    return " ".join(text for text in texts if text != "-") or "-"
 
 
 def aligned_table(head: Sequence[str], lines: Iterable[Sequence[str]], *, left: Collection[str]) -> str:

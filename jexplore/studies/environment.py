@@ -92,16 +92,9 @@ class Environment:
     """Edge of a cell, metres."""
 
     def __init__(
-        self,
-        worlds: Any,
-        *,
-        cell_m: float = 0.1,
-        lidar: LidarLike = LIDAR,
-        rules: RulesLike = RULES,
-        recheck: bool = False,
-        paths: bool = False,
-        metrics: MetricsLike = None,
-    ) -> None:
+        self, worlds: Any, *, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
+        recheck: bool = False, paths: bool = False, metrics: MetricsLike = None,
+    ) -> None:  # fmt: skip
         """Load the worlds.
 
         Args:

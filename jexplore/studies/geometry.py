@@ -26,7 +26,7 @@ from jexplore import segment
 from jexplore.config import require_number
 from jexplore.report.tables import aligned_table, number_text
 from jexplore.rooms.scores import scored_regions
-from jexplore.studies.room_variants import segmentations
+from jexplore.studies.room_variants import segmented
 from jexplore.studies.segmentation import MIN_SCORED_M2
 from jexplore.worlds.starts import clear_of_walls, label_components
 from jexplore.worlds.world import World, with_ring
@@ -209,8 +209,7 @@ def _known_rooms(free, rooms):
 
 def _found_rooms(walls, cell_m):
     """Return rooms by their Voronoi graph: `[H, W]` numbers, -1 for none; of every opening its rooms, and its cells."""
-    settings = [segment.criteria(prominence=segment.PROMINENCE_M / cell_m)]
-    (made,) = segmentations(~walls, settings)
+    made = segmented(~walls, segment.criteria(prominence=segment.PROMINENCE_M / cell_m))
     labels = scored_regions(np.where(walls, -1, made.label), ~walls, min_px=round(MIN_SCORED_M2 / cell_m**2))
     joined, at = [], []
     for k, cell in enumerate(made.graph.cell[made.critical]):

@@ -1,16 +1,14 @@
 """The ways to divide a map into rooms, by name: one interface to the kernels and to the plain methods."""
 
 import functools
-from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jexplore import segment
 from jexplore.arrays.padding import bucket, framed, within
-from jexplore.config import checked_names, require_number, unknown
+from jexplore.config import checked_names, require_number
 from jexplore.rooms import watershed
 from jexplore.rooms.baselines import BASELINES
 from jexplore.worlds.world import ring_of
@@ -28,8 +26,6 @@ class RoomSettings(NamedTuple):
     clutter_m: float = watershed.CLUTTER_M  # all but the paper's: smaller obstacles are no walls, metres
     prominence_m: float = segment.PROMINENCE_M  # thrun, wurm, holz: see `segment.Criteria`, metres
     gamma: float = 3.0  # cells
-    metric: str = "geodesic"  # see `segment.Form`
-    lines: bool = False  # see `segment.Form`
 
 
 class RoomMap(NamedTuple):
@@ -43,79 +39,47 @@ class RoomMap(NamedTuple):
 
 def require(settings: RoomSettings) -> None:
     """Refuse settings that make no sense."""
-    if settings.metric not in segment.METRICS:
-        raise unknown("metric", settings.metric, segment.METRICS)
     require_number("ratio", settings.ratio, high=1)
     for name, high in (("smallest_m2", 1e6), ("clutter_m", 1000), ("prominence_m", 100), ("gamma", 1000)):
         require_number(name, getattr(settings, name), high=high)
 
 
-def divided(
-    free: np.ndarray, unseen: np.ndarray, variants: Sequence[str], settings: RoomSettings, cell_m: float
-) -> list[RoomMap]:
-    """Divide a map by several variants, names in `ROOM_VARIANTS`.
+def divided(free: np.ndarray, unseen: np.ndarray, variant: str, settings: RoomSettings, cell_m: float) -> RoomMap:
+    """Divide a map by a variant, a name in `ROOM_VARIANTS`.
 
     `free` and `unseen` are `[H, W]` bool; cells that nobody has seen are obstacles for the paper's variants.
     """
-    paper = [name for name in variants if name in segment.MAX_HOPS]
-    prominence = settings.prominence_m / cell_m
-    criteria = [segment.criteria(name, prominence=prominence, gamma=settings.gamma) for name in paper]
-    made = segmentations(free, criteria, metric=settings.metric, lines=settings.lines) if paper else []
-    found = {name: _of_graph(one, free.size) for name, one in zip(paper, made)}
-    found |= {name: _cleared(name, free, unseen, settings, cell_m) for name in variants if name not in paper}
-    return [found[name] for name in variants]
-
-
-def _of_graph(made, size):
-    cell = made.graph.cell
-    return RoomMap(made.label, cell[cell < size], cell[made.critical], int(made.overflow))
-
-
-def _cleared(variant, free, unseen, settings, cell_m):
-    """Divide a map by a variant that looks through clutter."""
-    height, width = free.shape
-    wide_free, wide_unseen = framed(free), framed(unseen)
+    if variant in segment.MAX_HOPS:
+        criteria = segment.criteria(variant, prominence=settings.prominence_m / cell_m, gamma=settings.gamma)
+        made: Any = segmented(free, criteria)  # of numpy arrays
+        cell = made.graph.cell
+        return RoomMap(made.label, cell[cell < free.size], cell[made.critical], int(made.overflow))
+    (height, width), wide_free, wide_unseen = free.shape, framed(free), framed(unseen)
     form = watershed.room_form_for(wide_free.shape, coarse=True)
     if variant == "voronoi":
-        numbers = watershed.room_criteria(
-            cell_m, ratio=settings.ratio, smallest_m2=settings.smallest_m2, clutter_m=settings.clutter_m
-        )
+        sizes = {"smallest_m2": settings.smallest_m2, "clutter_m": settings.clutter_m}
+        numbers = watershed.room_criteria(cell_m, ratio=settings.ratio, **sizes)
         rooms = watershed.watershed(wide_free, wide_unseen, numbers, form=form)
         label, overflow = np.asarray(rooms.label), rooms.overflow
     else:
         size = np.float32(settings.clutter_m / cell_m)
         inside, d2, overflow = watershed.cleared(wide_free, wide_unseen, size, edges=form.edges)
         label = BASELINES[variant](np.asarray(inside), np.sqrt(np.asarray(d2)) - 0.5, cell_m)
-    own = np.where(free, label[1 : height + 1, 1 : width + 1], -1)
     none = np.zeros(0, int)
-    return RoomMap(own, none, none, int(overflow))
+    return RoomMap(np.where(free, label[1 : height + 1, 1 : width + 1], -1), none, none, int(overflow))
 
 
-@functools.partial(jax.jit, static_argnames=("form",))
-def _each(free, settings, *, form):
-    return jax.lax.map(lambda criteria: segment.segment(free, criteria, form=form), settings)
-
-
-def segmentations(
-    free: np.ndarray, settings: Sequence[segment.Criteria], *, metric: str = "geodesic", lines: bool = False
-) -> list[segment.Segments]:
-    """Segment a map, `[H, W]` bool, by many settings, as one compiled batch; `metric` and `lines` as of `segment.Form`.
-
-    Labels are cut to the map and flat indices count in it; all arrays are numpy's.
-    """
+def segmented(free: np.ndarray, criteria: segment.Criteria) -> segment.Segments:
+    """Segment a map, `[H, W]` bool: numpy arrays; the label is cut to the map and flat indices count in it."""
     (height, width), ring = free.shape, ring_of(~free)
     shape = bucket(height + 2 * ring), bucket(width + 2 * ring)
     padded = np.pad(free, [(ring, full - n - ring) for full, n in zip(shape, free.shape)])
-    form = segment.form_for(shape, coarse=True, metric=metric, lines=lines)
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *settings)
-    made = jax.tree.map(np.asarray, _each(padded, stacked, form=form))
+    made = segment.segment(padded, criteria, form=segment.form_for(shape, coarse=True))
+    made = jax.tree.map(np.asarray, made)
 
     def in_map(cell):
         inside = (cell // shape[1] - ring) * width + cell % shape[1] - ring
         return np.where(cell < padded.size, inside, free.size)
 
-    def cut(one):
-        graph = one.graph.replace(cell=in_map(one.graph.cell))
-        return one.replace(label=within(one.label, free.shape, ring), graph=graph, seed=in_map(one.seed))
-
-    return [cut(jax.tree.map(lambda a, i=i: a[i], made)) for i in range(len(settings))]
+    graph = made.graph.replace(cell=in_map(made.graph.cell))
+    return made.replace(label=within(made.label, free.shape, ring), graph=graph, seed=in_map(made.seed))

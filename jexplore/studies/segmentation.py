@@ -97,7 +97,6 @@ def segment_maps(
     ratio: float = ROOM_DEFAULTS.ratio, smallest_m2: float = ROOM_DEFAULTS.smallest_m2,
     clutter_m: float = ROOM_DEFAULTS.clutter_m,
     prominence_m: float = ROOM_DEFAULTS.prominence_m, gamma: float = ROOM_DEFAULTS.gamma,
-    metric: str = ROOM_DEFAULTS.metric, lines: bool = ROOM_DEFAULTS.lines,
 ) -> Segmentation:  # fmt: skip
     """Divide maps into rooms and score the result.
 
@@ -113,8 +112,8 @@ def segment_maps(
       seed: of the start of the episodes that partial maps come from.
       on_progress: called with the number of maps, partial ones included, that are done.
       ratio, smallest_m2, clutter_m: of voronoi, the last also of distance, morphological and maoris; see
-        `room_variants.Settings`.
-      prominence_m, gamma, metric, lines: of thrun, wurm, holz.
+        `room_variants.RoomSettings`.
+      prominence_m, gamma: of thrun, wurm, holz.
 
     Returns:
       `Segmentation`.
@@ -124,7 +123,7 @@ def segment_maps(
       InputWarning: the largest region of a map lies outside a building: its rooms are not those of the building.
     """
     chosen: Any = list_of("variants", variants)
-    numbers = RoomSettings(ratio, smallest_m2, clutter_m, prominence_m, gamma, metric, lines)
+    numbers = RoomSettings(ratio, smallest_m2, clutter_m, prominence_m, gamma)
     tasks = prepare_maps(maps, truth, chosen, cell_m, numbers)
     jobs = [
         prepare_job(task.world, EXPLORER, seed=seed, cell_m=cell_m, start="random", lidar=LIDAR, rules=RULES)
@@ -135,7 +134,8 @@ def segment_maps(
     short = short_names([os.fspath(task.world.name) for task in tasks])
     for i, task in enumerate(tasks):
         for stage, explored, free, unseen in _stages(task.world, jobs[i] if partial else None):
-            for variant, made in zip(chosen, divided(free, unseen, chosen, numbers, task.world.cell_m)):
+            for variant in chosen:
+                made = divided(free, unseen, variant, numbers, task.world.cell_m)
                 row, picture = _judged(task, variant, stage, explored, free, made)
                 rows.append(row)
                 pictures.append(picture._replace(name=short[i]))

@@ -128,17 +128,6 @@ def nearest_by_path(passable, seeds):
     return np.where(passable & (length.min(0) < math.inf), length.argmin(0), -1)
 
 
-def nearest_by_air(passable, seeds):
-    """Number of the seed in the nearest cell with one, walls or not: of several such cells the one with the lowest
-    column, then row; of several seeds in it the lowest.
-    """
-    label = np.full(passable.shape, -1)
-    for row, col in np.argwhere(passable):
-        off = [((r - row) ** 2 + (c - col) ** 2, c, r, i) for i, (r, c) in enumerate(seeds)]
-        label[row, col] = min(off, default=(-1,))[-1]
-    return label
-
-
 def borders(label):
     """Count the pairs of adjacent cells for each pair of labels: `{(lower, higher): n}`."""
     shared = collections.Counter()
@@ -161,12 +150,12 @@ def merge(shared, seeds):
     return groups
 
 
-def segments(free, skeleton, d2, *, metric="geodesic", **criteria):
+def segments(free, skeleton, d2, **criteria):
     """Figure 7: `(critical points, seeds, labels)`. A group is named after its lowest label; -1 for none."""
     graph = linked(skeleton)
     critical = critical_points(graph, d2, **criteria)
     seeds = [cell for c in critical for cell in neighbours(graph, c)]
-    label = (nearest_by_path if metric == "geodesic" else nearest_by_air)(free, seeds)
+    label = nearest_by_path(free, seeds)
     name = {i: min(group) for group in merge(borders(label), seeds) for i in group}
     return critical, seeds, np.vectorize(lambda i: name.get(i, -1), otypes=[int])(label)
 

@@ -301,6 +301,8 @@ def run_bounds(
     Raises:
       KeyboardInterrupt: none was finished.
     """
+    import pandas as pd
+
     workers = min(own_cores() if workers is None else require_setting("workers", workers), len(tasks))
     done: dict[int, Solved] = {}
     if ledger is not None:
@@ -318,7 +320,19 @@ def run_bounds(
     except KeyboardInterrupt:
         if not done:
             raise
-    return assemble_bounds(tasks, done)
+    worlds = {os.fspath(tasks[i].world.name): tasks[i].world for i in sorted(done)}
+    found, steps = [done[i] for i in sorted(done)], []
+    for k, one in enumerate(found):
+        own = {"world": one.row["world"], "start": k, "step": np.arange(len(one.walk))}
+        steps.append(pd.DataFrame({**own, "row": one.walk[:, 0], "col": one.walk[:, 1]}))
+    return Bounds(
+        table=pd.DataFrame([one.row for one in found]),
+        walks=pd.concat(steps, ignore_index=True),
+        worlds=tuple(worlds.values()),
+        witnesses={k: one.witnesses for k, one in enumerate(found)},
+        settings=bound_settings(tasks[0].lidar, tasks[0].rules),
+        interrupted=len(tasks) - len(done),
+    )
 
 
 def _run(left, tasks, workers, take):
@@ -365,24 +379,3 @@ def _to_table(found):
 def _of_table(table):
     walk, witnesses = (np.frombuffer(table[name].iloc[0], np.int32).reshape(-1, 2) for name in (WALK, WITNESSES))
     return Solved(table.loc[:, list(BOUND_COLUMNS)].to_dict("records")[0], walk, witnesses)
-
-
-def assemble_bounds(tasks: Sequence[BoundTask], done: dict[int, Solved]) -> Bounds:
-    """Make the `Bounds` of the finished tasks."""
-    import pandas as pd
-
-    if not done:
-        raise KeyboardInterrupt
-    found, steps = [done[i] for i in sorted(done)], []
-    for k, one in enumerate(found):
-        own = {"world": one.row["world"], "start": k, "step": np.arange(len(one.walk))}
-        steps.append(pd.DataFrame({**own, "row": one.walk[:, 0], "col": one.walk[:, 1]}))
-    worlds = {os.fspath(tasks[i].world.name): tasks[i].world for i in sorted(done)}
-    return Bounds(
-        table=pd.DataFrame([one.row for one in found]),
-        walks=pd.concat(steps, ignore_index=True),
-        worlds=tuple(worlds.values()),
-        witnesses={k: one.witnesses for k, one in enumerate(found)},
-        settings=bound_settings(tasks[0].lidar, tasks[0].rules),
-        interrupted=len(tasks) - len(done),
-    )

@@ -175,27 +175,13 @@ class Path:
 
 
 def bound_by_pieces(
-    floor: Floor,
-    regions: Sequence[np.ndarray],
-    from_start: np.ndarray,
-    high: int,
-    *,
-    most: int = 100,
-    left_s: Callable[[], float],
-    over: Callable[[], bool],
-    branches: bool = True,
-) -> int:
-    """Compute a lower bound of every walk that sees all witnesses: a cost, at most `high`.
+    floor: Floor, regions: Sequence[np.ndarray], from_start: np.ndarray, high: int, *,
+    most: int = 100, left_s: Callable[[], float], over: Callable[[], bool], branches: bool = True,
+) -> int:  # fmt: skip
+    """Compute a lower bound of every walk that sees all witnesses: a cost, at most `high`, that of a known walk.
 
-    Args:
-      floor: `Floor`.
-      regions: of the witnesses, places.
-      from_start: `[n]` int32, costs from the start.
-      high: cost of a walk that is known.
-      most: pieces, about.
-      left_s: seconds that are left.
-      over: called between programs: whether the time is over.
-      branches: whether to branch after the linear relaxation.
+    `regions` are the witnesses' places, cut into about `most` pieces; `left_s` is asked for the seconds that are left,
+    `over` between programs; `branches` tells whether to branch after the linear relaxation.
     """
     regions = [places for places in regions if len(places) and from_start[places].min() > 0]
     if not regions:

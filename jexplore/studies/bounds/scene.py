@@ -2,18 +2,18 @@
 
 import dataclasses
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import ndimage
 
-from jexplore.config import Lidar, Rules
+from jexplore.config import InputError, Lidar, Rules
 from jexplore.grid import radius_d2
 from jexplore.raycast import HEADINGS, beam_table
+from jexplore.worlds.starts import clear_of_walls, label_components
 from jexplore.worlds.world import World
 
-TABLE_BYTES = 1_000_000_000  # of the visibility from every cell; larger tables are not kept and each scan is cast anew
+TABLE_BYTES = 2_000_000_000  # of the visibility from every cell, at most: 0.36 GB for 1,000,000 cells of 0.1 m
 ROWS_BYTES = 300_000_000  # of the cache of single cells
 
 
@@ -24,11 +24,6 @@ class Rays(NamedTuple):
     dcol: np.ndarray  # [R, S] int32
     length: np.ndarray  # [R] int32, cells entered
     headings: np.ndarray  # [8, R] bool, which of them a scan with each heading has
-
-    @property
-    def count_type(self) -> np.dtype[Any]:
-        """Return the type that counts of steps fit into."""
-        return np.min_scalar_type(self.drow.shape[1])
 
 
 @functools.lru_cache(maxsize=8)
@@ -45,15 +40,28 @@ def rays_of(lidar: Lidar, cell_m: float) -> Rays:
 
 
 class Sights:
-    """Visibility on a map padded with walls by the scanner's range; cells are flat numbers in the padded map."""
+    """Visibility on a map padded with walls by the scanner's range; cells are flat numbers in the padded map.
+
+    Every ray of every cell is followed once; after that a region or a view is a look-up.
+    """
 
     def __init__(self, occupied: np.ndarray, pad: int, rays: Rays) -> None:
-        self.rays, self._occupied = rays, occupied.reshape(-1)
+        self.rays = rays
         self._offset = rays.drow * occupied.shape[1] + rays.dcol
-        self._within = np.arange(self._offset.shape[1]) < rays.length[:, None]
-        self._ray, self._step = np.nonzero(self._within)
+        self._ray, self._step = np.nonzero(np.arange(self._offset.shape[1]) < rays.length[:, None])
         self._leads = self._offset[self._ray, self._step]
         self._first, self._last = pad * occupied.shape[1], (occupied.shape[0] - pad) * occupied.shape[1]
+        n = self._last - self._first  # cells of the rows that are not padding
+        count = np.dtype(np.min_scalar_type(self._offset.shape[1]))
+        if len(rays.length) * n * count.itemsize > TABLE_BYTES:
+            raise InputError(f"the world has too many cells to be bounded, {n}: use a larger cell or a shorter range")
+        free, still = (~occupied.reshape(-1)).astype(np.uint8), np.empty(n, np.uint8)
+        self._free_steps = np.zeros((len(rays.length), n), count)
+        for ray, steps in enumerate(rays.length):  # one step of one ray at a time, for all cells together
+            still[:] = 1
+            for leads in self._offset[ray, :steps]:
+                still &= free[self._first + leads : self._last + leads]
+                self._free_steps[ray] += still
 
     def region(self, cell: int, stand: np.ndarray) -> np.ndarray:
         """Return cells of `stand` from which some beam enters a free cell: `[n]` int, sorted, itself included.
@@ -63,52 +71,12 @@ class Sights:
         place = cell - self._leads
         known = np.flatnonzero((place >= self._first) & (place < self._last))
         known = known[stand[place[known]]]
-        sees = self._sees(self._ray[known], self._step[known], place[known])
+        sees = self._free_steps[self._ray[known], place[known] - self._first] > self._step[known]
         found = np.append(place[known[sees]], cell)
         return np.unique(found[stand[found]])
 
-    def _sees(self, ray, step, place):
-        """Return whether rays from some cells get as far as some step: `[n]` bool."""
-        sees, left = np.zeros(len(ray), bool), np.arange(len(ray))
-        for back in range(int(step.max(initial=-1)) + 1):  # cells on the way there, from the last one backwards
-            sees[left[step[left] == back]] = True
-            left = left[step[left] > back]
-            left = left[~self._occupied[place[left] + self._offset[ray[left], step[left] - back - 1]]]
-        return sees
-
     def seen(self, cell: int, heading: int | None = None) -> np.ndarray:
         """Return free cells seen by a robot on a cell, turned to all headings or to one: `[n]` int, itself included."""
-        own = slice(None) if heading is None else self.rays.headings[heading]
-        at = cell + self._offset[own]
-        open_way = np.logical_and.accumulate(
-            self._within[own] & ~self._occupied[np.where(self._within[own], at, cell)], 1
-        )
-        return np.append(at[open_way], cell)
-
-
-class TableOfSights(Sights):
-    """The same, with every ray of every cell followed once; after that a region or a view is a look-up."""
-
-    def __init__(self, occupied: np.ndarray, pad: int, rays: Rays) -> None:
-        super().__init__(occupied, pad, rays)
-        n = self._last - self._first  # cells of the rows that are not padding
-        free, still = (~self._occupied).astype(np.uint8), np.empty(n, np.uint8)
-        self._free_steps = np.zeros((len(rays.length), n), rays.count_type)
-        for ray, steps in enumerate(rays.length):  # one step of one ray at a time, for all cells together
-            still[:] = 1
-            for leads in self._offset[ray, :steps]:
-                still &= free[self._first + leads : self._last + leads]
-                self._free_steps[ray] += still
-
-    @staticmethod
-    def size(shape: tuple[int, int], pad: int, rays: Rays) -> int:
-        """Return the bytes of the table of a map of this shape, without padding."""
-        return len(rays.length) * shape[0] * (shape[1] + 2 * pad) * rays.count_type.itemsize
-
-    def _sees(self, ray, step, place):
-        return self._free_steps[ray, place - self._first] > step
-
-    def seen(self, cell: int, heading: int | None = None) -> np.ndarray:
         own = slice(None) if heading is None else self.rays.headings[heading]
         offset, steps = self._offset[own], self._free_steps[own, cell - self._first]
         return np.append(cell + offset[np.arange(offset.shape[1]) < steps[:, None]], cell)
@@ -140,10 +108,7 @@ class Coverage:
 @functools.lru_cache(maxsize=2)
 def _sights(occupied: bytes, shape: tuple[int, int], pad: int, lidar: Lidar, cell_m: float) -> Sights:
     """Return the `Sights` of a world, made once for all its starts."""
-    rays = rays_of(lidar, cell_m)
-    small = TableOfSights.size((shape[0] - 2 * pad, shape[1] - 2 * pad), pad, rays) <= TABLE_BYTES
-    kind = TableOfSights if small else Sights
-    return kind(np.frombuffer(occupied, bool).reshape(shape), pad, rays)
+    return Sights(np.frombuffer(occupied, bool).reshape(shape), pad, rays_of(lidar, cell_m))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -185,10 +150,12 @@ def prepare_scene(world: World, start: tuple[int, int, int], lidar: Lidar, rules
     pad = int(rays_of(lidar, world.cell_m).length.max()) + 1
     occupied = np.pad(world.occupied, pad, constant_values=True)
     row, col = start[0] + pad, start[1] + pad
-    clear = ~_within(occupied, radius_d2(rules.clearance_m, world.cell_m))
+    clear = clear_of_walls(occupied, rules.clearance_m, world.cell_m)
     rows, cols = np.indices(occupied.shape)
     near = (rows - row) ** 2 + (cols - col) ** 2 <= radius_d2(rules.near_m, world.cell_m)
-    stand = reachable_from(clear | (~occupied & near), row, col)
+    # A diagonal motion needs both orthogonal neighbours, so that it reaches nothing that straight ones do not.
+    stand, anywhere = (label_components(free) for free in (clear | (~occupied & near), ~occupied))
+    stand, anywhere = stand == stand[row, col], anywhere == anywhere[row, col]
     goal = clear & stand
     if occupied[row, col] or not np.any(goal & ((rows != row) | (cols != col))):
         return None
@@ -199,26 +166,7 @@ def prepare_scene(world: World, start: tuple[int, int, int], lidar: Lidar, rules
         must_see[sights.seen(row * width + col, (start[2] // 45 + look * HEADINGS // looks) % HEADINGS)] = False
     return Scene(
         *(width, pad, world.shape, row * width + col, occupied.reshape(-1), stand.reshape(-1)),
-        any=reachable_from(~occupied, row, col).reshape(-1),
+        any=anywhere.reshape(-1),
         must_see=must_see,
         sights=sights,
     )
-
-
-def _within(occupied, d2):
-    """Return cells whose distance to the nearest occupied one is at most sqrt(d2) cells."""
-    nearest: Any = ndimage.distance_transform_edt(~occupied, return_distances=False, return_indices=True)
-    rows, cols = nearest
-    at = np.indices(occupied.shape)
-    return (rows - at[0]) ** 2 + (cols - at[1]) ** 2 <= d2
-
-
-def reachable_from(free: np.ndarray, row: int, col: int) -> np.ndarray:
-    """Return the cells that a path reaches, among them the start, which need not be free.
-
-    A diagonal motion needs both orthogonal neighbours, so that it reaches nothing that straight ones do not.
-    """
-    free = free.copy()
-    free[row, col] = True
-    labels, _ = ndimage.label(free)  # type: ignore[misc]
-    return labels == labels[row, col]

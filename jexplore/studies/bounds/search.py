@@ -133,17 +133,10 @@ class Search:
     def bound(
         self, known: Sequence[int], walks: Walks, until: float, pieces_until: float
     ) -> tuple[LowerBound, list[int], np.ndarray | None]:
-        """Return the best lower bound.
+        """Return the best lower bound, the witnesses in the order of their shortest walk, and it if it sees everything.
 
-        Args:
-          known: witnesses, the most telling first.
-          walks: with a walk that sees everything.
-          until: the share of the budget that subsets may use up.
-          pieces_until: and that by pieces, if the bound is far off.
-
-        Returns:
-          `(LowerBound, order, walk)`: the witnesses of subsets in the order in which their shortest walk sees them;
-            that walk if it sees everything, else None.
+        `known` are witnesses, the most telling first; subsets may use up the share `until` of the budget, pieces, if
+        the bound is far off, `pieces_until`.
         """
         subsets, exact = self.shortest(until, walks.cost, known)
         found = [LowerBound(min(subsets.low, walks.cost), "subsets", list(subsets.witnesses))]
@@ -155,14 +148,13 @@ class Search:
 
     def by_pieces(self, cells: Sequence[int], share: float, high: int) -> int:
         """Compute the bound of many witnesses, see `pieces`; 0 if the share is spent."""
-        if self.budget.over(share):
+        budget = self.budget
+        if budget.over(share):
             return 0
-        return bound_by_pieces(
-            *(self.floor, [self.region(cell) for cell in cells], self.from_start, high),
-            left_s=lambda: self.budget.left_s(share),
-            over=lambda: self.budget.over(share),
-            branches=self.budget.floods is None,  # else it would end when the clock says so
-        )
+        how = {"left_s": lambda: budget.left_s(share), "over": lambda: budget.over(share)}
+        branches = budget.floods is None  # else it would end when the clock says so
+        regions = [self.region(cell) for cell in cells]
+        return bound_by_pieces(self.floor, regions, self.from_start, high, **how, branches=branches)
 
 
 def search(scene: Scene, budget: Budget, seed: int = 0) -> SearchResult:

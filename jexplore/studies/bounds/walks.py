@@ -29,13 +29,9 @@ class Walks:
     """All witnesses."""
 
     def __init__(
-        self,
-        floor: Floor,
-        from_start: np.ndarray,
-        region: Callable[[int], np.ndarray],
-        coverage: Coverage,
+        self, floor: Floor, from_start: np.ndarray, region: Callable[[int], np.ndarray], coverage: Coverage,
         rng: np.random.Generator,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.floor, self.region, self.coverage, self._rng = floor, region, coverage, rng
         self.stops = Stops(floor, from_start, region)
         self.walk, self.cost = np.zeros(0, np.int64), FAR

@@ -33,6 +33,6 @@ ID = "jexplore/Exploration-v0"
 if ID not in gymnasium.registry:
     gymnasium.register(
         ID,
-        entry_point="jexplore.studies.gym.single:GymEnv",
-        vector_entry_point="jexplore.studies.gym.lanes:GymVectorEnv",
+        entry_point="jexplore.studies.gym.envs:GymEnv",
+        vector_entry_point="jexplore.studies.gym.envs:GymVectorEnv",
     )

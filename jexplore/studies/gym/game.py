@@ -38,11 +38,7 @@ class Game:
     def __init__(
         self, worlds: Any, *, rules: Rules, targets: str, max_decisions: int, render_mode: str | None, **settings: Any
     ) -> None:
-        """Load the worlds. Arguments as of `GymEnv`.
-
-        Raises:
-          InputError: as there.
-        """
+        """Load the worlds. Arguments and errors as of `GymEnv`."""
         if targets not in TARGETS:
             raise InputError(f"targets must be {' or '.join(TARGETS)}, got {targets!r}")
         if render_mode not in (None, "rgb_array"):
@@ -64,14 +60,7 @@ class Game:
         )
 
     def options(self, options: dict[str, Any] | None, n: int) -> tuple[np.ndarray | None, ...]:
-        """Read starts, worlds and numbers of the episodes of n lanes from the options of a reset.
-
-        Returns:
-          `(start, world, episode)`, `[n, 3]`, `[n]` and `[n]` int32; None if not given.
-
-        Raises:
-          InputError: an unknown option or an invalid value.
-        """
+        """Read the options of a reset of n lanes: `[n, 3]` starts, `[n]` worlds and episodes, int32; None if absent."""
         options = require_options(options)
         for name in options:
             if name not in _OPTIONS:
@@ -152,22 +141,14 @@ def copied(arrays: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def require_options(options: Any) -> dict[str, Any]:
-    """Return the options of a reset as a dict.
-
-    Raises:
-      InputError: no mapping.
-    """
+    """Return the options of a reset as a dict; refuse all but mappings."""
     if options is not None and not isinstance(options, Mapping):
         raise InputError(f"options must be a mapping of {', '.join(_OPTIONS)}, got {options!r}")
     return dict(options or {})
 
 
 def whole_numbers(name: str, value: Any, shape: tuple[int, ...], low: int, high: int) -> np.ndarray:
-    """Convert whole numbers of a shape, within bounds, both inclusive, to int32.
-
-    Raises:
-      InputError: saying what would be right.
-    """
+    """Convert whole numbers of a shape, within bounds, both inclusive, to int32; refuse all others."""
     expected = f"{name} must be {f'integers {list(shape)}' if shape else 'an integer'} from {low} to {high}"
     try:
         array = np.asarray(value)

@@ -4,10 +4,9 @@ With two worlds or more, worlds are the sample: all count the same, however many
 95 %, are for other worlds of the same kinds in the same shares. In a single world the starts are.
 """
 
-import dataclasses
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,8 +26,7 @@ MOST_RATIO = 10.0
 """Profiles end here at the latest."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Estimate:
+class Estimate(NamedTuple):
     """A number with its interval."""
 
     value: float  # NaN where there is nothing to estimate from
@@ -82,12 +80,6 @@ def improvement(values: ArrayLike, reference: ArrayLike, worlds: Iterable[object
     return Estimate(*share_over_worlds(_unit_means(wins, unit, kinds), kinds), len(kinds))
 
 
-def _quantile(values, weights, share):
-    """Return the least of sorted `values` at which the cumulative weight reaches a share."""
-    reached = np.cumsum(weights) >= share * weights.sum() * (1 - 1e-12)
-    return values[int(reached.argmax())]
-
-
 def interquartile_mean(scores: ArrayLike, worlds: Iterable[object] | None = None) -> Estimate:
     """Compute the mean of the middle half of scores, robust against a few lost or lucky episodes.
 
@@ -116,7 +108,7 @@ def interquartile_mean(scores: ArrayLike, worlds: Iterable[object] | None = None
     inside = np.minimum(ends, 0.75) - np.maximum(np.concatenate([[0.0], ends[:-1]]), 0.25)
     kept = inside > 1e-12
     mean = float(scores[order][kept] @ inside[kept] / inside[kept].sum())
-    low, high = (_quantile(scores[order], weights[order], share) for share in (0.25, 0.75))
+    low, high = scores[order][np.searchsorted(ends * (1 + 1e-12), (0.25, 0.75))]
     if not (0 < mean < math.inf and high < math.inf):
         return Estimate(mean, math.nan, math.nan, math.nan, len(kinds))
     pulled = _unit_means(np.clip(scores, low, high), unit, kinds)
@@ -158,7 +150,7 @@ def aggregates(episodes: "pd.DataFrame") -> "pd.DataFrame":
     paths, scores = tables
     worlds, rows = paths.index.get_level_values("world"), []
     for name in paths.columns:
-        *better, units = dataclasses.astuple(improvement(paths[name], paths.iloc[:, 0], worlds))
+        *better, units = improvement(paths[name], paths.iloc[:, 0], worlds)
         if name == paths.columns[0]:
             better = [math.nan] * 4
         there = scores[name].notna().to_numpy(bool)

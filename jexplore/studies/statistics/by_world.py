@@ -1,6 +1,5 @@
 """Episodes of a comparison as a table: means, paired ratios, and warnings about unequal coverage."""
 
-import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -92,7 +91,7 @@ def summarise(episodes: "pd.DataFrame", metrics: Sequence[str] = ()) -> "pd.Data
             path_m = rows["path_m"].to_numpy(dtype=np.float64)
             versus = PairedRatio(math.nan, math.nan, math.nan, math.nan, 0)
             if strategy == first:
-                versus = dataclasses.replace(versus, ratio=1.0)
+                versus = versus._replace(ratio=1.0)
             elif first in strategies:
                 ours, theirs = _pairs(rows, strategies[first])
                 if len(ours):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jexplore.config import require_whole
-from jexplore.report.tables import aligned_table, interval_text, number_text, p_text, ratio_text
+from jexplore.report.tables import aligned_table, number_text, p_text, ratio_text
 from jexplore.studies.statistics.aggregate import aggregates
 from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds
 from jexplore.studies.statistics.paired import holm, safe_exp
@@ -131,17 +131,12 @@ def standings_table(table: "pd.DataFrame") -> str:
     for row in table.to_dict("records"):
         line = [row["strategy"], ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"]), p_text(row["p_holm"])]
         share = (100 * row[key] for key in ("shorter", "shorter_low", "shorter_high"))
-        line += [_verdict(row), _with_interval(*share, decimals=0)]
+        line += [_verdict(row), ratio_text(*share, decimals=0)]
         line += [ratio_text(row["iqm"], row["iqm_low"], row["iqm_high"])]
-        rank = _with_interval(row["rank"], row["rank_low"], row["rank_high"], decimals=1)
+        rank = ratio_text(row["rank"], row["rank_low"], row["rank_high"], 1)
         line += [rank, f"{row['best']} of {row['worlds']}"]
         lines.append([*line, *(number_text(row[k], 3) for k in kinds), f"{row['complete']:.0%}"])
     return aligned_table(head, lines, left=["strategy", ""])
-
-
-def _with_interval(value, low, high, *, decimals):
-    texts = number_text(value, decimals), interval_text(low, high, decimals)
-    return " ".join(text for text in texts if text != "-") or "-"
 
 
 def over_worlds_text(table: "pd.DataFrame") -> str:

@@ -30,13 +30,10 @@ def kind_of(world: object) -> str:
 
 
 def mean_and_error(values: np.ndarray, kinds: Sequence[str]) -> tuple[float, float, float, int]:
-    """Estimate the mean of `[N]` values, N >= 1, stratified by kind, and its error.
+    """Estimate the mean of `[N]` values, N >= 1, stratified by kind: `(mean, standard error, freedom, most)`.
 
-    With a single value in some stratum, all count as one.
-
-    Returns:
-      `(mean, standard error, freedom, most)`: the last two are the degrees of freedom of the standard error, by
-        Satterthwaite 1946, 0 without any spread; and their upper limit.
+    The last two are the degrees of freedom of the error, by Satterthwaite 1946, 0 without any spread; and their upper
+    limit. With a single value in some stratum, all count as one.
     """
     strata = [values[[one == kind for one in kinds]] for kind in dict.fromkeys(kinds)]
     if min(map(len, strata)) < 2:
@@ -48,29 +45,16 @@ def mean_and_error(values: np.ndarray, kinds: Sequence[str]) -> tuple[float, flo
     return float(values.mean()), error, sum(squares) ** 2 / terms if terms else 0.0, len(values) - len(strata)
 
 
-def _vector(values, kinds):
-    values = np.asarray(values, np.float64)
-    if values.ndim != 1 or len(values) != len(kinds) or not np.isfinite(values).all():
-        raise ValueError(f"expected a vector of finite numbers, one for each of {len(kinds)} kinds, got {values}")
-    return values
-
-
 def mean_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, float, float, float]:
     """Estimate the mean over worlds drawn from several kinds, in the present shares, and its interval.
 
     The t interval is for other worlds of the same kinds in the same shares: how much worlds of one kind differ makes it
     wide, how much kinds differ does not. With a single world of some kind, all count as one kind.
 
-    Args:
-      values, kinds: `[N]` finite numbers, one a world, and the kind of each.
-
-    Returns:
-      `(mean, low, high, p)`, p of the hypothesis that the mean is 0; NaN where there is no value, or no spread.
-
-    Source:
-      The stratified mean; degrees of freedom by Satterthwaite 1946.
+    `values` are `[N]` finite numbers, one a world. Returns `(mean, low, high, p)`, p of the hypothesis that the mean is
+    0; NaN where there is no value, or no spread.
     """
-    values = _vector(values, kinds)
+    values = np.asarray(values, np.float64)
     if not len(values):
         return math.nan, math.nan, math.nan, math.nan
     mean, error, freedom, _ = mean_and_error(values, kinds)
@@ -84,22 +68,16 @@ def share_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, f
     where worlds agree, few where they do not. It stays within 0 and 1 and is there even where all worlds say the same.
     `benchmarks/intervals.py --over worlds` measures how often it covers.
 
-    Args:
-      values: `[N]` numbers from 0 to 1, one a world.
-      kinds: as of `mean_over_worlds`.
-
-    Returns:
-      `(mean, low, high, p)`, p of the hypothesis that the mean is 1/2: below 0.05 just where the 95 % interval leaves
-        out 1/2. The last three are NaN for fewer than two worlds, the mean for none.
+    `values` are `[N]` numbers from 0 to 1, one a world. Returns `(mean, low, high, p)`, p of the hypothesis that the
+    mean is 1/2: below 0.05 just where the 95 % interval leaves out 1/2. The last three are NaN for fewer than two
+    worlds, the mean for none.
 
     Source:
       Wilson 1927; the effective number, and Student's t for the normal quantile, by Korn and Graubard 1998.
     """
     from scipy.special import stdtr, stdtrit
 
-    values = _vector(values, kinds)
-    if ((values < 0) | (values > 1)).any():
-        raise ValueError(f"expected shares from 0 to 1, got {values}")
+    values = np.asarray(values, np.float64)
     if len(values) < 2:
         return (float(values[0]) if len(values) else math.nan), math.nan, math.nan, math.nan
     mean, error, freedom, most = mean_and_error(values, kinds)
@@ -110,12 +88,6 @@ def share_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, f
     low, high = ((centre + side * wide) / (1 + t**2 / number) for side in (-1, 1))
     p = 2 * float(stdtr(freedom, -abs(mean - 0.5) * 2 * math.sqrt(number)))
     return mean, min(max(low, 0.0), mean), max(min(high, 1.0), mean), p  # the mean lies between, rounding aside
-
-
-def _table_of(episodes, value, strategies):
-    """Tabulate one value of the episodes that every strategy has: rows (world, episode), columns strategies."""
-    table: Any = episodes.pivot(index=["world", "episode"], columns="strategy", values=value)
-    return table[strategies].dropna()
 
 
 def comparable_paths(episodes: "pd.DataFrame") -> "pd.DataFrame":
@@ -135,8 +107,10 @@ def comparable_paths(episodes: "pd.DataFrame") -> "pd.DataFrame":
             f"{world}, {strategy}: episode {number} must occur once, got it more than once; choose one setting first"
         )
     strategies, order = list(dict.fromkeys(episodes["strategy"])), list(dict.fromkeys(episodes["world"]))
+    table: Any = episodes
     explored, outcome, paths = (
-        _table_of(episodes, name, strategies) for name in ("explored_fraction", "outcome", "path_m")
+        table.pivot(index=["world", "episode"], columns="strategy", values=name)[strategies].dropna()
+        for name in ("explored_fraction", "outcome", "path_m")
     )
     complete, less = outcome == "COMPLETE", explored.lt(explored.max(axis=1) - EQUAL_FRACTION, axis=0)
     failed = ~complete & (less | complete.any(axis=1).to_numpy(bool)[:, None])

@@ -3,8 +3,8 @@
 scipy is imported by the function that needs it (it takes half a second).
 """
 
-import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,8 +15,7 @@ MIN_PAIRS = 6
 """Fewer pairs decide nothing, whatever their interval."""
 
 
-@dataclasses.dataclass(frozen=True)
-class PairedRatio:
+class PairedRatio(NamedTuple):
     """Ratio of two means over paired episodes."""
 
     ratio: float  # mean(values) / mean(reference); NaN if the latter is 0
