@@ -13,7 +13,7 @@ import jexplore as jx
 from jexplore import btm
 from jexplore.config import InputError
 from jexplore.driving import approach, batch, behaviour, events, mapping, mission, vehicle
-from jexplore.driving.batch import building_of, pose_in, settings_arrays
+from jexplore.driving.batch import building_of, pose_in
 from jexplore.driving.building.terrain import FINER, is_level
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.records import Latch, RunMode
@@ -259,7 +259,7 @@ def test_threads_change_nothing(noisy, jit_on):
 def test_lanes_give_the_same_maps_and_are_filled_again(noisy, monkeypatch):
     """As on an accelerator; five short runs in two lanes."""
     plan, draws, done = noisy.plan, np.array([0, 1, 2, 1, 3], np.int32), []
-    numbers = *(settings_arrays(s, 5) for s in plan.first_settings()), plan.starts_of(draws)
+    numbers = *plan.settings_of(np.zeros(5, int)), plan.starts_of(draws)
     how = {"max_steps": 300}
     alone = batch.run_missions(plan.building, *numbers, 5, draws, workers=1, **how).result
     monkeypatch.setattr(batch, "find_resources", functools.partial(batch.find_resources, in_lanes=True))
@@ -548,9 +548,7 @@ def test_sweeps():
 def test_a_step_without_jit_is_the_step_with_and_uses_no_key_twice(noisy, jit_on):
     """And a run is its steps: run 0 with draws of its own keys, beyond the first block of draws."""
     plan = noisy.plan
-    robot, tuning, noise = (
-        jax.tree.map(lambda a: jnp.asarray(a[0]), settings_arrays(s, 1)) for s in plan.first_settings()
-    )
+    robot, tuning, noise = jax.tree.map(lambda a: jnp.asarray(a[0]), plan.settings_of(np.array([0])))
     building = jax.tree.map(jnp.asarray, plan.building)
     key = jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), 0)
     with jit_on(), jax.debug_key_reuse(True):

@@ -581,8 +581,8 @@ def test_the_command_refuses(files, capsys, words, said):
     ("maps", "names", "said"),
     [
         ([], None, "expected one map or more, got none"),
-        ([first()], ["a", "b"], "expected a name of its own for each of 1 maps"),
-        ([first(), second()], ["a", "a"], "expected a name of its own for each of 2 maps"),
+        ([first()], ["a", "b"], "expected a name for each of 1 maps"),
+        ([first(), second()], ["a", "a"], "names of maps must differ, got 'a' more than once"),
         (["btm.json"], None, "a map must be a jx.btm.BtmMap"),
         ([BtmMap((node(0, x=1e300),), ())], None, "0: node 0: expected places and lengths below 1000 km, got 1e+300 m"),
         ([dataclasses.replace(first(), attributes={"merged_from": 5})], None, "merged_from: expected a list of names"),

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jexplore.config import InputError, require_different
-from jexplore.driving import batch
-from jexplore.driving.batch import MAX_STEPS, settings_arrays
+from jexplore.driving.batch import MAX_STEPS
 from jexplore.driving.settings import for_world, require_noise, require_tuning
 from jexplore.engine.runner import Costs
 from jexplore.report.tables import aligned_table, number_text, spread_text
@@ -20,7 +19,7 @@ from jexplore.studies.checks import require_different_buildings
 from jexplore.studies.results.provenance import world_digest
 from jexplore.studies.sweeps.plan import MAX_SWEEP_UNITS, column_type
 from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain_spec
-from jexplore.studies.traces.job import NOISE, TraceJob, prepare_trace, with_values
+from jexplore.studies.traces.job import NOISE, TraceJob, prepare_trace
 from jexplore.studies.traces.tracing import trace_table
 from jexplore.version import __version__
 from jexplore.worlds.world import World
@@ -159,19 +158,19 @@ def run_traces(
     numbers: Sequence[int],
     on_unit: Callable[[int, "pd.DataFrame"], object],
     *,
-    engine: str = "auto",
-    lanes: int | None = None,
-    workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
+    **how: Any,
 ) -> Costs:
-    """Run units of a sweep of robots; `on_unit` gets the number and the table of each that has ended."""
+    """Run units of a sweep of robots; `on_unit` gets the number and the table of each that has ended.
+
+    `how` has engine, lanes and workers, see `runner.find_resources`.
+    """
     costs, done = Costs(), 0
     for group in dict.fromkeys(plan.units[number][0] for number in numbers):
         mine = [number for number in numbers if plan.units[number][0] == group]
         progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
-        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": progress}
         try:
-            found = _run_group(plan, group, mine, on_unit, how)
+            found = _run_group(plan, plan.groups[group], mine, on_unit, {**how, "on_progress": progress})
         except KeyboardInterrupt:
             costs.interrupted = True
             return costs
@@ -183,25 +182,17 @@ def run_traces(
 
 
 def _run_group(plan, group, numbers, on_unit, how):
-    own, job = plan.groups[group], plan.groups[group].job
-    setting, which = np.repeat(own.settings, job.runs), np.tile(np.arange(job.runs, dtype=np.int32), len(own.settings))
-    chosen = {name: np.repeat(values, job.runs) for name, values in job.swept.items()}
-    tuning, noise = with_values(job.tuning, job.noise, chosen)
-    blocks = [plan.units[number][1:] for number in numbers]
+    job, blocks = group.job, [plan.units[number][1:] for number in numbers]
+    setting, which = job.all_runs()
 
     def on_block(place, result, driven):
-        first, n = blocks[place]
-        table, _ = trace_table(job, result, setting[first : first + n], which[first : first + n], {})
+        at = slice(blocks[place][0], sum(blocks[place]))
+        table, _ = trace_table(job, result, np.asarray(group.settings)[setting[at]], which[at], {})
         for name in plan.columns[1:]:
             table[name] = [plan.settings[i][name] for i in table["setting"]]
         on_unit(numbers[place], table)
 
-    n, (robots, tunings, noises) = len(which), (job.robot, tuning, noise)
-    records = settings_arrays(robots, n), settings_arrays(tunings, n), settings_arrays(noises, n)
-    limits = {"max_steps": job.max_steps, "size": job.size}
-    return batch.run_missions(
-        job.building, *records, job.starts_of(which), job.seed, which, blocks=blocks, on_block=on_block, **limits, **how
-    ).costs
+    return job.run(setting, which, blocks=blocks, on_block=on_block, **how).costs
 
 
 def summarise_traces(runs: "pd.DataFrame", columns: Sequence[str]) -> "pd.DataFrame":

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from jexplore import btm
 from jexplore.driving import behaviour, events, mission, vehicle
-from jexplore.driving.batch import Driven, settings_arrays, step_slots
+from jexplore.driving.batch import Driven, step_slots
 from jexplore.driving.building.walls import segments
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.records import RunMode
@@ -77,8 +77,7 @@ def _frame(key, building, robot, tuning, noise, state):
 
 def record_run(plan: TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> RunRecording:
     """Record the operator's view of run 0; `on_progress` is called with the number of finished steps."""
-    records: tuple[Any, ...] = plan.first_settings()
-    robot, tuning, noise = (jax.tree.map(lambda a: jnp.asarray(a[0]), settings_arrays(record, 1)) for record in records)
+    robot, tuning, noise = jax.tree.map(lambda a: jnp.asarray(a[0]), plan.settings_of(np.array([0])))
     building = jax.device_put(plan.building)
     setup = mission.Setup(step_slots(plan.max_steps), *plan.size)
     key = jax.random.fold_in(random_key(np.uint32(plan.seed)), 0)

@@ -1,15 +1,13 @@
 """Scans of the forward scanner along the way of a trace run."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jexplore.driving import vehicle
-from jexplore.driving.batch import Driven, settings_arrays
+from jexplore.driving.batch import Driven
 from jexplore.engine.draws import pinned_draws, random_key
-from jexplore.studies.traces.job import TraceJob, own_values, with_values
+from jexplore.studies.traces.job import TraceJob
 from jexplore.worlds.readers.scans import ScanLog
 
 LOG_EVERY_STEPS = 5  # steps between two scans of a log: 0.2 m of way
@@ -42,16 +40,14 @@ def measured(plan: TraceJob, steps: np.ndarray, poses: np.ndarray, *, setting: i
 
     Returns `[n, B]` float32, metres; inf: no return; NaN: no reading, or ground.
     """
-    _, noise = with_values(plan.tuning, plan.noise, own_values(plan.swept, setting))
-    records: tuple[Any, ...] = plan.robot, noise
-    settings = [jax.tree.map(lambda a: a[0], settings_arrays(record, 1)) for record in records]
+    robot, _, noise = jax.tree.map(lambda a: a[0], plan.settings_of(np.array([setting])))
     key = jax.random.fold_in(random_key(np.uint32(plan.seed)), run)
     building, found = jax.device_put(plan.building), []
     for first in range(0, len(steps), SCANS_A_CALL):
         own = steps[first : first + SCANS_A_CALL], poses[first : first + SCANS_A_CALL]
         lack = SCANS_A_CALL - len(own[0])
         some = np.pad(own[0], (0, lack), "edge"), np.pad(own[1], ((0, lack), (0, 0)), "edge")
-        found.append(np.asarray(_measured(key, building, *settings, some))[: SCANS_A_CALL - lack])
+        found.append(np.asarray(_measured(key, building, robot, noise, some))[: SCANS_A_CALL - lack])
     return np.concatenate(found)
 
 

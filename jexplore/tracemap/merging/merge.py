@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from jexplore.config import InputError, as_record, checked_names, require_kind, require_whole, shown
+from jexplore.config import InputError, as_record, checked_names, require_different, require_kind, require_whole
 from jexplore.tracemap.merging import notes
 from jexplore.tracemap.merging.join import FROM, join
 from jexplore.tracemap.merging.limits import Limits
@@ -77,39 +77,39 @@ def merge_maps(
       InputError: fewer than two maps, names that are not as many or not different, an improper map, places or
         lengths of 1000 km and more, or `merged_from`, `from` or `conflicts` that merging could not have written.
     """
-    names = [str(i) for i in range(len(maps))] if names is None else list(names)
-    if len(maps) < 2:
-        raise InputError(f"expected two maps or more, got {len(maps)}")
-    if len(names) != len(maps) or not all(isinstance(name, str) for name in names):
-        raise InputError(f"expected a name for each of {len(maps)} maps, got {names!r}")
+    originals = named_maps(maps, names, least=2)
     limits = as_record("limits", {} if limits is None else limits, Limits)
     min_common = require_whole("min_common", min_common, 1, 10**6)
-    originals = {}
-    for name, btm in zip(names, maps):
-        require_kind("a map", btm, BtmMap)
-        originals[name] = check_map(btm)
-        require_near(originals[name], name)
-        notes.require_sources(originals[name], name)
-    sources = [source for name in names for source in notes.sources_of(originals[name], name)]
-    twice = sorted({source for source in sources if sources.count(source) > 1})
-    if twice:
-        raise InputError(f"expected maps with names of their own, got {shown(twice[0])} twice")
     parts, joins, refused = _merged(_distinct(originals), limits, min_common, on_progress)
     return _result(parts, joins, refused, originals)
+
+
+def named_maps(maps: Sequence[BtmMap], names: Sequence[str] | None, least: int = 1) -> dict[str, BtmMap]:
+    """Check maps of a building, `least` or more, and return them by name; see `merge_maps`."""
+    words = {1: "one map or more", 2: "two maps or more"}[least]
+    if len(maps) < least:
+        raise InputError(f"expected {words}, got {len(maps) or 'none'}")
+    names, checked = [str(i) for i in range(len(maps))] if names is None else list(names), []
+    if len(names) != len(maps) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"expected a name for each of {len(maps)} maps, got {names!r}")
+    for name, btm in zip(names, maps):
+        require_kind("a map", btm, BtmMap)
+        checked.append(check_map(btm))
+        require_near(checked[-1], name)
+        notes.require_sources(checked[-1], name)
+    sources = [source for name, btm in zip(names, checked) for source in notes.sources_of(btm, name)]
+    require_different("names of maps", sources)
+    return dict(zip(names, checked))
 
 
 def _distinct(originals):
     """Return the initial parts: equal maps that have measured something are one."""
     found = []  # the map without attributes, and names
     for name, btm in originals.items():
-        bare = BtmMap(tuple(map(_bare, btm.nodes)), tuple(map(_bare, btm.links)))
+        bare = notes.stripped(btm)
         same = [names for other, names in found if other == bare and any(link.length_m for link in bare.links)]
         same[0].append(name) if same else found.append((bare, [name]))
     return [_Part(notes.stripped(bare, *names), {name: Move() for name in names}) for bare, names in found]
-
-
-def _bare(item):
-    return dataclasses.replace(item, attributes={})
 
 
 def _merged(parts, limits, min_common, on_progress):
