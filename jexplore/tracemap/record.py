@@ -105,17 +105,17 @@ class BtmMap:
 
     def bearings_deg(self, node_id: int) -> list[float]:
         """Return bearings of a node's links: sorted list, degrees in [0, 360). A link to itself counts twice."""
-        return list(self._bearings_deg.get(node_id, ()))
+        return sorted(self._bearings_deg[node_id])
 
     @functools.cached_property
     def _bearings_deg(self):
-        """Return node -> bearings of its links, sorted."""
+        """Return node -> bearings of its links."""
         found = collections.defaultdict(list)
         for link in self.links:
             for node, bearing in ((link.start, link.start_bearing_deg), (link.end, link.end_bearing_deg)):
                 if bearing is not None:
                     found[node].append(direction_deg(bearing))
-        return {node: sorted(bearings) for node, bearings in found.items()}
+        return found
 
     def angles_deg(self, node_id: int) -> list[float]:
         """Return angles between adjacent links of a node, counter-clockwise: as many as links, 360 degrees in all."""

@@ -19,8 +19,8 @@ from jexplore.tracemap.passable import (
     unknowns,
     unknowns_at,
 )
-from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, length_of
-from jexplore.tracemap.route import LENGTH_UNIT_M, Index, index_of
+from jexplore.tracemap.record import BtmMap, Link, Node
+from jexplore.tracemap.route import LENGTH_UNIT_M, MapIndex
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,7 +61,7 @@ def station_page(title: str, panels: Sequence[MapPanel], robots: Sequence[RobotB
 
 def _panel(panel: MapPanel, robots: Sequence[RobotBody]) -> dict[str, Any]:
     """Return a map's data for the page, plain JSON types; ids as keys become text."""
-    btm, index = panel.map, index_of(panel.map)
+    btm, index = panel.map, MapIndex(panel.map)
     nodes = index.nodes
     about = {key: value for key, value in btm.attributes.items() if key not in (MERGED_FROM, CONFLICTS)}
     return {
@@ -103,8 +103,8 @@ def _node(node: Node, panel: MapPanel) -> dict[str, Any]:
     }
 
 
-def _link(link: Link, panel: MapPanel, index: Index) -> dict[str, Any]:
-    metres, nodes = None if link.end == NOWHERE else length_of(link, index.nodes), index.nodes
+def _link(link: Link, panel: MapPanel, index: MapIndex) -> dict[str, Any]:
+    metres, nodes = index.length_m.get(link.id), index.nodes
     blocks = blockages_of(link)
     return {
         **_item(link, panel),
@@ -114,7 +114,7 @@ def _link(link: Link, panel: MapPanel, index: Index) -> dict[str, Any]:
         "blocks": [vars(block) for block in blocks],
         "called": link_name(link),
         "unknown": list(unknowns(link, nodes)),
-        "doubts": list(index.doubts(link)),
+        "doubts": list(index.doubts(link.id)),
         "metres": metres,
         "length_mm": None if metres is None else round(metres / LENGTH_UNIT_M),
     }

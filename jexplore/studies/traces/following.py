@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, as_record, checked_names, require_kind, require_whole
+from jexplore.config import MAX_SEED, InputError, as_record, checked_names, require_whole
 from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, outcome_names, pose_in, run_missions, settings_arrays
 from jexplore.driving.events import LOOK_M
@@ -119,10 +119,9 @@ def _refused_places(btm, found):
 def _checked(world, btm, found, robot, tuning, noise):
     """Check and return `(Robot, Tuning, Noise)`."""
     btm = routes.checked_map(btm)
-    body = routes.robot_of(robot) if isinstance(robot, str) else robot
+    body = routes.checked_robot(robot)
     tuning = for_world(as_record("tuning", tuning or {}, Tuning), is_course=world.course is not None)
     noise = as_record("noise", noise or {}, Noise)
-    require_kind("robot", body, Robot)
     require_tuning(tuning)
     require_noise(noise)
     if isinstance(found, (str, Route)) or not all(isinstance(route, Route) for route in found):
