@@ -36,12 +36,8 @@ def places_and_passages(
 ) -> tuple[dict[int, PlaceDraft], list[PassageDraft]]:
     """Return the places of a graph, by key, and the ways between them.
 
-    Args:
-      lines: `Lines`.
-      corners: count of corners by cell.
-      alive: set of the cells that count.
-      terminals: by cell, all in `alive`.
-      open_cells: clearance of free space, cells.
+    `corners` counts corners by cell, `alive` are the cells that count, `terminals` lie there, by cell; `open_cells` is
+    the clearance of free space.
     """
     near = {cell: set(lines.near[cell]) for cell in alive}
     fixed = corners.keys() | terminals.keys()
@@ -146,11 +142,7 @@ def free_spaces(
 ) -> tuple[list[set[int]], set[int]]:
     """Return parts of the graph in free space, sets of cells, and the mouths of passages: the cells next to them.
 
-    Args:
-      lines: `Lines`.
-      near: neighbours by cell.
-      special: cells that are terminals, junctions or loose ends.
-      open_cells: clearance above which a place is free space, cells.
+    `near` has neighbours by cell; `special` cells are terminals, junctions or loose ends.
     """
     radius = lines.radius - 0.5
     wide = {cell for cell in near if radius[cell] > CLOSING * open_cells and lines.known[cell]}
@@ -192,10 +184,7 @@ def _leading_out(near, inside, special):
 
 
 def _paths_through(lines: Lines, near: dict[int, set[int]], space: set[int], ports: set[int]) -> list[list[int]]:
-    """Find paths through one free space, from each port to the next one counter-clockwise and to unknown space.
-
-    `ports` are mouths and terminals, wherever.
-    """
+    """Find paths from each port (mouth or terminal) of a free space to the next one counter-clockwise or to the unknown."""
     cells = space | {other for cell in space for other in near[cell] if other in ports}
     inner = {cell: near[cell] & (cells if cell in space else space) for cell in cells}
     ports = {cell for cell in cells & ports if lines.known[cell]}

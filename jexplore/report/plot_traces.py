@@ -26,12 +26,7 @@ FIRST_PASS_M = 0.25  # by which a first pass of a node may be farther than the n
 
 
 def draw_route(ax: Axes, btm: BtmMap, route: Route) -> list[Line2D]:
-    """Draw a route as a broad band, refused links with a red cross, nodes not to be passed in red rings.
-
-    Args:
-      ax: `Axes`, in metres, of `draw_btm`.
-      route: `Route` over it.
-    """
+    """Draw a route as a broad band, refused links with a red cross, nodes not to be passed in red rings."""
     places, lines, handles = {node.id: (node.x_m, node.y_m) for node in btm.nodes}, link_lines(btm), []
     band = [lines[own] for own in (*route.links, *([] if route.onward is None else [route.onward.link]))]
     if band:
@@ -54,13 +49,8 @@ def draw_route(ax: Axes, btm: BtmMap, route: Route) -> list[Line2D]:
 def draw_trail(ax: Axes, trail: ArrayLike, modes: ArrayLike, mode_names: Sequence[str]) -> list[Line2D]:
     """Draw the robot's way in the colour of its mode, a ring at the start and a cross at the end.
 
-    Args:
-      ax: `Axes`, in metres.
-      trail: `[T, 3]` x and y, metres, and heading, which is not drawn.
-      modes: `[T]` int, index into `mode_names`: of the piece that leads to this pose.
-
-    Returns:
-      Handles for a legend: the modes that occur, and the two marks.
+    `trail` is `[T, 3]` x and y, metres, and heading, which is not drawn; `modes` are `[T]` int, index into
+    `mode_names`: of the piece that leads to this pose. Return handles for a legend.
     """
     xy, modes = np.asarray(trail, float).reshape(-1, 3)[:, :2], np.asarray(modes, int)
     if len(xy) != len(modes):
@@ -80,15 +70,7 @@ def draw_trail(ax: Axes, trail: ArrayLike, modes: ArrayLike, mode_names: Sequenc
 
 
 def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2D:
-    """Draw the body's inclination over the driven way; lines with ids mark where it first came to the nodes.
-
-    Args:
-      trail: `[T, 3]` x and y, metres, and heading; T >= 1.
-      pitch_deg: `[T]` degrees.
-
-    Returns:
-      The `Line2D` of the inclination.
-    """
+    """Draw the body's inclination, `[T]`, over the driven way; lines with ids mark where it first came to the nodes."""
     xy = np.asarray(trail, float)[:, :2]
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
     (line,) = ax.plot(driven, pitch_deg, color="black", linewidth=1.2)

@@ -39,12 +39,7 @@ def map_png(btm: Any) -> bytes:
 def draw_btm(ax: Axes, btm: Any, *, legend: bool = True) -> list[Line2D]:
     """Draw searched links as straight lines, un-searched ones as short dashed lines, and nodes with their ids.
 
-    Args:
-      ax: `Axes`, in metres; its limits are left to matplotlib.
-      legend: bool, put a legend next to the axes.
-
-    Returns:
-      Handles for a legend: a `Line2D` for every type of node and state of a link that the map has.
+    Return handles for a legend: of every type of node and state of a link that the map has.
     """
     places = {node.id: (node.x_m, node.y_m) for node in btm.nodes}
     lines_of = link_lines(btm)

@@ -144,13 +144,8 @@ def start_of(
 ) -> tuple[np.ndarray, float, tuple[float, float]]:
     """Find the start of a robot that follows a route: on its first link, or near it; where it can turn, if possible.
 
-    A map is off by as much as the odometry of the robot that wrote it.
-
-    Returns:
-      `(start, from_m, beside_m)`: `[3]` float32, from `pose_in`; distance from the node; x, y, offset from the link.
-
-    Raises:
-      InputError: the robot fits nowhere there.
+    Returns `(start, from_m, beside_m)`: `[3]` float32, from `pose_in`; distance from the node; x, y, offset from the
+    link. A map is off by as much as the odometry of the robot that wrote it.
     """
     step = route.steps[0]
     node = next(node for node in btm.nodes if node.id == step.start)
@@ -269,8 +264,10 @@ def _changed(btm, found, result, robot):
             told.append(f"link {link.id} could not be passed by {robot.name}")
         ways = zip(_places(btm, route), result.guide.seen[i])
         for node, bearing in [(step.end, math.degrees(b) % 360.0) for step, own in ways for b in own[np.isfinite(own)]]:
-            there = [_bearing(link, node) for link in links.values() if node in (link.start, link.end)]
-            if all(abs(apart_deg(bearing, own)) > SAME_EXIT_DEG for own in there if own is not None):
+            ends = [(link.start, link.start_bearing_deg) for link in links.values()]
+            ends += [(link.end, link.end_bearing_deg) for link in links.values() if link.start != link.end]
+            there = [own for end, own in ends if end == node and own is not None]
+            if all(abs(apart_deg(bearing, own)) > SAME_EXIT_DEG for own in there):
                 links[count] = Link(count, node, NOWHERE, STATUS[0], bearing, attributes={FOUND_BY: robot.name})
                 told.append(f"node {node} has a way at {bearing:.0f} degrees that the map did not have")
                 count += 1
@@ -304,7 +301,3 @@ def _blocked(link, robot, *, walled):
         own[CONFLICTS] = {name: told for name, told in own[CONFLICTS].items() if name not in (BLOCKED, BLOCKED_FOR)}
     own |= {BLOCKED: True} if walled else blocked_for(robot)
     return dataclasses.replace(link, attributes={**own, FOUND_BY: robot.name})
-
-
-def _bearing(link, node):
-    return link.start_bearing_deg if link.start == node else link.end_bearing_deg

@@ -17,9 +17,8 @@ SCANS_A_CALL = 64  # scans that are made in one call
 def scans_of(plan: TraceJob, way: Driven, *, setting: int = 0, run: int = 0, every: int = LOG_EVERY_STEPS) -> ScanLog:
     """Reproduce the scans of a run as they were measured, noise included; `setting` and `run` together make its noise.
 
-    Returns:
-      `ScanLog` in the world's frame: `poses` are true, `odometry` holds the estimated poses: odometry, corrected by
-      scans and at nodes met again. Readings are distances in the plane; 0 for none, or for a beam that has met ground.
+    In the world's frame: `poses` are true, `odometry` holds the estimated ones: odometry, corrected by scans and at
+    nodes met again. Readings are distances in the plane; 0 for none, or for a beam that has met ground.
     """
     steps = np.arange(0, len(way.truth), every)
     ranges = measured(plan, steps, way.truth[steps], setting=setting, run=run)

@@ -62,9 +62,8 @@ def panels_of(
 ) -> tuple[list[MapPanel], list[str]]:
     """Merge maps as far as they fit.
 
-    Returns:
-      Panels, the map that most maps are in first; and what merged maps say differently, sentences: attributes, and
-      ways of one place that lead elsewhere.
+    Return panels, the map that most maps are in first; and what merged maps say differently, sentences: attributes,
+    and ways of one place that lead elsewhere.
     """
     given = named_maps(maps, names)
     groups: list[Merged] = []

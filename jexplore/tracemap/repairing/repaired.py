@@ -52,14 +52,7 @@ def repaired(btm: BtmMap) -> Repaired:
     an opening that is another's; pairs of ways by one opening, see `through.explained`; sets of nodes that are there
     twice; links that end where the robot strayed to. What nothing explains is left as it is, and counted.
 
-    Args:
-      btm: a map of a run, whose links have the attribute `moved`; those without are left alone.
-
-    Returns:
-      `Repaired`.
-
-    Raises:
-      InputError: not a proper map.
+    Links without the attribute `moved`, which those of a run have, are left alone.
     """
     btm, contradicted = check_map(btm), 0
     for _ in btm.links:  # each time one link less is doubtful
