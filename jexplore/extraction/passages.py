@@ -184,7 +184,7 @@ def _leading_out(near, inside, special):
 
 
 def _paths_through(lines: Lines, near: dict[int, set[int]], space: set[int], ports: set[int]) -> list[list[int]]:
-    """Find paths from each port (mouth or terminal) of a free space to the next one counter-clockwise or to the unknown."""
+    """Find paths from each port, a mouth or terminal, to the next one counter-clockwise, or to unknown space."""
     cells = space | {other for cell in space for other in near[cell] if other in ports}
     inner = {cell: near[cell] & (cells if cell in space else space) for cell in cells}
     ports = {cell for cell in cells & ports if lines.known[cell]}
