@@ -117,10 +117,10 @@ def _limits(btm, walls, trail, points):
 def trace_figure(
     btm: BtmMap,
     walls: ArrayLike | None,
-    trail: ArrayLike,
-    points: ArrayLike | None,
-    modes: ArrayLike,
-    mode_names: Sequence[str],
+    trail: ArrayLike | None = None,
+    points: ArrayLike | None = None,
+    modes: ArrayLike = (),
+    mode_names: Sequence[str] = (),
     title: str = "",
     *,
     pitch_deg: ArrayLike | None = None,
@@ -130,7 +130,7 @@ def trace_figure(
 
     Args:
       walls: `[S, 4]` x and y of either end, metres, of the true building; None leaves it out.
-      trail: `[T, 3]` x and y, metres, and heading.
+      trail: `[T, 3]` x and y, metres, and heading; None leaves it out.
       points: `[P, 2]` points of scans, metres; None leaves them out.
       modes: `[T]` int, index into `mode_names`.
       pitch_deg: `[T]` inclination of the body, degrees: a panel below the map. None for none.
@@ -139,9 +139,10 @@ def trace_figure(
     Source:
       The resulting map of Mano et al., whose figure is lost: drawn after its description.
     """
-    walls = np.zeros((0, 4)) if walls is None else np.asarray(walls, float).reshape(-1, 4)
-    points = np.zeros((0, 2)) if points is None else np.asarray(points, float).reshape(-1, 2)
-    trail = np.asarray(trail, float).reshape(-1, 3)
+    walls, points, trail = (
+        np.zeros((0, n)) if own is None else np.asarray(own, float).reshape(-1, n)
+        for own, n in ((walls, 4), (points, 2), (trail, 3))
+    )
     low, high = _limits(btm, walls, trail, points)
     pitched = pitch_deg is not None and len(trail) > 0
     width, height = (high - low) * LONG_IN / max(high - low)

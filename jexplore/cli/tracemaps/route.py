@@ -134,8 +134,6 @@ def _tell(btm, route) -> int:
 
 def _write(out, options, arguments, btm, route, changed):
     """Write the findings and draw them."""
-    import numpy as np
-
     from jexplore.report import plot, plot_traces, store
     from jexplore.tracemap import json_form
 
@@ -149,7 +147,6 @@ def _write(out, options, arguments, btm, route, changed):
 
     def draw(path):
         title = route.trouble or f"{route.robot}, node {route.start} to {route.end}, {route.length_m:.2f} m"
-        figure = plot_traces.trace_figure(btm, None, np.zeros((0, 3)), None, [], [], title, route=route)
-        plot.save_figure(figure, path)
+        plot.save_figure(plot_traces.trace_figure(btm, None, title=title, route=route), path)
 
     out.finish(record, files, "", {"route.png": draw})

@@ -13,7 +13,7 @@ from jexplore.driving.settings import Noise, Robot, Tuning, require_noise
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.studies.traces.job import NOISE, TraceJob, prepare_trace
 from jexplore.studies.traces.odometry_map import OdometryMap, occupied_centres, odometry_map
-from jexplore.studies.traces.scans import scans_of
+from jexplore.studies.traces.recording import scans_of, wall_lines
 from jexplore.studies.traces.tracing import trace_table
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.world import World
@@ -69,7 +69,6 @@ class Drift:
     def figure(self) -> "Figure":
         """Draw the three measures over every error; below the example: its grid map, and its map on the true plan."""
         from jexplore.report.plots import drift as plots
-        from jexplore.studies.traces.recording import wall_lines
 
         pictures = None
         if self.example is not None:

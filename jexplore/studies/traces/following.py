@@ -229,15 +229,13 @@ def _table(world, btm, found, result):
     places = {node.id: (node.x_m, node.y_m) for node in btm.nodes}
     ends = np.array([places[route.nodes[-1]] for route in found])
     off_m = np.hypot(*(result.end[:, :2] + np.asarray(world.origin_m) - ends).T)
-
     guide: Guide = result.guide
-    blocked = guide.blocked | guide.walled
-    names = ["BLOCKED" if shut else name for name, shut in zip(outcome_names(result), blocked)]
+    outcomes = zip(outcome_names(result), guide.blocked | guide.walled)
     return pd.DataFrame(
         {
             "from": [route.start for route in found],
             "to": [route.end for route in found],
-            "outcome": names,
+            "outcome": ["BLOCKED" if shut else name for name, shut in outcomes],
             "length_m": [route.length_m for route in found],
             "path_m": result.path_m,
             "off_m": off_m,
@@ -245,11 +243,7 @@ def _table(world, btm, found, result):
             "missed": guide.missed,
             "extra": guide.extra,
             "refused_links": result.met[:, : len(_refused_places(btm, found))].sum(axis=1),
-            "steps": result.steps,
-            "contacts": result.contacts,
-            "refused": result.refused,
-            "interventions": result.interventions,
-            "drift_m": result.drift_m,
+            **{name: getattr(result, name) for name in ("steps", "contacts", "refused", "interventions", "drift_m")},
         }
     )
 

@@ -136,7 +136,7 @@ def _near(points, tree):
 def _doubled(log, tree, normals, piece):
     """See `OdometryMap.doubled`."""
     hit = log.echo
-    true, drawn = (_ends(log, poses)[hit] for poses in (log.poses, log.odometry))
+    true, drawn = (beam_ends(log, poses)[hit] for poses in (log.poses, log.odometry))
     off, at = tree.query(true, distance_upper_bound=ON_WALL_M)
     there = np.isfinite(off)
     at, drawn, true = at[there], drawn[there], true[there]
@@ -148,7 +148,7 @@ def _doubled(log, tree, normals, piece):
     return float(np.mean(np.array(spans) > DOUBLED_M)) if spans else math.nan
 
 
-def _ends(log, poses):
+def beam_ends(log: ScanLog, poses: np.ndarray) -> np.ndarray:
     """Return the ends of beams, seen from poses: `[N, B, 2]`, metres; the poses themselves for a beam without echo."""
     angle = poses[:, 2:] + log.angles_rad
     length = np.where(log.echo, log.ranges, 0)

@@ -23,7 +23,7 @@ from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import world_digest
 from jexplore.studies.results.units import MAX_UNITS_OF_JOB, MIN_UNIT_EPISODES
 from jexplore.studies.traces.job import TraceJob, prepare_trace
-from jexplore.studies.traces.scans import scans_of
+from jexplore.studies.traces.recording import scans_of
 from jexplore.studies.traces.truth import false_divergences
 from jexplore.tracemap import json_form
 from jexplore.tracemap.passable import BLOCKED, blocked_for
@@ -63,7 +63,7 @@ class Traced:
         return self.plan.topology
 
     def scans(self) -> ScanLog:
-        """Return the scans of run 0 along its way: see `scans.scans_of`."""
+        """Return the scans of run 0 along its way: see `recording.scans_of`."""
         return scans_of(self.plan, self.driven)
 
 
@@ -216,12 +216,10 @@ def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
 
 def _helps(help_at, origin_m):
     """Describe place, time and run mode of the first operator helps: text."""
-    rows = help_at[np.isfinite(help_at[:, 0])]
-    told = []
-    for x, y, step, mode in rows:
-        place = f"({x + origin_m[0]:.2f}, {y + origin_m[1]:.2f}) m"
-        told.append(f"{place} at {step * vehicle.DT_S:.0f} s, {RunMode(int(mode)).name}")
-    return "; ".join(told)
+    return "; ".join(
+        f"({x + origin_m[0]:.2f}, {y + origin_m[1]:.2f}) m at {step * vehicle.DT_S:.0f} s, {RunMode(int(mode)).name}"
+        for x, y, step, mode in help_at[np.isfinite(help_at[:, 0])]
+    )
 
 
 def trace_table(
@@ -240,8 +238,11 @@ def trace_table(
     own_truths = [truths[run % len(truths)] for run in which]
     marks, is_door = result.met[:, : len(plan.truth.marks)], plan.truth.is_door
     node_at = result.node_at + np.asarray(plan.world.origin_m)
-    slopes = [[n.inclination_deg for n in m.nodes if n.inclination_deg is not None] for m in maps]
-    steps = [[n.step_m for n in m.nodes if n.step_m is not None] for m in maps]
+
+    def largest(name):
+        values = ([getattr(node, name) for node in own.nodes] for own in maps)
+        return [max((value for value in own if value is not None), default=np.nan) for own in values]
+
     table = pd.DataFrame(
         {
             "world": plan.world.name,
@@ -252,10 +253,7 @@ def trace_table(
             "outcome": outcome_names(result),
             "steps": result.steps,
             "time_s": result.steps * vehicle.DT_S,
-            "path_m": result.path_m,
-            "contacts": result.contacts,
-            "refused": result.refused,
-            "interventions": result.interventions,
+            **{name: getattr(result, name) for name in ("path_m", "contacts", "refused", "interventions")},
             "helped_at": [_helps(of_run, plan.world.origin_m) for of_run in result.help_at],
             "junctions": int((~is_door).sum()),
             "junctions_reached": marks[:, ~is_door].sum(axis=1),
@@ -267,11 +265,10 @@ def trace_table(
             "nodes": [len(m.nodes) for m in maps],
             "links": [len(m.links) for m in maps],
             "unsearched": [sum(link.status == "un-searched" for link in m.links) for m in maps],
-            "inclination_deg": [max(s, default=np.nan) for s in slopes],
-            "step_m": [max(s, default=np.nan) for s in steps],
+            "inclination_deg": largest("inclination_deg"),
+            "step_m": largest("step_m"),
             "closings": [of_run.closings for of_run in found],
-            "mistaken": result.mistaken,
-            "dropped": result.dropped,
+            **{name: getattr(result, name) for name in ("mistaken", "dropped")},
             "contradicted": [of_run.contradicted for of_run in found],
             "overflow": result.map.overflow,
             "scan_overflow": result.scan_overflow,

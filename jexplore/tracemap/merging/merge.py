@@ -10,7 +10,7 @@ from jexplore.config import InputError, as_record, checked_names, require_differ
 from jexplore.tracemap.merging import notes
 from jexplore.tracemap.merging.join import FROM, join
 from jexplore.tracemap.merging.limits import Limits
-from jexplore.tracemap.merging.match import NOTHING, Match, Merging, match_maps
+from jexplore.tracemap.merging.match import NOTHING, Merging, match_maps
 from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.record import BtmMap, check_map, require_near
 
@@ -36,7 +36,7 @@ class Merged:
     their position alone."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class _Part:
     map: BtmMap
     moves: dict[str, Move]
@@ -116,15 +116,14 @@ def _merged(parts, limits, min_common, on_progress):
     """Return parts that cannot be merged further, the matches that were made, and those refused at the end."""
     joins, known = [], {}  # joins: matches, and of which parts
     while True:
-        for one, other in itertools.combinations(parts, 2):
-            key = (tuple(one.moves), tuple(other.moves))
-            if key not in known:
-                known[key] = (match_maps(one.map, other.map, limits=limits, min_common=min_common), one, other)
+        pairs = list(itertools.combinations(parts, 2))
+        for one, other in pairs:
+            if (one, other) not in known:
+                known[one, other] = match_maps(one.map, other.map, limits=limits, min_common=min_common)
                 on_progress(len(known))
-        pairs = [known[tuple(one.moves), tuple(other.moves)] for one, other in itertools.combinations(parts, 2)]
-        fitting = [pair for pair in pairs if pair[0].outcome is Merging.MERGED]
+        fitting = [(known[pair], *pair) for pair in pairs if known[pair].outcome is Merging.MERGED]
         if not fitting:
-            return parts, joins, [(found, one, other) for found, one, other in pairs]
+            return parts, joins, [(known[pair], *pair) for pair in pairs]
         found, one, other = max(fitting, key=lambda pair: pair[0].evidence)
         joins.append((found, one, other))
         moves = {**one.moves, **{name: found.move.after(move) for name, move in other.moves.items()}}
@@ -135,20 +134,17 @@ def _merged(parts, limits, min_common, on_progress):
 def _result(parts, joins, refused, originals):
     main = max(parts, key=lambda part: (len(part.moves), len(part.map.nodes)))
     own = [found for found, one, other in refused if main in (one, other)]
-    told: list[Match] = own or [found for found, _, _ in joins]
-    if not told:
-        outcome, worst = Merging.MERGED, NOTHING
-    elif not own:
-        outcome, worst = Merging.MERGED, min(told, key=lambda found: found.evidence)
+    if own:
+        worst = max(own, key=lambda found: found.evidence)
     else:
-        outcome, worst = max(((found.outcome, found) for found in own), key=lambda pair: pair[1].evidence)
+        worst = min((found for found, _, _ in joins), key=lambda found: found.evidence, default=NOTHING)
     nodes = {name: {} for name in main.moves}
     for node in main.map.nodes:
         for name, key in node.attributes[FROM].items():
             nodes[name][key] = node.id
     btm = notes.restored(main.map, {name: originals[name] for name in originals if name in main.moves})
     return Merged(
-        outcome=outcome,
+        outcome=worst.outcome,
         map=btm,
         nodes=nodes,
         moves=main.moves,
@@ -170,8 +166,6 @@ def _remarks(joins, nodes):
             if found.beside:
                 yield notes.by_place(names, others, sorted({whole[key] for key in found.beside}))
             if found.contradictions:
-                at = [
-                    link.start if ahead else link.end
-                    for (link, ahead), *_ in (a.steps for a, _ in found.contradictions)
-                ]
+                begun = [way.steps[0] for way, _ in found.contradictions]
+                at = [link.start if ahead else link.end for link, ahead in begun]
                 yield notes.contradiction(names, others, len(at), sorted({whole[key] for key in at}))

@@ -296,20 +296,15 @@ def _misled(btm: BtmMap) -> Iterator[BtmMap]:
                     if are_near(stub.start_bearing_deg, toward_deg, OPENING_DEG):
                         yield _leaving(without(btm, stub), way, node.id, stub.start_bearing_deg)
             if _is_straight(way):
-                for other in others:
-                    if are_near(other.bearing_deg, toward_deg, OPENING_DEG):
-                        yield from _explained_at(btm, way, node.id, other)
+                near = [one for one in others if are_near(one.bearing_deg, toward_deg, OPENING_DEG)]
+                yield from filter(None, (_explained_at(btm, way, node.id, other) for other in near))
 
 
 def _explained_at(btm, way, node, other):
-    """Yield the map where a way leaves a node by another one's opening and the longer is explained, if possible."""
+    """Return the map where a way leaves a node by another one's opening and the longer is explained, else None."""
     changed = _leaving(btm, way, node, other.bearing_deg)
     pair = [one for one in ways_of(changed, node) if one.link.id in (way.link.id, other.link.id)]
-    if len(pair) == 2:
-        short, long = sorted(pair, key=lambda one: one.length_m)
-        found = explained(changed, short, long)
-        if found is not None:
-            yield found
+    return explained(changed, *sorted(pair, key=lambda one: one.length_m)) if len(pair) == 2 else None
 
 
 def _leaving(btm: BtmMap, way: LinkWay, node: int, bearing_deg: float) -> BtmMap:
