@@ -475,13 +475,13 @@ def test_robots_are_judged_by_the_true_map_of_their_own_c1():
         settings=[{"tuning.open_m": 1.0}, {"tuning.votes": 1}, {"tuning.votes": 3}],
     )
     groups = traces.prepare_traces(spec).groups
-    assert [group.settings for group in groups] == [[0], [1, 2]]
-    kinds = [{node.type for node in group.job.truth.map.nodes} for group in groups]
+    assert [settings for settings, _ in groups] == [[0], [1, 2]]
+    kinds = [{node.type for node in made.truth.map.nodes} for _, made in groups]
     assert ["free_space" in kind for kind in kinds] == [True, False]
     alone = [job.prepare_trace("rooms", tuning=Tuning(open_m=open_m)) for open_m in (1.0, 0.0)]
-    for group, own in zip(groups, alone):
-        assert group.job.truth.map == own.truth.map
-        assert (group.job.tuning.open_m, group.job.tuning.coast_m) == (own.tuning.open_m, own.tuning.coast_m)
+    for (_, made), own in zip(groups, alone):
+        assert made.truth.map == own.truth.map
+        assert (made.tuning.open_m, made.tuning.coast_m) == (own.tuning.open_m, own.tuning.coast_m)
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ class Trace:
             noise = self.noise if self.noise_m is None else dataclasses.replace(self.noise, range_m=self.noise_m)
             own = fields_of(self, "robot runs starts seed tuning start sweep settings cell_m max_steps nodes links")
             plan = prepare_trace(self.world, **own, noise=noise, attributes=self.attribute)
-            if plan.is_narrow:
+            if plan.size[0] < plan.places:
                 say(f"jexplore: note: the true map has {plan.places} nodes, this one has room for {plan.size[0]}", 0)
             ledger = out.keep(tracing.asked_of_runs(plan), len(tracing.run_blocks(plan)))
             if ledger is None:

@@ -4,6 +4,7 @@ pandas is imported by the functions that need it.
 """
 
 import dataclasses
+import itertools
 import os
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -33,23 +34,13 @@ TRACE_COMPILE_S = 25.0  # of compiling a program
 
 
 @dataclasses.dataclass(frozen=True)
-class TraceGroup:
-    """Runs of one robot in one world with one seed: one call of the engine, whatever the thresholds."""
-
-    world: int
-    robot: int
-    settings: list[int]
-    """Numbers of the settings, in order."""
-    job: TraceJob
-
-
-@dataclasses.dataclass(frozen=True)
 class TracePlan:
     """A sweep of robots that can be run."""
 
     spec: Sweep
     settings: list[dict[str, Any]]
-    groups: list[TraceGroup]
+    groups: list[tuple[list[int], TraceJob]]
+    """Runs of one robot in one world with one seed, one call of the engine: numbers of the settings in order, job."""
     units: list[tuple[int, int, int]]
     """Of every unit group, first run and number of runs."""
 
@@ -60,7 +51,7 @@ class TracePlan:
 
     def all_worlds(self) -> list[World]:
         """Return every world in every cell size."""
-        return list({(world.name, world.cell_m): world for world in (one.job.world for one in self.groups)}.values())
+        return list({(job.world.name, job.world.cell_m): job.world for _, job in self.groups}.values())
 
     @property
     def episodes(self) -> int:
@@ -70,7 +61,7 @@ class TracePlan:
     @property
     def programs(self) -> int:
         """Return the number of compiled programs: one for each size of world."""
-        return len({group.job.world.shape for group in self.groups})
+        return len({job.world.shape for _, job in self.groups})
 
     @property
     def columns(self) -> list[str]:
@@ -95,7 +86,7 @@ class TracePlan:
         return {
             "version": __version__,
             "spec": plain_spec(self.spec),
-            "digests": [world_digest(group.job.world) for group in self.groups],
+            "digests": [world_digest(job.world) for _, job in self.groups],
             "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
         }
 
@@ -126,15 +117,14 @@ def prepare_traces(spec: Sweep) -> TracePlan:
     for i, (seed, cell_m, tuning, _) in enumerate(records):
         together.setdefault((seed, cell_m, tuning.open_m, tuning.coast_m), []).append(i)
     groups = []
-    for world, name in enumerate(spec.worlds):
-        for robot, kind in enumerate(spec.robots):
-            for (seed, cell_m, *_), own in together.items():
-                job = prepare_trace(name, robot=kind, runs=1, seed=seed, tuning=records[own[0]][2], cell_m=cell_m)
-                groups.append(TraceGroup(world, robot, own, _with_settings(job, spec, records, own)))
-    require_different_buildings(group.job.world for group in groups)
+    for name, kind in itertools.product(spec.worlds, spec.robots):
+        for (seed, cell_m, *_), own in together.items():
+            job = prepare_trace(name, robot=kind, runs=1, seed=seed, tuning=records[own[0]][2], cell_m=cell_m)
+            groups.append((own, _with_settings(job, spec, records, own)))
+    require_different_buildings(job.world for _, job in groups)
     size, units = max(UNIT_RUNS, -(-total // MAX_SWEEP_UNITS)), []
-    for i, group in enumerate(groups):
-        n = len(group.settings) * spec.episodes
+    for i, (own, _) in enumerate(groups):
+        n = len(own) * spec.episodes
         units += [(i, first, min(size, n - first)) for first in range(0, n, size)]
     return TracePlan(spec, settings, groups, units)
 
@@ -182,12 +172,12 @@ def run_traces(
 
 
 def _run_group(plan, group, numbers, on_unit, how):
-    job, blocks = group.job, [plan.units[number][1:] for number in numbers]
+    (settings, job), blocks = group, [plan.units[number][1:] for number in numbers]
     setting, which = job.all_runs()
 
     def on_block(place, result, driven):
         at = slice(blocks[place][0], sum(blocks[place]))
-        table, _ = trace_table(job, result, np.asarray(group.settings)[setting[at]], which[at], {})
+        table, _ = trace_table(job, result, np.asarray(settings)[setting[at]], which[at], {})
         for name in plan.columns[1:]:
             table[name] = [plan.settings[i][name] for i in table["setting"]]
         on_unit(numbers[place], table)

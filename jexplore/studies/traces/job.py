@@ -75,11 +75,6 @@ class TraceJob:
     """Name, value and place, metres: the node of every run's map that is nearest to the place in truth gets it."""
 
     @property
-    def is_narrow(self) -> bool:
-        """Return whether the map has room for fewer nodes than a run should find."""
-        return self.size[0] < self.places
-
-    @property
     def places(self) -> int:
         """Return the nodes of the true map, or of its part that the robot can reach."""
         return len(self.truth.map.nodes)
