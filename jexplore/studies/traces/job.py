@@ -10,15 +10,8 @@ from typing import Any
 import numpy as np
 
 from jexplore.config import MAX_RUNS, NUMBER_BOUNDS, InputError, as_record, checked_names, require_setting
-from jexplore.driving.batch import (
-    MAX_STEPS,
-    MissionResults,
-    building_of,
-    pose_in,
-    require_start,
-    run_missions,
-    settings_arrays,
-)
+from jexplore.driving import batch
+from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start, settings_arrays
 from jexplore.driving.mission import MAP_SIZE
 from jexplore.driving.records import Building
 from jexplore.driving.settings import (
@@ -94,11 +87,11 @@ class TraceJob:
             np.arange(self.runs, dtype=np.int32), self.settings
         )
 
-    def run(self, setting: np.ndarray, which: np.ndarray, **how: Any) -> MissionResults:
+    def run(self, setting: np.ndarray, which: np.ndarray, **how: Any) -> batch.MissionResults:
         """Make runs `[n]`, by numbers of settings and of runs; `how` as of `batch.run_missions`."""
         how = {"max_steps": self.max_steps, "size": self.size, **how}
         starts = self.starts_of(which)
-        return run_missions(self.building, *self.settings_of(setting), starts, self.seed, which, **how)
+        return batch.run_missions(self.building, *self.settings_of(setting), starts, self.seed, which, **how)
 
     def starts_of(self, which: np.ndarray) -> np.ndarray:
         """Return the starts of runs by their numbers: `[n, 3]` float32."""
