@@ -109,7 +109,7 @@ class RouteCommand:
         from jexplore.studies.traces.following import follow
 
         with compiling():
-            found = follow(self.drive, btm, [route], self.robot, noise=Noise(range_m=self.noise_m), seed=self.seed)
+            found = follow(str(self.drive), btm, [route], self.robot, noise=Noise(range_m=self.noise_m), seed=self.seed)
         row = found.table.iloc[0]
         told = f"{row['outcome']} after {row['path_m']:.2f} m, {row['off_m']:.2f} m from where the map has the end"
         show_line(f"driven: {told}; {row['missed']} of {row['places']} places missed, {row['extra']} more found")

@@ -106,8 +106,9 @@ class Pair:
         if key not in self._tables:
             n, m = kind[2], other_kind[2]
             is_possible = kind[:2] == other_kind[:2] and abs(n - m) <= most_lost and n * m
-            bearings = [_bearings(own, self._kinds[own][its]) for own, its in ((self.one, kind), (part, other_kind))]
-            self._tables[key] = _compared(*bearings, self.limits.angle_deg, most_lost) if is_possible else None
+            first = _bearings(self.one, self._kinds[self.one][kind])
+            second = _bearings(part, self._kinds[part][other_kind])
+            self._tables[key] = _compared(first, second, self.limits.angle_deg, most_lost) if is_possible else None
         return self._tables[key]
 
     def guesses(self) -> Iterator[Guess]:

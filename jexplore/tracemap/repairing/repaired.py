@@ -304,7 +304,10 @@ def _explained_at(btm, way, node, other):
     """Return the map where a way leaves a node by another one's opening and the longer is explained, else None."""
     changed = _leaving(btm, way, node, other.bearing_deg)
     pair = [one for one in ways_of(changed, node) if one.link.id in (way.link.id, other.link.id)]
-    return explained(changed, *sorted(pair, key=lambda one: one.length_m)) if len(pair) == 2 else None
+    if len(pair) != 2:
+        return None
+    short, long = sorted(pair, key=lambda one: one.length_m)
+    return explained(changed, short, long)
 
 
 def _leaving(btm: BtmMap, way: LinkWay, node: int, bearing_deg: float) -> BtmMap:
