@@ -1,4 +1,4 @@
-"""Two maps, where their places look alike, and walks through both at once: what else is one place if this one is.
+"""Two maps: which places look alike, and walks through both maps along the same ways.
 
 Likeness is computed for all places of one type and number of ways at a time.
 """
