@@ -15,6 +15,7 @@ from jexplore.report.plots import drift as plots
 from jexplore.studies.traces.drift import drift, placed_truly, summarised
 from jexplore.studies.traces.storage import packed_map, storage
 from jexplore.tracemap.record import BtmMap, Link, Node
+from jexplore.worlds.readers.scans import ScanLog, fold_scans
 from jexplore.worlds.world import World
 
 NODES = (
@@ -152,6 +153,14 @@ def test_bytes_of_a_room():
     assert found["btm_packed"] == 72
     assert found["pose_graph"] == 8 * (12 + 2 * 181) + 7 * 44
     assert found["btm_json"] > found["btm_json_zlib"] > 100
+
+
+def test_bytes_of_a_drawn_map():
+    """A line of three cells, seen from its end: free, free, occupied; one row of the map, one byte."""
+    log = ScanLog(np.array([[0.5, 0.5, 0.0]]), np.zeros((1, 3)), np.array([[2.2]]), np.zeros(1), np.zeros(1), 8.0)
+    occupied = np.pad(np.zeros((3, 3), bool), 1, constant_values=True)
+    drawn = fold_scans(log, cell_m=1.0)
+    assert storage(World(occupied=occupied, cell_m=0.1, name="room"), MAP, drawn=drawn)["grid_packed"] == 1
 
 
 def test_a_way_round_is_one_more_edge():

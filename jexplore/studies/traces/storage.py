@@ -12,18 +12,21 @@ from jexplore.config import checked_names
 from jexplore.driving.settings import Tuning, for_world
 from jexplore.driving.vehicle import BEAMS
 from jexplore.extraction.extract import extract
+from jexplore.grid import is_known, is_occupied
 from jexplore.report.store import jsonable
 from jexplore.studies import checks
 from jexplore.tracemap.json_form import to_json
 from jexplore.tracemap.passable import blockages_of
 from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLE_SHAPES, STATUS, BtmMap
 from jexplore.tracemap.repairing.repaired import closings_of
+from jexplore.worlds.readers.scans import ScanMap
 from jexplore.worlds.world import World, with_ring
 
 CELLS_A_BYTE = 4  # two bits a cell: unknown, free, occupied
 POSE_EVERY_M = 1.0  # m of way per pose with a scan in a pose graph
 POSE_BYTES = 3 * 4  # x, y, heading, float32
 EDGE_BYTES = 2 * 4 + 3 * 4 + 6 * 4  # two poses, the motion between, the upper half of its information, float32
+P_FREE = 0.25  # largest reflection probability of a free cell
 READING_BYTES = 2  # a range in whole millimetres
 UNKNOWN = -1  # of a measure in a packed record
 _NODE = (("x", "<i2"), ("y", "<i2"), ("type", "i1"), ("inclination", "i1"), ("step", "i1"), ("posture", "i1"))
@@ -34,13 +37,17 @@ _LINK = (
 
 
 @checked_names
-def storage(world: str | os.PathLike[str] | World, btm: BtmMap | None = None, *, cell_m: float = 0.1) -> dict[str, int]:
+def storage(
+    world: str | os.PathLike[str] | World, btm: BtmMap | None = None, *,
+    drawn: ScanMap | None = None, cell_m: float = 0.1,
+) -> dict[str, int]:  # fmt: skip
     """Count the bytes of a building in several forms.
 
     Args:
       world: name or `World`.
       btm: its map; by default the true one of a course, else that extracted from the finished plan, see
         `extraction.extract`.
+      drawn: a grid map from scans; by default the finished plan, whose straight walls compress better.
       cell_m: edge of a cell, metres.
 
     Returns:
@@ -59,7 +66,7 @@ def storage(world: str | os.PathLike[str] | World, btm: BtmMap | None = None, *,
     forms = {
         "btm_json": text,
         "btm_packed": packed_map(btm),
-        "grid_packed": _grid(world),
+        "grid_packed": _grid(_states(world, drawn)),
     }
     found = {name: len(data) for name, data in forms.items()}
     found |= {f"{name}_zlib": len(zlib.compress(data, 9)) for name, data in forms.items()}
@@ -102,10 +109,16 @@ def _whole(value, scale, size=1):
     return UNKNOWN if value is None else min(round(value * scale), 2 ** (8 * size - 1) - 1)
 
 
-def _grid(world):
-    """Pack the bounding box of the plan's free cells (1) and those next to them (2), two bits a cell; 0 is unknown."""
+def _states(world, drawn):
+    """Return states of cells, of a `ScanMap` or the plan: 0 unknown, 1 free, 2 occupied and next to a free one."""
+    if drawn is not None:
+        return np.asarray(is_known(drawn.grid)).astype(np.uint8) + np.asarray(is_occupied(drawn.grid, P_FREE))
     near_free = ndimage.binary_dilation(~world.occupied, np.ones((3, 3), bool))
-    states = (near_free * np.where(world.occupied, 2, 1)).astype(np.uint8)
+    return (near_free * np.where(world.occupied, 2, 1)).astype(np.uint8)
+
+
+def _grid(states):
+    """Pack the bounding box of the known cells, two bits a cell."""
     seen = np.argwhere(states)
     (top, left), (bottom, right) = seen.min(axis=0), seen.max(axis=0) + 1
     flat = states[top:bottom, left:right].reshape(-1)
