@@ -130,10 +130,10 @@ def picture(world, folder, steps=9000):
 
     from jexplore.driving.settings import Noise
     from jexplore.report.plot import save_figure
-    from jexplore.report.plot_traces import draw_btm
     from jexplore.report.plots.looks import legend_below
     from jexplore.studies.traces.recording import wall_lines
     from jexplore.studies.traces.tracing import trace
+    from jexplore.tracemap.picture import draw_btm
 
     found = trace(world, starts=2, noise=Noise(range_m=0.01), max_steps=steps)
     names = ["the first robot's map", "the second's"]

@@ -97,10 +97,8 @@ def empty(n_nodes: int, n_links: int) -> Btm:
 
 
 def _put(array, at, value):
-    """Replace one entry of `array`; an index beyond the last does nothing.
-
-    Of so few entries all are looked at: a scatter each, a hundred of them, takes long to compile.
-    """
+    """Replace one entry of `array`; an index beyond the last does nothing."""
+    # Of so few entries all are looked at: a scatter each, a hundred of them, takes long to compile.
     return jnp.where(jnp.arange(array.shape[0]) == at, jnp.asarray(value).astype(array.dtype), array)
 
 
@@ -207,15 +205,13 @@ def next_hop(btm: Btm, node: Array | int) -> tuple[Array, Array, Array]:
     Returns:
       `(link, bearing, to)`: int32, radians, int32 node at its other end; `NONE`, 0 and `NONE` where there is no way.
     """
-    n = btm.kind.shape[0]
-    distance = hops_to_open(btm)
-    followed = btm.status == SEARCHED
-    ways = []
-    for here, there in ((btm.start, btm.end), (btm.end, btm.start)):
-        ways.append(jnp.where(followed & (here == node), btm.length_m + distance[jnp.clip(there, 0, n - 1)], NO_WAY_M))
-    way = jnp.stack(ways)  # [2, M]
+    n, size = btm.kind.shape[0], btm.start.shape[0]
+    distance, followed = hops_to_open(btm), btm.status == SEARCHED
+    way = jnp.stack([  # [2, M]
+        jnp.where(followed & (here == node), btm.length_m + distance[jnp.clip(there, 0, n - 1)], NO_WAY_M)
+        for here, there in ((btm.start, btm.end), (btm.end, btm.start))
+    ])  # fmt: skip
     best = jnp.argmin(way)
-    size = btm.start.shape[0]
     link, from_end = (best % size).astype(jnp.int32), best >= size
     there = way.reshape(-1)[best] < NO_WAY_M
     bearing = jnp.where(from_end, btm.end_bearing[link], btm.start_bearing[link])
@@ -231,9 +227,6 @@ def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes
         value = float(fields[name][i])
         return value if math.isfinite(value) else None
 
-    def word(words, name, i):
-        return None if fields[name][i] == NONE else words[fields[name][i]]
-
     def extras(**found):
         return {name: value for name, value in found.items() if value}
 
@@ -243,16 +236,15 @@ def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes
             x_m=float(fields["x_m"][i]) + origin_m[0],
             y_m=float(fields["y_m"][i]) + origin_m[1],
             type=NODE_TYPES[fields["kind"][i]],
-            obstacle=word(OBSTACLE_SHAPES, "obstacle", i),
-            inclination_deg=number("inclination_deg", i),
-            step_m=number("step_m", i),
-            posture_deg=number("posture_deg", i),
+            obstacle=None if fields["obstacle"][i] == NONE else OBSTACLE_SHAPES[fields["obstacle"][i]],
+            **{name: number(name, i) for name in ("inclination_deg", "step_m", "posture_deg")},
             attributes=extras(
                 intervention=int(fields["intervention"][i]), profile_variance_m2=number("variance_m2", i)
             ),
         )
         for i in range(int(fields["n_nodes"]))
     )
+    measures = ("length_m", "min_width_m", "max_roll_deg", "max_step_m", "opening_m")
     kept = np.flatnonzero(fields["status"][: int(fields["n_links"])] != NONE)  # the others have been withdrawn
     links = tuple(
         Link(
@@ -262,12 +254,8 @@ def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes
             status=STATUS[fields["status"][i]],
             start_bearing_deg=_bearing_deg(fields["start_bearing"][i]) or 0.0,
             end_bearing_deg=_bearing_deg(fields["end_bearing"][i]),
-            length_m=number("length_m", i),
-            min_width_m=number("min_width_m", i),
             posture_deg=number("link_posture_deg", i),
-            max_roll_deg=number("max_roll_deg", i),
-            max_step_m=number("max_step_m", i),
-            opening_m=number("opening_m", i),
+            **{name: number(name, i) for name in measures},
             attributes=extras(blocked=bool(fields["blocked"][i]), moved=_moved(fields, i)),
         )
         for number_, i in enumerate(kept)

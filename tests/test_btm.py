@@ -185,12 +185,14 @@ def random_map(seed):
     empty = btm.empty(N, M)
 
     def padded(name, values):
-        return getattr(empty, name).at[:m].set(values)
+        whole = np.array(getattr(empty, name))
+        whole[: len(values)] = values
+        return jnp.asarray(whole)
 
     return empty.replace(
-        kind=empty.kind.at[:n].set(DIVERGENCE),
-        x_m=empty.x_m.at[:n].set(draw.random(n)),
-        y_m=empty.y_m.at[:n].set(draw.random(n)),
+        kind=padded("kind", [DIVERGENCE] * n),
+        x_m=padded("x_m", draw.random(n)),
+        y_m=padded("y_m", draw.random(n)),
         start=padded("start", np.where(withdrawn, NONE, start)),
         end=padded("end", np.where(followed, end, NONE)),
         status=padded("status", np.where(withdrawn, NONE, followed)),

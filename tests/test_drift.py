@@ -117,17 +117,16 @@ def test_a_study_is_runs_of_traces(tmp_path):
     """Runs of the study's own noise are those of `trace`; more slip leaves the first steps alike and then does not."""
     noise, options = Noise(range_m=0.01), {"max_steps": 150, "seed": 3}
     found = drift(axes={"slip": [0.4]}, runs=2, noise=noise, **options)
-    alone = jx.btm.trace("course", runs=2, noise=noise, **options).table
+    alone = jx.btm.trace("course", runs=2, noise=noise, **options)
     assert found.axes == {"slip": [0.02, 0.4]}
     assert found.runs["noise.slip"].tolist() == [0.02, 0.02, 0.4, 0.4]
     own = found.runs[:2]
     for name in ("path_m", "drift_m", "code", "nodes"):
-        assert own[name].tolist() == alone[name].tolist()
+        assert own[name].tolist() == alone.table[name].tolist()
     assert (found.runs["on_wall"] > 0.9).all()
     assert found.example is None
     assert len(found.figure().axes) == 3
-    log = jx.btm.trace("course", noise=noise, **options).scans()
-    assert jx.btm.odometry_map(log, found.plan.world).on_wall > 0.9
+    assert jx.btm.odometry_map(alone.scans(), found.plan.world).on_wall > 0.9
 
 
 def test_bytes_of_a_packed_map():

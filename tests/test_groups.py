@@ -41,7 +41,7 @@ def test_cells_that_do_not_fit_are_counted_and_whole_parts_are_made():
 
 @pytest.mark.jit
 @given(masks, st.sampled_from((7, 64, 80)))
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_groups_are_scipys(mask, part):
     found = GROUPED(jnp.asarray(mask), size=80, part=part)
     flat = np.flatnonzero(mask)[:80]

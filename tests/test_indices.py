@@ -80,6 +80,7 @@ def test_so_do_paths_and_maps_of_a_comparison():
     assert np.array_equal(found[0].maps[key], found[1].maps[key][:, 1:-1, 1:-1])
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_so_do_views_actions_and_paths_of_an_environment():
     envs = [jx.Environment(world, lidar=LIDAR, paths=True) for world in (PLAIN, WALLED)]
@@ -111,6 +112,7 @@ def test_worlds_of_an_environment_may_differ_in_their_edges():
         assert float(view.cost[start[0], start[1]]) == 0
 
 
+@pytest.mark.slow
 def test_a_learner_sees_the_cells_of_the_array():
     gym = pytest.importorskip("gymnasium", reason="needs gymnasium: pip install 'jexplore[gym]'")
     del gym

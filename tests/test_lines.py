@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from jexplore.extraction.free_space import free_spaces
 from jexplore.extraction.lines import Lines, bearing_deg, cells_apart, chains, connected_cells, take_corners
+from jexplore.extraction.passages import free_spaces
 
 
 def drawn(cells, near, radius, spread_deg=180.0):

@@ -14,7 +14,7 @@ from ref.runs import a_state
 import jexplore as jx
 from jexplore.config import InputError
 from jexplore.driving import approach, batch, mission, vehicle
-from jexplore.driving.batch import building_of, pose_in, settings_arrays
+from jexplore.driving.batch import building_of, pose_in
 from jexplore.driving.building.terrain import FINER, is_level
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.records import RunMode
@@ -244,7 +244,7 @@ def test_threads_change_nothing(noisy, jit_on):
 def test_lanes_give_the_same_maps_and_are_filled_again(noisy, monkeypatch):
     """As on an accelerator; five short runs in two lanes."""
     plan, draws, done = noisy.plan, np.array([0, 1, 2, 1, 3], np.int32), []
-    numbers = *(settings_arrays(s, 5) for s in plan.first_settings()), plan.starts_of(draws)
+    numbers = *plan.settings_of(np.zeros(5, int)), plan.starts_of(draws)
     how = {"max_steps": 120}
     alone = batch.run_missions(plan.building, *numbers, 5, draws, workers=1, **how).result
     monkeypatch.setattr(batch, "find_resources", functools.partial(batch.find_resources, in_lanes=True))
@@ -319,8 +319,7 @@ def test_a_robot_that_drives_up_and_down_is_helped(course):
 def test_a_map_has_as_much_room_as_is_asked_for():
     plan = job.prepare_trace("course:obstacle=none", robot="wheeled", noise=STILL, nodes=4, links=6)
     assert is_level(plan.building.terrain)
-    assert plan.is_narrow
-    assert plan.places == 6
+    assert plan.size[0] < plan.places == 6
     found = ran(plan)
     assert found.table["outcome"].tolist() == ["MAP_FULL"]
     assert kinds(found.first) == "TDFF"
@@ -332,7 +331,7 @@ def test_room_for_the_maps_of_buildings():
     plan = job.prepare_trace("rooms", sweep=["open_m=0,3"])
     assert plan.swept["open_m"].tolist() == [5, 3]  # 0 stands for another number, swept or not
     assert plan.size == (job.MIN_NODES, 2 * job.MIN_NODES)
-    assert not plan.is_narrow
+    assert plan.size[0] >= plan.places
     many = plan.truth._replace(map=dataclasses.replace(plan.truth.map, nodes=plan.truth.map.nodes[:1] * 70))
     assert job.map_room(plan.world, many) == (256, 512)
     assert job.map_room(plan.world, many, links=30) == (256, 30)
@@ -461,9 +460,7 @@ def test_sweeps():
 def test_a_step_without_jit_is_the_step_with_and_uses_no_key_twice(noisy, jit_on):
     """And a run is its steps: run 0 with draws of its own keys, beyond the first block of draws."""
     plan = noisy.plan
-    robot, tuning, noise = (
-        jax.tree.map(lambda a: jnp.asarray(a[0]), settings_arrays(s, 1)) for s in plan.first_settings()
-    )
+    robot, tuning, noise = jax.tree.map(lambda a: jnp.asarray(a[0]), plan.settings_of(np.array([0])))
     building = jax.tree.map(jnp.asarray, plan.building)
     key = jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), 0)
     with jit_on(), jax.debug_key_reuse(True):

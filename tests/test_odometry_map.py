@@ -13,7 +13,7 @@ from jexplore.driving.batch import Driven
 from jexplore.driving.settings import Noise
 from jexplore.studies.traces.job import prepare_trace
 from jexplore.studies.traces.odometry_map import occupied_centres, odometry_map
-from jexplore.studies.traces.scans import scans_of
+from jexplore.studies.traces.recording import scans_of
 from jexplore.worlds.readers.scans import ScanLog
 from jexplore.worlds.world import World
 

@@ -49,29 +49,12 @@ def recording(**changes):
     frame = np.arange(N)
     nodes = (
         Node(id=0, x_m=1.0, y_m=0.0, type="terminal"),
-        Node(
-            id=4,
-            x_m=5.1,
-            y_m=0.0,
-            type="obstacle",
-            obstacle="slope",
-            inclination_deg=10.5,
-            attributes={"v": NASTY[:-1]},
-        ),
+        Node(4, 5.1, 0.0, "obstacle", "slope", inclination_deg=10.5, attributes={"v": NASTY[:-1]}),
         Node(id=7, x_m=7.8, y_m=0.1, type="divergence", posture_deg=float("nan")),
     )
     links = (
         Link(id=0, start=0, end=4, status="searched", start_bearing_deg=0, end_bearing_deg=180, length_m=4.1),
-        Link(
-            id=1,
-            start=4,
-            end=7,
-            status="searched",
-            start_bearing_deg=10,
-            end_bearing_deg=180,
-            min_width_m=1.9,
-            attributes={"moved": (4.0123456, -0.5, 1e-7)},
-        ),
+        Link(1, 4, 7, "searched", 10, 180, min_width_m=1.9, attributes={"moved": (4.0123456, -0.5, 1e-7)}),
         Link(id=2, start=7, end=NOWHERE, status="un-searched", start_bearing_deg=270),
     )
     fields = {
@@ -306,6 +289,7 @@ document.body.dataset.test = JSON.stringify({drawn, size: [box.width, box.height
 """
 
 
+@pytest.mark.slow
 def test_things_are_drawn_where_they_are(body):
     turned = recording().estimate + np.array([0.5, 0.2, 0.7])
     run = recording(estimate=turned, pose=recording().pose - np.array([0, 0, 0.4]))
@@ -346,6 +330,7 @@ def test_things_are_drawn_where_they_are(body):
     )  # an un-searched link ends 1.1 m ahead of node 4
 
 
+@pytest.mark.slow
 def test_one_frame_and_an_empty_map_open_too(body):
     run = recording()
     one = {name: value[:1] for name, value in vars(run).items() if np.shape(value)[:1] == (N,)}
@@ -358,6 +343,7 @@ def test_one_frame_and_an_empty_map_open_too(body):
     assert not json.loads(found["state"])["drifts"]
 
 
+@pytest.mark.slow
 def test_an_error_in_the_page_would_show(body):
     found = body(page(recording()).replace("time.fromHash();", "time.fromHash(); missing();"))
     assert "missing is not defined" in found["error"]

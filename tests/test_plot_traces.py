@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 
 from jexplore.report import plot_traces
+from jexplore.tracemap import picture
 from jexplore.tracemap.record import NODE_TYPES, NOWHERE, BtmMap, Link, Node
 
 MODES = ["central run", "wall following", "branch_selection $x$", "dead end run"]
@@ -59,10 +60,10 @@ def drawn(figure):
 
 
 def test_nodes_and_links(ax):
-    handles = plot_traces.draw_btm(ax, COURSE)
+    handles = picture.draw_btm(ax, COURSE)
     searched, stubs = lines_of(ax)
     np.testing.assert_array_equal(searched, [[[0, 0], [4, 0]], [[4, 0], [8, 0]], [[8, 0], [8, -4]]])
-    np.testing.assert_allclose(stubs, [[[8, 0], [8, plot_traces.STUB_M]]], atol=1e-12)
+    np.testing.assert_allclose(stubs, [[[8, 0], [8, picture.STUB_M]]], atol=1e-12)
     drawn_nodes = {line.get_marker(): line.get_xydata().tolist() for line in ax.lines}
     assert drawn_nodes == {"s": [[0, 0]], "^": [[4, 0]], "o": [[8, 0]], "D": [[8, -4]]}
     assert {text.get_text(): text.xy for text in ax.texts} == {
@@ -75,23 +76,23 @@ def test_nodes_and_links(ax):
 
 
 def test_types_differ_in_marker_and_colour():
-    assert set(plot_traces.NODE_STYLES) == set(NODE_TYPES)
+    assert set(picture.NODE_STYLES) == set(NODE_TYPES)
     for name in ("marker", "markerfacecolor"):
-        assert len({style[name] for style in plot_traces.NODE_STYLES.values()}) == len(NODE_TYPES)
-    faces = {to_rgb(style["markerfacecolor"]) for style in plot_traces.NODE_STYLES.values()}
+        assert len({style[name] for style in picture.NODE_STYLES.values()}) == len(NODE_TYPES)
+    faces = {to_rgb(style["markerfacecolor"]) for style in picture.NODE_STYLES.values()}
     assert not faces & {to_rgb(colour) for colour in plot_traces.MODE_COLOURS[:5]}
 
 
 def test_a_loop_and_nothing(ax):
-    assert plot_traces.draw_btm(ax, BtmMap((), ())) == []
+    assert picture.draw_btm(ax, BtmMap((), ())) == []
     assert ax.get_legend() is None
-    plot_traces.draw_btm(ax, BtmMap((Node(0, 1.0, 1.0, "divergence"),), (Link(0, 0, 0, "searched", 0.0, 90.0),)))
+    picture.draw_btm(ax, BtmMap((Node(0, 1.0, 1.0, "divergence"),), (Link(0, 0, 0, "searched", 0.0, 90.0),)))
     (loop,) = lines_of(ax)
-    np.testing.assert_allclose(loop, [[[1 + plot_traces.STUB_M, 1], [1, 1], [1, 1 + plot_traces.STUB_M]]])
+    np.testing.assert_allclose(loop, [[[1 + picture.STUB_M, 1], [1, 1], [1, 1 + picture.STUB_M]]])
 
 
 def test_ids_stand_off_the_links(ax):
-    plot_traces.draw_btm(ax, COURSE)
+    picture.draw_btm(ax, COURSE)
     for text, node in zip(ax.texts, COURSE.nodes):
         towards = np.degrees(np.arctan2(text.xyann[1], text.xyann[0]))
         off = [abs((towards - bearing + 180) % 360 - 180) for bearing in COURSE.bearings_deg(node.id)]
@@ -101,7 +102,7 @@ def test_ids_stand_off_the_links(ax):
 def test_an_id_stands_above_if_it_can(ax):
     nodes = tuple(Node(i, float(i), 0.0, "divergence") for i in range(3))
     links = (Link(0, 1, NOWHERE, "un-searched", 180.0), Link(1, 2, NOWHERE, "un-searched", 60.0))
-    plot_traces.draw_btm(ax, BtmMap(nodes, links))
+    picture.draw_btm(ax, BtmMap(nodes, links))
     above, beside = (0, 12), (-(72**0.5), 72**0.5)  # 135 degrees is the first that is 45 or more off 60
     np.testing.assert_allclose([text.xyann for text in ax.texts], [above, above, beside], atol=1e-9)
 

@@ -46,6 +46,7 @@ def ends(btm):
 # Places that fit the odometry
 
 
+@pytest.mark.jit
 def test_what_the_last_link_of_a_square_lacks_every_link_takes_a_quarter_of():
     """The odometry is 0.4 m short on the way back: so says the last link alone; all places lie where it had them."""
     found = correct_map(a_map(SQUARE, [(0, 1), (1, 2), (2, 3), (3, 0, (0.0, -3.6))]))
@@ -57,6 +58,7 @@ def test_what_the_last_link_of_a_square_lacks_every_link_takes_a_quarter_of():
     assert steps.sum() == pytest.approx(0, abs=1e-4)
 
 
+@pytest.mark.jit
 def test_bearings_turn_with_the_frames_of_their_nodes():
     line = a_map([(0, 0), (4, 0), (8, 0)], [(0, 1, (4.0, 0.0, 90.0)), (1, 2, (4.0, 0.0, 0.0))], [(2, 170.0)])
     found = correct_map(line)
@@ -69,6 +71,7 @@ def test_bearings_turn_with_the_frames_of_their_nodes():
     assert found.links[2].end_bearing_deg is None
 
 
+@pytest.mark.jit
 def test_a_corrected_map_corrected_again_stays_as_it_is():
     ways = [(0, 1, (4.0, 0.3, 8.0)), (1, 2, (0.1, 4.2, -5.0)), (3, 2, (4.1, 0.0)), (3, 0, (0.2, -3.6, 3.0)), (2, 2)]
     once = correct_map(a_map(SQUARE, ways, [(1, -30.0)]))
@@ -83,6 +86,7 @@ def test_a_corrected_map_corrected_again_stays_as_it_is():
             assert len(one.attributes["moved"]) == (2 if other.id == 2 else 3)
 
 
+@pytest.mark.jit
 def test_a_map_without_searched_links_has_nothing_to_correct():
     found = correct_map(a_map([(1, 2)], [], [(0, 30.0)]))
     np.testing.assert_allclose(places(found), [(1, 2)], atol=1e-6)

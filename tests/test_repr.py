@@ -90,7 +90,7 @@ def test_a_trace_map_by_pencil():
     across = dark[height // 2 - 2 : height // 2 + 2].any(axis=0)  # rows of the link
     assert across[width // 4 : 3 * width // 4].all()
     below = image[: height // 2 - 12, 3 * width // 4 :].min(axis=-1)  # the stub of the link that nobody has followed
-    assert 100 < below.min() < 200
+    assert below.min() < 100
     assert (image[:, : width // 2].max(axis=-1) - image[:, : width // 2].min(axis=-1) < 30).all()  # white, black, grey
     yellow = image[..., 2] < image[..., 0] - 60
     assert 3 * width / 4 < np.nonzero(yellow)[1].mean()  # the divergence

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from ref.traces import CRAWLER, SQUARE, T_LEFT, T_RIGHT, WHEELED, are_same, chain, changed, maps, node, stub, way
 
@@ -42,6 +42,7 @@ def test_a_long_chain():
     assert code(chain("T" * 3000)) == "T" + "(T" * 2999 + ")" * 2999
 
 
+@settings(max_examples=30)
 @given(maps(), st.integers(-720, 720))
 def test_codes_do_not_turn(btm, turn):
     cos, sin = math.cos(math.radians(turn)), math.sin(math.radians(turn))
@@ -56,6 +57,7 @@ def test_codes_do_not_turn(btm, turn):
     assert code(changed(btm, links=turned, nodes=placed)) == code(btm)
 
 
+@settings(max_examples=30)
 @given(maps(), st.data())
 def test_codes_do_not_know_ids_and_directions(btm, data):
     at_root = [link for link in btm.links if 0 in (link.start, link.end)]

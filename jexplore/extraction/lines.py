@@ -62,10 +62,8 @@ def lines_of(obstacle: np.ndarray, free: np.ndarray, *, width: float) -> Lines:
 
 
 def _axis(off, row, col):
-    """Compute `at`, `radius` and `spread_deg` of `Lines`, from the offsets of all cells to their nearest obstacles.
-
-    The axis lies between a cell and its neighbours: in a passage of an even number of cells, on the edge of two.
-    """
+    """Compute `at`, `radius` and `spread_deg` of `Lines`, from the offsets of all cells to their nearest obstacles."""
+    # The axis lies between a cell and its neighbours: in a passage of an even number of cells, on the edge of two.
     off = np.pad(off.astype(float), ((1, 1), (1, 1), (0, 0)))
     own = off[row + 1, col + 1]
     d = np.hypot(*own.T)
@@ -97,6 +95,7 @@ def cells_apart(lines: Lines, a: int, b: int) -> float:
 
 
 def bearing_deg(lines: Lines, a: int, b: int) -> float:
+    """Return the direction from one cell to another, degrees."""
     return math.degrees(math.atan2(*(lines.at[b] - lines.at[a]))) % 360
 
 

@@ -21,91 +21,52 @@ class RunRecording:
     """A run, frame by frame (N frames, one or more), and the map that it left. Numpy arrays, on the host."""
 
     title: str
-    dt_s: float
-    """Time between two frames, seconds."""
+    dt_s: float  # time between two frames, seconds
     mode_names: tuple[str, ...]
-    walls_m: np.ndarray
-    """`[S, 4]` x0, y0, x1, y1 of the walls of the true building, metres."""
-    goal_m: tuple[float, float] | None
-    """x, y in the true building, metres."""
-    angles_rad: np.ndarray
-    """`[B]` bearings of the beams in the robot's frame, counter-clockwise from ahead."""
-    time_s: np.ndarray
-    """`[N]`, increasing."""
-    pose: np.ndarray
-    """`[N, 3]` true x, y (metres) and heading (radians)."""
-    estimate: np.ndarray
-    """`[N, 3]` the same by odometry. Target, scan, triangles and map belong to this frame."""
-    mode: np.ndarray
-    """`[N]` int index into `mode_names`."""
-    target_m: np.ndarray
-    """`[N, 2]` point steered to, in the frame of the estimate; NaN for none."""
-    ranges_m: np.ndarray
-    """`[N, B]`; NaN or infinite for no return."""
-    triangles_m: np.ndarray
-    """`[N, K, 3, 2]` corners of the surviving triangles in the robot's frame; NaN for none."""
-    chosen: np.ndarray
-    """`[N]` int index of the chosen triangle among the K; -1 for none."""
-    pitch_deg: np.ndarray
-    """`[N]`, above 0 nose down."""
-    roll_deg: np.ndarray
-    """`[N]`"""
-    n_nodes: np.ndarray
-    """`[N]` int, number of nodes of the map at that time: the first ones of `map.nodes`."""
-    n_links: np.ndarray
-    """`[N]` int, number of links, the first ones of `map.links`."""
-    link_searched_frame: np.ndarray
-    """`[L]` int frame from which a link of the map counts as searched; N for never."""
-    votes: np.ndarray
-    """`[N]` int votes for the node that is being approached."""
-    left_m: np.ndarray
-    """`[N]` L_l, distance to the wall on the left; infinite for none within reach."""
-    right_m: np.ndarray
-    """`[N]` L_r, the same on the right."""
-    map: BtmMap
-    """As it was at the end, in the frame of the estimate."""
-    robot_m: tuple[float, float] = (0.70, 0.39)
-    """Length and width of the robot, for its outline."""
-
-
-def _present(recording):
-    """Return `[N, K]` bool, True where a triangle exists."""
-    return np.isfinite(recording.triangles_m).all(axis=(2, 3))
+    walls_m: np.ndarray  # [S, 4] x0, y0, x1, y1 of the walls of the true building, metres
+    goal_m: tuple[float, float] | None  # x, y in the true building, metres
+    angles_rad: np.ndarray  # [B] bearings of the beams in the robot's frame, counter-clockwise from ahead
+    time_s: np.ndarray  # [N], increasing
+    pose: np.ndarray  # [N, 3] true x, y (metres) and heading (radians)
+    estimate: np.ndarray  # [N, 3] the same by odometry: the frame of target, scan, triangles and map
+    mode: np.ndarray  # [N] int index into `mode_names`
+    target_m: np.ndarray  # [N, 2] point steered to, in the frame of the estimate; NaN for none
+    ranges_m: np.ndarray  # [N, B]; NaN or infinite for no return
+    triangles_m: np.ndarray  # [N, K, 3, 2] corners of the surviving triangles in the robot's frame; NaN for none
+    chosen: np.ndarray  # [N] int index of the chosen triangle among the K; -1 for none
+    pitch_deg: np.ndarray  # [N], above 0 nose down
+    roll_deg: np.ndarray  # [N]
+    n_nodes: np.ndarray  # [N] int, number of nodes of the map at that time: the first ones of `map.nodes`
+    n_links: np.ndarray  # [N] int, number of links, the first ones of `map.links`
+    link_searched_frame: np.ndarray  # [L] int frame from which a link of the map counts as searched; N for never
+    votes: np.ndarray  # [N] int votes for the node that is being approached
+    left_m: np.ndarray  # [N] L_l, distance to the wall on the left; infinite for none within reach
+    right_m: np.ndarray  # [N] L_r, the same on the right
+    map: BtmMap  # as it was at the end, in the frame of the estimate
+    robot_m: tuple[float, float] = (0.70, 0.39)  # length and width of the robot, for its outline
 
 
 def _data(recording):
     """Return the data for the page: packed arrays by name, the rest as is. Triangles lie end to end, without NaN."""
     arrays = {name: value for name, value in vars(recording).items() if isinstance(value, np.ndarray)}
-    present = _present(recording)
-    rank = np.cumsum(present, axis=1) - 1
+    present = np.isfinite(recording.triangles_m).all(axis=(2, 3))
     rows = np.flatnonzero(recording.chosen >= 0)
     chosen = np.full(len(present), -1)
-    chosen[rows] = rank[rows, recording.chosen[rows]]
+    chosen[rows] = (np.cumsum(present, axis=1) - 1)[rows, recording.chosen[rows]]
     arrays |= {"triangles_m": recording.triangles_m[present], "chosen": chosen, "n_triangles": present.sum(axis=1)}
-
-    def rows_of(items):
-        return [jsonable({**vars(item), "attributes": dict(item.attributes)}) for item in items]
-
+    plain = ("title", "dt_s", "mode_names", "goal_m", "robot_m")
     return {
-        "title": str(recording.title),
-        "dt_s": float(recording.dt_s),
-        "mode_names": [str(name) for name in recording.mode_names],
-        "goal_m": None if recording.goal_m is None else [float(value) for value in recording.goal_m],
-        "robot_m": [float(size) for size in recording.robot_m],
-        "nodes": rows_of(recording.map.nodes),
-        "links": rows_of(recording.map.links),
+        **{name: jsonable(getattr(recording, name)) for name in plain},
+        "nodes": [jsonable(vars(node)) for node in recording.map.nodes],
+        "links": [jsonable(vars(link)) for link in recording.map.links],
         "arrays": {name: packed_numbers(values, _RESOLUTION.get(name, 1), name) for name, values in arrays.items()},
     }
 
 
 def page(recording: RunRecording) -> str:
-    """Return a run as one HTML file that replays in a browser: no network, no server, no other file.
+    """Return a run as one HTML file that replays in a browser: no network, no server, no other file. Plain ASCII.
 
-    Metres are kept to 1 cm (poses and walls to 1 mm), angles of beams to 0.1 mrad, tilt to 0.01 degrees. The page is
-    plain ASCII, so it may be written in any encoding.
-
-    Args:
-      recording: a `RunRecording`.
+    Metres are kept to 1 cm (poses and walls to 1 mm), angles of beams to 0.1 mrad, tilt to 0.01 degrees.
 
     Raises:
       ValueError: a number too large to be kept.

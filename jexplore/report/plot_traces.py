@@ -1,11 +1,10 @@
-"""Pictures of Behavioral Trace Maps: nodes and links, and on a page with them the building and the run."""
+"""Pictures of Behavioral Trace Maps with a route, or with the building and the run."""
 
 import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -14,85 +13,21 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from jexplore.report.plot import PALETTE, wrapped_text
-from jexplore.tracemap.record import NODE_TYPES, NOWHERE, BtmMap
+from jexplore.tracemap.picture import STUB_M, draw_btm, link_lines
+from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.route import Route
 
-NODE_STYLES = {
-    "terminal": {"marker": "s", "markerfacecolor": "white"},
-    "divergence": {"marker": "o", "markerfacecolor": PALETTE[6]},
-    "free_space": {"marker": "D", "markerfacecolor": PALETTE[4]},
-    "obstacle": {"marker": "^", "markerfacecolor": PALETTE[3]},
-}
 MODE_COLOURS = tuple(PALETTE[i] for i in (0, 1, 2, 5, 7, 3, 4, 6))
 """Of run modes, those first that no type of node has; a ninth mode starts over."""
-WALL, POINT, LINK = "#dddddd", "#555555", "black"
+WALL, POINT = "#dddddd", "#555555"
 WAY, REFUSED = PALETTE[0], "#e01010"
-STUB_M = 0.8  # drawn length of a link that nobody has followed
 LONG_IN, LEGEND_IN = 8.0, 1.9
 FIRST_PASS_M = 0.25  # by which a first pass of a node may be farther than the nearest
-_HALO: Any = (patheffects.withStroke(linewidth=2.2, foreground="white"),)
-
-
-def draw_btm(ax: Axes, btm: BtmMap, *, legend: bool = True) -> list[Line2D]:
-    """Draw searched links as straight lines, un-searched ones as short dashed lines, and nodes with their ids.
-
-    Args:
-      ax: `Axes`, in metres; its limits are left to matplotlib.
-      legend: bool, put a legend next to the axes.
-
-    Returns:
-      Handles for a legend: a `Line2D` for every type of node and state of a link that the map has.
-    """
-    places = {node.id: (node.x_m, node.y_m) for node in btm.nodes}
-    lines_of = _lines(btm, places)
-    ways, stubs = ([lines_of[link.id] for link in btm.links if (link.end == NOWHERE) == is_stub] for is_stub in (0, 1))
-    handles = []
-    for lines, style, label in ((ways, "-", "searched link"), (stubs, (0, (2, 1)), "un-searched link")):
-        if lines:
-            ax.add_collection(LineCollection(lines, colors=LINK, linewidths=1.1, linestyles=[style], zorder=4))
-            handles.append(Line2D([], [], color=LINK, label=label, **{"linestyle": style, "linewidth": 1.1}))
-    for kind in NODE_TYPES:
-        xy = np.array([places[node.id] for node in btm.nodes if node.type == kind]).reshape(-1, 2)
-        if len(xy):
-            style = {"linestyle": "none", "markersize": 7, "markeredgecolor": "black", **NODE_STYLES[kind]}
-            ax.plot(xy[:, 0], xy[:, 1], zorder=6, **style)
-            handles.append(Line2D([], [], label=f"{kind.replace('_', ' ')} node", **style))
-    for node in btm.nodes:
-        x, y = _free_side(btm, node)
-        place = {"xytext": (12 * x, 12 * y), "textcoords": "offset points", "ha": "center", "va": "center"}
-        text = ax.annotate(str(node.id), places[node.id], fontsize=7, zorder=7, **place)
-        text.set_path_effects(_HALO)
-    ax.autoscale_view()
-    if legend and handles:
-        ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=8, frameon=False)
-    return handles
-
-
-def _lines(btm, places):
-    """Return the lines of links: `{id: list of points}`."""
-    lines = {}
-    for link in btm.links:
-        start = places[link.start]
-        if link.end == NOWHERE:
-            lines[link.id] = [start, _beside(start, link.start_bearing_deg)]
-        elif link.start == link.end:
-            ends = (bearing for bearing in (link.start_bearing_deg, link.end_bearing_deg) if bearing is not None)
-            lines[link.id] = [_beside(start, bearing) for bearing in ends]
-            lines[link.id].insert(1, start)
-        else:
-            lines[link.id] = [start, places[link.end]]
-    return lines
 
 
 def draw_route(ax: Axes, btm: BtmMap, route: Route) -> list[Line2D]:
-    """Draw a route as a broad band, refused links with a red cross, nodes not to be passed in red rings.
-
-    Args:
-      ax: `Axes`, in metres, of `draw_btm`.
-      route: `Route` over it.
-    """
-    places, handles = {node.id: (node.x_m, node.y_m) for node in btm.nodes}, []
-    lines = _lines(btm, places)
+    """Draw a route as a broad band, refused links with a red cross, nodes not to be passed in red rings."""
+    places, lines, handles = {node.id: (node.x_m, node.y_m) for node in btm.nodes}, link_lines(btm), []
     band = [lines[own] for own in (*route.links, *([] if route.onward is None else [route.onward.link]))]
     if band:
         style: dict[str, Any] = {"alpha": 0.45, "linewidth": 7}
@@ -111,32 +46,11 @@ def draw_route(ax: Axes, btm: BtmMap, route: Route) -> list[Line2D]:
     return handles
 
 
-def _beside(place, bearing_deg):
-    angle = math.radians(bearing_deg)
-    return place[0] + STUB_M * math.cos(angle), place[1] + STUB_M * math.sin(angle)
-
-
-def _free_side(btm, node):
-    """Return the direction of a node's id, a unit vector: above, or else 45 degrees off its links."""
-    links = btm.bearings_deg(node.id)
-
-    def off(angle):
-        return min((abs((angle - bearing + 180) % 360 - 180) for bearing in links), default=180.0)
-
-    best = max((90, 45, 135, 0, 180, 315, 225, 270), key=lambda angle: min(round(off(angle)), 45))
-    return math.cos(math.radians(best)), math.sin(math.radians(best))
-
-
 def draw_trail(ax: Axes, trail: ArrayLike, modes: ArrayLike, mode_names: Sequence[str]) -> list[Line2D]:
     """Draw the robot's way in the colour of its mode, a ring at the start and a cross at the end.
 
-    Args:
-      ax: `Axes`, in metres.
-      trail: `[T, 3]` x and y, metres, and heading, which is not drawn.
-      modes: `[T]` int, index into `mode_names`: of the piece that leads to this pose.
-
-    Returns:
-      Handles for a legend: the modes that occur, and the two marks.
+    `trail` is `[T, 3]` x and y, metres, and heading, which is not drawn; `modes` are `[T]` int, index into
+    `mode_names`: of the piece that leads to this pose. Return handles for a legend.
     """
     xy, modes = np.asarray(trail, float).reshape(-1, 3)[:, :2], np.asarray(modes, int)
     if len(xy) != len(modes):
@@ -156,15 +70,7 @@ def draw_trail(ax: Axes, trail: ArrayLike, modes: ArrayLike, mode_names: Sequenc
 
 
 def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2D:
-    """Draw the body's inclination over the driven way; lines with ids mark where it first came to the nodes.
-
-    Args:
-      trail: `[T, 3]` x and y, metres, and heading; T >= 1.
-      pitch_deg: `[T]` degrees.
-
-    Returns:
-      The `Line2D` of the inclination.
-    """
+    """Draw the body's inclination, `[T]`, over the driven way; lines with ids mark where it first came to the nodes."""
     xy = np.asarray(trail, float)[:, :2]
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
     (line,) = ax.plot(driven, pitch_deg, color="black", linewidth=1.2)
@@ -211,10 +117,10 @@ def _limits(btm, walls, trail, points):
 def trace_figure(
     btm: BtmMap,
     walls: ArrayLike | None,
-    trail: ArrayLike,
-    points: ArrayLike | None,
-    modes: ArrayLike,
-    mode_names: Sequence[str],
+    trail: ArrayLike | None = None,
+    points: ArrayLike | None = None,
+    modes: ArrayLike = (),
+    mode_names: Sequence[str] = (),
     title: str = "",
     *,
     pitch_deg: ArrayLike | None = None,
@@ -224,7 +130,7 @@ def trace_figure(
 
     Args:
       walls: `[S, 4]` x and y of either end, metres, of the true building; None leaves it out.
-      trail: `[T, 3]` x and y, metres, and heading.
+      trail: `[T, 3]` x and y, metres, and heading; None leaves it out.
       points: `[P, 2]` points of scans, metres; None leaves them out.
       modes: `[T]` int, index into `mode_names`.
       pitch_deg: `[T]` inclination of the body, degrees: a panel below the map. None for none.
@@ -233,9 +139,10 @@ def trace_figure(
     Source:
       The resulting map of Mano et al., whose figure is lost: drawn after its description.
     """
-    walls = np.zeros((0, 4)) if walls is None else np.asarray(walls, float).reshape(-1, 4)
-    points = np.zeros((0, 2)) if points is None else np.asarray(points, float).reshape(-1, 2)
-    trail = np.asarray(trail, float).reshape(-1, 3)
+    walls, points, trail = (
+        np.zeros((0, n)) if own is None else np.asarray(own, float).reshape(-1, n)
+        for own, n in ((walls, 4), (points, 2), (trail, 3))
+    )
     low, high = _limits(btm, walls, trail, points)
     pitched = pitch_deg is not None and len(trail) > 0
     width, height = (high - low) * LONG_IN / max(high - low)

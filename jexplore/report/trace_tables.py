@@ -75,10 +75,10 @@ def _settings_table(traced, most):
     return [text, *more]
 
 
-def _cell(value, digits):
-    if value is None:
-        return "–"
-    return f"{value:.{digits}f}" if isinstance(value, float) else str(value)
+def _cells(item, **digits):
+    """Return the texts of measures by their numbers of digits."""
+    values = [(getattr(item, name), n) for name, n in digits.items()]
+    return ["–" if value is None else f"{value:.{n}f}" for value, n in values]
 
 
 def map_tables(found: BtmMap) -> str:
@@ -87,20 +87,17 @@ def map_tables(found: BtmMap) -> str:
     lines = []
     for node in found.nodes:
         angles = found.angles_deg(node.id)
-        cells = [str(node.id), _cell(node.x_m, 2), _cell(node.y_m, 2), str(len(angles))]
-        cells += [" ".join(f"{a:.0f}" for a in angles) or "–", node.type, _cell(node.obstacle, 0)]
-        cells += [_cell(node.inclination_deg, 1), _cell(node.step_m, 3), _cell(node.posture_deg, 1)]
-        lines.append(cells)
+        cells = [str(node.id), *_cells(node, x_m=2, y_m=2), str(len(angles)), " ".join(f"{a:.0f}" for a in angles)]
+        cells += [node.type, node.obstacle or "–", *_cells(node, inclination_deg=1, step_m=3, posture_deg=1)]
+        lines.append([cell or "–" for cell in cells])
     nodes = aligned_table(head, lines, left=LEFT)
     head = ["link", "from", "to", "status", "length m", "min width m", "step m", "posture deg", "roll deg"]
     head += ["bearing deg", "opening m"]
     lines = []
     for link in found.links:
         cells = [str(link.id), str(link.start), "–" if link.end < 0 else str(link.end), link.status]
-        cells += [_cell(link.length_m, 2), _cell(link.min_width_m, 2), _cell(link.max_step_m, 3)]
-        cells += [_cell(link.posture_deg, 1), _cell(link.max_roll_deg, 1)]
-        cells += [str(round(link.start_bearing_deg) % 360), _cell(link.opening_m, 2)]
-        lines.append(cells)
+        cells += _cells(link, length_m=2, min_width_m=2, max_step_m=3, posture_deg=1, max_roll_deg=1)
+        lines.append([*cells, str(round(link.start_bearing_deg) % 360), *_cells(link, opening_m=2)])
     return nodes + "\n" + aligned_table(head, lines, left=LEFT)
 
 
@@ -116,9 +113,9 @@ def route_table(route: Route) -> str:
     for number, step in enumerate(steps, 1):
         way = "–" if step.way is None else f"{step.way} of {step.ways}"
         ends = [str(step.start), "–" if step.end == NOWHERE else str(step.end)]
-        cells = [str(number), str(step.link), *ends, _cell(step.length_m, 2), way, _cell(step.turn_deg, 0)]
-        cells += [str(round(step.bearing_deg) % 360), _cell(step.width_m, 2), _cell(step.step_m, 3)]
-        lines.append([*cells, _cell(step.posture_deg, 1), _cell(step.roll_deg, 1)])
+        cells = [str(number), str(step.link), *ends, *_cells(step, length_m=2), way, *_cells(step, turn_deg=0)]
+        cells.append(str(round(step.bearing_deg) % 360))
+        lines.append(cells + _cells(step, width_m=2, step_m=3, posture_deg=1, roll_deg=1))
     count = f"{len(route.links)} link" + "s" * (len(route.links) != 1)
     told = [f"{route.length_m:.2f} m over {count}"]
     for name, field, which, unit, digits in (

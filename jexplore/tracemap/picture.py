@@ -1,65 +1,96 @@
-"""The picture by which a Behavioral Trace Map shows itself: links as lines, nodes as marks with their ids.
-
-Plain Python: importing this loads neither numpy nor Pillow.
-"""
+"""Pictures of a Behavioral Trace Map: links as lines, nodes as marks with their ids."""
 
 import math
 from typing import Any
 
-from jexplore.arrays.pictures import LONG_PX, written
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-SUPERSAMPLING = 3  # supersampling factor
-EDGE_PX = 26  # round the map
-MARK_PX = 6
-STUB_PX = 16  # of a link that nobody has followed
-MIN_SIDE_M = 1.0  # side of a map, lest a single node fill the picture
-NODE_MARKS = {"terminal": "□", "divergence": "○", "free_space": "◇", "obstacle": "△"}  # marker of nodes, by type
-_CORNERS = {"terminal": (4, 45), "divergence": (24, 0), "free_space": (4, 0), "obstacle": (3, 90)}
-_COLOURS = {"terminal": "#ffffff", "divergence": "#f0e442", "free_space": "#56b4e9", "obstacle": "#cc79a7"}
+from jexplore.arrays.pictures import LONG_PX, png_of
+
+NODE_STYLES = {
+    "terminal": {"marker": "s", "markerfacecolor": "white"},
+    "divergence": {"marker": "o", "markerfacecolor": "#f0e442"},
+    "free_space": {"marker": "D", "markerfacecolor": "#56b4e9"},
+    "obstacle": {"marker": "^", "markerfacecolor": "#cc79a7"},
+}
+LINK = "black"
+STUB_M = 0.8  # drawn length of a link that nobody has followed
+_HALO: Any = (patheffects.withStroke(linewidth=2.2, foreground="white"),)
+_DPI = 72
 
 
-def nodes_and_links(btm: Any) -> bytes:
-    """Draw a map of one node or more as the bytes of a PNG, about `LONG_PX` on its longer side.
+def map_png(btm: Any) -> bytes:
+    """Draw a map of one node or more as the bytes of a PNG, `LONG_PX` on its longer side."""
+    xy = np.array([(node.x_m, node.y_m) for node in btm.nodes])
+    low, high = xy.min(axis=0) - 1.5 * STUB_M, xy.max(axis=0) + 1.5 * STUB_M
+    figure = Figure(figsize=(high - low) * (LONG_PX / _DPI / max(high - low)))
+    ax = figure.add_axes((0, 0, 1, 1))
+    draw_btm(ax, btm, legend=False)
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    ax.set_axis_off()
+    return png_of(figure, dpi=_DPI)
 
-    Squares are terminals, circles divergences, diamonds free spaces, triangles obstacles; links that nobody has
-    followed are short grey strokes.
+
+def draw_btm(ax: Axes, btm: Any, *, legend: bool = True) -> list[Line2D]:
+    """Draw searched links as straight lines, un-searched ones as short dashed lines, and nodes with their ids.
+
+    Return handles for a legend: of every type of node and state of a link that the map has.
     """
-    from PIL import Image, ImageDraw, ImageFont
-
-    xs, ys = [node.x_m for node in btm.nodes], [node.y_m for node in btm.nodes]
-    width_m, height_m = (max(max(axis) - min(axis), MIN_SIDE_M) for axis in (xs, ys))
-    scale = (LONG_PX - 2 * EDGE_PX) / max(width_m, height_m) * SUPERSAMPLING
-    size = [round(scale * side + 2 * EDGE_PX * SUPERSAMPLING) for side in (width_m, height_m)]
-    image = Image.new("RGB", (size[0], size[1]), "white")
-    draw, font = ImageDraw.Draw(image), ImageFont.load_default(11 * SUPERSAMPLING)
-    left = size[0] / 2 - scale * (max(xs) + min(xs)) / 2
-    bottom = size[1] / 2 + scale * (max(ys) + min(ys)) / 2
-    at = {node.id: (left + scale * node.x_m, bottom - scale * node.y_m) for node in btm.nodes}
-    for link in btm.links:
-        start = at[link.start]
-        if link.end in at and link.end != link.start:
-            draw.line([start, at[link.end]], fill="black", width=SUPERSAMPLING)
-        else:
-            bearings = [link.start_bearing_deg, *([link.end_bearing_deg] if link.end in at else [])]
-            for bearing in bearings:
-                end = _beside(start, bearing, STUB_PX)
-                draw.line([start, end], fill="black" if link.end in at else "#999999", width=SUPERSAMPLING)
+    places = {node.id: (node.x_m, node.y_m) for node in btm.nodes}
+    lines_of = link_lines(btm)
+    ways, stubs = ([lines_of[link.id] for link in btm.links if (link.end < 0) == is_stub] for is_stub in (False, True))
+    handles = []
+    for lines, style, label in ((ways, "-", "searched link"), (stubs, (0, (2, 1)), "un-searched link")):
+        if lines:
+            ax.add_collection(LineCollection(lines, colors=LINK, linewidths=1.1, linestyles=[style], zorder=4))
+            handles.append(Line2D([], [], color=LINK, label=label, **{"linestyle": style, "linewidth": 1.1}))
+    for kind in NODE_STYLES:
+        xy = np.array([places[node.id] for node in btm.nodes if node.type == kind]).reshape(-1, 2)
+        if len(xy):
+            style = {"linestyle": "none", "markersize": 7, "markeredgecolor": "black", **NODE_STYLES[kind]}
+            ax.plot(xy[:, 0], xy[:, 1], zorder=6, **style)
+            handles.append(Line2D([], [], label=f"{kind.replace('_', ' ')} node", **style))
     for node in btm.nodes:
-        sides, turn = _CORNERS[node.type]
-        corners = [_beside(at[node.id], turn + 360 * i / sides, MARK_PX) for i in range(sides)]
-        draw.polygon(corners, fill=_COLOURS[node.type], outline="black", width=SUPERSAMPLING)
-        draw.text(_free_side(btm, node.id, at), str(node.id), fill="black", font=font, anchor="mm")
-    return written(image.reduce(SUPERSAMPLING))
+        x, y = _free_side(btm, node)
+        place = {"xytext": (12 * x, 12 * y), "textcoords": "offset points", "ha": "center", "va": "center"}
+        text = ax.annotate(str(node.id), places[node.id], fontsize=7, zorder=7, **place)
+        text.set_path_effects(_HALO)
+    ax.autoscale_view()
+    if legend and handles:
+        ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=8, frameon=False)
+    return handles
 
 
-def _beside(place, bearing_deg, px):
-    turn = math.radians(bearing_deg)
-    return place[0] + SUPERSAMPLING * px * math.cos(turn), place[1] - SUPERSAMPLING * px * math.sin(turn)
+def link_lines(btm: Any) -> dict[int, list[tuple[float, float]]]:
+    """Return the lines of links by id: from node to node, as stubs where a link has no end or leads back."""
+    places, lines = {node.id: (node.x_m, node.y_m) for node in btm.nodes}, {}
+    for link in btm.links:
+        start, end = places[link.start], places.get(link.end)
+        if end is not None and link.start != link.end:
+            lines[link.id] = [start, end]
+            continue
+        bearings = [link.start_bearing_deg] if end is None else [link.start_bearing_deg, link.end_bearing_deg]
+        lines[link.id] = [_beside(start, bearing) for bearing in bearings]
+        lines[link.id].insert(0 if end is None else 1, start)
+    return lines
 
 
-def _free_side(btm, node_id, at):
-    """Return the direction for a node's id: the middle of the widest angle between its links."""
-    bearings, angles = btm.bearings_deg(node_id), btm.angles_deg(node_id)
-    widest = max(range(len(angles)), key=angles.__getitem__, default=None)
-    bearing = 90.0 if widest is None else bearings[widest] + angles[widest] / 2
-    return _beside(at[node_id], bearing, 15)
+def _beside(place, bearing_deg):
+    angle = math.radians(bearing_deg)
+    return place[0] + STUB_M * math.cos(angle), place[1] + STUB_M * math.sin(angle)
+
+
+def _free_side(btm, node):
+    """Return the direction of a node's id, a unit vector: above, or else 45 degrees off its links."""
+    links = btm.bearings_deg(node.id)
+
+    def off(angle):
+        return min((abs((angle - bearing + 180) % 360 - 180) for bearing in links), default=180.0)
+
+    best = max((90, 45, 135, 0, 180, 315, 225, 270), key=lambda angle: min(round(off(angle)), 45))
+    return math.cos(math.radians(best)), math.sin(math.radians(best))

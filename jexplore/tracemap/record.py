@@ -14,12 +14,12 @@ from typing import Any
 from jexplore.arrays.files import require_shallow
 from jexplore.arrays.pictures import html_of, or_text
 from jexplore.config import InputError, checked_names, shown
-from jexplore.tracemap.picture import NODE_MARKS, nodes_and_links
 
 NODE_TYPES = ("terminal", "divergence", "free_space", "obstacle")
 OBSTACLE_SHAPES = ("slope", "stairs")
 STATUS = ("un-searched", "searched")
 NOWHERE = -1  # end of a link that has not been followed
+NODE_MARKS = {"terminal": "□", "divergence": "○", "free_space": "◇", "obstacle": "△"}
 MOST_ID = 2**53 - 1  # whole numbers up to it are the same in every reader of JSON
 MAX_METRES = 1e6  # what a map says in metres is less, where maps are merged or drawn
 
@@ -105,17 +105,17 @@ class BtmMap:
 
     def bearings_deg(self, node_id: int) -> list[float]:
         """Return bearings of a node's links: sorted list, degrees in [0, 360). A link to itself counts twice."""
-        return list(self._bearings_deg.get(node_id, ()))
+        return sorted(self._bearings_deg[node_id])
 
     @functools.cached_property
     def _bearings_deg(self):
-        """Return node -> bearings of its links, sorted."""
+        """Return node -> bearings of its links."""
         found = collections.defaultdict(list)
         for link in self.links:
             for node, bearing in ((link.start, link.start_bearing_deg), (link.end, link.end_bearing_deg)):
                 if bearing is not None:
                     found[node].append(direction_deg(bearing))
-        return {node: sorted(bearings) for node, bearings in found.items()}
+        return found
 
     def angles_deg(self, node_id: int) -> list[float]:
         """Return angles between adjacent links of a node, counter-clockwise: as many as links, 360 degrees in all."""
@@ -158,21 +158,21 @@ class BtmMap:
 
     @or_text
     def _repr_png_(self):
-        return nodes_and_links(self)
+        from jexplore.tracemap.picture import map_png
+
+        return map_png(self)
 
     @or_text
     def _repr_html_(self):
         kinds = [node.obstacle or node.type for node in self.nodes]
-        lines = [
-            (NODE_MARKS[node.type], kind.replace("_", " "), kinds.count(kind)) for node, kind in zip(self.nodes, kinds)
+        rows = [
+            (NODE_MARKS[n.type], kind.replace("_", " "), str(kinds.count(kind))) for n, kind in zip(self.nodes, kinds)
         ]
-        searched = [link for link in self.links if link.end != NOWHERE]
-        length_m = sum(link.length_m or 0.0 for link in searched)
-        lines = [*dict.fromkeys(lines), ("—", f"searched link, {length_m:.1f} m in all", len(searched))]
+        searched = [link.length_m or 0.0 for link in self.links if link.end != NOWHERE]
+        rows = [*dict.fromkeys(rows), ("—", f"searched link, {sum(searched):.1f} m in all", str(len(searched)))]
         if len(searched) < len(self.links):
-            lines.append(("╌", "un-searched link", len(self.links) - len(searched)))
-        rows = [(mark, what, str(number)) for mark, what, number in lines]
-        return html_of(nodes_and_links(self), repr(self)[1:-1], ("", "what", "how many"), rows)
+            rows.append(("╌", "un-searched link", str(len(self.links) - len(searched))))
+        return html_of(self._repr_png_(), repr(self)[1:-1], ("", "what", "how many"), rows)
 
 
 def check_map(btm: BtmMap, name: str = '"map"') -> BtmMap:

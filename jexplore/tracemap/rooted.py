@@ -23,10 +23,6 @@ def topology_from(topology: BtmMap, pose: tuple[float, float, float]) -> BtmMap:
       topology: the whole map; its links run straight from node to node, as those of a course.
       pose: x, y, metres; heading, degrees.
 
-    Returns:
-      `BtmMap`; its first node is the start, its first link leads ahead. Lengths of the two parts sum to the link's,
-      other measures of the parts are those of the whole.
-
     Raises:
       InputError: the map has no link, or one without an end.
     """

@@ -68,96 +68,74 @@ class Route:
         return f"<Route of {self.robot}: {way}, {count}, {self.length_m:.2f} m{doubt}>"
 
 
-@dataclasses.dataclass(frozen=True)
-class Index:
-    """A map by ids."""
+class MapIndex:
+    """A proper map by ids, and the texts of routes over it, each made once: many routes share their ways."""
 
-    nodes: dict[int, Node]
-    links: dict[int, Link]
-    ends: dict[int, dict[tuple[int, bool], float]]
-    """Node -> its ends of links, by `(id, whether it is the link's first end)` -> bearing in which the link leaves."""
+    def __init__(self, btm: BtmMap) -> None:
+        self.nodes: dict[int, Node] = {node.id: node for node in btm.nodes}
+        self.links: dict[int, Link] = {link.id: link for link in btm.links}
+        self.length_m = {link.id: length_of(link, self.nodes) for link in btm.links if link.end != NOWHERE}
+        """Link -> its length; un-searched ones left out."""
+        self._ends: dict[int, dict[tuple[int, bool], float]] = {own: {} for own in self.nodes}
+        # Node -> its ends of links, by `(id, whether it is the link's first end)` -> bearing in which the link leaves.
+        for link in btm.links:
+            self._ends[link.start][link.id, True] = link.start_bearing_deg
+            if link.end_bearing_deg is not None:
+                self._ends[link.end][link.id, False] = link.end_bearing_deg
+        self.doubts = functools.cache(self._doubts)
+        self._step = functools.cache(self._made_step)
 
-    def doubts(self, link: Link) -> tuple[str, ...]:
+    def _doubts(self, own: int) -> tuple[str, ...]:
         """List facts about a link of a route that the map lacks: texts."""
+        link = self.links[own]
         found = unknowns(link, self.nodes)
         if link.end == NOWHERE or link.length_m is not None:
             return found
-        return (*found, f"length unknown, {length_of(link, self.nodes):.2f} m in a straight line")
-
-
-def index_of(btm: BtmMap) -> Index:
-    """Index a proper map by ids."""
-    nodes, links = {node.id: node for node in btm.nodes}, {link.id: link for link in btm.links}
-    ends: dict[int, dict[tuple[int, bool], float]] = {own: {} for own in nodes}
-    for link in btm.links:
-        ends[link.start][link.id, True] = link.start_bearing_deg
-        if link.end_bearing_deg is not None:
-            ends[link.end][link.id, False] = link.end_bearing_deg
-    return Index(nodes, links, ends)
-
-
-class Sheet:
-    """Texts of routes over one map, each made once: many routes share their ways."""
-
-    def __init__(self, index: Index) -> None:
-        self.index = index
-        self.length_m = {own: length_of(link, index.nodes) for own, link in index.links.items() if link.end != NOWHERE}
-        """Link -> its length; un-searched ones left out."""
-        self._doubts = {own: found for own, link in index.links.items() if (found := index.doubts(link))}
-        self._steps: dict[tuple[int, int, int], Step] = {}
+        return (*found, f"length unknown, {self.length_m[own]:.2f} m in a straight line")
 
     @functools.cached_property
     def part(self) -> dict[int, int]:
         """Return node -> a node of its connected part, one for all of the part."""
-        return connected_parts(self.index.nodes, self.index.links.values())
+        return connected_parts(self.nodes, self.links.values())
 
     @functools.cached_property
     def parts_with_stubs(self) -> frozenset[int]:
         """Return parts, as of `part`, with an un-searched link."""
-        return frozenset(self.part[link.start] for link in self.index.links.values() if link.end == NOWHERE)
+        return frozenset(self.part[link.start] for link in self.links.values() if link.end == NOWHERE)
 
     def steps(self, nodes: Sequence[int], links: Sequence[int]) -> tuple[Step, ...]:
         """Make the steps of a way: ids of nodes, and of the links that leave them; an un-searched one is the last."""
-        made, before = self._steps, (NOWHERE, *links)
-        keys = list(zip(before, links, nodes))
-        for key in keys:
-            if key not in made:
-                made[key] = self._step(*key)
-        return tuple([made[key] for key in keys])
+        return tuple(map(self._step, (NOWHERE, *links), links, nodes))
 
     def unknown(self, links: Sequence[int], passed: Sequence[int]) -> tuple[str, ...]:
         """List facts that the map lacks about the links of a route and the nodes it passes: sentences."""
-        doubts, blanks = self._doubts, self._blanks
-        of_links = [f"{link_name(self.index.links[own])}: {', '.join(doubts[own])}" for own in links if own in doubts]
-        return (*of_links, *[f"node {own}: {', '.join(blanks[own])}" for own in passed if own in blanks])
+        of_links = [(link_name(self.links[own]), self.doubts(own)) for own in links]
+        of_nodes = [(f"node {own}", unknowns_at(self.nodes[own])) for own in passed]
+        return tuple(f"{name}: {', '.join(found)}" for name, found in of_links + of_nodes if found)
 
-    @functools.cached_property
-    def _blanks(self):
-        return {own: found for own, node in self.index.nodes.items() if (found := unknowns_at(node))}
-
-    def _step(self, before, own, start):
-        index, link = self.index, self.index.links[own]
-        forward = link.start == start
-        came = None if before == NOWHERE else (before, index.links[before].end != start)
-        way, ways, turn = _counted(index.ends[start], (own, forward), came)
+    def _made_step(self, before, own, start):
+        link = self.links[own]
+        forward, ends = link.start == start, self._ends[start]
+        came = None if before == NOWHERE else (before, self.links[before].end != start)
+        way, ways, turn = _counted(ends, (own, forward), came)
         return Step(
             link=own,
             start=start,
             end=link.end if forward else link.start,
-            bearing_deg=direction_deg(index.ends[start][own, forward]),
+            bearing_deg=direction_deg(ends[own, forward]),
             turn_deg=turn,
             way=way,
             ways=ways,
             length_m=self.length_m.get(own),
             width_m=width_of(link),
-            step_m=step_of(link, index.nodes),
-            posture_deg=inclination_of(link, index.nodes),
+            step_m=step_of(link, self.nodes),
+            posture_deg=inclination_of(link, self.nodes),
             roll_deg=link.max_roll_deg,
         )
 
 
 def _counted(ends, leaves, came):
-    """Return `(way, ways, turn_deg)` of a `Step` by the ends of links at a node, see `Index`, and two of its keys."""
+    """Return `(way, ways, turn_deg)` of a `Step` by the ends of links at a node, and two of its keys."""
     if came is None:
         return None, len(ends), None
     back = ends[came]

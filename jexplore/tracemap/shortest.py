@@ -1,6 +1,6 @@
 """The shortest ways of many robots between many nodes of one map."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,8 +8,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from jexplore.config import InputError
-from jexplore.tracemap.record import NOWHERE, length_of
-from jexplore.tracemap.route import LENGTH_UNIT_M, Index
+from jexplore.tracemap.record import NOWHERE
+from jexplore.tracemap.route import LENGTH_UNIT_M, MapIndex
 
 MAX_LINKS_M = 2**30 * LENGTH_UNIT_M  # of all links; a float holds that times eight million nodes exactly
 GOALS_AT_ONCE = 256  # so that the distances from all nodes take 5 MB for every 1000 nodes
@@ -31,44 +31,16 @@ class Walk(NamedTuple):
     links: tuple[int, ...]  # ids
 
 
-def walks(
-    index: Index, problems: Sequence[Problem], pairs: Sequence[tuple[int, int | None]]
-) -> Iterator[list[Walk | None]]:
-    """Yield the walks of every problem.
-
-    Of ways of equal length, in whole millimetres, the one with the fewest links counts, and of those the one whose
-    links have the lowest ids in order.
-
-    Args:
-      index: of the map.
-      problems: usable parts of the map.
-      pairs: ids of nodes, start and goal; None as the goal for the nearest of `Problem.stubs`.
-
-    Returns:
-      Iterator over the problems, of a list with a `Walk` for every pair; None without a way.
+class WalkGraph:
+    """A map's searched links as seen from both ends: in the order of the nodes that they leave, then of their ids.
 
     Raises:
       InputError: links too long in all.
     """
-    graph, asked = _Graph(index), {}
-    for i, (start, goal) in enumerate(pairs):
-        asked.setdefault(goal, []).append((i, start))
-    goals = list(asked)
-    for problem in problems:
-        found: list[Walk | None] = [None] * len(pairs)
-        for first in range(0, len(goals), GOALS_AT_ONCE):
-            for goal, walk in graph.solved(problem, goals[first : first + GOALS_AT_ONCE]):
-                for i, start in asked[goal]:
-                    found[i] = walk(start)
-        yield found
 
-
-class _Graph:
-    """A map's searched links as seen from both ends: in the order of the nodes that they leave, then of their ids."""
-
-    def __init__(self, index: Index) -> None:
+    def __init__(self, index: MapIndex) -> None:
         links = [index.links[own] for own in sorted(index.links) if index.links[own].end != NOWHERE]
-        metres = [length_of(link, index.nodes) for link in links]
+        metres = [index.length_m[link.id] for link in links]
         if sum(metres) >= MAX_LINKS_M:
             raise InputError(f"links must be less than {MAX_LINKS_M / 1000:.0f} km long in all")
         self.ids = list(index.nodes)
@@ -81,7 +53,24 @@ class _Graph:
         cost = [round(own / LENGTH_UNIT_M) * (len(self.ids) + 1) + 1 for own in metres]
         self.cost = np.repeat(cost, 2)[order].astype(float)
 
-    def solved(self, problem: Problem, goals: Sequence[int | None]):
+    def walks(self, problem: Problem, pairs: Sequence[tuple[int, int | None]]) -> list[Walk | None]:
+        """Find the walks between nodes, start and goal; None as the goal for the nearest of `Problem.stubs`.
+
+        Of ways of equal length, in whole millimetres, the one with the fewest links counts, and of those the one whose
+        links have the lowest ids in order. None without a way.
+        """
+        asked: dict[int | None, list[tuple[int, int]]] = {}
+        for i, (start, goal) in enumerate(pairs):
+            asked.setdefault(goal, []).append((i, start))
+        goals = list(asked)
+        found: list[Walk | None] = [None] * len(pairs)
+        for first in range(0, len(goals), GOALS_AT_ONCE):
+            for goal, walk in self._solved(problem, goals[first : first + GOALS_AT_ONCE]):
+                for i, start in asked[goal]:
+                    found[i] = walk(start)
+        return found
+
+    def _solved(self, problem, goals):
         """Yield `(goal, function of a start that returns the Walk)` for goals of a problem."""
         n, tail, head = len(self.ids), self.tail, self.head
         targets = [[self.row[own] for own in (problem.stubs if goal is None else (goal,))] for goal in goals]

@@ -1,6 +1,4 @@
-"""Files of Behavioral Trace Maps on the command line: which they are, what they are called, where a result may go; and
-progress of merging them.
-"""
+"""Files of trace maps on the command line: what they are called, where a result may go, and progress of merging."""
 
 import contextlib
 import os
@@ -14,8 +12,6 @@ from jexplore.cli.output.console import note_if_slow, progress_of
 from jexplore.config import InputError
 
 Files = Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE [FILE ...]", help_behavior_hint="(required)")]
-
-
 MapNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
 TRACED = "btm"  # what every run calls its map
 
@@ -26,8 +22,11 @@ def names_of(command: str, paths: Sequence[str], given: Sequence[str] = ()) -> l
     This is the file without suffix, or its folder if the file is `btm.json`.
 
     Raises:
-      InputError: a map without a name, or a name used twice.
+      InputError: a file that is given twice, a map without a name, or a name used twice.
     """
+    again = [path for i, path in enumerate(paths) if any(_are_one(path, other) for other in paths[:i])]
+    if again:
+        raise InputError(f"{command}: expected every map once, got {again[0]} again")
     if given and len(given) != len(paths):
         raise InputError(f"{command}: --names: expected a name for each of {len(paths)} maps, got {len(given)}")
     names = list(given) or [_name(Path(path).expanduser().resolve()) for path in paths]
@@ -56,23 +55,8 @@ def comparing(count: int) -> Iterator[Callable[[int], None]]:
         yield on_progress
 
 
-def require_once(command: str, paths: Sequence[str]) -> None:
-    """Refuse a file that is given twice.
-
-    Raises:
-      InputError: naming it.
-    """
-    same = [path for i, path in enumerate(paths) if any(_are_one(path, other) for other in paths[:i])]
-    if same:
-        raise InputError(f"{command}: expected every map once, got {same[0]} again")
-
-
 def file_out(out: str, maps: Sequence[str], *, overwrite: bool) -> Path:
-    """Check the path of an output file before anything is read.
-
-    Raises:
-      InputError: it is an input map or a folder, exists already, or its folder does not exist.
-    """
+    """Check the path of an output file before anything is read, and return it."""
     path = Path(out).expanduser()
     if any(_are_one(one, path) for one in maps):
         raise InputError(f"--out {out} is one of the maps: name another file")

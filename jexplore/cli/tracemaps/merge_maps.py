@@ -1,5 +1,6 @@
 """The command `jexplore merge-maps`."""
 
+import collections
 import dataclasses
 from collections.abc import Sequence
 from typing import Annotated
@@ -8,7 +9,7 @@ import tyro
 
 from jexplore.cli.output.console import say
 from jexplore.cli.output.terminal import show_line, show_table
-from jexplore.cli.tracemaps.files import Files, MapNames, comparing, file_out, names_of, require_once
+from jexplore.cli.tracemaps.files import Files, MapNames, comparing, file_out, names_of
 from jexplore.config import InputError
 from jexplore.report.tables import aligned_table
 from jexplore.tracemap.merging.limits import Limits
@@ -46,13 +47,11 @@ class MergeMaps:
 
         if len(self.maps) < 2:
             raise InputError(f"merge-maps: expected files of two maps or more, got {len(self.maps)}")
-        require_once("merge-maps", self.maps)
         names = names_of("merge-maps", self.maps, self.names)
         out = None if self.out is None else file_out(self.out, self.maps, overwrite=self.overwrite)
         maps = [json_form.read_btm(path) for path in self.maps]
         with comparing(len(maps)) as on_progress:
-            how = {"min_common": self.min_common, "limits": self.limits, "on_progress": on_progress}
-            found = merge_maps(maps, names, **how)
+            found = merge_maps(maps, names, min_common=self.min_common, limits=self.limits, on_progress=on_progress)
         show_table(_table(found, dict(zip(names, maps))))
         for note in found.notes:
             show_line(note)
@@ -65,9 +64,9 @@ class MergeMaps:
 
 
 def _table(found, maps):
-    rows = []
+    rows, count = [], collections.Counter(node for nodes in found.nodes.values() for node in set(nodes.values()))
     for name, btm in maps.items():
-        shared = [node for node in found.nodes.get(name, {}).values() if _is_shared(found, node)]
+        shared = [node for node in found.nodes.get(name, {}).values() if count[node] > 1]
         move = found.moves.get(name)
         frame = "" if move is None else f"turned {move.turn_deg:.0f}°, moved {move.x_m:.1f}, {move.y_m:.1f} m"
         what = "merged" if shared and name not in found.left else "left apart"
@@ -76,10 +75,6 @@ def _table(found, maps):
     rows.append(["together", *whole, found.outcome.value, ""])
     head = ["map", "nodes", "links", "matched nodes", "what", "frame"]
     return aligned_table(head, rows, left=("map", "what", "frame"))
-
-
-def _is_shared(found, node):
-    return sum(node in nodes.values() for nodes in found.nodes.values()) > 1
 
 
 def _reason(found):

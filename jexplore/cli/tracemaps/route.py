@@ -67,15 +67,17 @@ class RouteCommand:
 
         btm = read_btm(str(self.map))
         if self.out is None:
-            route = self._found(btm)
-            return _tell(btm, route) or self._followed(btm, route)[0]
+            return self._answered(btm)[0]
         with Out(self, "route") as out:
-            route = self._found(btm)
-            status = _tell(btm, route)
-            driven, changed = (NO_ROUTE, btm) if status else self._followed(btm, route)
-            status = status or driven
+            status, route, changed = self._answered(btm)
             _write(out, self, arguments, btm, route, changed)
             return status
+
+    def _answered(self, btm):
+        """Tell a route, and drive it if requested; return the exit status, the route, and the map with the findings."""
+        route = self._found(btm)
+        status = _tell(btm, route)
+        return (status, route, btm) if status or self.drive is None else self._followed(btm, route)
 
     def _require_drive(self):
         """Refuse a building or numbers before anything is printed."""
@@ -98,24 +100,22 @@ class RouteCommand:
                 btm, self.robot, start, self.to or "", known_only=self.known_only, within_m=self.within_m
             )
 
-    def _followed(self, btm, route) -> tuple[int, Any]:
-        """Drive the route, if requested; return the exit status, and the map with the findings."""
-        if self.drive is None:
-            return 0, btm
+    def _followed(self, btm, route):
+        """Drive the route; return as `_answered`."""
         if not route.links:
             show_line("driven: nothing, for the way has no link")
-            return 0, btm
+            return 0, route, btm
         from jexplore.driving.settings import Noise
         from jexplore.studies.traces.following import follow
 
         with note_if_slow(COMPILING):
-            found = follow(self.drive, btm, [route], self.robot, noise=Noise(range_m=self.noise_m), seed=self.seed)
+            found = follow(str(self.drive), btm, [route], self.robot, noise=Noise(range_m=self.noise_m), seed=self.seed)
         row = found.table.iloc[0]
         told = f"{row['outcome']} after {row['path_m']:.2f} m, {row['off_m']:.2f} m from where the map has the end"
         show_line(f"driven: {told}; {row['missed']} of {row['places']} places missed, {row['extra']} more found")
         for line in found.changes:
             show_line(f"found: {line}", indent=7)
-        return (0 if row["outcome"] == "ARRIVED" else NO_ROUTE), found.map
+        return (0 if row["outcome"] == "ARRIVED" else NO_ROUTE), route, found.map
 
 
 def _tell(btm, route) -> int:
@@ -134,7 +134,8 @@ def _tell(btm, route) -> int:
 
 def _write(out, options, arguments, btm, route, changed):
     """Write the findings and draw them."""
-    from jexplore.report import store
+    from jexplore.report import plot, plot_traces, store
+    from jexplore.tracemap import json_form
 
     record = out.record(arguments, options, map=btm.attributes)
     found = {**store.jsonable(route), "is_found": route.is_found}
@@ -142,18 +143,10 @@ def _write(out, options, arguments, btm, route, changed):
         found[name] = [{"id": own, "reasons": list(why)} for own, why in getattr(route, name)]
     files = {"route.json": lambda path: store.write_json(found, path)}
     if options.drive is not None:
-        from jexplore.tracemap import json_form
-
         files["btm.json"] = lambda path: store.write_json(json_form.to_json(changed), path)
-    out.finish(record, files, "", {"route.png": lambda path: _draw(btm, route, path)})
 
+    def draw(path):
+        title = route.trouble or f"{route.robot}, node {route.start} to {route.end}, {route.length_m:.2f} m"
+        plot.save_figure(plot_traces.trace_figure(btm, None, title=title, route=route), path)
 
-def _draw(btm, route, path):
-    """Draw the map with the route."""
-    import numpy as np
-
-    from jexplore.report import plot, plot_traces
-
-    title = route.trouble or f"{route.robot}, node {route.start} to {route.end}, {route.length_m:.2f} m"
-    figure = plot_traces.trace_figure(btm, None, np.zeros((0, 3)), None, [], [], title, route=route)
-    plot.save_figure(figure, path)
+    out.finish(record, files, "", {"route.png": draw})

@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.output.terminal import show_line, show_table
-from jexplore.cli.tracemaps.files import Files, MapNames, comparing, file_out, names_of, require_once
+from jexplore.cli.tracemaps.files import Files, MapNames, comparing, file_out, names_of
 from jexplore.config import InputError
 from jexplore.report.tables import aligned_table
 
@@ -37,7 +37,6 @@ class Station:
 
         if not self.maps:
             raise InputError("station: expected files of one map or more: jexplore station btm.json --out page.html")
-        require_once("station", self.maps)
         names = names_of("station", self.maps, self.names)
         if self.out is None:
             raise InputError("expected --out: jexplore station btm.json --out page.html")

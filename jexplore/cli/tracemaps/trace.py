@@ -97,16 +97,9 @@ class Trace:
             if self.from_episode:
                 return _trace_episode(out, self, arguments)
             noise = self.noise if self.noise_m is None else dataclasses.replace(self.noise, range_m=self.noise_m)
-            plan = prepare_trace(
-                self.world,
-                **fields_of(self, "robot runs starts seed tuning"),
-                noise=noise,
-                **fields_of(self, "start sweep settings cell_m max_steps"),
-                attributes=self.attribute,
-                nodes=self.nodes,
-                links=self.links,
-            )
-            if plan.is_narrow:
+            own = fields_of(self, "robot runs starts seed tuning start sweep settings cell_m max_steps nodes links")
+            plan = prepare_trace(self.world, **own, noise=noise, attributes=self.attribute)
+            if plan.size[0] < plan.places:
                 say(f"jexplore: note: the true map has {plan.places} nodes, this one has room for {plan.size[0]}", 0)
             ledger = out.keep(tracing.asked_of_runs(plan), len(tracing.run_blocks(plan)))
             if ledger is None:
@@ -123,21 +116,20 @@ class Trace:
         from jexplore.tracemap.corrected import correct_map
 
         use_compilation_cache()
-        how = {name: getattr(self, name) for name in ("engine", "lanes", "workers")}
         with working(plan.runs * plan.settings, "runs") as on_progress:
-            found = tracing.execute(plan, **how, on_progress=on_progress, ledger=ledger)
+            how = {"on_progress": on_progress, "ledger": ledger}
+            found = tracing.execute(plan, **fields_of(self, "engine lanes workers"), **how)
         costs = found.costs
         runs_per_s = (len(found.table) - found.resumed) / costs.run_s if costs.run_s else None
         missing = plan.runs * plan.settings - len(found.table)
-        entries = {"runs_per_s": runs_per_s, "resumed": found.resumed, "interrupted": missing}
-        entries["worlds"] = [describe_world(plan.world)]
-        entries |= {"compile_s": costs.compile_s, "run_s": costs.run_s} | engine_of(costs)
-        record = out.record(arguments, self, **entries)
+        record = out.record(
+            *(arguments, self),
+            **{"runs_per_s": runs_per_s, "resumed": found.resumed, "interrupted": missing},
+            **{"worlds": [describe_world(plan.world)], "compile_s": costs.compile_s, "run_s": costs.run_s},
+            **engine_of(costs),
+        )
         first = correct_map(found.first) if self.corrected else found.first
-        files = {
-            **_exchanged(first),
-            "runs.parquet": lambda path: store.write_parquet(found.table, path),
-        }
+        files = {**_exchanged(first), "runs.parquet": lambda path: store.write_parquet(found.table, path)}
         text = trace_tables.map_tables(first) + "\n" + "\n".join(trace_tables.summary(found))
         pictures = {"btm.png": functools.partial(_draw, found, first)}
         if self.animate and not costs.interrupted:
@@ -171,13 +163,14 @@ def _draw(found, first, path):
     """Draw a `Traced`, with the map of run 0 as it is written."""
     from jexplore.report import plot, plot_traces
     from jexplore.studies.traces import recording
+    from jexplore.studies.traces.odometry_map import beam_ends
 
-    plan, track = found.plan, found.driven
+    plan, track, log = found.plan, found.driven, found.scans()
     figure = plot_traces.trace_figure(
         first,
         recording.wall_lines(plan),
         recording.in_world_frame(track.estimate, plan.world.origin_m),
-        recording.scan_points(plan, track),
+        beam_ends(log, log.odometry)[log.echo],
         track.mode,
         recording.MODE_NAMES,
         f"{plan.robot.name} in {plan.world.name}",
@@ -211,11 +204,8 @@ def _trace_episode(out, options, arguments):
             option = field.name.replace("_", "-")
             raise InputError(f"--from-episode takes no --{option}: an episode's robot is that of `jexplore explore`")
     with note_if_slow(COMPILING):
-        found = extraction.extracted(
-            options.world,
-            options.strategy,
-            **fields_of(options, "seed cell_m clutter_m tuning"),
-        )
+        own = fields_of(options, "seed cell_m clutter_m tuning")
+        found = extraction.extracted(options.world, options.strategy, **own)
     pictures = {"btm.png": lambda path: plot.save_figure(found.figure(), path)}
     text = trace_tables.map_tables(found.map) + "\n" + "\n".join(found.agreement())
     record = out.record(arguments, options, result=found.measures, agreement=found.agreement())

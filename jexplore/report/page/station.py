@@ -19,8 +19,10 @@ from jexplore.tracemap.passable import (
     unknowns,
     unknowns_at,
 )
-from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, length_of
-from jexplore.tracemap.route import LENGTH_UNIT_M, Index, index_of
+from jexplore.tracemap.record import BtmMap, Link, Node
+from jexplore.tracemap.route import LENGTH_UNIT_M, MapIndex
+
+MEASURES = ("name", "width_m", "max_step_m", "max_slope_deg")  # of a robot, for the page
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,17 +43,12 @@ def station_page(title: str, panels: Sequence[MapPanel], robots: Sequence[RobotB
 
     What the given robots may not use is found here; for a robot that is typed in the page repeats the comparisons.
 
-    Args:
-      panels: one or more; the first is shown large.
-      robots: those that can be chosen by name.
-      notes: sentences, such as what the maps say differently.
+    The first panel is shown large; `robots` can be chosen by name; `notes` are sentences, such as what the maps say
+    differently.
     """
     writers = list(dict.fromkeys(writer for panel in panels for writer in sources_of(panel.map, panel.name)))
     data = {
-        "robots": [
-            {name: getattr(robot, name) for name in ("name", "width_m", "max_step_m", "max_slope_deg")}
-            for robot in robots
-        ],
+        "robots": [{name: getattr(robot, name) for name in MEASURES} for robot in robots],
         "writers": writers,
         "notes": list(notes),
         "panels": [_panel(panel, robots) for panel in panels],
@@ -61,7 +58,7 @@ def station_page(title: str, panels: Sequence[MapPanel], robots: Sequence[RobotB
 
 def _panel(panel: MapPanel, robots: Sequence[RobotBody]) -> dict[str, Any]:
     """Return a map's data for the page, plain JSON types; ids as keys become text."""
-    btm, index = panel.map, index_of(panel.map)
+    btm, index = panel.map, MapIndex(panel.map)
     nodes = index.nodes
     about = {key: value for key, value in btm.attributes.items() if key not in (MERGED_FROM, CONFLICTS)}
     return {
@@ -95,16 +92,11 @@ def _item(item: Node | Link, panel: MapPanel) -> dict[str, Any]:
 
 def _node(node: Node, panel: MapPanel) -> dict[str, Any]:
     bearings, angles = panel.map.bearings_deg(node.id), panel.map.angles_deg(node.id)
-    return {
-        **_item(node, panel),
-        "bearings_deg": bearings,
-        "angles_deg": angles,
-        "unknown": list(unknowns_at(node)),
-    }
+    return {**_item(node, panel), "bearings_deg": bearings, "angles_deg": angles, "unknown": list(unknowns_at(node))}
 
 
-def _link(link: Link, panel: MapPanel, index: Index) -> dict[str, Any]:
-    metres, nodes = None if link.end == NOWHERE else length_of(link, index.nodes), index.nodes
+def _link(link: Link, panel: MapPanel, index: MapIndex) -> dict[str, Any]:
+    metres, nodes = index.length_m.get(link.id), index.nodes
     blocks = blockages_of(link)
     return {
         **_item(link, panel),
@@ -114,7 +106,7 @@ def _link(link: Link, panel: MapPanel, index: Index) -> dict[str, Any]:
         "blocks": [vars(block) for block in blocks],
         "called": link_name(link),
         "unknown": list(unknowns(link, nodes)),
-        "doubts": list(index.doubts(link)),
+        "doubts": list(index.doubts(link.id)),
         "metres": metres,
         "length_mm": None if metres is None else round(metres / LENGTH_UNIT_M),
     }

@@ -10,8 +10,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from jexplore.report.plot import PALETTE, wrapped_text
-from jexplore.report.plot_traces import WALL, draw_btm
+from jexplore.report.plot_traces import WALL
 from jexplore.report.plots.looks import FONT, plain_axes
+from jexplore.tracemap.picture import draw_btm
 from jexplore.tracemap.record import BtmMap
 
 ERROR_NAMES = {

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jexplore.config import InputError, as_record, checked_names
-from jexplore.driving import batch
-from jexplore.driving.batch import Driven, settings_arrays
+from jexplore.driving.batch import Driven
 from jexplore.driving.settings import Noise, Robot, Tuning, require_noise
 from jexplore.engine.backend import use_compilation_cache
-from jexplore.studies.traces.job import NOISE, TraceJob, own_values, prepare_trace, with_values
+from jexplore.studies.traces.job import NOISE, TraceJob, prepare_trace
 from jexplore.studies.traces.odometry_map import OdometryMap, occupied_centres, odometry_map
-from jexplore.studies.traces.scans import scans_of
+from jexplore.studies.traces.recording import scans_of, wall_lines
 from jexplore.studies.traces.tracing import trace_table
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.world import World
@@ -70,7 +69,6 @@ class Drift:
     def figure(self) -> "Figure":
         """Draw the three measures over every error; below the example: its grid map, and its map on the true plan."""
         from jexplore.report.plots import drift as plots
-        from jexplore.studies.traces.recording import wall_lines
 
         pictures = None
         if self.example is not None:
@@ -130,18 +128,8 @@ def drift(
     plan = dataclasses.replace(plan, swept=swept, settings=len(next(iter(swept.values()))))
     use_compilation_cache()
     made = _Made(plan, on_progress)
-    tunings, noises = with_values(plan.tuning, plan.noise, {name: v[made.setting] for name, v in swept.items()})
-    n = len(made.which)
-    costs = batch.run_missions(
-        *(plan.building, settings_arrays(plan.robot, n), settings_arrays(tunings, n), settings_arrays(noises, n)),
-        *(plan.starts_of(made.which), plan.seed, made.which),
-        max_steps=plan.max_steps,
-        size=plan.size,
-        blocks=[(i, 1) for i in range(n)],
-        on_block=made.put,
-        ways=True,
-        workers=workers,
-    ).costs
+    blocks = [(i, 1) for i in range(len(made.which))]
+    costs = plan.run(made.setting, made.which, blocks=blocks, on_block=made.put, ways=True, workers=workers).costs
     if costs.interrupted and not made.rows:
         raise KeyboardInterrupt
     table = pd.concat([made.rows[i] for i in sorted(made.rows)])
@@ -181,7 +169,7 @@ class _Made:
     def put(self, i, result, way):
         """Take run i: a `Result` with a leading axis of 1, and its way."""
         plan, setting, run = self.plan, int(self.setting[i]), int(self.which[i])
-        errors = own_values(plan.swept, setting)
+        errors = {name: float(values[setting]) for name, values in plan.swept.items()}
         row, maps = trace_table(plan, result, self.setting[i : i + 1], self.which[i : i + 1], errors)
         found = maps[0]
         log = scans_of(plan, way, setting=setting, run=run, every=SCAN_EVERY)

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, as_record, checked_names, require_kind, require_whole
+from jexplore.config import MAX_SEED, InputError, as_record, checked_names, require_whole
 from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, outcome_names, pose_in, run_missions, settings_arrays
 from jexplore.driving.events import LOOK_M
@@ -119,10 +119,9 @@ def _refused_places(btm, found):
 def _checked(world, btm, found, robot, tuning, noise):
     """Check and return `(Robot, Tuning, Noise)`."""
     btm = routes.checked_map(btm)
-    body = routes.robot_of(robot) if isinstance(robot, str) else robot
+    body = routes.checked_robot(robot)
     tuning = for_world(as_record("tuning", tuning or {}, Tuning), is_course=world.course is not None)
     noise = as_record("noise", noise or {}, Noise)
-    require_kind("robot", body, Robot)
     require_tuning(tuning)
     require_noise(noise)
     if isinstance(found, (str, Route)) or not all(isinstance(route, Route) for route in found):
@@ -145,13 +144,8 @@ def start_of(
 ) -> tuple[np.ndarray, float, tuple[float, float]]:
     """Find the start of a robot that follows a route: on its first link, or near it; where it can turn, if possible.
 
-    A map is off by as much as the odometry of the robot that wrote it.
-
-    Returns:
-      `(start, from_m, beside_m)`: `[3]` float32, from `pose_in`; distance from the node; x, y, offset from the link.
-
-    Raises:
-      InputError: the robot fits nowhere there.
+    Returns `(start, from_m, beside_m)`: `[3]` float32, from `pose_in`; distance from the node; x, y, offset from the
+    link. A map is off by as much as the odometry of the robot that wrote it.
     """
     step = route.steps[0]
     node = next(node for node in btm.nodes if node.id == step.start)
@@ -235,15 +229,13 @@ def _table(world, btm, found, result):
     places = {node.id: (node.x_m, node.y_m) for node in btm.nodes}
     ends = np.array([places[route.nodes[-1]] for route in found])
     off_m = np.hypot(*(result.end[:, :2] + np.asarray(world.origin_m) - ends).T)
-
     guide: Guide = result.guide
-    blocked = guide.blocked | guide.walled
-    names = ["BLOCKED" if shut else name for name, shut in zip(outcome_names(result), blocked)]
+    outcomes = zip(outcome_names(result), guide.blocked | guide.walled)
     return pd.DataFrame(
         {
             "from": [route.start for route in found],
             "to": [route.end for route in found],
-            "outcome": names,
+            "outcome": ["BLOCKED" if shut else name for name, shut in outcomes],
             "length_m": [route.length_m for route in found],
             "path_m": result.path_m,
             "off_m": off_m,
@@ -251,11 +243,7 @@ def _table(world, btm, found, result):
             "missed": guide.missed,
             "extra": guide.extra,
             "refused_links": result.met[:, : len(_refused_places(btm, found))].sum(axis=1),
-            "steps": result.steps,
-            "contacts": result.contacts,
-            "refused": result.refused,
-            "interventions": result.interventions,
-            "drift_m": result.drift_m,
+            **{name: getattr(result, name) for name in ("steps", "contacts", "refused", "interventions", "drift_m")},
         }
     )
 
@@ -270,8 +258,10 @@ def _changed(btm, found, result, robot):
             told.append(f"link {link.id} could not be passed by {robot.name}")
         ways = zip(_places(btm, route), result.guide.seen[i])
         for node, bearing in [(step.end, math.degrees(b) % 360.0) for step, own in ways for b in own[np.isfinite(own)]]:
-            there = [_bearing(link, node) for link in links.values() if node in (link.start, link.end)]
-            if all(abs(apart_deg(bearing, own)) > SAME_EXIT_DEG for own in there if own is not None):
+            ends = [(link.start, link.start_bearing_deg) for link in links.values()]
+            ends += [(link.end, link.end_bearing_deg) for link in links.values() if link.start != link.end]
+            there = [own for end, own in ends if end == node and own is not None]
+            if all(abs(apart_deg(bearing, own)) > SAME_EXIT_DEG for own in there):
                 links[count] = Link(count, node, NOWHERE, STATUS[0], bearing, attributes={FOUND_BY: robot.name})
                 told.append(f"node {node} has a way at {bearing:.0f} degrees that the map did not have")
                 count += 1
@@ -305,7 +295,3 @@ def _blocked(link, robot, *, walled):
         own[CONFLICTS] = {name: told for name, told in own[CONFLICTS].items() if name not in (BLOCKED, BLOCKED_FOR)}
     own |= {BLOCKED: True} if walled else blocked_for(robot)
     return dataclasses.replace(link, attributes={**own, FOUND_BY: robot.name})
-
-
-def _bearing(link, node):
-    return link.start_bearing_deg if link.start == node else link.end_bearing_deg

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from jexplore.config import MAX_RUNS, NUMBER_BOUNDS, InputError, as_record, checked_names, require_setting
-from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start
+from jexplore.driving import batch
+from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start, settings_arrays
 from jexplore.driving.mission import MAP_SIZE
 from jexplore.driving.records import Building
 from jexplore.driving.settings import (
@@ -67,18 +68,34 @@ class TraceJob:
     """Name, value and place, metres: the node of every run's map that is nearest to the place in truth gets it."""
 
     @property
-    def is_narrow(self) -> bool:
-        """Return whether the map has room for fewer nodes than a run should find."""
-        return self.size[0] < self.places
-
-    @property
     def places(self) -> int:
         """Return the nodes of the true map, or of its part that the robot can reach."""
         return len(self.truth.map.nodes)
 
-    def first_settings(self) -> tuple[Robot, Tuning, Noise]:
-        """Return robot, thresholds and noise of run 0."""
-        return self.robot, *with_values(self.tuning, self.noise, own_values(self.swept, 0))
+    def settings_of(self, setting: np.ndarray) -> tuple[Robot, Tuning, Noise]:
+        """Return robot, thresholds and noise of runs by the numbers of their settings: arrays `[n]`."""
+        records = self.robot, *with_values(self.tuning, self.noise, self.chosen(setting))
+        return tuple(settings_arrays(record, len(setting)) for record in records)  # type: ignore[return-value]
+
+    def chosen(self, setting: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the swept values of runs by the numbers of their settings."""
+        return {name: values[setting] for name, values in self.swept.items()}
+
+    def all_runs(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the numbers of settings and of runs of all runs, `[n]` each: a setting after the other."""
+        return np.repeat(np.arange(self.settings), self.runs), np.tile(
+            np.arange(self.runs, dtype=np.int32), self.settings
+        )
+
+    def run(self, setting: np.ndarray, which: np.ndarray, **how: Any) -> batch.MissionResults:
+        """Make runs `[n]`, by numbers of settings and of runs; `how` as of `batch.run_missions`."""
+        how = {"max_steps": self.max_steps, "size": self.size, **how}
+        starts = self.starts_of(which)
+        return batch.run_missions(self.building, *self.settings_of(setting), starts, self.seed, which, **how)
+
+    def starts_of(self, which: np.ndarray) -> np.ndarray:
+        """Return the starts of runs by their numbers: `[n, 3]` float32."""
+        return self.begins[which % len(self.begins)]
 
     @functools.cached_property
     def truths(self) -> tuple[tuple[BtmMap, ...], ...]:
@@ -91,14 +108,6 @@ class TraceJob:
     def topology(self) -> BtmMap | None:
         """Return the true map of run 0; None if unknown."""
         return next(iter(self.truths[0]), None)
-
-    def starts_of(self, runs: np.ndarray) -> np.ndarray:
-        """Return the starts of runs by their numbers: `[n, 3]` float32."""
-        return self.begins[runs % len(self.begins)]
-
-
-def own_values(swept: dict[str, np.ndarray], i: int) -> dict[str, float]:
-    return {name: int(v[i]) if name in WHOLE else float(v[i]) for name, v in swept.items()}
 
 
 @functools.partial(checked_names, own="trace")
@@ -151,7 +160,8 @@ def prepare_trace(
     if count * n_runs > MAX_RUNS:
         raise InputError(f"{count} settings x {n_runs} runs are more than {MAX_RUNS}; use fewer")
     for i in range(count):
-        _require(robot, *with_values(tuning, noise, own_values(swept, i)))
+        own_values = {name: int(v[i]) if name in WHOLE else float(v[i]) for name, v in swept.items()}
+        _require(robot, *with_values(tuning, noise, own_values))
     places = _placed(world, _ends(world, start, starts, seed), robot, tuning)
     size = map_room(world, places[1], nodes, links)
     found = robot, tuning, noise, n_runs, seed, swept, count, most, size

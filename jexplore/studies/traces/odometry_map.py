@@ -83,14 +83,10 @@ def occupied_centres(drawn: ScanMap, p_free: float = 0.25) -> np.ndarray:
     return (cells[:, ::-1] + 0.5) * drawn.cell_m + np.asarray(drawn.origin_m)
 
 
-def _pairs(poses):
-    return [(float(x), float(y)) for x, y in np.asarray(poses)[:, :2]]
-
-
 def _beginnings(log):
     """Return `Move`s that roughly align the odometry's way with the true one: as a whole, and at single scans."""
     turn_deg = math.degrees(log.poses[0, 2] - log.odometry[0, 2])
-    found = [fit(_pairs(log.odometry), _pairs(log.poses), turn_deg)]
+    found = [fit(log.odometry[:, :2].tolist(), log.poses[:, :2].tolist(), turn_deg)]
     for i in np.unique(np.linspace(0, len(log.poses) - 1, BEGINNINGS).astype(int)):
         (x_m, y_m, heading), (own_x_m, own_y_m, own) = log.poses[i], log.odometry[i]
         turned = Move(turn_deg=math.degrees(heading - own))
@@ -128,7 +124,7 @@ def _closest(points, walls, tree, move, gates_m):
         near = np.isfinite(off)
         if near.sum() < 2:
             break
-        move = fit(_pairs(points[near]), _pairs(walls[at[near]]), move.turn_deg)
+        move = fit(points[near].tolist(), walls[at[near]].tolist(), move.turn_deg)
     return move
 
 
@@ -140,7 +136,7 @@ def _near(points, tree):
 def _doubled(log, tree, normals, piece):
     """See `OdometryMap.doubled`."""
     hit = log.echo
-    true, drawn = (_ends(log, poses)[hit] for poses in (log.poses, log.odometry))
+    true, drawn = (beam_ends(log, poses)[hit] for poses in (log.poses, log.odometry))
     off, at = tree.query(true, distance_upper_bound=ON_WALL_M)
     there = np.isfinite(off)
     at, drawn, true = at[there], drawn[there], true[there]
@@ -152,7 +148,7 @@ def _doubled(log, tree, normals, piece):
     return float(np.mean(np.array(spans) > DOUBLED_M)) if spans else math.nan
 
 
-def _ends(log, poses):
+def beam_ends(log: ScanLog, poses: np.ndarray) -> np.ndarray:
     """Return the ends of beams, seen from poses: `[N, B, 2]`, metres; the poses themselves for a beam without echo."""
     angle = poses[:, 2:] + log.angles_rad
     length = np.where(log.echo, log.ranges, 0)

@@ -1,4 +1,4 @@
-"""Run 0 of a plan once more, step by step, with what the operator would have seen."""
+"""Runs of a plan once more: the scans along their way, and run 0 step by step as the operator would have seen it."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from jexplore import btm
 from jexplore.driving import behaviour, events, mission, vehicle
-from jexplore.driving.batch import Driven, settings_arrays, step_slots
+from jexplore.driving.batch import Driven, step_slots
 from jexplore.driving.building.walls import segments
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.records import RunMode
@@ -18,21 +18,62 @@ from jexplore.driving.sensing import surround
 from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.report.operator_view import RunRecording
 from jexplore.studies.traces.job import TraceJob
-from jexplore.studies.traces.scans import measured
+from jexplore.worlds.readers.scans import ScanLog
 
 TRIANGLES = 8  # most that are shown of a scan
 MODE_NAMES = tuple(mode.name.lower().replace("_", " ") for mode in RunMode)
-POINT_EVERY = 5  # steps between two scans whose points are drawn
+LOG_EVERY_STEPS = 5  # steps between two scans of a log: 0.2 m of way
+SCANS_A_CALL = 64  # scans that are made in one call
 
 
-def scan_points(plan: TraceJob, track: Driven) -> np.ndarray:
-    """Return points of some scans of run 0 along its way, as measured: `[P, 2]`, metres, in the world's frame."""
-    steps = np.arange(0, len(track.truth), POINT_EVERY)
-    found = measured(plan, steps, track.truth[steps])
-    angle = track.estimate[steps, 2:3] + vehicle.ANGLES_RAD
-    hit = np.isfinite(found)
-    reach = np.where(hit, found, 0)[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return (track.estimate[steps, None, :2] + reach)[hit] + np.asarray(plan.world.origin_m)
+def scans_of(plan: TraceJob, way: Driven, *, setting: int = 0, run: int = 0, every: int = LOG_EVERY_STEPS) -> ScanLog:
+    """Reproduce the scans of a run as they were measured, noise included; `setting` and `run` together make its noise.
+
+    In the world's frame: `poses` are true, `odometry` holds the estimated ones: odometry, corrected by scans and at
+    nodes met again. Readings are distances in the plane; 0 for none, or for a beam that has met ground.
+    """
+    steps = np.arange(0, len(way.truth), every)
+    ranges = _scans(plan, steps, way.truth[steps], setting=setting, run=run)
+    ranges = np.where(np.isnan(ranges), 0.0, np.minimum(ranges, vehicle.SCAN_RANGE_M)).astype(np.float64)
+    origin = np.array([*plan.world.origin_m, 0.0])
+    return ScanLog(
+        poses=way.truth[steps] + origin,
+        odometry=way.estimate[steps] + origin,
+        ranges=ranges,
+        angles_rad=vehicle.ANGLES_RAD.astype(np.float64),
+        times=vehicle.DT_S * steps,
+        max_range_m=vehicle.SCAN_RANGE_M,
+    )
+
+
+def _scans(plan: TraceJob, steps: np.ndarray, poses: np.ndarray, *, setting: int = 0, run: int = 0) -> np.ndarray:
+    """Compute the scans in some steps of a run from true poses `[n, 3]` in the building, see `vehicle.level_scan`.
+
+    Returns `[n, B]` float32, metres; inf: no return; NaN: no reading, or ground.
+    """
+    robot, _, noise = jax.tree.map(lambda a: a[0], plan.settings_of(np.array([setting])))
+    key = jax.random.fold_in(random_key(np.uint32(plan.seed)), run)
+    building, found = jax.device_put(plan.building), []
+    for first in range(0, len(steps), SCANS_A_CALL):
+        own = steps[first : first + SCANS_A_CALL], poses[first : first + SCANS_A_CALL]
+        lack = SCANS_A_CALL - len(own[0])
+        some = np.pad(own[0], (0, lack), "edge"), np.pad(own[1], ((0, lack), (0, 0)), "edge")
+        found.append(np.asarray(_measured(key, building, robot, noise, some))[: SCANS_A_CALL - lack])
+    return np.concatenate(found)
+
+
+@pinned_draws()
+@jax.jit
+def _measured(key, building, robot, noise, steps_and_poses):
+    def one(of):
+        step, pose = of
+        body = vehicle.initial_body(building, robot, pose)
+        senses = vehicle.read_sensors(
+            vehicle.draw_one(jax.random.fold_in(key, step), noise), building, robot, noise, body
+        )
+        return vehicle.level_scan(senses, robot)[0].ranges_m
+
+    return jax.lax.map(one, jax.tree.map(jnp.asarray, steps_and_poses))
 
 
 def in_world_frame(poses: ArrayLike, origin_m: tuple[float, float]) -> np.ndarray:
@@ -77,8 +118,7 @@ def _frame(key, building, robot, tuning, noise, state):
 
 def record_run(plan: TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> RunRecording:
     """Record the operator's view of run 0; `on_progress` is called with the number of finished steps."""
-    records: tuple[Any, ...] = plan.first_settings()
-    robot, tuning, noise = (jax.tree.map(lambda a: jnp.asarray(a[0]), settings_arrays(record, 1)) for record in records)
+    robot, tuning, noise = jax.tree.map(lambda a: jnp.asarray(a[0]), plan.settings_of(np.array([0])))
     building = jax.device_put(plan.building)
     setup = mission.Setup(step_slots(plan.max_steps), *plan.size)
     key = jax.random.fold_in(random_key(np.uint32(plan.seed)), 0)

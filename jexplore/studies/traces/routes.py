@@ -1,6 +1,7 @@
 """Routes over a Behavioral Trace Map for robots other than the one that wrote it: one, or many at a time."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Iterable, Sequence
 
@@ -11,8 +12,8 @@ from jexplore.driving.settings import Robot, require_robot
 from jexplore.studies.traces.job import robot_of
 from jexplore.tracemap.passable import hindrances, refusals
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check_map
-from jexplore.tracemap.route import Index, Route, Sheet, index_of
-from jexplore.tracemap.shortest import Problem, walks
+from jexplore.tracemap.route import MapIndex, Route
+from jexplore.tracemap.shortest import Problem, WalkGraph
 
 RoutePlace = int | str | tuple[float, float]
 UNSEARCHED = "unsearched"
@@ -72,23 +73,15 @@ def routes(
     require_number("within_m", within_m)
     if isinstance(robots, (str, Robot)):
         raise InputError(f"robots must be a list, got {shown(robots)}")
-    bodies = [_robot(robot) for robot in robots]
+    bodies = [checked_robot(robot) for robot in robots]
     pairs = list(pairs)
     if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in pairs):
         raise InputError(f"pairs must be pairs of places, (start, end), got {shown(pairs)}")
-    index = index_of(btm)
+    index = MapIndex(btm)
     asked = [(_node(index, start, "from", within_m), _goal(index, end, within_m)) for start, end in pairs]
-    if not asked:
-        return [[] for _ in bodies]
-    sheet = Sheet(index)
-    uses = [_use_of(index, body, known_only) for body in bodies]
-    problems = list(dict.fromkeys(use.problem for use in uses))
-    found: list[list[Route]] = [[] for _ in uses]
-    for problem, ways in zip(problems, walks(index, problems, asked)):
-        for i, use in enumerate(uses):
-            if use.problem == problem:
-                found[i] = [_made(sheet, use, pair, walk) for pair, walk in zip(asked, ways)]
-    return found
+    graph, uses = WalkGraph(index), [_use_of(index, body, known_only) for body in bodies]
+    walks = functools.cache(lambda problem: graph.walks(problem, asked))
+    return [[_made(index, use, *both) for both in zip(asked, walks(use.problem))] for use in uses]
 
 
 def checked_map(btm: BtmMap) -> BtmMap:
@@ -124,7 +117,8 @@ def _use_of(index, robot, known_only):
     return _Use(robot, refused, ways, barriers, stubs, problem)
 
 
-def _robot(robot):
+def checked_robot(robot: str | Robot) -> Robot:
+    """Return the robot of a name, or the `Robot`, checked."""
     if isinstance(robot, str):
         return robot_of(robot)
     if not isinstance(robot, Robot):
@@ -133,11 +127,11 @@ def _robot(robot):
     return robot
 
 
-def _goal(index: Index, place: RoutePlace, within_m: float) -> int | None:
+def _goal(index: MapIndex, place: RoutePlace, within_m: float) -> int | None:
     return None if isinstance(place, str) and place == UNSEARCHED else _node(index, place, "to", within_m)
 
 
-def _node(index: Index, place: RoutePlace, name: str, within_m: float) -> int:
+def _node(index: MapIndex, place: RoutePlace, name: str, within_m: float) -> int:
     """Find the id of the requested node."""
     ids = index.nodes
     numbers = _numbers(place)
@@ -178,38 +172,38 @@ def _numbers(place):
     return found if 1 <= len(found) <= 2 and all(map(math.isfinite, found)) else None
 
 
-def _made(sheet, use, pair, walk):
+def _made(index, use, pair, walk):
     """Make the `Route` of a robot, from its way or None."""
     (start, goal), seeks = pair, pair[1] is None
     about = {"robot": use.robot.name, "start": start, "barriers": use.barriers}
     about["refused"] = use.refused if seeks else use.refused_ways
     if walk is None:
         none = {"nodes": (), "links": (), "steps": (), "onward": None, "unknown": (), "length_m": math.inf}
-        return Route(end=goal, trouble=_trouble(sheet, use, start, goal), **none, **about)
+        return Route(end=goal, trouble=_trouble(index, use.robot.name, start, goal), **none, **about)
     nodes, links = walk
     last = (use.open[nodes[-1]].id,) if seeks else ()
-    steps = sheet.steps(nodes, (*links, *last))
+    steps = index.steps(nodes, (*links, *last))
     return Route(
         end=nodes[-1],
         nodes=nodes,
         links=links,
-        length_m=math.fsum(map(sheet.length_m.__getitem__, links)),
+        length_m=math.fsum(map(index.length_m.__getitem__, links)),
         steps=steps[: len(links)],
         onward=steps[-1] if last else None,
-        unknown=sheet.unknown((*links, *last), nodes[1:] if last else nodes[1:-1]),
+        unknown=index.unknown((*links, *last), nodes[1:] if last else nodes[1:-1]),
         trouble="",
         **about,
     )
 
 
-def _trouble(sheet, use, start, goal):
+def _trouble(index, robot, start, goal):
     """Explain why there is no way: a sentence."""
-    part = sheet.part
+    part = index.part
     if goal is not None and part[goal] == part[start]:
-        return f"{use.robot.name} cannot get from node {start} to node {goal}"
+        return f"{robot} cannot get from node {start} to node {goal}"
     if goal is not None:
         return f"nodes {start} and {goal} lie in parts of the map that no link joins"
-    if part[start] in sheet.parts_with_stubs:
-        return f"{use.robot.name} can get from node {start} to no un-searched link"
+    if part[start] in index.parts_with_stubs:
+        return f"{robot} can get from node {start} to no un-searched link"
     apart = f"node {start} and the un-searched links lie in parts of the map that no link joins"
-    return apart if sheet.parts_with_stubs else "the map has no un-searched link"
+    return apart if index.parts_with_stubs else "the map has no un-searched link"

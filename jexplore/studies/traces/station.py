@@ -6,14 +6,14 @@ Plain Python: importing this loads neither jax nor numpy.
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from jexplore.config import InputError, checked_names, require_kind
+from jexplore.config import checked_names
 from jexplore.driving.settings import ROBOTS
 from jexplore.report.page.station import MapPanel, station_page
 from jexplore.tracemap.merging import notes
 from jexplore.tracemap.merging.match import Merging, match_maps
-from jexplore.tracemap.merging.merge import Merged, merge_maps
+from jexplore.tracemap.merging.merge import Merged, merge_maps, named_maps
 from jexplore.tracemap.merging.rigid import Move
-from jexplore.tracemap.record import BtmMap, check_map, require_near
+from jexplore.tracemap.record import BtmMap
 
 GLOBAL_MAP = "global map"
 WHY = {
@@ -62,21 +62,10 @@ def panels_of(
 ) -> tuple[list[MapPanel], list[str]]:
     """Merge maps as far as they fit.
 
-    Returns:
-      Panels, the map that most maps are in first; and what merged maps say differently, sentences: attributes, and
-      ways of one place that lead elsewhere.
+    Return panels, the map that most maps are in first; and what merged maps say differently, sentences: attributes,
+    and ways of one place that lead elsewhere.
     """
-    names = [str(i) for i in range(len(maps))] if names is None else list(names)
-    if not maps:
-        raise InputError("station: expected one map or more, got none")
-    if len(names) != len(maps) or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
-        raise InputError(f"expected a name of its own for each of {len(maps)} maps, got {names!r}")
-    given = {}
-    for name, btm in zip(names, maps):
-        require_kind("a map", btm, BtmMap)
-        given[name] = check_map(btm)
-        require_near(given[name], name)
-        notes.require_sources(given[name], name)
+    given = named_maps(maps, names)
     groups: list[Merged] = []
     left, outcome = given, Merging.MERGED
     while len(left) > 1:

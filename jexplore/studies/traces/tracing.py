@@ -12,8 +12,8 @@ import numpy as np
 
 from jexplore import btm
 from jexplore.config import checked_names, require_engine
-from jexplore.driving import batch, vehicle
-from jexplore.driving.batch import Driven, outcome_names, settings_arrays
+from jexplore.driving import vehicle
+from jexplore.driving.batch import Driven, outcome_names
 from jexplore.driving.records import RunMode
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.runner import Costs
@@ -22,8 +22,8 @@ from jexplore.report.ledger import Ledger
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import world_digest
 from jexplore.studies.results.units import MAX_UNITS_OF_JOB, MIN_UNIT_EPISODES
-from jexplore.studies.traces.job import TraceJob, prepare_trace, with_values
-from jexplore.studies.traces.scans import scans_of
+from jexplore.studies.traces.job import TraceJob, prepare_trace
+from jexplore.studies.traces.recording import scans_of
 from jexplore.studies.traces.truth import false_divergences
 from jexplore.tracemap import json_form
 from jexplore.tracemap.passable import BLOCKED, blocked_for
@@ -63,7 +63,7 @@ class Traced:
         return self.plan.topology
 
     def scans(self) -> ScanLog:
-        """Return the scans of run 0 along its way: see `scans.scans_of`."""
+        """Return the scans of run 0 along its way: see `recording.scans_of`."""
         return scans_of(self.plan, self.driven)
 
 
@@ -103,33 +103,23 @@ def execute(
     made = _Made(plan, ledger)
     resumed, costs = sum(map(len, made.tables.values())), Costs()
     if made.left:
-        how = {"engine": engine, "lanes": lanes, "workers": workers}
-        if on_progress is not None:
-            how["on_progress"] = lambda done: on_progress(done + resumed)
+        moved = None if on_progress is None else (lambda done: on_progress(done + resumed))
+        how = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": moved}
+        blocks = [made.blocks[unit] for unit in made.left]
         try:
-            costs = _run(plan, made, how)
+            report = plan.run(made.setting, made.which, blocks=blocks, on_block=made.put, **how)
         except KeyboardInterrupt:
             costs = Costs(interrupted=True)
+        else:
+            costs = report.costs
+            for place, (first, n) in enumerate(blocks):  # those interrupted on the way are not kept
+                if made.left[place] not in made.tables:
+                    some = jax.tree.map(lambda a, at=slice(first, first + n): a[at], report.result)
+                    made.put(place, some, report.driven, keep=False)
     if made.first is None:
         raise KeyboardInterrupt
     table = pd.concat([made.tables[i] for i in sorted(made.tables)], ignore_index=True)
     return Traced(plan, table, *made.first, costs, made.maps, resumed)
-
-
-def _run(plan, made, how):
-    """Make the missing runs: `Costs`."""
-    n, (tuning, noise) = len(made.which), with_values(plan.tuning, plan.noise, made.chosen)
-    report = batch.run_missions(
-        *(plan.building, settings_arrays(plan.robot, n), settings_arrays(tuning, n), settings_arrays(noise, n)),
-        *(plan.starts_of(made.which), plan.seed, made.which),
-        max_steps=plan.max_steps,
-        size=plan.size,
-        blocks=[made.blocks[i] for i in made.left],
-        on_block=made.put,
-        **how,
-    )
-    made.add_rest(report)
-    return report.costs
 
 
 class _Made:
@@ -137,9 +127,7 @@ class _Made:
 
     def __init__(self, plan, ledger):
         self.plan, self.ledger, self.blocks = plan, ledger, run_blocks(plan)
-        self.setting = np.repeat(np.arange(plan.settings), plan.runs)
-        self.which = np.tile(np.arange(plan.runs, dtype=np.int32), plan.settings)
-        self.chosen = {name: values[self.setting] for name, values in plan.swept.items()}
+        self.setting, self.which = plan.all_runs()
         self.tables: dict[int, Any] = {}
         self.maps: dict[int, BtmMap] = {}
         self.first: tuple[BtmMap, Driven] | None = None  # map and way of run 0
@@ -152,21 +140,14 @@ class _Made:
         """Take the runs of a block, the one at this place in `left`."""
         unit = self.left[place]
         at = slice(self.blocks[unit][0], sum(self.blocks[unit]))
-        own = {name: values[at] for name, values in self.chosen.items()}
-        self.tables[unit], found = trace_table(self.plan, result, self.setting[at], self.which[at], own)
+        setting, which = self.setting[at], self.which[at]
+        self.tables[unit], found = trace_table(self.plan, result, setting, which, self.plan.chosen(setting))
         self.maps.update(enumerate(found, at.start))
         if unit == 0 and driven is not None:
             self.first = found[0], driven
         if self.ledger is not None and keep:
             extra = {FIRST: [_written_first(self.first), *[None] * (len(found) - 1)]} if unit == 0 else {}
             self.ledger.put(unit, self.tables[unit].assign(**extra))
-
-    def add_rest(self, report):
-        """Take the finished runs of blocks interrupted on the way; they are not kept."""
-        for place, unit in enumerate(self.left):
-            if unit not in self.tables:
-                at = slice(self.blocks[unit][0], sum(self.blocks[unit]))
-                self.put(place, jax.tree.map(lambda a, at=at: a[at], report.result), report.driven, keep=False)
 
 
 def _written_first(first):
@@ -235,12 +216,10 @@ def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
 
 def _helps(help_at, origin_m):
     """Describe place, time and run mode of the first operator helps: text."""
-    rows = help_at[np.isfinite(help_at[:, 0])]
-    told = []
-    for x, y, step, mode in rows:
-        place = f"({x + origin_m[0]:.2f}, {y + origin_m[1]:.2f}) m"
-        told.append(f"{place} at {step * vehicle.DT_S:.0f} s, {RunMode(int(mode)).name}")
-    return "; ".join(told)
+    return "; ".join(
+        f"({x + origin_m[0]:.2f}, {y + origin_m[1]:.2f}) m at {step * vehicle.DT_S:.0f} s, {RunMode(int(mode)).name}"
+        for x, y, step, mode in help_at[np.isfinite(help_at[:, 0])]
+    )
 
 
 def trace_table(
@@ -259,8 +238,11 @@ def trace_table(
     own_truths = [truths[run % len(truths)] for run in which]
     marks, is_door = result.met[:, : len(plan.truth.marks)], plan.truth.is_door
     node_at = result.node_at + np.asarray(plan.world.origin_m)
-    slopes = [[n.inclination_deg for n in m.nodes if n.inclination_deg is not None] for m in maps]
-    steps = [[n.step_m for n in m.nodes if n.step_m is not None] for m in maps]
+
+    def largest(name):
+        values = ([getattr(node, name) for node in own.nodes] for own in maps)
+        return [max((value for value in own if value is not None), default=np.nan) for own in values]
+
     table = pd.DataFrame(
         {
             "world": plan.world.name,
@@ -271,10 +253,7 @@ def trace_table(
             "outcome": outcome_names(result),
             "steps": result.steps,
             "time_s": result.steps * vehicle.DT_S,
-            "path_m": result.path_m,
-            "contacts": result.contacts,
-            "refused": result.refused,
-            "interventions": result.interventions,
+            **{name: getattr(result, name) for name in ("path_m", "contacts", "refused", "interventions")},
             "helped_at": [_helps(of_run, plan.world.origin_m) for of_run in result.help_at],
             "junctions": int((~is_door).sum()),
             "junctions_reached": marks[:, ~is_door].sum(axis=1),
@@ -286,11 +265,10 @@ def trace_table(
             "nodes": [len(m.nodes) for m in maps],
             "links": [len(m.links) for m in maps],
             "unsearched": [sum(link.status == "un-searched" for link in m.links) for m in maps],
-            "inclination_deg": [max(s, default=np.nan) for s in slopes],
-            "step_m": [max(s, default=np.nan) for s in steps],
+            "inclination_deg": largest("inclination_deg"),
+            "step_m": largest("step_m"),
             "closings": [of_run.closings for of_run in found],
-            "mistaken": result.mistaken,
-            "dropped": result.dropped,
+            **{name: getattr(result, name) for name in ("mistaken", "dropped")},
             "contradicted": [of_run.contradicted for of_run in found],
             "overflow": result.map.overflow,
             "scan_overflow": result.scan_overflow,

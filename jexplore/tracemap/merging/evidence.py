@@ -1,9 +1,10 @@
 """Evidence for a guess about two maps: log likelihood of one place against two that look alike."""
 
+import functools
 import math
 from collections.abc import Callable, Iterable
 
-from jexplore.tracemap.merging.walk import Guess, Pair
+from jexplore.tracemap.merging.pair import Guess, Pair
 from jexplore.tracemap.merging.ways import Places, PlaceWay
 
 PRIOR = 4.0  # prior beliefs about buildings weigh as much as this many nodes or links of the two maps
@@ -26,7 +27,7 @@ class Evidence:
         self.pair = pair
         both, limits = (pair.one, pair.other), pair.limits
         self._noise2, self._scale2 = (limits.length_m / 2) ** 2 + 1e-6, limits.length_share**2 * 2 / 3
-        ways = [way for part in both for way in whole_ways(part)]
+        ways = [way for part in both for way in _whole_ways(part)]
         self._ends = sum(len(own) for part in both for own in part.ways.values())
         self._long = _Usual([way.length_m for way in ways], self._as_long)
         openings = [way.opening_m for part in both for own in part.ways.values() for way in own]
@@ -34,7 +35,7 @@ class Evidence:
         self._wide = _Usual([way.width_m for way in ways], lambda one, other: _bell(one - other, WIDTH_M))
         self._open = _Usual(openings, self._wide.bell)
         self._steep = _Usual(slopes, lambda one, other: _bell(one - other, INCLINATION_DEG))
-        self._alike = {}  # place of the first map and way -> ends of both maps that look like it, by ways lost
+        self._alike = functools.cache(pair.counts)
 
     @property
     def tries(self) -> float:
@@ -63,14 +64,10 @@ class Evidence:
 
     def _node(self, a, i, b, j):
         """Return the evidence of a node that looks alike, by how many others would as well."""
-        pair, likenesses = self.pair, self.pair.likenesses
-        at = likenesses.lost(pair.one, a, pair.other, b)[i]
+        at = self.pair.lost(a, b)[i]
         lost = max(at[j], 0)
-        if (a, i) not in self._alike:
-            found = (likenesses.counts(pair.one, a, i, part) for part in (pair.one, pair.other))
-            self._alike[a, i] = [sum(both) for both in zip(*found)]
-        alike = sum(self._alike[a, i][: lost + 1]) - sum(0 <= one <= lost for one in at)
-        others = self._ends - len(pair.one.ways[a]) - len(pair.other.ways[b])
+        alike = sum(self._alike(a, i)[: lost + 1]) - sum(0 <= one <= lost for one in at)
+        others = self._ends - len(self.pair.one.ways[a]) - len(self.pair.other.ways[b])
         return -math.log((PRIOR * ALIKE_CHANCE + alike) / (PRIOR + others)) - LOST_LINK_NATS * lost
 
     def _as_long(self, length, other):
@@ -91,12 +88,10 @@ class Evidence:
         return total
 
 
-def whole_ways(part: Places) -> list[PlaceWay]:
+def _whole_ways(part: Places) -> list[PlaceWay]:
     """Return ways between places, each once."""
-    found = []
-    for a, ways in part.ways.items():
-        found += [way for i, way in enumerate(ways) if way.is_whole and (a, i) < (way.end, way.back)]
-    return found
+    ends = ((a, i, way) for a, ways in part.ways.items() for i, way in enumerate(ways))
+    return [way for a, i, way in ends if way.is_whole and (a, i) < (way.end, way.back)]
 
 
 class _Usual:

@@ -19,12 +19,8 @@ def join(one: BtmMap, other: BtmMap, match: Match) -> BtmMap:
     inclinations and steps the most. A searched link wins over an un-searched one. A terminal node of one map on a link
     of the other divides it; both parts have the extremes of the whole. Contradicting ways are both kept.
 
-    Args:
-      one, other: maps whose nodes and links have no attribute but `FROM`, by which maps are counted.
-      match: of these two.
-
-    Returns:
-      `BtmMap`, ids from 0: nodes and links of the first map in their order, then those that only the second has.
+    The maps' nodes and links have no attribute but `FROM`, by which maps are counted. Ids begin at 0: nodes and links
+    of the first map in their order, then those that only the second has.
     """
     other = moved_map(other, match.move)
     first_free = 1 + max((node.id for node in one.nodes), default=-1)
@@ -151,7 +147,8 @@ def _pieces(strands: list[_Strand]):
 def _common_stops(strands):
     """Merge stops of all strands in order: `(node, metres)`; the end of a whole way is the last."""
     whole = [strand for strand in strands if strand.is_whole and strand.length_m > 0]
-    length = _mean([strand.length_m for strand in whole], [_strand_weight(strand) for strand in whole])
+    weights = [min(_weight(link) for link, _ in strand.steps) for strand in whole]
+    length = _mean([strand.length_m for strand in whole], weights)
     last, at = next((strand.stops[-1][0] for strand in strands if strand.is_whole), None), {}
     for strand in strands:
         scale = length / strand.length_m if strand in whole and length is not None else 1.0
@@ -162,10 +159,6 @@ def _common_stops(strands):
         most_m = max(found[last] - _EDGE_M, 0.0)
         found = {node: along if node == last else min(max(along, 0.0), most_m) for node, along in found.items()}
     return sorted(found.items(), key=lambda item: (item[0] == last, item[1]))
-
-
-def _strand_weight(strand):
-    return min(_weight(link) for link, _ in strand.steps)
 
 
 def _piece(cover, start, end, length_m, back_before):

@@ -8,11 +8,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from jexplore.tracemap.merging.alike import leaving_alike
 from jexplore.tracemap.merging.evidence import Evidence
 from jexplore.tracemap.merging.limits import Limits
+from jexplore.tracemap.merging.pair import Guess, Pair, leaving_alike
 from jexplore.tracemap.merging.rigid import Move, apart_deg, fit, mean_deg, mirrored
-from jexplore.tracemap.merging.walk import Guess, Pair
 from jexplore.tracemap.merging.ways import PlaceWay, places_of
 from jexplore.tracemap.record import BtmMap
 
@@ -69,13 +68,13 @@ def match_maps(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_
     added that lie at the expected position but connect only by ways that one map lacks; last, by `with_neighbours`,
     nodes at the expected position that look different.
     """
-    pair, evidence, found = _weighed(one, other, limits or Limits())
+    pair, tries, found = _weighed(one, other, limits or Limits())
     best = next(found, None)
     if best is None:
         return dataclasses.replace(NOTHING, outcome=Merging.NOT_ENOUGH_IN_COMMON, evidence=-math.inf)
     rivals, rest = itertools.tee(found)
     margin = best.gain - next((c.gain for c in rivals if not _together(best, c, other, pair.limits)), -math.inf)
-    worth = best.gain - evidence.tries
+    worth = best.gain - tries
     if best.guess.contradictions:
         reflected = next(_weighed(one, mirrored(other), pair.limits)[2], None)
         margin = min(margin, 0.0 if reflected is not None and reflected.gain > best.gain + MARGIN else math.inf)
@@ -100,30 +99,21 @@ def match_maps(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_
 
 
 def _weighed(one, other, limits):
-    """Return the pair, its evidence, and an iterator over what drift allows, the best `_Candidate` first."""
+    """Return the pair, the logarithm of its tries, and the `_Candidate`s that drift allows, the best first."""
     pair = Pair(places_of(one), places_of(other), limits)
-    evidence = Evidence(pair)
+    evidence, onto, points = Evidence(pair), _places(one), _places(other)
     weighed = [(evidence.gain(guess), *guess.entries[0]) for guess in pair.guesses()]
     weighed.sort(key=lambda entry: -entry[0])
-    return pair, evidence, _allowed(pair, weighed, _places(one), _places(other))
 
+    def allowed():
+        for gain, *entry in weighed:
+            guess = pair.grown(*entry)  # once more: few are asked for, and all together would take much memory
+            nodes = {b: a for a, b in guess.places.items()} | _same_stops(guess, limits)
+            move = _move(onto, points, guess, nodes, limits)
+            if move is not None:
+                yield _Candidate(guess, gain, nodes, move)
 
-def _allowed(pair, weighed, onto, points):
-    """Yield, in order, the guesses `(gain, *first entry)` whose places lie as near as drift allows.
-
-    They are grown once more: few are asked for, and all together would take much memory.
-    """
-    limits = pair.limits
-    for gain, *entry in weighed:
-        guess = pair.grown(*entry)
-        nodes = {b: a for a, b in guess.places.items()} | _same_stops(guess, limits)
-        move = _move(onto, points, guess, nodes, limits)
-        if move is not None:
-            yield _Candidate(guess, gain, nodes, move)
-
-
-def _links(way, match):
-    return {id(link) for one in (way, match) for link, _ in one.steps}
+    return pair, evidence.tries, allowed()
 
 
 def _same_stops(guess, limits):
@@ -160,12 +150,14 @@ def _fit(onto, points, nodes, turn_deg):
     return fit([points[b] for b in nodes], [onto[a] for a in nodes.values()], turn_deg)
 
 
+def _links(way, match):
+    return {id(link) for one in (way, match) for link, _ in one.steps}
+
+
 def _together(best, candidate, other, limits):
     """Return whether two guesses are compatible: no node has two meanings, and they move the second map alike."""
-    if any(best.nodes.get(b, a) != a for b, a in candidate.nodes.items()):
-        return False
     back = {a: b for b, a in best.nodes.items()}
-    if any(back.get(a, b) != b for b, a in candidate.nodes.items()):
+    if any(best.nodes.get(b, a) != a or back.get(a, b) != b for b, a in candidate.nodes.items()):
         return False
     if candidate.nodes.keys() & best.nodes.keys():
         return True
@@ -203,12 +195,8 @@ def with_neighbours(
     is within the drift since the nearest matched place, and a way leaves both alike. Places behind a wall are near,
     too: where more ways exist in one map only than in both, drift is not an explanation.
 
-    Args:
-      pair: the maps.
-      nodes: node of the second -> the same of the first.
-      ways: matched ones.
-      turns: place of the first -> direction there less direction in the second, degrees.
-      move: takes the second map into the frame of the first.
+    `nodes` has nodes of the second -> the same of the first, `turns` places of the first -> direction there less
+    direction in the second, degrees; `move` takes the second map into the frame of the first.
     """
     nodes, turns = dict(nodes), dict(turns)
     while True:

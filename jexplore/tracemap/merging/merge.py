@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from jexplore.config import InputError, as_record, checked_names, require_kind, require_whole, shown
+from jexplore.config import InputError, as_record, checked_names, require_different, require_kind, require_whole
 from jexplore.tracemap.merging import notes
 from jexplore.tracemap.merging.join import FROM, join
 from jexplore.tracemap.merging.limits import Limits
-from jexplore.tracemap.merging.match import NOTHING, Match, Merging, match_maps
+from jexplore.tracemap.merging.match import NOTHING, Merging, match_maps
 from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.record import BtmMap, check_map, require_near
 
@@ -36,7 +36,7 @@ class Merged:
     their position alone."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class _Part:
     map: BtmMap
     moves: dict[str, Move]
@@ -77,54 +77,53 @@ def merge_maps(
       InputError: fewer than two maps, names that are not as many or not different, an improper map, places or
         lengths of 1000 km and more, or `merged_from`, `from` or `conflicts` that merging could not have written.
     """
-    names = [str(i) for i in range(len(maps))] if names is None else list(names)
-    if len(maps) < 2:
-        raise InputError(f"expected two maps or more, got {len(maps)}")
-    if len(names) != len(maps) or not all(isinstance(name, str) for name in names):
-        raise InputError(f"expected a name for each of {len(maps)} maps, got {names!r}")
+    originals = named_maps(maps, names, least=2)
     limits = as_record("limits", {} if limits is None else limits, Limits)
     min_common = require_whole("min_common", min_common, 1, 10**6)
-    originals = {}
-    for name, btm in zip(names, maps):
-        require_kind("a map", btm, BtmMap)
-        originals[name] = check_map(btm)
-        require_near(originals[name], name)
-        notes.require_sources(originals[name], name)
-    sources = [source for name in names for source in notes.sources_of(originals[name], name)]
-    twice = sorted({source for source in sources if sources.count(source) > 1})
-    if twice:
-        raise InputError(f"expected maps with names of their own, got {shown(twice[0])} twice")
     parts, joins, refused = _merged(_distinct(originals), limits, min_common, on_progress)
     return _result(parts, joins, refused, originals)
+
+
+def named_maps(maps: Sequence[BtmMap], names: Sequence[str] | None, least: int = 1) -> dict[str, BtmMap]:
+    """Check maps of a building, `least` or more, and return them by name; see `merge_maps`."""
+    words = {1: "one map or more", 2: "two maps or more"}[least]
+    if len(maps) < least:
+        raise InputError(f"expected {words}, got {len(maps) or 'none'}")
+    names, checked = [str(i) for i in range(len(maps))] if names is None else list(names), []
+    if len(names) != len(maps) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"expected a name for each of {len(maps)} maps, got {names!r}")
+    for name, btm in zip(names, maps):
+        require_kind("a map", btm, BtmMap)
+        checked.append(check_map(btm))
+        require_near(checked[-1], name)
+        notes.require_sources(checked[-1], name)
+    sources = [source for name, btm in zip(names, checked) for source in notes.sources_of(btm, name)]
+    require_different("names of maps", sources)
+    return dict(zip(names, checked))
 
 
 def _distinct(originals):
     """Return the initial parts: equal maps that have measured something are one."""
     found = []  # the map without attributes, and names
     for name, btm in originals.items():
-        bare = BtmMap(tuple(map(_bare, btm.nodes)), tuple(map(_bare, btm.links)))
+        bare = notes.stripped(btm)
         same = [names for other, names in found if other == bare and any(link.length_m for link in bare.links)]
         same[0].append(name) if same else found.append((bare, [name]))
     return [_Part(notes.stripped(bare, *names), {name: Move() for name in names}) for bare, names in found]
-
-
-def _bare(item):
-    return dataclasses.replace(item, attributes={})
 
 
 def _merged(parts, limits, min_common, on_progress):
     """Return parts that cannot be merged further, the matches that were made, and those refused at the end."""
     joins, known = [], {}  # joins: matches, and of which parts
     while True:
-        for one, other in itertools.combinations(parts, 2):
-            key = (tuple(one.moves), tuple(other.moves))
-            if key not in known:
-                known[key] = (match_maps(one.map, other.map, limits=limits, min_common=min_common), one, other)
+        pairs = list(itertools.combinations(parts, 2))
+        for one, other in pairs:
+            if (one, other) not in known:
+                known[one, other] = match_maps(one.map, other.map, limits=limits, min_common=min_common)
                 on_progress(len(known))
-        pairs = [known[tuple(one.moves), tuple(other.moves)] for one, other in itertools.combinations(parts, 2)]
-        fitting = [pair for pair in pairs if pair[0].outcome is Merging.MERGED]
+        fitting = [(known[pair], *pair) for pair in pairs if known[pair].outcome is Merging.MERGED]
         if not fitting:
-            return parts, joins, [(found, one, other) for found, one, other in pairs]
+            return parts, joins, [(known[pair], *pair) for pair in pairs]
         found, one, other = max(fitting, key=lambda pair: pair[0].evidence)
         joins.append((found, one, other))
         moves = {**one.moves, **{name: found.move.after(move) for name, move in other.moves.items()}}
@@ -135,20 +134,17 @@ def _merged(parts, limits, min_common, on_progress):
 def _result(parts, joins, refused, originals):
     main = max(parts, key=lambda part: (len(part.moves), len(part.map.nodes)))
     own = [found for found, one, other in refused if main in (one, other)]
-    told: list[Match] = own or [found for found, _, _ in joins]
-    if not told:
-        outcome, worst = Merging.MERGED, NOTHING
-    elif not own:
-        outcome, worst = Merging.MERGED, min(told, key=lambda found: found.evidence)
+    if own:
+        worst = max(own, key=lambda found: found.evidence)
     else:
-        outcome, worst = max(((found.outcome, found) for found in own), key=lambda pair: pair[1].evidence)
+        worst = min((found for found, _, _ in joins), key=lambda found: found.evidence, default=NOTHING)
     nodes = {name: {} for name in main.moves}
     for node in main.map.nodes:
         for name, key in node.attributes[FROM].items():
             nodes[name][key] = node.id
     btm = notes.restored(main.map, {name: originals[name] for name in originals if name in main.moves})
     return Merged(
-        outcome=outcome,
+        outcome=worst.outcome,
         map=btm,
         nodes=nodes,
         moves=main.moves,
@@ -170,8 +166,6 @@ def _remarks(joins, nodes):
             if found.beside:
                 yield notes.by_place(names, others, sorted({whole[key] for key in found.beside}))
             if found.contradictions:
-                at = [
-                    link.start if ahead else link.end
-                    for (link, ahead), *_ in (a.steps for a, _ in found.contradictions)
-                ]
+                begun = [way.steps[0] for way, _ in found.contradictions]
+                at = [link.start if ahead else link.end for link, ahead in begun]
                 yield notes.contradiction(names, others, len(at), sorted({whole[key] for key in at}))

@@ -21,10 +21,10 @@ def sources_of(btm: BtmMap, name: str) -> list[str]:
 
 
 def stripped(btm: BtmMap, *names: str) -> BtmMap:
-    """Strip the map of all attributes but `FROM`, by its names."""
+    """Strip the map of all attributes but `FROM`, by its names if there are any."""
 
     def bare(item):
-        return dataclasses.replace(item, attributes={FROM: dict.fromkeys(names, item.id)})
+        return dataclasses.replace(item, attributes={FROM: dict.fromkeys(names, item.id)} if names else {})
 
     return BtmMap(tuple(map(bare, btm.nodes)), tuple(map(bare, btm.links)))
 
