@@ -32,7 +32,9 @@ except AttributeError:  # another C library
     _trim = int
 
 
-MAX_RESIDENT_BYTES = 1_000_000_000  # of a worker between two tests; its peak is then about 1.5 GB
+RESIDENT_BYTES = 1_000_000_000  # up to which a worker keeps its programs
+GROWTH_BYTES = 400_000_000  # by which it may grow beyond what was left when it dropped them last
+_after_drop = 0
 
 
 def _resident_bytes():
@@ -139,9 +141,11 @@ def _garbage():
 @pytest.fixture(autouse=True)
 def _memory():
     """Drop programs, within a module too, where a worker has grown large."""
+    global _after_drop
     yield
-    if _resident_bytes() > MAX_RESIDENT_BYTES:
+    if _resident_bytes() > max(RESIDENT_BYTES, _after_drop + GROWTH_BYTES):
         _drop_programs()
+        _after_drop = _resident_bytes()
 
 
 @pytest.fixture(scope="session")

@@ -17,11 +17,10 @@ import jexplore
 from jexplore.cli import main, options
 from jexplore.config import InputError
 from jexplore.exploration import batch
-from jexplore.learn.settings import SETTING_BOUNDS, TRAINER_SETTINGS
+from jexplore.learn.settings import TRAINER_SETTINGS
 from jexplore.learn.training import TRAINERS
 from jexplore.policies import STRATEGIES
 from jexplore.policies.catalogue.entries import SYNONYMS
-from jexplore.policies.learned.features import SCORED_CLUSTERS
 from jexplore.report import store
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.worlds import GENERATORS
@@ -302,8 +301,6 @@ def test_tables_of_names_agree():
     assert set(SYNONYMS.values()) <= set(STRATEGIES)
     assert not set(SYNONYMS) & set(STRATEGIES)
     assert list(TRAINERS) == list(TRAINER_SETTINGS)
-    assert all(tuple(SETTING_BOUNDS[algo]) == kind._fields for algo, kind in TRAINER_SETTINGS.items())
-    assert SETTING_BOUNDS["advantage"]["tried"][1] == SCORED_CLUSTERS
 
 
 def test_places_that_cannot_be_written(tmp_path, capsys, monkeypatch):

@@ -72,6 +72,7 @@ def test_gymnasiums_checker_has_nothing_to_say():
     made.close()
 
 
+@pytest.mark.slow
 def test_the_spaces_of_many_are_those_of_one(env, envs):
     check_action_space(envs.single_action_space)
     check_observation_space(envs.single_observation_space)
@@ -323,6 +324,7 @@ def test_starts_and_worlds(envs):
     assert envs.states.world.tolist() == [1, 1, 1, 0]
 
 
+@pytest.mark.slow
 def test_a_picture(env, envs):
     env.reset(seed=0)
     picture = env.render()

@@ -46,6 +46,7 @@ def test_a_lone_one_and_a_users_stay_as_they_are():
     assert mixed[0].policy.params.which != mixed[2].policy.params.which
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_together_and_alone_they_do_the_same():
     jobs = [job._replace(starts=job.starts[:2]) for job in some_jobs(NAMES)[: len(NAMES)]]

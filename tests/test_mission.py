@@ -132,6 +132,7 @@ def test_the_wheeled_robot_without_the_slope():
     assert code(found.first) == code(found.truth)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_wheeled_robot_cannot_pass_the_slope():
     found = ran(job.prepare_trace("course", robot="wheeled", noise=STILL))
@@ -147,6 +148,7 @@ def test_the_wheeled_robot_cannot_pass_the_slope():
     assert abs(found.first.nodes[1].inclination_deg - 10) < 2
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_wheeled_robot_cannot_pass_stairs():
     found = ran(job.prepare_trace("course:obstacle=stairs", robot="wheeled", noise=Noise(range_m=0.01)))
@@ -191,6 +193,7 @@ def test_a_noisy_sensor_makes_the_same_map(noise):
     assert found.table["true"].sum() >= 3  # of 24 each: 23, 24, 24
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_a_riser_that_the_ground_refuses_is_an_obstacle():
     # The scanner looks over the stairs: higher ground looks like the end of the passage.
@@ -275,6 +278,7 @@ def box(height_m=1.6, width_m=1.6):
     return World(occupied=occupied, elevation=1e-9 + 0 * world.elevation, cell_m=0.1, name="box")
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize(
     ("change", "outcome"), [({"noise": Noise(invalid=1.0)}, "BLIND"), ({"max_steps": 100}, "STEP_LIMIT")]
@@ -337,6 +341,7 @@ def test_room_for_the_maps_of_buildings():
     assert job.map_room(plan.world, many, links=30) == (256, 30)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_a_room_without_a_passage():
     found = ran(job.prepare_trace(box(), start=(1.0, 1.0, 0), noise=STILL, **AS_ON_COURSES))

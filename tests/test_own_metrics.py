@@ -72,6 +72,7 @@ MEASURED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_columns_batches_lanes_and_environment_agree_to_the_bit(monkeypatch):
     world, how = two_rooms(), {"seed": 2, "lidar": LIDAR, "metrics": MEASURED}

@@ -26,7 +26,8 @@ def test_map_state_by_hand_and_as_on_the_device():
     hits, misses = np.array([[0, 0, 1, 1], [1, 2, 5, 0]]), np.array([[0, 4, 3, 2], [0, 6, 1, 1]])
     state = results.map_state(hits, misses, 0.25)
     assert state.tolist() == [[0, 1, 1, 2], [2, 1, 2, 1]]
-    grid = Grid(np.arange(64).reshape(8, 8) % 7, np.arange(64).reshape(8, 8) // 5)
+    cells = np.arange(64, dtype=np.int32).reshape(8, 8)
+    grid = Grid(cells % 7, cells // 5)
     for p_free in (0.0, 0.25, 1 / 3, 0.6):
         state = results.map_state(grid.hits, grid.misses, p_free)
         np.testing.assert_array_equal(state != 0, is_known(grid))

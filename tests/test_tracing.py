@@ -214,6 +214,7 @@ def test_an_attribute_that_json_cannot_hold():
         job.prepare_trace("course", starts=2, start=(2.5, 27.0, 0.0))
 
 
+@pytest.mark.slow
 def test_the_nearest_node_in_truth_gets_an_attribute(ran, jit_on):
     found = json_form.read_btm(ran / "btm.json")
     goal = found.nodes[-1]
