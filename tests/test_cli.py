@@ -273,7 +273,7 @@ BAD_INPUT = [
     ),
     ("compare --start world --worlds maze", "has no start of its own"),
     ("explore --within 0,0 --world maze", "within must be three or more corners"),
-    ("train --algo sgd", "unknown algorithm 'sgd' (there are: es, advantage, ppo)"),
+    ("train --algo sgd", "unknown algorithm 'sgd' (there are: es, ppo)"),
     ("train --set pairs=0", "pairs must be an integer from 1 to 10000, got 0"),
     ("train --rounds 12", "rounds must be a multiple of check_every, 5, got 12"),
     ("train --model nope.msgpack", "there is no such file"),
