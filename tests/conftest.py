@@ -32,8 +32,8 @@ except AttributeError:  # another C library
     _trim = int
 
 
-RESIDENT_BYTES = 1_000_000_000  # up to which a worker keeps its programs
-GROWTH_BYTES = 400_000_000  # by which it may grow beyond what was left when it dropped them last
+RESIDENT_BYTES = 1_400_000_000  # up to which a worker keeps its programs
+GROWTH_BYTES = 500_000_000  # by which it may grow beyond what was left when it dropped them last
 _after_drop = 0
 
 
