@@ -13,6 +13,7 @@ from scipy import ndimage
 from jexplore.config import InputError
 from jexplore.worlds.bounds import PARAMETERS
 from jexplore.worlds.generators.cave import _widen, cave
+from jexplore.worlds.generators.course import course
 from jexplore.worlds.generators.draft import (
     FloorPlan,
     Side,
@@ -337,6 +338,8 @@ DIGESTS = {
     ("hospital", "furnished"): "86989bd17bd75f87",
     ("rooms", ""): "0133ea9de6bdb9a7",
     ("rooms", "furnished"): "d7f52e660afadc7a",
+    ("course", ""): "89352cf4301c6bc6",
+    ("course", "furnished"): "e15cd56b66a55252",
 }
 
 
@@ -345,7 +348,8 @@ def test_worlds_stay_what_they_are_to_the_bit(kind, how):
     """Results of published names must not change; new parameters draw from random streams of their own."""
     found = hashlib.sha256()
     for seed, cell_m in ((np.int64(0), 0.1), (1, 0.1), (2, 0.2)):
-        world = KINDS[kind](seed, cell_m=cell_m, **(FURNISHED if how else {}))
+        some = {"furniture": True} if kind == "course" else FURNISHED
+        world = (KINDS | {"course": course})[kind](seed, cell_m=cell_m, **(some if how else {}))
         found.update(np.packbits(world.occupied).tobytes())
         found.update(b"" if world.rooms is None else world.rooms.astype("<i4").tobytes())
     assert found.hexdigest()[:16] == DIGESTS[kind, how]
