@@ -34,6 +34,7 @@ from jexplore.studies.results.comparison import Comparison as Comparison
 from jexplore.studies.results.loading import load as load
 from jexplore.studies.segmentation import Segmentation as Segmentation
 from jexplore.studies.segmentation import segment_maps as segment_maps
+from jexplore.studies.slam.logs import slam as slam
 from jexplore.studies.sweeps.run import Swept as Swept
 from jexplore.studies.sweeps.run import sweep as sweep
 from jexplore.studies.sweeps.spec import Range as Range

@@ -42,6 +42,7 @@ PARSED_ONLY = {
     ".venv/bin/jexplore compare": "the first run: .ci/run has it",
     "jexplore compare --league": "hours",
     "jexplore reproduce": "needs the paper's maps",
+    "jexplore slam": "needs a recorded log; tests/test_slam_logs.py",
     "jexplore bench": "measures this machine for minutes, or needs a compiler for a GPU; tests/test_bench.py",
     "jexplore train": "minutes of compiling; tests/test_training.py",
     "jexplore compare --strategies closest+recheck learned+recheck:path=trained/": "needs what `train` writes",

@@ -19,7 +19,7 @@ FLOORS = (
     {"cli"},
 )
 """Folders and modules of the package, from the ground up; what stands on one floor does not know each other."""
-KERNELS = {"grid", "distance", "raycast", "reach", "skeleton", "frontier", "gain", "segment", "rooms"}
+KERNELS = {"grid", "distance", "raycast", "reach", "skeleton", "frontier", "gain", "segment", "rooms", "slam2d"}
 NEVER = {
     **{("engine", other): "the engine runs any program" for other in ("kernels", "worlds", "planning")},
     **{(low, "report"): "only studies, benchmarks and commands show anything" for low in (

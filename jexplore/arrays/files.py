@@ -5,9 +5,11 @@ Plain Python: importing this loads neither numpy nor jax.
 """
 
 import contextlib
+import gzip
 import json
 import os
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from typing import Any, BinaryIO
 
@@ -73,14 +75,30 @@ _KINDS = {
 
 
 def read_text(path: str | os.PathLike[str], max_bytes: int) -> str:
-    """Read a text file in UTF-8, as `read_bytes`."""
+    """Read a text file in UTF-8, as `read_bytes`; one whose name ends in `.gz` is unpacked."""
     content = read_bytes(path, max_bytes)
+    if os.fspath(path).lower().endswith(".gz"):
+        content = _unpacked(os.fspath(path), max_bytes)
     if told_kind(content):
         raise InputError(f"{os.fspath(path)!r}: is not the text that its name says, but {told_kind(content)}")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{os.fspath(path)!r}: is not UTF-8 text (byte {error.start})") from None
+
+
+def _unpacked(path, max_bytes):
+    """Read a file packed by gzip."""
+    try:
+        with opened(path) as file, gzip.open(file) as packed:
+            content = packed.read(max_bytes + 1)
+    except InputError as error:  # of gzip, an OSError, among others
+        raise InputError(str(error).replace("cannot be opened", "cannot be unpacked")) from None
+    except (EOFError, zlib.error) as error:
+        raise InputError(f"{path!r}: cannot be unpacked ({first_line(error)})") from None
+    if len(content) > max_bytes:
+        raise InputError(f"{path!r}: has more than {max_bytes} bytes once unpacked; at most these are read")
+    return content
 
 
 def json_of(text: str, told: str) -> Any:

@@ -1,4 +1,4 @@
-"""The command line: `jexplore compare`, `explore`, `bound`, `train`, `reproduce`, `segment`, `trace`, `route`,
+"""The command line: `jexplore compare`, `explore`, `bound`, `train`, `reproduce`, `segment`, `slam`, `trace`, `route`,
 `merge-maps`, `station`, `worlds`, `strategies`, `bench`.
 
 Importing this loads neither jax nor numpy; every command imports its modules when it runs. Wrong input ends with one
@@ -22,6 +22,7 @@ from jexplore.cli.output.signals import Signals
 from jexplore.cli.output.terminal import plain_warnings
 from jexplore.cli.reproduce import Reproduce
 from jexplore.cli.segment import Segment
+from jexplore.cli.slam import Slam
 from jexplore.cli.sweep import Merge, SweepCommand
 from jexplore.cli.tracemaps.merge_maps import MergeMaps
 from jexplore.cli.tracemaps.route import RouteCommand
@@ -41,6 +42,7 @@ COMMANDS: dict[str, type] = {
     "train": Train,
     "reproduce": Reproduce,
     "segment": Segment,
+    "slam": Slam,
     "trace": Trace,
     "route": RouteCommand,
     "merge-maps": MergeMaps,

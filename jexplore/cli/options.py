@@ -88,6 +88,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "train": ("train --out runs/model",),
     "reproduce": ("reproduce holz2010 --maps maps --episodes 50",),
     "segment": ("segment plan.png@0.05 --truth rooms.png",),
+    "slam": ("slam robot.log.gz --out runs/slam",),
     "trace": ("trace --world course --robot kamui --out runs/trace",),
     "route": ("route --map runs/trace/btm.json --robot wheeled --from 4 --to 8",),
     "merge-maps": ("merge-maps a.json b.json --out global.json",),

@@ -26,6 +26,7 @@ OUR_FILES = (
     *("model.msgpack", "model.json", "curve.parquet", "curve.png"),  # train
     *("bench.json", "bench.png"),  # bench
     *("scores.parquet", "segments.png"),  # segment
+    *("trajectory.txt", "map.yaml", "map.pgm", "slam.png", "errors.parquet"),  # slam
     *("reproduce.png", "reproduce.svg"),  # reproduce
     *("asked.yaml", "summary.csv", "sweep.png", "sweep-map.png", "sweep.svg", "sweep-map.svg"),  # sweep
     *("btm.json", "btm.geojson", "btm.graphml", "btm.png", "btm.html", "runs.parquet"),  # trace

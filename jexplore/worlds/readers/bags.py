@@ -4,13 +4,14 @@ rosbags, which reads both without a ROS, is an extra, imported by the function t
 """
 
 import collections
+import contextlib
 import dataclasses
 import itertools
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,8 +22,6 @@ from jexplore.worlds.readers.grids import free_cells, resample, upright
 from jexplore.worlds.readers.images import MAX_PIXELS
 from jexplore.worlds.world import World, require_hundred
 
-_TYPE = "nav_msgs/msg/OccupancyGrid"
-_USUAL = "/map"
 _LEVEL = 1e-3  # of the tilt's part of a quaternion; a map so tilted is shorter by less than 1e-5
 
 
@@ -53,6 +52,20 @@ def read_bag(path: str | os.PathLike[str], *, topic: str | None = None, message:
     message = require_whole(f"{path!r}: message", message, -(10**9), 10**9)
     if topic is not None and not isinstance(topic, str):
         raise InputError(f"{path!r}: topic must be the name of one, as /map, got {topic!r}")
+    with opened_bag(path) as reader:
+        topic, connections = connections_of(path, reader.connections, topic, _MAPS)
+        raw = _pick(path, topic, (raw for _, _, raw in reader.messages(connections)), message)
+        grid = reader.deserialize(raw, _MAPS.type)
+    return _recorded(f"{path!r}: the map on {topic}", topic, grid)
+
+
+@contextlib.contextmanager
+def opened_bag(path: str) -> Iterator[Any]:
+    """Open a recording with rosbags' `AnyReader`; errors within the context are reported in one form.
+
+    Raises:
+      InputError: rosbags is not installed, or the recording cannot be read.
+    """
     if os.path.basename(path) == METADATA:
         path = os.path.dirname(path) or "."
     is_folder = os.path.isfile(os.path.join(path, METADATA))
@@ -69,14 +82,11 @@ def read_bag(path: str | os.PathLike[str], *, topic: str | None = None, message:
         raise InputError(f"{path!r}: reading it takes rosbags: pip install 'jexplore[ros]'") from None
     try:
         with AnyReader([Path(path)], default_typestore=get_typestore(Stores.LATEST)) as reader:
-            topic, connections = _connections(path, reader.connections, topic)
-            raw = _pick(path, topic, (raw for _, _, raw in reader.messages(connections)), message)
-            grid = reader.deserialize(raw, _TYPE)
+            yield reader
     except InputError:
         raise
     except Exception as error:  # rosbags lets through what the formats' own readers raise
         raise InputError(f"{path!r}: is damaged or no recording of ROS ({first_line(error)})") from None
-    return _recorded(f"{path!r}: the map on {topic}", topic, grid)
 
 
 @checked_names
@@ -110,19 +120,36 @@ def load_bag(
     return World(occupied=cells, cell_m=cell_m, name=path, origin_m=grid.origin_m)
 
 
-def _connections(path: str, connections: Iterable[Any], topic: str | None) -> tuple[str, list[Any]]:
-    """Return the topic, and the recording's connections with a map on it."""
-    maps = [one for one in connections if one.msgtype == _TYPE]
-    topics = sorted({one.topic for one in maps})
-    if not maps:
+class Kind(NamedTuple):
+    """A type of message."""
+
+    type: str
+    usual: str  # topic that is taken of several
+    name: str  # of such messages in errors, in the plural
+    hint: str  # how to name a topic
+
+
+def connections_of(path: str, connections: Iterable[Any], topic: str | None, kind: Kind) -> tuple[str, list[Any]]:
+    """Return the topic of a recording with messages of one kind, and its connections."""
+    some = [one for one in connections if one.msgtype == kind.type]
+    topics = sorted({one.topic for one in some})
+    if not some:
         others = ", ".join(sorted({one.topic for one in connections})) or "none"
-        raise InputError(f"{path!r}: has no message of the type nav_msgs/OccupancyGrid (its topics: {others})")
-    if topic is None and len(topics) > 1 and _USUAL not in topics:
-        raise InputError(f"{path!r}: has maps on {', '.join(topics)}; append :topic={topics[0]} for one of them")
-    chosen = (_USUAL if _USUAL in topics else topics[0]) if topic is None else topic
+        raise InputError(
+            f"{path!r}: has no message of the type {kind.type.replace('/msg/', '/')} (its topics: {others})"
+        )
+    if topic is None and len(topics) > 1 and kind.usual not in topics:
+        raise InputError(f"{path!r}: has {kind.name} on {', '.join(topics)}; {kind.hint}{topics[0]} for one of them")
+    chosen = (kind.usual if kind.usual in topics else topics[0]) if topic is None else topic
     if chosen not in topics:
-        raise InputError(f"{path!r}: has no map on the topic {chosen!r}; there are maps on {', '.join(topics)}")
-    return chosen, [one for one in maps if one.topic == chosen]
+        one = kind.name.removesuffix("s")
+        raise InputError(
+            f"{path!r}: has no {one} on the topic {chosen!r}; there are {kind.name} on {', '.join(topics)}"
+        )
+    return chosen, [one for one in some if one.topic == chosen]
+
+
+_MAPS = Kind("nav_msgs/msg/OccupancyGrid", "/map", "maps", "append :topic=")
 
 
 def _pick(path: str, topic: str, raws: Iterable[bytes], message: int) -> bytes:

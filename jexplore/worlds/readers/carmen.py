@@ -14,6 +14,7 @@ import numpy as np
 
 from jexplore.arrays.files import read_text
 from jexplore.config import InputError, InputWarning, checked_names, require_number, shown
+from jexplore.slam2d.poses import between, compose
 from jexplore.worlds.readers.scans import ScanLog, fold_scans
 from jexplore.worlds.world import World
 
@@ -34,12 +35,14 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
     """Read the scans of a CARMEN log that have a pose.
 
     Read are the lines `FLASER` and `ROBOTLASER1`, of the scanner that looks forward. A pose is the first of a line's
-    two, which programs that correct a log's poses write; `odometry` is the second. Of an `FLASER` line CARMEN assumes
-    that the first of n readings points 90 degrees to the right. The next ones are 1 degree apart for n = 180 and 181,
-    0.5 for 360 and 361, 0.25 for 400 and 401, else 180 / (n - 1).
+    two, which programs that correct a log's poses write; `odometry` is the second. A log of GMapping has the corrected
+    pose in both and in an `ODOM` line after every scan, from where further `ODOM` lines lead on: `odometry` joins these
+    steps; a scan without one stays where the last one was. Of an `FLASER` line CARMEN assumes that the first of n
+    readings points 90 degrees to the right. The next ones are 1 degree apart for n = 180 and 181, 0.5 for 360 and 361,
+    0.25 for 400 and 401, else 180 / (n - 1).
 
     Args:
-      path: the log, a text file.
+      path: the log, a text file, or one packed by gzip whose name ends in `.gz`.
       max_range_m: a reading of this or more means that nothing was seen, metres. Default: the least of what the log
         gives signs of: what `ROBOTLASER1` lines say; for `FLASER` the last `PARAM robot_front_laser_max`, without one
         80, and 8 if no reading is above 8.2, as a SICK in its mode of millimetres has it; and the largest reading,
@@ -59,33 +62,70 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
     path = os.fspath(path)
     if max_range_m is not None:
         require_number("max_range_m", max_range_m, low_open=True, high=1000)
-    scans, scanner, first, others, said_m = [], None, 0, set(), None
+    scans, scanner, first, others, said_m, steps = [], None, 0, set(), None, _Steps()
     for number, line in enumerate(read_text(path, _MAX_BYTES).splitlines(), start=1):
         word = line.split(maxsplit=1)[0] if line.strip() else ""
         if word not in _READ:
             others.add(word)
+            steps.pass_line(word, line)
             said_m = max_range_m or _parameter(f"{path!r}: line {number}", line) or said_m
             continue
         own, *scan = _READ[word](f"{path!r}: line {number}", line.split())
         if scanner is None:
             scanner, first = own, number
         elif own != scanner:
-            raise InputError(
-                f"{path!r}: line {number} has {_describe(own)}, line {first} {_describe(scanner)}; "
-                "keep the lines of one scanner"
-            )
+            told = f"{path!r}: line {number} has {_describe(own)}, line {first} {_describe(scanner)}"
+            raise InputError(f"{told}; keep the lines of one scanner")
         scans.append(scan)
+        steps.pass_scan(scan[1])
     if scanner is None:
-        raw = any(word.startswith("RAWLASER") for word in others)
-        hint = "; RAWLASER lines have no pose" if raw else ""
+        hint = "; RAWLASER lines have no pose" if any(word.startswith("RAWLASER") for word in others) else ""
         raise InputError(f"{path!r}: has no FLASER or ROBOTLASER1 line, so no scan with a pose{hint}")
     ranges, poses, odometry, times = (np.array(column) for column in zip(*scans))
-    n_beams, start_rad, step_rad, longest_m = scanner
-    angles_rad = start_rad + step_rad * np.arange(n_beams)
+    if steps.are_told and (poses == odometry).all():
+        odometry = steps.odometry(poses)
+    longest_m, angles_rad = scanner[3], scanner[1] + scanner[2] * np.arange(scanner[0])
     if max_range_m is not None:
         return ScanLog(poses, odometry, ranges, angles_rad, times, float(max_range_m))
     log = ScanLog(poses, odometry, ranges, angles_rad, times, _longest(ranges, longest_m, said_m))
     return dataclasses.replace(log, max_range_m=_found(path, log))
+
+
+class _Steps:
+    """Steps of the odometry in a log of GMapping, where they begin at the corrected poses."""
+
+    def __init__(self) -> None:
+        self.are_told = True  # every scan but the last is followed by its own pose
+        self.pose: list[float] | None = None  # of the last scan
+        self.repeated = True
+        self.last: list[float] | None = None  # pose by the last ODOM line since
+        self.before: list[list[float] | None] = []  # pose by the last ODOM line before every scan
+
+    def pass_line(self, word: str, line: str) -> None:
+        if word == "ODOM":
+            try:
+                pose = [float(value) for value in line.split()[1:4]]
+            except ValueError:
+                return
+            if len(pose) < 3 or not all(abs(value) < _MAX_POSE for value in pose):
+                return
+            if pose == self.pose:
+                self.repeated = True
+            else:
+                self.last = pose
+
+    def pass_scan(self, pose: np.ndarray) -> None:
+        self.are_told &= self.repeated
+        self.before.append(self.last)
+        self.pose, self.repeated, self.last = pose.tolist(), False, None
+
+    def odometry(self, poses: np.ndarray) -> np.ndarray:
+        """Join the steps: `[N, 3]`, from the first pose on."""
+        joined = [poses[0]]
+        for pose, last in zip(poses, self.before[1:]):
+            moved = np.zeros(3) if last is None else between(pose, np.array(last))
+            joined.append(compose(joined[-1], moved))
+        return np.array(joined)
 
 
 def load_carmen(

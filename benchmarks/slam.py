@@ -1,0 +1,159 @@
+"""Localisation and mapping: recorded logs against their corrected poses, and the time of one match.
+
+    python benchmarks/slam.py LOGS                       # a folder of CARMEN logs, each without and with loop closing
+    python benchmarks/slam.py LOGS --only intel --draw pictures
+    taskset -c 0 python benchmarks/slam.py --matches 100000
+
+Settings were chosen on Intel and Freiburg 079; all other logs are held out. A log's corrected poses come from another
+SLAM: errors say how far both agree. Relations: see `jexplore.studies.slam.errors.relations_between`.
+"""
+
+import argparse
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jexplore as jx
+from jexplore.bench.tables import markdown
+from jexplore.engine.backend import use_compilation_cache
+from jexplore.slam2d.matching import Outcome, match
+from jexplore.slam2d.points import add, empty_map
+from jexplore.slam2d.scans import read_scan
+from jexplore.slam2d.settings import SlamSettings
+
+CHOSEN_ON = ("intel", "freiburg-079")
+HEAD = (
+    "log",
+    "closing",
+    "scans",
+    "way m",
+    "local m",
+    "sd",
+    "local deg",
+    "revisit m",
+    "global m",
+    "ate m",
+    "loops",
+    "lost",
+    "s",
+)
+BEAMS, ROOM_M = 181, (6.0, 4.0)
+BATCH = 1000  # random matches at a time
+
+
+def log_row(path, closing, folder):
+    began = time.process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = jx.slam(path, closing=closing)
+    spent_s = time.process_time() - began
+    name = path.name.split(".")[0].removesuffix("-corrected")
+    if folder is not None:
+        from jexplore.report.plot import save_figure
+
+        folder.mkdir(parents=True, exist_ok=True)
+        save_figure(found.figure(), folder / f"{name}-{'closing' if closing else 'open'}.png")
+    errors = {} if found.errors.empty else found.errors.set_index("relations").to_dict("index")
+
+    def of(kind, what="place_m"):
+        return f"{errors[kind][what]:.3f}" if kind in errors else "-"
+
+    way_m = np.hypot(*np.diff(found.poses[:, :2], axis=0).T).sum()
+    told = name if name in CHOSEN_ON else f"{name} (held out)"
+    return [
+        told, "yes" if closing else "no", str(len(found.poses)), f"{way_m:.0f}", of("local"), of("local", "place_sd_m"),
+        of("local", "turn_deg"), of("revisit"), of("global"), f"{found.ate_m:.3f}", str(len(found.loops)),
+        str(int((found.outcomes > Outcome.UNSETTLED).sum())), f"{spent_s:.0f}",
+    ]  # fmt: skip
+
+
+def ranges_in_room(pose, angles):
+    """Ranges from poses `[..., 3]` in a rectangular room."""
+    heading = pose[..., 2:] + angles
+    dx, dy = np.cos(heading), np.sin(heading)
+    with np.errstate(divide="ignore"):
+        x = np.where(dx > 0, ROOM_M[0] - pose[..., :1], -pose[..., :1]) / dx
+        y = np.where(dy > 0, ROOM_M[1] - pose[..., 1:2], -pose[..., 1:2]) / dy
+    return np.float32(np.minimum(x, y))
+
+
+def matches(n, seed):
+    """Time one match, and count numbers that are not finite in random matches."""
+    own, rng = jax.tree.map(np.float32, SlamSettings()), np.random.default_rng(seed)
+    angles = np.radians(np.linspace(-90, 90, BEAMS, dtype=np.float32))
+    pose = np.array([3.0, 2.0, 0.5])
+    points = empty_map((64, 64, 16))
+    for turn in (0, 2, 4):
+        at = np.float32(pose + np.array([0, 0, turn]))
+        points = add(own, points, read_scan(own, ranges_in_room(at, angles), angles, 80.0), at)
+    prior = np.diag(np.float32([0.05, 0.05, 0.03]) ** 2)
+    true = np.array([3.1, 2.1, 0.4])
+    scan = read_scan(own, ranges_in_room(true, angles) + np.float32(rng.normal(0, 0.01, BEAMS)), angles, 80.0)
+    one = jax.jit(match)
+    starts = np.float32(true + rng.normal(0, 1, (200, 3)) * [0.04, 0.04, 0.02])
+    jax.block_until_ready(one(own, points, scan, starts[0], prior))
+    took = []
+    for start in starts:
+        began = time.process_time()
+        jax.block_until_ready(one(own, points, scan, start, prior))
+        took.append(time.process_time() - began)
+    found = [one(own, points, scan, start, prior).pose for start in starts]
+    off_m = np.hypot(*(np.array(found) - true)[:, :2].T)
+    print(markdown(["one match, 181 beams", "value"], [
+        ["median us of processor time", f"{1e6 * np.median(took):.0f}"],
+        ["least us", f"{1e6 * np.min(took):.0f}"],
+        ["farthest from the truth, m", f"{off_m.max():.4f}"],
+    ]))  # fmt: skip
+
+    def random_match(key):
+        keys = jax.random.split(key, 5)
+        near = jax.random.normal(keys[0], (3,)) * jnp.array([0.1, 0.1, 0.05])
+        anywhere = jax.random.uniform(keys[0], (3,), minval=-4.0, maxval=8.0)
+        is_room = jax.random.bernoulli(keys[4])  # else ranges of no room, from anywhere
+        start = jnp.where(is_room, true + near, anywhere)
+        ranges = jax.random.uniform(keys[1], (BEAMS,), maxval=90.0) * jax.random.uniform(keys[2], (BEAMS,))
+        noisy = ranges_in_room(true, angles) + 0.02 * jax.random.normal(keys[1], (BEAMS,))
+        ranges = jnp.where(is_room, noisy, ranges)
+        odd = jax.random.choice(keys[3], jnp.array([jnp.nan, jnp.inf, -1.0, 0.0, 81.0, 2.0, 3.0]), (BEAMS,))
+        ranges = jnp.where(jax.random.uniform(keys[4], (BEAMS,)) < 0.2, odd, ranges)
+        spread = jnp.exp(jax.random.uniform(keys[2], (), minval=-14.0, maxval=3.0)) * jnp.eye(3)
+        return match(own, points, read_scan(own, ranges, angles, 80.0), start, spread)
+
+    together, bad, counts = jax.jit(jax.vmap(random_match)), 0, np.zeros(len(Outcome), int)
+    for batch in range(-(-n // BATCH)):
+        made = together(jax.random.split(jax.random.key(seed + batch), BATCH))
+        bad += sum(int((~np.isfinite(a)).sum()) for a in made)
+        counts += np.bincount(made.outcome, minlength=len(Outcome))
+    told = ", ".join(f"{n} {Outcome(k).name.lower()}" for k, n in enumerate(counts))
+    print(f"{counts.sum()} random matches: {bad} numbers not finite; {told}")
+
+
+def main(argv=None):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("logs", nargs="?", type=Path)
+    parser.add_argument("--only", nargs="+", default=[""], help="logs whose names begin so")
+    parser.add_argument("--closing", choices=("no", "yes", "both"), default="both")
+    parser.add_argument("--draw", type=Path, metavar="DIR", help="write pictures into this folder")
+    parser.add_argument("--matches", type=int, default=0, help="random matches; also times one")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(argv)
+    use_compilation_cache()
+    if options.logs is not None:
+        rows = []
+        for path in sorted(options.logs.glob("*.log*")):
+            if any(path.name.startswith(name) for name in options.only):
+                for closing in {"no": (False,), "yes": (True,), "both": (False, True)}[options.closing]:
+                    rows.append(log_row(path, closing, options.draw))
+                    print(*rows[-1], sep=" | ", file=sys.stderr, flush=True)
+        print(markdown(HEAD, rows))
+    if options.matches:
+        matches(options.matches, options.seed)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""The command `jexplore slam`."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+
+from jexplore.cli.options import OutFolder, fields_of
+from jexplore.cli.output.console import Out, working
+from jexplore.config import InputError, require_setting
+from jexplore.slam2d.settings import SlamSettings
+
+
+@dataclasses.dataclass(frozen=True)
+class Slam:
+    """Find the way of a recorded robot and the map of its building, by its scans and its odometry.
+
+    Prints outcomes and errors. Writes trajectory.txt (TUM: t x y z qx qy qz qw), map.yaml and map.pgm (ROS), slam.png
+    (the map by odometry and the map found), errors.parquet and run.json.
+    """
+
+    log: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="LOG")] = ""
+    """A CARMEN log (.log, .clf, or packed, .log.gz), or a rosbag with laser scans and odometry (.bag, .db3, .mcap)."""
+    closing: bool = True
+    """Recognise places and correct the way by what they tell."""
+    cell_m: float = 0.05
+    """Make the edge of a cell of the map this long, in metres."""
+    max_range_m: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="")] = None
+    """Readings of a CARMEN log of this or more mean that nothing was seen, in metres; by default found in the log."""
+    topic: Annotated[str | None, tyro.conf.arg(metavar="TOPIC", help_behavior_hint="")] = None
+    """Take the scans of a rosbag from this topic."""
+    odometry_topic: Annotated[str | None, tyro.conf.arg(metavar="TOPIC", help_behavior_hint="")] = None
+    """Take the odometry of a rosbag from this topic."""
+    relations: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """Also give the errors against this file of relations, lines of t1 t2 x y z roll pitch yaw."""
+    relations_offset_s: float = 0.0
+    """The times in that file have this much more than the log's, in seconds."""
+    out: OutFolder = None
+    """Write into this folder."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+    matching: SlamSettings = dataclasses.field(default_factory=SlamSettings)
+
+    def execute(self, arguments: Sequence[str]) -> int | None:
+        """Run the command and return the exit status, None for 0."""
+        import numpy as np
+
+        from jexplore.engine.backend import use_compilation_cache
+        from jexplore.grid import is_free, is_known
+        from jexplore.report import plot, store
+        from jexplore.studies.slam.logs import read_log, slam
+        from jexplore.worlds.readers.ros import write_ros
+
+        if not self.log:
+            raise InputError("expected a log: robot.log, robot.log.gz, run.bag")
+        with Out(self, "slam") as out:
+            require_setting("cell_m", self.cell_m)
+            log = read_log(self.log, **fields_of(self, "max_range_m topic odometry_topic"))
+            use_compilation_cache()
+            with working(len(log.ranges), "scans") as on_progress:
+                found = slam(
+                    log,
+                    **fields_of(self, "closing matching relations relations_offset_s"),
+                    on_progress=on_progress,
+                )
+            drawn = found.map(self.cell_m)
+            free, known = (np.asarray(mask) for mask in (is_free(drawn.grid, 0.25), is_known(drawn.grid)))
+            occupancy = np.select([~known, free], [-1, 0], 100)
+            errors = found.errors.to_dict("records")
+            record = out.record(arguments, self, errors=errors, ate_m=found.ate_m, loops=len(found.loops))
+            files = {
+                "trajectory.txt": lambda path: path.write_text(found.trajectory(), encoding="utf-8"),
+                "map.yaml": lambda path: write_ros(occupancy, path, cell_m=drawn.cell_m, origin_m=drawn.origin_m),
+                "errors.parquet": lambda path: store.write_parquet(found.errors, path),
+            }
+            pictures = {"slam.png": lambda path: plot.save_figure(found.figure(), path)}
+            return out.finish(record, files, found.to_markdown(), pictures, interrupted=found.interrupted)

@@ -1,0 +1,60 @@
+"""One step of localisation: odometry, match, search."""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jexplore.arrays.loops import pick, run_if
+from jexplore.slam2d.matching import Match, Outcome, match
+from jexplore.slam2d.points import PointMap
+from jexplore.slam2d.poses import compose
+from jexplore.slam2d.scans import Scan
+from jexplore.slam2d.search import Window, draw_map, search
+from jexplore.slam2d.settings import SlamSettings
+
+SURE = 2.0  # standard deviations of a point's place that must lie within the gate
+WINDOW = Window(3, 12, 320, 80)  # 0.6 m and 12 degrees on either side, 8 m round the robot
+WIDE = Window(12, 90, 320, 80)  # 2.4 m and 90 degrees, for steps without odometry
+
+
+def predict(settings: SlamSettings, pose: Array, moved: Array) -> tuple[Array, Array]:
+    """Return the pose after a step of the odometry, and the covariance of that step.
+
+    Args:
+      pose: `[3]` float32.
+      moved: `[3]` float32, the step in the frame of the pose; all 0: there is no odometry.
+
+    Returns:
+      `(pose, covariance)`: `[3]`, `[3, 3]` float32.
+    """
+    way, turn = jnp.hypot(moved[0], moved[1]), jnp.abs(moved[2])
+    is_known = jnp.any(moved != 0)
+    place_sd = jnp.where(is_known, settings.way_m + settings.way_share * way, settings.unknown_m)
+    own = settings.turn_share * turn + jnp.radians(settings.turn_deg + settings.turn_deg_m * way)
+    turn_sd = jnp.where(is_known, own, jnp.radians(settings.unknown_deg))
+    return compose(pose, moved), jnp.diag(jnp.stack([place_sd, place_sd, turn_sd]) ** 2)
+
+
+def locate(
+    settings: SlamSettings, points: PointMap, scan: Scan, start: Array, prior: Array, window: Window = WINDOW
+) -> Match:
+    """Match a scan: from the odometry's pose if that is certain enough to find the right partners, or from where a
+    search finds it. A search follows as well if the match fails or fits badly; then the better of the two counts.
+
+    Returns:
+      `Match`.
+    """
+    reach2 = jnp.sum(jnp.where(scan.valid, jnp.sum(scan.xy**2, 1), 0)) / jnp.maximum(jnp.sum(scan.valid), 1)
+    spread = jnp.sqrt((prior[0, 0] + prior[1, 1]) / 2 + prior[2, 2] * reach2)  # of the scan's points
+    is_sure = SURE * spread < settings.gate_m
+    first = match(settings, points, scan, start, prior)
+
+    def again(first):
+        picture = draw_map(settings, points, start[:2], window.side, window.cells)
+        found = search(settings, picture, scan, start, prior, window)
+        second = match(settings, points, scan, start, prior, found.pose)
+        return pick(
+            (second.outcome <= Outcome.UNSETTLED) & (~is_sure | (second.fitness > first.fitness)), second, first
+        )
+
+    is_good = (first.outcome <= Outcome.UNSETTLED) & (first.fitness >= settings.min_share)
+    return run_if(~(is_sure & is_good), again, first)

@@ -1,0 +1,290 @@
+"""Poses and maps of recorded logs: reading, errors, the study, the command."""
+
+import gzip
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ref import slam as ref
+
+import jexplore as jx
+from jexplore.cli.main import main
+from jexplore.config import InputError, InputWarning
+from jexplore.slam2d.poses import between, compose
+from jexplore.studies.slam import errors, logs
+from jexplore.worlds.readers.carmen import read_carmen
+from jexplore.worlds.readers.laser_bags import is_bag, read_laser_bag
+from jexplore.worlds.readers.ros import read_ros
+from jexplore.worlds.readers.scans import ScanLog
+
+N = 24
+
+
+def drive(n=N, seed=0, noise=1.0):
+    """A way through the room with noisy odometry."""
+    rng, true = np.random.default_rng(seed), [np.array([1.0, 1.0, 0.0])]
+    for i in range(n - 1):
+        true.append(compose(true[-1], np.array([0.2, 0, 0.25 if i % 8 > 3 else 0.0])))
+    true = np.array(true)
+    steps = between(true[:-1], true[1:]) + noise * rng.normal(0, 1, (n - 1, 3)) * [0.02, 0.01, 0.02]
+    odometry = [true[0]]
+    for step in steps:
+        odometry.append(compose(odometry[-1], step))
+    ranges = np.array([ref.cast(pose) for pose in true]) + rng.normal(0, 0.005, (n, len(ref.ANGLES)))
+    return ScanLog(true, np.array(odometry), ranges, ref.ANGLES, np.arange(n, dtype=float), 80.0)
+
+
+def gmapping_lines(log):
+    """The log as GMapping writes it."""
+    moved = between(log.odometry[:-1], log.odometry[1:])
+    for i, pose in enumerate(log.poses):
+        if i:
+            x, y, heading = compose(log.poses[i - 1], moved[i - 1])
+            yield f"ODOM {x} {y} {heading} 0 0 0 {i} pippo {i}"
+        own = " ".join(map(str, pose))
+        told = " ".join(map(str, log.ranges[i]))
+        yield (
+            f"ROBOTLASER1 0 {log.angles_rad[0]} 3.14 {np.diff(log.angles_rad)[0]} 80 0.01 0 61 {told} 0 {own} {own} "
+            + (f"0 0 0.1 0.1 0.2 {log.times[i]} pippo {log.times[i]}")
+        )
+        yield f"ODOM {own} 0 0 0 0 pippo 0"
+        yield "NEFF 30"
+
+
+@pytest.fixture(scope="module")
+def log():
+    return drive(noise=2.0)
+
+
+# --- reading
+
+
+def test_odometry_of_a_log_of_gmapping_packed_or_not(log, tmp_path):
+    text = "\n".join(gmapping_lines(log))
+    (tmp_path / "a.log").write_text(text)
+    (tmp_path / "a.log.gz").write_bytes(gzip.compress(text.encode()))
+    for name in ("a.log", "a.log.gz"):
+        found = read_carmen(tmp_path / name)
+        np.testing.assert_allclose(found.poses, log.poses)
+        np.testing.assert_allclose(found.odometry, log.odometry, atol=1e-9)
+        np.testing.assert_allclose(found.ranges, log.ranges)
+
+
+def test_a_scan_without_odometry_stays_where_it_was(log, tmp_path):
+    lines = list(gmapping_lines(log))
+    (tmp_path / "a.log").write_text("\n".join(line for i, line in enumerate(lines) if i != 3))
+    found = read_carmen(tmp_path / "a.log").odometry
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_allclose(
+        between(found[1:-1], found[2:]), between(log.odometry[1:-1], log.odometry[2:]), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("content", [b"no gzip", gzip.compress(b"FLASER" * 99)[:-9]])
+def test_a_damaged_packed_log(tmp_path, content):
+    (tmp_path / "a.log.gz").write_bytes(content)
+    with pytest.raises(InputError, match=r"a.log.gz': cannot be unpacked"):
+        read_carmen(tmp_path / "a.log.gz")
+
+
+def test_scans_out_of_order_are_sorted_unless_times_tell_nothing(log):
+    order = np.r_[0, 2, 1, 3:N]
+    swapped = ScanLog(log.poses[order], log.odometry[order], log.ranges[order], log.angles_rad, log.times[order], 80.0)
+    np.testing.assert_array_equal(logs.in_order(swapped).poses, log.poses)
+    assert logs.in_order(log) is log
+    odd = ScanLog(log.poses, log.odometry, log.ranges, log.angles_rad, np.arange(N)[::-1] * 1.0, 80.0)
+    with pytest.warns(InputWarning, match="23 of 24 scans are earlier"):
+        assert logs.in_order(odd) is odd
+
+
+def test_a_rosbag_with_scans_and_odometry(tmp_path):
+    rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="rosbags is not installed (the extra ros)")
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
+
+    def make(name, **fields):
+        return store.types[name](**fields)
+
+    def header(second):
+        stamp = make("builtin_interfaces/msg/Time", sec=int(second), nanosec=round(second % 1 * 1e9))
+        return make("std_msgs/msg/Header", seq=0, stamp=stamp, frame_id="laser")
+
+    def odometry(second, x, heading):
+        turn = make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=np.sin(heading / 2), w=np.cos(heading / 2))
+        place = make("geometry_msgs/msg/Point", x=x, y=0.0, z=0.0)
+        none = make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+        pose = make("geometry_msgs/msg/Pose", position=place, orientation=turn)
+        return make(
+            "nav_msgs/msg/Odometry", header=header(second), child_frame_id="base",
+            pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+            twist=make(
+                "geometry_msgs/msg/TwistWithCovariance", covariance=np.zeros(36),
+                twist=make("geometry_msgs/msg/Twist", linear=none, angular=none),
+            ),
+        )  # fmt: skip
+
+    def scan(second, ranges):
+        return make(
+            "sensor_msgs/msg/LaserScan", header=header(second), angle_min=-1.0, angle_max=1.0, angle_increment=1.0,
+            time_increment=0.0, scan_time=0.1, range_min=0.5, range_max=10.0, ranges=np.float32(ranges),
+            intensities=np.zeros(0, np.float32),
+        )  # fmt: skip
+
+    path = tmp_path / "a.bag"
+    with rosbag1.Writer(path) as writer:
+        for topic, kind, messages in (
+            ("/base_scan", "sensor_msgs/msg/LaserScan", [scan(2.5, [1, np.inf, 0.1]), scan(1.5, [1, 2, 3])]),
+            ("/odom", "nav_msgs/msg/Odometry", [odometry(1, 0.0, 3.0), odometry(2, 1.0, -3.0), odometry(3, 2.0, -3.0)]),
+        ):
+            connection = writer.add_connection(topic, kind, typestore=store)
+            for i, one in enumerate(messages):
+                writer.write(connection, i * 10**9, store.serialize_ros1(one, kind))
+    assert is_bag(path)
+    assert not is_bag(tmp_path / "a.log")
+    found = read_laser_bag(path)
+    assert found.times.tolist() == [1.5, 2.5]
+    assert found.ranges.tolist() == [[1, 2, 3], [1, np.inf, 0]]
+    assert found.angles_rad.tolist() == [-1, 0, 1]
+    assert found.max_range_m == 10
+    np.testing.assert_allclose(found.odometry, [[0.5, 0, np.pi], [1.5, 0, 2 * np.pi - 3]], atol=1e-6)
+    with pytest.raises(InputError, match="no scan on the topic '/scan'; there are scans on /base_scan"):
+        read_laser_bag(path, topic="/scan")
+
+
+# --- errors
+
+
+def test_errors_of_relations_by_pencil(tmp_path):
+    poses = np.array([[0, 0, 0], [1, 0, np.pi / 2], [1, 1, np.pi]])
+    path = tmp_path / "a.relations"
+    lines = "# t1 t2 x", "100.0 101.04 1 0 0 0 0 1.5707963", "101 102 1.3 0.4 0 0 0 1.0707963", "1 2 0 0 0 0 0 0"
+    path.write_text("\n".join(lines))
+    known = errors.read_relations(path, np.array([0.0, 1.0, 2.0]), 100.0)
+    assert known.ends.tolist() == [[0, 1], [1, 2]]
+    place, turn = errors.relation_errors(poses, known)
+    np.testing.assert_allclose(place, [0, 0.5], atol=1e-6)
+    np.testing.assert_allclose(turn, [0, 0.5], atol=1e-6)
+    with pytest.raises(InputError, match=r"no relation is of two scans within 0.1 s"):
+        errors.read_relations(path, np.array([0.0, 1.0, 2.0]), 50.0)
+    path.write_text("1 2 3\n")
+    with pytest.raises(InputError, match=r"line 1 must be t1 t2 x y z roll pitch yaw"):
+        errors.read_relations(path, np.zeros(1))
+
+
+def test_a_trajectory_that_is_turned_as_a_whole_has_no_error(log):
+    moved = compose(np.broadcast_to(np.array([3.0, -2, 2.5]), log.poses.shape), log.poses)
+    assert errors.trajectory_error(moved, log.poses) < 1e-9
+    for relations in errors.relations_between(log.poses).values():
+        assert np.max(errors.relation_errors(moved, relations)) < 1e-9
+    moved[-1, 0] += 0.5
+    assert errors.trajectory_error(moved, log.poses) > 0.05
+
+
+def test_kinds_of_relations():
+    poses = np.c_[np.r_[np.arange(0, 4, 0.5), np.arange(4, -0.5, -0.5)], np.zeros((17, 2))]
+    known = errors.relations_between(poses)
+    assert {"local", "revisit", "global"} == set(known)
+    way = np.r_[0, np.cumsum(np.abs(np.diff(poses[:, 0])))]
+    for name, low, high in (("local", 0, 5), ("revisit", 5, 99)):
+        i, j = known[name].ends.T
+        assert (np.abs(poses[j, 0] - poses[i, 0]) <= 1).all()
+        assert ((way[j] - way[i] >= low) & (way[j] - way[i] <= high)).all()
+
+
+# --- the study
+
+
+@pytest.mark.jit
+def test_scans_correct_the_odometry(log):
+    done = []
+    found = jx.slam(log, closing=False, on_progress=done.append)
+    assert done == list(range(1, N + 1))
+    assert found.ate_m < min(0.5 * errors.trajectory_error(log.odometry, log.poses), 0.03)
+    np.testing.assert_allclose(found.poses[0], log.poses[0])
+    assert set(found.errors["relations"]) == {"local", "global"}  # the way is too short for a revisit
+    assert (found.errors["place_m"] < 0.04).all()
+    lines = found.trajectory().splitlines()
+    assert len(lines) == N
+    t, x, y, *_, qz, qw = map(float, lines[-1].split())
+    np.testing.assert_allclose([t, x, y, 2 * np.arctan2(qz, qw)], [N - 1, *found.poses[-1]], atol=1e-5)
+    assert "24 scans" in found.to_markdown()
+    drawn = found.map()
+    assert np.asarray(drawn.grid.hits).sum() > 0
+    assert len(found.figure().axes) == 2
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+def test_a_log_without_odometry_is_matched_by_search(log):
+    still = ScanLog(log.poses, np.tile(log.poses[0], (N, 1)), log.ranges, log.angles_rad, log.times, 80.0)
+    with pytest.warns(InputWarning, match="23 of 23 steps have no odometry"):
+        found = jx.slam(still, closing=False)
+    assert found.ate_m < 0.05
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+def test_a_loop_is_closed():
+    log = drive(90, seed=2, noise=1.5)
+    found = jx.slam(log, matching={"close_way_m": 5.0, "close_every_m": 0.5})
+    assert found.loops
+    assert found.ate_m < 0.04
+    assert len(found.poses) == 90
+    assert all(key - other > 5 for key, other in found.loops)
+
+
+def test_wrong_input_is_told_in_a_line(log, tmp_path):
+    for call, told in (
+        (lambda: jx.slam("nothing.log"), "there is no such file"),
+        (lambda: jx.slam(tmp_path / "a.log", topic="/scan"), "topic is for rosbags"),
+        (lambda: jx.slam("a.bag", max_range_m=8), "leave out max_range_m"),
+        (lambda: jx.slam(log, matching={"noise_m": -1}), "noise_m must be a number above 0"),
+        (lambda: jx.slam(log, matching={"gate_m": 0.5}), "at most map_cell_m"),
+        (lambda: jx.slam(log, matching={"noise": 1}), "unknown field of matching"),
+    ):
+        with pytest.raises(InputError, match=told):
+            call()
+
+
+@pytest.mark.jit
+def test_the_command_writes_its_files(log, tmp_path, capsys):
+    path, out = tmp_path / "a.log", tmp_path / "out"
+    path.write_text("\n".join(gmapping_lines(log)))
+    assert main(["slam", str(path), "--no-closing", "--out", str(out)]) == 0
+    assert {file.name for file in out.iterdir()} == {
+        *("trajectory.txt", "map.yaml", "map.pgm", "slam.png", "errors.parquet", "run.json"),
+    }
+    assert "24 scans" in capsys.readouterr().out
+    occupancy, info = read_ros(out / "map.yaml")
+    assert info.resolution_m == 0.05
+    assert set(np.unique(occupancy)) == {-1, 0, 100}
+    record = json.loads((out / "run.json").read_text())
+    assert record["ate_m"] < 0.03
+    assert main(["slam", str(tmp_path / "b.log"), "--out", str(out), "--overwrite"]) == 2
+    assert main(["slam"]) == 2
+    assert "expected a log" in capsys.readouterr().err
+
+
+# --- recorded logs
+
+
+@pytest.fixture(scope="module")
+def folder():
+    path = Path(__file__).resolve().parents[2] / "shared" / "logs"
+    if not path.is_dir():
+        pytest.skip(f"the recorded scans are not there: no folder {path}")
+    return path
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+@pytest.mark.parametrize("closing", [False, True])
+def test_intel(folder, closing):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = jx.slam(folder / "intel.gfs.log", closing=closing)
+    error = found.errors.set_index("relations")["place_m"]
+    assert error["local"] < (0.045 if closing else 0.07)
+    assert not closing or error["global"] < 0.5
