@@ -17,6 +17,7 @@ from flax import struct
 from jax import Array
 
 from jexplore.arrays.loops import settled
+from jexplore.arrays.poses import wrapped
 from jexplore.lazy import read_stub as _read
 from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLE_SHAPES, STATUS, BtmMap, Link, Node, direction_deg
 
@@ -139,11 +140,6 @@ def end_link(
     at = jnp.where(when, link, btm.start.shape[0])
     new = {"end": end, "status": SEARCHED, "end_bearing": wrapped(bearing), **fields}
     return btm.replace(**{name: _put(getattr(btm, name), at, value) for name, value in new.items()})
-
-
-def wrapped(angle: Any) -> Any:
-    """Return an angle in [-pi, pi), radians."""
-    return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 def turned_left(bearing: Array | float, reference: Array | float) -> Array:

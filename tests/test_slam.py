@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ref import slam as ref
 
+from jexplore.arrays.poses import between, compose, placed, wrapped
 from jexplore.slam2d.closing import Keys, map_of
 from jexplore.slam2d.graph import Edges, settle, turned_information
 from jexplore.slam2d.matching import Outcome, inverted, match
 from jexplore.slam2d.points import FAR_M, PointMap, add, empty_map, near_slots, nearest
-from jexplore.slam2d.poses import between, compose, placed, wrapped
 from jexplore.slam2d.scans import Scan, read_scan
 from jexplore.slam2d.search import Window, draw_map, draw_points, search
 from jexplore.slam2d.settings import SlamSettings

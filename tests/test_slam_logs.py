@@ -10,9 +10,9 @@ import pytest
 from ref import slam as ref
 
 import jexplore as jx
+from jexplore.arrays.poses import between, compose
 from jexplore.cli.main import main
 from jexplore.config import InputError, InputWarning
-from jexplore.slam2d.poses import between, compose
 from jexplore.studies.slam import errors, logs
 from jexplore.worlds.readers.carmen import read_carmen
 from jexplore.worlds.readers.laser_bags import is_bag, read_laser_bag

@@ -7,7 +7,7 @@ from jax import Array, lax
 from jexplore.arrays.loops import run_if
 from jexplore.slam2d.matching import Match, match
 from jexplore.slam2d.points import PointMap, add, empty_map
-from jexplore.slam2d.scans import Scan, read_scan
+from jexplore.slam2d.scans import read_scan
 from jexplore.slam2d.search import Found, Window, draw_map, search
 from jexplore.slam2d.settings import SlamSettings
 
@@ -38,7 +38,7 @@ def map_of(settings: SlamSettings, keys: Keys, angles_rad: Array, max_range_m: A
 
 
 def verify(
-    settings: SlamSettings, keys: Keys, scan: Scan, guess: Array, angles_rad: Array, max_range_m: Array
+    settings: SlamSettings, keys: Keys, ranges_m: Array, guess: Array, angles_rad: Array, max_range_m: Array
 ) -> tuple[Match, Found]:
     """Look for a scan in the map of some key scans.
 
@@ -49,6 +49,7 @@ def verify(
     Returns:
       `(match, found)`: the pose with its information; the search, whose `other` tells how well another place fits.
     """
+    scan = read_scan(settings, ranges_m, angles_rad, max_range_m)
     points = map_of(settings, keys, angles_rad, max_range_m, SHAPE)
     free = jnp.diag(jnp.array([FREE_M, FREE_M, FREE_RAD]) ** 2)
     picture = draw_map(settings, points, guess[:2], WINDOW.side, WINDOW.cells)

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from jexplore.slam2d.poses import between, rotated
+from jexplore.arrays.poses import between, rotated
 
 ROUNDS = 30  # of Gauss and Newton's method
 FALL = 4.0  # of the misfit that is trusted, from round to round

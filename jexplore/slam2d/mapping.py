@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jexplore.arrays.poses import between, compose
 from jexplore.slam2d.closing import Keys, map_of, verify
 from jexplore.slam2d.graph import Edges, settle, turned_information
 from jexplore.slam2d.matching import Match, Outcome
 from jexplore.slam2d.points import add, empty_map
-from jexplore.slam2d.poses import between, compose
 from jexplore.slam2d.scans import read_scan
 from jexplore.slam2d.settings import SlamSettings
 from jexplore.slam2d.tracking import WIDE, WINDOW, locate, predict
@@ -30,16 +30,7 @@ def _add(settings, points, ranges, angles_rad, max_range_m, pose):
     return add(settings, points, read_scan(settings, ranges, angles_rad, max_range_m), pose)
 
 
-def _remake(settings, keys, angles_rad, max_range_m):
-    return map_of(settings, keys, angles_rad, max_range_m, SHAPE)
-
-
-def _verify(settings, keys, ranges, guess, angles_rad, max_range_m):
-    scan = read_scan(settings, ranges, angles_rad, max_range_m)
-    return verify(settings, keys, scan, guess, angles_rad, max_range_m)
-
-
-_tracked, _verified, _remade = jax.jit(_track, static_argnums=7), jax.jit(_verify), jax.jit(_remake)
+_tracked, _verified, _remade = jax.jit(_track, static_argnums=7), jax.jit(verify), jax.jit(map_of, static_argnums=4)
 _added = jax.jit(_add, donate_argnums=1)
 
 
@@ -144,7 +135,7 @@ class Mapper:
             self.overflow += int(self.points.overflow)
             off = np.hypot(*(self.keys - self.pose)[:, :2].T)
             near = np.sort(np.argsort(off, kind="stable")[:ROUND])[::-1]
-            self.points = _remade(self._leaves, self._some(near, ROUND, np.zeros(3)), *self._scanner)
+            self.points = _remade(self._leaves, self._some(near, ROUND, np.zeros(3)), *self._scanner, SHAPE)
 
     def _close(self):
         """Look for the last key scan round the nearest old one; return whether that has moved poses."""

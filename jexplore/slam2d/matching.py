@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
+from jexplore.arrays.poses import placed, rotated, wrapped
 from jexplore.slam2d.points import Near, PointMap, near_slots, nearest
-from jexplore.slam2d.poses import placed, rotated, wrapped
 from jexplore.slam2d.scans import Scan
 from jexplore.slam2d.settings import SlamSettings
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
-from jexplore.slam2d.poses import placed, rotated
+from jexplore.arrays.poses import placed, rotated
 from jexplore.slam2d.scans import Scan
 from jexplore.slam2d.settings import SlamSettings
 

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from jexplore.arrays.poses import rotated, wrapped
 from jexplore.slam2d.points import PointMap
-from jexplore.slam2d.poses import rotated, wrapped
 from jexplore.slam2d.scans import Scan
 from jexplore.slam2d.settings import SlamSettings
 

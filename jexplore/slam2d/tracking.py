@@ -4,9 +4,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from jexplore.arrays.loops import pick, run_if
+from jexplore.arrays.poses import compose
 from jexplore.slam2d.matching import Match, Outcome, match
 from jexplore.slam2d.points import PointMap
-from jexplore.slam2d.poses import compose
 from jexplore.slam2d.scans import Scan
 from jexplore.slam2d.search import Window, draw_map, search
 from jexplore.slam2d.settings import SlamSettings

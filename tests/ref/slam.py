@@ -15,7 +15,7 @@ def cast(pose, walls=ROOM + BOX, angles=ANGLES):
     dx, dy = np.cos(pose[2] + angles), np.sin(pose[2] + angles)
     ex, ey = x2 - x1, y2 - y1
     det = ex * dy - ey * dx
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         t = (ex * (y1 - pose[1]) - ey * (x1 - pose[0])) / det
         s = (dx * (y1 - pose[1]) - dy * (x1 - pose[0])) / det
     return np.where((det != 0) & (t > 0) & (s >= 0) & (s <= 1), t, np.inf).min(axis=0)

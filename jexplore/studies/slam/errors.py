@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from jexplore.arrays.files import read_text
+from jexplore.arrays.poses import between, compose
 from jexplore.config import InputError
-from jexplore.slam2d.poses import between, compose
 
 LOCAL_M, WAY_M = 1.0, 5.0  # m; a local relation joins poses so near to each other, after no more way
 PAIRS = 10_000  # random pairs of poses, of the global relations

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jexplore.arrays.poses import between, compose
 from jexplore.config import InputError, InputWarning, as_record, checked_names, require_number
 from jexplore.slam2d.mapping import Mapper
 from jexplore.slam2d.matching import Outcome
-from jexplore.slam2d.poses import between, compose
 from jexplore.slam2d.settings import SlamSettings
 from jexplore.studies.slam.errors import Relations, error_rows, read_relations, relations_between, trajectory_error
 from jexplore.worlds.readers.carmen import read_carmen

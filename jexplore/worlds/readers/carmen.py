@@ -13,8 +13,8 @@ import warnings
 import numpy as np
 
 from jexplore.arrays.files import read_text
+from jexplore.arrays.poses import between, compose
 from jexplore.config import InputError, InputWarning, checked_names, require_number, shown
-from jexplore.slam2d.poses import between, compose
 from jexplore.worlds.readers.scans import ScanLog, fold_scans
 from jexplore.worlds.world import World
 

@@ -5,7 +5,7 @@ from typing import Any
 
 
 def wrapped(angle: Any) -> Any:
-    """Return angles within -pi and pi."""
+    """Return angles in [-pi, pi), radians."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
