@@ -228,7 +228,7 @@ def test_a_log_without_odometry_is_matched_by_search(log):
 @pytest.mark.slow
 def test_a_loop_is_closed():
     log = drive(90, seed=2, noise=1.5)
-    found = jx.slam(log, matching={"close_way_m": 5.0, "close_every_m": 0.5})
+    found = jx.slam(log, matching={"close_every_m": 0.5})
     assert found.loops
     assert found.ate_m < 0.04
     assert len(found.poses) == 90

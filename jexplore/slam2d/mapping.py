@@ -142,7 +142,7 @@ class Mapper:
         own, k = self.settings, len(self.keys) - 1
         away = between(self.keys, np.broadcast_to(self.keys[k], self.keys.shape))
         far = np.hypot(np.hypot(away[:, 0], away[:, 1]), own.close_turn_m * away[:, 2])
-        far[self._way - self._ways < own.close_way_m] = np.inf
+        far[self._way - self._ways <= own.close_m] = np.inf
         j = int(np.argmin(far))
         if far[j] > own.close_m:
             return False

@@ -79,10 +79,8 @@ class SlamSettings(Settings):
     """The same of its turn, in degrees."""
     close_every_m: float = 1.0
     """A loop is looked for every this much way, in metres."""
-    close_way_m: float = 0.04
-    """Way since a key scan before it counts as a loop, in metres."""
     close_m: float = 4.0
-    """A key scan within this distance may close a loop, in metres."""
+    """A key scan within this distance may close a loop if the way since is longer, in metres."""
     close_turn_m: float = 1.0
     """A radian of heading adds this to that distance, in metres."""
     close_share: float = 0.6
