@@ -82,7 +82,7 @@ def test_a_scan_without_odometry_stays_where_it_was(log, tmp_path):
     )
 
 
-@pytest.mark.parametrize("content", [b"no gzip", gzip.compress(b"FLASER" * 99)[:-9]])
+@pytest.mark.parametrize("content", [b"no gzip", gzip.compress(b"FLASER" * 99)[:-9]], ids=["other", "cut"])
 def test_a_damaged_packed_log(tmp_path, content):
     (tmp_path / "a.log.gz").write_bytes(content)
     with pytest.raises(InputError, match=r"a.log.gz': cannot be unpacked"):
