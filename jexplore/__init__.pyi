@@ -6,7 +6,7 @@ from jexplore.config import Lidar as Lidar
 from jexplore.config import Rules as Rules
 from jexplore.exploration.metrics import metric as metric
 from jexplore.exploration.state import Outcome as Outcome
-from jexplore.learn.training import Trained as Trained
+from jexplore.learn.training import TrainingResult as TrainingResult
 from jexplore.learn.training import train as train
 from jexplore.planning import Belief as Belief
 from jexplore.planning import Choice as Choice
@@ -19,23 +19,23 @@ from jexplore.policies import Policy as Policy
 from jexplore.policies import register as register
 from jexplore.policies import strategy as strategy
 from jexplore.policies.catalogue.grammar import strategies as strategies
-from jexplore.studies.bounds.bound import Bounds as Bounds
+from jexplore.studies.bounds.bound import BoundsResult as BoundsResult
 from jexplore.studies.bounds.bound import bound as bound
 from jexplore.studies.comparison import compare as compare
 from jexplore.studies.environment import Environment as Environment
 from jexplore.studies.environment import EnvState as EnvState
-from jexplore.studies.explore import Episode as Episode
+from jexplore.studies.explore import EpisodeResult as EpisodeResult
 from jexplore.studies.explore import explore as explore
 from jexplore.studies.gym.envs import GymEnv as GymEnv  # extra
 from jexplore.studies.gym.envs import GymVectorEnv as GymVectorEnv  # extra
-from jexplore.studies.reproduction import Reproduction as Reproduction
+from jexplore.studies.reproduction import ReproductionResult as ReproductionResult
 from jexplore.studies.reproduction import reproduce as reproduce
-from jexplore.studies.results.comparison import Comparison as Comparison
+from jexplore.studies.results.comparison import ComparisonResult as ComparisonResult
 from jexplore.studies.results.loading import load as load
-from jexplore.studies.segmentation import Segmentation as Segmentation
+from jexplore.studies.segmentation import SegmentationResult as SegmentationResult
 from jexplore.studies.segmentation import segment_maps as segment_maps
 from jexplore.studies.slam.logs import slam as slam
-from jexplore.studies.sweeps.run import Swept as Swept
+from jexplore.studies.sweeps.run import SweepResult as SweepResult
 from jexplore.studies.sweeps.run import sweep as sweep
 from jexplore.studies.sweeps.spec import Range as Range
 from jexplore.studies.sweeps.spec import Sweep as Sweep

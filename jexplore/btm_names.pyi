@@ -2,9 +2,9 @@
 from jexplore.driving.settings import Noise as Noise
 from jexplore.driving.settings import Robot as Robot
 from jexplore.driving.settings import Tuning as Tuning
-from jexplore.studies.traces.drift import Drift as Drift
+from jexplore.studies.traces.drift import DriftResult as DriftResult
 from jexplore.studies.traces.drift import drift as drift
-from jexplore.studies.traces.following import Followed as Followed
+from jexplore.studies.traces.following import FollowResult as FollowResult
 from jexplore.studies.traces.following import follow as follow
 from jexplore.studies.traces.odometry_map import OdometryMap as OdometryMap
 from jexplore.studies.traces.odometry_map import odometry_map as odometry_map
@@ -12,13 +12,13 @@ from jexplore.studies.traces.routes import route as route
 from jexplore.studies.traces.routes import routes as routes
 from jexplore.studies.traces.station import station as station
 from jexplore.studies.traces.storage import storage as storage
-from jexplore.studies.traces.tracing import Traced as Traced
+from jexplore.studies.traces.tracing import TraceResult as TraceResult
 from jexplore.studies.traces.tracing import trace as trace
 from jexplore.tracemap.corrected import correct_map as correct_map
 from jexplore.tracemap.json_form import read_btm as read_btm
 from jexplore.tracemap.merging.limits import Limits as Limits
 from jexplore.tracemap.merging.match import Merging as Merging
-from jexplore.tracemap.merging.merge import Merged as Merged
+from jexplore.tracemap.merging.merge import MergeResult as MergeResult
 from jexplore.tracemap.merging.merge import merge_maps as merge_maps
 from jexplore.tracemap.record import BtmMap as BtmMap
 from jexplore.tracemap.route import Route as Route

@@ -19,7 +19,7 @@ from jexplore.studies.checks import prepare_jobs
 from jexplore.studies.comparison import compare
 from jexplore.studies.results import comparison
 from jexplore.studies.results.columns import COLUMNS
-from jexplore.studies.results.comparison import Comparison, assemble
+from jexplore.studies.results.comparison import ComparisonResult, assemble
 from jexplore.studies.results.units import Ran, cut_jobs, piece_of
 from jexplore.studies.statistics import by_world, league, sizes
 from jexplore.worlds.readers.ros import read_ros
@@ -243,7 +243,7 @@ def test_maps_of_worlds_called_alike_are_files_of_their_own(tmp_path):
     worlds = [World(occupied=np.ones(shape, bool), name=name) for name, shape in shapes.items()]
     maps = {(name, "closest"): np.ones((1, *shape), np.uint8) for name, shape in shapes.items()}
     episodes = pd.DataFrame({"world": list(shapes), "strategy": "closest", "episode": 0})
-    files = Comparison(episodes, tuple(worlds), {}, 0.0, 0.0, maps=maps).save_maps(tmp_path)
+    files = ComparisonResult(episodes, tuple(worlds), {}, 0.0, 0.0, maps=maps).save_maps(tmp_path)
     assert [file.name for file in files] == ["floor1_map.yaml-closest-0.yaml", "floor2_map.yaml-closest-0.yaml"]
     assert [read_ros(file)[0].shape for file in files] == list(shapes.values())
 

@@ -15,9 +15,9 @@ from jexplore.cli import main
 from jexplore.config import InputError, Lidar
 from jexplore.exploration import batch
 from jexplore.studies import papers
-from jexplore.studies.reproduction import Reproduction, prepare_paper, reproduce, verdict, world_names
+from jexplore.studies.reproduction import ReproductionResult, prepare_paper, reproduce, verdict, world_names
 from jexplore.studies.results.columns import COLUMNS
-from jexplore.studies.results.comparison import Comparison
+from jexplore.studies.results.comparison import ComparisonResult
 from jexplore.studies.statistics import paired
 from jexplore.studies.statistics.paired import PairedRatio
 
@@ -49,8 +49,8 @@ def made(means, *, paper=PAPER, n=12, spread=1e-4, outcomes=()):
             outcome = ["COMPLETE"] * (n - len(outcomes)) + list(outcomes)
             found = {"world": worlds[environment], "strategy": strategy, "episode": range(n), "path_m": path_m}
             tables.append(table.assign(**found, outcome=outcome, explored_fraction=1.0))
-    comparison = Comparison(pd.concat(tables, ignore_index=True), (), {}, 1.0, 1.0)
-    return Reproduction(paper, comparison, worlds, ("a note",))
+    comparison = ComparisonResult(pd.concat(tables, ignore_index=True), (), {}, 1.0, 1.0)
+    return ReproductionResult(paper, comparison, worlds, ("a note",))
 
 
 def as_published():
@@ -161,7 +161,7 @@ def test_the_first_ten_are_the_first_ten():
 def test_what_is_left_of_an_interrupted_run_is_told():
     found = made({"Cave": {"closest": 100.0, "random": 150.0}}, n=12)
     late = found.comparison.episodes[found.comparison.episodes["episode"] >= 10]
-    text = Reproduction(PAPER, Comparison(late, (), {}, 1.0, 1.0, 20), found.worlds, ()).to_markdown()
+    text = ReproductionResult(PAPER, ComparisonResult(late, (), {}, 1.0, 1.0, 20), found.worlds, ()).to_markdown()
     assert "first 0 episodes" in text
     assert "nan" not in text
 

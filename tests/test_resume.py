@@ -278,7 +278,7 @@ def test_a_picture_that_fails_costs_no_data(tmp_path, capsys, monkeypatch):
     def fails(self):
         raise RuntimeError("no ink\nat all")
 
-    monkeypatch.setattr(comparison.Comparison, "compare_figure", fails)
+    monkeypatch.setattr(comparison.ComparisonResult, "compare_figure", fails)
     assert main.main([*COMMAND, "--episodes", "3", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr()
     assert "warning: compare.png could not be drawn: no ink\n" in said.err

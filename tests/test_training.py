@@ -189,7 +189,7 @@ def test_models_that_training_cannot_begin_at(tmp_path):
         training.prepare_training("es", "linear", *banks, {}, model=bad, **options)
     with pytest.raises(InputError, match="model must be a Model or the path of one, got int"):
         jx.train(model=3, worlds=SMALL, validation=WATCHED)
-    one = training.Trained(model.load_model(model.SHIPPED), pd.DataFrame(), 0, "rounds")
+    one = training.TrainingResult(model.load_model(model.SHIPPED), pd.DataFrame(), 0, "rounds")
     assert one.save(tmp_path / "linear-0.15").name == "linear-0.15.msgpack"
     with pytest.raises(InputError, match="there is no folder"):
         one.save(tmp_path / "none" / "linear")

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from jexplore.exploration.batch import Job
     from jexplore.studies.bounds.bound import BoundTask
-    from jexplore.studies.results.comparison import Comparison
+    from jexplore.studies.results.comparison import ComparisonResult
     from jexplore.studies.results.units import Ran
 
 FINISHING = "jexplore: computing statistics and drawing"
@@ -246,7 +246,7 @@ def show_finished(
 
 def finish_comparison(
     out: Out,
-    found: "Comparison",
+    found: "ComparisonResult",
     ran: "Ran",
     text: str,
     figures: "Mapping[str, Callable[[], Figure]]",

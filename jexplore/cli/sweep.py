@@ -16,7 +16,7 @@ from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
 
 if TYPE_CHECKING:
-    from jexplore.studies.sweeps.run import Swept
+    from jexplore.studies.sweeps.run import SweepResult
 
 Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR [DIR ...]", help_behavior_hint="(required)")]
 PRINTED_ROWS = 24  # of the summary
@@ -122,7 +122,7 @@ def _pictures(found, record, plan):
     return drawn
 
 
-def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, plan: Any, **entries: Any) -> int:
+def _finish(out: Out, found: "SweepResult", arguments: Sequence[str], options: Any, plan: Any, **entries: Any) -> int:
     """Write, print and draw; return the exit status."""
     from jexplore.arrays.plain_yaml import dump
     from jexplore.report import store

@@ -77,7 +77,7 @@ class TrainingPlan(NamedTuple):
 
 @checked_names
 @dataclasses.dataclass(frozen=True)
-class Trained:
+class TrainingResult:
     """Result of `run_training`."""
 
     model: Model
@@ -154,7 +154,7 @@ def train(
     rounds: int = 40, check_every: int = 5, patience: int = 0, starts: int = 1, seed: int = 0,
     cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
-) -> Trained:  # fmt: skip
+) -> TrainingResult:  # fmt: skip
     """Train a strategy that scores frontier clusters: `jexplore train` as a function.
 
     Args:
@@ -178,7 +178,7 @@ def train(
       progress: show a bar; by default in notebooks.
 
     Returns:
-      `Trained`.
+      `TrainingResult`.
 
     Raises:
       InputError: a world, number or name that cannot be used; weights that are not finite before the first check.
@@ -220,7 +220,7 @@ def run_training(
     ledger: Ledger | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
-) -> Trained:
+) -> TrainingResult:
     """Train, or continue a training of which the ledger keeps every check, with all that is needed to go on from it.
 
     Raises:
@@ -285,7 +285,7 @@ def _trained(plan, tables, kept, ended):
         "validation": {"worlds": [os.fspath(w.name) for w in plan.validation.worlds], "ratio": float(checks[best])},
         "version": __version__,
     }
-    return Trained(Model(plan.network, kept[best], made), curve, number, ended)
+    return TrainingResult(Model(plan.network, kept[best], made), curve, number, ended)
 
 
 def _validation_ratio(plan, weights, workers):

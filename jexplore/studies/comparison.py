@@ -24,7 +24,7 @@ from jexplore.studies.checks import (
 )
 from jexplore.studies.metrics import MetricsLike
 from jexplore.studies.results import loading, provenance, saving
-from jexplore.studies.results.comparison import Comparison, Made, assemble
+from jexplore.studies.results.comparison import ComparisonResult, Made, assemble
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.units import cut_jobs, run_units
 from jexplore.worlds.restrict import KnownMap, Polygon
@@ -41,7 +41,7 @@ def compare(
     on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
     keep: str | None = None, metrics: MetricsLike = None,
     out: str | os.PathLike[str] | None = None, overwrite: bool = False, resume: bool = False, trust: bool = False,
-) -> Comparison:  # fmt: skip
+) -> ComparisonResult:  # fmt: skip
     """Run every strategy in every world, from the same starts. An interruption keeps finished episodes.
 
     Args:
@@ -64,7 +64,7 @@ def compare(
       progress: whether a bar shows that; by default in notebooks.
       keep: "paths" for the way of every episode, 12 bytes a step, "maps" for its last map as well, a byte a cell.
       metrics: columns of your own: name -> function of an `EpisodeView`, see `metric`, or "module:function".
-      out: folder to write, as `jexplore compare` does: see `Comparison.save`. Finished episodes are stored on the way.
+      out: folder to write, see `ComparisonResult.save`. Finished episodes are stored on the way.
       overwrite: replace a run in the folder.
       resume: continue a run in the folder, if any.
       trust: when continuing, take your own strategies as unchanged even if that cannot be checked.
@@ -94,7 +94,7 @@ def asked_of(jobs: Sequence[Job], keep: str | None) -> dict[str, Any]:
 
 
 def _run(jobs, asked, settings, how, shown, ledger=None):
-    """Run jobs, whose units a ledger keeps: a `Comparison`."""
+    """Run jobs, whose units a ledger keeps: a `ComparisonResult`."""
     earlier = [] if ledger is None else loading.earlier_pieces(ledger, jobs)
     use_compilation_cache()
     began = datetime.datetime.now(datetime.UTC)
@@ -116,7 +116,7 @@ def _run(jobs, asked, settings, how, shown, ledger=None):
 
 
 def _in_folder(out, jobs, asked, run, how, trust):
-    """Run a `Comparison` with a folder, if requested, that keeps its parts and finally holds it."""
+    """Run a `ComparisonResult` with a folder, if requested, that keeps its parts and finally holds it."""
     if all(how.values()):
         raise InputError("resume goes on with a run and overwrite replaces it: give one of them")
     if out is None:

@@ -54,7 +54,7 @@ class Frame(NamedTuple):
 
 @checked_names
 @dataclasses.dataclass(frozen=True)
-class Episode:
+class EpisodeResult:
     """Result of `explore`."""
 
     world: World
@@ -171,7 +171,7 @@ def explore(
     start: StartLike = "random", start_m: Sequence[float] | None = None,
     within: str | Polygon | None = None, from_map: KnownMap | None = None,
     lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
-) -> Episode:  # fmt: skip
+) -> EpisodeResult:  # fmt: skip
     """Run one episode and keep its map and way.
 
     It is that episode of a comparison with the same world, strategy, seed, start, scanner and rules.
@@ -190,7 +190,7 @@ def explore(
       rules: `Rules`, or such a mapping.
 
     Returns:
-      `Episode`.
+      `EpisodeResult`.
 
     Raises:
       InputError: a name, number, map or start that cannot be used. Raised before anything is compiled.
@@ -205,8 +205,8 @@ def prepare_job(world: WorldLike, strategy: StrategyLike, *, episode: int = 0, *
     return job
 
 
-def run_job(job: Job) -> Episode:
-    """Run the `Episode` of a job: its last one."""
+def run_job(job: Job) -> EpisodeResult:
+    """Run the last episode of a job."""
     use_compilation_cache()
     number = len(job.starts) - 1
     lidar, rules = job.lidar or LIDAR, job.rules or RULES
@@ -217,7 +217,7 @@ def run_job(job: Job) -> Episode:
     found = columns(result, job.starts, seed=job.seed, cell_m=cell_m, has_rooms=has_rooms)
     last = {name: values[number] for name, values in found.items()}
     row, col, heading_deg = (int(value) for value in job.starts[number])
-    return Episode(
+    return EpisodeResult(
         *(job.world, job.strategy.name, (row, col, heading_deg), job.seed, number, lidar, rules, final),
         measures={name: value.item() if hasattr(value, "item") else value for name, value in last.items()},
         asked=job.strategy,
@@ -226,7 +226,7 @@ def run_job(job: Job) -> Episode:
     )
 
 
-def steps_of(episode: Episode) -> Iterator[replay.Moment]:
+def steps_of(episode: EpisodeResult) -> Iterator[replay.Moment]:
     """Yield the episode again: its last `replay.Moment` at every step."""
     if episode.final.plans is None:
         raise InputError(f"{episode.title}: an episode of {episode.measures['plans']} plans cannot be played again")
@@ -239,7 +239,7 @@ def steps_of(episode: Episode) -> Iterator[replay.Moment]:
     yield last
 
 
-def frames(episode: Episode, *, max_frames: int = MAX_FRAMES) -> Iterator[Frame]:
+def frames(episode: EpisodeResult, *, max_frames: int = MAX_FRAMES) -> Iterator[Frame]:
     """Play the episode again, step by step, `max_frames` at most, evenly spaced, the last one always."""
     final, n = episode.final, len(episode.final.rows) - 1
     chosen = set(evenly(n, max_frames))
@@ -265,7 +265,7 @@ def _map_of(episode, moment):
     return within(np.asarray(grid.hits), shape, ring), within(np.asarray(grid.misses), shape, ring)
 
 
-def maps_at(episode: Episode, shares: Sequence[float]) -> Iterator[tuple[float, float, np.ndarray]]:
+def maps_at(episode: EpisodeResult, shares: Sequence[float]) -> Iterator[tuple[float, float, np.ndarray]]:
     """Yield the robot's maps when it first knew some shares, ascending, of its final known cells, past the start.
 
     Each is `(share, explored, state)`: the share reached, that known then, and the map by `results.map_state`.

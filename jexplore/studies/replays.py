@@ -25,7 +25,7 @@ from jexplore.grid import is_free, is_occupied
 from jexplore.planning import field
 from jexplore.policies import Strategy, room_wise
 from jexplore.report.page.replay import FRONTIER, OWN_ROOM, ReplayData, changes_of, evenly
-from jexplore.studies.explore import MAX_FRAMES, Episode
+from jexplore.studies.explore import MAX_FRAMES, EpisodeResult
 from jexplore.worlds.world import World, ring_of
 
 MAX_PAIRS = 12  # of world and strategy that are replayed on one page
@@ -125,8 +125,8 @@ def _aims(final, shown):
     return np.array(targets), np.array(until)
 
 
-def replay_of(episode: Episode, *, max_frames: int = MAX_FRAMES) -> ReplayData:
-    """Convert an `Episode` to the frames of a page; see `replay_data`."""
+def replay_of(episode: EpisodeResult, *, max_frames: int = MAX_FRAMES) -> ReplayData:
+    """Convert an `EpisodeResult` to the frames of a page; see `replay_data`."""
     return replay_data(
         *(episode.world, episode.asked, episode.final),
         start=episode.start,

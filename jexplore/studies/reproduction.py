@@ -14,7 +14,7 @@ from jexplore.report import tables
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, prepare_jobs
 from jexplore.studies.papers import PAPERS, Paper
 from jexplore.studies.results import comparison
-from jexplore.studies.results.comparison import Comparison
+from jexplore.studies.results.comparison import ComparisonResult
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.units import Ran, run_units
 from jexplore.studies.statistics import paired
@@ -68,11 +68,11 @@ def verdict(direction: str, ours: paired.PairedRatio, than: paired.PairedRatio |
 
 @checked_names
 @dataclasses.dataclass(frozen=True)
-class Reproduction:
+class ReproductionResult:
     """A paper's tables and ours. Tables are pandas DataFrames."""
 
     paper: Paper
-    comparison: Comparison
+    comparison: ComparisonResult
     worlds: dict[str, str]
     """Environment -> name of its world."""
     notes: tuple[str, ...]
@@ -220,10 +220,10 @@ def notes_of(paper: Paper, maps: str | os.PathLike[str] | None) -> tuple[str, ..
     return (COUNTERPARTS if maps is None else MAPS, paper.remark)
 
 
-def assemble_paper(name: str, maps: str | os.PathLike[str] | None, jobs: Sequence[Job], ran: Ran) -> Reproduction:
-    """Make the `Reproduction` of finished jobs; an interrupted run gives the part that `comparison.assemble` keeps."""
+def assemble_paper(name: str, maps: str | os.PathLike[str] | None, jobs: Sequence[Job], ran: Ran) -> ReproductionResult:
+    """Make the result of finished jobs; an interrupted run gives the part that `comparison.assemble` keeps."""
     paper = find(name)
-    return Reproduction(paper, comparison.assemble(jobs, ran), world_names(paper, maps), notes_of(paper, maps))
+    return ReproductionResult(paper, comparison.assemble(jobs, ran), world_names(paper, maps), notes_of(paper, maps))
 
 
 @checked_names
@@ -232,7 +232,7 @@ def reproduce(
     episodes: int = 100, seed: int = 0, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
     engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None, progress: bool | None = None,
-) -> Reproduction:  # fmt: skip
+) -> ReproductionResult:  # fmt: skip
     """Run a paper's strategies in its environments, and compare the tables and the claims.
 
     Args:
@@ -242,7 +242,7 @@ def reproduce(
       seed, cell_m, lidar, rules, engine, lanes, workers, on_progress, progress: as in `comparison.compare`.
 
     Returns:
-      `Reproduction`.
+      `ReproductionResult`.
 
     Raises:
       InputError: a paper, folder, map or number that cannot be used. Raised before anything is compiled.

@@ -56,7 +56,7 @@ class Picture(NamedTuple):
 
 
 @checked_names
-class Segmentation(NamedTuple):
+class SegmentationResult(NamedTuple):
     """Scores and pictures of segmentations."""
 
     scores: "pd.DataFrame"
@@ -97,7 +97,7 @@ def segment_maps(
     ratio: float = ROOM_DEFAULTS.ratio, smallest_m2: float = ROOM_DEFAULTS.smallest_m2,
     clutter_m: float = ROOM_DEFAULTS.clutter_m,
     prominence_m: float = ROOM_DEFAULTS.prominence_m, gamma: float = ROOM_DEFAULTS.gamma,
-) -> Segmentation:  # fmt: skip
+) -> SegmentationResult:  # fmt: skip
     """Divide maps into rooms and score the result.
 
     Args:
@@ -116,7 +116,7 @@ def segment_maps(
       prominence_m, gamma: of thrun, wurm, holz.
 
     Returns:
-      `Segmentation`.
+      `SegmentationResult`.
 
     Raises:
       InputError: a name, number, picture or setting that cannot be used. Raised before anything is compiled.
@@ -144,7 +144,7 @@ def segment_maps(
                 on_progress(done)
     import pandas as pd
 
-    return Segmentation(pd.DataFrame(rows, columns=list(SCORE_COLUMNS)), pictures)
+    return SegmentationResult(pd.DataFrame(rows, columns=list(SCORE_COLUMNS)), pictures)
 
 
 def _stages(world, job):

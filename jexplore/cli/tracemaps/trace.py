@@ -160,7 +160,7 @@ def _write_view(found, path):
 
 
 def _draw(found, first, path):
-    """Draw a `Traced`, with the map of run 0 as it is written."""
+    """Draw a `TraceResult`, with the map of run 0 as it is written."""
     from jexplore.report import plot, plot_traces
     from jexplore.studies.traces import recording
     from jexplore.studies.traces.odometry_map import beam_ends

@@ -116,7 +116,7 @@ def solve(task: BoundTask) -> Solved:
 
 @checked_names
 @dataclasses.dataclass(frozen=True)
-class Bounds:
+class BoundsResult:
     """Result of `bound`. Tables are pandas DataFrames."""
 
     table: "pd.DataFrame"
@@ -143,7 +143,7 @@ class Bounds:
         return bounds_table(self.table)
 
     def beside(self, comparison: Any) -> "pd.DataFrame":
-        """Compare the episodes of a `Comparison` with the bounds: see `beside.with_bound_ratios`.
+        """Compare the episodes of a `ComparisonResult` with the bounds: see `beside.with_bound_ratios`.
 
         Raises:
           InputError: no comparison; one with another scanner, another clearance, or noise.
@@ -172,7 +172,7 @@ class Bounds:
 
 
 def bounds_table(table: "pd.DataFrame") -> str:
-    """Format rows of `Bounds.table` as Markdown."""
+    """Format rows of `BoundsResult.table` as Markdown."""
     head = ["world", "start", "low any m", "low m", "high m", "high / low", "status", "witnesses", "s"]
     lines = []
     for row in table.to_dict("records"):
@@ -190,7 +190,7 @@ def bound(
     starts: int = 5, seed: int = 0, cell_m: float = 0.1, start: StartLike = "random",
     seconds: float = 10.0, max_floods: int | None = None, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
     workers: int = 1, on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
-) -> Bounds:  # fmt: skip
+) -> BoundsResult:  # fmt: skip
     """Bound the shortest walks that a robot with the map could drive, from the starts of `compare`.
 
     Args:
@@ -208,7 +208,7 @@ def bound(
       progress: show a bar; by default in notebooks.
 
     Returns:
-      `Bounds`.
+      `BoundsResult`.
 
     Raises:
       InputError: a name, number, map or start that cannot be used; noise; no time.
@@ -295,7 +295,7 @@ def run_bounds(
     tasks: Sequence[BoundTask], *,
     ledger: Ledger | None = None, first: int = 0, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
-) -> Bounds:  # fmt: skip
+) -> BoundsResult:  # fmt: skip
     """Bound all starts that the ledger, in which `first` is the first one's unit, does not have.
 
     Raises:
@@ -325,7 +325,7 @@ def run_bounds(
     for k, one in enumerate(found):
         own = {"world": one.row["world"], "start": k, "step": np.arange(len(one.walk))}
         steps.append(pd.DataFrame({**own, "row": one.walk[:, 0], "col": one.walk[:, 1]}))
-    return Bounds(
+    return BoundsResult(
         table=pd.DataFrame([one.row for one in found]),
         walks=pd.concat(steps, ignore_index=True),
         worlds=tuple(worlds.values()),

@@ -44,7 +44,7 @@ class Made(NamedTuple):
 
 @checked_names
 @dataclasses.dataclass(frozen=True)
-class Comparison(ByStrategy):
+class ComparisonResult(ByStrategy):
     """Result of `compare`. Tables are pandas DataFrames.
 
     Iterating gives the names of its strategies, and `results["closest"]` the table of that one's episodes.
@@ -285,8 +285,8 @@ def _the_only(settings: Iterable[Any]) -> Any:
     return found.pop() if len(found) == 1 else None
 
 
-def assemble(jobs: Sequence[Job], ran: Ran) -> Comparison:
-    """Make the `Comparison` of jobs whose units have run.
+def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
+    """Make the `ComparisonResult` of jobs whose units have run.
 
     Of a run that was interrupted it holds the episodes that every strategy has finished in a world.
 
@@ -325,7 +325,7 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> Comparison:
     table = pd.concat(tables, ignore_index=True)
     missing = sum(len(job.starts) for job in jobs) - len(table)
     costs = ran.costs
-    return Comparison(
+    return ComparisonResult(
         *(table, tuple(worlds.values()), first, costs.compile_s, costs.run_s, missing, ran.resumed),
         progress=progress,
         paths=paths,

@@ -50,7 +50,7 @@ def _with_units(found: Any) -> Any:
 
 
 def of_comparison(found: Any) -> Any:
-    """Convert a `Comparison` to an `xarray.Dataset`.
+    """Convert a `ComparisonResult` to an `xarray.Dataset`.
 
     Returns:
       A `Dataset` with the dimensions `world`, `strategy`, `episode`: the columns of the table of episodes;
@@ -101,7 +101,7 @@ def of_comparison(found: Any) -> Any:
 
 
 def of_sweep(found: Any) -> Any:
-    """Convert a `Swept` to an `xarray.Dataset`.
+    """Convert a `SweepResult` to an `xarray.Dataset`.
 
     Returns:
       A `Dataset` with the dimensions `setting`, `world`, `strategy`, `episode`: the columns of the table of episodes.

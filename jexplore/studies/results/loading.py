@@ -22,13 +22,13 @@ from jexplore.report import store
 from jexplore.report.folders import UNFINISHED
 from jexplore.report.ledger import Ledger, ShorterRuns, require_same
 from jexplore.studies.papers import PAPERS
-from jexplore.studies.reproduction import Reproduction, notes_of, world_names
+from jexplore.studies.reproduction import ReproductionResult, notes_of, world_names
 from jexplore.studies.results.columns import COLUMNS
-from jexplore.studies.results.comparison import Comparison, Made
+from jexplore.studies.results.comparison import ComparisonResult, Made
 from jexplore.studies.results.saving import DETAILS
 from jexplore.studies.results.units import Piece, Seen, cut_jobs
 from jexplore.studies.sweeps.plan import SweepPlan, prepare_sweep
-from jexplore.studies.sweeps.run import Swept, whole_table
+from jexplore.studies.sweeps.run import SweepResult, whole_table
 from jexplore.studies.sweeps.spec import read_spec
 from jexplore.version import __version__
 from jexplore.worlds.world import World
@@ -38,7 +38,7 @@ MADE_FROM = ("version", "spec", "digests")  # entries of what a sweep is asked t
 
 
 def _details(path, episodes):
-    """Load worlds, first episodes, progress, ways and maps, as fields of a `Comparison`."""
+    """Load worlds, first episodes, progress, ways and maps, as fields of a `ComparisonResult`."""
     arrays = read_npz(path, MAX_DETAILS_BYTES)
     worlds, first = [], {}
     while f"world/{len(worlds)}/occupied" in arrays:
@@ -83,9 +83,9 @@ def load(path: str | os.PathLike[str]) -> Any:
       path: folder of a `jexplore` command.
 
     Returns:
-      What the function of that name returned: a `Comparison` for compare, a `Reproduction` for reproduce, a `Swept` for
-        sweep and merge. For trace, segment, bound, explore and worlds a `pandas.DataFrame`: a row a run, a
-        score, a start, the episode, a world. For bench what bench.json holds, a dict.
+      A `ComparisonResult` for compare, a `ReproductionResult` for reproduce, a `SweepResult` for sweep and merge. For
+        trace, segment, bound, explore and worlds a `pandas.DataFrame`: a row a run, a score, a start, the episode, a
+        world. For bench the content of bench.json, a dict.
 
     Raises:
       InputError: no folder of a run, a run that was not finished, a file that is gone or damaged.
@@ -149,7 +149,7 @@ def _as_written(folder, record):
 
 def _comparison(folder, record, command):
     episodes = store.read_parquet(folder / "episodes.parquet", required=COLUMNS)
-    found = Comparison(
+    found = ComparisonResult(
         episodes,
         **{name: record[name] for name in ("compile_s", "run_s", "interrupted", "resumed")},
         **_details(folder / DETAILS, episodes),
@@ -161,7 +161,7 @@ def _comparison(folder, record, command):
     if command != "reproduce":
         return found
     paper, maps = PAPERS[record["configuration"]["paper"]], record["configuration"]["maps"]
-    return Reproduction(paper, found, world_names(paper, maps), notes_of(paper, maps))
+    return ReproductionResult(paper, found, world_names(paper, maps), notes_of(paper, maps))
 
 
 def earlier_pieces(ledger: Ledger, jobs: Sequence[Job]) -> list[Piece]:
@@ -206,7 +206,7 @@ def _sweep(folder, record):
         why_not=list(record["why_not_native"]),
     )
     spec, columns = read_spec(folder / "asked.yaml"), tuple(record["columns"])
-    return Swept(spec, episodes, columns, costs, record["interrupted"], record["resumed"], record["reference"])
+    return SweepResult(spec, episodes, columns, costs, record["interrupted"], record["resumed"], record["reference"])
 
 
 def _require_whole(table, plan):
@@ -231,7 +231,7 @@ def _require_alike(path, there, here, trust):
         raise InputError(str(error).partition("; choose")[0]) from None
 
 
-def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, SweepPlan]:
+def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[SweepResult, SweepPlan]:
     """Join the parts of a sweep, from the folders of all of them.
 
     Args:
@@ -272,4 +272,4 @@ def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tu
     table = whole_table([found.episodes for found in tables], plan)
     _require_whole(table, plan)
     costs = functools.reduce(Costs.plus, (found.costs for found in tables))
-    return Swept(plan.spec, table, tuple(plan.columns), costs, reference=plan.reference), plan
+    return SweepResult(plan.spec, table, tuple(plan.columns), costs, reference=plan.reference), plan

@@ -40,7 +40,7 @@ VECTORS = (
 
 
 def write_details(found: Any, path: Path) -> None:
-    """Write worlds, first episodes, progress, ways, maps: parts of a `Comparison` outside the table of episodes."""
+    """Write worlds, first episodes, progress, ways, maps: parts of a result outside its table of episodes."""
     arrays: dict[str, Any] = {}
     for i, world in enumerate(found.worlds):
         arrays[f"world/{i}/occupied"] = world.occupied
@@ -68,7 +68,7 @@ def write_details(found: Any, path: Path) -> None:
 
 
 def write_maps(found: Any, folder: Path) -> list[Path]:
-    """Write the maps of a `Comparison` as yaml files with a picture each, as `Comparison.save_maps` does."""
+    """Write the maps of a result as yaml files with a picture each: `ComparisonResult.save_maps`."""
     short = dict(zip([world.name for world in found.worlds], short_names([world.name for world in found.worlds])))
     of_name, texts, made = {world.name: world for world in found.worlds}, [], []
     for (world, strategy), states in found.maps.items():
@@ -83,7 +83,7 @@ def write_maps(found: Any, folder: Path) -> list[Path]:
 
 
 def figures_of(found: Any, *, league: bool = False) -> dict[str, Callable[[], Any]]:
-    """Return pictures of a `Comparison`: name of a file -> function that draws it."""
+    """Return pictures of a `ComparisonResult`: name of a file -> function that draws it."""
     if league:
         return {"league.png": lambda: league_figure(found.standings)}
     figures = {"compare.png": found.compare_figure, "coverage.png": found.coverage_figure}
@@ -95,7 +95,7 @@ def figures_of(found: Any, *, league: bool = False) -> dict[str, Callable[[], An
 def comparison_files(
     found: Any, record: Mapping[str, Any], more: Mapping[str, Callable[[Path], Any]] = MappingProxyType({})
 ) -> dict[str, Callable[[Path], Any]]:
-    """Return files of a `Comparison`, and more: name -> writer. `record`: content of run.json."""
+    """Return files of a `ComparisonResult`, and more: name -> writer. `record`: content of run.json."""
     return {
         "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
         DETAILS: lambda path: write_details(found, path),
@@ -111,7 +111,7 @@ def pictures_of(
     figures: Mapping[str, Callable[[], Any]],
     jobs: Sequence[Job] | None,
 ) -> dict[str, Callable[[Path], Any]]:
-    """Return pictures of a `Comparison` and its page: name -> writer.
+    """Return pictures of a `ComparisonResult` and its page: name -> writer.
 
     `figures` are name -> what draws it; `jobs` are those whose first episodes the page replays, None for no page.
     """
@@ -144,7 +144,7 @@ def _page(found, firsts, record, jobs, names, path):
 
 
 def entries_of(found: Any) -> dict[str, Any]:
-    """Return the entries of run.json for a `Comparison`."""
+    """Return the entries of run.json for a `ComparisonResult`."""
     return {
         "episodes_per_s": found.episodes_per_s,
         "compile_s": found.compile_s,
@@ -169,7 +169,7 @@ def engine_of(costs: Costs) -> dict[str, Any]:
 
 
 def write_comparison(run: folders.RunFolder, found: Any, *, report: bool = True) -> Path:
-    """Write the files and pictures of a `Comparison` into a claimed folder; return its path.
+    """Write the files and pictures of a `ComparisonResult` into a claimed folder; return its path.
 
     Warns:
       InputWarning: a picture that could not be drawn.
@@ -200,7 +200,7 @@ def claimed_by_call(
 
 
 def save(found: Any, folder: str | os.PathLike[str], *, overwrite: bool, report: bool) -> Path:
-    """Save a comparison: `Comparison.save`."""
+    """Save a comparison: `ComparisonResult.save`."""
     if not found.made.record:
         raise InputError("only what jx.compare or jx.load returned can be saved; to_csv() writes the table alone")
     with claimed_by_call(folder, overwrite=overwrite) as run:

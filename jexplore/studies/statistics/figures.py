@@ -102,7 +102,7 @@ def _over_worlds(episodes, table, strategies):
 def coverage_figure(progress: Mapping[tuple[str, str], np.ndarray]) -> "Figure":
     """Draw the known part of the knowable share along the path, one panel a world: medians and quartile bands.
 
-    `progress` is `{(world, strategy): [N, 100] metres}`, as `Comparison.progress`; `MOST_WORLDS` worlds are shown.
+    `progress` is `ComparisonResult.progress`, metres; `MOST_WORLDS` worlds are shown.
     """
     from jexplore.report.plots import curves
 

@@ -57,7 +57,7 @@ def wasted(
 ) -> "pd.DataFrame":
     """Add the columns `WASTE_COLUMNS` to the table of episodes.
 
-    `paths` are `Comparison.paths`; `cells_m` is world -> edge of its cells, metres.
+    `paths` are `ComparisonResult.paths`; `cells_m` is world -> edge of its cells, metres.
     """
     if not paths:
         raise InputError('no ways were kept: compare(..., keep="paths")')

@@ -39,7 +39,7 @@ WINDOW_SITES = 32  # worlds made ready at a time
 
 @checked_names
 @dataclasses.dataclass(frozen=True)
-class Swept(ByStrategy):
+class SweepResult(ByStrategy):
     """Result of a sweep. Tables are pandas DataFrames.
 
     Iterating gives the names of its strategies.
@@ -132,7 +132,7 @@ class Swept(ByStrategy):
 def summarise(
     episodes: "pd.DataFrame", columns: Sequence[str], first: str, metrics: Sequence[str] = ()
 ) -> "pd.DataFrame":
-    """Compute the `Swept.summary` of a table of episodes whose settings are in these columns.
+    """Compute the `SweepResult.summary` of a table of episodes whose settings are in these columns.
 
     Ratios are to the strategy `first`; NaN where it has no episode, as in a part of a sweep.
     """
@@ -164,7 +164,7 @@ def summarise(
 
 
 def summary_table(summary: Any, varied: Sequence[str], as_text: Callable[..., str] = aligned_table) -> str:
-    """Format rows of `Swept.summary` as Markdown, or by `as_text` from names of columns and texts of rows."""
+    """Format rows of `SweepResult.summary` as Markdown, or by `as_text` from names of columns and texts of rows."""
     head = ["world", *varied, "strategy", "n", "path m", "ratio to the first", "explored", "COMPLETE"]
     metrics = list(summary)[list(summary).index("complete") + 1 :]
     lines = []
@@ -269,7 +269,7 @@ def run_sweep(
     shard: tuple[int, int] | None = None,
     on_progress: Callable[[int], object] | None = None,
     **how: Any,
-) -> Swept:
+) -> SweepResult:
     """Run the units of a sweep that the ledger, which stores them as they are finished, does not have.
 
     With a shard `(i, n)` only every n-th unit, from the i-th on. After Ctrl-C the result holds the units that were
@@ -299,7 +299,7 @@ def run_sweep(
     found = [*([] if earlier is None else [earlier]), *(tables[i] for i in sorted(tables))]
     table = whole_table(found, plan)
     missing = n_earlier + sum(plan.size(number) for number in numbers) - len(table)
-    return Swept(plan.spec, table, tuple(plan.columns), costs, missing, resumed, plan.reference)
+    return SweepResult(plan.spec, table, tuple(plan.columns), costs, missing, resumed, plan.reference)
 
 
 def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -330,7 +330,7 @@ def sweep(
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
     progress: bool | None = None,
-) -> Swept:
+) -> SweepResult:
     """Compare strategies over many settings.
 
     Args:
@@ -339,7 +339,7 @@ def sweep(
       progress: whether a bar shows how much is finished; by default in notebooks.
 
     Returns:
-      `Swept`.
+      `SweepResult`.
 
     Raises:
       InputError: what cannot be run, in one line. Raised before anything is compiled.

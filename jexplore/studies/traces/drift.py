@@ -50,7 +50,7 @@ class Example:
 
 @checked_names
 @dataclasses.dataclass(frozen=True)
-class Drift:
+class DriftResult:
     """Result of `drift`."""
 
     plan: TraceJob
@@ -95,7 +95,7 @@ def drift(
     start: tuple[float, float, float] | None = None, cell_m: float = 0.1, max_steps: int | None = None,
     attributes: Sequence[str] = (), nodes: int | None = None, links: int | None = None,
     workers: int | None = None, on_progress: Callable[[int], Any] | None = None,
-) -> Drift:  # fmt: skip
+) -> DriftResult:  # fmt: skip
     """Let a robot write its map with one kind of odometry error after the other, and draw its grid map.
 
     The grid map is drawn from the scans of the same run, each placed at the estimated pose: by encoders, matched scans
@@ -112,7 +112,7 @@ def drift(
       on_progress: called with the number of finished runs.
 
     Returns:
-      `Drift`. After Ctrl-C it holds what was finished.
+      `DriftResult`. After Ctrl-C it holds what was finished.
 
     Raises:
       InputError: no such error, no value, or one out of range; else as `prepare_trace`.
@@ -133,7 +133,7 @@ def drift(
     if costs.interrupted and not made.rows:
         raise KeyboardInterrupt
     table = pd.concat([made.rows[i] for i in sorted(made.rows)])
-    return Drift(plan, values, table.sort_values(["setting", "run"], ignore_index=True), made.example)
+    return DriftResult(plan, values, table.sort_values(["setting", "run"], ignore_index=True), made.example)
 
 
 def _settings(axes, noise):
@@ -213,7 +213,7 @@ def placed_truly(btm: BtmMap, node_at: np.ndarray, way: Driven, origin_m: tuple[
 
 
 def summarised(runs: Any, axes: Mapping[str, Sequence[float]], noise: Noise) -> "pd.DataFrame":
-    """Tabulate `Drift.runs`, a row for every error and value of `Drift.axes`; `noise` is the study's own.
+    """Tabulate `DriftResult.runs`, a row for every error and value of `DriftResult.axes`; `noise` is the study's own.
 
     Returns:
       Columns `error`, `value`, `n` runs; `true`, the share whose map has the true structure, with its 95 % Wilson

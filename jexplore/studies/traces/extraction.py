@@ -14,7 +14,7 @@ from jexplore.grid import centre_of
 from jexplore.report import plot_traces
 from jexplore.rooms.watershed import CLUTTER_M
 from jexplore.studies import explore
-from jexplore.studies.explore import Episode
+from jexplore.studies.explore import EpisodeResult
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.world import World, ring_of, with_ring
 
@@ -25,11 +25,11 @@ NEAR_CELLS = 2.0  # a node is found if it lies this near to the true one
 
 
 @dataclasses.dataclass(frozen=True)
-class Extracted:
+class ExtractionResult:
     """Result of `extracted`."""
 
     map: BtmMap
-    episode: Episode
+    episode: EpisodeResult
 
     @property
     def measures(self) -> dict[str, Any]:
@@ -57,7 +57,7 @@ class Extracted:
 def extracted(
     world: str | os.PathLike[str] | World, strategy: str = "closest+recheck", *, seed: int = 0, cell_m: float = 0.1,
     clutter_m: float = CLUTTER_M, tuning: Tuning | None = None,
-) -> Extracted:  # fmt: skip
+) -> ExtractionResult:  # fmt: skip
     """Explore a world, a course from its own start, and extract the map from the last grid.
 
     `tuning` gives the reference width and C1; `clutter_m` as of `extract.extract`, the others as of `explore.explore`.
@@ -84,7 +84,7 @@ def extracted(
         clutter_m=clutter_m,
         origin_m=with_ring(episode.world).origin_m,
     )
-    return Extracted(found, episode)
+    return ExtractionResult(found, episode)
 
 
 def matched(found: BtmMap, true: BtmMap, cell_m: float) -> tuple[int, int, int]:

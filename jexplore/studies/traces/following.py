@@ -40,7 +40,7 @@ ON_IT_M = 1.0  # a robot so near to the middle of a link is on it
 
 @checked_names
 @dataclasses.dataclass(frozen=True)
-class Followed:
+class FollowResult:
     """Result of `follow`."""
 
     table: Any
@@ -60,7 +60,7 @@ def follow(
     noise: Noise | Mapping[str, Any] | None = None, tuning: Tuning | Mapping[str, Any] | None = None,
     seed: int = 0, cell_m: float = 0.1,
     workers: int | None = None, on_progress: Callable[[int], Any] | None = None,
-) -> Followed:  # fmt: skip
+) -> FollowResult:  # fmt: skip
     """Let a robot follow routes in the true building.
 
     It starts on the first link of a route, a little beyond the node. From there on it knows of the map only the
@@ -80,7 +80,7 @@ def follow(
       on_progress: called with the number of finished routes.
 
     Returns:
-      `Followed`.
+      `FollowResult`.
 
     Raises:
       InputError: no route, one without a link or of another map, or a start where the robot does not fit.
@@ -101,7 +101,7 @@ def follow(
         on_progress=on_progress,
     ).result
     changed, told = _changed(btm, found, result, body)
-    return Followed(_table(world, btm, found, result), changed, tuple(told))
+    return FollowResult(_table(world, btm, found, result), changed, tuple(told))
 
 
 def _refused_places(btm, found):

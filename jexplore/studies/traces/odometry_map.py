@@ -48,7 +48,7 @@ def odometry_map(log: ScanLog, world: World, *, cell_m: float = 0.1, p_free: flo
 
     Args:
       log: `ScanLog` whose `poses` are true and whose `odometry` is where the robot took itself to be, such as
-        `Traced.scans()`. A beam without an echo counts as free up to the log's `max_range_m`.
+        `TraceResult.scans()`. A beam without an echo counts as free up to the log's `max_range_m`.
       world: the building, `World`, in whose frame the poses are.
       cell_m: edge of a cell of the map, metres.
       p_free: largest reflection probability of a free cell; above it is occupied.

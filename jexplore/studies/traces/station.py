@@ -11,7 +11,7 @@ from jexplore.driving.settings import ROBOTS
 from jexplore.report.page.station import MapPanel, station_page
 from jexplore.tracemap.merging import notes
 from jexplore.tracemap.merging.match import Merging, match_maps
-from jexplore.tracemap.merging.merge import Merged, merge_maps, named_maps
+from jexplore.tracemap.merging.merge import MergeResult, merge_maps, named_maps
 from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.record import BtmMap
 
@@ -66,7 +66,7 @@ def panels_of(
     and ways of one place that lead elsewhere.
     """
     given = named_maps(maps, names)
-    groups: list[Merged] = []
+    groups: list[MergeResult] = []
     left, outcome = given, Merging.MERGED
     while len(left) > 1:
         once: Any = {} if groups else {"on_progress": on_progress}
@@ -85,7 +85,7 @@ def panels_of(
     return panels, said + [line for btm in left.values() for line in notes.conflicts(btm)]
 
 
-def _joined(found: Merged, given, main):
+def _joined(found: MergeResult, given, main):
     maps = tuple(name for name in given if name in found.moves)
     note = f"In the frame of {next(name for name, move in found.moves.items() if move == Move())}."
     if found.map is main:

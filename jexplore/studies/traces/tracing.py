@@ -40,7 +40,7 @@ FIRST = "_first"  # column of a unit's file: map and way of run 0
 
 @checked_names
 @dataclasses.dataclass(frozen=True)
-class Traced:
+class TraceResult:
     """Result of `trace`."""
 
     plan: TraceJob
@@ -89,7 +89,7 @@ def asked_of_runs(plan: TraceJob) -> dict[str, Any]:
 def execute(
     plan: TraceJob, *, engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None, ledger: Ledger | None = None,
-) -> Traced:  # fmt: skip
+) -> TraceResult:  # fmt: skip
     """Make the runs of a plan that the ledger does not have.
 
     `on_progress` is called with the number of finished runs, including earlier ones. After Ctrl-C the result holds what
@@ -119,7 +119,7 @@ def execute(
     if made.first is None:
         raise KeyboardInterrupt
     table = pd.concat([made.tables[i] for i in sorted(made.tables)], ignore_index=True)
-    return Traced(plan, table, *made.first, costs, made.maps, resumed)
+    return TraceResult(plan, table, *made.first, costs, made.maps, resumed)
 
 
 class _Made:
@@ -175,7 +175,7 @@ def trace(
     nodes: int | None = None, links: int | None = None,
     engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None, progress: bool | None = None,
-) -> Traced:  # fmt: skip
+) -> TraceResult:  # fmt: skip
     """Let a robot drive through a building and write its trace map, once or many times.
 
     Args:
@@ -186,7 +186,7 @@ def trace(
       progress: show a bar; by default in notebooks.
 
     Returns:
-      `Traced`.
+      `TraceResult`.
 
     Raises:
       InputError: the reason why it cannot run, in one line.

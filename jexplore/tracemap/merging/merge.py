@@ -17,7 +17,7 @@ from jexplore.tracemap.record import BtmMap, check_map, require_near
 
 @checked_names
 @dataclasses.dataclass(frozen=True)
-class Merged:
+class MergeResult:
     """Result of `merge_maps`."""
 
     outcome: Merging  # `MERGED` only if all maps are one
@@ -50,7 +50,7 @@ def merge_maps(
     min_common: int = 3,
     limits: Limits | Mapping[str, Any] | None = None,
     on_progress: Callable[[int], object] = lambda compared: None,
-) -> Merged:
+) -> MergeResult:
     """Merge maps of one building, each in a frame of its own, to one map.
 
     The two maps with most evidence become one, again and again. Two become one only if they have nodes enough in
@@ -71,7 +71,7 @@ def merge_maps(
       on_progress: called with the number of pairs of maps that have been compared; all together (n - 1)^2 at most.
 
     Returns:
-      `Merged`; that maps do not fit is an outcome.
+      `MergeResult`; that maps do not fit is an outcome.
 
     Raises:
       InputError: fewer than two maps, names that are not as many or not different, an improper map, places or
@@ -143,7 +143,7 @@ def _result(parts, joins, refused, originals):
         for name, key in node.attributes[FROM].items():
             nodes[name][key] = node.id
     btm = notes.restored(main.map, {name: originals[name] for name in originals if name in main.moves})
-    return Merged(
+    return MergeResult(
         outcome=worst.outcome,
         map=btm,
         nodes=nodes,
