@@ -20,7 +20,7 @@ from jexplore.studies.comparison import compare
 from jexplore.studies.results import comparison
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.comparison import ComparisonResult, assemble
-from jexplore.studies.results.units import Ran, cut_jobs, piece_of
+from jexplore.studies.results.units import Ran, unit_table
 from jexplore.studies.statistics import by_world, league, sizes
 from jexplore.worlds.readers.ros import read_ros
 from jexplore.worlds.world import World, occupancy_to_world
@@ -157,8 +157,8 @@ def test_start_of_the_world(found):
     assert table["path_m"][0] != table["path_m"][1]  # equal starts, different draws
 
 
-def stub(outcomes, **fields):
-    """A comparison of two strategies whose episodes are written by hand."""
+def stub(outcomes, missing=((), ()), **fields):
+    """A comparison of two strategies whose episodes are written by hand; some are missing of each."""
     world = two_rooms("stub", 4, 6, 0)
     jobs = prepare_jobs(
         world,
@@ -172,8 +172,9 @@ def stub(outcomes, **fields):
     )
     final = Final(*(np.zeros(world.shape, np.int32) for _ in range(2)), *(np.zeros(1, np.int32) for _ in range(4)), [])
     made = [batch.Outcomes(result(2, outcome=outcome, **fields), final) for outcome in outcomes]
-    pieces = [piece_of(jobs[unit.job], unit, made[unit.job]) for unit in cut_jobs(jobs)]
-    return assemble(jobs, Ran(pieces, Costs(compile_s=1.0, run_s=2.0), 0, {}))
+    tables = [unit_table(job, one) for job, one in zip(jobs, made)]
+    tables = [table.drop(index=late) for table, late in zip(tables, missing)]
+    return assemble(jobs, Ran(tables, Costs(compile_s=1.0, run_s=2.0), 0, {}))
 
 
 def test_a_comparison_by_hand():
@@ -185,15 +186,15 @@ def test_a_comparison_by_hand():
 
 
 def test_of_an_interrupted_run_the_pairs_are_kept():
-    found = stub([[1, 0], [1, 1]], straight=[10, 20])
+    found = stub([[1, 1], [1, 1]], [[1], []], straight=[10, 20])
     assert found.to_pandas()[["strategy", "episode"]].to_numpy().tolist() == [["closest", 0], ["random", 0]]
     assert found.interrupted == 2
     assert found.warnings == ["interrupted: 2 episodes are missing"]
     assert [seen.strategy for seen in found.first["stub"]] == ["closest", "random"]
-    late = stub([[0, 1], [1, 1]])  # episode 0 is missing: no map to show
+    late = stub([[1, 1], [1, 1]], [[0], []])  # episode 0 is missing: no map to show
     assert (late.to_pandas()["episode"].tolist(), late.first) == ([1, 1], {})
     with pytest.raises(KeyboardInterrupt):
-        stub([[0, 1], [1, 0]])
+        stub([[1, 1], [1, 1]], [[0], [1]])
 
 
 def test_warnings_are_told():

@@ -365,14 +365,9 @@ def test_a_unit_that_is_damaged_is_made_again(tmp_path, damage):
 
 def longer(path, episodes, **change):
     """The ledger of a run of 2 episodes a unit that continues runs of fewer."""
-
-    def asked(n):
-        return {key: value for key, value in {**ASKED, **change, "episodes": n}.items() if key != "command"}
-
-    shorter = ledger.ShorterRuns(episodes, asked, lambda n: (episodes - n) // 2)
     with claimed(path, resume=True) as run, warnings.catch_warnings(action="error"):
-        own = {"command": "compare", **asked(episodes)}
-        book = open_ledger(run, own, episodes // 2, resume=True, shorter=shorter)
+        asked = {**ASKED, **change, "episodes": episodes}
+        book = open_ledger(run, asked, lambda n: (episodes - n) // 2, resume=True)
         if book is None or book.done:
             return book
         book.put(0, table(1))

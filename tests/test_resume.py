@@ -18,6 +18,7 @@ from jexplore.cli import main
 from jexplore.cli.output import console
 from jexplore.config import Lidar
 from jexplore.studies import comparison
+from jexplore.studies.results import comparison as results
 from jexplore.studies.results import units
 from jexplore.studies.results.loading import load
 
@@ -28,6 +29,7 @@ COMMAND = ["compare", "--worlds", WORLD, "--strategies", *STRATEGIES, *OPTIONS]
 SMALL_UNITS = """
 import sys
 from jexplore.cli.main import main
+from jexplore.studies.results import comparison as results
 from jexplore.studies.results import units
 units.UNIT_S = 0.0
 sys.exit(main())
@@ -221,7 +223,7 @@ def test_a_finished_run_is_not_run_again(tmp_path, capsys, monkeypatch):
     command = [*COMMAND, "--episodes", "3", "--out", str(tmp_path / "run"), "--resume"]
     assert main.main(command) == 0
     table = capsys.readouterr().out.split("\n\n")[0]
-    monkeypatch.setattr(units, "run_units", lambda *_, **__: pytest.fail("it began"))
+    monkeypatch.setattr(results, "run_comparison", lambda *_, **__: pytest.fail("it began"))
     assert main.main(command) == 0
     said = capsys.readouterr().out
     assert said.startswith(table)

@@ -68,13 +68,13 @@ def test_the_folder_is_that_of_the_command(found, tmp_path, capsys):
 
 def test_a_finished_run_is_read_and_not_run(found, monkeypatch):
     folder, made = found
-    monkeypatch.setattr(comparison, "run_units", never)
+    monkeypatch.setattr(comparison, "run_comparison", never)
     same(run(out=folder, resume=True), made)
 
 
 def test_a_run_of_the_command_is_read_and_not_run(found, tmp_path, monkeypatch):
     assert main.main([*COMMAND, "--episodes", "16", "--out", str(tmp_path / "run"), "--no-report"]) in (0, None)
-    monkeypatch.setattr(comparison, "run_units", never)
+    monkeypatch.setattr(comparison, "run_comparison", never)
     same(run(out=tmp_path / "run", resume=True), found[1])
 
 
@@ -133,14 +133,14 @@ def test_results_are_saved_afterwards_and_once_more(found, tmp_path):
     ],
 )
 def test_what_cannot_be_written_is_refused_before_it_runs(how, line, monkeypatch):
-    monkeypatch.setattr(comparison, "run_units", never)
+    monkeypatch.setattr(comparison, "run_comparison", never)
     with pytest.raises(InputError, match=line) as caught:
         run(**how)
     assert "--" not in str(caught.value)
 
 
 def test_another_run_is_not_gone_on_with(found, monkeypatch):
-    monkeypatch.setattr(comparison, "run_units", never)
+    monkeypatch.setattr(comparison, "run_comparison", never)
     with pytest.raises(InputError, match="holds another run: its seed is 0, not 5"):
         run(out=found[0], resume=True, seed=5)
     with pytest.raises(InputError, match=r"allow overwriting \(overwrite=True\)$"):

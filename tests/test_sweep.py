@@ -276,7 +276,7 @@ def test_summary(found):
     text = result.to_markdown(5)
     assert text.count("\n| ") == 6
     assert "... and 123 more rows" in text
-    assert set(result.figures()) == {"", "-map"}
+    assert set(result.figures()) == {"sweep.png", "sweep-map.png"}
 
 
 NATIVE = {
@@ -300,7 +300,7 @@ def test_rows_of_a_sweep_in_native_code(monkeypatch):
     assert row["ratio"] == pytest.approx(other / first)
     assert found.varied == ["lidar.range_m", "lidar.sigma_m", "rules.p_free"]
     assert "... and 27 more rows" in found.to_markdown(5)
-    assert set(found.figures()) == {"", "-map"}
+    assert set(found.figures()) == {"sweep.png", "sweep-map.png"}
 
 
 @pytest.mark.jit
@@ -390,15 +390,16 @@ def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, monk
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(plans, "MAX_UNIT_EPISODES", 8)
 
-    def run_units(plan, numbers, on_unit, *_, **how):
-        for number in numbers:
-            on_unit(number, pd.concat([made(plan, block) for block in plan.units[number]]))
+    def make_units(work, jobs_of, *_, **how):
+        for number in work.left:
+            work.put(number, pd.concat([made(job) for job in jobs_of(number)]))
         return Costs()
 
-    def made(plan, block):
-        rows = {name: np.zeros(block.n) for name in COLUMNS} | {"setting": block.setting, "world": WORLDS[0]}
-        rows |= {"strategy": plan.strategies[block.strategy].name, "outcome": "COMPLETE"}
-        rows |= {"episode": np.arange(block.first, block.first + block.n), "cell_m": 0.1}
+    def made(job):
+        n = len(job.starts)
+        rows = {name: np.zeros(n) for name in COLUMNS} | {"setting": 0, "world": WORLDS[0]}
+        rows |= {"strategy": job.strategy.name, "outcome": "COMPLETE"}
+        rows |= {"episode": np.arange(job.first, job.first + n), "cell_m": 0.1}
         return pd.DataFrame(rows)
 
     def sweep_part(episodes, *options):
@@ -406,7 +407,7 @@ def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, monk
         (tmp_path / "s.yaml").write_text(yaml.safe_dump(asked))
         assert main.main(["sweep", "s.yaml", "--no-report", *options]) == 0
 
-    monkeypatch.setattr(runs, "run_block_units", run_units)
+    monkeypatch.setattr(runs, "make_units", make_units)
     for part in (1, 2):
         sweep_part(11, "--shard", f"{part}/2", "--out", f"short{part}")
     sweep_part(20, "--shard", "2/2", "--out", "short2", "--resume")

@@ -64,8 +64,7 @@ class Bound:
             if ledger is None:
                 table = store.read_parquet(out.run.path / "bounds.parquet")
                 show_table(bound.bounds_table(table))
-                out.draw_missing({})
-                return 0
+                return out.draw_missing()
             with working(len(tasks), "starts") as on_progress:
                 found = bound.run_bounds(tasks, ledger=ledger, workers=self.workers, on_progress=on_progress)
             entries = {"interrupted": found.interrupted, "settings": found.settings}

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from jexplore.exploration.batch import Job
     from jexplore.studies.bounds.bound import BoundTask
     from jexplore.studies.results.comparison import ComparisonResult
-    from jexplore.studies.results.units import Ran
 
 FINISHING = "jexplore: computing statistics and drawing"
 
@@ -108,7 +107,6 @@ class Compare:
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
         from jexplore.studies.checks import prepare_jobs
-        from jexplore.studies.results.comparison import assemble
         from jexplore.studies.results.saving import figures_of
         from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds, standings_table
 
@@ -128,21 +126,18 @@ class Compare:
                 metrics=self.metric,
             )
             tasks, reported = self._bound_tasks(jobs), jobs if self.report else None
-            ran = run_with_bar(self, jobs, out, tasks)
-            if ran is None:
+            found = run_with_bar(self, jobs, out, tasks)
+            if found is None:
                 return show_finished(out, _tables, figures_of, reported)
             with note_if_slow(FINISHING):
-                found = assemble(jobs, ran)
                 record, text = functools.partial(out.record, arguments, self), found.to_markdown()
                 if self.league:
                     text = standings_table(found.standings)
                     record = functools.partial(record, standings=found.standings.to_dict("records"))
-            found, more, files = self._beside(found, [] if ran.costs.interrupted else tasks, out, ran)
-            text += more
+            found, text, files, is_whole = self._beside(found, text, tasks, out)
+            figures = figures_of(found, league=self.league)
             with note_if_slow(FINISHING):
-                return finish_comparison(
-                    out, found, ran, text, figures_of(found, league=self.league), record, reported, files
-                )
+                return finish_comparison(out, found, text, figures, record, reported, files, is_whole=is_whole)
 
     def _bound_tasks(self, jobs):
         """Return the starts to be bounded, if bounds are asked for."""
@@ -153,25 +148,25 @@ class Compare:
         pairs = [(job.world, (int(r), int(c), int(h))) for job in jobs for r, c, h in job.starts]
         return bound_tasks(pairs, self.lidar, self.rules, self.bound_seconds)
 
-    def _beside(self, found, tasks, out, ran):
-        """Complete a comparison by the extra requests, with their tables and files: `(found, text, files)`."""
+    def _beside(self, found, text, tasks, out):
+        """Complete a comparison, its tables and files by waste and bounds; the last is False after an interruption."""
         from jexplore.report import store
         from jexplore.studies.bounds.bound import run_bounds
 
-        files = {}
+        files, is_whole = {}, not found.interrupted
         if self.waste:
             found = dataclasses.replace(found, episodes=found.wasted)
-        if tasks:
+        if tasks and is_whole:
             try:
                 with working(len(tasks), "starts") as on_progress:
                     how = {"ledger": out.ledger, "first": out.units - len(tasks), "workers": self.workers}
                     bounds = run_bounds(tasks, **how, on_progress=on_progress)
-                ran.costs.interrupted = bounds.interrupted > 0
+                is_whole = not bounds.interrupted
                 found = dataclasses.replace(found, episodes=bounds.beside(found))
                 files["bounds.parquet"] = lambda path: store.write_parquet(bounds.table, path)
             except KeyboardInterrupt:  # before the first: the comparison is there
-                ran.costs.interrupted = True
-        return found, _more_tables(found.episodes, self.league), files
+                is_whole = False
+        return found, text + _more_tables(found.episodes, self.league), files, is_whole
 
 
 def _more_tables(episodes, league):
@@ -197,30 +192,24 @@ def _tables(found, record):
     return text + _more_tables(getattr(found, "comparison", found).episodes, league)
 
 
-def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequence[BoundTask]" = ()) -> "Ran | None":
-    """Compile and run the unfinished part, with a note and a bar: a `Ran`; None if everything is finished.
+def run_with_bar(
+    options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequence[BoundTask]" = ()
+) -> "ComparisonResult | None":
+    """Compile and run the unfinished part, with a note and a bar; None if everything is finished.
 
     `starts` are bounded afterwards, as the last units of the run.
     """
-    from jexplore.engine.backend import use_compilation_cache
-    from jexplore.studies.results import loading, provenance, units
+    from jexplore.studies.results import comparison, provenance, units
 
-    use_compilation_cache()
     keep = "paths" if getattr(options, "waste", False) else None
-    more = {"keep": keep} if keep else {}
-    more |= {"bound_seconds": starts[0].seconds if starts else None} if hasattr(options, "bounds") else {}
-
-    def asked_of(jobs):
-        return provenance.asked(jobs) | more
-
-    shorter = loading.shorter_of(jobs, asked_of, len(starts))
-    ledger = out.keep(asked_of(jobs), len(units.cut_jobs(jobs)) + len(starts), shorter=shorter)
+    asked = provenance.asked(jobs) | ({"keep": keep} if keep else {})
+    asked |= {"bound_seconds": starts[0].seconds if starts else None} if hasattr(options, "bounds") else {}
+    ledger = out.keep(asked, lambda n: len(units.cut_jobs(jobs, n)) + len(starts))
     if ledger is None:
         return None
-    how = {name: getattr(options, name) for name in ("engine", "lanes", "workers")}
-    how["earlier"] = loading.earlier_pieces(ledger, jobs)
+    how = {"keep": keep, "ledger": ledger, **fields_of(options, "engine lanes workers")}
     with working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
-        return units.run_units(jobs, ledger=ledger, **how, on_progress=on_progress, keep=keep)
+        return comparison.run_comparison(jobs, **how, on_progress=on_progress)
 
 
 def show_finished(
@@ -240,19 +229,19 @@ def show_finished(
     show_table(tables(found, record))
     drawn = figures(found, league=bool(record["configuration"].get("league")))
     found = getattr(found, "comparison", found)
-    out.draw_missing(saving.pictures_of(found, {}, record, drawn, jobs))
-    return 0
+    return out.draw_missing(saving.pictures_of(drawn, record, functools.partial(saving.tables_of, found), jobs))
 
 
 def finish_comparison(
     out: Out,
     found: "ComparisonResult",
-    ran: "Ran",
     text: str,
     figures: "Mapping[str, Callable[[], Figure]]",
     record: Callable[..., Any],
     jobs: "Sequence[Job] | None" = None,
     more: Mapping[str, Callable[..., Any]] = MappingProxyType({}),
+    *,
+    is_whole: bool = True,
 ) -> int:
     """Write, print and draw the common output of comparisons and reproductions; return the exit status.
 
@@ -260,8 +249,10 @@ def finish_comparison(
     """
     from jexplore.studies.results import saving
 
-    costs, made = ran.costs, record(**saving.entries_of(found), **saving.engine_of(ran.costs))
-    files = saving.comparison_files(found, made, more)
+    is_whole = is_whole and not found.interrupted
+    page = record(**saving.entries_of(found), **found.made.record)
+    files = saving.comparison_files(found, page, more)
     text += "".join(f"warning: {line}\n" for line in found.warnings)
-    pictures = saving.pictures_of(found, ran.firsts, made, figures, None if costs.interrupted else jobs)
-    return out.finish(made, files, text, pictures, interrupted=costs.interrupted)
+    tables = functools.partial(saving.tables_of, found)
+    pictures = saving.pictures_of(figures, page, tables, jobs if is_whole else None, found.made.firsts)
+    return out.finish(page, files, text, pictures, interrupted=not is_whole)

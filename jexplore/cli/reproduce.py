@@ -58,16 +58,14 @@ class Reproduce:
 
         with Out(self, "reproduce") as out:
             jobs = reproduction.prepare_paper(self.paper, **fields_of(self, "maps episodes seed cell_m lidar rules"))
-            ran = run_with_bar(self, jobs, out)
-            if ran is None:
+            made = run_with_bar(self, jobs, out)
+            if made is None:
                 return show_finished(
                     out, lambda found, _: found.to_markdown(), lambda found, league: {"reproduce.png": found.figure}
                 )
             with note_if_slow(FINISHING):
-                found = reproduction.assemble_paper(self.paper, self.maps, jobs, ran)
+                found = reproduction.reproduction_of(self.paper, self.maps, made)
                 tables, orderings = (table.to_dict("records") for table in (found.tables, found.orderings))
                 entries = {"notes": found.notes, "tables": tables, "orderings": orderings}
                 record = functools.partial(out.record, arguments, self, **entries)
-                return finish_comparison(
-                    out, found.comparison, ran, found.to_markdown(), {"reproduce.png": found.figure}, record
-                )
+                return finish_comparison(out, made, found.to_markdown(), {"reproduce.png": found.figure}, record)

@@ -1,7 +1,6 @@
 """The commands `jexplore sweep` and `jexplore merge`."""
 
 import dataclasses
-import functools
 import os
 import re
 from collections.abc import Sequence
@@ -75,11 +74,9 @@ class SweepCommand:
             print("\n".join(plans.summary_lines(plan, numbers)))
             return 0
         with Out(self, "sweep") as out:
-            ledger = out.keep(plan.asked(shard), len(plan.units), wanted=len(numbers), shorter=plan.shorter(shard))
+            ledger = out.keep(plan.asked(shard), lambda n: len(plan.after(n).units), shard)
             if ledger is None:
                 return _show_finished(out, plan if self.report else None)
-            if ledger.after:  # only the episodes from there on are cut into units
-                out.wanted = len(plans.in_shard(ledger.units, shard))
             how: dict[str, Any] = {name: getattr(self, name) for name in ("engine", "lanes", "workers")}
             total = sum(plan.size(number) for number in numbers)
             with working(total, "episodes") as on_progress:
@@ -108,26 +105,28 @@ def _show_finished(out, plan):
 
     found = load(out.run.path)
     show_table(found.to_markdown(PRINTED_ROWS))
-    out.draw_missing(_pictures(found, run_record(out.run.path), plan))
-    return 0
+    return out.draw_missing(_pictures(found, run_record(out.run.path), plan))
 
 
 def _pictures(found, record, plan):
     """Return pictures of a sweep and, with a plan, its page: name -> writer."""
-    from jexplore.studies.results.saving import picture_writers
+    from jexplore.studies.results.saving import pictures_of
+    from jexplore.studies.sweeps.run import labels_of
 
-    drawn = picture_writers({f"sweep{tail}.png": make for tail, make in found.figures().items()})
+    jobs, labels = None, ()
     if plan is not None and not found.missing:
-        drawn["report.html"] = functools.partial(_report, found, record, plan, list(drawn))
-    return drawn
+        jobs, settings = zip(*plan.first_jobs())
+        labels = labels_of(settings)
+    rows = len(found.summary)
+    heading = "Every setting" if rows <= REPORTED_ROWS else f"The first {REPORTED_ROWS} of {rows} rows of summary.csv"
+    return pictures_of(found.figures(), record, lambda: [(heading, found.table(REPORTED_ROWS))], jobs, labels=labels)
 
 
 def _finish(out: Out, found: "SweepResult", arguments: Sequence[str], options: Any, plan: Any, **entries: Any) -> int:
     """Write, print and draw; return the exit status."""
     from jexplore.arrays.plain_yaml import dump
     from jexplore.report import store
-    from jexplore.studies.results.provenance import describe_world
-    from jexplore.studies.results.saving import engine_of
+    from jexplore.studies.results.provenance import describe_world, engine_of
     from jexplore.studies.sweeps.spec import plain_spec
 
     costs = found.costs
@@ -154,21 +153,6 @@ def _finish(out: Out, found: "SweepResult", arguments: Sequence[str], options: A
     text += f"warning: {found.missing} episodes are missing\n" if found.missing else ""
     pictures = _pictures(found, record, plan if options.report else None)
     return out.finish(record, files, text, pictures, interrupted=found.missing > 0)
-
-
-def _report(found, record, plan, names, path):
-    """Write the page of a sweep, with its existing pictures."""
-    from jexplore.report.page.report import write_report
-    from jexplore.studies.replays import replays_of
-    from jexplore.studies.sweeps.run import labels_of
-
-    jobs, settings = zip(*plan.first_jobs())
-    engine = "jax" if record["engine"] == "jax" else "auto"
-    replays, notes = replays_of(jobs, labels=labels_of(settings), engine=engine)
-    rows = len(found.summary)
-    heading = "Every setting" if rows <= REPORTED_ROWS else f"The first {REPORTED_ROWS} of {rows} rows of summary.csv"
-    tables = [(heading, found.table(REPORTED_ROWS))]
-    write_report(path, record, tables, names, replays, notes)
 
 
 def _real(folder):

@@ -81,8 +81,7 @@ class Train:
             )
             ledger = out.keep(training.training_inputs(plan), plan.units)
             if ledger is None:
-                out.draw_missing({})
-                return 0
+                return out.draw_missing()
             with working(plan.rounds, "rounds") as on_progress:
                 found = training.run_training(plan, ledger=ledger, workers=self.workers, on_progress=on_progress)
             return self._finish(out, found, plan, arguments)

@@ -7,9 +7,9 @@ import contextlib
 import json
 import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from jexplore.arrays.files import first_line, opened, read_json
 from jexplore.config import InputError, InputWarning
@@ -20,14 +20,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ASKED_FILE = "asked.json"  # what the run is asked, in the folder of its units
-
-
-class ShorterRuns(NamedTuple):
-    """Runs that ask the same as one, of fewer episodes: once finished they can be continued."""
-
-    episodes: int  # of the longer run
-    asked: Callable[[int], Mapping[str, Any]]  # settings of a run with this many episodes
-    units_after: Callable[[int], int]  # number of units of the episodes from this number on
+Unit = TypeVar("Unit")
+"""Results of a unit."""
 
 
 class Ledger:
@@ -91,24 +85,57 @@ def _table_in(file):
         return pd.read_parquet(content, engine="pyarrow", page_checksum_verification=True)
 
 
+def _unchanged(table: Any) -> Any:
+    return table
+
+
+class Work(Generic[Unit]):
+    """Units of a run: the results of those that are finished, and the numbers of those that are left."""
+
+    done: dict[int, Unit]
+    left: list[int]
+
+    def __init__(
+        self,
+        numbers: Iterable[int],
+        ledger: Ledger | None = None,
+        to_table: Callable[[Unit], "pd.DataFrame"] = _unchanged,
+        of_table: Callable[["pd.DataFrame"], Unit] = _unchanged,
+    ) -> None:
+        """Read the finished units, of these numbers, of a ledger; `of_table` reverses `to_table`."""
+        self._ledger, self._to_table, numbers = ledger, to_table, list(numbers)
+        self.done = {} if ledger is None else {i: of_table(ledger.get(i)) for i in numbers if i in ledger.done}
+        self.left = [i for i in numbers if i not in self.done]
+
+    def put(self, number: int, found: Unit) -> None:
+        """Take the results of a unit, which the ledger then has."""
+        if self._ledger is not None:
+            self._ledger.put(number, self._to_table(found))
+        self.done[number] = found
+
+    @property
+    def results(self) -> list[Unit]:
+        """Return the results of the finished units, in order."""
+        return [self.done[i] for i in sorted(self.done)]
+
+
 def open_ledger(
     run: RunFolder,
     asked: Mapping[str, Any],
-    units: int,
+    units: int | Callable[[int], int],
     *,
     resume: bool = False,
     trust: bool = False,
-    shorter: ShorterRuns | None = None,
 ) -> Ledger | None:
     """Open the ledger of a run, new or to be continued.
 
     Args:
       run: the run's folder.
       asked: all settings that results depend on; plain JSON, see `store.jsonable`.
-      units: number of units of the whole run.
+      units: number of units of the whole run; or a function that returns that of the episodes from a number on: the run
+        then continues a finished one of fewer `episodes`.
       resume: continue with existing units; else they are removed.
       trust: as in `require_same`.
-      shorter: finished runs that may be continued.
 
     Returns:
       None if the folder holds the finished run.
@@ -118,25 +145,26 @@ def open_ledger(
     """
     asked, after = jsonable(dict(asked)), 0
     page_file, record_file = run.unfinished / ASKED_FILE, run.path / "run.json"
+
+    def count(after):
+        return units(after) if callable(units) else units
+
     if resume and page_file.exists():
         there = _read(page_file)
         after = there.get("after", 0)
-        if shorter is not None:
-            _require_as_many(run.path, there, shorter.episodes, is_finished=False)
-            units = shorter.units_after(after) if after else units
-        require_same(run.path, there, {"asked": asked, "units": units}, trust=trust)
-        return Ledger(run.unfinished, units, after)
+        if callable(units):
+            _require_as_many(run.path, there, asked, is_finished=False)
+        require_same(run.path, there, {"asked": asked, "units": count(after)}, trust=trust)
+        return Ledger(run.unfinished, count(after), after)
     if resume and record_file.exists():
         there = _read(record_file)
         is_finished, own = not there.get("interrupted"), asked  # else its units are gone, and it begins again
-        if shorter is not None:
-            n = _require_as_many(run.path, there, shorter.episodes, is_finished=is_finished)
-            if n != shorter.episodes:
-                after, units = n, shorter.units_after(n)
-                own = jsonable({"command": asked.get("command"), **shorter.asked(n)})
+        if callable(units):
+            own = {**asked, "episodes": _require_as_many(run.path, there, asked, is_finished=is_finished)}
         require_same(run.path, {"asked": there.get("asked")}, {"asked": own}, trust=trust)
-        if is_finished and not after:
+        if is_finished and own == asked:
             return None
+        after = own["episodes"] if own != asked else 0
     elif resume:
         run.require_free()
     run.forget()
@@ -144,14 +172,13 @@ def open_ledger(
         run.unfinished.mkdir()
     except OSError as error:
         raise InputError(f"{os.fspath(run.unfinished)!r} must be a folder that can be written: {error}") from error
-    write_json({"asked": asked, "units": units, "after": after}, page_file)
-    return Ledger(run.unfinished, units, after)
+    write_json({"asked": asked, "units": count(after), "after": after}, page_file)
+    return Ledger(run.unfinished, count(after), after)
 
 
-def _require_as_many(path, there, episodes, *, is_finished):
+def _require_as_many(path, there, asked, *, is_finished):
     """Return the number of episodes of a run that is to be continued; refuse more, and fewer of an unfinished one."""
-    asked = there.get("asked", {})
-    n = asked.get("spec", asked).get("episodes")
+    n, episodes = (there.get("asked") or {}).get("episodes"), asked["episodes"]
     if not isinstance(n, int) or n == episodes:
         return episodes
     if n > episodes:

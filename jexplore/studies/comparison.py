@@ -5,11 +5,8 @@ import datetime
 import functools
 import os
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
 
 from jexplore.config import InputError, checked_names, require_engine
-from jexplore.engine.backend import use_compilation_cache
-from jexplore.exploration.batch import Job
 from jexplore.exploration.trail import RECORDS
 from jexplore.report.ledger import open_ledger
 from jexplore.studies.checks import (
@@ -24,9 +21,9 @@ from jexplore.studies.checks import (
 )
 from jexplore.studies.metrics import MetricsLike
 from jexplore.studies.results import loading, provenance, saving
-from jexplore.studies.results.comparison import ComparisonResult, Made, assemble
+from jexplore.studies.results.comparison import ComparisonResult, run_comparison
 from jexplore.studies.results.progress import progress_bar
-from jexplore.studies.results.units import cut_jobs, run_units
+from jexplore.studies.results.units import cut_jobs
 from jexplore.worlds.restrict import KnownMap, Polygon
 
 
@@ -82,37 +79,28 @@ def compare(
     if keep is not None and keep not in tuple(RECORDS):
         raise InputError(f"keep must be None, {' or '.join(RECORDS)}, got {keep!r}")
     how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep}
-    asked = asked_of(jobs, keep)
+    asked = {"command": "compare", **provenance.asked(jobs), **({"keep": keep} if keep else {}), "bound_seconds": None}
     run = functools.partial(_run, jobs, asked, settings, how, (progress, on_progress))
     return _in_folder(out, jobs, asked, run, {"overwrite": overwrite, "resume": resume}, trust)
 
 
-def asked_of(jobs: Sequence[Job], keep: str | None) -> dict[str, Any]:
-    """Return the settings of a comparison in the command's form: equal settings mean equal units."""
-    more = {"keep": keep} if keep else {}
-    return {"command": "compare", **provenance.asked(jobs), **more, "bound_seconds": None}
-
-
 def _run(jobs, asked, settings, how, shown, ledger=None):
     """Run jobs, whose units a ledger keeps: a `ComparisonResult`."""
-    earlier = [] if ledger is None else loading.earlier_pieces(ledger, jobs)
-    use_compilation_cache()
     began = datetime.datetime.now(datetime.UTC)
     with progress_bar(shown[0], sum(len(job.starts) for job in jobs), "episodes", shown[1]) as moved:
-        ran = run_units(jobs, ledger=ledger, earlier=earlier, on_progress=moved, **how)
+        found = run_comparison(jobs, ledger=ledger, on_progress=moved, **how)
     names = {
         f"{kind}s": list(dict.fromkeys(str(getattr(job, kind).name) for job in jobs)) for kind in ("world", "strategy")
     }
-    lidar, rules = jobs[0].lidar, jobs[0].rules
     record = {
         "command": ["jx", "compare"],
         "started": began,
         "wall_s": (datetime.datetime.now(datetime.UTC) - began).total_seconds(),
-        "configuration": {**names, **settings, **how, "lidar": lidar, "rules": rules},
-        **saving.engine_of(ran.costs),
+        "configuration": {**names, **settings, **how, "lidar": found.lidar, "rules": found.rules},
+        **found.made.record,
         **{"asked": asked, "units": len(cut_jobs(jobs))},
     }
-    return dataclasses.replace(assemble(jobs, ran), made=Made(tuple(jobs), ran.firsts, record))
+    return dataclasses.replace(found, made=found.made._replace(record=record))
 
 
 def _in_folder(out, jobs, asked, run, how, trust):
@@ -123,9 +111,8 @@ def _in_folder(out, jobs, asked, run, how, trust):
         if any(how.values()):
             raise InputError("overwrite and resume are for a folder: name it with out")
         return run()
-    shorter = loading.shorter_of(jobs, lambda fewer: asked_of(fewer, asked.get("keep")))
     with saving.claimed_by_call(out, **how) as folder:
-        ledger = open_ledger(folder, asked, len(cut_jobs(jobs)), resume=how["resume"], trust=trust, shorter=shorter)
+        ledger = open_ledger(folder, asked, lambda n: len(cut_jobs(jobs, n)), resume=how["resume"], trust=trust)
         if ledger is None:
             found = loading.load(folder.path)
             return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))

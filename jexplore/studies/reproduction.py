@@ -4,19 +4,16 @@ import dataclasses
 import functools
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from jexplore.config import InputError, checked_names, require_engine, unknown
-from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.report import tables
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, prepare_jobs
 from jexplore.studies.papers import PAPERS, Paper
-from jexplore.studies.results import comparison
-from jexplore.studies.results.comparison import ComparisonResult
+from jexplore.studies.results.comparison import ComparisonResult, run_comparison
 from jexplore.studies.results.progress import progress_bar
-from jexplore.studies.results.units import Ran, run_units
 from jexplore.studies.statistics import paired
 
 if TYPE_CHECKING:
@@ -220,10 +217,10 @@ def notes_of(paper: Paper, maps: str | os.PathLike[str] | None) -> tuple[str, ..
     return (COUNTERPARTS if maps is None else MAPS, paper.remark)
 
 
-def assemble_paper(name: str, maps: str | os.PathLike[str] | None, jobs: Sequence[Job], ran: Ran) -> ReproductionResult:
-    """Make the result of finished jobs; an interrupted run gives the part that `comparison.assemble` keeps."""
+def reproduction_of(name: str, maps: str | os.PathLike[str] | None, found: ComparisonResult) -> ReproductionResult:
+    """Compare the results of the jobs of `prepare_paper` with the paper."""
     paper = find(name)
-    return ReproductionResult(paper, comparison.assemble(jobs, ran), world_names(paper, maps), notes_of(paper, maps))
+    return ReproductionResult(paper, found, world_names(paper, maps), notes_of(paper, maps))
 
 
 @checked_names
@@ -249,7 +246,6 @@ def reproduce(
     """
     require_engine(engine, lanes)
     jobs = prepare_paper(paper, maps=maps, episodes=episodes, seed=seed, cell_m=cell_m, lidar=lidar, rules=rules)
-    use_compilation_cache()
     with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
-        ran = run_units(jobs, engine=engine, lanes=lanes, workers=workers, on_progress=moved)
-    return assemble_paper(paper, maps, jobs, ran)
+        found = run_comparison(jobs, engine=engine, lanes=lanes, workers=workers, on_progress=moved)
+    return reproduction_of(paper, maps, found)

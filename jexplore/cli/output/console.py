@@ -17,7 +17,7 @@ from jexplore.config import InputError
 
 if TYPE_CHECKING:
     from jexplore.report.folders import RunFolder
-    from jexplore.report.ledger import Ledger, ShorterRuns
+    from jexplore.report.ledger import Ledger
 
 COMPILING = "jexplore: making programs ready (what is compiled is kept for later runs)"
 under_way: "list[Out]" = []
@@ -203,18 +203,19 @@ class Out:
             tell("jexplore: no unit of work was finished: nothing is kept to go on with")
 
     def keep(
-        self, asked: Mapping[str, Any], units: int, *, wanted: int | None = None, shorter: "ShorterRuns | None" = None
+        self, asked: Mapping[str, Any], units: int | Callable[[int], int], shard: tuple[int, int] | None = None
     ) -> "Ledger | None":
         """Open the ledger of the run, as `ledger.open_ledger` does; None if the run is finished.
 
-        `wanted` units are made here, by default all.
+        Of the units those of a shard are made here, by default all.
         """
         from jexplore.report.ledger import open_ledger
 
-        self.asked, self.units = {"command": self.command, **asked}, units
-        self.ledger = open_ledger(self.run, self.asked, units, resume=self.resume, trust=self.trust, shorter=shorter)
+        self.asked = {"command": self.command, **asked}
+        self.ledger = open_ledger(self.run, self.asked, units, resume=self.resume, trust=self.trust)
         if self.ledger is not None:
-            self.units, self.wanted = self.ledger.units, wanted or self.ledger.units
+            self.units = self.ledger.units
+            self.wanted = self.units if shard is None else len(range(shard[0], self.units, shard[1]))
         return self.ledger
 
     def record(self, arguments: Sequence[str], options: Any, **found: Any) -> dict[str, Any]:
@@ -278,8 +279,9 @@ class Out:
                 print(f"warning: {name} could not be drawn: {first_line(error)}", file=sys.stderr)
         return drawn
 
-    def draw_missing(self, writers: Mapping[str, Callable[[Path], Any]]) -> None:
-        """Add the pictures that a finished run lacks, and tell so."""
+    def draw_missing(self, writers: Mapping[str, Callable[[Path], Any]] = MappingProxyType({})) -> int:
+        """Add the pictures that a finished run lacks, tell so and return the exit status."""
         drawn = self.draw({name: write for name, write in writers.items() if not (self.run.path / name).is_file()})
         what = f"drew {', '.join(drawn)}" if drawn else "nothing was left to do"
         print(f"{self.run.path}{os.sep} holds all of it: {what}")
+        return 0

@@ -103,15 +103,13 @@ class Trace:
                 say(f"jexplore: note: the true map has {plan.places} nodes, this one has room for {plan.size[0]}", 0)
             ledger = out.keep(tracing.asked_of_runs(plan), len(tracing.run_blocks(plan)))
             if ledger is None:
-                out.draw_missing({})
-                return 0
+                return out.draw_missing()
             return self._run(out, plan, ledger, arguments)
 
     def _run(self, out, plan, ledger, arguments):
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.report import store, trace_tables
-        from jexplore.studies.results.provenance import describe_world
-        from jexplore.studies.results.saving import engine_of
+        from jexplore.studies.results.provenance import describe_world, engine_of
         from jexplore.studies.traces import tracing
         from jexplore.tracemap.corrected import correct_map
 

@@ -22,7 +22,7 @@ from jexplore.engine.runner import own_cores
 from jexplore.exploration.results import length_along_m
 from jexplore.raycast import scans_all_round
 from jexplore.reach import DIAGONAL, FAR, STRAIGHT
-from jexplore.report.ledger import Ledger
+from jexplore.report.ledger import Ledger, Work
 from jexplore.report.tables import aligned_table, number_text
 from jexplore.studies.bounds.beside import with_bound_ratios
 from jexplore.studies.bounds.scene import prepare_scene
@@ -304,24 +304,22 @@ def run_bounds(
     import pandas as pd
 
     workers = min(own_cores() if workers is None else require_setting("workers", workers), len(tasks))
-    done: dict[int, Solved] = {}
-    if ledger is not None:
-        done = {i: _of_table(ledger.get(first + i)) for i in range(len(tasks)) if first + i in ledger.done}
+    numbers = range(first, first + len(tasks))
+    work: Work[Solved] = Work(numbers, ledger, _to_table, _of_table)
+    tasks_of = dict(zip(numbers, tasks))
 
     def take(number, found):
-        if ledger is not None:
-            ledger.put(first + number, _to_table(found))
-        done[number] = found
+        work.put(number, found)
         if on_progress is not None:
-            on_progress(len(done))
+            on_progress(len(work.done))
 
     try:
-        _run([i for i in range(len(tasks)) if i not in done], tasks, workers, take)
+        _run(work.left, tasks_of, workers, take)
     except KeyboardInterrupt:
-        if not done:
+        if not work.done:
             raise
-    worlds = {os.fspath(tasks[i].world.name): tasks[i].world for i in sorted(done)}
-    found, steps = [done[i] for i in sorted(done)], []
+    worlds = {os.fspath(tasks_of[i].world.name): tasks_of[i].world for i in sorted(work.done)}
+    found, steps = work.results, []
     for k, one in enumerate(found):
         own = {"world": one.row["world"], "start": k, "step": np.arange(len(one.walk))}
         steps.append(pd.DataFrame({**own, "row": one.walk[:, 0], "col": one.walk[:, 1]}))
@@ -331,7 +329,7 @@ def run_bounds(
         worlds=tuple(worlds.values()),
         witnesses={k: one.witnesses for k, one in enumerate(found)},
         settings=bound_settings(tasks[0].lidar, tasks[0].rules),
-        interrupted=len(tasks) - len(done),
+        interrupted=len(tasks) - len(found),
     )
 
 

@@ -3,24 +3,27 @@
 pandas and matplotlib are imported by the functions that need them.
 """
 
+import collections
 import dataclasses
 import functools
-import itertools
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
 from jexplore.arrays.pictures import MAX_TABLE_ROWS, axes_of, html_of, or_text, png_of
 from jexplore.config import InputError, Lidar, Rules, checked_names, unknown
+from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.state import Outcome
 from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
+from jexplore.studies.results import provenance
+from jexplore.studies.results.details import Seen
 from jexplore.studies.results.tables import ByStrategy
-from jexplore.studies.results.units import Piece, Ran, Seen
+from jexplore.studies.results.units import EXTRAS, MAP, PROGRESS, SEEN, WAY, Ran, run_units
 from jexplore.studies.statistics import by_world, figures, sizes, waste
 from jexplore.studies.statistics.league import over_worlds_text, standings
 from jexplore.studies.statistics.paired import MIN_PAIRS
@@ -295,42 +298,46 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
     """
     import pandas as pd
 
-    of_job: dict[int, list[Piece]] = {}
-    for piece in sorted(ran.pieces, key=lambda piece: piece.table["episode"].min() if len(piece.table) else 0):
-        of_job.setdefault(piece.job, []).append(piece)
-    have = {i: pd.concat([piece.table for piece in pieces], ignore_index=True) for i, pieces in of_job.items()}
-    finished: dict[Any, set[int]] = {}
-    for i, job in enumerate(jobs):
-        own = set(have[i]["episode"]) if i in have else set()
-        finished[job.world.name] = finished.get(job.world.name, own) & own
-    tables, worlds, first, progress, paths, maps = [], {}, {}, {}, {}, {}
-    for i, job in enumerate(jobs):
-        world, key = job.world, (job.world.name, job.strategy.name)
-        if not finished[world.name]:
-            continue
-        pieces, kept = of_job[i], have[i]["episode"].isin(sorted(finished[world.name])).to_numpy()
-        tables.append(have[i][kept])
-        worlds[world.name] = world
-        progress[key] = np.concatenate([piece.progress for piece in pieces])[kept]
-        if all(piece.paths is not None for piece in pieces):
-            own = itertools.chain.from_iterable(piece.paths or () for piece in pieces)
-            paths[key] = [path for path, is_kept in zip(own, kept) if is_kept]
-        states = [piece.maps for piece in pieces if piece.maps is not None]
-        if states:
-            maps[key] = np.concatenate(states)[kept]
-        if pieces[0].seen is not None and kept[0]:
-            first.setdefault(world.name, []).append(pieces[0].seen)
-    if not tables:
+    table = pd.concat(ran.tables, ignore_index=True)
+    places = {(os.fspath(job.world.name), job.strategy.name): i for i, job in enumerate(jobs)}
+    place = [places[pair] for pair in zip(table["world"], table["strategy"])]
+    wanted = table["world"].map(collections.Counter(world for world, _ in places))
+    whole = table.groupby(["world", "episode"])["strategy"].transform("size") == wanted
+    order = np.lexsort([table["episode"], place])
+    table = table.iloc[order[whole.to_numpy()[order]]]
+    if not len(table):
         raise KeyboardInterrupt
-    table = pd.concat(tables, ignore_index=True)
-    missing = sum(len(job.starts) for job in jobs) - len(table)
+    first, progress, paths, maps = {}, {}, {}, {}
+    for pair, rows in cast(Any, table.groupby(["world", "strategy"], sort=False)):
+        progress[pair] = np.stack(rows[PROGRESS])
+        if WAY in rows:
+            paths[pair] = list(rows[WAY])
+        if MAP in rows:
+            maps[pair] = np.stack(rows[MAP])
+        if rows["episode"].iloc[0] == 0 and rows[SEEN].iloc[0] is not None:
+            first.setdefault(pair[0], []).append(rows[SEEN].iloc[0])
+    worlds = {os.fspath(job.world.name): job.world for job in jobs}
     costs = ran.costs
     return ComparisonResult(
-        *(table, tuple(worlds.values()), first, costs.compile_s, costs.run_s, missing, ran.resumed),
+        table.drop(columns=[name for name in EXTRAS if name in table]).reset_index(drop=True),
+        tuple(worlds[name] for name in dict.fromkeys(table["world"])),
+        first,
+        *(costs.compile_s, costs.run_s, sum(len(job.starts) for job in jobs) - len(table), ran.resumed),
         progress=progress,
         paths=paths,
         maps=maps,
         lidar=_the_only(job.lidar for job in jobs),
         rules=_the_only(job.rules for job in jobs),
         metrics=tuple(jobs[0].metrics),
+        made=Made(tuple(jobs), ran.firsts, provenance.engine_of(costs)),
     )
+
+
+def run_comparison(jobs: Sequence[Job], **how: Any) -> ComparisonResult:
+    """Run jobs; `how` as of `run_units`.
+
+    Raises:
+      KeyboardInterrupt: no episode has been finished by every strategy.
+    """
+    use_compilation_cache()
+    return assemble(jobs, run_units(jobs, **how))

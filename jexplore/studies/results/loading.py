@@ -7,72 +7,29 @@ import contextlib
 import functools
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from jexplore.arrays.files import first_line, read_json, read_npz
+from jexplore.arrays.files import first_line, read_json
 from jexplore.config import InputError, Lidar, Rules, checked_names, shown
 from jexplore.engine.runner import Costs
-from jexplore.exploration.batch import Job
-from jexplore.exploration.state import MARKS
 from jexplore.report import store
 from jexplore.report.folders import UNFINISHED
-from jexplore.report.ledger import Ledger, ShorterRuns, require_same
-from jexplore.studies.papers import PAPERS
-from jexplore.studies.reproduction import ReproductionResult, notes_of, world_names
+from jexplore.report.ledger import require_same
+from jexplore.studies.reproduction import reproduction_of
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.comparison import ComparisonResult, Made
-from jexplore.studies.results.saving import DETAILS
-from jexplore.studies.results.units import Piece, Seen, cut_jobs
+from jexplore.studies.results.details import DETAILS, read_details
 from jexplore.studies.sweeps.plan import SweepPlan, prepare_sweep
 from jexplore.studies.sweeps.run import SweepResult, whole_table
 from jexplore.studies.sweeps.spec import read_spec
 from jexplore.version import __version__
-from jexplore.worlds.world import World
 
-MAX_DETAILS_BYTES = 2**32  # unpacked; the progress of a million episodes takes a fifth
-MADE_FROM = ("version", "spec", "digests")  # entries of what a sweep is asked that must not have changed since
+if TYPE_CHECKING:
+    pass
 
-
-def _details(path, episodes):
-    """Load worlds, first episodes, progress, ways and maps, as fields of a `ComparisonResult`."""
-    arrays = read_npz(path, MAX_DETAILS_BYTES)
-    worlds, first = [], {}
-    while f"world/{len(worlds)}/occupied" in arrays:
-        at = f"world/{len(worlds)}"
-        start = arrays.get(f"{at}/start")
-        world = World(
-            occupied=arrays[f"{at}/occupied"],
-            rooms=arrays.get(f"{at}/rooms"),
-            start=None if start is None else tuple(start.tolist()),
-            cell_m=float(arrays[f"{at}/cell_m"]),
-            name=str(arrays[f"{at}/name"]),
-            origin_m=tuple(arrays[f"{at}/origin_m"].tolist()),
-        )
-        own, i = [], len(worlds)
-        while f"first/{i}/{len(own)}/state" in arrays:
-            at = f"first/{i}/{len(own)}"
-            state, rows, cols = (arrays[f"{at}/{name}"] for name in ("state", "rows", "cols"))
-            strategy, path_m = str(arrays[f"{at}/strategy"]), float(arrays[f"{at}/path_m"])
-            own.append(Seen(strategy, state, rows, cols, world.cell_m, path_m))
-        worlds.append(world)
-        if own:
-            first[world.name] = own
-    progress, paths, maps, at = {}, {}, {}, 0
-    if "progress" in arrays:
-        if arrays["progress"].shape != (len(episodes), MARKS):
-            raise InputError(f"{path} must have the progress of {len(episodes)} episodes")
-        for k, (pair, rows) in enumerate(episodes.groupby(["world", "strategy"], sort=False)):
-            progress[pair] = arrays["progress"][at : at + len(rows)]
-            at += len(rows)
-            if f"ways/{k}" in arrays:
-                paths[pair] = np.split(arrays[f"ways/{k}"], np.cumsum(arrays[f"ways/{k}/length"])[:-1])
-            if f"maps/{k}" in arrays:
-                maps[pair] = arrays[f"maps/{k}"]
-    return {"worlds": tuple(worlds), "first": first, "progress": progress, "paths": paths, "maps": maps}
+MADE_FROM = ("version", "spec", "episodes", "digests")  # entries of a sweep's settings that must not have changed
 
 
 @checked_names
@@ -152,7 +109,7 @@ def _comparison(folder, record, command):
     found = ComparisonResult(
         episodes,
         **{name: record[name] for name in ("compile_s", "run_s", "interrupted", "resumed")},
-        **_details(folder / DETAILS, episodes),
+        **read_details(folder / DETAILS, episodes),
         made=Made(record=record),
         metrics=tuple(record.get("asked", {}).get("metrics", ())),
         lidar=Lidar(**record["configuration"]["lidar"]),
@@ -160,40 +117,7 @@ def _comparison(folder, record, command):
     )
     if command != "reproduce":
         return found
-    paper, maps = PAPERS[record["configuration"]["paper"]], record["configuration"]["maps"]
-    return ReproductionResult(paper, found, world_names(paper, maps), notes_of(paper, maps))
-
-
-def earlier_pieces(ledger: Ledger, jobs: Sequence[Job]) -> list[Piece]:
-    """Return the episodes of the finished comparison that the run of a ledger continues, if any."""
-    n = ledger.after
-    if not n:
-        return []
-    found = load(ledger.folder.parent)
-    found, pieces = getattr(found, "comparison", found), []
-    of_pair = dict(iter(found.episodes.groupby(["world", "strategy"], sort=False)))
-    for i, job in enumerate(jobs):
-        pair = os.fspath(job.world.name), job.strategy.name
-        seen = next((one for one in found.first.get(pair[0], []) if one.strategy == pair[1]), None)
-        table = of_pair[pair][[*COLUMNS, *found.metrics]].reset_index(drop=True).iloc[:n]
-        paths, maps = (kept.get(pair) for kept in (found.paths, found.maps))
-        kept = None if paths is None else paths[:n], None if maps is None else maps[:n]
-        pieces.append(Piece(i, table, found.progress[pair][:n], seen, *kept))
-    return pieces
-
-
-def shorter_of(
-    jobs: Sequence[Job], asked_of: Callable[[Sequence[Job]], Mapping[str, Any]], more: int = 0
-) -> ShorterRuns:
-    """Return the comparisons of the same jobs with fewer episodes, which these may continue.
-
-    `asked_of` returns what a comparison of jobs is asked; `more` is the number of units besides those of the jobs.
-    """
-
-    def asked(n):
-        return asked_of([job._replace(starts=job.starts[:n]) for job in jobs])
-
-    return ShorterRuns(len(jobs[0].starts), asked, lambda n: len(cut_jobs(jobs, n)) + more)
+    return reproduction_of(record["configuration"]["paper"], record["configuration"]["maps"], found)
 
 
 def _sweep(folder, record):

@@ -16,6 +16,7 @@ import numpy as np
 from jexplore.arrays.files import read_yaml
 from jexplore.arrays.padding import bucket
 from jexplore.config import InputError
+from jexplore.engine.runner import Costs
 from jexplore.exploration.batch import Job
 from jexplore.exploration.site import prepare_site
 from jexplore.policies.catalogue import adapt
@@ -121,15 +122,15 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
     worlds = {os.fspath(job.world.name): job.world for job in jobs}
     strategies = list(dict.fromkeys(job.strategy.name for job in jobs))
     settings = list(dict.fromkeys((job.lidar, job.rules) for job in jobs))
-    episodes = list(dict.fromkeys(len(job.starts) for job in jobs))
     seeds = list(dict.fromkeys(job.seed for job in jobs))
     measured = {name: metric.reduce or "end" for name, metric in jobs[0].metrics.items()}
-    starts = hashlib.sha256(b"".join(np.ascontiguousarray(job.starts, np.int32).tobytes() for job in jobs))
+    # The first start tells whether starts are drawn, and from where: with more episodes it stays the same.
+    starts = hashlib.sha256(b"".join(np.ascontiguousarray(job.starts[0], np.int32).tobytes() for job in jobs))
     return {
         "version": __version__,
         "worlds": list(worlds),
         "strategies": strategies,
-        "episodes": episodes[0] if len(episodes) == 1 else episodes,
+        "episodes": len(jobs[0].starts),
         "seed": seeds[0] if len(seeds) == 1 else seeds,
         "lidar": list(dict.fromkeys(lidar for lidar, _ in settings)),
         "rules": list(dict.fromkeys(rules for _, rules in settings)),
@@ -154,4 +155,15 @@ def describe_world(world: World) -> dict[str, Any]:
         "start": world.start,
         "sha256": world_digest(world),
         "files": map_files_of(world),
+    }
+
+
+def engine_of(costs: Costs) -> dict[str, Any]:
+    """Return what run.json says of the engine."""
+    return {
+        "engine": costs.engine,
+        "levels": costs.levels,
+        "why_not_native": costs.why_not,
+        "devices": costs.devices,
+        "lanes": costs.lanes,
     }

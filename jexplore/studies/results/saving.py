@@ -10,11 +10,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 from jexplore.arrays.files import first_line
 from jexplore.config import InputError, InputWarning
-from jexplore.engine.runner import Costs
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.results import to_occupancy
 from jexplore.report import folders, plot, store
@@ -22,13 +19,13 @@ from jexplore.report.page.report import write_report
 from jexplore.report.plots.standings import league_figure
 from jexplore.studies.replays import replays_of
 from jexplore.studies.results import provenance
+from jexplore.studies.results.details import DETAILS, write_details
 from jexplore.studies.statistics.by_world import markdown_table
 from jexplore.studies.statistics.league import standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.worlds.names import file_names, short_names
 from jexplore.worlds.readers.ros import write_ros
 
-DETAILS = "details.npz"
 VECTORS = (
     "compare.png",
     "coverage.png",
@@ -37,34 +34,6 @@ VECTORS = (
     "sweep.png",
     "sweep-map.png",
 )  # written as SVG as well
-
-
-def write_details(found: Any, path: Path) -> None:
-    """Write worlds, first episodes, progress, ways, maps: parts of a result outside its table of episodes."""
-    arrays: dict[str, Any] = {}
-    for i, world in enumerate(found.worlds):
-        arrays[f"world/{i}/occupied"] = world.occupied
-        arrays[f"world/{i}/cell_m"] = np.float64(world.cell_m)
-        arrays[f"world/{i}/origin_m"] = np.asarray(world.origin_m, np.float64)
-        arrays[f"world/{i}/name"] = np.str_(os.fspath(world.name))
-        if world.rooms is not None:
-            arrays[f"world/{i}/rooms"] = world.rooms
-        if world.start is not None:
-            arrays[f"world/{i}/start"] = np.asarray(world.start, np.int64)
-        for k, seen in enumerate(found.first.get(world.name, [])):
-            at = f"first/{i}/{k}"
-            arrays[f"{at}/strategy"] = np.str_(seen.strategy)
-            arrays[f"{at}/state"], arrays[f"{at}/rows"], arrays[f"{at}/cols"] = seen.state, seen.rows, seen.cols
-            arrays[f"{at}/path_m"] = np.float64(seen.path_m)
-    if found.progress:
-        arrays["progress"] = np.concatenate(list(found.progress.values()))
-    for k, pair in enumerate(found.progress):
-        if pair in found.paths:
-            ways = found.paths[pair]
-            arrays[f"ways/{k}"], arrays[f"ways/{k}/length"] = np.concatenate(ways), [len(way) for way in ways]
-        if pair in found.maps:
-            arrays[f"maps/{k}"] = found.maps[pair]
-    np.savez_compressed(path, **arrays)
 
 
 def write_maps(found: Any, folder: Path) -> list[Path]:
@@ -104,28 +73,6 @@ def comparison_files(
     }
 
 
-def pictures_of(
-    found: Any,
-    firsts: Mapping[int, Outcomes],
-    record: Mapping[str, Any],
-    figures: Mapping[str, Callable[[], Any]],
-    jobs: Sequence[Job] | None,
-) -> dict[str, Callable[[Path], Any]]:
-    """Return pictures of a `ComparisonResult` and its page: name -> writer.
-
-    `figures` are name -> what draws it; `jobs` are those whose first episodes the page replays, None for no page.
-    """
-    drawn = picture_writers(figures)
-    if jobs is not None:
-        drawn["report.html"] = functools.partial(_page, found, firsts, record, jobs, list(drawn))
-    return drawn
-
-
-def picture_writers(figures: Mapping[str, Callable[[], Any]]) -> dict[str, Callable[[Path], Any]]:
-    """Return what writes pictures, `VECTORS` as SVG as well, from what draws them."""
-    return {name: functools.partial(_picture, make) for name, make in figures.items()}
-
-
 def _picture(make, path):
     figure = make()
     plot.save_figure(figure, path)
@@ -133,14 +80,41 @@ def _picture(make, path):
         plot.save_figure(figure, path.with_suffix(".svg"))
 
 
-def _page(found, firsts, record, jobs, names, path):
-    """Write the page of a comparison."""
-    engine = "jax" if record["engine"] == "jax" else "auto"
-    replays, notes = replays_of(jobs, firsts, engine=engine) if jobs else ([], [])
+def pictures_of(
+    figures: Mapping[str, Callable[[], Any]],
+    record: Mapping[str, Any],
+    tables: Callable[[], Sequence[tuple[str, str]]],
+    jobs: Sequence[Job] | None,
+    firsts: Mapping[int, Outcomes] = MappingProxyType({}),
+    labels: Sequence[str] = (),
+) -> dict[str, Callable[[Path], Any]]:
+    """Return pictures, `VECTORS` as SVG as well, and the page of a run: name -> writer.
+
+    Args:
+      figures: name -> function that draws it.
+      record: content of run.json.
+      tables: returns the tables of the page, each with its heading.
+      jobs: those whose first episodes the page replays; None for no page.
+      firsts, labels: as of `replays.replays_of`.
+    """
+
+    def page(path):
+        engine = "jax" if record["engine"] == "jax" else "auto"
+        replays, notes = replays_of(jobs, firsts, labels=labels, engine=engine) if jobs else ([], [])
+        write_report(path, record, tables(), list(figures), replays, notes)
+
+    drawn: dict[str, Callable[[Path], Any]] = {
+        name: functools.partial(_picture, make) for name, make in figures.items()
+    }
+    return drawn if jobs is None else {**drawn, "report.html": page}
+
+
+def tables_of(found: Any) -> list[tuple[str, str]]:
+    """Return the tables of a `ComparisonResult` for its page, each with its heading."""
     tables = [("In each world", markdown_table(found.summary))]
     if len(found.worlds) >= MIN_PAIRS:
         tables.insert(0, ("Over all worlds", standings_table(found.standings)))
-    write_report(path, record, tables, names, replays, notes)
+    return tables
 
 
 def entries_of(found: Any) -> dict[str, Any]:
@@ -157,17 +131,6 @@ def entries_of(found: Any) -> dict[str, Any]:
     }
 
 
-def engine_of(costs: Costs) -> dict[str, Any]:
-    """Return what run.json says of the engine."""
-    return {
-        "engine": costs.engine,
-        "levels": costs.levels,
-        "why_not_native": costs.why_not,
-        "devices": costs.devices,
-        "lanes": costs.lanes,
-    }
-
-
 def write_comparison(run: folders.RunFolder, found: Any, *, report: bool = True) -> Path:
     """Write the files and pictures of a `ComparisonResult` into a claimed folder; return its path.
 
@@ -178,7 +141,8 @@ def write_comparison(run: folders.RunFolder, found: Any, *, report: bool = True)
     record = how | dict(found.made.record) | entries_of(found)
     run.write(comparison_files(found, record), is_finished=not found.interrupted)
     jobs = (() if found.interrupted else found.made.jobs) if report else None
-    for name, draw in pictures_of(found, found.made.firsts, record, figures_of(found), jobs).items():
+    tables = functools.partial(tables_of, found)
+    for name, draw in pictures_of(figures_of(found), record, tables, jobs, found.made.firsts).items():
         try:
             run.add(name, draw)
         except Exception as error:  # a picture less costs no results

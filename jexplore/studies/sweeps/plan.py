@@ -17,7 +17,6 @@ from jexplore.exploration.site import COARSE_M, reach_d2
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import join_strategies
 from jexplore.raycast import scans_all_round
-from jexplore.report.ledger import ShorterRuns
 from jexplore.studies.checks import (
     ready_starts,
     ready_strategies,
@@ -119,9 +118,11 @@ class SweepPlan:
 
     def asked(self, shard: tuple[int, int] | None = None) -> dict[str, Any]:
         """Return all that the results depend on, as plain values."""
+        spec = plain_spec(self.spec)
         return {
             "version": __version__,
-            "spec": plain_spec(self.spec),
+            "episodes": spec.pop("episodes"),
+            "spec": spec,
             "digests": self.digests,
             "own": own_digests(self._one_of_each_kind()),
             "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
@@ -131,14 +132,6 @@ class SweepPlan:
         """Return the plan of the episodes from number n on."""
         units, programs = _cut(self.spec, self.records, self.shapes, len(self.strategies), self.episodes, n)
         return dataclasses.replace(self, units=units, programs=programs)
-
-    def shorter(self, shard: tuple[int, int] | None = None) -> ShorterRuns:
-        """Return sweeps of fewer episodes, which this one may continue."""
-
-        def asked(n):
-            return dataclasses.replace(self, spec=dataclasses.replace(self.spec, episodes=n)).asked(shard)
-
-        return ShorterRuns(self.spec.episodes, asked, lambda n: len(self.after(n).units))
 
     def _one_of_each_kind(self):
         """Yield one of all settings and worlds that share a program, with every strategy: `Job`s of no episode."""

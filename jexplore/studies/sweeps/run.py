@@ -3,7 +3,6 @@
 pandas is imported by the functions that need it.
 """
 
-import collections
 import dataclasses
 import functools
 import itertools
@@ -14,16 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jexplore.arrays.pictures import shown_figure
-from jexplore.config import InputError, Lidar, Rules, checked_names, require_engine
+from jexplore.config import InputError, checked_names, require_engine
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
-from jexplore.exploration import batch
-from jexplore.report.ledger import Ledger
+from jexplore.report.ledger import Ledger, Work
 from jexplore.report.store import read_parquet
 from jexplore.report.tables import aligned_table, number_text, ratio_text, spread_text
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.tables import ByStrategy
-from jexplore.studies.results.units import Unit, join_columns, rows_of
+from jexplore.studies.results.units import join_columns, make_units, rows_of
 from jexplore.studies.statistics.paired import paired_ratio
 from jexplore.studies.sweeps.plan import SweepPlan, in_shard, prepare_sweep
 from jexplore.studies.sweeps.spec import Sweep, read_spec, sweep_from
@@ -106,16 +104,16 @@ class SweepResult(ByStrategy):
         return [name for name in some if len(self.episodes[name].drop_duplicates()) > 1]
 
     def figures(self) -> dict[str, Callable[[], Any]]:
-        """Return pictures of the sweep, of the first varied numbers: end of a file's name -> function that draws it."""
+        """Return pictures of the sweep, of the first varied numbers: name of a file -> function that draws it."""
         from jexplore.studies.statistics import figures
 
         numbers = [name for name in self.varied if self.episodes[name].dtype.kind in "iuf"]
         drawn: dict[str, Callable[[], Any]] = (
-            {"": functools.partial(figures.response_figure, self.episodes, numbers[0])} if numbers else {}
+            {"sweep.png": functools.partial(figures.response_figure, self.episodes, numbers[0])} if numbers else {}
         )
         pair = next((pair for pair in itertools.combinations(numbers, 2) if self._occur_together(pair)), None)
         if pair is not None:
-            drawn["-map"] = functools.partial(figures.heat_figure, self.episodes, *pair)
+            drawn["sweep-map.png"] = functools.partial(figures.heat_figure, self.episodes, *pair)
         return drawn
 
     def _occur_together(self, names):
@@ -182,49 +180,12 @@ def _value_text(value):
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def run_block_units(
-    plan: SweepPlan,
-    numbers: Sequence[int],
-    on_unit: Callable[[int, "pd.DataFrame"], object],
-    on_progress: Callable[[int], object] | None = None,
-    **how: Any,
-) -> Costs:
-    """Run units of a sweep of strategies; `on_unit` gets the number and the table of each that has ended."""
-    costs, done = Costs(), 0
-    for window in _windows(plan, numbers):
-        blocks = [(number, block) for number in window for block in plan.units[number]]
-        left = collections.Counter(number for number, _ in blocks)
-        tables: dict[int, list[Any]] = {number: [] for number in window}
-        jobs = [plan.job(block, window.index(number)) for number, block in blocks]
-
-        def on_job(place, found, blocks=blocks, left=left, tables=tables, jobs=jobs):
-            number, block = blocks[place]
-            tables[number].append((place, _rows(plan, block, jobs[place], found)))
-            left[number] -= 1
-            if not left[number]:
-                rows = [own for _, own in sorted(tables.pop(number), key=lambda own: own[0])]
-                on_unit(number, typed(join_columns(rows), plan))
-
-        progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
-        more = {"shared_with": plan.sharing, "on_progress": progress, "on_job": on_job}
-        try:
-            found = batch.run_jobs(jobs, Lidar(), Rules(), **how, **more).costs
-        except KeyboardInterrupt:
-            costs.interrupted = True
-            return costs
-        costs = costs.plus(found)
-        done += sum(block.n for _, block in blocks)
-        if costs.interrupted:
-            break
-    return costs
-
-
 def _windows(plan: SweepPlan, numbers: Sequence[int]) -> Iterator[list[int]]:
     """Yield units that are run together: few enough to fit into the memory."""
     window, sites, episodes = [], set(), 0
     for number in numbers:
         own = {(block.setting, block.world) for block in plan.units[number]}
-        n = sum(block.n for block in plan.units[number])
+        n = plan.size(number)
         if window and (episodes + n > WINDOW_EPISODES or len(sites | own) > WINDOW_SITES):
             yield window
             window, sites, episodes = [], set(), 0
@@ -235,12 +196,15 @@ def _windows(plan: SweepPlan, numbers: Sequence[int]) -> Iterator[list[int]]:
         yield window
 
 
+def _unit_table(plan, number, made):
+    """Return the table of a unit, of its jobs and their outcomes."""
+    rows = [_rows(plan, block, *own) for block, own in zip(plan.units[number], made)]
+    return typed(join_columns(rows), plan)
+
+
 def _rows(plan, block, job, found):
     """Return the rows of a block, as columns."""
-    strategy = plan.strategies[block.strategy]
-    # The job's own starts begin with the block's first episode.
-    rows = rows_of(job._replace(strategy=strategy), Unit(0, 0, block.n, 0), found)
-    rows["episode"] = rows["episode"] + block.first
+    rows = rows_of(job._replace(strategy=plan.strategies[block.strategy]), found)
     setting, n = plan.settings[block.setting], len(rows["episode"])
     own = {"setting": np.full(n, block.setting)}
     for name in plan.columns[1:]:
@@ -275,30 +239,25 @@ def run_sweep(
     With a shard `(i, n)` only every n-th unit, from the i-th on. After Ctrl-C the result holds the units that were
     finished; `KeyboardInterrupt` if none was. `how` are engine, lanes and workers, as of `batch.run_jobs`.
     """
-    earlier = None
+    earlier = []
     if ledger is not None and ledger.after:
-        earlier = read_parquet(ledger.folder.parent / "episodes.parquet")
-        earlier, plan = earlier[earlier["episode"] < ledger.after], plan.after(ledger.after)
-    numbers, tables = in_shard(len(plan.units), shard), {}
-    if ledger is not None:
-        tables = {i: ledger.get(i) for i in numbers if i in ledger.done}
-    n_earlier = 0 if earlier is None else len(earlier)
-    resumed = n_earlier + sum(map(len, tables.values()))
-
-    def on_unit(number, table):
-        if ledger is not None:
-            ledger.put(number, table)
-        tables[number] = table
-
-    left = [number for number in numbers if number not in tables]
-    progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
+        table = read_parquet(ledger.folder.parent / "episodes.parquet")
+        earlier, plan = [table[table["episode"] < ledger.after]], plan.after(ledger.after)
+    numbers = in_shard(len(plan.units), shard)
+    work: Work[pd.DataFrame] = Work(numbers, ledger)
+    resumed = sum(map(len, (*earlier, *work.done.values())))
     use_compilation_cache()
-    costs = run_block_units(plan, left, on_unit, progress, **how) if left else Costs()
-    if numbers and not tables:
+    costs = make_units(
+        work,
+        lambda number: [plan.job(block, number) for block in plan.units[number]],
+        functools.partial(_unit_table, plan),
+        **{"windows": functools.partial(_windows, plan), "resumed": resumed, "on_progress": on_progress},
+        **{"shared_with": plan.sharing, **how},
+    )
+    if numbers and not work.done:
         raise KeyboardInterrupt
-    found = [*([] if earlier is None else [earlier]), *(tables[i] for i in sorted(tables))]
-    table = whole_table(found, plan)
-    missing = n_earlier + sum(plan.size(number) for number in numbers) - len(table)
+    table = whole_table([*earlier, *work.results], plan)
+    missing = sum(map(len, earlier)) + sum(map(plan.size, numbers)) - len(table)
     return SweepResult(plan.spec, table, tuple(plan.columns), costs, missing, resumed, plan.reference)
 
 

@@ -18,7 +18,7 @@ from jexplore.driving.records import RunMode
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.runner import Costs
 from jexplore.report import store
-from jexplore.report.ledger import Ledger
+from jexplore.report.ledger import Ledger, Work
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import world_digest
 from jexplore.studies.results.units import MAX_UNITS_OF_JOB, MIN_UNIT_EPISODES
@@ -96,63 +96,38 @@ def execute(
     was finished.
 
     Raises:
-      KeyboardInterrupt: run 0 has not been finished.
+      KeyboardInterrupt: the first unit has not been finished.
     """
     import pandas as pd
 
-    made = _Made(plan, ledger)
-    resumed, costs = sum(map(len, made.tables.values())), Costs()
-    if made.left:
+    blocks, (setting, which) = run_blocks(plan), plan.all_runs()
+    work: Work[pd.DataFrame] = Work(range(len(blocks)), ledger)
+    resumed, costs, maps = sum(map(len, work.done.values())), Costs(), {}
+
+    def put(place, result, driven):
+        first, n = blocks[work.left[place]]
+        own, runs = setting[first : first + n], which[first : first + n]
+        table, found = trace_table(plan, result, own, runs, plan.chosen(own))
+        maps.update(enumerate(found, first))
+        if first == 0:
+            table = table.assign(**{FIRST: [_written_first(found[0], driven), *[None] * (n - 1)]})
+        work.put(work.left[place], table)
+
+    if work.left:
         moved = None if on_progress is None else (lambda done: on_progress(done + resumed))
         how = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": moved}
-        blocks = [made.blocks[unit] for unit in made.left]
         try:
-            report = plan.run(made.setting, made.which, blocks=blocks, on_block=made.put, **how)
+            costs = plan.run(setting, which, blocks=[blocks[i] for i in work.left], on_block=put, **how).costs
         except KeyboardInterrupt:
             costs = Costs(interrupted=True)
-        else:
-            costs = report.costs
-            for place, (first, n) in enumerate(blocks):  # those interrupted on the way are not kept
-                if made.left[place] not in made.tables:
-                    some = jax.tree.map(lambda a, at=slice(first, first + n): a[at], report.result)
-                    made.put(place, some, report.driven, keep=False)
-    if made.first is None:
+    if 0 not in work.done:
         raise KeyboardInterrupt
-    table = pd.concat([made.tables[i] for i in sorted(made.tables)], ignore_index=True)
-    return TraceResult(plan, table, *made.first, costs, made.maps, resumed)
+    table = pd.concat(work.results, ignore_index=True)
+    return TraceResult(plan, table, *_read_first(table.pop(FIRST).iloc[0]), costs, maps, resumed)
 
 
-class _Made:
-    """Finished runs of a plan."""
-
-    def __init__(self, plan, ledger):
-        self.plan, self.ledger, self.blocks = plan, ledger, run_blocks(plan)
-        self.setting, self.which = plan.all_runs()
-        self.tables: dict[int, Any] = {}
-        self.maps: dict[int, BtmMap] = {}
-        self.first: tuple[BtmMap, Driven] | None = None  # map and way of run 0
-        if ledger is not None:
-            self.tables = {i: ledger.get(i) for i in sorted(ledger.done)}
-            self.first = _read_first(self.tables[0].pop(FIRST).iloc[0]) if 0 in self.tables else None
-        self.left = [i for i in range(len(self.blocks)) if i not in self.tables]
-
-    def put(self, place, result, driven, keep=True):
-        """Take the runs of a block, the one at this place in `left`."""
-        unit = self.left[place]
-        at = slice(self.blocks[unit][0], sum(self.blocks[unit]))
-        setting, which = self.setting[at], self.which[at]
-        self.tables[unit], found = trace_table(self.plan, result, setting, which, self.plan.chosen(setting))
-        self.maps.update(enumerate(found, at.start))
-        if unit == 0 and driven is not None:
-            self.first = found[0], driven
-        if self.ledger is not None and keep:
-            extra = {FIRST: [_written_first(self.first), *[None] * (len(found) - 1)]} if unit == 0 else {}
-            self.ledger.put(unit, self.tables[unit].assign(**extra))
-
-
-def _written_first(first):
+def _written_first(found, driven):
     """Encode map and way of run 0 as bytes, from which `_read_first` makes them again."""
-    found, driven = first
     file = io.BytesIO()
     page = json.dumps(store.jsonable(json_form.to_json(found)))
     np.savez_compressed(file, map=np.str_(page), **{f"way/{name}": a for name, a in driven._asdict().items()})
@@ -276,4 +251,4 @@ def trace_table(
             "true": pd.array([one in own if own else None for one, own in zip(codes, own_truths)], dtype="boolean"),
         }
     )
-    return table[table["outcome"] != "RUNNING"].reset_index(drop=True), maps
+    return table, maps
