@@ -58,7 +58,7 @@ class Case:
 
     def __init__(self, world, strategy, rules=RULES, lidar=LIDAR):
         self.world, self.strategy, self.ring = world, parse_strategy(strategy), ring_of(world.occupied)
-        self.place = native_place(episodes.load().loaded, world, self.strategy, lidar, rules)
+        self.place = native_place(episodes.load_episodes().loaded, world, self.strategy, lidar, rules)
         self.starts = draw_starts(world, 2, DRAWN, rules.clearance_m)
 
     def tasks(self, n):
@@ -154,7 +154,7 @@ def main():
     end, cores = time.time() + options.seconds, len(os.sched_getaffinity(0))
     print(f"{name_of_gpu()}; {cores} cores", flush=True)
     began = time.time()
-    plain, clocked = gpu.load(), gpu.load(flags=("-DJEXPLORE_CLOCKS",))
+    plain, clocked = gpu.load_gpu(), gpu.load_gpu(flags=("-DJEXPLORE_CLOCKS",))
     if plain.loaded is None or clocked.loaded is None:
         print(plain.why_not or clocked.why_not)
         return 1

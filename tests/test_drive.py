@@ -50,7 +50,7 @@ def _folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def target(_folder):
     build.build_library.cache_clear()  # another file's tests may have loaded it from another folder
-    found = drive.load()
+    found = drive.load_driving()
     assert found.loaded is not None, found.why_not
     return found.name
 
@@ -282,7 +282,7 @@ def test_a_compiler_that_fails_is_told_in_one_line(monkeypatch, tmp_path):
         ("c++ '-O2", 'CXX must be a command, got "c++ \'-O2": no closing quotation'),
     ):
         monkeypatch.setenv("CXX", command)
-        found = drive.load()
+        found = drive.load_driving()
         assert found.loaded is None
         assert found.why_not.startswith(why)
     assert sorted(path.name for path in (tmp_path / "jexplore").iterdir()) == []
@@ -292,7 +292,7 @@ def test_a_compiler_that_fails_is_told_in_one_line(monkeypatch, tmp_path):
 def test_a_folder_that_cannot_be_made_is_told(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    found = drive.load()
+    found = drive.load_driving()
     assert found.loaded is None
     assert "drive.cc could not be built" in found.why_not or "no C++ compiler" in found.why_not
 
@@ -301,7 +301,7 @@ def test_a_folder_that_cannot_be_made_is_told(monkeypatch, tmp_path):
 def test_it_is_built_once(target, forgetful, monkeypatch):
     """Another process finds it, and its compiler is not asked."""
     monkeypatch.setattr(subprocess, "run", None)
-    assert drive.load().name == target
+    assert drive.load_driving().name == target
 
 
 @pytest.mark.slow
@@ -311,5 +311,5 @@ def test_what_does_not_load_is_built_anew(target, forgetful, monkeypatch, tmp_pa
     (tmp_path / "jexplore").mkdir()
     library = tmp_path / "jexplore" / f"{target}.so"
     library.write_bytes(b"not whole")
-    assert drive.load().name == target
+    assert drive.load_driving().name == target
     assert library.stat().st_size > 1000

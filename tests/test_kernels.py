@@ -28,7 +28,7 @@ def target(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("native")))
         build.build_library.cache_clear()  # another file's tests may have loaded it from another folder
-        found = drive.load()
+        found = drive.load_driving()
         assert found.loaded is not None, found.why_not
         yield found.name
 

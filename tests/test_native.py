@@ -103,7 +103,7 @@ def test_a_warp_comes_to_the_same(number):
 def test_waves_of_an_open_map_find_room_beyond_shared_memory(name):
     occupied = np.pad(np.zeros((500, 500), bool), 1, constant_values=True)
     world, strategy = World(occupied=occupied, cell_m=0.05, name="hall"), parse_strategy(name)
-    place = runs.native_place(episodes.load(emulator=True).loaded, world, strategy, Lidar(), Rules())
+    place = runs.native_place(episodes.load_episodes(emulator=True).loaded, world, strategy, Lidar(), Rules())
     run = runs.NativeRun(place, np.array([[250, 250, 0]]), 1, 0, np.zeros(1, int))
     run_all([run], on_cores(1))
     np.testing.assert_array_equal(place.inner.emulate(run.tasks, views=False), run.table)
@@ -113,7 +113,7 @@ def test_waves_of_an_open_map_find_room_beyond_shared_memory(name):
 def test_a_map_from_the_beginning_is_for_a_cpu():
     world = jx.load_world(ROOMS)
     known = np.where(np.arange(world.shape[1]) < 5, world.occupied, -1).astype(np.int8)
-    loaded, world = episodes.load(emulator=True).loaded, world.replace(known=known)
+    loaded, world = episodes.load_episodes(emulator=True).loaded, world.replace(known=known)
     place = runs.native_place(loaded, world, parse_strategy("closest"), LIDAR, RULES).inner
     tasks = place.tasks(np.array([[3, 3, 0]]), 0, np.zeros(1, np.int32))
     assert place.emulate(tasks, views=False) is None
@@ -126,7 +126,7 @@ def test_a_gpu_runs_what_it_can_and_the_cpu_the_rest(monkeypatch):
     asked = []
 
     def play(loaded, spec, given, tasks, stop):
-        place = episodes.World(episodes.load(emulator=True).loaded, spec, given)
+        place = episodes.World(episodes.load_episodes(emulator=True).loaded, spec, given)
         own = np.concatenate([place.tasks(t["start"][None], t["seed"], t["draw"][None]) for t in tasks])
         results = place.emulate(own, views=False)
         results[2] = 0
@@ -136,7 +136,7 @@ def test_a_gpu_runs_what_it_can_and_the_cpu_the_rest(monkeypatch):
     job = job_of("random", 12)
     monkeypatch.setattr(runs, "GPU_FROM", 10)
     monkeypatch.setattr(gpu, "device_count", lambda: 1)
-    monkeypatch.setattr(gpu, "load", lambda: build.Library(ctypes.CDLL(None)))
+    monkeypatch.setattr(gpu, "load_gpu", lambda: build.Library(ctypes.CDLL(None)))
     monkeypatch.setattr(gpu, "play", play)
     report = run_jobs([job], LIDAR, RULES)
     ours = report.outcomes[0]
@@ -165,7 +165,7 @@ def test_a_gpu_that_jax_is_not_to_use_is_not_used(monkeypatch):
 @needs_nvcc
 @pytest.mark.parametrize("arch", ["sm_80", "sm_90", "sm_100"])
 def test_the_cuda_library_is_built(arch):
-    found = gpu.load(arch)
+    found = gpu.load_gpu(arch)
     assert found.loaded is not None, found.why_not
     assert found.loaded.jexplore_gpus() >= 0
 
@@ -272,7 +272,7 @@ def test_without_a_compiler_jax_runs_and_says_so_once(monkeypatch, tmp_path):
 def test_a_library_that_counts_wrongly_is_not_used(monkeypatch):
     monkeypatch.setitem(episodes._EXPECTED, episodes.NEAREST, (0,) * 9)
     monkeypatch.setenv("CXX", "c++ -DNOTHING")  # another library than the one that is built
-    found = episodes.load()
+    found = episodes.load_episodes()
     assert found.loaded is None
     assert "an episode in it came to" in found.why_not
 
@@ -301,7 +301,7 @@ def test_an_interruption_keeps_what_has_ended(monkeypatch):
 @needs_compiler
 def test_a_call_that_is_given_up_keeps_what_has_ended():
     job, stop = job_of("random", 2000, world="office"), np.zeros(1, np.int32)
-    place = runs.native_place(episodes.load().loaded, job.world, job.strategy, Lidar(), RULES).inner
+    place = runs.native_place(episodes.load_episodes().loaded, job.world, job.strategy, Lidar(), RULES).inner
     tasks = place.tasks(tasks_of(job.starts, ring_of(job.world.occupied)), 3, np.arange(2000, dtype=np.int32))
     timer = threading.Timer(1.5, lambda: stop.fill(1))
     timer.start()

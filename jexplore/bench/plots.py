@@ -8,8 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from jexplore.report.plot import PALETTE, wrapped_text
-
-LINE_MARKERS = "osD^vP*X<>"
+from jexplore.report.plots.looks import LINE_MARKERS
 
 
 def _points_by_line(rows, x_name, y_of, names):

@@ -100,7 +100,7 @@ class Compare:
     """Continue the run in the folder, if any: finished episodes are not computed again. With a larger number of
     episodes it keeps the earlier ones."""
     trust: bool = False
-    """Let --resume take strategies of your own for what they were when the run began, even where nothing tells."""
+    """Let --resume take your own strategies and metrics as unchanged, even where nothing tells."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     rules: Rules = dataclasses.field(default_factory=Rules)
 

@@ -54,7 +54,7 @@ class SweepCommand:
     """Continue the run in the folder, if any: finished units are not computed again. With a larger number of episodes
     it keeps the earlier ones."""
     trust: bool = False
-    """Let --resume take strategies of your own for what they were when the run began, even where nothing tells."""
+    """Let --resume take your own strategies and metrics as unchanged, even where nothing tells."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
@@ -174,7 +174,7 @@ class Merge:
     overwrite: bool = False
     """Replace the run that the folder holds."""
     trust: bool = False
-    """Take strategies of your own for the same in all parts, even where nothing tells."""
+    """Take your own strategies and metrics for the same in all parts, even where nothing tells."""
     report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
     """Write report.html, the whole run in one page with replays."""
 

@@ -16,7 +16,7 @@ from jexplore.exploration.site import Site, drive_for, line_of, prepare_site
 from jexplore.exploration.state import Numbers, Result, Setup
 from jexplore.exploration.trail import Final, Record, decode
 from jexplore.native.build import Library, warn_once
-from jexplore.native.episodes import load
+from jexplore.native.episodes import load_episodes
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import join_strategies
 from jexplore.worlds.world import World, ring_of
@@ -143,7 +143,7 @@ def _native_runs(wanted: Sequence[_Wanted], keep: str | None, why_not: list[str]
     can = [i for i, own in enumerate(wanted) if is_native(own.job.strategy, own.lidar) and not own.job.metrics]
     if not can or jax.config.values["jax_disable_jit"] or jax.process_count() > 1:
         return {}
-    found = load()
+    found = load_episodes()
     if found.loaded is None:
         warn_once(found.why_not)
         why_not.append(found.why_not)

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jax import Array
 
@@ -18,9 +19,26 @@ from jexplore.planning import Belief
 from jexplore.policies.catalogue.adapt import Theirs, computation_digest, expecting
 from jexplore.users import call_user, described
 
+INT32 = np.iinfo(np.int32)
+
+
+def _sum(so_far: Array, new: Array) -> Array:
+    """Add; an int32 that would wrap stays at its limit, which `reached_limit` finds."""
+    found = so_far + new
+    if found.dtype != jnp.int32:
+        return found
+    found = jnp.where((found < so_far) == (new < 0), found, jnp.where(new < 0, INT32.min, INT32.max))
+    return jnp.where((so_far == INT32.min) | (so_far == INT32.max), so_far, found)
+
+
+def reached_limit(values: np.ndarray) -> bool:
+    """Return whether one of several sums would have wrapped."""
+    return values.dtype == np.int32 and bool(np.isin(values, (INT32.min, INT32.max)).any())
+
+
 REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
     "mean": jnp.add,
-    "sum": jnp.add,
+    "sum": _sum,
     "max": jnp.maximum,
     "min": jnp.minimum,
     "last": lambda so_far, new: new,
@@ -66,6 +84,8 @@ class Metric(Theirs):
         found = call_user(self.function, self.what, view)
         with expecting(self.what, "one bool, int32 or float32", found):
             value = jnp.asarray(found)
+            if getattr(found, "dtype", value.dtype) != value.dtype:  # of 64 bits, which JAX would cut
+                raise TypeError
             if value.shape != () or value.dtype not in (jnp.bool_, jnp.int32, jnp.float32):
                 raise TypeError
         return value.astype(jnp.float32 if self.reduce == "mean" else jnp.promote_types(value.dtype, jnp.int32))
@@ -101,7 +121,7 @@ def metric(function: Any = None, *, every: str = "motion", reduce: str = "mean")
       function: of an `EpisodeView`, pure; returns one bool, int32 or float32. Without it, a decorator.
       every: when it is taken: "motion".
       reduce: how the values become one, of `REDUCTIONS`: "mean", "sum", "max", "min" or "last". Sums are int32 or
-        float32.
+        float32; one that would leave int32 stays at its limit, with a warning in tables.
 
     Returns:
       What `metrics` of `jx.compare`, `jx.Sweep` and `jx.Environment` take.

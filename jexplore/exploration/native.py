@@ -198,7 +198,7 @@ def play_on_gpu(runs: Sequence[NativeRun], tell: Callable[[], object]) -> str:
     groups = [group for group in by_place.values() if sum(len(run.which) for run in group) >= GPU_FROM]
     if not groups or not gpu.device_count():
         return ""
-    found, why_not, stop = gpu.load(), "", np.zeros(1, np.int32)
+    found, why_not, stop = gpu.load_gpu(), "", np.zeros(1, np.int32)
     if found.loaded is None:
         return _told(found.why_not)
     with ThreadPoolExecutor(1) as pool:  # the calling thread hears Ctrl-C
@@ -256,7 +256,7 @@ def show_episode(
         be reached; `[F]` int32, units of 45 degrees, at the last scan there. None: the scanner has noise, or there is
         no native code.
     """
-    found = episodes.load()
+    found = episodes.load_episodes()
     if not is_exact(lidar) or found.loaded is None or final.plans is None:
         return None
     rules = dataclasses.replace(rules, max_steps=max(len(final.rows) - 1, 1), max_plans=None)

@@ -29,7 +29,7 @@ class Stage(enum.IntEnum):
     ANSWERED = 2  # after it: the strategy has said whether its target is live
 
 
-def load() -> Library:
+def load_driving() -> Library:
     """Return the library, built if need be; its name is a target of JAX's FFI."""
     flags = f"-I{jax.ffi.include_dir()}", f'-DJAXLIB="{version("jaxlib")}"'
     found = load_library(SOURCES, flags, _check)
@@ -63,7 +63,7 @@ def find_target() -> Library:
     Warns:
       InputWarning: no compiler, one that fails, or no writable folder for its output.
     """
-    found = load()
+    found = load_driving()
     if found.loaded is None:
         warn_once(found.why_not)
     return found

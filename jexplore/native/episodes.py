@@ -85,7 +85,7 @@ class Played(NamedTuple):
     choices: np.ndarray | None  # [plans + 1, 2] int32, its plans (`trail.Choices`), and what they ended with
 
 
-def load(*, emulator: bool = False) -> Library:
+def load_episodes(*, emulator: bool = False) -> Library:
     """Return the library, built if need be; on request one that can also run episodes as a GPU does."""
     found = load_library(EMULATED, ("-DJEXPLORE_EMULATE",), check) if emulator else load_library(SOURCES, check=check)
     if found.loaded is not None:

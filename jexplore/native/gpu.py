@@ -44,7 +44,7 @@ def find_nvcc() -> list[str]:
     return own or [place for place in places if place and Path(place).is_file()][:1]
 
 
-def load(arch: str = "native", flags: Sequence[str] = ()) -> Library:
+def load_gpu(arch: str = "native", flags: Sequence[str] = ()) -> Library:
     """Return the library for a kind of GPU, built if need be; `arch` as nvcc names it ("sm_90"), or this machine's.
 
     `flags`: of nvcc, besides `FLAGS`; "-DJEXPLORE_CLOCKS" has the time of each part told.

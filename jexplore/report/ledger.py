@@ -205,7 +205,7 @@ def require_same(path: Path, there: Mapping[str, Any], here: Mapping[str, Any], 
     """Refuse to continue a run with other settings, naming the first difference.
 
     `there` and `here` are what it was asked and is asked now: `asked`, and `units` where they count. With `trust`,
-    users' strategies are taken as unchanged.
+    users' strategies and metrics are taken as unchanged.
     """
     old, new = ({**(page.get("asked") or {}), "units": page.get("units")} for page in (there, here))
     was, is_ = old.pop("own", None) or {}, new.pop("own", None) or {}

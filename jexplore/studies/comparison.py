@@ -64,7 +64,7 @@ def compare(
       out: folder to write, see `ComparisonResult.save`. Finished episodes are stored on the way.
       overwrite: replace a run in the folder.
       resume: continue a run in the folder, if any.
-      trust: when continuing, take your own strategies as unchanged even if that cannot be checked.
+      trust: when continuing, take your own strategies and metrics as unchanged even if that cannot be checked.
 
     Raises:
       InputError: what cannot be used. Raised before anything is compiled.

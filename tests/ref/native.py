@@ -20,7 +20,7 @@ from .episodes import CAPACITY
 
 def play(case, loaded=None):
     """A `NativeRun` of one episode: the case of `fuzz`, with the draws of `episodes.key_of`."""
-    loaded = loaded or episodes.load(emulator=True).loaded
+    loaded = loaded or episodes.load_episodes(emulator=True).loaded
     world = World(occupied=case.occupied, rooms=case.rooms, cell_m=case.cell_m, within=case.within, known=case.known)
     limits = {name: getattr(case.rules, name) or CAPACITY for name in ("max_steps", "max_plans")}
     rules, strategy = dataclasses.replace(case.rules, **limits), parse_strategy(case.strategy)

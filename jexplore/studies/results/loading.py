@@ -160,7 +160,7 @@ def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tu
 
     Args:
       parts: folders.
-      trust: take users' strategies as the same in all parts, even where nothing tells.
+      trust: take users' strategies and metrics as the same in all parts, even where nothing tells.
 
     Raises:
       InputError: a folder that holds no finished part, parts of different sweeps, one that is missing or there twice,

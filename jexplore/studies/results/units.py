@@ -7,16 +7,18 @@ import collections
 import io
 import itertools
 import os
+import warnings
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jexplore.config import Lidar, Rules
+from jexplore.config import InputWarning, Lidar, Rules
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
 from jexplore.exploration.batch import Job, Outcomes
+from jexplore.exploration.metrics import reached_limit
 from jexplore.exploration.results import columns, map_state, progress_m
 from jexplore.exploration.state import MARKS
 from jexplore.report.ledger import Ledger, Work
@@ -66,7 +68,9 @@ def rows_of(job: Job, found: Outcomes) -> dict[str, Any]:
     rows = columns(found.result, job.starts, seed=job.seed, cell_m=world.cell_m, has_rooms=has_rooms)
     rows["episode"] = rows["episode"] + job.first
     rows |= {"world": [os.fspath(world.name)] * n, "strategy": [job.strategy.name] * n}
-    for name, values in zip(job.metrics, found.result.metrics):
+    for (name, metric), values in zip(job.metrics.items(), found.result.metrics):
+        if metric.reduce == "sum" and reached_limit(values):
+            warnings.warn(f"metric {name!r}: a sum has left int32: return a float32", InputWarning, stacklevel=2)
         rows[name] = values.astype(np.int64 if values.dtype == np.int32 else np.float64)
     return {name: rows[name] for name in (*COLUMNS, *job.metrics)}
 
