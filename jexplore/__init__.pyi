@@ -35,9 +35,9 @@ from jexplore.studies.results.loading import load as load
 from jexplore.studies.segmentation import SegmentationResult as SegmentationResult
 from jexplore.studies.segmentation import segment_maps as segment_maps
 from jexplore.studies.slam.logs import slam as slam
+from jexplore.studies.sweeps.axes import Range as Range
 from jexplore.studies.sweeps.run import SweepResult as SweepResult
 from jexplore.studies.sweeps.run import sweep as sweep
-from jexplore.studies.sweeps.spec import Range as Range
 from jexplore.studies.sweeps.spec import Sweep as Sweep
 from jexplore.version import __version__ as __version__
 from jexplore.worlds import load_world as load_world

@@ -19,9 +19,10 @@ from jexplore.exploration import batch
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.sweeps import plan as plans
 from jexplore.studies.sweeps import run as runs
+from jexplore.studies.sweeps.axes import Range
 from jexplore.studies.sweeps.plan import SweepBlock, in_shard, prepare_sweep
 from jexplore.studies.sweeps.run import sweep
-from jexplore.studies.sweeps.spec import Range, Sweep, plain_spec, read_spec, sweep_from
+from jexplore.studies.sweeps.spec import Sweep, plain_spec, read_spec, sweep_from
 
 WORLDS = ["rooms:width_m=5,height_m=5", "maze:width_m=5,height_m=5"]
 SMALL = {"n_beams": 31}

@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import itertools
 import json
 import math
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ import numpy as np
 
 from jexplore.config import MAX_RUNS, InputError, require_number
 from jexplore.driving.settings import WHOLE, Noise, Tuning
+from jexplore.studies.sweeps.axes import Range, combined
 from jexplore.tracemap.record import BtmMap
 
 NOISE = "noise."  # names of noise begin so in a sweep
@@ -29,44 +29,34 @@ def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np
     Each text is a list, `votes=1,3,5`, or a range, `circle=1.1:2.0`. Lists alone make every combination; with a range
     among them, `settings` draws by Latin hypercube.
     """
-    known = {field.name: field.type for field in dataclasses.fields(Tuning)} | {
-        f"{NOISE}{field.name}": field.type for field in dataclasses.fields(Noise)
-    }
-    lists, ranges = {}, {}
+    known = [field.name for field in dataclasses.fields(Tuning)]
+    known += [f"{NOISE}{field.name}" for field in dataclasses.fields(Noise)]
+    axes: dict[str, Any] = {}
     for text in sweep:
         name, equals, values = text.partition("=")
-        if name in lists or name in ranges:
+        if name in axes:
             raise InputError(f"sweep names {name} more than once")
         if name not in known or not equals:
             names = ", ".join(known)
             raise InputError(f"sweep must be NAME=A,B,... or NAME=LOW:HIGH, got {text!r}; there are {names}")
+        is_range = ":" in values
         try:
-            if ":" in values:
-                low, high = (float(v) for v in values.split(":", 1))
-                if not low < high:
-                    raise InputError(f"sweep {text!r}: a range must rise, as in {name}={high:g}:{low:g}")
-                ranges[name] = (low, high)
-            else:
-                lists[name] = [float(v) for v in values.split(",")]
-                if name in WHOLE and any(value != int(value) for value in lists[name]):
-                    raise InputError(f"sweep {text!r}: {name} must be integers")
-        except InputError:
-            raise
+            numbers = [float(value) for value in (values.split(":", 1) if is_range else values.split(","))]
+            is_wrong = name in WHOLE and not is_range and any(value != int(value) for value in numbers)
         except (ValueError, OverflowError):
             raise InputError(f"sweep {text!r}: values must be numbers") from None
-    if not ranges:
-        if math.prod(len(values) for values in lists.values()) > MAX_RUNS:
-            raise InputError(f"sweep: more than {MAX_RUNS} combinations; use fewer values")
-        rows = list(itertools.product(*lists.values()))
-        return {name: np.array([row[i] for row in rows]) for i, name in enumerate(lists)}
-    from scipy.stats import qmc
-
-    names = [*ranges, *lists]
-    draws = qmc.LatinHypercube(len(names), rng=np.random.default_rng(seed)).random(settings)
-    values = {name: low + draws[:, i] * (high - low) for i, (name, (low, high)) in enumerate(ranges.items())}
-    for i, (name, given) in enumerate(lists.items(), len(ranges)):
-        values[name] = np.asarray(given)[np.minimum((draws[:, i] * len(given)).astype(int), len(given) - 1)]
-    return {name: np.round(value) if name in WHOLE else value for name, value in values.items()}
+        if is_wrong:
+            raise InputError(f"sweep {text!r}: {name} must be integers")
+        if is_range and not numbers[0] < numbers[1]:
+            raise InputError(f"sweep {text!r}: a range must rise, as in {name}={numbers[1]:g}:{numbers[0]:g}")
+        axes[name] = Range(*numbers) if is_range else numbers
+    n_combinations = math.prod(len(axis) if isinstance(axis, list) else 0 for axis in axes.values())
+    if n_combinations > MAX_RUNS:
+        raise InputError(f"sweep: more than {MAX_RUNS} combinations; use fewer values")
+    if not n_combinations:  # ranges have the first columns of the draws
+        axes = dict(sorted(axes.items(), key=lambda axis: isinstance(axis[1], list)))
+    rows = combined(axes, settings, "latin", seed, WHOLE)
+    return {name: np.array([row[name] for row in rows], float) for name in axes}
 
 
 def attributes_of(texts: Sequence[str]) -> tuple[tuple[str, Any, tuple[float, float]], ...]:

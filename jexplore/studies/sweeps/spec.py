@@ -23,6 +23,7 @@ from jexplore.config import (
     unknown,
 )
 from jexplore.studies.metrics import named_metrics
+from jexplore.studies.sweeps.axes import Range, combined
 from jexplore.users import bare, name_of
 from jexplore.worlds.poses import read_start
 
@@ -32,23 +33,11 @@ DRAW_METHODS = ("random", "sobol")
 RANGE = ("low", "high", "log")
 SETTING_PARTS = {"lidar": Lidar, "rules": Rules}
 _FIELDS_OF = {name: {field.name: field for field in dataclasses.fields(kind)} for name, kind in SETTING_PARTS.items()}
-
-
-@checked_names
-@dataclasses.dataclass(frozen=True)
-class Range:
-    """Numbers from low to high that are drawn from."""
-
-    low: float
-    high: float
-    log: bool = False
-    """Draw logarithms evenly."""
-
-    def at(self, share: float) -> float:
-        """Return the number below which a share lies."""
-        if self.log:
-            return math.exp(math.log(self.low) + share * (math.log(self.high) - math.log(self.low)))
-        return self.low + share * (self.high - self.low)
+WHOLE_SETTINGS = [
+    "seed",
+    *(f"{part}.{key}" for part in _FIELDS_OF for key, one in _FIELDS_OF[part].items() if one.type in (int, int | None)),
+]
+"""Names of settings that are whole numbers."""
 
 
 @checked_names
@@ -156,10 +145,9 @@ class Sweep:
             raise InputError(f"a sweep may have {MAX_SETTINGS:,} settings, got {n:,}; use fewer values, or draws")
         names = dict.fromkeys([*axes, *(key for one in explicit for key in one)])
         found = []
+        seed = 0 if not isinstance(self.seed, int) else require_setting("seed", self.seed)
         for one, some in zip(explicit or [{}], own):
-            for row in (
-                self._drawn(some) if is_range else [dict(zip(some, row)) for row in itertools.product(*some.values())]
-            ):
+            for row in combined(some, self.draws or 1, self.draw, seed, WHOLE_SETTINGS):
                 setting = {**row, **one}
                 found.append({key: setting.get(key, _default(key)) for key in names})
         if len({tuple(map(_same, setting.values())) for setting in found}) < len(found):
@@ -168,18 +156,6 @@ class Sweep:
                 "numbers is too short"
             )
         return found
-
-    def _drawn(self, axes):
-        """Draw from the axes, each evenly: a list of `{name: value}`."""
-        from scipy.stats import qmc
-
-        seed = 0 if not isinstance(self.seed, int) else require_setting("seed", self.seed)
-        if self.draw == "sobol":
-            source = qmc.Sobol(len(axes), rng=np.random.default_rng(seed))
-            shares = source.random_base2(max(0, (int(self.draws or 1) - 1).bit_length()))[: self.draws]
-        else:
-            shares = np.random.default_rng(seed).random((int(self.draws or 1), len(axes)))
-        return [{key: _taken(key, axis, float(s)) for (key, axis), s in zip(axes.items(), row)} for row in shares]
 
     def records(self) -> list[tuple[int, float, Lidar, Rules]]:
         """Return seed, cell size, scanner and rules of every setting of `expanded`.
@@ -273,15 +249,6 @@ def _require_plain(key, value):
     if value is not None and not isinstance(value, (bool, int, float, str)):
         raise InputError(f"{key} must be a number, a word or a truth value, got {value!r}")
     return value
-
-
-def _taken(key, axis, share):
-    if isinstance(axis, list):
-        return axis[min(int(share * len(axis)), len(axis) - 1)]
-    kind, _, name = key.partition(".")
-    field = _FIELDS_OF.get(kind, {}).get(name)
-    whole = key == "seed" or (field is not None and field.type in (int, int | None))
-    return round(axis.at(share)) if whole else axis.at(share)
 
 
 def _text(name, key, value):
