@@ -316,11 +316,11 @@ def _summary(kind):
 
 def _table(kind, prefix, shared):
     """Tabulate the options of a record; those that are records go to `shared`."""
-    from jexplore.cli.options import field_texts
+    from jexplore.cli.options import field_texts, fields_in_order
 
     texts, hints = field_texts(kind), typing.get_type_hints(kind, include_extras=True)
     rows, more = [], []
-    for field in dataclasses.fields(kind):
+    for field in fields_in_order(kind):
         hint, settings = _unwrapped(hints[field.name])
         if dataclasses.is_dataclass(hint):
             shared[field.name] = hint

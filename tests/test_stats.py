@@ -302,7 +302,7 @@ def test_repeated_episodes_count_once():
     assert (first.n, second.n, second.ratio) == (1, 1, 0.8)
     assert np.isnan([first.sd, first.ci_low, second.ci_high, second.ratio_low, second.ratio_high, second.p]).all()
     assert by_world.warnings_of(episodes) == [
-        f"office#1: {name}: all 4 episodes are the very same one, which counts once" for name in ("closest", "random")
+        f"office#1: {name}: all 4 episodes are the same one, which counts once" for name in ("closest", "random")
     ]
     other_start = both([50.0] * 4, [40.0] * 4, start_col=[4, 4, 4, 5])
     other_start.loc[3, "start_col"] = 5

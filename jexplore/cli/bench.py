@@ -3,12 +3,12 @@
 import dataclasses
 from collections.abc import Sequence
 
-from jexplore.cli.options import IntegerList, Number, OutFolder, OwnNames, fields_of
+from jexplore.cli.options import IntegerList, Number, OutOptions, OwnNames, fields_of
 from jexplore.cli.output.console import Out, progress_of
 
 
 @dataclasses.dataclass(frozen=True)
-class Bench:
+class Bench(OutOptions):
     """Measure episodes on this machine.
 
     Whole episodes by engine, batch size and map size, and compiling. Runs on one core, or on the first accelerator.
@@ -34,10 +34,6 @@ class Bench:
     """Take smaller defaults: the cave, batches of 1 and 4, sides 64 and 128, 4 episodes, 2 turns."""
     cache: bool = False
     """Use compiled programs that earlier commands have kept: times of compiling are then those of loading."""
-    out: OutFolder = None
-    """Write into this folder."""
-    overwrite: bool = False
-    """Replace the run that the folder holds."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""

@@ -6,16 +6,16 @@ from typing import Annotated, Literal
 
 import tyro
 
-from jexplore.cli.options import OutFolder, fields_of
+from jexplore.cli.options import ResumeOptions, RobotOptions, fields_of
 from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_table
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 
 WorldNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORLD [WORLD ...]", help_behavior_hint="(required)")]
 
 
 @dataclasses.dataclass(frozen=True)
-class Bound:
+class Bound(ResumeOptions, RobotOptions):
     """Find how short a robot that knows the map could have driven: what there is to gain for any strategy.
 
     For each start a walk on which everything is seen, and bounds below which none is. Prints a table and writes
@@ -38,14 +38,6 @@ class Bound:
     """Draw the starts from the seed, or take every world's own start."""
     workers: int | None = None
     """Number of cores; by default all that this process may use."""
-    out: OutFolder = None
-    """Write into this folder."""
-    overwrite: bool = False
-    """Replace the run that the folder holds."""
-    resume: bool = False
-    """Continue the run in the folder, if any: finished parts are not computed again."""
-    lidar: Lidar = dataclasses.field(default_factory=Lidar)
-    rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""

@@ -8,20 +8,22 @@ from typing import TYPE_CHECKING, Any
 
 from jexplore.cli.options import (
     DEFAULT_STRATEGIES,
-    EngineName,
+    EngineOptions,
     MapFile,
     MetricNames,
-    OutFolder,
     OwnNames,
     PolygonText,
+    ReportOptions,
+    ResumeOptions,
+    RobotOptions,
     StartText,
+    TrustOptions,
     default_worlds,
     fields_of,
     is_small,
 )
 from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_table
-from jexplore.config import Lidar, Rules
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,7 +40,7 @@ def default_episodes() -> int:
 
 
 @dataclasses.dataclass(frozen=True)
-class Compare:
+class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, RobotOptions):
     """Compare strategies in worlds, all from the same starts.
 
     Prints a table and writes episodes.parquet, details.npz, run.json, compare.png, coverage.png, paths.png and
@@ -83,26 +85,6 @@ class Compare:
     every path with it; writes bounds.parquet."""
     bound_seconds: float = 10.0
     """Seconds spent on the bounds of each start."""
-    engine: EngineName = "auto"
-    """Run episodes in native code where possible, on a GPU or a CPU, and in JAX for the rest (auto), or in JAX alone,
-    on a GPU if available (jax). The results are equal."""
-    lanes: int | None = None
-    """With --engine jax on a GPU, run this number of episodes at a time; by default as many as its memory holds."""
-    workers: int | None = None
-    """Run episodes on this number of cores, one each; by default on all that this process may use."""
-    out: OutFolder = None
-    """Write into this folder."""
-    overwrite: bool = False
-    """Replace the run that the folder holds."""
-    report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
-    """Write report.html, the whole run in one page with replays."""
-    resume: bool = False
-    """Continue the run in the folder, if any: finished episodes are not computed again. With a larger number of
-    episodes it keeps the earlier ones."""
-    trust: bool = False
-    """Let --resume take your own strategies and metrics as unchanged, even where nothing tells."""
-    lidar: Lidar = dataclasses.field(default_factory=Lidar)
-    rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
@@ -179,7 +161,7 @@ def _more_tables(episodes, league):
     if WASTE_COLUMNS[0] in episodes:
         text += f"\nWhere path is wasted:\n\n{waste.waste_table(episodes, by)}"
     if RATIO_COLUMNS[0] in episodes:
-        text += f"\nBeside the shortest walks of a robot that knows the map:\n\n{beside.beside_table(episodes, by)}"
+        text += f"\nCompared with the shortest walks of a robot that knows the map:\n\n{beside.beside_table(episodes, by)}"
     return text
 
 

@@ -3,13 +3,21 @@
 import dataclasses
 from collections.abc import Sequence
 
-from jexplore.cli.options import MapFile, OneStrategy, OneWorld, OutFolder, PolygonText, StartText, fields_of
+from jexplore.cli.options import (
+    MapFile,
+    OneStrategy,
+    OneWorld,
+    PolygonText,
+    ReportOptions,
+    RobotOptions,
+    StartText,
+    fields_of,
+)
 from jexplore.cli.output.console import COMPILING, Out, note_if_slow, progress_of
-from jexplore.config import Lidar, Rules
 
 
 @dataclasses.dataclass(frozen=True)
-class Explore:
+class Explore(ReportOptions, RobotOptions):
     """Run one episode and draw it.
 
     Writes episode.png, episode.gif (known map, frontiers, target, path), explored.yaml and explored.pgm (the map at the
@@ -37,14 +45,6 @@ class Explore:
     from the beginning, and drawn starts lie where it shows free floor."""
     frames: int = 300
     """Most frames of the animation, evenly spaced."""
-    out: OutFolder = None
-    """Write into this folder."""
-    overwrite: bool = False
-    """Replace the run that the folder holds."""
-    report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
-    """Write report.html, one page with a replay of the episode."""
-    lidar: Lidar = dataclasses.field(default_factory=Lidar)
-    rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""

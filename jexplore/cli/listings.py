@@ -6,14 +6,14 @@ from typing import Annotated
 
 import tyro
 
-from jexplore.cli.options import OutFolder
+from jexplore.cli.options import OutOptions
 from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_line, show_table
 from jexplore.config import require_number
 
 
 @dataclasses.dataclass(frozen=True)
-class Worlds:
+class Worlds(OutOptions):
     """List the built-in worlds, or measure and picture some.
 
     Without names, --geometry and --out, it lists the generators and what they take. Otherwise it prints a table of the
@@ -30,10 +30,6 @@ class Worlds:
     clearance_m: float = 0.30
     """Tell of floor that a robot of this clearance does not reach, and by --geometry the share that it does, in metres.
     """
-    out: OutFolder = None
-    """Write into this folder."""
-    overwrite: bool = False
-    """Replace the run that the folder holds."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""

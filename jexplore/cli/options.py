@@ -29,7 +29,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from jexplore.config import NUMBER_BOUNDS, InputError, require_engine, require_setting
+from jexplore.config import NUMBER_BOUNDS, InputError, Lidar, Rules, require_engine, require_setting
 
 SMALL = "JEXPLORE_SMALL"
 """Environment variable: set to anything but 0, the default comparison is a small one."""
@@ -63,6 +63,69 @@ OutFolder = Annotated[
     str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/<UTC time>-<command>)")
 ]
 EngineName = Literal["auto", "jax"]
+
+
+@dataclasses.dataclass(frozen=True)
+class OutOptions:
+    """Options of commands that write a folder."""
+
+    out: OutFolder = None
+    """Write into this folder."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ReportOptions(OutOptions):
+    """Options of commands that write a page."""
+
+    report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
+    """Write report.html, the whole run in one page with replays."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ResumeOptions(OutOptions):
+    """Options of commands that can be continued."""
+
+    resume: bool = False
+    """Continue the run in the folder, if any: finished parts are not computed again. A comparison or sweep with a
+    larger number of episodes keeps the earlier ones."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TrustOptions(OutOptions):
+    """Options of commands that use parts of earlier runs."""
+
+    trust: bool = False
+    """Take your own strategies and metrics for the same as in the parts that are there, even where nothing tells."""
+
+
+@dataclasses.dataclass(frozen=True)
+class EngineOptions:
+    """Options of commands that run many episodes."""
+
+    engine: EngineName = "auto"
+    """Run episodes in native code where possible, on a GPU or a CPU, and in JAX for the rest (auto), or in JAX alone,
+    on a GPU if available (jax). The results are equal."""
+    lanes: int | None = None
+    """With --engine jax on a GPU, run this number of episodes at a time; by default as many as its memory holds."""
+    workers: int | None = None
+    """Run episodes on this number of cores, one each; by default on all that this process may use."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RobotOptions:
+    """Options of the scanner and the rules."""
+
+    lidar: Lidar = dataclasses.field(default_factory=Lidar)
+    rules: Rules = dataclasses.field(default_factory=Rules)
+
+
+def fields_in_order(kind: type) -> list[Any]:
+    """Return the fields of a record as they are shown: its own, then those of its bases."""
+    names = dict.fromkeys(name for one in kind.__mro__ for name in vars(one).get("__annotations__", {}))
+    known: dict[str, Any] = {field.name: field for field in dataclasses.fields(kind)}
+    return [known[name] for name in names if name in known]
 
 
 def fields_of(options: Any, names: str) -> dict[str, Any]:
@@ -198,7 +261,7 @@ def _records(info: StructTypeInfo) -> StructConstructorSpec | None:
         return None
     kind: Any = info.type
     hints, texts, fields = _hints(kind), field_texts(kind), []
-    for field in dataclasses.fields(kind):
+    for field in fields_in_order(kind):
         default = field.default
         if dataclasses.is_dataclass(field.default_factory):
             default = tyro.MISSING_NONPROP
@@ -232,13 +295,14 @@ def _default_text(default):
 
 def field_texts(kind: type) -> dict[str, str]:
     """Return the docstrings below the fields of a record, `{name: text}`, each on one line."""
-    body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
-    assert isinstance(body, ast.ClassDef)
     texts = {}
-    for field, below in zip(body.body, body.body[1:]):
-        match field, below:
-            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                texts[name] = " ".join(text.split())
+    for one in filter(dataclasses.is_dataclass, reversed(kind.__mro__)):
+        body = ast.parse(textwrap.dedent(inspect.getsource(one))).body[0]
+        assert isinstance(body, ast.ClassDef)
+        for field, below in zip(body.body, body.body[1:]):
+            match field, below:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                    texts[name] = " ".join(text.split())
     return texts
 
 

@@ -8,9 +8,8 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.compare import FINISHING, finish_comparison, run_with_bar, show_finished
-from jexplore.cli.options import EngineName, OutFolder, fields_of, is_small
+from jexplore.cli.options import EngineOptions, ResumeOptions, RobotOptions, fields_of, is_small
 from jexplore.cli.output.console import Out, note_if_slow
-from jexplore.config import Lidar, Rules
 
 
 def default_paper_episodes() -> int:
@@ -18,7 +17,7 @@ def default_paper_episodes() -> int:
 
 
 @dataclasses.dataclass(frozen=True)
-class Reproduce:
+class Reproduce(EngineOptions, ResumeOptions, RobotOptions):
     """Reproduce a paper's tables: its strategies in its environments, next to its own figures.
 
     Prints a Markdown table an environment, and the orderings claimed by the paper that hold here. Writes
@@ -37,20 +36,6 @@ class Reproduce:
     """Draw starts and all that is random from this seed."""
     cell_m: float = 0.1
     """Make the edge of a cell this long, in metres."""
-    engine: EngineName = "auto"
-    """Run episodes by this engine, as for `jexplore compare`."""
-    lanes: int | None = None
-    """With --engine jax on a GPU, run this number of episodes at a time, as for `jexplore compare`."""
-    workers: int | None = None
-    """Number of cores, as for `jexplore compare`."""
-    out: OutFolder = None
-    """Write into this folder."""
-    overwrite: bool = False
-    """Replace the run that the folder holds."""
-    resume: bool = False
-    """Continue the run in the folder, if any: finished episodes are not computed again."""
-    lidar: Lidar = dataclasses.field(default_factory=Lidar)
-    rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""

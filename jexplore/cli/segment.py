@@ -6,13 +6,13 @@ from typing import Annotated
 
 import tyro
 
-from jexplore.cli.options import OutFolder
+from jexplore.cli.options import OutOptions
 from jexplore.cli.output.console import Out, working
 from jexplore.config import InputError
 
 
 @dataclasses.dataclass(frozen=True)
-class Segment:
+class Segment(OutOptions):
     """Divide maps into rooms, and score the rooms.
 
     Prints a Markdown table of scores a variant and writes segments.png, scores.parquet and run.json.
@@ -46,10 +46,6 @@ class Segment:
     them."""
     seed: int = 0
     """Draw the episodes that make partial maps from this seed."""
-    out: OutFolder = None
-    """Write into this folder."""
-    overwrite: bool = False
-    """Replace the run that the folder holds."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""

@@ -6,14 +6,14 @@ from typing import Annotated
 
 import tyro
 
-from jexplore.cli.options import OutFolder, fields_of
+from jexplore.cli.options import OutOptions, fields_of
 from jexplore.cli.output.console import Out, working
 from jexplore.config import InputError, require_setting
 from jexplore.slam2d.settings import SlamSettings
 
 
 @dataclasses.dataclass(frozen=True)
-class Slam:
+class Slam(OutOptions):
     """Find the way of a recorded robot and the map of its building, by its scans and its odometry.
 
     Prints outcomes and errors. Writes trajectory.txt (TUM: t x y z qx qy qz qw), map.yaml and map.pgm (ROS), slam.png
@@ -36,10 +36,6 @@ class Slam:
     """Also give the errors against this file of relations, lines of t1 t2 x y z roll pitch yaw."""
     relations_offset_s: float = 0.0
     """The times in that file have this much more than the log's, in seconds."""
-    out: OutFolder = None
-    """Write into this folder."""
-    overwrite: bool = False
-    """Replace the run that the folder holds."""
     matching: SlamSettings = dataclasses.field(default_factory=SlamSettings)
 
     def execute(self, arguments: Sequence[str]) -> int | None:

@@ -4,12 +4,12 @@ import dataclasses
 import os
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from jexplore.cli.compare import FINISHING
-from jexplore.cli.options import OutFolder
+from jexplore.cli.options import EngineOptions, ReportOptions, ResumeOptions, TrustOptions
 from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
@@ -23,7 +23,7 @@ REPORTED_ROWS = 200  # of the summary, on the page
 
 
 @dataclasses.dataclass(frozen=True)
-class SweepCommand:
+class SweepCommand(EngineOptions, ReportOptions, ResumeOptions, TrustOptions):
     """Compare strategies over many settings of scanner, rules, worlds and parameters.
 
     Reads the varied settings from a YAML file, in which a list is an axis of the product: worlds: [cave, office],
@@ -38,23 +38,6 @@ class SweepCommand:
     """Only say how much work it is: episodes, units, compiled programs."""
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="")] = None
     """Make only part I of N (1/4 to 4/4), each in a folder of its own; `jexplore merge` puts the parts together."""
-    engine: Literal["auto", "jax"] = "auto"
-    """Run episodes as for `jexplore compare`."""
-    lanes: int | None = None
-    """With --engine jax on a GPU: episodes at a time; by default as many as its memory holds."""
-    workers: int | None = None
-    """Cores that run episodes, one each; by default all that this process may use."""
-    out: OutFolder = None
-    """Folder to write."""
-    overwrite: bool = False
-    """Replace the run that the folder holds."""
-    report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
-    """Write report.html, the whole run in one page with replays."""
-    resume: bool = False
-    """Continue the run in the folder, if any: finished units are not computed again. With a larger number of episodes
-    it keeps the earlier ones."""
-    trust: bool = False
-    """Let --resume take your own strategies and metrics as unchanged, even where nothing tells."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
@@ -161,7 +144,7 @@ def _real(folder):
 
 
 @dataclasses.dataclass(frozen=True)
-class Merge:
+class Merge(ReportOptions, TrustOptions):
     """Put the parts of a sweep together that were made with --shard.
 
     Writes what the sweep as a whole would have written.
@@ -169,14 +152,6 @@ class Merge:
 
     parts: tyro.conf.Positional[Folders] = ()
     """Folders of all the parts."""
-    out: OutFolder = None
-    """Folder to write."""
-    overwrite: bool = False
-    """Replace the run that the folder holds."""
-    trust: bool = False
-    """Take your own strategies and metrics for the same in all parts, even where nothing tells."""
-    report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
-    """Write report.html, the whole run in one page with replays."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""

@@ -3,13 +3,12 @@
 import dataclasses
 from collections.abc import Sequence
 
-from jexplore.cli.options import OutFolder, OwnModel, OwnNames, fields_of
+from jexplore.cli.options import OwnModel, OwnNames, ResumeOptions, RobotOptions, fields_of
 from jexplore.cli.output.console import Out, note_if_slow, working
-from jexplore.config import Lidar, Rules
 
 
 @dataclasses.dataclass(frozen=True)
-class Train:
+class Train(ResumeOptions, RobotOptions):
     """Train a strategy that scores frontier clusters, and write its model.
 
     Prints the checks and writes model.msgpack, model.json, curve.parquet, curve.png and run.json. The model is a
@@ -44,14 +43,6 @@ class Train:
     """Make the edge of a cell this long, in metres."""
     workers: int | None = None
     """Number of cores; by default all that this process may use."""
-    out: OutFolder = None
-    """Write into this folder."""
-    overwrite: bool = False
-    """Replace the run that the folder holds."""
-    resume: bool = False
-    """Continue the run in the folder, if any."""
-    lidar: Lidar = dataclasses.field(default_factory=Lidar)
-    rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from jexplore.cli.options import EngineName, OneStrategy, OneWorld, OutFolder, fields_of
+from jexplore.cli.options import EngineName, OneStrategy, OneWorld, ResumeOptions, fields_of
 from jexplore.cli.output.console import COMPILING, Out, note_if_slow, say, working
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
@@ -18,7 +18,7 @@ SAME_WAY_M = 0.01  # two ways no farther apart than this are one
 
 
 @dataclasses.dataclass(frozen=True)
-class Trace:
+class Trace(ResumeOptions):
     """Let a robot drive through a building and write its Behavioral Trace Map.
 
     Prints the node and link tables of run 0 and how many runs made the same map. Writes btm.json, btm.geojson (nav2
@@ -74,12 +74,6 @@ class Trace:
     clutter_m: float = 1.0
     """Let --from-episode look through obstacles in the open whose bounding box has a diagonal shorter than this, in
     metres, such as legs of tables."""
-    out: OutFolder = None
-    """Write into this folder."""
-    overwrite: bool = False
-    """Replace the run that the folder holds."""
-    resume: bool = False
-    """Continue the run in the folder, if any: finished runs are not computed again."""
     tuning: Tuning = dataclasses.field(default_factory=Tuning)
     noise: Noise = dataclasses.field(default_factory=Noise)
 

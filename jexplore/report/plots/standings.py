@@ -41,7 +41,7 @@ def league_figure(table: "pd.DataFrame") -> Figure:
     ticks = [t for t in (0.5, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0) if _spans(table, kinds, t)]
     ax.set_xticks(ticks, [f"{t:g}" for t in ticks], fontsize=8)
     ax.minorticks_off()
-    ax.set_xlabel("path length beside the reference's (log scale)", fontsize=8)
+    ax.set_xlabel("path length over the reference's (log scale)", fontsize=8)
     ax.grid(axis="x", color="#e0e0e0")
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)

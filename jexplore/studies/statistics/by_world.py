@@ -195,7 +195,7 @@ def _flaws(episodes):
             yield f"{who}: {refused} steps were refused, into cells that proved not to be free"
     for who, rows in groups:
         if _n_different(rows) < len(rows):
-            yield f"{who}: all {len(rows)} episodes are the very same one, which counts once"
+            yield f"{who}: all {len(rows)} episodes are the same one, which counts once"
 
 
 def warnings_of(episodes: "pd.DataFrame", progress: Mapping[tuple[str, str], np.ndarray] | None = None) -> list[str]:

@@ -164,7 +164,7 @@ def start_of(
         return fits[0]
     place = f"node {step.start}, ({node.x_m:.1f}, {node.y_m:.1f}) m"
     raise InputError(
-        f"{robot.name} does not fit on link {step.link} beside {place} of {world.name or 'world'!r}: is the map of "
+        f"{robot.name} does not fit on link {step.link} at {place} of {world.name or 'world'!r}: is the map of "
         "this building, in its frame?"
     )
 
