@@ -157,7 +157,7 @@ def test_start_of_the_world(found):
     assert table["path_m"][0] != table["path_m"][1]  # equal starts, different draws
 
 
-def stub(outcomes, missing=((), ()), **fields):
+def stub(outcomes, missing=([], []), **fields):
     """A comparison of two strategies whose episodes are written by hand; some are missing of each."""
     world = two_rooms("stub", 4, 6, 0)
     jobs = prepare_jobs(

@@ -97,7 +97,7 @@ def unit_table(job: Job, found: Outcomes) -> "pd.DataFrame":
         state = map_state(final.hits, final.misses, job.rules.p_free)
         path_m = float(table["path_m"].iloc[0])
         extras[SEEN][0] = Seen(job.strategy.name, state, final.rows, final.cols, job.world.cell_m, path_m)
-    if found.records is not None:
+    if found.records:
         records = [found.records[i] for i in range(n)]
         extras[WAY] = [record.path for record in records]
         extras |= {} if records[0].state is None else {MAP: [record.state for record in records]}
