@@ -121,6 +121,7 @@ BAD = {
     "must return one bool, int32 or float32, got \\[\\d+, \\d+\\] bool": lambda view: view.occupied,
     "must return one bool, int32 or float32, got .* complex64": lambda view: view.path_m * 1j,
     "must return one bool, int32 or float32, got None": lambda view: None,
+    "must return one bool, int32 or float32, got .*int64": lambda view: np.int64(3),
     "is not pure: two calls": lambda view: view.path_m + next(calls),
     "is not pure: it keeps an array": lambda view: kept.append(view.path_m) or view.path_m,
     "raised AttributeError .*it has belief, occupied, .*, outcome, steps, path_m; the robot": lambda view: view.row,
@@ -141,6 +142,28 @@ def test_a_bad_metric_is_refused_by_one_line_that_names_it(says, reduce, monkeyp
         compare()
     assert "\n" not in str(caught.value)
     assert "<lambda> (" in str(caught.value) or says == "is no metric: expected a function"
+
+
+def test_a_sum_that_leaves_int32_stays_at_its_limit():
+    add, (low, high) = metrics.REDUCTIONS["sum"], (metrics.INT32.min, metrics.INT32.max)
+    so_far = jnp.array([high - 1, high - 1, low + 1, 5, high, low], jnp.int32)
+    found = add(so_far, jnp.array([1, 9, -2, -7, -3, 4], jnp.int32))
+    assert found.tolist() == [high, high, low, -2, high, low]
+    assert [metrics.reached_limit(np.asarray(some)) for some in (found, found[3:4])] == [True, False]
+    assert add(jnp.float32(3e38), jnp.float32(3e38)) == np.inf
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_a_callback_that_raises_is_one_line():
+    def fails(x):
+        raise ValueError("no such number\nat all")
+
+    def mine(view):
+        return jax.pure_callback(fails, jax.ShapeDtypeStruct((), jnp.float32), view.path_m)
+
+    with pytest.raises(InputError, match=r"JAX calls back raised ValueError: no such number at .*metrics\.py:\d+$"):
+        jx.compare(two_rooms(), "closest", episodes=1, lidar=LIDAR, metrics={"mine": mine})
 
 
 def length(view):

@@ -161,7 +161,7 @@ def _more_tables(episodes, league):
     if WASTE_COLUMNS[0] in episodes:
         text += f"\nWhere path is wasted:\n\n{waste.waste_table(episodes, by)}"
     if RATIO_COLUMNS[0] in episodes:
-        text += f"\nCompared with the shortest walks of a robot that knows the map:\n\n{beside.beside_table(episodes, by)}"
+        text += f"\nCompared with the shortest walks of one that knows the map:\n\n{beside.beside_table(episodes, by)}"
     return text
 
 

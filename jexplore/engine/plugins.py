@@ -1,6 +1,7 @@
 """JAX's CUDA plugin where there is no GPU: kept from starting. Plain Python: importing this does not load jax."""
 
 import importlib.util
+import logging
 import os
 import sys
 from pathlib import Path
@@ -32,8 +33,10 @@ def keep_to_cpu() -> None:
 
 
 def keep_compiler_quiet() -> None:
-    """Silence XLA's messages on stderr, such as about slow compilation, unless `TF_CPP_MIN_LOG_LEVEL` is set.
+    """Silence messages on stderr: XLA's, such as about slow compilation, unless `TF_CPP_MIN_LOG_LEVEL` is set; JAX's of
+    callbacks that raise.
 
     Errors are raised in Python all the same. This must come before jax is imported.
     """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", FATAL)
+    logging.getLogger("jax._src.callback").setLevel(logging.CRITICAL)

@@ -8,6 +8,7 @@ several processes (`jax.distributed`) do as well.
 
 import dataclasses
 import os
+import re
 import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, Protocol
@@ -22,6 +23,9 @@ from jexplore.engine.lanes import run_in_lanes
 from jexplore.engine.one_by_one import pieces_of
 from jexplore.engine.program import Line
 from jexplore.engine.threads import Pieces, share_out
+
+_RAISED = re.compile(r'.*CpuCallback.*File "([^"]*)", line (\d+), in [^\n]*\n([^\n]*)', re.DOTALL)
+"""Message of JAX for what a callback has raised: its last frame and error."""
 
 
 @dataclasses.dataclass
@@ -228,6 +232,9 @@ def run_all(
     except jax.errors.JaxRuntimeError as error:
         if "RESOURCE_EXHAUSTED" in str(error):
             raise MemoryError(f"{error} (fewer lanes need less)") from error
+        if raised := _RAISED.match(str(error)):
+            file, line, what = raised.groups()
+            raise InputError(f"a function that JAX calls back raised {what} at {file}:{line}") from error
         raise
     _make_room(lines, resources.processes > 1)
     if resources.processes > 1:

@@ -56,7 +56,7 @@ def replay_data(
     no native code; the frames are the same.
     """
     if final.plans is None:
-        raise InputError(f"{strategy.name} in {world.name}: an episode of more plans than are kept cannot be played again")
+        raise InputError(f"{strategy.name} in {world.name}: an episode of too many plans cannot be played again")
     shown = evenly(len(final.rows) - 1, max_frames)
     own_room, seen = isinstance(strategy.policy.params, room_wise.Params), None
     if engine != "jax" and not own_room:  # which JAX segments
