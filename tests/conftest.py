@@ -163,6 +163,14 @@ def maps():
     return folder
 
 
+@pytest.fixture(scope="module")
+def body(tmp_path_factory):
+    """A function that opens a page in headless Chromium and gives the data attributes of its body."""
+    from ref import browser
+
+    return browser.opener(tmp_path_factory.mktemp("browser"))
+
+
 @pytest.fixture
 def forgetful():
     """Libraries are looked for anew, and warnings said again; afterwards as well."""

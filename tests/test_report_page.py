@@ -5,8 +5,6 @@ import dataclasses
 import html.parser
 import io
 import json
-import re
-import struct
 
 import numpy as np
 import pytest
@@ -14,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
-from ref import browser
-from ref.browser import TIMERS
+from ref.browser import TIMERS, assert_alone, data_of, unpacked
 
 from jexplore.report.page.assemble import html_text, script_data
 from jexplore.report.page.packing import change, runs
@@ -94,14 +91,6 @@ def test_changes_come_back(images, most):
     np.testing.assert_array_equal(image, after)
 
 
-def decoded(packed_numbers):
-    """An array of the page, by `struct`."""
-    raw = base64.b64decode(packed_numbers["base64"])
-    letter, size = {"i2": ("h", 2), "i4": ("i", 4)}[packed_numbers["type"]]
-    whole = struct.unpack(f"<{len(raw) // size}{letter}", raw)
-    return (np.array(whole) * packed_numbers["step"]).reshape(packed_numbers["shape"])
-
-
 def images_of(raw, sizes, shape):
     """The images that runs of changes lead to, cell by cell."""
     flat, at, out = [0] * (shape[0] * shape[1]), 0, []
@@ -122,11 +111,6 @@ def images_of(raw, sizes, shape):
     return out
 
 
-def data_of(text):
-    (found,) = re.findall(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)
-    return json.loads(found)
-
-
 def test_what_the_page_holds_is_the_replay():
     one, two = replay(), replay(n=5, side=9, rooms=None, world="maze", seed=1)
     data = data_of(report_page("r", {}, replays=[one, two, one]))
@@ -144,9 +128,9 @@ def test_what_the_page_holds_is_the_replay():
             shown = np.where(want.rooms < 0, 0, want.rooms % 15 + 1)
             np.testing.assert_array_equal(images_of(raw, [len(raw)], world["shape"])[0], shown)
         for name in ("steps", "heading_deg", "target", "until"):
-            np.testing.assert_array_equal(decoded(found[name]), getattr(want, name), err_msg=name)
-        np.testing.assert_allclose(decoded(found["known_m2"]), want.known_m2, atol=0.005001)
-        maps = images_of(base64.b64decode(found["changes"]), decoded(found["sizes"]), world["shape"])
+            np.testing.assert_array_equal(unpacked(found[name]), getattr(want, name), err_msg=name)
+        np.testing.assert_allclose(unpacked(found["known_m2"]), want.known_m2, atol=0.005001)
+        maps = images_of(base64.b64decode(found["changes"]), unpacked(found["sizes"]), world["shape"])
         for codes, wanted in zip(maps, want.maps(), strict=True):
             np.testing.assert_array_equal(codes, wanted)
         up, right = np.divmod(np.frombuffer(base64.b64decode(found["moves"]), np.uint8), 3)
@@ -265,16 +249,8 @@ def test_structure():
 def test_nothing_outside_is_asked_for():
     text = page("run")
     assert text.isascii()
-    text = re.sub(r'(?<="application/json">).*?(?=</script>)', "", text, flags=re.S)
-    text = re.sub(r"base64,[A-Za-z0-9+/=]*", "", text)
-    sources = re.findall(r'src="(.*?)"', text)
-    assert sources == ["data:image/png;", "data:image/svg+xml;"]
-    assert not re.findall(
-        r"""https?:|(?<![\w.:])//\w|\bhref\s*=|@import|@font-face|url\(|fetch\(|XMLHttp|import\(|DecompressionStream""",
-        text,
-    )
-    assert "default-src 'none'; img-src data:" in text
-    assert "{{" not in text
+    assert_alone(text, ["data:image/png;", "data:image/svg+xml;"])
+    assert "img-src data:" in text
 
 
 def test_no_text_leaves_its_place():
@@ -346,7 +322,7 @@ def test_the_page_keeps_to_its_size_and_says_how():
     assert "li" not in Reader(whole).text
     fewer = report_page("r", {}, replays=replays, max_bytes=len(whole) - 1)
     assert Reader(fewer).text["li"] == ["To keep the page small, replays have at most 150 frames."]
-    assert [len(decoded(found["steps"])) for found in data_of(fewer)["replays"]] == [150] * 4
+    assert [len(unpacked(found["steps"])) for found in data_of(fewer)["replays"]] == [150] * 4
     bare = report_page("r", {}, notes=["x" * 200])
     room = len(bare) + (len(report_page("r", {}, replays=[replays[0].thinned(60)])) - len(report_page("r", {})))
     tight = report_page("r", {}, replays=replays, max_bytes=room)
@@ -405,12 +381,6 @@ const captions = () => [...document.querySelectorAll("#tiles figure:not([hidden]
 })();
 </script>
 """
-
-
-@pytest.fixture(scope="module")
-def body(tmp_path_factory):
-    """A function that opens a page in headless Chromium and gives the data attributes of its body."""
-    return browser.opener(tmp_path_factory.mktemp("browser"))
 
 
 def joined(codes):

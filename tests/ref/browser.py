@@ -1,15 +1,43 @@
-"""Open a page in headless Chromium, and run scripts, if it is installed."""
+"""Pages of one file: their data, read by another decoder; opened in headless Chromium, if it is installed."""
 
+import base64
 import html
 import json
 import re
 import shutil
+import struct
 import subprocess
 
+import numpy as np
 import pytest
 
 # Virtual time draws no frames of its own accord.
 TIMERS = "<script>window.requestAnimationFrame = (f) => setTimeout(() => f(performance.now()), 16);</script>"
+
+
+def data_of(text):
+    (found,) = re.findall(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)
+    return json.loads(found)
+
+
+def unpacked(packed):
+    """Return an array of a page, by `struct`: numbers, NaN or infinity."""
+    raw = base64.b64decode(packed["base64"])
+    bits = {"i2": 16, "i4": 32}[packed["type"]]
+    whole = struct.unpack(f"<{len(raw) * 8 // bits}{'h' if bits == 16 else 'i'}", raw)
+    special = {-(2 ** (bits - 1)): np.nan, 2 ** (bits - 1) - 1: np.inf}
+    return np.array([special.get(value, value * packed["step"]) for value in whole]).reshape(packed["shape"])
+
+
+def assert_alone(text, sources=()):
+    """Assert that a page asks for nothing outside; `sources` are those of its pictures."""
+    text = re.sub(r'(?<="application/json">).*?(?=</script>)', "", text, flags=re.S)  # base64 may hold anything
+    text = re.sub(r"base64,[A-Za-z0-9+/=]*", "", text)
+    assert re.findall(r'\bsrc\s*=\s*"?([^">]*)', text) == list(sources)
+    calls = r"https?:|(?<![\w.:])//\w|\bhref\s*=|url\(|fetch\(|XMLHttp|import\(|DecompressionStream"
+    assert not re.findall(rf"{calls}|@import|@font-face", text)
+    assert "default-src 'none'" in text
+    assert "{{" not in text
 
 
 def opener(folder):
