@@ -2,7 +2,6 @@
 
 import dataclasses
 import datetime
-import functools
 import os
 from collections.abc import Callable, Iterable, Sequence
 
@@ -78,41 +77,35 @@ def compare(
     settings |= limits | {"from_map": from_map if is_text else type(from_map).__name__}
     if keep is not None and keep not in tuple(RECORDS):
         raise InputError(f"keep must be None, {' or '.join(RECORDS)}, got {keep!r}")
+    if overwrite and resume:
+        raise InputError("resume goes on with a run and overwrite replaces it: give one of them")
+    if out is None and (overwrite or resume):
+        raise InputError("overwrite and resume are for a folder: name it with out")
     how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep}
     asked = {"command": "compare", **provenance.asked(jobs), **({"keep": keep} if keep else {}), "bound_seconds": None}
-    run = functools.partial(_run, jobs, asked, settings, how, (progress, on_progress))
-    return _in_folder(out, jobs, asked, run, {"overwrite": overwrite, "resume": resume}, trust)
 
+    def run(ledger=None):
+        began = datetime.datetime.now(datetime.UTC)
+        with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
+            found = run_comparison(jobs, ledger=ledger, on_progress=moved, **how)
+        names = {
+            "worlds": list(dict.fromkeys(str(job.world.name) for job in jobs)),
+            "strategies": list(dict.fromkeys(job.strategy.name for job in jobs)),
+        }
+        record = {
+            "command": ["jx", "compare"],
+            "started": began,
+            "wall_s": (datetime.datetime.now(datetime.UTC) - began).total_seconds(),
+            "configuration": {**names, **settings, **how, "lidar": found.lidar, "rules": found.rules},
+            **found.made.record,
+            **{"asked": asked, "units": len(cut_jobs(jobs))},
+        }
+        return dataclasses.replace(found, made=found.made._replace(record=record))
 
-def _run(jobs, asked, settings, how, shown, ledger=None):
-    """Run jobs, whose units a ledger keeps: a `ComparisonResult`."""
-    began = datetime.datetime.now(datetime.UTC)
-    with progress_bar(shown[0], sum(len(job.starts) for job in jobs), "episodes", shown[1]) as moved:
-        found = run_comparison(jobs, ledger=ledger, on_progress=moved, **how)
-    names = {
-        f"{kind}s": list(dict.fromkeys(str(getattr(job, kind).name) for job in jobs)) for kind in ("world", "strategy")
-    }
-    record = {
-        "command": ["jx", "compare"],
-        "started": began,
-        "wall_s": (datetime.datetime.now(datetime.UTC) - began).total_seconds(),
-        "configuration": {**names, **settings, **how, "lidar": found.lidar, "rules": found.rules},
-        **found.made.record,
-        **{"asked": asked, "units": len(cut_jobs(jobs))},
-    }
-    return dataclasses.replace(found, made=found.made._replace(record=record))
-
-
-def _in_folder(out, jobs, asked, run, how, trust):
-    """Run a `ComparisonResult` with a folder, if requested, that keeps its parts and finally holds it."""
-    if all(how.values()):
-        raise InputError("resume goes on with a run and overwrite replaces it: give one of them")
     if out is None:
-        if any(how.values()):
-            raise InputError("overwrite and resume are for a folder: name it with out")
         return run()
-    with saving.claimed_by_call(out, **how) as folder:
-        ledger = open_ledger(folder, asked, lambda n: len(cut_jobs(jobs, n)), resume=how["resume"], trust=trust)
+    with saving.claimed_by_call(out, overwrite=overwrite, resume=resume) as folder:
+        ledger = open_ledger(folder, asked, lambda n: len(cut_jobs(jobs, n)), resume=resume, trust=trust)
         if ledger is None:
             found = loading.load(folder.path)
             return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
