@@ -38,7 +38,7 @@ def compare(
     keep: str | None = None, metrics: MetricsLike = None,
     out: str | os.PathLike[str] | None = None, overwrite: bool = False, resume: bool = False, trust: bool = False,
 ) -> ComparisonResult:  # fmt: skip
-    """Run every strategy in every world, from the same starts. An interruption keeps finished episodes.
+    """Run every strategy in every world, from the same starts. An interruption keeps finished units.
 
     Args:
       worlds: one or several names (`worlds.load_world`) or `World`s.

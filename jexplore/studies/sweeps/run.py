@@ -197,33 +197,12 @@ def _windows(plan: SweepPlan, numbers: Sequence[int]) -> Iterator[list[int]]:
 
 
 def _unit_table(plan, number, made):
-    """Return the table of a unit, of its jobs and their outcomes."""
-    rows = [_rows(plan, block, *own) for block, own in zip(plan.units[number], made)]
-    return typed(join_columns(rows), plan)
-
-
-def _rows(plan, block, job, found):
-    """Return the rows of a block, as columns."""
-    rows = rows_of(job._replace(strategy=plan.strategies[block.strategy]), found)
-    setting, n = plan.settings[block.setting], len(rows["episode"])
-    own = {"setting": np.full(n, block.setting)}
-    for name in plan.columns[1:]:
-        kind, _, key = name.partition(".")
-        rows[name] = [plan.parameters[block.strategy].get(key) if kind == "strategy" else setting[name]] * n
-    return own | rows
-
-
-def typed(table: "pd.DataFrame", plan: SweepPlan) -> "pd.DataFrame":
-    """Convert a table of a sweep, or of its part, to the column types of the whole plan.
-
-    Types are truth values, whole numbers, numbers (NaN where missing), and text (empty where missing).
-    """
-    for name, kind in plan.kinds.items():
-        if kind == "text":
-            table[name] = ["" if value is None or value != value else str(value) for value in table[name]]
-        else:
-            table[name] = table[name].astype(kind)
-    return table
+    """Return the table of a unit, of its jobs and their outcomes; settings by number."""
+    rows = []
+    for block, (job, found) in zip(plan.units[number], made):
+        own = rows_of(job._replace(strategy=plan.strategies[block.strategy]), found)
+        rows.append({"setting": np.full(block.n, block.setting), **own})
+    return join_columns(rows)
 
 
 def run_sweep(
@@ -268,11 +247,25 @@ def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def whole_table(tables: Sequence["pd.DataFrame"], plan: SweepPlan) -> "pd.DataFrame":
-    """Join tables of a sweep: rows by setting, world, strategy and episode, as in the spec."""
+    """Join tables of a sweep: rows by setting, world, strategy and episode, as in the spec, with all settings.
+
+    Settings are truth values, whole numbers, numbers (NaN where missing), or text (empty where missing).
+    """
     import pandas as pd
 
-    table = typed(pd.concat(tables, ignore_index=True), plan)
+    table = pd.concat(tables, ignore_index=True)
     names = [strategy.name for strategy in plan.strategies]
+    parameters = dict(zip(names, plan.parameters))
+    for name, kind in plan.kinds.items():
+        part, _, key = name.partition(".")
+        if part == "strategy":
+            values = [parameters[strategy].get(key) for strategy in table["strategy"]]
+        else:
+            values = [plan.settings[setting][name] for setting in table["setting"]]
+        if kind == "text":
+            table[name] = ["" if value is None else str(value) for value in values]
+        else:
+            table[name] = pd.Series(values).astype(kind)
     places = [
         pd.Categorical(table[column], list(given)).codes
         for column, given in (("strategy", names), ("world", map(os.fspath, plan.spec.worlds)))
