@@ -177,8 +177,10 @@ def stub(outcomes, missing=([], []), **fields):
     return assemble(jobs, Ran(tables, Costs(compile_s=1.0, run_s=2.0), 0, {}))
 
 
-def test_a_comparison_by_hand():
+def test_a_comparison_by_hand(tmp_path):
     found = stub([[1, 1], [1, 1]], straight=[10, 20])
+    with pytest.raises(InputError, match=r"only what jx\.compare or jx\.load returned can be saved"):
+        found.save(tmp_path)
     assert found.to_pandas()["path_m"].tolist() == pytest.approx([1.0, 2.0, 1.0, 2.0])
     assert found.summary["mean"].tolist() == pytest.approx([1.5, 1.5])
     assert found.episodes_per_s == 2.0

@@ -165,7 +165,7 @@ def claimed_by_call(
 
 def save(found: Any, folder: str | os.PathLike[str], *, overwrite: bool, report: bool) -> Path:
     """Save a comparison: `ComparisonResult.save`."""
-    if not found.made.record:
+    if "command" not in found.made.record:
         raise InputError("only what jx.compare or jx.load returned can be saved; to_csv() writes the table alone")
     with claimed_by_call(folder, overwrite=overwrite) as run:
         return write_comparison(run, found, report=report)
