@@ -72,12 +72,6 @@ def test_a_finished_run_is_read_and_not_run(found, monkeypatch):
     same(run(out=folder, resume=True), made)
 
 
-def test_a_run_of_the_command_is_read_and_not_run(found, tmp_path, monkeypatch):
-    assert main.main([*COMMAND, "--episodes", "16", "--out", str(tmp_path / "run"), "--no-report"]) in (0, None)
-    monkeypatch.setattr(comparison, "run_comparison", never)
-    same(run(out=tmp_path / "run", resume=True), found[1])
-
-
 def test_a_run_that_broke_off_is_gone_on_with(found, tmp_path):
     def stop(done):
         if done >= 16:

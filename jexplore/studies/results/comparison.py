@@ -7,7 +7,7 @@ import collections
 import dataclasses
 import functools
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -77,9 +77,9 @@ class ComparisonResult(ByStrategy):
     """With `keep="maps"`: (world, strategy) -> `[N, H, W]` uint8, the last map of each episode in the table: 0 unknown,
     1 free, 2 occupied."""
     lidar: Lidar | None = None
-    """The scanner; None where it is not known, or there were several."""
+    """The scanner; None if unknown."""
     rules: Rules | None = None
-    """The rules; None if unknown or there were several."""
+    """The rules; None if unknown."""
     metrics: tuple[str, ...] = ()
     """Names of the columns of your own metrics."""
     made: Made = dataclasses.field(default=Made(), repr=False, compare=False)
@@ -282,12 +282,6 @@ def _bounds_met(episodes):
     return lines
 
 
-def _the_only(settings: Iterable[Any]) -> Any:
-    """Return the common value of some settings; None if they differ."""
-    found = set(settings)
-    return found.pop() if len(found) == 1 else None
-
-
 def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
     """Make the `ComparisonResult` of jobs whose units have run.
 
@@ -326,8 +320,8 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
         progress=progress,
         paths=paths,
         maps=maps,
-        lidar=_the_only(job.lidar for job in jobs),
-        rules=_the_only(job.rules for job in jobs),
+        lidar=jobs[0].lidar,
+        rules=jobs[0].rules,
         metrics=tuple(jobs[0].metrics),
         made=Made(tuple(jobs), ran.firsts, provenance.engine_of(costs)),
     )

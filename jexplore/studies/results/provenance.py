@@ -118,22 +118,19 @@ def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
 
 
 def asked(jobs: Sequence[Job]) -> dict[str, Any]:
-    """Return all that the results of some jobs depend on, as plain values: equal ones mean equal units."""
-    worlds = {os.fspath(job.world.name): job.world for job in jobs}
-    strategies = list(dict.fromkeys(job.strategy.name for job in jobs))
-    settings = list(dict.fromkeys((job.lidar, job.rules) for job in jobs))
-    seeds = list(dict.fromkeys(job.seed for job in jobs))
-    measured = {name: metric.reduce or "end" for name, metric in jobs[0].metrics.items()}
+    """Return all that the results of some jobs depend on, as plain values: equal ones mean equal units.
+
+    The jobs have one number of episodes, one seed, one scanner and the same rules.
+    """
+    worlds, first = {os.fspath(job.world.name): job.world for job in jobs}, jobs[0]
+    measured = {name: metric.reduce or "end" for name, metric in first.metrics.items()}
     # The first start tells whether starts are drawn, and from where: with more episodes it stays the same.
     starts = hashlib.sha256(b"".join(np.ascontiguousarray(job.starts[0], np.int32).tobytes() for job in jobs))
     return {
         "version": __version__,
         "worlds": list(worlds),
-        "strategies": strategies,
-        "episodes": len(jobs[0].starts),
-        "seed": seeds[0] if len(seeds) == 1 else seeds,
-        "lidar": list(dict.fromkeys(lidar for lidar, _ in settings)),
-        "rules": list(dict.fromkeys(rules for _, rules in settings)),
+        "strategies": list(dict.fromkeys(job.strategy.name for job in jobs)),
+        **{"episodes": len(first.starts), "seed": first.seed, "lidar": first.lidar, "rules": first.rules},
         "starts": starts.hexdigest(),
         "digests": {name: world_digest(world) for name, world in worlds.items()},
         "own": own_digests(jobs),
