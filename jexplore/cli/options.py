@@ -296,7 +296,8 @@ def _default_text(default):
 def field_texts(kind: type) -> dict[str, str]:
     """Return the docstrings below the fields of a record, `{name: text}`, each on one line."""
     texts = {}
-    for one in filter(dataclasses.is_dataclass, reversed(kind.__mro__)):
+    records: list[Any] = [one for one in reversed(kind.__mro__) if dataclasses.is_dataclass(one)]
+    for one in records:
         body = ast.parse(textwrap.dedent(inspect.getsource(one))).body[0]
         assert isinstance(body, ast.ClassDef)
         for field, below in zip(body.body, body.body[1:]):

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ASKED_FILE = "asked.json"  # what the run is asked, in the folder of its units
-Unit = TypeVar("Unit")
-"""Results of a unit."""
+UnitResult = TypeVar("UnitResult")  # of a unit
 
 
 class Ledger:
@@ -89,32 +88,32 @@ def _unchanged(table: Any) -> Any:
     return table
 
 
-class Work(Generic[Unit]):
+class Work(Generic[UnitResult]):
     """Units of a run: the results of those that are finished, and the numbers of those that are left."""
 
-    done: dict[int, Unit]
+    done: dict[int, UnitResult]
     left: list[int]
 
     def __init__(
         self,
         numbers: Iterable[int],
         ledger: Ledger | None = None,
-        to_table: Callable[[Unit], "pd.DataFrame"] = _unchanged,
-        of_table: Callable[["pd.DataFrame"], Unit] = _unchanged,
+        to_table: Callable[[UnitResult], "pd.DataFrame"] = _unchanged,
+        of_table: Callable[["pd.DataFrame"], UnitResult] = _unchanged,
     ) -> None:
         """Read the finished units, of these numbers, of a ledger; `of_table` reverses `to_table`."""
         self._ledger, self._to_table, numbers = ledger, to_table, list(numbers)
         self.done = {} if ledger is None else {i: of_table(ledger.get(i)) for i in numbers if i in ledger.done}
         self.left = [i for i in numbers if i not in self.done]
 
-    def put(self, number: int, found: Unit) -> None:
+    def put(self, number: int, found: UnitResult) -> None:
         """Take the results of a unit, which the ledger then has."""
         if self._ledger is not None:
             self._ledger.put(number, self._to_table(found))
         self.done[number] = found
 
     @property
-    def results(self) -> list[Unit]:
+    def results(self) -> list[UnitResult]:
         """Return the results of the finished units, in order."""
         return [self.done[i] for i in sorted(self.done)]
 

@@ -49,7 +49,7 @@ def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np
             raise InputError(f"sweep {text!r}: {name} must be integers")
         if is_range and not numbers[0] < numbers[1]:
             raise InputError(f"sweep {text!r}: a range must rise, as in {name}={numbers[1]:g}:{numbers[0]:g}")
-        axes[name] = Range(*numbers) if is_range else numbers
+        axes[name] = Range(numbers[0], numbers[1]) if is_range else numbers
     n_combinations = math.prod(len(axis) if isinstance(axis, list) else 0 for axis in axes.values())
     if n_combinations > MAX_RUNS:
         raise InputError(f"sweep: more than {MAX_RUNS} combinations; use fewer values")

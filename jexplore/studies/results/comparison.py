@@ -10,7 +10,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -292,7 +292,7 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
     """
     import pandas as pd
 
-    table = pd.concat(ran.tables, ignore_index=True)
+    table: Any = pd.concat(ran.tables, ignore_index=True)
     places = {(os.fspath(job.world.name), job.strategy.name): i for i, job in enumerate(jobs)}
     place = [places[pair] for pair in zip(table["world"], table["strategy"])]
     wanted = table["world"].map(collections.Counter(world for world, _ in places))
@@ -302,7 +302,7 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
     if not len(table):
         raise KeyboardInterrupt
     first, progress, paths, maps = {}, {}, {}, {}
-    for pair, rows in cast(Any, table.groupby(["world", "strategy"], sort=False)):
+    for pair, rows in table.groupby(["world", "strategy"], sort=False):
         progress[pair] = np.stack(rows[PROGRESS])
         if WAY in rows:
             paths[pair] = list(rows[WAY])

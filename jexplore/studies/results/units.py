@@ -253,5 +253,5 @@ def _earlier(ledger, jobs):
     for name, of_pair in ((PROGRESS, found["progress"]), (WAY, found["paths"]), (MAP, found["maps"])):
         if of_pair:
             extras[name] = list(itertools.chain.from_iterable(of_pair.values()))
-    table = episodes[[*COLUMNS, *jobs[0].metrics]].assign(**extras)
+    table: Any = episodes[[*COLUMNS, *jobs[0].metrics]].assign(**extras)
     return table[table["episode"] < ledger.after]

@@ -41,7 +41,8 @@ def combined(
       whole: names of the axes whose ranges are of whole numbers.
     """
     if not any(isinstance(axis, Range) for axis in axes.values()):
-        return [dict(zip(axes, row)) for row in itertools.product(*axes.values())]
+        lists: Any = axes.values()
+        return [dict(zip(axes, row)) for row in itertools.product(*lists)]
     from scipy.stats import qmc
 
     rng = np.random.default_rng(seed)

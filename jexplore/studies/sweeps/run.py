@@ -220,7 +220,7 @@ def run_sweep(
     """
     earlier = []
     if ledger is not None and ledger.after:
-        table = read_parquet(ledger.folder.parent / "episodes.parquet")
+        table: Any = read_parquet(ledger.folder.parent / "episodes.parquet")
         earlier, plan = [table[table["episode"] < ledger.after]], plan.after(ledger.after)
     numbers = in_shard(len(plan.units), shard)
     work: Work[pd.DataFrame] = Work(numbers, ledger)
