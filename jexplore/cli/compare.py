@@ -233,7 +233,7 @@ def finish_comparison(
 
     is_whole = is_whole and not found.interrupted
     page = record(**saving.entries_of(found), **found.made.record)
-    files = saving.comparison_files(found, page, more)
+    files = {**saving.comparison_files(found), **more}
     text += "".join(f"warning: {line}\n" for line in found.warnings)
     tables = functools.partial(saving.tables_of, found)
     pictures = saving.pictures_of(figures, page, tables, jobs if is_whole else None, found.made.firsts)

@@ -61,15 +61,11 @@ def figures_of(found: Any, *, league: bool = False) -> dict[str, Callable[[], An
     return figures | ({"paths.png": found.paths_figure} if found.first else {})
 
 
-def comparison_files(
-    found: Any, record: Mapping[str, Any], more: Mapping[str, Callable[[Path], Any]] = MappingProxyType({})
-) -> dict[str, Callable[[Path], Any]]:
-    """Return files of a `ComparisonResult`, and more: name -> writer. `record`: content of run.json."""
+def comparison_files(found: Any) -> dict[str, Callable[[Path], Any]]:
+    """Return files of a `ComparisonResult`, without run.json: name -> writer."""
     return {
         "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
         DETAILS: lambda path: write_details(found, path),
-        **more,
-        "run.json": lambda path: store.write_json(record, path),
     }
 
 
@@ -139,7 +135,8 @@ def write_comparison(run: folders.RunFolder, found: Any, *, report: bool = True)
     """
     how = {"environment": {**store.environment(), "commit": provenance.package_commit()}}
     record = how | dict(found.made.record) | entries_of(found)
-    run.write(comparison_files(found, record), is_finished=not found.interrupted)
+    files = {**comparison_files(found), "run.json": lambda path: store.write_json(record, path)}
+    run.write(files, is_finished=not found.interrupted)
     jobs = (() if found.interrupted else found.made.jobs) if report else None
     tables = functools.partial(tables_of, found)
     for name, draw in pictures_of(figures_of(found), record, tables, jobs, found.made.firsts).items():
