@@ -4,6 +4,8 @@ import contextlib
 import ctypes
 import gc
 import os
+import signal
+import tempfile
 from pathlib import Path
 
 os.environ["MPLBACKEND"] = "Agg"
@@ -35,6 +37,9 @@ except AttributeError:  # another C library
 RESIDENT_BYTES = 1_400_000_000  # up to which a worker keeps its programs
 GROWTH_BYTES = 500_000_000  # by which it may grow beyond what was left when it dropped them last
 _after_drop = 0
+MOST_PROGRAMS = 130  # that a quick test with jit may compile, operations outside of `jax.jit` included; most do 4
+MOST_OPERATIONS = 500  # without jit, where each operation of each shape is a program: an episode has 422
+_compiled = 0
 
 
 def _resident_bytes():
@@ -98,11 +103,25 @@ def pytest_configure(config):
     """
     plugins.keep_to_cpu()
     jax.config.update("jax_platforms", os.environ.get("JAX_PLATFORMS"))
-    if hasattr(config, "cache"):
-        folder = str(config.cache.mkdir("jax"))
-        os.environ["JAX_COMPILATION_CACHE_DIR"] = folder
-        jax.config.update("jax_compilation_cache_dir", folder)
+    folder = Path(_folder(config))
+    os.environ["XDG_CACHE_HOME"] = str(folder)  # libraries built of native code
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder / "jax")
+    jax.config.update("jax_compilation_cache_dir", str(folder / "jax"))
     jax.config.update("jax_disable_jit", True)
+    # A shell that starts the tests in the background lets processes ignore Ctrl-C, those that tests start as well.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+_passing = tempfile.TemporaryDirectory(prefix="jexplore-tests-")  # goes with the process
+
+
+def _folder(config):
+    """Return the folder of compiled programs: pytest's cache, or one for these tests where that cannot be written."""
+    try:
+        return config.cache.mkdir("programs")
+    except (AttributeError, OSError):  # without pytest's cache; in a checkout that can only be read
+        return _passing.name
 
 
 @contextlib.contextmanager
@@ -146,6 +165,24 @@ def _memory():
     if _resident_bytes() > max(RESIDENT_BYTES, _after_drop + GROWTH_BYTES):
         _drop_programs()
         _after_drop = _resident_bytes()
+
+
+def _count(event, seconds, **_):
+    global _compiled
+    _compiled += event == "/jax/core/compile/backend_compile_duration"
+
+
+jax.monitoring.register_event_duration_secs_listener(_count)
+
+
+@pytest.fixture(autouse=True)
+def _few_programs(request):
+    """Fail a quick test that compiles more than it must: a program for every value, or shapes of its own."""
+    before = _compiled
+    yield
+    most = MOST_PROGRAMS if request.node.get_closest_marker("jit") else MOST_OPERATIONS
+    if _compiled - before > most and not request.node.get_closest_marker("slow"):
+        pytest.fail(f"compiled {_compiled - before} programs, at most {most} may be: share shapes, or mark it slow")
 
 
 @pytest.fixture(scope="session")

@@ -39,17 +39,8 @@ ROOM = maps.walls("""
 needs_compiler = pytest.mark.skipif(not build.find_compiler(), reason="no C++ compiler")
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _folder(tmp_path_factory):
-    """Use a separate folder for built libraries."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("native")))
-        yield
-
-
 @pytest.fixture(scope="module")
-def target(_folder):
-    build.build_library.cache_clear()  # another file's tests may have loaded it from another folder
+def target():
     found = drive.load_driving()
     assert found.loaded is not None, found.why_not
     return found.name

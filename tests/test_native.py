@@ -42,14 +42,6 @@ ROOM = """
 """
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _folder(tmp_path_factory):
-    """Use a separate folder for built libraries."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("native")))
-        yield
-
-
 def job_of(name, n=4, world=ROOMS, seed=3):
     world = jx.load_world(world) if isinstance(world, str) else world
     return Job(world, parse_strategy(name), draw_starts(world, 5, n, RULES.clearance_m), seed=seed)

@@ -44,6 +44,7 @@ BY_HAND = {
 }
 
 
+@pytest.mark.jit
 def test_metrics_of_a_corridor_by_hand():
     """Five cells in a row: the robot sees two ahead, drives to the second, and then sees the last."""
     world = jx.World(occupied=maps.walls("#######\n#.....#\n#######"), cell_m=1.0, name="corridor")
@@ -51,8 +52,12 @@ def test_metrics_of_a_corridor_by_hand():
     site = prepare_site(world, lidar, rules, world.shape, metrics=tuple(ready_metrics(BY_HAND).values()))
     line = line_of(site, site.with_strategy(strategy("closest+recheck")), [(1, 1, 0)], 0, [0])
     given = jax.tree.map(jnp.asarray, given_of(line))
-    state = run_one(line.program, given)
-    result = line.program.finish(line.program.setup, given, state)
+
+    @jax.jit
+    def ended(given):
+        return line.program.finish(line.program.setup, given, run_one(line.program, given))
+
+    result = ended(given)
     cols = np.cumsum([0, *[1] * int(result.straight)])
     assert len(cols) > 2
     want = {"moves": len(cols), "at_mean": np.float32(cols.sum()) / np.float32(len(cols)), "at_sum": cols.sum()}
