@@ -118,10 +118,11 @@ _passing = tempfile.TemporaryDirectory(prefix="jexplore-tests-")  # goes with th
 
 def _folder(config):
     """Return the folder of compiled programs: pytest's cache, or one for these tests where that cannot be written."""
-    try:
-        return config.cache.mkdir("programs")
-    except (AttributeError, OSError):  # without pytest's cache; in a checkout that can only be read
-        return _passing.name
+    with contextlib.suppress(AttributeError, OSError):  # without pytest's cache; in a checkout that can only be read
+        folder = config.cache.mkdir("programs")
+        if os.access(folder, os.W_OK):
+            return folder
+    return _passing.name
 
 
 @contextlib.contextmanager
