@@ -19,6 +19,7 @@ os.environ.setdefault(
 )
 
 import hypothesis
+import hypothesis.configuration
 import jax
 import pytest
 
@@ -105,6 +106,7 @@ def pytest_configure(config):
     jax.config.update("jax_platforms", os.environ.get("JAX_PLATFORMS"))
     folder = Path(_folder(config))
     os.environ["XDG_CACHE_HOME"] = str(folder)  # libraries built of native code
+    hypothesis.configuration.set_hypothesis_home_dir(folder / "hypothesis")
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder / "jax")
     jax.config.update("jax_compilation_cache_dir", str(folder / "jax"))
     jax.config.update("jax_disable_jit", True)

@@ -17,6 +17,7 @@ from jexplore.bench import plots, tables, timing
 from jexplore.cli import main
 from jexplore.engine.runner import Costs
 from jexplore.exploration.batch import Outcomes
+from jexplore.native.build import find_compiler
 
 SMALL = "cave:width_m=6.4,height_m=6.4"
 YARDSTICK = Path(__file__).resolve().parents[1] / "benchmarks" / "yardstick.py"
@@ -27,6 +28,7 @@ def command(*options):
 
 
 @pytest.mark.jit
+@pytest.mark.skipif(not find_compiler(), reason="no C++ compiler")
 def test_both_engines_are_measured_and_give_the_same(tmp_path, capsys):
     out = tmp_path / "new"
     options = ("--worlds", SMALL, "--sides", 64, "--batch-sizes", 2, "--episodes", 3, "--repeat", 1, "--cache")

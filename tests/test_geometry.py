@@ -156,5 +156,5 @@ def test_the_command_prints_and_records_it(tmp_path, capsys):
     assert [world["geometry"]["world"] for world in worlds] == names
     assert worlds[0]["geometry"]["islands_per_100_m2"] == 0 < worlds[1]["geometry"]["islands_per_100_m2"]
     assert worlds[0]["geometry"]["corridor_low_m"] is None
-    assert main.main(["worlds", names[0], "--geometry", "--clearance-m", "nan"]) == 2
+    assert main.main(["worlds", names[0], "--geometry", "--clearance-m", "nan", "--out", str(tmp_path / "no")]) == 2
     assert "clearance_m" in capsys.readouterr().err

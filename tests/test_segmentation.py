@@ -197,7 +197,8 @@ def test_a_hall_is_one_room(variant):
     assert scores["doors"].tolist() == [0]
 
 
-def test_the_command_refuses(capsys):
+def test_the_command_refuses(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
     assert main.main(["segment"]) == 2
     assert "expected a map" in capsys.readouterr().err
 

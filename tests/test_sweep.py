@@ -16,6 +16,7 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine import devices
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
+from jexplore.native.build import find_compiler
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.sweeps import plan as plans
 from jexplore.studies.sweeps import run as runs
@@ -289,6 +290,7 @@ NATIVE = {
 
 
 @pytest.mark.jit
+@pytest.mark.skipif(not find_compiler(), reason="no C++ compiler")
 def test_rows_of_a_sweep_in_native_code(monkeypatch):
     found = sweep(NATIVE, workers=1)
     assert (found.missing, len(found.episodes), len(found.summary)) == (0, 96, 32)

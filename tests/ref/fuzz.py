@@ -15,6 +15,7 @@ from scipy import ndimage
 from jexplore.config import Lidar, Rules
 from jexplore.exploration.state import Outcome
 from jexplore.grid import in_cells, radius_d2
+from jexplore.native.build import find_compiler
 from jexplore.raycast import n_steps
 
 from . import episodes, maps, native
@@ -365,7 +366,7 @@ def compare(case, *, oracle=True, loaded=None):
     episode = case.occupied, case.start, case.strategy, case.lidar, case.rules
     result, state = episodes.play(*episode, native=fixed.native, **world, **how)
     told = []
-    if not fixed.noisy:
+    if not fixed.noisy and find_compiler():
         told = native.differences(native.play(case, loaded), result, state, case.occupied)
     if oracle:
         told += _by_oracle(case, episode, world, how, result, state)
