@@ -38,7 +38,7 @@ except AttributeError:  # another C library
 RESIDENT_BYTES = 1_400_000_000  # up to which a worker keeps its programs
 GROWTH_BYTES = 500_000_000  # by which it may grow beyond what was left when it dropped them last
 _after_drop = 0
-MOST_PROGRAMS = 130  # that a quick test with jit may compile, operations outside of `jax.jit` included; most do 4
+MOST_PROGRAMS = 200  # that a quick test with jit may compile, operations outside of `jax.jit` included; most do 4
 MOST_OPERATIONS = 500  # without jit, where each operation of each shape is a program: an episode has 422
 _compiled = 0
 
