@@ -22,10 +22,11 @@ from jexplore import Rules, compare
 from jexplore.arrays.loops import repeat, run_if
 from jexplore.bench.tables import markdown
 from jexplore.gain import look, prospect
-from jexplore.grid import empty_grid, is_free, is_occupied
-from jexplore.planning import choose, field, metres, nearest_of
+from jexplore.grid import is_free, is_occupied
+from jexplore.planning import choose, field, known_of, metres, nearest_of
 from jexplore.policies import parse_strategy, views
 from jexplore.policies.policy import Policy, no_carry
+from jexplore.raycast import by_beam, square_side
 from jexplore.report.tables import ratio_text
 from jexplore.segment import PROMINENCE_M, criteria, form_for, segment
 from jexplore.studies.statistics.by_world import path_at_equal_coverage
@@ -59,22 +60,24 @@ def _ahead(key, params, carry, belief, beams, route):
     height, width = reached.cost.shape
     row, col = views.drawn(key, belief, reached, view)
     n = jnp.where(jnp.any(reached.frontier), view.samples, 0)
-    row, ahead = jnp.minimum(row, height - 1), prospect(belief.grid, belief.extent, belief.model.p_free)
+    row, ahead = jnp.minimum(row, height - 1), prospect(known_of(belief), beams.all_round)
+    offset = beams.drow * square_side(beams) + beams.dcol
+    beams = beams.replace(offset=offset, by_beam=by_beam(offset), all_round=None)
     path_m = metres(reached.cost[row, col], belief.model.cell_m)
     turn = jnp.arctan2((row - belief.row).astype(jnp.float32), (col - belief.col).astype(jnp.float32))
     heading = jnp.round(turn / (jnp.pi / 4)).astype(jnp.int32) % 8
 
     def evaluate(state):
-        i, best, cell, scratch = state
+        i, best, cell = state
         one = jax.tree.map(lambda a: a[heading[i]][None] if a.ndim else a, beams)
-        told, scratch = look(ahead, row[i], col[i], one, scratch)
+        told = look(ahead, row[i], col[i], one)
         worth = views.gain_for_path(view, told.gain, path_m[i])
         better = (i < n) & (told.unknown >= view.min_gain) & (worth > best)
         new = jnp.where(better, worth, best), jnp.where(better, row[i] * width + col[i], cell)
-        return i + (i < n), *new, scratch
+        return i + (i < n), *new
 
-    state = jnp.int32(0), jnp.float32(-jnp.inf), jnp.int32(-1), empty_grid((height, width))
-    _, _, cell, _ = repeat(lambda state: state[0] < n, evaluate, state)
+    state = jnp.int32(0), jnp.float32(-jnp.inf), jnp.int32(-1)
+    _, _, cell = repeat(lambda state: state[0] < n, evaluate, state)
     near_row, near_col = nearest_of(reached)
     falls_back = falls_back & (cell < 0)
     row = jnp.where(cell >= 0, cell // width, jnp.where(falls_back, near_row, -1))

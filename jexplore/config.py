@@ -308,6 +308,9 @@ class Rules(Settings):
     )
     """A robot that arrives at a live target turns in place, with scans at +90, +180 and +270 degrees; at every 45 where
     the field of view is below 90 degrees."""
+    known_outline: bool = False
+    """Strategies know where the world ends: beams of an expected gain stop at its outermost cells. By default what lies
+    beyond counts as unknown."""
     scan_every_m: float = 0.0
     """A robot on its way makes a scan whenever it has driven this far since the last one, in metres; 0 is after every
     step. It also scans at its target, where it looks round, and where a step is refused."""
@@ -324,8 +327,9 @@ class Rules(Settings):
         for name in ("scan_every_m", "arrival_m"):
             require_number(f"rules.{name}", getattr(self, name), high=1000)
         require_number("rules.p_free", self.p_free, high=1, high_open=True)
-        if not isinstance(self.look_around, bool):
-            raise InputError(f"rules.look_around must be True or False, got {self.look_around!r}")
+        for name in ("look_around", "known_outline"):
+            if not isinstance(getattr(self, name), bool):
+                raise InputError(f"rules.{name} must be True or False, got {getattr(self, name)!r}")
         for name in ("max_steps", "max_plans"):
             value = getattr(self, name)
             if value is not None:

@@ -3,10 +3,8 @@
 Unknown cells let beams through, and count as information.
 """
 
-import math
 from typing import NamedTuple
 
-import chex
 import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
@@ -15,16 +13,28 @@ from jexplore.arrays import bits
 from jexplore.arrays.loops import run_if
 from jexplore.grid import Grid, count, empty_grid, entropy, is_known, is_occupied
 from jexplore.native import kernels
-from jexplore.raycast import Beams, fold, scan
+from jexplore.raycast import Beams, fold, scan, square_side
+
+
+class Known(NamedTuple):
+    """What a robot knows of its world."""
+
+    grid: Grid  # [H, W]
+    p_free: Array | float  # largest reflection probability of a free cell
+    within: Array | None = None  # [H, W] bool, cells that are to be known; None, or all of them: those beyond as well
+    outline: Array | tuple[int, int] = (
+        0,
+        0,
+    )  # height and width of the world, if known: beams end at its outermost cells
 
 
 @struct.dataclass
 class Prospect:
     """Map prepared for simulated scans. M slots for the cells at which beams have disagreed until now."""
 
-    stops: Array  # [H, W] bool, cells that stop a beam
-    unknown: Array  # [H, W] bool, cells that nobody has observed, inside the world
-    mixed: Array  # [M] int32, flat index of cells with both hits and misses; H * W in an unused slot
+    stops: Array  # [H + 2 R, W + 2 R] bool, of `stops_and_unknown`
+    unknown: Array  # [H + 2 R, W + 2 R] bool, of the same
+    mixed: Array  # [M] int32, flat index there of cells with both hits and misses; beyond the last in an unused slot
     hits: Array  # [M] float32, theirs
     misses: Array  # [M] float32
     before: Array  # [M] float32, their entropy, bits; 0 in an unused slot
@@ -39,51 +49,41 @@ class ViewGain(NamedTuple):
     known: Array  # int32, known cells that its beams would pass
 
 
-def stops_and_unknown(
-    grid: Grid, extent: Array | tuple[Array | int, Array | int], p_free: Array | float, within: Array | None = None
-) -> tuple[Array, Array]:
-    """Return cells that stop a simulated beam, and cells that it would observe.
+def stops_and_unknown(known: Known, beams: Beams) -> tuple[Array, Array]:
+    """Return cells that stop a simulated beam, and cells that it would observe, with a margin beyond the map.
 
-    Beams end at the world's outermost cells, known or not.
+    What lies beyond the map is unknown: a robot does not know where its world ends.
 
     Args:
-      grid: `Grid`, `[H, W]`.
-      extent: `(height, width)` of the world without padding, int32.
-      p_free: scalar.
-      within: `[H, W]` bool, cells that are to be known; None: all.
+      known: `Known`.
+      beams: `Beams.all_round`, which reach R cells.
 
     Returns:
-      two of `[H, W]` bool.
+      two of `[H + 2 R, W + 2 R]` bool.
     """
+    grid, p_free, within, (height, width) = known
     rows, cols = (lax.broadcasted_iota(jnp.int32, grid.hits.shape, axis) for axis in (0, 1))
-    inner = (rows > 0) & (cols > 0) & (rows < extent[0] - 1) & (cols < extent[1] - 1)
-    return is_occupied(grid, p_free) | ~inner, ~is_known(grid) & (inner if within is None else inner & within)
+    inner = (rows > 0) & (cols > 0) & (rows < height - 1) & (cols < width - 1)
+    ends = ~inner & (height > 0)
+    wanted = True if within is None else within
+    margin = [(square_side(beams) // 2,) * 2 + (0,)] * 2
+    stops, unknown = is_occupied(grid, p_free) | ends, ~is_known(grid) & ~ends & wanted
+    return lax.pad(stops, jnp.bool_(False), margin), lax.pad(unknown, jnp.all(wanted), margin)
 
 
-def prospect(
-    grid: Grid, extent: Array | tuple[Array | int, Array | int], p_free: Array | float, within: Array | None = None
-) -> Prospect:
+def prospect(known: Known, beams: Beams) -> Prospect:
     """Make the `Prospect` of a map. Arguments as for `stops_and_unknown`. One cell in 16 may be mixed."""
-    stops, unknown = stops_and_unknown(grid, extent, p_free, within)
+    grid, margin = known.grid, square_side(beams) // 2
+    stops, unknown = stops_and_unknown(known, beams)
     mixed = (grid.hits > 0) & (grid.misses > 0)
-    none = mixed.size
+    none, width = mixed.size, mixed.shape[1]
     at = bits.first_cells(bits.pack(mixed), max(256, none // 16))
     at = jnp.where(at < none, at, none)
     hits, misses = (a.reshape(-1).at[at].get(mode="fill", fill_value=0) for a in (grid.hits, grid.misses))
     before = jnp.where(at < none, entropy(Grid(hits, misses)), 0.0)
     overflow = jnp.maximum(jnp.sum(mixed, dtype=jnp.int32) - at.shape[0], 0)
+    at = jnp.where(at < none, (at // width + margin) * stops.shape[1] + at % width + margin, stops.size)
     return Prospect(stops, unknown, at, hits.astype(jnp.float32), misses.astype(jnp.float32), before, overflow)
-
-
-def window_of(beams: Beams, shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the sides of the square, at most the map, that a look-around from its middle can reach: `(h, w)`."""
-    radius = math.ceil(beams.offset.shape[1] / math.sqrt(2)) + 1
-    return tuple(min(2 * radius + 1, n) for n in shape)
-
-
-def _corner(row: Array | int, col: Array | int, size: tuple[int, ...], shape: tuple[int, ...]) -> list[Array]:
-    """Return the corner of the window of a look-around at a cell: `(row, col)`."""
-    return [jnp.clip(at - m // 2, 0, n - m) for at, n, m in zip((row, col), shape, size)]
 
 
 def most(prospect: Prospect, row: Array, col: Array, beams: Beams) -> Array:
@@ -92,56 +92,37 @@ def most(prospect: Prospect, row: Array, col: Array, beams: Beams) -> Array:
     Args:
       prospect: `Prospect`.
       row, col: `[n]` int32.
-      beams: `Beams`.
+      beams: `Beams.all_round`.
 
     Returns:
       `[n]` float32, bits; no gain is larger.
     """
-    shape = prospect.stops.shape
-    size = window_of(beams, shape)
+    side = square_side(beams)
     entropy_of = prospect.unknown.astype(jnp.float32).reshape(-1).at[prospect.mixed].add(prospect.before, mode="drop")
-    table = jnp.cumsum(jnp.cumsum(entropy_of.reshape(shape), axis=0), axis=1)
+    table = jnp.cumsum(jnp.cumsum(entropy_of.reshape(prospect.unknown.shape), axis=0), axis=1)
     table = jnp.pad(table, ((1, 0), (1, 0)))
-    top, left = _corner(row, col, size, shape)
-    bottom, right = top + size[0], left + size[1]
-    inside = table[bottom, right] - table[top, right] - table[bottom, left] + table[top, left]
+    inside = table[row + side, col + side] - table[row, col + side] - table[row + side, col] + table[row, col]
     return inside * (1 + 1e-4) + 1  # more than what float32 loses
 
 
-def _passed(
-    prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid
-) -> tuple[Grid, list[Array], Array, Array]:
-    """Cast a look-around on a scratch: scratch, corner of the window, and there the passed and unknown cells."""
-    shape, zero = prospect.stops.shape, jnp.int32(0)
-    chex.assert_shape([scratch.hits, scratch.misses], shape)
-    found = scan(prospect.stops, row, col, zero, beams)
-    scratch = fold(scratch, row, col, zero, found, beams)
-    size = window_of(beams, shape)
-    corner = _corner(row, col, size, shape)
-    passed, unknown = (lax.dynamic_slice(a, corner, size) for a in (scratch.misses, prospect.unknown))
-    return scratch, corner, passed > 0, unknown
-
-
-def _wiped(scratch: Grid, corner: list[Array], size: tuple[int, ...]) -> Grid:
-    """Reset a window of a scratch to zeros."""
-    blank = jnp.zeros(size, jnp.int32)
-    return Grid(*(lax.dynamic_update_slice(a, blank, corner) for a in (scratch.hits, scratch.misses)))
+def _passed(prospect: Prospect, row: Array | int, col: Array | int, beams: Beams) -> tuple[Grid, Array]:
+    """Cast a look-around: what it counts in the square round the cell, and the unknown cells there."""
+    side, zero = square_side(beams), jnp.int32(0)
+    stops, unknown = (lax.dynamic_slice(a, (row, col), (side, side)) for a in (prospect.stops, prospect.unknown))
+    found = scan(stops, side // 2, side // 2, zero, beams)
+    return fold(empty_grid((side, side)), side // 2, side // 2, zero, found, beams), unknown
 
 
 def look(
-    prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid, *, native: str | None = None
-) -> tuple[ViewGain, Grid]:
+    prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, *, native: str | None = None
+) -> ViewGain:
     """Compute the expected gain of a look-around at a cell.
 
     Args:
       prospect: `Prospect`.
       row, col: int32, the cell.
-      beams: `Beams` from `raycast.all_round`.
-      scratch: `Grid` of zeros, `[H, W]`.
+      beams: `Beams.all_round`.
       native: target of native code that counts cells, where beams have disagreed nowhere; None: JAX does. Static.
-
-    Returns:
-      `(ViewGain, scratch)`; the scratch is zeros again.
 
     Source:
       Holz et al. 2010, section 3.2, where the sign of the difference is a misprint.
@@ -149,65 +130,43 @@ def look(
     if native:
         at = jnp.stack([row, col])[:, None]
         (seen,), (known,) = kernels.look(native, prospect.stops, prospect.unknown, at, 1, beams)
-
-        def with_change(state: tuple[Array, Grid]) -> tuple[Array, Grid]:
-            told, scratch = look(prospect, row, col, beams, state[1])
-            return told.gain, scratch
-
-        alone = seen.astype(jnp.float32), scratch
-        gain, scratch = run_if(jnp.any(prospect.before > 0), with_change, alone)
-        return ViewGain(gain, seen, known), scratch
-    scratch, corner, passed, unknown = _passed(prospect, row, col, beams, scratch)
+        alone = seen.astype(jnp.float32)
+        gain = run_if(jnp.any(prospect.before > 0), lambda _: look(prospect, row, col, beams).gain, alone)
+        return ViewGain(gain, seen, known)
+    counted, unknown = _passed(prospect, row, col, beams)
+    passed = counted.misses > 0
     seen = count(passed & unknown)
     known = count(passed) - seen
+    at_row, at_col = prospect.mixed // prospect.stops.shape[1] - row, prospect.mixed % prospect.stops.shape[1] - col
 
     def after(array: Array) -> Array:
-        return array.reshape(-1).at[prospect.mixed].get(mode="fill", fill_value=0).astype(jnp.float32)
+        found = array.at[at_row, at_col].get(mode="fill", fill_value=0, wrap_negative_indices=False)
+        return found.astype(jnp.float32)
 
     # Without a Grid: hits and misses as float32 are exact up to 2**24.
-    hits, misses = prospect.hits + after(scratch.hits), prospect.misses + after(scratch.misses)
+    hits, misses = prospect.hits + after(counted.hits), prospect.misses + after(counted.misses)
     n = jnp.maximum(hits + misses, 1.0)
     entropy_after = -sum(jnp.where(q > 0, q * jnp.log2(jnp.where(q > 0, q, 1.0)), 0.0) for q in (hits / n, misses / n))
     change = jnp.sum(jnp.where(prospect.before > 0, prospect.before - entropy_after, 0.0))
-    return ViewGain(seen.astype(jnp.float32) + change, seen, known), _wiped(scratch, corner, passed.shape)
+    return ViewGain(seen.astype(jnp.float32) + change, seen, known)
 
 
-def unknown_within(
-    prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid, d2: Array
-) -> tuple[Array, Grid]:
-    """Count the unknown cells that a look-around at a cell would show within some distances.
+def unknown_within(prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, d2: Array) -> Array:
+    """Count the unknown cells that a look-around at a cell would show within some distances: `[R]` int32.
 
     Args:
-      prospect, row, col, beams, scratch: as for `look`.
+      prospect, row, col, beams: as for `look`.
       d2: `[R]` float32, squared distances, cells^2.
-
-    Returns:
-      `([R] int32, scratch)`; the scratch is zeros again.
     """
-    scratch, corner, passed, unknown = _passed(prospect, row, col, beams, scratch)
-    rows, cols = (lax.broadcasted_iota(jnp.int32, passed.shape, axis) + corner[axis] for axis in (0, 1))
-    off = (rows - row) ** 2 + (cols - col) ** 2
-    counts = jnp.stack([count(passed & unknown & (off <= d2[i])) for i in range(d2.shape[0])])
-    return counts, _wiped(scratch, corner, passed.shape)
+    counted, unknown = _passed(prospect, row, col, beams)
+    rows, cols = (lax.broadcasted_iota(jnp.int32, unknown.shape, axis) - unknown.shape[0] // 2 for axis in (0, 1))
+    seen, off = (counted.misses > 0) & unknown, rows**2 + cols**2
+    return jnp.stack([count(seen & (off <= d2[i])) for i in range(d2.shape[0])])
 
 
-def unknown_seen(
-    grid: Grid,
-    extent: Array | tuple[Array | int, Array | int],
-    p_free: Array | float,
-    row: Array | int,
-    col: Array | int,
-    beams: Beams,
-    within: Array | None = None,
-) -> Array:
-    """Count the unknown cells that a look-around at a cell would show: int32, the `unknown` of a `look`.
-
-    Args:
-      grid, extent, p_free, within: as for `stops_and_unknown`.
-      row, col, beams: as for `look`.
-    """
-    stops, unknown = stops_and_unknown(grid, extent, p_free, within)
-    zero = jnp.int32(0)
-    found = scan(stops, row, col, zero, beams)
-    passed = fold(empty_grid(stops.shape), row, col, zero, found, beams).misses
-    return count((passed > 0) & unknown)
+def unknown_seen(known: Known, row: Array | int, col: Array | int, beams: Beams) -> Array:
+    """Count the unknown cells that a look-around at a cell would show: int32, the `unknown` of a `look`."""
+    stops, unknown = stops_and_unknown(known, beams)
+    none = jnp.zeros(0, jnp.int32)
+    counted, unknown = _passed(Prospect(stops, unknown, none, none, none, none, jnp.int32(0)), row, col, beams)
+    return count((counted.misses > 0) & unknown)

@@ -40,7 +40,7 @@ class Beams:
     length: Array  # [K, B] int32, cells entered at a distance below the range
     blind: Array  # [K, B] int32, of these the first ones: a beam that is stopped there says nothing
     reach: Array  # float32, the range, cells
-    around: int = struct.field(pytree_node=False, default=1)  # scans, evenly turned, that see all round
+    all_round: Any = None  # `Beams`, K = 1, of a look-around as one scan in the middle of a square of `square_side`
     replace: ClassVar[Callable[..., Self]]
 
 
@@ -130,6 +130,12 @@ def by_beam(offset: np.ndarray) -> np.ndarray:
     return offset.reshape(n_headings, n // BLOCK, BLOCK, n_beams).swapaxes(2, 3)
 
 
+def _numbered(drow: np.ndarray, dcol: np.ndarray, width: int) -> dict[str, Any]:
+    """Return cells as flat numbers in maps of a width, in both orders of `Beams`."""
+    offset = drow * np.int32(width) + dcol
+    return {"offset": offset, "by_beam": by_beam(offset)}
+
+
 def scans_all_round(lidar: Lidar) -> int:
     """Return the number of evenly turned scans of a look-around: 1, 2, 4 or 8, so that every heading is on the lattice.
 
@@ -139,29 +145,9 @@ def scans_all_round(lidar: Lidar) -> int:
     return next((n for n in (1, 2, 4) if n * lidar.fov_deg >= 360), HEADINGS)
 
 
-def all_round(beams: Beams) -> Beams:
-    """Merge the beams of a look-around, from scans at evenly turned headings, into one scan.
-
-    Args:
-      beams: `Beams` of 8 headings.
-
-    Returns:
-      `Beams`, K = 1, with `around` times as many beams.
-    """
-
-    def joined(table: Array, axis: int) -> Array:
-        return jnp.concatenate([table[k : k + 1] for k in range(0, HEADINGS, HEADINGS // beams.around)], axis=axis)
-
-    return Beams(
-        offset=joined(beams.offset, 2),
-        by_beam=joined(beams.by_beam, 2),
-        drow=joined(beams.drow, 2),
-        dcol=joined(beams.dcol, 2),
-        entry=joined(beams.entry, 2),
-        length=joined(beams.length, 1),
-        blind=joined(beams.blind, 1),
-        reach=beams.reach,
-    )
+def square_side(beams: Beams) -> int:
+    """Return the side of the square that holds what beams reach from its middle, cells. Static."""
+    return 2 * math.ceil(beams.offset.shape[1] / math.sqrt(2)) + 3
 
 
 def farthest(lidar: Lidar, cell_m: float) -> float:
@@ -189,7 +175,7 @@ def beam_table(lidar: Lidar, cell_m: float, width: int, longest: float = 0.0) ->
     Args:
       lidar: `Lidar`.
       cell_m: edge of a cell, metres.
-      width: W of the maps that the beams will cross, cells.
+      width: W of the maps that the beams will cross, cells; `all_round` crosses its square.
       longest: a distance, as of `farthest`, that the table is to have room for, so that it has the shape of a longer
         scanner's, cells.
 
@@ -222,19 +208,14 @@ def beam_table(lidar: Lidar, cell_m: float, width: int, longest: float = 0.0) ->
         blind[k] += n
     within = entry < reach
     drow, dcol = (np.where(within, d, 0).astype(np.int32) for d in (drow, dcol))
-    offset = drow * np.int32(width) + dcol
+    entry, length = np.where(within, entry, np.inf).astype(np.float32), within.sum(axis=1).astype(np.int32)
+    whole = {"drow": drow, "dcol": dcol, "entry": entry, "length": length, "blind": blind.astype(np.int32)}
     # Ignored types: numpy on the host, where the record says what it is on the device.
-    return Beams(
-        offset=offset,  # type: ignore[arg-type]
-        by_beam=by_beam(offset),  # type: ignore[arg-type]
-        drow=drow,  # type: ignore[arg-type]
-        dcol=dcol,  # type: ignore[arg-type]
-        entry=np.where(within, entry, np.inf).astype(np.float32),  # type: ignore[arg-type]
-        length=within.sum(axis=1).astype(np.int32),  # type: ignore[arg-type]
-        blind=blind.astype(np.int32),  # type: ignore[arg-type]
-        reach=np.float32(reach),  # type: ignore[arg-type]
-        around=scans_all_round(lidar),
-    )
+    table: Any = Beams(**_numbered(drow, dcol, width), **whole, reach=np.float32(reach))  # type: ignore[arg-type]
+    turns = slice(None, None, HEADINGS // scans_all_round(lidar))
+    around = {name: np.concatenate(list(a[turns]), axis=-1)[None] for name, a in whole.items()}
+    numbered = _numbered(around["drow"], around["dcol"], square_side(table))
+    return table.replace(all_round=Beams(**numbered, **around, reach=table.reach))  # type: ignore[arg-type]
 
 
 @jax.jit

@@ -183,7 +183,7 @@ def test_distances_on_blocks_are_near_the_exact_ones(clearance_d2):
         assert not got.diagonal().any()
         for i in range(n):
             where = int(at.row[i]), int(at.col[i])
-            assert (unknown[i], seen_known[i]) == oracle.look(hits, misses, shape, *where, 12, 360, 5)[1:]
+            assert (unknown[i], seen_known[i]) == oracle.look(hits, misses, *where, 12, 360, 5)[1:]
             cost, _ = plans.dijkstra(passable, where)
             exact = cost[at.row[:n], at.col[:n]] / plans.STRAIGHT * 0.1
             if clearance_d2 == 0:

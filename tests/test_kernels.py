@@ -11,11 +11,9 @@ from ref import beliefs
 
 from jexplore.config import Lidar
 from jexplore.gain import look, prospect
-from jexplore.grid import empty_grid
 from jexplore.native import build, drive
-from jexplore.planning import choose, field, nearest_frontier
+from jexplore.planning import choose, field, known_of, nearest_frontier
 from jexplore.policies import clusters, views
-from jexplore.raycast import all_round
 
 LIDAR = Lidar(n_beams=31, fov_deg=270, range_m=1.6)
 SHAPE = 37, 45
@@ -64,9 +62,8 @@ def plan(belief, beams, key):
         clusters.go_to(belief, route, reached, at, jnp.sum(at.used, dtype=jnp.int32) - 1),
         views.live(PARAMS, belief, beams, belief.row, belief.col),
     ]  # fmt: skip
-    ahead, scratch = prospect(belief.grid, belief.extent, belief.model.p_free, belief.within), empty_grid(route.shape)
-    native = {"native": belief.model.native}
-    told.append(look(ahead, belief.row, belief.col, all_round(beams), scratch, **native)[0])
+    ahead = prospect(known_of(belief), beams.all_round)
+    told.append(look(ahead, belief.row, belief.col, beams.all_round, native=belief.model.native))
     told.append(views.best_view(views.gain_for_path, key, PARAMS, belief, reached, beams))
     return told, (row, col)
 

@@ -61,7 +61,7 @@ def test_features_by_hand():
     np.testing.assert_allclose(found["turn"][:3], [0, 1, 0], atol=1e-6)  # heading east
     np.testing.assert_allclose(found["home"][:3], np.asarray([2, 4, 6]) / features.FEATURE_UNIT_M, rtol=1e-6)
     np.testing.assert_allclose(found["last"][:3], np.exp(-np.asarray([6, 0, 10]) / features.STAY_M), rtol=1e-6)
-    assert np.all(found["known"][:3] == found["known"][0])
+    assert np.all(found["progress"][:3] == found["progress"][0])
     assert not np.any([column[3:] for column in found.values()])
 
 

@@ -15,7 +15,7 @@ from jexplore.cli import main
 from jexplore.config import InputError, Lidar
 from jexplore.exploration import batch
 from jexplore.studies import papers
-from jexplore.studies.reproduction import ReproductionResult, prepare_paper, reproduce, verdict, world_names
+from jexplore.studies.reproduction import ReproductionResult, prepare_paper, reproduce, verdict, welch_p, world_names
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.comparison import ComparisonResult
 from jexplore.studies.statistics import paired
@@ -23,6 +23,7 @@ from jexplore.studies.statistics.paired import PairedRatio
 
 LIDAR, CLI_LIDAR = Lidar(n_beams=37, range_m=2.0), ("--lidar.n-beams", "37", "--lidar.range-m", "2")
 HERE = ("random", "closest", "closest+recheck")
+SEGMENT = "closest+recheck+segment"
 PAPER = papers.HOLZ2010
 
 
@@ -34,8 +35,7 @@ def tiny(*worlds):
         )
         for name, world in zip(("Cave", "AVZ"), worlds)
     }
-    claims = [claim for claim in PAPER.claims if claim.environment in environments and {claim.a, claim.b} <= {*HERE}]
-    return PAPER._replace(environments=environments, claims=tuple(claims))
+    return PAPER._replace(environments=environments)
 
 
 def made(means, *, paper=PAPER, n=12, spread=1e-4, outcomes=()):
@@ -57,33 +57,46 @@ def as_published():
     return {name: {key: path[0] for key, path in found.paths.items()} for name, found in PAPER.environments.items()}
 
 
-def test_the_claims_hold_in_the_papers_own_figures():
-    found = made(as_published()).orderings
-    assert set(found["verdict"]) == {"holds"}
-    np.testing.assert_allclose(found["ratio"], found["paper_ratio"], rtol=1e-3)
-    assert len(found) == 3 * 5 + 4
-    segment = found[found["claim"].str.startswith("closest+recheck+segment")].set_index(["environment", "claim"])
-    plain = "closest+recheck+segment {} than closest+recheck"
-    assert segment["paper_ratio"]["Cave", plain.format("longer")] == pytest.approx(72.89 / 70.45)
-    assert segment["paper_ratio"]["AVZ", plain.format("shorter")] == pytest.approx(359.77 / 361.88)
-    by = segment.loc[("Hospital", plain.format("shorter") + " by 12.5 % or more")]
-    assert (round(1 - by["paper_ratio"], 3), by["than"]) == (0.125, 0.875)
-    than = segment.loc[("Hospital", plain.format("shorter") + " more so than in Cave")]
-    assert than["than"] == pytest.approx(72.89 / 70.45, rel=1e-3)
+def test_the_orderings_hold_in_the_papers_own_figures():
+    found = made(as_published())
+    table = found.orderings
+    assert table["environment"].value_counts().to_dict() == {"Cave": 15, "AVZ": 10, "Hospital": 10}
+    assert set(table["verdict"]) == {"holds"}
+    np.testing.assert_allclose(table["ratio"], table["paper_ratio"], rtol=1e-3)
+    assert (table["paper_ratio"] < 1).all()
+    first = table.iloc[0]
+    assert (first["a"], first["b"], first["paper_ratio"]) == ("closest+recheck", SEGMENT, 70.45 / 72.89)
+    assert "- Cave: 15 of 15 pairs of means in the paper's order, Kendall's tau 1.00." in found.agreement
 
 
-def test_no_claim_holds_where_everything_is_turned_round():
+def test_of_sixteen_orderings_that_the_text_says_its_figures_bear_out_twelve():
+    table = made(as_published()).orderings
+    claimed = table[table["claimed"]]
+    assert len(claimed) == 16
+    assert claimed["paper_p"][claimed["paper_p"] > 0.05].round(2).sort_values().tolist() == [0.22, 0.63, 0.70, 0.80]
+    # scipy.stats.ttest_ind_from_stats(70.45, 0.97, 10, 73.71, 1.0, 10, equal_var=False)
+    assert welch_p((70.45, 0.97), (73.71, 1.0), 10) == pytest.approx(7.1e-7, rel=0.01)
+
+
+def test_no_ordering_holds_where_everything_is_turned_round():
     means = {
         place: {key: 1e4 / path for key, path in paths.items() if "decision" not in key}
         for place, paths in as_published().items()
     }
-    found = made(means).orderings
-    told = found[~found["claim"].str.contains("decision")]
-    assert set(told["verdict"]) == {"does not hold"}
-    rest = found[found["claim"].str.contains("decision")]  # did not run
+    found = made(means)
+    told = found.orderings["a"] + found.orderings["b"]
+    ran = found.orderings[~told.str.contains("decision")]
+    assert set(ran["verdict"]) == {"does not hold"}
+    rest = found.orderings[told.str.contains("decision")]  # did not run
     assert set(rest["verdict"]) == {"undecided"}
     assert set(rest["pairs"]) == {0}
     assert rest["ratio"].isna().all()
+    assert "- AVZ: 0 of 6 pairs of means in the paper's order, Kendall's tau -1.00." in found.agreement
+    n = int((ran["paper_p"] < 0.05).sum())
+    assert (
+        f"Of {n} orderings significant in the paper (Welch's t, p < 0.05) 0 hold, 0 are undecided, {n} do"
+        in found.agreement
+    )
 
 
 def test_where_nothing_differs_or_all_is_noise_nothing_is_decided():
@@ -93,34 +106,25 @@ def test_where_nothing_differs_or_all_is_noise_nothing_is_decided():
     assert set(found["pairs"]) == {1}
     found = made({"Cave": dict.fromkeys(HERE, 100.0)}, spread=0.5).orderings
     assert set(found["verdict"]) == {"undecided"}
-    assert (found["ratio_low"] < 1)[:2].all()
-    assert (found["ratio_high"] > 1)[:2].all()
-
-
-def ratio(low, high, n=20):
-    """A ratio of which only the interval and the pairs matter."""
-    return PairedRatio((low + high) / 2, low, high, math.nan, n)
+    ran = found[found["pairs"] > 0]
+    assert len(ran) == 3
+    assert (ran["ratio_low"] < 1).all()
+    assert (ran["ratio_high"] > 1).all()
 
 
 @pytest.mark.parametrize(
-    ("ours", "than", "shorter", "longer"),
+    ("low", "high", "n", "told"),
     [
-        (ratio(0.8, 0.9), 1.0, "holds", "does not hold"),
-        (ratio(0.8, 0.9, n=5), 1.0, "undecided", "undecided"),
-        (ratio(1.1, 1.2), 1.0, "does not hold", "holds"),
-        (ratio(0.9, 1.1), 1.0, "undecided", "undecided"),
-        (ratio(0.9, 1.0), 1.0, "undecided", "undecided"),
-        (ratio(0.85, 0.9), 0.875, "undecided", "undecided"),
-        (ratio(math.nan, math.nan), 1.0, "undecided", "undecided"),
-        (ratio(0.8, 0.9), ratio(0.95, 1.1), "holds", "does not hold"),
-        (ratio(0.8, 0.9), ratio(0.95, 1.1, n=5), "undecided", "undecided"),
-        (ratio(0.8, 0.9), ratio(0.85, 1.1), "undecided", "undecided"),
-        (ratio(0.8, 0.9), ratio(math.nan, math.nan), "undecided", "undecided"),
+        (0.8, 0.9, 20, "holds"),
+        (0.8, 0.9, 5, "undecided"),
+        (1.1, 1.2, 20, "does not hold"),
+        (0.9, 1.1, 20, "undecided"),
+        (0.9, 1.0, 20, "undecided"),
+        (math.nan, math.nan, 20, "undecided"),
     ],
 )
-def test_verdicts(ours, than, shorter, longer):
-    assert verdict("shorter", ours, than) == shorter
-    assert verdict("longer", ours, than) == longer
+def test_verdicts(low, high, n, told):
+    assert verdict(PairedRatio((low + high) / 2, low, high, math.nan, n)) == told
 
 
 def test_tables_by_hand():
@@ -136,7 +140,7 @@ def test_tables_by_hand():
     assert table["n"].tolist() == [12] * 3
     assert table["first_n"].tolist() == [10] * 3
     assert table["outcomes"].tolist() == ["COMPLETE 11, BLOCKED 1"] * 3
-    assert found.orderings["complete"][0] == 11
+    assert set(found.orderings["complete"][found.orderings["pairs"] > 0]) == {11}
     text = found.to_markdown()
     assert text == found._repr_markdown_()
     assert text.startswith(f"# {PAPER.title}\n\na note\n\n## Cave (Table 1, Figure 8a): cave\n\n| strategy ")
@@ -146,7 +150,7 @@ def test_tables_by_hand():
     assert cells[5:9] == ["90.00 ± 0.00", "0.956", "0.900", "1.000"]
     assert "ours m, first 10 episodes" in text
     assert "## Hospital (Table 3, Figure 8c): hospital\n\nNothing has run here." in text
-    assert "| Cave        | closest+recheck shorter than closest" in text
+    assert "| Cave        | closest+recheck                | closest " in text
 
 
 def test_the_first_ten_are_the_first_ten():
@@ -258,7 +262,7 @@ def test_a_small_run(ran):
         theirs = table[(table["world"] == row.world) & (table["strategy"] == "closest")]["path_m"]
         assert row.mean == pytest.approx(ours.mean())
         assert row.ratio == pytest.approx(paired.paired_ratio(ours, theirs).ratio)
-    assert ran.orderings["pairs"].tolist() == [3] * 4
+    assert ran.orderings["pairs"].tolist() == [3] * 6
     assert "NOT the paper's maps" in ran.to_markdown()
     assert "18 episodes" in repr(ran)
     check_texts(ran.figure())

@@ -10,10 +10,8 @@ from ref import beliefs
 
 from jexplore.config import Lidar
 from jexplore.gain import look, prospect
-from jexplore.grid import empty_grid
-from jexplore.planning import field
+from jexplore.planning import field, known_of
 from jexplore.policies import parse_strategy, views
-from jexplore.raycast import all_round
 from jexplore.reach import FAR
 
 CROSS = Lidar(n_beams=4, fov_deg=360, range_m=4.0)  # in cells of one metre: four cells back, right, ahead, left
@@ -150,9 +148,8 @@ def all_views(utility, key, params, belief, beams):
     """Cell, utility and unknown cells in sight of every sample, none left out, and what `best_view` finds."""
     reached = field(belief)
     row, col = views.drawn(key, belief, reached, params)
-    around, ahead = all_round(beams), prospect(belief.grid, belief.extent, belief.model.p_free)
-    scratch = empty_grid(reached.cost.shape)
-    told = jax.lax.map(lambda at: look(ahead, *at, around, scratch)[0], (row, col))
+    ahead = prospect(known_of(belief), beams.all_round)
+    told = jax.lax.map(lambda at: look(ahead, *at, beams.all_round), (row, col))
     worth = utility(params, told.gain, views.metres(reached.cost[row, col], belief.model.cell_m))
     best, overflow = views.best_view(utility, key, params, belief, reached, beams)
     return row * reached.cost.shape[1] + col, worth, told.unknown, best, overflow

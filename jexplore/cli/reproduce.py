@@ -20,8 +20,8 @@ def default_paper_episodes() -> int:
 class Reproduce(EngineOptions, ResumeOptions, RobotOptions):
     """Reproduce a paper's tables: its strategies in its environments, next to its own figures.
 
-    Prints a Markdown table an environment, and the orderings claimed by the paper that hold here. Writes
-    episodes.parquet, run.json and reproduce.png.
+    Prints a Markdown table an environment, and which orderings of the paper's means hold here. Writes episodes.parquet,
+    run.json and reproduce.png.
     """
 
     paper: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[PAPER]")] = "holz2010"

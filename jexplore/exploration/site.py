@@ -114,7 +114,8 @@ def prepare_site(
     setup = _setup(everyone, world.cell_m, shape, limit_of(world.shape), native)
     own = rule_numbers(world, lidar, rules)
     model: Any = {name: own.pop(name) for name in ("p_free", "near_d2", "clearance_d2")}
-    model = MapModel(cell_m=world.cell_m, coarse=world.cell_m > COARSE_M, native=setup.native, **model)  # type: ignore[arg-type]
+    model.update(cell_m=world.cell_m, known_outline=rules.known_outline)
+    model = MapModel(coarse=world.cell_m > COARSE_M, native=setup.native, **model)  # type: ignore[arg-type]
     noise: Any = {"sigma_cells": lidar.sigma_m / world.cell_m, "dropout": lidar.dropout, "recheck": False}
     numbers = jax.tree.map(number, Numbers(model=model, params=(), **noise, **own))
     site = Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
@@ -175,7 +176,7 @@ def _truth(world: World, shape: tuple[int, int]) -> Truth:
         rooms=np.pad(rooms, pad, constant_values=-1),  # type: ignore[arg-type]
         region=np.pad(regions_of(world), pad),  # type: ignore[arg-type]
         extent=np.asarray(world.shape, np.int32),  # type: ignore[arg-type]
-        within=None if world.within is None else np.pad(world.within, pad),  # type: ignore[arg-type]
+        within=None if world.within is None or world.within.all() else np.pad(world.within, pad),  # type: ignore[arg-type]
         prior=None if world.known is None else np.pad(world.known, pad, constant_values=-1),  # type: ignore[arg-type]
     )
 

@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jexplore.raycast import Beams, square_side
+
 EVERY = 2**30  # more unknown cells than any look shows
 KERNELS = ("drive", "field", "clusters", "lay", "look", "apart")
 """The kernels of the library, `jexplore_NAME`."""
@@ -70,22 +72,28 @@ def look(
     unknown: Array,
     at: Array,
     n: Array | int,
-    beams: Any,
+    beams: Beams,
     d2: Sequence[float] | Array = (math.inf,),
     enough: Array | int = EVERY,
 ) -> Array:
     """Return what looks from the first n of some cells tell: unknown cells within R distances, then known ones.
 
     A look ends where it has shown `enough` unknown cells: their number is then no less than that. `stops`, `unknown`:
-    of `gain.stops_and_unknown`; `at`: `[2, M]` int32, rows and columns; `beams` from `raycast.all_round`; `d2`: `[R]`,
+    of `gain.stops_and_unknown`; `at`: `[2, M]` int32, rows and columns; `beams`: `Beams.all_round`; `d2`: `[R]`,
     squared distances, cells^2. Returns `[R + 1, M]` int32; 0 beyond the first n.
     """
     d2 = jnp.asarray(d2, jnp.float32)
-    result, maps = ((d2.shape[0] + 1, at.shape[1]), jnp.int32), (stops, unknown, at, beams.by_beam, beams.length)
-    return call(native, "look", [result], *maps, d2, numbers([n, enough]))[0]
+    result, cells = (
+        ((d2.shape[0] + 1, at.shape[1]), jnp.int32),
+        stops.astype(jnp.uint8) | unknown.astype(jnp.uint8) << 1,
+    )
+    terms = numbers([n, enough, square_side(beams)])
+    return call(native, "look", [result], cells, at, beams.by_beam, beams.length, d2, terms)[0]
 
 
-def apart(native: str, cells: Array, at: Array, n: Array | int, side: int, clearance_d2: int) -> Array:
+def apart(native: str, cells: Array, at: Array, n: Array | int, side: int, start: Array, clearance_d2: int) -> Array:
     """Return what paths between the first n of some cells cost, `[M, M]` int32; see `policies.clusters.paths_apart`."""
     m = at.shape[1]
-    return call(native, "apart", [((m, m), jnp.int32)], cells, at, numbers([n, side, clearance_d2]))[0]
+    return call(
+        native, "apart", [((m, m), jnp.int32)], cells, at, numbers([n, side, clearance_d2, *(-start[:2] % side)])
+    )[0]

@@ -192,37 +192,38 @@ ffi::Error Lay(Motions route, Counts cost, Flags traversable, Numbers terms, ffi
 }
 
 // `gain.look` and `gain.unknown_within` from the first n cells `at`: unknown cells that are passed within each of some
-// distances, then known ones. Terms: n, and how many unknown cells are enough to end a look.
-ffi::Error Look(Flags stops, Flags unknown, Counts at, Table by_beam, Counts length, ffi::Buffer<ffi::F32, 1> d2,
-                Numbers terms, ffi::Result<Counts> told) {
-  const int width = static_cast<int>(stops.dimensions()[1]), n_cells = static_cast<int>(stops.element_count());
+// distances, then known ones. `cells`: bits of those that stop beams (1) and of unknown ones (2), with a margin as wide
+// as beams are long. Terms: n, how many unknown cells are enough to end a look, and the side of the square of `by_beam`.
+ffi::Error Look(Bytes cells, Counts at, Table by_beam, Counts length, ffi::Buffer<ffi::F32, 1> d2, Numbers terms,
+                ffi::Result<Counts> told) {
+  constexpr uint8_t kStop = 1, kUnknown = 2, kPassed = 4;
+  const int height = static_cast<int>(cells.dimensions()[0]), width = static_cast<int>(cells.dimensions()[1]);
   const int n_beams = static_cast<int>(by_beam.dimensions()[2]), block = static_cast<int>(by_beam.dimensions()[3]);
   const int m = static_cast<int>(at.dimensions()[1]), n_d2 = static_cast<int>(d2.element_count());
-  const bool *is_stop = stops.typed_data(), *is_unknown = unknown.typed_data();
+  const int32_t *term = terms.typed_data(), side = term[2], middle = side / 2 * side + side / 2;
+  if (side > height || side > width) return ffi::Error::InvalidArgument("a map must have a margin as wide as beams are long");
   std::memset(told->untyped_data(), 0, told->size_bytes());
-  static thread_local std::vector<uint16_t> own;  // all 0 between looks
-  own.resize(std::max<size_t>(own.size(), n_cells));
-  uint16_t* is_passed = own.data();
+  std::vector<uint8_t> square(side * side);
   std::vector<int32_t> passed;
-  for (int slot = 0; slot < std::min(terms.typed_data()[0], m); ++slot) {
-    const int row = at.typed_data()[slot], col = at.typed_data()[m + slot], here = row * width + col;
+  for (int slot = 0; slot < std::min(term[0], m); ++slot) {
+    const int row = std::clamp(at.typed_data()[slot], 0, height - side);
+    const int col = std::clamp(at.typed_data()[m + slot], 0, width - side);
+    for (int y = 0; y < side; ++y)
+      std::memcpy(&square[y * side], cells.typed_data() + static_cast<int64_t>(row + y) * width + col, side);
+    uint8_t* here = &square[middle];
     int n_unknown = 0;
-    // Where the robot's cell is one of the outermost, a beam may leave the map: it is stopped.
-    auto on_map = [&](int offset) { return std::clamp(here + offset, 0, n_cells - 1); };
     auto pass = [&](int offset) {
-      const int i = on_map(offset);
-      if (is_passed[i]) return;
-      is_passed[i] = 1, passed.push_back(i), n_unknown += is_unknown[i];
+      if (here[offset] & kPassed) return;
+      here[offset] |= kPassed, passed.push_back(middle + offset), n_unknown += (here[offset] & kUnknown) != 0;
     };
     pass(0);
-    for (int beam = 0; beam < n_beams && n_unknown < terms.typed_data()[1]; ++beam)
-      TraceBeam([&](int offset) { return is_stop[on_map(offset)]; },
+    for (int beam = 0; beam < n_beams && n_unknown < term[1]; ++beam)
+      TraceBeam([&](int offset) { return (here[offset] & kStop) != 0; },
                 by_beam.typed_data() + static_cast<int64_t>(beam) * block, length.typed_data()[beam], block,
                 n_beams * block, pass);
     for (int i : passed) {
-      is_passed[i] = 0;
-      const int y = i / width - row, x = i % width - col;
-      if (!is_unknown[i]) ++told->typed_data()[n_d2 * m + slot];
+      const int y = i / side - side / 2, x = i % side - side / 2;
+      if (!(square[i] & kUnknown)) ++told->typed_data()[n_d2 * m + slot];
       else
         for (int r = 0; r < n_d2; ++r)
           told->typed_data()[r * m + slot] += static_cast<float>(y * y + x * x) <= d2.typed_data()[r];
@@ -232,21 +233,24 @@ ffi::Error Look(Flags stops, Flags unknown, Counts at, Table by_beam, Counts len
   return ffi::Error::Success();
 }
 
-// The costs of `clusters.apart`, between the first n cells `at`. Terms: n, the side of a block, clearance_d2.
+// The costs of `clusters.paths_apart`, between the first n cells `at`. Terms: n, the side of a block, clearance_d2, rows
+// and columns by which the first block begins before the map.
 ffi::Error Apart(Bytes cells, Counts at, Numbers terms, ffi::Result<Counts> table) {
   const int m = static_cast<int>(at.dimensions()[1]), n = std::min(terms.typed_data()[0], m);
-  const int side = terms.typed_data()[1];
+  const int side = terms.typed_data()[1], above = terms.typed_data()[3], before = terms.typed_data()[4];
   Plan& plan = PlanOf(cells, terms.typed_data()[2]);
   plan.Judge(terms.typed_data()[2]);
-  Plan& blocks = PlanOf(1, (plan.height + side - 1) / side, (plan.width + side - 1) / side, 1);
+  Plan& blocks = PlanOf(1, (plan.height + side - 1) / side + 1, (plan.width + side - 1) / side + 1, 1);
   std::fill(blocks.mark.begin(), blocks.mark.end(), 0);
   for (int row = 0; row < plan.height; ++row) {
-    uint8_t* to = &blocks.mark[blocks.Cell(row / side, 0)];
-    for (int col = 0; col < plan.width; col += side, ++to)
-      for (int i = plan.Cell(row, col), end = i + std::min(side, plan.width - col); i < end; ++i)
+    uint8_t* to = &blocks.mark[blocks.Cell((row + above) / side, 0)];
+    for (int col = -before; col < plan.width; col += side, ++to)
+      for (int i = plan.Cell(row, std::max(col, 0)), end = plan.Cell(row, std::min(col + side, plan.width)); i < end; ++i)
         *to |= plan.mark[i] & (Plan::kClear | Plan::kDriven);
   }
-  auto block_of = [&](int i) { return blocks.Cell(at.typed_data()[i] / side, at.typed_data()[m + i] / side); };
+  auto block_of = [&](int i) {
+    return blocks.Cell((at.typed_data()[i] + above) / side, (at.typed_data()[m + i] + before) / side);
+  };
   std::fill(table->typed_data(), table->typed_data() + table->element_count(), kFar);
   for (int i = 0; i < n; ++i) {
     int left = 0;  // blocks to which the costs are wanted: those to others are known

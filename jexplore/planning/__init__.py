@@ -18,6 +18,7 @@ from jexplore.arrays import bits
 from jexplore.arrays.loops import one_kernel, run_if, stored
 from jexplore.config import checked_names
 from jexplore.frontier import Masks, disc, plan_masks
+from jexplore.gain import Known
 from jexplore.grid import Grid, count, is_free, is_known, is_occupied, lowest
 from jexplore.native import kernels
 from jexplore.planning.readout import lay_route
@@ -36,6 +37,7 @@ class MapModel:
     near_d2: Array  # int32, cells^2, free cells this near to the robot are traversable
     cell_m: Array  # float32, edge of a cell, metres
     clearance_d2: int = struct.field(pytree_node=False)  # cells^2, a clear cell has no occupied one this near
+    known_outline: Any = np.bool_(False)  # bool, whether expected gains end at the world's outermost cells
     coarse: bool = struct.field(pytree_node=False, default=False)  # whether corridors may be only a few cells wide
     native: str | None = struct.field(pytree_node=False, default=None)  # `native.kernels` that plan; None: JAX does
 
@@ -110,6 +112,12 @@ def view_of(belief: Belief, reached: Field) -> View:
     """Return the `View` of a belief, from its `Field`."""
     path_m = jnp.where(reached.cost < FAR, metres(reached.cost, belief.model.cell_m), jnp.inf)
     return View(reached.cost, path_m, reached.frontier, belief)
+
+
+def known_of(belief: Belief) -> Known:
+    """Return what expected gains are computed from."""
+    model = belief.model
+    return Known(belief.grid, model.p_free, belief.within, belief.extent * model.known_outline)
 
 
 def is_open(belief: Belief, row: Array | int, col: Array | int) -> Array:

@@ -1,6 +1,7 @@
 """Closest frontier: always go to the frontier cell with the shortest path.
 
-Yamauchi, "A Frontier-Based Approach for Autonomous Exploration", CIRA 1997; as Holz et al. 2010, Figure 3, write it.
+Holz et al. 2010, Figure 3. Yamauchi, "A Frontier-Based Approach for Autonomous Exploration", CIRA 1997, goes to the
+centroid of the nearest frontier region of a least size instead.
 """
 
 from jexplore.planning import nearest_frontier

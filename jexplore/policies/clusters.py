@@ -1,6 +1,7 @@
 """Common code of strategies that choose among frontier clusters: clusters, expected scans, distances between them."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Self
@@ -14,11 +15,10 @@ from jexplore.arrays import bits
 from jexplore.arrays.loops import repeat
 from jexplore.frontier import clear_cells, frontier_clusters, most_cells
 from jexplore.gain import look, prospect, stops_and_unknown, unknown_within
-from jexplore.grid import empty_grid
 from jexplore.native import kernels
 from jexplore.native.kernels import EVERY
-from jexplore.planning import Belief, Choice, Field, cells_of, choose, metres
-from jexplore.raycast import Beams, all_round
+from jexplore.planning import Belief, Choice, Field, cells_of, choose, known_of, metres
+from jexplore.raycast import Beams
 from jexplore.reach import FAR, STEPS, spread
 
 CLUSTERS = 128  # most clusters that are told apart
@@ -61,9 +61,9 @@ def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
         unknown, known = _seen_natively(belief, at, beams)
         return unknown, known
 
-    def tell(ahead, row, col, beams, scratch):
-        told, scratch = look(ahead, row, col, beams, scratch)
-        return jnp.stack([told.unknown, told.known]), scratch
+    def tell(*args):
+        told = look(*args)
+        return jnp.stack([told.unknown, told.known])
 
     seen = _from_each(belief, at, beams, tell, 2)
     return seen[0], seen[1]
@@ -81,34 +81,31 @@ def unknown_from(belief: Belief, at: Targets, beams: Beams, radii_m: Sequence[fl
     d2 = (jnp.asarray(radii_m, jnp.float32) / belief.model.cell_m) ** 2
     if kernels.target_of(belief.model.native):
         return _seen_natively(belief, at, beams, d2)[:-1]
-
-    def tell(ahead, row, col, beams, scratch):
-        return unknown_within(ahead, row, col, beams, scratch, d2)
-
-    return _from_each(belief, at, beams, tell, len(radii_m))
+    return _from_each(belief, at, beams, functools.partial(unknown_within, d2=d2), len(radii_m))
 
 
 def _seen_natively(belief, at, beams, d2: Any = (math.inf,), enough: Any = EVERY):
     """Return what `kernels.look` tells of every target: `[R + 1, M]` int32."""
-    maps = stops_and_unknown(belief.grid, belief.extent, belief.model.p_free, belief.within)
-    where = jnp.stack([at.row, at.col]), jnp.sum(at.used, dtype=jnp.int32), all_round(beams)
+    maps = stops_and_unknown(known_of(belief), beams.all_round)
+    where = jnp.stack([at.row, at.col]), jnp.sum(at.used, dtype=jnp.int32), beams.all_round
     return kernels.look(belief.model.native, *maps, *where, d2, enough)
 
 
 def _from_each(belief, at, beams, tell, n_told):
-    """Evaluate a look-around, `tell(prospect, row, col, beams, scratch)`, at every target: `[n_told, M]` int32."""
-    ahead, beams = prospect(belief.grid, belief.extent, belief.model.p_free, belief.within), all_round(beams)
+    """Evaluate a look-around, `tell(prospect, row, col, beams)`, at every target: `[n_told, M]` int32."""
+    beams = beams.all_round
+    ahead = prospect(known_of(belief), beams)
     n = jnp.sum(at.used, dtype=jnp.int32)  # used slots come first
 
     def evaluate(state):
-        i, seen, scratch = state
+        i, seen = state
         i_ = jnp.minimum(i, at.row.shape[0] - 1)
         where = jnp.maximum(at.row[i_], 0), jnp.maximum(at.col[i_], 0)
-        new, scratch = tell(ahead, *where, beams, scratch)
         on = i < n
-        return i + on, seen.at[:, jnp.where(on, i, seen.shape[1])].set(new, mode="drop"), scratch
+        new = tell(ahead, *where, beams)
+        return i + on, seen.at[:, jnp.where(on, i, seen.shape[1])].set(new, mode="drop")
 
-    state = jnp.int32(0), jnp.zeros((n_told, *at.row.shape), jnp.int32), empty_grid(belief.driven.shape)
+    state = jnp.int32(0), jnp.zeros((n_told, *at.row.shape), jnp.int32)
     return repeat(lambda state: state[0] < n, evaluate, state)[1]
 
 
@@ -124,14 +121,14 @@ def paths_apart(belief: Belief, at: Targets) -> Array:
     """Estimate path lengths between all targets: `[M, M]` float32, metres, symmetric.
 
     0 on the diagonal of used slots; inf where a slot is unused or no path leads. The map is reduced to blocks of up to
-    4 x 4 cells, which are passable if they hold a clear cell or one that was driven on. Slanting walls and slivers of
-    unknown cells thinner than a block may be crossed.
+    4 x 4 cells, counted from the robot's start, which are passable if they hold a clear cell or one that was driven on.
+    Slanting walls and slivers of unknown cells thinner than a block may be crossed.
     """
     side, n = block_side(belief.model.clearance_d2), jnp.sum(at.used, dtype=jnp.int32)
     native = kernels.target_of(belief.model.native)
     if native:
         where = jnp.stack([at.row, at.col])
-        table = kernels.apart(native, cells_of(belief), where, n, side, belief.model.clearance_d2)
+        table = kernels.apart(native, cells_of(belief), where, n, side, belief.start, belief.model.clearance_d2)
     else:
         table = _costs_apart(belief, at, n, side)
     table = jnp.where(at.used[None] & at.used[:, None], table, FAR)
@@ -142,11 +139,11 @@ def _costs_apart(belief, at, n, side):
     """Compute `costs_between` of blocks."""
     # Without the traversable cells near the robot: at a thin wall too little would remain.
     clear = clear_cells(belief.grid, p_free=belief.model.p_free, clearance_d2=belief.model.clearance_d2) | belief.driven
-    height, width = clear.shape
-    pad = ((0, -height % side), (0, -width % side))
-    blocks = jnp.pad(clear, pad).reshape(-(-height // side), side, -(-width // side), side).any(axis=(1, 3))
-    row, col = jnp.maximum(at.row, 0) // side, jnp.maximum(at.col, 0) // side
-    return costs_between(blocks, row, col, n)
+    height, width = ((size + side - 1) // side + 1 for size in clear.shape)
+    top, left = -belief.start[:2] % side  # the start is the corner of a block, wherever in the map it lies
+    cells = lax.dynamic_update_slice(jnp.zeros((height * side, width * side), bool), clear, (top, left))
+    blocks = cells.reshape(height, side, width, side).any(axis=(1, 3))
+    return costs_between(blocks, (jnp.maximum(at.row, 0) + top) // side, (jnp.maximum(at.col, 0) + left) // side, n)
 
 
 def costs_between(passable: Array, row: Array, col: Array, n: Array | int) -> Array:

@@ -1,10 +1,10 @@
 """Multi-criteria decision making: several criteria put together by a Choquet integral.
 
-Basilico and Amigoni, "Exploration strategies based on multi-criteria decision making for searching environments in
-rescue operations", Autonomous Robots 31(4), 2011. The criteria are unknown area in sight (A), path length (d) and, in
-place of the probability of transmission, known area in sight (O), by which a robot localises itself, as in their
-earlier exploration strategies. By default area and path are worth more together than apart, the other pairs less; the
-numbers were not checked against the paper's table.
+The way of deciding is that of Basilico and Amigoni, "Exploration strategies based on multi-criteria decision making for
+searching environments in rescue operations", Autonomous Robots 31(4), 2011; the criteria are not. Two are theirs,
+unknown area in sight (A) and path length (d). Their third is the probability of transmission to a base, which a robot
+here does not need; in its place stands known area in sight (O), by which a robot localises itself. The weights are this
+package's own: area and path are worth more together than apart, the other pairs less.
 """
 
 from typing import NamedTuple

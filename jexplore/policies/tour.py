@@ -1,8 +1,8 @@
 """Tour: the first stop of a short route from the robot through all frontier clusters, planned anew every time.
 
-Frontier clusters as cities of a travelling salesman, without return: Osswald, Bennewitz, Burgard, Stachniss,
-"Speeding-Up Robot Exploration by Exploiting Background Information", RA-L 1(2), 2016, there with a
-floor plan; built by nearest insertion (Rosenkrantz, Stearns, Lewis 1977) and two_opt by 2-opt (Croes 1958).
+Goals as cities of a travelling salesman: Kulich, Faigl, Preucil, "On Distance Utility in the Exploration Task", ICRA
+2011. Changed: a city is a frontier cluster that would show enough; the route, without return, is built by nearest
+insertion (Rosenkrantz, Stearns, Lewis 1977) and improved by 2-opt (Croes 1958).
 """
 
 from typing import NamedTuple

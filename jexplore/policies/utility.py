@@ -1,8 +1,9 @@
 """Utility: go to the frontier cluster with the greatest gain less what the way there costs.
 
-Burgard, Moors, Stachniss, Schneider, "Coordinated Multi-Robot Exploration", IEEE T-RO 21(3), 2005: utility minus beta
-times cost. Changed: one robot, for which the utility is the area that a look would show, as in Stachniss and Burgard,
-"Exploring Unknown Environments with Mobile Robots using Coverage Maps", IJCAI 2003.
+Expected gain against the cost of the way, as in Stachniss and Burgard, "Exploring Unknown Environments with Mobile
+Robots using Coverage Maps", IJCAI 2003. Changed: the gain is the unknown area that a look would show, not the entropy
+of coverage maps. The utility of Burgard, Moors, Stachniss, Schneider, "Coordinated Multi-Robot Exploration", IEEE T-RO
+21(3), 2005, is another: it falls near the targets of other robots, so that a single robot there explores as `closest`.
 """
 
 from typing import NamedTuple

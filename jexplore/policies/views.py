@@ -22,11 +22,10 @@ from jexplore.arrays import bits
 from jexplore.arrays.loops import repeat
 from jexplore.config import require_number, require_whole
 from jexplore.gain import look, most, prospect, stops_and_unknown, unknown_seen
-from jexplore.grid import empty_grid
 from jexplore.native import kernels
-from jexplore.planning import Belief, Choice, Field, choose, field, metres, nearest_of
+from jexplore.planning import Belief, Choice, Field, choose, field, known_of, metres, nearest_of
 from jexplore.policies.policy import Policy, no_carry
-from jexplore.raycast import Beams, all_round
+from jexplore.raycast import Beams
 from jexplore.reach import FAR
 
 MAX_SAMPLES = 1024  # most samples a plan
@@ -102,8 +101,8 @@ def best_view(
     row, col = drawn(key, belief, reached, params)
     usable = (row < height) & (lax.iota(jnp.int32, MAX_SAMPLES) < params.samples)
     row = jnp.minimum(row, height - 1)
-    ahead = prospect(belief.grid, belief.extent, belief.model.p_free, belief.within)
-    beams, native = all_round(beams), kernels.target_of(belief.model.native)
+    beams, native = beams.all_round, kernels.target_of(belief.model.native)
+    ahead = prospect(known_of(belief), beams)
     path_m = metres(reached.cost[row, col], belief.model.cell_m)
     # The most promising ones first, until the best that was found is better than what the next could be.
     hope = jnp.where(usable, utility(params, most(ahead, row, col, beams), path_m), -jnp.inf)
@@ -111,7 +110,7 @@ def best_view(
     row, col, path_m, hope = row[order], col[order], path_m[order], hope[order]
 
     def going(state):
-        i, best, _, _ = state
+        i, best, _ = state
         return (
             (i < MAX_SAMPLES)
             & (hope[jnp.minimum(i, MAX_SAMPLES - 1)] >= best)
@@ -119,15 +118,15 @@ def best_view(
         )
 
     def evaluate(state):
-        i, best, cell, scratch = state
+        i, best, cell = state
         on, i_ = going(state), jnp.minimum(i, MAX_SAMPLES - 1)
-        told, scratch = look(ahead, row[i_], col[i_], beams, scratch, native=native)
+        told = look(ahead, row[i_], col[i_], beams, native=native)
         worth, here = utility(params, told.gain, path_m[i_]), row[i_] * width + col[i_]
         better = on & (told.unknown >= params.min_gain) & ((worth > best) | ((worth == best) & (here < cell)))
-        return i + on, jnp.where(better, worth, best), jnp.where(better, here, cell), scratch
+        return i + on, jnp.where(better, worth, best), jnp.where(better, here, cell)
 
-    state = jnp.int32(0), jnp.float32(-jnp.inf), jnp.int32(height * width), empty_grid((height, width))
-    _, _, cell, _ = repeat(going, evaluate, state)
+    state = jnp.int32(0), jnp.float32(-jnp.inf), jnp.int32(height * width)
+    _, _, cell = repeat(going, evaluate, state)
     return jnp.where(cell < height * width, cell, -1), ahead.overflow
 
 
@@ -158,12 +157,12 @@ SELECT = functools.partial(select, gain_for_path)
 
 def live(params: Views, belief: Belief, beams: Beams, row: Array, col: Array) -> Array:
     """Return the `live` of such a strategy: a look-around at the view point would still show enough."""
-    known, beams = (belief.grid, belief.extent, belief.model.p_free), all_round(beams)
+    known, beams = known_of(belief), beams.all_round
     if native := kernels.target_of(belief.model.native):
-        maps, at = stops_and_unknown(*known, belief.within), jnp.stack([row, col])[:, None]
+        maps, at = stops_and_unknown(known, beams), jnp.stack([row, col])[:, None]
         seen = kernels.look(native, *maps, at, 1, beams, enough=params.min_gain)[0, 0]
     else:
-        seen = unknown_seen(*known, row, col, beams, belief.within)
+        seen = unknown_seen(known, row, col, beams)
     return seen >= params.min_gain
 
 

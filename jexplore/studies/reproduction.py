@@ -1,7 +1,8 @@
-"""Reproduction of a paper's tables: its strategies in its environments, its figures and ours, tests of its claims."""
+"""Reproduction of a paper's tables: its strategies in its environments, its figures and ours, and their orderings."""
 
 import dataclasses
 import functools
+import itertools
 import math
 import os
 from collections.abc import Callable
@@ -49,18 +50,18 @@ def require_maps(paper: Paper, maps: str | os.PathLike[str]) -> None:
             raise InputError(f"maps must be a folder that holds {', '.join(files)}; there is no file {path}")
 
 
-def verdict(direction: str, ours: paired.PairedRatio, than: paired.PairedRatio | float = 1.0) -> str:
-    """Decide whether a ratio's interval lies wholly on the claimed side of a number, or of another ratio's interval.
-
-    "undecided" where the intervals meet, or one is missing or has fewer than `paired.MIN_PAIRS` pairs.
-    """
-    is_ratio = isinstance(than, paired.PairedRatio)
-    low, high = (than.low, than.high) if is_ratio else (than, than)
-    if min(ours.n, than.n if is_ratio else ours.n) < paired.MIN_PAIRS:
+def verdict(ours: paired.PairedRatio) -> str:
+    """Decide whether a ratio's interval lies wholly below 1; "undecided" where it meets 1, is missing or of few."""
+    if ours.n < paired.MIN_PAIRS:
         return "undecided"
-    below, above = ours.high < low, ours.low > high
-    holds, fails = (below, above) if direction == "shorter" else (above, below)
-    return "holds" if holds else "does not hold" if fails else "undecided"
+    return "holds" if ours.high < 1 else "does not hold" if ours.low > 1 else "undecided"
+
+
+def welch_p(one: tuple[float, float], other: tuple[float, float], n: int) -> float:
+    """Return p, two-sided, that two samples of n have one mean, by Welch's t on their `(mean, standard deviation)`."""
+    parts = one[1] ** 2 / n, other[1] ** 2 / n
+    freedom = (n - 1) * sum(parts) ** 2 / (parts[0] ** 2 + parts[1] ** 2)
+    return paired.t_interval(one[0] - other[0], math.sqrt(sum(parts)), freedom)[2]
 
 
 @checked_names
@@ -98,9 +99,11 @@ class ReproductionResult:
 
     @functools.cached_property
     def orderings(self) -> "pd.DataFrame":
-        """Tabulate the paper's claims, a row each: its ratio and ours, paired, with 95 % intervals, and the verdict.
+        """Tabulate every pair of strategies, in the order of the paper's means: `a` shorter than `b`.
 
-        Each interval stands alone: of twenty that are undecided in truth about one will seem decided.
+        `paper_p` is Welch's, of the paper's means, standard deviations and number of runs; `claimed`: whether its text
+        says the order. `ratio` is our mean of a over that of b, paired, with its 95 % interval, p and verdict. Each
+        interval stands alone: of twenty that are undecided in truth about one will seem decided.
         """
         import pandas as pd
 
@@ -109,35 +112,47 @@ class ReproductionResult:
             episodes.pivot(index="episode", columns=["world", "strategy"], values=value)
             for value in ("path_m", "outcome")
         )
-
-        def versus(environment, a, b):
-            pair = [(self.worlds[environment], a), (self.worlds[environment], b)]
-            if not set(pair) <= set(paths_m.columns):
-                return paired.PairedRatio(math.nan, math.nan, math.nan, math.nan, 0), 0
-            both = paths_m[pair].dropna()
-            n_complete = int((outcomes.loc[both.index, pair] == "COMPLETE").all(axis=1).sum())
-            return paired.paired_ratio(both[pair[0]], both[pair[1]]), n_complete
-
         rows = []
-        for claim in self.paper.claims:
-            ours, n_complete = versus(claim.environment, claim.a, claim.b)
-            there, than = claim.than, (claim.than,) * 3
-            if claim.than_in is not None:
-                there, _ = versus(claim.than_in, claim.a, claim.b)
-                than = (there.ratio, there.low, there.high)
-            paths = self.paper.environments[claim.environment].paths
-            rows.append(
-                {
-                    "environment": claim.environment,
-                    "claim": f"{claim.a} {claim.direction} than {claim.b} {claim.words}".strip(),
-                    "verdict": verdict(claim.direction, ours, there),
-                    "paper_ratio": paths[claim.a][0] / paths[claim.b][0],
-                    **{"ratio": ours.ratio, "ratio_low": ours.low, "ratio_high": ours.high, "p": ours.p},
-                    **dict(zip(("than", "than_low", "than_high"), than)),
-                    **{"pairs": ours.n, "complete": n_complete},
-                }
-            )
+        for name, environment in self.paper.environments.items():
+            for a, b in itertools.combinations(sorted(environment.paths, key=lambda key: environment.paths[key][0]), 2):
+                pair = [(self.worlds[name], a), (self.worlds[name], b)]
+                ours, n_complete, both = paired.PairedRatio(math.nan, math.nan, math.nan, math.nan, 0), 0, ()
+                if set(pair) <= set(paths_m.columns):
+                    both = paths_m[pair].dropna()
+                    n_complete = int((outcomes.loc[both.index, pair] == "COMPLETE").all(axis=1).sum())
+                if len(both):
+                    ours = paired.paired_ratio(both[pair[0]], both[pair[1]])
+                paths = environment.paths[a], environment.paths[b]
+                rows.append(
+                    {
+                        **{"environment": name, "a": a, "b": b, "claimed": {a, b} in self.paper.claimed},
+                        **{"paper_ratio": paths[0][0] / paths[1][0], "paper_p": welch_p(*paths, self.paper.runs)},
+                        **{"ratio": ours.ratio, "ratio_low": ours.low, "ratio_high": ours.high, "p": ours.p},
+                        **{"verdict": verdict(ours), "pairs": ours.n, "complete": n_complete},
+                    }
+                )
         return pd.DataFrame(rows)
+
+    @property
+    def agreement(self) -> str:
+        """Say how many pairs of means have the paper's order, and which of its significant orderings hold."""
+        ran = self.orderings[self.orderings["pairs"] > 0]
+        significant = ran[ran["paper_p"] < 0.05]
+        lines = []
+        for name, rows in ran.groupby("environment", sort=False):
+            same = int((rows["ratio"] < 1).sum())
+            told = f"{same} of {len(rows)} pairs of means in the paper's order"
+            lines.append(f"- {name}: {told}, Kendall's tau {2 * same / len(rows) - 1:.2f}.")
+        for told, rows in (
+            ("significant in the paper (Welch's t, p < 0.05)", significant),
+            ("significant there and said by its text", significant[significant["claimed"]]),
+        ):
+            n = rows["verdict"].value_counts()
+            lines.append(
+                f"- Of {len(rows)} orderings {told} {n.get('holds', 0)} hold, {n.get('undecided', 0)} are undecided, "
+                f"{n.get('does not hold', 0)} do not hold."
+            )
+        return "\n".join(lines)
 
     def to_pandas(self) -> "pd.DataFrame":
         """Return the table of episodes."""
@@ -150,7 +165,7 @@ class ReproductionResult:
             rows = self.tables[self.tables["environment"] == name]
             text.append(f"## {name} ({environment.where}): {self.worlds[name]}\n")
             text.append(_table_text(rows) if len(rows) else "Nothing has run here.\n")
-        return "\n".join([*text, "## Orderings\n", _orderings_text(self.orderings)])
+        return "\n".join([*text, "## Orderings\n", f"{self.agreement}\n", _orderings_text(self.orderings)])
 
     def figure(self) -> "Figure":
         """Draw mean paths as bars, ours and the paper's, one panel an environment: a matplotlib `Figure`."""
@@ -183,17 +198,18 @@ def _table_text(rows):
 
 
 def _orderings_text(orderings):
-    head = ["environment", "claim", "verdict", "paper ratio", "our ratio", "against", "pairs", "both COMPLETE"]
+    head = ["environment", "shorter in the paper", "than", "in its text", "paper ratio", "paper p", "our ratio"]
+    head += ["verdict", "pairs", "both COMPLETE"]
     lines = [
         [
-            *(row.environment, row.claim, row.verdict, tables.ratio_text(row.paper_ratio)),
+            *(row.environment, row.a, row.b, "yes" if row.claimed else ""),
+            *(tables.ratio_text(row.paper_ratio), tables.number_text(row.paper_p, 3)),
             tables.ratio_text(row.ratio, row.ratio_low, row.ratio_high),
-            tables.ratio_text(row.than, *((row.than_low, row.than_high) if row.than_low < row.than_high else ())),
-            *(str(row.pairs), str(row.complete)),
+            *(row.verdict, str(row.pairs), str(row.complete)),
         ]
         for row in orderings.itertuples()
     ]
-    return tables.aligned_table(head, lines, left=head[:3])
+    return tables.aligned_table(head, lines, left=(*head[:4], "verdict"))
 
 
 def prepare_paper(
@@ -230,7 +246,7 @@ def reproduce(
     engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None, progress: bool | None = None,
 ) -> ReproductionResult:  # fmt: skip
-    """Run a paper's strategies in its environments, and compare the tables and the claims.
+    """Run a paper's strategies in its environments, and compare tables and orderings.
 
     Args:
       paper: a key of `PAPERS`.

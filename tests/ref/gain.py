@@ -15,20 +15,21 @@ def entropy_bits(hits, misses):
     return -sum(q * math.log2(q) for q in (p, 1 - p) if q > 0)
 
 
-def inner(shape, extent):
-    """Cells of the world but its outermost ones; none in the padding."""
-    rows, cols = np.indices(shape)
-    return (rows > 0) & (cols > 0) & (rows < extent[0] - 1) & (cols < extent[1] - 1)
-
-
-def look(hits, misses, extent, row, col, n_beams, fov_deg, range_cells, p_free=0.25):
+def look(hits, misses, row, col, n_beams, fov_deg, range_cells, p_free=0.25, outline=None):
     """`(gain, unknown, known)` of one look all round from a cell.
 
-    Beams stop at occupied cells and at the world's outermost ones, of which nothing new is learnt. All beams belong to
-    one scan, with one miss in the robot's own cell.
+    Beams stop at occupied cells; the map goes on unknown beyond its edge. With an outline, `(height, width)`, they also
+    stop at its outermost cells, of which nothing new is learnt. All beams belong to one scan, with one miss in the
+    robot's own cell.
     """
+    margin = math.ceil(range_cells) + 1
+    hits, misses = (np.pad(counts, margin) for counts in (hits, misses))
+    row, col = row + margin, col + margin
     known, _, occupied = plans.classify(hits, misses, p_free)
-    inside = inner(hits.shape, extent)
+    inside = np.ones(hits.shape, bool)
+    if outline is not None:
+        inside[:] = False
+        inside[margin + 1 : margin + outline[0] - 1, margin + 1 : margin + outline[1] - 1] = True
     n = simulator.initial_scan_count(fov_deg)
     rays = [
         ray

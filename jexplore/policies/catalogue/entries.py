@@ -27,7 +27,7 @@ GROUP = "jexplore.strategies"
 STRATEGY_NAME = r"[A-Za-z_][\w.-]*"
 
 STRATEGIES: dict[str, Entry] = {
-    "closest": Entry(closest, "the frontier cell with the shortest path", "Yamauchi 1997; Holz et al. 2010, Figure 3"),
+    "closest": Entry(closest, "the frontier cell with the shortest path", "Holz et al. 2010, Figure 3"),
     "random": Entry(
         uniform, "a frontier cell drawn uniformly from the reachable ones", "Holz et al. 2010, section 3.2"
     ),
@@ -42,7 +42,7 @@ STRATEGIES: dict[str, Entry] = {
     "utility": Entry(
         utility,
         "the frontier cluster with the most unknown area in sight less beta times the path",
-        "Burgard et al. 2005",
+        "after Stachniss and Burgard 2003",
     ),
     "distance-advantage": Entry(
         distance_advantage, "the frontier cluster near to the robot and far from the others", "Ericson et al. 2025"
@@ -53,7 +53,7 @@ STRATEGIES: dict[str, Entry] = {
         "jexplore, after Ericson et al. 2025",
     ),
     "tour": Entry(
-        tour, "the first stop of a short route through all frontier clusters", "Osswald et al. 2016; Croes 1958"
+        tour, "the first stop of a short route through all frontier clusters", "after Kulich et al. 2011; Croes 1958"
     ),
     "learned": Entry(
         learned, "the frontier cluster that a trained network scores highest", "jexplore; Cao et al. 2023, ARiADNE"
@@ -61,7 +61,7 @@ STRATEGIES: dict[str, Entry] = {
     "mcdm": Entry(
         mcdm,
         "the frontier cluster with the best Choquet integral of unknown area, path and known area",
-        "Basilico and Amigoni 2011",
+        "after Basilico and Amigoni 2011",
     ),
 }
 """Name -> entry of the strategy. `register` adds to it."""
@@ -74,7 +74,7 @@ MODIFIERS: dict[str, str] = {
 """Name -> what it does to a strategy."""
 
 SYNONYMS: dict[str, str] = {
-    "burgard": "utility",
+    "burgard": "closest",
     "cost-utility": "utility",
     "drl": "learned",
     "frontier": "closest",

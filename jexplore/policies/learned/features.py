@@ -35,7 +35,7 @@ FEATURES = (
     "last",  # 1 where the last target was, 0 far from there
     "detour",  # how much longer a tour of all clusters is that begins with it than one that begins best
     "side near",  # side of the unknown area seen from it and, the less the farther, from the others near it
-    "known",  # share of the cells of the map that are known, the same for all clusters
+    "progress",  # share that known cells have of these and the unknown ones seen from clusters, the same for all
 )
 """The features, in order; lengths over `FEATURE_UNIT_M`. Models name those that they were trained with."""
 
@@ -77,6 +77,7 @@ def features(belief: Belief, at: Targets, last: Array, beams: Beams) -> Array:
     """Compute features of targets, `[M, F]` float32, 0 in an unused slot. `last`: `[2]`, the last target; -1: none."""
     cell_m = belief.model.cell_m
     unknown = unknown_from(belief, at, beams, RADII_M).astype(jnp.float32) * cell_m**2
+    known_m2 = count(is_known(belief.grid)) * cell_m**2
     apart_m = paths_apart(belief, at)
     nearest = jnp.min(jnp.where(jnp.eye(len(at.used), dtype=bool), jnp.inf, apart_m), axis=1)
     drow, dcol = at.row - belief.row, at.col - belief.col
@@ -99,6 +100,6 @@ def features(belief: Belief, at: Targets, last: Array, beams: Beams) -> Array:
         jnp.where(last[0] >= 0, jnp.exp(-away_m(last[0], last[1]) / STAY_M), 0.0),
         detours(at, apart_m) / FEATURE_UNIT_M,
         jnp.sqrt(jnp.exp(-apart_m / AROUND_M) @ unknown[-1]) / FEATURE_UNIT_M,
-        jnp.full(at.row.shape, count(is_known(belief.grid)) / (belief.extent[0] * belief.extent[1])),
+        jnp.full(at.row.shape, known_m2 / (known_m2 + jnp.sum(unknown[-1]))),
     ]
     return jnp.where(at.used[:, None], jnp.stack(columns, axis=1), 0.0)
