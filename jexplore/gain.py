@@ -17,7 +17,7 @@ from jexplore.raycast import Beams, fold, scan, square_side
 
 
 class Known(NamedTuple):
-    """What a robot knows of its world."""
+    """The part of a world that a robot knows."""
 
     grid: Grid  # [H, W]
     p_free: Array | float  # largest reflection probability of a free cell
