@@ -59,7 +59,7 @@ class Play(NamedTuple):
 
 
 def completed(key, belief, at, params):
-    """Occupied cells of a map without unknown ones: `[H, W]` bool."""
+    """Occupied cells of a map without unknown ones, which ends at the world's outermost cells: `[H, W]` bool."""
     shape = belief.driven.shape
     known, walls = is_known(belief.grid), is_occupied(belief.grid, belief.model.p_free)
     free = known & ~walls

@@ -52,18 +52,18 @@ def test_rock_round_a_world_changes_no_episode():
 
 @pytest.mark.slow
 @pytest.mark.jit
-@pytest.mark.parametrize("engine", ["auto", "jax"])
 @pytest.mark.parametrize(
-    ("clearance_m", "own"),
+    ("clearance_m", "own", "engine"),
     [
-        (0.0, {"n_beams": 8, "fov_deg": 360.0}),
-        (0.2, {}),
-        (0.2, {"range_m": 6.0, "forward_m": 0.12, "min_range_m": 0.15}),
-        (0.3, {"fov_deg": 90.0, "no_echo": "unknown"}),
+        (0.2, {}, "auto"),
+        (0.2, {}, "jax"),
+        (0.0, {"n_beams": 8, "fov_deg": 360.0}, "auto"),
+        (0.2, {"range_m": 6.0, "forward_m": 0.12, "min_range_m": 0.15}, "auto"),
+        (0.3, {"fov_deg": 90.0, "no_echo": "unknown"}, "auto"),
     ],
 )
-def test_rock_changes_no_episode_of_any_strategy(engine, clearance_m, own):
-    check(ALL, dataclasses.replace(LIDAR, **own), Rules(clearance_m=clearance_m), engine, (1, 2, 3, 7, 20, 45))
+def test_rock_changes_no_episode_of_any_strategy(clearance_m, own, engine):
+    check(ALL, dataclasses.replace(LIDAR, **own), Rules(clearance_m=clearance_m), engine, (1, 2, 3, 20))
 
 
 @pytest.mark.jit

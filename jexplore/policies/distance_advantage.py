@@ -74,7 +74,8 @@ def distance_advantage(weight: float = 1.0, min_gain: int = 1) -> Policy:
 def small_first(weight: float = 0.5, side_weight: float = 0.5, min_gain: int = 1) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Params`.
 
-    The defaults of the weights were chosen on worlds #1000 to #1013 of each kind (`benchmarks/tuning.py`).
+    The defaults of the weights were chosen on worlds #1000 to #1013 of each kind (`benchmarks/tuning.py`), with known
+    outlines.
     """
     side_weight = require_number("side_weight", side_weight, high=100)
     return Policy(no_carry, _select, _params(weight, min_gain, by_area=True, side_weight=side_weight))
