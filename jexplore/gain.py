@@ -66,7 +66,7 @@ def stops_and_unknown(known: Known, beams: Beams) -> tuple[Array, Array]:
     inner = (rows > 0) & (cols > 0) & (rows < height - 1) & (cols < width - 1)
     ends = ~inner & (height > 0)
     wanted = True if within is None else within
-    margin = [(square_side(beams) // 2,) * 2 + (0,)] * 2
+    margin = [(square_side(beams) // 2, square_side(beams) // 2, 0)] * 2
     stops, unknown = is_occupied(grid, p_free) | ends, ~is_known(grid) & ~ends & wanted
     return lax.pad(stops, jnp.bool_(False), margin), lax.pad(unknown, jnp.all(wanted), margin)
 

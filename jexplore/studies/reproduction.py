@@ -116,10 +116,8 @@ class ReproductionResult:
         for name, environment in self.paper.environments.items():
             for a, b in itertools.combinations(sorted(environment.paths, key=lambda key: environment.paths[key][0]), 2):
                 pair = [(self.worlds[name], a), (self.worlds[name], b)]
-                ours, n_complete, both = paired.PairedRatio(math.nan, math.nan, math.nan, math.nan, 0), 0, ()
-                if set(pair) <= set(paths_m.columns):
-                    both = paths_m[pair].dropna()
-                    n_complete = int((outcomes.loc[both.index, pair] == "COMPLETE").all(axis=1).sum())
+                ours, both = paired.PairedRatio(*[math.nan] * 4, n=0), paths_m.reindex(columns=pair).dropna()
+                complete = outcomes.reindex(columns=pair).loc[both.index] == "COMPLETE"
                 if len(both):
                     ours = paired.paired_ratio(both[pair[0]], both[pair[1]])
                 paths = environment.paths[a], environment.paths[b]
@@ -128,7 +126,7 @@ class ReproductionResult:
                         **{"environment": name, "a": a, "b": b, "claimed": {a, b} in self.paper.claimed},
                         **{"paper_ratio": paths[0][0] / paths[1][0], "paper_p": welch_p(*paths, self.paper.runs)},
                         **{"ratio": ours.ratio, "ratio_low": ours.low, "ratio_high": ours.high, "p": ours.p},
-                        **{"verdict": verdict(ours), "pairs": ours.n, "complete": n_complete},
+                        **{"verdict": verdict(ours), "pairs": ours.n, "complete": int(complete.all(axis=1).sum())},
                     }
                 )
         return pd.DataFrame(rows)
@@ -140,18 +138,15 @@ class ReproductionResult:
         significant = ran[ran["paper_p"] < 0.05]
         lines = []
         for name, rows in ran.groupby("environment", sort=False):
-            same = int((rows["ratio"] < 1).sum())
+            same = len(rows[rows["ratio"] < 1])
             told = f"{same} of {len(rows)} pairs of means in the paper's order"
             lines.append(f"- {name}: {told}, Kendall's tau {2 * same / len(rows) - 1:.2f}.")
         for told, rows in (
             ("significant in the paper (Welch's t, p < 0.05)", significant),
             ("significant there and said by its text", significant[significant["claimed"]]),
         ):
-            n = rows["verdict"].value_counts()
-            lines.append(
-                f"- Of {len(rows)} orderings {told} {n.get('holds', 0)} hold, {n.get('undecided', 0)} are undecided, "
-                f"{n.get('does not hold', 0)} do not hold."
-            )
+            n = [list(rows["verdict"]).count(verdict) for verdict in ("holds", "undecided", "does not hold")]
+            lines.append(f"- Of {len(rows)} orderings {told} {n[0]} hold, {n[1]} are undecided, {n[2]} do not hold.")
         return "\n".join(lines)
 
     def to_pandas(self) -> "pd.DataFrame":

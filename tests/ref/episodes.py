@@ -61,6 +61,7 @@ def numbers_of(strategy, lidar, rules, cell_m):
             p_free=np.float32(rules.p_free),
             near_d2=np.int32(radius_d2(rules.near_m, cell_m)),
             cell_m=np.float32(cell_m),
+            known_outline=np.bool_(rules.known_outline),
             clearance_d2=radius_d2(rules.clearance_m, cell_m),
         ),
         look_around=np.bool_(rules.look_around),
