@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 
-from jexplore import Lidar, Rules
+from jexplore import Lidar, Robot, Rules
 from jexplore.arrays.loops import run_if
 from jexplore.arrays.padding import bucket
 from jexplore.bench.tables import markdown
@@ -62,7 +62,7 @@ def main(arguments):
         report = batch.run_jobs(jobs, Lidar(), Rules())
         paths, entries = [], []
         for result, *_ in report.outcomes:
-            table = columns(result, starts, seed=0, cell_m=world.cell_m, has_rooms=True)
+            table = columns(result, starts, seed=0, cell_m=world.cell_m, has_rooms=True, robot=Robot())
             paths.append(table["path_m"])
             entries.append(f"{np.mean(table['room_entries']):.1f}")
         ratios = [paired_ratio(path, paths[0]) for path in paths[1:]]

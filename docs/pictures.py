@@ -84,7 +84,7 @@ DRAWN = {
         "distance-advantage+recheck:weight=0.5 tour+recheck tour utility+recheck utility learned+recheck learned "
         "closest+recheck+segment closest+segment closest+recheck+segment=auto mcdm+recheck mcdm random random+recheck "
         "decision-theoretic decision-theoretic+recheck gain-rate gain-rate+recheck --out drawn",
-        {"league/league.png": "drawn/league.png"},
+        {"league/league.png": "drawn/league.png", "league/coverage.png": "drawn/coverage.png"},
         is_long=True,
     ),
 }

@@ -294,6 +294,45 @@ class Lidar(Settings):
 
 @checked_names
 @dataclasses.dataclass(frozen=True)
+class Robot(Settings):
+    """How long the robot's motions take and what energy; no path depends on it.
+
+    The defaults are a Pioneer 3-DX with a SICK LMS 200: accelerations and turns as its firmware has them (300 mm/s²,
+    100 degrees/s²), half a metre a second as in rooms, energy by Mei et al. 2005.
+    """
+
+    speed_m_s: float = 0.5
+    """The robot drives this fast, in metres a second."""
+    turn_rad_s: float = 1.75
+    """It turns in place this fast, in radians a second."""
+    acceleration_m_s2: float = 0.3
+    """It speeds up and brakes this much, in metres a second squared."""
+    turn_acceleration_rad_s2: float = 1.75
+    """It speeds up and slows down a turn this much, in radians a second squared."""
+    scan_s: float = 0.013
+    """A scan takes this long where the robot stands for it, in seconds; on its way it scans while it drives."""
+    plan_s: float = 0.0
+    """A plan takes this long, in seconds, and the robot stands meanwhile; at 0 it plans while it drives."""
+    standby_w: float = 36.0
+    """Whatever it does it draws this power, in watts: controller 5, computer 11, scanner 20."""
+    drive_j_m: float = 7.4
+    """Rolling takes this energy, in joules a metre."""
+    turn_j_rad: float = 1.2
+    """Turning in place takes this energy, in joules a radian: that of wheels that roll 0.16 m from the centre."""
+    mass_kg: float = 14.0
+    """It weighs this much, in kilograms; braking loses the kinetic energy."""
+
+    def __post_init__(self) -> None:
+        for name in ("speed_m_s", "turn_rad_s", "acceleration_m_s2", "turn_acceleration_rad_s2"):
+            require_number(f"robot.{name}", getattr(self, name), low=0.001, high=1000)
+        for name in ("scan_s", "plan_s"):
+            require_number(f"robot.{name}", getattr(self, name), high=3600)
+        for name in ("standby_w", "drive_j_m", "turn_j_rad", "mass_kg"):
+            require_number(f"robot.{name}", getattr(self, name), high=1e6)
+
+
+@checked_names
+@dataclasses.dataclass(frozen=True)
 class Rules(Settings):
     """The rules of an exploration episode, besides the scanner and the strategy."""
 

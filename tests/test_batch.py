@@ -251,7 +251,7 @@ def test_no_key_is_used_twice():
         model=MapModel(jnp.float32(0.25), jnp.int32(1), jnp.float32(1), 0), look_around=jnp.bool_(True),
         recheck=jnp.bool_(True), max_steps=jnp.int32(3), max_plans=jnp.int32(3), sigma_cells=jnp.float32(0.2),
         dropout=jnp.float32(0.1), no_echo_is_free=jnp.bool_(True), scan_every=jnp.int32(0),
-        arrival_d2=jnp.int32(0), params=(),
+        arrival_d2=jnp.int32(0), clock=jnp.zeros(100, jnp.int32), params=(),
     )  # fmt: skip
     program = program_of(Setup(strategy.policy, 2, True, 3, window=4))
     beams, start = jax.device_put((beam_table(lidar, 1.0, 6), np.asarray([1, 1, 0], np.int32)))

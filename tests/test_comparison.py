@@ -21,7 +21,7 @@ from jexplore.studies.results import comparison
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.comparison import ComparisonResult, assemble
 from jexplore.studies.results.units import Ran, unit_table
-from jexplore.studies.statistics import by_world, league, sizes
+from jexplore.studies.statistics import by_world, coverage, league, sizes
 from jexplore.worlds.readers.ros import read_ros
 from jexplore.worlds.world import World, occupancy_to_world
 
@@ -97,11 +97,12 @@ def test_summary_markdown_and_warnings(found):
     assert found.summary["mean"][0] == pytest.approx(found.episodes["path_m"][:4].mean())
     text = found.to_markdown()
     assert text == found._repr_markdown_()
-    assert text == by_world.markdown_table(found.summary)
+    more = coverage.coverage_text(found.at_coverage)
+    assert text == f"{by_world.markdown_table(found.summary)}\n{more}"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "MIN_PAIRS", 2)  # of worlds, before anything is said of all of them
         text = found.to_markdown()
-    assert text.endswith(f"\nIn each world:\n\n{by_world.markdown_table(found.summary)}")
+    assert text.endswith(f"\nIn each world:\n\n{by_world.markdown_table(found.summary)}\n{more}")
     assert text.startswith("Over 2 worlds, ")
     assert league.standings_table(found.standings) in text
     assert found.warnings == by_world.warnings_of(found.episodes, found.progress)

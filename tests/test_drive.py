@@ -53,7 +53,7 @@ def setting(native, occupied=ROOM, lidar=RIGHT_ANGLES, start=(1, 2, 0)):
     truth, beams = jax.tree.map(jnp.asarray, (
         episodes.truth_of(occupied, None, occupied.shape), episodes.beams_of(lidar, 1.0, occupied.shape[1], None)
     ))  # fmt: skip
-    numbers = jax.tree.map(jnp.asarray, episodes.numbers_of(strategy, lidar, rules, 1.0))
+    numbers = jax.tree.map(jnp.asarray, episodes.numbers_of(strategy, lidar, rules, 1.0, 20, episodes.ROBOT))
     return setup, Given(jax.random.key(0), beams, truth, jnp.int32(0), numbers, jnp.asarray(start, jnp.int32))
 
 
@@ -82,7 +82,7 @@ def test_the_first_scan_by_hand(target):
         "??#????",
     ]
     assert (int(state.n_known), int(state.scans)) == (10, 1)
-    assert state.trail[0].tolist() == [8 * (1 * 7 + 2), 10]
+    assert state.trail[0].tolist() == [8 * (1 * 7 + 2), 10, 0]
 
 
 @needs_compiler

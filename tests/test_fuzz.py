@@ -71,6 +71,8 @@ def test_whatever_differs_is_told():
         "known_after_scan": [(step, known + 1) for step, known in want.known_after_scan],
         "log": [dataclasses.replace(plan, target=(0, 0)) for plan in want.log],
         "explored_fraction": want.explored_fraction + 1e-3,
+        "events": [*want.events, ("scan",)],
+        "steps_at": [*want.steps_at[:-1], 0],
         "path_m_at_any_scan": {share: length + 0.01 for share, length in want.path_m_at_any_scan.items()},
     }
     told = {

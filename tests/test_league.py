@@ -163,7 +163,16 @@ def test_the_league_with_worlds_and_strategies_of_ones_own(tmp_path, capsys):
     more = ["--worlds", *worlds, "--strategies", *strategies, "--episodes", "2", "--out", str(out)]
     assert main.main(["compare", "--league", *more]) == 0
     assert {p.name for p in out.iterdir()} == {
-        *("details.npz", "episodes.parquet", "league.png", "league.svg", "report.html", "run.json"),
+        *(
+            "details.npz",
+            "episodes.parquet",
+            "coverage.png",
+            "coverage.svg",
+            "league.png",
+            "league.svg",
+            "report.html",
+            "run.json",
+        ),
     }
     record = json.loads((out / "run.json").read_text())
     assert record["configuration"]["worlds"] == worlds

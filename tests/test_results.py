@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from ref.results import result
 
+from jexplore.config import Robot
 from jexplore.exploration import results
 from jexplore.grid import Grid, is_free, is_known
 
@@ -53,6 +54,7 @@ def test_columns_by_hand():
         seed=7,
         cell_m=0.1,
         has_rooms=True,
+        robot=Robot(),
     )
     assert found["path_m"].tolist() == pytest.approx([1.0, 0.4 * math.sqrt(2)])
     assert found["turning_rad"].tolist() == pytest.approx([2 * math.pi, math.pi / 4])
@@ -69,5 +71,5 @@ def test_columns_by_hand():
 
 
 def test_without_rooms_there_are_no_room_entries():
-    found = results.columns(result(), np.zeros((1, 3), int), seed=0, cell_m=1.0, has_rooms=False)
+    found = results.columns(result(), np.zeros((1, 3), int), seed=0, cell_m=1.0, has_rooms=False, robot=Robot())
     assert found["room_entries"] == [None]

@@ -23,7 +23,15 @@ def table(**columns):
     path_m = np.asarray(columns.get("path_m", np.full(n, 10.0)), dtype=np.float64)
     marks = {f"path_m_at_{mark}": path_m * mark / 100 for mark in (50, 90, 95, 99)}
     start = {"seed": 0, "start_row": 3, "start_col": 4, "start_heading_deg": 90}
-    counts = {"turning_rad": 1.5, "steps": 100, "scans": 104, "plans": 7, "exhausted": 0}
+    counts = {
+        "turning_rad": 1.5,
+        "steps": 100,
+        "scans": 104,
+        "plans": 7,
+        "exhausted": 0,
+        "time_s": 30.0,
+        "energy_j": 900.0,
+    }
     default = {"world": "office#1", "strategy": "closest", "episode": np.arange(n), **start, "path_m": path_m, **counts}
     default |= {"outcome": "COMPLETE", "explored_fraction": 1.0, **marks}
     default |= {"room_entries": pd.array([pd.NA] * n, dtype="Int64")}
@@ -275,7 +283,7 @@ def test_markdown_whole():
     assert cells[0][:7] == ["world", "strategy", "n", "path m", "95 % interval", "ratio to the first", "p (Holm)"]
     assert cells[2] == [
         *("office#1", "closest", "3", "20.00 ± 10.00", "[5.8, 69.3]", "1.000", "-"),
-        *("7.0", "104.0", "1.5", "1.000", "0.0", "-", "COMPLETE 3"),
+        *("7.0", "104.0", "1.5", "30", "0.9", "1.000", "0.0", "-", "COMPLETE 3"),
     ]
     assert cells[3][3:7] == ["40.00 ± 20.00", "[11.6, 138.5]", "2.000", "-"]
     assert set(lines[1]) == set("|-: ")

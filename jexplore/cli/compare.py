@@ -15,8 +15,8 @@ from jexplore.cli.options import (
     PolygonText,
     ReportOptions,
     ResumeOptions,
-    RobotOptions,
     StartText,
+    TimedOptions,
     TrustOptions,
     default_worlds,
     fields_of,
@@ -40,7 +40,7 @@ def default_episodes() -> int:
 
 
 @dataclasses.dataclass(frozen=True)
-class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, RobotOptions):
+class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOptions):
     """Compare strategies in worlds, all from the same starts.
 
     Prints a table and writes episodes.parquet, details.npz, run.json, compare.png, coverage.png, paths.png and
@@ -74,8 +74,8 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, RobotOp
     name=mine:crowding names the column."""
     league: bool = False
     """Run every strategy in 48 worlds of six kinds (in cells over 0.2 m: 40 of five), unless --worlds and --strategies
-    say otherwise. Print who ranks where over all worlds, and write league.png instead of the pictures of single
-    worlds."""
+    say otherwise. Print who ranks where over all worlds, and write league.png and curves over all of them
+    instead of the pictures of single worlds."""
     league_seeds: int = 8
     """Number of worlds of each kind for the league, #0 and on."""
     waste: bool = False
@@ -90,7 +90,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, RobotOp
         """Run the command and return the exit status, None for 0."""
         from jexplore.studies.checks import prepare_jobs
         from jexplore.studies.results.saving import figures_of
-        from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds, standings_table
+        from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
 
         worlds, strategies = (
             (league_worlds(self.cell_m, self.league_seeds), LEAGUE_STRATEGIES)
@@ -104,7 +104,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, RobotOp
             jobs = prepare_jobs(
                 worlds,
                 strategies,
-                **fields_of(self, "episodes seed cell_m start within from_map lidar rules"),
+                **fields_of(self, "episodes seed cell_m start within from_map lidar rules robot"),
                 metrics=self.metric,
             )
             tasks, reported = self._bound_tasks(jobs), jobs if self.report else None
@@ -114,7 +114,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, RobotOp
             with note_if_slow(FINISHING):
                 record, text = functools.partial(out.record, arguments, self), found.to_markdown()
                 if self.league:
-                    text = standings_table(found.standings)
+                    text = found.league_text()
                     record = functools.partial(record, standings=found.standings.to_dict("records"))
             found, text, files, is_whole = self._beside(found, text, tasks, out)
             figures = figures_of(found, league=self.league)
@@ -167,10 +167,8 @@ def _more_tables(episodes, league):
 
 def _tables(found, record):
     """Format the tables of a comparison that has been finished before."""
-    from jexplore.studies.statistics.league import standings_table
-
     league = record["configuration"].get("league")
-    text = standings_table(found.standings) if league else found.to_markdown()
+    text = found.league_text() if league else found.to_markdown()
     return text + _more_tables(getattr(found, "comparison", found).episodes, league)
 
 

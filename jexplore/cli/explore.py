@@ -9,15 +9,15 @@ from jexplore.cli.options import (
     OneWorld,
     PolygonText,
     ReportOptions,
-    RobotOptions,
     StartText,
+    TimedOptions,
     fields_of,
 )
 from jexplore.cli.output.console import COMPILING, Out, note_if_slow, progress_of
 
 
 @dataclasses.dataclass(frozen=True)
-class Explore(ReportOptions, RobotOptions):
+class Explore(ReportOptions, TimedOptions):
     """Run one episode and draw it.
 
     Writes episode.png, episode.gif (known map, frontiers, target, path), explored.yaml and explored.pgm (the map at the
@@ -53,7 +53,9 @@ class Explore(ReportOptions, RobotOptions):
 
         with Out(self, "explore") as out:
             job = prepare_job(
-                self.world, self.strategy, **fields_of(self, "seed episode cell_m start within from_map lidar rules")
+                self.world,
+                self.strategy,
+                **fields_of(self, "seed episode cell_m start within from_map lidar rules robot"),
             )
             with note_if_slow(COMPILING):
                 found = run_job(job)

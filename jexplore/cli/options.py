@@ -29,7 +29,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from jexplore.config import NUMBER_BOUNDS, InputError, Lidar, Rules, require_engine, require_setting
+from jexplore.config import NUMBER_BOUNDS, InputError, Lidar, Robot, Rules, require_engine, require_setting
 
 SMALL = "JEXPLORE_SMALL"
 """Environment variable: set to anything but 0, the default comparison is a small one."""
@@ -119,6 +119,13 @@ class RobotOptions:
 
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     rules: Rules = dataclasses.field(default_factory=Rules)
+
+
+@dataclasses.dataclass(frozen=True)
+class TimedOptions(RobotOptions):
+    """Options of the scanner, the rules and the robot's motions."""
+
+    robot: Robot = dataclasses.field(default_factory=Robot)
 
 
 def fields_in_order(kind: type) -> list[Any]:

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.compare import FINISHING, finish_comparison, run_with_bar, show_finished
-from jexplore.cli.options import EngineOptions, ResumeOptions, RobotOptions, fields_of, is_small
+from jexplore.cli.options import EngineOptions, ResumeOptions, TimedOptions, fields_of, is_small
 from jexplore.cli.output.console import Out, note_if_slow
 
 
@@ -17,7 +17,7 @@ def default_paper_episodes() -> int:
 
 
 @dataclasses.dataclass(frozen=True)
-class Reproduce(EngineOptions, ResumeOptions, RobotOptions):
+class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
     """Reproduce a paper's tables: its strategies in its environments, next to its own figures.
 
     Prints a Markdown table an environment, and which orderings of the paper's means hold here. Writes episodes.parquet,
@@ -42,7 +42,8 @@ class Reproduce(EngineOptions, ResumeOptions, RobotOptions):
         from jexplore.studies import reproduction
 
         with Out(self, "reproduce") as out:
-            jobs = reproduction.prepare_paper(self.paper, **fields_of(self, "maps episodes seed cell_m lidar rules"))
+            settings = fields_of(self, "maps episodes seed cell_m lidar rules robot")
+            jobs = reproduction.prepare_paper(self.paper, **settings)
             made = run_with_bar(self, jobs, out)
             if made is None:
                 return show_finished(

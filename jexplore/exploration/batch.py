@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_engine, require_whole
+from jexplore.config import MAX_SEED, InputError, Lidar, Robot, Rules, require_engine, require_whole
 from jexplore.engine.program import Line
 from jexplore.engine.runner import Costs, Resources, find_resources, level_of, on_cores, require_32_bits, run_all
 from jexplore.exploration.metrics import Metric
 from jexplore.exploration.native import NativePlace, NativeRun, is_native, native_place, play_on_gpu
-from jexplore.exploration.site import Site, drive_for, line_of, prepare_site
+from jexplore.exploration.site import ROBOT, Site, drive_for, line_of, prepare_site
 from jexplore.exploration.state import Numbers, Result, Setup
 from jexplore.exploration.trail import Final, Record, decode
 from jexplore.native.build import Library, warn_once
@@ -36,6 +36,7 @@ class Job(NamedTuple):
     rules: Rules | None = None  # None: those of the run
     phase: int = 0  # jobs of a later phase are begun when all of this one have been
     metrics: Mapping[str, Metric] = MappingProxyType({})  # name of a column -> what it holds
+    robot: Robot = ROBOT
 
 
 class Outcomes(NamedTuple):
@@ -152,9 +153,9 @@ def _native_runs(wanted: Sequence[_Wanted], keep: str | None, why_not: list[str]
     runs: dict[int, NativeRun] = {}
     for i in can:
         job, lidar, rules, which, detailed = wanted[i]
-        key = id(job.world), job.strategy.policy.select, job.strategy.recheck, lidar, rules
+        key = id(job.world), job.strategy.policy.select, job.strategy.recheck, lidar, rules, job.robot
         if key not in places:
-            places[key] = native_place(found.loaded, job.world, job.strategy, lidar, rules)
+            places[key] = native_place(found.loaded, job.world, job.strategy, lidar, rules, job.robot)
         runs[i] = NativeRun(places[key], job.starts, job.seed, job.first, which, detailed, keep, job.phase)
     return runs
 
@@ -186,9 +187,9 @@ def _lines(
     strategies = join_strategies([own.job.strategy for own in wanted.values()])
     for (i, (job, lidar, rules, which, detailed)), strategy in zip(wanted.items(), strategies):
         metrics = tuple(job.metrics.values())
-        place = id(job.world), lidar, rules, metrics
+        place = id(job.world), lidar, rules, job.robot, metrics
         if place not in sites:
-            shared: Any = {"native": native.name, "shared_with": everyone, "metrics": metrics}
+            shared: Any = {"native": native.name, "shared_with": everyone, "metrics": metrics, "robot": job.robot}
             sites[place] = prepare_site(job.world, lidar, rules, **shared)
         key = place, id(job.strategy)
         if key not in fitted:

@@ -16,6 +16,7 @@ from jexplore.arrays.loops import run_if, stored
 from jexplore.distance import within_packed
 from jexplore.engine.program import Given
 from jexplore.exploration import metrics, trail
+from jexplore.exploration.clock import PLAN, SCAN, tick
 from jexplore.exploration.motion import motion_step, turn_between
 from jexplore.exploration.sensing import known_cells, sense, stacked
 from jexplore.exploration.state import Numbers, Outcome, Setup, State, Stream, no_counts
@@ -68,6 +69,8 @@ def _move(setup: Setup, given: Given, state: State, motion: Array) -> State:
         return jnp.where(looking, (old + 8 // _n_looks(setup)) % 8, jnp.where(ahead, heading, old))
 
     row, col = state.row + drow, state.col + dcol
+    clock = given.numbers.clock
+    time = tick(clock, state, turned(state.heading), steps, looking | refused, clock[SCAN])
     rooms, base = stacked(given, given.scenes.rooms)
     room = rooms[base + row, col]
     entered = (room >= 0) & (room != state.room)
@@ -89,6 +92,7 @@ def _move(setup: Setup, given: Given, state: State, motion: Array) -> State:
         room=jnp.where(entered, room, state.room),
         room_entries=state.room_entries + entered,
         refused=state.refused + refused,
+        **time,
     )
 
 
@@ -188,6 +192,8 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
     bad = ~none & (choice.cost >= FAR)
     bad_targets = jnp.where(bad, state.bad_targets + 1, 0)
     plan, entry = state.plans, trail.choice_of(state, choice, bad)
+    clock = given.numbers.clock
+    time = tick(clock, state, state.heading, jnp.bool_(False), clock[PLAN] > 0, clock[PLAN])
     state = state.replace(
         target=jnp.stack([choice.row, choice.col]),
         is_view=jnp.asarray(choice.is_view),
@@ -200,6 +206,7 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
         outcome=jnp.where(
             none, Outcome.COMPLETE, jnp.where(bad_targets >= BAD_TARGETS, Outcome.BAD_TARGET, state.outcome)
         ),
+        **time,
     )
     # A path of length 0 is an arrival.
     here = (state.belief.row == choice.row) & (state.belief.col == choice.col) & ~bad

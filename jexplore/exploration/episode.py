@@ -5,6 +5,7 @@ from jax import Array, lax
 
 from jexplore.engine.program import Given, Program
 from jexplore.exploration import environment, metrics
+from jexplore.exploration.clock import tick
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result, Setup, State
 from jexplore.exploration.trail import LOOKS, RECORDS, Trail, detail_of
 from jexplore.grid import beside, bordered, count, is_known
@@ -59,6 +60,8 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
     n_diagonal = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(is_diagonal, dtype=jnp.int32)])
     reached = (marks > 0) & (marks <= state.n_known)
     diagonal_at = n_diagonal[at]
+    # In the end the robot brakes.
+    end = tick(given.numbers.clock, state, state.heading, jnp.bool_(False), jnp.bool_(True), 0)
     return Result(
         straight=state.straight,
         diagonal=state.diagonal,
@@ -78,6 +81,10 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         saturated=state.saturated,
         refused=state.refused,
         overflow=state.overflow,
+        time_ms=end["time_ms"],
+        starts=end["starts"],
+        time_at=state.trail[at, Trail.TIME],
+        time_along=jnp.where(reached, state.trail[along, Trail.TIME], -1),
         metrics=metrics.values_of(setup, given, state.replace(outcome=outcome)),
     )
 

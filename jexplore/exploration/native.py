@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jexplore.config import Lidar, Rules
+from jexplore.config import Lidar, Robot, Rules
 from jexplore.engine.threads import Pieces
-from jexplore.exploration.site import regions_of, rule_numbers, tasks_of
+from jexplore.exploration.clock import clock_table
+from jexplore.exploration.site import ROBOT, regions_of, rule_numbers, tasks_of
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result
 from jexplore.exploration.trail import Final, Record, decode, record_of
 from jexplore.native import episodes, gpu
@@ -35,6 +36,8 @@ _WIDTHS = {
     "diagonal_at": len(PERCENTILES),
     "straight_along": MARKS,
     "diagonal_along": MARKS,
+    "time_at": len(PERCENTILES),
+    "time_along": MARKS,
 }
 
 
@@ -66,7 +69,14 @@ class NativePlace(NamedTuple):
 
 
 def native_place(
-    loaded: Any, world: World, strategy: Strategy, lidar: Lidar, rules: Rules, *, is_replay: bool = False
+    loaded: Any,
+    world: World,
+    strategy: Strategy,
+    lidar: Lidar,
+    rules: Rules,
+    robot: Robot = ROBOT,
+    *,
+    is_replay: bool = False,
 ) -> NativePlace:
     """Make a world ready for episodes in native code, or for replays, of any strategy: these take recorded targets."""
     whole, chooser = with_ring(world), None if is_replay else chooser_of(strategy)
@@ -77,6 +87,7 @@ def native_place(
         first_scans=scans_all_round(lidar),
         recheck=strategy.recheck,
         chooser=episodes.NEAREST if chooser is None else chooser,
+        clock=clock_table(robot, whole.cell_m, max(whole.shape)),
         **rule_numbers(whole, lidar, rules),
     )
     rooms = np.full(whole.shape, -1, np.int32) if whole.rooms is None else whole.rooms

@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 
 from jexplore import reach
 from jexplore.arrays.padding import bucket, number
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError, Lidar, Robot, Rules
 from jexplore.engine.program import Given, Line
 from jexplore.exploration import environment
+from jexplore.exploration.clock import clock_table
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.metrics import Metric, traced_metrics
 from jexplore.exploration.state import Numbers, Setup, Truth
@@ -28,6 +29,7 @@ from jexplore.raycast import Beams, beam_table, farthest, scans_all_round
 from jexplore.worlds.world import World, ring_of, with_ring
 
 LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
+ROBOT = Robot()
 COARSE_M = 0.15  # cells longer than this are coarse: a corridor is a few of them wide
 
 
@@ -90,6 +92,7 @@ def prepare_site(
     rules: Rules,
     shape: tuple[int, int] | None = None,
     *,
+    robot: Robot = ROBOT,
     native: str | None = None,
     shared_with: Sequence[tuple[Lidar, Rules]] = (),
     metrics: Sequence[Metric] = (),
@@ -98,6 +101,7 @@ def prepare_site(
 
     Args:
       shape: `(H, W)` to which the world is padded; by default the next that many worlds share.
+      robot: how long its motions take.
       native: target of native code that drives and plans, for one robot on a CPU; None, or a noisy scanner: JAX does.
       shared_with: scanners and rules of other runs. The static config then suits all of them whose scanner has as many
         beams, so that they share a program; results are the same.
@@ -117,7 +121,9 @@ def prepare_site(
     model.update(cell_m=world.cell_m, known_outline=rules.known_outline)
     model = MapModel(coarse=world.cell_m > COARSE_M, native=setup.native, **model)  # type: ignore[arg-type]
     noise: Any = {"sigma_cells": lidar.sigma_m / world.cell_m, "dropout": lidar.dropout, "recheck": False}
-    numbers = jax.tree.map(number, Numbers(model=model, params=(), **noise, **own))
+    numbers = jax.tree.map(
+        number, Numbers(model=model, params=(), clock=clock_table(robot, world.cell_m, max(shape)), **noise, **own)
+    )
     site = Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
     own = traced_metrics(metrics, *_example(site, numbers)) if metrics else ()
     return site._replace(setup=setup._replace(metrics=own))

@@ -81,6 +81,7 @@ class Numbers:
     sigma_cells: Array  # float32
     dropout: Array  # float32
     no_echo_is_free: Array  # bool, whether a beam that nothing stops shows its cells to be free
+    clock: Array  # [C] int32, how long motions take, see `clock.clock_table`
     params: Any  # `Policy.params`
     replace: ClassVar[Callable[..., Self]]
 
@@ -107,6 +108,10 @@ class Result:
     saturated: Array  # int32, cells out of reach at the end because their cost does not fit (see `reach.saturated`)
     refused: Array  # int32, steps refused because the cell ahead was not free
     overflow: Array  # int32, things that the strategy had no room for, all plans together
+    time_ms: Array  # int32, from the end of the scans at the start until the robot stands, see `clock`
+    starts: Array  # int32, thousandths of the kinetic energy at full speed, all runs together
+    time_at: Array  # [4] int32, ms, as `straight_at`: when the last scan there had been made
+    time_along: Array  # [MARKS] int32, ms, as `straight_along`
     metrics: tuple[Any, ...] = ()  # int32 or float32 each, values of `Setup.metrics`
     replace: ClassVar[Callable[..., Self]]
 
@@ -139,7 +144,7 @@ class State(StepCounts):
     belief: Belief
     goal: Array  # [ceil(H / 32), W] uint32, packed: cells that are known when the episode is complete
     route: Array  # [H, W] int8, see `planning.readout.lay_route`
-    trail: Array  # [T + 1, 2] int32, see `trail.Trail`
+    trail: Array  # [T + 1, 3] int32, see `trail.Trail`
     choices: Array  # [P, 2] int32, see `trail.Choices`
     carry: Any  # the policy's
     target: Array  # [2] int32, row and col; -1 for none
@@ -164,6 +169,9 @@ class State(StepCounts):
     refused: Array
     overflow: Array
     bad_targets: Array  # int32, targets in a row that no path leads to
+    time_ms: Array  # int32, time since the scans at the start, as if the robot did not brake, see `clock`
+    run: Array  # int32, steps since it stood, all in one direction
+    starts: Array  # int32, as in `Result`
     metrics: Any = ()  # how often those after every motion were taken, and a value for each, see `metrics.take_stock`
     replace: ClassVar[Callable[..., Self]]
 
@@ -176,5 +184,5 @@ class State(StepCounts):
 def no_counts() -> Any:
     """Return the counts of a `State` at zero: dict."""
     names = "straight diagonal turns scans plans exhausted saturated refused overflow bad_targets"
-    names += " n_known looking looked since_scan"
+    names += " n_known looking looked since_scan time_ms run starts"
     return dict.fromkeys(names.split(), jnp.int32(0))

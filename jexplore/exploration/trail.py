@@ -26,6 +26,7 @@ class Trail(enum.IntEnum):
 
     SPOT = 0  # LOOKS * flat index (row * W + col) of the robot's cell + scans made in place there before going on
     KNOWN = 1  # known cells
+    TIME = 2  # ms
 
 
 class Choices(enum.IntEnum):
@@ -36,7 +37,7 @@ class Choices(enum.IntEnum):
 
 
 def blank(capacity: int) -> tuple[Array, Array]:
-    """Return an empty trail and record of plans with room for a number of steps: `[T + 1, 2]`, `[P, 2]` int32."""
+    """Return an empty trail and record of plans with room for a number of steps: `[T + 1, 3]`, `[P, 2]` int32."""
     steps, plans = (capacity + 1, len(Trail)), (-(-capacity // CHOICES), len(Choices))
     return jnp.zeros(steps, jnp.int32), jnp.zeros(plans, jnp.int32)
 
@@ -44,7 +45,7 @@ def blank(capacity: int) -> tuple[Array, Array]:
 def note_step(state: State, when: Array | bool = True) -> State:
     """Add the present step to the trail of a `State`, unless there is nothing to add."""
     cell = state.row * state.shape[1] + state.col
-    entry = jnp.stack([LOOKS * cell + state.looked, state.n_known])
+    entry = jnp.stack([LOOKS * cell + state.looked, state.n_known, state.time_ms])
     step = jnp.where(when, state.steps, state.trail.shape[0])
     return state.replace(trail=state.trail.at[step].set(entry, mode="drop"))
 

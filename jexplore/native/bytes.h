@@ -238,15 +238,17 @@ struct ByteMaps : Paths {
 
 // What a robot did: every step, and every plan.
 struct FullLog {
-  std::vector<int32_t> known_after, diagonal_after, spot, choices;  // choices: [n, 2]
+  std::vector<int32_t> known_after, diagonal_after, time_after, spot, choices;  // choices: [n, 2]
 
-  void Clear() { known_after.clear(), diagonal_after.clear(), spot.clear(), choices.clear(); }
+  void Clear() { known_after.clear(), diagonal_after.clear(), time_after.clear(), spot.clear(), choices.clear(); }
   int known(int step) const { return known_after[step]; }
   int diagonal(int step) const { return diagonal_after[step]; }
+  int time(int step) const { return time_after[step]; }
 
-  void Step(int step, int known, int diagonal, int at) {
-    if (static_cast<int>(spot.size()) <= step) known_after.resize(step + 1), diagonal_after.resize(step + 1), spot.resize(step + 1);
-    known_after[step] = known, diagonal_after[step] = diagonal, spot[step] = at;
+  void Step(int step, int known, int diagonal, int at, int time) {
+    for (auto* each : {&known_after, &diagonal_after, &time_after, &spot})
+      if (static_cast<int>(each->size()) <= step) each->resize(step + 1);
+    known_after[step] = known, diagonal_after[step] = diagonal, time_after[step] = time, spot[step] = at;
   }
   void Decide(int plan, int step, int bumped) { choices.resize(2 * plan + 2, kNone), choices[2 * plan + 1] = 16 * step + bumped + 1; }
   void Chosen(int plan, int target) { choices[2 * plan] = target == kNone ? kNone : 2 * target; }

@@ -147,7 +147,7 @@ template <class Cell>
 void Emulate(HostWorld& host, Result* results, bool with_views) {
   WarpWorld& w = host.w;
   std::vector<uint32_t> shared(host.SharedWords<Cell>()), other(host.OtherWords<Cell>()), views, extents, bits;
-  std::vector<int32_t> steps(2 * (static_cast<size_t>(w.p.max_steps) + 1));
+  std::vector<int32_t> steps(3 * (static_cast<size_t>(w.p.max_steps) + 1));
   if (with_views) {
     views.resize(static_cast<size_t>(host.n_free) * w.view_words), extents.resize(8 * host.n_free), bits.resize(host.LargestBox());
     for (int cell = 0; cell < w.n_cells; ++cell)

@@ -15,7 +15,7 @@ enum Stage { kFirstScans, kNextScan, kAnswered };
 // The numbers of a state that driving changes, in the order of `drive.CHANGED`; then what it comes back with.
 struct Changed {
   int32_t row, col, heading, looking, looked, plan_active, bumped, since_scan, known, room, straight, diagonal, turns, scans,
-      exhausted, outcome, room_entries, refused, came_row, came_col;
+      exhausted, outcome, room_entries, refused, time, run, starts, came_row, came_col;
   int32_t asks;  // whether it waits for what the strategy says of its target
 };
 
@@ -27,13 +27,12 @@ struct Terms {
 
 // What a robot did, as `trail.note_step` has it.
 struct TrailLog {
-  int32_t* trail;  // [n, 2]
+  int32_t* trail;  // [n, 3]
   int64_t n;
 
-  void Step(int step, int known, int, int spot) {
+  void Step(int step, int known, int, int spot, int time) {
     if (step >= n) return;
-    trail[2 * step] = spot;
-    trail[2 * step + 1] = known;
+    trail[3 * step] = spot, trail[3 * step + 1] = known, trail[3 * step + 2] = time;
   }
   void Leave(int, int, int) {}
 };
@@ -49,6 +48,7 @@ void Restore(Drive& episode, const Changed& in, const Terms& terms) {
   episode.straight = in.straight, episode.diagonal = in.diagonal, episode.turns = in.turns, episode.scans = in.scans;
   episode.plans = terms.plans, episode.exhausted = in.exhausted, episode.refused = in.refused;
   episode.entries = in.room_entries, episode.outcome = in.outcome;
+  episode.time = in.time, episode.run = in.run, episode.starts = in.starts;
 }
 
 Changed Saved(const Drive& episode, bool asks) {
@@ -56,7 +56,7 @@ Changed Saved(const Drive& episode, bool asks) {
   return {maps.Row(episode.at), maps.Col(episode.at), episode.heading, episode.looking, episode.looked,
           episode.plan_active, episode.bumped, episode.since_scan, maps.n_known, episode.room, episode.straight,
           episode.diagonal, episode.turns, episode.scans, episode.exhausted, episode.outcome, episode.entries,
-          episode.refused, maps.Row(episode.came), maps.Col(episode.came), asks};
+          episode.refused, episode.time, episode.run, episode.starts, maps.Row(episode.came), maps.Col(episode.came), asks};
 }
 
 bool IsOn(const CountMaps& maps, int row, int col) {
@@ -79,7 +79,7 @@ bool GoOn(Drive& episode, const Terms& terms, bool may_ask) {
 }
 
 ffi::Error Run(Counts hits, Counts misses, Flags driven, Flags exhausted, Counts trail, Numbers changed, Motions route,
-               Walls occupied, Rooms rooms, Flags within, Table by_beam, Counts length, Counts blind, Numbers terms, Real p_free,
+               Walls occupied, Rooms rooms, Flags within, Table by_beam, Counts length, Counts blind, Numbers terms, Real p_free, Numbers clock,
                ffi::Result<Counts> hits_out, ffi::Result<Counts> misses_out, ffi::Result<Flags> driven_out,
                ffi::Result<Flags> exhausted_out, ffi::Result<Counts> trail_out, ffi::Result<Numbers> changed_out) {
   if (changed.size_bytes() != sizeof(Changed) || terms.size_bytes() != sizeof(Terms))
@@ -105,7 +105,7 @@ ffi::Error Run(Counts hits, Counts misses, Flags driven, Flags exhausted, Counts
   Spec spec{};
   spec.first_scans = own.first_scans, spec.arrival_d2 = own.arrival_d2, spec.scan_every = own.scan_every;
   spec.max_steps = own.max_steps, spec.max_plans = own.max_plans, spec.look_around = own.look_around;
-  spec.recheck = own.recheck;
+  spec.recheck = own.recheck, spec.clock = clock.typed_data();
   Result unused;
   Drive episode(spec, maps, log, unused);
   Restore(episode, now, own);

@@ -17,6 +17,7 @@ SOURCES = tuple(FOLDER / name for name in ("drive.cc", "plan.h", "counts.h", "pa
 CHANGED = (
     "row", "col", "heading", "looking", "looked", "plan_active", "bumped", "since_scan", "n_known", "room", "straight",
     "diagonal", "turns", "scans", "exhausted", "outcome", "room_entries", "refused",
+    "time_ms", "run", "starts",
 )  # fmt: skip
 """Numbers of a state that driving changes, in the order of `Changed` in drive.cc."""
 
@@ -85,7 +86,7 @@ def drive(setup: Any, given: Any, state: Any, stage: Stage, live: Array | bool =
     p_free = jnp.asarray(belief.model.p_free, jnp.float32)
     *maps, new = call(
         setup.native, "drive", [(a.shape, a.dtype) for a in given_up], *given_up, *places,
-        _terms(setup, given, state, stage, live), p_free, in_place=len(given_up),
+        _terms(setup, given, state, stage, live), p_free, given.numbers.clock, in_place=len(given_up),
     )  # fmt: skip
     *own, row, col, asks = jnp.unstack(new)
     state = state.replace(**dict(zip(CHANGED, own)), came_from=jnp.stack([row, col]), trail=maps.pop())

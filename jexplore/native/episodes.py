@@ -13,7 +13,7 @@ from jexplore.native.build import FOLDER, Library, load_library
 SOURCES = tuple(FOLDER / name for name in ("cpu.cc", "bytes.h", "paths.h", "world.h", "rules.h"))
 EMULATED = (*SOURCES, FOLDER / "warp_host.h", FOLDER / "warp.h")
 NEAREST, UNIFORM = 0, 1  # how a target is chosen
-RESULT = 222  # int32 of `exploration.state.Result`
+RESULT = 328  # int32 of `exploration.state.Result`
 _PLANS, _OUTCOME = 4, 6  # places in it
 TASK = np.dtype(
     [("start", np.int32, 3), ("seed", np.uint32), ("draw", np.uint32), ("goal", np.int32), ("region", np.int32)]
@@ -28,8 +28,12 @@ class Spec(Structure):
             "height", "width", "n_beams", "first_scans", "clearance_d2", "near_d2", "arrival_d2", "scan_every",
             "max_steps", "max_plans", "look_around", "recheck", "no_echo_is_free", "chooser",
         )),
-        ("p_free", c_float),
+        ("p_free", c_float), ("n_clock", c_int32), ("clock", c_void_p),
     ]  # fmt: skip
+
+    def __init__(self, *numbers: Any, clock: np.ndarray, **named: Any) -> None:
+        self.times = np.ascontiguousarray(clock, np.int32)  # `exploration.clock.clock_table`; must stay alive
+        super().__init__(*numbers, **named, n_clock=self.times.size, clock=self.times.ctypes.data)
 
 
 class _Given(Structure):
@@ -122,7 +126,7 @@ class World:
     """A world in the library, in which many threads may run episodes."""
 
     def __init__(self, loaded: ctypes.CDLL, spec: Spec, given: Given) -> None:
-        self._loaded, self._keep, self.shape = loaded, [], given.occupied.shape
+        self._loaded, self._keep, self.shape = loaded, [spec], given.occupied.shape
         self._handle = loaded.jexplore_world(ctypes.byref(spec), ctypes.byref(as_struct(given, self._keep)))
         if not self._handle:
             raise MemoryError("no memory for a world")
@@ -217,7 +221,7 @@ class World:
 # A room with a pillar and a niche, and what an episode from (2, 2) comes to there, as JAX has it: the first entries of
 # its result and the sum of all.
 _ROOM = ("##########", "#........#", "#..##....#", "#..##....#", "#......###", "#........#", "##########")
-_EXPECTED = {NEAREST: (19, 6, 45, 42, 14, 5, 1, 65, 810), UNIFORM: (35, 4, 63, 56, 13, 5, 1, 65, 875)}
+_EXPECTED = {NEAREST: (19, 6, 45, 42, 14, 5, 1, 65, 7211), UNIFORM: (35, 4, 63, 56, 13, 5, 1, 65, 6386)}
 
 
 def check(loaded: ctypes.CDLL) -> str:
@@ -228,7 +232,8 @@ def check(loaded: ctypes.CDLL) -> str:
     beams = trace_beams(Lidar(n_beams=37, range_m=3.0), 1.0)
     given = Given(occupied, np.full(occupied.shape, -1, np.int32), region, None, None, beams)
     for chooser, expected in _EXPECTED.items():
-        spec = Spec(*occupied.shape, 37, 2, 0, 1, 0, 0, 100, 100, 1, 1, 1, chooser, 0.25)
+        clock = np.r_[2, 1, 0, 3, 5, 7, 9, [0] * 6, 1:61]
+        spec = Spec(*occupied.shape, 37, 2, 0, 1, 0, 0, 100, 100, 1, 1, 1, chooser, 0.25, clock=clock)
         place = World(loaded, spec, given)
         found = place.play(place.tasks(np.array([[2, 2, 1]]), 7, np.zeros(1, np.int32)), np.zeros(1, np.int32)).results[
             0

@@ -94,7 +94,7 @@ __global__ void __launch_bounds__(32) RunEpisodes(const __grid_constant__ WarpWo
     const long long began = clock64();
 #endif
     WarpMaps<Cell> own(w, memory);
-    WarpLog log(work.steps + 2 * slot * work.capacity, work.capacity);
+    WarpLog log(work.steps + 3 * slot * work.capacity, work.capacity);
     Episode episode(w.p, own, log, work.results[i]);
     episode.Run(work.tasks[i], work.is_stuck[i]);
 #ifdef JEXPLORE_CLOCKS
@@ -136,7 +136,8 @@ void Run(HostWorld& host, Result* results, const volatile int32_t* stop, Measure
   work.capacity = std::min(w.p.max_steps + 1, kMostSteps);
   work.other_words = host.OtherWords<Cell>();
   Device<uint32_t> other(slots * work.other_words);
-  Device<int32_t> steps(2 * slots * work.capacity), next(1);
+  Device<int32_t> steps(3 * slots * work.capacity), next(1), clock(w.p.clock, w.p.n_clock);
+  w.p.clock = clock.data;
   Device<Task> tasks(host.tasks);
   Device<uint8_t> is_stuck(host.is_stuck);
   Device<Result> found(n_tasks);

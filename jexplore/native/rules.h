@@ -18,6 +18,7 @@
 namespace jexplore {
 
 constexpr int kStraight = 1 << 16, kDiagonal = 92682, kFar = 1 << 30;  // `reach.STRAIGHT` and so on
+constexpr int kScanMs = 0, kPlanMs = 1, kTurnMs = 2, kRunMs = 7, kMostMs = 1 << 30;  // `clock.SCAN` and so on
 constexpr int kNone = -1, kMarks = 100, kPercentiles = 4, kLooks = 8, kLookAround = 4;
 
 enum Outcome { kRunning, kComplete, kBlocked, kStepLimit, kPlanLimit, kStuck };
@@ -43,6 +44,8 @@ struct Spec {
   int32_t look_around, recheck, no_echo_is_free;
   int32_t chooser;  // `Chooser`
   float p_free;     // largest reflection probability of a free cell
+  int32_t n_clock;
+  const int32_t* clock;  // [n_clock], how long motions take: `exploration/clock.py`
 };
 
 // What an episode is given.
@@ -58,6 +61,7 @@ struct Result {
   int32_t straight_at[kPercentiles], diagonal_at[kPercentiles];
   int32_t straight_along[kMarks], diagonal_along[kMarks];
   int32_t saturated, refused, overflow;
+  int32_t time, starts, time_at[kPercentiles], time_along[kMarks];
 };
 
 struct Key {
@@ -122,12 +126,24 @@ struct Episode {
   bool plan_active = false;
   int straight = 0, diagonal = 0, turns = 0, scans = 0, plans = 0, exhausted = 0, refused = 0, entries = 0;
   int outcome = kRunning, saturated = 0;
+  int time = 0, run = 0, starts = 0;  // ms; steps since it stood; thousandths of the kinetic energy at full speed
 
   DEVICE Episode(const Spec& p, Maps& maps, Log& log, Result& out) : p(p), maps(maps), log(log), out(out) {}
 
   DEVICE int Looks() const { return p.first_scans > kLookAround ? p.first_scans : kLookAround; }
 
-  DEVICE void Note() { log.Step(straight + diagonal, maps.known(), diagonal, kLooks * maps.Flat(at) + looked); }
+  DEVICE void Note() { log.Step(straight + diagonal, maps.known(), diagonal, kLooks * maps.Flat(at) + looked, time); }
+
+  static DEVICE int Capped(int value) { return value < kMostMs ? value : kMostMs; }
+
+  // `clock.tick`. What the table says of the steps since it stood.
+  DEVICE const int32_t* Entry() const { return p.clock + kRunMs + 3 * (2 * run + (heading & 1)); }
+
+  DEVICE void Wait(int ms) {
+    const int32_t* entry = Entry();
+    time = Capped(time + entry[1] - entry[0] + ms), starts = Capped(starts + entry[2]);
+    run = 0;
+  }
 
   DEVICE void Scan() {
     maps.Scan(at, heading);
@@ -135,7 +151,9 @@ struct Episode {
   }
 
   DEVICE void Face(int to) {
-    turns += Turn(heading, to);
+    const int turn = Turn(heading, to);
+    if (turn > 0) Wait(p.clock[kTurnMs + turn]);
+    turns += turn;
     heading = to;
   }
 
@@ -156,6 +174,7 @@ struct Episode {
     came = at;
     if (plan_active && looking > 0) {
       Face((heading + 8 / Looks()) & 7);
+      Wait(p.clock[kScanMs]);
       --looking;
       ++looked;
       bumped = kNone;
@@ -174,11 +193,15 @@ struct Episode {
     Face(HeadingOf(motion));
     if (!maps.IsOpen(to)) {
       ++refused;
+      Wait(p.clock[kScanMs]);
       bumped = motion;
       return;
     }
     log.Leave(straight + diagonal, at, seen_from);
     const bool is_diagonal = motion >= 4;
+    const int came_ms = Entry()[0];
+    ++run;
+    time = Capped(time + Entry()[0] - came_ms);
     since_scan += is_diagonal ? kDiagonal : kStraight;
     diagonal += is_diagonal;
     straight += !is_diagonal;
@@ -196,6 +219,7 @@ struct Episode {
   // `environment.decide` and `commit`.
   DEVICE void Plan(Key key) {
     log.Decide(plans, straight + diagonal, bumped);
+    if (p.clock[kPlanMs] > 0) Wait(p.clock[kPlanMs]);
     target = p.chooser == kNearest ? maps.Nearest(at, left) : maps.Uniform(at, left, FoldIn(key, plans));
     log.Chosen(plans, target == kNone ? kNone : maps.Flat(target));
     ++plans;
@@ -273,23 +297,26 @@ struct Episode {
   DEVICE void Finish(const Task& task) {
     const int steps = straight + diagonal, known = maps.known();
     const int explored = maps.Explored(task.region), knowable = maps.Knowable(task.region);
+    Wait(0);
     if (maps.Lane() == 0) {
       out.straight = straight, out.diagonal = diagonal, out.turns = turns, out.scans = scans, out.plans = plans;
       out.exhausted = exhausted, out.outcome = outcome, out.known = known, out.explored = explored;
       out.explorable = maps.Explorable(task.region), out.room_entries = entries;
-      out.saturated = saturated, out.refused = refused, out.overflow = 0;
+      out.saturated = saturated, out.refused = refused, out.overflow = 0, out.time = time, out.starts = starts;
     }
     const int percentiles[kPercentiles] = {50, 90, 95, 99};
     for (int i = maps.Lane(); i < kPercentiles; i += maps.Lanes()) {
       const int step = FirstWith(log, steps, Share(percentiles[i], 100, known));
       out.diagonal_at[i] = log.diagonal(step);
       out.straight_at[i] = step - out.diagonal_at[i];
+      out.time_at[i] = log.time(step);
     }
     for (int i = maps.Lane(); i < kMarks; i += maps.Lanes()) {
       const int mark = Share(i + 1, kMarks, knowable), step = FirstWith(log, steps, mark);
       const bool is_reached = mark > 0 && mark <= known;
       out.diagonal_along[i] = is_reached ? log.diagonal(step) : kNone;
       out.straight_along[i] = is_reached ? step - log.diagonal(step) : kNone;
+      out.time_along[i] = is_reached ? log.time(step) : kNone;
     }
   }
 };

@@ -605,20 +605,21 @@ struct WarpMaps {
   }
 };
 
-// Known cells and diagonal steps after each step; an episode of more steps than fit is given up.
+// Known cells, diagonal steps and time after each step; an episode of more steps than fit is given up.
 struct WarpLog {
-  int32_t* steps;  // [capacity, 2]
+  int32_t* steps;  // [capacity, 3]
   int capacity;
   bool fits = true;
 
   DEVICE WarpLog(int32_t* steps, int capacity) : steps(steps), capacity(capacity) {}
-  DEVICE int known(int step) const { return steps[2 * step]; }
-  DEVICE int diagonal(int step) const { return steps[2 * step + 1]; }
+  DEVICE int known(int step) const { return steps[3 * step]; }
+  DEVICE int diagonal(int step) const { return steps[3 * step + 1]; }
+  DEVICE int time(int step) const { return steps[3 * step + 2]; }
   DEVICE bool GoesOn() const { return fits; }
-  DEVICE void Step(int step, int known, int diagonal, int) {
+  DEVICE void Step(int step, int known, int diagonal, int, int time) {
     if (step >= capacity) fits = false;
     LANES(lane)
-    if (lane == 0 && fits) steps[2 * step] = known, steps[2 * step + 1] = diagonal;
+    if (lane == 0 && fits) steps[3 * step] = known, steps[3 * step + 1] = diagonal, steps[3 * step + 2] = time;
     END_LANES
   }
   DEVICE void Decide(int, int, int) {}

@@ -11,9 +11,9 @@ import numpy as np
 
 from jexplore.arrays.bits import WORD
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, Lidar, Rules, as_record, require_different, require_setting
+from jexplore.config import InputError, Lidar, Robot, Rules, as_record, require_different, require_setting
 from jexplore.exploration.batch import Job
-from jexplore.exploration.site import LEAST_LIMIT
+from jexplore.exploration.site import LEAST_LIMIT, ROBOT
 from jexplore.grid import radius_d2
 from jexplore.policies import Policy, Strategy, strategy
 from jexplore.raycast import HEADINGS, farthest, n_steps
@@ -33,11 +33,13 @@ LidarLike: TypeAlias = Lidar | Mapping[str, Any]
 """A scanner, or a mapping of those of its fields that are not the defaults."""
 RulesLike: TypeAlias = Rules | Mapping[str, Any]
 """`Rules`, or a mapping of some of its fields."""
+RobotLike: TypeAlias = Robot | Mapping[str, Any]
+"""`Robot`, or a mapping of some of its fields."""
 StartLike: TypeAlias = str | tuple[int, int, int] | Pose
 """Start of episodes: see `poses.read_start`."""
 LIDAR, RULES = Lidar(), Rules()  # the defaults
 CELL_BYTES = 120  # of one episode under way and of the world itself, measured on a CPU; a cell of the padded map
-TRAIL_BYTES = 24  # a step
+TRAIL_BYTES = 32  # a step
 BEAM_BYTES = 64  # a step of a beam, while the table is made
 RUN_MEMORY_SHARE = 0.8  # of the machine's memory that a run may be expected to need
 LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # of a container: cgroup 2 and 1
@@ -193,9 +195,11 @@ def prepare_jobs(
     within: str | Polygon | None = None,
     from_map: KnownMap | None = None,
     metrics: MetricsLike = None,
+    robot: RobotLike = ROBOT,
 ) -> list[Job]:
     """Check and load everything before `compare` runs: a list of `Job`. Arguments as there."""
     lidar, rules = ready_settings(lidar, rules)
+    robot = as_record("robot", robot, Robot)
     episodes, seed = require_setting("episodes", episodes), require_setting("seed", seed)
     start = read_start(start, start_m)
     strategies, own = ready_strategies(strategies), ready_metrics(metrics)
@@ -204,5 +208,7 @@ def prepare_jobs(
     for world in (restricted(world, within, from_map) for world in ready):
         require_memory(world, lidar, rules)
         starts = ready_starts(world, start, episodes, seed=seed, rules=rules)
-        jobs += [Job(world, one, starts, seed, lidar=lidar, rules=rules, metrics=own) for one in strategies]
+        jobs += [
+            Job(world, one, starts, seed, lidar=lidar, rules=rules, metrics=own, robot=robot) for one in strategies
+        ]
     return jobs

@@ -10,8 +10,10 @@ from jexplore.exploration.trail import RECORDS
 from jexplore.report.ledger import open_ledger
 from jexplore.studies.checks import (
     LIDAR,
+    ROBOT,
     RULES,
     LidarLike,
+    RobotLike,
     RulesLike,
     StartLike,
     StrategyLike,
@@ -32,7 +34,7 @@ def compare(
     episodes: int = 20, seed: int = 0, cell_m: float = 0.1,
     start: StartLike = "random", start_m: Sequence[float] | None = None,
     within: str | Polygon | None = None, from_map: KnownMap | None = None,
-    lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
+    lidar: LidarLike = LIDAR, rules: RulesLike = RULES, robot: RobotLike = ROBOT,
     engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
     keep: str | None = None, metrics: MetricsLike = None,
@@ -53,6 +55,7 @@ def compare(
       from_map: partial map that they have from the beginning: see `restrict.with_known`.
       lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
       rules: `Rules`, or such a mapping.
+      robot: `Robot`, or such a mapping: how long its motions take, and what energy.
       engine: "auto", native code where it can and JAX for the rest; "jax", JAX alone. Results are equal.
       lanes: with "jax", episodes at a time on each GPU; by default as many as its memory holds.
       workers: threads on a CPU; by default one a core.
@@ -72,7 +75,9 @@ def compare(
     require_engine(engine, lanes)
     settings = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": start, "start_m": start_m}
     limits = {"within": within, "from_map": from_map}
-    jobs = prepare_jobs(worlds, strategies, **settings, **limits, lidar=lidar, rules=rules, metrics=metrics)
+    jobs = prepare_jobs(
+        worlds, strategies, **settings, **limits, lidar=lidar, rules=rules, robot=robot, metrics=metrics
+    )
     is_text = from_map is None or isinstance(from_map, (str, os.PathLike))
     settings |= limits | {"from_map": from_map if is_text else type(from_map).__name__}
     if keep is not None and keep not in tuple(RECORDS):
@@ -96,7 +101,14 @@ def compare(
             "command": ["jx", "compare"],
             "started": began,
             "wall_s": (datetime.datetime.now(datetime.UTC) - began).total_seconds(),
-            "configuration": {**names, **settings, **how, "lidar": found.lidar, "rules": found.rules},
+            "configuration": {
+                **names,
+                **settings,
+                **how,
+                "lidar": found.lidar,
+                "rules": found.rules,
+                "robot": jobs[0].robot,
+            },
             **found.made.record,
             **{"asked": asked, "units": len(cut_jobs(jobs))},
         }

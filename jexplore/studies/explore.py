@@ -22,8 +22,10 @@ from jexplore.report import animate, plot
 from jexplore.report.page.replay import evenly
 from jexplore.studies.checks import (
     LIDAR,
+    ROBOT,
     RULES,
     LidarLike,
+    RobotLike,
     RulesLike,
     StartLike,
     StrategyLike,
@@ -170,7 +172,7 @@ def explore(
     seed: int = 0, episode: int = 0, cell_m: float = 0.1,
     start: StartLike = "random", start_m: Sequence[float] | None = None,
     within: str | Polygon | None = None, from_map: KnownMap | None = None,
-    lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
+    lidar: LidarLike = LIDAR, rules: RulesLike = RULES, robot: RobotLike = ROBOT,
 ) -> EpisodeResult:  # fmt: skip
     """Run one episode and keep its map and way.
 
@@ -188,6 +190,7 @@ def explore(
       from_map: partial map that it has from the beginning: see `restrict.with_known`.
       lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
       rules: `Rules`, or such a mapping.
+      robot: `Robot`, or such a mapping: how long its motions take, and what energy.
 
     Returns:
       `EpisodeResult`.
@@ -195,7 +198,14 @@ def explore(
     Raises:
       InputError: a name, number, map or start that cannot be used. Raised before anything is compiled.
     """
-    where = {"cell_m": cell_m, "start": start, "start_m": start_m, "within": within, "from_map": from_map}
+    where = {
+        "cell_m": cell_m,
+        "start": start,
+        "start_m": start_m,
+        "within": within,
+        "from_map": from_map,
+        "robot": robot,
+    }
     return run_job(prepare_job(world, strategy, seed=seed, episode=episode, lidar=lidar, rules=rules, **where))
 
 
@@ -214,7 +224,7 @@ def run_job(job: Job) -> EpisodeResult:
     ((result, final, _),) = report.outcomes
     assert final is not None  # a run that was interrupted has raised
     has_rooms, cell_m = job.world.rooms is not None, job.world.cell_m
-    found = columns(result, job.starts, seed=job.seed, cell_m=cell_m, has_rooms=has_rooms)
+    found = columns(result, job.starts, seed=job.seed, cell_m=cell_m, has_rooms=has_rooms, robot=job.robot)
     last = {name: values[number] for name, values in found.items()}
     row, col, heading_deg = (int(value) for value in job.starts[number])
     return EpisodeResult(

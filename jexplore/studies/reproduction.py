@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from jexplore.config import InputError, checked_names, require_engine, unknown
 from jexplore.exploration.batch import Job
 from jexplore.report import tables
-from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, prepare_jobs
+from jexplore.studies.checks import LIDAR, ROBOT, RULES, LidarLike, RobotLike, RulesLike, prepare_jobs
 from jexplore.studies.papers import PAPERS, Paper
 from jexplore.studies.results.comparison import ComparisonResult, run_comparison
 from jexplore.studies.results.progress import progress_bar
@@ -209,7 +209,7 @@ def _orderings_text(orderings):
 
 def prepare_paper(
     name: str, *, maps: str | os.PathLike[str] | None, episodes: int, seed: int, cell_m: float,
-    lidar: LidarLike, rules: RulesLike,
+    lidar: LidarLike, rules: RulesLike, robot: RobotLike = ROBOT,
 ) -> list[Job]:  # fmt: skip
     """Check and load everything before `reproduce` runs. Arguments as there."""
     paper, jobs = find(name), []
@@ -217,9 +217,8 @@ def prepare_paper(
         require_maps(paper, maps)
     for environment, world in world_names(paper, maps).items():
         strategies = sorted(paper.environments[environment].paths, key=lambda name: name != paper.reference)
-        jobs += prepare_jobs(
-            [world], strategies, episodes=episodes, seed=seed, cell_m=cell_m, start="random", lidar=lidar, rules=rules
-        )
+        how = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": "random", "lidar": lidar, "rules": rules}
+        jobs += prepare_jobs([world], strategies, **how, robot=robot)
     return jobs
 
 
@@ -238,6 +237,7 @@ def reproduction_of(name: str, maps: str | os.PathLike[str] | None, found: Compa
 def reproduce(
     paper: str = "holz2010", *, maps: str | os.PathLike[str] | None = None,
     episodes: int = 100, seed: int = 0, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
+    robot: RobotLike = ROBOT,
     engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None, progress: bool | None = None,
 ) -> ReproductionResult:  # fmt: skip
@@ -247,7 +247,7 @@ def reproduce(
       paper: a key of `PAPERS`.
       maps: folder of the paper's maps (`Environment.file`); by default built-in counterparts stand in.
       episodes: of each strategy in each environment.
-      seed, cell_m, lidar, rules, engine, lanes, workers, on_progress, progress: as in `comparison.compare`.
+      seed, cell_m, lidar, rules, robot, engine, lanes, workers, on_progress, progress: as in `comparison.compare`.
 
     Returns:
       `ReproductionResult`.
@@ -256,7 +256,8 @@ def reproduce(
       InputError: a paper, folder, map or number that cannot be used. Raised before anything is compiled.
     """
     require_engine(engine, lanes)
-    jobs = prepare_paper(paper, maps=maps, episodes=episodes, seed=seed, cell_m=cell_m, lidar=lidar, rules=rules)
+    how = {"cell_m": cell_m, "lidar": lidar, "rules": rules, "robot": robot}
+    jobs = prepare_paper(paper, maps=maps, episodes=episodes, seed=seed, **how)
     with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
         found = run_comparison(jobs, engine=engine, lanes=lanes, workers=workers, on_progress=moved)
     return reproduction_of(paper, maps, found)

@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
+from jexplore.config import Robot
 from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import Given
+from jexplore.exploration.clock import clock_table
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.results import progress_m
 from jexplore.exploration.site import cost_of
@@ -22,9 +24,10 @@ from jexplore.planning import MapModel
 from jexplore.policies import parse_strategy
 from jexplore.raycast import Beams, beam_table, by_beam, disturb, scan, scans_all_round
 
-from . import plans, simulator
+from . import clock, plans, simulator
 
 CAPACITY = 20_000
+ROBOT = Robot()
 COUNTS = ("straight", "diagonal", "turns", "scans", "plans", "exhausted", "refused")
 
 
@@ -54,7 +57,7 @@ def truth_of(occupied, rooms, shape, within=None, known=None):
     )
 
 
-def numbers_of(strategy, lidar, rules, cell_m):
+def numbers_of(strategy, lidar, rules, cell_m, longest, robot):
     """`Numbers`."""
     return Numbers(
         model=MapModel(
@@ -73,6 +76,7 @@ def numbers_of(strategy, lidar, rules, cell_m):
         sigma_cells=np.float32(lidar.sigma_m / cell_m),
         dropout=np.float32(lidar.dropout),
         no_echo_is_free=np.bool_(lidar.no_echo == "free"),
+        clock=clock_table(robot, cell_m, longest),
         params=strategy.policy.params,
     )
 
@@ -130,6 +134,7 @@ def play(
     beams_as=None,
     window=0,
     native=False,
+    robot=ROBOT,
 ):
     """`(Result, State)` of the kernel, of numpy arrays; `native`: whether native code drives, where it can be built."""
     strategy = parse_strategy(strategy)
@@ -142,7 +147,7 @@ def play(
         window,
         find_target().name if native else None,
     )
-    numbers = numbers_of(strategy, lidar, rules, cell_m)
+    numbers = numbers_of(strategy, lidar, rules, cell_m, max(shape), robot)
     numbers = numbers.replace(model=dataclasses.replace(numbers.model, native=static.native))
     return jax.tree.map(
         np.asarray,
@@ -244,7 +249,7 @@ def _first_difference(got, want):
     return "" if got == want else f" {got}, expected {want}"
 
 
-def differences(result, state, want, *, cell_m, rooms=None, within=None, known=None):
+def differences(result, state, want, *, cell_m, rooms=None, within=None, known=None, robot=ROBOT):
     """Everything that the kernel and the simulator measure and that differs: one text for each; none if all is equal.
 
     Args:
@@ -263,6 +268,7 @@ def differences(result, state, want, *, cell_m, rooms=None, within=None, known=N
         after_step.append(last_known.get(i, after_step[-1] if after_step else at_start))
     lengths = (result.straight_at + math.sqrt(2) * result.diagonal_at) * cell_m
     along = progress_m(result, cell_m)
+    times, end, starts = clock.play(want.events, robot, cell_m)
     outside = np.ones(state.shape, bool)
     outside[:height, :width] = False
     pairs = {
@@ -283,6 +289,9 @@ def differences(result, state, want, *, cell_m, rooms=None, within=None, known=N
         "explored": (int(result.explored) / max(int(result.explorable), 1), want.explored_fraction),
         "path_m_at": (lengths, list(want.path_m_at_any_scan.values())),
         "path_m_along": (*(np.nan_to_num(metres, nan=-1.0) for metres in (along, want.path_m_along)),),
+        "time": ((int(result.time_ms), int(result.starts)), (end, starts)),
+        "time_at": (result.time_at, [times[step] for step in want.steps_at]),
+        "time_along": (result.time_along, [-1 if step is None else times[step] for step in want.steps_along]),
         "saturated": (int(result.saturated), 0),
     }
     if rooms is not None:
@@ -290,6 +299,6 @@ def differences(result, state, want, *, cell_m, rooms=None, within=None, known=N
     return [name + text for name, (got, expected) in pairs.items() if (text := _first_difference(got, expected))]
 
 
-def assert_equal_episodes(result, state, want, *, cell_m, rooms=None):
+def assert_equal_episodes(result, state, want, *, cell_m, rooms=None, robot=ROBOT):
     """Nothing that both of them measure differs."""
-    assert differences(result, state, want, cell_m=cell_m, rooms=rooms) == []
+    assert differences(result, state, want, cell_m=cell_m, rooms=rooms, robot=robot) == []

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from scipy import ndimage
 
-from jexplore.config import Lidar, Rules
+from jexplore.config import Lidar, Robot, Rules
 from jexplore.exploration.state import Outcome
 from jexplore.grid import in_cells, radius_d2
 from jexplore.native.build import find_compiler
@@ -74,6 +74,9 @@ EXACT = tuple(fixed for fixed in MANY if not fixed.noisy)
 """Programs without noise, as native code has them."""
 
 
+ROBOTS = Robot(), Robot(0.8, 0.9, 0.15, 0.7, 0.4, 0.25)
+
+
 @dataclasses.dataclass(frozen=True)
 class Case:
     """An episode to be compared."""
@@ -90,6 +93,11 @@ class Case:
     lidar: Lidar
     rules: Rules
     cell_m: float
+
+    @property
+    def robot(self):
+        """The robot: every other one stands while it plans."""
+        return ROBOTS[self.seed % 2]
 
 
 class Verdict(NamedTuple):
@@ -361,7 +369,7 @@ def compare(case, *, oracle=True, loaded=None):
       loaded: the native library; by default that of the package.
     """
     fixed = case.fixed
-    world = {name: getattr(case, name) for name in ("cell_m", "rooms", "within", "known")}
+    world = {name: getattr(case, name) for name in ("cell_m", "rooms", "within", "known", "robot")}
     how = {"shape": fixed.shape, "seed": case.seed, "beams_as": fixed.beams_as}
     episode = case.occupied, case.start, case.strategy, case.lidar, case.rules
     result, state = episodes.play(*episode, native=fixed.native, **world, **how)
@@ -394,5 +402,7 @@ def _by_oracle(case, episode, world, how, result, state):
     fixed = case.fixed
     sense = episodes.readings_of(case.occupied, case.lidar, cell_m=case.cell_m, **how) if fixed.noisy else None
     choose = episodes.choice_of(case.seed) if fixed.policy == "random" else None
-    want = episodes.replay(*episode, **world, choose=choose, sense=sense)
+    want = episodes.replay(
+        *episode, **{name: world[name] for name in world if name != "robot"}, choose=choose, sense=sense
+    )
     return episodes.differences(result, state, want, **world)

@@ -24,7 +24,7 @@ def play(case, loaded=None):
     world = World(occupied=case.occupied, rooms=case.rooms, cell_m=case.cell_m, within=case.within, known=case.known)
     limits = {name: getattr(case.rules, name) or CAPACITY for name in ("max_steps", "max_plans")}
     rules, strategy = dataclasses.replace(case.rules, **limits), parse_strategy(case.strategy)
-    place = native_place(loaded, world, strategy, case.lidar, rules)
+    place = native_place(loaded, world, strategy, case.lidar, rules, case.robot)
     run = NativeRun(place, np.array([case.start]), case.seed, 0, np.zeros(1, int), detailed=0, keep="maps")
     run_all([run], on_cores(1))
     return run

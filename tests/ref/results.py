@@ -13,5 +13,6 @@ def result(n=1, **fields):
     values = {field.name: zero for field in dataclasses.fields(Result)} | {"metrics": ()}
     values |= {"outcome": zero + 1, "explorable": zero + 1, "straight_at": np.zeros((n, 4), np.int32)}
     values |= {"diagonal_at": np.zeros((n, 4), np.int32)}
-    values |= dict.fromkeys(("straight_along", "diagonal_along"), np.zeros((n, 100), np.int32))
+    values |= {"time_at": np.zeros((n, 4), np.int32)}
+    values |= dict.fromkeys(("straight_along", "diagonal_along", "time_along"), np.zeros((n, 100), np.int32))
     return Result(**{**values, **{name: np.asarray(value, np.int32) for name, value in fields.items()}})

@@ -30,6 +30,7 @@ class Result:
     """Result of an episode; counts as the robot made them, metres and radians derived from them at the end."""
 
     outcome: str = ""  # COMPLETE, BLOCKED, STUCK, STEP_LIMIT, PLAN_LIMIT
+    events: list = dataclasses.field(default_factory=list)  # what took time, see `clock.play`
     visited: list = dataclasses.field(default_factory=list)  # (row, col): the start, then one cell a step
     headings: list = dataclasses.field(default_factory=list)  # degrees in [0, 360), one a scan
     hits: np.ndarray | None = None  # [H, W] int64
@@ -52,6 +53,8 @@ class Result:
     path_m_at: dict = dataclasses.field(default_factory=dict)  # per cent -> m, by `known_after_step`
     path_m_at_any_scan: dict = dataclasses.field(default_factory=dict)  # per cent -> m, by `known_after_scan`
     path_m_along: list = dataclasses.field(default_factory=list)  # m at each per cent of `knowable`, NaN: never
+    steps_at: list = dataclasses.field(default_factory=list)  # steps made at each of `path_m_at_any_scan`
+    steps_along: list = dataclasses.field(default_factory=list)  # and of `path_m_along`, None: never
     room_entries: int | None = None  # None without rooms
 
     @property
@@ -158,7 +161,9 @@ class Robot:
     def turn_to(self, heading_deg):
         """Turn in place by the smaller way."""
         difference = (heading_deg - self.heading) % 360
-        self.result.turns += min(difference, 360 - difference) // 45
+        eighths = min(difference, 360 - difference) // 45
+        self.result.turns += eighths
+        self.result.events += [("turn", eighths)] * (eighths > 0)
         self.heading = heading_deg % 360
 
     def look_all_round(self, n):
@@ -172,6 +177,7 @@ class Robot:
         for _ in range(n - 1):
             self.turn_to((self.heading + 360 // n) % 360)
             self.scan(self.heading)
+            self.result.events.append(("scan",))
 
     def step(self, cell):
         """Go to a neighbouring cell and scan; False if the step is refused (the robot turns and scans all the same)."""
@@ -181,8 +187,10 @@ class Robot:
         if self.occupied[cell] or not self.within[cell] or not (self.classes()[1][cell] or self.driven[cell]):
             self.result.refused += 1
             self.scan(self.heading)
+            self.result.events.append(("scan",))
             return False
         self.cell = cell
+        self.result.events.append(("step", bool(motion[0] and motion[1])))
         self.result.visited.append(cell)
         self.driven[cell] = True
         if motion[0] and motion[1]:
@@ -204,6 +212,7 @@ class Robot:
         targets = plans.frontier(plans.clear(free, occupied, clear_r2), cost, known | ~self.within, self.exhausted)
         flat = np.flatnonzero(targets)
         self.result.plans += 1
+        self.result.events.append(("plan",))
         plan = Plan(self.cell, None, 0, [])
         if flat.size:
             if choose is None:
@@ -351,6 +360,7 @@ def measure(robot, start, cell_m, rooms):
     for share in SHARES:
         for series, out in ((by_step, result.path_m_at), (by_scan, result.path_m_at_any_scan)):
             out[share] = lengths_m[next(step for step, count in series if 100 * count >= share * final)]
+        result.steps_at.append(next(step for step, count in by_scan if 100 * count >= share * final))
     whole = knowable(inside, robot.within)
     for share in range(1, 101):
         steps = [
@@ -358,6 +368,7 @@ def measure(robot, start, cell_m, rooms):
             for step, count in [(0, robot.known_before), *result.known_after_scan]
             if whole and 100 * count >= share * whole
         ]
+        result.steps_along.append(steps[0] if steps else None)
         result.path_m_along.append(lengths_m[steps[0]] if steps else math.nan)
     if rooms is not None:
         result.room_entries = count_room_entries(result.visited, rooms)

@@ -49,7 +49,9 @@ def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, band: flo
     return line
 
 
-def coverage_curves_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
+def coverage_curves_figure(
+    entries: Sequence[tuple[str, Mapping[str, Any]]], *, label: str = "path length (m)"
+) -> Figure:
     """Draw the known part of the knowable share along the path, `(world, {strategy: progress})` a panel."""
     strategies = list(dict.fromkeys(name for _, known in entries for name in known))
     looks, lines = looks_of(strategies), {}
@@ -69,7 +71,7 @@ def coverage_curves_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> 
             at = {"ha": "center", "va": "center", "fontsize": FONT, "color": GREY, "transform": ax.transAxes}
             ax.text(0.5, 0.5, "all was known at the start" if shown.size else "no data", **at)
         ax.set_title(wrapped_text(world, 44, max_lines=2), fontsize=9)
-        ax.set_xlabel("path length (m)" if lowest else "")
+        ax.set_xlabel(label if lowest else "")
         ax.set_ylabel("known of what can be known (%)" if number % n_cols == 0 else "")
         plain_axes(ax, grid="both")
     shown = [name for name in strategies if name in lines]

@@ -25,7 +25,8 @@ from jexplore.studies.results.details import Seen
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import EXTRAS, MAP, PROGRESS, SEEN, WAY, Ran, run_units
 from jexplore.studies.statistics import by_world, figures, sizes, waste
-from jexplore.studies.statistics.league import over_worlds_text, standings
+from jexplore.studies.statistics.coverage import at_coverage, coverage_text
+from jexplore.studies.statistics.league import over_worlds_text, standings, standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.worlds.world import World
 
@@ -96,6 +97,11 @@ class ComparisonResult(ByStrategy):
         return standings(self.episodes)
 
     @functools.cached_property
+    def at_coverage(self) -> "pd.DataFrame":
+        """Tabulate ratios of paths and times to shares of a world: see `coverage.at_coverage`."""
+        return at_coverage(self.episodes)
+
+    @functools.cached_property
     def wasted(self) -> "pd.DataFrame":
         """Add the wasted part of each path to the table of episodes, with `keep="paths"`: see `waste.wasted`."""
         return waste.wasted(self.episodes, self.paths, {world.name: world.cell_m for world in self.worlds})
@@ -112,10 +118,15 @@ class ComparisonResult(ByStrategy):
         return max(len(self.episodes) - self.resumed, 0) / self.run_s if self.run_s else 0.0
 
     def to_markdown(self) -> str:
-        """Format the summary as a Markdown table; with six worlds or more, before it, the statistics over all."""
+        """Format the summary and ratios at equal coverage as Markdown; for six worlds or more also those over all."""
         text = by_world.markdown_table(self.summary)
         together = len(self.worlds) >= MIN_PAIRS and max(self.standings["worlds"], default=0) >= MIN_PAIRS
-        return f"{over_worlds_text(self.standings)}\nIn each world:\n\n{text}" if together else text
+        text = f"{over_worlds_text(self.standings)}\nIn each world:\n\n{text}" if together else text
+        return f"{text}\n{coverage_text(self.at_coverage)}" if len(self) > 1 else text
+
+    def league_text(self) -> str:
+        """Format the statistics over all worlds, and ratios at equal coverage, as Markdown tables."""
+        return f"{standings_table(self.standings)}\n{coverage_text(self.at_coverage)}"
 
     def to_xarray(self) -> Any:
         """Convert all results to an `xarray.Dataset` with labelled dimensions: see `labelled.of_comparison`."""

@@ -12,7 +12,12 @@ if TYPE_CHECKING:
     import pandas as pd
 
 UNITS = {
-    **dict.fromkeys(("path_m", "path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99", "progress_m"), "m"),
+    **dict.fromkeys(("path_m", "path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99"), "m"),
+    **dict.fromkeys(("time_s", "time_s_at_50", "time_s_at_90", "time_s_at_95", "time_s_at_99", "area_s"), "s"),
+    **dict.fromkeys(("area_m", "progress_m"), "m"),
+    **{"energy_j": "J", "robot.speed_m_s": "m s-1", "robot.turn_rad_s": "rad s-1", "robot.scan_s": "s"},
+    **{"robot.acceleration_m_s2": "m s-2", "robot.turn_acceleration_rad_s2": "rad s-2", "robot.plan_s": "s"},
+    **{"robot.standby_w": "W", "robot.drive_j_m": "J m-1", "robot.turn_j_rad": "J rad-1", "robot.mass_kg": "kg"},
     **{"turning_rad": "rad", "start_heading_deg": "degree", "explored_fraction": "1", "cell_m": "m"},
     **{"lidar.range_m": "m", "lidar.sigma_m": "m", "lidar.fov_deg": "degree", "rules.clearance_m": "m"},
     **{"rules.near_m": "m", "lidar.dropout": "1", "rules.p_free": "1"},

@@ -131,6 +131,7 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
         "worlds": list(worlds),
         "strategies": list(dict.fromkeys(job.strategy.name for job in jobs)),
         **{"episodes": len(first.starts), "seed": first.seed, "lidar": first.lidar, "rules": first.rules},
+        "robot": first.robot,
         "starts": starts.hexdigest(),
         "digests": {name: world_digest(world) for name, world in worlds.items()},
         "own": own_digests(jobs),

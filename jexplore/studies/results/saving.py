@@ -20,7 +20,9 @@ from jexplore.report.plots.standings import league_figure
 from jexplore.studies.replays import replays_of
 from jexplore.studies.results import provenance
 from jexplore.studies.results.details import DETAILS, write_details
+from jexplore.studies.statistics import figures
 from jexplore.studies.statistics.by_world import markdown_table
+from jexplore.studies.statistics.coverage import coverage_tables
 from jexplore.studies.statistics.league import standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.worlds.names import file_names, short_names
@@ -54,11 +56,14 @@ def write_maps(found: Any, folder: Path) -> list[Path]:
 def figures_of(found: Any, *, league: bool = False) -> dict[str, Callable[[], Any]]:
     """Return pictures of a `ComparisonResult`: name of a file -> function that draws it."""
     if league:
-        return {"league.png": lambda: league_figure(found.standings)}
-    figures = {"compare.png": found.compare_figure, "coverage.png": found.coverage_figure}
-    figures |= {"waste.png": found.waste_figure} if found.paths else {}
+        return {
+            "coverage.png": lambda: figures.league_coverage_figure(found.episodes, found.progress, found.standings),
+            "league.png": lambda: league_figure(found.standings),
+        }
+    drawn = {"coverage.png": found.coverage_figure, "compare.png": found.compare_figure}
+    drawn |= {"waste.png": found.waste_figure} if found.paths else {}
     # Without any episode 0, as after an early interruption, there is no path to draw.
-    return figures | ({"paths.png": found.paths_figure} if found.first else {})
+    return drawn | ({"paths.png": found.paths_figure} if found.first else {})
 
 
 def comparison_files(found: Any) -> dict[str, Callable[[Path], Any]]:
@@ -110,7 +115,7 @@ def tables_of(found: Any) -> list[tuple[str, str]]:
     tables = [("In each world", markdown_table(found.summary))]
     if len(found.worlds) >= MIN_PAIRS:
         tables.insert(0, ("Over all worlds", standings_table(found.standings)))
-    return tables
+    return tables + list(coverage_tables(found.at_coverage).items()) if len(found) > 1 else tables
 
 
 def entries_of(found: Any) -> dict[str, Any]:

@@ -65,7 +65,7 @@ def rows_of(job: Job, found: Outcomes) -> dict[str, Any]:
     """Return the episodes of a job as columns, an array or a list for each."""
     n, world = len(job.starts), job.world
     has_rooms = world.rooms is not None
-    rows = columns(found.result, job.starts, seed=job.seed, cell_m=world.cell_m, has_rooms=has_rooms)
+    rows = columns(found.result, job.starts, seed=job.seed, cell_m=world.cell_m, has_rooms=has_rooms, robot=job.robot)
     rows["episode"] = rows["episode"] + job.first
     rows |= {"world": [os.fspath(world.name)] * n, "strategy": [job.strategy.name] * n}
     for (name, metric), values in zip(job.metrics.items(), found.result.metrics):

@@ -76,8 +76,8 @@ def summarise(episodes: "pd.DataFrame", metrics: Sequence[str] = ()) -> "pd.Data
         `sd` (divided by n - 1; NaN for one episode) and the interval `ci_low`, `ci_high` of the path length, metres,
         from `mean_interval`; `ratio`, `ratio_low`, `ratio_high`, `p` from `paired_ratio`; `p_holm`, that p corrected
         for as many strategies as are compared in the world (`holm`); the means of `plans`, `scans`, `turning_rad`,
-        `explored_fraction`, `exhausted` and `room_entries` (NaN without rooms); `outcomes`, text such as "COMPLETE 98,
-        BLOCKED 2"; means of the metrics.
+        `time_s`, `energy_j`, `explored_fraction`, `exhausted` and `room_entries` (NaN without rooms); `outcomes`, text
+        such as "COMPLETE 98, BLOCKED 2"; means of the metrics.
 
     Raises:
       InputError: an episode occurs twice, or paired episodes start differently.
@@ -119,7 +119,7 @@ def markdown_table(summary: Any, *, as_text: Callable[..., str] = aligned_table)
     widths_m = [high - low for low, high in zip(summary["ci_low"], summary["ci_high"]) if math.isfinite(high - low)]
     decimals = 1 if widths_m and min(widths_m) >= 1 else 2
     head = ["world", "strategy", "n", "path m", "95 % interval", "ratio to the first", "p (Holm)"]
-    head += ["plans", "scans", "turning rad", "explored", "exhausted", "room entries"]
+    head += ["plans", "scans", "turning rad", "time s", "energy kJ", "explored", "exhausted", "room entries"]
     metrics = [name for name in summary if name not in SUMMARY_COLUMNS]
     lines = []
     for row in summary.itertuples(index=False):
@@ -127,6 +127,7 @@ def markdown_table(summary: Any, *, as_text: Callable[..., str] = aligned_table)
         line = [row.world, row.strategy, str(row.n), path, interval_text(row.ci_low, row.ci_high, decimals)]
         line += [ratio_text(row.ratio, row.ratio_low, row.ratio_high), p_text(row.p_holm)]
         line += [number_text(row.plans, 1), number_text(row.scans, 1), number_text(row.turning_rad, 1)]
+        line += [number_text(row.time_s, 0), number_text(row.energy_j / 1000, 1)]
         line += [number_text(row.explored_fraction, 3), number_text(row.exhausted, 1), number_text(row.room_entries, 1)]
         line += [f"{getattr(row, name):.4g}".replace("nan", "-") for name in metrics]
         lines.append([*line, row.outcomes])

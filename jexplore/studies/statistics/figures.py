@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 MOST_WORLDS = 12
 """With more worlds than this, a picture of a comparison shows all of them together only."""
+MOST_CURVES = 6
+"""Strategies in a picture of curves over many worlds, without the first."""
 
 
 def compare_figure(
@@ -111,6 +113,28 @@ def coverage_figure(progress: Mapping[tuple[str, str], np.ndarray]) -> "Figure":
         raise InputError("progress must be of one world or more to be drawn, got none")
     entries = [(str(one), {name: rows for (world, name), rows in progress.items() if world == one}) for one in worlds]
     return curves.coverage_curves_figure(entries)
+
+
+def league_coverage_figure(
+    episodes: "pd.DataFrame", progress: Mapping[tuple[str, str], np.ndarray], table: "pd.DataFrame"
+) -> "Figure":
+    """Draw the known share over all worlds, along paths as multiples of the first strategy's whole path there.
+
+    `progress` as of `coverage_figure`, in the order of the rows of `episodes`; the `MOST_CURVES` best of `table`, from
+    `league.standings`, are shown, and the first strategy.
+    """
+    from jexplore.report.plots import curves
+
+    reference = str(episodes["strategy"].iloc[0])
+    whole_m = episodes[episodes["strategy"] == reference].set_index(["world", "episode"])["path_m"]
+    best = list(dict.fromkeys([reference, *table["strategy"][:MOST_CURVES]]))
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in best}
+    for (world, strategy), rows in episodes[episodes["strategy"].isin(best)].groupby(["world", "strategy"], sort=False):
+        own_m = np.array([whole_m.get((world, episode), 0.0) for episode in rows["episode"]])
+        parts[str(strategy)].append(progress[world, strategy][own_m > 0] / own_m[own_m > 0, None])
+    found = {name: np.concatenate(own) for name, own in parts.items() if own}
+    title = f"over {episodes['world'].nunique()} worlds: medians over all starts, and quartiles"
+    return curves.coverage_curves_figure([(title, found)], label=f"path length over the whole one of {reference}")
 
 
 def profile_figure(episodes: "pd.DataFrame", *, over: str = "best") -> "Figure":

@@ -49,8 +49,10 @@ def league_worlds(cell_m: float = 0.1, seeds: int = LEAGUE_SEEDS) -> tuple[str, 
     return (*plain, *furnished) if cell_m <= FURNISHED_CELL_M else tuple(plain)
 
 
-def paths_by_world(episodes: "pd.DataFrame") -> "pd.DataFrame":
+def paths_by_world(episodes: "pd.DataFrame", column: str = "path_m") -> "pd.DataFrame":
     """Compute mean paths in every world of a strategy and of the first one, over the starts from which neither failed.
+
+    Or means of another `column` that grows with the path.
 
     Returns:
       A DataFrame with the columns `world`, `strategy`, `mean`, `reference`, metres, and `log_ratio`, the logarithm of
@@ -58,7 +60,7 @@ def paths_by_world(episodes: "pd.DataFrame") -> "pd.DataFrame":
     """
     import pandas as pd
 
-    paths: Any = comparable_paths(episodes)
+    paths: Any = comparable_paths(episodes, column)
     tables = []
     for name in paths.columns:
         both: Any = pd.DataFrame({"mean": paths[name], "reference": paths.iloc[:, 0]})

@@ -90,8 +90,8 @@ def share_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, f
     return mean, min(max(low, 0.0), mean), max(min(high, 1.0), mean), p  # the mean lies between, rounding aside
 
 
-def comparable_paths(episodes: "pd.DataFrame") -> "pd.DataFrame":
-    """Return path lengths of the starts that every strategy has, metres, infinite for failed episodes.
+def comparable_paths(episodes: "pd.DataFrame", column: str = "path_m") -> "pd.DataFrame":
+    """Return path lengths, or another column, of the starts that every strategy has, infinite for failed episodes.
 
     An episode that is not COMPLETE has failed if another from the same start is, or, where none is, if it has explored
     less than another, by more than 0.01 of what can be explored.
@@ -110,7 +110,7 @@ def comparable_paths(episodes: "pd.DataFrame") -> "pd.DataFrame":
     table: Any = episodes
     explored, outcome, paths = (
         table.pivot(index=["world", "episode"], columns="strategy", values=name)[strategies].dropna()
-        for name in ("explored_fraction", "outcome", "path_m")
+        for name in ("explored_fraction", "outcome", column)
     )
     complete, less = outcome == "COMPLETE", explored.lt(explored.max(axis=1) - EQUAL_FRACTION, axis=0)
     failed = ~complete & (less | complete.any(axis=1).to_numpy(bool)[:, None])

@@ -27,7 +27,7 @@ from jexplore.studies.checks import (
 from jexplore.studies.metrics import ready_metrics
 from jexplore.studies.results.provenance import own_digests, world_digest
 from jexplore.studies.results.units import CELL_S, MIN_UNIT_EPISODES, UNIT_S
-from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain_spec
+from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain_spec, robot_of
 from jexplore.version import __version__
 from jexplore.worlds.poses import read_start
 from jexplore.worlds.world import World, ringed_shape
@@ -179,7 +179,8 @@ class SweepPlan:
         world = self.world(block.world, cell_m)
         starts = self.starts(world, seed, rules.clearance_m, rules.near_m)[block.first : block.first + block.n]
         strategy = self.together[block.strategy]
-        return Job(world, strategy, starts, seed, block.first, lidar, rules, phase, self.metrics)
+        robot = robot_of(self.settings[block.setting])
+        return Job(world, strategy, starts, seed, block.first, lidar, rules, phase, self.metrics, robot)
 
 
 @functools.lru_cache(maxsize=256)

@@ -14,6 +14,7 @@ from jexplore.arrays.files import first_line, read_yaml
 from jexplore.config import (
     InputError,
     Lidar,
+    Robot,
     Rules,
     checked_names,
     require_different,
@@ -31,7 +32,7 @@ MAX_SETTINGS = 100_000
 MAX_TOTAL = 100_000_000  # episodes
 DRAW_METHODS = ("random", "sobol")
 RANGE = ("low", "high", "log")
-SETTING_PARTS = {"lidar": Lidar, "rules": Rules}
+SETTING_PARTS = {"lidar": Lidar, "rules": Rules, "robot": Robot}
 _FIELDS_OF = {name: {field.name: field for field in dataclasses.fields(kind)} for name, kind in SETTING_PARTS.items()}
 WHOLE_SETTINGS = [
     "seed",
@@ -64,6 +65,8 @@ class Sweep:
     """A `jx.Lidar`, or some of its fields."""
     rules: Mapping[str, Any] | Rules = dataclasses.field(default_factory=dict)
     """A `jx.Rules`, or some of its fields."""
+    robot: Mapping[str, Any] | Robot = dataclasses.field(default_factory=dict)
+    """A `jx.Robot`, or some of its fields."""
     metrics: Any = dataclasses.field(default_factory=dict)
     """Columns of your own: name -> function or "module:function", as in `jx.compare`."""
     settings: tuple[Mapping[str, Any], ...] = ()
@@ -167,6 +170,7 @@ class Sweep:
         for setting in self.expanded():
             seed = require_setting("seed", setting["seed"])
             cell_m = require_setting("cell_m", setting["cell_m"])
+            robot_of(setting)
             found.append((seed, float(cell_m), Lidar(**_part(setting, "lidar")), Rules(**_part(setting, "rules"))))
         return found
 
@@ -212,6 +216,11 @@ def _require_key(key):
 def _default(key):
     part, _, name = key.partition(".")
     return {"seed": 0, "cell_m": 0.1}[key] if not name else _FIELDS_OF[part][name].default
+
+
+def robot_of(setting: Mapping[str, Any]) -> Robot:
+    """Return the robot of a setting of `Sweep.expanded`."""
+    return Robot(**_part(setting, "robot"))
 
 
 def _part(setting, kind):
