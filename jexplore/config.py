@@ -295,7 +295,7 @@ class Lidar(Settings):
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Robot(Settings):
-    """How long the robot's motions take and what energy; no path depends on it.
+    """Times and energies of the robot's motions; no path depends on them.
 
     The defaults are a Pioneer 3-DX with a SICK LMS 200: accelerations and turns as its firmware has them (300 mm/s²,
     100 degrees/s²), half a metre a second as in rooms, energy by Mei et al. 2005.

@@ -1,4 +1,4 @@
-"""How long motions take: by hand, against the oracle, and laws; the columns that come of it."""
+"""Times of motions: by hand, against the oracle, and laws; columns of time and energy."""
 
 import math
 
@@ -13,7 +13,7 @@ from ref.results import result
 import jexplore as jx
 from jexplore.config import InputError, Lidar, Robot, Rules
 from jexplore.exploration import results
-from jexplore.exploration.clock import MOST_MS, PLAN, RUN, SCAN, TURN, clock_table
+from jexplore.exploration.motion import MOST_MS, PLAN, RUN, SCAN, TURN, clock_table
 
 # A metre a second after one metre, and a quarter turn a second after half of one.
 PLAIN = Robot(speed_m_s=1.0, acceleration_m_s2=0.5, turn_rad_s=math.pi / 2, turn_acceleration_rad_s2=math.pi / 2)

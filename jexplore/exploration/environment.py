@@ -16,8 +16,7 @@ from jexplore.arrays.loops import run_if, stored
 from jexplore.distance import within_packed
 from jexplore.engine.program import Given
 from jexplore.exploration import metrics, trail
-from jexplore.exploration.clock import PLAN, SCAN, tick
-from jexplore.exploration.motion import motion_step, turn_between
+from jexplore.exploration.motion import PLAN, SCAN, motion_step, tick, turn_between
 from jexplore.exploration.sensing import known_cells, sense, stacked
 from jexplore.exploration.state import Numbers, Outcome, Setup, State, Stream, no_counts
 from jexplore.frontier import disc

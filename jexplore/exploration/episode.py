@@ -5,7 +5,7 @@ from jax import Array, lax
 
 from jexplore.engine.program import Given, Program
 from jexplore.exploration import environment, metrics
-from jexplore.exploration.clock import tick
+from jexplore.exploration.motion import tick
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result, Setup, State
 from jexplore.exploration.trail import LOOKS, RECORDS, Trail, detail_of
 from jexplore.grid import beside, bordered, count, is_known

@@ -11,7 +11,7 @@ import numpy as np
 
 from jexplore.config import Lidar, Robot, Rules
 from jexplore.engine.threads import Pieces
-from jexplore.exploration.clock import clock_table
+from jexplore.exploration.motion import clock_table
 from jexplore.exploration.site import ROBOT, regions_of, rule_numbers, tasks_of
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result
 from jexplore.exploration.trail import Final, Record, decode, record_of

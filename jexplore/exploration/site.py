@@ -14,9 +14,9 @@ from jexplore.arrays.padding import bucket, number
 from jexplore.config import InputError, Lidar, Robot, Rules
 from jexplore.engine.program import Given, Line
 from jexplore.exploration import environment
-from jexplore.exploration.clock import clock_table
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.metrics import Metric, traced_metrics
+from jexplore.exploration.motion import clock_table
 from jexplore.exploration.state import Numbers, Setup, Truth
 from jexplore.exploration.trail import record_of
 from jexplore.grid import in_cells, radius_d2

@@ -81,7 +81,7 @@ class Numbers:
     sigma_cells: Array  # float32
     dropout: Array  # float32
     no_echo_is_free: Array  # bool, whether a beam that nothing stops shows its cells to be free
-    clock: Array  # [C] int32, how long motions take, see `clock.clock_table`
+    clock: Array  # [C] int32, how long motions take, see `motion.clock_table`
     params: Any  # `Policy.params`
     replace: ClassVar[Callable[..., Self]]
 
@@ -108,7 +108,7 @@ class Result:
     saturated: Array  # int32, cells out of reach at the end because their cost does not fit (see `reach.saturated`)
     refused: Array  # int32, steps refused because the cell ahead was not free
     overflow: Array  # int32, things that the strategy had no room for, all plans together
-    time_ms: Array  # int32, from the end of the scans at the start until the robot stands, see `clock`
+    time_ms: Array  # int32, from the end of the scans at the start until the robot stands, see `motion`
     starts: Array  # int32, thousandths of the kinetic energy at full speed, all runs together
     time_at: Array  # [4] int32, ms, as `straight_at`: when the last scan there had been made
     time_along: Array  # [MARKS] int32, ms, as `straight_along`
@@ -169,7 +169,7 @@ class State(StepCounts):
     refused: Array
     overflow: Array
     bad_targets: Array  # int32, targets in a row that no path leads to
-    time_ms: Array  # int32, time since the scans at the start, as if the robot did not brake, see `clock`
+    time_ms: Array  # int32, time since the scans at the start, as if the robot did not brake, see `motion`
     run: Array  # int32, steps since it stood, all in one direction
     starts: Array  # int32, as in `Result`
     metrics: Any = ()  # how often those after every motion were taken, and a value for each, see `metrics.take_stock`

@@ -32,7 +32,7 @@ class Spec(Structure):
     ]  # fmt: skip
 
     def __init__(self, *numbers: Any, clock: np.ndarray, **named: Any) -> None:
-        self.times = np.ascontiguousarray(clock, np.int32)  # `exploration.clock.clock_table`; must stay alive
+        self.times = np.ascontiguousarray(clock, np.int32)  # `exploration.motion.clock_table`; must stay alive
         super().__init__(*numbers, **named, n_clock=self.times.size, clock=self.times.ctypes.data)
 
 

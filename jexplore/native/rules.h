@@ -18,7 +18,7 @@
 namespace jexplore {
 
 constexpr int kStraight = 1 << 16, kDiagonal = 92682, kFar = 1 << 30;  // `reach.STRAIGHT` and so on
-constexpr int kScanMs = 0, kPlanMs = 1, kTurnMs = 2, kRunMs = 7, kMostMs = 1 << 30;  // `clock.SCAN` and so on
+constexpr int kScanMs = 0, kPlanMs = 1, kTurnMs = 2, kRunMs = 7, kMostMs = 1 << 30;  // `motion.SCAN` and so on
 constexpr int kNone = -1, kMarks = 100, kPercentiles = 4, kLooks = 8, kLookAround = 4;
 
 enum Outcome { kRunning, kComplete, kBlocked, kStepLimit, kPlanLimit, kStuck };
@@ -45,7 +45,7 @@ struct Spec {
   int32_t chooser;  // `Chooser`
   float p_free;     // largest reflection probability of a free cell
   int32_t n_clock;
-  const int32_t* clock;  // [n_clock], how long motions take: `exploration/clock.py`
+  const int32_t* clock;  // [n_clock], how long motions take: `exploration/motion.py`
 };
 
 // What an episode is given.
@@ -136,7 +136,7 @@ struct Episode {
 
   static DEVICE int Capped(int value) { return value < kMostMs ? value : kMostMs; }
 
-  // `clock.tick`. What the table says of the steps since it stood.
+  // `motion.tick`. What the table says of the steps since it stood.
   DEVICE const int32_t* Entry() const { return p.clock + kRunMs + 3 * (2 * run + (heading & 1)); }
 
   DEVICE void Wait(int ms) {

@@ -11,7 +11,7 @@ def _reach_s(way, speed, acceleration):
 
 
 def stop_s(way, speed, acceleration):
-    """Seconds over a way from standing to standing: half of it speeding up, or cruising between."""
+    """Seconds over a way from standing to standing: speeding up for a half, and braking."""
     return 2 * _reach_s(way / 2, speed, acceleration)
 
 

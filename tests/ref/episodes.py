@@ -12,8 +12,8 @@ from scipy import ndimage
 from jexplore.config import Robot
 from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import Given
-from jexplore.exploration.clock import clock_table
 from jexplore.exploration.episode import program_of
+from jexplore.exploration.motion import clock_table
 from jexplore.exploration.results import progress_m
 from jexplore.exploration.site import cost_of
 from jexplore.exploration.state import Numbers, Outcome, Setup, Stream, Truth

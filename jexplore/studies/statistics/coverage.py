@@ -21,7 +21,7 @@ MEASURES = {
     ("time", "area"): "area_s",
     ("time", "energy"): "energy_j",
 }
-"""What is measured, and where on the curve -> column of the table of episodes."""
+"""Measure and place on the curve -> column of the table of episodes."""
 
 
 def _over_worlds(ratios: Any, name: str) -> PairedRatio:
