@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 MOST_WORLDS = 12
 """With more worlds than this, a picture of a comparison shows all of them together only."""
 MOST_CURVES = 7
-"""Strategies in a picture of curves over many worlds, the first not counted where it is none of the best."""
+"""Most of the best strategies in a picture of curves over many worlds; the reference is in it always."""
 
 
 def compare_figure(
