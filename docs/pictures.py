@@ -80,8 +80,8 @@ DRAWN = {
     ),
     "coverage": Drawn(
         "jexplore compare --league --league-seeds 4 --episodes 2 --rules.known-outline --strategies closest+recheck "
-        "closest small-first+recheck learned+recheck distance-advantage+recheck tour+recheck utility+recheck random+recheck "
-        "--out drawn",
+        "closest small-first+recheck learned+recheck distance-advantage+recheck tour+recheck utility+recheck "
+        "random+recheck --out drawn",
         {"league/coverage.png": "drawn/coverage.png"},
         is_long=True,
     ),

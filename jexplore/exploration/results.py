@@ -76,7 +76,8 @@ def columns(
 
     `starts`: `[N, 3]` int, row, col, heading in degrees. `room_entries` is a list, of None for a world without rooms.
     """
-    n, whole_m, whole_s = len(result.outcome), path_m(result.straight, result.diagonal, cell_m), result.time_ms / 1000
+    n, whole_m = len(result.outcome), path_m(result.straight, result.diagonal, cell_m)
+    whole_s = np.asarray(result.time_ms, np.float64) / 1000
     along_s = np.where(result.time_along < 0, np.nan, result.time_along / 1000)
     table = {
         "episode": np.arange(n, dtype=np.int64),

@@ -120,10 +120,9 @@ def prepare_site(
     model: Any = {name: own.pop(name) for name in ("p_free", "near_d2", "clearance_d2")}
     model.update(cell_m=world.cell_m, known_outline=rules.known_outline)
     model = MapModel(coarse=world.cell_m > COARSE_M, native=setup.native, **model)  # type: ignore[arg-type]
-    noise: Any = {"sigma_cells": lidar.sigma_m / world.cell_m, "dropout": lidar.dropout, "recheck": False}
-    numbers = jax.tree.map(
-        number, Numbers(model=model, params=(), clock=clock_table(robot, world.cell_m, max(shape)), **noise, **own)
-    )
+    more: Any = {"sigma_cells": lidar.sigma_m / world.cell_m, "dropout": lidar.dropout, "recheck": False}
+    more["clock"] = clock_table(robot, world.cell_m, max(shape))
+    numbers = jax.tree.map(number, Numbers(model=model, params=(), **more, **own))
     site = Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
     own = traced_metrics(metrics, *_example(site, numbers)) if metrics else ()
     return site._replace(setup=setup._replace(metrics=own))

@@ -129,7 +129,8 @@ def league_coverage_figure(
     whole_m = episodes[episodes["strategy"] == reference].set_index(["world", "episode"])["path_m"]
     best = list(dict.fromkeys([reference, *table["strategy"][:MOST_CURVES]]))
     parts: dict[str, list[np.ndarray]] = {name: [] for name in best}
-    for (world, strategy), rows in episodes[episodes["strategy"].isin(best)].groupby(["world", "strategy"], sort=False):
+    shown: Any = episodes[episodes["strategy"].isin(best)]
+    for (world, strategy), rows in shown.groupby(["world", "strategy"], sort=False):
         own_m = np.array([whole_m.get((world, episode), 0.0) for episode in rows["episode"]])
         parts[str(strategy)].append(progress[world, strategy][own_m > 0] / own_m[own_m > 0, None])
     found = {name: np.concatenate(own) for name, own in parts.items() if own}
