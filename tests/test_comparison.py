@@ -265,7 +265,7 @@ def test_what_does_not_fit_into_memory_is_refused(monkeypatch):
     world, rules = two_rooms(), Rules()
     need = checks.memory_needed(world, LIDAR, rules, 1)
     # Padded to 64 x 64, 20,000 steps; 8 headings of 37 beams of 24 steps.
-    assert need == 120 * 64 * 64 + 24 * 20_000 + 64 * 8 * 37 * 24
+    assert need == 120 * 64 * 64 + 32 * 20_000 + 64 * 8 * 37 * 24
     assert checks.memory_needed(world, LIDAR, rules, 2) > 1.5 * need
     assert checks.memory_needed(world, LIDAR, dataclasses.replace(rules, max_steps=2**24), 1) > 10 * need
     assert checks.memory_needed(world, Lidar(n_beams=4096, range_m=1000), rules, 1) > 2**30
