@@ -75,9 +75,8 @@ def compare(
     require_engine(engine, lanes)
     settings = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": start, "start_m": start_m}
     limits = {"within": within, "from_map": from_map}
-    jobs = prepare_jobs(
-        worlds, strategies, **settings, **limits, lidar=lidar, rules=rules, robot=robot, metrics=metrics
-    )
+    robots = {"lidar": lidar, "rules": rules, "robot": robot}
+    jobs = prepare_jobs(worlds, strategies, **settings, **limits, **robots, metrics=metrics)
     is_text = from_map is None or isinstance(from_map, (str, os.PathLike))
     settings |= limits | {"from_map": from_map if is_text else type(from_map).__name__}
     if keep is not None and keep not in tuple(RECORDS):
@@ -101,14 +100,7 @@ def compare(
             "command": ["jx", "compare"],
             "started": began,
             "wall_s": (datetime.datetime.now(datetime.UTC) - began).total_seconds(),
-            "configuration": {
-                **names,
-                **settings,
-                **how,
-                "lidar": found.lidar,
-                "rules": found.rules,
-                "robot": jobs[0].robot,
-            },
+            "configuration": {**names, **settings, **how, **{name: getattr(jobs[0], name) for name in robots}},
             **found.made.record,
             **{"asked": asked, "units": len(cut_jobs(jobs))},
         }
