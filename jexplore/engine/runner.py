@@ -230,17 +230,22 @@ def run_all(
             raise
         costs.interrupted = True
     except jax.errors.JaxRuntimeError as error:
-        if "RESOURCE_EXHAUSTED" in str(error):
-            raise MemoryError(f"{error} (fewer lanes need less)") from error
-        if raised := _RAISED.match(str(error)):
-            file, line, what = raised.groups()
-            raise InputError(f"a function that JAX calls back raised {what} at {file}:{line}") from error
-        raise
+        raise _plainly(error) from error
     _make_room(lines, resources.processes > 1)
     if resources.processes > 1:
         _across_processes(lines)
     announce()
     return costs
+
+
+def _plainly(error: Exception) -> Exception:
+    """Return the error that says what an error of JAX means; itself if that is not known."""
+    if "RESOURCE_EXHAUSTED" in str(error):
+        return MemoryError(f"{error} (fewer lanes need less)")
+    if raised := _RAISED.match(str(error)):
+        file, line, what = raised.groups()
+        return InputError(f"a function that JAX calls back raised {what} at {file}:{line}")
+    return error
 
 
 def _run(

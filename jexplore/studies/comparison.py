@@ -3,11 +3,13 @@
 import dataclasses
 import datetime
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 from jexplore.config import InputError, checked_names, require_engine
+from jexplore.exploration.batch import Job
 from jexplore.exploration.trail import RECORDS
-from jexplore.report.ledger import open_ledger
+from jexplore.report.ledger import Ledger, open_ledger
 from jexplore.studies.checks import (
     LIDAR,
     ROBOT,
@@ -79,40 +81,58 @@ def compare(
     jobs = prepare_jobs(worlds, strategies, **settings, **limits, **robots, metrics=metrics)
     is_text = from_map is None or isinstance(from_map, (str, os.PathLike))
     settings |= limits | {"from_map": from_map if is_text else type(from_map).__name__}
+    settings |= {name: getattr(jobs[0], name) for name in robots}
+    _require_folder(keep, out, overwrite, resume)
+    how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep}
+    with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
+        if out is None:
+            return _run(jobs, settings, how, moved)
+        with saving.claimed_by_call(out, overwrite=overwrite, resume=resume) as folder:
+            asked = _asked(jobs, keep)
+            ledger = open_ledger(folder, asked, lambda n: len(cut_jobs(jobs, n)), resume=resume, trust=trust)
+            if ledger is None:
+                found = loading.load(folder.path)
+                return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
+            found = _run(jobs, settings, how, moved, ledger)
+            saving.write_comparison(folder, found)
+            return found
+
+
+def _require_folder(keep: str | None, out: object, overwrite: bool, resume: bool) -> None:
+    """Refuse what does not go together."""
     if keep is not None and keep not in tuple(RECORDS):
         raise InputError(f"keep must be None, {' or '.join(RECORDS)}, got {keep!r}")
     if overwrite and resume:
         raise InputError("resume goes on with a run and overwrite replaces it: give one of them")
     if out is None and (overwrite or resume):
         raise InputError("overwrite and resume are for a folder: name it with out")
-    how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep}
-    asked = {"command": "compare", **provenance.asked(jobs), **({"keep": keep} if keep else {}), "bound_seconds": None}
 
-    def run(ledger=None):
-        began = datetime.datetime.now(datetime.UTC)
-        with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
-            found = run_comparison(jobs, ledger=ledger, on_progress=moved, **how)
-        names = {
-            "worlds": list(dict.fromkeys(str(job.world.name) for job in jobs)),
-            "strategies": list(dict.fromkeys(job.strategy.name for job in jobs)),
-        }
-        record = {
-            "command": ["jx", "compare"],
-            "started": began,
-            "wall_s": (datetime.datetime.now(datetime.UTC) - began).total_seconds(),
-            "configuration": {**names, **settings, **how, **{name: getattr(jobs[0], name) for name in robots}},
-            **found.made.record,
-            **{"asked": asked, "units": len(cut_jobs(jobs))},
-        }
-        return dataclasses.replace(found, made=found.made._replace(record=record))
 
-    if out is None:
-        return run()
-    with saving.claimed_by_call(out, overwrite=overwrite, resume=resume) as folder:
-        ledger = open_ledger(folder, asked, lambda n: len(cut_jobs(jobs, n)), resume=resume, trust=trust)
-        if ledger is None:
-            found = loading.load(folder.path)
-            return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
-        found = run(ledger)
-        saving.write_comparison(folder, found)
-        return found
+def _asked(jobs: Sequence[Job], keep: str | None) -> dict[str, Any]:
+    """Return all that results depend on, for a ledger."""
+    return {"command": "compare", **provenance.asked(jobs), **({"keep": keep} if keep else {}), "bound_seconds": None}
+
+
+def _run(
+    jobs: Sequence[Job],
+    settings: Mapping[str, Any],
+    how: Mapping[str, Any],
+    on_progress: Callable[[int], object] | None,
+    ledger: Ledger | None = None,
+) -> ComparisonResult:
+    """Run a comparison, and add the record of it."""
+    began = datetime.datetime.now(datetime.UTC)
+    found = run_comparison(jobs, ledger=ledger, on_progress=on_progress, **how)
+    names = {
+        "worlds": list(dict.fromkeys(str(job.world.name) for job in jobs)),
+        "strategies": list(dict.fromkeys(job.strategy.name for job in jobs)),
+    }
+    record = {
+        "command": ["jx", "compare"],
+        "started": began,
+        "wall_s": (datetime.datetime.now(datetime.UTC) - began).total_seconds(),
+        "configuration": {**names, **settings, **how},
+        **found.made.record,
+        **{"asked": _asked(jobs, how["keep"]), "units": len(cut_jobs(jobs))},
+    }
+    return dataclasses.replace(found, made=found.made._replace(record=record))
