@@ -99,48 +99,76 @@ def test_scans_out_of_order_are_sorted_unless_times_tell_nothing(log):
         assert logs.in_order(odd) is odd
 
 
-def test_a_rosbag_with_scans_and_odometry(tmp_path):
+@pytest.fixture
+def ros():
+    """Makers of messages of ROS 1: `make(type, fields)`, and `write(path, topics)`."""
     rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="rosbags is not installed (the extra ros)")
     typesys = pytest.importorskip("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
 
-    def make(name, **fields):
-        return store.types[name](**fields)
+    class Ros:
+        def make(self, name, **fields):
+            return store.types[name](**fields)
 
-    def header(second):
-        stamp = make("builtin_interfaces/msg/Time", sec=int(second), nanosec=round(second % 1 * 1e9))
-        return make("std_msgs/msg/Header", seq=0, stamp=stamp, frame_id="laser")
+        def header(self, second, frame="laser"):
+            stamp = self.make("builtin_interfaces/msg/Time", sec=int(second), nanosec=round(second % 1 * 1e9))
+            return self.make("std_msgs/msg/Header", seq=0, stamp=stamp, frame_id=frame)
 
-    def odometry(second, x, heading):
-        turn = make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=np.sin(heading / 2), w=np.cos(heading / 2))
-        place = make("geometry_msgs/msg/Point", x=x, y=0.0, z=0.0)
-        none = make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-        pose = make("geometry_msgs/msg/Pose", position=place, orientation=turn)
-        return make(
-            "nav_msgs/msg/Odometry", header=header(second), child_frame_id="base",
-            pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
-            twist=make(
-                "geometry_msgs/msg/TwistWithCovariance", covariance=np.zeros(36),
-                twist=make("geometry_msgs/msg/Twist", linear=none, angular=none),
-            ),
-        )  # fmt: skip
+        def turn(self, heading, is_upside_down=False):
+            sin, cos = np.sin(heading / 2), np.cos(heading / 2)
+            x, y, z, w = (cos, sin, 0.0, 0.0) if is_upside_down else (0.0, 0.0, sin, cos)
+            return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
-    def scan(second, ranges):
-        return make(
-            "sensor_msgs/msg/LaserScan", header=header(second), angle_min=-1.0, angle_max=1.0, angle_increment=1.0,
-            time_increment=0.0, scan_time=0.1, range_min=0.5, range_max=10.0, ranges=np.float32(ranges),
-            intensities=np.zeros(0, np.float32),
-        )  # fmt: skip
+        def scan(self, second, ranges):
+            return self.make(
+                "sensor_msgs/msg/LaserScan", header=self.header(second), angle_min=-1.0, angle_max=1.0,
+                angle_increment=1.0, time_increment=0.0, scan_time=0.1, range_min=0.5, range_max=10.0,
+                ranges=np.float32(ranges), intensities=np.zeros(0, np.float32),
+            )  # fmt: skip
 
+        def odometry(self, second, x, heading):
+            place = self.make("geometry_msgs/msg/Point", x=x, y=0.0, z=0.0)
+            none = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+            pose = self.make("geometry_msgs/msg/Pose", position=place, orientation=self.turn(heading))
+            return self.make(
+                "nav_msgs/msg/Odometry", header=self.header(second), child_frame_id="base",
+                pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+                twist=self.make(
+                    "geometry_msgs/msg/TwistWithCovariance", covariance=np.zeros(36),
+                    twist=self.make("geometry_msgs/msg/Twist", linear=none, angular=none),
+                ),
+            )  # fmt: skip
+
+        def transform(self, second, parent, child, place, turn):
+            x, y, z = place
+            told = self.make(
+                "geometry_msgs/msg/Transform", rotation=turn,
+                translation=self.make("geometry_msgs/msg/Vector3", x=x, y=y, z=z),
+            )  # fmt: skip
+            stamped = self.make(
+                "geometry_msgs/msg/TransformStamped", header=self.header(second, parent), child_frame_id=child,
+                transform=told,
+            )  # fmt: skip
+            return self.make("tf2_msgs/msg/TFMessage", transforms=[stamped])
+
+        def write(self, path, **topics):
+            with rosbag1.Writer(path) as writer:
+                for topic, messages in topics.items():
+                    kind = messages[0].__msgtype__
+                    connection = writer.add_connection(f"/{topic}", kind, typestore=store)
+                    for i, one in enumerate(messages):
+                        writer.write(connection, i * 10**9, store.serialize_ros1(one, kind))
+
+    return Ros()
+
+
+def test_a_rosbag_with_scans_and_odometry(tmp_path, ros):
     path = tmp_path / "a.bag"
-    with rosbag1.Writer(path) as writer:
-        for topic, kind, messages in (
-            ("/base_scan", "sensor_msgs/msg/LaserScan", [scan(2.5, [1, np.inf, 0.1]), scan(1.5, [1, 2, 3])]),
-            ("/odom", "nav_msgs/msg/Odometry", [odometry(1, 0.0, 3.0), odometry(2, 1.0, -3.0), odometry(3, 2.0, -3.0)]),
-        ):
-            connection = writer.add_connection(topic, kind, typestore=store)
-            for i, one in enumerate(messages):
-                writer.write(connection, i * 10**9, store.serialize_ros1(one, kind))
+    ros.write(
+        path,
+        base_scan=[ros.scan(2.5, [1, np.inf, 0.1]), ros.scan(1.5, [1, 2, 3])],
+        odom=[ros.odometry(1, 0.0, 3.0), ros.odometry(2, 1.0, -3.0), ros.odometry(3, 2.0, -3.0)],
+    )
     assert is_bag(path)
     assert not is_bag(tmp_path / "a.log")
     found = read_laser_bag(path)
@@ -151,6 +179,45 @@ def test_a_rosbag_with_scans_and_odometry(tmp_path):
     np.testing.assert_allclose(found.odometry, [[0.5, 0, np.pi], [1.5, 0, 2 * np.pi - 3]], atol=1e-6)
     with pytest.raises(InputError, match="no scan on the topic '/scan'; there are scans on /base_scan"):
         read_laser_bag(path, topic="/scan")
+
+
+@pytest.mark.parametrize("is_upside_down", [False, True])
+def test_a_rosbag_with_odometry_in_transforms_and_a_mounted_scanner(tmp_path, ros, is_upside_down):
+    """The base turns on the spot; the scanner stands 0.2 m before it and looks to its left."""
+    path, place = tmp_path / "a.bag", (1.0, 2.0, 0.0)
+    mount = ros.turn(np.pi / 2, is_upside_down)
+    ros.write(
+        path,
+        scan=[ros.scan(1.5, [1, 2, 3])],
+        tf=[
+            ros.transform(1, "/odom", "base_link", place, ros.turn(0.0)),
+            ros.transform(2, "odom", "/base_link", place, ros.turn(np.pi)),
+            ros.transform(2, "map", "odom", (9.0, 9.0, 0.0), ros.turn(1.0)),
+        ],
+        tf_static=[
+            ros.transform(0, "tower", "laser", (0.0, 0.0, 0.3), mount),
+            ros.transform(0, "base_link", "tower", (0.2, 0.0, 0.5), ros.turn(0.0)),
+            ros.transform(0, "odom", "other", (0.0, 0.0, 0.0), ros.turn(0.0)),
+        ],
+    )
+    found = read_laser_bag(path)
+    np.testing.assert_allclose(found.odometry, [[1, 2.2, np.pi / 2]], atol=1e-6)
+    np.testing.assert_allclose(found.angles_rad, np.pi / 2 + np.array([-1, 0, 1]), atol=1e-6)
+    assert found.ranges.tolist() == [[3, 2, 1] if is_upside_down else [1, 2, 3]]
+
+
+def test_a_rosbag_whose_transforms_tell_nothing_is_refused(tmp_path, ros):
+    level, scans = ros.turn(0.0), [ros.scan(1.5, [1, 2, 3])]
+    tilted = ros.make("geometry_msgs/msg/Quaternion", x=0.3, y=0.0, z=0.0, w=0.95)
+    for name, transforms, told in (
+        ("a", [("map", "odom", level)], "has no message of the type nav_msgs/Odometry"),
+        ("b", [("odom", "one", level), ("odom", "other", level)], "frames in odom are one, other; none .*'laser'"),
+        ("c", [("odom", "base", level), ("base", "laser", tilted)], "the scanner 'laser' is tilted"),
+    ):
+        path = tmp_path / f"{name}.bag"
+        ros.write(path, scan=scans, tf=[ros.transform(1, *names, (0.0, 0.0, 0.0), turn) for *names, turn in transforms])
+        with pytest.raises(InputError, match=told):
+            read_laser_bag(path)
 
 
 # --- errors

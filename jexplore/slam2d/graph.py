@@ -1,86 +1,129 @@
-"""Pose graph of key scans, sparse, on the host in float64: least squares that large misfits do not dominate."""
+"""Pose graph of key scans: a chain of measured steps, and loops that join poses of it; batch from outside.
+
+A robot's key scans make a chain, and few loops. What the loops ask of the chain is therefore solved for, and not the
+poses: a turn of a step moves all poses after it as a rigid body, so that their moves are sums along the chain.
+"""
 
 from typing import NamedTuple
 
-import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import spsolve
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.scipy.sparse.linalg import cg
 
-from jexplore.arrays.poses import between, rotated
+from jexplore.arrays.poses import between, rotated, wrapped
+from jexplore.slam2d.matching import inverted
 
 ROUNDS = 30  # of Gauss and Newton's method
 FALL = 4.0  # of the misfit that is trusted, from round to round
-SETTLED = 1e-6  # m, rad; a round that moves no pose by more is the last one
+SETTLED = 1e-4  # m, rad; a round that moves no pose by more is the last one
+SOLVE_ROUNDS, SOLVE_ERROR = 100, 1e-4  # of conjugate gradients; the next round begins where this one ended
 
 
-class Edges(NamedTuple):
-    """Measured moves between poses."""
+class Steps(NamedTuple):
+    """Measured steps of a chain; row 0 and those beyond the last pose say nothing."""
 
-    ends: np.ndarray  # [M, 2] int, first and second pose
-    moved: np.ndarray  # [M, 3] float64, the second pose in the frame of the first
-    information: np.ndarray  # [M, 3, 3] float64, in the frame of the first
-    is_loop: np.ndarray  # [M] bool, may be wrong
+    moved: Array  # [K, 3] float32, a pose in the frame of the one before
+    covariance: Array  # [K, 3, 3] float32, in that frame
 
 
-def settle(poses: np.ndarray, edges: Edges, *, doubt: float) -> tuple[np.ndarray, np.ndarray]:
+class Loops(NamedTuple):
+    """Measured moves between poses far apart on the chain; they may be wrong."""
+
+    ends: Array  # [L, 2] int32, the earlier pose and the later one; below 0: none
+    moved: Array  # [L, 3] float32, the later pose in the frame of the earlier one
+    covariance: Array  # [L, 3, 3] float32, in that frame
+
+
+def settle(pose: Array, steps: Steps, loops: Loops, doubt: Array | float) -> tuple[Array, Array]:
     """Fit poses to measured moves; pose 0 stays where it is.
 
     Args:
-      poses: `[N, 3]` float64, first guess; every pose is joined with pose 0 by edges.
+      pose: `[K, 3]` float32, first guess.
       doubt: squared misfit, in standard deviations, from which on a loop counts less and less.
 
     Returns:
-      `(poses, misfit2)`: `[N, 3]`, `[M]`, squared misfit of every edge.
+      `(pose, misfit2)`: `[K, 3]`, `[L]` float32, squared misfit of every loop, in standard deviations.
 
     Source:
       Agarwal et al., Robust map optimization using dynamic covariance scaling (2013), for the weights of loops;
       Yang et al., Graduated non-convexity for robust spatial perception (2020), for their fall from round to round.
     """
-    n, m = len(poses), len(edges.ends)
-    i, j = edges.ends.T
-    poses, trust = poses.copy(), np.inf
-    for _ in range(ROUNDS):
-        off, first, second = _linearised(poses, edges)
-        misfit2 = np.einsum("mi,mij,mj->m", off, edges.information, off)
+    there = loops.ends[:, 0] >= 0
+    first, second = jnp.maximum(loops.ends, 0).T
+    own = jnp.where(there[:, None, None], loops.covariance, jnp.eye(3))
+    information = jax.vmap(inverted)(own)
+    moved = jnp.where(there[:, None], loops.moved, 0)
+
+    def misfit(pose):
+        off = _off(pose[first], pose[second], moved) * there[:, None]
+        return off, jnp.einsum("li,lij,lj->l", off, information, off)
+
+    def better(state):
+        pose, pull, trust, _, k = state
+        off, misfit2 = misfit(pose)
         # Trusted at first, or what has drifted far would never be closed.
-        trust = max(min(trust / FALL, misfit2.max(initial=0)), doubt)
-        scale = np.where(edges.is_loop, np.minimum(1, 2 * trust / (trust + misfit2)), 1.0)
-        weight = edges.information * (scale**2)[:, None, None]
-        rows = np.repeat(np.arange(3 * m).reshape(m, 3, 1), 3, axis=2)
-        cols = [np.repeat(3 * k[:, None, None] + np.arange(3), 3, axis=1) for k in (i, j)]
-        entries = (
-            np.concatenate([first.ravel(), second.ravel()]),
-            (
-                np.concatenate([rows.ravel(), rows.ravel()]),
-                np.concatenate([cols[0].ravel(), cols[1].ravel()]),
-            ),
-        )
-        slopes = sparse.csr_matrix(entries, shape=(3 * m, 3 * n))[:, 3:]  # pose 0 is fixed
-        weights = sparse.block_diag(list(weight), format="csr")
-        pull = -slopes.T @ (weights @ off.ravel())
-        step = np.asarray(spsolve((slopes.T @ weights @ slopes).tocsc(), pull)).reshape(n - 1, 3)
-        poses[1:] += step
-        if np.abs(step).max() < SETTLED and trust == doubt:
-            break
-    off = _linearised(poses, edges)[0]
-    return poses, np.einsum("mi,mij,mj->m", off, edges.information, off)
+        trust = jnp.maximum(jnp.minimum(trust / FALL, jnp.max(misfit2, initial=0)), doubt)
+        scale = jnp.minimum(1, 2 * trust / (trust + misfit2))
+        measured = own / (scale**2)[:, None, None]
+        # Twists about the origin: pose k moves by the sum of those up to k, whatever k is.
+        before = jnp.concatenate([pose[:1], pose[:-1]])
+        to_twist = _rigid(before[:, 2], -_aside(pose[:, :2]))
+        is_step = (jnp.arange(len(pose)) > 0)[:, None]
+        twist = jnp.einsum("kij,kj->ki", to_twist, is_step * _off(before, pose, steps.moved))
+        spread = is_step[..., None] * (to_twist @ steps.covariance @ to_twist.mT)
+        seen = _rigid(-pose[first, 2], rotated(_aside(pose[second, :2]), -pose[first, 2])) * there[:, None, None]
+
+        def across(chain):  # what loops see of sums along the chain
+            total = jnp.cumsum(chain, axis=0)
+            return jnp.einsum("lij,lj->li", seen, total[second] - total[first])
+
+        def along(pull):  # what loops ask of every step
+            each = jnp.einsum("lji,lj->li", seen, pull)
+            after = jnp.zeros_like(pose).at[first].add(-each).at[second].add(each)
+            return jnp.einsum("kij,kj->ki", spread, jnp.cumsum(after[::-1], axis=0)[::-1])
+
+        def joint(pull):
+            return across(along(pull)) + jnp.einsum("lij,lj->li", measured, pull)
+
+        total = jnp.cumsum(spread, axis=0)
+        alone = jax.vmap(inverted)(seen @ (total[second] - total[first]) @ seen.mT + measured)
+        pull, _ = cg(
+            joint, off - across(twist), pull, tol=SOLVE_ERROR, maxiter=SOLVE_ROUNDS,
+            M=lambda pull: jnp.einsum("lij,lj->li", alone, pull),
+        )  # fmt: skip
+        move = jnp.cumsum(-along(pull) - twist, axis=0)
+        step = move.at[:, :2].add(_aside(pose[:, :2]) * move[:, 2:])
+        return pose + step, pull, trust, jnp.max(jnp.abs(step)), k + 1
+
+    def is_going(state):
+        _, _, trust, step, k = state
+        return (k < ROUNDS) & ((step >= SETTLED) | (trust > doubt))
+
+    state = pose, jnp.zeros_like(moved), jnp.float32(jnp.inf), jnp.float32(jnp.inf), jnp.int32(0)
+    pose = lax.while_loop(is_going, better, state)[0]
+    return pose, misfit(pose)[1]
 
 
-def _linearised(poses, edges):
-    """Return misfits `[M, 3]` and their derivatives by first and second pose, each `[M, 3, 3]`."""
-    one, other = poses[edges.ends[:, 0]], poses[edges.ends[:, 1]]
-    is_ = between(one, other)
-    off = is_ - edges.moved
-    off[:, 2] = between(np.zeros_like(off), off)[:, 2]
-    cos, sin, zero, unit = np.cos(one[:, 2]), np.sin(one[:, 2]), np.zeros(len(one)), np.ones(len(one))
-    second = np.stack([cos, sin, zero, -sin, cos, zero, zero, zero, unit], axis=1).reshape(-1, 3, 3)
-    first = -second
-    first[:, :2, 2] = np.stack([is_[:, 1], -is_[:, 0]], axis=1)
-    return off, first, second
+def turned_covariance(covariance: Array, angle: Array) -> Array:
+    """Return a covariance `[3, 3]` of the map's frame in a frame that is turned by an angle."""
+    turn = jnp.eye(3).at[:2, :2].set(rotated(jnp.eye(2), -angle).T)
+    return turn @ covariance @ turn.T
 
 
-def turned_information(information: np.ndarray, angle: float) -> np.ndarray:
-    """Return an information matrix `[3, 3]` of the map's frame in a frame that is turned by an angle."""
-    turn = np.eye(3)
-    turn[:2, :2] = rotated(np.eye(2), np.float64(-angle)).T
-    return turn @ information @ turn.T
+def _off(one, other, moved):
+    """Return how far poses lie from where a move from others leads, in the frame of these: `[M, 3]`."""
+    off = between(one, other) - moved
+    return off.at[:, 2].set(wrapped(off[:, 2]))
+
+
+def _aside(xy):
+    """Return vectors `[..., 2]` turned by 90 degrees."""
+    return jnp.stack([-xy[..., 1], xy[..., 0]], axis=-1)
+
+
+def _rigid(heading, aside):
+    """Return `[M, 3, 3]`: turns by headings, and a column of what a turn adds."""
+    cos, sin, zero, one = jnp.cos(heading), jnp.sin(heading), jnp.zeros_like(heading), jnp.ones_like(heading)
+    rows = [cos, -sin, aside[:, 0]], [sin, cos, aside[:, 1]], [zero, zero, one]
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)

@@ -1,65 +1,222 @@
-"""Maps from the scans of one robot as they come in: key scans, loop closing, the map they make. On the host."""
+"""Poses and map of a robot from its scans as they come in: key scans, loop closing, the map they make.
+
+`begin` makes a record of the first scan; `put` takes in the next one and returns the record after it: a pure function
+of fixed sizes for recorded logs (`Mapper`) and for loops of compiled programs alike.
+"""
 
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
+from jax import Array, lax
 
+from jexplore.arrays.loops import run_if
 from jexplore.arrays.poses import between, compose
-from jexplore.slam2d.closing import Keys, map_of, verify
-from jexplore.slam2d.graph import Edges, settle, turned_information
-from jexplore.slam2d.matching import Match, Outcome
-from jexplore.slam2d.points import add, empty_map
+from jexplore.native.drive import find_target
+from jexplore.slam2d.closing import Keys, Scanner, map_of, verify
+from jexplore.slam2d.graph import Loops, Steps, settle, turned_covariance
+from jexplore.slam2d.matching import Outcome
+from jexplore.slam2d.points import PointMap, add, cell_m, empty_map
 from jexplore.slam2d.scans import read_scan
 from jexplore.slam2d.settings import SlamSettings
 from jexplore.slam2d.tracking import WIDE, WINDOW, locate, predict
 
-SHAPE = (256, 256, 16)  # of the map: 51 m until it repeats itself at cells of 0.2 m
 ROUND = 128  # key scans nearest to the robot, of which the map is made anew
 ASIDE = 3  # key scans before and after a candidate, in whose map a loop is verified
 
 
-def _track(settings, points, ranges, angles_rad, max_range_m, pose, moved, window):
-    scan = read_scan(settings, ranges, angles_rad, max_range_m)
-    start, prior = predict(settings, pose, moved)
-    return locate(settings, points, scan, start, prior, window)
+class Sizes(NamedTuple):
+    """What a record has room for; static."""
+
+    keys: int = 256
+    loops: int = 64
+    map: tuple[int, int, int] = (2048, 2048, 2**16)  # 72 m square, see `empty_map`
 
 
-def _add(settings, points, ranges, angles_rad, max_range_m, pose):
-    return add(settings, points, read_scan(settings, ranges, angles_rad, max_range_m), pose)
-
-
-_tracked, _verified, _remade = jax.jit(_track, static_argnums=7), jax.jit(verify), jax.jit(map_of, static_argnums=4)
-_added = jax.jit(_add, donate_argnums=1)
-
-
-class Place(NamedTuple):
+@struct.dataclass
+class Place:
     """Pose of a scan, and how well it matched."""
 
-    key: int  # number of its key scan
-    moved: np.ndarray  # [3] float64, pose in the frame of that key scan
-    outcome: int  # `Outcome` of its match
-    fitness: float
+    key: Array  # int32, number of its key scan
+    moved: Array  # [3] float32, pose in the frame of that key scan
+    outcome: Array  # int32, `Outcome` of its match
+    fitness: Array  # float32
 
 
-class Edge(NamedTuple):
-    """Measured move between two key scans; see `Edges`."""
+@struct.dataclass
+class Mapping:
+    """What is known after some scans: K key scans and L loops at most."""
 
-    first: int
-    second: int
-    moved: np.ndarray
-    information: np.ndarray
-    is_loop: bool
+    points: PointMap
+    pose: Array  # [3] float32, of the last scan
+    place: Place  # the same, of the last scan
+    way: Array  # float32, metres
+    n_keys: Array  # int32; at K no other scan becomes one: scans are matched with the map as it is
+    pose_of: Array  # [K, 3] float32, poses of key scans
+    ranges_of: Array  # [K, B] float32, their ranges, metres
+    way_of: Array  # [K] float32, the way up to them, metres
+    steps: Steps  # between them
+    n_loops: Array  # int32; at L no other one is closed
+    loops: Loops
+    tried_at: Array  # float32, way at which a loop was last looked for, metres
+    remade_at: Array  # float32, way at which the map was last made anew, metres
+    overflow: Array  # int32, points that found no room in maps before this one
 
 
-class Mapper:
-    """Estimate of a robot's way while scans come in, from the pose 0, 0, 0 on.
+def begin(
+    settings: SlamSettings,
+    sizes: Sizes,
+    ranges_m: Array,
+    pose: Array,
+    scanner: Scanner,
+    centre: tuple[float, float] | Array = (0.0, 0.0),
+    native: str | None = None,
+) -> Mapping:
+    """Return the record after a first scan `[B]` from a pose `[3]`; `centre` and `native`: see `empty_map`."""
+    k, loops = sizes.keys, sizes.loops
+    pose, zero = jnp.asarray(pose, jnp.float32), jnp.float32(0)
+    points = add(
+        settings, empty_map(sizes.map, centre, native), read_scan(settings, ranges_m, *scanner), pose
+    )
+    return Mapping(
+        points, pose, Place(jnp.int32(0), jnp.zeros(3), jnp.int32(Outcome.MATCHED), jnp.float32(1)), zero,
+        jnp.int32(1),
+        jnp.zeros((k, 3)).at[0].set(pose),
+        jnp.zeros((k, len(ranges_m))).at[0].set(ranges_m),
+        jnp.zeros(k),
+        Steps(jnp.zeros((k, 3)), jnp.zeros((k, 3, 3))),
+        jnp.int32(0),
+        Loops(jnp.full((loops, 2), -1, jnp.int32), jnp.zeros((loops, 3)), jnp.zeros((loops, 3, 3))),
+        zero, zero, jnp.int32(0),
+    )  # fmt: skip
+
+
+def put(
+    settings: SlamSettings, mapping: Mapping, ranges_m: Array, moved: Array | None, scanner: Scanner, *, closing: bool
+) -> Mapping:
+    """Take in a scan.
 
     Without closing the map keeps every key scan where it was first put (Holz et al. 2010, section 2.1). With closing,
     key scans are looked for among earlier ones nearby, a pose graph spreads what that tells, and the map is made anew
-    of the key scans nearest to the robot, the latest first.
+    of the key scans nearest to the robot, the latest first. It is made anew as well where the robot leaves its middle.
+
+    In an episode: `mapping = begin(...)` before its loop, `mapping = put(settings, mapping, ranges, moved, scanner,
+    closing=True)` at every scan, `mapping.pose` is where the robot believes to be, and `mapping.place.outcome` says how
+    well the scan matched. The buffers of a record that is used no more are changed in place.
+
+    Args:
+      ranges_m: `[B]` float32.
+      moved: `[3]` float32, the odometry's step since the last scan, in the frame of its pose; None: there is none.
+      closing: static.
+
+    Returns:
+      `Mapping`.
     """
+    scan = read_scan(settings, ranges_m, *scanner)
+    start, prior = predict(settings, mapping.pose, moved)
+    found = locate(settings, mapping.points, scan, start, prior, WIDE if moved is None else WINDOW)
+    last, n = mapping.n_keys - 1, mapping.n_keys
+    way = mapping.way + jnp.hypot(*(found.pose - mapping.pose)[:2])
+    since = between(mapping.pose_of[last], found.pose)
+    is_far = (jnp.hypot(since[0], since[1]) >= settings.key_m) | (jnp.abs(since[2]) >= jnp.radians(settings.key_deg))
+    is_key = is_far | ((found.fitness < settings.min_share) & (found.outcome < Outcome.FAR))
+    is_key &= n < len(mapping.pose_of)
+    place = Place(jnp.where(is_key, n, last), jnp.where(is_key, 0, since), found.outcome, found.fitness)
+    covariance = turned_covariance(found.covariance, mapping.pose_of[last, 2])
+
+    def put_key(mapping):
+        steps, own = mapping.steps, covariance + _own_covariance(settings)
+        return mapping.replace(
+            points=add(settings, mapping.points, scan, mapping.pose),
+            n_keys=n + 1,
+            pose_of=mapping.pose_of.at[n].set(mapping.pose),
+            ranges_of=mapping.ranges_of.at[n].set(ranges_m),
+            way_of=mapping.way_of.at[n].set(mapping.way),
+            steps=Steps(steps.moved.at[n].set(since), steps.covariance.at[n].set(own)),
+        )
+
+    mapping = run_if(is_key, put_key, mapping.replace(pose=found.pose, place=place, way=way))
+    is_stale = is_key & _is_leaving(settings, mapping)
+    if closing:
+        is_due = is_key & (way - mapping.tried_at >= settings.close_every_m)
+        mapping = run_if(is_due, lambda mapping: _close(settings, mapping.replace(tried_at=way), scanner), mapping)
+        is_stale |= is_due & (way - mapping.remade_at >= settings.remake_m)
+    return run_if(is_stale, lambda mapping: _remake(settings, mapping, scanner), mapping)
+
+
+def _own_covariance(settings):
+    """Return what a measured move errs besides its own covariance: `[3, 3]`."""
+    return jnp.diag(jnp.stack([settings.key_sd_m, settings.key_sd_m, jnp.radians(settings.key_sd_deg)]) ** 2)
+
+
+def _is_leaving(settings, mapping):
+    """Return whether the robot is nearer to the edge of the map than to its middle."""
+    half_m = jnp.array(mapping.points.near.shape[::-1]) * cell_m(settings) / 2
+    return jnp.any(jnp.abs(mapping.pose[:2] - mapping.points.centre) > half_m / 2)
+
+
+def _close(settings, mapping, scanner):
+    """Look for the last key scan round the nearest old one; where that moves poses, the map is to be made anew."""
+    last, pose_of, numbers = mapping.n_keys - 1, mapping.pose_of, jnp.arange(len(mapping.pose_of))
+    away = between(pose_of, jnp.broadcast_to(pose_of[last], pose_of.shape))
+    far = jnp.hypot(jnp.hypot(away[:, 0], away[:, 1]), settings.close_turn_m * away[:, 2])
+    is_old = (numbers < last) & (mapping.way - mapping.way_of > settings.close_m)
+    far = jnp.where(is_old, far, jnp.inf)
+    j = jnp.argmin(far)
+
+    def look(mapping):
+        around = j + jnp.arange(-ASIDE, ASIDE + 1)
+        keys = _some(mapping, around, (around >= 0) & (around < last), pose_of[j])
+        native = mapping.points.native
+        found, searched = verify(settings, keys, mapping.ranges_of[last], away[j], scanner, native)
+        is_loop = (found.outcome == Outcome.MATCHED) | (found.outcome == Outcome.UNSETTLED)
+        is_loop &= (found.fitness >= settings.close_share) & (searched.other >= searched.cost + settings.close_margin)
+        is_loop &= mapping.n_loops < len(mapping.loops.ends)
+
+        def join(mapping):
+            n, loops = mapping.n_loops, mapping.loops
+            loops = Loops(
+                loops.ends.at[n].set(jnp.stack([j, last])),
+                loops.moved.at[n].set(found.pose),
+                loops.covariance.at[n].set(found.covariance + _own_covariance(settings)),
+            )
+            settled, _ = settle(pose_of, mapping.steps, loops, settings.close_doubt)
+            moved_m = jnp.max(jnp.where(numbers <= last, jnp.hypot(*(settled - pose_of)[:, :2].T), 0))
+            is_moved = moved_m > settings.min_distance_m
+            return mapping.replace(
+                n_loops=n + 1, loops=loops, pose_of=settled, pose=settled[last],
+                remade_at=jnp.where(is_moved, -jnp.inf, mapping.remade_at),
+            )  # fmt: skip
+
+        return run_if(is_loop, join, mapping)
+
+    return run_if(far[j] <= settings.close_m, look, mapping)
+
+
+def _remake(settings, mapping, scanner):
+    """Make the map anew of the key scans nearest to the robot, the latest first."""
+    pose_of, points = mapping.pose_of, mapping.points
+    numbers = jnp.arange(len(pose_of))
+    off = jnp.hypot(*(pose_of - mapping.pose)[:, :2].T)
+    near = lax.top_k(jnp.where(numbers < mapping.n_keys, -off, -jnp.inf), min(ROUND, len(pose_of)))[1]
+    near = jnp.sort(jnp.where(near < mapping.n_keys, near, -1))[::-1]
+    keys = _some(mapping, near, near >= 0, jnp.zeros(3))
+    blank = empty_map((*points.near.shape, len(points.x)), mapping.pose[:2], points.native)
+    return mapping.replace(
+        points=map_of(settings, keys, scanner, blank), remade_at=mapping.way, overflow=mapping.overflow + points.overflow
+    )
+
+
+def _some(mapping, which, there, frame):
+    """Return some key scans in a frame."""
+    pose = between(jnp.broadcast_to(frame, (len(which), 3)), mapping.pose_of[which])
+    return Keys(mapping.ranges_of[which], pose, there)
+
+
+class Mapper:
+    """Estimate of a robot's way while its scans come in, from the pose 0, 0, 0 on; on the host."""
 
     def __init__(self, settings: SlamSettings, angles_rad: np.ndarray, max_range_m: float, *, closing: bool) -> None:
         """Begin without a scan.
@@ -69,103 +226,63 @@ class Mapper:
           max_range_m: a reading of this or more has no end, metres.
         """
         self.settings, self.closing = settings, closing
-        self._leaves = jax.tree.map(np.float32, settings)
-        self._scanner = np.asarray(angles_rad, np.float32), np.float32(max_range_m)
-        self.points = empty_map(SHAPE)
-        self.overflow = 0  # points that found no room in this map and those before it
+        self._leaves = jax.device_put(jax.tree.map(np.float32, settings))
+        self._scanner = jax.device_put(Scanner(np.float32(angles_rad), np.float32(max_range_m)))
+        self.mapping: Mapping | None = None
         self.places: list[Place] = []
-        self.edges: list[Edge] = []
-        self.keys = np.zeros((0, 3))  # poses of the key scans
-        self._ways = np.zeros(0)  # of the key scans, metres
-        self._ranges: list[np.ndarray] = []  # of the key scans
-        self.pose, self._way = np.zeros(3), 0.0
-        self._tried_at = self._remade_at = 0.0  # ways
 
-    def put(self, ranges_m: np.ndarray, moved: np.ndarray) -> None:
-        """Take in a scan `[B]` and the odometry's step since the last one `[3]`, all 0 for none."""
-        ranges = np.asarray(ranges_m, np.float32)
-        if not self.places:
-            self._put_key(ranges)
-            self.places.append(Place(0, np.zeros(3), int(Outcome.MATCHED), 1.0))
-            return
-        window = WINDOW if np.any(moved) else WIDE
-        before = self.pose
-        found: Match = jax.tree.map(
-            np.asarray,
-            _tracked(self._leaves, self.points, ranges, *self._scanner, np.float32(before), np.float32(moved), window),
-        )
-        self.pose = found.pose.astype(float)
-        self._way += float(np.hypot(*(self.pose - before)[:2]))
-        own, k, since = self.settings, len(self.keys), between(self.keys[-1], self.pose)
-        is_far = np.hypot(*since[:2]) >= own.key_m or abs(since[2]) >= np.radians(own.key_deg)
-        if is_far or (found.fitness < own.min_share and found.outcome < Outcome.FAR):
-            information = self._information(found.covariance)
-            self.edges.append(Edge(k - 1, k, since, turned_information(information, self.keys[-1, 2]), False))
-            self._put_key(ranges)
-            self.places.append(Place(k, np.zeros(3), int(found.outcome), float(found.fitness)))
+    def put(self, ranges_m: np.ndarray, moved: np.ndarray | None) -> None:
+        """Take in a scan `[B]` and the odometry's step since the last one `[3]`; None: there is none."""
+        ranges, moved = np.float32(ranges_m), None if moved is None else np.float32(moved)
+        if self.mapping is None:
+            native = find_target().name
+            self.mapping = _begun(self._leaves, LOG, ranges, np.zeros(3, np.float32), self._scanner, native=native)
         else:
-            self.places.append(Place(k - 1, since, int(found.outcome), float(found.fitness)))
+            if self._is_full():
+                self.mapping = grown(self.mapping)
+            self.mapping = _put(self._leaves, self.mapping, ranges, moved, self._scanner, closing=self.closing)
+        self.places.append(jax.device_get(self.mapping.place))
+
+    def _is_full(self):
+        """Return whether the next scan may find no room."""
+        full = self.mapping is not None and (
+            self.places[-1].key + 1 == len(self.mapping.pose_of) or self.mapping.n_loops == len(self.mapping.loops.ends)
+        )
+        return bool(full)
 
     def poses(self) -> np.ndarray:
         """Return the poses of all scans as they are known now: `[N, 3]` float64."""
-        return compose(self.keys[[place.key for place in self.places]], np.array([p.moved for p in self.places]))
+        if self.mapping is None:
+            return np.zeros((0, 3))
+        keys = np.asarray(self.mapping.pose_of, float)
+        return compose(keys[[p.key for p in self.places]], np.array([p.moved for p in self.places], float))
 
     @property
     def loops(self) -> list[tuple[int, int]]:
         """Return the loops closed: pairs of key scans, the later one first."""
-        return [(edge.second, edge.first) for edge in self.edges if edge.is_loop]
+        ends = np.zeros((0, 2), int) if self.mapping is None else np.asarray(self.mapping.loops.ends)
+        return [(int(second), int(first)) for first, second in ends if first >= 0]
 
-    def _information(self, covariance):
-        """Return the information of a measured step, which errs besides its own covariance."""
-        own = self.settings
-        sd = np.array([own.key_sd_m, own.key_sd_m, np.radians(own.key_sd_deg)])
-        return np.linalg.inv(covariance.astype(float) + np.diag(sd**2))
+    @property
+    def overflow(self) -> int:
+        """Return the points that found no room in the map and those before it."""
+        return 0 if self.mapping is None else int(self.mapping.overflow + self.mapping.points.overflow)
 
-    def _put_key(self, ranges):
-        """Add the scan at the present pose to the map, and look for it among earlier ones."""
-        self.keys = np.concatenate([self.keys, self.pose[None]])
-        self._ways = np.append(self._ways, self._way)
-        self._ranges.append(ranges)
-        self.points = _added(self._leaves, self.points, ranges, *self._scanner, np.float32(self.pose))
-        if not self.closing or self._way - self._tried_at < self.settings.close_every_m:
-            return
-        self._tried_at = self._way
-        if self._close() or self._way - self._remade_at >= self.settings.remake_m:
-            self._remade_at = self._way
-            self.overflow += int(self.points.overflow)
-            off = np.hypot(*(self.keys - self.pose)[:, :2].T)
-            near = np.sort(np.argsort(off, kind="stable")[:ROUND])[::-1]
-            self.points = _remade(self._leaves, self._some(near, ROUND, np.zeros(3)), *self._scanner, SHAPE)
 
-    def _close(self):
-        """Look for the last key scan round the nearest old one; return whether that has moved poses."""
-        own, k = self.settings, len(self.keys) - 1
-        away = between(self.keys, np.broadcast_to(self.keys[k], self.keys.shape))
-        far = np.hypot(np.hypot(away[:, 0], away[:, 1]), own.close_turn_m * away[:, 2])
-        far[self._way - self._ways <= own.close_m] = np.inf
-        j = int(np.argmin(far))
-        if far[j] > own.close_m:
-            return False
-        around = np.arange(max(j - ASIDE, 0), min(j + ASIDE + 1, k))
-        keys = self._some(around, 2 * ASIDE + 1, self.keys[j])
-        found, searched = jax.tree.map(
-            np.asarray, _verified(self._leaves, keys, self._ranges[k], np.float32(away[j]), *self._scanner)
-        )
-        is_sure = found.outcome in (Outcome.MATCHED, Outcome.UNSETTLED) and found.fitness >= own.close_share
-        if not is_sure or searched.other < searched.cost + own.close_margin:
-            return False
-        self.edges.append(Edge(j, k, found.pose.astype(float), self._information(found.covariance), True))
-        before = self.keys
-        first, second, *measured = zip(*self.edges)
-        edges = Edges(np.stack([first, second], axis=1), *map(np.array, measured))
-        self.keys, _ = settle(before, edges, doubt=own.close_doubt)
-        self.pose = self.keys[k]
-        return np.abs(self.keys - before)[:, :2].max() > own.min_distance_m
+LOG = Sizes(1024, 256)  # of a log at first
+_begun = jax.jit(begin, static_argnums=1, static_argnames="native")
+_put = jax.jit(put, static_argnames="closing", donate_argnums=1)
 
-    def _some(self, which, size, frame):
-        """Return some key scans in a frame, padded to a size."""
-        n = len(which)
-        ranges, pose = np.zeros((size, len(self._ranges[0])), np.float32), np.zeros((size, 3), np.float32)
-        ranges[:n] = [self._ranges[i] for i in which]
-        pose[:n] = between(np.broadcast_to(frame, (n, 3)), self.keys[which])
-        return Keys(jnp.asarray(ranges), jnp.asarray(pose), jnp.arange(size) < n)
+
+def grown(mapping: Mapping) -> Mapping:
+    """Return the record with room for twice as many key scans and loops."""
+    k, loops = len(mapping.pose_of), len(mapping.loops.ends)
+
+    def wider(a, n, fill=0):
+        return jnp.concatenate([a, jnp.full((n, *a.shape[1:]), fill, a.dtype)])
+
+    of_keys = {name: wider(getattr(mapping, name), k) for name in ("pose_of", "ranges_of", "way_of")}
+    steps = jax.tree.map(lambda a: wider(a, k), mapping.steps)
+    more = jax.tree.map(lambda a: wider(a, loops), mapping.loops)
+    more = more._replace(ends=wider(mapping.loops.ends, loops, -1))
+    return mapping.replace(**of_keys, steps=steps, loops=more)

@@ -1,7 +1,11 @@
-"""The sparse point map of Holz et al.: an unordered point cloud with a minimum distance, in cells of fixed size."""
+"""The sparse point map of Holz et al.: an unordered point cloud with a minimum distance, and the nearest of its points
+for every small cell of a square of the world.
+"""
 
+import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
@@ -10,72 +14,84 @@ from jexplore.arrays.poses import placed, rotated
 from jexplore.slam2d.scans import Scan
 from jexplore.slam2d.settings import SlamSettings
 
-FAR_M = 1e6  # coordinates of an empty slot
+CELL = 0.7  # edge of a cell in minimum distances: below 1 / sqrt(2), so that a point is the nearest one in its cell
+REACH = 6  # cells in every direction whose nearest point a new one may be
+STEPS = 190  # to which a squared distance of 1 cell^2 is rounded: (REACH + 0.5)^2 of them fit above the numbers
+NUMBER_BITS = 18  # of a point's number in `near`; its squared distance stands above
+NO_POINT = 2**31 - 1
+TOGETHER = 32  # points that enter the index at a time
+GATE = REACH + 0.5 - 1 / math.sqrt(2)  # cells from a query within which no point is missing
 
 
 @struct.dataclass
 class PointMap:
-    """Points in a grid of cells that repeats itself: cell (row, col) stands at (row % H, col % W).
+    """Points within a rectangle of the world, with an index of cells of `CELL` minimum distances."""
 
-    Points a whole period apart share a cell and are told apart by their coordinates; they only share its slots.
-    """
-
-    x: Array  # [H, W, K] float32, metres; `FAR_M` in an empty slot
-    y: Array  # [H, W, K] float32
-    normal_x: Array  # [H, W, K] float32, of the line through a point, towards the scanner; 0 and 0: on none
-    normal_y: Array  # [H, W, K] float32
-    count: Array  # [H, W] int32, slots in use
-    overflow: Array  # int32, points that found no slot
-
-
-class Near(NamedTuple):
-    """Slots of the 3 x 3 cells round some queries."""
-
-    at: Array  # [B, 9 K] int32, flat slot
-    x: Array  # [B, 9 K] float32, metres
-    y: Array  # [B, 9 K] float32
+    x: Array  # [N] float32, metres
+    y: Array  # [N] float32
+    normal_x: Array  # [N] float32, of the line through a point, towards the scanner; 0 and 0: on none
+    normal_y: Array  # [N] float32
+    count: Array  # int32, points
+    near: Array  # [H, W] int32, the point nearest to a cell's middle and its distance^2; NO_POINT: none within `REACH`
+    centre: Array  # [2] float32, the middle of the rectangle, metres
+    overflow: Array  # int32, points within the rectangle for which there was no room
+    native: str | None = struct.field(pytree_node=False, default=None)  # target of JAX's FFI, see `native.kernels`
 
 
 class Partner(NamedTuple):
-    """Points of the map nearest to queries."""
+    """Points of the map, one a query."""
 
-    xy: Array  # [B, 2] float32
-    normal: Array  # [B, 2] float32
-    d2: Array  # [B] float32, squared distance, m^2; huge without a point
-
-
-def empty_map(shape: tuple[int, int, int]) -> PointMap:
-    """Return a map without points; `shape`: rows, columns, slots a cell. Static, rows and columns at least 3."""
-    x, y = (jnp.full(shape, FAR_M, jnp.float32) for _ in range(2))  # arrays of their own: they may be donated
-    normal_x, normal_y = (jnp.zeros(shape, jnp.float32) for _ in range(2))
-    return PointMap(x, y, normal_x, normal_y, jnp.zeros(shape[:2], jnp.int32), jnp.zeros((), jnp.int32))
+    x: Array  # [B] float32, metres
+    y: Array  # [B] float32
+    normal_x: Array  # [B] float32
+    normal_y: Array  # [B] float32
+    d2: Array  # [B] float32, squared distance from the query, m^2; inf without a point
 
 
-def cell_of(points: PointMap, xy: Array, cell_m: Array | float) -> tuple[Array, Array]:
-    """Return row and column of the cells of points `[..., 2]`."""
-    cell = jnp.floor(xy / cell_m).astype(jnp.int32)
-    return cell[..., 1] % points.count.shape[0], cell[..., 0] % points.count.shape[1]
+def empty_map(
+    shape: tuple[int, int, int], centre: tuple[float, float] | Array = (0.0, 0.0), native: str | None = None
+) -> PointMap:
+    """Return a map without points.
+
+    Args:
+      shape: rows and columns of cells, and points that there is room for, at most 2^18. Static.
+      centre: of the rectangle that the cells cover, metres; what lies outside is never stored.
+      native: target of native code for a CPU, see `native.drive.find_target`. Static.
+    """
+    rows, cols, points = shape
+    x, y, normal_x, normal_y = (jnp.zeros(points, jnp.float32) for _ in range(4))  # of their own: they may be donated
+    return PointMap(
+        x, y, normal_x, normal_y, jnp.int32(0), jnp.full((rows, cols), NO_POINT, jnp.int32),
+        jnp.array(centre, jnp.float32), jnp.int32(0), native,
+    )  # fmt: skip
 
 
-def near_slots(settings: SlamSettings, points: PointMap, xy: Array) -> Near:
-    """Return the slots round queries `[B, 2]`: no point within `map_cell_m` is missing."""
-    row, col = cell_of(points, xy, settings.map_cell_m)
-    height, width, slots = points.x.shape
-    rows = (row[:, None] + jnp.array([-1, 0, 1])) % height
-    cols = (col[:, None] + jnp.array([-1, 0, 1])) % width
-    cells = (rows[:, :, None] * width + cols[:, None, :]).reshape(len(xy), 9, 1)
-    at = (cells * slots + jnp.arange(slots)).reshape(len(xy), 9 * slots)
-    return Near(at, points.x.reshape(-1)[at], points.y.reshape(-1)[at])
+def cell_m(settings: SlamSettings) -> Array | float:
+    """Return the edge of a cell, metres."""
+    return CELL * settings.min_distance_m
 
 
-def nearest(points: PointMap, near: Near, xy: Array) -> Partner:
-    """Find the nearest point of every query `[B, 2]` among its slots; of equal ones that in the lowest slot."""
-    d2 = (near.x - xy[:, :1]) ** 2 + (near.y - xy[:, 1:]) ** 2
-    least = jnp.min(d2, axis=1)
-    # Not argmin, which a CPU takes element by element: measured, twice the time.
-    best = jnp.min(jnp.where(d2 == least[:, None], near.at, points.x.size - 1), axis=1)
-    x, y, normal_x, normal_y = (a.reshape(-1)[best] for a in (points.x, points.y, points.normal_x, points.normal_y))
-    return Partner(jnp.stack([x, y], -1), jnp.stack([normal_x, normal_y], -1), least)
+def cells_of(settings: SlamSettings, points: PointMap, x: Array, y: Array) -> tuple[Array, Array]:
+    """Return rows and columns of places, float32, with a fraction; they may lie outside."""
+    height, width = points.near.shape
+    per = 1 / cell_m(settings)
+    return (y - points.centre[1]) * per + height / 2, (x - points.centre[0]) * per + width / 2
+
+
+def partners(points: PointMap, row: Array, col: Array, x: Array, y: Array) -> Partner:
+    """Return for every query `[B]` the point nearest to the middle of its cell; cells as of `cells_of`.
+
+    That point is at most `CELL` * sqrt(2) minimum distances farther than the nearest one. Outside of the map the cell
+    at its edge stands for all.
+    """
+    height, width = points.near.shape
+    row = jnp.clip(row, 0, height - 1).astype(jnp.int32)
+    col = jnp.clip(col, 0, width - 1).astype(jnp.int32)
+    near = points.near.reshape(-1)[row * width + col]
+    at = jnp.minimum(near & (2**NUMBER_BITS - 1), points.x.shape[0] - 1)
+    found_x, found_y, normal_x, normal_y = (a[at] for a in (points.x, points.y, points.normal_x, points.normal_y))
+    d2 = jnp.where(near == NO_POINT, jnp.inf, (found_x - x) ** 2 + (found_y - y) ** 2)
+    return Partner(found_x, found_y, normal_x, normal_y, d2)
 
 
 def add(settings: SlamSettings, points: PointMap, scan: Scan, pose: Array) -> PointMap:
@@ -88,19 +104,25 @@ def add(settings: SlamSettings, points: PointMap, scan: Scan, pose: Array) -> Po
       pose: `[3]` float32, of the scanner in the map.
 
     Returns:
-      `PointMap`; points that find no slot are counted in `overflow`.
+      `PointMap`; points that find no room are counted in `overflow`.
 
     Source:
       Holz et al. 2010, section 2.1.
     """
     xy, normal = placed(pose, scan.xy), rotated(scan.normal, pose[2])
-    free = scan.valid & (nearest(points, near_slots(settings, points, xy), xy).d2 >= settings.min_distance_m**2)
+    height, width = points.near.shape
+    (row, col), least2 = cells_of(settings, points, xy[:, 0], xy[:, 1]), settings.min_distance_m**2
+    inside = scan.valid & (row >= 0) & (row < height) & (col >= 0) & (col < width)
+    free = inside
+    for up in (-2, -1, 0, 1, 2):  # every stored point is found in its own cell, which is at most two away
+        for right in (-2, -1, 0, 1, 2):
+            free &= partners(points, row + up, col + right, xy[:, 0], xy[:, 1]).d2 >= least2
     # Ranks, not ranges, are compared: a fused square rounds in two ways, and two points would wait for each other.
     order = jnp.lexsort((scan.xy[:, 1], scan.xy[:, 0], scan.xy[:, 0] ** 2 + scan.xy[:, 1] ** 2))
     rank = jnp.zeros(len(order), jnp.int32).at[order].set(jnp.arange(len(order), dtype=jnp.int32))
     first = rank[None] < rank[:, None]  # [i, j]: j is taken before i
     off = xy[:, None] - xy[None]
-    rival = first & (off[..., 0] ** 2 + off[..., 1] ** 2 < settings.min_distance_m**2)
+    rival = first & (off[..., 0] ** 2 + off[..., 1] ** 2 < least2)
 
     def choose(state):
         chosen, left = state
@@ -109,22 +131,35 @@ def add(settings: SlamSettings, points: PointMap, scan: Scan, pose: Array) -> Po
 
     # Every round takes one at least: the first in rank.
     chosen, _ = lax.while_loop(lambda state: jnp.any(state[1]), choose, (jnp.zeros_like(free), free))
-    row, col = cell_of(points, xy, settings.map_cell_m)
-    height, width, slots = points.x.shape
-    at = row * width + col
-    before = jnp.sum(chosen[None] & first & (at[None] == at[:, None]), axis=1)
-    slot = points.count.reshape(-1)[at] + before
-    fits = chosen & (slot < slots)
-    flat = jnp.where(fits, at * slots + slot, height * width * slots)
-
-    def stored(old, new):
-        return old.reshape(-1).at[flat].set(new, mode="drop").reshape(old.shape)
-
-    return PointMap(
-        stored(points.x, xy[:, 0]),
-        stored(points.y, xy[:, 1]),
-        stored(points.normal_x, normal[:, 0]),
-        stored(points.normal_y, normal[:, 1]),
-        points.count.at[row, col].add(fits),
-        points.overflow + jnp.sum(chosen & ~fits, dtype=jnp.int32),
+    number = points.count + jnp.sum(chosen[None] & first, axis=1, dtype=jnp.int32)
+    size = points.x.shape[0]
+    fits = chosen & (number < size)
+    n, before = jnp.minimum(points.count + jnp.sum(chosen, dtype=jnp.int32), size), points.count
+    at = jnp.where(fits, number, size)
+    x, y, normal_x, normal_y = (
+        old.at[at].set(new, mode="drop")
+        for old, new in zip(
+            (points.x, points.y, points.normal_x, points.normal_y), (*jnp.unstack(xy, axis=1), *jnp.unstack(normal, axis=1))
+        )
     )
+    overflow = points.overflow + jnp.sum(chosen & ~fits, dtype=jnp.int32)
+    points = points.replace(
+        x=x, y=y, normal_x=normal_x, normal_y=normal_y, count=n, overflow=overflow
+    )
+    offsets = jnp.arange(-REACH, REACH + 1)
+
+    def enter(state):
+        near, k = state
+        new = k + jnp.arange(TOGETHER)
+        row, col = cells_of(settings, points, points.x[new], points.y[new])  # clipped beyond the last, then dropped
+        rows = jnp.floor(row).astype(jnp.int32)[:, None, None] + offsets[:, None]
+        cols = jnp.floor(col).astype(jnp.int32)[:, None, None] + offsets
+        d2 = (rows + 0.5 - row[:, None, None]) ** 2 + (cols + 0.5 - col[:, None, None]) ** 2
+        is_there = (new < n)[:, None, None] & (d2 < (REACH + 0.5) ** 2)
+        is_there &= (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
+        packed = (d2 * STEPS).astype(jnp.int32) << NUMBER_BITS | new[:, None, None]
+        at = jnp.where(is_there, rows * width + cols, height * width)
+        return near.reshape(-1).at[at].min(packed, mode="drop").reshape(height, width), k + TOGETHER
+
+    near, _ = lax.while_loop(lambda state: state[1] < n, enter, (points.near, before))
+    return points.replace(near=near)

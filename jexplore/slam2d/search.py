@@ -7,13 +7,12 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.arrays.poses import rotated, wrapped
-from jexplore.slam2d.points import PointMap
+from jexplore.slam2d.points import NO_POINT, NUMBER_BITS, STEPS, PointMap, cell_m, cells_of
 from jexplore.slam2d.scans import Scan
 from jexplore.slam2d.settings import SlamSettings
 
-BLOCK = 4  # fine steps to a coarse one
+BLOCK = 6  # fine steps to a coarse one
 BEST = 32  # coarse steps that are searched finely
-BLUR_CELLS = 4  # as far as a point of the picture is felt
 
 
 class Window(NamedTuple):
@@ -21,8 +20,7 @@ class Window(NamedTuple):
 
     blocks: int  # coarse steps of place
     turns: int  # steps of heading
-    side: int  # of the picture of the map, cells
-    cells: int  # of the map's index that cover it
+    side: int = 448  # cells of the map that are looked at, of at most as many as it has
 
 
 class Found(NamedTuple):
@@ -34,46 +32,29 @@ class Found(NamedTuple):
     is_best: Array  # bool, no pose of the window costs less
 
 
-def draw_points(settings: SlamSettings, xy: Array, valid: Array, centre: Array, side: int) -> Array:
-    """Return the cost of a point in every cell round a centre: `[side, side]` float32, row 0 at the bottom.
+def picture(settings: SlamSettings, points: PointMap, row: Array, col: Array, side: int) -> tuple[Array, Array, Array]:
+    """Return the cost of a point in every cell round one: `(cost, row, col)`, `[S, S]` float32 and its first cell.
 
-    Args:
-      xy: `[N, 2]` float32, points of the map, `valid` `[N]` bool.
-      centre: `[2]` float32, the middle of the picture.
+    The square is moved so that it lies within the map. Cost: see `SlamSettings.search_blur_m`.
     """
-    cell = jnp.floor((xy - centre) / settings.search_cell_m).astype(jnp.int32) + side // 2
-    there = valid & jnp.all((cell >= 0) & (cell < side), axis=1)
-    at = jnp.where(there, cell[:, 1] * side + cell[:, 0], side * side)
-    cap = jnp.float32(settings.search_cap)
-    cost = jnp.full(side * side, cap).at[at].min(0.0, mode="drop").reshape(side, side)
-    step = 0.5 * (settings.search_cell_m / settings.search_blur_m) ** 2
-    for axis in (0, 1):
-        wide = jnp.pad(cost, [(BLUR_CELLS, BLUR_CELLS) if a == axis else (0, 0) for a in (0, 1)], constant_values=cap)
-        for k in range(-BLUR_CELLS, BLUR_CELLS + 1):
-            cost = jnp.minimum(
-                cost, lax.slice_in_dim(wide, BLUR_CELLS + k, BLUR_CELLS + k + side, axis=axis) + step * k * k
-            )
-    return jnp.minimum(cost, cap)
+    height, width = points.near.shape
+    rows, cols = min(side, height), min(side, width)
+    first = jnp.clip(row - rows // 2, 0, height - rows), jnp.clip(col - cols // 2, 0, width - cols)
+    near = lax.dynamic_slice(points.near, first, (rows, cols))
+    scale = 0.5 * (cell_m(settings) / settings.search_blur_m) ** 2 / STEPS
+    cost = jnp.minimum((near >> NUMBER_BITS).astype(jnp.float32) * scale, settings.search_cap)
+    return jnp.where(near == NO_POINT, settings.search_cap, cost), *first
 
 
-def draw_map(settings: SlamSettings, points: PointMap, centre: Array, side: int, cells: int) -> Array:
-    """Do the same for the points of a map, of `cells` x `cells` of its cells; static, no more than it has."""
-    first = jnp.floor(centre / settings.map_cell_m).astype(jnp.int32) - cells // 2
-    height, width, _ = points.x.shape
-    rows, cols = (first[1] + jnp.arange(cells)) % height, (first[0] + jnp.arange(cells)) % width
-    x, y = (a[rows[:, None], cols[None, :]].reshape(-1) for a in (points.x, points.y))
-    xy = jnp.stack([x, y], -1)
-    return draw_points(settings, xy, jnp.ones(len(xy), bool), centre, side)
-
-
-def search(settings: SlamSettings, cost: Array, scan: Scan, start: Array, prior: Array, window: Window) -> Found:
-    """Find the pose of the least cost in a window round a guess in the middle of the picture.
+def search(
+    settings: SlamSettings, points: PointMap, scan: Scan, start: Array, prior: Array, window: Window
+) -> Found:
+    """Find the pose of the least cost in a window round a guess.
 
     The cost of a pose is the mean cost of the scan's points there, and log(1 + d^2 / 2) for a distance of d standard
     deviations from the guess, as one of `points / correlation` measurements: odometry errs seldom, but then by much.
 
     Args:
-      cost: `[S, S]` float32, see `draw_points`; its centre is the guess's place.
       start, prior: guess `[3]` and covariance `[3, 3]`.
 
     Returns:
@@ -83,22 +64,25 @@ def search(settings: SlamSettings, cost: Array, scan: Scan, start: Array, prior:
       Olson, Real-time correlative scan matching (2009). Changed: a fixed number of coarse steps is searched finely;
       `is_best` tells whether they sufficed.
     """
+    at = cells_of(settings, points, start[0], start[1])
+    cost, first_row, first_col = picture(settings, points, *(jnp.floor(a).astype(jnp.int32) for a in at), window.side)
+    at = at[0] - first_row + BLOCK, at[1] - first_col + BLOCK
     cost = jnp.pad(cost, BLOCK, constant_values=settings.search_cap)  # or a block across the edge is no bound
-    side, floor_ = cost.shape[0], _block_minima(cost, settings.search_cap)
-    cell_m, turn, sd = settings.search_cell_m, jnp.radians(settings.search_turn_deg), jnp.sqrt(jnp.diagonal(prior))
+    (height, width), floor_ = cost.shape, _block_minima(cost, settings.search_cap)
+    edge_m, turn, sd = cell_m(settings), jnp.radians(settings.search_turn_deg), jnp.sqrt(jnp.diagonal(prior))
     n = jnp.maximum(jnp.sum(scan.valid), 1)
 
     def total(picture, row, col):
-        inside = (row >= 0) & (row < side) & (col >= 0) & (col < side)
-        each = jnp.where(inside, picture.reshape(-1)[jnp.where(inside, row * side + col, 0)], settings.search_cap)
+        inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
+        each = jnp.where(inside, picture.reshape(-1)[jnp.where(inside, row * width + col, 0)], settings.search_cap)
         return jnp.sum(jnp.where(scan.valid, each, 0), axis=-1) / n
 
     def cells(k):
-        cell = jnp.floor(rotated(scan.xy, start[2] + k * turn) / cell_m).astype(jnp.int32) + side // 2
-        return cell[..., 1], cell[..., 0]
+        arm = rotated(scan.xy, start[2] + k * turn) / edge_m
+        return tuple(jnp.floor(arm[..., axis] + own).astype(jnp.int32) for axis, own in zip((1, 0), at))
 
     def guess(k, up, right):
-        off2 = (k * turn / sd[2]) ** 2 + (up * cell_m / sd[1])[:, None] ** 2 + (right * cell_m / sd[0])[None, :] ** 2
+        off2 = (k * turn / sd[2]) ** 2 + (up * edge_m / sd[1])[:, None] ** 2 + (right * edge_m / sd[0])[None, :] ** 2
         # Measured on Freiburg 079: 7 standard deviations where the robot backs out of a room.
         return jnp.log1p(off2 / 2) * settings.correlation / n
 
@@ -121,19 +105,18 @@ def search(settings: SlamSettings, cost: Array, scan: Scan, start: Array, prior:
         return costs.reshape(-1)[at], jnp.stack([right[at % BLOCK], up[at // BLOCK], turns[k]])
 
     costs, steps = jax.vmap(fine)(*jnp.unravel_index(which[:-1], bound.shape))
-    at = jnp.argmin(costs)
-    apart = jnp.any(jnp.abs(steps - steps[at]) > jnp.array([BLOCK, BLOCK, 2]), axis=1)
-    pose = start + steps[at] * jnp.stack([jnp.float32(cell_m), jnp.float32(cell_m), turn])
+    best = jnp.argmin(costs)
+    apart = jnp.any(jnp.abs(steps - steps[best]) > jnp.array([BLOCK, BLOCK, 2]), axis=1)
+    pose = start + steps[best] * jnp.stack([edge_m, edge_m, turn]).astype(jnp.float32)
     others = jnp.where(apart, costs, -least[-1])
-    return Found(pose.at[2].set(wrapped(pose[2])), costs[at], jnp.min(others), costs[at] <= -least[-1])
+    return Found(pose.at[2].set(wrapped(pose[2])), costs[best], jnp.min(others), costs[best] <= -least[-1])
 
 
 def _block_minima(cost, cap):
     """Return the least cost of the `BLOCK` x `BLOCK` cells from every cell on, up and to the right."""
-    side = cost.shape[0]
     for axis in (0, 1):
-        for shift in (1, 2):  # doubling: 4 cells
-            tail = lax.slice_in_dim(cost, shift, side, axis=axis)
+        for shift in (1, 2, 2):  # 2, 4, 6 cells
+            tail = lax.slice_in_dim(cost, shift, cost.shape[axis], axis=axis)
             pad = [(0, shift) if a == axis else (0, 0) for a in (0, 1)]
             cost = jnp.minimum(cost, jnp.pad(tail, pad, constant_values=cap))
     return cost

@@ -15,10 +15,8 @@ class SlamSettings(Settings):
 
     min_distance_m: float = 0.05
     """A point goes into the map only if none lies nearer, in metres."""
-    map_cell_m: float = 0.2
-    """Edge of a cell of the map's index, in metres; no pair of points farther apart than this is found."""
     gate_m: float = 0.2
-    """Greatest distance of a point from its partner in the first round, in metres; at most `map_cell_m`."""
+    """Greatest distance of a point from its partner in the first round, in metres; at most 4 `min_distance_m`."""
     fine_gate_m: float = 0.1
     """The same in the last rounds, and the distance within which a point counts as matched."""
     noise_m: float = 0.03
@@ -60,13 +58,11 @@ class SlamSettings(Settings):
     """Standard deviation of a step without odometry, in metres."""
     unknown_deg: float = 45.0
     """The same of its turn, in degrees."""
-    search_cell_m: float = 0.05
-    """Edge of a cell of the search's picture of the map, in metres; the finer of its two steps."""
     search_turn_deg: float = 1.5
     """Step of the search in heading, in degrees."""
     search_blur_m: float = 0.1
     """A point of the search costs half the square of its distance over this, in metres, and
-    `search_cap` at most."""
+    `search_cap` at most: that of a point without any of the map within 4 `min_distance_m`."""
     search_cap: float = 2.0
     """The largest cost of a point."""
     key_m: float = 0.5

@@ -8,29 +8,30 @@ from jexplore.arrays.poses import compose
 from jexplore.slam2d.matching import Match, Outcome, match
 from jexplore.slam2d.points import PointMap
 from jexplore.slam2d.scans import Scan
-from jexplore.slam2d.search import Window, draw_map, search
+from jexplore.slam2d.search import Window, search
 from jexplore.slam2d.settings import SlamSettings
 
 SURE = 2.0  # standard deviations of a point's place that must lie within the gate
-WINDOW = Window(3, 12, 320, 80)  # 0.6 m and 12 degrees on either side, 8 m round the robot
-WIDE = Window(12, 90, 320, 80)  # 2.4 m and 90 degrees, for steps without odometry
+WINDOW = Window(3, 12)  # 0.63 m and 18 degrees on either side, 7.8 m round the robot
+WIDE = Window(12, 90)  # 2.5 m and 135 degrees, for steps without odometry
 
 
-def predict(settings: SlamSettings, pose: Array, moved: Array) -> tuple[Array, Array]:
+def predict(settings: SlamSettings, pose: Array, moved: Array | None) -> tuple[Array, Array]:
     """Return the pose after a step of the odometry, and the covariance of that step.
 
     Args:
       pose: `[3]` float32.
-      moved: `[3]` float32, the step in the frame of the pose; all 0: there is no odometry.
+      moved: `[3]` float32, the step in the frame of the pose; None: there is no odometry.
 
     Returns:
       `(pose, covariance)`: `[3]`, `[3, 3]` float32.
     """
+    if moved is None:
+        sd = jnp.stack([settings.unknown_m, settings.unknown_m, jnp.radians(settings.unknown_deg)])
+        return pose, jnp.diag(sd**2)
     way, turn = jnp.hypot(moved[0], moved[1]), jnp.abs(moved[2])
-    is_known = jnp.any(moved != 0)
-    place_sd = jnp.where(is_known, settings.way_m + settings.way_share * way, settings.unknown_m)
-    own = settings.turn_share * turn + jnp.radians(settings.turn_deg + settings.turn_deg_m * way)
-    turn_sd = jnp.where(is_known, own, jnp.radians(settings.unknown_deg))
+    place_sd = settings.way_m + settings.way_share * way
+    turn_sd = settings.turn_share * turn + jnp.radians(settings.turn_deg + settings.turn_deg_m * way)
     return compose(pose, moved), jnp.diag(jnp.stack([place_sd, place_sd, turn_sd]) ** 2)
 
 
@@ -49,8 +50,7 @@ def locate(
     first = match(settings, points, scan, start, prior)
 
     def again(first):
-        picture = draw_map(settings, points, start[:2], window.side, window.cells)
-        found = search(settings, picture, scan, start, prior, window)
+        found = search(settings, points, scan, start, prior, window)
         second = match(settings, points, scan, start, prior, found.pose)
         return pick(
             (second.outcome <= Outcome.UNSETTLED) & (~is_sure | (second.fitness > first.fitness)), second, first

@@ -1,7 +1,7 @@
 """Localisation by scans in plain numpy and scipy, written from the papers: Holz et al. 2010, Censi 2008, Olson 2009."""
 
 import numpy as np
-from scipy import ndimage, optimize
+from scipy import optimize
 from scipy.spatial import KDTree
 
 ROOM = ((0, 0, 6, 0), (6, 0, 6, 4), (6, 4, 0, 4), (0, 4, 0, 0))
@@ -54,8 +54,14 @@ def add(settings, stored, xy, valid, pose):
     return np.array(stored).reshape(-1, 2)
 
 
-def match(settings, points, normals, scan, start, prior, rounds=20):
-    """Point-to-line ICP with the odometry as one more measurement; partners by a k-d tree."""
+def middles(settings, xy, centre, shape):
+    """Middles of the cells of places, `[n, 2]`."""
+    cell, half = 0.7 * settings.min_distance_m, np.array(shape[::-1]) / 2
+    return (np.floor((np.asarray(xy, float) - centre) / cell + half) + 0.5 - half) * cell + centre
+
+
+def match(settings, points, normals, scan, start, prior, centre, shape, rounds=20):
+    """Point-to-line ICP with the odometry as one more measurement; partners by a k-d tree, nearest to cells' middles."""
     xy, own, valid = scan
     tree, known, pose = KDTree(points), np.linalg.inv(prior), np.array(start, float)
     for k in range(rounds + 2):
@@ -64,8 +70,8 @@ def match(settings, points, normals, scan, start, prior, rounds=20):
         rows, off, weights = [], [], []
         for p, n in zip(xy[valid], own[valid]):
             q = turn @ p + pose[:2]
-            d, i = tree.query(q)
-            m = normals[i]
+            i = tree.query(middles(settings, q, centre, shape))[1]
+            d, m = np.hypot(*(q - points[i])), normals[i]
             if d >= gate or (m.any() and n.any() and m @ turn @ n <= np.cos(np.radians(settings.max_facing_deg))):
                 continue
             aside = np.array([-(turn @ p)[1], (turn @ p)[0]])
@@ -85,29 +91,29 @@ def match(settings, points, normals, scan, start, prior, rounds=20):
     return pose
 
 
-def picture(settings, xy, centre, side):
-    """Costs of a point in every cell, by the exact distance between cells; true if the cap lies within 4 cells."""
-    cell = np.floor((np.asarray(xy) - centre) / settings.search_cell_m).astype(int) + side // 2
-    there = cell[((cell >= 0) & (cell < side)).all(axis=1)]
-    free = np.ones((side, side), bool)
-    free[there[:, 1], there[:, 0]] = False
-    d = ndimage.distance_transform_edt(free) if len(there) else np.full((side, side), np.inf)
-    return np.minimum(0.5 * (d * settings.search_cell_m / settings.search_blur_m) ** 2, settings.search_cap)
+def picture(settings, points, centre, shape):
+    """Costs of a point in every cell of a map, by the distance of its middle from the nearest point."""
+    rows, cols = np.mgrid[: shape[0], : shape[1]]
+    xy = (np.stack([cols, rows], axis=-1) + 0.5 - np.array(shape[::-1]) / 2) * 0.7 * settings.min_distance_m + centre
+    d = KDTree(points).query(xy)[0]
+    return np.minimum(0.5 * (d / settings.search_blur_m) ** 2, settings.search_cap)
 
 
-def search(settings, cost, scan, start, prior, blocks, turns):
+def search(settings, cost, centre, scan, start, prior, blocks, turns):
     """Least cost of a window, every pose tried: `(cost, pose)`."""
     xy, _, valid = scan
-    side, cell = len(cost), settings.search_cell_m
+    height, width = cost.shape
+    cell = 0.7 * settings.min_distance_m
+    first = (np.asarray(start[:2]) - centre) / cell + np.array([width, height]) / 2
     sd, n = np.sqrt(np.diag(prior)), max(valid.sum(), 1)
     best = np.inf, None
     for k in range(-turns, turns + 1):
         turn = k * np.radians(settings.search_turn_deg)
-        at = np.floor(xy[valid] @ rotation(start[2] + turn).T / cell).astype(int) + side // 2
-        for i in range(-4 * blocks, 4 * blocks):
-            for j in range(-4 * blocks, 4 * blocks):
+        at = np.floor(xy[valid] @ rotation(start[2] + turn).T / cell + first).astype(int)
+        for i in range(-6 * blocks, 6 * blocks):
+            for j in range(-6 * blocks, 6 * blocks):
                 row, col = at[:, 1] + i, at[:, 0] + j
-                inside = (row >= 0) & (row < side) & (col >= 0) & (col < side)
+                inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
                 each = np.where(inside, cost[np.where(inside, row, 0), np.where(inside, col, 0)], settings.search_cap)
                 away = np.array([j * cell, i * cell, turn]) / sd
                 total = each.sum() / n + np.log1p(away @ away / 2) * settings.correlation / n

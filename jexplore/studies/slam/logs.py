@@ -134,8 +134,8 @@ def slam(
       Holz et al. 2010, sections 2.1 and 2.3; Censi 2008; Olson 2009.
     """
     matching = as_record("matching", matching or SlamSettings(), SlamSettings)
-    if max(matching.gate_m, matching.min_distance_m) > matching.map_cell_m:
-        raise InputError("matching: gate_m and min_distance_m must be at most map_cell_m")
+    if matching.gate_m > 4 * matching.min_distance_m:
+        raise InputError("matching: gate_m must be at most 4 min_distance_m")
     log = in_order(log if isinstance(log, ScanLog) else read_log(log, max_range_m, topic, odometry_topic))
     known = relations_between(log.poses) if _is_corrected(log) else {}
     if relations is not None:
@@ -148,7 +148,7 @@ def slam(
         warnings.warn(told, InputWarning, stacklevel=2)
     try:
         for i, ranges in enumerate(log.ranges):
-            mapper.put(ranges, moved[i - 1] if i else np.zeros(3))
+            mapper.put(ranges, moved[i - 1] if i and moved[i - 1].any() else None)
             if on_progress is not None:
                 on_progress(i + 1)
     except KeyboardInterrupt:
@@ -178,7 +178,7 @@ def _result(log, mapper, known, interrupted):
         loops=mapper.loops,
         outcomes=np.array([place.outcome for place in mapper.places]),
         fitness=np.array([place.fitness for place in mapper.places]),
-        overflow=mapper.overflow + int(mapper.points.overflow),
+        overflow=mapper.overflow,
         errors=pd.DataFrame(error_rows(poses, known)),
         ate_m=trajectory_error(poses, log.poses) if _is_corrected(log) else np.nan,
         interrupted=interrupted,

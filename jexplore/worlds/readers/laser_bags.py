@@ -1,7 +1,9 @@
-"""Scans and odometry in recordings of ROS: messages of the types sensor_msgs/LaserScan and nav_msgs/Odometry."""
+"""Scans and odometry in recordings of ROS: messages of the types sensor_msgs/LaserScan, nav_msgs/Odometry, and
+tf2_msgs/TFMessage for odometry and where the scanner is mounted.
+"""
 
 import os
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +14,9 @@ from jexplore.worlds.readers.scans import ScanLog
 
 _SCANS = Kind("sensor_msgs/msg/LaserScan", "/scan", "scans", "give topic=")
 _ODOMETRY = Kind("nav_msgs/msg/Odometry", "/odom", "odometry", "give odometry_topic=")
+_TRANSFORMS = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
+_ODOM = "odom"  # frame in which odometry is told, REP 105 of ROS
+_LEVEL = 0.99  # cosine of a scanner's tilt; one more tilted does not scan in the plane
 
 
 def is_bag(path: str | os.PathLike[str]) -> bool:
@@ -28,8 +33,10 @@ def read_laser_bag(
 ) -> ScanLog:
     """Read the scans of a recording, in order of their time stamps, each with the odometry at its time.
 
-    The scanner counts as standing at the robot's base, looking forward. Between two messages the odometry is
-    interpolated; scans before the first message or after the last have its pose.
+    Odometry is that of Odometry messages; without any, the transforms from the frame `odom` to that of the robot's base.
+    Between two messages it is interpolated; scans before the first message or after the last have its pose. A scanner
+    is mounted where transforms from the base to its frame say, also upside down; without any it stands at the base and
+    looks forward.
 
     Args:
       path: `.bag` of ROS 1; `.db3` or `.mcap` of ROS 2, or the folder, or the `metadata.yaml` in it, of such files.
@@ -40,17 +47,27 @@ def read_laser_bag(
 
     Raises:
       InputError: rosbags is not installed; the recording cannot be read, or has no such topic or no message on it;
-        scans differ in their beams; or a number is not finite where it must be.
+        scans differ in their beams; the scanner is tilted; or a number is not finite where it must be.
     """
     path = os.fspath(path)
     with opened_bag(path) as reader:
         topic, some = connections_of(path, reader.connections, topic, _SCANS)
         scans = [reader.deserialize(raw, _SCANS.type) for _, _, raw in reader.messages(some)]
-        own, some = connections_of(path, reader.connections, odometry_topic, _ODOMETRY)
-        odometry = [_pose(reader.deserialize(raw, _ODOMETRY.type)) for _, _, raw in reader.messages(some)]
-    for where, messages in ((topic, scans), (own, odometry)):
-        if not messages:
-            raise InputError(f"{path!r}: has no message on the topic {where}")
+        if not scans:
+            raise InputError(f"{path!r}: has no message on the topic {topic}")
+        links, frame = _links(reader), _name(scans[0].header.frame_id)
+        are_messages = any(one.msgtype == _ODOMETRY.type for one in reader.connections)
+        if odometry_topic is None and not are_messages and any(link.parent == _ODOM for link in links.values()):
+            own, base = _ODOM, _base(path, links, frame)
+            odometry = [(time, *_flat(matrix)) for time, matrix in links[base].known]
+        else:
+            own, some = connections_of(path, reader.connections, odometry_topic, _ODOMETRY)
+            messages = [reader.deserialize(raw, _ODOMETRY.type) for _, _, raw in reader.messages(some)]
+            if not messages:
+                raise InputError(f"{path!r}: has no message on the topic {own}")
+            base = _name(messages[0].child_frame_id)
+            told = [(m.header, m.pose.pose.position, m.pose.pose.orientation) for m in messages]
+            odometry = [(_seconds(header), *_flat(_matrix(place, turn))) for header, place, turn in told]
     steps = np.array(sorted(odometry))
     if not np.isfinite(steps).all():
         raise InputError(f"{path!r}: the odometry on {own} has a number that is not finite")
@@ -59,21 +76,89 @@ def read_laser_bag(
     scanner = [(len(s.ranges), float(s.angle_min), float(s.angle_increment), float(s.range_max)) for s in scans]
     if len(set(scanner)) > 1 or not len(first.ranges) or not np.isfinite(scanner[0]).all():
         raise InputError(f"{path!r}: the scans on {topic} must have readings, and all the same beams and largest range")
+    mount = _mount(links, frame, base)
+    if not abs(mount[2, 2]) > _LEVEL:
+        raise InputError(f"{path!r}: the scanner {frame!r} is tilted against {base!r}; its scans are in no plane")
     times = np.array([_seconds(scan.header) for scan in scans])
     angle = np.interp(times, steps[:, 0], np.unwrap(steps[:, 3]))
-    poses = np.stack([*(np.interp(times, steps[:, 0], steps[:, k]) for k in (1, 2)), angle], axis=1)
+    x, y = (np.interp(times, steps[:, 0], steps[:, k]) for k in (1, 2))
+    cos, sin, (ahead, aside) = np.cos(angle), np.sin(angle), mount[:2, 3]
+    poses = np.stack([x + cos * ahead - sin * aside, y + sin * ahead + cos * aside, angle], axis=1)
     ranges = np.array([scan.ranges for scan in scans], float)
     ranges[ranges < first.range_min] = 0.0  # too near: says nothing
     angles_rad = float(first.angle_min) + float(first.angle_increment) * np.arange(len(first.ranges))
-    return ScanLog(poses, poses.copy(), ranges, angles_rad, times, float(first.range_max))
+    way = np.sign(mount[2, 2])  # below 0: upside down
+    angles_rad = np.arctan2(mount[1, 0], mount[0, 0]) + way * angles_rad
+    return ScanLog(poses, poses.copy(), ranges[:, :: int(way)], angles_rad[:: int(way)], times, float(first.range_max))
+
+
+class _Link(NamedTuple):
+    """Transforms of a frame into its parent's."""
+
+    parent: str
+    known: list[tuple[float, np.ndarray]]  # seconds, [4, 4]
+
+
+def _links(reader: Any) -> dict[str, _Link]:
+    """Return the transforms of a recording by the frame that they place."""
+    links: dict[str, _Link] = {}
+    some = [one for one in reader.connections if one.msgtype in _TRANSFORMS]
+    for connection, _, raw in reader.messages(some) if some else ():
+        for told in reader.deserialize(raw, connection.msgtype).transforms:
+            link = links.setdefault(_name(told.child_frame_id), _Link(_name(told.header.frame_id), []))
+            if link.parent == _name(told.header.frame_id):
+                place = told.transform
+                link.known.append((_seconds(told.header), _matrix(place.translation, place.rotation)))
+    return links
+
+
+def _base(path: str, links: dict[str, _Link], frame: str) -> str:
+    """Return the frame whose transforms are the odometry: that which carries the scanner, or else the only one."""
+    some = [name for name, link in links.items() if link.parent == _ODOM]
+    above = [name for name in _above(links, frame) if name in some]
+    if not above and len(some) > 1:
+        raise InputError(f"{path!r}: frames in odom are {', '.join(sorted(some))}; none of them carries {frame!r}")
+    return (above or some)[0]
+
+
+def _above(links: dict[str, _Link], frame: str) -> list[str]:
+    """Return a frame and those that carry it, from one to the next."""
+    names = [frame]
+    while names[-1] in links and links[names[-1]].parent not in names:
+        names.append(links[names[-1]].parent)
+    return names
+
+
+def _mount(links: dict[str, _Link], frame: str, base: str) -> np.ndarray:
+    """Return the transform `[4, 4]` of a frame into the base's by the first one of every link; no turn where none is."""
+    above, mount = _above(links, frame), np.eye(4)
+    for name in above[: above.index(base)] if base in above else ():
+        mount = links[name].known[0][1] @ mount
+    return mount
+
+
+def _name(frame: str) -> str:
+    return frame.lstrip("/")  # as ROS's first releases wrote them
 
 
 def _seconds(header: Any) -> float:
     return header.stamp.sec + 1e-9 * header.stamp.nanosec
 
 
-def _pose(message: Any) -> tuple[float, float, float, float]:
-    """Return time, x, y and heading of a message of odometry."""
-    place, turn = message.pose.pose.position, message.pose.pose.orientation
-    heading = np.arctan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y**2 + turn.z**2))
-    return _seconds(message.header), float(place.x), float(place.y), float(heading)
+def _matrix(place: Any, turn: Any) -> np.ndarray:
+    """Return a place and a quaternion as a transform `[4, 4]`; a quaternion of zeros is no turn."""
+    q = np.array([turn.w, turn.x, turn.y, turn.z], float)
+    w, x, y, z = q / np.linalg.norm(q) if q.any() else (1.0, 0.0, 0.0, 0.0)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), place.x],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x), place.y],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y), place.z],
+            [0, 0, 0, 1],
+        ]
+    )
+
+
+def _flat(matrix: np.ndarray) -> tuple[float, float, float]:
+    """Return x, y and heading of a transform."""
+    return float(matrix[0, 3]), float(matrix[1, 3]), float(np.arctan2(matrix[1, 0], matrix[0, 0]))
