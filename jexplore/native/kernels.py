@@ -1,6 +1,5 @@
 """Kernels of planning in native code, for programs in JAX on a CPU; each does what the function that calls it does in
-JAX, bit by bit. Which target of JAX's FFI they belong to is `MapModel.native`, and for scan matching, whose kernel adds
-in another order, `PointMap.native`.
+JAX, bit by bit. Which target of JAX's FFI they belong to is `MapModel.native`.
 """
 
 import math
@@ -14,7 +13,7 @@ from jax import Array
 from jexplore.raycast import Beams, square_side
 
 EVERY = 2**30  # more unknown cells than any look shows
-KERNELS = ("drive", "field", "clusters", "lay", "look", "apart", "match")
+KERNELS = ("drive", "field", "clusters", "lay", "look", "apart")
 """The kernels of the library, `jexplore_NAME`."""
 
 

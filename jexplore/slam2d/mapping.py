@@ -14,7 +14,6 @@ from jax import Array, lax
 
 from jexplore.arrays.loops import run_if
 from jexplore.arrays.poses import between, compose
-from jexplore.native.drive import find_target
 from jexplore.slam2d.closing import Keys, Scanner, map_of, verify
 from jexplore.slam2d.graph import Loops, Steps, settle, turned_covariance
 from jexplore.slam2d.matching import Outcome
@@ -72,13 +71,12 @@ def begin(
     pose: Array,
     scanner: Scanner,
     centre: tuple[float, float] | Array = (0.0, 0.0),
-    native: str | None = None,
 ) -> Mapping:
-    """Return the record after a first scan `[B]` from a pose `[3]`; `centre` and `native`: see `empty_map`."""
+    """Return the record after a first scan `[B]` from a pose `[3]`; `centre`: of the map, see `empty_map`."""
     k, loops = sizes.keys, sizes.loops
     pose, zero = jnp.asarray(pose, jnp.float32), jnp.float32(0)
     points = add(
-        settings, empty_map(sizes.map, centre, native), read_scan(settings, ranges_m, *scanner), pose
+        settings, empty_map(sizes.map, centre), read_scan(settings, ranges_m, *scanner), pose
     )
     return Mapping(
         points, pose, Place(jnp.int32(0), jnp.zeros(3), jnp.int32(Outcome.MATCHED), jnp.float32(1)), zero,
@@ -169,8 +167,7 @@ def _close(settings, mapping, scanner):
     def look(mapping):
         around = j + jnp.arange(-ASIDE, ASIDE + 1)
         keys = _some(mapping, around, (around >= 0) & (around < last), pose_of[j])
-        native = mapping.points.native
-        found, searched = verify(settings, keys, mapping.ranges_of[last], away[j], scanner, native)
+        found, searched = verify(settings, keys, mapping.ranges_of[last], away[j], scanner)
         is_loop = (found.outcome == Outcome.MATCHED) | (found.outcome == Outcome.UNSETTLED)
         is_loop &= (found.fitness >= settings.close_share) & (searched.other >= searched.cost + settings.close_margin)
         is_loop &= mapping.n_loops < len(mapping.loops.ends)
@@ -203,7 +200,7 @@ def _remake(settings, mapping, scanner):
     near = lax.top_k(jnp.where(numbers < mapping.n_keys, -off, -jnp.inf), min(ROUND, len(pose_of)))[1]
     near = jnp.sort(jnp.where(near < mapping.n_keys, near, -1))[::-1]
     keys = _some(mapping, near, near >= 0, jnp.zeros(3))
-    blank = empty_map((*points.near.shape, len(points.x)), mapping.pose[:2], points.native)
+    blank = empty_map((*points.near.shape, len(points.x)), mapping.pose[:2])
     return mapping.replace(
         points=map_of(settings, keys, scanner, blank), remade_at=mapping.way, overflow=mapping.overflow + points.overflow
     )
@@ -235,8 +232,7 @@ class Mapper:
         """Take in a scan `[B]` and the odometry's step since the last one `[3]`; None: there is none."""
         ranges, moved = np.float32(ranges_m), None if moved is None else np.float32(moved)
         if self.mapping is None:
-            native = find_target().name
-            self.mapping = _begun(self._leaves, LOG, ranges, np.zeros(3, np.float32), self._scanner, native=native)
+            self.mapping = _begun(self._leaves, LOG, ranges, np.zeros(3, np.float32), self._scanner)
         else:
             if self._is_full():
                 self.mapping = grown(self.mapping)
@@ -270,7 +266,7 @@ class Mapper:
 
 
 LOG = Sizes(1024, 256)  # of a log at first
-_begun = jax.jit(begin, static_argnums=1, static_argnames="native")
+_begun = jax.jit(begin, static_argnums=1)
 _put = jax.jit(put, static_argnames="closing", donate_argnums=1)
 
 

@@ -8,8 +8,7 @@ from jax import Array, lax
 
 from jexplore.arrays.loops import one_kernel
 from jexplore.arrays.poses import wrapped
-from jexplore.native import kernels
-from jexplore.slam2d.points import PointMap, cell_m, cells_of, partners
+from jexplore.slam2d.points import PointMap, cells_of, partners
 from jexplore.slam2d.scans import Scan
 from jexplore.slam2d.settings import SlamSettings
 
@@ -135,30 +134,10 @@ def rounds(settings: SlamSettings, points: PointMap, scan: Scan, start: Array, k
     return Rounds(pose, matrix, n, moves)
 
 
-def native_rounds(
-    native: str, settings: SlamSettings, points: PointMap, scan: Scan, start: Array, known: Array, guess: Array
-) -> Rounds:
-    """Do what `rounds` does in native code; sums are of the same numbers, added one after the other."""
-    own = settings
-    terms = jnp.stack(
-        [
-            *start, *guess, *known, *points.centre, cell_m(own), own.gate_m, own.fine_gate_m, own.noise_m, own.isolated_m,
-            own.huber, jnp.cos(jnp.radians(own.max_facing_deg)), own.settled_m, own.min_points, own.correlation,
-        ]
-    )  # fmt: skip
-    lines = points.x, points.y, points.normal_x, points.normal_y
-    (found,) = kernels.call(
-        native, "match", [((11,), jnp.float32)], points.near, *lines, scan.xy, scan.normal, scan.valid, terms
-    )
-    return Rounds(found[:3], found[3:9], found[9], found[10] != 0)
-
-
 def match(
     settings: SlamSettings, points: PointMap, scan: Scan, start: Array, prior: Array, guess: Array | None = None
 ) -> Match:
     """Estimate the pose from which a scan was taken, by its points and the odometry.
-
-    In native code where the map names some: the same but for the order in which numbers are added.
 
     Args:
       start: `[3]` float32, pose by the odometry.
@@ -175,11 +154,7 @@ def match(
     """
     known6 = jnp.stack(_inverse(*prior[UPPER]))
     guess = start if guess is None else guess
-    native = kernels.target_of(points.native)
-    if native is None:
-        found = one_kernel(rounds, settings, points.replace(native=None), scan, start, known6, guess)
-    else:
-        found = native_rounds(native, settings, points, scan, start, known6, guess)
+    found = one_kernel(rounds, settings, points, scan, start, known6, guess)
     known, matrix, n = symmetric(known6), symmetric(found.matrix), found.partners
     off = found.pose - start
     off = off.at[2].set(wrapped(off[2]))

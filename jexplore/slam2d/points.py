@@ -35,7 +35,6 @@ class PointMap:
     near: Array  # [H, W] int32, the point nearest to a cell's middle and its distance^2; NO_POINT: none within `REACH`
     centre: Array  # [2] float32, the middle of the rectangle, metres
     overflow: Array  # int32, points within the rectangle for which there was no room
-    native: str | None = struct.field(pytree_node=False, default=None)  # target of JAX's FFI, see `native.kernels`
 
 
 class Partner(NamedTuple):
@@ -48,21 +47,18 @@ class Partner(NamedTuple):
     d2: Array  # [B] float32, squared distance from the query, m^2; inf without a point
 
 
-def empty_map(
-    shape: tuple[int, int, int], centre: tuple[float, float] | Array = (0.0, 0.0), native: str | None = None
-) -> PointMap:
+def empty_map(shape: tuple[int, int, int], centre: tuple[float, float] | Array = (0.0, 0.0)) -> PointMap:
     """Return a map without points.
 
     Args:
       shape: rows and columns of cells, and points that there is room for, at most 2^18. Static.
       centre: of the rectangle that the cells cover, metres; what lies outside is never stored.
-      native: target of native code for a CPU, see `native.drive.find_target`. Static.
     """
     rows, cols, points = shape
     x, y, normal_x, normal_y = (jnp.zeros(points, jnp.float32) for _ in range(4))  # of their own: they may be donated
     return PointMap(
         x, y, normal_x, normal_y, jnp.int32(0), jnp.full((rows, cols), NO_POINT, jnp.int32),
-        jnp.array(centre, jnp.float32), jnp.int32(0), native,
+        jnp.array(centre, jnp.float32), jnp.int32(0),
     )  # fmt: skip
 
 
