@@ -105,6 +105,8 @@ def ros():
     rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="rosbags is not installed (the extra ros)")
     typesys = pytest.importorskip("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
+    told = "geometry_msgs/TransformStamped[] transforms"
+    store.register(typesys.get_types_from_msg(told, "tf2_msgs/msg/TFMessage"))
 
     class Ros:
         def make(self, name, **fields):
