@@ -5,6 +5,8 @@ import json
 import warnings
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from ref import slam as ref
@@ -13,6 +15,11 @@ import jexplore as jx
 from jexplore.arrays.poses import between, compose
 from jexplore.cli.main import main
 from jexplore.config import InputError, InputWarning
+from jexplore.slam2d import mapping as mapping_module
+from jexplore.slam2d.closing import Scanner
+from jexplore.slam2d.mapping import Sizes, begin, put
+from jexplore.slam2d.matching import Outcome
+from jexplore.slam2d.settings import SlamSettings
 from jexplore.studies.slam import errors, logs
 from jexplore.worlds.readers.carmen import read_carmen
 from jexplore.worlds.readers.laser_bags import is_bag, read_laser_bag
@@ -295,13 +302,47 @@ def test_a_log_without_odometry_is_matched_by_search(log):
 
 @pytest.mark.jit
 @pytest.mark.slow
-def test_a_loop_is_closed():
-    log = drive(90, seed=2, noise=1.5)
-    found = jx.slam(log, matching={"close_every_m": 0.5})
+def test_a_loop_is_closed_by_logs_and_in_compiled_programs():
+    log, own = drive(90, seed=2, noise=1.5), SlamSettings(close_every_m=0.5)
+    found = jx.slam(log, matching=own)
     assert found.loops
     assert found.ate_m < 0.04
     assert len(found.poses) == 90
     assert all(key - other > 5 for key, other in found.loops)
+
+    def step(mapping, scan):
+        mapping = put(own, mapping, *scan, scanner, closing=True)
+        return mapping, mapping.pose
+
+    scanner, ranges = Scanner(jnp.float32(log.angles_rad), jnp.float32(log.max_range_m)), jnp.float32(log.ranges)
+    moved = jnp.float32(between(log.odometry[:-1], log.odometry[1:]))
+    mapping = begin(own, Sizes(64, 16, (512, 512, 4096)), ranges[0], np.zeros(3), scanner)
+    mapping, poses = jax.jit(lambda *args: jax.lax.scan(step, *args))(mapping, (ranges[1:], moved))
+    assert mapping.n_loops == len(found.loops)
+    last = compose(found.poses[0], np.array(poses[-1], float))
+    np.testing.assert_allclose(last, found.poses[-1], atol=2e-3)
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+def test_a_robot_that_stands_still_is_not_without_odometry(log):
+    own, scanner = SlamSettings(), Scanner(jnp.float32(log.angles_rad), jnp.float32(log.max_range_m))
+    mapping = begin(own, Sizes(4, 1, (512, 512, 4096)), jnp.float32(log.ranges[0]), np.zeros(3), scanner)
+    again = put(own, mapping, jnp.full(len(log.angles_rad), jnp.inf), jnp.zeros(3), scanner, closing=False)
+    assert again.place.outcome == Outcome.FEW
+    np.testing.assert_array_equal(again.pose, np.zeros(3))
+    assert again.n_keys == 1
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+def test_records_grow_and_maps_follow_the_robot(log, monkeypatch):
+    """With room for two key scans at first, and a map of 9 m that the robot leaves."""
+    found = jx.slam(log, closing=False)
+    monkeypatch.setattr(mapping_module, "LOG", Sizes(2, 1, (256, 256, 4096)))
+    small = jx.slam(log, closing=False)
+    assert len(small.keys) == len(found.keys) > 2
+    np.testing.assert_allclose(small.poses, found.poses, atol=0.02)
 
 
 def test_wrong_input_is_told_in_a_line(log, tmp_path):
@@ -310,7 +351,7 @@ def test_wrong_input_is_told_in_a_line(log, tmp_path):
         (lambda: jx.slam(tmp_path / "a.log", topic="/scan"), "topic is for rosbags"),
         (lambda: jx.slam("a.bag", max_range_m=8), "leave out max_range_m"),
         (lambda: jx.slam(log, matching={"noise_m": -1}), "noise_m must be a number above 0"),
-        (lambda: jx.slam(log, matching={"gate_m": 0.5}), "at most map_cell_m"),
+        (lambda: jx.slam(log, matching={"gate_m": 0.5}), "at most 4 min_distance_m"),
         (lambda: jx.slam(log, matching={"noise": 1}), "unknown field of matching"),
     ):
         with pytest.raises(InputError, match=told):
