@@ -46,9 +46,7 @@ def map_of(settings: SlamSettings, keys: Keys, scanner: Scanner, points: PointMa
     return lax.scan(put, points, keys)[0]
 
 
-def verify(
-    settings: SlamSettings, keys: Keys, ranges_m: Array, guess: Array, scanner: Scanner
-) -> tuple[Match, Found]:
+def verify(settings: SlamSettings, keys: Keys, ranges_m: Array, guess: Array, scanner: Scanner) -> tuple[Match, Found]:
     """Look for a scan in the map of some key scans.
 
     Args:

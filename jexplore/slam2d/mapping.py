@@ -75,9 +75,7 @@ def begin(
     """Return the record after a first scan `[B]` from a pose `[3]`; `centre`: of the map, see `empty_map`."""
     k, loops = sizes.keys, sizes.loops
     pose, zero = jnp.asarray(pose, jnp.float32), jnp.float32(0)
-    points = add(
-        settings, empty_map(sizes.map, centre), read_scan(settings, ranges_m, *scanner), pose
-    )
+    points = add(settings, empty_map(sizes.map, centre), read_scan(settings, ranges_m, *scanner), pose)
     return Mapping(
         points, pose, Place(jnp.int32(0), jnp.zeros(3), jnp.int32(Outcome.MATCHED), jnp.float32(1)), zero,
         jnp.int32(1),
@@ -202,7 +200,9 @@ def _remake(settings, mapping, scanner):
     keys = _some(mapping, near, near >= 0, jnp.zeros(3))
     blank = empty_map((*points.near.shape, len(points.x)), mapping.pose[:2])
     return mapping.replace(
-        points=map_of(settings, keys, scanner, blank), remade_at=mapping.way, overflow=mapping.overflow + points.overflow
+        points=map_of(settings, keys, scanner, blank),
+        remade_at=mapping.way,
+        overflow=mapping.overflow + points.overflow,
     )
 
 

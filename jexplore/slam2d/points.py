@@ -5,7 +5,6 @@ for every small cell of a square of the world.
 import math
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
@@ -132,15 +131,17 @@ def add(settings: SlamSettings, points: PointMap, scan: Scan, pose: Array) -> Po
     fits = chosen & (number < size)
     n, before = jnp.minimum(points.count + jnp.sum(chosen, dtype=jnp.int32), size), points.count
     at = jnp.where(fits, number, size)
-    x, y, normal_x, normal_y = (
-        old.at[at].set(new, mode="drop")
-        for old, new in zip(
-            (points.x, points.y, points.normal_x, points.normal_y), (*jnp.unstack(xy, axis=1), *jnp.unstack(normal, axis=1))
-        )
-    )
-    overflow = points.overflow + jnp.sum(chosen & ~fits, dtype=jnp.int32)
+
+    def stored(old, new):
+        return old.at[at].set(new, mode="drop")
+
     points = points.replace(
-        x=x, y=y, normal_x=normal_x, normal_y=normal_y, count=n, overflow=overflow
+        x=stored(points.x, xy[:, 0]),
+        y=stored(points.y, xy[:, 1]),
+        normal_x=stored(points.normal_x, normal[:, 0]),
+        normal_y=stored(points.normal_y, normal[:, 1]),
+        count=n,
+        overflow=points.overflow + jnp.sum(chosen & ~fits, dtype=jnp.int32),
     )
     offsets = jnp.arange(-REACH, REACH + 1)
 

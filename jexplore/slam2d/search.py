@@ -46,9 +46,7 @@ def picture(settings: SlamSettings, points: PointMap, row: Array, col: Array, si
     return jnp.where(near == NO_POINT, settings.search_cap, cost), *first
 
 
-def search(
-    settings: SlamSettings, points: PointMap, scan: Scan, start: Array, prior: Array, window: Window
-) -> Found:
+def search(settings: SlamSettings, points: PointMap, scan: Scan, start: Array, prior: Array, window: Window) -> Found:
     """Find the pose of the least cost in a window round a guess.
 
     The cost of a pose is the mean cost of the scan's points there, and log(1 + d^2 / 2) for a distance of d standard
@@ -72,9 +70,9 @@ def search(
     edge_m, turn, sd = cell_m(settings), jnp.radians(settings.search_turn_deg), jnp.sqrt(jnp.diagonal(prior))
     n = jnp.maximum(jnp.sum(scan.valid), 1)
 
-    def total(picture, row, col):
+    def total(costs, row, col):
         inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
-        each = jnp.where(inside, picture.reshape(-1)[jnp.where(inside, row * width + col, 0)], settings.search_cap)
+        each = jnp.where(inside, costs.reshape(-1)[jnp.where(inside, row * width + col, 0)], settings.search_cap)
         return jnp.sum(jnp.where(scan.valid, each, 0), axis=-1) / n
 
     def cells(k):

@@ -61,7 +61,7 @@ def middles(settings, xy, centre, shape):
 
 
 def match(settings, points, normals, scan, start, prior, centre, shape, rounds=20):
-    """Point-to-line ICP with the odometry as one more measurement; partners by a k-d tree, nearest to cells' middles."""
+    """Point-to-line ICP with the odometry as one more measurement; partners nearest to cells' middles."""
     xy, own, valid = scan
     tree, known, pose = KDTree(points), np.linalg.inv(prior), np.array(start, float)
     for k in range(rounds + 2):

@@ -33,7 +33,7 @@ def read_laser_bag(
 ) -> ScanLog:
     """Read the scans of a recording, in order of their time stamps, each with the odometry at its time.
 
-    Odometry is that of Odometry messages; without any, the transforms from the frame `odom` to that of the robot's base.
+    Odometry is that of Odometry messages; without any, the transforms from the frame `odom` to the robot's base.
     Between two messages it is interpolated; scans before the first message or after the last have its pose. A scanner
     is mounted where transforms from the base to its frame say, also upside down; without any it stands at the base and
     looks forward.
@@ -130,7 +130,7 @@ def _above(links: dict[str, _Link], frame: str) -> list[str]:
 
 
 def _mount(links: dict[str, _Link], frame: str, base: str) -> np.ndarray:
-    """Return the transform `[4, 4]` of a frame into the base's by the first one of every link; no turn where none is."""
+    """Return the transform `[4, 4]` of a frame into the base's, by the first one of every link; of none it is 1."""
     above, mount = _above(links, frame), np.eye(4)
     for name in above[: above.index(base)] if base in above else ():
         mount = links[name].known[0][1] @ mount
