@@ -4,7 +4,8 @@
 of fixed sizes for recorded logs (`Mapper`) and for loops of compiled programs alike.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import ClassVar, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -62,6 +63,7 @@ class Mapping:
     tried_at: Array  # float32, way at which a loop was last looked for, metres
     remade_at: Array  # float32, way at which the map was last made anew, metres
     overflow: Array  # int32, points that found no room in maps before this one
+    replace: ClassVar[Callable[..., Self]]
 
 
 def begin(
@@ -224,27 +226,22 @@ class Mapper:
         """
         self.settings, self.closing = settings, closing
         self._leaves = jax.device_put(jax.tree.map(np.float32, settings))
-        self._scanner = jax.device_put(Scanner(np.float32(angles_rad), np.float32(max_range_m)))
+        self._scanner = jax.device_put(Scanner(jnp.float32(angles_rad), jnp.float32(max_range_m)))
         self.mapping: Mapping | None = None
         self.places: list[Place] = []
 
     def put(self, ranges_m: np.ndarray, moved: np.ndarray | None) -> None:
         """Take in a scan `[B]` and the odometry's step since the last one `[3]`; None: there is none."""
-        ranges, moved = np.float32(ranges_m), None if moved is None else np.float32(moved)
-        if self.mapping is None:
-            self.mapping = _begun(self._leaves, LOG, ranges, np.zeros(3, np.float32), self._scanner)
+        ranges, mapping = np.asarray(ranges_m, np.float32), self.mapping
+        if mapping is None:
+            mapping = _begun(self._leaves, LOG, ranges, np.zeros(3, np.float32), self._scanner)
         else:
-            if self._is_full():
-                self.mapping = grown(self.mapping)
-            self.mapping = _put(self._leaves, self.mapping, ranges, moved, self._scanner, closing=self.closing)
-        self.places.append(jax.device_get(self.mapping.place))
-
-    def _is_full(self):
-        """Return whether the next scan may find no room."""
-        full = self.mapping is not None and (
-            self.places[-1].key + 1 == len(self.mapping.pose_of) or self.mapping.n_loops == len(self.mapping.loops.ends)
-        )
-        return bool(full)
+            if mapping.n_keys == len(mapping.pose_of) or mapping.n_loops == len(mapping.loops.ends):
+                mapping = grown(mapping)
+            step = None if moved is None else np.asarray(moved, np.float32)
+            mapping = _put(self._leaves, mapping, ranges, step, self._scanner, closing=self.closing)
+        self.mapping = mapping
+        self.places.append(jax.device_get(mapping.place))
 
     def poses(self) -> np.ndarray:
         """Return the poses of all scans as they are known now: `[N, 3]` float64."""

@@ -3,7 +3,8 @@ for every small cell of a square of the world.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import ClassVar, NamedTuple, Self
 
 import jax.numpy as jnp
 from flax import struct
@@ -34,6 +35,7 @@ class PointMap:
     near: Array  # [H, W] int32, the point nearest to a cell's middle and its distance^2; NO_POINT: none within `REACH`
     centre: Array  # [2] float32, the middle of the rectangle, metres
     overflow: Array  # int32, points within the rectangle for which there was no room
+    replace: ClassVar[Callable[..., Self]]
 
 
 class Partner(NamedTuple):

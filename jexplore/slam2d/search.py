@@ -63,7 +63,8 @@ def search(settings: SlamSettings, points: PointMap, scan: Scan, start: Array, p
       `is_best` tells whether they sufficed.
     """
     at = cells_of(settings, points, start[0], start[1])
-    cost, first_row, first_col = picture(settings, points, *(jnp.floor(a).astype(jnp.int32) for a in at), window.side)
+    row, col = (jnp.floor(a).astype(jnp.int32) for a in at)
+    cost, first_row, first_col = picture(settings, points, row, col, window.side)
     at = at[0] - first_row + BLOCK, at[1] - first_col + BLOCK
     cost = jnp.pad(cost, BLOCK, constant_values=settings.search_cap)  # or a block across the edge is no bound
     (height, width), floor_ = cost.shape, _block_minima(cost, settings.search_cap)
