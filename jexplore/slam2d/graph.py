@@ -1,4 +1,4 @@
-"""Pose graph of key scans: a chain of measured steps, and loops that join poses of it; batch from outside.
+"""Pose graph of key scans: a chain of measured steps, and loops that join its poses; batch from outside.
 
 A robot's key scans make a chain, and few loops. What the loops ask of the chain is therefore solved for, and not the
 poses: a turn of a step moves all poses after it as a rigid body, so that their moves are sums along the chain.
@@ -64,14 +64,8 @@ def settle(pose: Array, steps: Steps, loops: Loops, doubt: Array | float) -> tup
         off, misfit2 = misfit(pose)
         # Trusted at first, or what has drifted far would never be closed.
         trust = jnp.maximum(jnp.minimum(trust / FALL, jnp.max(misfit2, initial=0)), doubt)
-        scale = jnp.minimum(1, 2 * trust / (trust + misfit2))
-        measured = own / (scale**2)[:, None, None]
-        # Twists about the origin: pose k moves by the sum of those up to k, whatever k is.
-        before = jnp.concatenate([pose[:1], pose[:-1]])
-        to_twist = _rigid(before[:, 2], -_aside(pose[:, :2]))
-        is_step = (jnp.arange(len(pose)) > 0)[:, None]
-        twist = jnp.einsum("kij,kj->ki", to_twist, is_step * _off(before, pose, steps.moved))
-        spread = is_step[..., None] * (to_twist @ steps.covariance @ to_twist.mT)
+        measured = own / jnp.minimum(1, 2 * trust / (trust + misfit2))[:, None, None] ** 2
+        twist, spread = _twists(pose, steps)
         seen = _rigid(-pose[first, 2], rotated(_aside(pose[second, :2]), -pose[first, 2])) * there[:, None, None]
 
         def across(chain):  # what loops see of sums along the chain
@@ -90,18 +84,16 @@ def settle(pose: Array, steps: Steps, loops: Loops, doubt: Array | float) -> tup
         alone = jax.vmap(inverted)(seen @ (total[second] - total[first]) @ seen.mT + measured)
         pull, _ = cg(
             joint, off - across(twist), pull, tol=SOLVE_ERROR, maxiter=SOLVE_ROUNDS,
-            M=lambda pull: jnp.einsum("lij,lj->li", alone, pull),
-        )  # fmt: skip
-        move = jnp.cumsum(-along(pull) - twist, axis=0)
-        step = move.at[:, :2].add(_aside(pose[:, :2]) * move[:, 2:])
+            M=lambda pull: jnp.einsum("lij,lj->li", alone, pull))  # fmt: skip
+        total = jnp.cumsum(-along(pull) - twist, axis=0)
+        step = total.at[:, :2].add(_aside(pose[:, :2]) * total[:, 2:])
         return pose + step, pull, trust, jnp.max(jnp.abs(step)), k + 1
 
     def is_going(state):
-        _, _, trust, step, k = state
-        return (k < ROUNDS) & ((step >= SETTLED) | (trust > doubt))
+        return (state[4] < ROUNDS) & ((state[3] >= SETTLED) | (state[2] > doubt))
 
-    state = pose, jnp.zeros_like(moved), jnp.float32(jnp.inf), jnp.float32(jnp.inf), jnp.int32(0)
-    pose = lax.while_loop(is_going, better, state)[0]
+    first_state = pose, jnp.zeros_like(moved), jnp.float32(jnp.inf), jnp.float32(jnp.inf), jnp.int32(0)
+    pose = lax.while_loop(is_going, better, first_state)[0]
     return pose, misfit(pose)[1]
 
 
@@ -109,6 +101,18 @@ def turned_covariance(covariance: Array, angle: Array) -> Array:
     """Return a covariance `[3, 3]` of the map's frame in a frame that is turned by an angle."""
     turn = jnp.eye(3).at[:2, :2].set(rotated(jnp.eye(2), -angle).T)
     return turn @ covariance @ turn.T
+
+
+def _twists(pose, steps):
+    """Return misfits of steps as twists about the origin, `[K, 3]`, and their covariances `[K, 3, 3]`.
+
+    Pose k moves by the sum of the twists up to k, whatever k is.
+    """
+    before = jnp.concatenate([pose[:1], pose[:-1]])
+    to_twist = _rigid(before[:, 2], -_aside(pose[:, :2]))
+    is_step = (jnp.arange(len(pose)) > 0)[:, None]
+    twist = jnp.einsum("kij,kj->ki", to_twist, is_step * _off(before, pose, steps.moved))
+    return twist, is_step[..., None] * (to_twist @ steps.covariance @ to_twist.mT)
 
 
 def _off(one, other, moved):

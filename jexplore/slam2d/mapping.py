@@ -28,7 +28,7 @@ ASIDE = 3  # key scans before and after a candidate, in whose map a loop is veri
 
 
 class Sizes(NamedTuple):
-    """What a record has room for; static."""
+    """Sizes of a record; static."""
 
     keys: int = 256
     loops: int = 64
@@ -47,7 +47,7 @@ class Place:
 
 @struct.dataclass
 class Mapping:
-    """What is known after some scans: K key scans and L loops at most."""
+    """Record of a robot after some scans: K key scans and L loops at most."""
 
     points: PointMap
     pose: Array  # [3] float32, of the last scan
@@ -106,7 +106,7 @@ def put(
 
     Args:
       ranges_m: `[B]` float32.
-      moved: `[3]` float32, the odometry's step since the last scan, in the frame of its pose; None: there is none.
+      moved: `[3]` float32, the odometry's step since the last scan, in the frame of its pose; None: no odometry.
       closing: static.
 
     Returns:
@@ -231,7 +231,7 @@ class Mapper:
         self.places: list[Place] = []
 
     def put(self, ranges_m: np.ndarray, moved: np.ndarray | None) -> None:
-        """Take in a scan `[B]` and the odometry's step since the last one `[3]`; None: there is none."""
+        """Take in a scan `[B]` and the odometry's step since the last one `[3]`; None: no odometry."""
         ranges, mapping = np.asarray(ranges_m, np.float32), self.mapping
         if mapping is None:
             mapping = _begun(self._leaves, LOG, ranges, np.zeros(3, np.float32), self._scanner)

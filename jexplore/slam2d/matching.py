@@ -38,7 +38,7 @@ class Match(NamedTuple):
 
 
 class Rounds(NamedTuple):
-    """Where the rounds of a match end."""
+    """Result of the rounds of a match."""
 
     pose: Array  # [3] float32
     matrix: Array  # [6] float32, upper triangle of the information of the scan, row by row, in the last round

@@ -145,6 +145,12 @@ def add(settings: SlamSettings, points: PointMap, scan: Scan, pose: Array) -> Po
         count=n,
         overflow=points.overflow + jnp.sum(chosen & ~fits, dtype=jnp.int32),
     )
+    return points.replace(near=_near(settings, points, before))
+
+
+def _near(settings, points, first):
+    """Return the index with the points from one number on."""
+    height, width = points.near.shape
     offsets = jnp.arange(-REACH, REACH + 1)
 
     def enter(state):
@@ -154,11 +160,10 @@ def add(settings: SlamSettings, points: PointMap, scan: Scan, pose: Array) -> Po
         rows = jnp.floor(row).astype(jnp.int32)[:, None, None] + offsets[:, None]
         cols = jnp.floor(col).astype(jnp.int32)[:, None, None] + offsets
         d2 = (rows + 0.5 - row[:, None, None]) ** 2 + (cols + 0.5 - col[:, None, None]) ** 2
-        is_there = (new < n)[:, None, None] & (d2 < (REACH + 0.5) ** 2)
+        is_there = (new < points.count)[:, None, None] & (d2 < (REACH + 0.5) ** 2)
         is_there &= (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
         packed = (d2 * STEPS).astype(jnp.int32) << NUMBER_BITS | new[:, None, None]
         at = jnp.where(is_there, rows * width + cols, height * width)
         return near.reshape(-1).at[at].min(packed, mode="drop").reshape(height, width), k + TOGETHER
 
-    near, _ = lax.while_loop(lambda state: state[1] < n, enter, (points.near, before))
-    return points.replace(near=near)
+    return lax.while_loop(lambda state: state[1] < points.count, enter, (points.near, first))[0]

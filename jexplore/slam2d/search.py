@@ -55,9 +55,6 @@ def search(settings: SlamSettings, points: PointMap, scan: Scan, start: Array, p
     Args:
       start, prior: guess `[3]` and covariance `[3, 3]`.
 
-    Returns:
-      `Found`.
-
     Source:
       Olson, Real-time correlative scan matching (2009). Changed: a fixed number of coarse steps is searched finely;
       `is_best` tells whether they sufficed.

@@ -56,18 +56,7 @@ def read_laser_bag(
         if not scans:
             raise InputError(f"{path!r}: has no message on the topic {topic}")
         links, frame = _links(reader), _name(scans[0].header.frame_id)
-        are_messages = any(one.msgtype == _ODOMETRY.type for one in reader.connections)
-        if odometry_topic is None and not are_messages and any(link.parent == _ODOM for link in links.values()):
-            own, base = _ODOM, _base(path, links, frame)
-            odometry = [(time, *_flat(matrix)) for time, matrix in links[base].known]
-        else:
-            own, some = connections_of(path, reader.connections, odometry_topic, _ODOMETRY)
-            messages = [reader.deserialize(raw, _ODOMETRY.type) for _, _, raw in reader.messages(some)]
-            if not messages:
-                raise InputError(f"{path!r}: has no message on the topic {own}")
-            base = _name(messages[0].child_frame_id)
-            told = [(m.header, m.pose.pose.position, m.pose.pose.orientation) for m in messages]
-            odometry = [(_seconds(header), *_flat(_matrix(place, turn))) for header, place, turn in told]
+        own, base, odometry = _odometry(path, reader, odometry_topic, links, frame)
     steps = np.array(sorted(odometry))
     if not np.isfinite(steps).all():
         raise InputError(f"{path!r}: the odometry on {own} has a number that is not finite")
@@ -90,6 +79,23 @@ def read_laser_bag(
     way = np.sign(mount[2, 2])  # below 0: upside down
     angles_rad = np.arctan2(mount[1, 0], mount[0, 0]) + way * angles_rad
     return ScanLog(poses, poses.copy(), ranges[:, :: int(way)], angles_rad[:: int(way)], times, float(first.range_max))
+
+
+def _odometry(
+    path: str, reader: Any, topic: str | None, links: dict[str, "_Link"], frame: str
+) -> tuple[str, str, list[tuple[float, float, float, float]]]:
+    """Return the topic or frame of the odometry, the base's frame, and time, x, y and heading of every message."""
+    are_messages = any(one.msgtype == _ODOMETRY.type for one in reader.connections)
+    if topic is None and not are_messages and any(link.parent == _ODOM for link in links.values()):
+        base = _base(path, links, frame)
+        return _ODOM, base, [(time, *_flat(matrix)) for time, matrix in links[base].known]
+    topic, some = connections_of(path, reader.connections, topic, _ODOMETRY)
+    messages = [reader.deserialize(raw, _ODOMETRY.type) for _, _, raw in reader.messages(some)]
+    if not messages:
+        raise InputError(f"{path!r}: has no message on the topic {topic}")
+    told = [(m.header, m.pose.pose.position, m.pose.pose.orientation) for m in messages]
+    odometry = [(_seconds(header), *_flat(_matrix(place, turn))) for header, place, turn in told]
+    return topic, _name(messages[0].child_frame_id), odometry
 
 
 class _Link(NamedTuple):
