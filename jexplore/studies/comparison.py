@@ -2,6 +2,7 @@
 
 import dataclasses
 import datetime
+import functools
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
@@ -85,17 +86,25 @@ def compare(
     _require_folder(keep, out, overwrite, resume)
     how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep}
     with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
-        if out is None:
-            return _run(jobs, settings, how, moved)
-        with saving.claimed_by_call(out, overwrite=overwrite, resume=resume) as folder:
-            asked = _asked(jobs, keep)
-            ledger = open_ledger(folder, asked, lambda n: len(cut_jobs(jobs, n)), resume=resume, trust=trust)
-            if ledger is None:
-                found = loading.load(folder.path)
-                return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
-            found = _run(jobs, settings, how, moved, ledger)
-            saving.write_comparison(folder, found)
-            return found
+        run = functools.partial(_run, jobs, settings, how, moved)
+        return run() if out is None else _run_in_folder(run, jobs, keep, out, overwrite, resume, trust)
+
+
+def _run_in_folder(run, jobs, keep, out, overwrite, resume, trust):
+    """Run a comparison with a folder that keeps its units and finally holds it."""
+    with saving.claimed_by_call(out, overwrite=overwrite, resume=resume) as folder:
+        units = functools.partial(_count_units, jobs)
+        ledger = open_ledger(folder, _asked(jobs, keep), units, resume=resume, trust=trust)
+        if ledger is None:
+            found = loading.load(folder.path)
+            return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
+        found = run(ledger)
+        saving.write_comparison(folder, found)
+        return found
+
+
+def _count_units(jobs: Sequence[Job], after: int) -> int:
+    return len(cut_jobs(jobs, after))
 
 
 def _require_folder(keep: str | None, out: object, overwrite: bool, resume: bool) -> None:
