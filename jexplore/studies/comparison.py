@@ -129,7 +129,7 @@ def _run(
     on_progress: Callable[[int], object] | None,
     ledger: Ledger | None = None,
 ) -> ComparisonResult:
-    """Run a comparison, and add the record of it."""
+    """Run a comparison whose units a ledger keeps, and record how it was run."""
     began = datetime.datetime.now(datetime.UTC)
     found = run_comparison(jobs, ledger=ledger, on_progress=on_progress, **how)
     names = {
