@@ -235,6 +235,7 @@ def test_an_interrupt_leaves_no_thread_behind(jobs):
     assert set(threading.enumerate()) <= before
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_no_key_is_used_twice():
     """A random strategy with a noisy scanner in a tiny world, every use of a key checked."""

@@ -27,6 +27,7 @@ def command(*options):
     return [sys.executable, "-m", "jexplore", "bench", *map(str, options)]
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.skipif(not find_compiler(), reason="no C++ compiler")
 def test_both_engines_are_measured_and_give_the_same(tmp_path, capsys):

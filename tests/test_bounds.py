@@ -129,6 +129,7 @@ def test_the_walk_sees_everything_and_keeps_to_the_corner_rule():
         assert row["low_any_m"] > 0.5 * row["high_m"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "floods"), [("rooms", 600), pytest.param("cave", 1200, marks=pytest.mark.slow)])
 def test_no_episode_is_shorter_than_the_bound_of_any_robot(kind, floods):
     world = jx.load_world(f"{kind}:width_m=7,height_m=7", cell_m=0.1)
@@ -142,6 +143,7 @@ def test_no_episode_is_shorter_than_the_bound_of_any_robot(kind, floods):
     assert (table["low_any_m"] > 0.3 * table["high_m"]).all()
 
 
+@pytest.mark.slow
 def test_low_never_falls_as_witnesses_are_added_and_pieces_are_no_better_than_the_truth():
     world = jx.load_world(ROOMS, cell_m=0.1)
     start = tuple(int(v) for v in ready_starts(world, "random", 1, seed=0, rules=Rules())[0])

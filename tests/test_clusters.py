@@ -161,6 +161,7 @@ def test_costs_between_cells_are_those_from_each(seed, n):
 # ---------------------------------------------------------------- how far targets lie apart
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("clearance_d2", [0, 9])
 def test_distances_on_blocks_are_near_the_exact_ones(clearance_d2):

@@ -113,6 +113,7 @@ def test_a_beam_that_is_stopped_too_near_says_nothing(target):
     ]
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.jit
 @pytest.mark.parametrize(
@@ -235,6 +236,7 @@ def test_a_noisy_scanner_is_left_to_jax(target):
         assert prepare_site(world, Lidar(sigma_m=sigma_m), RULES, native=target).setup.native == own
 
 
+@pytest.mark.slow
 def test_without_jit_nothing_is_built_or_called():
     assert drive_for("cpu").name is None
     (setup, given), (as_jax, _) = setting("no such target"), setting(None)

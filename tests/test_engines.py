@@ -47,6 +47,7 @@ def want(jit_on):
         return run_jobs(some_jobs(), LIDAR, RULES, engine="jax", workers=1)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_what_is_compared_says_something(want):
     assert {int(o) for outcomes in want.outcomes for o in outcomes.result.outcome} >= {1, 4}
@@ -177,6 +178,7 @@ def test_programs_that_differ_in_what_is_fixed_are_told_apart_in_one_process():
 # ---------------------------------------------------------------- runs that end early
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("how", WAYS.values(), ids=WAYS)
 def test_a_run_stopped_half_way_keeps_what_is_finished(want, how, monkeypatch):

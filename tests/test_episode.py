@@ -123,6 +123,7 @@ def test_random_worlds_replay(seed, shape, strategy, lidar, rules):
         assert Outcome(int(result.outcome)) == limits[seed]
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("seed", [20, 21, 22])
 def test_worlds_of_single_cell_clearance_replay(seed):
@@ -199,6 +200,7 @@ PASSAGE = "############## #S...........# ##############"
 VIEWS = "decision-theoretic{}:samples=40,lam=0,spread_m=0,min_gain=2"
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_a_view_point_is_given_up_when_it_shows_too_little_only_with_rechecking():
     """Three cells ahead are seen at the start, up to column 4, from where three more would be. Two steps on the view

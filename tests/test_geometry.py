@@ -107,6 +107,7 @@ def test_turning_a_map_changes_nothing():
             assert getattr(two, field) == pytest.approx(getattr(one, field), rel=0.02, abs=0.02), field
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_rooms_that_are_not_known_are_found():
     known, found = (geometry(two_rooms(9, known=flag, pillar=(20, 70))) for flag in (True, False))

@@ -153,6 +153,7 @@ def test_closest_by_actions_is_closest_to_the_bit(env, compared):
         assert (int(env.state.episode.scans), int(env.state.episode.plans)) == (row["scans"], row["plans"])
 
 
+@pytest.mark.slow
 def test_closest_in_lanes_is_closest_to_the_bit(envs, compared):
     table, starts = compared
     seen, info = envs.reset(seed=[SEED] * 4, options={"start": starts, "world": [0] * 4, "episode": range(4)})

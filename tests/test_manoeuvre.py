@@ -270,6 +270,7 @@ def test_it_backs_out_of_a_dead_end_and_turns_outside():
     assert np.hypot(x[-1] + 2, y[-1]) < 0.6
 
 
+@pytest.mark.slow
 def test_it_gets_out_of_a_corner_whose_walls_are_beside_and_behind_it():
     """3 cm from both, it wants to the other side: there is no room to turn, nor to go back the way that it came."""
     pose = jnp.array([-0.38, 1.265, math.pi])

@@ -258,6 +258,7 @@ def at_the_t(turn=0.0, start=begun):
     return write_node(*arrival_at_the_t(turn, start))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", [0.0, 0.7, -2.0])
 def test_a_t_is_left_to_the_right_whichever_way_it_lies(turn):
     writer, latch, target, shift = at_the_t(turn)

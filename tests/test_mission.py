@@ -297,6 +297,7 @@ def test_how_runs_may_end(change, outcome):
     assert math.hypot(*(np.array([end.x_m, end.y_m]) - found.driven.truth[-1, :2])) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_a_robot_that_drives_up_and_down_is_helped(course):
     building = jax.tree.map(jnp.asarray, course.plan.building)

@@ -111,6 +111,7 @@ def test_a_map_from_the_beginning_is_for_a_cpu():
     assert place.emulate(tasks, views=False) is None
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.jit
 def test_a_gpu_runs_what_it_can_and_the_cpu_the_rest(monkeypatch):
@@ -202,6 +203,7 @@ def test_sanitizers_find_nothing():
 # ---------------------------------------------------------------- numbers at their ends
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.jit
 @pytest.mark.parametrize("cell_m", [0.01, 1e-6])
@@ -242,6 +244,7 @@ def test_a_replay_shows_what_jax_does(name, monkeypatch):
 # ---------------------------------------------------------------- building, interrupting
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("forgetful")
 @pytest.mark.jit
 def test_without_a_compiler_jax_runs_and_says_so_once(monkeypatch, tmp_path):

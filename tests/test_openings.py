@@ -270,6 +270,7 @@ def exits_of(xy, centre=(0, 0), radius_m=1.1, size=K):
     return np.asarray(found.middle)[np.asarray(found.valid)] + centre, int(found.overflow)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("askew", [0, 8, -11])
 def test_doors_that_face_each_other_askew_belong_to_one_place(askew):
     centre = (12.0, 5.2)

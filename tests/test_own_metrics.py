@@ -219,6 +219,7 @@ def module(tmp_path, monkeypatch):
     sys.modules.pop("metrics_of_tests", None)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_command_a_changed_function_and_more_episodes(module, capsys):
     command = ["compare", "--worlds", "rooms:width_m=6,height_m=5", "--strategies", "closest", "random", "--out", "run"]

@@ -470,6 +470,7 @@ class Weighed:
     __call__ = score
 
 
+@pytest.mark.slow
 def test_what_has_changed_since_is_another():
     """Wherever a number stands, a function is looked at as it is when it is used."""
     thing, config, module = Weighed(-1), {"w": -1}, types.ModuleType("helper_of_tests")

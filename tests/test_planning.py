@@ -212,6 +212,7 @@ def both(belief):
 SIDE = 192  # larger than every window
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("clearance_d2", [0, pytest.param(9, marks=pytest.mark.slow)])
 def test_windows_never_change_the_answer(clearance_d2):

@@ -235,6 +235,7 @@ def test_a_finished_run_is_not_run_again(tmp_path, capsys, monkeypatch):
     assert {"coverage.png", "coverage.svg", "report.html"} <= set(files(tmp_path / "run"))
 
 
+@pytest.mark.slow
 def test_a_strategy_that_was_written_anew_is_another_run(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     file, command = tmp_path / "mine_again.py", [*COMMAND, "--episodes", "2", "--out", "run", "--no-report", "--resume"]
@@ -295,6 +296,7 @@ def interrupt(_, done):
         raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_an_interruption_without_a_whole_unit_leaves_the_shorter_run(want, tmp_path, capsys, monkeypatch):
     """A finished run of 4 episodes, and units of 32, of which none is whole."""
     monkeypatch.setattr(units, "MIN_UNIT_EPISODES", 32)

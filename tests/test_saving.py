@@ -101,6 +101,7 @@ def test_ways_and_maps_are_kept(found, tmp_path):
     assert all(len(longer.paths[pair]) == len(longer.maps[pair]) == 9 for pair in made.paths)
 
 
+@pytest.mark.slow
 def test_results_are_saved_afterwards_and_once_more(found, tmp_path):
     made = run(8)
     assert made.save(tmp_path / "deep" / "one") == tmp_path / "deep" / "one"

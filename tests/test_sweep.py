@@ -289,6 +289,7 @@ NATIVE = {
 """A sweep that native code runs."""
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.skipif(not find_compiler(), reason="no C++ compiler")
 def test_rows_of_a_sweep_in_native_code(monkeypatch):

@@ -62,6 +62,7 @@ def quick_plan(rounds=4, **changes):
     return training.prepare_training("es", "linear", *banks, QUICK, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_command_interrupted_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
     out, whole = tmp_path / "run", tmp_path / "whole"
@@ -92,6 +93,7 @@ def test_the_command_interrupted_goes_on_where_it_was(tmp_path, monkeypatch, cap
     assert "its seed is 0, not 1" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_weights_that_are_no_numbers_end_training_with_the_best_before(monkeypatch):
     make_round = es.make_round

@@ -41,6 +41,7 @@ def test_a_transit_at_the_end_leads_to_nothing_and_diagonals_are_longer():
     assert waste.waste_of(way([5]), 1.0).kinds.tolist() == []
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_of_a_comparison(tmp_path, capsys):
     small = jx.Lidar(n_beams=31, range_m=2)
