@@ -1,8 +1,10 @@
-"""Localisation and mapping: recorded logs against their corrected poses, and the time of one match.
+"""Localisation and mapping: recorded logs against their corrected poses, the time of one match, and episodes of robots
+that do not know their pose.
 
     python benchmarks/slam.py LOGS                       # a folder of CARMEN logs, each without and with loop closing
     python benchmarks/slam.py LOGS --only intel --draw pictures
     taskset -c 0 python benchmarks/slam.py --matches 100000
+    python benchmarks/slam.py --episodes 12              # cave, office, hospital: closest+recheck by pose, same starts
 
 Settings were chosen on Intel and Freiburg 079; all other logs are held out. A log's corrected poses come from another
 SLAM: errors say how far both agree. Relations: see `jexplore.studies.slam.errors.relations_between`.
@@ -22,10 +24,12 @@ from jax import lax
 import jexplore as jx
 from jexplore.bench.tables import markdown
 from jexplore.engine.backend import use_compilation_cache
+from jexplore.report.tables import ratio_text
 from jexplore.slam2d.matching import Outcome, match
 from jexplore.slam2d.points import add, empty_map
 from jexplore.slam2d.scans import read_scan
 from jexplore.slam2d.settings import SlamSettings
+from jexplore.studies.statistics.paired import paired_ratio
 
 CHOSEN_ON = ("intel", "freiburg-079")
 HEAD = (
@@ -43,6 +47,8 @@ HEAD = (
     "lost",
     "s",
 )
+WORLDS = ("cave", "office", "hospital")
+ODOMETRY = jx.Odometry(length=0.05, length_scale=1.05, heading_deg_sqrt_m=2.0)
 BEAMS, ROOM_M = 181, (6.0, 4.0)
 BATCH = 10_000  # random matches at a time
 
@@ -132,6 +138,31 @@ def matches(n, seed):
     print(f"{counts.sum()} random matches: {bad} numbers not finite; {told}")
 
 
+def episodes(worlds, poses, n, seed):
+    """Run episodes by true and by estimated pose; path and time are over those of a given pose in native code."""
+    head = ["world", "pose", "COMPLETE", "others", "ATE m", "largest", "end m", "end deg", "free IoU", "least", "bumps"]
+    head += ["path over true (95 %)", "s an episode", "time over true", "time over true in JAX"]
+    rows = []
+    for world in worlds:
+        how = {"episodes": n, "seed": seed, "workers": 1}
+        given = jx.compare(world, "closest+recheck", **how)
+        in_jax = jx.compare(world, "closest+recheck", **how, engine="jax")
+        for pose in poses:
+            found = jx.compare(world, "closest+recheck", **how, pose=pose, odometry=ODOMETRY)
+            table, others = found.episodes, found.episodes["outcome"].value_counts().drop("COMPLETE", errors="ignore")
+            ratio = paired_ratio(table["path_m"], given.episodes["path_m"])
+            rows.append([
+                world, pose, f"{(table['outcome'] == 'COMPLETE').mean():.0%}",
+                ", ".join(f"{n} {name}" for name, n in others.items()) or "-",
+                f"{table['ate_m'].mean():.3f}", f"{table['ate_m'].max():.3f}", f"{table['end_error_m'].mean():.3f}",
+                f"{table['end_error_deg'].mean():.2f}", f"{table['free_iou'].mean():.3f}",
+                f"{table['free_iou'].min():.3f}", str(table["bumps"].sum()), ratio_text(*ratio[:3]),
+                f"{found.run_s / n:.2f}", f"{found.run_s / given.run_s:.0f}", f"{found.run_s / in_jax.run_s:.1f}",
+            ])  # fmt: skip
+            print(*rows[-1], sep=" | ", file=sys.stderr, flush=True)
+    print(markdown(head, rows))
+
+
 def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("logs", nargs="?", type=Path)
@@ -139,6 +170,9 @@ def main(argv=None):
     parser.add_argument("--closing", choices=("no", "yes", "both"), default="both")
     parser.add_argument("--draw", type=Path, metavar="DIR", help="write pictures into this folder")
     parser.add_argument("--matches", type=int, default=0, help="random matches; also times one")
+    parser.add_argument("--episodes", type=int, default=0, help="episodes in each of the worlds, by each of the poses")
+    parser.add_argument("--worlds", nargs="+", default=WORLDS)
+    parser.add_argument("--poses", nargs="+", default=("odometry", "icp"))
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(argv)
     use_compilation_cache()
@@ -152,6 +186,8 @@ def main(argv=None):
         print(markdown(HEAD, rows))
     if options.matches:
         matches(options.matches, options.seed)
+    if options.episodes:
+        episodes(options.worlds, options.poses, options.episodes, options.seed)
 
 
 if __name__ == "__main__":

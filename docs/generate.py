@@ -305,8 +305,11 @@ def commands_page(commands: Mapping[str, type]) -> str:
     shared: dict[str, type] = {}
     for name, kind in commands.items():
         parts.append(f"## jexplore {name}\n\n{_summary(kind)}\n\n{_table(kind, '', shared)}")
-    for name, kind in shared.items():
-        parts.append(f"## Options of {name}\n\n{_summary(kind)}\n\n{_table(kind, name + '.', {})}")
+    left = [*shared.items()]
+    for name, kind in left:
+        inner: dict[str, type] = {}
+        parts.append(f"## Options of {name}\n\n{_summary(kind)}\n\n{_table(kind, name + '.', inner)}")
+        left += inner.items()
     return "\n".join(parts)
 
 
@@ -326,7 +329,7 @@ def _table(kind, prefix, shared):
             shared[field.name] = hint
             more.append(f"[`--{field.name}.*`](#options-of-{field.name})")
             continue
-        option, default = _option(field, hint, settings, prefix)
+        option, default = _option(field, hint, settings, "" if field.metadata.get("short") else prefix)
         text = field.metadata.get("off") if field.default is True else None
         rows.append((f"`{option}`", default, text or texts.get(field.name, "")))
     below = f"\nAlso {', '.join(more)}.\n" if more else ""

@@ -3,6 +3,7 @@ from jexplore import btm as btm
 from jexplore.config import InputError as InputError
 from jexplore.config import InputWarning as InputWarning
 from jexplore.config import Lidar as Lidar
+from jexplore.config import Odometry as Odometry
 from jexplore.config import Robot as Robot
 from jexplore.config import Rules as Rules
 from jexplore.exploration.metrics import metric as metric

@@ -1,7 +1,7 @@
 """Frozen settings of a run and the error for wrong input. Plain Python: importing this loads neither jax nor numpy.
 
 The command line builds its options from these classes; their docstrings are its help texts, and "off" among a field's
-metadata is that of the option which switches it off.
+metadata is that of the option which switches it off, "short" leaves the record's name off the option.
 """
 
 import dataclasses
@@ -222,7 +222,8 @@ def _name_of(function):
 def _unknown_argument(own, name, known, parameters):
     """Return the error for an argument that a function does not take, with a hint for a field of one of its records."""
     records = {key: parameters[key].default for key in known if dataclasses.is_dataclass(parameters[key].default)}
-    inside = {field.name: key for key, record in records.items() for field in dataclasses.fields(record)}
+    fields = [(field.name, key) for key, record in records.items() for field in dataclasses.fields(record)]
+    inside = {field: key for field, key in fields if field not in known}
     without_unit = [one for one in (*known, *inside) if one.startswith(f"{name}_")]
     near = without_unit or difflib.get_close_matches(name, [*known, *inside], n=1, cutoff=MIN_NAME_LIKENESS)
     meant = [f"{inside[one]}={{{one!r}: ...}}" if one in inside else repr(one) for one in near[:1]]
@@ -292,6 +293,46 @@ class Lidar(Settings):
         require_number("lidar.yaw_deg", self.yaw_deg, low=-360, high=360)
 
 
+POSES = ("true", "odometry", "icp")
+"""Ways in which a robot learns its pose: it is given; by odometry alone; by matching its scans as well."""
+
+
+@checked_names
+@dataclasses.dataclass(frozen=True)
+class Odometry(Settings):
+    """Errors of the odometry, for robots whose pose is not given.
+
+    The squares of the first four are alpha 3, 1, 2 and 4 of Thrun, Burgard and Fox 2005, 5.4; the errors of alpha 2 and
+    4 grow with the root of way and turn, so that they do not depend on the length of steps.
+    """
+
+    length: float = 0.01
+    """The length of a step has this standard deviation, relative to it."""
+    turn: float = 0.01
+    """A turn has this standard deviation, relative to it."""
+    heading_deg_sqrt_m: float = 0.5
+    """The heading has this standard deviation after one metre of way, in degrees; it grows with the root of the way."""
+    length_m_sqrt_rad: float = 0.0
+    """The length of a step has this standard deviation after a turn of one radian, in metres; it grows with the root of
+    the turn."""
+    length_scale: float = 1.0
+    """The encoders report every length scaled by this."""
+    turn_scale: float = 1.0
+    """The encoders report every turn scaled by this."""
+    heading_bias_deg_m: float = 0.0
+    """The odometry's heading turns by this on every metre of way, in degrees, counter-clockwise."""
+    slip: float = 0.02
+    """The robot loses this share of every turn to slip, which the encoders do not notice."""
+
+    def __post_init__(self) -> None:
+        low, high = {"heading_bias_deg_m": -45}, {"heading_deg_sqrt_m": 45, "heading_bias_deg_m": 45}
+        for name, value in vars(self).items():
+            if isinstance(value, numbers.Number):  # arrays and tracers are the kernels' own
+                is_scale = name.endswith("_scale")
+                most = 2 if is_scale else high.get(name, 0.5)
+                require_number(f"odometry.{name}", value, low=low.get(name, 0), high=most, low_open=is_scale)
+
+
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Robot(Settings):
@@ -359,8 +400,15 @@ class Rules(Settings):
     """An episode ends as STEP_LIMIT after this many steps; by default the larger of 20000 and the number of cells."""
     max_plans: int | None = None
     """An episode ends as PLAN_LIMIT after this many plans; by default the larger of 20000 and the number of cells."""
+    pose: Literal["true", "odometry", "icp"] = dataclasses.field(default="true", metadata={"short": True})
+    """The robot is given its pose (true), takes it from its odometry, or corrects that by matching its scans (icp)."""
+    odometry: Odometry = dataclasses.field(default_factory=Odometry, metadata={"short": True})
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "odometry", as_record("odometry", self.odometry, Odometry))
+        object.__setattr__(self, "pose", "true" if self.pose is True else self.pose)  # as YAML has it
+        if self.pose not in POSES:
+            raise unknown("pose", str(self.pose), POSES)
         require_number("rules.clearance_m", self.clearance_m, high=10)
         require_number("rules.near_m", self.near_m, high=10)
         for name in ("scan_every_m", "arrival_m"):

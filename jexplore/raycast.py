@@ -84,34 +84,34 @@ def beam_angles_deg(lidar: Lidar) -> np.ndarray:
     return lidar.yaw_deg - lidar.fov_deg / 2 + step * np.arange(lidar.n_beams)
 
 
-def advance_beams(
-    state: tuple[np.ndarray, np.ndarray], geometry: tuple[np.ndarray, ...]
-) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def advance_beams(state: tuple[Any, Any], geometry: tuple[Any, ...]) -> tuple[tuple[Any, Any], tuple[Any, Any, Any]]:
     """Advance every beam by one step of Amanatides and Woo's traversal; through an exact corner it steps in x first.
 
-    `state` counts the crossings, `(0, 0)` at first. Returns the next state, and the cell entered with the distance at
-    which: `(drow, dcol, entry)`, relative to the first cell, in cells.
+    Of numpy or JAX. `state` counts the crossings, `(0, 0)` at first. Returns the next state, and the cell entered with
+    the distance at which: `(drow, dcol, entry)`, relative to the first cell, in cells.
     """
     nx, ny = state
     sign_x, sign_y, to_x, to_y, per_x, per_y = geometry
+    xp = per_x.__array_namespace__()
     # The crossing distance comes from the crossing's number, never from a running sum: no drift along the beam.
     at_x, at_y = (nx + to_x) * per_x, (ny + to_y) * per_y
     step_x = at_x <= at_y
-    nx, ny = np.where(step_x, nx + 1, nx), np.where(step_x, ny, ny + 1)
-    return (nx, ny), (sign_y * ny, sign_x * nx, np.where(step_x, at_x, at_y))
+    nx, ny = xp.where(step_x, nx + 1, nx), xp.where(step_x, ny, ny + 1)
+    return (nx, ny), (sign_y * ny, sign_x * nx, xp.where(step_x, at_x, at_y))
 
 
-def beam_geometry(dx: np.ndarray, dy: np.ndarray, x: Any, y: Any) -> tuple[np.ndarray, ...]:
+def beam_geometry(dx: Any, dy: Any, x: Any, y: Any) -> tuple[Any, ...]:
     """Return signs, distance to the first crossing in units of the crossings' spacing, and that spacing, on each axis.
 
     `dx`, `dy` are the beams' directions, `x`, `y` where in its cell, 0 to 1, a beam begins.
     """
-    sign_x, sign_y = np.where(dx < 0, -1, 1), np.where(dy < 0, -1, 1)
-    to_x, to_y = np.where(dx < 0, x, 1 - x), np.where(dy < 0, y, 1 - y)
-    per_x = np.where(dx == 0, BEYOND, 1 / np.where(dx == 0, 1, np.abs(dx)))
-    per_y = np.where(dy == 0, BEYOND, 1 / np.where(dy == 0, 1, np.abs(dy)))
+    xp = dx.__array_namespace__()
+    sign_x, sign_y = xp.where(dx < 0, -1, 1), xp.where(dy < 0, -1, 1)
+    to_x, to_y = xp.where(dx < 0, x, 1 - x), xp.where(dy < 0, y, 1 - y)
+    per_x = xp.where(dx == 0, BEYOND, 1 / xp.where(dx == 0, 1, xp.abs(dx)))
+    per_y = xp.where(dy == 0, BEYOND, 1 / xp.where(dy == 0, 1, xp.abs(dy)))
     # A beam along an axis that starts on a cell's edge never crosses the other axis, not even at distance 0 * BEYOND.
-    return sign_x, sign_y, np.where(dx == 0, 1, to_x), np.where(dy == 0, 1, to_y), per_x, per_y
+    return sign_x, sign_y, xp.where(dx == 0, 1, to_x), xp.where(dy == 0, 1, to_y), per_x, per_y
 
 
 def n_steps(range_cells: float) -> int:

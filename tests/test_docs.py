@@ -355,8 +355,12 @@ def test_every_option_is_in_the_reference(name, capsys, monkeypatch):
     told = set(re.findall(r"│ (--[\w.-]+)", capsys.readouterr().out))
     page = script("generate").commands_page(COMMANDS)
     own = re.search(rf"^## jexplore {name}\n(.*?)(?=^## )", page, re.S | re.M)[1]
-    parts = re.findall(r"\[`--(\w+)\.\*`\]\(#options-of-\1\)", own)
-    own += "".join(re.search(rf"^## Options of {part}\n.*?(?=^## |\Z)", page, re.S | re.M)[0] for part in parts)
+    link = r"\[`--(\w+)\.\*`\]\(#options-of-\1\)"
+    parts = re.findall(link, own)
+    for part in parts:  # options of rules lead to others
+        section = re.search(rf"^## Options of {part}\n.*?(?=^## |\Z)", page, re.S | re.M)[0]
+        own += section
+        parts += re.findall(link, section)
     assert set(re.findall(r"^\| `(--[\w.-]+)", own, re.M)) == told
     assert told or name == "strategies"
 

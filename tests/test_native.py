@@ -309,7 +309,8 @@ def test_a_call_that_is_given_up_keeps_what_has_ended():
 
 
 def test_a_strategy_or_scanner_of_which_there_is_none():
-    assert runs.is_native(parse_strategy("closest"), LIDAR)
-    assert not runs.is_native(parse_strategy("gain-rate"), LIDAR)
-    assert not runs.is_native(parse_strategy("closest+segment"), LIDAR)
-    assert not runs.is_native(parse_strategy("closest"), dataclasses.replace(LIDAR, dropout=0.1))
+    assert runs.is_native(parse_strategy("closest"), LIDAR, Rules())
+    assert not runs.is_native(parse_strategy("gain-rate"), LIDAR, Rules())
+    assert not runs.is_native(parse_strategy("closest+segment"), LIDAR, Rules())
+    assert not runs.is_native(parse_strategy("closest"), dataclasses.replace(LIDAR, dropout=0.1), Rules())
+    assert not runs.is_native(parse_strategy("closest"), LIDAR, Rules(pose="icp"))

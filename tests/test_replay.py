@@ -83,7 +83,7 @@ def test_exhausted_targets_are_marked_in_the_replay():
 @pytest.mark.jit
 def test_an_episode_of_more_plans_than_are_kept_is_refused(made):
     lost = dataclasses.replace(made, final=made.final._replace(plans=None))
-    with pytest.raises(InputError, match=r"an episode of \d+ plans cannot be played again"):
+    with pytest.raises(InputError, match="no replay, it made more plans than are kept"):
         list(explore.frames(lost))
 
 

@@ -134,5 +134,5 @@ def test_what_is_missing_is_said(jobs, monkeypatch):
 def test_an_episode_of_more_plans_than_are_kept_is_refused():
     episode = ran("closest")
     lost = dataclasses.replace(episode, final=episode.final._replace(plans=None))
-    with pytest.raises(InputError, match="closest in two rooms: an episode of too many plans cannot be played again"):
+    with pytest.raises(InputError, match="closest in two rooms: no replay, it made more plans than are kept"):
         replay_of(lost)

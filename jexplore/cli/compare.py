@@ -88,7 +88,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
-        from jexplore.studies.checks import prepare_jobs
+        from jexplore.studies.checks import prepare_jobs, require_given_pose
         from jexplore.studies.results.saving import figures_of
         from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
 
@@ -100,6 +100,8 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
         worlds = worlds if self.worlds is None else self.worlds
         strategies = strategies if self.strategies is None else self.strategies
         self = dataclasses.replace(self, worlds=worlds, strategies=strategies)
+        if self.waste:
+            require_given_pose(self.rules, "waste is")
         with Out(self, "compare") as out:
             jobs = prepare_jobs(
                 worlds,

@@ -48,7 +48,7 @@ class Explore(ReportOptions, TimedOptions):
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
-        from jexplore.studies.explore import prepare_job, run_job
+        from jexplore.studies.explore import prepare_job, run_job, why_no_replay
         from jexplore.studies.results.provenance import describe_world
 
         with Out(self, "explore") as out:
@@ -64,7 +64,7 @@ class Explore(ReportOptions, TimedOptions):
             record = out.record(arguments, self, result=measures, worlds=[describe_world(found.world)], **times)
             lines = [f"{name:<18} {_text(value)}" for name, value in measures.items()]
             if found.final.plans is None:
-                lines.append(f"warning: an episode of {found.measures['plans']} plans cannot be replayed: no animation")
+                lines.append(f"warning: {why_no_replay(found.rules)}: no animation")
             return out.finish(record, {}, "\n".join(lines), self._pictures(found, record))
 
     def _pictures(self, found, record):

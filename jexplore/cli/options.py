@@ -275,10 +275,11 @@ def _records(info: StructTypeInfo) -> StructConstructorSpec | None:
         elif field.default_factory is not dataclasses.MISSING:
             default = field.default_factory()
         text = field.metadata.get("off") if default is True else None
+        how: Any = {"prefix_name": False} if field.metadata.get("short") else {}
         fields.append(
             StructFieldSpec(
                 name=field.name,
-                type=_with(hints[field.name], tyro.conf.arg(help_behavior_hint=_default_text)),
+                type=_with(hints[field.name], tyro.conf.arg(help_behavior_hint=_default_text, **how)),
                 default=default,
                 helptext=text or texts.get(field.name),
             )

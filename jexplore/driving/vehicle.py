@@ -16,6 +16,7 @@ from jexplore.driving.building.terrain import attitude, look_at, turned
 from jexplore.driving.building.walls import cast_along, meets
 from jexplore.driving.records import Building, Draws, RobotBody, Senses
 from jexplore.driving.settings import Noise, Robot
+from jexplore.slam2d.odometry import encoded, noise_of
 
 DT_S = 0.1
 SCAN_RANGE_M = 8.0
@@ -200,11 +201,8 @@ def move(
         contacts=body.contacts + contact,
         refused=body.refused + (~contact & ~climbs),
     )
-    length = noise.length_scale * (1 + noise.odometry * draws.encoders[0])
-    measured = ahead * length * jnp.cos(senses.pitch)
-    walk = jnp.radians(noise.heading_deg_sqrt_m) * draws.encoders[2] * jnp.sqrt(jnp.abs(flat))
-    turn = noise.turn_scale * turn * (1 + noise.odometry * draws.encoders[1]) + walk
-    turn += jnp.radians(noise.heading_bias_deg_m) * jnp.abs(flat)
+    measured, turn = encoded(noise_of(noise), ahead, turn, flat, draws.encoders)
+    measured *= jnp.cos(senses.pitch)
     middle = estimate[2] + 0.5 * turn
     odometry = estimate + jnp.stack([measured * jnp.cos(middle), measured * jnp.sin(middle), turn])
     return moved, jnp.where(goes, odometry, estimate), jnp.where(goes, jnp.abs(measured), 0)

@@ -141,7 +141,8 @@ def _levels_of(work: NativeRun | Line, resources: Resources) -> list[str]:
 
 def _native_runs(wanted: Sequence[_Wanted], keep: str | None, why_not: list[str]) -> dict[int, NativeRun]:
     """Return a `NativeRun` for every job that native code can do, by its number; adds why there is no such code."""
-    can = [i for i, own in enumerate(wanted) if is_native(own.job.strategy, own.lidar) and not own.job.metrics]
+    ready = [is_native(own.job.strategy, own.lidar, own.rules) and not own.job.metrics for own in wanted]
+    can = [i for i, is_ready in enumerate(ready) if is_ready]
     if not can or jax.config.values["jax_disable_jit"] or jax.process_count() > 1:
         return {}
     found = load_episodes()
@@ -173,11 +174,13 @@ def _lines(
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
     is_driven = engine == "auto" and not resources.in_lanes
     native = drive_for(resources.devices[0].platform) if is_driven else Library(None)
-    measured = {name: metric.reduce for own in wanted.values() for name, metric in own.job.metrics.items()}
+    given = [own for own in wanted.values() if own.rules.pose == "true"]
+    measured = {name: metric.reduce for own in given for name, metric in own.job.metrics.items()}
     at_end, moving = (", ".join(name for name in measured if bool(measured[name]) == moves) for moves in (False, True))
     why_not += filter(None, [
         native.why_not,
         f"JAX makes episodes with metrics: {at_end}" * bool(at_end),
+        "JAX drives robots whose pose is not given" * (len(given) < len(wanted)),
         f"JAX drives, for metrics after every motion: {moving}" * bool(moving),
     ])  # fmt: skip
     everyone = [*shared_with, *dict.fromkeys((own.lidar, own.rules) for own in wanted.values())]

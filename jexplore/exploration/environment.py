@@ -19,12 +19,15 @@ from jexplore.exploration import metrics, trail
 from jexplore.exploration.motion import PLAN, SCAN, motion_step, tick, turn_between
 from jexplore.exploration.sensing import known_cells, sense, stacked
 from jexplore.exploration.state import Numbers, Outcome, Setup, State, Stream, no_counts
+from jexplore.exploration.uncertain.looking import look
+from jexplore.exploration.uncertain.moving import mark_bump, turn_and_go
+from jexplore.exploration.uncertain.poses import blank_poses
 from jexplore.frontier import disc
-from jexplore.grid import Grid, empty_grid, is_known
+from jexplore.grid import Grid, empty_grid, is_free, is_known, is_occupied
 from jexplore.native.drive import Stage
 from jexplore.native.drive import drive as drive_natively
 from jexplore.native.kernels import target_of
-from jexplore.planning import Belief, Choice, is_live, is_open
+from jexplore.planning import Belief, Choice, MapModel, is_live, is_open
 from jexplore.reach import DIAGONAL, FAR, NO_MOTION, STRAIGHT, flood
 
 BAD_TARGETS = 3  # targets in a row that no path leads to, and an episode ends
@@ -46,46 +49,55 @@ def _n_looks(setup: Setup) -> Array:
     return jnp.maximum(setup.first_scans, LOOK_AROUND)
 
 
+def _place(
+    setup: Setup, given: Given, state: State, motion: Array, looking: Array, ahead: Array
+) -> tuple[State, Array, Array]:
+    """Return a robot after its next motion, whether that was a step, and whether it was a refused one."""
+    belief = state.belief
+    drow, dcol, heading = motion_step(motion)
+    is_clear = is_open(belief, belief.row + drow, belief.col + dcol)
+
+    def turned(old: Array) -> Array:
+        return jnp.where(looking, (old + 8 // _n_looks(setup)) % 8, jnp.where(ahead, heading, old))
+
+    if setup.unsure is not None:
+        goes = ahead & is_clear
+        state, bumped = turn_and_go(given, state, turned(belief.heading), goes, looking | ahead)
+        return mark_bump(state, belief.row + drow, belief.col + dcol, bumped), goes & ~bumped, ahead & ~(goes & ~bumped)
+    occupied, base = stacked(given, given.scenes.occupied)
+    blocked = occupied[base + state.row + drow, state.col + dcol] | ~is_clear
+    steps = ahead & ~blocked
+    drow, dcol = jnp.where(steps, drow, 0), jnp.where(steps, dcol, 0)
+    belief = belief.replace(row=belief.row + drow, col=belief.col + dcol, heading=turned(belief.heading))
+    row, col = state.row + drow, state.col + dcol
+    return state.replace(row=row, col=col, heading=turned(state.heading), belief=belief), steps, ahead & blocked
+
+
 def _move(setup: Setup, given: Given, state: State, motion: Array) -> State:
     """Return the next motion of a plan under way, before its scan: a step along the route, or a turn in place.
 
     A step into a cell that is not free is refused: the robot only turns towards it. A plan whose next step would be one
     too many ends the episode. Does nothing once the plan is done. `motion` is the route's in the robot's cell.
     """
-    belief = state.belief
     looking = state.plan_active & (state.looking > 0)
     at_limit = state.plan_active & ~looking & (state.steps >= given.numbers.max_steps)
-    drow, dcol, heading = motion_step(motion)
-    occupied, base = stacked(given, given.scenes.occupied)
-    wall = occupied[base + state.row + drow, state.col + dcol]
-    blocked = wall | ~is_open(belief, belief.row + drow, belief.col + dcol)
-    ahead = state.plan_active & ~looking & ~at_limit
-    steps, refused = ahead & ~blocked, ahead & blocked
+    moved, steps, refused = _place(setup, given, state, motion, looking, state.plan_active & ~looking & ~at_limit)
+    drow, dcol, _ = motion_step(motion)
     diagonal = steps & (drow != 0) & (dcol != 0)
-    drow, dcol = jnp.where(steps, drow, 0), jnp.where(steps, dcol, 0)
-
-    def turned(old: Array) -> Array:
-        return jnp.where(looking, (old + 8 // _n_looks(setup)) % 8, jnp.where(ahead, heading, old))
-
-    row, col = state.row + drow, state.col + dcol
     clock = given.numbers.clock
-    time = tick(clock, state, turned(state.heading), steps, looking | refused, clock[SCAN])
+    time = tick(clock, state, moved.heading, steps, looking | refused, clock[SCAN])
     rooms, base = stacked(given, given.scenes.rooms)
-    room = rooms[base + row, col]
+    room = rooms[base + moved.row, moved.col]
     entered = (room >= 0) & (room != state.room)
-    return state.replace(
-        row=row,
-        col=col,
-        heading=turned(state.heading),
-        belief=belief.replace(row=belief.row + drow, col=belief.col + dcol, heading=turned(belief.heading)),
-        came_from=jnp.stack([belief.row, belief.col]),
+    return moved.replace(
+        came_from=jnp.stack([state.belief.row, state.belief.col]),
         looking=state.looking - looking,
         looked=jnp.where(steps, 0, state.looked + looking),
         bumped=jnp.where(state.plan_active, jnp.where(refused, motion, NO_MOTION), state.bumped).astype(jnp.int32),
         plan_active=state.plan_active & ~at_limit,
         outcome=jnp.where(at_limit, Outcome.STEP_LIMIT, state.outcome),
         since_scan=state.since_scan + steps * jnp.where(diagonal, DIAGONAL, STRAIGHT),
-        turns=state.turns + turn_between(state.heading, turned(state.heading)),
+        turns=state.turns + turn_between(state.heading, moved.heading),
         straight=state.straight + (steps & ~diagonal),
         diagonal=state.diagonal + diagonal,
         room=jnp.where(entered, room, state.room),
@@ -128,6 +140,8 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     # Both orthogonal neighbours of a diagonal step belong to the driven way.
     (row, col), (row_before, col_before) = (belief.row, belief.col), state.came_from
     diagonal = (row != row_before) & (col != col_before)
+    if setup.unsure is not None:  # it may be taken to be anywhere after a correction
+        diagonal &= (jnp.abs(row - row_before) == 1) & (jnp.abs(col - col_before) == 1)
     beside = jnp.stack([row, row, row_before]), jnp.stack([col, col_before, col])
     marked = plan_active & jnp.stack([jnp.bool_(True), diagonal, diagonal])
     state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, marked)))
@@ -135,7 +149,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     here, near = (row == 0) & (col == 0), row * row + col * col <= numbers.arrival_d2
     due = plan_active & (here | (state.bumped >= 0) | (state.since_scan >= numbers.scan_every))
     state = state.replace(since_scan=jnp.where(due, 0, state.since_scan))
-    state = metrics.take_stock(setup, given, trail.note_step(sense(setup, given, state, due), plan_active), plan_active)
+    state = metrics.take_stock(setup, given, trail.note_step(_scan(setup, given, state, due), plan_active), plan_active)
     live = is_live(state.belief, *state.target)
     if setup.policy.live is not None:
         asked = state.is_view & state.plan_active & (numbers.recheck | near)
@@ -145,12 +159,19 @@ def advance(setup: Setup, given: Given, state: State) -> State:
 
         live = run_if(asked, look, live)
     bumped = state.bumped >= 0
+    if state.poses is not None:
+        bumped |= state.poses.strayed | (state.outcome != Outcome.RUNNING)  # off its route it plans anew; or it is lost
     given_up = bumped | ((numbers.recheck | near) & ~live & ~here)
     state = state.replace(plan_active=plan_active & ~given_up)
     state, spent = _arrive(setup, state, plan_active & here & ~bumped & (state.looking == 0), live, numbers)
     state = _mark_exhausted(state, spent)
     motion = state.route[state.belief.row, state.belief.col]
     return _limit_plans(numbers, _move(setup, given, state, motion))
+
+
+def _scan(setup: Setup, given: Given, state: State, when: Array) -> State:
+    """Make one scan and count it into the map, if `when`."""
+    return sense(setup, given, state, when) if setup.unsure is None else look(setup, given, state, when)
 
 
 def drive(setup: Setup, given: Given, state: State) -> State:
@@ -214,20 +235,29 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
     return _mark_exhausted(state, spent).replace(route=route, choices=state.choices.at[plan].set(entry, mode="drop"))
 
 
+def _connected(
+    model: MapModel, free: Array, walls: Array, row: Array, col: Array, within: Array | None = None
+) -> tuple[Array, Array]:
+    """Return the clear cells that are connected to a cell, packed; and whether there are none but its own."""
+    shape = free.shape
+    words, walls, near = stored(
+        row >= 0, lambda: [bits.pack(m) for m in (free, walls, disc(shape, row, col, model.near_d2))]
+    )
+    if within is not None:
+        words &= bits.pack(within)
+    clear = words & ~within_packed(walls, model.clearance_d2)
+    reached = clear & flood(clear | (words & near), row, col)
+    rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
+    return reached, ~jnp.any(reached & bits.pack((rows != row) | (cols != col)))
+
+
 def _find_goal(given: Given, row: Array, col: Array) -> tuple[Array, Array]:
     """Return the cells to be known in the end, those connected to the start, packed; and whether that is enclosed."""
-    model, shape = given.numbers.model, given.scenes.occupied.shape[1:]
     maps, base = stacked(given, given.scenes.occupied)
-    occupied = lax.dynamic_slice(maps, (base, jnp.int32(0)), shape)
-    free, walls, near = stored(
-        row >= 0, lambda: [bits.pack(m) for m in (~occupied, occupied, disc(shape, row, col, model.near_d2))]
-    )
-    if given.scenes.within is not None:
-        free &= bits.pack(given.scenes.within[given.scene])
-    clear = free & ~within_packed(walls, model.clearance_d2)
-    goal = clear & flood(clear | (free & near), row, col)
-    rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
-    return goal, occupied[row, col] | ~jnp.any(goal & bits.pack((rows != row) | (cols != col)))
+    occupied = lax.dynamic_slice(maps, (base, jnp.int32(0)), given.scenes.occupied.shape[1:])
+    within = None if given.scenes.within is None else given.scenes.within[given.scene]
+    goal, enclosed = _connected(given.numbers.model, ~occupied, occupied, row, col, within)
+    return goal, occupied[row, col] | enclosed
 
 
 def blank_belief(given: Given) -> Belief:
@@ -256,9 +286,19 @@ def blank_belief(given: Given) -> Belief:
 
 
 def outcome_of(state: State) -> Array:
-    """Return the outcome of an episode: `COMPLETE` becomes `BLOCKED` if a cell of the goal is unknown. int32."""
-    missed = (state.outcome == Outcome.COMPLETE) & jnp.any(state.goal & ~bits.pack(is_known(state.belief.grid)))
-    return jnp.where(missed, Outcome.BLOCKED, state.outcome)
+    """Return the outcome of an episode: `COMPLETE` becomes `BLOCKED` if a cell of the goal is unknown. int32.
+
+    If the pose is not given, a cell counts as known once it has been seen in truth.
+    """
+    grid = state.belief.grid if state.poses is None else state.poses.seen
+    missed = (state.outcome == Outcome.COMPLETE) & jnp.any(state.goal & ~bits.pack(is_known(grid)))
+    outcome = jnp.where(missed, Outcome.BLOCKED, state.outcome)
+    if state.poses is None:
+        return outcome
+    belief = state.belief
+    free, walls = is_free(belief.grid, belief.model.p_free), is_occupied(belief.grid, belief.model.p_free)
+    _, enclosed = _connected(belief.model, free, walls, belief.row, belief.col)
+    return jnp.where(missed & enclosed, Outcome.INCONSISTENT, outcome)
 
 
 def begin(setup: Setup, given: Given) -> State:
@@ -293,6 +333,7 @@ def begin(setup: Setup, given: Given) -> State:
         room=room,
         outcome=jnp.where(stuck, Outcome.STUCK, Outcome.RUNNING).astype(jnp.int32),
         room_entries=(room >= 0).astype(jnp.int32),
+        poses=None if setup.unsure is None else blank_poses(setup.unsure, belief.grid, setup.capacity, row, col),
         **no_counts() | {"n_known": n_known},
     )
 
@@ -300,8 +341,10 @@ def begin(setup: Setup, given: Given) -> State:
         return drive_natively(setup, given, state, Stage.FIRST_SCANS)[0]
 
     def look_round(_: Array, state: State) -> State:
-        state, belief = sense(setup, given, state, ~stuck), state.belief
+        state, belief = _scan(setup, given, state, ~stuck), state.belief
         turned = (belief.heading + 8 // setup.first_scans) % 8
+        if setup.unsure is not None:
+            return turn_and_go(given, state, turned, jnp.bool_(False), ~stuck)[0]
         return state.replace(heading=turned, belief=state.belief.replace(heading=turned))
 
     state = trail.note_step(lax.fori_loop(0, setup.first_scans, look_round, state))

@@ -42,7 +42,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         return lax.dynamic_slice(maps.reshape(-1, shape[1]), (given.scene * shape[0], jnp.int32(0)), shape)
 
     occupied, region = own(truth.occupied), own(truth.region)
-    known = is_known(state.belief.grid)
+    known = is_known(state.belief.grid if state.poses is None else state.poses.seen)
     cell = state.trail[:, Trail.SPOT] // LOOKS
     explorable = (region == region[cell[0] // shape[1], cell[0] % shape[1]]) & ~occupied
     steps, outcome = state.steps, environment.outcome_of(state)
@@ -80,13 +80,27 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         diagonal_along=jnp.where(reached, n_diagonal[along], -1),
         saturated=state.saturated,
         refused=state.refused,
-        overflow=state.overflow,
         time_ms=end["time_ms"],
         starts=end["starts"],
         time_at=state.trail[at, Trail.TIME],
         time_along=jnp.where(reached, state.trail[along, Trail.TIME], -1),
+        overflow=state.overflow + _points_left_out(state),
+        way_m=_ways(state, at, jnp.where(reached, along, -1)),
         metrics=metrics.values_of(setup, given, state.replace(outcome=outcome)),
     )
+
+
+def _points_left_out(state: State) -> Array | int:
+    """Count points of scans that the robot's point map, if any, had no room for."""
+    return 0 if state.poses is None or state.poses.points is None else state.poses.points.overflow
+
+
+def _ways(state: State, at: Array, along: Array) -> Array | None:
+    """Return `Result.way_m`; `at`, `along`: int32, numbers of steps, -1: never."""
+    if state.poses is None:
+        return None
+    way_m = state.poses.trail[:, 0]
+    return jnp.concatenate([state.poses.way_m[None], way_m[at], jnp.where(along < 0, jnp.nan, way_m[along])])
 
 
 def _is_done(state: State) -> Array:

@@ -61,10 +61,11 @@ class EpisodeView(StepCounts):
     plans: Array  # int32
     n_known: Array  # int32, known cells among those that are to be known
     outcome: Array  # int32, `Outcome`; RUNNING before the end
+    poses: Any = None  # `Poses`: true and estimated pose, an exact map; None where the pose is given
     replace: ClassVar[Callable[..., Self]]
 
 
-COUNTS = [field.name for field in dataclasses.fields(EpisodeView)][3:]
+COUNTS = [field.name for field in dataclasses.fields(EpisodeView)][3:-1]
 
 
 class Metric(Theirs):
@@ -141,7 +142,8 @@ def metric(function: Any = None, *, every: str = "motion", reduce: str = "mean")
 def episode_view(given: Given, state: Any) -> EpisodeView:
     """Return what a metric sees of a `State`."""
     truth = given.own_scene
-    return EpisodeView(state.belief, truth.occupied, truth.rooms, *(getattr(state, name) for name in COUNTS))
+    counts = (getattr(state, name) for name in COUNTS)
+    return EpisodeView(state.belief, truth.occupied, truth.rooms, *counts, poses=state.poses)
 
 
 def take_stock(setup: Setup, given: Given, state: State, when: Array) -> State:
@@ -172,14 +174,14 @@ def values_of(setup: Setup, given: Given, state: State) -> tuple[Array, ...]:
     return tuple(value / n if one.reduce == "mean" else value for one, value in zip(setup.metrics, found))
 
 
-def traced_metrics(metrics: Sequence[Metric], given: Given, belief: Any) -> tuple[Metric, ...]:
-    """Identify metrics by what they compute, as `adapt.traced_policy` does strategies; `given`, `belief`: of a site.
+def traced_metrics(metrics: Sequence[Metric], given: Given, belief: Any, poses: Any) -> tuple[Metric, ...]:
+    """Identify metrics by what they compute, as `adapt.traced_policy` does strategies; the others are of a site.
 
     Raises:
       InputError: one raises, returns no number, or is not pure: one line that names it.
     """
     counts = dict.fromkeys(COUNTS, jax.ShapeDtypeStruct((), jnp.int32))
     truth = jax.eval_shape(lambda: given.own_scene)
-    view = EpisodeView(belief, truth.occupied, truth.rooms, **counts)  # type: ignore[arg-type]
+    view = EpisodeView(belief, truth.occupied, truth.rooms, **counts, poses=poses)  # type: ignore[arg-type]
     leaves, tree = jax.tree.flatten(view)
     return tuple(one.anew(_digest(one, tree, tuple(leaves))) for one in metrics)

@@ -29,7 +29,7 @@ MOST = 4096  # episodes in one call
 # 1,300 in a cave, and makes 100,000 a second (`benchmarks/device.py`).
 GPU_FROM = 4096
 ON_GPU, ON_CPU = "native on a GPU", "native on a CPU"
-_MEASURES = [field.name for field in dataclasses.fields(Result) if field.name != "metrics"]
+_MEASURES = [field.name for field in dataclasses.fields(Result) if field.name not in ("metrics", "way_m")]
 _OUTCOME = _MEASURES.index("outcome")
 _WIDTHS = {
     "straight_at": len(PERCENTILES),
@@ -53,9 +53,9 @@ def is_exact(lidar: Lidar) -> bool:
     return lidar.sigma_m == lidar.dropout == lidar.min_range_m == lidar.mount_m == 0
 
 
-def is_native(strategy: Strategy, lidar: Lidar) -> bool:
-    """Tell whether there is native code for a strategy's episodes by a scanner."""
-    return chooser_of(strategy) is not None and is_exact(lidar)
+def is_native(strategy: Strategy, lidar: Lidar, rules: Rules) -> bool:
+    """Tell whether there is native code for a strategy's episodes by a scanner and rules."""
+    return chooser_of(strategy) is not None and is_exact(lidar) and rules.pose == "true"
 
 
 class NativePlace(NamedTuple):

@@ -23,6 +23,8 @@ def progress_m(result: Result, cell_m: float) -> np.ndarray:
 
     `[N, MARKS]` float64, metres; NaN where that share was never known.
     """
+    if result.way_m is not None:
+        return np.asarray(result.way_m[..., 1 + len(PERCENTILES) :], np.float64)
     metres = path_m(result.straight_along, result.diagonal_along, cell_m)
     return np.where(np.asarray(result.straight_along) < 0, np.nan, metres)
 
@@ -77,6 +79,8 @@ def columns(
     `starts`: `[N, 3]` int, row, col, heading in degrees. `room_entries` is a list, of None for a world without rooms.
     """
     n, whole_m = len(result.outcome), path_m(result.straight, result.diagonal, cell_m)
+    if result.way_m is not None:
+        whole_m = np.asarray(result.way_m[:, 0], np.float64)
     whole_s = np.asarray(result.time_ms, np.float64) / 1000
     along_s = np.where(result.time_along < 0, np.nan, result.time_along / 1000)
     table = {
@@ -100,6 +104,9 @@ def columns(
         table[f"path_m_at_{q}"] = path_m(result.straight_at[:, i], result.diagonal_at[:, i], cell_m)
         table[f"time_s_at_{q}"] = result.time_at[:, i] / 1000
     table |= {"area_m": _area(progress_m(result, cell_m), whole_m), "area_s": _area(along_s, whole_s)}
+    if result.way_m is not None:
+        names = (f"path_m_at_{q}" for q in PERCENTILES)
+        table |= dict(zip(names, np.asarray(result.way_m[:, 1:], np.float64).T))
     table["room_entries"] = [int(count) if has_rooms else None for count in result.room_entries]
     table["refused"] = result.refused.astype(np.int64)
     table["overflow"] = result.overflow.astype(np.int64)

@@ -11,7 +11,6 @@ from jexplore.arrays.loops import one_kernel
 from jexplore.engine.program import Given
 from jexplore.exploration.state import Setup, State, Stream
 from jexplore.grid import Grid, is_known
-from jexplore.planning import Belief
 from jexplore.raycast import Scan, disturb, fold, scan
 
 
@@ -28,13 +27,13 @@ class Square(NamedTuple):
     size: tuple[int, int]  # height and width; static
 
 
-def _square_round(setup: Setup, belief: Belief) -> Square | None:
+def square_round(setup: Setup, row: Array, col: Array, shape: tuple[int, ...]) -> Square | None:
     """Return the `Square` that holds every cell a scan can change; None where the whole map is counted as fast."""
-    height, width = shape = belief.driven.shape
+    height, width = shape
     size = min(height, 2 * setup.window + 1), min(width, 2 * setup.window + 1)
     if not setup.window or 2 * size[0] * size[1] >= height * width:  # it is counted before and after
         return None
-    row, col = (jnp.clip(at - setup.window, 0, n - m) for at, n, m in zip((belief.row, belief.col), shape, size))
+    row, col = (jnp.clip(at - setup.window, 0, n - m) for at, n, m in zip((row, col), shape, size))
     return Square(row, col, size)
 
 
@@ -74,7 +73,8 @@ def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
         noise = {"sigma_cells": given.numbers.sigma_cells, "dropout": given.numbers.dropout}
         seen = disturb(key, seen, state.row, state.col, state.heading, beams, belief.extent, **noise)
     seen = without_silent(seen, blind, given.numbers.no_echo_is_free)
-    square, before, rest = _square_round(setup, belief), jnp.int32(0), jnp.int32(0)
+    square = square_round(setup, belief.row, belief.col, belief.driven.shape)
+    before, rest = jnp.int32(0), jnp.int32(0)
     if square is not None:
         before = known_cells(belief.grid, belief.within, square)
         rest = state.n_known - before

@@ -19,17 +19,32 @@ from jexplore.exploration.metrics import Metric, traced_metrics
 from jexplore.exploration.motion import clock_table
 from jexplore.exploration.state import Numbers, Setup, Truth
 from jexplore.exploration.trail import record_of
+from jexplore.exploration.uncertain.poses import Unsure, UnsureNumbers, blank_poses
 from jexplore.grid import in_cells, radius_d2
 from jexplore.native.build import Library
 from jexplore.native.drive import find_target
 from jexplore.planning import MapModel
 from jexplore.policies.catalogue import adapt
 from jexplore.policies.policy import Policy, Strategy
-from jexplore.raycast import Beams, beam_table, farthest, scans_all_round
+from jexplore.raycast import (
+    HEADINGS,
+    Beams,
+    beam_angles_deg,
+    beam_table,
+    exact_direction,
+    farthest,
+    scans_all_round,
+)
+from jexplore.slam2d.settings import SlamSettings
+from jexplore.slam2d.tracking import WINDOW
 from jexplore.worlds.world import World, ring_of, with_ring
 
 LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
 ROBOT = Robot()
+# A scan from new ground lies half on the map, and matches all the same. Errors of simulated ranges are independent:
+# with the correlation of recorded logs the trajectory error is 3.6 times as large (8 episodes in the cave).
+MATCHING = SlamSettings(min_share=0.5, correlation=1.0)
+MARGIN, SLOTS = 10, 8  # cells of the point map besides those of the world, as it repeats itself; points in each
 COARSE_M = 0.15  # cells longer than this are coarse: a corridor is a few of them wide
 
 
@@ -70,20 +85,22 @@ def _traced(site: Site, strategy: Strategy, numbers: Numbers) -> Policy:
     """Return the policy of a strategy; a user's is traced here, and refused if its result is wrong."""
     if not adapt.is_theirs(strategy.policy):
         return strategy.policy
-    _, belief = _example(site, numbers)
+    _, belief, _ = _example(site, numbers)
     route = jax.ShapeDtypeStruct(site.truth.occupied.shape, np.int8)
     return adapt.traced_policy(strategy.policy, numbers.params, belief, site.beams, route)
 
 
-def _example(site: Site, numbers: Numbers) -> tuple[Given, Any]:
-    """Return a `Given` of a site, and the shapes of the belief that it begins with, for tracing users' functions."""
+def _example(site: Site, numbers: Numbers) -> tuple[Given, Any, Any]:
+    """Return a `Given` of a site, and the shapes of belief and poses at the start, for tracing users' functions."""
     truth = jax.tree.map(lambda a: a[None], site.truth)
     task = np.zeros(3, np.int32)
     # Ignored types: numpy on the host, where the record says what it is on the device.
     given = Given(np.zeros((), np.int32), site.beams, truth, np.int32(0), numbers, task)  # type: ignore[arg-type]
     belief = jax.eval_shape(environment.blank_belief, given)
+    unsure, capacity = site.setup.unsure, site.setup.capacity
+    poses = unsure and jax.eval_shape(lambda grid: blank_poses(unsure, grid, capacity, *task[:2]), belief.grid)
     # A function is told by what it computes, by whatever code.
-    return given, belief.replace(model=belief.model.replace(native=None))
+    return given, belief.replace(model=belief.model.replace(native=None)), poses
 
 
 def prepare_site(
@@ -116,16 +133,49 @@ def prepare_site(
     everyone = [(lidar, rules), *(pair for pair in shared_with if pair[0].n_beams == lidar.n_beams)]
     native = None if any(metric.reduce for metric in metrics) else native
     setup = _setup(everyone, world.cell_m, shape, limit_of(world.shape), native)
+    planner = setup.native
+    if rules.pose != "true":  # JAX drives
+        setup = setup._replace(native=None, unsure=_unsure(rules, shape, world.cell_m))
+        if rules.pose == "icp":
+            setup = setup._replace(first_scans=HEADINGS)  # or the first scans would not overlap
     own = rule_numbers(world, lidar, rules)
     model: Any = {name: own.pop(name) for name in ("p_free", "near_d2", "clearance_d2")}
     model.update(cell_m=world.cell_m, known_outline=rules.known_outline)
-    model = MapModel(coarse=world.cell_m > COARSE_M, native=setup.native, **model)  # type: ignore[arg-type]
+    model = MapModel(coarse=world.cell_m > COARSE_M, native=planner, **model)  # type: ignore[arg-type]
     more: Any = {"sigma_cells": lidar.sigma_m / world.cell_m, "dropout": lidar.dropout, "recheck": False}
     more["clock"] = clock_table(robot, world.cell_m, max(shape))
-    numbers = jax.tree.map(number, Numbers(model=model, params=(), **more, **own))
+    unsure = None if setup.unsure is None else _unsure_numbers(lidar, rules, world.cell_m)
+    numbers = jax.tree.map(number, Numbers(model=model, params=(), unsure=unsure, **more, **own))
     site = Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
     own = traced_metrics(metrics, *_example(site, numbers)) if metrics else ()
     return site._replace(setup=setup._replace(metrics=own))
+
+
+def _unsure(rules: Rules, shape: tuple[int, int], cell_m: float) -> Unsure:
+    """Return how a robot in maps of a shape learns its pose."""
+    if rules.pose == "odometry":
+        return Unsure(None)
+    rows, cols = (max(math.ceil(n * cell_m / MATCHING.map_cell_m) + MARGIN, WINDOW.cells) for n in shape)
+    return Unsure((rows, cols, SLOTS))
+
+
+def _unsure_numbers(lidar: Lidar, rules: Rules, cell_m: float) -> UnsureNumbers:
+    if lidar.mount_m:
+        raise InputError(
+            f"lidar.forward_m and left_m must be 0 where the pose is not given, got {lidar.forward_m:g} and "
+            f"{lidar.left_m:g} m for pose {rules.pose}"
+        )
+    angles = beam_angles_deg(lidar)
+    directions = exact_direction(45.0 * np.arange(HEADINGS)[:, None] + angles)
+    # Ignored types: numpy on the host, where the record says what it is on the device.
+    return UnsureNumbers(
+        odometry=rules.odometry,
+        matching=MATCHING,
+        directions=np.stack(directions, axis=-1),  # type: ignore[arg-type]
+        angles_rad=np.radians(angles),  # type: ignore[arg-type]
+        reach=in_cells(lidar.range_m, cell_m),  # type: ignore[arg-type]
+        min_reach=in_cells(lidar.min_range_m, cell_m),  # type: ignore[arg-type]
+    )
 
 
 def unify_truths(truths: Sequence[Truth]) -> list[Truth]:

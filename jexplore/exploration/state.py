@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
+from jexplore.exploration.uncertain.poses import Unsure, UnsureNumbers
 from jexplore.planning import Belief, MapModel
 
 PERCENTILES = (50, 90, 95, 99)
@@ -28,6 +29,8 @@ class Outcome(enum.IntEnum):
     STUCK = 5  # the start is enclosed: no clear cell can be reached
     BAD_TARGET = 6  # the strategy chose, three times in a row, a target that no path leads to
     BAD_START = 7  # a start, heading or world that there is not, given while it is traced: `studies.environment`
+    LOST = 8  # scans have not matched for so long that the robot does not know where it is, see `uncertain.looking`
+    INCONSISTENT = 9  # as BLOCKED, and walls of the robot's map enclose it: no clear cell can be reached from its own
 
 
 class Stream(enum.IntEnum):
@@ -35,6 +38,7 @@ class Stream(enum.IntEnum):
 
     SENSOR = 0
     POLICY = 1
+    ODOMETRY = 4  # 2 and 3 are `studies.environment`'s
 
 
 def steps_m(straight: Any, diagonal: Any, cell_m: Any) -> Array:
@@ -65,6 +69,7 @@ class Setup(NamedTuple):
     window: int = 0  # half width of the square that a scan can change, cells; 0: the whole map
     native: str | None = None  # target of JAX's FFI that drives, see `native.drive`; None: JAX does
     metrics: tuple[Any, ...] = ()  # `metrics.Metric`s
+    unsure: Unsure | None = None  # how the robot learns its pose; None: it is given
 
 
 @struct.dataclass
@@ -83,6 +88,7 @@ class Numbers:
     no_echo_is_free: Array  # bool, whether a beam that nothing stops shows its cells to be free
     clock: Array  # [C] int32, how long motions take, see `motion.clock_table`
     params: Any  # `Policy.params`
+    unsure: UnsureNumbers | None = None  # of a robot whose pose is not given
     replace: ClassVar[Callable[..., Self]]
 
 
@@ -113,6 +119,9 @@ class Result:
     time_at: Array  # [4] int32, ms, as `straight_at`: when the last scan there had been made
     time_along: Array  # [MARKS] int32, ms, as `straight_along`
     metrics: tuple[Any, ...] = ()  # int32 or float32 each, values of `Setup.metrics`
+    # [1 + 4 + MARKS] float32, metres driven in the end, at `straight_at` and at `straight_along`, where the pose is not
+    # given; NaN: never
+    way_m: Array | None = None
     replace: ClassVar[Callable[..., Self]]
 
 
@@ -122,6 +131,7 @@ class StepCounts:
     straight: Array
     diagonal: Array
     belief: Belief
+    poses: Any
 
     @property
     def steps(self) -> Array:
@@ -131,12 +141,14 @@ class StepCounts:
     @property
     def path_m(self) -> Array:
         """Return the driven way, metres: float32."""
+        if self.poses is not None:
+            return self.poses.way_m
         return steps_m(self.straight, self.diagonal, self.belief.model.cell_m)
 
 
 @struct.dataclass
 class State(StepCounts):
-    """An episode under way. The robot's pose is where it is; where it believes to be is in its belief."""
+    """An episode under way. The robot's cell is where it is; where it believes to be is in its belief."""
 
     row: Array  # int32, the robot's cell
     col: Array  # int32
@@ -172,6 +184,7 @@ class State(StepCounts):
     time_ms: Array  # int32, time since the scans at the start, as if the robot did not brake, see `motion`
     run: Array  # int32, steps since it stood, all in one direction
     starts: Array  # int32, as in `Result`
+    poses: Any = None  # `Poses` of a robot whose pose is not given; None: it is given
     metrics: Any = ()  # how often those after every motion were taken, and a value for each, see `metrics.take_stock`
     replace: ClassVar[Callable[..., Self]]
 

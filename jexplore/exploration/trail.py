@@ -13,6 +13,7 @@ from jax import Array
 
 from jexplore.arrays.padding import within
 from jexplore.exploration.state import Result, State
+from jexplore.exploration.uncertain.poses import note_pose
 from jexplore.grid import is_free, is_occupied
 from jexplore.planning import Choice
 from jexplore.reach import MOTIONS, NO_MOTION
@@ -47,7 +48,8 @@ def note_step(state: State, when: Array | bool = True) -> State:
     cell = state.row * state.shape[1] + state.col
     entry = jnp.stack([LOOKS * cell + state.looked, state.n_known, state.time_ms])
     step = jnp.where(when, state.steps, state.trail.shape[0])
-    return state.replace(trail=state.trail.at[step].set(entry, mode="drop"))
+    poses = None if state.poses is None else note_pose(state.poses, state.steps, when)
+    return state.replace(trail=state.trail.at[step].set(entry, mode="drop"), poses=poses)
 
 
 def choice_of(state: State, choice: Choice, bad: Array) -> Array:
@@ -75,7 +77,8 @@ class Final(NamedTuple):
     cols: np.ndarray  # [n + 1] int32
     looked: np.ndarray  # [n + 1] int32, scans made in place there
     n_known: np.ndarray  # [n + 1] int32, known cells then
-    plans: list[Plan] | None  # every choice; None where there was no room for all of them
+    plans: list[Plan] | None  # every choice; None where there was no room for all of them, or the pose was not given
+    poses: np.ndarray | None = None  # [n + 1, 5] float32, `uncertain.poses.TRAIL`, in the world's cells; None: given
 
     def target_after(self, step: int) -> tuple[int, int] | None:
         """Return row and column of the robot's next target after some steps; None in the end."""
@@ -83,9 +86,10 @@ class Final(NamedTuple):
         return later[-1].target if later else None
 
 
-def detail_of(state: State) -> tuple[Array, Array, Array, Array, Array]:
-    """Return the detailed record of an episode: map, trail, choices, and the last refused motion."""
-    return state.belief.grid.hits, state.belief.grid.misses, state.trail, state.choices, state.bumped
+def detail_of(state: State) -> tuple[Array, ...]:
+    """Return the detailed record of an episode: map, trail, choices, the last refused motion, and maybe poses."""
+    poses = () if state.poses is None else (state.poses.trail,)
+    return state.belief.grid.hits, state.belief.grid.misses, state.trail, state.choices, state.bumped, *poses
 
 
 def _steps(state: State) -> tuple[Array, ...]:
@@ -123,12 +127,12 @@ def record_of(result: Result, found: tuple[np.ndarray, ...], shape: tuple[int, .
 
 def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int], ring: int = 0) -> Final:
     """Make `Final` of what `detail_of` gave for an episode, its `Result`, the world's shape and the site's ring."""
-    hits, misses, trail, choices, bumped = found
+    hits, misses, trail, choices, bumped, *poses = found
     steps, n_plans = int(result.straight + result.diagonal), int(result.plans)
     trail = trail[: steps + 1]
     rows, cols = np.divmod(trail[:, Trail.SPOT] // LOOKS, hits.shape[1])
     plans = None
-    if n_plans <= len(choices):
+    if n_plans <= len(choices) and not poses:
         motions = [MOTIONS.index(step) for step in zip(np.diff(rows).tolist(), np.diff(cols).tolist())]
         end = -1, 16 * steps + int(bumped) + 1
         plans = list(_plans([*choices[:n_plans].tolist(), end], motions, hits.shape[1], ring))
@@ -140,6 +144,7 @@ def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int]
         looked=trail[:, Trail.SPOT] % LOOKS,
         n_known=trail[:, Trail.KNOWN],
         plans=plans,
+        poses=poses[0][: steps + 1] - np.array([0, ring, ring, ring, ring], np.float32) if poses else None,
     )
 
 

@@ -20,6 +20,7 @@ from jexplore.studies.checks import (
     ready_starts,
     ready_worlds,
     require_clearance,
+    require_given_pose,
     require_memory,
 )
 from jexplore.studies.statistics.league import LEAGUE_KINDS
@@ -107,6 +108,7 @@ def prepare_bank(
 ) -> Bank:  # fmt: skip
     """Make a `Bank`; refuse a world that cannot be loaded, is too large, or in which no robot can stand."""
     lidar, rules = ready_settings(lidar, rules)
+    require_given_pose(rules, "training is")
     ready = [with_ring(world) for world in ready_worlds(worlds, cell_m)]
     for world in ready:
         require_clearance(world, rules)

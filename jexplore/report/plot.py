@@ -145,6 +145,13 @@ def draw_path(ax: Axes, rows: Any, cols: Any, cell_m: float, *, width: float = 1
     return line, start, end
 
 
+def draw_estimate(ax: Axes, rows: Any, cols: Any, cell_m: float) -> Line2D:
+    """Draw the path as the robot takes it to be; return the `Line2D`."""
+    xy = _centres_m(cols, cell_m), _centres_m(rows, cell_m)
+    (line,) = ax.plot(*xy, color=TARGET, lw=0.8, ls="--", zorder=4, label="estimated path", scalex=False, scaley=False)
+    return line
+
+
 def draw_robot(ax: Axes, row: int, col: int, heading_deg: float, cell_m: float, *, size: float = 12) -> Line2D:
     """Draw the robot as an arrow head, 0 along x, counter-clockwise, degrees; return the `Line2D`."""
     marker = MarkerStyle(ARROW).rotated(deg=heading_deg)
@@ -218,16 +225,18 @@ def paths_figure(entries: Sequence[tuple[str, Sequence[tuple[str, Any, Any, Any,
 
 
 def episode_figure(state: Any, rows: Any, cols: Any, cell_m: float, *,
-                   path_m: Any, known_cells: Any, title: str = "") -> Figure:  # fmt: skip
+                   path_m: Any, known_cells: Any, title: str = "", estimate: Any = None) -> Figure:  # fmt: skip
     """Draw one episode: the final map with its path, and the growth of the known area along the path.
 
-    `path_m` and `known_cells` are the path length at each scan, `[T]`, and the cells known after it.
+    `estimate` are rows and columns of the path as the robot takes it to be, if that differs. `path_m` and `known_cells`
+    are the path length at each scan, `[T]`, and the cells known after it.
     """
     width, height = _panel_in([np.shape(state)], long_in=5.2)
     figure = Figure(figsize=(width + 4.4, max(height, 3.2) + 0.7), layout="constrained")
     left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [width, 4.0]})
     draw_map(left, state, cell_m)
     _, *marks = draw_path(left, rows, cols, cell_m)
+    marks += [] if estimate is None else [draw_estimate(left, estimate[0], estimate[1], cell_m)]
     left.set(xlabel="x (m)", ylabel="y (m)")
     figure.legend(handles=marks, loc="outside lower left", ncols=2, frameon=False, fontsize=8)
     draw_coverage(right, path_m, np.asarray(known_cells) * cell_m**2)

@@ -11,9 +11,11 @@ import numpy as np
 
 from jexplore.arrays.bits import WORD
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, Lidar, Robot, Rules, as_record, require_different, require_setting
+from jexplore.config import InputError, Lidar, Odometry, Robot, Rules, as_record, require_different, require_setting
 from jexplore.exploration.batch import Job
+from jexplore.exploration.metrics import Metric
 from jexplore.exploration.site import LEAST_LIMIT, ROBOT
+from jexplore.exploration.uncertain.measures import MEASURES
 from jexplore.grid import radius_d2
 from jexplore.policies import Policy, Strategy, strategy
 from jexplore.raycast import HEADINGS, farthest, n_steps
@@ -33,6 +35,8 @@ LidarLike: TypeAlias = Lidar | Mapping[str, Any]
 """A scanner, or a mapping of those of its fields that are not the defaults."""
 RulesLike: TypeAlias = Rules | Mapping[str, Any]
 """`Rules`, or a mapping of some of its fields."""
+OdometryLike: TypeAlias = Odometry | Mapping[str, Any] | None
+"""`Odometry`, or a mapping of some of its fields; None: that of the rules."""
 RobotLike: TypeAlias = Robot | Mapping[str, Any]
 """`Robot`, or a mapping of some of its fields."""
 StartLike: TypeAlias = str | tuple[int, int, int] | Pose
@@ -60,9 +64,26 @@ def list_of(kind: str, items: Any) -> list[Any]:
     return items
 
 
-def ready_settings(lidar: LidarLike, rules: RulesLike) -> tuple[Lidar, Rules]:
-    """Make scanner and rules from records or from mappings of some of their fields; refuse anything else."""
-    return as_record("lidar", lidar, Lidar), as_record("rules", rules, Rules)
+def ready_settings(
+    lidar: LidarLike, rules: RulesLike, pose: str | None = None, odometry: OdometryLike = None
+) -> tuple[Lidar, Rules]:
+    """Make scanner and rules from records or from mappings of some of their fields; refuse anything else.
+
+    `pose` and `odometry` are those of the rules, if given.
+    """
+    own = {name: value for name, value in (("pose", pose), ("odometry", odometry)) if value is not None}
+    return as_record("lidar", lidar, Lidar), as_record("rules", rules, Rules).replace(**own)
+
+
+def require_given_pose(rules: Rules, what: str) -> None:
+    """Refuse rules by which the pose is not given, for what cannot do without."""
+    if rules.pose != "true":
+        raise InputError(f"{what} of robots whose pose is given: pose must be true, got {rules.pose}")
+
+
+def measures_of(rules: Rules) -> dict[str, Metric]:
+    """Return the measures that episodes have as metrics by their rules: name -> `Metric`."""
+    return {} if rules.pose == "true" else dict(MEASURES)
 
 
 def ready_worlds(worlds: WorldLike | Iterable[WorldLike], cell_m: float) -> list[World]:
@@ -196,13 +217,15 @@ def prepare_jobs(
     from_map: KnownMap | None = None,
     metrics: MetricsLike = None,
     robot: RobotLike = ROBOT,
+    pose: str | None = None,
+    odometry: OdometryLike = None,
 ) -> list[Job]:
     """Check and load everything before `compare` runs: a list of `Job`. Arguments as there."""
-    lidar, rules = ready_settings(lidar, rules)
+    lidar, rules = ready_settings(lidar, rules, pose, odometry)
     robot = as_record("robot", robot, Robot)
     episodes, seed = require_setting("episodes", episodes), require_setting("seed", seed)
     start = read_start(start, start_m)
-    strategies, own = ready_strategies(strategies), ready_metrics(metrics)
+    strategies, own = ready_strategies(strategies), ready_metrics(metrics) | measures_of(rules)
     ready, jobs = ready_worlds(worlds, cell_m), []
     require_different_buildings(ready)
     for world in (restricted(world, within, from_map) for world in ready):

@@ -16,6 +16,7 @@ from jexplore.studies.checks import (
     ROBOT,
     RULES,
     LidarLike,
+    OdometryLike,
     RobotLike,
     RulesLike,
     StartLike,
@@ -38,6 +39,7 @@ def compare(
     start: StartLike = "random", start_m: Sequence[float] | None = None,
     within: str | Polygon | None = None, from_map: KnownMap | None = None,
     lidar: LidarLike = LIDAR, rules: RulesLike = RULES, robot: RobotLike = ROBOT,
+    pose: str | None = None, odometry: OdometryLike = None,
     engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
     keep: str | None = None, metrics: MetricsLike = None,
@@ -59,6 +61,8 @@ def compare(
       lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
       rules: `Rules`, or such a mapping.
       robot: `Robot`, or such a mapping: how long its motions take, and what energy.
+      pose: "true", "odometry" or "icp": `rules.pose`, if given.
+      odometry: `Odometry`, or such a mapping: `rules.odometry`, if given.
       engine: "auto", native code where it can and JAX for the rest; "jax", JAX alone. Results are equal.
       lanes: with "jax", episodes at a time on each GPU; by default as many as its memory holds.
       workers: threads on a CPU; by default one a core.
@@ -79,7 +83,9 @@ def compare(
     settings = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": start, "start_m": start_m}
     limits = {"within": within, "from_map": from_map}
     robots = {"lidar": lidar, "rules": rules, "robot": robot}
-    jobs = prepare_jobs(worlds, strategies, **settings, **limits, **robots, metrics=metrics)
+    jobs = prepare_jobs(
+        worlds, strategies, **settings, **limits, **robots, metrics=metrics, pose=pose, odometry=odometry
+    )
     is_text = from_map is None or isinstance(from_map, (str, os.PathLike))
     settings |= limits | {"from_map": from_map if is_text else type(from_map).__name__}
     settings |= {name: getattr(jobs[0], name) for name in robots}

@@ -34,7 +34,9 @@ from jexplore.studies.checks import (
     LIDAR,
     RULES,
     LidarLike,
+    OdometryLike,
     RulesLike,
+    measures_of,
     ready_settings,
     ready_worlds,
     require_clearance,
@@ -93,6 +95,7 @@ class Environment:
 
     def __init__(
         self, worlds: Any, *, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
+        pose: str | None = None, odometry: OdometryLike = None,
         recheck: bool = False, paths: bool = False, metrics: MetricsLike = None,
     ) -> None:  # fmt: skip
         """Load the worlds.
@@ -102,6 +105,9 @@ class Environment:
           cell_m: edge of a cell of the worlds that are loaded by name, metres.
           lidar: `Lidar`, or a mapping of some of its fields.
           rules: `Rules`, or a mapping of some of its fields.
+          pose: "true", "odometry" or "icp": `rules.pose`, if given. Views show what the robot believes; `info` has the
+            measures of such episodes, `ate_m` with `paths`.
+          odometry: `Odometry`, or a mapping of some of its fields: `rules.odometry`, if given.
           recheck: give up a frontier cell as soon as it is no longer live.
           paths: keep the whole way in the state, for `path`: 8 bytes for every cell of the map, at least 160 kB.
           metrics: more entries of `info`: name -> function of an `EpisodeView`, see `metric`.
@@ -109,11 +115,11 @@ class Environment:
         Raises:
           InputError: no world, one that cannot be loaded, or one without a clear cell; cells of different sizes.
         """
-        lidar, rules = ready_settings(lidar, rules)
+        lidar, rules = ready_settings(lidar, rules, pose, odometry)
         if not isinstance(recheck, bool):
             raise InputError(f"recheck must be True or False, got {recheck!r}")
         use_compilation_cache()
-        self._metrics = ready_metrics(metrics)
+        self._metrics = ready_metrics(metrics) | measures_of(rules)
         self.worlds = tuple(ready_worlds(worlds, cell_m))
         sizes = sorted({world.cell_m for world in self.worlds})
         if len(sizes) > 1:
@@ -339,6 +345,8 @@ def _driven(setup, bank, key, state, action):
         "known_m2": now.n_known * given.numbers.model.cell_m**2,
     }
     reward = -steps_m(now.straight - episode.straight, now.diagonal - episode.diagonal, given.numbers.model.cell_m)
+    if now.poses is not None:
+        reward = episode.path_m - now.path_m
     values = values_of(setup, given, now.replace(outcome=info["outcome"]))
     return state, shown(state), reward, now.outcome != Outcome.RUNNING, info, values
 

@@ -25,6 +25,7 @@ from jexplore.studies.checks import (
     ROBOT,
     RULES,
     LidarLike,
+    OdometryLike,
     RobotLike,
     RulesLike,
     StartLike,
@@ -87,12 +88,23 @@ class EpisodeResult:
     def figure(self) -> "Figure":
         """Draw the last map with the path, and the growth of the known area: a matplotlib `Figure`."""
         final, cell_m = self.final, self.world.cell_m
+        (rows, cols), estimate = self._ways
         return plot.episode_figure(
-            *(map_state(final.hits, final.misses, self.rules.p_free), final.rows, final.cols, cell_m),
-            path_m=length_along_m(final.rows, final.cols, cell_m),
+            *(map_state(final.hits, final.misses, self.rules.p_free), rows, cols, cell_m),
+            estimate=estimate,
+            path_m=length_along_m(final.rows, final.cols, cell_m) if final.poses is None else final.poses[:, 0],
             known_cells=final.n_known,
             title=self.title,
         )
+
+    @property
+    def _ways(self):
+        """Return true and estimated way, each rows and columns of cells' centres; no estimated one of a given pose."""
+        poses = self.final.poses
+        if poses is None:
+            return (self.final.rows, self.final.cols), None
+        x, y, own_x, own_y = poses[:, 1:].T - 0.5
+        return (y, x), (own_y, own_x)
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the last map with the path, in metres of the map's frame, on `Axes`, by default new; return them."""
@@ -100,7 +112,9 @@ class EpisodeResult:
 
         ax, final, world = axes_of(ax), self.final, self.world
         state = map_state(final.hits, final.misses, self.rules.p_free)
-        drawn = [plot.draw_map(ax, state, world.cell_m), *plot.draw_path(ax, final.rows, final.cols, world.cell_m)]
+        true, estimate = self._ways
+        drawn = [plot.draw_map(ax, state, world.cell_m), *plot.draw_path(ax, *true, world.cell_m)]
+        drawn += [] if estimate is None else [plot.draw_estimate(ax, *estimate, world.cell_m)]
         for artist in drawn:  # which lie at metres from the corner of cell (0, 0)
             artist.set_transform(Affine2D().translate(*world.origin_m) + ax.transData)
         ends = [(low, low + n * world.cell_m) for low, n in zip(world.origin_m, world.shape[::-1])]
@@ -173,6 +187,7 @@ def explore(
     start: StartLike = "random", start_m: Sequence[float] | None = None,
     within: str | Polygon | None = None, from_map: KnownMap | None = None,
     lidar: LidarLike = LIDAR, rules: RulesLike = RULES, robot: RobotLike = ROBOT,
+    pose: str | None = None, odometry: OdometryLike = None,
 ) -> EpisodeResult:  # fmt: skip
     """Run one episode and keep its map and way.
 
@@ -191,6 +206,8 @@ def explore(
       lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
       rules: `Rules`, or such a mapping.
       robot: `Robot`, or such a mapping: how long its motions take, and what energy.
+      pose: "true", "odometry" or "icp": `rules.pose`, if given.
+      odometry: `Odometry`, or such a mapping: `rules.odometry`, if given.
 
     Returns:
       `EpisodeResult`.
@@ -206,6 +223,7 @@ def explore(
         "from_map": from_map,
         "robot": robot,
     }
+    where |= {"pose": pose, "odometry": odometry}
     return run_job(prepare_job(world, strategy, seed=seed, episode=episode, lidar=lidar, rules=rules, **where))
 
 
@@ -225,6 +243,7 @@ def run_job(job: Job) -> EpisodeResult:
     assert final is not None  # a run that was interrupted has raised
     has_rooms, cell_m = job.world.rooms is not None, job.world.cell_m
     found = columns(result, job.starts, seed=job.seed, cell_m=cell_m, has_rooms=has_rooms, robot=job.robot)
+    found |= dict(zip(job.metrics, result.metrics))
     last = {name: values[number] for name, values in found.items()}
     row, col, heading_deg = (int(value) for value in job.starts[number])
     return EpisodeResult(
@@ -236,10 +255,15 @@ def run_job(job: Job) -> EpisodeResult:
     )
 
 
+def why_no_replay(rules: Rules) -> str:
+    """Return why an episode whose plans are not on record cannot be replayed."""
+    return "no replay, " + ("it made more plans than are kept" if rules.pose == "true" else "its pose was not given")
+
+
 def steps_of(episode: EpisodeResult) -> Iterator[replay.Moment]:
     """Yield the episode again: its last `replay.Moment` at every step."""
     if episode.final.plans is None:
-        raise InputError(f"{episode.title}: an episode of {episode.measures['plans']} plans cannot be played again")
+        raise InputError(f"{episode.title}: {why_no_replay(episode.rules)}")
     site = prepare_site(episode.world, episode.lidar, episode.rules)
     last: Any = None
     for moment in replay.moments(site, episode.asked, episode.start, episode.seed, episode.number, episode.final.plans):

@@ -25,7 +25,7 @@ from jexplore.grid import is_free, is_occupied
 from jexplore.planning import field
 from jexplore.policies import Strategy, room_wise
 from jexplore.report.page.replay import FRONTIER, OWN_ROOM, ReplayData, changes_of, evenly
-from jexplore.studies.explore import MAX_FRAMES, EpisodeResult
+from jexplore.studies.explore import MAX_FRAMES, EpisodeResult, why_no_replay
 from jexplore.worlds.world import World, ring_of
 
 MAX_PAIRS = 12  # of world and strategy that are replayed on one page
@@ -56,7 +56,7 @@ def replay_data(
     no native code; the frames are the same.
     """
     if final.plans is None:
-        raise InputError(f"{strategy.name} in {world.name}: an episode of too many plans cannot be played again")
+        raise InputError(f"{strategy.name} in {world.name}: {why_no_replay(rules)}")
     shown = evenly(len(final.rows) - 1, max_frames)
     own_room, seen = isinstance(strategy.policy.params, room_wise.Params), None
     if engine != "jax" and not own_room:  # which JAX segments
@@ -155,6 +155,14 @@ def replays_of(
       engine: as in `batch.run_jobs`.
     """
     notes = []
+    given = [i for i, job in enumerate(jobs) if job.rules is None or job.rules.pose == "true"]
+    if len(given) < len(jobs):
+        notes.append("There are no replays of robots whose pose is not given.")
+        firsts = {n: firsts[i] for n, i in enumerate(given) if i in firsts}
+        labels = [labels[i] for i in given if labels]
+        jobs = [jobs[i] for i in given]
+    if not jobs:
+        return [], notes
     if len(jobs) > MAX_PAIRS:
         notes.append(f"Replays show the first {MAX_PAIRS} of {len(jobs)} pairs of world and strategy.")
     jobs = list(jobs[:MAX_PAIRS])

@@ -37,6 +37,7 @@ from jexplore.studies.checks import (
     ready_settings,
     ready_starts,
     ready_worlds,
+    require_given_pose,
 )
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import world_digest
@@ -151,7 +152,7 @@ class BoundsResult:
         if not hasattr(comparison, "episodes") or not hasattr(comparison, "worlds"):
             raise InputError(f"expected a comparison, got {type(comparison).__name__}")
         if comparison.lidar is not None and comparison.rules is not None:
-            require_perfect(comparison.lidar)
+            require_perfect(comparison.lidar, comparison.rules)
             for name, value in bound_settings(comparison.lidar, comparison.rules).items():
                 if self.settings[name] != value:
                     raise InputError(f"the bounds are for {name} {self.settings[name]:g}, the episodes had {value:g}")
@@ -229,7 +230,7 @@ def prepare_bounds(
     seconds = require_setting("seconds", seconds)
     if max_floods is not None:
         require_whole("max_floods", max_floods, 1, 10**9)
-    require_perfect(lidar)
+    require_perfect(lidar, rules)
     tasks, limits = [], (None if max_floods else seconds, max_floods)
     for world in ready_worlds(worlds, cell_m):
         require_whole_world(world)
@@ -238,8 +239,9 @@ def prepare_bounds(
     return tasks
 
 
-def require_perfect(lidar: Lidar) -> None:
-    """Refuse a scanner with noise, whose beams may say nothing, or that is not at the robot's centre."""
+def require_perfect(lidar: Lidar, rules: Rules) -> None:
+    """Refuse a scanner with noise, whose beams may say nothing, or that is not at the robot's centre, and odometry."""
+    require_given_pose(rules, "bounds are")
     for is_bad, needs in (
         (lidar.sigma_m or lidar.dropout, "without noise: lidar.sigma_m and lidar.dropout must be 0"),
         (lidar.no_echo != "free", "that shows what it has no echo from: lidar.no_echo must be free"),
@@ -262,7 +264,7 @@ def bound_tasks(
     pairs: Iterable[tuple[World, tuple[int, int, int]]], lidar: Lidar, rules: Rules, seconds: float
 ) -> list[BoundTask]:
     """Return the tasks of some starts, each once."""
-    require_perfect(lidar)
+    require_perfect(lidar, rules)
     pairs = list(pairs)
     for world, _ in pairs:
         require_whole_world(world)

@@ -18,6 +18,7 @@ from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import join_strategies
 from jexplore.raycast import scans_all_round
 from jexplore.studies.checks import (
+    measures_of,
     ready_starts,
     ready_strategies,
     ready_worlds,
@@ -106,6 +107,11 @@ class SweepPlan:
         return ["setting", *(key for key in self.settings[0] if key != "seed"), *own]
 
     @functools.cached_property
+    def measures(self) -> list[str]:
+        """Return columns of measures that some of its episodes have."""
+        return list(dict.fromkeys(name for *_, rules in self.records for name in measures_of(rules)))
+
+    @functools.cached_property
     def kinds(self) -> dict[str, str]:
         """Return columns of settings and the types of their values, see `column_type`."""
         found = {
@@ -142,7 +148,7 @@ class SweepPlan:
                 kinds.setdefault(key, (world, cell_m, lidar, rules))
         for world, cell_m, lidar, rules in kinds.values():
             for strategy in self.strategies:
-                own = {"lidar": lidar, "rules": rules, "metrics": self.metrics}
+                own = {"lidar": lidar, "rules": rules, "metrics": self.metrics | measures_of(rules)}
                 yield Job(self.world(world, cell_m), strategy, np.zeros((0, 3), int), **own)
 
     def size(self, unit: int) -> int:
@@ -180,7 +186,9 @@ class SweepPlan:
         starts = self.starts(world, seed, rules.clearance_m, rules.near_m)[block.first : block.first + block.n]
         strategy = self.together[block.strategy]
         robot = robot_of(self.settings[block.setting])
-        return Job(world, strategy, starts, seed, block.first, lidar, rules, phase, self.metrics, robot)
+        return Job(
+            world, strategy, starts, seed, block.first, lidar, rules, phase, self.metrics | measures_of(rules), robot
+        )
 
 
 @functools.lru_cache(maxsize=256)
@@ -246,10 +254,10 @@ def prepare_sweep(spec: Sweep) -> SweepPlan:
 
 
 def _program_key(world, lidar, rules):
-    """Return what must agree to share a compiled program: shape of the padded map, clearance, beams, look-around."""
+    """Return what must agree to share a program: shape of the padded map, clearance, beams, look-around, pose."""
     padded = tuple(bucket(side) for side in ringed_shape(world.occupied))
     around = scans_all_round(lidar)
-    return padded, reach_d2(rules.clearance_m, world), lidar.n_beams, around, world.cell_m > COARSE_M
+    return padded, reach_d2(rules.clearance_m, world), lidar.n_beams, around, world.cell_m > COARSE_M, rules.pose
 
 
 def _cut(spec, records, shapes, n_strategies, total, after=0):

@@ -16,6 +16,7 @@ from jexplore.arrays.pictures import shown_figure
 from jexplore.config import InputError, checked_names, require_engine
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
+from jexplore.exploration.uncertain.measures import MEASURES
 from jexplore.report.ledger import Ledger, Work
 from jexplore.report.store import read_parquet
 from jexplore.report.tables import aligned_table, number_text, ratio_text, spread_text
@@ -65,7 +66,8 @@ class SweepResult(ByStrategy):
         and `ratio_high` (95 %, see `paired.paired_ratio`), mean `explored_fraction`, share `complete`; those of
         settings and metrics.
         """
-        return summarise(self.episodes, self.columns, self.reference, tuple(self.spec.metrics))
+        measures = (name for name in MEASURES if name in self.episodes)
+        return summarise(self.episodes, self.columns, self.reference, (*self.spec.metrics, *measures))
 
     def _summary_text(self, as_text):
         return summary_table(self.summary, self.varied, as_text)
@@ -201,6 +203,7 @@ def _unit_table(plan, number, made):
     rows = []
     for block, (job, found) in zip(plan.units[number], made):
         own = rows_of(job._replace(strategy=plan.strategies[block.strategy]), found)
+        own |= {name: np.full(block.n, np.nan) for name in plan.measures if name not in own}
         rows.append({"setting": np.full(block.n, block.setting), **own})
     return join_columns(rows)
 

@@ -14,6 +14,7 @@ from jexplore.arrays.files import first_line, read_yaml
 from jexplore.config import (
     InputError,
     Lidar,
+    Odometry,
     Robot,
     Rules,
     checked_names,
@@ -32,8 +33,13 @@ MAX_SETTINGS = 100_000
 MAX_TOTAL = 100_000_000  # episodes
 DRAW_METHODS = ("random", "sobol")
 RANGE = ("low", "high", "log")
-SETTING_PARTS = {"lidar": Lidar, "rules": Rules, "robot": Robot}
-_FIELDS_OF = {name: {field.name: field for field in dataclasses.fields(kind)} for name, kind in SETTING_PARTS.items()}
+SETTING_PARTS = {"lidar": Lidar, "rules": Rules, "odometry": Odometry, "robot": Robot}
+SINGLE = {"seed": 0, "cell_m": 0.1, "pose": "true"}
+"""Settings that are no part of a record -> their defaults."""
+_FIELDS_OF = {
+    name: {field.name: field for field in dataclasses.fields(kind) if not field.metadata.get("short")}
+    for name, kind in SETTING_PARTS.items()
+}
 WHOLE_SETTINGS = [
     "seed",
     *(f"{part}.{key}" for part in _FIELDS_OF for key, one in _FIELDS_OF[part].items() if one.type in (int, int | None)),
@@ -64,7 +70,11 @@ class Sweep:
     lidar: Mapping[str, Any] | Lidar = dataclasses.field(default_factory=dict)
     """A `jx.Lidar`, or some of its fields."""
     rules: Mapping[str, Any] | Rules = dataclasses.field(default_factory=dict)
-    """A `jx.Rules`, or some of its fields."""
+    """A `jx.Rules`, or some of its fields, without the next two."""
+    pose: Any = None
+    """Way in which robots learn their pose: "true" (the default), "odometry" or "icp"."""
+    odometry: Mapping[str, Any] | Odometry = dataclasses.field(default_factory=dict)
+    """A `jx.Odometry`, or some of its fields."""
     robot: Mapping[str, Any] | Robot = dataclasses.field(default_factory=dict)
     """A `jx.Robot`, or some of its fields."""
     metrics: Any = dataclasses.field(default_factory=dict)
@@ -104,7 +114,7 @@ class Sweep:
         for name, known in _FIELDS_OF.items():
             given = getattr(self, name)
             if isinstance(given, SETTING_PARTS[name]):
-                given = dataclasses.asdict(given)
+                given = {key: value for key, value in dataclasses.asdict(given).items() if key in known}
                 object.__setattr__(self, name, given)
             if not isinstance(given, Mapping):
                 raise InputError(f"{name} must be a mapping such as {{{next(iter(known))}: ...}}, got {given!r}")
@@ -122,6 +132,7 @@ class Sweep:
     def axes(self) -> dict[str, Any]:
         """Return the varied settings: dotted name -> list of values, or a `Range`."""
         given = {"seed": self.seed, "cell_m": self.cell_m}
+        given |= {} if self.pose is None else {"pose": self.pose}
         for part in SETTING_PARTS:
             given |= {f"{part}.{key}": value for key, value in getattr(self, part).items()}
         return {key: _axis(key, value) for key, value in given.items()}
@@ -134,7 +145,7 @@ class Sweep:
         """
         axes, explicit = self.axes, [dict(one) for one in self.settings]
         for key in dict.fromkeys(key for one in explicit for key in one):
-            if key in axes and key not in ("seed", "cell_m"):
+            if key in axes and key not in SINGLE:
                 raise InputError(f"{key} is given twice, in settings and in its own place")
         is_range = any(isinstance(axis, Range) for axis in axes.values())
         if is_range and self.draws is None:
@@ -171,7 +182,9 @@ class Sweep:
             seed = require_setting("seed", setting["seed"])
             cell_m = require_setting("cell_m", setting["cell_m"])
             robot_of(setting)
-            found.append((seed, float(cell_m), Lidar(**_part(setting, "lidar")), Rules(**_part(setting, "rules"))))
+            unsure = {"pose": setting.get("pose", SINGLE["pose"]), "odometry": Odometry(**_part(setting, "odometry"))}
+            rules = Rules(**_part(setting, "rules"), **unsure)
+            found.append((seed, float(cell_m), Lidar(**_part(setting, "lidar")), rules))
         return found
 
     def strategy_list(self) -> list[tuple[str, dict[str, Any]]]:
@@ -208,14 +221,14 @@ def _same(value):
 
 def _require_key(key):
     part, _, name = str(key).partition(".")
-    if key not in ("seed", "cell_m") and name not in _FIELDS_OF.get(part, {}):
-        names = ["seed", "cell_m", *(f"{part}.{name}" for part, fields in _FIELDS_OF.items() for name in fields)]
+    if key not in SINGLE and name not in _FIELDS_OF.get(part, {}):
+        names = [*SINGLE, *(f"{part}.{name}" for part, fields in _FIELDS_OF.items() for name in fields)]
         raise unknown("setting", str(key), names)
 
 
 def _default(key):
     part, _, name = key.partition(".")
-    return {"seed": 0, "cell_m": 0.1}[key] if not name else _FIELDS_OF[part][name].default
+    return SINGLE[key] if not name else _FIELDS_OF[part][name].default
 
 
 def robot_of(setting: Mapping[str, Any]) -> Robot:
@@ -255,6 +268,8 @@ def _axis(key, value) -> Any:
 def _require_plain(key, value):
     """Refuse anything but a single value."""
     value = value.item() if isinstance(value, np.generic) else value
+    if key == "pose" and value is True:  # as YAML has it
+        return "true"
     if value is not None and not isinstance(value, (bool, int, float, str)):
         raise InputError(f"{key} must be a number, a word or a truth value, got {value!r}")
     return value

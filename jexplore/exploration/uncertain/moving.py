@@ -1,0 +1,110 @@
+"""Motion of a robot that takes itself to be where its estimate says, through the world as it is."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jexplore.arrays.loops import pick
+from jexplore.arrays.poses import rotated, wrapped
+from jexplore.engine.program import Given
+from jexplore.exploration.sensing import stacked
+from jexplore.exploration.state import State, Stream
+from jexplore.exploration.uncertain.poses import EIGHTH, cell_of, rounded
+from jexplore.grid import Grid
+from jexplore.reach import HEADING, MOTIONS
+from jexplore.slam2d.odometry import encoded, step_covariance
+
+PARTS = 8  # of a step, after each of which the robot sees whether it is in a wall
+MOST_CELLS = 2.5  # of a step: from a corner of where a robot stays in its cell to the middle of the next one
+AHEAD = np.array([MOTIONS[HEADING.index(k)][::-1] for k in range(8)], np.float32)  # x, y of each heading's next cell
+
+
+def turn_and_go(given: Given, state: State, heading: Array, goes: Array, when: Array) -> tuple[State, Array]:
+    """Turn, and go on to the centre of the next cell.
+
+    The robot steers by its estimate. It turns and goes by as much as it wants to, but for slip, and reads from its
+    encoders what it has done. A wall of the true world stops it before its centre enters it.
+
+    Args:
+      heading: int32, heading of the lattice towards the next cell; that to turn to where it does not go.
+      goes: bool, whether it goes.
+      when: bool; False: nothing happens.
+
+    Returns:
+      `(state, bumped)`: its pose, true and estimated, moved.
+    """
+    poses, belief, own = state.poses, state.belief, given.numbers.unsure
+    noise, cell_m = own.odometry, belief.model.cell_m
+    draws = jax.random.normal(jax.random.fold_in(jax.random.fold_in(given.key, Stream.ODOMETRY), poses.motions), (4,))
+    ahead = jnp.asarray(AHEAD)[heading]
+    dcol, drow = ahead.astype(jnp.int32) * goes
+    centre = jnp.stack([belief.col + dcol, belief.row + drow]) + 0.5
+    wanted = jnp.where(goes, centre - poses.estimate[:2], 0)
+    wanted *= jnp.minimum(1, MOST_CELLS / jnp.maximum(jnp.hypot(wanted[0], wanted[1]), 1))
+    aside = jnp.arctan2(ahead[0] * wanted[1] - ahead[1] * wanted[0], jnp.sum(ahead * wanted))
+    turn = wrapped((heading - state.heading) * EIGHTH + aside - poses.estimate[2])
+    way = jnp.hypot(wanted[0], wanted[1])
+    told_m, told_turn = encoded(noise, way * cell_m, turn, way * cell_m, draws)
+
+    true_turn = poses.true[2] - poses.estimate[2] + aside - noise.slip * turn
+    driven = rotated(wanted, true_turn - aside)
+    parts = (jnp.arange(PARTS) + 1.0) / PARTS
+    at = jnp.floor(poses.true[:2] + driven * parts[:, None]).astype(jnp.int32)
+    occupied, base = stacked(given, jnp.asarray(given.scenes.occupied))
+    walls = occupied[base + at[:, 1], at[:, 0]]
+    share = jnp.sum(jnp.cumsum(walls) == 0) / PARTS
+    told = rotated(wanted, told_turn - turn) * jnp.where(way > 0, share * told_m / jnp.maximum(way * cell_m, 1e-9), 0)
+
+    moved = poses.replace(
+        true=jnp.append(poses.true[:2] + driven * share, true_turn),
+        estimate=jnp.append(poses.estimate[:2] + told, aside + told_turn - turn),
+        covariance=poses.covariance + step_covariance(noise, way * cell_m, turn),
+        way_m=poses.way_m + way * share * cell_m,
+        motions=poses.motions + 1,
+        bumps=poses.bumps + (share < 1),
+    )
+    if moved.since_key is not None:
+        moved = moved.replace(since_key=moved.since_key + jnp.stack([way * cell_m, jnp.abs(turn)]))
+    new_heading, moved = rounded(heading, moved)
+    row, col = cell_of(moved.estimate, belief.row + drow, belief.col + dcol, belief.extent)
+    moved = moved.replace(strayed=(row != belief.row + drow) | (col != belief.col + dcol))
+    cell = jnp.floor(moved.true[:2]).astype(jnp.int32)
+    new = state.replace(
+        row=cell[1],
+        col=cell[0],
+        heading=new_heading,
+        poses=moved,
+        belief=belief.replace(row=row, col=col, heading=new_heading),
+    )
+    return _pick_pose(when, new, state), when & (share < 1)
+
+
+def _pick_pose(when: Array, new: State, old: State) -> State:
+    """Return the state with the pose of one of two, whose maps are the same."""
+
+    def own(state: State) -> Any:
+        poses, belief = state.poses.replace(seen=None, trail=None, points=None), state.belief
+        return poses, (state.row, state.col, state.heading, belief.row, belief.col, belief.heading)
+
+    poses, (row, col, heading, own_row, own_col, own_heading) = pick(when, own(new), own(old))
+    kept = old.poses
+    poses = poses.replace(seen=kept.seen, trail=kept.trail, points=kept.points)
+    belief = old.belief.replace(row=own_row, col=own_col, heading=own_heading)
+    return old.replace(row=row, col=col, heading=heading, poses=poses, belief=belief)
+
+
+def mark_bump(state: State, row: Array, col: Array, when: Array) -> State:
+    """Make a cell of the robot's map count as a wall that it has met, `when`: as a hit for every miss, and not driven.
+
+    Less would leave a cell that beams have passed often free, and the next plan would lead there again.
+    """
+    belief = state.belief
+    misses, hits = belief.grid.misses[row, col], belief.grid.hits[row, col]
+    grid = Grid(
+        belief.grid.hits.at[row, col].add(jnp.where(when, jnp.maximum(misses - hits, 1), 0)), belief.grid.misses
+    )
+    driven = belief.driven.at[row, col].set(belief.driven[row, col] & ~when)
+    return state.replace(belief=belief.replace(grid=grid, driven=driven))

@@ -1,0 +1,103 @@
+"""Records of a robot that does not know its pose."""
+
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple, Self
+
+import jax.numpy as jnp
+from flax import struct
+from jax import Array
+
+from jexplore.config import Odometry
+from jexplore.grid import Grid
+from jexplore.slam2d.points import empty_map
+from jexplore.slam2d.settings import SlamSettings
+
+EIGHTH = 0.7853981633974483  # radians, between headings of the lattice
+STAY_CELLS = 0.75  # a robot is in another cell only if it is farther than this from its cell's centre on some axis
+TRAIL = ("way_m", "true_x", "true_y", "x", "y")  # columns of a trail of poses: metres; cells, as the robot has them too
+
+
+class Unsure(NamedTuple):
+    """Static config of a robot that does not know its pose."""
+
+    points: tuple[int, int, int] | None  # shape of its point map, see `slam2d.points`; None: odometry alone
+
+
+@struct.dataclass
+class UnsureNumbers:
+    """Numbers of a robot that does not know its pose."""
+
+    odometry: Odometry
+    matching: SlamSettings
+    directions: Array  # [8, B, 2] float32, beams as unit vectors at each heading of the lattice
+    angles_rad: Array  # [B] float32, beams relative to the heading
+    reach: Array  # float32, range of the scanner, cells
+    min_reach: Array  # float32, a beam that is stopped nearer says nothing, cells
+
+
+@struct.dataclass
+class Poses:
+    """True and estimated pose of a robot, and what they come from.
+
+    Poses are x and y in cells (the centre of cell (row, col) is at col + 0.5, row + 0.5) and what the heading has more
+    than the state's, which is on the lattice, in radians. So they are exact on the lattice.
+    """
+
+    true: Array  # [3] float32
+    estimate: Array  # [3] float32
+    covariance: Array  # [3, 3] float32, of the estimate, m^2 and rad^2
+    seen: Grid  # [H, W], the map that the scans would make if the pose were given
+    trail: Array  # [T + 1, 5] float32, `TRAIL` at the start and after every step
+    way_m: Array  # float32, driven in truth
+    motions: Array  # int32, steps and turns made
+    bumps: Array  # int32, steps that a wall of the true world ended
+    unmatched: Array  # int32, scans without a match
+    strayed: Array  # bool, the robot is in another cell than where its plan has it
+    points: Any = None  # `PointMap` of a robot that matches scans, else None
+    since_key: Any = None  # [2] float32, of such a robot, metres and radians since the last scan that entered the map
+    replace: ClassVar[Callable[..., Self]]
+
+
+def blank_poses(unsure: Unsure, grid: Grid, capacity: int, row: Array, col: Array) -> Poses:
+    """Return the `Poses` of a robot at a cell's centre that knows where it is; `grid` is what it has seen."""
+    pose = jnp.stack([col + 0.5, row + 0.5, 0.0]).astype(jnp.float32)
+    zero, none = jnp.float32(0), jnp.int32(0)
+    trail = jnp.zeros((capacity + 1, len(TRAIL)), jnp.float32)
+    matched: dict[str, Any] = {}
+    if unsure.points is not None:
+        matched = {"points": empty_map(unsure.points), "since_key": jnp.full(2, jnp.inf, jnp.float32)}
+    return Poses(
+        true=pose,
+        estimate=pose,
+        covariance=jnp.zeros((3, 3), jnp.float32),
+        seen=grid,
+        trail=trail,
+        way_m=zero,
+        motions=none,
+        bumps=none,
+        unmatched=none,
+        strayed=jnp.bool_(False),
+        **matched,
+    )
+
+
+def cell_of(pose: Array, row: Array, col: Array, extent: Array) -> tuple[Array, Array]:
+    """Return the cell of a robot that was taken to be in (row, col): that one unless it is clearly in another one."""
+    x, y = pose[0], pose[1]
+    stays = jnp.maximum(jnp.abs(x - col - 0.5), jnp.abs(y - row - 0.5)) <= STAY_CELLS
+    own_row, own_col = (jnp.clip(jnp.floor(a).astype(jnp.int32), 1, n - 2) for a, n in ((y, extent[0]), (x, extent[1])))
+    return jnp.where(stays, row, own_row), jnp.where(stays, col, own_col)
+
+
+def rounded(heading: Array, poses: Poses) -> tuple[Array, Poses]:
+    """Return the heading of the lattice nearest to the estimated one, and poses relative to it."""
+    more = jnp.round(poses.estimate[2] / EIGHTH)
+    true, estimate = (pose.at[2].add(-more * EIGHTH) for pose in (poses.true, poses.estimate))
+    return (heading + more.astype(jnp.int32)) % 8, poses.replace(true=true, estimate=estimate)
+
+
+def note_pose(poses: Poses, steps: Array, when: Array | bool) -> Poses:
+    """Add the present poses to their trail."""
+    entry = jnp.concatenate([poses.way_m[None], poses.true[:2], poses.estimate[:2]])
+    step = jnp.where(when, steps, poses.trail.shape[0])
+    return poses.replace(trail=poses.trail.at[step].set(entry, mode="drop"))

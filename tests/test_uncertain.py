@@ -1,0 +1,408 @@
+"""Robots that do not know their pose: beams from any pose, motion with errors, outcomes, whole episodes."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jexplore as jx
+from jexplore import raycast
+from jexplore.config import InputError, Lidar, Odometry, Rules
+from jexplore.driving.settings import Noise
+from jexplore.engine.program import Given
+from jexplore.exploration import environment, site
+from jexplore.exploration.state import Outcome, Stream
+from jexplore.exploration.uncertain import looking, moving
+from jexplore.exploration.uncertain.poses import EIGHTH, cell_of, rounded
+from jexplore.grid import empty_grid
+from jexplore.policies.closest import closest
+from jexplore.slam2d import beams
+from jexplore.slam2d.odometry import encoded, noise_of, step_covariance
+
+EXACT = Odometry(length=0, turn=0, heading_deg_sqrt_m=0, slip=0)
+ROUGH = Odometry(
+    length=0.1, turn=0.1, heading_deg_sqrt_m=5, length_m_sqrt_rad=0.02, length_scale=1.05, turn_scale=0.95,
+    heading_bias_deg_m=3, slip=0.05,
+)  # fmt: skip
+LIDAR = Lidar(n_beams=13, range_m=2.0)
+
+
+def two_rooms():
+    occupied = np.ones((30, 44), bool)
+    occupied[2:28, 2:21] = occupied[2:28, 23:42] = occupied[11:19, 21:23] = False
+    return jx.World(occupied=occupied, cell_m=0.1, name="two rooms")
+
+
+@functools.cache
+def begun(pose, odometry=EXACT, lidar=LIDAR):
+    """An episode after its first scans, from one place: setup, run context, state."""
+    own = site.prepare_site(two_rooms(), lidar, Rules(pose=pose, odometry=odometry, max_steps=200))
+    numbers = jax.tree.map(jnp.asarray, own.numbers)
+    scenes = jax.tree.map(lambda a: jnp.asarray(a)[None], own.truth)
+    task = jnp.int32([12, 12, 2])
+    given = Given(jax.random.key(3), jax.tree.map(jnp.asarray, own.beams), scenes, jnp.int32(0), numbers, task)
+    setup = own.setup._replace(policy=closest()._replace(params=()))
+    return setup, given, environment.begin(setup, given)
+
+
+# --- beams from any pose
+
+
+def test_a_beam_by_pencil():
+    occupied = np.ones((5, 8), bool)
+    occupied[1:4, 1:7] = False
+    xy, east = jnp.float32([1.5, 2.5]), jnp.float32([[1, 0]])
+    found = beams.cast(jnp.asarray(occupied), xy, east, jnp.float32(20))
+    assert found.hit[0]
+    assert found.distance[0] == 5.5
+    assert not beams.cast(jnp.asarray(occupied), xy, east, jnp.float32(5.5)).hit[0]
+    extent = jnp.int32([5, 8])
+    for off, hit in ((0.0, 7), (0.4, 7), (-0.4, 7), (0.6, 6)):  # error of the estimate to the left
+        grid = beams.fold(empty_grid((5, 8)), xy - jnp.float32([off, 0]), east, found, jnp.float32(20), extent)
+        first = 1 if off < 0.5 else 0
+        np.testing.assert_array_equal(np.flatnonzero(grid.hits[2]), [hit])
+        np.testing.assert_array_equal(np.flatnonzero(grid.misses[2]), np.arange(first, hit))
+    silent = found._replace(speaks=jnp.zeros(1, bool))
+    assert int(beams.fold(empty_grid((5, 8)), xy, east, silent, jnp.float32(20), extent).misses.sum()) == 1
+
+
+def test_what_lies_outside_the_map_is_not_counted():
+    reading = beams.Reading(jnp.float32([3.0, 9.0]), jnp.array([True, False]), jnp.ones(2, bool))
+    directions = jnp.float32([[-1, 0], [0, 1]])
+    grid = beams.fold(
+        empty_grid((6, 6)), jnp.float32([0.5, 1.5]), directions, reading, jnp.float32(9), jnp.int32([4, 6])
+    )
+    assert int(grid.hits.sum()) == 0
+    np.testing.assert_array_equal(np.argwhere(grid.misses), [[1, 0], [2, 0], [3, 0]])
+    far = beams.fold(
+        empty_grid((6, 6)), jnp.float32([-40.5, 99.5]), directions, reading, jnp.float32(9), jnp.int32([6, 6])
+    )
+    assert int(far.hits.sum() + far.misses.sum()) == 0
+
+
+@pytest.mark.jit
+def test_on_the_lattice_cells_are_those_of_the_table():
+    """At a cell's centre and headings of 45 degrees, exact corners included: hits and misses of every cell."""
+    rng, lidar, shape = np.random.default_rng(0), Lidar(n_beams=181, range_m=8), (160, 160)
+    table = jax.tree.map(jnp.asarray, raycast.beam_table(lidar, 0.1, shape[1]))
+    directions = np.stack(raycast.exact_direction(45.0 * np.arange(8)[:, None] + raycast.beam_angles_deg(lidar)), -1)
+    cast, fold = jax.jit(beams.cast), jax.jit(beams.fold)
+    for heading in range(8):
+        occupied = rng.random(shape) < (0.0, 0.01, 0.1)[heading % 3]
+        occupied[[0, -1]] = occupied[:, [0, -1]] = True
+        occupied, xy = jnp.asarray(occupied), jnp.float32([80.5, 78.5])
+        seen = raycast.scan(occupied, 78, 80, heading, table)
+        expected = raycast.fold(empty_grid(shape), 78, 80, heading, seen, table)
+        direction, reach = jnp.float32(directions[heading]), table.reach
+        found = fold(empty_grid(shape), xy, direction, cast(occupied, xy, direction, reach), reach, jnp.int32(shape))
+        np.testing.assert_array_equal(found.hits, expected.hits)
+        np.testing.assert_array_equal(found.misses, expected.misses)
+
+
+# --- odometry
+
+
+def test_encoders_by_pencil():
+    draws = np.array([1.0, -1.0, 2.0, 0.5], np.float32)
+    way, turn = encoded(ROUGH, jnp.float32(0.25), jnp.float32(-0.64), jnp.float32(0.25), draws)
+    assert way == pytest.approx(0.25 * 1.05 * 1.1 + 0.02 * 0.5 * 0.8, rel=1e-5)
+    assert turn == pytest.approx(0.95 * -0.64 * 0.9 + np.radians(5) * 2 * 0.5 + np.radians(3) * 0.25, rel=1e-5)
+    assert encoded(ROUGH, 0.25, -0.64, jnp.float32(0.25), draws[:3])[0] == pytest.approx(0.25 * 1.05 * 1.1, rel=1e-5)
+
+
+def test_a_trace_robots_noise_is_the_same_model():
+    noise = noise_of(Noise(odometry=0.1, slip=0.3, heading_deg_sqrt_m=2, length_scale=1.1, turn_scale=0.9))
+    assert noise == Odometry(0.1, 0.1, 2, 0, 1.1, 0.9, 0, 0.3)
+
+
+def test_the_stated_covariance_is_that_of_draws():
+    noise = Odometry(length=0.1, turn=0.1, heading_deg_sqrt_m=5, length_m_sqrt_rad=0.02, slip=0)
+    draws = np.random.default_rng(0).normal(size=(4, 20000)).astype(np.float32)
+    way, turn = encoded(noise, jnp.float32(0.5), jnp.float32(0.7), jnp.float32(0.5), draws)
+    sd = np.sqrt(np.diagonal(step_covariance(noise, jnp.float32(0.5), jnp.float32(0.7))))
+    np.testing.assert_allclose([way.std(), turn.std()], sd[[0, 2]], rtol=0.02)
+    assert np.all(np.diagonal(step_covariance(EXACT, jnp.float32(0), jnp.float32(0))) > 0)
+
+
+# --- motion
+
+
+def moved(true, estimate, heading, drow, dcol, noise, draws):
+    """The motion in plain numpy: true and estimated pose after it, headings in radians. No walls."""
+    (x, y, own), target = estimate, np.floor(estimate[:2]) + 0.5 + [dcol, drow]
+    wanted = target - [x, y]
+    bearing, way = np.arctan2(wanted[1], wanted[0]), np.hypot(*wanted)
+    turn = (bearing - own + np.pi) % (2 * np.pi) - np.pi
+    told_turn = noise.turn_scale * turn * (1 + noise.turn * draws[1])
+    way_m = way * 0.1
+    told_turn += np.radians(noise.heading_deg_sqrt_m) * np.sqrt(way_m) * draws[2]
+    told_turn += np.radians(noise.heading_bias_deg_m) * way_m
+    told_m = noise.length_scale * way_m * (1 + noise.length * draws[0])
+    told_m += noise.length_m_sqrt_rad * np.sqrt(abs(turn)) * draws[3]
+    out = []
+    for place, angle, length in (
+        (true, true[2] + turn * (1 - noise.slip), way),
+        (estimate, own + told_turn, told_m / 0.1),
+    ):
+        out.append([place[0] + length * np.cos(angle), place[1] + length * np.sin(angle), angle])
+    return np.array(out)
+
+
+@pytest.mark.parametrize("motion", [0, 3, 5])
+def test_a_motion_is_that_of_plain_numpy(motion):
+    _, given, state = begun("odometry", ROUGH)
+    poses = state.poses.replace(
+        true=state.poses.true + jnp.float32([0.3, -0.2, 0.1]),
+        estimate=state.poses.estimate + jnp.float32([0.1, 0.2, -0.2]),
+    )
+    state = state.replace(poses=poses)
+    key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.ODOMETRY), poses.motions)
+    (drow, dcol), heading = raycast_motion(motion)
+    after, bumped = moving.turn_and_go(given, state, jnp.int32(heading), jnp.bool_(True), jnp.bool_(True))
+    assert not bumped
+    before = [np.append(p[:2], p[2] + state.heading * EIGHTH) for p in map(np.asarray, (poses.true, poses.estimate))]
+    expected = moved(*before, state.heading, drow, dcol, ROUGH, np.asarray(jax.random.normal(key, (4,))))
+    for found, one in zip((after.poses.true, after.poses.estimate), expected):
+        np.testing.assert_allclose(found[:2], one[:2], atol=2e-4)
+        off = float(found[2] + after.heading * EIGHTH - one[2])
+        assert abs((off + np.pi) % (2 * np.pi) - np.pi) < 1e-4
+    assert np.all(np.diagonal(after.poses.covariance) > np.diagonal(poses.covariance))
+    idle, bumped = moving.turn_and_go(given, state, jnp.int32(heading), jnp.bool_(True), jnp.bool_(False))
+    assert not bumped
+    jax.tree.map(np.testing.assert_array_equal, (idle.poses, idle.belief), (state.poses, state.belief))
+
+
+def raycast_motion(motion):
+    from jexplore.reach import HEADING, MOTIONS
+
+    return MOTIONS[motion], HEADING[motion]
+
+
+def test_a_wall_stops_the_robot_and_enters_its_map():
+    """It is nearer to it than it takes itself to be."""
+    _, given, state = begun("odometry")
+    own = state.poses
+    state = state.replace(poses=own.replace(true=own.true.at[0].set(2.8)))
+    after, bumped = moving.turn_and_go(given, state, jnp.int32(4), jnp.bool_(True), jnp.bool_(True))
+    assert bumped
+    assert int(after.poses.bumps) == 1
+    wall = np.asarray(given.scenes.occupied[0])
+    assert not wall[int(after.poses.true[1]), int(after.poses.true[0])]
+    gone = np.asarray(own.estimate - after.poses.estimate)[0]
+    assert 0.5 < gone < 0.95  # 0.8 to the wall, in eighths
+    assert float(after.poses.way_m) == pytest.approx(0.1 * gone, rel=1e-4)
+    row, col = int(state.belief.row), int(state.belief.col) - 1
+    state = after.replace(belief=after.belief.replace(driven=after.belief.driven.at[row, col].set(True)))
+    marked = moving.mark_bump(state, row, col, bumped).belief
+    hits, misses = int(marked.grid.hits[row, col]), int(marked.grid.misses[row, col])
+    assert hits == misses > 0
+    assert not marked.driven[row, col]
+    same = moving.mark_bump(after, row, col, jnp.bool_(False)).belief
+    np.testing.assert_array_equal(same.grid.hits, after.belief.grid.hits)
+
+
+def test_a_robot_is_in_another_cell_only_when_it_is_clearly_there():
+    extent = jnp.int32([20, 20])
+    for x, col in ((5.5, 5), (6.2, 5), (6.3, 6), (4.7, 4), (30.0, 18), (-3.0, 1)):
+        found = cell_of(jnp.float32([x, 7.5, 0]), jnp.int32(7), jnp.int32(5), extent)
+        assert (int(found[0]), int(found[1])) == (7, col)
+
+
+def test_headings_are_rounded_to_the_lattice():
+    poses = begun("odometry")[2].poses.replace(true=jnp.float32([1, 1, 1.0]), estimate=jnp.float32([1, 1, -0.6]))
+    heading, turned = rounded(jnp.int32(0), poses)
+    assert heading == 7
+    np.testing.assert_allclose([turned.true[2], turned.estimate[2]], [1 + EIGHTH, -0.6 + EIGHTH], rtol=1e-5)
+
+
+# --- outcomes
+
+
+def test_an_enclosed_robot_is_inconsistent_and_another_one_blocked():
+    _, _, state = begun("odometry")
+    ended = state.replace(outcome=jnp.int32(Outcome.COMPLETE))
+    assert environment.outcome_of(ended) == Outcome.BLOCKED  # the other room is unseen
+    seen = ended.poses.seen
+    whole = ended.replace(poses=ended.poses.replace(seen=seen.replace(misses=seen.misses + 1)))
+    assert environment.outcome_of(whole) == Outcome.COMPLETE
+    belief = ended.belief
+    rows, cols = np.indices(belief.driven.shape)
+    around = np.maximum(abs(rows - int(belief.row)), abs(cols - int(belief.col))) == 2
+    walled = belief.replace(grid=belief.grid.replace(hits=belief.grid.hits + 1000 * jnp.asarray(around, jnp.int32)))
+    assert environment.outcome_of(ended.replace(belief=walled)) == Outcome.INCONSISTENT
+
+
+def test_a_robot_whose_scans_do_not_match_is_lost():
+    """Nothing lies within its scanner's range."""
+    setup, given, state = begun("icp", lidar=LIDAR.replace(range_m=0.4))
+    assert state.outcome == Outcome.RUNNING
+    state = state.replace(plan_active=jnp.bool_(True))
+    scans = int(state.scans)
+    unsure = state.poses.replace(covariance=jnp.diag(jnp.float32([0.1, 0.1, 0.2])) ** 2)
+    state = looking.look(setup, given, state.replace(poses=unsure), jnp.bool_(True))
+    assert state.outcome == Outcome.RUNNING
+    assert int(state.scans) == scans + 1
+    assert int(state.poses.unmatched) > 0
+    unsure = state.poses.replace(covariance=jnp.diag(jnp.float32([0.1, 0.1, 0.3])) ** 2)
+    lost = looking.look(setup, given, state.replace(poses=unsure), jnp.bool_(True))
+    assert lost.outcome == Outcome.LOST
+    assert not lost.plan_active
+    assert looking.look(setup, given, state.replace(poses=unsure), jnp.bool_(False)).outcome == Outcome.RUNNING
+
+
+# --- wrong options
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"pose": "gps"}, r"unknown pose 'gps' \(there are: true, odometry, icp\)"),
+        ({"odometry": {"slip": 0.7}}, "odometry.slip must be a number at least 0 and at most 0.5, got 0.7"),
+        ({"odometry": {"length_scale": 0}}, "odometry.length_scale must be a number above 0 and at most 2, got 0"),
+        ({"odometry": {"lenght": 0.1}}, "unknown field of odometry: 'lenght'; did you mean 'length'?"),
+        ({"odometry": 0.1}, "odometry must be a jx.Odometry"),
+        (
+            {"pose": "icp", "lidar": {"forward_m": 0.1}},
+            "lidar.forward_m and left_m must be 0 where the pose is not given",
+        ),
+        ({"pose": "icp", "metrics": {"ate_m": abs}}, "its name must be new, and 'ate_m' is in the tables already"),
+    ],
+)
+def test_wrong_options_are_refused_in_a_line(given, message):
+    with pytest.raises(InputError, match=message) as caught:
+        jx.compare(two_rooms(), ["closest"], episodes=1, **given)
+    assert "\n" not in str(caught.value)
+
+
+# --- whole episodes
+
+
+STRATEGY, N = "closest+recheck", 3
+NOISE = {"length": 0.05, "length_scale": 1.05, "heading_deg_sqrt_m": 2.0}
+SHORT = {"n_beams": 91, "range_m": 3.0}  # one room is not seen from the other
+
+
+@pytest.fixture(scope="module")
+def by_pose(jit_on):
+    with jit_on():
+        return {
+            name: jx.compare(two_rooms(), STRATEGY, episodes=N, pose=pose, odometry=noise, lidar=SHORT)
+            for name, pose, noise in (
+                ("true", "true", None),
+                ("exact", "odometry", EXACT),
+                ("odometry", "odometry", NOISE),
+                ("icp", "icp", NOISE),
+            )
+        }
+
+
+@pytest.mark.jit
+def test_without_errors_an_episode_is_that_of_a_given_pose(by_pose):
+    expected, found = by_pose["true"].episodes, by_pose["exact"].episodes
+    assert set(found) - set(expected) == {"ate_m", "end_error_m", "end_error_deg", "free_iou", "bumps", "unmatched"}
+    for name in expected:
+        if name.startswith("path_m"):
+            np.testing.assert_allclose(found[name], expected[name], rtol=1e-5)
+        else:
+            assert list(found[name]) == list(expected[name]), name
+    own, others = (by_pose[name].progress["two rooms", STRATEGY] for name in ("exact", "true"))
+    np.testing.assert_allclose(own, others, rtol=1e-5)
+    np.testing.assert_allclose(found[["ate_m", "end_error_m", "end_error_deg", "bumps"]], 0, atol=1e-5)
+    assert (found["free_iou"] == 1).all()
+
+
+@pytest.mark.jit
+def test_matching_scans_makes_better_maps_than_odometry(by_pose):
+    odometry, icp = by_pose["odometry"].episodes, by_pose["icp"].episodes
+    assert (icp["outcome"] == "COMPLETE").all()
+    assert (icp["free_iou"] > 0.95).all()
+    assert (icp["ate_m"] < 0.05).all()
+    for worse in ("ate_m", "end_error_m", "end_error_deg"):
+        assert icp[worse].mean() < odometry[worse].mean() / 2
+    assert odometry["free_iou"].mean() < icp["free_iou"].mean()
+    assert "ate_m" in by_pose["icp"].summary
+
+
+@pytest.mark.jit
+def test_an_episode_does_not_depend_on_others(by_pose):
+    other = jx.compare(
+        two_rooms(), STRATEGY, episodes=2, pose="icp", odometry=NOISE, lidar=SHORT, engine="jax", workers=1
+    ).episodes
+    expected = by_pose["icp"].episodes.iloc[:2]
+    for name in other:  # planning without native code gives the same plans
+        assert list(other[name]) == list(expected[name]), name
+
+
+@pytest.mark.jit
+def test_an_episode_is_drawn_with_both_ways_and_not_replayed(by_pose, tmp_path):
+    one = jx.explore(two_rooms(), STRATEGY, episode=1, pose="icp", odometry=NOISE, lidar=SHORT)
+    assert one.measures["path_m"] == by_pose["icp"].episodes["path_m"][1]
+    final = one.final
+    assert final.poses.shape == (one.measures["steps"] + 1, 5)
+    np.testing.assert_allclose(final.poses[0, :3], [0, final.cols[0] + 0.5, final.rows[0] + 0.5], atol=0.5)
+    true, own = final.poses[:, 1:3].astype(float) * 0.1, final.poses[:, 3:].astype(float) * 0.1
+    true, own = true - true.mean(0), own - own.mean(0)
+    u, _, v = np.linalg.svd(true.T @ own)  # Kabsch
+    ate_m = np.sqrt(((true - own @ (u @ np.diag([1, np.linalg.det(u @ v)]) @ v).T) ** 2).sum(1).mean())
+    assert one.measures["ate_m"] == pytest.approx(ate_m, rel=1e-2)
+    assert one.measures["path_m_at_95"] <= one.measures["path_m"]
+    labels = [text.get_text() for text in one.figure().legends[0].get_texts()]
+    assert "estimated path" in labels
+    assert len(one.plot().lines) >= 3
+    with pytest.raises(InputError, match="no replay, its pose was not given"):
+        one.save_gif(tmp_path / "a.gif")
+
+
+@pytest.mark.jit
+def test_an_environment_tells_what_the_robot_believes(by_pose):
+    env = jx.Environment(two_rooms(), pose="icp", odometry=NOISE, lidar=SHORT, recheck=True, paths=True)
+    expected = by_pose["icp"].episodes.iloc[0]
+    start = [expected[name] for name in ("start_row", "start_col", "start_heading_deg")]
+    key = jax.random.fold_in(jax.random.key(0), 0)
+    state, view = env.reset(key, np.int32(start))
+    total, done = 0.0, False
+    while not done:
+        cost = np.where(view.frontier, view.cost, np.iinfo(np.int32).max)
+        action = np.int32(np.unravel_index(cost.argmin(), cost.shape))
+        state, view, reward, done, info = env.step(key, state, action)
+        total -= float(reward)
+    assert total == pytest.approx(expected["path_m"], rel=1e-4)
+    assert jx.Outcome(int(info["outcome"])).name == expected["outcome"]
+    for name in ("ate_m", "free_iou", "bumps"):
+        assert float(info[name]) == pytest.approx(expected[name], rel=1e-5)
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+def test_a_sweep_over_poses_and_errors():
+    spec = {
+        "worlds": ["rooms#1:width_m=6,height_m=5"],
+        "strategies": ["closest"],
+        "episodes": 2,
+        "pose": [True, "odometry"],
+        "odometry": {"heading_deg_sqrt_m": [0.5, 20.0]},
+        "lidar": SHORT,
+    }
+    found = jx.sweep(spec)
+    given = found.episodes["pose"] == "true"
+    assert given.sum() == 4
+    assert found.episodes["ate_m"][given].isna().all()
+    by_noise = found.episodes[~given].groupby("odometry.heading_deg_sqrt_m")["end_error_deg"].mean()
+    assert by_noise[20.0] > by_noise[0.5]
+    assert "ate_m" in found.summary
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: jx.bound(two_rooms(), rules={"pose": "icp"}), "bounds are of robots whose pose is given"),
+        (lambda: jx.train("cave", rules={"pose": "icp"}), "training is of robots whose pose is given"),
+        (lambda: jx.sweep({"worlds": ["cave"], "pose": "gps"}), "unknown pose 'gps'"),
+        (lambda: jx.sweep({"worlds": ["cave"], "rules": {"pose": "icp"}}), "unknown field of rules 'pose'"),
+    ],
+)
+def test_what_needs_a_given_pose_says_so(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
