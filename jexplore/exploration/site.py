@@ -36,7 +36,7 @@ from jexplore.raycast import (
     scans_all_round,
 )
 from jexplore.slam2d.settings import SlamSettings
-from jexplore.slam2d.tracking import WINDOW
+from jexplore.slam2d.points import cell_m as index_cell_m
 from jexplore.worlds.world import World, ring_of, with_ring
 
 LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
@@ -44,7 +44,8 @@ ROBOT = Robot()
 # A scan from new ground lies half on the map, and matches all the same. Errors of simulated ranges are independent:
 # with the correlation of recorded logs the trajectory error is 3.6 times as large (8 episodes in the cave).
 MATCHING = SlamSettings(min_share=0.5, correlation=1.0)
-MARGIN, SLOTS = 10, 8  # cells of the point map besides those of the world, as it repeats itself; points in each
+MARGIN_M = 1.0  # m, by which the point map is larger than the world on every side
+MOST_POINTS = 2**15  # of the point map: 1.6 km of walls
 COARSE_M = 0.15  # cells longer than this are coarse: a corridor is a few of them wide
 
 
@@ -154,9 +155,9 @@ def prepare_site(
 def _unsure(rules: Rules, shape: tuple[int, int], cell_m: float) -> Unsure:
     """Return how a robot in maps of a shape learns its pose."""
     if rules.pose == "odometry":
-        return Unsure(None)
-    rows, cols = (max(math.ceil(n * cell_m / MATCHING.map_cell_m) + MARGIN, WINDOW.cells) for n in shape)
-    return Unsure((rows, cols, SLOTS))
+        return Unsure()
+    rows, cols = (math.ceil((n * cell_m + 2 * MARGIN_M) / index_cell_m(MATCHING)) for n in shape)
+    return Unsure((rows, cols, MOST_POINTS), (shape[1] * cell_m / 2, shape[0] * cell_m / 2))
 
 
 def _unsure_numbers(lidar: Lidar, rules: Rules, cell_m: float) -> UnsureNumbers:

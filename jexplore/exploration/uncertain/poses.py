@@ -20,7 +20,8 @@ TRAIL = ("way_m", "true_x", "true_y", "x", "y")  # columns of a trail of poses: 
 class Unsure(NamedTuple):
     """Static config of a robot that does not know its pose."""
 
-    points: tuple[int, int, int] | None  # shape of its point map, see `slam2d.points`; None: odometry alone
+    points: tuple[int, int, int] | None = None  # shape of its point map, see `slam2d.points`; None: odometry alone
+    centre_m: tuple[float, float] = (0.0, 0.0)  # x and y of the middle of that map
 
 
 @struct.dataclass
@@ -65,7 +66,7 @@ def blank_poses(unsure: Unsure, grid: Grid, capacity: int, row: Array, col: Arra
     trail = jnp.zeros((capacity + 1, len(TRAIL)), jnp.float32)
     matched: dict[str, Any] = {}
     if unsure.points is not None:
-        matched = {"points": empty_map(unsure.points), "since_key": jnp.full(2, jnp.inf, jnp.float32)}
+        matched = {"points": empty_map(unsure.points, unsure.centre_m), "since_key": jnp.full(2, jnp.inf, jnp.float32)}
     return Poses(
         true=pose,
         estimate=pose,
