@@ -17,11 +17,11 @@ import time
 import numpy as np
 
 import jexplore as jx
-from jexplore.config import Lidar, Rules
 from jexplore.engine.runner import on_cores, run_all
 from jexplore.exploration.native import NativeRun, native_place
 from jexplore.native import episodes, gpu
 from jexplore.policies import parse_strategy
+from jexplore.rules import Lidar, Rules
 from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import ring_of
 

@@ -22,11 +22,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from jexplore.config import Lidar, Rules
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
 from jexplore.report.folders import claimed
 from jexplore.report.ledger import open_ledger
+from jexplore.rules import Lidar, Rules
 from jexplore.studies.checks import prepare_jobs
 from jexplore.studies.comparison import compare
 from jexplore.studies.results import units

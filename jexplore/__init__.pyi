@@ -2,10 +2,7 @@
 from jexplore import btm as btm
 from jexplore.config import InputError as InputError
 from jexplore.config import InputWarning as InputWarning
-from jexplore.config import Lidar as Lidar
-from jexplore.config import Odometry as Odometry
-from jexplore.config import Robot as Robot
-from jexplore.config import Rules as Rules
+from jexplore.config import __version__ as __version__
 from jexplore.exploration.metrics import metric as metric
 from jexplore.exploration.state import Outcome as Outcome
 from jexplore.learn.training import TrainingResult as TrainingResult
@@ -21,6 +18,10 @@ from jexplore.policies import Policy as Policy
 from jexplore.policies import register as register
 from jexplore.policies import strategy as strategy
 from jexplore.policies.catalogue.grammar import strategies as strategies
+from jexplore.rules import Lidar as Lidar
+from jexplore.rules import Odometry as Odometry
+from jexplore.rules import Robot as Robot
+from jexplore.rules import Rules as Rules
 from jexplore.studies.bounds.bound import BoundsResult as BoundsResult
 from jexplore.studies.bounds.bound import bound as bound
 from jexplore.studies.comparison import compare as compare
@@ -41,7 +42,6 @@ from jexplore.studies.sweeps.axes import Range as Range
 from jexplore.studies.sweeps.run import SweepResult as SweepResult
 from jexplore.studies.sweeps.run import sweep as sweep
 from jexplore.studies.sweeps.spec import Sweep as Sweep
-from jexplore.version import __version__ as __version__
 from jexplore.worlds import load_world as load_world
 from jexplore.worlds import register_world as register_world
 from jexplore.worlds import worlds as worlds

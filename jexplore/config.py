@@ -1,8 +1,4 @@
-"""Frozen settings of a run and the error for wrong input. Plain Python: importing this loads neither jax nor numpy.
-
-The command line builds its options from these classes; their docstrings are its help texts, and "off" among a field's
-metadata is that of the option which switches it off, "short" leaves the record's name off the option.
-"""
+"""Checks of input from outside, and the error for wrong input. Loads neither jax nor numpy."""
 
 import dataclasses
 import difflib
@@ -15,7 +11,7 @@ import re
 import reprlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, TypeVar
 
 MAX_SEED = 2**32 - 1
 GENERATOR = "threefry2x32"  # of random numbers, as JAX names it; its draws are partitionable
@@ -46,6 +42,9 @@ NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
     "cell_m": (0.001, 100.0),
 }
 """Name of a number that a user gives -> least and largest value; an integer where these are."""
+
+
+__version__ = "0.1.0"
 
 
 class InputError(ValueError):
@@ -83,7 +82,7 @@ def require_kind(name: str, given: object, kind: type) -> None:
     first = next(iter(fields))
     example = given if isinstance(given, dict) and given and given.keys() <= fields.keys() else {first: fields[first]}
     text = ", ".join(f"{key}={shown(value)}" for key, value in example.items())
-    own = f"{'jx' if kind.__module__ == __name__ else 'jx.btm'}.{kind.__name__}"
+    own = f"{'jx' if kind.__module__ == 'jexplore.rules' else 'jx.btm'}.{kind.__name__}"
     such = "" if dataclasses.MISSING in example.values() else f", such as {own}({text}),"
     raise InputError(f"{name} must be a {own}{such} got {shown(given)}")
 
@@ -229,195 +228,3 @@ def _unknown_argument(own, name, known, parameters):
     meant = [f"{inside[one]}={{{one!r}: ...}}" if one in inside else repr(one) for one in near[:1]]
     hint = f"; did you mean {meant[0]}?" if meant else ""
     return InputError(f"unknown argument of {own}: {name!r}{hint} (there are: {', '.join(known)})")
-
-
-class Settings:
-    """Common base of records of settings."""
-
-    def replace(self, **changes: Any) -> Self:
-        """Return the same settings with some fields changed, checked as when they are made."""
-        return dataclasses.replace(self, **changes)  # type: ignore[type-var]
-
-
-@checked_names
-@dataclasses.dataclass(frozen=True)
-class Lidar(Settings):
-    """A planar laser scanner, at the robot's centre and looking forward unless told otherwise.
-
-    The defaults are a SICK LMS 200 as Stage models it.
-    """
-
-    n_beams: int = 181
-    """A scan has this many beams, evenly spaced over the field of view, both edges included."""
-    fov_deg: float = 180.0
-    """The field of view is this wide, in degrees. At 360 the beams are spaced so that first and last do not coincide.
-    Below 90 a look all round is eight scans."""
-    range_m: float = 8.0
-    """A beam sees what it enters at a distance below this, in metres."""
-    sigma_m: float = 0.0
-    """The noise of the ranges has this standard deviation, in metres."""
-    dropout: float = 0.0
-    """A beam returns nothing at all, and leaves the map as it is, with this probability."""
-    no_echo: Literal["free", "unknown"] = "free"
-    """A beam that nothing stops within the range says that its cells are free, or says nothing: they stay unknown, as
-    drivers have it that report no echo as an invalid reading."""
-    min_range_m: float = 0.0
-    """A beam that is stopped nearer than this to the scanner says nothing, in metres (REP 117: an invalid reading)."""
-    forward_m: float = 0.0
-    """The scanner is mounted this far ahead of the robot's centre, in metres."""
-    left_m: float = 0.0
-    """The scanner is mounted this far to the left of the robot's centre, in metres."""
-    yaw_deg: float = 0.0
-    """The scanner looks this far to the left of the robot's heading, in degrees."""
-
-    @property
-    def mount_m(self) -> float:
-        """Return distance of the scanner from the robot's centre, metres."""
-        return math.hypot(self.forward_m, self.left_m)
-
-    def without_noise(self) -> Self:
-        """Return the scanner that has the same beams and perfect readings."""
-        return dataclasses.replace(self, sigma_m=0.0, dropout=0.0, no_echo="free")
-
-    def __post_init__(self) -> None:
-        if self.no_echo not in ("free", "unknown"):
-            raise InputError(f"lidar.no_echo must be 'free' or 'unknown', got {shown(self.no_echo)}")
-        require_whole("lidar.n_beams", self.n_beams, low=1, high=4096)
-        require_number("lidar.fov_deg", self.fov_deg, low=0, high=360, low_open=self.n_beams > 1)
-        require_number("lidar.range_m", self.range_m, low_open=True, high=1000)
-        require_number("lidar.sigma_m", self.sigma_m, high=1000)
-        require_number("lidar.dropout", self.dropout, high=1, high_open=True)
-        require_number("lidar.min_range_m", self.min_range_m, high=self.range_m, high_open=True)
-        require_number("lidar.forward_m", self.forward_m, low=-10, high=10)
-        require_number("lidar.left_m", self.left_m, low=-10, high=10)
-        require_number("lidar.yaw_deg", self.yaw_deg, low=-360, high=360)
-
-
-POSES = ("true", "odometry", "icp")
-"""Ways in which a robot learns its pose: it is given; by odometry alone; by matching its scans as well."""
-
-
-@checked_names
-@dataclasses.dataclass(frozen=True)
-class Odometry(Settings):
-    """Errors of the odometry, for robots whose pose is not given.
-
-    The squares of the first four are alpha 3, 1, 2 and 4 of Thrun, Burgard and Fox 2005, 5.4; the errors of alpha 2 and
-    4 grow with the root of way and turn, so that they do not depend on the length of steps.
-    """
-
-    length: float = 0.01
-    """The length of a step has this standard deviation, relative to it."""
-    turn: float = 0.01
-    """A turn has this standard deviation, relative to it."""
-    heading_deg_sqrt_m: float = 0.5
-    """The heading has this standard deviation after one metre of way, in degrees; it grows with the root of the way."""
-    length_m_sqrt_rad: float = 0.0
-    """The length of a step has this standard deviation after a turn of one radian, in metres; it grows with the root of
-    the turn."""
-    length_scale: float = 1.0
-    """The encoders report every length scaled by this."""
-    turn_scale: float = 1.0
-    """The encoders report every turn scaled by this."""
-    heading_bias_deg_m: float = 0.0
-    """The odometry's heading turns by this on every metre of way, in degrees, counter-clockwise."""
-    slip: float = 0.02
-    """The robot loses this share of every turn to slip, which the encoders do not notice."""
-
-    def __post_init__(self) -> None:
-        low, high = {"heading_bias_deg_m": -45}, {"heading_deg_sqrt_m": 45, "heading_bias_deg_m": 45}
-        for name, value in vars(self).items():
-            if isinstance(value, numbers.Number):  # arrays and tracers are the kernels' own
-                is_scale = name.endswith("_scale")
-                most = 2 if is_scale else high.get(name, 0.5)
-                require_number(f"odometry.{name}", value, low=low.get(name, 0), high=most, low_open=is_scale)
-
-
-@checked_names
-@dataclasses.dataclass(frozen=True)
-class Robot(Settings):
-    """Times and energies of the robot's motions; no path depends on them.
-
-    The defaults are a Pioneer 3-DX with a SICK LMS 200: accelerations and turns as its firmware has them (300 mm/s²,
-    100 degrees/s²), half a metre a second as in rooms, energy by Mei et al. 2005.
-    """
-
-    speed_m_s: float = 0.5
-    """The robot drives this fast, in metres a second."""
-    turn_rad_s: float = 1.75
-    """It turns in place this fast, in radians a second."""
-    acceleration_m_s2: float = 0.3
-    """It speeds up and brakes this much, in metres a second squared."""
-    turn_acceleration_rad_s2: float = 1.75
-    """It speeds up and slows down a turn this much, in radians a second squared."""
-    scan_s: float = 0.013
-    """A scan takes this long where the robot stands for it, in seconds; on its way it scans while it drives."""
-    plan_s: float = 0.0
-    """A plan takes this long, in seconds, and the robot stands meanwhile; at 0 it plans while it drives."""
-    standby_w: float = 36.0
-    """Whatever it does it draws this power, in watts: controller 5, computer 11, scanner 20."""
-    drive_j_m: float = 7.4
-    """Rolling takes this energy, in joules a metre."""
-    turn_j_rad: float = 1.2
-    """Turning in place takes this energy, in joules a radian: that of wheels that roll 0.16 m from the centre."""
-    mass_kg: float = 14.0
-    """It weighs this much, in kilograms; braking loses the kinetic energy."""
-
-    def __post_init__(self) -> None:
-        for name in ("speed_m_s", "turn_rad_s", "acceleration_m_s2", "turn_acceleration_rad_s2"):
-            require_number(f"robot.{name}", getattr(self, name), low=0.001, high=1000)
-        for name in ("scan_s", "plan_s"):
-            require_number(f"robot.{name}", getattr(self, name), high=3600)
-        for name in ("standby_w", "drive_j_m", "turn_j_rad", "mass_kg"):
-            require_number(f"robot.{name}", getattr(self, name), high=1e6)
-
-
-@checked_names
-@dataclasses.dataclass(frozen=True)
-class Rules(Settings):
-    """The rules of an exploration episode, besides the scanner and the strategy."""
-
-    clearance_m: float = 0.30
-    """A cell is clear if it is free and no occupied cell lies within this distance, centre to centre, in metres."""
-    near_m: float = 0.50
-    """Free cells within this distance of the robot, in metres, are traversable even where they are not clear."""
-    p_free: float = 0.25
-    """A known cell is free if its reflection probability is at most this, in float32; else it is occupied."""
-    look_around: bool = dataclasses.field(
-        default=True, metadata={"off": "A robot that arrives at a live target does not turn to look all round."}
-    )
-    """A robot that arrives at a live target turns in place, with scans at +90, +180 and +270 degrees; at every 45 where
-    the field of view is below 90 degrees."""
-    known_outline: bool = False
-    """Strategies know where the world ends: beams of an expected gain stop at its outermost cells. By default what lies
-    beyond counts as unknown."""
-    scan_every_m: float = 0.0
-    """A robot on its way makes a scan whenever it has driven this far since the last one, in metres; 0 is after every
-    step. It also scans at its target, where it looks round, and where a step is refused."""
-    arrival_m: float = 0.0
-    """A target within this distance, in metres, that is no longer live counts as reached, also without +recheck."""
-    max_steps: int | None = None
-    """An episode ends as STEP_LIMIT after this many steps; by default the larger of 20000 and the number of cells."""
-    max_plans: int | None = None
-    """An episode ends as PLAN_LIMIT after this many plans; by default the larger of 20000 and the number of cells."""
-    pose: Literal["true", "odometry", "icp"] = dataclasses.field(default="true", metadata={"short": True})
-    """The robot is given its pose (true), takes it from its odometry, or corrects that by matching its scans (icp)."""
-    odometry: Odometry = dataclasses.field(default_factory=Odometry, metadata={"short": True})
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "odometry", as_record("odometry", self.odometry, Odometry))
-        object.__setattr__(self, "pose", "true" if self.pose is True else self.pose)  # as YAML has it
-        if self.pose not in POSES:
-            raise unknown("pose", str(self.pose), POSES)
-        require_number("rules.clearance_m", self.clearance_m, high=10)
-        require_number("rules.near_m", self.near_m, high=10)
-        for name in ("scan_every_m", "arrival_m"):
-            require_number(f"rules.{name}", getattr(self, name), high=1000)
-        require_number("rules.p_free", self.p_free, high=1, high_open=True)
-        for name in ("look_around", "known_outline"):
-            if not isinstance(getattr(self, name), bool):
-                raise InputError(f"rules.{name} must be True or False, got {getattr(self, name)!r}")
-        for name in ("max_steps", "max_plans"):
-            value = getattr(self, name)
-            if value is not None:
-                require_whole(f"rules.{name}", value, low=1, high=2**24)

@@ -16,8 +16,8 @@ import numpy as np
 from flax import struct
 from jax import Array, lax
 
-from jexplore.config import Lidar
 from jexplore.grid import Grid, in_cells
+from jexplore.rules import Lidar
 
 BLOCK = 8  # steps of a beam looked at together, before asking whether all beams have ended
 NOT_ENDED = 2**30  # step number of a beam that is still under way

@@ -10,7 +10,7 @@ from ref import maps, simulator
 from scipy import ndimage
 
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import Given
 from jexplore.exploration.batch import Job, run_jobs
@@ -22,6 +22,7 @@ from jexplore.native.build import find_compiler
 from jexplore.planning import MapModel
 from jexplore.policies import parse_strategy
 from jexplore.raycast import beam_table
+from jexplore.rules import Lidar, Rules
 from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World, pad
 

@@ -11,8 +11,9 @@ from scipy import ndimage
 
 import jexplore as jx
 from jexplore.cli import main
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.reach import FAR, STRAIGHT
+from jexplore.rules import Lidar, Rules
 from jexplore.studies.bounds import beside, pieces, scene, search, subsets
 from jexplore.studies.bounds import bound as study
 from jexplore.studies.bounds.floor import Floor, edge_of, walk_cost

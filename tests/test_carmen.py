@@ -15,8 +15,9 @@ from PIL import Image
 from scipy import ndimage
 
 from jexplore import raycast
-from jexplore.config import InputError, InputWarning, Lidar
+from jexplore.config import InputError, InputWarning
 from jexplore.grid import empty_grid, is_occupied
+from jexplore.rules import Lidar
 from jexplore.worlds import load_world
 from jexplore.worlds.readers import carmen, scans
 from jexplore.worlds.readers.carmen import read_carmen

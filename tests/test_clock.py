@@ -11,9 +11,10 @@ from ref import episodes, maps
 from ref.results import result
 
 import jexplore as jx
-from jexplore.config import InputError, Lidar, Robot, Rules
+from jexplore.config import InputError
 from jexplore.exploration import results
 from jexplore.exploration.motion import MOST_MS, PLAN, RUN, SCAN, TURN, clock_table
+from jexplore.rules import Lidar, Robot, Rules
 
 # A metre a second after one metre, and a quarter turn a second after half of one.
 PLAIN = Robot(speed_m_s=1.0, acceleration_m_s2=0.5, turn_rad_s=math.pi / 2, turn_acceleration_rad_s2=math.pi / 2)

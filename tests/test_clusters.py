@@ -12,13 +12,13 @@ from hypothesis.extra import numpy as hnp
 from ref import beliefs, plans
 from ref import gain as oracle
 
-from jexplore.config import Lidar
 from jexplore.planning import field
 from jexplore.policies import clusters
 from jexplore.policies.distance_advantage import advantage
 from jexplore.policies.mcdm import choquet, relative
 from jexplore.policies.tour import inserted, two_opt
 from jexplore.reach import FAR, STRAIGHT, reach
+from jexplore.rules import Lidar
 
 ONE_METRE = {"cell_m": 1.0}
 CROSS = Lidar(n_beams=4, fov_deg=360, range_m=4.0)  # in cells of one metre: four cells back, right, ahead, left

@@ -10,10 +10,11 @@ from matplotlib.figure import Figure
 from ref.results import result
 from ref.worlds import two_rooms
 
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
 from jexplore.exploration.trail import Final
+from jexplore.rules import Lidar, Rules
 from jexplore.studies import checks
 from jexplore.studies.checks import prepare_jobs
 from jexplore.studies.comparison import compare

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jexplore.config import InputError, Lidar, Rules, as_record, require_kind, require_number, require_whole, shown
+from jexplore.config import InputError, as_record, require_kind, require_number, require_whole, shown
+from jexplore.rules import Lidar, Rules
 
 
 @pytest.mark.parametrize(

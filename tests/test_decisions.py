@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.exploration.state import Outcome
 from jexplore.learn import bank, brax_env
 from jexplore.learn.brax_env import Slots
@@ -16,6 +16,7 @@ from jexplore.learn.decisions import Decisions
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.policies.learned import features, model, networks
 from jexplore.policies.learned.strategy import policy_of
+from jexplore.rules import Lidar, Rules
 from jexplore.worlds.world import World
 
 WORLDS = ["rooms#1000:width_m=6,height_m=6", "maze#1000:width_m=6,height_m=6"]

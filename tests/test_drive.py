@@ -14,7 +14,7 @@ from ref import episodes, maps
 from ref.jobs import RULES, digest, some_jobs
 
 import jexplore as jx
-from jexplore.config import InputWarning, Lidar
+from jexplore.config import InputWarning
 from jexplore.engine.program import Given
 from jexplore.exploration import batch, environment, site
 from jexplore.exploration.site import drive_for, prepare_site
@@ -22,6 +22,7 @@ from jexplore.exploration.state import Outcome, Setup
 from jexplore.native import build, drive
 from jexplore.policies import Strategy
 from jexplore.policies.closest import closest
+from jexplore.rules import Lidar
 from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
 

@@ -10,7 +10,8 @@ from ref import maps
 from ref.worlds import two_rooms
 
 import jexplore as jx
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
+from jexplore.rules import Lidar, Rules
 from jexplore.studies import environment
 from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World

@@ -6,10 +6,10 @@ import pytest
 from ref import maps
 from ref.episodes import assert_equal_episodes, choice_of, clear_cells, play, readings_of, replay
 
-from jexplore.config import Lidar, Rules
 from jexplore.exploration.state import Outcome, Stream
 from jexplore.exploration.trail import decode, detail_of
 from jexplore.grid import radius_d2
+from jexplore.rules import Lidar, Rules
 
 
 def assert_same(occupied, start, strategy, lidar, rules, *, cell_m, rooms=None, **how):

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from ref import gain as oracle
 from ref import maps
 
-from jexplore.config import Lidar
 from jexplore.gain import Known, look, most, prospect, stops_and_unknown, unknown_seen
 from jexplore.grid import Grid, empty_grid
 from jexplore.raycast import beam_table, square_side
+from jexplore.rules import Lidar
 
 CROSS = Lidar(n_beams=4, fov_deg=360, range_m=4.0)  # in cells of one metre: four cells back, right, ahead, left
 

@@ -8,9 +8,10 @@ import pytest
 from ref.worlds import two_rooms
 
 import jexplore as jx
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.exploration.results import map_state
 from jexplore.reach import FAR, STRAIGHT
+from jexplore.rules import Lidar, Rules
 from jexplore.worlds.world import occupancy_to_world, with_ring
 
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed (the extra gym)")

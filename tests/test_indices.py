@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jexplore as jx
-from jexplore.config import Lidar
+from jexplore.rules import Lidar
 from jexplore.studies.bounds.scene import prepare_scene
 from jexplore.studies.explore import explore, frames
 from jexplore.studies.geometry import geometry

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from ref import beliefs
 
-from jexplore.config import Lidar
 from jexplore.gain import look, prospect
 from jexplore.native import build, drive
 from jexplore.planning import choose, field, known_of, nearest_frontier
 from jexplore.policies import clusters, views
+from jexplore.rules import Lidar
 
 LIDAR = Lidar(n_beams=31, fov_deg=270, range_m=1.6)
 SHAPE = 37, 45

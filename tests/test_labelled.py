@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from ref.worlds import two_rooms
 
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.exploration.results import to_occupancy
+from jexplore.rules import Lidar, Rules
 from jexplore.studies.comparison import compare
 from jexplore.studies.sweeps.run import sweep
 from jexplore.worlds.readers.ros import read_ros

@@ -9,12 +9,13 @@ import pytest
 from ref import beliefs
 
 import jexplore as jx
-from jexplore.config import InputError, Lidar
+from jexplore.config import InputError
 from jexplore.planning import field
 from jexplore.policies import clusters, parse_strategy
 from jexplore.policies.learned import features, model, networks
 from jexplore.policies.learned.strategy import is_forced, policy_of
 from jexplore.raycast import beam_table
+from jexplore.rules import Lidar
 
 SCORES = jax.jit(networks.scores, static_argnums=0)
 ONE_METRE = {"cell_m": 1.0}

@@ -12,10 +12,11 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from jexplore.config import InputError, InputWarning, Lidar
+from jexplore.config import InputError, InputWarning
 from jexplore.report import folders, ledger
 from jexplore.report.folders import LOCK, UNFINISHED, claimed
 from jexplore.report.ledger import open_ledger
+from jexplore.rules import Lidar
 
 ASKED = {"command": "compare", "worlds": ["cave"], "episodes": 3, "lidar": [Lidar()]}
 NOW = datetime.datetime(2026, 11, 21, 9, 30, 42)

@@ -7,11 +7,10 @@ import pandas as pd
 import pytest
 
 import jexplore as jx
-from jexplore.config import InputError
+from jexplore.config import InputError, __version__
 from jexplore.report import store
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.loading import load, merge
-from jexplore.version import __version__
 
 RECORD = {
     "command": ["jexplore", "compare"],

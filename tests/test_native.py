@@ -15,7 +15,7 @@ import pytest
 from ref import fuzz, maps, native
 
 import jexplore as jx
-from jexplore.config import InputWarning, Lidar, Rules
+from jexplore.config import InputWarning
 from jexplore.engine.runner import on_cores, run_all
 from jexplore.exploration import native as runs
 from jexplore.exploration.batch import Job, run_jobs
@@ -25,6 +25,7 @@ from jexplore.native import build, episodes, gpu
 from jexplore.native.beams import trace_beams
 from jexplore.policies import parse_strategy
 from jexplore.raycast import beam_table
+from jexplore.rules import Lidar, Rules
 from jexplore.studies import replays
 from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World, ring_of

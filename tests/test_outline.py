@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from ref import maps
 
-from jexplore.config import Lidar, Rules
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.policies import STRATEGIES, parse_strategy
 from jexplore.policies.catalogue.joined import join_strategies
+from jexplore.rules import Lidar, Rules
 from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
 

@@ -16,13 +16,14 @@ from ref.worlds import two_rooms
 
 import jexplore as jx
 from jexplore.cli.main import main
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import given_of
 from jexplore.exploration import batch, metrics
 from jexplore.exploration.results import path_m
 from jexplore.exploration.site import line_of, prepare_site
 from jexplore.policies import strategy
+from jexplore.rules import Lidar, Rules
 from jexplore.studies.metrics import TAKEN, ready_metrics
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)

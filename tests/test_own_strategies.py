@@ -19,13 +19,14 @@ from ref.worlds import two_rooms
 
 import jexplore as jx
 from jexplore import users
-from jexplore.config import InputError, Lidar
+from jexplore.config import InputError
 from jexplore.engine import one_by_one
 from jexplore.exploration import batch
 from jexplore.exploration.site import prepare_site
 from jexplore.policies import STRATEGIES, Strategy, parse_strategy, strategy
 from jexplore.policies.catalogue import adapt, entries
 from jexplore.policies.catalogue.grammar import strategies
+from jexplore.rules import Lidar
 from jexplore.studies.explore import frames
 from jexplore.studies.sweeps.spec import sweep_from
 

@@ -13,9 +13,9 @@ from ref import maps
 from scipy import stats
 
 from jexplore import raycast
-from jexplore.config import Lidar
 from jexplore.exploration.sensing import without_silent
 from jexplore.grid import empty_grid
+from jexplore.rules import Lidar
 
 RIGHT_ANGLES = Lidar(n_beams=4, fov_deg=360, range_m=3)  # looks back, right, ahead, left
 SHAPES = ((3, 3), (3, 9), (8, 7))

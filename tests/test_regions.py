@@ -7,7 +7,8 @@ import pytest
 from PIL import Image
 
 import jexplore as jx
-from jexplore.config import InputError, InputWarning, Rules
+from jexplore.config import InputError, InputWarning
+from jexplore.rules import Rules
 from jexplore.studies.checks import ready_starts
 from jexplore.studies.room_variants import RoomSettings
 from jexplore.studies.segmentation import prepare_maps

@@ -7,11 +7,12 @@ import pytest
 from PIL import Image
 from ref.worlds import two_rooms
 
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.exploration import replay
 from jexplore.exploration.site import prepare_site
 from jexplore.policies import parse_strategy
 from jexplore.raycast import scans_all_round
+from jexplore.rules import Lidar, Rules
 from jexplore.studies import explore
 from jexplore.studies.comparison import compare
 

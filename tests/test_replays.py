@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from ref.worlds import two_rooms
 
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.exploration import batch
 from jexplore.exploration.replay import Moment
 from jexplore.exploration.results import map_state
 from jexplore.policies.room_wise import own_segment
 from jexplore.report.page.replay import FRONTIER, OWN_ROOM, STATE
+from jexplore.rules import Lidar, Rules
 from jexplore.studies import explore, replays
 from jexplore.studies.checks import prepare_jobs
 from jexplore.studies.replays import before_leaving, replay_of, replays_of

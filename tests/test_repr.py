@@ -14,7 +14,7 @@ from ref.traces import CRAWLER
 from ref.worlds import two_rooms
 
 from jexplore.arrays import pictures
-from jexplore.config import Lidar
+from jexplore.rules import Lidar
 from jexplore.studies.comparison import compare
 from jexplore.studies.explore import explore
 from jexplore.tracemap.record import BtmMap, Link, Node

@@ -13,8 +13,9 @@ from scipy import stats
 
 import jexplore
 from jexplore.cli import main
-from jexplore.config import InputError, Lidar
+from jexplore.config import InputError
 from jexplore.exploration import batch
+from jexplore.rules import Lidar
 from jexplore.studies import papers
 from jexplore.studies.reproduction import ReproductionResult, prepare_paper, reproduce, verdict, welch_p, world_names
 from jexplore.studies.results.columns import COLUMNS

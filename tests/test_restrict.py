@@ -7,7 +7,8 @@ import pytest
 from ref import maps
 
 import jexplore as jx
-from jexplore.config import InputError, Lidar
+from jexplore.config import InputError
+from jexplore.rules import Lidar
 from jexplore.studies import checks
 from jexplore.studies.results import provenance
 from jexplore.worlds.poses import read_polygon

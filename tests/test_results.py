@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from ref.results import result
 
-from jexplore.config import Robot
 from jexplore.exploration import results
 from jexplore.grid import Grid, is_free, is_known
+from jexplore.rules import Robot
 
 
 def test_path_by_hand():

@@ -16,7 +16,7 @@ import pytest
 
 from jexplore.cli import main
 from jexplore.cli.output import console
-from jexplore.config import Lidar
+from jexplore.rules import Lidar
 from jexplore.studies import comparison
 from jexplore.studies.results import comparison as results
 from jexplore.studies.results import units

@@ -12,11 +12,12 @@ import yaml
 import jexplore as jx
 from jexplore.arrays.plain_yaml import Loader, dump
 from jexplore.cli import main
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.engine import devices
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
 from jexplore.native.build import find_compiler
+from jexplore.rules import Lidar, Rules
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.sweeps import plan as plans
 from jexplore.studies.sweeps import run as runs

@@ -17,8 +17,9 @@ from rich.cells import cell_len
 
 from jexplore.cli import main, options
 from jexplore.cli.output import console, terminal
-from jexplore.config import InputWarning, Lidar, Rules
+from jexplore.config import InputWarning
 from jexplore.report.tables import aligned_table
+from jexplore.rules import Lidar, Rules
 
 HEAD = ["world", "strategy", "path m", "95 % interval", "outcomes"]
 ROWS = [

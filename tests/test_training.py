@@ -10,11 +10,12 @@ import pytest
 
 import jexplore as jx
 from jexplore.cli import main
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.learn import bank, es, ppo, training
 from jexplore.learn.settings import TRAINER_SETTINGS
 from jexplore.policies import parse_strategy
 from jexplore.policies.learned import model
+from jexplore.rules import Lidar, Rules
 from jexplore.worlds.world import World
 
 SMALL = ["rooms#1000:width_m=6,height_m=6", "maze#1000:width_m=6,height_m=6"]

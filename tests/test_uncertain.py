@@ -9,7 +9,7 @@ import pytest
 
 import jexplore as jx
 from jexplore import raycast
-from jexplore.config import InputError, Lidar, Odometry, Rules
+from jexplore.config import InputError
 from jexplore.driving.settings import Noise
 from jexplore.engine.program import Given
 from jexplore.exploration import environment, site
@@ -18,6 +18,7 @@ from jexplore.exploration.uncertain import looking, moving
 from jexplore.exploration.uncertain.poses import EIGHTH, cell_of, rounded
 from jexplore.grid import empty_grid
 from jexplore.policies.closest import closest
+from jexplore.rules import Lidar, Odometry, Rules
 from jexplore.slam2d import beams
 from jexplore.slam2d.odometry import encoded, noise_of, step_covariance
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from ref import beliefs
 
-from jexplore.config import Lidar
 from jexplore.gain import look, prospect
 from jexplore.planning import field, known_of
 from jexplore.policies import parse_strategy, views
 from jexplore.reach import FAR
+from jexplore.rules import Lidar
 
 CROSS = Lidar(n_beams=4, fov_deg=360, range_m=4.0)  # in cells of one metre: four cells back, right, ahead, left
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import jexplore as jx
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.reach import FAR, STRAIGHT
+from jexplore.rules import Lidar, Rules
 from jexplore.studies.bounds import bound as study
 from jexplore.studies.bounds import scene, search, stops, walks
 from jexplore.studies.bounds.scene import Coverage, Sights, rays_of

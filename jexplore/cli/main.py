@@ -29,9 +29,8 @@ from jexplore.cli.tracemaps.route import RouteCommand
 from jexplore.cli.tracemaps.station import Station
 from jexplore.cli.tracemaps.trace import Trace
 from jexplore.cli.train import Train
-from jexplore.config import InputError
+from jexplore.config import InputError, __version__
 from jexplore.engine.plugins import keep_compiler_quiet, keep_to_cpu
-from jexplore.version import __version__
 
 COMMANDS: dict[str, type] = {
     "compare": Compare,

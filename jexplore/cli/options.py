@@ -29,7 +29,8 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from jexplore.config import NUMBER_BOUNDS, InputError, Lidar, Robot, Rules, require_engine, require_setting
+from jexplore.config import NUMBER_BOUNDS, InputError, require_engine, require_setting
+from jexplore.rules import Lidar, Robot, Rules
 
 SMALL = "JEXPLORE_SMALL"
 """Environment variable: set to anything but 0, the default comparison is a small one."""

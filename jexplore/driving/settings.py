@@ -7,15 +7,8 @@ single batch. The docstrings are the command line's help texts.
 import dataclasses
 import math
 
-from jexplore.config import (
-    NUMBER_BOUNDS,
-    InputError,
-    Settings,
-    checked_names,
-    require_kind,
-    require_number,
-    require_whole,
-)
+from jexplore.config import NUMBER_BOUNDS, InputError, checked_names, require_kind, require_number, require_whole
+from jexplore.rules import Settings
 
 
 @checked_names

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, Lidar, Robot, Rules, require_engine, require_whole
+from jexplore.config import MAX_SEED, InputError, require_engine, require_whole
 from jexplore.engine.program import Line
 from jexplore.engine.runner import Costs, Resources, find_resources, level_of, on_cores, require_32_bits, run_all
 from jexplore.exploration.metrics import Metric
@@ -19,6 +19,7 @@ from jexplore.native.build import Library, warn_once
 from jexplore.native.episodes import load_episodes
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import join_strategies
+from jexplore.rules import Lidar, Robot, Rules
 from jexplore.worlds.world import World, ring_of
 
 NO_RUN = -1  # number of a run that none has

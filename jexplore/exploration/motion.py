@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jexplore.config import Robot
 from jexplore.reach import HEADING, MOTIONS
+from jexplore.rules import Robot
 
 EIGHTH_TURN_RAD = 0.7853981633974483
 SCAN, PLAN, TURN, RUN = 0, 1, 2, 7

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jexplore.config import Lidar, Robot, Rules
 from jexplore.engine.threads import Pieces
 from jexplore.exploration.motion import clock_table
 from jexplore.exploration.site import ROBOT, regions_of, rule_numbers, tasks_of
@@ -22,6 +21,7 @@ from jexplore.policies.closest import is_nearest
 from jexplore.policies.policy import Strategy
 from jexplore.policies.uniform import is_uniform
 from jexplore.raycast import scans_all_round
+from jexplore.rules import Lidar, Robot, Rules
 from jexplore.worlds.world import World, ring_of, with_ring
 
 MOST = 4096  # episodes in one call

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jexplore.config import Robot
 from jexplore.exploration.motion import EIGHTH_TURN_RAD
 from jexplore.exploration.state import PERCENTILES, Outcome, Result
+from jexplore.rules import Robot
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from jexplore import reach
 from jexplore.arrays.padding import bucket, number
-from jexplore.config import InputError, Lidar, Robot, Rules
+from jexplore.config import InputError
 from jexplore.engine.program import Given, Line
 from jexplore.exploration import environment
 from jexplore.exploration.episode import program_of
@@ -35,8 +35,9 @@ from jexplore.raycast import (
     farthest,
     scans_all_round,
 )
-from jexplore.slam2d.settings import SlamSettings
+from jexplore.rules import Lidar, Robot, Rules
 from jexplore.slam2d.points import cell_m as index_cell_m
+from jexplore.slam2d.settings import SlamSettings
 from jexplore.worlds.world import World, ring_of, with_ring
 
 LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps

@@ -5,11 +5,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from jexplore.config import Lidar, Rules
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.results import path_m
 from jexplore.exploration.state import Outcome
 from jexplore.policies import Strategy, parse_strategy
+from jexplore.rules import Lidar, Rules
 from jexplore.studies.checks import (
     LIDAR,
     RULES,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 import numpy as np
 
-from jexplore.config import InputError, checked_names, require_setting
+from jexplore.config import InputError, __version__, checked_names, require_setting
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.learn import es, ppo
@@ -36,7 +36,6 @@ from jexplore.report.ledger import Ledger
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, WorldLike
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import world_digest
-from jexplore.version import __version__
 
 if TYPE_CHECKING:
     import pandas as pd

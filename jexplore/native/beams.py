@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jexplore.config import Lidar
 from jexplore.grid import in_cells
 from jexplore.raycast import HEADINGS, advance_beams, beam_angles_deg, beam_geometry, exact_direction, n_steps
+from jexplore.rules import Lidar
 
 WORD = 32
 

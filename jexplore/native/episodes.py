@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jexplore.config import Lidar
 from jexplore.native.beams import Beams, trace_beams
 from jexplore.native.build import FOLDER, Library, load_library
+from jexplore.rules import Lidar
 
 SOURCES = tuple(FOLDER / name for name in ("cpu.cc", "bytes.h", "paths.h", "world.h", "rules.h"))
 EMULATED = (*SOURCES, FOLDER / "warp_host.h", FOLDER / "warp.h")

@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jexplore.arrays.files import opened
-from jexplore.config import InputError
-from jexplore.version import __version__
+from jexplore.config import InputError, __version__
 
 if TYPE_CHECKING:
     import pandas as pd

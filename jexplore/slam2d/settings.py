@@ -5,7 +5,8 @@ Plain Python: importing this loads neither jax nor numpy. The docstrings are the
 
 import dataclasses
 
-from jexplore.config import Settings, checked_names, require_number
+from jexplore.config import checked_names, require_number
+from jexplore.rules import Settings
 
 
 @checked_names

@@ -11,7 +11,7 @@ import numpy as np
 
 from jexplore.arrays.bits import WORD
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, Lidar, Odometry, Robot, Rules, as_record, require_different, require_setting
+from jexplore.config import InputError, as_record, require_different, require_setting
 from jexplore.exploration.batch import Job
 from jexplore.exploration.metrics import Metric
 from jexplore.exploration.site import LEAST_LIMIT, ROBOT
@@ -19,6 +19,7 @@ from jexplore.exploration.uncertain.measures import MEASURES
 from jexplore.grid import radius_d2
 from jexplore.policies import Policy, Strategy, strategy
 from jexplore.raycast import HEADINGS, farthest, n_steps
+from jexplore.rules import Lidar, Odometry, Robot, Rules
 from jexplore.studies.metrics import MetricsLike, ready_metrics
 from jexplore.worlds import load_world
 from jexplore.worlds.poses import Pose, cell_of, read_start

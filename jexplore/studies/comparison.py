@@ -86,8 +86,7 @@ def compare(
     jobs = prepare_jobs(
         worlds, strategies, **settings, **limits, **robots, metrics=metrics, pose=pose, odometry=odometry
     )
-    is_text = from_map is None or isinstance(from_map, (str, os.PathLike))
-    settings |= limits | {"from_map": from_map if is_text else type(from_map).__name__}
+    settings |= limits | {"from_map": _plainly(from_map)}
     settings |= {name: getattr(jobs[0], name) for name in robots}
     _require_folder(keep, out, overwrite, resume)
     how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep}
@@ -111,6 +110,11 @@ def _run_in_folder(run, jobs, keep, out, overwrite, resume, trust):
 
 def _count_units(jobs: Sequence[Job], after: int) -> int:
     return len(cut_jobs(jobs, after))
+
+
+def _plainly(from_map: KnownMap | None) -> object:
+    """Return a known map as a record has it: its name, or the kind of an array."""
+    return from_map if from_map is None or isinstance(from_map, (str, os.PathLike)) else type(from_map).__name__
 
 
 def _require_folder(keep: str | None, out: object, overwrite: bool, resume: bool) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from jexplore.arrays.padding import within
 from jexplore.arrays.pictures import axes_of, html_of, or_text, png_of
-from jexplore.config import InputError, Lidar, Rules, checked_names, require_setting
+from jexplore.config import InputError, checked_names, require_setting
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch, replay
 from jexplore.exploration.batch import Job
@@ -20,6 +20,7 @@ from jexplore.exploration.trail import Final
 from jexplore.policies import Strategy
 from jexplore.report import animate, plot
 from jexplore.report.page.replay import evenly
+from jexplore.rules import Lidar, Rules
 from jexplore.studies.checks import (
     LIDAR,
     ROBOT,

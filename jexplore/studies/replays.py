@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jexplore.arrays.padding import within
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import own_cores
 from jexplore.exploration import batch
@@ -25,6 +25,7 @@ from jexplore.grid import is_free, is_occupied
 from jexplore.planning import field
 from jexplore.policies import Strategy, room_wise
 from jexplore.report.page.replay import FRONTIER, OWN_ROOM, ReplayData, changes_of, evenly
+from jexplore.rules import Lidar, Rules
 from jexplore.studies.explore import MAX_FRAMES, EpisodeResult, why_no_replay
 from jexplore.worlds.world import World, ring_of
 

@@ -7,8 +7,9 @@ import warnings
 
 import numpy as np
 
-from jexplore.config import InputError, InputWarning, Rules, checked_names
+from jexplore.config import InputError, InputWarning, checked_names
 from jexplore.rooms.doors import with_doorways
+from jexplore.rules import Rules
 from jexplore.worlds.poses import cell_at
 from jexplore.worlds.starts import clear_in, label_components
 from jexplore.worlds.world import World

@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jexplore.config import Lidar
 from jexplore.grid import Grid
 from jexplore.planning import Belief, MapModel
 from jexplore.policies import parse_strategy
 from jexplore.raycast import beam_table
+from jexplore.rules import Lidar
 
 from . import beams, maps, plans
 

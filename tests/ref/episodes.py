@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
-from jexplore.config import Robot
 from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import Given
 from jexplore.exploration.episode import program_of
@@ -23,6 +22,7 @@ from jexplore.native.drive import find_target
 from jexplore.planning import MapModel
 from jexplore.policies import parse_strategy
 from jexplore.raycast import Beams, beam_table, by_beam, disturb, scan, scans_all_round
+from jexplore.rules import Robot
 
 from . import clock, plans, simulator
 

@@ -12,11 +12,11 @@ import jax
 import numpy as np
 from scipy import ndimage
 
-from jexplore.config import Lidar, Robot, Rules
 from jexplore.exploration.state import Outcome
 from jexplore.grid import in_cells, radius_d2
 from jexplore.native.build import find_compiler
 from jexplore.raycast import n_steps
+from jexplore.rules import Lidar, Robot, Rules
 
 from . import episodes, maps, native
 

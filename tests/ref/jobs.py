@@ -5,9 +5,9 @@ import hashlib
 import jax
 import numpy as np
 
-from jexplore.config import Lidar, Rules
 from jexplore.exploration.batch import Job
 from jexplore.policies import parse_strategy
+from jexplore.rules import Lidar, Rules
 from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
 

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
-from jexplore.config import Odometry
 from jexplore.grid import Grid
+from jexplore.rules import Odometry
 from jexplore.slam2d.points import empty_map
 from jexplore.slam2d.settings import SlamSettings
 

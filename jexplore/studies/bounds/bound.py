@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jexplore.config import InputError, Lidar, Rules, checked_names, require_setting, require_whole
+from jexplore.config import InputError, __version__, checked_names, require_setting, require_whole
 from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.engine.runner import own_cores
 from jexplore.exploration.results import length_along_m
@@ -24,6 +24,7 @@ from jexplore.raycast import scans_all_round
 from jexplore.reach import DIAGONAL, FAR, STRAIGHT
 from jexplore.report.ledger import Ledger, Work
 from jexplore.report.tables import aligned_table, number_text
+from jexplore.rules import Lidar, Rules
 from jexplore.studies.bounds.beside import with_bound_ratios
 from jexplore.studies.bounds.scene import prepare_scene
 from jexplore.studies.bounds.search import Budget, SearchResult, search
@@ -41,7 +42,6 @@ from jexplore.studies.checks import (
 )
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import world_digest
-from jexplore.version import __version__
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.grid import radius_d2
 from jexplore.raycast import HEADINGS, beam_table
+from jexplore.rules import Lidar, Rules
 from jexplore.worlds.starts import clear_of_walls, label_components
 from jexplore.worlds.world import World
 

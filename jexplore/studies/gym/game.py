@@ -11,13 +11,14 @@ from gymnasium import spaces  # type: ignore[import-not-found]
 from jax import Array, lax
 from numpy.typing import ArrayLike
 
-from jexplore.config import InputError, Rules, require_whole, unknown
+from jexplore.config import InputError, require_whole, unknown
 from jexplore.exploration.environment import outcome_of
 from jexplore.exploration.results import FREE, OCCUPIED, UNKNOWN, path_m
 from jexplore.exploration.state import Outcome
 from jexplore.grid import is_free, is_known
 from jexplore.planning import metres
 from jexplore.reach import FAR, STRAIGHT
+from jexplore.rules import Rules
 from jexplore.studies.environment import Environment, EnvState, shown
 from jexplore.worlds.starts import check_start
 

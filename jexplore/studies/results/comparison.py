@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jexplore.arrays.pictures import MAX_TABLE_ROWS, axes_of, html_of, or_text, png_of
-from jexplore.config import InputError, Lidar, Rules, checked_names, unknown
+from jexplore.config import InputError, checked_names, unknown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.state import Outcome
 from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
+from jexplore.rules import Lidar, Rules
 from jexplore.studies.results import provenance
 from jexplore.studies.results.details import Seen
 from jexplore.studies.results.tables import ByStrategy

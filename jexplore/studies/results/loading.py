@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jexplore.arrays.files import first_line, read_json
-from jexplore.config import InputError, Lidar, Rules, checked_names, shown
+from jexplore.config import InputError, __version__, checked_names, shown
 from jexplore.engine.runner import Costs
 from jexplore.report import store
 from jexplore.report.folders import UNFINISHED
 from jexplore.report.ledger import require_same
+from jexplore.rules import Lidar, Rules
 from jexplore.studies.reproduction import reproduction_of
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.comparison import ComparisonResult, Made
@@ -24,7 +25,6 @@ from jexplore.studies.results.details import DETAILS, read_details
 from jexplore.studies.sweeps.plan import SweepPlan, prepare_sweep
 from jexplore.studies.sweeps.run import SweepResult, whole_table
 from jexplore.studies.sweeps.spec import read_spec
-from jexplore.version import __version__
 
 if TYPE_CHECKING:
     pass

@@ -15,12 +15,11 @@ import numpy as np
 
 from jexplore.arrays.files import read_yaml
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError
+from jexplore.config import InputError, __version__
 from jexplore.engine.runner import Costs
 from jexplore.exploration.batch import Job
 from jexplore.exploration.site import prepare_site
 from jexplore.policies.catalogue import adapt
-from jexplore.version import __version__
 from jexplore.worlds import names
 from jexplore.worlds.world import World, ringed_shape
 

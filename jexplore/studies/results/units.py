@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jexplore.config import InputWarning, Lidar, Rules
+from jexplore.config import InputWarning
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
 from jexplore.exploration.batch import Job, Outcomes
@@ -23,6 +23,7 @@ from jexplore.exploration.results import columns, map_state, progress_m
 from jexplore.exploration.state import MARKS
 from jexplore.report.ledger import Ledger, Work
 from jexplore.report.store import read_parquet
+from jexplore.rules import Lidar, Rules
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.details import DETAILS, Seen, read_details
 

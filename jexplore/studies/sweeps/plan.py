@@ -10,13 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, Lidar, Rules, require_different
+from jexplore.config import InputError, __version__, require_different
 from jexplore.exploration.batch import Job
 from jexplore.exploration.metrics import Metric
 from jexplore.exploration.site import COARSE_M, reach_d2
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import join_strategies
 from jexplore.raycast import scans_all_round
+from jexplore.rules import Lidar, Rules
 from jexplore.studies.checks import (
     measures_of,
     ready_starts,
@@ -29,7 +30,6 @@ from jexplore.studies.metrics import ready_metrics
 from jexplore.studies.results.provenance import own_digests, world_digest
 from jexplore.studies.results.units import CELL_S, MIN_UNIT_EPISODES, UNIT_S
 from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain_spec, robot_of
-from jexplore.version import __version__
 from jexplore.worlds.poses import read_start
 from jexplore.worlds.world import World, ringed_shape
 

@@ -13,10 +13,6 @@ import numpy as np
 from jexplore.arrays.files import first_line, read_yaml
 from jexplore.config import (
     InputError,
-    Lidar,
-    Odometry,
-    Robot,
-    Rules,
     checked_names,
     require_different,
     require_number,
@@ -24,6 +20,7 @@ from jexplore.config import (
     require_whole,
     unknown,
 )
+from jexplore.rules import Lidar, Odometry, Robot, Rules
 from jexplore.studies.metrics import named_metrics
 from jexplore.studies.sweeps.axes import Range, combined
 from jexplore.users import bare, name_of

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from jexplore import btm
-from jexplore.config import checked_names, require_engine
+from jexplore.config import __version__, checked_names, require_engine
 from jexplore.driving import vehicle
 from jexplore.driving.batch import Driven, outcome_names
 from jexplore.driving.records import RunMode
@@ -30,7 +30,6 @@ from jexplore.tracemap.passable import BLOCKED, blocked_for
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.repairing.repaired import repaired
 from jexplore.tracemap.similarity import code
-from jexplore.version import __version__
 from jexplore.worlds.readers.scans import ScanLog
 from jexplore.worlds.world import World
 

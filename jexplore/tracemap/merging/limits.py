@@ -3,7 +3,8 @@
 import dataclasses
 import math
 
-from jexplore.config import Settings, checked_names, require_number, require_whole
+from jexplore.config import checked_names, require_number, require_whole
+from jexplore.rules import Settings
 
 
 @checked_names
