@@ -99,7 +99,7 @@ def one_worker(jobs, jit_on):
 def assert_equal(got, want):
     """Results and first maps, bit by bit."""
     jax.tree.map(np.testing.assert_array_equal, got.result, want.result)
-    for a, b in zip(got.first[:-1], want.first[:-1]):
+    for a, b in zip(got.first._replace(plans=None), want.first._replace(plans=None)):
         np.testing.assert_array_equal(a, b)
     assert got.first.plans == want.first.plans
 

@@ -96,6 +96,7 @@ def played(occupied, start, robot, rules):
 STRAIGHT_ON = Rules(clearance_m=0.0, near_m=1.0, look_around=False)
 
 
+@pytest.mark.jit
 def test_a_corridor_by_hand():
     """Four steps and six plans: one run of 4 m where plans take no time, else four of 1 m, and 2 s for every plan."""
     quick, want = played(CORRIDOR, (1, 1, 0), PLAIN, STRAIGHT_ON)

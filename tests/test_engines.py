@@ -35,7 +35,7 @@ TESTS = Path(__file__).resolve().parent
 def assert_equal(got, want):
     for ours, theirs in zip(got.outcomes, want.outcomes, strict=True):
         jax.tree.map(np.testing.assert_array_equal, ours.result, theirs.result)
-        for a, b in zip(ours.first[:-1], theirs.first[:-1], strict=True):
+        for a, b in zip(ours.first._replace(plans=None), theirs.first._replace(plans=None), strict=True):
             np.testing.assert_array_equal(a, b)
         assert ours.first.plans == theirs.first.plans
 
@@ -202,7 +202,7 @@ def test_a_run_stopped_half_way_keeps_what_is_finished(want, how, monkeypatch):
         jax.tree.map(lambda a, b, m=ended: np.testing.assert_array_equal(a[m], b[m]), got.result, whole.result)
         assert (got.first is None) == (not ended[0])
         if ended[0]:
-            for a, b in zip(got.first[:-1], whole.first[:-1]):
+            for a, b in zip(got.first._replace(plans=None), whole.first._replace(plans=None)):
                 np.testing.assert_array_equal(a, b)
     assert finished >= seen[-1] >= 7
     assert finished < 20

@@ -130,7 +130,9 @@ BAD = {
     "must return one bool, int32 or float32, got .*int64": lambda view: np.int64(3),
     "is not pure: two calls": lambda view: view.path_m + next(calls),
     "is not pure: it keeps an array": lambda view: kept.append(view.path_m) or view.path_m,
-    "raised AttributeError .*it has belief, occupied, .*, outcome, steps, path_m; the robot": lambda view: view.row,
+    "raised AttributeError .*it has belief, occupied, .*, outcome, poses, steps, path_m; the robot": lambda view: (
+        view.row
+    ),
     "raised TracerBoolConversionError .*jnp.where instead of if": lambda view: 1 if view.path_m > 2 else 0,
 }
 

@@ -24,6 +24,7 @@ MIDDLE = (3.0, 2.0)
 FAR = 80.0
 PRIOR = np.diag(np.float32([0.05, 0.05, 0.03]) ** 2)
 HERE = np.float32([1.5, 1.5, 0.3])
+SETTLE = jax.jit(settle)
 few = settings(max_examples=8)
 
 
@@ -362,12 +363,13 @@ def single(tree):
     return jax.tree.map(lambda a: jnp.asarray(a, jnp.int32 if a.dtype.kind == "i" else jnp.float32), tree)
 
 
+@pytest.mark.jit
 @few
 @given(st.integers(0, 10**6))
 def test_graph_equals_a_general_solver(seed):
     true, poses, steps, loops = ring(7, np.random.default_rng(seed))
     loops = added(loops, [1, 4], between(true[1], true[4]) + 0.01)
-    found, misfit2 = settle(jnp.float32(poses), single(steps), single(loops), 1e9)
+    found, misfit2 = SETTLE(jnp.float32(poses), single(steps), single(loops), 1e9)
     ends = np.array([*((k, k + 1) for k in range(6)), *loops.ends[:2]])
     moved, covariance = (np.concatenate([a[1:], b[:2]]) for a, b in zip(steps, loops[1:]))
     expected = ref.settle(poses, ends, moved, np.linalg.inv(covariance))
@@ -376,13 +378,14 @@ def test_graph_equals_a_general_solver(seed):
     assert misfit2[2] == 0
 
 
+@pytest.mark.jit
 def test_a_loop_closes_large_drift_and_a_wrong_one_counts_for_nothing():
     true, poses, steps, loops = ring(60, np.random.default_rng(5))
     open_m = np.hypot(*(poses - true)[:, :2].T).max()
     wrong = single(added(loops, [3, 40], [0.0, 0, 0]))
-    found, misfit2 = settle(jnp.float32(poses), single(steps), wrong, 10.0)
+    found, misfit2 = SETTLE(jnp.float32(poses), single(steps), wrong, 10.0)
     assert open_m > 1
-    np.testing.assert_allclose(found, settle(jnp.float32(poses), single(steps), single(loops), 10.0)[0], atol=0.02)
+    np.testing.assert_allclose(found, SETTLE(jnp.float32(poses), single(steps), single(loops), 10.0)[0], atol=0.02)
     assert misfit2[1] > 1e4 > 10 > misfit2[0]
 
 

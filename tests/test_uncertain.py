@@ -45,7 +45,7 @@ def begun(pose, odometry=EXACT, lidar=LIDAR):
     task = jnp.int32([12, 12, 2])
     given = Given(jax.random.key(3), jax.tree.map(jnp.asarray, own.beams), scenes, jnp.int32(0), numbers, task)
     setup = own.setup._replace(policy=closest()._replace(params=()))
-    return setup, given, environment.begin(setup, given)
+    return setup, given, jax.jit(environment.begin, static_argnums=0)(setup, given)
 
 
 # --- beams from any pose
@@ -235,22 +235,24 @@ def test_an_enclosed_robot_is_inconsistent_and_another_one_blocked():
     assert environment.outcome_of(ended.replace(belief=walled)) == Outcome.INCONSISTENT
 
 
+@pytest.mark.jit
 def test_a_robot_whose_scans_do_not_match_is_lost():
     """Nothing lies within its scanner's range."""
     setup, given, state = begun("icp", lidar=LIDAR.replace(range_m=0.4))
+    look = jax.jit(looking.look, static_argnums=0)
     assert state.outcome == Outcome.RUNNING
     state = state.replace(plan_active=jnp.bool_(True))
     scans = int(state.scans)
     unsure = state.poses.replace(covariance=jnp.diag(jnp.float32([0.1, 0.1, 0.2])) ** 2)
-    state = looking.look(setup, given, state.replace(poses=unsure), jnp.bool_(True))
+    state = look(setup, given, state.replace(poses=unsure), jnp.bool_(True))
     assert state.outcome == Outcome.RUNNING
     assert int(state.scans) == scans + 1
     assert int(state.poses.unmatched) > 0
     unsure = state.poses.replace(covariance=jnp.diag(jnp.float32([0.1, 0.1, 0.3])) ** 2)
-    lost = looking.look(setup, given, state.replace(poses=unsure), jnp.bool_(True))
+    lost = look(setup, given, state.replace(poses=unsure), jnp.bool_(True))
     assert lost.outcome == Outcome.LOST
     assert not lost.plan_active
-    assert looking.look(setup, given, state.replace(poses=unsure), jnp.bool_(False)).outcome == Outcome.RUNNING
+    assert look(setup, given, state.replace(poses=unsure), jnp.bool_(False)).outcome == Outcome.RUNNING
 
 
 # --- wrong options
@@ -326,6 +328,7 @@ def test_matching_scans_makes_better_maps_than_odometry(by_pose):
     assert "ate_m" in by_pose["icp"].summary
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_an_episode_does_not_depend_on_others(by_pose):
     other = jx.compare(
