@@ -116,7 +116,7 @@ class Odometry(Settings):
     def __post_init__(self) -> None:
         low, high = {"heading_bias_deg_m": -45}, {"heading_deg_sqrt_m": 45, "heading_bias_deg_m": 45}
         for name, value in vars(self).items():
-            if isinstance(value, numbers.Number):  # arrays and tracers are the kernels' own
+            if value is None or isinstance(value, (numbers.Number, str, list, tuple, dict)):  # arrays are the kernels'
                 is_scale = name.endswith("_scale")
                 most = 2 if is_scale else high.get(name, 0.5)
                 require_number(f"odometry.{name}", value, low=low.get(name, 0), high=most, low_open=is_scale)

@@ -290,6 +290,16 @@ NATIVE = {
 """A sweep that native code runs."""
 
 
+def test_how_robots_learn_their_pose_may_stand_in_the_rules():
+    rules = Rules(pose="icp", odometry={"length": 0.3})
+    ((*_, ready),) = Sweep(worlds=["cave"], strategies=["closest"], rules=rules).records()
+    assert (ready.pose, ready.odometry.length) == ("icp", 0.3)
+    with pytest.raises(InputError, match="pose is given twice"):
+        Sweep(worlds=["cave"], strategies=["closest"], rules=rules, pose="odometry")
+    with pytest.raises(InputError, match="pose must be one of true, odometry, icp"):
+        Sweep(worlds=["cave"], strategies=["closest"], pose={"low": 0, "high": 1}, draws=2).records()
+
+
 @pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.skipif(not find_compiler(), reason="no C++ compiler")

@@ -255,6 +255,41 @@ def test_a_robot_whose_scans_do_not_match_is_lost():
     assert look(setup, given, state.replace(poses=unsure), jnp.bool_(False)).outcome == Outcome.RUNNING
 
 
+def test_a_scan_is_the_same_wherever_the_map_lies_among_others():
+    occupied = jnp.asarray(two_rooms().occupied)
+    xy, direction = jnp.float32([12.3, 9.7]), jnp.float32(np.c_[np.cos(np.arange(40)), np.sin(np.arange(40))])
+    alone = beams.cast(occupied, xy, direction, jnp.float32(20))
+    far_up = beams.cast(jnp.concatenate([~occupied] * 9 + [occupied]), xy, direction, jnp.float32(20), 270)
+    jax.tree.map(np.testing.assert_array_equal, far_up, alone)
+
+
+def test_a_robot_that_was_stopped_is_not_taken_to_be_in_the_wall():
+    _, given, state = begun("odometry")
+    row, col = int(state.belief.row), int(state.belief.col)
+    east = int(np.flatnonzero(two_rooms().occupied[row, col:])[0]) - 1  # cells until the wall
+    near = state.poses.replace(true=state.poses.true + jnp.float32([east + 0.3, 0, 0]))
+    moved, bumped = moving.turn_and_go(given, state.replace(poses=near), jnp.int32(0), jnp.bool_(True), jnp.bool_(True))
+    assert bumped
+    assert (int(moved.belief.row), int(moved.belief.col)) == (row, col)
+
+
+def test_turns_in_place_feign_a_way():
+    noise = Odometry(length_m_sqrt_rad=0.1)
+    _, given, state = begun("odometry", noise)
+    moved, _ = moving.turn_and_go(given, state, state.heading + 2, jnp.bool_(False), jnp.bool_(True))
+    off = np.asarray(moved.poses.estimate - state.poses.estimate)[:2]
+    assert 0.01 < np.hypot(*off) * 0.1 < 0.5
+    np.testing.assert_array_equal(moved.poses.true[:2], state.poses.true[:2])
+
+
+def test_an_error_of_the_heading_becomes_one_of_the_place():
+    _, given, state = begun("odometry", EXACT)
+    turned = state.poses.replace(covariance=jnp.diag(jnp.float32([0, 0, 0.2**2])))
+    moved, _ = moving.turn_and_go(given, state.replace(poses=turned), jnp.int32(0), jnp.bool_(True), jnp.bool_(True))
+    across = np.sqrt(np.asarray(moved.poses.covariance)[1, 1])
+    np.testing.assert_allclose(across, 0.2 * 0.1, rtol=0.02)  # a step of 0.1 m
+
+
 # --- wrong options
 
 
@@ -266,6 +301,10 @@ def test_a_robot_whose_scans_do_not_match_is_lost():
         ({"odometry": {"length_scale": 0}}, "odometry.length_scale must be a number above 0 and at most 2, got 0"),
         ({"odometry": {"lenght": 0.1}}, "unknown field of odometry: 'lenght'; did you mean 'length'?"),
         ({"odometry": 0.1}, "odometry must be a jx.Odometry"),
+        ({"odometry": {"length": "0.1"}}, "odometry.length must be a number at least 0 and at most 0.5, got '0.1'"),
+        ({"odometry": {"turn": [0.1]}}, "odometry.turn must be a number at least 0 and at most 0.5, got "),
+        ({"odometry": {"slip": None}}, "odometry.slip must be a number at least 0 and at most 0.5, got None"),
+        ({"odometry": {"length": 0.1}}, "pose must be odometry or icp, got true"),
         (
             {"pose": "icp", "lidar": {"forward_m": 0.1}},
             "lidar.forward_m and left_m must be 0 where the pose is not given",

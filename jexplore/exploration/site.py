@@ -157,8 +157,11 @@ def _unsure(rules: Rules, shape: tuple[int, int], cell_m: float) -> Unsure:
     """Return how a robot in maps of a shape learns its pose."""
     if rules.pose == "odometry":
         return Unsure()
-    rows, cols = (math.ceil((n * cell_m + 2 * MARGIN_M) / index_cell_m(MATCHING)) for n in shape)
-    return Unsure((rows, cols, MOST_POINTS), (shape[1] * cell_m / 2, shape[0] * cell_m / 2))
+    edge = float(index_cell_m(MATCHING))
+    margin = math.ceil(MARGIN_M / edge)
+    # Even, so that the cells of the index lie alike in maps of all shapes.
+    rows, cols = (2 * math.ceil((n * cell_m / edge + 2 * margin) / 2) for n in shape)
+    return Unsure((rows, cols, MOST_POINTS), ((cols / 2 - margin) * edge, (rows / 2 - margin) * edge))
 
 
 def _unsure_numbers(lidar: Lidar, rules: Rules, cell_m: float) -> UnsureNumbers:

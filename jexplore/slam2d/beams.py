@@ -34,7 +34,7 @@ def _begin(xy, direction):
     return (row, col), geometry, crossed, entered
 
 
-def cast(occupied: Array, xy: Array, direction: Array, reach: Array) -> Reading:
+def cast(occupied: Array, xy: Array, direction: Array, reach: Array, base: Array | int = 0) -> Reading:
     """Cast beams in a true map.
 
     Args:
@@ -42,12 +42,13 @@ def cast(occupied: Array, xy: Array, direction: Array, reach: Array) -> Reading:
       xy: `[2]` float32, x and y, cells, inside the map. The cell there stops no beam.
       direction: `[B, 2]` float32, unit vectors.
       reach: float32, range, cells.
+      base: int32, row where the map begins, of maps of one width one above the other.
 
     Returns:
       `Reading`: the distance at which the first occupied cell is entered.
     """
     (row, col), geometry, crossed, entered = _begin(xy, direction)
-    flat, width = occupied.reshape(-1), occupied.shape[1]
+    flat, width, row = occupied.reshape(-1), occupied.shape[1], row + base
 
     def block(state: Any) -> Any:
         crossed, (drow, dcol, entry), going, hit, distance = state

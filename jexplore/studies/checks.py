@@ -73,7 +73,10 @@ def ready_settings(
     `pose` and `odometry` are those of the rules, if given.
     """
     own = {name: value for name, value in (("pose", pose), ("odometry", odometry)) if value is not None}
-    return as_record("lidar", lidar, Lidar), as_record("rules", rules, Rules).replace(**own)
+    ready = as_record("rules", rules, Rules).replace(**own)
+    if ready.pose == "true" and ready.odometry != Odometry():
+        raise InputError("odometry is for robots whose pose is not given: pose must be odometry or icp, got true")
+    return as_record("lidar", lidar, Lidar), ready
 
 
 def require_given_pose(rules: Rules, what: str) -> None:

@@ -35,8 +35,7 @@ def look(setup: Setup, given: Given, state: State, when: Array) -> State:
         occupied, base = stacked(given, jnp.asarray(given.scenes.occupied))
         reach = own.reach
         direction = _directions(own, heading, poses.true)
-        at = poses.true[:2] + jnp.stack([0, base])
-        clean = cast(occupied, at, direction, reach)
+        clean = cast(occupied, poses.true[:2], direction, reach, base)
         clean, reading = _disturbed(setup, given, state, clean)
         square = square_round(setup, poses.true[1].astype(jnp.int32), poses.true[0].astype(jnp.int32), grid.hits.shape)
         before = jnp.int32(0) if square is None else known_cells(poses.seen, belief.within, square)
@@ -81,7 +80,8 @@ def _disturbed(setup: Setup, given: Given, state: State, clean: Reading) -> tupl
     if setup.noisy:
         key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.SENSOR), state.scans)
         key_range, key_drop = jax.random.split(key)
-        distance = jnp.where(hit, distance + numbers.sigma_cells * jax.random.normal(key_range, (n,)), distance)
+        noisy = jnp.maximum(distance + numbers.sigma_cells * jax.random.normal(key_range, (n,)), 0)
+        distance = jnp.where(hit, noisy, distance)
         hit &= distance < own.reach
         speaks &= jax.random.uniform(key_drop, (n,)) >= numbers.dropout
 

@@ -56,12 +56,19 @@ def turn_and_go(given: Given, state: State, heading: Array, goes: Array, when: A
     occupied, base = stacked(given, jnp.asarray(given.scenes.occupied))
     walls = occupied[base + at[:, 1], at[:, 0]]
     share = jnp.sum(jnp.cumsum(walls) == 0) / PARTS
-    told = rotated(wanted, told_turn - turn) * jnp.where(way > 0, share * told_m / jnp.maximum(way * cell_m, 1e-9), 0)
+    off = aside + told_turn - turn
+    told = rotated(wanted, told_turn - turn) * (share * told_m / jnp.maximum(way * cell_m, 1e-9))
+    heading_rad = heading * EIGHTH + off
+    in_place = jnp.stack([jnp.cos(heading_rad), jnp.sin(heading_rad)]) * told_m / cell_m
+    told = jnp.where(way > 0, told, in_place)
+    # The place becomes uncertain by the heading's error as well.
+    spread = jnp.eye(3).at[:2, 2].set(jnp.stack([-told[1], told[0]]) * cell_m)
+    covariance = spread @ poses.covariance @ spread.T + step_covariance(noise, way * cell_m, turn)
 
     moved = poses.replace(
         true=jnp.append(poses.true[:2] + driven * share, true_turn),
-        estimate=jnp.append(poses.estimate[:2] + told, aside + told_turn - turn),
-        covariance=poses.covariance + step_covariance(noise, way * cell_m, turn),
+        estimate=jnp.append(poses.estimate[:2] + told, off),
+        covariance=covariance,
         way_m=poses.way_m + way * share * cell_m,
         motions=poses.motions + 1,
         bumps=poses.bumps + (share < 1),
@@ -69,15 +76,17 @@ def turn_and_go(given: Given, state: State, heading: Array, goes: Array, when: A
     if moved.since_key is not None:
         moved = moved.replace(since_key=moved.since_key + jnp.stack([way * cell_m, jnp.abs(turn)]))
     new_heading, moved = rounded(heading, moved)
-    row, col = cell_of(moved.estimate, belief.row + drow, belief.col + dcol, belief.extent)
-    moved = moved.replace(strayed=(row != belief.row + drow) | (col != belief.col + dcol))
+    arrived = share == 1  # else it is taken to be where it was, and not in the wall that it has met
+    row, col = belief.row + drow * arrived, belief.col + dcol * arrived
+    at_row, at_col = cell_of(moved.estimate, row, col, belief.extent)
+    moved = moved.replace(strayed=(at_row != row) | (at_col != col))
     cell = jnp.floor(moved.true[:2]).astype(jnp.int32)
     new = state.replace(
         row=cell[1],
         col=cell[0],
         heading=new_heading,
         poses=moved,
-        belief=belief.replace(row=row, col=col, heading=new_heading),
+        belief=belief.replace(row=at_row, col=at_col, heading=new_heading),
     )
     return _pick_pose(when, new, state), when & (share < 1)
 

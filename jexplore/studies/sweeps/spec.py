@@ -20,7 +20,7 @@ from jexplore.config import (
     require_whole,
     unknown,
 )
-from jexplore.rules import Lidar, Odometry, Robot, Rules
+from jexplore.rules import POSES, Lidar, Odometry, Robot, Rules
 from jexplore.studies.metrics import named_metrics
 from jexplore.studies.sweeps.axes import Range, combined
 from jexplore.users import bare, name_of
@@ -110,6 +110,8 @@ class Sweep:
             require_whole("draws", self.draws, 1, MAX_SETTINGS)
         for name, known in _FIELDS_OF.items():
             given = getattr(self, name)
+            if isinstance(given, Rules):
+                self._take_pose(given)
             if isinstance(given, SETTING_PARTS[name]):
                 given = {key: value for key, value in dataclasses.asdict(given).items() if key in known}
                 object.__setattr__(self, name, given)
@@ -124,6 +126,14 @@ class Sweep:
             for key, value in one.items():
                 _require_key(key)
                 _require_plain(key, value)
+
+    def _take_pose(self, rules: Rules) -> None:
+        """Take over how a record of rules has robots learn their pose, unless the sweep says it itself."""
+        for name, own, default in (("pose", rules.pose, "true"), ("odometry", rules.odometry, Odometry())):
+            if own != default:
+                if getattr(self, name):
+                    raise InputError(f"{name} is given twice, in rules and in its own place")
+                object.__setattr__(self, name, own)
 
     @property
     def axes(self) -> dict[str, Any]:
@@ -242,6 +252,8 @@ def _axis(key, value) -> Any:
     if isinstance(value, Range):
         value = dataclasses.asdict(value)
     if isinstance(value, Mapping):
+        if key == "pose":
+            raise InputError(f"pose must be one of {', '.join(POSES)}, or a list of them, got {dict(value)!r}")
         for name in value:
             if name not in RANGE:
                 raise unknown(f"word in the range of {key}:", str(name), RANGE)
