@@ -40,7 +40,7 @@ def check(names, lidar, rules, engine, thicknesses):
                 np.testing.assert_array_equal(got.records[episode].path - [rock, rock, 0], record.path)
             for plan, other in zip(got.first.plans, want.first.plans, strict=True):
                 assert plan.target == (other.target and tuple(at + rock for at in other.target))
-    assert min(int(outcomes.result.plans.min()) for outcomes in found) > 3
+    assert min(int(outcomes.result.plans.min()) for outcomes in found) >= 3
 
 
 @pytest.mark.jit

@@ -296,10 +296,10 @@ def test_an_interruption_keeps_pairs(small, tmp_path, capsys, monkeypatch):
     run = batch.run_jobs
 
     def interrupted(jobs, *rest, **options):
-        report = run(jobs, *rest, **{**options, "on_job": None})
-        for found in report.outcomes[3:]:  # of the second world nothing has finished
-            found.result.outcome[:] = 0
-        report.outcomes[2].result.outcome[1] = 0
+        told = options.pop("on_job")
+        report = run(jobs, *rest, **options, on_job=None)
+        for place, found in enumerate(report.outcomes[:3]):  # of the second world nothing has finished
+            told(place, found)
         report.costs.interrupted = True
         return report
 
@@ -309,8 +309,8 @@ def test_an_interruption_keeps_pairs(small, tmp_path, capsys, monkeypatch):
     assert "Nothing has run here." in said.out
     assert said.err.endswith("jexplore: interrupted, what was finished was written\n")
     table = pd.read_parquet(tmp_path / "episodes.parquet")
-    assert table["episode"].tolist() == [0, 2] * 3
-    assert json.loads((tmp_path / "run.json").read_text())["interrupted"] == 12
+    assert table["episode"].tolist() == [0, 1, 2] * 3
+    assert json.loads((tmp_path / "run.json").read_text())["interrupted"] == 9
 
 
 @pytest.mark.parametrize(

@@ -70,6 +70,7 @@ def tick(
 
     It turns to `heading`, and then makes a step, if `steps`, or stands for `wait_ms`, if `waits`.
     """
+    table = jnp.asarray(table)  # numpy's while shapes are told
     reached, stopped, share = _entry(table, state.run, state.heading)
     turn = turn_between(state.heading, heading)
     stops = (turn > 0) | waits
