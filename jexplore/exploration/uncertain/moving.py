@@ -51,19 +51,13 @@ def turn_and_go(given: Given, state: State, heading: Array, goes: Array, when: A
 
     true_turn = poses.true[2] - poses.estimate[2] + aside - noise.slip * turn
     driven = rotated(wanted, true_turn - aside)
-    parts = (jnp.arange(PARTS) + 1.0) / PARTS
-    at = jnp.floor(poses.true[:2] + driven * parts[:, None]).astype(jnp.int32)
-    occupied, base = stacked(given, jnp.asarray(given.scenes.occupied))
-    walls = occupied[base + at[:, 1], at[:, 0]]
-    share = jnp.sum(jnp.cumsum(walls) == 0) / PARTS
+    share = _share_driven(given, poses.true[:2], driven)
     off = aside + told_turn - turn
     told = rotated(wanted, told_turn - turn) * (share * told_m / jnp.maximum(way * cell_m, 1e-9))
     heading_rad = heading * EIGHTH + off
     in_place = jnp.stack([jnp.cos(heading_rad), jnp.sin(heading_rad)]) * told_m / cell_m
     told = jnp.where(way > 0, told, in_place)
-    # The place becomes uncertain by the heading's error as well.
-    spread = jnp.eye(3).at[:2, 2].set(jnp.stack([-told[1], told[0]]) * cell_m)
-    covariance = spread @ poses.covariance @ spread.T + step_covariance(noise, way * cell_m, turn)
+    covariance = _spread(poses.covariance, told * cell_m) + step_covariance(noise, way * cell_m, turn)
 
     moved = poses.replace(
         true=jnp.append(poses.true[:2] + driven * share, true_turn),
@@ -89,6 +83,21 @@ def turn_and_go(given: Given, state: State, heading: Array, goes: Array, when: A
         belief=belief.replace(row=at_row, col=at_col, heading=new_heading),
     )
     return _pick_pose(when, new, state), when & (share < 1)
+
+
+def _share_driven(given: Given, xy: Array, driven: Array) -> Array:
+    """Return the share of a step until a wall of the true world ends it: float32, 1 without one."""
+    parts = (jnp.arange(PARTS) + 1.0) / PARTS
+    at = jnp.floor(xy + driven * parts[:, None]).astype(jnp.int32)
+    occupied, base = stacked(given, jnp.asarray(given.scenes.occupied))
+    walls = occupied[base + at[:, 1], at[:, 0]]
+    return jnp.sum(jnp.cumsum(walls) == 0) / PARTS
+
+
+def _spread(covariance: Array, moved_m: Array) -> Array:
+    """Return a covariance after a step `[2]`, metres: an error of the heading becomes one of the place."""
+    jacobian = jnp.eye(3).at[:2, 2].set(jnp.stack([-moved_m[1], moved_m[0]]))
+    return jacobian @ covariance @ jacobian.T
 
 
 def _pick_pose(when: Array, new: State, old: State) -> State:
