@@ -54,9 +54,7 @@ def turn_and_go(given: Given, state: State, heading: Array, goes: Array, when: A
     share = _share_driven(given, poses.true[:2], driven)
     off = aside + told_turn - turn
     told = rotated(wanted, told_turn - turn) * (share * told_m / jnp.maximum(way * cell_m, 1e-9))
-    heading_rad = heading * EIGHTH + off
-    in_place = jnp.stack([jnp.cos(heading_rad), jnp.sin(heading_rad)]) * told_m / cell_m
-    told = jnp.where(way > 0, told, in_place)
+    told = jnp.where(way > 0, told, rotated(jnp.float32([1, 0]), heading * EIGHTH + off) * told_m / cell_m)
     covariance = _spread(poses.covariance, told * cell_m) + step_covariance(noise, way * cell_m, turn)
 
     moved = poses.replace(
