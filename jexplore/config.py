@@ -69,6 +69,11 @@ def shown(value: Any) -> str:
     return text if len(text) <= _MAX_SHOWN_CHARS else text[: _MAX_SHOWN_CHARS - 3] + "..."
 
 
+def is_array(value: object) -> bool:
+    """Return whether a value of a record is an array of a kernel, which was checked when it was a number."""
+    return value is not None and not isinstance(value, (numbers.Number, str, list, tuple, dict))
+
+
 _MAX_SHOWN_CHARS = 200  # characters of a value that a message shows
 _SHORT = reprlib.Repr()  # stays short and quick however deep and repetitive a value is
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60

@@ -6,13 +6,13 @@ metadata is that of the option which switches it off, "short" leaves the record'
 
 import dataclasses
 import math
-import numbers
 from typing import Any, Literal, Self
 
 from jexplore.config import (
     InputError,
     as_record,
     checked_names,
+    is_array,
     require_number,
     require_whole,
     shown,
@@ -116,7 +116,7 @@ class Odometry(Settings):
     def __post_init__(self) -> None:
         low, high = {"heading_bias_deg_m": -45}, {"heading_deg_sqrt_m": 45, "heading_bias_deg_m": 45}
         for name, value in vars(self).items():
-            if value is None or isinstance(value, (numbers.Number, str, list, tuple, dict)):  # arrays are the kernels'
+            if not is_array(value):
                 is_scale = name.endswith("_scale")
                 most = 2 if is_scale else high.get(name, 0.5)
                 require_number(f"odometry.{name}", value, low=low.get(name, 0), high=most, low_open=is_scale)

@@ -80,6 +80,14 @@ class Final(NamedTuple):
     plans: list[Plan] | None  # every choice; None where there was no room for all of them, or the pose was not given
     poses: np.ndarray | None = None  # [n + 1, 5] float32, `uncertain.poses.TRAIL`, in the world's cells; None: given
 
+    @property
+    def own_cells(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the cells in which the robot took itself to be, at the start and after each step: `(rows, cols)`."""
+        if self.poses is None:
+            return self.rows, self.cols
+        cols, rows = np.floor(self.poses[:, 3:]).astype(np.int32).T
+        return rows, cols
+
     def target_after(self, step: int) -> tuple[int, int] | None:
         """Return row and column of the robot's next target after some steps; None in the end."""
         later = [plan for plan in self.plans or () if plan.step <= step]

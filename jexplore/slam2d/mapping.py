@@ -62,7 +62,7 @@ class Mapping:
     loops: Loops
     tried_at: Array  # float32, way at which a loop was last looked for, metres
     remade_at: Array  # float32, way at which the map was last made anew, metres
-    overflow: Array  # int32, points that found no room in maps before this one
+    overflow: Array  # int32, the most points that found no room in a map before this one
     replace: ClassVar[Callable[..., Self]]
 
 
@@ -204,7 +204,7 @@ def _remake(settings, mapping, scanner):
     return mapping.replace(
         points=map_of(settings, keys, scanner, blank),
         remade_at=mapping.way,
-        overflow=mapping.overflow + points.overflow,
+        overflow=jnp.maximum(mapping.overflow, points.overflow),
     )
 
 
@@ -258,8 +258,8 @@ class Mapper:
 
     @property
     def overflow(self) -> int:
-        """Return the points that found no room in the map and those before it."""
-        return 0 if self.mapping is None else int(self.mapping.overflow + self.mapping.points.overflow)
+        """Return the most points that found no room in a map, this one or one before it."""
+        return 0 if self.mapping is None else int(max(self.mapping.overflow, self.mapping.points.overflow))
 
 
 LOG = Sizes(1024, 256)  # of a log at first

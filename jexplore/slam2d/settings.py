@@ -5,7 +5,7 @@ Plain Python: importing this loads neither jax nor numpy. The docstrings are the
 
 import dataclasses
 
-from jexplore.config import checked_names, require_number
+from jexplore.config import checked_names, is_array, require_number
 from jexplore.rules import Settings
 
 
@@ -90,7 +90,6 @@ class SlamSettings(Settings):
     """The map is made anew of the nearest key scans every this much way, in metres, where loops are closed."""
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, int | float):  # arrays and tracers are the kernels' own
-                require_number(field.name, value, low_open=True, high=1e6)
+        for name, value in vars(self).items():
+            if not is_array(value):
+                require_number(name, value, low_open=True, high=1e6)

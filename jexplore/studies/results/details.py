@@ -19,7 +19,7 @@ MAX_DETAILS_BYTES = 2**32  # unpacked; the progress of a million episodes takes 
 
 
 class Seen(NamedTuple):
-    """End of episode 0 of a strategy in a world: its map and its way."""
+    """End of episode 0 of a strategy in a world: the robot's map and its way on it."""
 
     strategy: str
     state: np.ndarray  # [H, W] uint8, 0 unknown, 1 free, 2 occupied

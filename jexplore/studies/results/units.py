@@ -97,7 +97,7 @@ def unit_table(job: Job, found: Outcomes) -> "pd.DataFrame":
     if job.first == 0 and (final := found.first) is not None:
         state = map_state(final.hits, final.misses, job.rules.p_free)
         path_m = float(table["path_m"].iloc[0])
-        extras[SEEN][0] = Seen(job.strategy.name, state, final.rows, final.cols, job.world.cell_m, path_m)
+        extras[SEEN][0] = Seen(job.strategy.name, state, *final.own_cells, job.world.cell_m, path_m)
     if found.records:
         records = [found.records[i] for i in range(n)]
         extras[WAY] = [record.path for record in records]

@@ -45,7 +45,7 @@ class SlamResult:
     fitness: np.ndarray
     """`[N]` float64, share of a scan's points that matched."""
     overflow: int
-    """Points that found no slot in the map."""
+    """The most points for which a map, remade now and then, had no room."""
     errors: "pd.DataFrame"
     """A row a kind of relation: `relations`, `pairs`, mean and standard deviation of `place_m` and `turn_deg`. Empty
     for a log without corrected poses and relations."""
