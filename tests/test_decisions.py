@@ -62,6 +62,7 @@ def drive_on(env, learned, state, told, metres=0.0):
     return state, total, n
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_a_policy_drives_as_its_strategy_does(own, env):
     learned = some_model()

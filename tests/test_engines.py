@@ -56,7 +56,8 @@ def test_what_is_compared_says_something(want):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("n_lanes", [7, pytest.param(64, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("n_lanes", [7, 64])
 def test_lanes_give_what_one_after_the_other_does(want, n_lanes):
     report = run_jobs(some_jobs(), LIDAR, RULES, engine="jax", in_lanes=True, lanes=n_lanes)
     assert_equal(report, want)

@@ -135,6 +135,7 @@ def test_made_by_name_and_wrapped():
 # --- as they are without it
 
 
+@pytest.mark.slow
 def test_closest_by_actions_is_closest_to_the_bit(env, compared):
     """The scanner's noise included, by the episode's number."""
     table, starts = compared

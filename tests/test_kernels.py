@@ -77,11 +77,12 @@ def assert_equal(one, other):
         np.testing.assert_array_equal(ours, theirs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "clearance_d2", "is_held"),
     [
-        pytest.param((37, 45), 0, False, marks=pytest.mark.slow),
-        pytest.param((64, 96), 9, False, marks=pytest.mark.slow),
+        ((37, 45), 0, False),
+        ((64, 96), 9, False),
         ((37, 45), 2, True),
     ],
 )

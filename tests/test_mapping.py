@@ -283,6 +283,7 @@ def test_a_t_is_left_to_the_right_whichever_way_it_lies(turn):
     assert (int(writer.node), float(writer.node_m), bool(writer.exhausted)) == (1, 3.5, False)
 
 
+@pytest.mark.slow
 def test_what_is_written_of_a_t():
     written = record.check_map(btm.to_map(at_the_t()[0].map))
     assert written.nodes[1] == record.Node(1, 3.75, 0.0, "divergence", posture_deg=pytest.approx(1.5))

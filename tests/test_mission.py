@@ -56,6 +56,7 @@ def kinds(found):
     )
 
 
+@pytest.mark.slow
 def test_the_crawlers_course(course):
     table, driven = course.table, course.driven
     assert kinds(course.first) == "TOOODFFDT"
@@ -71,6 +72,7 @@ def test_the_crawlers_course(course):
     np.testing.assert_allclose(driven.truth[:, 2], driven.estimate[:, 2], atol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_map_that_the_robot_writes_agrees_with_that_of_the_whole_grid(course):
     world = course.plan.world
@@ -81,6 +83,7 @@ def test_the_map_that_the_robot_writes_agrees_with_that_of_the_whole_grid(course
     assert hits == ours - 3 == 2  # besides, the grid shows the three ends that the robot did not go to
 
 
+@pytest.mark.slow
 def test_every_field_of_the_tables_is_set(course):
     found = course.first
     for node in found.nodes:
@@ -102,6 +105,7 @@ def test_every_field_of_the_tables_is_set(course):
     assert np.abs(np.array(lengths) - true).max() < 0.8
 
 
+@pytest.mark.slow
 def test_both_divergences_are_turned_right_and_modes_come_in_the_order_of_the_text(course):
     heading = course.driven.truth[:, 2]
     assert math.cos(heading[-1]) < math.cos(math.pi - 0.1)
@@ -111,6 +115,7 @@ def test_both_divergences_are_turned_right_and_modes_come_in_the_order_of_the_te
     assert order == [central, branch, central, wall, central, branch, central]
 
 
+@pytest.mark.slow
 def test_the_middle_of_passages_is_kept(course):
     x, y, _ = course.driven.truth.T
     passage = (x < 15) & (np.abs(y - 27) < 2) & (course.driven.mode == RunMode.CENTRAL)

@@ -318,6 +318,7 @@ def test_rows_of_a_sweep_in_native_code(monkeypatch):
     assert set(found.figures()) == {"sweep.png", "sweep-map.png"}
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_interruption_keeps_whole_units(monkeypatch):
     run = batch.run_jobs
