@@ -67,7 +67,7 @@ def drive_on(env, learned, state, told, metres=0.0):
 def test_a_policy_drives_as_its_strategy_does(own, env):
     learned = some_model()
     which = [i for i in range(len(WORLDS)) for _ in range(STARTS)]
-    driven_m = own.lengths([Strategy("learned", policy_of(learned), True)], which, 4)[0]
+    driven_m = own.values([Strategy("learned", policy_of(learned), True)], which, 4)[0]
     starts = np.concatenate([found for _, _, found in own.episodes(which, 4)])
     want = {(world, *start[:2]): path for world, start, path in zip(which, starts.tolist(), driven_m)}
     play = jax.jit(lambda key: drive_on(env, learned, *env.reset(key)))
@@ -208,7 +208,7 @@ def test_no_start_is_left():
 def test_an_episode_that_fails_costs_as_much_as_in_the_checks(own):
     """A limit of steps between the reference's need and that of a robot that goes to the farthest cluster."""
     long = bank.prepare_bank(WORLDS[:1], lidar=NEAR)
-    steps = int(1.3 * long.lengths([parse_strategy(bank.REFERENCE)], [0] * STARTS, 4)[0].max() / 0.1)
+    steps = int(1.3 * long.values([parse_strategy(bank.REFERENCE)], [0] * STARTS, 4)[0].max() / 0.1)
     env = Decisions(bank.prepare_bank(WORLDS[:1], lidar=NEAR, rules=Rules(max_steps=steps)), starts=STARTS, seed=4)
 
     def choose(carry):

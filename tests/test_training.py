@@ -131,6 +131,8 @@ def test_patience():
         (["--algo", "ppo", "--set", "pairs=3"], "unknown setting of 'ppo': 'pairs'"),
         (["--set", "pairs=0"], "pairs must be an integer from 1 to 10000, got 0"),
         (["--set", "sigma"], "expected NAME=NUMBER once"),
+        (["--measure", "path"], "unknown measure 'path'.*path_m"),
+        (["--algo", "ppo", "--measure", "time_s"], "ppo trains for path_m, its reward, got 'time_s'"),
         (["--validation", SMALL[0]], "is in both the training and the validation worlds"),
     ],
 )
@@ -150,13 +152,14 @@ def test_episodes_that_fail_count_as_long_ones():
 
 
 @pytest.mark.jit
-def test_ratios_are_those_of_a_comparison():
-    own = bank.prepare_bank(SMALL, lidar=NEAR)
+@pytest.mark.parametrize("measure", ["path_m", "path_m_at_95", "time_s"])
+def test_ratios_are_those_of_a_comparison(measure):
+    own = bank.prepare_bank(SMALL, lidar=NEAR, measure=measure)
     logs = own.log_ratios([parse_strategy("closest"), parse_strategy("random")], [1, 0, 1], 5)
     for number, places in ((0, [1]), (1, [0, 2])):
         names = [bank.REFERENCE, "closest", "random"]
         table = jx.compare(SMALL[number], names, episodes=len(places), seed=5, lidar=NEAR).to_pandas()
-        paths = table.pivot(index="episode", columns="strategy", values="path_m")
+        paths = table.pivot(index="episode", columns="strategy", values=measure)
         for i, name in enumerate(names[1:]):
             want = np.log(paths[name] / paths[bank.REFERENCE])
             np.testing.assert_allclose(logs[i, places], want)

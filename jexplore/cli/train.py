@@ -37,6 +37,8 @@ class Train(ResumeOptions, RobotOptions):
     """End after this many checks without a better one; 0: never."""
     set: tuple[str, ...] = ()
     """Settings of the algorithm, such as pairs=8 episodes=20 sigma=0.1 rate=0.05 of es; an unknown one lists all."""
+    measure: str = "path_m"
+    """Make this small: a column of the table of episodes such as path_m_at_95, area_m or time_s; for ppo path_m."""
     seed: int = 0
     """Draw all that is random from this seed."""
     cell_m: float = 0.1
@@ -58,7 +60,7 @@ class Train(ResumeOptions, RobotOptions):
             model = None if self.model is None else load_model(self.model)
             use_compilation_cache()
             with note_if_slow("jexplore: loading worlds"):
-                how = {"cell_m": self.cell_m, "lidar": self.lidar, "rules": self.rules}
+                how = fields_of(self, "cell_m lidar rules measure")
                 worlds = bank.prepare_bank(bank.TRAINING if self.worlds is None else self.worlds, **how)
                 watched = bank.prepare_bank(bank.VALIDATION if self.validation is None else self.validation, **how)
             plan = training.prepare_training(

@@ -1,12 +1,14 @@
-"""Worlds for training, and the path lengths of strategies in them relative to the reference."""
+"""Worlds for training, and what strategies take in them relative to the reference: path, or another measure."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from jexplore.config import unknown
 from jexplore.exploration.batch import Job, run_jobs
-from jexplore.exploration.results import path_m
+from jexplore.exploration.results import columns
+from jexplore.exploration.site import ROBOT
 from jexplore.exploration.state import Outcome
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.rules import Lidar, Rules
@@ -23,6 +25,7 @@ from jexplore.studies.checks import (
     require_given_pose,
     require_memory,
 )
+from jexplore.studies.statistics.coverage import MEASURES
 from jexplore.studies.statistics.league import LEAGUE_KINDS
 from jexplore.worlds.world import World, with_ring
 
@@ -43,22 +46,24 @@ class Bank:
     rules: Rules
     start: str = "random"
     """As in a comparison: drawn, or the world's own."""
+    measure: str = "path_m"
+    """What is to be small, a column of the table of episodes, see `prepare_bank`."""
 
     def log_ratios(
         self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None
     ) -> np.ndarray:
-        """Compute path lengths of N strategies relative to the reference's: `[N, K]` float64, see `log_ratio`.
+        """Compute measures of N strategies relative to the reference's: `[N, K]` float64, see `log_ratio`.
 
         `which` are K numbers of worlds: an episode in each, from another start if a world occurs twice; the same for
         all strategies. `seed` is that of the starts and all other draws.
         """
-        lengths = self.lengths([parse_strategy(REFERENCE), *strategies], which, seed, workers=workers)
-        return log_ratio(lengths[1:], lengths[0])
+        values = self.values([parse_strategy(REFERENCE), *strategies], which, seed, workers=workers)
+        return log_ratio(values[1:], values[0])
 
-    def lengths(
+    def values(
         self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None
     ) -> np.ndarray:
-        """Compute path lengths of strategies, from the same starts: `[N, K]` float64, metres.
+        """Compute the measure of strategies, from the same starts: `[N, K]` float64, in the unit of its column.
 
         inf where an episode did not end COMPLETE. Arguments as of `log_ratios`.
 
@@ -75,8 +80,8 @@ class Bank:
             found = outcome.result
             if np.any(found.outcome == Outcome.RUNNING):
                 raise KeyboardInterrupt
-            driven = path_m(found.straight, found.diagonal, job.world.cell_m)
-            table[i % len(strategies), place] = np.where(found.outcome == Outcome.COMPLETE, driven, np.inf)
+            told = columns(found, job.starts, seed=seed, cell_m=job.world.cell_m, has_rooms=False, robot=ROBOT)
+            table[i % len(strategies), place] = np.where(found.outcome == Outcome.COMPLETE, told[self.measure], np.inf)
         return table
 
     def some(self, draw: np.random.Generator, n: int) -> list[int]:
@@ -91,26 +96,32 @@ class Bank:
             yield number, place, ready_starts(self.worlds[number], self.start, n, seed=seed, rules=self.rules)
 
 
-def log_ratio(lengths: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Compute logarithms of paths relative to the reference's.
+def log_ratio(values: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Compute logarithms of measures relative to the reference's.
 
-    That of `FAILED` where a path is inf and the reference's finite, 0 where the reference's is inf or 0. `lengths`:
-    `[..., K]` metres; `reference`: `[K]` metres.
+    That of `FAILED` where a value is inf and the reference's finite, 0 where the reference's is inf or 0. `values`:
+    `[..., K]`; `reference`: `[K]` in the same unit.
     """
     usable = np.isfinite(reference) & (reference > 0)
-    ratio = lengths / np.where(usable, reference, 1.0)
+    ratio = values / np.where(usable, reference, 1.0)
     return np.where(usable, np.log(np.clip(np.where(np.isfinite(ratio), ratio, FAILED), 1e-3, None)), 0.0)
 
 
 def prepare_bank(
     worlds: WorldLike | Sequence[WorldLike], *, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
-    start: str = "random",
+    start: str = "random", measure: str = "path_m",
 ) -> Bank:  # fmt: skip
-    """Make a `Bank`; refuse a world that cannot be loaded, is too large, or in which no robot can stand."""
+    """Make a `Bank`; refuse a world that cannot be loaded, is too large, or in which no robot can stand.
+
+    `measure`: what is to be small, one of the columns of `coverage.MEASURES`; times and energy are those of the default
+    `jx.Robot`.
+    """
+    if measure not in MEASURES.values():
+        raise unknown("measure", measure, MEASURES.values())
     lidar, rules = ready_settings(lidar, rules)
     require_given_pose(rules, "training is")
     ready = [with_ring(world) for world in ready_worlds(worlds, cell_m)]
     for world in ready:
         require_clearance(world, rules)
         require_memory(world, lidar, rules)
-    return Bank(tuple(ready), lidar, rules, start)
+    return Bank(tuple(ready), lidar, rules, start, measure)

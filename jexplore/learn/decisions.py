@@ -74,7 +74,7 @@ class Decisions:
         self.env = Environment(bank.worlds, lidar=bank.lidar, rules=bank.rules, recheck=True)
         which = np.repeat(np.arange(len(bank.worlds)), starts)
         where = np.concatenate([own for _, _, own in bank.episodes(which.tolist(), seed)])
-        length_m = bank.lengths([parse_strategy(REFERENCE)], which.tolist(), seed, workers=workers)[0]
+        length_m = bank.values([parse_strategy(REFERENCE)], which.tolist(), seed, workers=workers)[0]
         good = np.isfinite(length_m) & (length_m > 0)
         if not good.any():
             raise InputError(f"from no start of these worlds does {REFERENCE} see everything")

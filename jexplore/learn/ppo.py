@@ -53,8 +53,11 @@ def require_trainable(bank: Bank, settings: Ppo) -> None:
     """Refuse settings that brax or `Decisions` would refuse.
 
     Raises:
-      InputError: worlds of different cells; lanes that cannot be shared out to the devices.
+      InputError: a measure that is not the path; worlds of different cells; lanes that cannot be shared out to the
+        devices.
     """
+    if bank.measure != "path_m":
+        raise InputError(f"ppo trains for path_m, its reward, got {bank.measure!r}; es trains for any measure")
     sizes = sorted({world.cell_m for world in bank.worlds})
     if len(sizes) > 1:
         raise InputError(f"worlds to train in by ppo must have cells of one size, got {sizes[0]:g} and {sizes[1]:g} m")

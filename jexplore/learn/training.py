@@ -43,9 +43,9 @@ if TYPE_CHECKING:
 
 STATE = "_state"  # column of a unit's file besides: the trainer's state as bytes, in the last row
 CURVE_COLUMNS = ("round", "ratio", "validation")
-"""Columns of a curve: rounds made; ratio to the reference's of the paths on which the round was judged, in the training
-worlds (of `es` all that were driven, of `ppo` some driven after it); ratio of the present weights on the validation
-worlds, where they were checked."""
+"""Columns of a curve: rounds made; ratio to the reference's of the measure on which the round was judged, in the
+training worlds (of `es` all that were driven, of `ppo` some driven after it); ratio of the present weights on the
+validation worlds, where they were checked."""
 
 
 TRAINERS = {"es": es, "ppo": ppo}
@@ -151,8 +151,8 @@ def train(
     worlds: WorldLike | Sequence[WorldLike] = TRAINING, validation: WorldLike | Sequence[WorldLike] = VALIDATION,
     model: Model | str | os.PathLike[str] | None = None, settings: Mapping[str, Any] = {},
     rounds: int = 40, check_every: int = 5, patience: int = 0, starts: int = 1, seed: int = 0,
-    cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES, workers: int | None = None,
-    on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
+    measure: str = "path_m", cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
+    workers: int | None = None, on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
 ) -> TrainingResult:  # fmt: skip
     """Train a strategy that scores frontier clusters: `jexplore train` as a function.
 
@@ -169,6 +169,8 @@ def train(
       patience: checks without a better one after which training ends; 0: never.
       starts: on each validation world.
       seed: of all draws.
+      measure: what is to be small: a column of the table of episodes such as `path_m_at_95`, `area_m` or `time_s`; for
+        `ppo` `path_m`.
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
       lidar: `Lidar`, or a mapping of some of its fields.
       rules: `Rules`, or a mapping of some of its fields.
@@ -183,7 +185,8 @@ def train(
       InputError: a world, number or name that cannot be used; weights that are not finite before the first check.
     """
     use_compilation_cache()
-    trained, watched = (prepare_bank(some, cell_m=cell_m, lidar=lidar, rules=rules) for some in (worlds, validation))
+    how: Any = {"cell_m": cell_m, "lidar": lidar, "rules": rules, "measure": measure}
+    trained, watched = (prepare_bank(some, **how) for some in (worlds, validation))
     if model is not None and not isinstance(model, (Model, str, os.PathLike)):
         raise InputError(f"model must be a Model or the path of one, got {type(model).__name__}")
     begins = model if model is None or isinstance(model, Model) else load_model(model)
@@ -209,6 +212,7 @@ def training_inputs(plan: TrainingPlan) -> dict[str, Any]:
         "digests": digests.hexdigest(),
         "lidar": plan.training.lidar,
         "rules": plan.training.rules,
+        "measure": plan.training.measure,
         **{name: getattr(plan, name) for name in ("check_every", "patience", "starts", "seed")},
     }
 
@@ -274,7 +278,8 @@ def _trained(plan, tables, kept, ended):
     best = int(np.argmin(checks))
     number = best * plan.check_every
     made = {
-        **{"algo": plan.algo, "seed": plan.seed, "settings": plan.settings._asdict(), "round": number},
+        **{"algo": plan.algo, "measure": plan.training.measure, "seed": plan.seed},
+        **{"settings": plan.settings._asdict(), "round": number},
         "begins": weights_digest(plan.begins.weights),
         "checks": [
             {"round": i * plan.check_every, "validation": float(ratio), "sha256": weights_digest(weights)}
