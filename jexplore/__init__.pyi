@@ -5,7 +5,6 @@ from jexplore.config import InputWarning as InputWarning
 from jexplore.config import __version__ as __version__
 from jexplore.exploration.metrics import metric as metric
 from jexplore.exploration.state import Outcome as Outcome
-from jexplore.learn.training import TrainingResult as TrainingResult
 from jexplore.learn.training import train as train
 from jexplore.planning import Belief as Belief
 from jexplore.planning import Choice as Choice
@@ -25,17 +24,16 @@ from jexplore.rules import Rules as Rules
 from jexplore.studies.bounds.bound import BoundsResult as BoundsResult
 from jexplore.studies.bounds.bound import bound as bound
 from jexplore.studies.comparison import compare as compare
+from jexplore.studies.decision import next_target as next_target
 from jexplore.studies.environment import Environment as Environment
 from jexplore.studies.environment import EnvState as EnvState
 from jexplore.studies.explore import EpisodeResult as EpisodeResult
 from jexplore.studies.explore import explore as explore
 from jexplore.studies.gym.envs import GymEnv as GymEnv  # extra
 from jexplore.studies.gym.envs import GymVectorEnv as GymVectorEnv  # extra
-from jexplore.studies.reproduction import ReproductionResult as ReproductionResult
 from jexplore.studies.reproduction import reproduce as reproduce
 from jexplore.studies.results.comparison import ComparisonResult as ComparisonResult
 from jexplore.studies.results.loading import load as load
-from jexplore.studies.segmentation import SegmentationResult as SegmentationResult
 from jexplore.studies.segmentation import segment_maps as segment_maps
 from jexplore.studies.slam.logs import slam as slam
 from jexplore.studies.sweeps.axes import Range as Range

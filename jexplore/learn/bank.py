@@ -122,6 +122,6 @@ def prepare_bank(
     require_given_pose(rules, "training is")
     ready = [with_ring(world) for world in ready_worlds(worlds, cell_m)]
     for world in ready:
-        require_clearance(world, rules)
+        require_clearance(rules, world.cell_m, repr(world.name))
         require_memory(world, lidar, rules)
     return Bank(tuple(ready), lidar, rules, start, measure)

@@ -4,13 +4,28 @@ Holz et al. 2010, Figure 3. Yamauchi, "A Frontier-Based Approach for Autonomous 
 centroid of the nearest frontier region of a least size instead.
 """
 
-from jexplore.planning import nearest_frontier
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from jexplore.planning import Belief, Choice, choose, field, metres, nearest_frontier, nearest_of
 from jexplore.policies.policy import Policy, no_carry
+from jexplore.raycast import Beams
 
 
 def _select(key, params, carry, belief, beams, route):
     choice, route = nearest_frontier(belief, route)
     return carry, choice, route
+
+
+def nearest_scored(
+    key: Array, params: Any, carry: Any, belief: Belief, beams: Beams, route: Array
+) -> tuple[Any, Choice, Array, Array]:
+    """Choose as this strategy, and return minus the path to every frontier cell: as `clusters.Best.scored`."""
+    reached = field(belief)
+    scores = jnp.where(reached.frontier, -metres(reached.cost, belief.model.cell_m), jnp.nan)
+    return carry, *choose(belief, route, reached, *nearest_of(reached)), scores
 
 
 def closest() -> Policy:

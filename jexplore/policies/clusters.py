@@ -17,7 +17,7 @@ from jexplore.frontier import clear_cells, frontier_clusters, most_cells
 from jexplore.gain import look, prospect, stops_and_unknown, unknown_within
 from jexplore.native import kernels
 from jexplore.native.kernels import EVERY
-from jexplore.planning import Belief, Choice, Field, cells_of, choose, known_of, metres
+from jexplore.planning import Belief, Choice, Field, cells_of, choose, field, known_of, metres
 from jexplore.raycast import Beams
 from jexplore.reach import FAR, STEPS, spread
 
@@ -193,6 +193,31 @@ def go_to(belief: Belief, route: Array, reached: Field, at: Targets, which: Arra
     slot = jnp.maximum(which, 0)
     choice, route = choose(belief, route, reached, jnp.where(none, -1, at.row[slot]), jnp.where(none, -1, at.col[slot]))
     return dataclasses.replace(choice, overflow=at.overflow), route
+
+
+@dataclasses.dataclass(frozen=True)
+class Best:
+    """The `select` of a strategy that goes to the cluster of greatest worth; equal for the same one: compiled once."""
+
+    judge: Callable[[Any, Belief, Targets, Beams], tuple[Array, Array]]
+    """`(params, belief, targets, beams) -> (worth, usable)`: `[M]` float32, and bool as of `best_of`."""
+
+    def __call__(self, *given: Any) -> tuple[Any, Choice, Array]:
+        return self.scored(*given)[:3]
+
+    def scored(
+        self, key: Array, params: Any, carry: Any, belief: Belief, beams: Beams, route: Array
+    ) -> tuple[Any, Choice, Array, Array]:
+        """Choose, and return the worths as well: `(carry, choice, route, scores)`, see `at_targets`."""
+        reached = field(belief)
+        at = targets(belief, reached)
+        worth, usable = self.judge(params, belief, at, beams)
+        return carry, *go_to(belief, route, reached, at, best_of(at, worth, usable)), at_targets(at, worth, route.shape)
+
+
+def at_targets(at: Targets, values: Array, shape: tuple[int, ...]) -> Array:
+    """Write values `[M]` into the cells of their targets: `[H, W]` float32, NaN elsewhere."""
+    return jnp.full(shape, jnp.nan).at[jnp.where(at.used, at.row, shape[0]), at.col].set(values, mode="drop")
 
 
 def best_of(at: Targets, worth: Array, usable: Array) -> Array:

@@ -16,8 +16,7 @@ from jax import Array
 
 from jexplore.config import require_number, require_whole
 from jexplore.native.kernels import EVERY
-from jexplore.planning import field
-from jexplore.policies.clusters import best_of, go_to, paths_apart, shown_from, targets
+from jexplore.policies.clusters import Best, paths_apart, shown_from
 from jexplore.policies.policy import Policy, no_carry
 
 MIN_COUNT = 1e-6  # keeps a quotient finite where nothing counts
@@ -48,16 +47,13 @@ def mean_apart(apart_m: Array, used: Array, counts: Array | float = 1.0) -> Arra
     return jnp.sum(jnp.where(other, apart_m, 0.0) * share, axis=1) / jnp.maximum(jnp.sum(share, axis=1), MIN_COUNT)
 
 
-def _select(key, params, carry, belief, beams, route):
-    reached = field(belief)
-    at = targets(belief, reached)
+def _judge(params, belief, at, beams):
     exact = params.by_area | (params.side_weight > 0)
     unknown = shown_from(belief, at, beams, jnp.where(exact, EVERY, params.min_gain))
     usable, area = at.used & (unknown >= params.min_gain), unknown.astype(jnp.float32)
     counts = jnp.where(params.by_area, area, 1.0)
     worth = advantage(at.path_m, paths_apart(belief, at), usable, params.weight, counts)
-    worth = worth - params.side_weight * belief.model.cell_m * jnp.sqrt(area)
-    return carry, *go_to(belief, route, reached, at, best_of(at, worth, usable))
+    return worth - params.side_weight * belief.model.cell_m * jnp.sqrt(area), usable
 
 
 def _params(weight, min_gain, **more):
@@ -68,7 +64,7 @@ def _params(weight, min_gain, **more):
 
 def distance_advantage(weight: float = 1.0, min_gain: int = 1) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Params`."""
-    return Policy(no_carry, _select, _params(weight, min_gain))
+    return Policy(no_carry, Best(_judge), _params(weight, min_gain))
 
 
 def small_first(weight: float = 0.5, side_weight: float = 0.5, min_gain: int = 1) -> Policy:
@@ -78,4 +74,4 @@ def small_first(weight: float = 0.5, side_weight: float = 0.5, min_gain: int = 1
     outlines.
     """
     side_weight = require_number("side_weight", side_weight, high=100)
-    return Policy(no_carry, _select, _params(weight, min_gain, by_area=True, side_weight=side_weight))
+    return Policy(no_carry, Best(_judge), _params(weight, min_gain, by_area=True, side_weight=side_weight))

@@ -13,8 +13,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jexplore.config import InputError, require_number
-from jexplore.planning import field
-from jexplore.policies.clusters import best_of, go_to, seen_from, targets
+from jexplore.policies.clusters import Best, seen_from
 from jexplore.policies.policy import Policy, no_carry
 
 
@@ -49,15 +48,12 @@ def choquet(utilities: Array, measure: Array) -> Array:
     return jnp.sum(steps * measure[sets], axis=0)
 
 
-def _select(key, params, carry, belief, beams, route):
-    reached = field(belief)
-    at = targets(belief, reached)
+def _judge(params, belief, at, beams):
     unknown, seen_known = seen_from(belief, at, beams)
     criteria = unknown.astype(jnp.float32), -jnp.where(at.used, at.path_m, 0.0), seen_known.astype(jnp.float32)
     utilities = jnp.stack([relative(value, at.used) for value in criteria])
     measure = jnp.stack([jnp.float32(0), params.a, params.d, params.ad, params.o, params.ao, params.do, jnp.float32(1)])
-    worth = choquet(utilities, measure)
-    return carry, *go_to(belief, route, reached, at, best_of(at, worth, at.used))
+    return choquet(utilities, measure), at.used
 
 
 def mcdm(a: float = 0.5, d: float = 0.3, o: float = 0.2, ad: float = 0.95, ao: float = 0.7, do: float = 0.4) -> Policy:
@@ -71,4 +67,4 @@ def mcdm(a: float = 0.5, d: float = 0.3, o: float = 0.2, ad: float = 0.95, ao: f
                 raise InputError(
                     f"{pair} must be at least {one}, got {getattr(params, pair)} and {getattr(params, one)}"
                 )
-    return Policy(no_carry, _select, params)
+    return Policy(no_carry, Best(_judge), params)

@@ -9,8 +9,7 @@ of coverage maps. The utility of Burgard, Moors, Stachniss, Schneider, "Coordina
 from typing import NamedTuple
 
 from jexplore.config import require_number, require_whole
-from jexplore.planning import field
-from jexplore.policies.clusters import best_of, go_to, seen_from, targets
+from jexplore.policies.clusters import Best, seen_from
 from jexplore.policies.policy import Policy, no_carry
 
 
@@ -21,15 +20,12 @@ class Params(NamedTuple):
     min_gain: int  # unknown cells that a look must show for a cluster to be considered
 
 
-def _select(key, params, carry, belief, beams, route):
-    reached = field(belief)
-    at = targets(belief, reached)
+def _judge(params, belief, at, beams):
     unknown, _ = seen_from(belief, at, beams)
-    worth = unknown * belief.model.cell_m**2 - params.beta * at.path_m
-    return carry, *go_to(belief, route, reached, at, best_of(at, worth, unknown >= params.min_gain))
+    return unknown * belief.model.cell_m**2 - params.beta * at.path_m, unknown >= params.min_gain
 
 
 def utility(beta: float = 5.0, min_gain: int = 1) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Params`."""
     params = Params(require_number("beta", beta, high=1e6), require_whole("min_gain", min_gain, low=0, high=2**20))
-    return Policy(no_carry, _select, params)
+    return Policy(no_carry, Best(_judge), params)

@@ -146,7 +146,7 @@ def ready_starts(world: World, start: StartLike, n: int, *, seed: int, rules: Ru
 
     `start` is "random", drawn, start i the same for every n; else one for all: see `poses.read_start`.
     """
-    require_clearance(world, rules)
+    require_clearance(rules, world.cell_m, repr(world.name))
     start, clearance_m, near_m = read_start(start), rules.clearance_m, rules.near_m
     if start == "random":
         check_start(world, draw_start(world, seed, 0, clearance_m), clearance_m, near_m)
@@ -184,13 +184,13 @@ def _memory():
     return min(told, default=None)
 
 
-def require_clearance(world: World, rules: Rules) -> None:
+def require_clearance(rules: Rules, cell_m: float, where: str) -> None:
     """Refuse a clearance of more cells than the kernels look across."""
-    if radius_d2(rules.clearance_m, world.cell_m) >= WORD**2:
-        most = (WORD - 0.5) * world.cell_m
+    if radius_d2(rules.clearance_m, cell_m) >= WORD**2:
+        most = (WORD - 0.5) * cell_m
         raise InputError(
-            f"rules.clearance_m must be below {WORD} cells: at most {most:g} m in {world.name!r} with cells of "
-            f"{world.cell_m:g} m, got {rules.clearance_m:g}"
+            f"rules.clearance_m must be below {WORD} cells: at most {most:g} m in {where} with cells of "
+            f"{cell_m:g} m, got {rules.clearance_m:g}"
         )
 
 

@@ -134,7 +134,7 @@ class Environment:
         native, own = drive_for(jax.local_devices()[0].platform).name, tuple(self._metrics.values())
         sites, cells = [], []
         for world in self.worlds:
-            require_clearance(world, rules)
+            require_clearance(rules, world.cell_m, repr(world.name))
             require_memory(world, lidar, rules)
             cells.append(start_cells(world, rules.clearance_m))
             warn_of_floor(world, start_region(world, rules.clearance_m), rules.clearance_m, drawn=True)

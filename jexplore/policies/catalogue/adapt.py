@@ -97,9 +97,13 @@ class Score(Theirs):
     Equal scores go to the lowest flat index; NaN is never chosen; without a finite score the nearest cell is.
     """
 
-    def __call__(
+    def __call__(self, *given: Any) -> tuple[Any, Choice, Array]:
+        return self.scored(*given)[:3]
+
+    def scored(
         self, key: Array, params: Any, carry: Any, belief: Belief, beams: Beams, route: Array
-    ) -> tuple[Any, Choice, Array]:
+    ) -> tuple[Any, Choice, Array, Array]:
+        """Choose, and return the scores of the candidates as well: `[H, W]` float32, NaN elsewhere."""
         del key, beams
         reached = field(belief)
         found = call_user(self.function, self.what, view_of(belief, reached), **dict(self.fixed), **params)
@@ -110,7 +114,7 @@ class Score(Theirs):
         # Kept: XLA might compute it anew to compare it with its maximum, round it differently, and nothing equals that.
         score = stored(belief.row >= 0, lambda: lax.optimization_barrier(score))
         row, col = _highest(score, reached)
-        return carry, *choose(belief, route, reached, row, col)
+        return carry, *choose(belief, route, reached, row, col), jnp.where(reached.frontier, score, jnp.nan)
 
 
 def _is_number(dtype):

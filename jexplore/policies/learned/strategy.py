@@ -14,7 +14,7 @@ from jax import Array
 
 from jexplore.arrays.loops import run_if
 from jexplore.planning import Belief, Choice, field
-from jexplore.policies.clusters import Targets, go_to, targets
+from jexplore.policies.clusters import Targets, at_targets, go_to, targets
 from jexplore.policies.learned.features import FEATURES, features, shortlist
 from jexplore.policies.learned.model import SHIPPED, Model, load_model
 from jexplore.policies.learned.networks import MASKED, scores
@@ -52,15 +52,19 @@ class NetworkSelect:
 
     network: str
 
-    def __call__(
+    def __call__(self, *given: Any) -> tuple[Array, Choice, Array]:
+        return self.scored(*given)[:3]
+
+    def scored(
         self, key: Array, params: Any, carry: Array, belief: Belief, beams: Beams, route: Array
-    ) -> tuple[Array, Choice, Array]:
+    ) -> tuple[Array, Choice, Array, Array]:
+        """Choose as `clusters.Best.scored`, by the network's scores."""
         reached = field(belief)
         at = shortlist(targets(belief, reached))
         found, _ = score_targets(self.network, params, at, lambda: features(belief, at, carry, beams))
         which = jnp.where(at.used[0], jnp.argmax(found).astype(jnp.int32), -1)
         choice, route = go_to(belief, route, reached, at, which)
-        return jnp.stack([choice.row, choice.col]), choice, route
+        return jnp.stack([choice.row, choice.col]), choice, route, at_targets(at, found, route.shape)
 
 
 def policy_of(model: Model) -> Policy:

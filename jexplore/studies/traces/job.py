@@ -28,7 +28,7 @@ from jexplore.driving.settings import (
     robot_of,
 )
 from jexplore.studies import checks
-from jexplore.studies.trace_options import NOISE, attributes_of, require_start_pose, swept_values
+from jexplore.studies.traces.options import NOISE, attributes_of, require_start_pose, swept_values
 from jexplore.studies.traces.truth import TraceTruth, maps_from, truth_of
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.regions import warn_of_outside

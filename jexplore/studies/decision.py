@@ -1,0 +1,254 @@
+"""The decision alone, for a robot that somebody else drives: a grid as ROS has it and a pose in, a target out."""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jexplore.arrays.padding import bucket, number
+from jexplore.config import InputError, require_number, shown
+from jexplore.engine.backend import use_compilation_cache
+from jexplore.engine.draws import pinned_draws, random_key
+from jexplore.engine.runner import find_resources
+from jexplore.exploration.site import COARSE_M, drive_for
+from jexplore.grid import Grid, centre_of, radius_d2
+from jexplore.planning import Belief, MapModel
+from jexplore.policies import Policy, Strategy, strategy
+from jexplore.policies.closest import is_nearest, nearest_scored
+from jexplore.raycast import Beams, beam_table
+from jexplore.reach import FAR, HEADING, MOTIONS, NO_MOTION
+from jexplore.rules import Lidar, Rules
+from jexplore.studies.checks import (
+    LIDAR,
+    RULES,
+    LidarLike,
+    RulesLike,
+    StrategyLike,
+    ready_settings,
+    require_clearance,
+)
+
+_SNAP = 6  # decimals of a cell to which a point is rounded: 0.3 m lies at the edge of cells of 0.1 m, not before it
+
+
+@dataclasses.dataclass(frozen=True)
+class TargetResult:
+    """Result of `next_target`. Points are in the frame of the grid's origin."""
+
+    cell: tuple[int, int] | None
+    """Row and column of the target in the grid; None: no frontier can be reached, and exploration is over."""
+    pose: tuple[float, float, float] | None
+    """Centre of that cell and the heading of the arrival: x_m, y_m, heading_rad; None without a target."""
+    path: np.ndarray
+    """`[n + 1, 2]` float64, x_m and y_m of the centres of cells, the robot's first, the target last; else `[0, 2]`."""
+    path_m: float
+    """Length of that path, metres; 0 without a target."""
+    scores: np.ndarray | None
+    """`[H, W]` float32, what the strategy compares, NaN where it has no candidate: minus the path in metres for
+    `closest`, the worth of each cluster's nearest cell, a function's own score. None for strategies that draw, plan a
+    tour, look at view points one by one, or prefer rooms, and for a `Policy` of one's own."""
+    memory: Any
+    """What the strategy remembers: `memory` of the next call."""
+
+
+def next_target(
+    occupancy: np.ndarray,
+    pose: Sequence[float],
+    *,
+    cell_m: float,
+    origin_m: Sequence[float] = (0.0, 0.0),
+    strategy: StrategyLike = "closest",
+    driven_m: Any = (),
+    exhausted_m: Any = (),
+    memory: Any = None,
+    key: Array | None = None,
+    lidar: LidarLike = LIDAR,
+    rules: RulesLike = RULES,
+) -> TargetResult:
+    """Choose the next target of a robot from its map, as an episode's robot would.
+
+    A pure function: equal arguments give equal results. Grids of similar size share a compiled program.
+
+    Args:
+      occupancy: `[H, W]` int8, `nav_msgs/OccupancyGrid.data` as rows, row 0 at the bottom: -1 unknown, 0 to 100 the
+        probability that a cell is occupied, per cent. A cell is free up to `rules.p_free`.
+      pose: of the robot: x_m, y_m, heading_rad.
+      cell_m: edge of a cell, metres: the grid's `resolution`.
+      origin_m: x and y of the corner of cell (0, 0), metres; the grid's axes are those of the frame.
+      strategy: as in `compare`. A name or a function is taken as it is when it is first given; one that holds arrays
+        must be made once by `jx.strategy`.
+      driven_m: `[N, 2]`, x and y of places where the robot has been, the first its start: it may drive there whatever
+        the map says. Points outside the grid do not count.
+      exhausted_m: `[K, 2]`, targets at which the robot looked all round and that showed nothing: never chosen again.
+      memory: of the last result, for strategies that remember (`learned`).
+      key: of what the strategy draws; by default always the same.
+      lidar: the scanner by which strategies estimate gains.
+      rules: of these `clearance_m`, `near_m`, `p_free` and `known_outline` count. By default what lies beyond the
+        grid is unknown.
+
+    Returns:
+      `TargetResult`.
+
+    Raises:
+      InputError: a grid of another dtype or shape, with other values, or without a free cell; a pose that is not
+        finite, outside, or in a wall; settings that cannot be; a strategy that chooses a cell to which no path leads.
+    """
+    scanner, own = ready_settings(lidar, rules)
+    require_number("cell_m", cell_m, low=1e-3, high=100)
+    asked = _ready(strategy)
+    grid = _checked(occupancy, own.p_free)
+    require_clearance(own, cell_m, "the grid")
+    x_m, y_m, heading_rad = _numbers("pose", pose, 3, "x_m, y_m, heading_rad")
+    corner = _numbers("origin_m", origin_m, 2, "x_m, y_m")
+    (robot,) = _cells("pose", [(x_m, y_m)], corner, cell_m)
+    _require_free(grid, robot, pose, own.p_free)
+    ring = 0 if own.known_outline else 1  # beyond the edge lies what is unknown
+    shape = bucket(grid.shape[0] + 2 * ring), bucket(grid.shape[1] + 2 * ring)
+    inner = tuple(slice(ring, ring + n) for n in grid.shape)
+    cells = np.full(shape, -1, np.int8)
+    cells[inner] = grid
+    places = _cells("driven_m", driven_m, corner, cell_m)
+    masks = []
+    for points in (np.concatenate([places, robot[None]]), _cells("exhausted_m", exhausted_m, corner, cell_m)):
+        mask = np.zeros(shape, bool)
+        mask[tuple((points[((points >= 0) & (points < grid.shape)).all(axis=1)] + ring).T)] = True
+        masks.append(mask)
+    heading = round(heading_rad * 4 / math.pi) % 8
+    start = np.append((places[0] if len(places) else robot) + ring, heading)
+    at = np.int32([*(robot + ring), heading, *start, *(n + 2 * ring for n in grid.shape)])
+    beams, model = _prepared(scanner, own, float(cell_m), shape)
+    policy = asked.policy
+    key = random_key(0) if key is None else key
+    told = _chosen(policy._replace(params=()), key, policy.params, memory, cells, *masks, at, beams, model)
+    row, col, cost, route, scores, memory = *map(np.asarray, told[:4]), *told[4:]
+    scores = None if scores is None else np.asarray(scores)[inner]
+    if row < 0:
+        return TargetResult(None, None, np.zeros((0, 2)), 0.0, scores, memory)
+    if cost >= FAR:
+        raise InputError(f"{asked.name}: chose the cell ({row - ring}, {col - ring}), to which no path leads")
+    way, motions = _followed(route, tuple(robot + ring), (int(row), int(col)))
+    x, y = centre_of(*(np.array(way) - ring).T, cell_m=cell_m, origin_m=corner)
+    heading_rad = HEADING[motions[-1]] * math.pi / 4 if motions else heading_rad
+    path_m = cell_m * sum(math.sqrt(2) if motion >= 4 else 1.0 for motion in motions)
+    cell = int(row) - ring, int(col) - ring
+    return TargetResult(cell, (x[-1], y[-1], heading_rad), np.stack([x, y], axis=1), path_m, scores, memory)
+
+
+def _checked(occupancy: Any, p_free: float) -> np.ndarray:
+    """Return the grid; refuse what is none, or has no free cell."""
+    kind = f"{list(np.shape(occupancy))} {getattr(occupancy, 'dtype', type(occupancy).__name__)}"
+    if getattr(occupancy, "dtype", None) != np.int8 or occupancy.ndim != 2 or not occupancy.size:
+        raise InputError(f"occupancy must be [H, W] int8, -1 unknown and 0 to 100, got {kind}")
+    grid = np.asarray(occupancy)
+    low, high = int(grid.min()), int(grid.max())
+    if low < -1 or high > 100:
+        raise InputError(f"occupancy must lie from -1 (unknown) to 100, got {low} to {high}")
+    if not _is_free(grid, p_free).any():
+        raise InputError(f"occupancy must have a free cell, from 0 to {100 * p_free:g}, got none in {kind}")
+    return grid
+
+
+def _is_free(grid: np.ndarray, p_free: float) -> np.ndarray:
+    return (grid >= 0) & (grid <= np.float32(p_free) * np.float32(100))
+
+
+def _numbers(name: str, values: Any, n: int, what: str) -> list[float]:
+    """Return n finite numbers."""
+    try:
+        found = [float(value) for value in values]
+    except (TypeError, ValueError):
+        found = []
+    if len(found) != n or not all(map(math.isfinite, found)):
+        raise InputError(f"{name} must be {n} finite numbers, {what}, got {shown(values)}")
+    return found
+
+
+def _cells(name: str, points_m: Any, corner: Sequence[float], cell_m: float) -> np.ndarray:
+    """Return the cells of points, `[N, 2]` int64, row and column, wherever they lie."""
+    points = np.asarray(points_m, float).reshape(-1, 2) if len(points_m) == 0 else np.asarray(points_m, float)
+    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
+        raise InputError(f"{name} must be [N, 2] finite numbers, x_m and y_m, got {shown(points_m)}")
+    cells = np.floor(np.round((points - corner) / cell_m, _SNAP))
+    return np.clip(cells, -1, 2**20)[:, ::-1].astype(np.int64)
+
+
+def _require_free(grid: np.ndarray, robot: np.ndarray, pose: Any, p_free: float) -> None:
+    """Refuse a pose outside the grid, or in a cell that is known not to be free."""
+    where = f"pose {shown(tuple(pose))}"
+    if not ((robot >= 0) & (robot < grid.shape)).all():
+        raise InputError(f"{where}: lies outside the grid of {grid.shape[0]} x {grid.shape[1]} cells")
+    here = grid[tuple(robot)]
+    if here >= 0 and not _is_free(here, p_free):
+        raise InputError(
+            f"{where}: lies in a wall: its cell ({robot[0]}, {robot[1]}) is {here}, free is {100 * p_free:g}"
+        )
+
+
+def _ready(asked: Any) -> Strategy:
+    """Return the strategy; a name or a function is made one once, so that it is compiled once."""
+    try:
+        return asked if isinstance(asked, Strategy) else _made(asked)
+    except TypeError:
+        raise InputError("a strategy that holds arrays must be made once, by jx.strategy") from None
+
+
+@functools.lru_cache(maxsize=64)
+def _made(asked: Any) -> Strategy:
+    return strategy(asked)
+
+
+@functools.lru_cache(maxsize=8)
+def _prepared(lidar: Lidar, rules: Rules, cell_m: float, shape: tuple[int, int]) -> tuple[Beams, MapModel]:
+    """Return the scanner's beams on the device, and the thresholds of a map."""
+    use_compilation_cache()
+    find_resources()  # starts JAX
+    thresholds: Any = rules.p_free, radius_d2(rules.near_m, cell_m), cell_m
+    model = MapModel(
+        *map(number, thresholds),
+        clearance_d2=radius_d2(rules.clearance_m, cell_m),
+        known_outline=np.bool_(rules.known_outline),
+        coarse=cell_m > COARSE_M,
+        native=drive_for(jax.local_devices()[0].platform).name,
+    )
+    return jax.device_put((beam_table(lidar.without_noise(), cell_m, shape[1]), model))
+
+
+@pinned_draws()
+@functools.partial(jax.jit, static_argnums=0)
+def _chosen(
+    policy: Policy, key: Array, params: Any, memory: Any, cells: Array, driven: Array, exhausted: Array, at: Array,
+    beams: Beams, model: MapModel,
+) -> tuple[Any, ...]:  # fmt: skip
+    """Return row, column and cost of the choice, the map of motions, the scores, and what is remembered."""
+    row, col, heading, *rest = at
+    percent = cells.astype(jnp.int32)
+    grid = Grid(jnp.maximum(percent, 0), jnp.where(percent < 0, 0, 100 - percent))
+    belief = Belief(grid, driven, exhausted, row, col, heading, jnp.stack(rest[:3]), jnp.stack(rest[3:]), model)
+    carry = policy.init(params, belief) if memory is None else memory
+    route = jnp.full(cells.shape, NO_MOTION, jnp.int8)
+    scored = nearest_scored if is_nearest(policy) else getattr(policy.select, "scored", None)
+    if scored is None:
+        scores = None
+        carry, choice, route = policy.select(key, params, carry, belief, beams, route)
+    else:
+        carry, choice, route, scores = scored(key, params, carry, belief, beams, route)
+    return choice.row, choice.col, choice.cost, route, scores, carry
+
+
+def _followed(
+    route: np.ndarray, start: tuple[int, int], target: tuple[int, int]
+) -> tuple[list[tuple[int, int]], list[int]]:
+    """Follow a map of motions: the cells from start to target, and the motions between them."""
+    way, motions = [start], []
+    while way[-1] != target:
+        motion = int(route[way[-1]])
+        drow, dcol = MOTIONS[motion]
+        way.append((way[-1][0] + drow, way[-1][1] + dcol))
+        motions.append(motion)
+    return way, motions

@@ -1,0 +1,246 @@
+"""The decision alone: a grid and a pose in, an episode's own choice out."""
+
+import math
+import runpy
+import sys
+import types
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from ref import maps
+from ref.worlds import two_rooms
+
+import jexplore as jx
+from jexplore.config import InputError
+from jexplore.engine.draws import random_key
+from jexplore.exploration import replay
+from jexplore.exploration.site import prepare_site
+from jexplore.exploration.state import Stream
+from jexplore.rules import Lidar, Rules
+
+LIDAR, ORIGIN = Lidar(n_beams=37, range_m=1.0), (-1.3, 2.7)
+POINT = Rules(clearance_m=0.0, near_m=0.0)
+
+
+def grid_of(text):
+    """Read a drawn map as an occupancy grid, `R` the robot: `(grid, x_m, y_m)`, cells of 1 m."""
+    cells = maps.drawn(text)
+    ((row, col),) = np.argwhere(cells == "R")
+    values = {"#": 100, "?": -1, ".": 0, "R": 0}
+    return np.array([[values[cell] for cell in line] for line in cells], np.int8), col + 0.5, row + 0.5
+
+
+def ask(grid, pose, **how):
+    return jx.next_target(grid, pose, cell_m=1.0, **{"rules": POINT, "lidar": LIDAR} | how)
+
+
+DRAWN = """
+    #######
+    #....?#
+    #R#..?#
+    #######
+"""
+
+
+@pytest.mark.jit
+def test_target_path_and_scores_of_a_drawn_map():
+    """No step cuts a corner of the pillar; two cells lie at the unknown ones."""
+    grid, x, y = grid_of(DRAWN)
+    found = ask(grid, (x, y, 1.0))
+    assert found.cell == (2, 4)
+    np.testing.assert_array_equal(found.path, [(1.5, 1.5), (1.5, 2.5), (2.5, 2.5), (3.5, 2.5), (4.5, 2.5)])
+    assert found.path_m == 4
+    assert found.pose == (4.5, 2.5, 0.0)
+    scores = {tuple(cell.tolist()): float(found.scores[tuple(cell)]) for cell in np.argwhere(~np.isnan(found.scores))}
+    assert scores == pytest.approx({(1, 4): -3 - math.sqrt(2), (2, 4): -4})
+
+
+@pytest.mark.jit
+def test_what_was_driven_can_be_driven_and_what_is_exhausted_is_not_chosen():
+    grid, x, y = grid_of("??????\n#R#..?\n######")
+    first = ask(grid, (x, y, 0.0))
+    assert first.cell == (1, 1)
+    assert first.path.shape == (1, 2)
+    assert first.pose == (x, y, 0.0)  # a path of no length keeps the heading
+    done = ask(grid, (x, y, 0.0), exhausted_m=[(x, y), (99.0, 99.0)])
+    assert done.cell is None
+    assert done.pose is None
+    assert done.path.shape == (0, 2)
+    across = ask(grid, (x, y, 0.0), exhausted_m=[(x, y)], driven_m=[(2.5, 1.5)])
+    assert across.cell == (1, 3)
+    assert across.path_m == 2
+
+
+@pytest.mark.jit
+def test_the_edge_of_a_grid_is_unknown_unless_it_is_the_outline():
+    grid, x, y = grid_of("...\n.R.\n...")
+    assert ask(grid, (x, y, 0.0)).path_m == 1
+    assert ask(grid, (x, y, 0.0), rules=POINT.replace(known_outline=True)).cell is None
+
+
+def as_arguments(belief, corner=ORIGIN):
+    """Return what a belief of an episode is as arguments of `next_target`."""
+    height, width = (int(n) for n in belief.extent)
+    hits, misses = (np.asarray(a)[:height, :width] for a in (belief.grid.hits, belief.grid.misses))
+    n, cell_m = hits + misses, float(belief.model.cell_m)
+    grid = np.where(n > 0, -(-100 * hits // np.maximum(n, 1)), -1).astype(np.int8)
+
+    def points(cells):
+        return (np.array(cells, float).reshape(-1, 2)[:, ::-1] + 0.5) * round(cell_m, 6) + corner
+
+    start = np.asarray(belief.start)
+    x, y = points([(belief.row, belief.col)])[0]
+    places = np.concatenate([points([start[:2]]), points(np.argwhere(belief.driven))])
+    known = {"driven_m": places, "exhausted_m": points(np.argwhere(belief.exhausted)), "origin_m": corner}
+    return (grid, (x, y, int(belief.heading) * math.pi / 4)), {"cell_m": round(cell_m, 6), **known}
+
+
+def check_episode(world, name, lidar, rules, *, episode=0, seed=3, most=10**6):
+    """Hold the choices of an episode to those of `next_target`, as many as `most`: how many there were."""
+    made = jx.explore(world, name, seed=seed, episode=episode, lidar=lidar, rules=rules)
+    site, own, memory, n = prepare_site(made.world, lidar, rules), jx.strategy(name), None, 0
+    key = jax.random.fold_in(jax.random.fold_in(random_key(seed), episode), Stream.POLICY)
+    for plan in replay.replayed_plans(site, own, made.start, seed, episode, made.final.plans):
+        if plan.plan is not None and n < most:
+            arguments, more = as_arguments(plan.belief)
+            draw = jax.random.fold_in(key, n)
+            how = {"strategy": own, "lidar": lidar, "rules": rules, "memory": memory, "key": draw}
+            found = jx.next_target(*arguments, **more, **how)
+            wanted, memory, n = plan.plan.target, found.memory, n + 1
+            assert found.cell == (None if wanted is None else replay.target_of(plan.plan, site.ring))
+            cells = np.floor((found.path - ORIGIN) / more["cell_m"])
+            motions = [(int(dy), int(dx)) for dx, dy in np.diff(cells, axis=0)]
+            driven = [replay.MOTIONS[motion] for motion in plan.plan.motions]
+            assert motions[: len(driven)] == driven
+        for _ in plan.moments:
+            pass
+    return n
+
+
+@pytest.mark.jit
+def test_it_is_the_episodes_own_choice():
+    assert check_episode(two_rooms(), "closest", LIDAR, Rules(), most=6) == 6
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_it_is_the_episodes_own_choice_on_a_thousand_beliefs():
+    strategies = (
+        "closest", "random", "tour+recheck", "distance-advantage+recheck", "small-first", "utility+recheck", "mcdm",
+        "learned+recheck", "decision-theoretic:samples=50", "closest+segment",
+    )  # fmt: skip
+    n = 0
+    for seed in range(4):
+        world = jx.load_world(f"rooms#{seed}:width_m=8,height_m=6")
+        for name in strategies:
+            n += check_episode(world, name, Lidar(range_m=2.0), Rules(), seed=seed)
+    noisy = Lidar(n_beams=91, range_m=2.0, sigma_m=0.05, dropout=0.1)
+    n += check_episode("rooms#5:width_m=8,height_m=6", "closest", noisy, Rules(max_plans=100))
+    assert n >= 1000
+
+
+FREE, WALL = np.zeros((3, 4), np.int8), np.eye(3, dtype=np.int8) * 90
+KIND = "occupancy must be [H, W] int8, -1 unknown and 0 to 100"
+
+
+@pytest.mark.parametrize(
+    ("grid", "pose", "how", "message"),
+    [
+        (FREE.astype(float), (1, 1, 0), {}, f"{KIND}, got [3, 4] float64"),
+        ([[0, 1]], (1, 1, 0), {}, f"{KIND}, got [1, 2] list"),
+        (FREE[0], (1, 1, 0), {}, f"{KIND}, got [4] int8"),
+        (FREE - 2, (1, 1, 0), {}, "occupancy must lie from -1 (unknown) to 100, got -2 to -2"),
+        (FREE + 26, (1, 1, 0), {}, "occupancy must have a free cell, from 0 to 25, got none in [3, 4] int8"),
+        (FREE, (1, 3.5, 0), {}, "pose (1, 3.5, 0): lies outside the grid of 3 x 4 cells"),
+        (FREE, (-0.1, 1, 0), {}, "pose (-0.1, 1, 0): lies outside the grid of 3 x 4 cells"),
+        (WALL, (1.5, 1.5, 0), {}, "pose (1.5, 1.5, 0): lies in a wall: cell (1, 1) is 90, above 25"),
+        (FREE, (math.nan, 1, 0), {}, "pose must be 3 finite numbers, x_m, y_m, heading_rad, got (nan, 1, 0)"),
+        (FREE, (1, 1), {}, "pose must be 3 finite numbers, x_m, y_m, heading_rad, got (1, 1)"),
+        (FREE, (1, 1, 0), {"origin_m": (0, math.inf)}, "origin_m must be 2 finite numbers, x_m, y_m, got (0, inf)"),
+        (FREE, (1, 1, 0), {"driven_m": [1, 2]}, "driven_m must be [N, 2] finite numbers, x_m and y_m, got [1, 2]"),
+        (FREE, (1, 1, 0), {"exhausted_m": [(math.nan, 2)]}, "exhausted_m must be [N, 2] finite numbers"),
+        (FREE, (1, 1, 0), {"cell_m": 0}, "cell_m must be a number at least 0.001 and at most 100, got 0"),
+        (FREE, (1, 1, 0), {"cell_m": 0.005, "rules": {}}, "rules.clearance_m must be below 32 cells"),
+        (FREE, (1, 1, 0), {"strategy": "nearst"}, "unknown strategy 'nearst'"),
+    ],
+)  # fmt: skip
+def test_wrong_input_is_refused_in_one_line(grid, pose, how, message):
+    with pytest.raises(InputError) as error:
+        jx.next_target(grid, pose, **{"cell_m": 1.0, "rules": POINT} | how)
+    assert str(error.value).startswith(message)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.jit
+def test_a_strategy_of_ones_own_gives_its_scores_or_is_told_that_no_path_leads_there():
+    grid, x, y = grid_of(DRAWN)
+
+    def far(view):
+        return view.path_m
+
+    own = jx.strategy(far)
+    found = ask(grid, (x, y, 0.0), strategy=own)
+    assert found.cell == (1, 4)
+    assert found.scores[1, 4] == pytest.approx(found.path_m)
+
+    def into_the_wall(key, params, carry, belief, beams, route):
+        choice, route = jx.nearest_frontier(belief, route)
+        return carry, choice.replace(row=choice.row * 0, col=choice.col * 0), route
+
+    bad = jx.strategy(jx.Policy(lambda params, belief: (), into_the_wall), name="bad")
+    with pytest.raises(InputError, match=r"^bad: chose the cell \(-1, -1\), to which no path leads$"):
+        ask(grid, (x, y, 0.0), strategy=bad)
+
+
+@pytest.mark.jit
+def test_the_ros_node_answers_messages_with_goals(monkeypatch):
+    """With the messages' types of rosbags in the place of those of ROS, which pip cannot install."""
+    typesys = pytest.importorskip("rosbags.typesys")
+    types_of = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE).types
+    kinds = {name.split("/")[-1]: kind for name, kind in types_of.items()}
+    goals, subscribed = [], {}
+    node = types.SimpleNamespace(
+        create_publisher=lambda kind, topic, depth: types.SimpleNamespace(publish=goals.append),
+        create_subscription=lambda kind, topic, callback, depth: subscribed.update({topic: (kind, callback)}),
+    )
+
+    def header():
+        return kinds["Header"](types_of["builtin_interfaces/msg/Time"](0, 0), "map")
+
+    def pose(x, y):
+        place = types_of["geometry_msgs/msg/Pose"](
+            types_of["geometry_msgs/msg/Point"](x, y, 0.0), types_of["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+        )
+        return place if x == y == 0 else types_of["geometry_msgs/msg/PoseStamped"](header(), place)
+
+    cells, x, y = grid_of(DRAWN)
+
+    def spin(_):
+        info = types_of["nav_msgs/msg/MapMetaData"](
+            types_of["builtin_interfaces/msg/Time"](0, 0), 1.0, *cells.shape[::-1], pose(0.0, 0.0)
+        )
+        grid = types_of["nav_msgs/msg/OccupancyGrid"](header(), info, cells.ravel())
+        (_, on_pose), (_, on_map) = subscribed["pose"], subscribed["map"]
+        on_map(grid)  # before the first pose
+        on_pose(pose(x, y))
+        on_map(grid)
+        on_pose(pose(4.5, 2.5))  # there, and the map is the same: it is exhausted
+        on_map(grid)
+
+    rclpy = types.SimpleNamespace(init=lambda: None, create_node=lambda name: node, spin=spin)
+    messages = types.SimpleNamespace(
+        PoseStamped=types_of["geometry_msgs/msg/PoseStamped"], OccupancyGrid=types_of["nav_msgs/msg/OccupancyGrid"]
+    )
+    for name, module in {"rclpy": rclpy, "geometry_msgs.msg": messages, "nav_msgs.msg": messages}.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    module = runpy.run_path(str(Path(__file__).resolve().parents[1] / "examples" / "ros2_node.py"))
+    explorer = module["Explorer"](rules=POINT, lidar=LIDAR)
+    module["main"].__globals__["Explorer"] = lambda: explorer
+    module["main"]()
+    assert {topic: kind.__name__.split("__")[-1] for topic, (kind, _) in subscribed.items()} == {
+        "pose": "PoseStamped", "map": "OccupancyGrid",
+    }  # fmt: skip
+    assert [(goal.pose.position.x, goal.pose.position.y) for goal in goals] == [(4.5, 2.5), (4.5, 1.5)]
+    assert goals[0].header.frame_id == "map"
