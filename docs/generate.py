@@ -347,7 +347,7 @@ def _option(field, hint, settings, prefix):
     if hint is bool:
         return (f"--{prefix}no-{field.name}".replace("_", "-"), "") if default else (name, "")
     if typing.get_origin(hint) is typing.Literal:
-        metavar = "{" + ",".join(typing.get_args(hint)) + "}"
+        metavar = "{" + ",".join(map(str, typing.get_args(hint))) + "}"
     kinds = [one for one in typing.get_args(hint) if one is not type(None)] or [hint]
     return f"{name} {metavar or getattr(kinds[0], '__name__', 'value').upper()}", _default(default)
 

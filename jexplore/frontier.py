@@ -67,11 +67,12 @@ def plan_masks(
     near_d2: Array | float,
     clearance_d2: int,
     stays_inside: bool = False,
+    connectivity: int = 8,
 ) -> Masks:
     """Compute traversable and frontier cells at once, packed.
 
     Traversable: clear cells, free ones near the robot, and the way that it has driven; without the last two, walls
-    that are seen late close the way behind the robot. Frontier: clear cells that are 8-adjacent to an unknown cell
+    that are seen late close the way behind the robot. Frontier: clear cells that are adjacent to an unknown cell
     inside; whether a path leads there is not asked here.
 
     Args:
@@ -81,6 +82,7 @@ def plan_masks(
       p_free, near_d2: scalars.
       clearance_d2: cells^2. Static.
       stays_inside: whether cells outside are left out of both, whatever they are. Static.
+      connectivity: 8, or 4: what lies across a corner is not adjacent. Static.
 
     Returns:
       `Masks`.
@@ -101,7 +103,7 @@ def plan_masks(
     def judge() -> Masks:
         free = known & ~occupied
         clear = free & ~within_packed(occupied, clearance_d2)
-        frontier = clear & any_within_one_packed(inside & ~known) & ~exhausted
+        frontier = clear & any_within_one_packed(inside & ~known, connectivity) & ~exhausted
         traversable = clear | (free & near) | driven
         return Masks(traversable & inside, frontier & inside) if stays_inside else Masks(traversable, frontier)
 
@@ -191,6 +193,16 @@ def frontier_clusters(
         overflow=jnp.maximum(count - max_clusters, 0),
         left_out=cells.overflow,
     )
+
+
+def large_groups(frontier: Array, least: int) -> Array:
+    """Return the frontier cells whose 8-connected group has at least some cells: `[H, W]` bool. `least` is static."""
+    if least == 1:
+        return frontier
+    height, width = frontier.shape
+    most = -(-height // 2) * -(-width // 2)  # groups that do not touch
+    found = frontier_clusters(frontier, max_clusters=most, max_cells=frontier.size)
+    return frontier & (found.size[found.label] >= least)
 
 
 def _sizes(cells: groups.Groups, width: int, max_clusters: int) -> tuple[Array, Array, Array]:

@@ -125,10 +125,11 @@ def any_within_one(mask: Array) -> Array:
     return bits.unpack(any_within_one_packed(bits.pack(mask)), mask.shape[0])
 
 
-def any_within_one_packed(words: Array) -> Array:
-    """Compute `any_within_one` for packed masks: `[K, W]` uint32 to the same."""
-    words = words | bits.shifted(words, 0, 1) | bits.shifted(words, 0, -1)
-    return words | bits.shifted(words, 1, 0) | bits.shifted(words, -1, 0)
+def any_within_one_packed(words: Array, connectivity: int = 8) -> Array:
+    """Compute `any_within_one` for packed masks: `[K, W]` uint32 to the same; with 4, neighbours across edges alone."""
+    across = words | bits.shifted(words, 0, 1) | bits.shifted(words, 0, -1)
+    along = across if connectivity == 8 else words
+    return across | bits.shifted(along, 1, 0) | bits.shifted(along, -1, 0)
 
 
 def count(mask: Array) -> Array:

@@ -82,6 +82,7 @@ class Lidar(Settings):
         require_number("lidar.yaw_deg", self.yaw_deg, low=-360, high=360)
 
 
+MOST_TIME_S = 2**30 // 1000  # s; clocks stand still there, see `exploration.motion`
 POSES = ("true", "odometry", "icp")
 """Ways in which a robot learns its pose: it is given; by odometry alone; by matching its scans as well."""
 
@@ -185,6 +186,20 @@ class Rules(Settings):
     step. It also scans at its target, where it looks round, and where a step is refused."""
     arrival_m: float = 0.0
     """A target within this distance, in metres, that is no longer live counts as reached, also without +recheck."""
+    frontier_connectivity: Literal[8, 4] = 8
+    """A frontier cell has an unknown cell among this many neighbours: across edges and corners, or across edges alone.
+    A robot without a clearance needs 4: it sees no cell that lies behind the inner corner of two walls."""
+    min_frontier_cells: int = 1
+    """Groups of fewer frontier cells, that touch along edges or corners, are no frontier."""
+    stop_at: float | None = None
+    """An episode ends as EXPLORED once this share of the cells that can be known is known, as in the curves; steps of
+    0.0001."""
+    return_home: bool = False
+    """A robot that is done drives back to its start before the episode ends; its outcome is the same."""
+    max_path_m: float | None = None
+    """An episode ends as PATH_LIMIT before the step that would make its path longer than this, in metres."""
+    max_time_s: float | None = None
+    """An episode ends as TIME_LIMIT before the motion that would begin this late, in seconds, by the robot's clock."""
     max_steps: int | None = None
     """An episode ends as STEP_LIMIT after this many steps; by default the larger of 20000 and the number of cells."""
     max_plans: int | None = None
@@ -203,7 +218,13 @@ class Rules(Settings):
         for name in ("scan_every_m", "arrival_m"):
             require_number(f"rules.{name}", getattr(self, name), high=1000)
         require_number("rules.p_free", self.p_free, high=1, high_open=True)
-        for name in ("look_around", "known_outline"):
+        require_whole("rules.min_frontier_cells", self.min_frontier_cells, low=1, high=1000)
+        if self.frontier_connectivity not in (8, 4):
+            raise InputError(f"rules.frontier_connectivity must be 8 or 4, got {shown(self.frontier_connectivity)}")
+        for name, low, high in (("stop_at", 0.0001, 1), ("max_path_m", 0, 1e6), ("max_time_s", 0, MOST_TIME_S)):
+            if getattr(self, name) is not None:
+                require_number(f"rules.{name}", getattr(self, name), low=low, high=high)
+        for name in ("look_around", "known_outline", "return_home"):
             if not isinstance(getattr(self, name), bool):
                 raise InputError(f"rules.{name} must be True or False, got {getattr(self, name)!r}")
         for name in ("max_steps", "max_plans"):

@@ -48,13 +48,16 @@ DRAWN = """
 def test_target_path_and_scores_of_a_drawn_map():
     """No step cuts a corner of the pillar; two cells lie at the unknown ones."""
     grid, x, y = grid_of(DRAWN)
-    found = ask(grid, (x, y, 1.0))
+    found = ask(grid, (x, y, 1.0), scores=True)
     assert found.cell == (2, 4)
     np.testing.assert_array_equal(found.path, [(1.5, 1.5), (1.5, 2.5), (2.5, 2.5), (3.5, 2.5), (4.5, 2.5)])
     assert found.path_m == 4
     assert found.pose == (4.5, 2.5, 0.0)
     scores = {tuple(cell.tolist()): float(found.scores[tuple(cell)]) for cell in np.argwhere(~np.isnan(found.scores))}
     assert scores == pytest.approx({(1, 4): -3 - math.sqrt(2), (2, 4): -4})
+    unscored = ask(grid, (x, y, 1.0))
+    assert unscored.scores is None
+    assert (unscored.cell, unscored.pose, unscored.path_m) == (found.cell, found.pose, found.path_m)
 
 
 @pytest.mark.jit
@@ -181,7 +184,7 @@ def test_a_strategy_of_ones_own_gives_its_scores_or_is_told_that_no_path_leads_t
         return view.path_m
 
     own = jx.strategy(far)
-    found = ask(grid, (x, y, 0.0), strategy=own)
+    found = ask(grid, (x, y, 0.0), strategy=own, scores=True)
     assert found.cell == (1, 4)
     assert found.scores[1, 4] == pytest.approx(found.path_m)
 

@@ -45,7 +45,7 @@ def test_cases_fit_their_programs():
         assert case.lidar.n_beams <= fixed.beams_as[1]
         assert (case.lidar.sigma_m > 0 or case.lidar.dropout > 0) == fixed.noisy
         kinds |= {kind for kind in fuzz.kinds_of(case, nothing) if not kind.startswith("outcome")}
-    assert len(kinds) == 17 + 5 + 4
+    assert len(kinds) == 23 + 5 + 4
 
 
 @pytest.mark.jit

@@ -16,21 +16,23 @@ from jexplore.arrays.loops import run_if, stored
 from jexplore.distance import within_packed
 from jexplore.engine.program import Given
 from jexplore.exploration import metrics, trail
-from jexplore.exploration.motion import PLAN, SCAN, motion_step, tick, turn_between
+from jexplore.exploration.motion import LENGTHS, PLAN, SCAN, motion_step, tick, turn_between
 from jexplore.exploration.sensing import known_cells, sense, stacked
 from jexplore.exploration.state import Numbers, Outcome, Setup, State, Stream, no_counts
 from jexplore.exploration.uncertain.looking import look
 from jexplore.exploration.uncertain.moving import mark_bump, turn_and_go
 from jexplore.exploration.uncertain.poses import blank_poses
 from jexplore.frontier import disc
-from jexplore.grid import Grid, empty_grid, is_free, is_known, is_occupied
+from jexplore.grid import Grid, beside, bordered, count, empty_grid, is_free, is_known, is_occupied
 from jexplore.native.drive import Stage
 from jexplore.native.drive import drive as drive_natively
 from jexplore.native.kernels import target_of
-from jexplore.planning import Belief, Choice, MapModel, is_live, is_open
+from jexplore.planning import Belief, Choice, MapModel, choose, field, is_live, is_open
 from jexplore.reach import DIAGONAL, FAR, NO_MOTION, STRAIGHT, flood
 
 BAD_TARGETS = 3  # targets in a row that no path leads to, and an episode ends
+WHOLE = 10_000  # parts of which a share of the cells is counted
+NEVER = 2**31 - 1  # known cells, ms, length of the path: a limit that there is not
 LOOK_AROUND = 4  # looks, at least, with which a robot looks all round on arrival, the one on arrival included
 
 
@@ -79,12 +81,18 @@ def _move(setup: Setup, given: Given, state: State, motion: Array) -> State:
     A step into a cell that is not free is refused: the robot only turns towards it. A plan whose next step would be one
     too many ends the episode. Does nothing once the plan is done. `motion` is the route's in the robot's cell.
     """
-    looking = state.plan_active & (state.looking > 0)
-    at_limit = state.plan_active & ~looking & (state.steps >= given.numbers.max_steps)
+    numbers, looking = given.numbers, state.plan_active & (state.looking > 0)
+    limit = jnp.where(state.time_ms >= numbers.max_ms, Outcome.TIME_LIMIT, Outcome.RUNNING)
+    is_diagonal = motion >= 4
+    length = LENGTHS[0] * (state.straight + ~is_diagonal) + LENGTHS[1] * (state.diagonal + is_diagonal)
+    limit = jnp.where(~looking & (length > numbers.max_path), Outcome.PATH_LIMIT, limit)
+    limit = jnp.where(~looking & (state.steps >= numbers.max_steps), Outcome.STEP_LIMIT, limit)
+    at_limit = state.plan_active & (limit != Outcome.RUNNING)
+    looking &= ~at_limit
     moved, steps, refused = _place(setup, given, state, motion, looking, state.plan_active & ~looking & ~at_limit)
     drow, dcol, _ = motion_step(motion)
     diagonal = steps & (drow != 0) & (dcol != 0)
-    clock = given.numbers.clock
+    clock = numbers.clock
     time = tick(clock, state, moved.heading, steps, looking | refused, clock[SCAN])
     rooms, base = stacked(given, given.scenes.rooms)
     room = rooms[base + moved.row, moved.col]
@@ -95,7 +103,7 @@ def _move(setup: Setup, given: Given, state: State, motion: Array) -> State:
         looked=jnp.where(steps, 0, state.looked + looking),
         bumped=jnp.where(state.plan_active, jnp.where(refused, motion, NO_MOTION), state.bumped).astype(jnp.int32),
         plan_active=state.plan_active & ~at_limit,
-        outcome=jnp.where(at_limit, Outcome.STEP_LIMIT, state.outcome),
+        outcome=jnp.where(at_limit, limit, state.outcome),
         since_scan=state.since_scan + steps * jnp.where(diagonal, DIAGONAL, STRAIGHT),
         turns=state.turns + turn_between(state.heading, moved.heading),
         straight=state.straight + (steps & ~diagonal),
@@ -130,6 +138,25 @@ def _limit_plans(numbers: Numbers, state: State) -> State:
     return state.replace(outcome=jnp.where(spent, Outcome.PLAN_LIMIT, state.outcome))
 
 
+def _over(setup: Setup, numbers: Numbers, state: State, outcome: Outcome, when: Array) -> State:
+    """End an episode as `outcome`, `when`: at once, or once the robot is back home, or finds no way there."""
+    if not setup.ends:
+        return state.replace(outcome=jnp.where(when, outcome, state.outcome))
+    belief, is_homing = state.belief, state.homing > 0
+    away = (belief.row != belief.start[0]) | (belief.col != belief.start[1])
+    goes = when & numbers.return_home & away & ~is_homing
+    now = jnp.where(when & ~goes, jnp.where(is_homing, state.homing, outcome), state.outcome)
+    return state.replace(homing=jnp.where(goes, outcome, state.homing), outcome=now)
+
+
+def _stop(setup: Setup, numbers: Numbers, state: State, when: Array) -> tuple[State, Array | bool]:
+    """End an episode in which enough is known, `when`: `(state, whether that is so)`."""
+    if not setup.ends:
+        return state, False
+    done = when & (state.n_known >= state.enough) & (state.homing == 0) & (state.outcome == Outcome.RUNNING)
+    return _over(setup, numbers, state, Outcome.EXPLORED, done), done
+
+
 def advance(setup: Setup, given: Given, state: State) -> State:
     """Make one scan of a plan under way, update the plan, and make the next motion if it goes on.
 
@@ -152,17 +179,23 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     state = metrics.take_stock(setup, given, trail.note_step(_scan(setup, given, state, due), plan_active), plan_active)
     live = is_live(state.belief, *state.target)
     if setup.policy.live is not None:
-        asked = state.is_view & state.plan_active & (numbers.recheck | near)
+        asked = state.is_view & state.plan_active & (numbers.recheck | near) & (state.homing == 0)
 
         def look(_: Array) -> Array:
             return setup.policy.live(numbers.params, state.belief, given.shared, *state.target)
 
         live = run_if(asked, look, live)
-    bumped = state.bumped >= 0
+    state, enough = _stop(setup, numbers, state, plan_active)
+    bumped = (state.bumped >= 0) | enough
     if state.poses is not None:
         bumped |= state.poses.strayed | (state.outcome != Outcome.RUNNING)  # off its route it plans anew; or it is lost
-    given_up = bumped | ((numbers.recheck | near) & ~live & ~here)
+    is_homing = state.homing > 0
+    given_up = bumped | ((numbers.recheck | near) & ~live & ~here & ~is_homing)
     state = state.replace(plan_active=plan_active & ~given_up)
+    if setup.ends:
+        live &= ~is_homing
+        home = is_homing & plan_active & here & ~bumped
+        state = state.replace(outcome=jnp.where(home, state.homing, state.outcome))
     state, spent = _arrive(setup, state, plan_active & here & ~bumped & (state.looking == 0), live, numbers)
     state = _mark_exhausted(state, spent)
     motion = state.route[state.belief.row, state.belief.col]
@@ -196,9 +229,27 @@ def _is_native(setup: Setup) -> bool:
 
 
 def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array]:
-    """Ask the strategy for a target, in a running episode that carries out no plan: `(carry, choice, route)`."""
-    key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.POLICY), state.plans)
-    return setup.policy.select(key, given.numbers.params, state.carry, state.belief, given.shared, state.route)
+    """Ask the strategy for a target, in a running episode that carries out no plan: `(carry, choice, route)`.
+
+    The target of a robot that returns is its start; it counts as a view point.
+    """
+    belief = state.belief
+
+    def ask(asked: Any) -> Any:
+        key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.POLICY), state.plans)
+        return setup.policy.select(key, given.numbers.params, asked[0], belief, given.shared, asked[2])
+
+    def go_home(asked: Any) -> Any:
+        reached, (row, col, _) = field(belief), belief.start
+        is_open = reached.cost[row, col] < FAR
+        choice, route = choose(belief, asked[2], reached, *(jnp.where(is_open, at, -1) for at in (row, col)))
+        return asked[0], choice.replace(is_view=is_open, overflow=zero), route
+
+    zero, none = jnp.int32(0), jnp.int32(-1)
+    asked = state.carry, Choice(none, none, jnp.int32(FAR), zero, jnp.bool_(False), zero), state.route
+    if not setup.ends:
+        return ask(asked)
+    return run_if(state.homing > 0, go_home, run_if(state.homing == 0, ask, asked))
 
 
 def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Array, live: Array | bool = True) -> State:
@@ -223,11 +274,10 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
         bad_targets=bad_targets,
         plan_active=~none & ~bad,
         bumped=jnp.int32(NO_MOTION),
-        outcome=jnp.where(
-            none, Outcome.COMPLETE, jnp.where(bad_targets >= BAD_TARGETS, Outcome.BAD_TARGET, state.outcome)
-        ),
+        outcome=jnp.where(bad_targets >= BAD_TARGETS, Outcome.BAD_TARGET, state.outcome),
         **time,
     )
+    state = _over(setup, given.numbers, state, Outcome.COMPLETE, none)
     # A path of length 0 is an arrival.
     here = (state.belief.row == choice.row) & (state.belief.col == choice.col) & ~bad
     state, spent = _arrive(setup, state, here, live, given.numbers)
@@ -301,6 +351,30 @@ def outcome_of(state: State) -> Array:
     return jnp.where(missed & enclosed, Outcome.INCONSISTENT, outcome)
 
 
+def shares(parts: Array, whole: int, n: Array) -> Array:
+    """Return the least counts that are at least `parts / whole` of n: int32. No product overflows."""
+    quotient, rest = n // whole, n % whole
+    return parts * quotient + -(-parts * rest // whole)
+
+
+def explorable_and_knowable(given: Given, row: Array, col: Array, within: Array | None) -> tuple[Array, Array]:
+    """Return the free cells 4-connected to a start, `[H, W]` bool, and the count of cells that can be known, int32.
+
+    These are what a scanner without noise can come to know: the free ones and their walls.
+    """
+    truth, shape = given.scenes, given.scenes.occupied.shape[1:]
+
+    def own(maps: Array) -> Array:
+        return lax.dynamic_slice(maps.reshape(-1, shape[1]), (given.scene * shape[0], jnp.int32(0)), shape)
+
+    occupied, region = own(truth.occupied), own(truth.region)
+    explorable = (region == region[row, col]) & ~occupied
+    walls = occupied if within is None else occupied & within
+    near = bordered(explorable, False)
+    above, right, below, left = (beside(near, *step) for step in ((1, 0), (0, 1), (-1, 0), (0, -1)))
+    return explorable, count(explorable | (walls & (above | right | below | left)))
+
+
 def begin(setup: Setup, given: Given) -> State:
     """Return the state of an episode that has made its first scans.
 
@@ -311,6 +385,10 @@ def begin(setup: Setup, given: Given) -> State:
     shape = truth.occupied.shape[1:]
     goal, stuck = _find_goal(given, row, col)
     belief = blank_belief(given)
+    enough = jnp.int32(NEVER)
+    if setup.ends:
+        enough = shares(given.numbers.stop_at, WHOLE, explorable_and_knowable(given, row, col, belief.within)[1])
+        enough = jnp.where(given.numbers.stop_at > 0, enough, NEVER)
     n_known = jnp.int32(0) if truth.prior is None else known_cells(belief.grid, belief.within)
     rooms, base = stacked(given, truth.rooms)
     room = rooms[base + row, col]
@@ -334,6 +412,7 @@ def begin(setup: Setup, given: Given) -> State:
         outcome=jnp.where(stuck, Outcome.STUCK, Outcome.RUNNING).astype(jnp.int32),
         room_entries=(room >= 0).astype(jnp.int32),
         poses=None if setup.unsure is None else blank_poses(setup.unsure, belief.grid, setup.capacity, row, col),
+        enough=enough,
         **no_counts() | {"n_known": n_known},
     )
 
@@ -348,4 +427,5 @@ def begin(setup: Setup, given: Given) -> State:
         return state.replace(heading=turned, belief=state.belief.replace(heading=turned))
 
     state = trail.note_step(lax.fori_loop(0, setup.first_scans, look_round, state))
+    state, _ = _stop(setup, given.numbers, state, ~stuck)
     return metrics.take_stock(setup, given, state, state.row >= 0)

@@ -8,7 +8,7 @@ from jexplore.exploration import environment, metrics
 from jexplore.exploration.motion import tick
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result, Setup, State
 from jexplore.exploration.trail import LOOKS, RECORDS, Trail, detail_of
-from jexplore.grid import beside, bordered, count, is_known
+from jexplore.grid import is_known
 
 # A tenth of the time of compiling, and nothing gained by it: loops here store what they would compute anew.
 CPU_OPTIONS = (("xla_disable_hlo_passes", "while-loop-invariant-code-motion"),)
@@ -20,39 +20,21 @@ def plan(setup: Setup, given: Given, state: State) -> State:
     return environment.commit(setup, given, state.replace(carry=carry), choice, route)
 
 
-def _shares(parts: Array, whole: int, n: Array) -> Array:
-    """Return the least counts that are at least `parts / whole` of n: int32. No product overflows."""
-    quotient, rest = n // whole, n % whole
-    return parts * quotient + -(-parts * rest // whole)
-
-
-def _knowable(explorable: Array, occupied: Array, within: Array | None) -> Array:
-    """Count the cells that a scanner without noise can come to know: the free ones and their walls."""
-    occupied = occupied if within is None else occupied & within
-    near = bordered(explorable, False)
-    above, right, below, left = (beside(near, *step) for step in ((1, 0), (0, 1), (-1, 0), (0, -1)))
-    return count(explorable | (occupied & (above | right | below | left)))
-
-
 def finish(setup: Setup, given: Given, state: State) -> Result:
     """Return the `Result` of an episode that has ended."""
-    shape, truth = state.shape, given.scenes
-
-    def own(maps: Array) -> Array:
-        return lax.dynamic_slice(maps.reshape(-1, shape[1]), (given.scene * shape[0], jnp.int32(0)), shape)
-
-    occupied, region = own(truth.occupied), own(truth.region)
+    shape = state.shape
     known = is_known(state.belief.grid if state.poses is None else state.poses.seen)
     cell = state.trail[:, Trail.SPOT] // LOOKS
-    explorable = (region == region[cell[0] // shape[1], cell[0] % shape[1]]) & ~occupied
+    start = cell[0] // shape[1], cell[0] % shape[1]
+    explorable, knowable = environment.explorable_and_knowable(given, *start, state.belief.within)
     steps, outcome = state.steps, environment.outcome_of(state)
     # Cells known after each step, which never become fewer; what lies beyond the last step was never reached.
     entry = lax.iota(jnp.int32, state.trail.shape[0])
     so_far = jnp.where(entry < steps, state.trail[:, Trail.KNOWN], jnp.iinfo(jnp.int32).max)
     # In whole numbers: the least count of which 100 times reaches q times the whole.
-    at = jnp.searchsorted(so_far, _shares(jnp.array(PERCENTILES), 100, state.n_known)).astype(jnp.int32)
+    at = jnp.searchsorted(so_far, environment.shares(jnp.array(PERCENTILES), 100, state.n_known)).astype(jnp.int32)
     at = jnp.minimum(at, steps)
-    marks = _shares(lax.iota(jnp.int32, MARKS) + 1, MARKS, _knowable(explorable, occupied, state.belief.within))
+    marks = environment.shares(lax.iota(jnp.int32, MARKS) + 1, MARKS, knowable)
     along = jnp.minimum(jnp.searchsorted(so_far, marks).astype(jnp.int32), steps)
     # A step to the next column or the next row is straight.
     jump = jnp.abs(cell[1:] - cell[:-1])

@@ -21,6 +21,9 @@ SCAN, PLAN, TURN, RUN = 0, 1, 2, 7
 """Places in a table: ms of a scan in place and of a plan; of turns of 0 to 4 eighths; then three entries for every
 number of steps and for straight and diagonal ones: ms from standing to the last cell without braking, ms until it
 stands there, and thousandths of the kinetic energy at full speed that it had at most."""
+LENGTHS = 408, 577
+"""Lengths of a straight and a diagonal step of which limits of the path count the sum: their ratio is the root of 2 to
+two millionths."""
 MOST_MS = 2**30
 """Clocks stand still there, after 12 days."""
 _MOST_ENTRY_MS = 2**27  # of the five that a motion adds at most, the sum with a clock fits int32

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +16,7 @@ from jexplore.engine.program import Given, Line
 from jexplore.exploration import environment
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.metrics import Metric, traced_metrics
-from jexplore.exploration.motion import clock_table
+from jexplore.exploration.motion import LENGTHS, clock_table
 from jexplore.exploration.state import Numbers, Setup, Truth
 from jexplore.exploration.trail import record_of
 from jexplore.exploration.uncertain.poses import Unsure, UnsureNumbers, blank_poses
@@ -141,7 +141,7 @@ def prepare_site(
         if rules.pose == "icp":
             setup = setup._replace(first_scans=HEADINGS)  # or the first scans would not overlap
     own = rule_numbers(world, lidar, rules)
-    model: Any = {name: own.pop(name) for name in ("p_free", "near_d2", "clearance_d2")}
+    model: Any = {name: own.pop(name) for name in ("p_free", "near_d2", "clearance_d2", "connectivity", "least")}
     model.update(cell_m=world.cell_m, known_outline=rules.known_outline)
     model = MapModel(coarse=world.cell_m > COARSE_M, native=planner, **model)  # type: ignore[arg-type]
     more: Any = {"sigma_cells": lidar.sigma_m / world.cell_m, "dropout": lidar.dropout, "recheck": False}
@@ -212,7 +212,19 @@ def rule_numbers(world: World, lidar: Lidar, rules: Rules) -> dict[str, Any]:
         "max_plans": rules.max_plans or limit,
         "look_around": bool(rules.look_around),
         "no_echo_is_free": lidar.no_echo == "free",
+        "connectivity": rules.frontier_connectivity,
+        "least": rules.min_frontier_cells,
+        "stop_at": round((rules.stop_at or 0) * environment.WHOLE),
+        "return_home": rules.return_home,
+        "max_path": limited(rules.max_path_m, LENGTHS[0] / world.cell_m, math.floor),
+        "max_ms": limited(rules.max_time_s, 1000.0, math.ceil),
     }
+
+
+def limited(limit: float | None, scale: float, whole: Callable[[float], int]) -> int:
+    """Convert a limit to whole units; `environment.NEVER` for none, or one that an int32 does not hold."""
+    most = environment.NEVER - max(LENGTHS)
+    return environment.NEVER if limit is None or limit * scale > most else whole(round(limit * scale, 6))
 
 
 def cost_of(length_m: float, cell_m: float) -> int:
@@ -269,6 +281,7 @@ def _setup(
         capacity=max(LEAST_LIMIT, shape[0] * shape[1]) if max_steps <= limit else max_steps,
         window=math.ceil(most) + 1,
         native=None if noisy else native,
+        ends=any(rules.stop_at is not None or rules.return_home for _, rules in everyone),
     )
 
 

@@ -31,6 +31,9 @@ class Outcome(enum.IntEnum):
     BAD_START = 7  # a start, heading or world that there is not, given while it is traced: `studies.environment`
     LOST = 8  # scans have not matched for so long that the robot does not know where it is, see `uncertain.looking`
     INCONSISTENT = 9  # as BLOCKED, and walls of the robot's map enclose it: no clear cell can be reached from its own
+    EXPLORED = 10  # the share of `rules.stop_at` is known
+    PATH_LIMIT = 11
+    TIME_LIMIT = 12
 
 
 class Stream(enum.IntEnum):
@@ -70,6 +73,7 @@ class Setup(NamedTuple):
     native: str | None = None  # target of JAX's FFI that drives, see `native.drive`; None: JAX does
     metrics: tuple[Any, ...] = ()  # `metrics.Metric`s
     unsure: Unsure | None = None  # how the robot learns its pose; None: it is given
+    ends: bool = False  # whether some episodes end once enough is known, or some robots return home
 
 
 @struct.dataclass
@@ -86,6 +90,10 @@ class Numbers:
     sigma_cells: Array  # float32
     dropout: Array  # float32
     no_echo_is_free: Array  # bool, whether a beam that nothing stops shows its cells to be free
+    stop_at: Array  # int32, share of `environment.WHOLE` of the cells that can be known; 0: none
+    return_home: Array  # bool
+    max_path: Array  # int32, in units of `motion.LENGTHS`
+    max_ms: Array  # int32
     clock: Array  # [C] int32, how long motions take, see `motion.clock_table`
     params: Any  # `Policy.params`
     unsure: UnsureNumbers | None = None  # of a robot whose pose is not given
@@ -168,6 +176,8 @@ class State(StepCounts):
     came_from: Array  # [2] int32, row and col of the belief before the last motion
     since_scan: Array  # int32, cost of the way driven since the last scan
     n_known: Array  # int32, known cells among those that are to be known
+    enough: Array  # int32, their number at which the episode ends; `environment.NEVER`
+    homing: Array  # int32, the outcome of a robot that is done and on its way home; 0 for none
     room: Array  # int32, the last room stood in; -1 for none yet
     straight: Array  # int32, and so on as in `Result`
     diagonal: Array
@@ -197,5 +207,5 @@ class State(StepCounts):
 def no_counts() -> Any:
     """Return the counts of a `State` at zero: dict."""
     names = "straight diagonal turns scans plans exhausted saturated refused overflow bad_targets"
-    names += " n_known looking looked since_scan time_ms run starts"
+    names += " n_known looking looked since_scan time_ms run starts homing"
     return dict.fromkeys(names.split(), jnp.int32(0))

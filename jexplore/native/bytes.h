@@ -38,7 +38,7 @@ struct ByteMaps : Paths {
     world.ForAll([&](int flat, int i) {
       cell[i] = (world.IsWall(flat) ? kWall : 0) | (world.IsWithin(flat) ? 0 : kOutside);
       if (world.IsWithin(flat))
-        for (int offset : offsets) ++unknown[i + offset];
+        for (int k = 0; k < p.connectivity; ++k) ++unknown[i + offsets[k]];
     });
     if (world.given.prior)
       world.ForAll([&](int flat, int i) {
@@ -79,7 +79,7 @@ struct ByteMaps : Paths {
     cell[i] |= as;
     if (!(cell[i] & kOutside)) {
       ++n_known;
-      for (int offset : offsets) --unknown[i + offset];
+      for (int k = 0; k < p.connectivity; ++k) --unknown[i + offsets[k]];
     }
     Judge(i, as);
   }
@@ -157,7 +157,10 @@ struct ByteMaps : Paths {
     }
   }
 
-  bool IsFrontier(int i) const { return unknown[i] > 0 && (mark[i] & (kClear | kExhausted)) == kClear; }
+  bool IsFrontier(int i) {
+    const auto is_one = [&](int i) { return unknown[i] > 0 && (mark[i] & (kClear | kExhausted)) == kClear; };
+    return is_one(i) && IsLarge(i, p.least, is_one);
+  }
 
   // Lays the way to a target and forgets the costs, but for `saturated`: where no target is. The number of its motions.
   int Lay(int from, int target) {
@@ -186,6 +189,15 @@ struct ByteMaps : Paths {
         [&] { return target != kNone; });
     left = Lay(from, target);
     return target;
+  }
+
+  // The robot's start, if a path leads there.
+  int Home(int from, int home, int& left) {
+    bool is_found = false;
+    MarkNear(from, true);
+    Search(from, [&](int i, int) { is_found |= i == home; }, [&] { return is_found; });
+    left = Lay(from, is_found ? home : kNone);
+    return is_found ? home : kNone;
   }
 
   // One of the frontier cells that can be reached, drawn.
@@ -251,7 +263,7 @@ struct FullLog {
     known_after[step] = known, diagonal_after[step] = diagonal, time_after[step] = time, spot[step] = at;
   }
   void Decide(int plan, int step, int bumped) { choices.resize(2 * plan + 2, kNone), choices[2 * plan + 1] = 16 * step + bumped + 1; }
-  void Chosen(int plan, int target) { choices[2 * plan] = target == kNone ? kNone : 2 * target; }
+  void Chosen(int plan, int target, bool is_view) { choices[2 * plan] = target == kNone ? kNone : 2 * target + is_view; }
   void Leave(int, int, int) {}
   bool GoesOn() const { return true; }
 };

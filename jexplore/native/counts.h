@@ -38,6 +38,7 @@ struct CountMaps {
   int n_blocks, n_beams, block;
   int extent[2];               // height and width of the world without padding
   bool no_echo_is_free;
+  int connectivity;            // of frontier and unknown cells
   float p_free;                // largest reflection probability of a free cell
   int n_known = 0;             // known cells within
 
@@ -70,7 +71,7 @@ struct CountMaps {
   // `planning.is_live`.
   bool IsLive(int i) const {
     const int row = Row(i), col = Col(i);
-    for (int motion = 0; motion < 8; ++motion) {
+    for (int motion = 0; motion < connectivity; ++motion) {
       const int r = row + DRow(motion), c = col + DCol(motion), j = r * width + c;
       if (r < 0 || r >= extent[0] || c < 0 || c >= extent[1] || !IsWithin(j)) continue;
       if ((hits[j] | misses[j]) == 0) return true;

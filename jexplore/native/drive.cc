@@ -15,14 +15,15 @@ enum Stage { kFirstScans, kNextScan, kAnswered };
 // The numbers of a state that driving changes, in the order of `drive.CHANGED`; then what it comes back with.
 struct Changed {
   int32_t row, col, heading, looking, looked, plan_active, bumped, since_scan, known, room, straight, diagonal, turns, scans,
-      exhausted, outcome, room_entries, refused, time, run, starts, came_row, came_col;
+      exhausted, outcome, room_entries, refused, time, run, starts, homing, came_row, came_col;
   int32_t asks;  // whether it waits for what the strategy says of its target
 };
 
 // What it reads, in the order of `drive._terms`.
 struct Terms {
   int32_t target_row, target_col, is_view, plans, stage, live, scene, height, width, first_scans, arrival_d2,
-      scan_every, max_steps, max_plans, look_around, recheck, no_echo_is_free, may_ask;
+      scan_every, max_steps, max_plans, look_around, recheck, no_echo_is_free, may_ask, connectivity, home_row, home_col, enough,
+      return_home, max_path, max_ms;
 };
 
 // What a robot did, as `trail.note_step` has it.
@@ -48,7 +49,8 @@ void Restore(Drive& episode, const Changed& in, const Terms& terms) {
   episode.straight = in.straight, episode.diagonal = in.diagonal, episode.turns = in.turns, episode.scans = in.scans;
   episode.plans = terms.plans, episode.exhausted = in.exhausted, episode.refused = in.refused;
   episode.entries = in.room_entries, episode.outcome = in.outcome;
-  episode.time = in.time, episode.run = in.run, episode.starts = in.starts;
+  episode.time = in.time, episode.run = in.run, episode.starts = in.starts, episode.homing = in.homing;
+  episode.home = terms.home_row * width + terms.home_col, episode.enough = terms.enough;
 }
 
 Changed Saved(const Drive& episode, bool asks) {
@@ -56,7 +58,7 @@ Changed Saved(const Drive& episode, bool asks) {
   return {maps.Row(episode.at), maps.Col(episode.at), episode.heading, episode.looking, episode.looked,
           episode.plan_active, episode.bumped, episode.since_scan, maps.n_known, episode.room, episode.straight,
           episode.diagonal, episode.turns, episode.scans, episode.exhausted, episode.outcome, episode.entries,
-          episode.refused, episode.time, episode.run, episode.starts, maps.Row(episode.came), maps.Col(episode.came), asks};
+          episode.refused, episode.time, episode.run, episode.starts, episode.homing, maps.Row(episode.came), maps.Col(episode.came), asks};
 }
 
 bool IsOn(const CountMaps& maps, int row, int col) {
@@ -72,7 +74,7 @@ bool GoOn(Drive& episode, const Terms& terms, bool may_ask) {
   if (terms.stage == kAnswered) episode.Judge(terms.live);
   while (episode.plan_active && episode.outcome == kRunning) {
     episode.Look();
-    if (may_ask && (episode.p.recheck || episode.IsNear())) return true;
+    if (may_ask && episode.homing == kRunning && (episode.p.recheck || episode.IsNear())) return true;
     episode.Judge(episode.maps.IsLive(episode.target));
   }
   return false;
@@ -97,7 +99,7 @@ ffi::Error Run(Counts hits, Counts misses, Flags driven, Flags exhausted, Counts
                  rooms.typed_data() + world,
                  within.element_count() == hits.element_count() ? within.typed_data() : nullptr, by_beam.typed_data(),
                  length.typed_data(), blind.typed_data(), static_cast<int>(beams[1]), static_cast<int>(beams[2]),
-                 static_cast<int>(beams[3]), {own.height, own.width}, own.no_echo_is_free != 0, *p_free.typed_data(),
+                 static_cast<int>(beams[3]), {own.height, own.width}, own.no_echo_is_free != 0, std::min(own.connectivity, 8), *p_free.typed_data(),
                  now.known};
   if (!maps.IsWalled() || !IsOn(maps, now.row, now.col) || !IsOn(maps, now.came_row, now.came_col))
     return ffi::Error::InvalidArgument("a robot must be on a map with walls all round");
@@ -105,6 +107,7 @@ ffi::Error Run(Counts hits, Counts misses, Flags driven, Flags exhausted, Counts
   Spec spec{};
   spec.first_scans = own.first_scans, spec.arrival_d2 = own.arrival_d2, spec.scan_every = own.scan_every;
   spec.max_steps = own.max_steps, spec.max_plans = own.max_plans, spec.look_around = own.look_around;
+  spec.return_home = own.return_home, spec.max_path = own.max_path, spec.max_ms = own.max_ms;
   spec.recheck = own.recheck, spec.clock = clock.typed_data();
   Result unused;
   Drive episode(spec, maps, log, unused);

@@ -17,7 +17,7 @@ SOURCES = tuple(FOLDER / name for name in ("drive.cc", "plan.h", "counts.h", "pa
 CHANGED = (
     "row", "col", "heading", "looking", "looked", "plan_active", "bumped", "since_scan", "n_known", "room", "straight",
     "diagonal", "turns", "scans", "exhausted", "outcome", "room_entries", "refused",
-    "time_ms", "run", "starts",
+    "time_ms", "run", "starts", "homing",
 )  # fmt: skip
 """Numbers of a state that driving changes, in the order of `Changed` in drive.cc."""
 
@@ -104,6 +104,7 @@ def _terms(setup, given, state, stage, live):
         [
             *state.target, state.is_view, state.plans, stage, live, given.scene, *state.belief.extent,
             setup.first_scans, rules.arrival_d2, rules.scan_every, rules.max_steps, rules.max_plans, rules.look_around,
-            rules.recheck, rules.no_echo_is_free, setup.policy.live is not None,
+            rules.recheck, rules.no_echo_is_free, setup.policy.live is not None, state.belief.model.connectivity,
+            *state.belief.start[:2], state.enough, rules.return_home, rules.max_path, rules.max_ms,
         ]
     )  # fmt: skip

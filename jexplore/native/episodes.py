@@ -26,7 +26,8 @@ class Spec(Structure):
     _fields_ = [
         *((name, c_int32) for name in (
             "height", "width", "n_beams", "first_scans", "clearance_d2", "near_d2", "arrival_d2", "scan_every",
-            "max_steps", "max_plans", "look_around", "recheck", "no_echo_is_free", "chooser",
+            "max_steps", "max_plans", "look_around", "recheck", "no_echo_is_free", "chooser", "connectivity", "least",
+            "stop_at", "return_home", "max_path", "max_ms",
         )),
         ("p_free", c_float), ("n_clock", c_int32), ("clock", c_void_p),
     ]  # fmt: skip
@@ -233,7 +234,8 @@ def check(loaded: ctypes.CDLL) -> str:
     given = Given(occupied, np.full(occupied.shape, -1, np.int32), region, None, None, beams)
     for chooser, expected in _EXPECTED.items():
         clock = np.r_[2, 1, 0, 3, 5, 7, 9, [0] * 6, 1:61]
-        spec = Spec(*occupied.shape, 37, 2, 0, 1, 0, 0, 100, 100, 1, 1, 1, chooser, 0.25, clock=clock)
+        numbers = 37, 2, 0, 1, 0, 0, 100, 100, 1, 1, 1, chooser, 8, 1, 0, 0, 2**31 - 1, 2**31 - 1
+        spec = Spec(*occupied.shape, *numbers, 0.25, clock=clock)
         place = World(loaded, spec, given)
         found = place.play(place.tasks(np.array([[2, 2, 1]]), 7, np.zeros(1, np.int32)), np.zeros(1, np.int32)).results[
             0

@@ -41,13 +41,20 @@ def target_of(native: str | None) -> str | None:
 
 
 def field(
-    native: str, cells: Array, row: Array, col: Array, clearance_d2: int, *, nearest_only: bool
+    native: str,
+    cells: Array,
+    row: Array,
+    col: Array,
+    clearance_d2: int,
+    connectivity: int,
+    least: int,
+    *,
+    nearest_only: bool,
 ) -> tuple[Array, Array, Array]:
     """Return `(traversable, cost, candidates)`, `[H, W]` each, of `planning.cells_of`; see `planning.field`."""
     results = [(cells.shape, bool), (cells.shape, jnp.int32), (cells.shape, bool)]
-    traversable, cost, candidates = call(
-        native, "field", results, cells, numbers([row, col, clearance_d2, nearest_only])
-    )
+    terms = numbers([row, col, clearance_d2, nearest_only, connectivity, least])
+    traversable, cost, candidates = call(native, "field", results, cells, terms)
     return traversable, cost, candidates
 
 

@@ -21,11 +21,12 @@ int MotionInto(int cost, Before before, Can can) {
 // A map whose outermost cells cannot be entered, rows of which are `stride` apart.
 struct Paths {
   static constexpr uint8_t kClear = 1, kNear = 2, kDriven = 4, kExhausted = 8, kCan = kClear | kNear | kDriven;
+  static constexpr uint8_t kGrouped = 128;
 
-  int stride, offsets[8], n_touched = 0;
+  int stride, offsets[8], n_touched = 0;  // the first four across edges
   std::vector<uint8_t> mark;
   std::vector<int32_t> cost, touched;  // costs are `kFar` but while a plan is made
-  std::vector<int32_t> bucket[3];
+  std::vector<int32_t> bucket[3], group;
 
   Paths(int stride, int n_cells) : stride(stride), mark(n_cells), cost(n_cells, kFar), touched(n_cells) {
     for (auto& cells : bucket) cells.resize(n_cells);
@@ -72,6 +73,20 @@ struct Paths {
       n_now = n_next, n_next = n_last, n_last = 0;
     }
     n_touched = n_seen;
+  }
+
+  // Whether at least n cells, of which `is_one(cell)`, touch each other along edges or corners; one cell of them is given.
+  template <class IsOne>
+  bool IsLarge(int cell, int n, IsOne is_one) {
+    if (n <= 1) return true;
+    group.assign(1, cell), mark[cell] |= kGrouped;
+    for (size_t j = 0; j < group.size() && static_cast<int>(group.size()) < n; ++j)
+      for (int offset : offsets) {
+        const int i = group[j] + offset;
+        if (!(mark[i] & kGrouped) && is_one(i)) mark[i] |= kGrouped, group.push_back(i);
+      }
+    for (int i : group) mark[i] &= ~kGrouped;
+    return static_cast<int>(group.size()) >= n;
   }
 
   bool CanMove(int from, int motion) const {

@@ -79,10 +79,10 @@ struct Plan : Paths {
     });
   }
 
-  bool IsFrontier(int i) const {
+  bool IsFrontier(int i, int connectivity) const {
     uint8_t near = 0;
     if ((mark[i] & (kClear | kExhausted)) == kClear)
-      for (int offset : offsets) near |= mark[i + offset];
+      for (int k = 0; k < connectivity; ++k) near |= mark[i + offsets[k]];
     return near & kUnknown;
   }
 };
@@ -104,7 +104,8 @@ Plan& PlanOf(const Map& map, int clearance_d2 = 0) {
   return plan;
 }
 
-// `planning.field`. Terms: row, col, clearance_d2, whether only the nearest frontier cells are wanted.
+// `planning.field`. Terms: row, col, clearance_d2, whether only the nearest frontier cells are wanted, connectivity, and
+// cells of the smallest group that is a frontier.
 ffi::Error Field(Bytes cells, Numbers terms, ffi::Result<Flags> traversable, ffi::Result<Counts> cost,
                  ffi::Result<Flags> candidates) {
   const int32_t *term = terms.typed_data(), row = term[0], col = term[1];
@@ -115,10 +116,11 @@ ffi::Error Field(Bytes cells, Numbers terms, ffi::Result<Flags> traversable, ffi
   plan.ForMarked(Plan::kOutside, [&](int i) { plan.mark[i] &= ~Plan::kCan; });
   std::memset(candidates->untyped_data(), 0, candidates->size_bytes());
   bool is_found = false;
+  auto is_frontier = [&](int i) { return plan.IsFrontier(i, std::min(term[4], 8)); };
   plan.Search(
       plan.Cell(row, col),
       [&](int i, int) {
-        if (!plan.IsFrontier(i)) return;
+        if (!is_frontier(i) || !plan.IsLarge(i, term[5], is_frontier)) return;
         is_found = candidates->typed_data()[plan.Row(i) * plan.width + plan.Col(i)] = true;
       },
       [&] { return is_found && term[3]; });

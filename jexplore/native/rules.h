@@ -19,9 +19,11 @@ namespace jexplore {
 
 constexpr int kStraight = 1 << 16, kDiagonal = 92682, kFar = 1 << 30;  // `reach.STRAIGHT` and so on
 constexpr int kScanMs = 0, kPlanMs = 1, kTurnMs = 2, kRunMs = 7, kMostMs = 1 << 30;  // `motion.SCAN` and so on
+constexpr int kStraightLength = 408, kDiagonalLength = 577;  // `motion.LENGTHS`
+constexpr int kWhole = 10000, kNever = INT32_MAX;            // `environment.WHOLE` and `NEVER`
 constexpr int kNone = -1, kMarks = 100, kPercentiles = 4, kLooks = 8, kLookAround = 4;
 
-enum Outcome { kRunning, kComplete, kBlocked, kStepLimit, kPlanLimit, kStuck };
+enum Outcome { kRunning, kComplete, kBlocked, kStepLimit, kPlanLimit, kStuck, kExplored = 10, kPathLimit, kTimeLimit };
 enum Chooser { kNearest, kUniform };
 
 // E, N, W, S, NE, NW, SW, SE, as `reach.MOTIONS`.
@@ -43,6 +45,9 @@ struct Spec {
   int32_t scan_every, max_steps, max_plans;   // cost of the way; steps; plans
   int32_t look_around, recheck, no_echo_is_free;
   int32_t chooser;  // `Chooser`
+  int32_t connectivity, least;            // of frontier and unknown cells; cells of the smallest group that is a frontier
+  int32_t stop_at, return_home;           // share of `kWhole`, 0: none; bool
+  int32_t max_path, max_ms;               // in units of `kStraightLength`, and ms
   float p_free;     // largest reflection probability of a free cell
   int32_t n_clock;
   const int32_t* clock;  // [n_clock], how long motions take: `exploration/motion.py`
@@ -126,6 +131,7 @@ struct Episode {
   bool plan_active = false;
   int straight = 0, diagonal = 0, turns = 0, scans = 0, plans = 0, exhausted = 0, refused = 0, entries = 0;
   int outcome = kRunning, saturated = 0;
+  int home = kNone, homing = kRunning, enough = kNever;  // start; outcome of a robot on its way there; known cells
   int time = 0, run = 0, starts = 0;  // ms; steps since it stood; thousandths of the kinetic energy at full speed
 
   DEVICE Episode(const Spec& p, Maps& maps, Log& log, Result& out) : p(p), maps(maps), log(log), out(out) {}
@@ -169,18 +175,44 @@ struct Episode {
     }
   }
 
+  // `environment._over`: the end, or the way home.
+  DEVICE void Over(int as) {
+    if (p.return_home && homing == kRunning && at != home) homing = as;
+    else outcome = homing != kRunning ? homing : as;
+  }
+
+  // `environment._stop`: whether enough is known.
+  DEVICE bool Stops() {
+    if (maps.known() < enough || homing != kRunning || outcome != kRunning) return false;
+    Over(kExplored);
+    return true;
+  }
+
+  // The limit that the next motion of a plan would exceed, `kRunning` for none.
+  DEVICE int Limit() const {
+    if (looking == 0) {
+      if (straight + diagonal >= p.max_steps) return kStepLimit;
+      const bool is_diagonal = maps.Motion(at, left - 1) >= 4;
+      const uint32_t length = static_cast<uint32_t>(kStraightLength) * (straight + !is_diagonal) +
+                              static_cast<uint32_t>(kDiagonalLength) * (diagonal + is_diagonal);
+      if (static_cast<int32_t>(length) > p.max_path) return kPathLimit;
+    }
+    return time >= p.max_ms ? kTimeLimit : kRunning;
+  }
+
   // `environment._move` and `_limit_plans`: a step along the way, or a turn in place.
   DEVICE void Move() {
     came = at;
-    if (plan_active && looking > 0) {
+    const int limit = plan_active ? Limit() : kRunning;
+    if (limit != kRunning) {
+      plan_active = false;
+      outcome = limit;
+      bumped = kNone;
+    } else if (plan_active && looking > 0) {
       Face((heading + 8 / Looks()) & 7);
       Wait(p.clock[kScanMs]);
       --looking;
       ++looked;
-      bumped = kNone;
-    } else if (plan_active && straight + diagonal >= p.max_steps) {
-      plan_active = false;
-      outcome = kStepLimit;
       bumped = kNone;
     } else if (plan_active) {
       Step(maps.Motion(at, left - 1));
@@ -220,17 +252,15 @@ struct Episode {
   DEVICE void Plan(Key key) {
     log.Decide(plans, straight + diagonal, bumped);
     if (p.clock[kPlanMs] > 0) Wait(p.clock[kPlanMs]);
-    target = p.chooser == kNearest ? maps.Nearest(at, left) : maps.Uniform(at, left, FoldIn(key, plans));
-    log.Chosen(plans, target == kNone ? kNone : maps.Flat(target));
+    if (homing != kRunning) target = maps.Home(at, home, left);
+    else target = p.chooser == kNearest ? maps.Nearest(at, left) : maps.Uniform(at, left, FoldIn(key, plans));
+    log.Chosen(plans, target == kNone ? kNone : maps.Flat(target), homing != kRunning);
     ++plans;
     bumped = kNone;
     plan_active = target != kNone;
-    if (!plan_active) {
-      outcome = kComplete;
-      saturated = maps.Saturated();
-      return;
-    }
-    Arrive(at == target, true);
+    saturated = plan_active ? 0 : maps.Saturated();
+    if (plan_active) Arrive(at == target, true);
+    else Over(kComplete);
     Move();
   }
 
@@ -256,9 +286,10 @@ struct Episode {
 
   // The other half: what it means for the plan, and the next motion.
   DEVICE void Judge(bool live) {
-    const bool here = at == target, hit = bumped != kNone;
-    plan_active = !hit && !((p.recheck || IsNear()) && !live && !here);
-    Arrive(here && !hit && looking == 0, live);
+    const bool here = at == target, hit = Stops() || bumped != kNone;
+    plan_active = !hit && !((p.recheck || IsNear()) && !live && !here && homing == kRunning);
+    if (plan_active && here && homing != kRunning) outcome = homing;
+    Arrive(here && !hit && looking == 0, live && homing == kRunning);
     Move();
   }
 
@@ -271,10 +302,12 @@ struct Episode {
   DEVICE void LookRound(bool is_stuck) {
     for (int i = 0; i < p.first_scans && !is_stuck; ++i, heading = (heading + 8 / p.first_scans) & 7) Scan();
     Note();
+    if (!is_stuck) Stops();
   }
 
   DEVICE void Run(const Task& task, bool is_stuck) {
-    at = came = maps.At(task.row, task.col);
+    at = came = home = maps.At(task.row, task.col);
+    if (p.stop_at > 0) enough = Share(p.stop_at, kWhole, maps.Knowable(task.region));
     heading = task.heading;
     maps.Begin(at);
     room = maps.Room(at);

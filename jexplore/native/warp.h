@@ -268,7 +268,7 @@ struct WarpMaps {
   DEVICE bool IsLive(int target) const {
     PerLane<int> is_unknown;
     LANES(lane)
-    const int i = target + Offset(lane & 7);
+    const int i = target + Offset(lane & (p.connectivity - 1));
     is_unknown[lane] = IsSet(w.inside, i) && !IsKnown(i);
     END_LANES
     return Ballot(is_unknown) != 0;
@@ -340,7 +340,8 @@ struct WarpMaps {
       if (far <= w.radius)
         blocked |= Smeared(has_left ? left & w.truth[at - 1] : 0, here & w.truth[at], has_right ? right & w.truth[at + 1] : 0, w.half[far]);
       if (far <= 1)
-        unseen |= Smeared(has_left ? ~left & w.inside[at - 1] : 0, ~here & w.inside[at], has_right ? ~right & w.inside[at + 1] : 0, 1);
+        unseen |= Smeared(has_left ? ~left & w.inside[at - 1] : 0, ~here & w.inside[at], has_right ? ~right & w.inside[at + 1] : 0,
+                          p.connectivity == 8 || far == 0);
     }
     const uint32_t clear = Known(word) & ~w.truth[word] & w.inside[word] & ~blocked;
     m.can[word] = clear | m.driven[word];
@@ -526,6 +527,14 @@ struct WarpMaps {
     return target;
   }
 
+  DEVICE int Home(int from, int home, int& left) {
+    Prepare(from);
+    Search(from, false);
+    const int target = goes_on && Fresh(&m.cost[home]) < kUnreached ? home : kNone;
+    left = Lay(from, target);
+    return target;
+  }
+
   DEVICE void Prepare(int from) {
     Begins();
     Refresh();
@@ -623,7 +632,7 @@ struct WarpLog {
     END_LANES
   }
   DEVICE void Decide(int, int, int) {}
-  DEVICE void Chosen(int, int) {}
+  DEVICE void Chosen(int, int, bool) {}
   DEVICE void Leave(int, int, int) {}
 };
 

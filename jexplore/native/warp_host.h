@@ -16,7 +16,7 @@ struct HostWorld {
   int n_free = 0;
 
   static bool Suits(const World& world) {
-    return !world.given.prior && world.p.clearance_d2 <= kMaxRadius * kMaxRadius && world.p.near_d2 <= kMaxRadius * kMaxRadius;
+    return !world.given.prior && world.p.least <= 1 && world.p.clearance_d2 <= kMaxRadius * kMaxRadius && world.p.near_d2 <= kMaxRadius * kMaxRadius;
   }
 
   // `tasks`: with their goals, of `World::GoalOf`, and regions.

@@ -17,12 +17,12 @@ from jax import Array, lax
 from jexplore.arrays import bits
 from jexplore.arrays.loops import one_kernel, run_if, stored
 from jexplore.config import checked_names
-from jexplore.frontier import Masks, disc, plan_masks
+from jexplore.frontier import Masks, disc, large_groups, plan_masks
 from jexplore.gain import Known
 from jexplore.grid import Grid, count, is_free, is_known, is_occupied, lowest
 from jexplore.native import kernels
 from jexplore.planning.readout import lay_route
-from jexplore.reach import DIAGONAL, FAR, STRAIGHT, reach_packed, saturated
+from jexplore.reach import DIAGONAL, FAR, MOTIONS, STRAIGHT, reach_packed, saturated
 
 # Longest side of a map, at least -> sides of the windows that are searched first, cells. In the largest they must hold
 # what a scanner sees of a long corridor, at whose end the next frontier lies.
@@ -38,6 +38,8 @@ class MapModel:
     cell_m: Array  # float32, edge of a cell, metres
     clearance_d2: int = struct.field(pytree_node=False)  # cells^2, a clear cell has no occupied one this near
     known_outline: Any = np.bool_(False)  # bool, whether expected gains end at the world's outermost cells
+    connectivity: int = struct.field(pytree_node=False, default=8)  # of frontier and unknown cells: 8, or 4
+    least: int = struct.field(pytree_node=False, default=1)  # cells of the smallest group that is a frontier
     coarse: bool = struct.field(pytree_node=False, default=False)  # whether corridors may be only a few cells wide
     native: str | None = struct.field(pytree_node=False, default=None)  # `native.kernels` that plan; None: JAX does
 
@@ -129,10 +131,10 @@ def is_open(belief: Belief, row: Array | int, col: Array | int) -> Array:
 
 
 def is_live(belief: Belief, row: Array | int, col: Array | int) -> Array:
-    """Return whether a cell is 8-adjacent to a cell that is unknown and of interest: bool."""
+    """Return whether a cell is adjacent, as a frontier cell is, to a cell that is unknown and of interest: bool."""
     height, width = belief.driven.shape
-    r = row + jnp.asarray([-1, -1, -1, 0, 0, 1, 1, 1], jnp.int32)
-    c = col + jnp.asarray([-1, 0, 1, -1, 1, -1, 0, 1], jnp.int32)
+    beside = jnp.asarray(MOTIONS[: belief.model.connectivity], jnp.int32)
+    r, c = row + beside[:, 0], col + beside[:, 1]
     inside = (r >= 0) & (r < belief.extent[0]) & (c >= 0) & (c < belief.extent[1])
     r, c = jnp.clip(r, 0, height - 1), jnp.clip(c, 0, width - 1)
     if belief.within is not None:
@@ -151,7 +153,7 @@ def masks_of(belief: Belief, origin: tuple[Array | int, ...] = (0, 0)) -> Masks:
 
     def judge(grid, driven, exhausted, inside, row, col, p_free, near_d2):
         numbers = {"p_free": p_free, "near_d2": near_d2, "clearance_d2": model.clearance_d2}
-        numbers["stays_inside"] = belief.within is not None
+        numbers |= {"stays_inside": belief.within is not None, "connectivity": model.connectivity}
         return plan_masks(grid, driven, exhausted, inside, row, col, **numbers)
 
     arguments = belief.grid, belief.driven, belief.exhausted, inside, row, col, model.p_free, model.near_d2
@@ -191,10 +193,12 @@ def field(belief: Belief, *, nearest_only: bool = False) -> Field:
     """
     native, height = kernels.target_of(belief.model.native), belief.driven.shape[0]
     if native:
-        where = belief.row, belief.col, belief.model.clearance_d2
+        model = belief.model
+        where = belief.row, belief.col, model.clearance_d2, model.connectivity, model.least
         return Field(*kernels.field(native, cells_of(belief), *where, nearest_only=nearest_only))
     masks = masks_of(belief)
     traversable, frontier = bits.unpack(masks.traversable), bits.unpack(masks.frontier)
+    frontier = large_groups(frontier, belief.model.least)
     cost = reach_packed(masks.traversable, belief.row, belief.col, frontier if nearest_only else None)
     return Field(traversable[:height], cost[:height], (frontier & (cost < FAR))[:height])
 
@@ -328,7 +332,7 @@ def nearest_frontier(belief: Belief, route: Array) -> tuple[Choice, Array]:
     Source:
       Holz et al. 2010, equation 3. Changed: windows first.
     """
-    if kernels.target_of(belief.model.native):
+    if kernels.target_of(belief.model.native) or belief.model.least > 1:  # groups may reach beyond a window
         return _nearest_in_map(belief, route)
     none = jnp.int32(-1)
     state = (jnp.bool_(True), Choice(none, none, jnp.int32(FAR), jnp.int32(0)), route)

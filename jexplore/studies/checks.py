@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import os
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -11,7 +12,7 @@ import numpy as np
 
 from jexplore.arrays.bits import WORD
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, as_record, require_different, require_setting
+from jexplore.config import InputError, InputWarning, as_record, require_different, require_setting
 from jexplore.exploration.batch import Job
 from jexplore.exploration.metrics import Metric
 from jexplore.exploration.site import LEAST_LIMIT, ROBOT
@@ -26,7 +27,7 @@ from jexplore.worlds.poses import Pose, cell_of, read_start
 from jexplore.worlds.regions import warn_of_floor
 from jexplore.worlds.restrict import KnownMap, Polygon, restricted
 from jexplore.worlds.starts import check_start, draw_start, draw_starts, reached_from, start_region
-from jexplore.worlds.world import World, require_world, ringed_shape
+from jexplore.worlds.world import World, require_world, ring_of, ringed_shape, with_ring
 
 WorldLike: TypeAlias = str | os.PathLike[str] | World
 """A world, or the name or file of one."""
@@ -165,6 +166,29 @@ def ready_starts(world: World, start: StartLike, n: int, *, seed: int, rules: Ru
     return np.tile(np.asarray(own, np.int32), (n, 1))
 
 
+def warn_of_share(world: World, lidar: Lidar, rules: Rules) -> None:
+    """Warn of a share of the cells to stop at of which more lies out of a scanner's reach than may stay unknown."""
+    if rules.stop_at is None:
+        return
+    from scipy import ndimage
+
+    ring, free = ring_of(world.occupied), ~with_ring(world).occupied
+    stands = np.pad(start_region(world, rules.clearance_m), ring)
+    if world.within is not None:
+        free &= np.pad(world.within, ring)
+    region = ndimage.binary_propagation(stands, mask=free)
+    cells = ndimage.binary_dilation(region)  # and their walls
+    near = ndimage.distance_transform_edt(~stands) * world.cell_m <= lidar.range_m + lidar.mount_m + rules.near_m
+    share = (cells & near).sum() / max(cells.sum(), 1)
+    if share < rules.stop_at:
+        warnings.warn(
+            f"{world.name!r}: rules.stop_at {rules.stop_at:g} can hardly be met: {share:.3f} of the cells lie within "
+            f"{lidar.range_m:g} m of where a robot with {rules.clearance_m:g} m of clearance has room",
+            InputWarning,
+            stacklevel=2,
+        )
+
+
 def memory_needed(world: World, lidar: Lidar, rules: Rules, workers: int) -> int:
     """Estimate the bytes that episodes in a world take at a time."""
     rows, cols = (bucket(side) for side in ringed_shape(world.occupied))
@@ -235,6 +259,7 @@ def prepare_jobs(
     for world in (restricted(world, within, from_map) for world in ready):
         require_memory(world, lidar, rules)
         starts = ready_starts(world, start, episodes, seed=seed, rules=rules)
+        warn_of_share(world, lidar, rules)
         jobs += [
             Job(world, one, starts, seed, lidar=lidar, rules=rules, metrics=own, robot=robot) for one in strategies
         ]

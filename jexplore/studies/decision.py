@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from jexplore.arrays.padding import bucket, number
-from jexplore.config import InputError, require_number, shown
+from jexplore.config import InputError, checked_names, require_number, shown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.engine.runner import find_resources
@@ -51,12 +51,13 @@ class TargetResult:
     """Length of that path, metres; 0 without a target."""
     scores: np.ndarray | None
     """`[H, W]` float32, what the strategy compares, NaN where it has no candidate: minus the path in metres for
-    `closest`, the worth of each cluster's nearest cell, a function's own score. None for strategies that draw, plan a
-    tour, look at view points one by one, or prefer rooms, and for a `Policy` of one's own."""
+    `closest`, the worth of each cluster's nearest cell, a function's own score. None where they were not wanted, and
+    for strategies that draw, plan a tour, look at view points one by one, or prefer rooms, or are a `Policy`."""
     memory: Any
     """What the strategy remembers: `memory` of the next call."""
 
 
+@checked_names
 def next_target(
     occupancy: np.ndarray,
     pose: Sequence[float],
@@ -68,6 +69,7 @@ def next_target(
     exhausted_m: Any = (),
     memory: Any = None,
     key: Array | None = None,
+    scores: bool = False,
     lidar: LidarLike = LIDAR,
     rules: RulesLike = RULES,
 ) -> TargetResult:
@@ -88,9 +90,10 @@ def next_target(
       exhausted_m: `[K, 2]`, targets at which the robot looked all round and that showed nothing: never chosen again.
       memory: of the last result, for strategies that remember (`learned`).
       key: of what the strategy draws; by default always the same.
+      scores: whether they are wanted: `closest` then looks at all frontier cells, not the nearest alone.
       lidar: the scanner by which strategies estimate gains.
-      rules: of these `clearance_m`, `near_m`, `p_free` and `known_outline` count. By default what lies beyond the
-        grid is unknown.
+      rules: of these `clearance_m`, `near_m`, `p_free`, `frontier_connectivity`, `min_frontier_cells` and
+        `known_outline` count. By default what lies beyond the grid is unknown.
 
     Returns:
       `TargetResult`.
@@ -125,11 +128,11 @@ def next_target(
     beams, model = _prepared(scanner, own, float(cell_m), shape)
     policy = asked.policy
     key = random_key(0) if key is None else key
-    told = _chosen(policy._replace(params=()), key, policy.params, memory, cells, *masks, at, beams, model)
-    row, col, cost, route, scores, memory = *map(np.asarray, told[:4]), *told[4:]
-    scores = None if scores is None else np.asarray(scores)[inner]
+    found = _chosen(policy._replace(params=()), scores, key, policy.params, memory, cells, *masks, at, beams, model)
+    row, col, cost, route, told, memory = *map(np.asarray, found[:4]), *found[4:]
+    told = None if told is None else np.asarray(told)[inner]
     if row < 0:
-        return TargetResult(None, None, np.zeros((0, 2)), 0.0, scores, memory)
+        return TargetResult(None, None, np.zeros((0, 2)), 0.0, told, memory)
     if cost >= FAR:
         raise InputError(f"{asked.name}: chose the cell ({row - ring}, {col - ring}), to which no path leads")
     way, motions = _followed(route, tuple(robot + ring), (int(row), int(col)))
@@ -137,7 +140,7 @@ def next_target(
     heading_rad = HEADING[motions[-1]] * math.pi / 4 if motions else heading_rad
     path_m = cell_m * sum(math.sqrt(2) if motion >= 4 else 1.0 for motion in motions)
     cell = int(row) - ring, int(col) - ring
-    return TargetResult(cell, (x[-1], y[-1], heading_rad), np.stack([x, y], axis=1), path_m, scores, memory)
+    return TargetResult(cell, (x[-1], y[-1], heading_rad), np.stack([x, y], axis=1), path_m, told, memory)
 
 
 def _checked(occupancy: Any, p_free: float) -> np.ndarray:
@@ -185,9 +188,7 @@ def _require_free(grid: np.ndarray, robot: np.ndarray, pose: Any, p_free: float)
         raise InputError(f"{where}: lies outside the grid of {grid.shape[0]} x {grid.shape[1]} cells")
     here = grid[tuple(robot)]
     if here >= 0 and not _is_free(here, p_free):
-        raise InputError(
-            f"{where}: lies in a wall: its cell ({robot[0]}, {robot[1]}) is {here}, free is {100 * p_free:g}"
-        )
+        raise InputError(f"{where}: lies in a wall: cell ({robot[0]}, {robot[1]}) is {here}, above {100 * p_free:g}")
 
 
 def _ready(asked: Any) -> Strategy:
@@ -212,6 +213,8 @@ def _prepared(lidar: Lidar, rules: Rules, cell_m: float, shape: tuple[int, int])
     model = MapModel(
         *map(number, thresholds),
         clearance_d2=radius_d2(rules.clearance_m, cell_m),
+        connectivity=rules.frontier_connectivity,
+        least=rules.min_frontier_cells,
         known_outline=np.bool_(rules.known_outline),
         coarse=cell_m > COARSE_M,
         native=drive_for(jax.local_devices()[0].platform).name,
@@ -220,10 +223,10 @@ def _prepared(lidar: Lidar, rules: Rules, cell_m: float, shape: tuple[int, int])
 
 
 @pinned_draws()
-@functools.partial(jax.jit, static_argnums=0)
+@functools.partial(jax.jit, static_argnums=(0, 1))
 def _chosen(
-    policy: Policy, key: Array, params: Any, memory: Any, cells: Array, driven: Array, exhausted: Array, at: Array,
-    beams: Beams, model: MapModel,
+    policy: Policy, scores: bool, key: Array, params: Any, memory: Any, cells: Array, driven: Array, exhausted: Array,
+    at: Array, beams: Beams, model: MapModel,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Return row, column and cost of the choice, the map of motions, the scores, and what is remembered."""
     row, col, heading, *rest = at
@@ -233,12 +236,9 @@ def _chosen(
     carry = policy.init(params, belief) if memory is None else memory
     route = jnp.full(cells.shape, NO_MOTION, jnp.int8)
     scored = nearest_scored if is_nearest(policy) else getattr(policy.select, "scored", None)
-    if scored is None:
-        scores = None
-        carry, choice, route = policy.select(key, params, carry, belief, beams, route)
-    else:
-        carry, choice, route, scores = scored(key, params, carry, belief, beams, route)
-    return choice.row, choice.col, choice.cost, route, scores, carry
+    select = scored if scores and scored is not None else policy.select
+    carry, choice, route, *told = select(key, params, carry, belief, beams, route)
+    return choice.row, choice.col, choice.cost, route, told[0] if told else None, carry
 
 
 def _followed(

@@ -118,6 +118,8 @@ class Environment:
         lidar, rules = ready_settings(lidar, rules, pose, odometry)
         if not isinstance(recheck, bool):
             raise InputError(f"recheck must be True or False, got {recheck!r}")
+        if rules.return_home:
+            raise InputError("rules.return_home must be False: whoever steps through an Environment drives home itself")
         use_compilation_cache()
         self._metrics = ready_metrics(metrics) | measures_of(rules)
         self.worlds = tuple(ready_worlds(worlds, cell_m))

@@ -21,7 +21,9 @@ def share(way, speed, acceleration):
 
 
 def play(events, robot, cell_m):
-    """Clock after every step, and in the end: `(ms after the last scan at each place, ms in the end, starts)`.
+    """Clock after every step, and in the end: `(ms after the last scan at each place, ms in the end, starts, now)`.
+
+    `now`: ms, as if the robot did not brake in the end.
 
     Events are ("turn", eighths), ("step", diagonal), ("scan",) in place, and ("plan",).
     """
@@ -51,5 +53,6 @@ def play(events, robot, cell_m):
         if kind in ("scan", "step"):
             reached_s = _reach_s(length_m(), robot.speed_m_s, robot.acceleration_m_s2) if run else 0
             along[-1] = stood + round(1000 * reached_s)
+    now = stood + round(1000 * _reach_s(length_m(), robot.speed_m_s, robot.acceleration_m_s2) if run else 0)
     stop(0)
-    return along, stood, starts
+    return along, stood, starts, now

@@ -11,10 +11,11 @@ from scipy import ndimage
 
 from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import Given
+from jexplore.exploration import environment
 from jexplore.exploration.episode import program_of
-from jexplore.exploration.motion import clock_table
+from jexplore.exploration.motion import LENGTHS, clock_table
 from jexplore.exploration.results import progress_m
-from jexplore.exploration.site import cost_of
+from jexplore.exploration.site import cost_of, limited
 from jexplore.exploration.state import Numbers, Outcome, Setup, Stream, Truth
 from jexplore.exploration.trail import decode, detail_of
 from jexplore.grid import radius_d2
@@ -28,6 +29,7 @@ from . import clock, plans, simulator
 
 CAPACITY = 20_000
 ROBOT = Robot()
+ENDS = "frontier_connectivity", "min_frontier_cells", "stop_at", "return_home", "max_path_m", "max_time_s"
 COUNTS = ("straight", "diagonal", "turns", "scans", "plans", "exhausted", "refused")
 
 
@@ -66,6 +68,8 @@ def numbers_of(strategy, lidar, rules, cell_m, longest, robot):
             cell_m=np.float32(cell_m),
             known_outline=np.bool_(rules.known_outline),
             clearance_d2=radius_d2(rules.clearance_m, cell_m),
+            connectivity=rules.frontier_connectivity,
+            least=rules.min_frontier_cells,
         ),
         look_around=np.bool_(rules.look_around),
         recheck=np.bool_(strategy.recheck),
@@ -76,6 +80,10 @@ def numbers_of(strategy, lidar, rules, cell_m, longest, robot):
         sigma_cells=np.float32(lidar.sigma_m / cell_m),
         dropout=np.float32(lidar.dropout),
         no_echo_is_free=np.bool_(lidar.no_echo == "free"),
+        stop_at=np.int32(round((rules.stop_at or 0) * environment.WHOLE)),
+        return_home=np.bool_(rules.return_home),
+        max_path=np.int32(limited(rules.max_path_m, LENGTHS[0] / cell_m, math.floor)),
+        max_ms=np.int32(limited(rules.max_time_s, 1000.0, math.ceil)),
         clock=clock_table(robot, cell_m, longest),
         params=strategy.policy.params,
     )
@@ -146,6 +154,7 @@ def play(
         CAPACITY,
         window,
         find_target().name if native else None,
+        ends=rules.stop_at is not None or rules.return_home,
     )
     numbers = numbers_of(strategy, lidar, rules, cell_m, max(shape), robot)
     numbers = numbers.replace(model=dataclasses.replace(numbers.model, native=static.native))
@@ -207,7 +216,19 @@ def readings_of(occupied, lidar, *, cell_m, shape, seed, beams_as=None):
 
 
 def replay(
-    occupied, start, strategy, lidar, rules, *, cell_m, rooms=None, within=None, known=None, choose=None, sense=None
+    occupied,
+    start,
+    strategy,
+    lidar,
+    rules,
+    *,
+    cell_m,
+    rooms=None,
+    within=None,
+    known=None,
+    choose=None,
+    sense=None,
+    robot=ROBOT,
 ):
     """The simulator's `Result`."""
     return simulator.simulate(
@@ -232,6 +253,8 @@ def replay(
         within=within,
         known=known,
         sense=sense,
+        robot_times=robot,
+        **{name: getattr(rules, name) for name in ENDS},
     )
 
 
@@ -268,7 +291,7 @@ def differences(result, state, want, *, cell_m, rooms=None, within=None, known=N
         after_step.append(last_known.get(i, after_step[-1] if after_step else at_start))
     lengths = (result.straight_at + math.sqrt(2) * result.diagonal_at) * cell_m
     along = progress_m(result, cell_m)
-    times, end, starts = clock.play(want.events, robot, cell_m)
+    times, end, starts, _ = clock.play(want.events, robot, cell_m)
     outside = np.ones(state.shape, bool)
     outside[:height, :width] = False
     pairs = {

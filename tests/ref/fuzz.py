@@ -36,6 +36,8 @@ class Fixed(NamedTuple):
     beams_as: tuple[int, int] = (120, 181)  # most steps and most beams
     restricted: bool = False  # whether the robot stays within a region and knows a part of the map
     native: bool = False  # whether native code drives
+    frontier: tuple[int, int] = (8, 1)  # connectivity, and cells of the smallest group
+    ends: bool = False  # whether it may end early or at home
 
 
 WIDE, TALL = (64, 256), (224, 64)
@@ -49,6 +51,13 @@ FEW = (
     Fixed(policy="random", native=True),
 )
 """Seven programs; tests of episodes have the first three as well."""
+ENDS = (
+    Fixed(clearance_d2=0, native=True, frontier=(4, 1), ends=True),
+    Fixed(WIDE, clearance_d2=0, frontier=(4, 2), ends=True),
+    Fixed(policy="random", clearance_d2=1, native=True, frontier=(8, 4), ends=True),
+    Fixed(clearance_d2=1, noisy=True, frontier=(4, 3), ends=True),
+)
+"""Four programs with other frontiers and ends."""
 MANY = (
     *FEW,
     Fixed(clearance_d2=1, range_cells=9, beams_as=(16, 361)),
@@ -68,8 +77,9 @@ MANY = (
     Fixed(clearance_d2=1),
     Fixed(policy="random", clearance_d2=0, restricted=True),
     Fixed(WIDE, clearance_d2=4, noisy=True),
+    *ENDS,
 )
-"""Twenty-four programs."""
+"""Twenty-eight programs."""
 EXACT = tuple(fixed for fixed in MANY if not fixed.noisy)
 """Programs without noise, as native code has them."""
 
@@ -289,7 +299,21 @@ def _rules(draw, fixed, cell_m, n_cells):
         arrival_m=float(draw.choice([0, 0, 0, draw.uniform(0, 1)])),
         max_steps=int(draw.integers(10, most_steps)) if bounded else None,
         max_plans=int(draw.integers(3, most_plans)) if bounded else None,
+        frontier_connectivity=fixed.frontier[0],
+        min_frontier_cells=fixed.frontier[1],
+        **(_ends(draw) if fixed.ends else {}),
     )
+
+
+def _ends(draw):
+    """A share to stop at, a way home, or both; sometimes a limit of the path or the time."""
+    stop_at = draw.choice([None, 1.0, round(draw.uniform(0.2, 1), 3)])
+    return {
+        "stop_at": stop_at,
+        "return_home": bool(stop_at is None or draw.random() < 0.5),
+        "max_path_m": float(draw.uniform(0.1, 20)) if draw.random() < 0.2 else None,
+        "max_time_s": float(draw.uniform(1, 60)) if draw.random() < 0.2 else None,
+    }
 
 
 def kinds_of(case, verdict):
@@ -314,6 +338,12 @@ def kinds_of(case, verdict):
         "driven by native code": case.fixed.native,
         "rooms": case.rooms is not None,
         "refused steps": verdict.refused > 0,
+        "frontiers across edges": case.rules.frontier_connectivity == 4,
+        "groups of frontier cells": case.rules.min_frontier_cells > 1,
+        "stops": case.rules.stop_at is not None,
+        "returns": case.rules.return_home,
+        "limit of the path": case.rules.max_path_m is not None,
+        "limit of the time": case.rules.max_time_s is not None,
     }
     kinds = [kind for kind, is_one in among.items() if is_one]
     return [*kinds, f"world: {case.world}", f"strategy: {case.strategy}", f"outcome: {verdict.outcome}"]
@@ -402,7 +432,5 @@ def _by_oracle(case, episode, world, how, result, state):
     fixed = case.fixed
     sense = episodes.readings_of(case.occupied, case.lidar, cell_m=case.cell_m, **how) if fixed.noisy else None
     choose = episodes.choice_of(case.seed) if fixed.policy == "random" else None
-    want = episodes.replay(
-        *episode, **{name: world[name] for name in world if name != "robot"}, choose=choose, sense=sense
-    )
+    want = episodes.replay(*episode, **world, choose=choose, sense=sense)
     return episodes.differences(result, state, want, **world)

@@ -139,19 +139,24 @@ def path(pred, start, target):
     return cells[::-1]
 
 
-def beside_unknown(known):
-    """Cells with an unknown one among their eight neighbours; what lies outside the array is never unknown."""
+def beside_unknown(known, connectivity=8):
+    """Cells with an unknown one among 8 or 4 neighbours; what lies outside the array is never unknown."""
     height, width = known.shape
     unknown = np.pad(~known, 1, constant_values=False)
     out = np.zeros(known.shape, bool)
-    for dr, dc in MOTIONS:
+    for dr, dc in MOTIONS[:connectivity]:
         out |= unknown[1 + dr : 1 + dr + height, 1 + dc : 1 + dc + width]
     return out
 
 
-def frontier(clear_cells, cost, known, exhausted):
-    """Cells that are clear, reachable, 8-adjacent to an unknown cell, and not exhausted."""
-    return clear_cells & (cost < FAR) & beside_unknown(known) & ~exhausted
+def frontier(clear_cells, cost, known, exhausted, connectivity=8, least=1):
+    """Cells that are clear, reachable, adjacent to an unknown cell, not exhausted, in a group that is not too small."""
+    cells = clear_cells & beside_unknown(known, connectivity) & ~exhausted
+    if least == 1:
+        return cells & (cost < FAR)
+    group = clusters(cells)
+    sizes = np.bincount(group[cells], minlength=1)
+    return cells & (cost < FAR) & (sizes[group] >= least)
 
 
 def closest(targets, cost):

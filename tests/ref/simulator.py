@@ -6,10 +6,11 @@ The world is static and the sensor perfect unless `sense` replaces it; the robot
 import dataclasses
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 
-from . import beams, plans
+from . import beams, clock, plans
 
 HEADING_OF = dict(zip(plans.MOTIONS, (0, 90, 180, 270, 45, 135, 225, 315)))
 SHARES = (50, 90, 95, 99)
@@ -29,7 +30,7 @@ class Plan:
 class Result:
     """Result of an episode; counts as the robot made them, metres and radians derived from them at the end."""
 
-    outcome: str = ""  # COMPLETE, BLOCKED, STUCK, STEP_LIMIT, PLAN_LIMIT
+    outcome: str = ""  # COMPLETE, BLOCKED, STUCK, EXPLORED, STEP_LIMIT, PLAN_LIMIT, PATH_LIMIT, TIME_LIMIT
     events: list = dataclasses.field(default_factory=list)  # what took time, see `clock.play`
     visited: list = dataclasses.field(default_factory=list)  # (row, col): the start, then one cell a step
     headings: list = dataclasses.field(default_factory=list)  # degrees in [0, 360), one a scan
@@ -128,7 +129,8 @@ class Robot:
         self.driven = np.zeros(occupied.shape, bool)
         self.driven[start] = True
         self.exhausted = np.zeros(occupied.shape, bool)
-        self.target = None
+        self.target, self.home, self.homing = None, start, None
+        self.connectivity, self.least = 8, 1
         shape = occupied.shape
         self.result = Result(visited=[start], hits=np.zeros(shape, np.int64), misses=np.zeros(shape, np.int64))
         self.result.hits[known == 1] = 1
@@ -145,7 +147,7 @@ class Robot:
 
     def live(self, target):
         """Return whether a target is still adjacent to an unknown cell."""
-        return bool(plans.beside_unknown(self.classes()[0] | ~self.within)[target])
+        return bool(plans.beside_unknown(self.classes()[0] | ~self.within, self.connectivity)[target])
 
     def scan(self, heading_deg):
         """Make one scan and count it."""
@@ -172,12 +174,20 @@ class Robot:
             self.scan((self.heading + i * 360 // n) % 360)
         self.result.known_after_step.append(self.known_count())
 
-    def look_around(self, n):
-        """Scans after equal turns to the left, n all round with the one on arrival; the last heading stays."""
+    def look_around(self, n, over):
+        """Scans after equal turns to the left, n all round with the one on arrival; the last heading stays.
+
+        Returns the outcome of an episode that ends meanwhile, or None.
+        """
         for _ in range(n - 1):
+            if ended := over.limit(self, None):
+                return ended
             self.turn_to((self.heading + 360 // n) % 360)
             self.scan(self.heading)
             self.result.events.append(("scan",))
+            if ended := over.enough(self):
+                return ended
+        return None
 
     def step(self, cell):
         """Go to a neighbouring cell and scan; False if the step is refused (the robot turns and scans all the same)."""
@@ -209,7 +219,13 @@ class Robot:
         known, free, occupied = self.classes()
         passable = plans.traversable(free, occupied, self.driven, *self.cell, clear_r2, near_r2) & self.within
         cost, pred = plans.dijkstra(passable, self.cell)
-        targets = plans.frontier(plans.clear(free, occupied, clear_r2), cost, known | ~self.within, self.exhausted)
+        clear = plans.clear(free, occupied, clear_r2)
+        how = self.exhausted, self.connectivity, self.least
+        targets = plans.frontier(clear, cost, known | ~self.within, *how)
+        if self.homing:
+            targets = np.zeros_like(targets)
+            targets[self.home] = cost[self.home] < plans.FAR
+            choose = None
         flat = np.flatnonzero(targets)
         self.result.plans += 1
         self.result.events.append(("plan",))
@@ -227,34 +243,86 @@ class Robot:
         self.target = plan.target
         return plan
 
-    def arrive(self, target, n_looks):
-        """Look around at a live target; one that is live even then is exhausted."""
+    def arrive(self, target, n_looks, over):
+        """Look around at a live target; one that is live even then is exhausted. Returns an outcome, or None."""
         if self.live(target):
-            if n_looks:
-                self.look_around(n_looks)
+            if n_looks and (ended := self.look_around(n_looks, over)):
+                return ended
             if self.live(target):
                 self.exhausted[target] = True
                 self.result.exhausted += 1
+        return None
 
 
-def run(robot, goal, recheck, choose, clear_r2, near_r2, arrival_r2, max_steps, max_plans, n_looks):
+@dataclasses.dataclass
+class Over:
+    """When an episode ends."""
+
+    max_steps: int
+    max_plans: int
+    known: float = math.inf  # cells that are enough
+    return_home: bool = False
+    max_length: float = math.inf  # units of which a straight step has 408, a diagonal one 577
+    max_ms: float = math.inf
+    now_ms: Callable = None
+
+    def end(self, robot, outcome):
+        """Return the outcome, or None and "HOME" noted: the robot goes home first."""
+        if robot.homing:
+            return robot.homing
+        if self.return_home and robot.cell != robot.home:
+            robot.homing = outcome
+            return "HOME"
+        return outcome
+
+    def enough(self, robot):
+        """Return what follows once enough is known; None before."""
+        if robot.homing or robot.known_count() < self.known:
+            return None
+        return self.end(robot, "EXPLORED")
+
+    def limit(self, robot, cell):
+        """Return the limit that the step to a cell, or a look in place (None), would exceed; None without one."""
+        result = robot.result
+        if cell is not None:
+            is_diagonal = cell[0] != robot.cell[0] and cell[1] != robot.cell[1]
+            length = 408 * (result.straight + (not is_diagonal)) + 577 * (result.diagonal + is_diagonal)
+            if result.steps == self.max_steps:
+                return "STEP_LIMIT"
+            if length > self.max_length:
+                return "PATH_LIMIT"
+        late = self.max_ms < math.inf and self.now_ms(result.events) >= self.max_ms
+        return "TIME_LIMIT" if late else None
+
+
+def drive(robot, plan, recheck, arrival_r2, n_looks, over):
+    """Carry out a plan: the outcome, "HOME" if the robot is to go home, None if it is to plan anew."""
+    for cell in plan.path:
+        if ended := over.limit(robot, cell):
+            return ended
+        went = robot.step(cell)
+        if ended := over.enough(robot):
+            return ended
+        if not went:
+            return None
+        near = sum((a - b) ** 2 for a, b in zip(robot.cell, plan.target)) <= arrival_r2
+        if not robot.homing and (recheck or near) and not robot.live(plan.target) and robot.cell != plan.target:
+            return None
+    return robot.homing or robot.arrive(plan.target, n_looks, over)
+
+
+def run(robot, goal, recheck, choose, clear_r2, near_r2, arrival_r2, n_looks, over):
     """The episode after the initial scans; returns the name of its outcome."""
-    while True:
-        if robot.result.plans == max_plans:
+    ended = over.enough(robot)
+    while ended in (None, "HOME"):
+        if robot.result.plans == over.max_plans:
             return "PLAN_LIMIT"
         plan = robot.plan(choose, clear_r2, near_r2)
         if plan.target is None:
-            return "COMPLETE" if robot.classes()[0][goal].all() else "BLOCKED"
-        for cell in plan.path:
-            if robot.result.steps == max_steps:
-                return "STEP_LIMIT"
-            if not robot.step(cell):
-                break
-            near = sum((a - b) ** 2 for a, b in zip(robot.cell, plan.target)) <= arrival_r2
-            if (recheck or near) and not robot.live(plan.target):
-                break
-        if robot.cell == plan.target:
-            robot.arrive(plan.target, n_looks)
+            ended = over.end(robot, "COMPLETE")
+        else:
+            ended = drive(robot, plan, recheck, arrival_r2, n_looks, over)
+    return "BLOCKED" if ended == "COMPLETE" and not robot.classes()[0][goal].all() else ended
 
 
 def simulate(
@@ -282,6 +350,13 @@ def simulate(
     within=None,
     known=None,
     sense=None,
+    frontier_connectivity=8,
+    min_frontier_cells=1,
+    stop_at=None,
+    return_home=False,
+    max_path_m=None,
+    max_time_s=None,
+    robot_times=None,
 ):
     """One episode, from the scans at the start to a named outcome.
 
@@ -299,6 +374,8 @@ def simulate(
       known: `[H, W]` int, what it knows from the beginning, as if seen once: -1 unknown, 0 free, 1 occupied.
       rooms: `[H, W]` int, room number, -1 for none.
       sense: `sense(row, col, heading_deg)` -> list of `(missed, hit)`, in place of the perfect scanner.
+      frontier_connectivity, min_frontier_cells, stop_at, return_home, max_path_m, max_time_s: of `Rules`.
+      robot_times: `Robot`, for the limit of the time.
 
     Returns:
       a `Result`.
@@ -317,6 +394,7 @@ def simulate(
     arrival_r2 = plans.radius2(arrival_m, cell_m)
     heading = int(start_heading_deg)
     robot = Robot(occupied, start, heading, sense or perfect, p_free, scan_every, no_echo, within, known)
+    robot.connectivity, robot.least = frontier_connectivity, min_frontier_cells
     goal = goal_cells(occupied, start, clear_r2, near_r2, robot.within)
     elsewhere = goal.copy()
     elsewhere[start] = False
@@ -327,10 +405,16 @@ def simulate(
         n_scans = initial_scan_count(fov_deg)
         robot.look_all_round(n_scans)
         n_looks = max(4, n_scans) if look_around else 0
-        steps_bound, plans_bound = (bound if m is None else m for m in (max_steps, max_plans))
-        robot.result.outcome = run(
-            robot, goal, recheck, choose, clear_r2, near_r2, arrival_r2, steps_bound, plans_bound, n_looks
-        )
+        over = Over(*(bound if m is None else m for m in (max_steps, max_plans)), return_home=return_home)
+        over.now_ms = lambda events: clock.play(events, robot_times, cell_m)[3]
+        if stop_at is not None:
+            whole = knowable(connected(~occupied & robot.within, start), robot.within)
+            over.known = math.ceil(round(10_000 * stop_at) * whole / 10_000)
+        if max_path_m is not None:
+            over.max_length = 408 * beams.in_cells(max_path_m, cell_m) + 1e-6
+        if max_time_s is not None:
+            over.max_ms = round(1000 * max_time_s, 6)
+        robot.result.outcome = run(robot, goal, recheck, choose, clear_r2, near_r2, arrival_r2, n_looks, over)
     measure(robot, start, cell_m, rooms)
     return robot.result
 

@@ -24,7 +24,9 @@ from jexplore.worlds.starts import check_start
 
 TARGETS = ("frontier", "reachable")
 MAX_DECISIONS = 20_000
-TERMINAL = (Outcome.COMPLETE, Outcome.BLOCKED, Outcome.STUCK, Outcome.BAD_TARGET, Outcome.BAD_START)
+TERMINAL = (
+    Outcome.COMPLETE, Outcome.EXPLORED, Outcome.BLOCKED, Outcome.STUCK, Outcome.BAD_TARGET, Outcome.BAD_START
+)  # fmt: skip
 """Outcomes that terminate an episode; limits of the rules truncate it."""
 _OPTIONS = ("start", "world", "episode")
 _SIDE = 256  # pixels that the longer side of a rendered map has at least

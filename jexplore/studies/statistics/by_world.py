@@ -14,7 +14,9 @@ from jexplore.studies.statistics.paired import PairedRatio, holm, mean_interval,
 if TYPE_CHECKING:
     import pandas as pd
 
-OUTCOMES = ("COMPLETE", "BLOCKED", "STEP_LIMIT", "PLAN_LIMIT", "STUCK")
+DONE = "COMPLETE", "EXPLORED"
+LIMITS = "STEP_LIMIT", "PLAN_LIMIT", "PATH_LIMIT", "TIME_LIMIT"
+OUTCOMES = *DONE, "BLOCKED", *LIMITS, "STUCK"
 
 EQUAL_SHARE = 0.95
 """Share of the less thorough episode's known cells at which a pair is compared (equal coverage)."""
@@ -181,7 +183,7 @@ def _unequal(ours, theirs, progress):
         path_m, path_ref_m = path_at_equal_coverage(*progress)
         equal = _ratio_text(path_m, path_ref_m, np.isfinite(path_m) & np.isfinite(path_ref_m))
         text += f"at equal coverage ({100 * EQUAL_SHARE:g} % of what the less thorough one of each pair knew) {equal}; "
-    complete = (ended == "COMPLETE") & (ended_ref == "COMPLETE") & ~apart
+    complete = (ended == ended_ref) & np.isin(ended, DONE) & ~apart
     at_95 = _ratio_text(ours["path_m_at_95"].to_numpy(), theirs["path_m_at_95"].to_numpy(), complete)
     return f"{text}where both are COMPLETE and equally explored, at path_m_at_95, {at_95}"
 
@@ -190,7 +192,7 @@ def _flaws(episodes):
     """Yield lines on strategies with episodes that a limit ended or refused steps, and that are one repeated."""
     groups = [(f"{world}: {name}", rows) for world, own in _groups(episodes).items() for name, rows in own.items()]
     for who, rows in groups:
-        if limited := int(rows["outcome"].isin(["STEP_LIMIT", "PLAN_LIMIT"]).sum()):
+        if limited := int(rows["outcome"].isin(LIMITS).sum()):
             yield f"{who}: {limited} of {len(rows)} episodes were cut short by a limit"
         if refused := int(rows["refused"].sum()) if "refused" in rows else 0:
             yield f"{who}: {refused} steps were refused, into cells that proved not to be free"

@@ -7,7 +7,7 @@ import numpy as np
 
 from jexplore.config import InputError
 from jexplore.studies.statistics.aggregate import profiles
-from jexplore.studies.statistics.by_world import summarise
+from jexplore.studies.statistics.by_world import DONE, summarise
 from jexplore.studies.statistics.league import paths_by_world, standings
 from jexplore.studies.statistics.over_worlds import ALL_WORLDS
 from jexplore.studies.statistics.paired import MIN_PAIRS
@@ -74,7 +74,7 @@ def _in_world(world, episodes, summary, strategies):
         title=str(world),
         label="path length (m)",
         points=[part["path_m"].to_numpy(np.float64) for part in parts],
-        ended_well=[(part["outcome"] == "COMPLETE").to_numpy(bool) for part in parts],
+        ended_well=[part["outcome"].isin(DONE).to_numpy(bool) for part in parts],
         means=_estimates(rows, strategies, "mean", "ci_low", "ci_high"),
         shares=False,
         ratio_points=[np.zeros(0)] * len(parts),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jexplore.config import InputError
-from jexplore.studies.statistics.by_world import EQUAL_FRACTION
+from jexplore.studies.statistics.by_world import DONE, EQUAL_FRACTION
 from jexplore.studies.statistics.paired import UPPER, t_interval
 from jexplore.worlds import GENERATORS
 
@@ -112,7 +112,7 @@ def comparable_paths(episodes: "pd.DataFrame", column: str = "path_m") -> "pd.Da
         table.pivot(index=["world", "episode"], columns="strategy", values=name)[strategies].dropna()
         for name in ("explored_fraction", "outcome", column)
     )
-    complete, less = outcome == "COMPLETE", explored.lt(explored.max(axis=1) - EQUAL_FRACTION, axis=0)
+    complete, less = outcome.isin(DONE), explored.lt(explored.max(axis=1) - EQUAL_FRACTION, axis=0)
     failed = ~complete & (less | complete.any(axis=1).to_numpy(bool)[:, None])
     paths = paths.mask(failed, np.inf)
     place = {world: i for i, world in enumerate(order)}

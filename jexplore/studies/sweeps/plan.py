@@ -254,10 +254,13 @@ def prepare_sweep(spec: Sweep) -> SweepPlan:
 
 
 def _program_key(world, lidar, rules):
-    """Return what must agree to share a program: shape of the padded map, clearance, beams, look-around, pose."""
+    """Return what must agree to share a program: shape of the padded map, clearance, beams, frontier, pose, ..."""
     padded = tuple(bucket(side) for side in ringed_shape(world.occupied))
     around = scans_all_round(lidar)
-    return padded, reach_d2(rules.clearance_m, world), lidar.n_beams, around, world.cell_m > COARSE_M, rules.pose
+    frontier = rules.frontier_connectivity, rules.min_frontier_cells
+    ends = rules.stop_at is not None or rules.return_home
+    own = reach_d2(rules.clearance_m, world), lidar.n_beams, around, world.cell_m > COARSE_M, rules.pose
+    return padded, *own, *frontier, ends
 
 
 def _cut(spec, records, shapes, n_strategies, total, after=0):
