@@ -2,7 +2,7 @@
 
     python benchmarks/next_target.py
 
-Once with the robot in the middle of what is known, as far from every frontier as can be, and once at its edge.
+Once with the robot in the middle of the known part, as far from every frontier as can be, and once at its edge.
 """
 
 import statistics

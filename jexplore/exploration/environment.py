@@ -17,13 +17,13 @@ from jexplore.distance import within_packed
 from jexplore.engine.program import Given
 from jexplore.exploration import metrics, trail
 from jexplore.exploration.motion import LENGTHS, PLAN, SCAN, motion_step, tick, turn_between
-from jexplore.exploration.sensing import known_cells, sense, stacked
-from jexplore.exploration.state import Numbers, Outcome, Setup, State, Stream, no_counts
+from jexplore.exploration.sensing import enough_cells, known_cells, sense, stacked
+from jexplore.exploration.state import NEVER, Numbers, Outcome, Setup, State, Stream, no_counts
 from jexplore.exploration.uncertain.looking import look
 from jexplore.exploration.uncertain.moving import mark_bump, turn_and_go
 from jexplore.exploration.uncertain.poses import blank_poses
 from jexplore.frontier import disc
-from jexplore.grid import Grid, beside, bordered, count, empty_grid, is_free, is_known, is_occupied
+from jexplore.grid import Grid, empty_grid, is_free, is_known, is_occupied
 from jexplore.native.drive import Stage
 from jexplore.native.drive import drive as drive_natively
 from jexplore.native.kernels import target_of
@@ -31,8 +31,6 @@ from jexplore.planning import Belief, Choice, MapModel, choose, field, is_live, 
 from jexplore.reach import DIAGONAL, FAR, NO_MOTION, STRAIGHT, flood
 
 BAD_TARGETS = 3  # targets in a row that no path leads to, and an episode ends
-WHOLE = 10_000  # parts of which a share of the cells is counted
-NEVER = 2**31 - 1  # known cells, ms, length of the path: a limit that there is not
 LOOK_AROUND = 4  # looks, at least, with which a robot looks all round on arrival, the one on arrival included
 
 
@@ -90,10 +88,8 @@ def _move(setup: Setup, given: Given, state: State, motion: Array) -> State:
     at_limit = state.plan_active & (limit != Outcome.RUNNING)
     looking &= ~at_limit
     moved, steps, refused = _place(setup, given, state, motion, looking, state.plan_active & ~looking & ~at_limit)
-    drow, dcol, _ = motion_step(motion)
-    diagonal = steps & (drow != 0) & (dcol != 0)
-    clock = numbers.clock
-    time = tick(clock, state, moved.heading, steps, looking | refused, clock[SCAN])
+    diagonal = steps & is_diagonal
+    time = tick(numbers.clock, state, moved.heading, steps, looking | refused, numbers.clock[SCAN])
     rooms, base = stacked(given, given.scenes.rooms)
     room = rooms[base + moved.row, moved.col]
     entered = (room >= 0) & (room != state.room)
@@ -351,30 +347,6 @@ def outcome_of(state: State) -> Array:
     return jnp.where(missed & enclosed, Outcome.INCONSISTENT, outcome)
 
 
-def shares(parts: Array, whole: int, n: Array) -> Array:
-    """Return the least counts that are at least `parts / whole` of n: int32. No product overflows."""
-    quotient, rest = n // whole, n % whole
-    return parts * quotient + -(-parts * rest // whole)
-
-
-def explorable_and_knowable(given: Given, row: Array, col: Array, within: Array | None) -> tuple[Array, Array]:
-    """Return the free cells 4-connected to a start, `[H, W]` bool, and the count of cells that can be known, int32.
-
-    These are what a scanner without noise can come to know: the free ones and their walls.
-    """
-    truth, shape = given.scenes, given.scenes.occupied.shape[1:]
-
-    def own(maps: Array) -> Array:
-        return lax.dynamic_slice(maps.reshape(-1, shape[1]), (given.scene * shape[0], jnp.int32(0)), shape)
-
-    occupied, region = own(truth.occupied), own(truth.region)
-    explorable = (region == region[row, col]) & ~occupied
-    walls = occupied if within is None else occupied & within
-    near = bordered(explorable, False)
-    above, right, below, left = (beside(near, *step) for step in ((1, 0), (0, 1), (-1, 0), (0, -1)))
-    return explorable, count(explorable | (walls & (above | right | below | left)))
-
-
 def begin(setup: Setup, given: Given) -> State:
     """Return the state of an episode that has made its first scans.
 
@@ -385,10 +357,6 @@ def begin(setup: Setup, given: Given) -> State:
     shape = truth.occupied.shape[1:]
     goal, stuck = _find_goal(given, row, col)
     belief = blank_belief(given)
-    enough = jnp.int32(NEVER)
-    if setup.ends:
-        enough = shares(given.numbers.stop_at, WHOLE, explorable_and_knowable(given, row, col, belief.within)[1])
-        enough = jnp.where(given.numbers.stop_at > 0, enough, NEVER)
     n_known = jnp.int32(0) if truth.prior is None else known_cells(belief.grid, belief.within)
     rooms, base = stacked(given, truth.rooms)
     room = rooms[base + row, col]
@@ -412,7 +380,7 @@ def begin(setup: Setup, given: Given) -> State:
         outcome=jnp.where(stuck, Outcome.STUCK, Outcome.RUNNING).astype(jnp.int32),
         room_entries=(room >= 0).astype(jnp.int32),
         poses=None if setup.unsure is None else blank_poses(setup.unsure, belief.grid, setup.capacity, row, col),
-        enough=enough,
+        enough=enough_cells(given, row, col, belief.within) if setup.ends else jnp.int32(NEVER),
         **no_counts() | {"n_known": n_known},
     )
 

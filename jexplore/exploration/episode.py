@@ -6,6 +6,7 @@ from jax import Array, lax
 from jexplore.engine.program import Given, Program
 from jexplore.exploration import environment, metrics
 from jexplore.exploration.motion import tick
+from jexplore.exploration.sensing import explorable_and_knowable, shares
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result, Setup, State
 from jexplore.exploration.trail import LOOKS, RECORDS, Trail, detail_of
 from jexplore.grid import is_known
@@ -26,15 +27,15 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
     known = is_known(state.belief.grid if state.poses is None else state.poses.seen)
     cell = state.trail[:, Trail.SPOT] // LOOKS
     start = cell[0] // shape[1], cell[0] % shape[1]
-    explorable, knowable = environment.explorable_and_knowable(given, *start, state.belief.within)
+    explorable, knowable = explorable_and_knowable(given, *start, state.belief.within)
     steps, outcome = state.steps, environment.outcome_of(state)
     # Cells known after each step, which never become fewer; what lies beyond the last step was never reached.
     entry = lax.iota(jnp.int32, state.trail.shape[0])
     so_far = jnp.where(entry < steps, state.trail[:, Trail.KNOWN], jnp.iinfo(jnp.int32).max)
     # In whole numbers: the least count of which 100 times reaches q times the whole.
-    at = jnp.searchsorted(so_far, environment.shares(jnp.array(PERCENTILES), 100, state.n_known)).astype(jnp.int32)
+    at = jnp.searchsorted(so_far, shares(jnp.array(PERCENTILES), 100, state.n_known)).astype(jnp.int32)
     at = jnp.minimum(at, steps)
-    marks = environment.shares(lax.iota(jnp.int32, MARKS) + 1, MARKS, knowable)
+    marks = shares(lax.iota(jnp.int32, MARKS) + 1, MARKS, knowable)
     along = jnp.minimum(jnp.searchsorted(so_far, marks).astype(jnp.int32), steps)
     # A step to the next column or the next row is straight.
     jump = jnp.abs(cell[1:] - cell[:-1])

@@ -9,8 +9,8 @@ from jax import Array, lax
 
 from jexplore.arrays.loops import one_kernel
 from jexplore.engine.program import Given
-from jexplore.exploration.state import Setup, State, Stream
-from jexplore.grid import Grid, is_known
+from jexplore.exploration.state import NEVER, WHOLE, Setup, State, Stream
+from jexplore.grid import Grid, beside, bordered, count, is_known
 from jexplore.raycast import Scan, disturb, fold, scan
 
 
@@ -50,6 +50,36 @@ def known_cells(grid: Grid, within: Array | None = None, square: Square | None =
 
     # In one piece: as operations of their own, which store the map between them, it took nearly twice the time.
     return one_kernel(run, (grid,) if within is None else (grid, within), jnp.int32(row), jnp.int32(col))
+
+
+def shares(parts: Array, whole: int, n: Array) -> Array:
+    """Return the least counts that are at least `parts / whole` of n: int32. No product overflows."""
+    quotient, rest = n // whole, n % whole
+    return parts * quotient + -(-parts * rest // whole)
+
+
+def explorable_and_knowable(given: Given, row: Array, col: Array, within: Array | None) -> tuple[Array, Array]:
+    """Return the free cells 4-connected to a start, `[H, W]` bool, and the count of cells that can be known, int32.
+
+    These are what a scanner without noise can come to know: the free ones and their walls.
+    """
+    truth, shape = given.scenes, given.scenes.occupied.shape[1:]
+
+    def own(maps: Array) -> Array:
+        return lax.dynamic_slice(maps.reshape(-1, shape[1]), (given.scene * shape[0], jnp.int32(0)), shape)
+
+    occupied, region = own(truth.occupied), own(truth.region)
+    explorable = (region == region[row, col]) & ~occupied
+    walls = occupied if within is None else occupied & within
+    near = bordered(explorable, False)
+    above, right, below, left = (beside(near, *step) for step in ((1, 0), (0, 1), (-1, 0), (0, -1)))
+    return explorable, count(explorable | (walls & (above | right | below | left)))
+
+
+def enough_cells(given: Given, row: Array, col: Array, within: Array | None) -> Array:
+    """Return the known cells at which an episode from a start ends; `NEVER` if it does not so: int32."""
+    stop_at, (_, knowable) = given.numbers.stop_at, explorable_and_knowable(given, row, col, within)
+    return jnp.where(stop_at > 0, shares(stop_at, WHOLE, knowable), NEVER)
 
 
 def without_silent(seen: Scan, blind: Array, no_echo_is_free: Array | bool) -> Scan:

@@ -17,7 +17,7 @@ from jexplore.exploration import environment
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.metrics import Metric, traced_metrics
 from jexplore.exploration.motion import LENGTHS, clock_table
-from jexplore.exploration.state import Numbers, Setup, Truth
+from jexplore.exploration.state import NEVER, WHOLE, Numbers, Setup, Truth
 from jexplore.exploration.trail import record_of
 from jexplore.exploration.uncertain.poses import Unsure, UnsureNumbers, blank_poses
 from jexplore.grid import in_cells, radius_d2
@@ -214,7 +214,7 @@ def rule_numbers(world: World, lidar: Lidar, rules: Rules) -> dict[str, Any]:
         "no_echo_is_free": lidar.no_echo == "free",
         "connectivity": rules.frontier_connectivity,
         "least": rules.min_frontier_cells,
-        "stop_at": round((rules.stop_at or 0) * environment.WHOLE),
+        "stop_at": round((rules.stop_at or 0) * WHOLE),
         "return_home": rules.return_home,
         "max_path": limited(rules.max_path_m, LENGTHS[0] / world.cell_m, math.floor),
         "max_ms": limited(rules.max_time_s, 1000.0, math.ceil),
@@ -222,9 +222,9 @@ def rule_numbers(world: World, lidar: Lidar, rules: Rules) -> dict[str, Any]:
 
 
 def limited(limit: float | None, scale: float, whole: Callable[[float], int]) -> int:
-    """Convert a limit to whole units; `environment.NEVER` for none, or one that an int32 does not hold."""
-    most = environment.NEVER - max(LENGTHS)
-    return environment.NEVER if limit is None or limit * scale > most else whole(round(limit * scale, 6))
+    """Convert a limit to whole units; `NEVER` for none, or one that an int32 does not hold."""
+    most = NEVER - max(LENGTHS)
+    return NEVER if limit is None or limit * scale > most else whole(round(limit * scale, 6))
 
 
 def cost_of(length_m: float, cell_m: float) -> int:

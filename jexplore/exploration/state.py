@@ -17,6 +17,11 @@ PERCENTILES = (50, 90, 95, 99)
 MARKS = 100
 """An episode also records its path at each 1 / MARKS of the cells that can be known in its world."""
 
+WHOLE = 10_000
+"""Parts of which a share of the cells is counted."""
+NEVER = 2**31 - 1
+"""Known cells, ms, length of the path: none of these ends the episode."""
+
 
 class Outcome(enum.IntEnum):
     """Outcome of an episode."""
@@ -90,7 +95,7 @@ class Numbers:
     sigma_cells: Array  # float32
     dropout: Array  # float32
     no_echo_is_free: Array  # bool, whether a beam that nothing stops shows its cells to be free
-    stop_at: Array  # int32, share of `environment.WHOLE` of the cells that can be known; 0: none
+    stop_at: Array  # int32, share of `WHOLE` of the cells that can be known; 0: none
     return_home: Array  # bool
     max_path: Array  # int32, in units of `motion.LENGTHS`
     max_ms: Array  # int32
@@ -176,7 +181,7 @@ class State(StepCounts):
     came_from: Array  # [2] int32, row and col of the belief before the last motion
     since_scan: Array  # int32, cost of the way driven since the last scan
     n_known: Array  # int32, known cells among those that are to be known
-    enough: Array  # int32, their number at which the episode ends; `environment.NEVER`
+    enough: Array  # int32, their number at which the episode ends; `NEVER`
     homing: Array  # int32, the outcome of a robot that is done and on its way home; 0 for none
     room: Array  # int32, the last room stood in; -1 for none yet
     straight: Array  # int32, and so on as in `Result`

@@ -20,7 +20,7 @@ namespace jexplore {
 constexpr int kStraight = 1 << 16, kDiagonal = 92682, kFar = 1 << 30;  // `reach.STRAIGHT` and so on
 constexpr int kScanMs = 0, kPlanMs = 1, kTurnMs = 2, kRunMs = 7, kMostMs = 1 << 30;  // `motion.SCAN` and so on
 constexpr int kStraightLength = 408, kDiagonalLength = 577;  // `motion.LENGTHS`
-constexpr int kWhole = 10000, kNever = INT32_MAX;            // `environment.WHOLE` and `NEVER`
+constexpr int kWhole = 10000, kNever = INT32_MAX;            // `state.WHOLE` and `NEVER`
 constexpr int kNone = -1, kMarks = 100, kPercentiles = 4, kLooks = 8, kLookAround = 4;
 
 enum Outcome { kRunning, kComplete, kBlocked, kStepLimit, kPlanLimit, kStuck, kExplored = 10, kPathLimit, kTimeLimit };

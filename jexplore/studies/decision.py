@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -54,25 +54,15 @@ class TargetResult:
     `closest`, the worth of each cluster's nearest cell, a function's own score. None where they were not wanted, and
     for strategies that draw, plan a tour, look at view points one by one, or prefer rooms, or are a `Policy`."""
     memory: Any
-    """What the strategy remembers: `memory` of the next call."""
+    """The strategy's memory, for the next call."""
 
 
 @checked_names
 def next_target(
-    occupancy: np.ndarray,
-    pose: Sequence[float],
-    *,
-    cell_m: float,
-    origin_m: Sequence[float] = (0.0, 0.0),
-    strategy: StrategyLike = "closest",
-    driven_m: Any = (),
-    exhausted_m: Any = (),
-    memory: Any = None,
-    key: Array | None = None,
-    scores: bool = False,
-    lidar: LidarLike = LIDAR,
-    rules: RulesLike = RULES,
-) -> TargetResult:
+    occupancy: np.ndarray, pose: Sequence[float], *, cell_m: float, origin_m: Sequence[float] = (0.0, 0.0),
+    strategy: StrategyLike = "closest", driven_m: Any = (), exhausted_m: Any = (), memory: Any = None,
+    key: Array | None = None, scores: bool = False, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
+) -> TargetResult:  # fmt: skip
     """Choose the next target of a robot from its map, as an episode's robot would.
 
     A pure function: equal arguments give equal results. Grids of similar size share a compiled program.
@@ -89,62 +79,97 @@ def next_target(
         the map says. Points outside the grid do not count.
       exhausted_m: `[K, 2]`, targets at which the robot looked all round and that showed nothing: never chosen again.
       memory: of the last result, for strategies that remember (`learned`).
-      key: of what the strategy draws; by default always the same.
+      key: of the strategy's draws; by default always the same.
       scores: whether they are wanted: `closest` then looks at all frontier cells, not the nearest alone.
       lidar: the scanner by which strategies estimate gains.
       rules: of these `clearance_m`, `near_m`, `p_free`, `frontier_connectivity`, `min_frontier_cells` and
-        `known_outline` count. By default what lies beyond the grid is unknown.
-
-    Returns:
-      `TargetResult`.
+        `known_outline` count. By default all beyond the grid is unknown.
 
     Raises:
       InputError: a grid of another dtype or shape, with other values, or without a free cell; a pose that is not
         finite, outside, or in a wall; settings that cannot be; a strategy that chooses a cell to which no path leads.
     """
     scanner, own = ready_settings(lidar, rules)
+    asked, grid = _ready(strategy), _checked(occupancy, own.p_free)
+    place = _place(grid, pose, cell_m, origin_m, own)
+    maps, at = _padded(grid, place, driven_m, exhausted_m)
+    beams, model = _prepared(scanner, own, place.cell_m, maps[0].shape)
+    policy, key = asked.policy, random_key(0) if key is None else key
+    found = _chosen(policy._replace(params=()), scores, key, policy.params, memory, *maps, at, beams, model)
+    return _result(found, asked.name, grid.shape, place)
+
+
+class _Place(NamedTuple):
+    """A grid's frame, and the robot in it."""
+
+    cell_m: float
+    corner: Sequence[float]  # x_m, y_m
+    ring: int  # cells by which indices in the padded maps are larger: beyond the edge all is unknown
+    robot: np.ndarray  # [2] int64, row and col in the grid
+    heading_rad: float
+
+    def cells(self, name: str, points_m: Any) -> np.ndarray:
+        """Return the cells of points, `[N, 2]` int64, row and column, wherever they lie."""
+        points = np.asarray(points_m, float)
+        points = points.reshape(0, 2) if points.shape == (0,) else points
+        if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
+            raise InputError(f"{name} must be [N, 2] finite numbers, x_m and y_m, got {shown(points_m)}")
+        cells = np.floor(np.round((points - self.corner) / self.cell_m, _SNAP))
+        return np.clip(cells, -1, 2**20)[:, ::-1].astype(np.int64)
+
+
+def _place(grid: np.ndarray, pose: Any, cell_m: float, origin_m: Any, rules: Rules) -> _Place:
+    """Find the robot; refuse a pose outside the grid, or in a cell that is known not to be free."""
     require_number("cell_m", cell_m, low=1e-3, high=100)
-    asked = _ready(strategy)
-    grid = _checked(occupancy, own.p_free)
-    require_clearance(own, cell_m, "the grid")
+    require_clearance(rules, cell_m, "the grid")
     x_m, y_m, heading_rad = _numbers("pose", pose, 3, "x_m, y_m, heading_rad")
-    corner = _numbers("origin_m", origin_m, 2, "x_m, y_m")
-    (robot,) = _cells("pose", [(x_m, y_m)], corner, cell_m)
-    _require_free(grid, robot, pose, own.p_free)
-    ring = 0 if own.known_outline else 1  # beyond the edge lies what is unknown
+    corner, ring = _numbers("origin_m", origin_m, 2, "x_m, y_m"), 0 if rules.known_outline else 1
+    place = _Place(float(cell_m), corner, ring, np.zeros(2, np.int64), heading_rad)
+    (robot,) = place.cells("pose", [(x_m, y_m)])
+    where = f"pose {shown(tuple(pose))}"
+    if not ((robot >= 0) & (robot < grid.shape)).all():
+        raise InputError(f"{where}: lies outside the grid of {grid.shape[0]} x {grid.shape[1]} cells")
+    here = grid[tuple(robot)]
+    if here >= 0 and not _is_free(here, rules.p_free):
+        told = f"cell ({robot[0]}, {robot[1]}) is {here}, above {100 * rules.p_free:g}"
+        raise InputError(f"{where}: lies in a wall: {told}")
+    return place._replace(robot=robot)
+
+
+def _padded(grid: np.ndarray, place: _Place, driven_m: Any, exhausted_m: Any) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return the grid, and driven and exhausted cells as masks, padded; and all numbers of the belief, `[8]` int32."""
+    ring, robot = place.ring, place.robot
     shape = bucket(grid.shape[0] + 2 * ring), bucket(grid.shape[1] + 2 * ring)
-    inner = tuple(slice(ring, ring + n) for n in grid.shape)
-    cells = np.full(shape, -1, np.int8)
-    cells[inner] = grid
-    places = _cells("driven_m", driven_m, corner, cell_m)
-    masks = []
-    for points in (np.concatenate([places, robot[None]]), _cells("exhausted_m", exhausted_m, corner, cell_m)):
-        mask = np.zeros(shape, bool)
-        mask[tuple((points[((points >= 0) & (points < grid.shape)).all(axis=1)] + ring).T)] = True
-        masks.append(mask)
-    heading = round(heading_rad * 4 / math.pi) % 8
-    start = np.append((places[0] if len(places) else robot) + ring, heading)
-    at = np.int32([*(robot + ring), heading, *start, *(n + 2 * ring for n in grid.shape)])
-    beams, model = _prepared(scanner, own, float(cell_m), shape)
-    policy = asked.policy
-    key = random_key(0) if key is None else key
-    found = _chosen(policy._replace(params=()), scores, key, policy.params, memory, cells, *masks, at, beams, model)
-    row, col, cost, route, told, memory = *map(np.asarray, found[:4]), *found[4:]
-    told = None if told is None else np.asarray(told)[inner]
+    maps = [np.full(shape, -1, np.int8), np.zeros(shape, bool), np.zeros(shape, bool)]
+    maps[0][ring : ring + grid.shape[0], ring : ring + grid.shape[1]] = grid
+    driven = place.cells("driven_m", driven_m)
+    for mask, points in zip(maps[1:], (np.vstack([driven, robot]), place.cells("exhausted_m", exhausted_m))):
+        inside = ((points >= 0) & (points < grid.shape)).all(axis=1)
+        mask[tuple((points[inside] + ring).T)] = True
+    heading, start = round(place.heading_rad * 4 / math.pi) % 8, driven[0] if len(driven) else robot
+    return maps, np.int32([*(robot + ring), heading, *(start + ring), heading, *(n + 2 * ring for n in grid.shape)])
+
+
+def _result(found: tuple[Any, ...], name: str, shape: tuple[int, ...], place: _Place) -> TargetResult:
+    """Convert the output of `_chosen` to metres of the grid's frame."""
+    row, col, cost, route, scores, memory = *map(np.asarray, found[:4]), *found[4:]
+    ring = place.ring
+    if scores is not None:
+        scores = np.asarray(scores)[ring : ring + shape[0], ring : ring + shape[1]]
     if row < 0:
-        return TargetResult(None, None, np.zeros((0, 2)), 0.0, told, memory)
-    if cost >= FAR:
-        raise InputError(f"{asked.name}: chose the cell ({row - ring}, {col - ring}), to which no path leads")
-    way, motions = _followed(route, tuple(robot + ring), (int(row), int(col)))
-    x, y = centre_of(*(np.array(way) - ring).T, cell_m=cell_m, origin_m=corner)
-    heading_rad = HEADING[motions[-1]] * math.pi / 4 if motions else heading_rad
-    path_m = cell_m * sum(math.sqrt(2) if motion >= 4 else 1.0 for motion in motions)
+        return TargetResult(None, None, np.zeros((0, 2)), 0.0, scores, memory)
     cell = int(row) - ring, int(col) - ring
-    return TargetResult(cell, (x[-1], y[-1], heading_rad), np.stack([x, y], axis=1), path_m, told, memory)
+    if cost >= FAR:
+        raise InputError(f"{name}: chose the cell {cell}, to which no path leads")
+    way, motions = _followed(route, tuple(place.robot + ring), (int(row), int(col)))
+    x, y = centre_of(*(np.array(way) - ring).T, cell_m=place.cell_m, origin_m=place.corner)
+    heading_rad = HEADING[motions[-1]] * math.pi / 4 if motions else place.heading_rad
+    path_m = place.cell_m * sum(math.sqrt(2) if motion >= 4 else 1.0 for motion in motions)
+    return TargetResult(cell, (x[-1], y[-1], heading_rad), np.stack([x, y], axis=1), path_m, scores, memory)
 
 
 def _checked(occupancy: Any, p_free: float) -> np.ndarray:
-    """Return the grid; refuse what is none, or has no free cell."""
+    """Return the grid; refuse anything else, or one without a free cell."""
     kind = f"{list(np.shape(occupancy))} {getattr(occupancy, 'dtype', type(occupancy).__name__)}"
     if getattr(occupancy, "dtype", None) != np.int8 or occupancy.ndim != 2 or not occupancy.size:
         raise InputError(f"occupancy must be [H, W] int8, -1 unknown and 0 to 100, got {kind}")
@@ -170,25 +195,6 @@ def _numbers(name: str, values: Any, n: int, what: str) -> list[float]:
     if len(found) != n or not all(map(math.isfinite, found)):
         raise InputError(f"{name} must be {n} finite numbers, {what}, got {shown(values)}")
     return found
-
-
-def _cells(name: str, points_m: Any, corner: Sequence[float], cell_m: float) -> np.ndarray:
-    """Return the cells of points, `[N, 2]` int64, row and column, wherever they lie."""
-    points = np.asarray(points_m, float).reshape(-1, 2) if len(points_m) == 0 else np.asarray(points_m, float)
-    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
-        raise InputError(f"{name} must be [N, 2] finite numbers, x_m and y_m, got {shown(points_m)}")
-    cells = np.floor(np.round((points - corner) / cell_m, _SNAP))
-    return np.clip(cells, -1, 2**20)[:, ::-1].astype(np.int64)
-
-
-def _require_free(grid: np.ndarray, robot: np.ndarray, pose: Any, p_free: float) -> None:
-    """Refuse a pose outside the grid, or in a cell that is known not to be free."""
-    where = f"pose {shown(tuple(pose))}"
-    if not ((robot >= 0) & (robot < grid.shape)).all():
-        raise InputError(f"{where}: lies outside the grid of {grid.shape[0]} x {grid.shape[1]} cells")
-    here = grid[tuple(robot)]
-    if here >= 0 and not _is_free(here, p_free):
-        raise InputError(f"{where}: lies in a wall: cell ({robot[0]}, {robot[1]}) is {here}, above {100 * p_free:g}")
 
 
 def _ready(asked: Any) -> Strategy:
@@ -228,7 +234,7 @@ def _chosen(
     policy: Policy, scores: bool, key: Array, params: Any, memory: Any, cells: Array, driven: Array, exhausted: Array,
     at: Array, beams: Beams, model: MapModel,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Return row, column and cost of the choice, the map of motions, the scores, and what is remembered."""
+    """Return row, column and cost of the choice, the map of motions, the scores, and the strategy's memory."""
     row, col, heading, *rest = at
     percent = cells.astype(jnp.int32)
     grid = Grid(jnp.maximum(percent, 0), jnp.where(percent < 0, 0, 100 - percent))

@@ -11,12 +11,11 @@ from scipy import ndimage
 
 from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import Given
-from jexplore.exploration import environment
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.motion import LENGTHS, clock_table
 from jexplore.exploration.results import progress_m
 from jexplore.exploration.site import cost_of, limited
-from jexplore.exploration.state import Numbers, Outcome, Setup, Stream, Truth
+from jexplore.exploration.state import WHOLE, Numbers, Outcome, Setup, Stream, Truth
 from jexplore.exploration.trail import decode, detail_of
 from jexplore.grid import radius_d2
 from jexplore.native.drive import find_target
@@ -80,7 +79,7 @@ def numbers_of(strategy, lidar, rules, cell_m, longest, robot):
         sigma_cells=np.float32(lidar.sigma_m / cell_m),
         dropout=np.float32(lidar.dropout),
         no_echo_is_free=np.bool_(lidar.no_echo == "free"),
-        stop_at=np.int32(round((rules.stop_at or 0) * environment.WHOLE)),
+        stop_at=np.int32(round((rules.stop_at or 0) * WHOLE)),
         return_home=np.bool_(rules.return_home),
         max_path=np.int32(limited(rules.max_path_m, LENGTHS[0] / cell_m, math.floor)),
         max_ms=np.int32(limited(rules.max_time_s, 1000.0, math.ceil)),
