@@ -3,6 +3,7 @@
     python benchmarks/intervals.py [--world cave] [--episodes 1000] [--repetitions 2000] [--seed 0]
     python benchmarks/intervals.py --over worlds [--worlds 150] [--repetitions 1000]
     python benchmarks/intervals.py --over sizes [--world cave] [--episodes 1000]
+    python benchmarks/intervals.py --over stops [--world cave] [--episodes 1000] [--repetitions 2000]
 
 Over pairs: the 95 % interval of a paired ratio. The pairs are drawn, with replacement, from a large comparison, whose
 own ratio of means is the truth:
@@ -19,6 +20,9 @@ replacement, from many, whose own numbers are the truth.
 
 Over sizes: from pilots of few pairs of the same populations, how many pairs are asked for to tell the ratio within 5 %,
 with an assurance of 80 %, and in how many new samples of as many pairs the interval is as narrow.
+
+Over stops: from the same populations, the confidence sequence of `--until decided`, looked at after every 8 pairs: how
+often it covers at every look up to 400 pairs, and where it stops; how many pairs that takes, and what share of 200.
 """
 
 import argparse
@@ -31,6 +35,7 @@ from jexplore.bench.tables import markdown
 from jexplore.studies.statistics.aggregate import Estimate, improvement, interquartile_mean
 from jexplore.studies.statistics.over_worlds import share_over_worlds
 from jexplore.studies.statistics.paired import paired_ratio
+from jexplore.studies.statistics.sequential import OPEN, anytime_ratio, verdict_of
 from jexplore.studies.statistics.sizes import sample_size
 
 PAIRS = (5, 10, 20, 50, 100)
@@ -43,6 +48,7 @@ EPISODES = 4  # in each of the small worlds
 WORLDS = (6, 12, 24, 48)
 PILOTS = (6, 10, 20, 50)
 WITHIN = 0.05
+LOOKS, MOST = range(8, 401, 8), 200
 
 
 def populations(values, reference, rng):
@@ -202,7 +208,26 @@ def over_sizes(given):
     print(f"{given.world}; per cent of new samples of as many pairs whose 95 % interval is within {100 * WITHIN:g} %.")
 
 
-OVER = {"pairs": over_pairs, "worlds": over_worlds, "sizes": over_sizes}
+def over_stops(given):
+    """The table of stopped comparisons."""
+    rng, rows, paths = np.random.default_rng(given.seed), [], paths_of(given)
+    for name, (values, reference) in populations(*paths, rng).items():
+        truth, always, stopped, ends = values.mean() / reference.mean(), 0, 0, []
+        for _ in range(given.repetitions):
+            chosen = rng.integers(len(values), size=LOOKS[-1])
+            found = [anytime_ratio(values[chosen[:n]], reference[chosen[:n]]) for n in LOOKS]
+            covers = [not (one.low > truth or one.high < truth) for one in found]
+            end = next((i for i, one in enumerate(found) if verdict_of(one) != OPEN), len(found) - 1)
+            always, stopped = always + all(covers), stopped + covers[end]
+            ends.append(min(LOOKS[end], MOST))
+        shares = (f"{100 * hits / given.repetitions:.1f}" for hits in (always, stopped))
+        spared = f"{100 - 100 * np.mean(ends) / MOST:.0f}"
+        rows.append([name, f"{truth:.3f}", *shares, f"{np.median(ends):.0f}", spared])
+    print(markdown(["pairs", "true ratio", "covers always", "where it stops", "pairs, median", "spared, %"], rows))
+    print(f"{given.world}; per cent of {given.repetitions} samples; spared: of {MOST} pairs.")
+
+
+OVER = {"stops": over_stops, "pairs": over_pairs, "worlds": over_worlds, "sizes": over_sizes}
 
 
 def main():

@@ -18,12 +18,14 @@ from jexplore.cli.options import (
     StartText,
     TimedOptions,
     TrustOptions,
+    UntilText,
     default_worlds,
     fields_of,
     is_small,
 )
 from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_table
+from jexplore.config import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,6 +57,9 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
     random)."""
     episodes: int = dataclasses.field(default_factory=default_episodes)
     """Number of episodes of each strategy in each world."""
+    until: UntilText = None
+    """Stop in a world as soon as every strategy is known to drive less or more than the first, or about as much
+    (decided): --episodes is then the most. Intervals that hold although one looks again and again."""
     seed: int = 0
     """Draw starts and all that is random from this seed."""
     cell_m: float = 0.1
@@ -91,6 +96,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
         from jexplore.studies.checks import prepare_jobs, require_given_pose
         from jexplore.studies.results.saving import figures_of
         from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
+        from jexplore.studies.statistics.sequential import decisions_text, require_until
 
         worlds, strategies = (
             (league_worlds(self.cell_m, self.league_seeds), LEAGUE_STRATEGIES)
@@ -100,6 +106,9 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
         worlds = worlds if self.worlds is None else self.worlds
         strategies = strategies if self.strategies is None else self.strategies
         self = dataclasses.replace(self, worlds=worlds, strategies=strategies)
+        require_until(self.until)
+        if self.until and self.bounds:
+            raise InputError("bounds are of all starts: leave out --until or --bounds")
         if self.waste:
             require_given_pose(self.rules, "waste is")
         with Out(self, "compare") as out:
@@ -118,6 +127,8 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
                 if self.league:
                     text = found.league_text()
                     record = functools.partial(record, standings=found.standings.to_dict("records"))
+                if self.until:
+                    text += decisions_text(found.episodes, len(found.episodes) + found.spared)
             found, text, files, is_whole = self._beside(found, text, tasks, out)
             figures = figures_of(found, league=self.league)
             with note_if_slow(FINISHING):
@@ -171,7 +182,13 @@ def _tables(found, record):
     """Format the tables of a comparison that has been finished before."""
     league = record["configuration"].get("league")
     text = found.league_text() if league else found.to_markdown()
-    return text + _more_tables(getattr(found, "comparison", found).episodes, league)
+    episodes = getattr(found, "comparison", found).episodes
+    if record["configuration"].get("until"):
+        from jexplore.studies.statistics.sequential import decisions_text
+
+        asked = record["configuration"]["episodes"] * len(set(episodes["world"])) * len(set(episodes["strategy"]))
+        text += decisions_text(episodes, asked)
+    return text + _more_tables(episodes, league)
 
 
 def run_with_bar(
@@ -185,11 +202,13 @@ def run_with_bar(
 
     keep = "paths" if getattr(options, "waste", False) else None
     asked = provenance.asked(jobs) | ({"keep": keep} if keep else {})
+    asked |= {"until": until} if (until := getattr(options, "until", None)) else {}
     asked |= {"bound_seconds": starts[0].seconds if starts else None} if hasattr(options, "bounds") else {}
     ledger = out.keep(asked, lambda n: len(units.cut_jobs(jobs, n)) + len(starts))
     if ledger is None:
         return None
     how = {"keep": keep, "ledger": ledger, **fields_of(options, "engine lanes workers")}
+    how |= {"until": until}
     with working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
         return comparison.run_comparison(jobs, **how, on_progress=on_progress)
 

@@ -57,6 +57,7 @@ MetricNames = Annotated[
 OneWorld = Annotated[str, tyro.conf.arg(metavar="WORLD")]
 OneStrategy = Annotated[str, tyro.conf.arg(metavar="STRATEGY")]
 OwnModel = Annotated[str | None, tyro.conf.arg(metavar="MODEL", help_behavior_hint="(default: closest)")]
+UntilText = Annotated[str | None, tyro.conf.arg(metavar="decided", help_behavior_hint="")]
 StartText = Annotated[str, tyro.conf.arg(metavar="START")]
 PolygonText = Annotated[str | None, tyro.conf.arg(metavar="CORNERS")]
 MapFile = Annotated[str | None, tyro.conf.arg(metavar="MAP.yaml")]

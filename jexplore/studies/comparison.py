@@ -29,6 +29,7 @@ from jexplore.studies.results import loading, provenance, saving
 from jexplore.studies.results.comparison import ComparisonResult, run_comparison
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.units import cut_jobs
+from jexplore.studies.statistics.sequential import require_until
 from jexplore.worlds.restrict import KnownMap, Polygon
 
 
@@ -42,7 +43,7 @@ def compare(
     pose: str | None = None, odometry: OdometryLike = None,
     engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
-    keep: str | None = None, metrics: MetricsLike = None,
+    keep: str | None = None, metrics: MetricsLike = None, until: str | None = None,
     out: str | os.PathLike[str] | None = None, overwrite: bool = False, resume: bool = False, trust: bool = False,
 ) -> ComparisonResult:  # fmt: skip
     """Run every strategy in every world, from the same starts. An interruption keeps finished units.
@@ -70,6 +71,8 @@ def compare(
       progress: whether a bar shows that; by default in notebooks.
       keep: "paths" for the way of every episode, 12 bytes a step, "maps" for its last map as well, a byte a cell.
       metrics: columns of your own: name -> function of an `EpisodeView`, see `metric`, or "module:function".
+      until: "decided": a world gets episodes, at most as many as asked for, until every strategy is known to drive
+        less or more than the first, or about as much. `ComparisonResult.decisions` has intervals that still hold.
       out: folder to write, see `ComparisonResult.save`. Finished episodes are stored on the way.
       overwrite: replace a run in the folder.
       resume: continue a run in the folder, if any.
@@ -80,6 +83,7 @@ def compare(
       InputWarning: as `batch.run_jobs`.
     """
     require_engine(engine, lanes)
+    require_until(until)
     settings = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": start, "start_m": start_m}
     limits = {"within": within, "from_map": from_map}
     robots = {"lidar": lidar, "rules": rules, "robot": robot}
@@ -89,17 +93,18 @@ def compare(
     settings |= limits | {"from_map": _plainly(from_map)}
     settings |= {name: getattr(jobs[0], name) for name in robots}
     _require_folder(keep, out, overwrite, resume)
-    how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep}
+    how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "until": until}
     with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
         run = functools.partial(_run, jobs, settings, how, moved)
-        return run() if out is None else _run_in_folder(run, jobs, keep, out, overwrite, resume, trust)
+        asked = _asked(jobs, keep, until)
+        return run() if out is None else _run_in_folder(run, jobs, asked, out, overwrite, resume, trust)
 
 
-def _run_in_folder(run, jobs, keep, out, overwrite, resume, trust):
+def _run_in_folder(run, jobs, asked, out, overwrite, resume, trust):
     """Run a comparison with a folder that keeps its units and finally holds it."""
     with saving.claimed_by_call(out, overwrite=overwrite, resume=resume) as folder:
         units = functools.partial(_count_units, jobs)
-        ledger = open_ledger(folder, _asked(jobs, keep), units, resume=resume, trust=trust)
+        ledger = open_ledger(folder, asked, units, resume=resume, trust=trust)
         if ledger is None:
             found = loading.load(folder.path)
             return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
@@ -127,9 +132,10 @@ def _require_folder(keep: str | None, out: object, overwrite: bool, resume: bool
         raise InputError("overwrite and resume are for a folder: name it with out")
 
 
-def _asked(jobs: Sequence[Job], keep: str | None) -> dict[str, Any]:
+def _asked(jobs: Sequence[Job], keep: str | None, until: str | None) -> dict[str, Any]:
     """Return all that results depend on, for a ledger."""
-    return {"command": "compare", **provenance.asked(jobs), **({"keep": keep} if keep else {}), "bound_seconds": None}
+    more = {name: value for name, value in (("keep", keep), ("until", until)) if value}
+    return {"command": "compare", **provenance.asked(jobs), **more, "bound_seconds": None}
 
 
 def _run(
@@ -152,6 +158,6 @@ def _run(
         "wall_s": (datetime.datetime.now(datetime.UTC) - began).total_seconds(),
         "configuration": {**names, **settings, **how},
         **found.made.record,
-        **{"asked": _asked(jobs, how["keep"]), "units": len(cut_jobs(jobs))},
+        **{"asked": _asked(jobs, how["keep"], how["until"]), "units": len(cut_jobs(jobs))},
     }
     return dataclasses.replace(found, made=found.made._replace(record=record))

@@ -25,7 +25,7 @@ from jexplore.studies.results import provenance
 from jexplore.studies.results.details import Seen
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import EXTRAS, MAP, PROGRESS, SEEN, WAY, Ran, run_units
-from jexplore.studies.statistics import by_world, figures, sizes, waste
+from jexplore.studies.statistics import by_world, figures, sequential, sizes, waste
 from jexplore.studies.statistics.coverage import at_coverage, coverage_text
 from jexplore.studies.statistics.league import over_worlds_text, standings, standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
@@ -69,6 +69,8 @@ class ComparisonResult(ByStrategy):
     """Episodes that are missing because the run was interrupted; of the others, those that every strategy finished."""
     resumed: int = 0
     """Episodes that an earlier run had finished, with which this one went on."""
+    spared: int = 0
+    """Episodes that were not needed, with `until="decided"`."""
     progress: dict[tuple[str, str], np.ndarray] = dataclasses.field(default_factory=dict)
     """(world, strategy) -> `[N, 100]` float64: metres driven when each episode in the table first knew 1, 2, ... 100 %
     of the cells that can be known in its world; NaN where it never did."""
@@ -96,6 +98,12 @@ class ComparisonResult(ByStrategy):
     def standings(self) -> "pd.DataFrame":
         """Tabulate standings, one row a strategy, over all worlds: see `league.standings`."""
         return standings(self.episodes)
+
+    @functools.cached_property
+    def decisions(self) -> "pd.DataFrame":
+        """Tabulate ratios with intervals that hold whenever one stops, one row a world and strategy: see
+        `sequential.decisions`."""
+        return sequential.decisions(self.episodes)
 
     @functools.cached_property
     def at_coverage(self) -> "pd.DataFrame":
@@ -324,11 +332,14 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
             first.setdefault(pair[0], []).append(rows[SEEN].iloc[0])
     worlds = {os.fspath(job.world.name): job.world for job in jobs}
     costs = ran.costs
+    missing = sum(len(job.starts) for job in jobs) - len(table)
+    spared = 0 if ran.costs.interrupted or not ran.settled else missing
     return ComparisonResult(
         table.drop(columns=[name for name in EXTRAS if name in table]).reset_index(drop=True),
         tuple(worlds[name] for name in dict.fromkeys(table["world"])),
         first,
-        *(costs.compile_s, costs.run_s, sum(len(job.starts) for job in jobs) - len(table), ran.resumed),
+        *(costs.compile_s, costs.run_s, missing - spared, ran.resumed),
+        spared=spared,
         progress=progress,
         paths=paths,
         maps=maps,
@@ -339,11 +350,12 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
     )
 
 
-def run_comparison(jobs: Sequence[Job], **how: Any) -> ComparisonResult:
-    """Run jobs; `how` as of `run_units`.
+def run_comparison(jobs: Sequence[Job], *, until: str | None = None, **how: Any) -> ComparisonResult:
+    """Run jobs; `how` as of `run_units`. `until`: "decided", see `compare`.
 
     Raises:
       KeyboardInterrupt: no episode has been finished by every strategy.
     """
     use_compilation_cache()
-    return assemble(jobs, run_units(jobs, **how))
+    n = len({job.strategy.name for job in jobs})
+    return assemble(jobs, run_units(jobs, settled=sequential.decided_worlds(n) if until else None, **how))

@@ -200,6 +200,7 @@ class Ran(NamedTuple):
     costs: Costs
     resumed: int  # episodes that were there before
     firsts: dict[int, Outcomes]  # number of a job, one of the first -> what its first unit left, if that was run here
+    settled: bool = False  # whether units may have been left out because enough was known
 
 
 def run_units(
@@ -207,6 +208,7 @@ def run_units(
     *,
     ledger: Ledger | None = None,
     on_progress: Callable[[int], object] | None = None,
+    settled: "Callable[[list[pd.DataFrame]], set[str]] | None" = None,
     **how: Any,
 ) -> Ran:
     """Run every episode of every job, with its scanner and rules, that the ledger does not have.
@@ -214,6 +216,7 @@ def run_units(
     Args:
       ledger: where units are kept as soon as they are finished.
       on_progress: as in `batch.run_jobs`; it counts earlier episodes too.
+      settled: asked after each phase with all units made; it names the worlds that need no more episodes.
       how: engine, lanes, workers, keep, as in `batch.run_jobs`.
 
     Returns:
@@ -237,10 +240,20 @@ def run_units(
             firsts[unit.job] = found
         return unit_table(job, found)
 
-    costs = make_units(work, jobs_of, table_of, resumed=resumed, on_progress=on_progress, **how)
+    def phases(left):
+        if settled is None:
+            yield left
+            return
+        for _, own in itertools.groupby(left, lambda number: units[number].phase):
+            over = settled([*earlier, *work.results])
+            part = [number for number in own if os.fspath(jobs[units[number].job].world.name) not in over]
+            if part:
+                yield part
+
+    costs = make_units(work, jobs_of, table_of, windows=phases, resumed=resumed, on_progress=on_progress, **how)
     if not work.done:  # a shorter run stays as it is
         raise KeyboardInterrupt
-    return Ran([*earlier, *work.results], costs, resumed, firsts)
+    return Ran([*earlier, *work.results], costs, resumed, firsts, settled is not None)
 
 
 def _earlier(ledger, jobs):

@@ -59,6 +59,15 @@ def safe_exp(value: float) -> float:
         return float(np.exp(value))
 
 
+def spread_of(values: ArrayLike, reference: ArrayLike) -> tuple[float, float]:
+    """Return standard error and degrees of freedom of the logarithm of a `paired_ratio`; 0 and 0 for none."""
+    values, reference = np.asarray(values, np.float64), np.asarray(reference, np.float64)
+    n, mean, mean_reference = len(values), values.mean(), reference.mean()
+    if n < 2 or np.ptp(values) == 0 == np.ptp(reference) or mean <= 0 or mean_reference <= 0:
+        return 0.0, 0.0
+    return _standard_error(values / mean - reference / mean_reference), n - max(int((values == reference).sum()), 1)
+
+
 def paired_ratio(values: ArrayLike, reference: ArrayLike) -> PairedRatio:
     """Estimate the ratio R of the means of paired samples, with an interval and a test.
 
@@ -88,11 +97,7 @@ def paired_ratio(values: ArrayLike, reference: ArrayLike) -> PairedRatio:
     n = 1 if np.ptp(values) == 0 == np.ptp(reference) else len(values)
     mean, mean_reference = values.mean(), reference.mean()
     ratio = float(mean / mean_reference) if mean_reference > 0 else math.nan
-    error = freedom = 0.0
-    if n > 1 and mean > 0 and mean_reference > 0:
-        error = _standard_error(values / mean - reference / mean_reference)
-        equal = int((values == reference).sum())
-        freedom = n - max(equal, 1)
+    error, freedom = spread_of(values, reference)
     low, high, p = t_interval(math.log(ratio) if error else math.nan, error, freedom)
     return PairedRatio(ratio, safe_exp(low), safe_exp(high), p, n)
 

@@ -1,0 +1,114 @@
+"""Comparisons that end when they are decided."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import jexplore as jx
+from jexplore.cli.main import main
+from jexplore.config import InputError
+from jexplore.studies.statistics import sequential
+from jexplore.studies.statistics.paired import paired_ratio
+
+ROOMS = "rooms#{}:width_m=8,height_m=6"
+
+
+def test_the_boundary_by_hand():
+    """At 30 values, where it is tightest: rho^2 n is 2 ln 20 + ln(1 + 2 ln 20)."""
+    rho2 = 2 * math.log(20) + math.log(1 + 2 * math.log(20))
+    wanted = math.sqrt(2 * (rho2 + 1) / rho2 * math.log(math.sqrt(rho2 + 1) / 0.05))
+    assert sequential.boundary(30) == pytest.approx(wanted)
+    widths = [sequential.boundary(n) / math.sqrt(n) for n in range(1, 500)]
+    assert widths == sorted(widths, reverse=True)
+    assert all(sequential.boundary(30) <= sequential.boundary(n) for n in (10, 20, 40, 100))
+    assert sequential.boundary(30, 0.01) > sequential.boundary(30)
+
+
+def test_the_interval_is_wider_than_that_of_a_fixed_number():
+    draw = np.random.default_rng(0)
+    reference = draw.uniform(50, 100, 40)
+    values = reference * draw.uniform(0.8, 1.1, 40)
+    found, fixed = sequential.anytime_ratio(values, reference), paired_ratio(values, reference)
+    assert found.ratio == fixed.ratio
+    assert found.low < fixed.low < fixed.high < found.high
+    assert math.log(found.high / found.ratio) == pytest.approx(math.log(found.ratio / found.low))
+    assert math.isnan(sequential.anytime_ratio([1.0, 1.0], [1.0, 1.0]).low)
+    assert math.isnan(sequential.anytime_ratio([1.0], [2.0]).low)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "verdict"),
+    [(0.8, 0.99, "shorter"), (1.01, 1.2, "longer"), (0.9, 1.1, "undecided"), (0.985, 1.02, "within 2 %")],
+)
+def test_verdicts(low, high, verdict):
+    found = paired_ratio([1.0, 2.0], [2.0, 3.0])._replace(low=low, high=high)
+    assert sequential.verdict_of(found) == verdict
+    assert sequential.verdict_of(found._replace(low=math.nan, high=math.nan)) == "undecided"
+
+
+def table(world, strategy, paths):
+    return pd.DataFrame({"world": world, "strategy": strategy, "episode": range(len(paths)), "path_m": paths})
+
+
+def test_a_world_is_settled_once_all_its_strategies_are():
+    draw = np.random.default_rng(1)
+    long = draw.uniform(90, 110, 60)
+    factors = {"first": 1.0, "half": draw.uniform(0.4, 0.6, 60), "same": draw.uniform(0.97, 1.03, 60)}
+    near = [table("a", name, long * factor) for name, factor in factors.items()]
+    assert sequential.decided_worlds(3)(near[:2]) == set()
+    assert sequential.decided_worlds(2)(near[:2]) == {"a"}
+    assert sequential.decided_worlds(3)([one.head(9) for one in near]) == set()
+    found = sequential.decisions(pd.concat(near)).set_index("strategy")
+    assert found["verdict"].to_dict() == {"half": "shorter", "same": "within 2 %"}
+    text = sequential.decisions_text(pd.concat(near), 1000)
+    assert text.startswith("\nDecided after 180 of 1000 episodes, 820 spared.")
+
+
+def test_intervals_cover_at_all_numbers_at_once():
+    """In 400 runs of skewed pairs, looked at after 8, 16, ... 200: not one in 20 ever leaves out the true ratio."""
+    draw, missed = np.random.default_rng(2), 0
+    for _ in range(400):
+        reference = draw.lognormal(4, 0.3, 200)
+        values = reference * draw.lognormal(0, 0.3, 200)
+        truth = math.exp(0.3**2 / 2)
+        found = [sequential.anytime_ratio(values[:n], reference[:n]) for n in range(8, 201, 8)]
+        missed += any(not one.low <= truth <= one.high for one in found)
+    assert missed <= 20
+
+
+@pytest.mark.jit
+def test_a_comparison_ends_when_it_is_decided(tmp_path):
+    """The episodes that it makes are the first of those of a whole one."""
+    worlds, strategies = [ROOMS.format(i) for i in (1, 2)], ["closest+recheck", "random"]
+    found = jx.compare(worlds, strategies, episodes=200, until="decided", out=tmp_path / "run")
+    n = found.decisions.set_index("world")["n"]
+    assert n.min() < 200
+    assert n[found.decisions.set_index("world")["verdict"] == "undecided"].eq(200).all()
+    assert found.spared + len(found.episodes) == 800
+    assert found.spared == 800 - 2 * n.sum()
+    assert found.interrupted == 0
+    whole = jx.compare(worlds, strategies, episodes=int(n.max()))
+    both = whole.episodes.merge(found.episodes, on=["world", "strategy", "episode"])
+    assert len(both) == len(found.episodes)
+    np.testing.assert_array_equal(both["path_m_x"], both["path_m_y"])
+    again = jx.compare(worlds, strategies, episodes=200, until="decided", out=tmp_path / "run", resume=True)
+    pd.testing.assert_frame_equal(again.episodes, found.episodes)
+
+
+@pytest.mark.jit
+def test_the_command_says_what_was_spared(tmp_path, capsys):
+    command = ["compare", "--worlds", ROOMS.format(1), "--strategies", "closest", "random", "--episodes", "100"]
+    command += ["--until", "decided", "--out", str(tmp_path / "run"), "--no-report"]
+    assert main(command) == 0
+    first = capsys.readouterr().out
+    assert "episodes, " in first
+    assert "spared. Intervals (95 % for each world) hold although" in first
+    assert main([*command, "--resume"]) == 0
+    assert first.split("Decided after")[1].split("\n\n")[0] in capsys.readouterr().out
+
+
+def test_other_ends_are_refused():
+    with pytest.raises(InputError, match=r"^until must be None or 'decided', got 'bored'$"):
+        jx.compare("cave", "closest", until="bored")
