@@ -144,6 +144,18 @@ def test_it_is_the_episodes_own_choice_on_a_thousand_beliefs():
     assert n >= 1000
 
 
+@pytest.mark.slow
+@pytest.mark.jit
+@pytest.mark.parametrize("name", ["closest", "utility", "mcdm", "small-first", "distance-advantage", "learned"])
+def test_the_target_has_the_highest_score(name):
+    """A room with three exits; what is compared does not change what is chosen."""
+    text = "##.####.######\n#............#\n#............#\n#.R...........\n#............#\n##############"
+    grid, x, y = grid_of(text)
+    found, plain = (ask(grid, (x, y, 0.0), strategy=name, scores=wanted) for wanted in (True, False))
+    assert found.cell == plain.cell == tuple(np.argwhere(found.scores == np.nanmax(found.scores))[0])
+    assert (~np.isnan(found.scores)).sum() == 3
+
+
 FREE, WALL = np.zeros((3, 4), np.int8), np.eye(3, dtype=np.int8) * 90
 KIND = "occupancy must be [H, W] int8, -1 unknown and 0 to 100"
 

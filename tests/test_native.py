@@ -84,7 +84,8 @@ def test_episodes_have_the_bits_of_jax(name):
 @pytest.mark.parametrize("number", range(30))
 def test_a_warp_comes_to_the_same(number):
     """As a GPU runs it, its lanes one after the other; scans by their beams, and looked up."""
-    case = fuzz.draw_case(3, number, [one for one in fuzz.MANY if not one.noisy and not one.restricted])
+    fits = [one for one in fuzz.MANY if not (one.noisy or one.restricted or one.frontier[1] > 1)]
+    case = fuzz.draw_case(3, number, fits)
     run = native.play(case)
     for views in (False, True):
         found = run.place.inner.emulate(run.tasks, views=views)

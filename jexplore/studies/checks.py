@@ -178,7 +178,8 @@ def warn_of_share(world: World, lidar: Lidar, rules: Rules) -> None:
         free &= np.pad(world.within, ring)
     region = ndimage.binary_propagation(stands, mask=free)
     cells = ndimage.binary_dilation(region)  # and their walls
-    near = ndimage.distance_transform_edt(~stands) * world.cell_m <= lidar.range_m + lidar.mount_m + rules.near_m
+    away: Any = ndimage.distance_transform_edt(~stands)
+    near = away * world.cell_m <= lidar.range_m + lidar.mount_m + rules.near_m
     share = (cells & near).sum() / max(cells.sum(), 1)
     if share < rules.stop_at:
         warnings.warn(

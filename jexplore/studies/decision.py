@@ -103,7 +103,7 @@ class _Place(NamedTuple):
     """A grid's frame, and the robot in it."""
 
     cell_m: float
-    corner: Sequence[float]  # x_m, y_m
+    corner: tuple[float, float]  # x_m, y_m
     ring: int  # cells by which indices in the padded maps are larger: beyond the edge all is unknown
     robot: np.ndarray  # [2] int64, row and col in the grid
     heading_rad: float
@@ -123,8 +123,9 @@ def _place(grid: np.ndarray, pose: Any, cell_m: float, origin_m: Any, rules: Rul
     require_number("cell_m", cell_m, low=1e-3, high=100)
     require_clearance(rules, cell_m, "the grid")
     x_m, y_m, heading_rad = _numbers("pose", pose, 3, "x_m, y_m, heading_rad")
-    corner, ring = _numbers("origin_m", origin_m, 2, "x_m, y_m"), 0 if rules.known_outline else 1
-    place = _Place(float(cell_m), corner, ring, np.zeros(2, np.int64), heading_rad)
+    left_m, bottom_m = _numbers("origin_m", origin_m, 2, "x_m, y_m")
+    ring = 0 if rules.known_outline else 1
+    place = _Place(float(cell_m), (left_m, bottom_m), ring, np.zeros(2, np.int64), heading_rad)
     (robot,) = place.cells("pose", [(x_m, y_m)])
     where = f"pose {shown(tuple(pose))}"
     if not ((robot >= 0) & (robot < grid.shape)).all():
@@ -147,7 +148,8 @@ def _padded(grid: np.ndarray, place: _Place, driven_m: Any, exhausted_m: Any) ->
         inside = ((points >= 0) & (points < grid.shape)).all(axis=1)
         mask[tuple((points[inside] + ring).T)] = True
     heading, start = round(place.heading_rad * 4 / math.pi) % 8, driven[0] if len(driven) else robot
-    return maps, np.int32([*(robot + ring), heading, *(start + ring), heading, *(n + 2 * ring for n in grid.shape)])
+    extent = [n + 2 * ring for n in grid.shape]
+    return maps, np.array([*(robot + ring), heading, *(start + ring), heading, *extent], np.int32)
 
 
 def _result(found: tuple[Any, ...], name: str, shape: tuple[int, ...], place: _Place) -> TargetResult:
@@ -215,9 +217,9 @@ def _prepared(lidar: Lidar, rules: Rules, cell_m: float, shape: tuple[int, int])
     """Return the scanner's beams on the device, and the thresholds of a map."""
     use_compilation_cache()
     find_resources()  # starts JAX
-    thresholds: Any = rules.p_free, radius_d2(rules.near_m, cell_m), cell_m
+    thresholds: Any = [number(value) for value in (rules.p_free, radius_d2(rules.near_m, cell_m), cell_m)]
     model = MapModel(
-        *map(number, thresholds),
+        *thresholds,
         clearance_d2=radius_d2(rules.clearance_m, cell_m),
         connectivity=rules.frontier_connectivity,
         least=rules.min_frontier_cells,
