@@ -148,7 +148,7 @@ def test_it_is_the_episodes_own_choice_on_a_thousand_beliefs():
 @pytest.mark.jit
 @pytest.mark.parametrize("name", ["closest", "utility", "mcdm", "small-first", "distance-advantage", "learned"])
 def test_the_target_has_the_highest_score(name):
-    """A room with three exits; what is compared does not change what is chosen."""
+    """A room with three exits; asking for scores does not change the choice."""
     text = "##.####.######\n#............#\n#............#\n#.R...........\n#............#\n##############"
     grid, x, y = grid_of(text)
     found, plain = (ask(grid, (x, y, 0.0), strategy=name, scores=wanted) for wanted in (True, False))

@@ -74,8 +74,7 @@ def compare(
       until: "decided": a world gets episodes, at most as many as asked for, until every strategy is known to drive
         less or more than the first, or about as much. `ComparisonResult.decisions` has intervals that still hold.
       out: folder to write, see `ComparisonResult.save`. Finished episodes are stored on the way.
-      overwrite: replace a run in the folder.
-      resume: continue a run in the folder, if any.
+      overwrite, resume: replace a run in the folder; continue it, if there is any.
       trust: when continuing, take your own strategies and metrics as unchanged even if that cannot be checked.
 
     Raises:
@@ -83,28 +82,25 @@ def compare(
       InputWarning: as `batch.run_jobs`.
     """
     require_engine(engine, lanes)
-    require_until(until)
     settings = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": start, "start_m": start_m}
     limits = {"within": within, "from_map": from_map}
     robots = {"lidar": lidar, "rules": rules, "robot": robot}
     jobs = prepare_jobs(
         worlds, strategies, **settings, **limits, **robots, metrics=metrics, pose=pose, odometry=odometry
     )
-    settings |= limits | {"from_map": _plainly(from_map)}
-    settings |= {name: getattr(jobs[0], name) for name in robots}
-    _require_folder(keep, out, overwrite, resume)
+    settings |= limits | {"from_map": _plainly(from_map)} | {name: getattr(jobs[0], name) for name in robots}
+    _require_setup(keep, until, out, overwrite, resume)
     how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "until": until}
     with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
         run = functools.partial(_run, jobs, settings, how, moved)
-        asked = _asked(jobs, keep, until)
-        return run() if out is None else _run_in_folder(run, jobs, asked, out, overwrite, resume, trust)
+        return run() if out is None else _run_in_folder(run, jobs, how, out, overwrite, resume, trust)
 
 
-def _run_in_folder(run, jobs, asked, out, overwrite, resume, trust):
+def _run_in_folder(run, jobs, how, out, overwrite, resume, trust):
     """Run a comparison with a folder that keeps its units and finally holds it."""
     with saving.claimed_by_call(out, overwrite=overwrite, resume=resume) as folder:
         units = functools.partial(_count_units, jobs)
-        ledger = open_ledger(folder, asked, units, resume=resume, trust=trust)
+        ledger = open_ledger(folder, _asked(jobs, how["keep"], how["until"]), units, resume=resume, trust=trust)
         if ledger is None:
             found = loading.load(folder.path)
             return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
@@ -122,8 +118,9 @@ def _plainly(from_map: KnownMap | None) -> object:
     return from_map if from_map is None or isinstance(from_map, (str, os.PathLike)) else type(from_map).__name__
 
 
-def _require_folder(keep: str | None, out: object, overwrite: bool, resume: bool) -> None:
+def _require_setup(keep: str | None, until: str | None, out: object, overwrite: bool, resume: bool) -> None:
     """Refuse what does not go together."""
+    require_until(until)
     if keep is not None and keep not in tuple(RECORDS):
         raise InputError(f"keep must be None, {' or '.join(RECORDS)}, got {keep!r}")
     if overwrite and resume:
