@@ -47,7 +47,7 @@ class Bank:
     start: str = "random"
     """As in a comparison: drawn, or the world's own."""
     measure: str = "path_m"
-    """What is to be small, a column of the table of episodes, see `prepare_bank`."""
+    """Column of the table of episodes that is to be small, one of `coverage.MEASURES`."""
 
     def log_ratios(
         self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None
@@ -113,7 +113,7 @@ def prepare_bank(
 ) -> Bank:  # fmt: skip
     """Make a `Bank`; refuse a world that cannot be loaded, is too large, or in which no robot can stand.
 
-    `measure`: what is to be small, one of the columns of `coverage.MEASURES`; times and energy are those of the default
+    `measure`: column that is to be small, one of `coverage.MEASURES`; times and energy are those of the default
     `jx.Robot`.
     """
     if measure not in MEASURES.values():

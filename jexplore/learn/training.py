@@ -169,7 +169,7 @@ def train(
       patience: checks without a better one after which training ends; 0: never.
       starts: on each validation world.
       seed: of all draws.
-      measure: what is to be small: a column of the table of episodes such as `path_m_at_95`, `area_m` or `time_s`; for
+      measure: column of the table of episodes that is to be small, such as `path_m_at_95`, `area_m` or `time_s`; for
         `ppo` `path_m`.
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
       lidar: `Lidar`, or a mapping of some of its fields.
