@@ -1,4 +1,5 @@
 # Names of `jexplore.btm` that stand on higher floors, one a line: see `jexplore.lazy`.
+from jexplore.driving.params.groups import Params as Params
 from jexplore.driving.settings import Noise as Noise
 from jexplore.driving.settings import Robot as Robot
 from jexplore.driving.settings import Tuning as Tuning

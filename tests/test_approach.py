@@ -11,6 +11,7 @@ from ref.runs import a_state
 from jexplore import btm
 from jexplore.driving import approach, behaviour
 from jexplore.driving.building.walls import Walls, cast
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Ahead, Latch, RunMode, Surround, Track
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import SECTORS
@@ -92,11 +93,11 @@ def test_where_a_robot_that_has_looked_round_goes(node, radius_m, robot_x_m, tra
 @pytest.mark.parametrize(
     ("robot_x_m", "looked", "seen", "goes_on"),
     [
-        (4.0, approach.LOOK_RAD - 0.01, 511, True),
-        (4.0, approach.LOOK_RAD + 0.01, 511, True),
-        (4.0, approach.LOOK_RAD + 0.01, 510, False),  # one scan has not shown it
-        (4.0, approach.LOOK_RAD + approach.LOOK_ON_RAD + 0.01, 511, False),
-        (0.0, approach.LOOK_RAD + 0.01, 511, False),  # there is a place
+        (4.0, P.motion.look_rad - 0.01, 511, True),
+        (4.0, P.motion.look_rad + 0.01, 511, True),
+        (4.0, P.motion.look_rad + 0.01, 510, False),  # one scan has not shown it
+        (4.0, P.motion.look_rad + P.motion.look_on_rad + 0.01, 511, False),
+        (0.0, P.motion.look_rad + 0.01, 511, False),  # there is a place
     ],
 )
 def test_where_it_sees_no_place_that_all_scans_have_shown_it_looks_a_little_longer(robot_x_m, looked, seen, goes_on):

@@ -10,6 +10,7 @@ from ref.runs import a_state
 
 from jexplore import btm
 from jexplore.driving import behaviour, mapping
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Latch, RunMode, Surround
 from jexplore.driving.sensing import gateways, surround
 from jexplore.driving.sensing.surround import SECTORS
@@ -218,7 +219,7 @@ def test_what_stands_in_a_hall_is_left_straight_across(side, more):
     out = 0.1 - side * math.pi / 2
     away = (drive.target - jnp.array([2.5, 3.0])).tolist()
     assert away == pytest.approx(
-        [behaviour.LEAVE_ISLAND_M * math.cos(out), behaviour.LEAVE_ISLAND_M * math.sin(out)], abs=1e-4
+        [P.motion.leave_island_m * math.cos(out), P.motion.leave_island_m * math.sin(out)], abs=1e-4
     )
     assert math.isnan(float(drive.began[0]))
 

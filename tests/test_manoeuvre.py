@@ -11,7 +11,8 @@ import pytest
 from jexplore.btm import wrapped
 from jexplore.driving import manoeuvre
 from jexplore.driving.building.walls import Walls, cast, meets
-from jexplore.driving.manoeuvre import GO_M, MIN_BACK_M, STOP_M, TRAIL_POSES
+from jexplore.driving.manoeuvre import TRAIL_POSES
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Surround
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS, SECTORS
@@ -86,7 +87,7 @@ def test_a_free_way_is_driven_by_plain_proportional_control(degrees):
         assert driven(along_x(1.0), bearing=-0.1, turning=side)[1:] == (0, side * KAMUI.max_turn_rad_s / 2)
 
 
-def closed(low_deg, high_deg, way_m=STOP_M - 0.01, beyond_m=INF):
+def closed(low_deg, high_deg, way_m=P.motion.stop_m - 0.01, beyond_m=INF):
     """Ways that are short between two directions."""
     degrees = np.round(np.degrees(DIRECTION))
     return np.where((degrees >= low_deg) & (degrees <= high_deg), way_m, beyond_m)
@@ -98,8 +99,8 @@ def closed(low_deg, high_deg, way_m=STOP_M - 0.01, beyond_m=INF):
         (closed(-20, 30), 0, -25),
         (closed(-20, 30), 10, 35),
         (closed(-20, 30), 5, -25),  # both 30 degrees off: the first
-        (closed(-20, 30, beyond_m=GO_M - 0.01), 3, 3),  # nowhere a way that is long enough
-        (closed(-20, 30, way_m=STOP_M + 0.01), 3, 3),
+        (closed(-20, 30, beyond_m=P.motion.go_m - 0.01), 3, 3),  # nowhere a way that is long enough
+        (closed(-20, 30, way_m=P.motion.stop_m + 0.01), 3, 3),
     ],
 )
 def test_the_nearest_free_direction_is_taken(ways, bearing_deg, course_deg):
@@ -170,7 +171,7 @@ def test_what_was_touched_is_left_by_the_least_way_back():
         xs.append(pose[0])
     assert i < 11
     assert (np.diff(xs) <= 0).all()
-    assert MIN_BACK_M - 1e-6 <= -xs[-1] < MIN_BACK_M + TUNING.speed_m_s * DT_S + 1e-6
+    assert P.motion.min_back_m - 1e-6 <= -xs[-1] < P.motion.min_back_m + TUNING.speed_m_s * DT_S + 1e-6
     assert v == pytest.approx(TUNING.speed_m_s)  # and on it goes
 
 
@@ -181,7 +182,7 @@ def test_what_it_tries_leads_away_from_what_is_nearest(side):
     for _ in range(4):
         now, *way = driven(now, of((0, side * 0.2)), touched=True)
         found.append(way)
-    lean = side * manoeuvre.LEAN_RAD_S
+    lean = side * P.motion.lean_rad_s
     half = TUNING.speed_m_s / 2
     np.testing.assert_allclose(found, [(-half, 0), (-half, lean), (half, 0), (half, -lean)], atol=1e-6)
 

@@ -12,8 +12,8 @@ from ref.runs import a_due_node
 
 from jexplore import btm
 from jexplore.btm import DIVERGENCE, FREE_SPACE, NONE, OBSTACLE, SEARCHED, TERMINAL, UNSEARCHED
-from jexplore.driving import links, mapping, nodes
-from jexplore.driving.nodes import SHIFT_SHARE, TURN_SHARE
+from jexplore.driving import mapping, nodes
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Latch
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.tracemap import record
@@ -83,7 +83,7 @@ def test_a_pitch_that_jumps_is_averaged_and_one_that_does_not_is_not():
 
 def changes(pitch, odometer, length_m=KAMUI.length_m):
     """`(odometer, crease, steepest in degrees)` of every change."""
-    even_m = mapping.EVEN_LENGTHS * length_m
+    even_m = P.ground.even_lengths * length_m
     changed, crease, steepest = WATCH(jnp.radians(jnp.float32(pitch)), jnp.float32(odometer), even_m)
     changed = np.asarray(changed)
     return odometer[changed], np.asarray(crease)[changed], np.degrees(np.asarray(steepest)[changed])
@@ -370,9 +370,9 @@ def test_a_dead_end_sends_back_until_nothing_is_left():
     before = writer.map
     writer, latch, target, shift = back_at_the_t(writer, 15.5, (3.9, -4.0), (3.95, 0.1))
     jax.tree.map(np.testing.assert_array_equal, writer.map, before)
-    assert shift == pytest.approx([-0.2 * SHIFT_SHARE, -0.1 * SHIFT_SHARE], abs=1e-6)
+    assert shift == pytest.approx([-0.2 * P.graph.shift_share, -0.1 * P.graph.shift_share], abs=1e-6)
     assert (int(writer.node), int(writer.link), latch) == (1, north, Latch.LEAVE)
-    assert target[0] == pytest.approx(4.2 - 0.2 * SHIFT_SHARE, abs=0.05)  # where it is seen, put right
+    assert target[0] == pytest.approx(4.2 - 0.2 * P.graph.shift_share, abs=0.05)  # where it is seen, put right
     assert 1 < target[1] - TUNING.leave_m < 1.56  # as to the south before
 
     writer, latch, *_ = at_a_dead_end(writer, (4.0, 6.0), NORTH, 21.5)
@@ -384,9 +384,9 @@ def test_a_dead_end_sends_back_until_nothing_is_left():
 @pytest.mark.parametrize(
     ("turn_deg", "centre", "agree_deg", "share"),
     [
-        (5, T_CENTRE, 0.0, TURN_SHARE),
-        (-12, T_CENTRE, 0.0, TURN_SHARE),
-        (8, (3.95, 0.1), 0.0, TURN_SHARE),
+        (5, T_CENTRE, 0.0, P.graph.turn_share),
+        (-12, T_CENTRE, 0.0, P.graph.turn_share),
+        (8, (3.95, 0.1), 0.0, P.graph.turn_share),
         (8, T_CENTRE, 3.0, 0.75),  # where all ways agree, more of the heading is put right
         (30, T_CENTRE, 0.0, 0.0),  # one that is off too far is left alone
     ],
@@ -402,7 +402,7 @@ def test_where_a_node_is_met_again_the_heading_is_corrected(turn_deg, centre, ag
     dead = dead.replace(entry=jnp.asarray(came, jnp.float32))
     tuning = dataclasses.replace(TUNING, agree_deg=agree_deg, agree_share=0.75)
     writer, latch, target, out, correction = outcome_of(dead, due, around, tuning)
-    want = [*SHIFT_SHARE * np.subtract(T_CENTRE, centre), -share * turn]
+    want = [*P.graph.shift_share * np.subtract(T_CENTRE, centre), -share * turn]
     np.testing.assert_allclose(correction, want, atol=math.radians(1))
     np.testing.assert_allclose(correction[:2], want[:2], atol=1e-6)
     if share == 0:
@@ -465,14 +465,14 @@ def test_when_nothing_else_is_left_links_that_were_given_up_are_tried_again():
     t, *_ = at_the_t()
     south, north = int(t.link), 3 - int(t.link)
     writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
-    lost = writer.replace(fails=writer.fails.at[south].set(links.MAX_FAILS - 1))
+    lost = writer.replace(fails=writer.fails.at[south].set(P.graph.max_fails - 1))
     after, *_ = at_a_dead_end(lost, (4.1, -6.1), SOUTH, 20)
     assert (int(after.link), bool(after.exhausted), int(after.last_chance)) == (south, False, 2)
-    assert int(after.fails[south]) == links.MAX_FAILS - 1  # once more
-    vain = writer.replace(tries=writer.tries.at[north].set(links.MAX_TRIES))
+    assert int(after.fails[south]) == P.graph.max_fails - 1  # once more
+    vain = writer.replace(tries=writer.tries.at[north].set(P.graph.max_tries))
     after, *_ = at_a_dead_end(vain, (4.1, -6.1), SOUTH, 20)
     assert (int(after.link), bool(after.exhausted), int(after.last_chance)) == (south, False, 2)  # on the way there
-    assert (int(after.tries[north]), bool(after.map.blocked[north])) == (links.MAX_TRIES - 1, False)
+    assert (int(after.tries[north]), bool(after.map.blocked[north])) == (P.graph.max_tries - 1, False)
     after, *_ = at_a_dead_end(vain.replace(last_chance=jnp.int32(1)), (4.1, -6.1), SOUTH, 20)
     assert (bool(after.exhausted), bool(after.map.blocked[north])) == (True, True)
     # A searched one beyond which others are left gets more chances, while some are made use of: two are searched now.
@@ -510,7 +510,7 @@ def test_a_node_met_again_from_its_other_end_loses_the_double_link():
     assert links_of(writer)[onward] == (2, 1, SEARCHED)
     assert links_of(writer)[north] == (NONE, NONE, NONE)
     assert (int(writer.map.n_nodes), int(writer.map.n_links), int(writer.node)) == (3, 4, 1)
-    assert shift == pytest.approx([0.1 * SHIFT_SHARE, 0.2 * SHIFT_SHARE], abs=1e-6)
+    assert shift == pytest.approx([0.1 * P.graph.shift_share, 0.2 * P.graph.shift_share], abs=1e-6)
     assert degrees(writer.map.end_bearing[onward]) == pytest.approx(90, abs=3)  # as its passage does
     assert writer.exhausted  # the ring is closed
     written = record.check_map(btm.to_map(writer.map))
@@ -524,7 +524,7 @@ def test_a_way_may_lead_back_to_the_node_where_it_began():
     assert links_of(writer)[south] == (1, 1, SEARCHED)
     assert links_of(writer)[north] == (NONE, NONE, NONE)
     assert (int(writer.map.n_nodes), bool(writer.exhausted)) == (2, True)
-    assert shift == pytest.approx([0.1 * SHIFT_SHARE, 0.2 * SHIFT_SHARE], abs=1e-6)
+    assert shift == pytest.approx([0.1 * P.graph.shift_share, 0.2 * P.graph.shift_share], abs=1e-6)
     written = record.check_map(btm.to_map(writer.map))
     assert [(link.start, link.end) for link in written.links] == [(0, 1), (1, 1)]
     assert sorted(written.angles_deg(1)) == pytest.approx([90, 90, 180], abs=6)  # the link counts at both its ends

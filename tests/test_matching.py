@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jexplore.driving.building.walls import UNUSED_SLOT_M, Walls, cast
+from jexplore.driving.params.tree import P
 from jexplore.driving.sensing import matching
-from jexplore.driving.sensing.matching import ENCODER_M, ENCODER_SHARE
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, SCAN_RANGE_M
 
 pytestmark = pytest.mark.jit
@@ -115,9 +115,9 @@ def test_walls_and_encoders_are_weighed_by_their_variances():
     beams = np.arange(BEAMS // 2 - 20, BEAMS // 2 + 21)
     before[beams] = 2 / np.cos(ANGLES_RAD[beams])
     guess = 0.04  # of more the match would be none
-    doubt = ENCODER_M + ENCODER_SHARE * guess
+    doubt = P.sensing.encoder_m + P.sensing.encoder_share * guess
     # The points are symmetric about the axis: those ahead do not mix with the turn.
-    walls = len(beams) / matching.RANGE_SD_M**2
+    walls = len(beams) / P.sensing.range_sd_m**2
     want = guess * doubt**-2 / (doubt**-2 + walls)
     found = matched(before, before, (guess, 0, 0))
     assert found[0] == pytest.approx(want, rel=0.1)

@@ -17,6 +17,7 @@ from jexplore.driving import approach, batch, mission, vehicle
 from jexplore.driving.batch import building_of, pose_in
 from jexplore.driving.building.terrain import FINER, is_level
 from jexplore.driving.mission import RunOutcome
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import RunMode
 from jexplore.driving.settings import ROBOTS, Noise, Tuning, for_world
 from jexplore.driving.vehicle import DT_S
@@ -223,7 +224,7 @@ def test_ends_by_name():
         (done, False, RunOutcome.EXHAUSTED),
         (state.replace(helps=TUNING.helps), False, RunOutcome.RUNNING),
         (state.replace(since_node=TUNING.helps), False, RunOutcome.STUCK),
-        (state.replace(blind=mission.BLIND_STEPS), False, RunOutcome.BLIND),
+        (state.replace(blind=P.graph.blind_steps), False, RunOutcome.BLIND),
         (done, True, RunOutcome.GOAL),
     ]:
         assert int(mission._end(at, at_end, TUNING).outcome) == outcome
@@ -291,7 +292,7 @@ def box(height_m=1.6, width_m=1.6):
 def test_how_runs_may_end(change, outcome):
     found = ran(job.prepare_trace("course", **{"noise": STILL, **change}))
     assert found.table["outcome"].tolist() == [outcome]
-    assert found.table["steps"][0] == {"BLIND": mission.BLIND_STEPS, "STEP_LIMIT": 100}[outcome]
+    assert found.table["steps"][0] == {"BLIND": P.graph.blind_steps, "STEP_LIMIT": 100}[outcome]
     assert kinds(found.first) == "TT"  # it ends at a node, before which nothing has been searched
     way, onward = found.first.links
     assert (way.start, way.end, way.status) == (0, 1, "searched")
@@ -315,10 +316,10 @@ def test_a_robot_that_drives_up_and_down_is_helped(course):
 
     body = vehicle.initial_body(building, KAMUI, jnp.asarray(course.plan.begins[0]))
     state = a_state(body=body, estimate=body.pose, odometry=body.pose, stray_from=body.pose[:2])
-    late = state.replace(step=jnp.int32(approach.STRAY_STEPS), moved_step=jnp.int32(approach.STRAY_STEPS - 1))
+    late = state.replace(step=jnp.int32(P.motion.stray_steps), moved_step=jnp.int32(P.motion.stray_steps - 1))
     helped = help_robot(late, False)
-    assert (int(helped.helps), int(helped.stray_step)) == (1, approach.STRAY_STEPS)
-    off = late.replace(estimate=late.estimate.at[0].add(approach.STRAY_M + 0.1))
+    assert (int(helped.helps), int(helped.stray_step)) == (1, P.motion.stray_steps)
+    off = late.replace(estimate=late.estimate.at[0].add(P.motion.stray_m + 0.1))
     for other, makes_node in ((off, False), (late, True), (late.replace(step=late.step - 1), False)):
         assert int(help_robot(other, makes_node).helps) == 0
     assert help_robot(off, False).stray_from.tolist() == off.estimate[:2].tolist()

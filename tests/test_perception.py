@@ -14,6 +14,7 @@ from jexplore.driving import vehicle
 from jexplore.driving.building import terrain, walls
 from jexplore.driving.events import SCAN_POINTS
 from jexplore.driving.events import triangles as look
+from jexplore.driving.params.tree import P
 from jexplore.driving.sensing import ground_profile, obstacles, perception
 from jexplore.driving.sensing.ground_profile import RISE_M
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
@@ -133,7 +134,7 @@ def test_clearances_are_means_of_neighbours_and_a_post_counts():
 def test_front_is_as_wide_as_the_robot_and_its_guard():
     dots = np.array([[3, 0], [2, 0.2], [1.5, -0.24], [1.0, 0.26], [-0.5, 0.0], [0.0, 0.0]], np.float32)
     there = np.ones(6, bool)
-    half = perception.FRONT_GUARD_M / 2
+    half = P.places.front_guard_m / 2
     assert half == pytest.approx(0.05)
     assert [float(v) for v in front(dots, there, 0.4)] == [2.0, 1.5]
     assert [float(v) for v in front(dots, there, 0.44)] == [1.0, 1.5]
@@ -306,10 +307,7 @@ def one_wall_by_angles(xy, valid, centre, corner, spacing_m, recess_m):
         within = (angle - angle[one]) % (2 * np.pi) < (angle[other] - angle[one]) % (2 * np.pi)
         within &= valid & ~np.isin(np.arange(len(xy)), corner)
         beyond_m = (xy - xy[one]) @ [chord[1], -chord[0]] / chord_m
-        if (
-            np.all(beyond_m[within] <= recess_m)
-            and (within.sum() + 1) * spacing_m > perception.WALL_FILL_SHARE * chord_m
-        ):
+        if np.all(beyond_m[within] <= recess_m) and (within.sum() + 1) * spacing_m > P.places.wall_fill_share * chord_m:
             return True
     return False
 

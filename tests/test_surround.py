@@ -8,16 +8,10 @@ import numpy as np
 import pytest
 
 from jexplore.driving.building.walls import Walls, cast
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Surround
 from jexplore.driving.sensing import surround
-from jexplore.driving.sensing.surround import (
-    BEHIND_DEG,
-    DIRECTION,
-    DIRECTIONS,
-    OUTLINE_MARGIN_M,
-    SECTORS,
-    SIDE_MARGIN_M,
-)
+from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS, SECTORS
 from jexplore.driving.settings import ROBOTS
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, SCAN_RANGE_M
 
@@ -120,7 +114,7 @@ def test_a_beam_without_a_reading_changes_nothing():
     np.testing.assert_array_equal([after.x_m, after.y_m], [before.x_m, before.y_m])
 
 
-@pytest.mark.parametrize("degrees", [BEHIND_DEG + 1, 90])
+@pytest.mark.parametrize("degrees", [P.sensing.behind_deg + 1, 90])
 def test_behind_the_nearer_of_memory_and_scan_counts(degrees):
     angle = math.radians(degrees)
     before = of((math.cos(angle), math.sin(angle)))
@@ -150,7 +144,7 @@ def test_seen_is_what_a_loop_over_all_directions_finds(seed):
         if len(old):
             want[sector] = xy[old[0]]
         range_m = ranges[angle + 90] if abs(angle) <= 90 else NAN
-        if not np.isnan(range_m) and (abs(angle) <= BEHIND_DEG or range_m < np.hypot(*want[sector])):
+        if not np.isnan(range_m) and (abs(angle) <= P.sensing.behind_deg or range_m < np.hypot(*want[sector])):
             way = np.array([math.cos(math.radians(angle)), math.sin(math.radians(angle))])
             want[sector] = way * range_m if np.isfinite(range_m) else INF
     # The points of memory lie in any order: where in the arrays they are does not count.
@@ -235,7 +229,7 @@ def test_free_turns_are_those_of_a_rectangle_that_is_turned(seed):
     xy = drawn(rng, 0.25, 0.6, share=rng.choice([0.004, 0.01, 0.03]))
     xy = xy[~((np.abs(xy[:, 0]) < KAMUI.length_m / 2) & (np.abs(xy[:, 1]) < KAMUI.width_m / 2))]
     found = [float(v) for v in FREE_TURN(of(*xy))]
-    want = [free_until(xy, sign, STEP, OUTLINE_MARGIN_M) for sign in (1, -1)]
+    want = [free_until(xy, sign, STEP, P.sensing.outline_margin_m) for sign in (1, -1)]
     np.testing.assert_allclose(found, want, atol=1e-5)
     # In fine steps, without the margin: as far as it says, nothing is touched.
     for angle, sign in zip(found, (1, -1)):
@@ -243,7 +237,7 @@ def test_free_turns_are_those_of_a_rectangle_that_is_turned(seed):
 
 
 def test_the_way_ahead_ends_at_the_nearest_point_that_is_as_wide_as_the_robot():
-    half = KAMUI.width_m / 2 + SIDE_MARGIN_M
+    half = KAMUI.width_m / 2 + P.sensing.side_margin_m
     ahead = DIRECTIONS // 2
     assert DIRECTION[ahead] == 0
     for xy, long_m in (((2, half - 0.01), 2), ((2, half + 0.01), INF), ((-2, 0), INF), ((0.1, 0.2), 0.1)):
@@ -257,7 +251,7 @@ def test_ways_are_free_strips(seed):
     xy = drawn(rng, 0.4, 4.4, share=rng.choice([0.02, 0.1, 0.5]))
     found = np.asarray(FREE_LENGTHS(of(*xy)))
     assert found.shape == (DIRECTIONS,)
-    half = KAMUI.width_m / 2 + SIDE_MARGIN_M
+    half = KAMUI.width_m / 2 + P.sensing.side_margin_m
     for way_m, direction in zip(found, np.arange(DIRECTIONS) * math.radians(5) - math.pi):
         z = xy @ (1, 1j) * np.exp(-1j * direction)
         if np.min(np.abs(np.abs(z.imag) - half)) < 1e-4 or np.min(np.abs(z.real)) < 1e-4:

@@ -11,6 +11,7 @@ import pytest
 from jexplore.driving import vehicle
 from jexplore.driving.building.terrain import terrain_of
 from jexplore.driving.building.walls import walls_of
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Building, Senses
 from jexplore.driving.settings import ROBOTS, Noise
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS
@@ -107,8 +108,8 @@ def test_what_is_level_lies_where_the_point_does(pitch_deg, roll_deg):
     about_y = np.array([[math.cos(pitch), 0, math.sin(pitch)], [0, 1, 0], [-math.sin(pitch), 0, math.cos(pitch)]])
     points = 2.0 * about_y @ about_x @ beams
     z = points[2] + LOW.scan_height_m * math.cos(pitch) * math.cos(roll)
-    sure = np.abs(z - vehicle.FLOOR_M) > 1e-4
-    np.testing.assert_array_equal(np.asarray(is_ground)[sure], (z < vehicle.FLOOR_M)[sure])
+    sure = np.abs(z - P.sensing.floor_m) > 1e-4
+    np.testing.assert_array_equal(np.asarray(is_ground)[sure], (z < P.sensing.floor_m)[sure])
     kept = ~np.asarray(is_ground)
     np.testing.assert_allclose(np.asarray(level.ranges_m)[kept], np.hypot(*points[:2])[kept], rtol=1e-5)
 

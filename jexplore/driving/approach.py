@@ -16,28 +16,13 @@ from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import behaviour
 from jexplore.driving.events import triangles
 from jexplore.driving.mapping import has_left
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Ahead, Building, Drive, Latch, RunMode, Senses, State, Surround, Track
 from jexplore.driving.sensing import gateways, surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, SCAN_RANGE_M, to_robot, touches, towards
 
-LOOK_RAD = math.pi - 0.05  # rad; the robot looks round by turning this far: the scanner covers half of the surroundings
-LOOK_ON_RAD = 0.5  # rad; additional turn while it sees no place although every scan on the way has shown one
-LOOK_STEP_RAD = 0.2  # rad; it stops looking where it cannot turn this much further
-UNTURNED_STOP_M = 0.1  # where it cannot turn at a place, it goes on as near as this
-SURVEY_M = 1.0  # a place so near may be the one that is meant; and way between two looks round where the way is shut
-AT_PLACE_RATIO = 2.0  # a robot is at a place within this multiple of the distance at which it stops there
-MAX_SURVEYS = 2  # so often a robot that has looked round goes to a better place than the one where it is
-SAME_PLACE_M, SAME_PLACE_RADII = 0.4, 0.4  # m and radii; a place within either distance is the intended one
-BETTER_RADIUS_RATIO = 1.15  # a place is better if its circle is larger by this
-SAME_RADIUS_SHARE = 0.1  # of a node's radius: a circle that differs from it by less is as large
-TAKEN_RAD = math.radians(60)  # a link has been taken when the robot's heading is so near to its direction
-STUCK_STEPS = 150  # without going on or finding a node: the operator helps
-STUCK_M = 0.3
-STRAY_STEPS, STRAY_M = 600, 3.0  # steps, m; the operator also helps after these steps this near to one place
 HELPS_KEPT = 16  # helps of which place, time and run mode are kept
-HEED_ON_WAY_M = 1.0  # a robot that leaves a place, and has farther than this to go, heeds what it passes on the way
-LOST_PLACE_M = 0.5  # m; a divergence farther ahead than this plus its radius, and no longer seen, is dropped
 
 
 class Latched(NamedTuple):
@@ -77,17 +62,21 @@ def select_branch(
     target = jnp.where(following, track.centre, drive.target)
     distance = _away_m(state, target)
     near = distance < tuning.arrive_m
-    lost = (drive.latch == Latch.APPROACH) & (track.age == 0) & ((distance > track.radius + LOST_PLACE_M) | ahead.leans)
-    late = (drive.latch != Latch.FREE) & (drive.since > behaviour.LATCH_STEPS) & ~begins
+    lost = (
+        (drive.latch == Latch.APPROACH)
+        & (track.age == 0)
+        & ((distance > track.radius + P.motion.lost_place_m) | ahead.leans)
+    )
+    late = (drive.latch != Latch.FREE) & (drive.since > P.motion.latch_steps) & ~begins
     shut = (state.mode == RunMode.DEAD_END) | (state.mode == RunMode.CONTACT_GUARD) | state.manoeuvre.backing
-    surveys = (drive.latch == Latch.FREE) & ~begins & shut & (state.odometer_m - drive.looked_m > SURVEY_M)
+    surveys = (drive.latch == Latch.FREE) & ~begins & shut & (state.odometer_m - drive.looked_m > P.motion.survey_m)
     looks, none = drive.latch == Latch.LOOK, (jnp.float32(0), jnp.float32(0))
     left, right = run_if((following & near) | surveys | looks, lambda _: surround.free_turn(around, robot), none)
     may_look = jnp.minimum(left, right) >= math.pi - 1e-3
     look = _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot)
     ends = look.ends
-    small = look.track.radius < jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.OUTLINE_MARGIN_M
-    arrives = (following & near & ~may_look & ((distance < UNTURNED_STOP_M) | small)) | (
+    small = look.track.radius < jnp.hypot(robot.length_m, robot.width_m) / 2 + P.sensing.outline_margin_m
+    arrives = (following & near & ~may_look & ((distance < P.motion.unturned_stop_m) | small)) | (
         ends & ~look.goes_on & look.there_is
     )
     none = ends & ~look.goes_on & (track.age > 0) & ~look.there_is
@@ -96,7 +85,7 @@ def select_branch(
     latch = jnp.where(begins, Latch.APPROACH, drive.latch)
     latch = jnp.where(((following & near) | surveys) & may_look & ~ahead.leans, Latch.LOOK, latch)
     latch = jnp.where(ends, jnp.where(look.goes_on, Latch.APPROACH, jnp.where(none, Latch.LEAVE, Latch.FREE)), latch)
-    aligned = jnp.abs(btm.wrapped(drive.out - state.estimate[2])) < TAKEN_RAD
+    aligned = jnp.abs(btm.wrapped(drive.out - state.estimate[2])) < P.motion.taken_rad
     has_left = (drive.latch == Latch.LEAVE) & ((near & aligned) | late)
     turned = lost & ~aligned  # the target does not exist: a turn towards it would send the robot back
     latch = jnp.where(turned, Latch.LEAVE, jnp.where(has_left | lost | too_late, Latch.FREE, latch))
@@ -134,14 +123,14 @@ def _is_on_way(state, track, tuning):
     way = state.drive.target - state.estimate[:2]
     ahead, aside = to_robot(jnp.append(state.estimate[:2], jnp.arctan2(way[1], way[0])))(track.centre)
     on_m = jnp.hypot(*way)
-    return is_out & (on_m > HEED_ON_WAY_M) & (ahead > 0) & (ahead < on_m) & (jnp.abs(aside) < track.radius / 2)
+    return is_out & (on_m > P.motion.heed_on_way_m) & (ahead > 0) & (ahead < on_m) & (jnp.abs(aside) < track.radius / 2)
 
 
 def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot):
     """Return the `_Look` of a robot that has looked round; in any other step only its `track` is valid. While it sees
     no place where every scan on the way has shown one, it keeps looking: noise may hide the place briefly."""
     drive, map_, had = state.drive, state.writer.map, track.age > 0
-    ends = looks & ((drive.looked >= LOOK_RAD) | (left < LOOK_STEP_RAD))
+    ends = looks & ((drive.looked >= P.motion.look_rad) | (left < P.motion.look_step_rad))
     node, off_m = btm.nearest_node(map_, track.centre[0], track.centre[1], btm.DIVERGENCE)
     in_map = jnp.stack([map_.x_m[node], map_.y_m[node]]), map_.radius_m[node]
     other, better, there_is, middle = run_if(
@@ -149,7 +138,7 @@ def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot)
         lambda _: _surveyed(track, in_map, around, ways_m, placed, tuning, robot),
         (track, jnp.bool_(False), jnp.bool_(False), track.centre),
     )
-    may_go = drive.surveys < MAX_SURVEYS
+    may_go = drive.surveys < P.motion.max_surveys
     better &= ~had | may_go
     # A place in the circle of a node is that node, if it is not the one just left: it is looked at from its middle.
     back = ends & ~better & had & there_is & ~drive.known & may_go
@@ -169,9 +158,11 @@ def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot)
     better, back = better & ~is_gateway, back & ~is_gateway
     there_is = had & jnp.where(is_gateway, there, there_is | drive.known)
     # One that looks round where the way is shut may see the place that it means from afar.
-    far = ends & there_is & ~is_gateway & (_away_m(state, chosen.centre) > AT_PLACE_RATIO * tuning.arrive_m)
+    far = ends & there_is & ~is_gateway & (_away_m(state, chosen.centre) > P.motion.at_place_ratio * tuning.arrive_m)
     goes_on = better | back | (far & may_go)
-    looks_on = (drive.looked < LOOK_RAD + LOOK_ON_RAD) & (left >= LOOK_STEP_RAD) & ~is_gateway
+    looks_on = (
+        (drive.looked < P.motion.look_rad + P.motion.look_on_rad) & (left >= P.motion.look_step_rad) & ~is_gateway
+    )
     looks_on &= (behaviour.votes(track) == behaviour.VOTING_SCANS) & ~there_is & ~goes_on
     return _Look(ends & ~looks_on, chosen, goes_on, back, there_is & (~far | may_go))
 
@@ -187,15 +178,17 @@ def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
     at = jnp.argmin(jnp.abs(btm.wrapped(bearing[:, None] - surround.DIRECTION)), axis=1)
     free = (ways_m[at] + robot.length_m / 2 > distance) | (distance < tuning.arrive_m)
     had = track.age > 0
-    reach = jnp.where(had, jnp.maximum(track.radius, SURVEY_M), tuning.far_m)
+    reach = jnp.where(had, jnp.maximum(track.radius, P.motion.survey_m), tuning.far_m)
     radius = jnp.where(found.valid & free & (distance < reach), found.radius, -1)
     best = jnp.argmax(radius)
     centre = placed(found.centre[best])
     other = jnp.hypot(*(centre - track.centre)) > tuning.arrive_m
-    better = (radius[best] > 0) & (~had | (other & (radius[best] > BETTER_RADIUS_RATIO * track.radius)))
+    better = (radius[best] > 0) & (~had | (other & (radius[best] > P.motion.better_radius_ratio * track.radius)))
     one = jnp.uint32(1)
     off = jnp.hypot(*(placed(found.centre) - track.centre).T)
-    there_is = jnp.any(found.valid & (off < jnp.maximum(SAME_PLACE_M, SAME_PLACE_RADII * track.radius)))
+    there_is = jnp.any(
+        found.valid & (off < jnp.maximum(P.motion.same_place_m, P.motion.same_place_radii * track.radius))
+    )
     seen = Track(centre, found.radius[best], one, jnp.int32(1), jnp.float32(jnp.nan))
     return seen, better, there_is, _middle(in_map, placed(found.centre), found)
 
@@ -206,21 +199,21 @@ def _middle(in_map, centres, found):
     Without such a circle the mapped position is returned."""
     place, radius_m = in_map
     off_m = jnp.hypot(*(centres - place).T)
-    alike = found.valid & (jnp.abs(found.radius - radius_m) < SAME_RADIUS_SHARE * radius_m)
-    off_m = jnp.where(alike & (off_m < jnp.maximum(radius_m, SAME_PLACE_M)), off_m, jnp.inf)
+    alike = found.valid & (jnp.abs(found.radius - radius_m) < P.motion.same_radius_share * radius_m)
+    off_m = jnp.where(alike & (off_m < jnp.maximum(radius_m, P.motion.same_place_m)), off_m, jnp.inf)
     at = jnp.argmin(off_m)
     return jnp.where(off_m[at] < jnp.inf, centres[at], place)
 
 
 def help_robot(state: State, senses: Senses, makes_node: Array, building: Building, robot: Robot) -> State:
     """Turn a robot that makes no progress, or drives to and fro, towards the longest free way: operator help."""
-    on = (state.odometer_m - state.moved_m > STUCK_M) | makes_node
+    on = (state.odometer_m - state.moved_m > P.motion.stuck_m) | makes_node
     moved_m = jnp.where(on, state.odometer_m, state.moved_m)
     moved_step = jnp.where(on, state.step, state.moved_step)
-    strays = (jnp.hypot(*(state.estimate[:2] - state.stray_from)) > STRAY_M) | makes_node
+    strays = (jnp.hypot(*(state.estimate[:2] - state.stray_from)) > P.motion.stray_m) | makes_node
     stray_from = jnp.where(strays, state.estimate[:2], state.stray_from)
     stray_step = jnp.where(strays, state.step, state.stray_step)
-    helps = (state.step - moved_step >= STUCK_STEPS) | (state.step - stray_step >= STRAY_STEPS)
+    helps = (state.step - moved_step >= P.motion.stuck_steps) | (state.step - stray_step >= P.motion.stray_steps)
     told = jnp.stack([*state.estimate[:2], state.step.astype(jnp.float32), state.mode.astype(jnp.float32)])
     ranges = jnp.where(jnp.isnan(senses.ranges_m), 0, jnp.minimum(senses.ranges_m, SCAN_RANGE_M))
 

@@ -13,6 +13,7 @@ from jax import Array, lax
 from jexplore import btm
 from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import manoeuvre
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import (
     Divergence,
     Drive,
@@ -26,26 +27,11 @@ from jexplore.driving.records import (
     Track,
     Writer,
 )
-from jexplore.driving.sensing import exits, perception, surround
+from jexplore.driving.sensing import perception, surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import DT_S, towards
 
 VOTING_SCANS = 9  # scans that vote
-REPLACEABLE_VOTES = 2  # votes up to which another triangle takes the place of one that a scan does not show
-DEBOUNCE_STEPS = 3  # steps that a free space must be seen, or not seen, in a row
-HYSTERESIS_M = 0.3  # a free space ends where both sides have a wall this much nearer than where it began
-CONTACT_GUARD_M = 0.1  # a wall this near to the robot's front stops it, if there is no way past it
-TURN_ROOM_M = 0.1  # m; a wall is followed at this more than the clearance for turning in place
-WAY_PAST_WALL = 1.75, manoeuvre.GO_M  # bearing, radians, within which a way so long, metres, leads past it
-WAY_PAST_END = 1.0, 0.8  # factors; also past an apparent end of a passage
-LATCH_STEPS = 200  # steps; a target not reached within these is given up
-LATCH_TIME_RATIO = 1.5  # or within this multiple of the steps at full speed, if larger
-VIA_POINT_M = 0.6  # m; a wide place is left via a point this far before the exit
-OFF_AXIS_M = 0.25  # m; unless the robot is within this of the exit's axis
-ROUND_M, ROUND_RAD = 6.0, 4.5  # m, rad; a robot back at its starting point after this way and turn has been round
-BEGAN_M = 2.0  # within this: it may have begun in a corner
-LEAVE_ISLAND_M = 4.0  # m; distance driven away from an island
-OUT_COS = 0.7  # of the angle between a way and a gateway's axis from which on it leads out
 
 
 def empty_track() -> Track:
@@ -79,7 +65,7 @@ def update_track(
     """Update a track with one more scan.
 
     The largest triangle that is near enough to the one followed goes on with it; else the triangle nearest to the
-    robot begins a new one, but not while one is being followed that more than `REPLACEABLE_VOTES` scans have shown. One
+    robot begins a new one, but not while one is being followed that more than `replaceable_votes` scans have shown. One
     that `VOTING_SCANS` scans have not shown is given up.
 
     Args:
@@ -95,7 +81,7 @@ def update_track(
     again = jnp.argmax(jnp.where(near, placed.radius, -1)).astype(jnp.int32)
     hit = followed & near[again]
     first, distance = perception.nearest(found, jnp.zeros(2))
-    begins = may_begin & ~hit & (~followed | (votes(track) <= REPLACEABLE_VOTES)) & (distance < jnp.inf)
+    begins = may_begin & ~hit & (~followed | (votes(track) <= P.motion.replaceable_votes)) & (distance < jnp.inf)
     followed &= ~begins
     which = jnp.where(hit, again, first)
     share = jnp.where(hit, 1 / jnp.minimum(track.age + 1.0, VOTING_SCANS), 1.0)
@@ -152,12 +138,12 @@ def watch_free_space(
     Returns:
       `(space, enters, leaves)`: bools, true in the step in which it is believed.
     """
-    limit = jnp.where(space.inside, jnp.where(coast_m > 0, coast_m, open_m - HYSTERESIS_M), open_m)
+    limit = jnp.where(space.inside, jnp.where(coast_m > 0, coast_m, open_m - P.motion.hysteresis_m), open_m)
     free = is_free_space(left_m, right_m, limit) & (roomy | space.inside)
     other = looking & (free != space.inside)
     since = jnp.where(other & (space.streak > 0), space.since_m, odometer_m)
     streak = jnp.where(other, space.streak + 1, 0)
-    turns = streak >= DEBOUNCE_STEPS
+    turns = streak >= P.motion.debounce_steps
     after = FreeSpace(inside=space.inside ^ turns, streak=jnp.where(turns, 0, streak), since_m=since)
     return after, turns & ~space.inside, turns & space.inside
 
@@ -214,10 +200,10 @@ def choose_mode(
         to the larger side, from a wall near one half of its front to the other.
     """
     left_m, right_m, fronts_m = walls.left_m, walls.right_m, walls.fronts_m
-    guarded = (jnp.minimum(*fronts_m) < robot.length_m / 2 + CONTACT_GUARD_M) & ~manoeuvre.has_free_way(
-        ways_m, *WAY_PAST_WALL
+    guarded = (jnp.minimum(*fronts_m) < robot.length_m / 2 + P.motion.contact_guard_m) & ~manoeuvre.has_free_way(
+        ways_m, *P.motion.way_past_wall
     )
-    closed = walls.closed & ~manoeuvre.has_free_way(ways_m, *WAY_PAST_END)
+    closed = walls.closed & ~manoeuvre.has_free_way(ways_m, *P.motion.way_past_end)
     latched = drive.latch != Latch.FREE
     # One scan suffices to drive by, several in a row make a node.
     free = space.inside | (is_free_space(walls.region_sides[0], walls.region_sides[1], tuning.open_m) & walls.roomy)
@@ -226,12 +212,12 @@ def choose_mode(
     mode = jnp.where(latched, RunMode.BRANCH_SELECTION, mode)
     mode = jnp.where(guarded & (drive.latch != Latch.LOOK), RunMode.CONTACT_GUARD, mode).astype(jnp.int32)
     larger = jnp.where(drive.left_m >= drive.right_m, 1, -1)
-    one_side = jnp.maximum(*fronts_m) > jnp.minimum(*fronts_m) + CONTACT_GUARD_M
+    one_side = jnp.maximum(*fronts_m) > jnp.minimum(*fronts_m) + P.motion.contact_guard_m
     larger = jnp.where(one_side, jnp.where(fronts_m[0] > fronts_m[1], 1, -1), larger)
     turns = (mode == RunMode.DEAD_END) | (mode == RunMode.CONTACT_GUARD)
     turning = jnp.where(turns, jnp.where(drive.turning == 0, larger, drive.turning), 0)
     by_walls = ~free & ~closed & ~latched
-    least_m = jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.OUTLINE_MARGIN_M + TURN_ROOM_M
+    least_m = jnp.hypot(robot.length_m, robot.width_m) / 2 + P.sensing.outline_margin_m + P.motion.turn_room_m
     side = jnp.where(drive.side == 0, jnp.where(left_m < right_m, 1, -1), drive.side)
     return mode, drive.replace(
         side=jnp.where(free, side, 0).astype(jnp.int32),
@@ -277,14 +263,14 @@ def target_point(
 
 def latch_start(away_m: Array, tuning: Tuning) -> Array:
     """Return the initial value of `Drive.since` for a target at this distance, metres: int32."""
-    steps = LATCH_TIME_RATIO * away_m / (tuning.speed_m_s * DT_S)
-    return jnp.minimum(LATCH_STEPS - steps, 0).astype(jnp.int32)
+    steps = P.motion.latch_time_ratio * away_m / (tuning.speed_m_s * DT_S)
+    return jnp.minimum(P.motion.latch_steps - steps, 0).astype(jnp.int32)
 
 
 def is_aside(target: Array, out: Array, radius_m: Array) -> Array:
     """Return whether a target beyond an exit is seen obliquely from the middle of a wide place: bool."""
     beside_m = target[1] * jnp.cos(out) - target[0] * jnp.sin(out)
-    return (radius_m > exits.WIDE_PLACE_M) & (jnp.abs(beside_m) > OFF_AXIS_M)
+    return (radius_m > P.places.wide_place_m) & (jnp.abs(beside_m) > P.motion.off_axis_m)
 
 
 def _selected(drive, to_robot, tuning):
@@ -293,8 +279,8 @@ def _selected(drive, to_robot, tuning):
     target = to_robot(drive.target)
     axis = to_robot(drive.target + towards(drive.out)) - target
     before_m, beside_m = target @ axis, target[1] * axis[0] - target[0] * axis[1]
-    via_m = tuning.leave_m + VIA_POINT_M
-    first = drive.aside & (drive.latch == Latch.LEAVE) & (jnp.abs(beside_m) > OFF_AXIS_M) & (before_m > via_m)
+    via_m = tuning.leave_m + P.motion.via_point_m
+    first = drive.aside & (drive.latch == Latch.LEAVE) & (jnp.abs(beside_m) > P.motion.off_axis_m) & (before_m > via_m)
     return jnp.where(first, target - via_m * axis, target)
 
 
@@ -336,7 +322,7 @@ def leave_gateway(space: FreeSpace, drive: Drive, out: Array) -> tuple[FreeSpace
       out: float32, radians, direction of the gateway; NaN: the robot is at no gateway.
     """
     is_before, to_left = jnp.isfinite(out), jnp.sin(drive.out - out) > 0
-    stays = jnp.cos(drive.out - out) < OUT_COS
+    stays = jnp.cos(drive.out - out) < P.motion.out_cos
     after = no_free_space().replace(inside=stays)
     space = pick(is_before, after, space)
     side = jnp.where(stays, jnp.where(to_left, -1, 1), 0)  # going to the left, it has the gateway's wall to the right
@@ -374,19 +360,21 @@ def go_round(
     began = jnp.where(follows & jnp.isnan(began[0]) & (tuning.coast_m > 0), now, began)
     gone = estimate[:2] - began[:2]
     passes = gone[0] * jnp.cos(estimate[2]) + gone[1] * jnp.sin(estimate[2]) >= 0
-    is_back = follows & passes & (jnp.hypot(*gone) < BEGAN_M) & (state.odometer_m - began[3] > ROUND_M)
+    is_back = (
+        follows & passes & (jnp.hypot(*gone) < P.motion.began_m) & (state.odometer_m - began[3] > P.motion.round_m)
+    )
     turned = -drive.side * began[2]  # away from the wall, along the inside of a hall
     alone = (writer.node == 0) & (writer.map.n_nodes == 1)
     alone &= jnp.bool_(writer.guide is None)
-    is_round = is_back & (turned > ROUND_RAD) & alone
-    leaves = is_back & (jnp.abs(turned) > ROUND_RAD) & ~is_round
+    is_round = is_back & (turned > P.motion.round_rad) & alone
+    leaves = is_back & (jnp.abs(turned) > P.motion.round_rad) & ~is_round
     out = estimate[2] - drive.side * math.pi / 2
-    target = estimate[:2] + LEAVE_ISLAND_M * towards(out)
+    target = estimate[:2] + P.motion.leave_island_m * towards(out)
     after = drive.replace(
         latch=jnp.where(leaves, Latch.LEAVE, drive.latch).astype(jnp.int32),
         target=jnp.where(leaves, target, drive.target),
         out=jnp.where(leaves, out, drive.out),
-        since=jnp.where(leaves, latch_start(jnp.float32(LEAVE_ISLAND_M), tuning), drive.since),
+        since=jnp.where(leaves, latch_start(jnp.float32(P.motion.leave_island_m), tuning), drive.since),
         aside=drive.aside & ~leaves,
         side=jnp.where(leaves, 0, drive.side).astype(jnp.int32),
         began=jnp.where(leaves, jnp.nan, began),

@@ -1,7 +1,6 @@
 """Perception ahead of the robot, and the node of the map that is due."""
 
 import dataclasses
-import math
 from collections.abc import Callable
 
 import jax
@@ -11,26 +10,14 @@ from jax import Array, lax
 from jexplore import btm
 from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import behaviour, links, mapping
-from jexplore.driving.nodes import SAME_NODE_M
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Ahead, Divergence, DueNode, Latch, ScanWalls, State, Surround, Writer
 from jexplore.driving.sensing import gateways, ground_profile, perception, surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_robot
 
-STEERED_LENGTHS = 1.5  # length of the stretch in which walls are steered by, in look-aheads
-CROSSING_M = 0.1  # but no nearer than this to a wall across the way
-SEARCH_EVERY_STEPS = 3  # steps between two looks for triangles
 SCAN_POINTS = 64  # of a scan that are made into triangles
-NEAR_POINTS_M = 4.0  # m; a robot that looks farther than this searches near points once more
-MIN_CENTRE_X_M = -0.2  # m; a divergence is searched from this far ahead of the robot's middle
-GOAL_M = 0.5  # a run ends where it hears its goal's beacon within this
-STAIRS_RISE_M = 0.1  # where the profile ahead rises by more, what looks like a wall may be stairs
-STEP_SLACK_M = 0.03  # a step ahead may be lower than it looks by this
-LOOK_M = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
 PROFILE_STEPS = 64  # steps whose profile is looked at for that
-LEVEL_RAD = math.radians(4)  # ground that leans less is level, where a single step is looked for
-BLOCKED_STEPS = 3  # steps in a row that it finds so
-ALONG_COS = 0.7  # cosine of the angle between a robot's heading and a link along which it drives, at least
 
 
 def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> ScanWalls:
@@ -41,7 +28,9 @@ def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> ScanWalls:
     closed = sum(perception.sides(xy, valid, 0, tuning.ahead_m)) <= tuning.dead_end_m
     fronts_m = perception.front(xy, valid, robot.width_m)
     # Walls are steered by as far as the way is free: one that crosses it lies on both sides.
-    until_m = jnp.clip(jnp.maximum(*fronts_m) - CROSSING_M, robot.length_m / 2, STEERED_LENGTHS * tuning.ahead_m)
+    until_m = jnp.clip(
+        jnp.maximum(*fronts_m) - P.graph.crossing_m, robot.length_m / 2, P.graph.steered_lengths * tuning.ahead_m
+    )
     left_m, right_m = perception.sides(xy, valid, 0, until_m)
     beside = jnp.stack(perception.clearances(xy, valid, robot.length_m / 2))
     roomy = perception.is_roomy(xy, valid, region[0], *region_sides, tuning.open_m)
@@ -66,13 +55,13 @@ def look_ahead(
     rise, stops, beyond = _ground_ahead(ground_x, ground_z, robot, state)
     # Points seen from ground of another inclination, or where the ground rises, may be ground.
     tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
-    leans = tips | (rise > STAIRS_RISE_M)
+    leans = tips | (rise > P.ground.stairs_rise_m)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
     space, border_m, missed, track = _watch_free_space(
         state, writer, walls, xy, known, track, is_free & ~jnp.asarray(is_blind), placed, tuning
     )
     level, changed, crease_m, steepest = mapping.update_slope(
-        writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), mapping.EVEN_LENGTHS * robot.length_m
+        writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), P.ground.even_lengths * robot.length_m
     )
     heeds = is_free if writer.guide is None else is_free | writer.guide.steers
     blocked = jnp.where(stops & (heeds | state.halts), state.blocked + 1, 0)
@@ -104,16 +93,16 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
     map_ = writer.map
     is_step = map_.obstacle[jnp.minimum(writer.node, map_.kind.shape[0] - 1)] == btm.STAIRS
     is_step &= ~jnp.any(map_.blocked & (map_.start == writer.node))  # from which the robot has turned back
-    beyond_m = jnp.where(is_step, writer.node_m + ground_profile.TOGETHER_M, -jnp.inf)
+    beyond_m = jnp.where(is_step, writer.node_m + P.ground.together_m, -jnp.inf)
     x_m, z_m, posture = ground
-    ground = jnp.where((posture < LEVEL_RAD) & (x_m > beyond_m), x_m, jnp.inf), z_m
-    is_level = jnp.hypot(*level.even) < LEVEL_RAD
+    ground = jnp.where((posture < P.ground.level_rad) & (x_m > beyond_m), x_m, jnp.inf), z_m
+    is_level = jnp.hypot(*level.even) < P.ground.level_rad
     is_on = state.odometer_m + robot.length_m / 2 > writer.lone_step.from_m
     looks = is_level & ~tips & ~is_on & (state.drive.latch != Latch.LOOK) & ~state.manoeuvre.backing
     near = jnp.isfinite(ground[0]) & (ground[0] > state.odometer_m)
     span_m = jnp.max(jnp.where(near, ground[1], -jnp.inf)) - jnp.min(jnp.where(near, ground[1], jnp.inf))
     now = run_if(
-        looks & (span_m > ground_profile.STEP_M),
+        looks & (span_m > P.ground.step_m),
         lambda _: ground_profile.update_step(writer.lone_step, *ground),
         writer.lone_step,
     )
@@ -123,8 +112,8 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
     gone = (
         passed
         | state.manoeuvre.backing
-        | (changed & (crease_m > now.from_m - ground_profile.TOGETHER_M / 2))
-        | (blocked >= BLOCKED_STEPS)
+        | (changed & (crease_m > now.from_m - P.ground.together_m / 2))
+        | (blocked >= P.ground.blocked_steps)
     )
     after = pick(gone, ground_profile.no_step(), now)
     return now, is_lone & ~changed, after
@@ -137,7 +126,7 @@ def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) ->
     too far apart.
     """
     far_m = perception.far_bound(tuning.far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m)
-    views = jnp.stack([far_m, jnp.minimum(far_m, NEAR_POINTS_M)])
+    views = jnp.stack([far_m, jnp.minimum(far_m, P.graph.near_points_m)])
 
     def look(far_m):
         return perception.find_divergences(
@@ -158,13 +147,13 @@ def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) ->
         )
 
     blank = jax.tree.map(lambda a: jnp.zeros((2, *a.shape), a.dtype), jax.eval_shape(look, views[0]))
-    found = lax.fori_loop(0, jnp.where(far_m > NEAR_POINTS_M, 2, 1), put, blank)
+    found = lax.fori_loop(0, jnp.where(far_m > P.graph.near_points_m, 2, 1), put, blank)
     found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), found)
     return found.replace(overflow=jnp.max(found.overflow))
 
 
 def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
-    """Search triangles, in every `SEARCH_EVERY_STEPS`-th step: `(track, overflow)`."""
+    """Search triangles, in every `search_every_steps`-th step: `(track, overflow)`."""
     approaches, turns = state.drive.latch == Latch.APPROACH, state.drive.latch == Latch.LOOK
     # Once the robot is in the circle that it approaches, a wall touched by the circle lies abeam or behind.
     is_in = approaches & (jnp.hypot(*(state.track.centre - state.estimate[:2])) < state.track.radius)
@@ -172,13 +161,13 @@ def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
     def looked(carry):
         found = triangles(xy, valid, wall_m, tuning)
         known = mapping.is_near_known(writer, placed(found.centre), state.odometer_m, tuning.leave_m)
-        found = dataclasses.replace(found, valid=found.valid & ~known & (found.centre[:, 0] > MIN_CENTRE_X_M))
+        found = dataclasses.replace(found, valid=found.valid & ~known & (found.centre[:, 0] > P.graph.min_centre_x_m))
         return behaviour.update_track(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
 
     # There are no divergences in free space; where the robot turns on a slope, it leans otherwise for a moment.
     forgets = ((state.space.inside & jnp.isnan(state.track.out)) | leans) & ~turns
     track = pick(forgets, behaviour.empty_track(), state.track)
-    looks = (state.step % SEARCH_EVERY_STEPS == 0) & ~is_in & ~turns & ~forgets & jnp.isnan(state.track.out)
+    looks = (state.step % P.graph.search_every_steps == 0) & ~is_in & ~turns & ~forgets & jnp.isnan(state.track.out)
     return run_if(looks, looked, (track, jnp.int32(0)))
 
 
@@ -202,7 +191,7 @@ def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, t
         abeam = gateways.gateway_abeam(state, writer, xy, valid, track, placed, tuning)
         return pick(crosses, found, abeam)
 
-    looks = looking & (crosses | (state.space.inside & (state.step % SEARCH_EVERY_STEPS == 0)))
+    looks = looking & (crosses | (state.space.inside & (state.step % P.graph.search_every_steps == 0)))
     track = run_if(is_hall & looks, gateway, track)
     return space, jnp.where(crosses | (is_hall & missed), jnp.inf, border_m), missed & ~is_hall, track
 
@@ -220,18 +209,18 @@ def _ground_ahead(x, z, robot, state):
     """Return the rise of the ground ahead, whether it stops the robot, as seen or just experienced, and `beyond`: the
     height of the step that does, 0 for none, and the inclination of the slope, radians, 0 for none, NaN if unseen."""
     nose = state.odometer_m + robot.length_m / 2
-    ahead = (x > nose) & (x < nose + LOOK_M)
-    behind = (x <= nose) & (x > nose - LOOK_M)
+    ahead = (x > nose) & (x < nose + P.ground.look_m)
+    behind = (x <= nose) & (x > nose - P.ground.look_m)
     foot = jnp.max(jnp.where(behind, z, -jnp.inf))
     rise = jnp.where(jnp.isfinite(foot), jnp.max(jnp.where(ahead, z, -jnp.inf)) - foot, 0)
-    slope_m = LOOK_M * jnp.tan(jnp.radians(robot.max_slope_deg)) + 0.02
+    slope_m = P.ground.look_m * jnp.tan(jnp.radians(robot.max_slope_deg)) + 0.02
 
     def judged(_):
         near, beyond = ground_profile.profile(x, z, ahead | behind), ground_profile.profile(x, z, ahead)
         step_m = near.step_m
-        is_step = ((step_m > robot.max_step_m + STEP_SLACK_M) | state.halts) & (step_m > ground_profile.STEP_M)
+        is_step = ((step_m > robot.max_step_m + P.ground.step_slack_m) | state.halts) & (step_m > P.ground.step_m)
         # Two steps that it climbs one by one rise more than a slope that it climbs.
-        sudden = ground_profile.steepest_rise(x, z, ahead | behind) > ground_profile.STEP_M
+        sudden = ground_profile.steepest_rise(x, z, ahead | behind) > P.ground.step_m
         gentle = sudden & (near.slope <= jnp.tan(jnp.radians(robot.max_slope_deg)))
         stops = is_step | ((rise > slope_m) & ~gentle) | state.halts
         slope = jnp.where(beyond.count < 3, jnp.nan, jnp.abs(jnp.arctan(beyond.slope)))
@@ -248,8 +237,8 @@ def _passes_start(state):
     followed, to, there = links.led_to(state.writer)
     is_led, gone_m = followed & (to == 0), state.odometer_m - state.writer.node_m
     place = to_robot(state.estimate)(jnp.where(is_led, there, jnp.stack([map_.x_m[0], map_.y_m[0]])))
-    within_m = SAME_NODE_M + jnp.where(is_led, links.WAY_DRIFT * gone_m, 0.0)
-    along = jnp.abs(jnp.cos(state.estimate[2] - map_.start_bearing[0])) > ALONG_COS
+    within_m = P.graph.same_node_m + jnp.where(is_led, P.graph.way_drift * gone_m, 0.0)
+    along = jnp.abs(jnp.cos(state.estimate[2] - map_.start_bearing[0])) > P.graph.along_cos
     within = jnp.hypot(map_.x_m - map_.x_m[0], map_.y_m - map_.y_m[0]) < map_.radius_m
     on_link = ~jnp.any(within & (map_.kind == btm.DIVERGENCE)) & (state.drive.latch != Latch.LOOK)
     on_link &= (state.drive.latch != Latch.LEAVE) | (state.writer.passed[3] <= state.writer.node_m)
@@ -259,7 +248,7 @@ def _passes_start(state):
         & (state.writer.node != 0)
         & (place[0] <= 0)
         & (jnp.hypot(*place) < within_m)
-        & (gone_m > SAME_NODE_M)
+        & (gone_m > P.graph.same_node_m)
     )
 
 
@@ -274,7 +263,7 @@ def due_node(state: State, writer: Writer, ahead: Ahead, at_goal: Array, is_open
     returns = is_open & _passes_start(state)
     changed = ahead.changed
     crosses = ahead.is_noted & (ahead.missed | (state.odometer_m >= writer.border_m))
-    stops = ahead.blocked >= BLOCKED_STEPS
+    stops = ahead.blocked >= P.ground.blocked_steps
     here = state.estimate
     crease = run_if(changed, lambda _: mapping.pose_at(writer.way, ahead.crease_m), here)
     crease_m = jnp.maximum(ahead.crease_m, writer.node_m)

@@ -10,18 +10,9 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import pick, run_if
 from jexplore.btm import Btm
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Openings, Writer
 from jexplore.driving.vehicle import rotate_by, to_odometry, to_robot
-
-SAME_EXIT_RAD = math.radians(40)  # a link and an opening that lie no farther apart are one
-MATCH_DRIFT = 0.025, 2.5  # of the way, metres at most: how far off a known place may seem
-WAY_DRIFT = 0.05  # of the way along a known link: how far off its other node may seem
-HYPOTHESIS_DRIFT = 0.05, 4.0  # of the way, metres at most: how far off a node may seem that a new place perhaps is
-SAME_WAY_TOLERANCE = 0.6, 0.05  # metres, and share of its length: a way that is as long as a known one is that one
-MAX_TRIES = 3  # an un-searched link on which the robot has set off so often in vain is given up
-MAX_FAILS = 3  # a searched link that has led elsewhere so often in a row is followed no more
-SAME_END_RAD = math.radians(25)  # a robot that comes in nearer to a known link comes by it
-TURN_RAD = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
 
 
 def turn_to(map_: Btm, node: Array, found: Openings) -> tuple[Array, Array]:
@@ -29,7 +20,7 @@ def turn_to(map_: Btm, node: Array, found: Openings) -> tuple[Array, Array]:
 
     Returns:
       `(turn, spread)`: radians, to be added; the farthest that a link lies from its opening once that is done, radians,
-        inf where an opening has no link, or a link that it must have no opening, within `TURN_RAD`.
+        inf where an opening has no link, or a link that it must have no opening, within `turn_rad`.
     """
     own, bearing = ends_at(map_, node)
     needed = _needed(map_, own)
@@ -37,10 +28,10 @@ def turn_to(map_: Btm, node: Array, found: Openings) -> tuple[Array, Array]:
     off = jnp.where(own[:, None] & found.valid, off, jnp.inf)
     near = jnp.argmin(jnp.abs(off), axis=0)
     least = jnp.take_along_axis(off, near[None], axis=0)[0]
-    counts = jnp.abs(least) < TURN_RAD
+    counts = jnp.abs(least) < P.graph.turn_rad
     n = jnp.sum(counts)
     turn = jnp.sum(jnp.where(counts, least, 0)) / jnp.maximum(n, 1)
-    has_opening = jnp.any(jnp.abs(off) < TURN_RAD, axis=1)
+    has_opening = jnp.any(jnp.abs(off) < P.graph.turn_rad, axis=1)
     whole = (n >= 1) & jnp.all(counts == found.valid) & jnp.all(has_opening | ~needed)
     return turn, jnp.where(whole, jnp.max(jnp.where(counts, jnp.abs(least - turn), 0)), jnp.inf)
 
@@ -101,12 +92,14 @@ def is_alike(map_: Btm, node: Array, found: Openings, back: Array, leads: Array)
       leads: bool, the robot follows a link to that node; else one of the node's links must be un-searched there.
     """
     own, bearing = ends_at(map_, node)
-    near = own[:, None] & found.valid & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < SAME_EXIT_RAD)
+    near = own[:, None] & found.valid & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < P.graph.same_exit_rad)
     needed = jnp.where(leads, own & ~jnp.tile(map_.blocked, 2), _needed(map_, own))
     missing = jnp.sum(needed & ~jnp.any(near, axis=1))
     more = jnp.sum(found.valid & ~jnp.any(near, axis=0))
     waits = (
-        (map_.start == node) & btm.open_links(map_) & (jnp.abs(btm.wrapped(map_.start_bearing - back)) < SAME_EXIT_RAD)
+        (map_.start == node)
+        & btm.open_links(map_)
+        & (jnp.abs(btm.wrapped(map_.start_bearing - back)) < P.graph.same_exit_rad)
     )
     return (missing == 0) & (more == 0) & (leads | jnp.any(waits))
 
@@ -144,7 +137,7 @@ def is_led_to(writer: Writer, centre: Array, odometer_m: Array, reach: Array | f
     The node must lie within `reach`, metres, plus a share of the way along the link.
     """
     followed, to, place = led_to(writer)
-    limit_m = reach + WAY_DRIFT * (odometer_m - writer.node_m)
+    limit_m = reach + P.graph.way_drift * (odometer_m - writer.node_m)
     return to, followed & (jnp.hypot(*(place - centre)) < limit_m)
 
 
@@ -167,9 +160,9 @@ def match_node(
     leads = followed & (jnp.arange(n) == to)
     seen = jnp.where(followed, jnp.stack([map_.x_m[to], map_.y_m[to]]) + centre - expected, centre)
     off_m = jnp.hypot(map_.x_m - seen[0], map_.y_m - seen[1])
-    drift_m = jnp.minimum(MATCH_DRIFT[0] * odometer_m, MATCH_DRIFT[1])
+    drift_m = jnp.minimum(P.graph.match_drift[0] * odometer_m, P.graph.match_drift[1])
     gone_m = odometer_m - writer.node_m
-    limit_m = reach + jnp.where(leads, WAY_DRIFT * gone_m, jnp.where(followed, 0.0, drift_m))
+    limit_m = reach + jnp.where(leads, P.graph.way_drift * gone_m, jnp.where(followed, 0.0, drift_m))
     may = when & (map_.kind == btm.DIVERGENCE) & (off_m < limit_m) & (jnp.arange(n) != writer.node)
 
     def judged(_):
@@ -194,7 +187,9 @@ def find_hypotheses(writer: Writer, centre: Array, odometer_m: Array, found: Ope
     """
     map_, n = writer.map, writer.map.kind.shape[0]
     off_m = jnp.hypot(map_.x_m - centre[0], map_.y_m - centre[1])
-    may = (map_.kind == btm.DIVERGENCE) & (off_m < jnp.minimum(HYPOTHESIS_DRIFT[0] * odometer_m, HYPOTHESIS_DRIFT[1]))
+    may = (map_.kind == btm.DIVERGENCE) & (
+        off_m < jnp.minimum(P.graph.hypothesis_drift[0] * odometer_m, P.graph.hypothesis_drift[1])
+    )
     may &= when & (jnp.arange(n) != writer.node)
 
     def turns(none):
@@ -262,9 +257,9 @@ def _holds(writer, node, turn, kind, centre, odometer_m, found):
     to = jnp.where(forward, map_.end[link], map_.start[link])
     way = rotate_by(turn)(centre - writer.origin[:2])
     apart_m = jnp.hypot(*(way - way_along(map_, link, forward)))
-    within_m = SAME_WAY_TOLERANCE[0] + SAME_WAY_TOLERANCE[1] * (odometer_m - writer.node_m)
+    within_m = P.graph.same_way_tolerance[0] + P.graph.same_way_tolerance[1] * (odometer_m - writer.node_m)
     _, spread = turn_to(map_, to, dataclasses.replace(found, bearing=found.bearing + turn))
-    holds = (off[best] < SAME_EXIT_RAD) & (map_.status[link] == btm.SEARCHED) & (apart_m < within_m)
+    holds = (off[best] < P.graph.same_exit_rad) & (map_.status[link] == btm.SEARCHED) & (apart_m < within_m)
     holds &= (map_.kind[to] == kind) & ((kind != btm.DIVERGENCE) | jnp.isfinite(spread))
     return holds, link
 
@@ -300,12 +295,12 @@ def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array,
     bearing = jnp.where(ends[0], map_.end_bearing, map_.start_bearing)
     off = jnp.where((ends[0] | ends[1]) & (map_.status == btm.SEARCHED), jnp.abs(btm.wrapped(bearing - back)), jnp.inf)
     best = jnp.argmin(off).astype(jnp.int32)
-    return best, (off[best] < SAME_END_RAD) & (start != node)
+    return best, (off[best] < P.graph.same_end_rad) & (start != node)
 
 
 def is_any_open(map_: Btm, tries: Array) -> Array:
     """Return whether any link is un-searched and not given up, such as the one the robot arrives on: bool."""
-    return jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (tries < MAX_TRIES))
+    return jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (tries < P.graph.max_tries))
 
 
 def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Writer, Btm, Array, Array]:
@@ -318,12 +313,12 @@ def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Wr
     Returns:
       `(writer, map, link, bearing)`: with what was given up; int32, `NONE` where nothing is left; radians.
     """
-    fails, vain = _failed(writer, node), (writer.tries >= MAX_TRIES) & (map_.status == btm.UNSEARCHED)
+    fails, vain = _failed(writer, node), (writer.tries >= P.graph.max_tries) & (map_.status == btm.UNSEARCHED)
     writer, map_ = writer.replace(fails=fails), map_.replace(blocked=map_.blocked | vain)
 
     def chosen(map_, fails):
         open_link = btm.first_open(map_, node, back)
-        usable = map_.replace(length_m=jnp.where(fails >= MAX_FAILS, btm.NO_WAY_M, map_.length_m))
+        usable = map_.replace(length_m=jnp.where(fails >= P.graph.max_fails, btm.NO_WAY_M, map_.length_m))
         hop, hop_bearing, _ = btm.next_hop(usable, node)
         bearing = map_.start_bearing[jnp.minimum(open_link, map_.start.shape[0] - 1)]
         return tuple(
@@ -334,8 +329,8 @@ def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Wr
 
     def again(_):
         retried = vain & is_first
-        tries, blocked = jnp.where(retried, MAX_TRIES - 1, writer.tries), map_.blocked & ~retried
-        one_less = jnp.minimum(fails, MAX_FAILS - 1)
+        tries, blocked = jnp.where(retried, P.graph.max_tries - 1, writer.tries), map_.blocked & ~retried
+        one_less = jnp.minimum(fails, P.graph.max_fails - 1)
         return blocked, tries, one_less, *chosen(map_.replace(blocked=blocked), one_less)
 
     link, bearing = chosen(map_, fails)

@@ -13,18 +13,14 @@ from jax import Array, lax
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Guide, Latch, RunMode, Senses, SlopeEstimate, State, Trajectory, Writer
 from jexplore.driving.sensing import ground_profile, smoothing
 from jexplore.driving.settings import Robot
 from jexplore.driving.vehicle import down_directions
 
 SLOPE_STEPS = 32  # steps in which the noise of the attitude is told
-EVEN_DEG = 1.0  # the robot stands evenly once its lean has varied by less than this
-EVEN_LENGTHS = 0.25  # over this way, in lengths of the robot: on a long robot a gentle slope comes slowly
 WIDTH_MEAN_STEPS = 5  # of which the width of a passage is the mean, and the roll on it
-WIDTH_MEAN_M = 0.1  # as far as they are this near
-ELSEWHERE_M = 2.0  # a node met again truly lies elsewhere if that is farther than this beyond its circle, metres
-BEYOND_OPENING_M = 0.05, 1.0  # a robot beyond an opening is no farther before it and behind it
 
 
 def no_way(size: int) -> Trajectory:
@@ -119,14 +115,14 @@ def update_slope(
 
     Args:
       threshold: change of inclination that is an obstacle, radians.
-      even_m: the robot stands evenly once its lean has varied by less than `EVEN_DEG` over this way.
+      even_m: the robot stands evenly once its lean has varied by less than `even_deg` over this way.
 
     Returns:
       `(level, changed, crease_m, steepest)`: whether the robot now stands evenly on ground of another inclination; the
         odometer at the crease between both, half way between leaving the one and arriving on the other; the larger of
         both inclinations, radians.
     """
-    varied = jnp.hypot(*(lean - level.anchor)) > math.radians(EVEN_DEG)
+    varied = jnp.hypot(*(lean - level.anchor)) > math.radians(1) * P.ground.even_deg
     anchor = jnp.where(varied, lean, level.anchor)
     anchor_m = jnp.where(varied, odometer_m, level.anchor_m)
     even = odometer_m - anchor_m >= even_m
@@ -134,11 +130,11 @@ def update_slope(
     changed = even & (jnp.hypot(*(anchor - level.even)) > threshold)
     crease = (level.left_m + anchor_m) / 2
     steepest = jnp.maximum(jnp.hypot(*anchor), jnp.hypot(*level.even))
-    same = jnp.hypot(*(lean - level.even)) <= math.radians(EVEN_DEG)
+    same = jnp.hypot(*(lean - level.even)) <= math.radians(1) * P.ground.even_deg
     # Over the edge of ground on which it has stood for its length, a robot may stand evenly half way for less than
     # that: it still comes from there.
-    length_m = even_m / EVEN_LENGTHS
-    near = jnp.hypot(*(anchor - level.even)) <= math.radians(EVEN_DEG)
+    length_m = even_m / P.ground.even_lengths
+    near = jnp.hypot(*(anchor - level.even)) <= math.radians(1) * P.ground.even_deg
     tips = (level.left_m - level.since_m >= length_m) & (odometer_m - anchor_m < length_m)
     stays = even & (changed | near | ~tips)
     after = SlopeEstimate(
@@ -179,7 +175,7 @@ def way_extremes(way: Trajectory, from_m: Array | float, to_m: Array | float) ->
     within = (way.odometer_m >= from_m) & (way.odometer_m <= to_m)
     known = within & jnp.isfinite(way.width_m)
     place = jnp.where(known, way.odometer_m, jnp.inf)
-    meant = smoothing.mean_near(way.width_m, place, way.odometer_m, WIDTH_MEAN_STEPS, WIDTH_MEAN_M)
+    meant = smoothing.mean_near(way.width_m, place, way.odometer_m, WIDTH_MEAN_STEPS, P.graph.width_mean_m)
     width = jnp.min(jnp.where(known, meant, jnp.inf))
     rolls = jnp.abs(smoothing.running_mean(way.roll, WIDTH_MEAN_STEPS))
     posture, roll = (jnp.degrees(jnp.max(jnp.where(within, a, 0))) for a in (way.posture, rolls))
@@ -207,7 +203,11 @@ def came_through(writer: Writer, middles: Array, across: Array, width_m: Array) 
     offset = writer.way.pose[:, :2] - middles[:, None]  # [K, T, 2]
     cos, sin = jnp.cos(across)[:, None], jnp.sin(across)[:, None]
     out_m, aside_m = offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin
-    there = (out_m > -BEYOND_OPENING_M[0]) & (out_m < BEYOND_OPENING_M[1]) & (jnp.abs(aside_m) < width_m[:, None] / 2)
+    there = (
+        (out_m > -P.graph.beyond_opening_m[0])
+        & (out_m < P.graph.beyond_opening_m[1])
+        & (jnp.abs(aside_m) < width_m[:, None] / 2)
+    )
     there &= _since_node(writer)
     return jnp.max(jnp.where(there, jnp.arange(there.shape[1]), -1), axis=1)
 
@@ -300,5 +300,5 @@ def record_truth(node_at: Array, before: Writer, after: Writer, at: Array) -> tu
     is_new = jnp.any(here != was, axis=0) & (jnp.arange(node_at.shape[0]) < after.map.n_nodes)  # its number may be old
     again = (after.node_m != before.node_m) & ~is_new[after.node]
     off_m = jnp.hypot(*(at - node_at[after.node]))
-    is_elsewhere = again & (off_m > after.map.radius_m[after.node] + ELSEWHERE_M)
+    is_elsewhere = again & (off_m > after.map.radius_m[after.node] + P.graph.elsewhere_m)
     return jnp.where(is_new[:, None], at, node_at), is_elsewhere

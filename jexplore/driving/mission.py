@@ -17,8 +17,9 @@ from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving import approach, behaviour, manoeuvre, mapping, nodes
-from jexplore.driving.events import GOAL_M, due_node, look_ahead, walls_of_scan
+from jexplore.driving.events import due_node, look_ahead, walls_of_scan
 from jexplore.driving.guiding.steering import steer_along_route
+from jexplore.driving.params.tree import P, Params, using
 from jexplore.driving.records import Building, Draws, Guide, Latch, Senses, State
 from jexplore.driving.sensing import matching, smoothing, surround
 from jexplore.driving.settings import Noise, Robot, Tuning
@@ -27,7 +28,6 @@ from jexplore.engine.program import Given, Program
 
 DRAWN_STEPS = 16  # steps whose random numbers are drawn at once
 MAP_SIZE = 32, 64  # most nodes and links of a map
-BLIND_STEPS = 20  # scans in a row, most of whose beams give no number, that end a run
 
 
 class RunOutcome(enum.IntEnum):
@@ -70,6 +70,7 @@ class MissionTask(NamedTuple):
     tuning: Tuning
     noise: Noise
     start: Array  # [3] float32, building's frame
+    params: Params | None  # None: the defaults, as constants
     guide: Guide | None
 
 
@@ -163,7 +164,7 @@ def make_step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, no
     placed = to_odometry(state.estimate)
     writer = mapping.record_step(state, senses, walls.beside.sum(), robot)
     ahead = look_ahead(state, writer, walls, around, placed, tuning, robot, blind != 0)
-    at_goal, at = senses.beacon_m < GOAL_M, (around, ways_m, placed)
+    at_goal, at = senses.beacon_m < P.graph.goal_m, (around, ways_m, placed)
     writer, drive, ahead, event = _decided(state, writer, ahead, at, at_goal, _is_open(building), tuning, robot)
     xy, known = surround.known_points(around)
     seen = placed(xy), known
@@ -257,7 +258,7 @@ def _moved(draws, building, robot, noise, state, estimate, senses, speed):
 
 def _end(state, at_end, tuning):
     ends = [
-        (state.blind >= BLIND_STEPS, RunOutcome.BLIND),
+        (state.blind >= P.graph.blind_steps, RunOutcome.BLIND),
         (state.since_node >= tuning.helps, RunOutcome.STUCK),
         (state.writer.exhausted, RunOutcome.EXHAUSTED),
         (state.writer.full, RunOutcome.MAP_FULL),
@@ -300,16 +301,18 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     task: MissionTask = given.task
     block = run_if(state.step % DRAWN_STEPS == 0, lambda _: _draws_from(given.key, state.step, task.noise), state.draws)
     draws = jax.tree.map(lambda a: a[state.step % DRAWN_STEPS], block)
-    after = make_step(draws, building, task.robot, task.tuning, task.noise, state.replace(draws=block))
+    with using(task.params):
+        after = make_step(draws, building, task.robot, task.tuning, task.noise, state.replace(draws=block))
     late = (after.outcome == RunOutcome.RUNNING) & (after.step >= given.numbers)
     return after.replace(outcome=jnp.where(late, jnp.int32(RunOutcome.STEP_LIMIT), after.outcome))
 
 
 def finish(setup: Setup, given: Given, state: State) -> RunResult:
     """Return the `RunResult` of a run that has ended. Arguments as for `begin`."""
-    del setup, given
+    del setup
     body, breaks_off = state.body, jnp.isin(state.outcome, jnp.array(BROKEN_OFF, jnp.int32))
-    map_, node = mapping.end_broken_off(state.writer, state.estimate, state.odometer_m, state.step, breaks_off)
+    with using(given.task.params):
+        map_, node = mapping.end_broken_off(state.writer, state.estimate, state.odometer_m, state.step, breaks_off)
     return RunResult(
         map=map_,
         outcome=state.outcome,

@@ -11,19 +11,14 @@ from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import behaviour, links
 from jexplore.driving.guiding import leaving
 from jexplore.driving.mapping import came_from, came_through, has_left, pose_from_node, way_extremes
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Arrival, Drive, DueNode, Latch, State, Track, Writer
-from jexplore.driving.sensing import gateways, obstacles, openings
+from jexplore.driving.sensing import gateways, obstacles
 from jexplore.driving.sensing.exits import find_exits
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import rotate_by, to_odometry, towards
 
 MAX_OPENINGS = 8  # of a divergence
-DOOR_BEFORE_M = 3.0  # m; a door passed within this before another opening is the way in
-NEW_LINK_RAD = math.radians(25)  # an opening of a known place that bears farther from all its links is a new one
-SHIFT_M = 0.7  # the odometry's place is corrected by half at a node met again no farther than this away, metres
-SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
-LED_NODE_M = 1.5  # and so near to where a known link leads to one
-TURN_SHARE, SHIFT_SHARE = 0.2, 0.5  # applied shares of the correction: scan matching is more certain
 
 
 def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
@@ -32,13 +27,13 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
     near, distance = btm.nearest_node(writer.map, event.centre[0], event.centre[1], event.kind)
     # A place is in the circle of a node, and the node in that of the place.
     smaller = jnp.minimum(event.radius, writer.map.radius_m[jnp.maximum(near, 0)])
-    reach = jnp.where(is_divergence, jnp.maximum(0.5, smaller), SAME_NODE_M)
+    reach = jnp.where(is_divergence, jnp.maximum(0.5, smaller), P.graph.same_node_m)
     may_be_last = is_divergence & has_left(writer, event.odometer_m, tuning.leave_m)
     again = (distance < reach) & ((near != writer.node) | may_be_last) & ~is_terminal
     alike, is_alike = links.match_node(
         writer, (event.centre, event.odometer_m), found, back, reach, is_divergence & ~again
     )
-    to, is_led = links.is_led_to(writer, event.centre, event.odometer_m, LED_NODE_M)
+    to, is_led = links.is_led_to(writer, event.centre, event.odometer_m, P.graph.led_node_m)
     is_led &= ~is_divergence & ~is_terminal & (writer.map.kind[to] == event.kind)
     near = jnp.where(event.returns, 0, jnp.where(is_alike, alike, jnp.where(is_led, to, near)))
     again = again | is_alike | is_led | event.returns
@@ -56,8 +51,8 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
     )
     map_ = pick(again, writer.map, added)
     fits = again | (writer.map.n_nodes < map_.kind.shape[0])
-    met = again & is_divergence & ((distance < SHIFT_M) | is_alike)
-    share = jnp.where(is_alike, 1.0, SHIFT_SHARE)
+    met = again & is_divergence & ((distance < P.graph.shift_m) | is_alike)
+    share = jnp.where(is_alike, 1.0, P.graph.shift_share)
     shift = jnp.where(met, share * (jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre), 0.0)
     return Arrival(map_, jnp.where(again, near, new), again, near, met, fits, shift, width, posture, roll, jnp.zeros(3))
 
@@ -96,7 +91,7 @@ def _by_door(passed, width_m, odometer_m):
     """Return the steps at which openings were passed, -1 for none: of doors alone, if the robot has just passed one. A
     robot that comes by a door passes a wider opening before it as well."""
     gone_m = odometer_m[jnp.max(passed)] - odometer_m[passed]
-    door = (passed >= 0) & (gone_m < DOOR_BEFORE_M) & (width_m <= openings.DOOR_M)
+    door = (passed >= 0) & (gone_m < P.graph.door_before_m) & (width_m <= P.places.door_m)
     return jnp.where(jnp.any(door) & ~door, -1, passed)
 
 
@@ -205,7 +200,7 @@ def _turns(writer, event, at, found, tuning):
     turned, spread = links.turn_to(at.map, at.node, found)
     turn = jnp.where(at.met, turned, 0.0)
     agree = (spread < jnp.radians(tuning.agree_deg)) & (jnp.sum(found.valid) > 1)
-    share = jnp.where(agree, tuning.agree_share, TURN_SHARE)
+    share = jnp.where(agree, tuning.agree_share, P.graph.turn_share)
     turned = jnp.where(at.again, jnp.where(event.kind == btm.DIVERGENCE, turned, jnp.nan), 0.0)
     at = at._replace(moved=pose_from_node(writer, event.centre, turned))
     return at, dataclasses.replace(event, pose=event.pose.at[2].add(turn)), turn, share * turn, turned
@@ -256,7 +251,9 @@ def _add_openings(writer, map_, event, at, found, others, when):
     """Add a divergence's links: `(writer, map)`: the openings of a new one but the way in; at one met again, not before
     gateways nor on a route, those besides its links, for one try. A start in its circle is on no link."""
     own, bearing = links.ends_at(map_, at.node)
-    known = jnp.any(own[:, None] & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < NEW_LINK_RAD), axis=0)
+    known = jnp.any(
+        own[:, None] & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < P.graph.new_link_rad), axis=0
+    )
     more = at.met & ~known & jnp.isnan(event.out) if writer.guide is None else False
     goes = others & when & (~at.again | more)
     before = map_.n_links
@@ -264,7 +261,7 @@ def _add_openings(writer, map_, event, at, found, others, when):
         map_, _ = btm.add_link(map_, at.node, found.bearing[i], when=goes[i], opening_m=found.width_m[i])
     number = jnp.arange(map_.start.shape[0])
     once = at.again & (number >= before) & (number < map_.n_links)
-    writer = writer.replace(tries=jnp.where(once, links.MAX_TRIES - 1, writer.tries))
+    writer = writer.replace(tries=jnp.where(once, P.graph.max_tries - 1, writer.tries))
     is_new = when & ~at.again
     map_ = map_.replace(overflow=map_.overflow + jnp.where(is_new, found.overflow, 0))
     off = jnp.hypot(event.centre[0] - map_.x_m[0], event.centre[1] - map_.y_m[0])

@@ -89,9 +89,9 @@ class Manoeuvre(struct.PyTreeNode):
     backing: Array  # bool, it is going back
     backed_m: Array  # float32, how far
     away_m: Array  # float32, distance still to drive ahead because there is no room behind; 0: none
-    tried: Array  # int32, which of `RECOVERIES` it tries to get away from what it has touched
-    frees: Array  # int32, steps left: above `TOUCH_AGAIN_STEPS` it still goes that way, below a touch makes it try the
-    # next one
+    tried: Array  # int32, which recovery it tries to get away from what it has touched
+    frees: Array  # int32, steps left: above `motion.touch_again_steps` it still goes that way, below, a touch makes it
+    # try the next one
     avoiding: Array  # bool, it goes round something
     side: Array  # float32, radians, direction in which
 

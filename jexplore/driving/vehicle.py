@@ -14,6 +14,7 @@ from jax import Array, lax
 from jexplore.arrays.loops import run_if
 from jexplore.driving.building.terrain import attitude, look_at, turned
 from jexplore.driving.building.walls import cast_along, meets
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Building, Draws, RobotBody, Senses
 from jexplore.driving.settings import Noise, Robot
 from jexplore.slam2d.odometry import encoded, noise_of
@@ -27,7 +28,6 @@ DOWN_BEAMS = 13
 DOWN_RAD = np.radians(np.linspace(-18, 18, DOWN_BEAMS)).astype(np.float32)
 BEACON_M = 1.0  # the goal's beacon is heard within this, where no wall lies between
 GROUND_MARCH_M = 0.2  # beams of the scanner that looks ahead are followed over the ground in steps of this
-FLOOR_M = 0.1  # a point no higher than this above the level on which the robot stands is ground
 
 
 def draw(keys: Array, noise: Noise) -> Draws:
@@ -138,7 +138,7 @@ def _beacon(building, body):
 def level_scan(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
     """Project the forward scan to the plane, by the measured attitude.
 
-    A beam that ends no higher than `FLOOR_M` above the robot's level has met ground and tells nothing of walls.
+    A beam that ends no higher than `floor_m` above the robot's level has met ground and tells nothing of walls.
     Bearings are not corrected, nor is the scanner's position, which leans with the robot: at 10 degrees bearings are
     off by half a degree, and positions by 17 cm for each metre of the mount's height.
 
@@ -148,7 +148,7 @@ def level_scan(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
     direction = turned(ahead_directions(robot), senses.pitch, senses.roll, 0.0)
     mount_m = robot.scan_height_m * jnp.cos(senses.pitch) * jnp.cos(senses.roll)
     reach_m = jnp.minimum(senses.ranges_m, SCAN_RANGE_M)
-    ground = (mount_m + reach_m * direction[:, 2] < FLOOR_M) & jnp.isfinite(senses.ranges_m)
+    ground = (mount_m + reach_m * direction[:, 2] < P.sensing.floor_m) & jnp.isfinite(senses.ranges_m)
     flat_m = senses.ranges_m * jnp.hypot(direction[:, 0], direction[:, 1])
     return senses.replace(ranges_m=jnp.where(ground, jnp.nan, flat_m)), ground
 

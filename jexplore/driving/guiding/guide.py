@@ -6,7 +6,6 @@ its route by where it lies from the last one and by the directions of its ways, 
 this is put right at every place.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -16,27 +15,13 @@ import numpy as np
 from jax import Array
 
 from jexplore import btm
-from jexplore.driving.links import SAME_EXIT_RAD
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Guide, Onward, Openings
 from jexplore.driving.vehicle import rotate_by
 
 PLACE_EXITS = 8  # most of a place
 OFF_ROUTE_PLACES = 4  # number of nearest places off the route kept for each place on it
 NEXT_PLACES = 4  # number of next places that may match the robot's place
-MATCH_TOLERANCE = 0.1, 1.0  # a match lies within this share of the way plus this many metres of its mapped position
-EXACT_MATCH_TOLERANCE = 0.2, 1.5  # within these if its exits are exactly those of the map
-AT_MAPPED_M = 0.7  # one that is so near is it, if only the way on is there
-AT_MAPPED_UNSEEN_M = 0.4  # and one that is as near as this is it, whatever is seen there: the robot steers on
-MISFIT_M = 0.3  # m; a missing or additional exit adds this to the distance from the mapped position
-BACK_RAD = math.radians(120)  # an exit that bears farther from the expected direction does not count
-NEXT_PLACE_M = 1.5  # at a place that the map does not have, the robot turns to the next if that is farther than this
-HEADING_SHARE = 0.5  # of what the ways of a place say of the heading, by their median
-MAX_HEADING_TURN_RAD = math.radians(10)  # and no more than this: the middle of one seen elsewhere turns its ways
-ANCHOR_SHARE = 0.3  # of what a place says of where the map lies: it may be another, and its middle is seen differently
-OTHER_PLACE_SHARE = 0.5  # a place is not on the route if another of the map lies nearer than this share
-OPEN_STRIP_M = 2.0  # m; without an opening, an exit exists if a strip from the place's middle is free this far
-STRIP_M = 0.6  # so wide
-STRAIGHT_LEG_RATIO, STRAIGHT_LEG_M = 1.15, 2.0  # ratio and m; a longer way than its ends are apart is not straight
 STRIP_OFFSETS_M = 0.0, -0.2, 0.2, -0.4, 0.4  # m; offsets of the strip from the middle
 
 
@@ -107,7 +92,7 @@ def match_place(
     """Match a place to one of the next places of the route, or to none of the map.
 
     Args:
-      reach_m: free length of a strip `STRIP_M` wide from a point in a direction, odometry, radians: metres.
+      reach_m: free length of a strip `strip_m` wide from a point in a direction, odometry, radians: metres.
 
     Returns:
       `(guide, onward)`: `Onward`: the map's; at a place missing in the map, towards the next mapped one; at the end of
@@ -117,20 +102,20 @@ def match_place(
     seen = jnp.where(found.valid, found.bearing + guide.turned, jnp.nan)
     near = _next_ones(guide, centre, found, seen, reach_m)
     place, expected, off_m, fits, is_like, last, off_ways, begins, is_free, misfit, way = near
-    best = jnp.argmin(jnp.where(fits, off_m + MISFIT_M * misfit, jnp.inf))
+    best = jnp.argmin(jnp.where(fits, off_m + P.route.misfit_m * misfit, jnp.inf))
     is_known, at = when & fits[best], jnp.minimum(place[best], size - 1)
-    turn = HEADING_SHARE * jnp.clip(
-        jnp.nan_to_num(jnp.nanmedian(off_ways[best])), -MAX_HEADING_TURN_RAD, MAX_HEADING_TURN_RAD
+    turn = P.route.heading_share * jnp.clip(
+        jnp.nan_to_num(jnp.nanmedian(off_ways[best])), -P.route.max_heading_turn_rad, P.route.max_heading_turn_rad
     )
     toward = _toward(guide, centre)
     # Only back: the way on is closed, unless the route ends there.
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - toward)), jnp.inf)
-    walled = when & ~is_known & ~guide.strays & (jnp.sum(found.valid) == 1) & (jnp.min(off) > BACK_RAD)
+    walled = when & ~is_known & ~guide.strays & (jnp.sum(found.valid) == 1) & (jnp.min(off) > P.route.back_rad)
     stop, *_, is_end = next_stop(guide)
-    walled &= ~is_end | (jnp.hypot(*(stop - centre)) > NEXT_PLACE_M)
+    walled &= ~is_end | (jnp.hypot(*(stop - centre)) > P.route.next_place_m)
     moved = guide.replace(
         at=jnp.where(is_known, place[best] + 1, guide.at),
-        from_xy=jnp.where(is_known, expected[best] + ANCHOR_SHARE * (centre - expected[best]), guide.from_xy),
+        from_xy=jnp.where(is_known, expected[best] + P.route.anchor_share * (centre - expected[best]), guide.from_xy),
         from_m=jnp.where(is_known, odometer_m, guide.from_m),
         turned=guide.turned + jnp.where(is_known, turn, 0),
         seen=guide.seen.at[jnp.where(is_known & is_like[best], at, size)].set(seen[:PLACE_EXITS], mode="drop"),
@@ -143,7 +128,7 @@ def match_place(
     goes_on = is_known & ~last[best]
     bearing = jnp.where(goes_on, way[best] - moved.turned, toward)
     middle = jnp.where(goes_on & is_free[best], begins[best], centre)
-    by_strip = jnp.where(goes_on, is_free[best], ~is_known & (reach_m(centre, toward) > OPEN_STRIP_M))
+    by_strip = jnp.where(goes_on, is_free[best], ~is_known & (reach_m(centre, toward) > P.route.open_strip_m))
     return moved, Onward(bearing, middle, by_strip)
 
 
@@ -153,7 +138,7 @@ def _toward(guide, centre):
     leg = jnp.where((stops == guide.count)[:, None], guide.end_leg, guide.leg[jnp.minimum(stops, n - 1)])
     leg = jnp.where((stops > guide.count)[:, None], 0.0, leg)
     off = guide.from_xy + _to_odometry_axes(guide)(jnp.cumsum(leg, axis=0)) - centre
-    ahead = off[jnp.where(jnp.hypot(*off[0]) > NEXT_PLACE_M, 0, 1)]
+    ahead = off[jnp.where(jnp.hypot(*off[0]) > P.route.next_place_m, 0, 1)]
     return jnp.arctan2(ahead[1], ahead[0])
 
 
@@ -181,23 +166,27 @@ def _next_ones(guide, centre, found, seen, reach_m):
     off_m = jnp.hypot(*(expected - centre).T)
     ways, out, after_m, leads = guide.ways[at], guide.out[at], *_bearings_on(guide, at, expected, centre)
     apart = btm.wrapped(ways[:, :, None] - seen)  # [AHEAD, WAYS, V]
-    alike = jnp.abs(apart) < SAME_EXIT_RAD
+    alike = jnp.abs(apart) < P.graph.same_exit_rad
     missing = jnp.sum(jnp.isfinite(ways), axis=1) - jnp.sum(jnp.any(alike, axis=2), axis=1)
     more = jnp.sum(found.valid) - jnp.sum(jnp.any(alike, axis=1), axis=1)
     last = (place == guide.count - 1) & (guide.tail_m == 0)
     by_leg, by_map = (
-        jnp.any(jnp.abs(btm.wrapped(way[:, None] - seen)) < SAME_EXIT_RAD, axis=1) for way in (leads, out)
+        jnp.any(jnp.abs(btm.wrapped(way[:, None] - seen)) < P.graph.same_exit_rad, axis=1) for way in (leads, out)
     )
     is_seen = last | by_leg | by_map
     begins, free_m = _strip(reach_m, expected, out - guide.turned)
-    is_free = ~is_seen & (off_m < AT_MAPPED_M) & (free_m > jnp.minimum(OPEN_STRIP_M, after_m))
+    is_free = ~is_seen & (off_m < P.route.at_mapped_m) & (free_m > jnp.minimum(P.route.open_strip_m, after_m))
     others = expected[:, None] + _to_odometry_axes(guide)(guide.others[at])
     other_m = jnp.nan_to_num(jnp.hypot(others[..., 0] - centre[0], others[..., 1] - centre[1]), nan=jnp.inf)
-    fits = (off_m <= MATCH_TOLERANCE[0] * length_m + MATCH_TOLERANCE[1]) & (missing <= 1) & (more <= 2)
-    fits |= (off_m <= EXACT_MATCH_TOLERANCE[0] * length_m + EXACT_MATCH_TOLERANCE[1]) & (missing == 0) & (more == 0)
-    fits &= jnp.min(other_m, axis=1) > OTHER_PLACE_SHARE * off_m
-    is_like = (fits | (off_m < AT_MAPPED_M)) & (is_seen | is_free) & (place < guide.count)
-    fits = is_like | ((off_m < AT_MAPPED_UNSEEN_M) & (place < guide.count))
+    fits = (off_m <= P.route.match_tolerance[0] * length_m + P.route.match_tolerance[1]) & (missing <= 1) & (more <= 2)
+    fits |= (
+        (off_m <= P.route.exact_match_tolerance[0] * length_m + P.route.exact_match_tolerance[1])
+        & (missing == 0)
+        & (more == 0)
+    )
+    fits &= jnp.min(other_m, axis=1) > P.route.other_place_share * off_m
+    is_like = (fits | (off_m < P.route.at_mapped_m)) & (is_seen | is_free) & (place < guide.count)
+    fits = is_like | ((off_m < P.route.at_mapped_unseen_m) & (place < guide.count))
     off_ways = jnp.where(alike, apart, jnp.nan)
     way = jnp.where(by_leg, leads, out)
     return _NextOnes(place, expected, off_m, fits, is_like, last, off_ways, begins, is_free, missing + more, way)
@@ -211,7 +200,9 @@ def _bearings_on(guide, places, expected, centre):
     length_m = jnp.where(is_place, guide.length_m[jnp.minimum(after, n - 1)], guide.tail_m)
     off = expected + _to_odometry_axes(guide)(leg) - centre
     leg_m, bearing = jnp.hypot(*leg.T), jnp.arctan2(off[:, 1], off[:, 0]) + guide.turned
-    return leg_m, jnp.where((leg_m > STRAIGHT_LEG_M) & (length_m < STRAIGHT_LEG_RATIO * leg_m), bearing, jnp.nan)
+    return leg_m, jnp.where(
+        (leg_m > P.route.straight_leg_m) & (length_m < P.route.straight_leg_ratio * leg_m), bearing, jnp.nan
+    )
 
 
 def _strip(reach_m, places, bearings):
@@ -220,14 +211,14 @@ def _strip(reach_m, places, bearings):
     across = jnp.stack([-jnp.sin(bearings), jnp.cos(bearings)], axis=1)
     begins = places[:, None] + jnp.asarray(STRIP_OFFSETS_M)[:, None] * across[:, None]  # [A, S, 2]
     free_m = jax.vmap(jax.vmap(reach_m, (0, None)))(begins, bearings)
-    best = jnp.argmax(jnp.minimum(free_m, OPEN_STRIP_M + 0.1), axis=1)
+    best = jnp.argmax(jnp.minimum(free_m, P.route.open_strip_m + 0.1), axis=1)
     pick = jnp.arange(len(places)), best
     return begins[pick], free_m[pick]
 
 
 def is_next(guide: Guide, centre: Array) -> Array:
     """Return whether the map has the next place of the route at a point, `[2]`, odometry: bool."""
-    return (guide.at < guide.count) & (jnp.hypot(*(next_stop(guide)[0] - centre)) < AT_MAPPED_M)
+    return (guide.at < guide.count) & (jnp.hypot(*(next_stop(guide)[0] - centre)) < P.route.at_mapped_m)
 
 
 def _expected_positions(guide, places):

@@ -11,13 +11,11 @@ from jax import Array
 from jexplore import btm
 from jexplore.btm import Btm
 from jexplore.driving import links
-from jexplore.driving.guiding.guide import BACK_RAD, STRIP_M, is_next, match_place
+from jexplore.driving.guiding.guide import is_next, match_place
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Arrival, DueNode, Guide, Onward, Openings, Writer
 from jexplore.driving.settings import Tuning
 from jexplore.driving.vehicle import rotate_by, to_odometry, towards
-
-CORNER_WIDTH_RATIO = 1.3  # of a circle's diameter: with only one opening, wider than this, it lies in a corner
-IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farther from it
 
 
 class Left(NamedTuple):
@@ -66,21 +64,21 @@ def leave_place(
     (onto, bearing), (turn, correction) = usual, turned
     if writer.guide is None:
         return Left(None, map_, onto, bearing, None)
-    free_m = functools.partial(links.reach_m, points, width_m=STRIP_M)
+    free_m = functools.partial(links.reach_m, points, width_m=P.route.strip_m)
     measured = dataclasses.replace(found, bearing=found.bearing - turn)
     ahead, way = match_place(writer.guide, event.odometer_m, event.centre, measured, is_place, free_m)
     to_node = to_odometry(jnp.append(event.centre, turn))
     way = way._replace(bearing=way.bearing + turn, middle=to_node(way.middle - event.centre))
     ahead = correct_guide(ahead, event.centre, correction)
     link, out, off = links.link_toward(map_, node, way.bearing)
-    is_open = jnp.any(found.valid & (jnp.abs(btm.wrapped(found.bearing - way.bearing)) < links.SAME_EXIT_RAD))
+    is_open = jnp.any(found.valid & (jnp.abs(btm.wrapped(found.bearing - way.bearing)) < P.graph.same_exit_rad))
     there = jnp.isfinite(off)
     link, out = jnp.where(there, link, onto), jnp.where(there, out, bearing)
-    wanted = is_place & (off > links.SAME_EXIT_RAD) & (way.is_free | is_open)
+    wanted = is_place & (off > P.graph.same_exit_rad) & (way.is_free | is_open)
     map_, new = btm.add_link(map_, node, way.bearing, when=wanted)
     is_new = wanted & (new < map_.start.shape[0])
     link, out = jnp.where(is_new, new, link), jnp.where(is_new, way.bearing, out)
-    ahead = ahead.replace(steers=ahead.steers | (is_place & (off > BACK_RAD) & ~is_new))
+    ahead = ahead.replace(steers=ahead.steers | (is_place & (off > P.route.back_rad) & ~is_new))
     way = way._replace(is_free=is_new & way.is_free)
     return Left(ahead, map_, jnp.where(is_place, link, onto), jnp.where(is_place, out, bearing), way)
 
@@ -98,12 +96,12 @@ def is_rejected(writer: Writer, event: DueNode, measured: tuple[Array, Openings]
     """
     back, found = measured
     n, other = jnp.sum(found.valid), jnp.argmax(others)
-    straight = jnp.abs(btm.wrapped(found.bearing[other] - back)) > math.pi - IN_LINE_RAD
+    straight = jnp.abs(btm.wrapped(found.bearing[other] - back)) > math.pi - P.places.in_line_rad
     followed, to = links.leads_to(writer)
     in_line = (jnp.sum(others) == 1) & straight & ~(at.again & followed & (at.near == to))
     free_m = links.reach_m(points, event.centre, back, event.radius)
     in_line &= (n == 2) | ((n == 1) & (free_m > tuning.circle * event.radius))
-    wide = (found.width_m > CORNER_WIDTH_RATIO * 2 * event.radius) | is_behind(found)
+    wide = (found.width_m > P.places.corner_width_ratio * 2 * event.radius) | is_behind(found)
     corner = (n == 1) & jnp.any(found.valid & wide) & ~at.again
     passes = is_divergence & (in_line | corner)
     if writer.guide is not None:  # never where the route has the next place

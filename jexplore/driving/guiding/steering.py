@@ -1,31 +1,17 @@
 """Steering of a robot that follows a route: towards the next place, and at the end."""
 
-import math
-
 import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
 from jexplore.arrays.loops import pick
 from jexplore.driving import behaviour
-from jexplore.driving.guiding.guide import AT_MAPPED_M, NEXT_PLACES, next_stop
+from jexplore.driving.guiding.guide import NEXT_PLACES, next_stop
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Drive, Guide, Latch, RunMode, State, Track, Writer
 from jexplore.driving.sensing import surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import towards
-
-LOST_BOUND = 1.5, 5.0  # ratio and m of the way: without any next place within these the robot is lost
-END_M = 0.4, 0.2, 0.8  # m; tolerance of the end, increase per metre of excess way, and maximum
-STRAIGHT_LINK = 1.25, 1.0  # ratio and m: a link not longer than the distance of its ends by more is straight
-STEER_BOUND = 1.5, 3.0  # ratio and m of the way along which the robot steers for the next place
-SIGHT_M = 2.5  # a place that is so near, with a free way to it, is steered for anywhere
-NOT_SEEN_M = 1.5  # at one so near that has not been seen yet, the robot looks round
-MEETS_M = 0.4  # in free space it has been at one so near
-KNOWN_WAY_M = 4.0  # the robot knows of no free way farther than this
-SIGHT_SLACK_M = 0.3  # m; a way to a place may fall short by this
-HOP_M = 1.0  # m; free length required of a way to steer along
-KEEP_COURSE_WEIGHT = 0.5  # of a direction's distance from that taken before, against that from where the place lies
-TOWARDS_RAD = math.radians(110)  # no way farther off leads towards a place
 
 
 def update_progress(
@@ -40,12 +26,12 @@ def update_progress(
     place = jnp.minimum(guide.at + jnp.arange(NEXT_PLACES), guide.out.shape[0] - 1)
     end, _, length_m, is_end = next_stop(guide)
     off_m, _, sees = _sight(end, estimate, ways_m, robot)
-    within_m = jnp.clip(END_M[0] + END_M[1] * (gone_m - length_m), END_M[0], END_M[2])
+    within_m = jnp.clip(P.route.end_m[0] + P.route.end_m[1] * (gone_m - length_m), P.route.end_m[0], P.route.end_m[2])
     arrived = guide.arrived | (is_end & sees & (off_m < within_m))
     length_m = jnp.sum(jnp.where(jnp.arange(NEXT_PLACES) < left, guide.length_m[place], 0))
     length_m += jnp.where(left < NEXT_PLACES, guide.tail_m, 0)
     blocked = guide.blocked | (is_blocked & ~arrived)
-    too_far = gone_m > LOST_BOUND[0] * length_m + LOST_BOUND[1]
+    too_far = gone_m > P.route.lost_bound[0] * length_m + P.route.lost_bound[1]
     return guide.replace(arrived=arrived, lost=guide.lost | (~arrived & too_far) | blocked, blocked=blocked)
 
 
@@ -55,7 +41,11 @@ def _sight(place, estimate, ways_m, robot):
     off = place - estimate[:2]
     off_m, bearing = jnp.hypot(*off), btm.wrapped(jnp.arctan2(off[1], off[0]) - estimate[2])
     at = jnp.argmin(jnp.abs(btm.wrapped(surround.DIRECTION - bearing)))
-    return off_m, bearing, (ways_m[at] + robot.length_m / 2 > off_m - SIGHT_SLACK_M) & (off_m < KNOWN_WAY_M)
+    return (
+        off_m,
+        bearing,
+        (ways_m[at] + robot.length_m / 2 > off_m - P.route.sight_slack_m) & (off_m < P.route.known_way_m),
+    )
 
 
 def steer_along_route(
@@ -89,31 +79,31 @@ def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot
     place, leg_m, length_m, is_end = next_stop(guide)
     off_m, bearing, sees = _sight(place, estimate, ways_m, robot)
     gone_m, leaves = state.odometer_m - guide.from_m, drive.latch == Latch.LEAVE
-    is_near = sees & (off_m < SIGHT_M)
+    is_near = sees & (off_m < P.route.sight_m)
     is_free = (drive.latch == Latch.FREE) | (leaves & (guide.steers | is_near | (is_end & sees)))
     # A place where it has been before is no help, unless it is the one that it looks for.
-    is_old = jnp.any(jnp.hypot(*(places[0] - track.centre).T) < AT_MAPPED_M) & guide.strays
-    is_old &= jnp.hypot(*(track.centre - place)) > AT_MAPPED_M
+    is_old = jnp.any(jnp.hypot(*(places[0] - track.centre).T) < P.route.at_mapped_m) & guide.strays
+    is_old &= jnp.hypot(*(track.centre - place)) > P.route.at_mapped_m
     is_believed = behaviour.is_believed(track, tuning.votes) & ~(is_end & sees) & ~is_old
-    is_straight = length_m < STRAIGHT_LINK[0] * leg_m + STRAIGHT_LINK[1]
-    limit_m = STEER_BOUND[0] * jnp.where(is_straight, length_m, leg_m) + STEER_BOUND[1]
+    is_straight = length_m < P.route.straight_link[0] * leg_m + P.route.straight_link[1]
+    limit_m = P.route.steer_bound[0] * jnp.where(is_straight, length_m, leg_m) + P.route.steer_bound[1]
     may = is_free & ~is_believed & ~guide.arrived & (gone_m < limit_m)
-    has_looked = jnp.any(jnp.hypot(*(places[1] - place).T) < AT_MAPPED_M)
-    looks = may & ~is_end & sees & (off_m < NOT_SEEN_M) & ~has_looked & ~state.space.inside
-    meets = may & ~is_end & sees & (off_m < MEETS_M) & state.space.inside
-    is_open = ways_m > jnp.minimum(HOP_M, off_m)
+    has_looked = jnp.any(jnp.hypot(*(places[1] - place).T) < P.route.at_mapped_m)
+    looks = may & ~is_end & sees & (off_m < P.route.not_seen_m) & ~has_looked & ~state.space.inside
+    meets = may & ~is_end & sees & (off_m < P.route.meets_m) & state.space.inside
+    is_open = ways_m > jnp.minimum(P.route.hop_m, off_m)
     off = jnp.abs(btm.wrapped(surround.DIRECTION - bearing))
     before = jnp.where(guide.steers & leaves, btm.wrapped(drive.out - estimate[2]), 0.0)
     turns = jnp.abs(btm.wrapped(surround.DIRECTION - before))
-    cost = jnp.where(is_open & (off < TOWARDS_RAD), off + KEEP_COURSE_WEIGHT * turns, jnp.inf)
+    cost = jnp.where(is_open & (off < P.route.towards_rad), off + P.route.keep_course_weight * turns, jnp.inf)
     best = jnp.where(sees, bearing, jnp.asarray(surround.DIRECTION)[jnp.argmin(cost)]) + estimate[2]
     wants = guide.strays | (guide.at == 0) | is_end | is_near
     wants |= ((state.mode != RunMode.CENTRAL) & (state.mode != RunMode.BRANCH_SELECTION)) | guide.steers
     steers = may & ~looks & wants & (sees | jnp.any(jnp.isfinite(cost)))
     steers &= (is_end | ~has_looked) & ~meets
-    hop = estimate[:2] + jnp.minimum(off_m, HOP_M) * towards(best)
+    hop = estimate[:2] + jnp.minimum(off_m, P.route.hop_m) * towards(best)
     out = guide.out[jnp.minimum(guide.at, guide.out.shape[0] - 1)] - guide.turned
-    beyond = place + HOP_M * towards(out)
+    beyond = place + P.route.hop_m * towards(out)
     frees = guide.steers & leaves & ~steers & ~looks & ~meets
     latch = jnp.where(frees, Latch.FREE, jnp.where(steers | meets, Latch.LEAVE, drive.latch))
     latch = jnp.where(looks, Latch.APPROACH, latch)

@@ -9,13 +9,10 @@ from jax import Array
 
 from jexplore.arrays.loops import run_if
 from jexplore.btm import wrapped
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Openings
 from jexplore.driving.sensing.openings import (
-    APART_RAD,
     BEARINGS,
-    DOOR_M,
-    LEADS_ON_M,
-    MAX_POINT_M,
     find_gaps,
     find_openings,
     first_true,
@@ -23,18 +20,7 @@ from jexplore.driving.sensing.openings import (
     sort_openings,
 )
 
-WIDER_CIRCLE = 1.5  # search circles, in which doors that lie partly outside one are looked for
-SOMEWHAT_WIDER = 1.25  # radii; wide enough for both jambs, before the next door is in sight
-SAME_OPENING_M = 0.5  # from the middle of every other opening
-WIDE_PLACE_M = 2.0  # a place is wide from this radius on: doors are looked for wall by wall
-LAST_RESORT_M, LAST_RESORT_RADII = 1.2, 2.0  # m, radii; as a last resort from this radius on, this far from the middle
 JAMB_DIRECTIONS = 60  # directions in which a door's other jamb is looked for
-MOST_DOOR_M = 1.5  # such a door is no wider
-BEHIND_RAD = math.radians(12)  # what bears no farther from a door, and lies beyond it, is behind it
-THROUGH_M = 0.5  # m; a point seen through a door's gap and farther by this is behind it too
-MERGED_RAD = math.radians(60)  # an opening that leads this far off its middle's direction, and off the opposite, is two
-BESIDE_RAD = math.radians(60)  # if an opening of the wider circle bears no farther from it
-STRAIGHT_RAD = math.radians(30)  # one that leads no farther off the direction of its middle lies straight ahead
 
 
 def find_exits(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
@@ -67,29 +53,36 @@ def find_exits(xy: Array, valid: Array, centre: Array, radius_m: Array | float, 
             xy, valid, centre, radius_m, width_m, circle=circle * wider, size=size, seen_from=seen_from
         )
 
-    views = jax.vmap(seen)(jnp.array([1.0, SOMEWHAT_WIDER, WIDER_CIRCLE]))
+    views = jax.vmap(seen)(jnp.array([1.0, P.places.somewhat_wider, P.places.wider_circle]))
     found, near, more = (jax.tree.map(lambda a, i=i: a[i], views) for i in range(3))
     found = _divide_by_doors(found, near, more, circle * radius_m)
     askew = _askew(found)
     # The walls of a gap wider than half a turn face each other on the other side of the centre: one opening.
-    merged = found.valid & (askew > MERGED_RAD) & (askew < math.pi - MERGED_RAD) & (found.width_m > DOOR_M)
+    merged = (
+        found.valid
+        & (askew > P.places.merged_rad)
+        & (askew < math.pi - P.places.merged_rad)
+        & (found.width_m > P.places.door_m)
+    )
     kept, inside = found.valid & ~merged, jnp.hypot(*more.middle.T) <= circle * radius_m
-    straight = jnp.any(merged) & (_askew(more) < STRAIGHT_RAD)
-    extra = _new_openings(kept, found, more) & ((inside & (more.width_m <= DOOR_M)) | straight)
-    beside = jnp.abs(wrapped(found.bearing[:, None] - more.bearing)) < BESIDE_RAD
+    straight = jnp.any(merged) & (_askew(more) < P.places.straight_rad)
+    extra = _new_openings(kept, found, more) & ((inside & (more.width_m <= P.places.door_m)) | straight)
+    beside = jnp.abs(wrapped(found.bearing[:, None] - more.bearing)) < P.places.beside_rad
     merged &= jnp.any(extra & beside, axis=1)
     parts = (found.valid & ~merged, found), (extra, more)
     together = [jnp.concatenate(pair) for pair in zip(*((there, a.middle, a.across, a.width_m) for there, a in parts))]
 
     def with_doors(_):
         offset = xy - centre
-        place, _, here = polar_points(offset, jnp.hypot(*offset.T), valid, MAX_POINT_M)
-        reach_m = jnp.where(farther, jnp.maximum(LAST_RESORT_RADII, circle), circle) * radius_m
+        place, _, here = polar_points(offset, jnp.hypot(*offset.T), valid, P.places.max_point_m)
+        reach_m = jnp.where(farther, jnp.maximum(P.places.last_resort_radii, circle), circle) * radius_m
         doors, too_many = _wall_doors(place, here, width_m, reach_m, size)
-        return _merge_doors(together, doors, radius_m > WIDE_PLACE_M), too_many
+        return _merge_doors(together, doors, radius_m > P.places.wide_place_m), too_many
 
     none = [jnp.concatenate([a, jnp.zeros_like(a[: 2 * size])]) for a in together], jnp.int32(0)
-    together, too_many = run_if(radius_m > jnp.where(farther, LAST_RESORT_M, WIDE_PLACE_M), with_doors, none)
+    together, too_many = run_if(
+        radius_m > jnp.where(farther, P.places.last_resort_m, P.places.wide_place_m), with_doors, none
+    )
     out = sort_openings(together, found.overflow, size)
     overflow = jnp.maximum(out.overflow, jnp.maximum(jnp.maximum(near.overflow, more.overflow), too_many))
     return dataclasses.replace(out, overflow=overflow)
@@ -103,16 +96,16 @@ def _divide_by_doors(found, near, more, reach_m):
         _match_positions(found, near),
         jnp.any(_match_positions(found, near) | _match_positions(more, near), axis=0),
     )
-    door = near.valid & (near.width_m <= DOOR_M) & (near_m <= reach_m) & ~seen
+    door = near.valid & (near.width_m <= P.places.door_m) & (near_m <= reach_m) & ~seen
     # Points seen through a gap, outside the circle, may bear otherwise than the gap.
-    outside, straight = away_m > reach_m, _askew(near) < STRAIGHT_RAD
-    half = jnp.where(outside, BESIDE_RAD, jnp.arctan2(found.width_m / 2, away_m))
+    outside, straight = away_m > reach_m, _askew(near) < P.places.straight_rad
+    half = jnp.where(outside, P.places.beside_rad, jnp.arctan2(found.width_m / 2, away_m))
     within = jnp.abs(wrapped(at[:, None] - near_at)) < half[:, None]
     parted = found.valid & ~jnp.any(alike, axis=1) & jnp.any(within & door, axis=1)
     ahead = jnp.abs(wrapped(at[:, None] - near_at)) < math.pi / 2
     new = near.valid & ((within & ((near_m <= reach_m) | straight)) | (outside[:, None] & ahead & straight))
     # One before or behind another of the place is that one.
-    behind = (found.valid & ~parted)[:, None] & (jnp.abs(wrapped(at[:, None] - near_at)) < BEHIND_RAD)
+    behind = (found.valid & ~parted)[:, None] & (jnp.abs(wrapped(at[:, None] - near_at)) < P.places.behind_rad)
     new &= parted[:, None] & ~jnp.any(alike | behind, axis=0)
     parted, new = parted & jnp.any(new, axis=1), jnp.any(new, axis=0)
     found, near = dataclasses.replace(found, valid=found.valid & ~parted), dataclasses.replace(near, valid=new)
@@ -122,7 +115,7 @@ def _divide_by_doors(found, near, more, reach_m):
 def _match_positions(one, other):
     """Match openings by position: `[K, K]` bool."""
     off = jnp.hypot(*jnp.moveaxis(one.middle[:, None] - other.middle, -1, 0))
-    return one.valid[:, None] & other.valid & (off < SAME_OPENING_M)
+    return one.valid[:, None] & other.valid & (off < P.places.same_opening_m)
 
 
 def _direction(found):
@@ -138,25 +131,29 @@ def _askew(found):
 def _new_openings(there, found, more):
     """Return the openings of another view that are not among those given: `[K]` bool."""
     off = jnp.hypot(*jnp.moveaxis(more.middle[:, None] - found.middle, -1, 0))
-    alike = there & (jnp.abs(wrapped(more.across[:, None] - found.across)) < APART_RAD)
-    return more.valid & (jnp.min(jnp.where(there, off, jnp.inf), axis=1) > SAME_OPENING_M) & ~jnp.any(alike, axis=1)
+    alike = there & (jnp.abs(wrapped(more.across[:, None] - found.across)) < P.places.apart_rad)
+    return (
+        more.valid
+        & (jnp.min(jnp.where(there, off, jnp.inf), axis=1) > P.places.same_opening_m)
+        & ~jnp.any(alike, axis=1)
+    )
 
 
 def _merge_doors(found, doors, is_wide):
     """Merge openings and doors: `(valid, middle, across, width)`. A door behind another does not belong to the place,
-    nor does one seen through a narrow opening and farther by `THROUGH_M`. An opening at a door is that door; in rooms
+    nor does one seen through a narrow opening and farther by `through_m`. An opening at a door is that door; in rooms
     that are not wide, only a narrow opening is."""
     away_m, bearing = jnp.hypot(*doors[1].T), jnp.arctan2(doors[1][:, 1], doors[1][:, 0])
     off = jnp.abs(wrapped(bearing[:, None] - bearing))
     order = jnp.arange(len(bearing))
     nearer = (away_m < away_m[:, None]) | ((away_m == away_m[:, None]) & (order < order[:, None]))
-    first = doors[0] & ~jnp.any(doors[0] & nearer & (off < BEHIND_RAD), axis=1)
+    first = doors[0] & ~jnp.any(doors[0] & nearer & (off < P.places.behind_rad), axis=1)
     found_m, towards = jnp.hypot(*found[1].T), jnp.arctan2(found[1][:, 1], found[1][:, 0])
     off, gap = jnp.abs(wrapped(towards[:, None] - bearing)), jnp.arctan2(found[3] / 2, found_m)
-    narrow = found[3] <= MOST_DOOR_M
-    through = (found[0] & narrow)[:, None] & (off < gap[:, None]) & (away_m > found_m[:, None] + THROUGH_M)
+    narrow = found[3] <= P.places.most_door_m
+    through = (found[0] & narrow)[:, None] & (off < gap[:, None]) & (away_m > found_m[:, None] + P.places.through_m)
     first &= ~jnp.any(through, axis=0)
-    alone = found[0] & ~(jnp.any(first & (off < APART_RAD / 2), axis=1) & (narrow | is_wide))
+    alone = found[0] & ~(jnp.any(first & (off < P.places.apart_rad / 2), axis=1) & (narrow | is_wide))
     return [jnp.concatenate(pair) for pair in zip((alone, *found[1:]), (first, *doors[1:]))]
 
 
@@ -184,9 +181,9 @@ def _from_ends(place, here, width_m, reach_m, size):
     out = jnp.stack([along[:, 1], -along[:, 0]], axis=1) / jnp.maximum(wide, 1e-6)[:, None]
     between = jnp.arange(JAMB_DIRECTIONS) < at[:, None]
     deep_m = jnp.where(there, jnp.einsum("bjd,bd->bj", way, out), jnp.inf)
-    leads_on = jnp.any(between & (deep_m > LEADS_ON_M), axis=1)
+    leads_on = jnp.any(between & (deep_m > P.places.leads_on_m), axis=1)
     middle = place + along / 2
-    door = ends & leads_on & (wide > width_m) & (wide <= MOST_DOOR_M) & (jnp.hypot(*middle.T) <= reach_m)
+    door = ends & leads_on & (wide > width_m) & (wide <= P.places.most_door_m) & (jnp.hypot(*middle.T) <= reach_m)
     chosen = first_true(door, size)
     first = jnp.argmax(chosen, axis=1)
     doors = jnp.any(chosen, axis=1), middle[first], jnp.arctan2(out[first, 1], out[first, 0]), wide[first]

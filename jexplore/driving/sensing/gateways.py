@@ -17,21 +17,15 @@ from jax import Array
 from jexplore.arrays.loops import pick
 from jexplore.btm import wrapped
 from jexplore.driving import behaviour, mapping
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Openings, State, Surround, Track, Writer
 from jexplore.driving.sensing import openings, surround
 from jexplore.driving.settings import Tuning
 from jexplore.driving.vehicle import to_robot, towards
 
-WALL_REACH_M = 3.5  # m; length of wall considered to each side
 TILTS_RAD = np.radians(np.arange(-25, 26, 5)).astype(np.float32)  # by which its direction may be another
 OFFSETS_M = np.arange(-8, 9, dtype=np.float32) / 10  # and it may be nearer or farther
-BAND_M = 0.1  # points so near to a line vote for it
-WALL_TOLERANCE_M = 0.2  # m; tolerance before and behind the wall's line
-GATEWAY_DEPTH_M = 0.6  # m; a gateway is free this far behind the wall
-MAX_GATEWAY_M = 4.5  # and is no wider
 MIDDLE_OFFSETS_M = -0.6, -0.3, 0.0, 0.3, 0.6  # m; offsets from the expected middle at which its wall is searched
-MOUTH_M = 1.0  # before the border of a hall its gateway is narrowest within this
-ABEAM_M = 0.4  # m; a gateway is abeam if its middle is no farther ahead or behind
 
 
 def find_gateway(
@@ -51,17 +45,26 @@ def find_gateway(
     turned, wall_m = _wall(xy, valid, middle, out)
     v, u = _wall_coordinates(xy, turned)
     at = _wall_coordinates(middle[None], turned)[1][0]
-    wall = valid & (jnp.abs(v - wall_m) < WALL_TOLERANCE_M) & (jnp.abs(u - at) < WALL_REACH_M)
+    wall = valid & (jnp.abs(v - wall_m) < P.places.wall_tolerance_m) & (jnp.abs(u - at) < P.places.wall_reach_m)
 
     def gap(off_m):
         one = jnp.max(jnp.where(wall & (u < at + off_m), u, -jnp.inf))
         other = jnp.min(jnp.where(wall & (u >= at + off_m), u, jnp.inf))
         inside = valid & (v > 0) & (u > one) & (u < other)
-        leads = jnp.all(~inside | (v > wall_m + GATEWAY_DEPTH_M) | (jnp.minimum(u - one, other - u) < WALL_TOLERANCE_M))
-        beyond = valid & (v > wall_m + GATEWAY_DEPTH_M) & (u > one - WALL_TOLERANCE_M) & (u < other + WALL_TOLERANCE_M)
+        leads = jnp.all(
+            ~inside
+            | (v > wall_m + P.places.gateway_depth_m)
+            | (jnp.minimum(u - one, other - u) < P.places.wall_tolerance_m)
+        )
+        beyond = (
+            valid
+            & (v > wall_m + P.places.gateway_depth_m)
+            & (u > one - P.places.wall_tolerance_m)
+            & (u < other + P.places.wall_tolerance_m)
+        )
         leads &= jnp.any(beyond)  # else nothing is known there
         wide = other - one
-        return leads & (wide > width_m) & (wide <= MAX_GATEWAY_M), (one + other) / 2, wide
+        return leads & (wide > width_m) & (wide <= P.places.max_gateway_m), (one + other) / 2, wide
 
     there, place, wide = jax.vmap(gap)(jnp.array(MIDDLE_OFFSETS_M))
     best = jnp.argmin(jnp.where(there, jnp.abs(place - at), jnp.inf))
@@ -76,12 +79,12 @@ def _wall(xy, valid, middle, out):
     tilts = jnp.asarray(TILTS_RAD)
     v, u = jax.vmap(lambda tilt: _wall_coordinates(xy, out + tilt))(tilts)  # [T, P]
     v_m, u_m = jax.vmap(lambda tilt: _wall_coordinates(middle[None], out + tilt))(tilts)  # [T, 1]
-    near = valid & (jnp.abs(u - u_m) < WALL_REACH_M)
+    near = valid & (jnp.abs(u - u_m) < P.places.wall_reach_m)
     away_m = v_m + jnp.asarray(OFFSETS_M)  # [T, O]
-    votes = jnp.sum(near[:, None] & (jnp.abs(v[:, None] - away_m[..., None]) < BAND_M), axis=2)
+    votes = jnp.sum(near[:, None] & (jnp.abs(v[:, None] - away_m[..., None]) < P.places.band_m), axis=2)
     best = jnp.argmax(votes)
     i, wall_m = best // len(OFFSETS_M), away_m.reshape(-1)[best]
-    there = near[i] & (jnp.abs(v[i] - wall_m) < 2 * BAND_M)
+    there = near[i] & (jnp.abs(v[i] - wall_m) < 2 * P.places.band_m)
     n = jnp.maximum(jnp.sum(there), 1)
     mean_u, mean_v = (jnp.sum(jnp.where(there, a[i], 0)) / n for a in (u, v))
     du, dv = jnp.where(there, u[i] - mean_u, 0), jnp.where(there, v[i] - mean_v, 0)
@@ -128,7 +131,7 @@ def gateway_abeam(
     there, middle, out, width_m = find_gateway(xy, valid, beside, side * math.pi / 2, tuning.width_m)
     found = _place_before(placed(middle), state.estimate[2] + out, width_m, tuning)
     known = mapping.is_near_known(writer, found.centre[None], state.odometer_m, tuning.leave_m)[0]
-    there &= (jnp.abs(middle[0]) < ABEAM_M) & ~known & state.space.inside & (side != 0)
+    there &= (jnp.abs(middle[0]) < P.places.abeam_m) & ~known & state.space.inside & (side != 0)
     return pick(there, found, track)
 
 
@@ -140,13 +143,13 @@ def gateway_crossed(writer: Writer, inside: Array, border_m: Array, tuning: Tuni
     """
     way = writer.way
     pose = mapping.pose_at(way, border_m)
-    just = (way.odometer_m > border_m - MOUTH_M) & (way.odometer_m <= border_m)
+    just = (way.odometer_m > border_m - P.places.mouth_m) & (way.odometer_m <= border_m)
     width_m = jnp.min(jnp.where(just, way.width_m, jnp.inf))
     out = pose[2] + jnp.where(inside, math.pi, 0.0)
-    found = _place_before(pose[:2], out, jnp.minimum(width_m, MAX_GATEWAY_M), tuning)
+    found = _place_before(pose[:2], out, jnp.minimum(width_m, P.places.max_gateway_m), tuning)
     last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
     off_m = jnp.hypot(writer.map.x_m[last] - found.centre[0], writer.map.y_m[last] - found.centre[1])
-    none = (width_m > MAX_GATEWAY_M) | (~inside & (off_m < 2 * tuning.coast_m))
+    none = (width_m > P.places.max_gateway_m) | (~inside & (off_m < 2 * tuning.coast_m))
     return pick(none, behaviour.empty_track(), found)
 
 

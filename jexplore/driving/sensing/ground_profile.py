@@ -8,23 +8,17 @@ import numpy as np
 from flax import struct
 from jax import Array, lax
 
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import LoneStep, Trajectory
 from jexplore.driving.sensing import smoothing
 from jexplore.driving.sensing.perception import running_sum
 
 PROFILE_CELLS, PROFILE_CELL_M = 1024, 0.02  # of a profile: what lies beyond is left out
-STEP_M = 0.04  # a rise of the profile by more than this from point to point is a step
 FLANK_M = 0.10  # m; a step is the difference of mean heights this far before and behind a place, less one cell
-FACE_M = 0.04  # m; within this of a step, points may lie on its face
 RISE_M = FLANK_M + PROFILE_CELL_M  # between the middles of both flanks
-MIN_STEP_M = 0.015  # no lower step is told of
-NOISE_DEVIATIONS = 4.5  # standard deviations of a point; a lower one may be noise
 TREADS_M = np.linspace(0.20, 0.44, 13)  # periods of steps that are tried
 FLANK_POINTS = 3  # points on either side of a step, whose height is that between their medians: one may lie on its face
-TOGETHER_M = 1.2  # steps no farther apart are one, as high as those seen before the robot is on the first
-PASSED_M = 0.30  # m; distance of the robot's end beyond the riser: before, its own tipping shows in the profile
-ATTITUDE_MEAN_STEPS, ATTITUDE_MEAN_M = 5, 0.1  # steps, m; the attitude is averaged over these, no farther away
-TIP_SHARE = 0.5  # share of the angle at which a robot stands with one end on the riser that counts as tipping
+ATTITUDE_MEAN_STEPS = 5  # steps, m; the attitude is averaged over these, no farther away
 
 _ANGLE = 2 * math.pi * PROFILE_CELL_M * np.arange(PROFILE_CELLS) / TREADS_M[:, None]
 _TREAD_WAVES = np.concatenate([np.cos(_ANGLE), np.sin(_ANGLE)]).astype(np.float32)
@@ -114,7 +108,9 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
         slope=jnp.where(enough, slope, 0),
         step_m=jnp.where(enough, _median(rises, steps), 0),
         riser_m=jnp.where(enough, _riser(steps, rises, *heights), 0),
-        highest_m=jnp.where(enough & (highest > MIN_STEP_M) & (highest > NOISE_DEVIATIONS * noise), highest, 0),
+        highest_m=jnp.where(
+            enough & (highest > P.ground.min_step_m) & (highest > P.ground.noise_deviations * noise), highest, 0
+        ),
         count=n.astype(jnp.int32),
     )
 
@@ -191,7 +187,7 @@ def _riser(step, rise, count, total):
     # What lies between steps too far apart for a tread belongs to either of them.
     tread = 2 * number + ((next_ - last > long) & (next_ - cell < cell - last))
     off = jnp.minimum(cell - last, next_ - cell)
-    near = (off > round(FACE_M / PROFILE_CELL_M)) & (off <= short)
+    near = (off > round(P.ground.face_m / PROFILE_CELL_M)) & (off <= short)
     at = jnp.where(near, tread, 2 * n + 1)
     points, sums = (jnp.zeros(2 * n + 2, jnp.float32).at[at].add(a) for a in (count, total))
     mean = sums / jnp.maximum(points, 1)
@@ -215,13 +211,13 @@ def update_step(step: LoneStep, x_m: Array, z_m: Array) -> LoneStep:
     # Behind a descending edge the ground is hidden: flanks are numbers of points, at any distance.
     after = jnp.argsort(there)[-FLANK_POINTS:]
     begins = jnp.min(jnp.where(there[after], x_m[after], -jnp.inf))
-    earlier = there & (x_m < begins - FACE_M)
+    earlier = there & (x_m < begins - P.ground.face_m)
     before = jnp.argsort(earlier)[-FLANK_POINTS:]
     rise = jnp.abs(jnp.sort(z_m[after])[FLANK_POINTS // 2] - jnp.sort(z_m[before])[FLANK_POINTS // 2])
     place = (begins + x_m[before[-1]]) / 2
     noise = smoothing.deviation(smoothing.second_differences(z_m, there))
-    is_one = earlier[before[0]] & (rise > jnp.maximum(STEP_M, NOISE_DEVIATIONS * noise))
-    joins = jnp.isfinite(step.from_m) & (place - step.to_m < TOGETHER_M)
+    is_one = earlier[before[0]] & (rise > jnp.maximum(P.ground.step_m, P.ground.noise_deviations * noise))
+    joins = jnp.isfinite(step.from_m) & (place - step.to_m < P.ground.together_m)
     return LoneStep(
         from_m=jnp.where(is_one & ~joins, place, step.from_m),
         to_m=jnp.where(is_one, place, step.to_m),
@@ -231,7 +227,7 @@ def update_step(step: LoneStep, x_m: Array, z_m: Array) -> LoneStep:
 
 def has_passed(step: LoneStep, odometer_m: Array, length_m: Array | float) -> Array:
     """Return whether a robot of a length, metres, has passed the riser: bool."""
-    return odometer_m - step.to_m > length_m / 2 + PASSED_M
+    return odometer_m - step.to_m > length_m / 2 + P.ground.passed_m
 
 
 def has_tipped(step: LoneStep, way: Trajectory, length_m: Array | float) -> Array:
@@ -243,8 +239,8 @@ def has_tipped(step: LoneStep, way: Trajectory, length_m: Array | float) -> Arra
     # Of both angles, whose noise goes either way: that of the inclination never goes below 0.
     leant = jnp.hypot(
         *(
-            smoothing.mean_near(a, way.odometer_m, way.odometer_m, ATTITUDE_MEAN_STEPS, ATTITUDE_MEAN_M)
+            smoothing.mean_near(a, way.odometer_m, way.odometer_m, ATTITUDE_MEAN_STEPS, P.ground.attitude_mean_m)
             for a in (way.pitch, way.roll)
         )
     )
-    return jnp.max(jnp.where(near, leant, 0)) > TIP_SHARE * jnp.arctan(step.height_m / length_m)
+    return jnp.max(jnp.where(near, leant, 0)) > P.ground.tip_share * jnp.arctan(step.height_m / length_m)

@@ -9,24 +9,11 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.arrays.loops import pick, run_if
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import KeyScan
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, to_odometry, to_robot
 
-EVERY_M, EVERY_RAD = 0.2, 0.25  # m, rad; scans are matched after this way or turn
-KEY_M, KEY_RAD = 1.0, 0.6  # m, rad; the reference scan is replaced after this way or turn
 LINE_BEAMS = 5  # beams on either side through whose points a line is laid
-REACH_M = 0.3  # as far as they are this near
-LINE_FLATNESS = 0.04  # a line is even across which its points vary by no more than this share of along it
-MATCH_ROUNDS = 6
-GATE_M = 0.3, 0.1  # a point farther from its line than this counts not, in the first round and from the third on
-RANGE_SD_M = 0.03  # of a point from its line
-ENCODER_SHARE = 0.1  # standard deviation of the encoders, as a share of way and turn
-ENCODER_M, ENCODER_RAD = 0.01, math.radians(0.5)  # these
-MIN_POINTS = 30  # points that must lie on lines
-MAX_DEVIATIONS = 4  # standard deviations; a match that is farther off is discarded
-PLANE_RAD = math.radians(6)  # scans are of one plane if the robot leans no more otherwise
-TILT_RAD = math.radians(12)  # one of a robot that leans more is bent
-KEY_SHARE = 0.6  # of the points; with fewer the next scan is matched with this one
 
 
 def _fit_lines(ranges_m):
@@ -41,7 +28,7 @@ def _fit_lines(ranges_m):
     def added(k, moments):
         there, other_x, other_y = (lax.dynamic_slice(a, (k,), (n,)) for a in (known, *wide))
         dx, dy = other_x - x, other_y - y
-        weight = (there & valid & (dx * dx + dy * dy < REACH_M**2)).astype(jnp.float32)
+        weight = (there & valid & (dx * dx + dy * dy < P.sensing.reach_m**2)).astype(jnp.float32)
         terms = weight, weight * dx, weight * dy, weight * dx * dx, weight * dx * dy, weight * dy * dy
         return [total + term for total, term in zip(moments, terms)]
 
@@ -51,7 +38,7 @@ def _fit_lines(ranges_m):
     cxx, cxy, cyy = sxx * per - mx * mx, sxy * per - mx * my, syy * per - my * my
     half, root = (cxx + cyy) / 2, jnp.hypot((cxx - cyy) / 2, cxy)
     along = 0.5 * jnp.arctan2(2 * cxy, cxx - cyy)
-    there = valid & (count >= LINE_BEAMS) & (half - root < LINE_FLATNESS * (half + root))
+    there = valid & (count >= LINE_BEAMS) & (half - root < P.sensing.line_flatness * (half + root))
     return (x + mx, y + my), (-jnp.sin(along), jnp.cos(along)), there
 
 
@@ -77,7 +64,11 @@ def match_scans(before_m: Array, ranges_m: Array, moved: Array, since: Array) ->
     x, y = r * jnp.cos(ANGLES_RAD), r * jnp.sin(ANGLES_RAD)
     way, turn = jnp.hypot(since[0], since[1]), jnp.abs(since[2])
     sd = jnp.stack(
-        [ENCODER_M + ENCODER_SHARE * way, ENCODER_M + ENCODER_SHARE * way, ENCODER_RAD + ENCODER_SHARE * turn]
+        [
+            P.sensing.encoder_m + P.sensing.encoder_share * way,
+            P.sensing.encoder_m + P.sensing.encoder_share * way,
+            P.sensing.encoder_rad + P.sensing.encoder_share * turn,
+        ]
     )
     prior = 1 / sd**2
 
@@ -89,18 +80,18 @@ def match_scans(before_m: Array, ranges_m: Array, moved: Array, since: Array) ->
         at = jnp.clip(beam, 0, BEAMS - 1)
         nx, ny = normal_x[at], normal_y[at]
         off = nx * (px - mean_x[at]) + ny * (py - mean_y[at])
-        counts = valid & there[at] & (beam == at) & (jnp.abs(off) < jnp.where(i < 2, *GATE_M))
-        weight = jnp.where(counts, 1 / RANGE_SD_M**2, 0)
+        counts = valid & there[at] & (beam == at) & (jnp.abs(off) < jnp.where(i < 2, *P.sensing.gate_m))
+        weight = jnp.where(counts, 1 / P.sensing.range_sd_m**2, 0)
         by_turn = nx * (-sin * x - cos * y) + ny * (cos * x - sin * y)
         rows = jnp.stack([nx, ny, by_turn])
         matrix = (rows * weight) @ rows.T + jnp.diag(prior)
         vector = -(rows * weight) @ off + prior * (moved - found)
         step = _solved(matrix, vector)
         n = jnp.sum(counts)
-        return jnp.where(n >= MIN_POINTS, found + step, found), n
+        return jnp.where(n >= P.sensing.min_points, found + step, found), n
 
-    found, n = lax.fori_loop(0, MATCH_ROUNDS, nearer, (moved, jnp.int32(0)))
-    sure = (n >= MIN_POINTS) & jnp.all(jnp.abs(found - moved) < MAX_DEVIATIONS * sd)
+    found, n = lax.fori_loop(0, P.sensing.match_rounds, nearer, (moved, jnp.int32(0)))
+    sure = (n >= P.sensing.min_points) & jnp.all(jnp.abs(found - moved) < P.sensing.max_deviations * sd)
     return jnp.where(sure, found, moved), jnp.where(sure, n / jnp.maximum(jnp.sum(valid), 1), 0.0)
 
 
@@ -142,18 +133,22 @@ def correct_odometry(
       `(key, odometry, estimate)`: both poses are moved alike.
     """
     since = relative_pose(key.last, odometry)
-    is_due = (jnp.hypot(since[0], since[1]) >= EVERY_M) | (jnp.abs(since[2]) >= EVERY_RAD)
+    is_due = (jnp.hypot(since[0], since[1]) >= P.sensing.every_m) | (jnp.abs(since[2]) >= P.sensing.every_rad)
 
     def right(carry):
         key, odometry, estimate = carry
         moved = relative_pose(key.pose, odometry)
         found, share = match_scans(key.ranges_m, ranges_m, moved, since)
-        in_plane = (jnp.hypot(*(lean - key.lean)) < PLANE_RAD) & (jnp.hypot(*lean) < TILT_RAD)
+        in_plane = (jnp.hypot(*(lean - key.lean)) < P.sensing.plane_rad) & (jnp.hypot(*lean) < P.sensing.tilt_rad)
         found, share = jnp.where(in_plane, found, moved), jnp.where(in_plane, share, 0.0)
         after = jnp.concatenate([to_odometry(key.pose)(found[:2]), key.pose[2:] + found[2:]])
         step, turn = to_robot(odometry)(after[:2]), after[2] - odometry[2]
         estimate = jnp.concatenate([to_odometry(estimate)(step), estimate[2:] + turn])
-        is_far = (jnp.hypot(found[0], found[1]) >= KEY_M) | (jnp.abs(found[2]) >= KEY_RAD) | (share < KEY_SHARE)
+        is_far = (
+            (jnp.hypot(found[0], found[1]) >= P.sensing.key_m)
+            | (jnp.abs(found[2]) >= P.sensing.key_rad)
+            | (share < P.sensing.key_share)
+        )
         fresh = KeyScan(ranges_m, lean, after, after)
         old = key.replace(last=after)
         return pick(is_far, fresh, old), after, estimate

@@ -1,12 +1,11 @@
 """Classification of obstacles: slope or stairs, inclination, height of steps."""
 
-import math
-
 import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
 from jexplore.btm import Btm
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import DueNode, Writer
 from jexplore.driving.sensing import ground_profile
 from jexplore.driving.sensing.ground_profile import Profile
@@ -14,10 +13,6 @@ from jexplore.driving.settings import Robot, Tuning
 
 # Shares that a point has of the variance besides, and of that of noise: of noise alone, such as 5 cm of range noise
 # leave on a slope, the best wave has more once in 200.
-NOISE_SHARES = 10.0, 8.0
-SURE_WAVE_RATIO = 5  # thresholds; a larger wave is stairs however large the rest
-ALONG_RAD = math.radians(45)  # ground counts that a robot sees which heads no farther off than when it is there
-PROFILE_MARGIN_M = 0.1  # m; margin of an obstacle's profile from the nodes at its ends
 
 
 def is_stairs(found: Profile, tuning: Tuning) -> Array:
@@ -27,8 +22,8 @@ def is_stairs(found: Profile, tuning: Tuning) -> Array:
     """
     rest = found.variance_m2 - found.tread_wave_m2
     noise = jnp.minimum(found.noise_m**2, rest)  # of points far apart neighbours differ by risers
-    share = (NOISE_SHARES[0] * rest + NOISE_SHARES[1] * noise) / jnp.maximum(found.count, 1)
-    doubt = jnp.minimum(share, SURE_WAVE_RATIO * tuning.tread_wave_m2)
+    share = (P.ground.noise_shares[0] * rest + P.ground.noise_shares[1] * noise) / jnp.maximum(found.count, 1)
+    doubt = jnp.minimum(share, P.ground.sure_wave_ratio * tuning.tread_wave_m2)
     return found.tread_wave_m2 > jnp.maximum(tuning.tread_wave_m2, doubt)
 
 
@@ -36,11 +31,11 @@ def _gone_over(writer, event):
     """Return the `Profile` of the ground between the last node and the one that is due. Points that the robot has seen
     while it was turned away from its way are left out."""
     way = writer.way
-    within = (way.ground_x_m > writer.node_m + PROFILE_MARGIN_M) & (
-        way.ground_x_m < event.odometer_m - PROFILE_MARGIN_M
+    within = (way.ground_x_m > writer.node_m + P.ground.profile_margin_m) & (
+        way.ground_x_m < event.odometer_m - P.ground.profile_margin_m
     )
     there = jnp.minimum(jnp.searchsorted(way.odometer_m, way.ground_x_m), len(way.odometer_m) - 1)
-    within &= jnp.abs(btm.wrapped(way.pose[:, 2] - way.pose[there, 2])) < ALONG_RAD
+    within &= jnp.abs(btm.wrapped(way.pose[:, 2] - way.pose[there, 2])) < P.ground.along_rad
     return ground_profile.profile(way.ground_x_m, way.ground_z_m, within & jnp.isfinite(way.ground_x_m))
 
 

@@ -6,27 +6,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from jexplore.btm import wrapped
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Openings
 from jexplore.driving.sensing.perception import running_sum
 
 BEARINGS = 240  # directions round a place in which its nearest point is looked for
-NEAR_WALL_RADII = 1.15  # radii within which a wall divides two openings
-GRAZE_RAD = math.radians(4)  # a narrower gap, with beams a degree apart, is a wall seen at a grazing angle
-DOOR_M = 1.25  # a gap is a door up to this width, or the next
-NARROW, LEADS_ON_M = 0.6, 0.6  # radii, m; a gap so narrow that is free this far is a door, however far its walls
 WALL = 40  # directions on either side of a gap in which its walls are looked at
-MAX_POINT_M = 10.0  # no point lies farther away
-CORNER_DEPTH = 0.65  # of the width of a gap: walls that meet so close beyond it are a corner
-POCKET = 1.2  # of the width of a gap: walls so close beyond it are those of a pocket
-DEEP = 0.75  # share of the directions beyond a gap in which they are
-SEEN = 0.7  # and in which there must be walls
-DOOR = 3  # directions that a door takes at least
-BEYOND_POCKET_M = 0.25  # m; points farther behind its wall are seen through a door in it
-BOTH_ENDS = 0.75  # share of the directions of a wall that its ends are
-AHEAD_RADII = 0.6  # radii from the centre from which on they are
-ALIKE_M = 0.02  # m; longer connections of the walls on both sides of a gap weigh less by this scale
-PASSAGE_RAD = math.radians(30)  # a link bears as its passage does if that differs no more from where it is seen
-APART_RAD = math.radians(40)  # and no other opening bears so nearly alike
 
 
 def _next(here):
@@ -63,7 +48,7 @@ def _grazes(point, after, here, centre, seen_from):
     one, other = (place + centre - seen_from for place in (point, after))
     apart = jnp.arctan2(one[:, 1], one[:, 0]) - jnp.arctan2(other[:, 1], other[:, 0])
     span = (_next(here) - jnp.arange(BEARINGS)) % BEARINGS  # 0: the gap is all there is
-    return (jnp.abs(wrapped(apart)) < GRAZE_RAD) & (span > 0) & (span < BEARINGS // 2)
+    return (jnp.abs(wrapped(apart)) < P.places.graze_rad) & (span > 0) & (span < BEARINGS // 2)
 
 
 def polar_points(offset: Array, distance: Array, inside: Array, most_m: Array | float) -> tuple[Array, Array, Array]:
@@ -97,7 +82,7 @@ def _leads_out(distance, here, whole):
     later = (order - order[:, None]) % BEARINGS
     between = (later > 0) & (later < ((following - order) % BEARINGS)[:, None])
     ends_m = jnp.maximum(distance, distance[following])
-    return jnp.any(between & (reach_m > ends_m[:, None] + LEADS_ON_M), axis=1)
+    return jnp.any(between & (reach_m > ends_m[:, None] + P.places.leads_on_m), axis=1)
 
 
 def _pockets(point, whole, first, last, valid, width_m):
@@ -114,24 +99,24 @@ def _pockets(point, whole, first, last, valid, width_m):
     known = between & here
     ordered = jnp.sort(jnp.where(known, depth, jnp.inf), axis=1)
     n = jnp.sum(known, axis=1)
-    seen = n > SEEN * jnp.sum(between, axis=1)
-    deep = ordered[jnp.arange(len(first)), jnp.minimum((DEEP * n).astype(jnp.int32), BEARINGS - 1)]
-    pocket = valid & seen & (deep < POCKET * chord)
+    seen = n > P.places.seen * jnp.sum(between, axis=1)
+    deep = ordered[jnp.arange(len(first)), jnp.minimum((P.places.deep * n).astype(jnp.int32), BEARINGS - 1)]
+    pocket = valid & seen & (deep < P.places.pocket * chord)
     # A piece of wall all of which lies beyond is seen through a door.
     ends = find_gaps(place, place, here, width_m)[2]
     piece = (running_sum(ends.astype(jnp.float32)) - ends) % jnp.maximum(jnp.sum(ends), 1)
     least = jnp.min(jnp.where((piece[:, None] == piece) & known[:, None, :], depth[:, None, :], jnp.inf), axis=2)
-    beyond = known & (least > deep[:, None] + BEYOND_POCKET_M) & pocket[:, None]
+    beyond = known & (least > deep[:, None] + P.places.beyond_pocket_m) & pocket[:, None]
     ring = here & ~jnp.any(beyond, axis=0)
     open_, after = find_gaps(place, far, ring, width_m)[2], _next(ring)
     # Where a wall is seen from the side its points lie far apart, in directions next to each other: no door.
-    open_ &= (after - jnp.arange(BEARINGS)) % BEARINGS >= DOOR
+    open_ &= (after - jnp.arange(BEARINGS)) % BEARINGS >= P.places.door
     # Nor where a passage is not known farther: its ends lie beyond the points taken for its wall.
-    flat = depth <= deep[:, None] + BEYOND_POCKET_M
+    flat = depth <= deep[:, None] + P.places.beyond_pocket_m
     inside = between & pocket[:, None] & flat & flat[:, after]
     door = open_ & jnp.any(inside, axis=0)
     has_door = jnp.any(inside & open_, axis=1)
-    return valid & ~(pocket & (has_door | (deep < CORNER_DEPTH * chord))), door, after
+    return valid & ~(pocket & (has_door | (deep < P.places.corner_depth * chord))), door, after
 
 
 def find_openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
@@ -141,7 +126,7 @@ def find_openings(xy: Array, valid: Array, centre: Array, radius_m: Array | floa
     Args:
       circle: radius of the search circle [k], in `radius_m`; points beyond it are left out.
       size: K, most openings. Static.
-      seen_from: `[2]` float32, position of the robot: a gap narrower than `GRAZE_RAD` from there is a wall seen at a
+      seen_from: `[2]` float32, position of the robot: a gap narrower than `graze_rad` from there is a wall seen at a
         grazing angle. None keeps all.
 
     Returns:
@@ -150,7 +135,7 @@ def find_openings(xy: Array, valid: Array, centre: Array, radius_m: Array | floa
     Source:
       Mano et al., section III.B and Fig. 2(f). Changed: points in polar order about the centre; the paper takes those
       of one scan, in polar order about the robot, which does not see behind it. A wall no nearer to the centre than
-      `NEAR_WALL_RADII` radii (or as many distances of the nearest wall, if larger) does not divide an opening, unless
+      `near_wall_radii` radii (or as many distances of the nearest wall, if larger) does not divide an opening, unless
       that leaves a gap as narrow as a door which leads on. Where a gap leads into a pocket whose walls are all in
       sight, the doors in these count instead; a corner does not, unless there is no other exit.
     """
@@ -158,16 +143,20 @@ def find_openings(xy: Array, valid: Array, centre: Array, radius_m: Array | floa
     search_m = circle * radius_m
     distance = jnp.hypot(*offset.T)
     point, last, here = polar_points(offset, distance, valid & (distance <= search_m), search_m)
-    whole = polar_points(offset, distance, valid, MAX_POINT_M)
+    whole = polar_points(offset, distance, valid, P.places.max_point_m)
     # A wall is what lies between two gaps.
     after, gap_m, gap_here = find_gaps(point, last, here, width_m)
     gap_here &= ~_grazes(point, after, here, centre, seen_from)
     wall = (running_sum(gap_here.astype(jnp.float32)) - gap_here) % jnp.maximum(jnp.sum(gap_here), 1)
     distance = jnp.where(here, jnp.hypot(*point.T), jnp.inf)
     nearest_m = jnp.min(jnp.where(wall[:, None] == wall, distance[:, None], jnp.inf), axis=0)
-    door = gap_here & (gap_m < jnp.maximum(NARROW * radius_m, DOOR_M)) & _leads_out(distance, here, whole)
+    door = (
+        gap_here
+        & (gap_m < jnp.maximum(P.places.narrow * radius_m, P.places.door_m))
+        & _leads_out(distance, here, whole)
+    )
     beside = jnp.any(door & ((wall[:, None] == wall) | (wall[:, None] == wall[_next(here)])), axis=1)
-    here &= (nearest_m <= NEAR_WALL_RADII * jnp.maximum(radius_m, jnp.min(distance))) | beside
+    here &= (nearest_m <= P.places.near_wall_radii * jnp.maximum(radius_m, jnp.min(distance))) | beside
     after, width, gap_here = find_gaps(point, last, here, width_m)
     gap_here &= ~_grazes(point, after, here, centre, seen_from)
     only = jnp.sum(here) == 1
@@ -210,10 +199,10 @@ def sort_openings(together, more, size):
     # The direction of its passage, if from the centre it looks much like that and no other opening does.
     towards = jnp.arctan2(middle[:, 1], middle[:, 0])
     off = jnp.abs(wrapped(across[:, None] - across))
-    alone = jnp.sum(valid & (off < APART_RAD), axis=1) == 1
+    alone = jnp.sum(valid & (off < P.places.apart_rad), axis=1) == 1
     away = jnp.abs(wrapped(across - towards))
     # Of a gap wider than half a turn the narrowest place lies on the other side of the centre.
-    bearing = jnp.where((alone & (away < PASSAGE_RAD)) | (away > math.pi / 2), across, towards)
+    bearing = jnp.where((alone & (away < P.places.passage_rad)) | (away > math.pi / 2), across, towards)
     order = jnp.argsort(jnp.where(valid, towards, jnp.inf))[:size]
     more += jnp.maximum(jnp.sum(valid, dtype=jnp.int32) - size, 0)
     there = valid[order]
@@ -244,15 +233,15 @@ def _narrowest(point, here, gap_here, first, last, radius_m):
     along = ends[1] - ends[0]
     outward = jnp.stack([along[:, 1], -along[:, 0]], axis=1) / jnp.maximum(jnp.hypot(*along.T), 1e-6)[:, None]
     out = jnp.einsum("kid,kd->ki", left, outward)[:, :, None] + jnp.einsum("kjd,kd->kj", right, outward)[:, None, :]
-    beside = out / 2 >= AHEAD_RADII * radius_m
+    beside = out / 2 >= P.places.ahead_radii * radius_m
     # With one wall only, both its ends are meant, not two places in its middle.
     steps = jnp.arange(WALL)[:, None] + jnp.arange(WALL)
-    apart = steps < BOTH_ENDS * ((first - last) % BEARINGS)[:, None, None]
+    apart = steps < P.places.both_ends * ((first - last) % BEARINGS)[:, None, None]
     meant = is_before[:, :, None] & is_after[:, None, :] & beside & apart
     length = jnp.where(meant, length, jnp.inf)
     least = jnp.min(length, axis=(1, 2), keepdims=True)
     chord = (ends[0] + ends[1]) / 2, jnp.arctan2(outward[:, 1], outward[:, 0]), jnp.hypot(*along.T)
-    weight = jnp.where(length < least + 6 * ALIKE_M, jnp.exp(-(length - least) / ALIKE_M), 0)
+    weight = jnp.where(length < least + 6 * P.places.alike_m, jnp.exp(-(length - least) / P.places.alike_m), 0)
     total = jnp.maximum(jnp.sum(weight, axis=(1, 2)), 1e-9)
     ends = [
         jnp.einsum("kij,kid->kd", weight, left) / total[:, None],

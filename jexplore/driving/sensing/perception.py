@@ -9,20 +9,13 @@ from jax.typing import ArrayLike
 
 from jexplore.arrays.delaunay import circumcircles, delaunay
 from jexplore.arrays.loops import stored
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Divergence
 
 SMOOTHED_BEAMS = 6  # beams on either side that a point is smoothed with
 BRIDGED_BEAMS = 3  # beams without a reading that are bridged
-BRIDGE_SHARE = 0.1  # where the readings on both sides differ by less than this share
 CLEARANCE_BEAMS = 3  # beams on either side that the width of a passage is the mean of
-CLEARANCE_STEP_M = 0.15  # where they are nearer than this
-FRONT_GUARD_M = 0.1  # a wall this near to the robot's sides is in its way
-SPACING_WIDTHS = 0.49  # least openings between points along a wall: both neighbours of one lie nearer than an opening
-ROOMY_SHARE = 0.9  # of the radius of the circle that free space has room for
 ROOMY_BACK_RADII = 0.0, 0.2, 0.4, 0.6  # radii by which that may begin nearer
-RECESS_WIDTHS = 0.25  # least openings; points no farther beyond the chord of two corners of a triangle are one wall
-WALL_FILL_SHARE = 0.6  # if its points fill this share of the way between them
-WALL_JUMP = 1 / SPACING_WIDTHS  # spacings between the points of neighbouring beams beyond which a wall ends
 
 
 def beam_points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
@@ -45,7 +38,7 @@ def beam_points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
     bridged = (
         jnp.isnan(ranges_m)
         & (missed <= BRIDGED_BEAMS)
-        & (jnp.abs(after - before) < BRIDGE_SHARE * jnp.minimum(after, before))
+        & (jnp.abs(after - before) < P.places.bridge_share * jnp.minimum(after, before))
     )
     ranges_m = jnp.where(bridged, (before + after) / 2, ranges_m)
     valid = jnp.isfinite(ranges_m)
@@ -105,7 +98,7 @@ def is_roomy(
     aside = jnp.where(at_left, 1, -1) * (open_m - wall)
     ahead = from_m + open_m * (1 - jnp.asarray(ROOMY_BACK_RADII))  # [K]
     off2 = (xy[:, 0] - ahead[:, None]) ** 2 + (xy[:, 1] - aside) ** 2
-    return jnp.any(~jnp.any(valid & (off2 < (ROOMY_SHARE * open_m) ** 2), axis=1))
+    return jnp.any(~jnp.any(valid & (off2 < (P.places.roomy_share * open_m) ** 2), axis=1))
 
 
 def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Array]:
@@ -122,7 +115,7 @@ def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Arr
 
     def added(k, sums):
         other = lax.dynamic_slice(padded, (k,), (n,))
-        near = (jnp.abs(other - y) < CLEARANCE_STEP_M) & (other * y > 0)
+        near = (jnp.abs(other - y) < P.places.clearance_step_m) & (other * y > 0)
         return sums[0] + jnp.where(near, other, 0), sums[1] + near
 
     total, count = lax.fori_loop(0, 2 * CLEARANCE_BEAMS + 1, added, (jnp.zeros(n), jnp.zeros(n)))
@@ -134,7 +127,7 @@ def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Arr
 
 def front(xy: Array, valid: Array, width_m: Array | float) -> tuple[Array, Array]:
     """Return distances of the nearest points ahead of the left and right halves: float32, metres; inf for none."""
-    ahead = valid & (jnp.abs(xy[:, 1]) <= width_m / 2 + FRONT_GUARD_M / 2) & (xy[:, 0] > 0)
+    ahead = valid & (jnp.abs(xy[:, 1]) <= width_m / 2 + P.places.front_guard_m / 2) & (xy[:, 0] > 0)
     left = jnp.min(jnp.where(ahead & (xy[:, 1] >= 0), xy[:, 0], jnp.inf))
     right = jnp.min(jnp.where(ahead & (xy[:, 1] <= 0), xy[:, 0], jnp.inf))
     return left, right
@@ -163,8 +156,8 @@ def resample_walls(
     """
     inside = valid & (xy[:, 0] > near_m) & (xy[:, 0] < far_m) & (jnp.abs(xy[:, 1]) < aside_m)
     step = jnp.hypot(*jnp.diff(xy, axis=0).T)
-    # A wall goes on from beam to beam; it does not where a beam is missing or the distance jumps.
-    jump = ~(inside[1:] & inside[:-1]) | (step > WALL_JUMP * spacing_m)
+    # A wall goes on from beam to beam; it does not where a beam is missing or points lie two spacings apart.
+    jump = ~(inside[1:] & inside[:-1]) | (step > 1 / P.places.spacing_widths * spacing_m)
     edge = jnp.ones(1, bool)
     ends = inside & (jnp.concatenate([edge, jump]) | jnp.concatenate([jump, edge]))
     along = running_sum(jnp.concatenate([jnp.zeros(1), jnp.where(jump, 0, step)]))
@@ -227,7 +220,7 @@ def find_divergences(
     valid &= jnp.sum(xy**2, axis=1) < far_m**2
     xy = smooth_points(xy, valid, width_m / 4)
     chosen, there, spacing, overflow = resample_walls(
-        xy, valid, -far_m, far_m, open_m, SPACING_WIDTHS * width_m, size=size
+        xy, valid, -far_m, far_m, open_m, P.places.spacing_widths * width_m, size=size
     )
     triangles = delaunay(chosen, there)
     centre, radius, side2 = circumcircles(chosen, triangles.corner)
@@ -235,10 +228,10 @@ def find_divergences(
     product = jnp.sqrt(side2[:, 0] * side2[:, 1] * side2[:, 2] / jnp.maximum(longest, 1e-12))  # of the shorter sides
     cosine = (jnp.sum(side2, axis=1) - 2 * longest) / jnp.maximum(2 * product, 1e-12)  # of the largest angle
     # Two points with one between them on a wall make no side: noise may push that one out of the circle.
-    side = jnp.maximum(width_m, spacing / SPACING_WIDTHS)
+    side = jnp.maximum(width_m, spacing / P.places.spacing_widths)
     keep = triangles.valid & (jnp.min(side2, axis=1) > side**2) & (radius < open_m)
     keep &= cosine >= -jnp.sin(jnp.radians(obtuse_tol_deg))
-    keep &= ~_on_one_wall(chosen, there, centre, triangles.corner, spacing, RECESS_WIDTHS * width_m)
+    keep &= ~_on_one_wall(chosen, there, centre, triangles.corner, spacing, P.places.recess_widths * width_m)
     corners = chosen[jnp.minimum(triangles.corner, size - 1)]
     return Divergence(corners=corners, centre=centre, radius=radius, valid=keep, overflow=overflow + triangles.overflow)
 
@@ -271,7 +264,7 @@ def _on_one_wall(xy, valid, centre, corner, spacing_m, recess_m):
         between = is_other & (_turned_left(from_x, from_y, x, y) < _turned_left(from_x, from_y, to_x, to_y))
         # Points between, and whether one of them lies beyond, in one sum.
         total = jnp.sum(jnp.where(between, jnp.where(is_beyond, n + 1, 1), 0), axis=0)
-        one_wall |= (total <= n) & ((total + 1) * spacing_m > WALL_FILL_SHARE * chord_m)
+        one_wall |= (total <= n) & ((total + 1) * spacing_m > P.places.wall_fill_share * chord_m)
     return one_wall
 
 

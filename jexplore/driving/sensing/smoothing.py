@@ -9,13 +9,10 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.arrays.loops import run_if
+from jexplore.driving.params.tree import P
 
 _JUMP_OF_ONE = 0.6745 * math.sqrt(6)  # median of second differences of noise whose standard deviation is 1
-STEADY_DEG = 0.33  # standard deviation of a mean attitude
-MAX_MEAN_STEPS = 16  # readings of which it is the mean
-STEADY_M = 0.015  # standard deviation of a mean range
 MAX_BEAM_PAIRS = 6  # beams on either side of which it is the mean
-AGREE_DEVIATIONS = 3.7  # standard deviations within which two beams and the one between them agree
 
 
 def deviation(jumps: Array) -> Array:
@@ -66,10 +63,10 @@ def mean_weights(angle: Array, age: Array) -> Array:
     Returns:
       `[S]` float32, whose sum is 1.
     """
-    steady, jumps = math.radians(STEADY_DEG), second_differences(angle, age >= 0)
+    steady, jumps = math.radians(1) * P.sensing.steady_deg, second_differences(angle, age >= 0)
 
     def several(_):
-        n = jnp.clip(jnp.round((deviation(jumps) / steady) ** 2), 1, MAX_MEAN_STEPS)
+        n = jnp.clip(jnp.round((deviation(jumps) / steady) ** 2), 1, P.sensing.max_mean_steps)
         counts = (age >= 0) & (age < n)
         return counts / jnp.sum(counts)
 
@@ -94,8 +91,8 @@ def smooth_ranges(ranges_m: Array) -> Array:
 
     def mean(_):
         sd = deviation(jumps)
-        pairs = jnp.clip(jnp.round(((sd / STEADY_M) ** 2 - 1) / 2), 0, MAX_BEAM_PAIRS)
-        limit = AGREE_DEVIATIONS * sd / jnp.where(returns, ranges_m, 1) ** 2
+        pairs = jnp.clip(jnp.round(((sd / P.sensing.steady_m) ** 2 - 1) / 2), 0, MAX_BEAM_PAIRS)
+        limit = P.sensing.agree_deviations * sd / jnp.where(returns, ranges_m, 1) ** 2
         wide = jnp.pad(near, MAX_BEAM_PAIRS, constant_values=jnp.nan)
 
         def added(k, carry):
@@ -110,4 +107,4 @@ def smooth_ranges(ranges_m: Array) -> Array:
         total, count, _ = lax.fori_loop(1, MAX_BEAM_PAIRS + 1, added, (near, jnp.ones_like(near), returns))
         return jnp.where(returns, count / total, ranges_m)
 
-    return run_if(_deviates_more(jumps, STEADY_M * math.sqrt(2)), mean, ranges_m)
+    return run_if(_deviates_more(jumps, P.sensing.steady_m * math.sqrt(2)), mean, ranges_m)

@@ -12,23 +12,16 @@ from jax import Array
 
 from jexplore.arrays import vectorised
 from jexplore.btm import wrapped
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Surround
 from jexplore.driving.settings import Robot
 from jexplore.driving.vehicle import ANGLES_RAD, to_robot
 
 SECTORS = 360  # directions, a degree each, from -180 degrees
 NO_POINT = 2**31 - 1
-BEHIND_DEG = 88  # degrees from straight ahead from which on the last scan is not all there is
-MEMORY_M = 0.5  # m; points this much farther than those of triangles are forgotten
 DIRECTIONS = 72  # in which the way is looked at
 TURN_STEPS = 36  # of half a turn each way
-OPPOSITE_COS = 0.26  # cosine: what lies at least 75 degrees from the nearest point is on the other side
-OUTLINE_MARGIN_M = 0.03  # between a wall and the robot's outline where it turns
-SIDE_MARGIN_M = 0.05  # m; margin to the sides of the driven way
-COAST_WIDTH_SHARE = 0.85  # of the distance at which a wall is followed: half of the strip that must be free
-COAST_FREE_M = 2.0  # m; and free over this length
 
-_IS_BEHIND = np.abs(np.arange(SECTORS) - SECTORS // 2) > BEHIND_DEG
 DIRECTION = np.radians(np.arange(DIRECTIONS) * (360 / DIRECTIONS) - 180).astype(np.float32)
 _SWEEP = np.radians(np.arange(1, TURN_STEPS + 1) * (180 / TURN_STEPS)).astype(np.float32)
 
@@ -52,11 +45,11 @@ def move_surround(
     Args:
       ahead_m, aside_m: how far, in its old frame.
       turn: counter-clockwise, radians.
-      far_m: points farther away by `MEMORY_M` are forgotten, metres; inf: none.
+      far_m: points farther away by `memory_m` are forgotten, metres; inf: none.
     """
     xy, known = known_points(around)
     x, y = to_robot(jnp.stack([ahead_m, aside_m, turn]))(xy).T
-    known &= x * x + y * y < (far_m + MEMORY_M) ** 2
+    known &= x * x + y * y < (far_m + P.sensing.memory_m) ** 2
     return Surround(jnp.where(known, x, jnp.inf), jnp.where(known, y, jnp.inf))
 
 
@@ -80,7 +73,8 @@ def add_scan(around: Surround, ranges_m: Array) -> Surround:
     there = code != NO_POINT
     at = jnp.where(there, code % 512, 0)
     nearer = fresh & jnp.isfinite(scan) & (~there | (1000 * scan < code // 512))
-    replaces = jnp.where(_IS_BEHIND, nearer, fresh)
+    is_behind = np.abs(np.arange(SECTORS) - SECTORS // 2) > P.sensing.behind_deg
+    replaces = jnp.where(is_behind, nearer, fresh)
     angle = jnp.asarray(np.pad(ANGLES_RAD, (first, SECTORS - first - len(ANGLES_RAD))))
     returns = jnp.isfinite(scan)
     r = jnp.where(returns, scan, 0)
@@ -112,7 +106,7 @@ def voronoi_edge(around: Surround) -> tuple[Array, Array]:
 
     one_m, one = nearest(True)
     # The nearest of another wall lies in quite another direction.
-    other_m, other = nearest(xy[:, 0] * jnp.cos(one) + xy[:, 1] * jnp.sin(one) < OPPOSITE_COS * range_m)
+    other_m, other = nearest(xy[:, 0] * jnp.cos(one) + xy[:, 1] * jnp.sin(one) < P.sensing.opposite_cos * range_m)
     both = jnp.isfinite(one_m) & jnp.isfinite(other_m)
     along = (one + other) / 2  # square to the difference of both directions
     along = wrapped(jnp.where(jnp.cos(along) < 0, along + math.pi, along))
@@ -120,12 +114,16 @@ def voronoi_edge(around: Surround) -> tuple[Array, Array]:
     return jnp.where(both, along, 0.0), jnp.where(both, off_m, 0.0)
 
 
-def free_turn(around: Surround, robot: Robot, margin_m: Array | float = OUTLINE_MARGIN_M) -> tuple[Array, Array]:
+def free_turn(around: Surround, robot: Robot, margin_m: Array | float | None = None) -> tuple[Array, Array]:
     """Compute the angle by which the robot can turn in place before its outline meets a point.
+
+    Args:
+      margin_m: kept between wall and outline; None: `sensing.outline_margin_m`.
 
     Returns:
       `(left, right)`: float32, radians, pi at most.
     """
+    margin_m = P.sensing.outline_margin_m if margin_m is None else margin_m
     length, width = robot.length_m / 2 + margin_m, robot.width_m / 2 + margin_m
     xy, known = known_points(around)
     x, y = xy[:, 0], xy[:, 1]
@@ -146,7 +144,7 @@ def free_lengths(around: Surround, robot: Robot) -> Array:
     x, y = xy[:, 0], xy[:, 1]
     cos, sin = np.cos(DIRECTION)[:, None], np.sin(DIRECTION)[:, None]
     along, aside = x * cos + y * sin, y * cos - x * sin
-    meets = known & (along > 0) & (jnp.abs(aside) < robot.width_m / 2 + SIDE_MARGIN_M)
+    meets = known & (along > 0) & (jnp.abs(aside) < robot.width_m / 2 + P.sensing.side_margin_m)
     return jnp.min(jnp.where(meets, along, jnp.inf), axis=1) - robot.length_m / 2
 
 
@@ -165,11 +163,11 @@ def wall_direction(around: Surround, side: Array, coast_m: Array | float, robot:
     x, y = xy[:, 0], -side * xy[:, 1]  # the wall to the right
     cos, sin = np.cos(DIRECTION)[:, None], np.sin(DIRECTION)[:, None]
     along, aside = x * cos + y * sin, y * cos - x * sin
-    least_m = robot.width_m / 2 + SIDE_MARGIN_M
-    half_m = jnp.maximum(least_m, jnp.minimum(COAST_WIDTH_SHARE * coast_m, least_m + along / 2))
+    least_m = robot.width_m / 2 + P.sensing.side_margin_m
+    half_m = jnp.maximum(least_m, jnp.minimum(P.sensing.coast_width_share * coast_m, least_m + along / 2))
     meets = known & (along > 0) & (jnp.abs(aside) < half_m)
     free_m = jnp.min(jnp.where(meets, along, jnp.inf), axis=1)
-    free = free_m >= COAST_FREE_M
+    free = free_m >= P.sensing.coast_free_m
     range_m = jnp.where(known, jnp.hypot(x, y), jnp.inf)
     nearest = jnp.argmin(range_m)
     after = (DIRECTION - jnp.arctan2(y[nearest], x[nearest])) % (2 * math.pi)

@@ -13,8 +13,8 @@ import numpy as np
 from jexplore.config import MAX_SEED, InputError, as_record, checked_names, require_whole
 from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, outcome_names, pose_in, run_missions, settings_arrays
-from jexplore.driving.events import LOOK_M
 from jexplore.driving.guiding.guide import OFF_ROUTE_PLACES, guide_of
+from jexplore.driving.params.tree import P
 from jexplore.driving.records import Building, Guide
 from jexplore.driving.settings import Noise, Robot, Tuning, for_world, require_noise, require_tuning
 from jexplore.studies import checks
@@ -283,7 +283,7 @@ def _blocked_link(btm, route, result, robot):
     first = route.steps.index(places[at - 1]) + 1 if at else 0
     steps = route.steps[first : route.steps.index(places[at]) + 1] or route.steps[-1:]
     ends_m = np.cumsum([step.length_m for step in steps])
-    gone_m = result.path_m - guide.from_m + robot.length_m / 2 + LOOK_M
+    gone_m = result.path_m - guide.from_m + robot.length_m / 2 + P.ground.look_m
     step = steps[min(int(np.searchsorted(ends_m, gone_m)), len(steps) - 1)]
     return next(link for link in btm.links if link.id == step.link)
 

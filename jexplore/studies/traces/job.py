@@ -13,6 +13,8 @@ from jexplore.config import MAX_RUNS, NUMBER_BOUNDS, InputError, as_record, chec
 from jexplore.driving import batch
 from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start, settings_arrays
 from jexplore.driving.mission import MAP_SIZE
+from jexplore.driving.params.groups import default_numbers
+from jexplore.driving.params.tree import Params, params_with
 from jexplore.driving.records import Building
 from jexplore.driving.settings import (
     BY_WORLD,
@@ -77,6 +79,11 @@ class TraceJob:
         records = self.robot, *with_values(self.tuning, self.noise, self.chosen(setting))
         return tuple(settings_arrays(record, len(setting)) for record in records)  # type: ignore[return-value]
 
+    def params_of(self, setting: np.ndarray) -> Params | None:
+        """Return the numbers of runs by the numbers of their settings, None where none is swept: `params_with`."""
+        chosen = self.chosen(setting)
+        return params_with({name: chosen[name] for name in default_numbers() if name in chosen}, len(setting))
+
     def chosen(self, setting: np.ndarray) -> dict[str, np.ndarray]:
         """Return the swept values of runs by the numbers of their settings."""
         return {name: values[setting] for name, values in self.swept.items()}
@@ -89,7 +96,7 @@ class TraceJob:
 
     def run(self, setting: np.ndarray, which: np.ndarray, **how: Any) -> batch.MissionResults:
         """Make runs `[n]`, by numbers of settings and of runs; `how` as of `batch.run_missions`."""
-        how = {"max_steps": self.max_steps, "size": self.size, **how}
+        how = {"max_steps": self.max_steps, "size": self.size, "params": self.params_of(setting), **how}
         starts = self.starts_of(which)
         return batch.run_missions(self.building, *self.settings_of(setting), starts, self.seed, which, **how)
 
@@ -211,9 +218,9 @@ def _placed(world, ends, robot, tuning):
 
 
 def with_values(tuning, noise, values):
-    """Replace some values of thresholds and noise; those of the noise have names like `noise.range_m`."""
+    """Replace values of thresholds and, by names like `noise.range_m`, of noise; others are left out."""
     values = {name: v.astype(np.int32) if name in WHOLE and np.ndim(v) else v for name, v in values.items()}
-    thresholds = {name: value for name, value in values.items() if not name.startswith(NOISE)}
+    thresholds = {name: value for name, value in values.items() if "." not in name}
     errors = {name.removeprefix(NOISE): value for name, value in values.items() if name.startswith(NOISE)}
     return dataclasses.replace(tuning, **thresholds), dataclasses.replace(noise, **errors)
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from jexplore.config import MAX_RUNS, InputError, require_number
+from jexplore.driving.params.groups import default_numbers
 from jexplore.driving.settings import WHOLE, Noise, Tuning
 from jexplore.studies.sweeps.axes import Range, combined
 from jexplore.tracemap.record import BtmMap
@@ -31,31 +32,36 @@ def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np
     """
     known = [field.name for field in dataclasses.fields(Tuning)]
     known += [f"{NOISE}{field.name}" for field in dataclasses.fields(Noise)]
+    own = default_numbers()
+    whole = {*WHOLE, *(name for name, value in own.items() if isinstance(value, int))}
     axes: dict[str, Any] = {}
     for text in sweep:
         name, equals, values = text.partition("=")
         if name in axes:
             raise InputError(f"sweep names {name} more than once")
-        if name not in known or not equals:
-            names = ", ".join(known)
+        if name not in (*known, *own) or not equals:
+            names = ", ".join((*known, "the numbers of jx.btm.Params, as in graph.max_tries"))
             raise InputError(f"sweep must be NAME=A,B,... or NAME=LOW:HIGH, got {text!r}; there are {names}")
         is_range = ":" in values
         try:
             numbers = [float(value) for value in (values.split(":", 1) if is_range else values.split(","))]
-            is_wrong = name in WHOLE and not is_range and any(value != int(value) for value in numbers)
+            is_wrong = name in whole and not is_range and any(value != int(value) for value in numbers)
         except (ValueError, OverflowError):
             raise InputError(f"sweep {text!r}: values must be numbers") from None
         if is_wrong:
             raise InputError(f"sweep {text!r}: {name} must be integers")
         if is_range and not numbers[0] < numbers[1]:
             raise InputError(f"sweep {text!r}: a range must rise, as in {name}={numbers[1]:g}:{numbers[0]:g}")
+        for value in numbers if name in own else ():
+            low, high = sorted((float(name in whole), 100.0 * own[name]))
+            require_number(f"sweep of {name}", value, low=low, high=high)
         axes[name] = Range(numbers[0], numbers[1]) if is_range else numbers
     n_combinations = math.prod(len(axis) if isinstance(axis, list) else 0 for axis in axes.values())
     if n_combinations > MAX_RUNS:
         raise InputError(f"sweep: more than {MAX_RUNS} combinations; use fewer values")
     if not n_combinations:  # ranges have the first columns of the draws
         axes = dict(sorted(axes.items(), key=lambda axis: isinstance(axis[1], list)))
-    rows = combined(axes, settings, "latin", seed, WHOLE)
+    rows = combined(axes, settings, "latin", seed, whole)
     return {name: np.array([row[name] for row in rows], float) for name in axes}
 
 

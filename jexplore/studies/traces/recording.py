@@ -13,6 +13,7 @@ from jexplore.driving import behaviour, events, mission, vehicle
 from jexplore.driving.batch import Driven, step_slots
 from jexplore.driving.building.walls import segments
 from jexplore.driving.mission import RunOutcome
+from jexplore.driving.params.tree import using
 from jexplore.driving.records import RunMode
 from jexplore.driving.sensing import surround
 from jexplore.engine.draws import pinned_draws, random_key
@@ -51,20 +52,21 @@ def _scans(plan: TraceJob, steps: np.ndarray, poses: np.ndarray, *, setting: int
 
     Returns `[n, B]` float32, metres; inf: no return; NaN: no reading, or ground.
     """
-    robot, _, noise = jax.tree.map(lambda a: a[0], plan.settings_of(np.array([setting])))
+    own = np.array([setting])
+    robot, _, noise, params = jax.tree.map(lambda a: a[0], (*plan.settings_of(own), plan.params_of(own)))
     key = jax.random.fold_in(random_key(np.uint32(plan.seed)), run)
     building, found = jax.device_put(plan.building), []
     for first in range(0, len(steps), SCANS_A_CALL):
         own = steps[first : first + SCANS_A_CALL], poses[first : first + SCANS_A_CALL]
         lack = SCANS_A_CALL - len(own[0])
         some = np.pad(own[0], (0, lack), "edge"), np.pad(own[1], ((0, lack), (0, 0)), "edge")
-        found.append(np.asarray(_measured(key, building, robot, noise, some))[: SCANS_A_CALL - lack])
+        found.append(np.asarray(_measured(key, building, robot, noise, params, some))[: SCANS_A_CALL - lack])
     return np.concatenate(found)
 
 
 @pinned_draws()
 @jax.jit
-def _measured(key, building, robot, noise, steps_and_poses):
+def _measured(key, building, robot, noise, params, steps_and_poses):
     def one(of):
         step, pose = of
         body = vehicle.initial_body(building, robot, pose)
@@ -73,7 +75,8 @@ def _measured(key, building, robot, noise, steps_and_poses):
         )
         return vehicle.level_scan(senses, robot)[0].ranges_m
 
-    return jax.lax.map(one, jax.tree.map(jnp.asarray, steps_and_poses))
+    with using(params):
+        return jax.lax.map(one, jax.tree.map(jnp.asarray, steps_and_poses))
 
 
 def in_world_frame(poses: ArrayLike, origin_m: tuple[float, float]) -> np.ndarray:
@@ -88,8 +91,13 @@ def wall_lines(plan: TraceJob) -> np.ndarray:
 
 @pinned_draws()
 @jax.jit
-def _frame(key, building, robot, tuning, noise, state):
+def _frame(key, building, settings, state):
     """Make one step, and return its view."""
+    with using(settings[3]):
+        return _viewed(key, building, *settings[:3], state)
+
+
+def _viewed(key, building, robot, tuning, noise, state):
     draws = vehicle.draw_one(key, noise)
     senses = vehicle.read_sensors(draws, building, robot, noise, state.body)
     after = mission.make_step(draws, building, robot, tuning, noise, state)
@@ -118,17 +126,18 @@ def _frame(key, building, robot, tuning, noise, state):
 
 def record_run(plan: TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> RunRecording:
     """Record the operator's view of run 0; `on_progress` is called with the number of finished steps."""
-    robot, tuning, noise = jax.tree.map(lambda a: jnp.asarray(a[0]), plan.settings_of(np.array([0])))
+    own = np.array([0])
+    settings = jax.tree.map(lambda a: jnp.asarray(a[0]), (*plan.settings_of(own), plan.params_of(own)))
     building = jax.device_put(plan.building)
     setup = mission.Setup(step_slots(plan.max_steps), *plan.size)
     key = jax.random.fold_in(random_key(np.uint32(plan.seed)), 0)
     # With exactly the types that a step returns, not weak ones: else the second step would be compiled once more.
     state = jax.tree.map(
-        lambda a: jnp.asarray(a, a.dtype), mission.initial_state(setup, building, robot, plan.begins[0])
+        lambda a: jnp.asarray(a, a.dtype), mission.initial_state(setup, building, settings[0], plan.begins[0])
     )
     frames, steps = [], 0
     while int(state.outcome) == RunOutcome.RUNNING and steps < plan.max_steps:
-        state, seen = _frame(jax.random.fold_in(key, steps), building, robot, tuning, noise, state)
+        state, seen = _frame(jax.random.fold_in(key, steps), building, settings, state)
         frames.append(jax.device_get(seen))
         steps += 1
         on_progress(steps)

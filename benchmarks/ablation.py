@@ -1,0 +1,122 @@
+"""Vary every number of the trace robot, one at a time, at half and at double, as leaves of one compiled program.
+
+    python benchmarks/ablation.py --out DIR [--worlds WORLD...] [--runs 8] [--seed 100] [--only NAME...]
+    python benchmarks/ablation.py --out DIR --summary
+
+Every run of a changed robot has the noise and the start of one as it is. Rows are written as runs end, a file for each
+run number, and a run that was broken off goes on. The summary is Markdown: for each number, at half and at double, the
+share of runs that stay equal in every bit, and by how much the share of good runs (on a course the true map, in a
+building EXHAUSTED) and of junctions reached changes, in per cent, with the 95 % t interval of the paired differences.
+"""
+
+import argparse
+import dataclasses
+import os
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from jexplore.driving.params.groups import default_numbers
+from jexplore.driving.settings import Noise
+from jexplore.engine.backend import start_backend, use_compilation_cache
+from jexplore.studies.traces import tracing
+from jexplore.studies.traces.job import prepare_trace
+
+WORLDS = ("course#101", "course#102", "course#103", "course#104", "office", "hospital")
+FACTORS = (0.5, 2.0)
+WORKERS = os.cpu_count() or 1
+
+
+def numbers_of(plan):
+    """Return the robot's numbers that are not 0, but for those of robots that follow a route: `{name: default}`."""
+    own = {field.name: getattr(plan.tuning, field.name) for field in dataclasses.fields(plan.tuning)}
+    return {name: v for name, v in {**own, **default_numbers()}.items() if v and not name.startswith("route.")}
+
+
+def changed(value, factor):
+    """Return a number times a factor; whole ones stay whole and are 1 at least."""
+    return max(1, round(value * factor)) if isinstance(value, int) else value * factor
+
+
+def varied(world, runs, seed, only):
+    """Return a plan with a setting for every change, and the changes, `(name, factor)`; the first changes nothing."""
+    is_course = world.startswith("course")
+    plan = prepare_trace(world, noise=Noise(range_m=0.01), seed=seed, **{"runs" if is_course else "starts": runs})
+    own = numbers_of(plan)
+    changes = [("", 1.0), *((name, factor) for name in only or own for factor in FACTORS)]
+    swept = {name: np.full(len(changes), value, float) for name, value in own.items()}
+    for i, (name, factor) in enumerate(changes[1:], 1):
+        swept[name][i] = min(changed(own[name], factor), 9) if name == "votes" else changed(own[name], factor)
+    return dataclasses.replace(plan, swept=swept, settings=len(changes)), changes
+
+
+def make(out, world, runs, seed, only):
+    """Make the runs of a world that are not there yet."""
+    plan, changes = varied(world, runs, seed, only)
+    setting = np.arange(plan.settings)
+    for run in range(runs):
+        path = out / f"{world.replace(':', '_')}-{run}.parquet"
+        if path.exists():
+            continue
+        which = np.full(plan.settings, run, np.int32)
+        result = plan.run(setting, which, workers=WORKERS).result
+        table = tracing.trace_table(plan, result, setting, which, {})[0]
+        good = table["true"].astype(float) if plan.world.course else (table["outcome"] == "EXHAUSTED").astype(float)
+        names, factors = zip(*changes)
+        junctions = table["junctions_reached"] / table["junctions"].clip(lower=1)
+        own = table[["world", "run", "outcome", "steps", "path_m", "code", "mistaken"]]
+        own = own.assign(name=names, factor=factors, good=good, junctions=junctions)
+        own.assign(false=table["false_divergences"]).to_parquet(path)
+        print(path.name, flush=True)
+
+
+def summary(out):
+    """Print the changes of every number, the largest first."""
+    table = pd.concat(pd.read_parquet(path) for path in sorted(out.glob("*.parquet")))
+    plain = table[table["name"] == ""].set_index(["world", "run"])
+    rows = []
+    for (name, factor), some in table[table["name"] != ""].groupby(["name", "factor"]):
+        some = some.set_index(["world", "run"])
+        base = plain.loc[some.index]
+        same = ((some["path_m"] == base["path_m"]) & (some["code"] == base["code"])).mean()
+        row = {"name": name, "factor": factor, "runs": len(some), "same": same}
+        for measure in ("good", "junctions"):
+            off = 100 * (some[measure] - base[measure]).to_numpy(float)
+            half = stats.t.ppf(0.975, len(off) - 1) * off.std(ddof=1) / np.sqrt(len(off)) if len(off) > 1 else np.nan
+            row |= {measure: off.mean(), f"{measure}_half": half}
+        rows.append(row)
+    found = pd.DataFrame(rows)
+    found["moved"] = [any(abs(row[m]) > row[f"{m}_half"] for m in ("good", "junctions")) for _, row in found.iterrows()]
+    counts = plain.groupby("world").size()
+    print(f"As it is: good {100 * plain['good'].mean():.1f} %, junctions {100 * plain['junctions'].mean():.1f} %; "
+          + ", ".join(f"{world} {n}" for world, n in counts.items()))  # fmt: skip
+    print("\n| number | factor | equal % | good | junctions | moves |\n| --- | --- | --- | --- | --- | --- |")
+    order = found.groupby("name")["same"].transform("min")
+    for _, row in found.assign(order=order).sort_values(["order", "name", "factor"]).iterrows():
+        cells = (f"{row[m]:+.1f} ± {row[f'{m}_half']:.1f}" for m in ("good", "junctions"))
+        print("|", row["name"], "|", row["factor"], "|", f"{100 * row['same']:.0f} |", " | ".join(cells), "|",
+              "yes |" if row["moved"] else "no |")  # fmt: skip
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder of the rows")
+    parser.add_argument("--worlds", nargs="+", default=WORLDS)
+    parser.add_argument("--runs", type=int, default=8, help="of every change and world")
+    parser.add_argument("--seed", type=int, default=100)
+    parser.add_argument("--only", nargs="+", help="names of numbers; by default all")
+    parser.add_argument("--summary", action="store_true", help="make no run")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    if not options.summary:
+        start_backend(WORKERS)
+        use_compilation_cache()
+        for world in options.worlds:
+            make(options.out, world, options.runs, options.seed, options.only)
+    summary(options.out)
+
+
+if __name__ == "__main__":
+    main()
