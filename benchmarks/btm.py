@@ -1,6 +1,6 @@
-"""Measure the claims about trace maps: repeatability, ablations, accuracy, buildings, sensors, speed.
+"""Measure the claims about trace maps: repeatability, accuracy, buildings, sensors, speed.
 
-    python benchmarks/btm.py [--runs 1000] [--parts repeat ablation place robots]
+    python benchmarks/btm.py [--runs 1000] [--parts repeat place robots]
     python benchmarks/btm.py [--runs 1000] [--parts buildings halls furniture sensors steps speed] [--seed 0]
     python benchmarks/btm.py [--runs 1000] --parts buildings --worlds WORLD... [--seed 0]
     python benchmarks/btm.py [--runs 1000] --parts loops [--first 21]
@@ -32,10 +32,9 @@ from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
 from jexplore.worlds.world import World
 
-STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
+STILL = Noise(attitude_deg=0, length=0, turn=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
 PARTS = (
     "repeat",
-    "ablation",
     "place",
     "robots",
     "buildings",
@@ -89,23 +88,6 @@ def repeat(runs):
             alike = int(table["code"].value_counts().iloc[0])
             right = share(int(table["true"].sum()), len(table))
             row(world, sigma, share(alike, len(table)), right, table["contacts"].sum(), table["interventions"].sum())
-
-
-def ablation(runs):
-    head("change", "range noise m", "the true map", "nodes")
-    changes = {
-        "none": {},
-        "no voting": {"votes": 1},
-        "obtuse tolerance 0": {"obtuse_tol_deg": 0.0},
-        "search circle 1.1 radii": {"circle": 1.1},
-    }
-    for sigma in (0.01, 0.03):
-        for name, change in changes.items():
-            tuning = dataclasses.replace(Tuning(), **change)
-            for world in ("course", "course#2"):
-                table = traced(world, runs=runs, noise=Noise(range_m=sigma), tuning=tuning).table
-                right = share(int(table["true"].sum()), len(table))
-                row(f"{name}, {world}", sigma, right, f"{table['nodes'].mean():.1f}")
 
 
 def place(runs):

@@ -6,6 +6,7 @@ metadata is that of the option which switches it off, "short" leaves the record'
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Any, Literal, Self
 
 from jexplore.config import (
@@ -90,7 +91,7 @@ POSES = ("true", "odometry", "icp")
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Odometry(Settings):
-    """Errors of the odometry, for robots whose pose is not given.
+    """Errors of the odometry, for robots whose pose is not given: on a grid, and on tracks as part of `jx.btm.Noise`.
 
     The squares of the first four are alpha 3, 1, 2 and 4 of Thrun, Burgard and Fox 2005, 5.4; the errors of alpha 2 and
     4 grow with the root of way and turn, so that they do not depend on the length of steps.
@@ -115,12 +116,15 @@ class Odometry(Settings):
     """The robot loses this share of every turn to slip, which the encoders do not notice."""
 
     def __post_init__(self) -> None:
-        low, high = {"heading_bias_deg_m": -45}, {"heading_deg_sqrt_m": 45, "heading_bias_deg_m": 45}
+        self._require("odometry", {})
+
+    def _require(self, own: str, most: Mapping[str, float]) -> None:
+        high = {"heading_deg_sqrt_m": 45, "heading_bias_deg_m": 45, **most}
         for name, value in vars(self).items():
             if not is_array(value):
-                is_scale = name.endswith("_scale")
-                most = 2 if is_scale else high.get(name, 0.5)
-                require_number(f"odometry.{name}", value, low=low.get(name, 0), high=most, low_open=is_scale)
+                low, is_scale = -45 if name == "heading_bias_deg_m" else 0, name.endswith("_scale")
+                limit = 2 if is_scale else high.get(name, 0.5)
+                require_number(f"{own}.{name}", value, low=low, high=limit, low_open=is_scale)
 
 
 @checked_names

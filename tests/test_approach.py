@@ -10,9 +10,9 @@ from ref.runs import a_state
 
 from jexplore import btm
 from jexplore.driving import approach, behaviour
-from jexplore.driving.building.walls import Walls, cast
+from jexplore.driving.building.walls import cast
 from jexplore.driving.params.tree import P
-from jexplore.driving.records import Ahead, Latch, RunMode, Surround, Track
+from jexplore.driving.records import Ahead, Latch, RunMode, Surround, Track, Walls
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import SECTORS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world

@@ -10,10 +10,10 @@ import pytest
 
 from jexplore.btm import wrapped
 from jexplore.driving import manoeuvre
-from jexplore.driving.building.walls import Walls, cast, meets
+from jexplore.driving.building.walls import cast, meets
 from jexplore.driving.manoeuvre import TRAIL_POSES
 from jexplore.driving.params.tree import P
-from jexplore.driving.records import Surround
+from jexplore.driving.records import Surround, Walls
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS, SECTORS
 from jexplore.driving.settings import ROBOTS, Tuning, for_world

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jexplore.driving.building.walls import UNUSED_SLOT_M, Walls, cast
+from jexplore.driving.building.walls import UNUSED_SLOT_M, cast
 from jexplore.driving.params.tree import P
+from jexplore.driving.records import Walls
 from jexplore.driving.sensing import matching
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, SCAN_RANGE_M
 

@@ -29,7 +29,7 @@ from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
 from jexplore.worlds.world import World
 
-STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
+STILL = Noise(attitude_deg=0, length=0, turn=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
 KAMUI, TUNING = ROBOTS["kamui"], for_world(Tuning(), is_course=True)
 
 
@@ -436,7 +436,7 @@ def test_without_a_goal_what_lies_behind_the_start_is_searched_as_well():
         ({"robot": "kamui:legs=4"}, "there is no 'legs'"),
         ({"robot": "kamui:width_m=wide"}, "width_m must be a number"),
         ({"tuning": Tuning(votes=10)}, "tuning.votes"),
-        ({"noise": Noise(range_m=-1)}, "noise.range_m"),
+        ({"noise": {"range_m": -1}}, "noise.range_m"),
         ({"sweep": ["vote=3"]}, "sweep must be NAME="),
         ({"sweep": ["votes=a"]}, "values must be numbers"),
         ({"sweep": ["circle=2:1.5"]}, "a range must rise"),

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from jexplore.config import InputError
-from jexplore.driving.settings import ROBOTS, Noise, Tuning, for_world, require_noise, require_robot, require_tuning
+from jexplore.driving.settings import ROBOTS, Noise, Tuning, for_world, require_robot, require_tuning
 
 KAMUI = ROBOTS["kamui"]
 
@@ -18,7 +18,7 @@ def of_tuning(**values):
 
 
 def of_noise(**values):
-    require_noise(dataclasses.replace(Noise(), **values))
+    dataclasses.replace(Noise(), **values)
 
 
 def of_robot(**values):
@@ -54,7 +54,9 @@ BOUNDS = {
     "noise.range_m": (-ABOVE, 0, 1, 1.01),
     "noise.invalid": (-ABOVE, 0, 1, 1.01),
     "noise.attitude_deg": (-ABOVE, 0, 10, 10.01),
-    "noise.odometry": (-ABOVE, 0, 0.5, 0.501),
+    "noise.length": (-ABOVE, 0, 0.5, 0.501),
+    "noise.turn": (-ABOVE, 0, 0.5, 0.501),
+    "noise.length_m_sqrt_rad": (-ABOVE, 0, 0.5, 0.501),
     "noise.heading_deg_sqrt_m": (-ABOVE, 0, 45, 45.1),
     "noise.slip": (-ABOVE, 0, 0.5, 0.501),
     "noise.beacon_m": (-ABOVE, 0, 1, 1.01),
@@ -131,7 +133,7 @@ def test_messages_by_hand():
 def test_what_comes_with_the_package_passes():
     for is_course in (True, False):
         require_tuning(for_world(Tuning(), is_course=is_course))
-    require_noise(Noise())
+    Noise()
     for name, robot in ROBOTS.items():
         require_robot(robot)
         assert robot.name == name

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jexplore.driving.building.walls import Walls, cast
+from jexplore.driving.building.walls import cast
 from jexplore.driving.params.tree import P
-from jexplore.driving.records import Surround
+from jexplore.driving.records import Surround, Walls
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS, SECTORS
 from jexplore.driving.settings import ROBOTS

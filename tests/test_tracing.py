@@ -1,9 +1,10 @@
 """`jexplore trace`: what it writes, what it says, what it refuses."""
 
 import contextlib
+import dataclasses
 import io
 import json
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ from jexplore.cli import main
 from jexplore.cli.tracemaps import trace
 from jexplore.config import InputError
 from jexplore.driving import batch
+from jexplore.engine.runner import Costs
 from jexplore.report import operator_view, plot_traces, trace_tables
 from jexplore.studies.traces import extraction, job, recording, tracing
 from jexplore.tracemap import corrected, json_form
@@ -77,6 +79,19 @@ def test_the_page_shows_the_run_that_was_made(tmp_path, capsys):
     assert len(page) > 200_000
 
 
+class Recorded(NamedTuple):
+    """The part of a `RunRecording` that is compared with the run."""
+
+    pose: np.ndarray
+
+
+def result_of(table, **changes):
+    """Return a result with a table and a run 0 of five steps at the origin; `changes` of the plan."""
+    plan = dataclasses.replace(job.prepare_trace("course"), **changes)
+    driven = batch.Driven(np.zeros((5, 3)), np.zeros((5, 3)), np.zeros(5), np.zeros(5))
+    return tracing.TraceResult(plan, table, BtmMap((), ()), driven, Costs())
+
+
 @pytest.mark.parametrize(
     ("n", "off_m", "warns"), [(5, 0.0, False), (5, 0.005, False), (7, 0.0, True), (4, 0.0, True), (5, 0.25, True)]
 )
@@ -88,15 +103,14 @@ def test_a_page_of_another_run_says_so(n, off_m, warns, tmp_path, monkeypatch, c
             on_progress(done)
         pose = np.tile([7.0, 8.0, 0.0], (n, 1))
         pose[2, 1] += off_m
-        return SimpleNamespace(pose=pose)
+        return Recorded(pose)
 
     monkeypatch.setattr(recording, "record_run", record)
     monkeypatch.setattr(operator_view, "page", lambda seen: "a page")
     counts = []
     monkeypatch.setattr(trace, "working", lambda total, unit: contextlib.nullcontext(counts.append))
-    plan = SimpleNamespace(world=SimpleNamespace(origin_m=(7.0, 8.0)))
-    found = SimpleNamespace(driven=SimpleNamespace(truth=np.zeros((5, 3))), plan=plan)
-    trace._write_view(found, tmp_path / "btm.html")
+    world = dataclasses.replace(job.prepare_trace("course").world, origin_m=(7.0, 8.0))
+    trace._write_view(result_of(pd.DataFrame(), world=world), tmp_path / "btm.html")
     assert (tmp_path / "btm.html").read_text() == "a page"
     assert max(counts) <= 5
     said = capsys.readouterr().err
@@ -262,7 +276,7 @@ def summed(true):
         "run": range(n), "outcome": "EXHAUSTED", "code": "T", "setting": np.arange(n) % 2, "nodes": 1,
         "helped_at": "", "true": pd.array(true, dtype="boolean"),
     })  # fmt: skip
-    return trace_tables.summary(SimpleNamespace(table=table, plan=SimpleNamespace(settings=2, swept={})))
+    return trace_tables.summary(result_of(table, settings=2))
 
 
 def test_runs_without_a_truth_do_not_count():

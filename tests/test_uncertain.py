@@ -10,7 +10,6 @@ import pytest
 import jexplore as jx
 from jexplore import raycast
 from jexplore.config import InputError
-from jexplore.driving.settings import Noise
 from jexplore.engine.program import Given
 from jexplore.exploration import environment, site
 from jexplore.exploration.state import Outcome, Stream
@@ -20,7 +19,7 @@ from jexplore.grid import empty_grid
 from jexplore.policies.closest import closest
 from jexplore.rules import Lidar, Odometry, Rules
 from jexplore.slam2d import beams
-from jexplore.slam2d.odometry import encoded, noise_of, step_covariance
+from jexplore.slam2d.odometry import encoded, step_covariance
 
 EXACT = Odometry(length=0, turn=0, heading_deg_sqrt_m=0, slip=0)
 ROUGH = Odometry(
@@ -110,12 +109,6 @@ def test_encoders_by_pencil():
     way, turn = encoded(ROUGH, jnp.float32(0.25), jnp.float32(-0.64), jnp.float32(0.25), draws)
     assert way == pytest.approx(0.25 * 1.05 * 1.1 + 0.02 * 0.5 * 0.8, rel=1e-5)
     assert turn == pytest.approx(0.95 * -0.64 * 0.9 + np.radians(5) * 2 * 0.5 + np.radians(3) * 0.25, rel=1e-5)
-    assert encoded(ROUGH, 0.25, -0.64, jnp.float32(0.25), draws[:3])[0] == pytest.approx(0.25 * 1.05 * 1.1, rel=1e-5)
-
-
-def test_a_trace_robots_noise_is_the_same_model():
-    noise = noise_of(Noise(odometry=0.1, slip=0.3, heading_deg_sqrt_m=2, length_scale=1.1, turn_scale=0.9))
-    assert noise == Odometry(0.1, 0.1, 2, 0, 1.1, 0.9, 0, 0.3)
 
 
 def test_the_stated_covariance_is_that_of_draws():

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.jit
 CELL_M = 0.1
 SLOPE_DEG = 10.0
 FOOT_M, TOP_M = 4.0, 8.0  # a ramp rises between them
-STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
+STILL = Noise(attitude_deg=0, length=0, turn=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
 NONE = jax.tree.map(jnp.zeros_like, vehicle.draw_one(jax.random.key(0), Noise()))
 LOW = dataclasses.replace(ROBOTS["kamui"], name="", scan_height_m=0.35)
 SENSE = jax.jit(vehicle.read_sensors)

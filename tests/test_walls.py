@@ -8,7 +8,8 @@ import pytest
 from ref import beams as oracle
 from ref import maps
 
-from jexplore.driving.building.walls import UNUSED_SLOT_M, Walls, cast, meets, segments, walls_of
+from jexplore.driving.building.walls import UNUSED_SLOT_M, cast, meets, segments, walls_of
+from jexplore.driving.records import Walls
 
 QUARTERS = np.radians([0, 90, 180, -90]).astype(np.float32)
 BOX = maps.walls("""

@@ -12,13 +12,26 @@ from jax import Array
 from jax.tree_util import register_dataclass
 
 from jexplore.btm import Btm
-from jexplore.driving.building.terrain import Terrain
-from jexplore.driving.building.walls import Walls
 from jexplore.driving.settings import Noise, Robot, Tuning
 
 register_dataclass(Robot, [f for f in Robot.__dataclass_fields__ if f != "name"], ["name"])
 register_dataclass(Tuning, list(Tuning.__dataclass_fields__), [])
 register_dataclass(Noise, list(Noise.__dataclass_fields__), [])
+
+
+class Walls(struct.PyTreeNode):
+    """Segments along the axes, metres. Unused slots lie far away."""
+
+    x: Array  # [V, 3] float32, x, lower and upper y of segments along y
+    y: Array  # [U, 3] float32, y, lower and upper x of segments along x
+
+
+class Terrain(struct.PyTreeNode):
+    """Heights of a fine grid, between which they are interpolated bilinearly."""
+
+    height_m: Array  # [h, w] float32
+    spacing_m: Array  # float32, of the grid; its first point lies at half a spacing from the map's corner
+    peak_m: Array  # float32, the largest height
 
 
 class Building(struct.PyTreeNode):
@@ -59,7 +72,7 @@ class Draws(struct.PyTreeNode):
     ranges: Array  # [B] float32
     down: Array  # [D] float32
     attitude: Array  # [2] float32, pitch and roll
-    encoders: Array  # [3] float32, length and turn of the step, and drift of the heading
+    encoders: Array  # [4] float32, length and turn of the step, drift of the heading, length that turning feigns
     beacon: Array  # float32
     missing: Array  # [B] float32, uniform from 0 to 1
 

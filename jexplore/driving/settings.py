@@ -8,7 +8,7 @@ import dataclasses
 import math
 
 from jexplore.config import NUMBER_BOUNDS, InputError, checked_names, require_kind, require_number, require_whole
-from jexplore.rules import Settings
+from jexplore.rules import Odometry, Settings
 
 
 @checked_names
@@ -47,8 +47,8 @@ ROBOTS = {
 
 @checked_names
 @dataclasses.dataclass(frozen=True)
-class Noise(Settings):
-    """Errors of the sensors."""
+class Noise(Odometry):
+    """Errors of the sensors; those of the encoders are `jx.Odometry`."""
 
     range_m: float = 0.0
     """The ranges of both scanners have this standard deviation, in metres."""
@@ -56,21 +56,11 @@ class Noise(Settings):
     """A beam gives no number (NaN) with this probability."""
     attitude_deg: float = 0.1
     """The attitude sensor has this standard deviation, in degrees."""
-    odometry: float = 0.01
-    """An encoder step has this standard deviation, relative to the step."""
-    length_scale: float = 1.0
-    """The encoders report the length of every step scaled by this."""
-    turn_scale: float = 1.0
-    """The encoders report every turn scaled by this."""
-    heading_bias_deg_m: float = 0.0
-    """The odometry's heading turns by this on every metre of way, in degrees, counter-clockwise."""
-    heading_deg_sqrt_m: float = 0.5
-    """The odometry's heading has this standard deviation after one metre, in degrees; it grows with the root of the
-    path."""
-    slip: float = 0.02
-    """The tracks lose this share of every turn to slip, which the encoders do not notice."""
     beacon_m: float = 0.05
     """The distance of the goal's beacon has this standard deviation, in metres."""
+
+    def __post_init__(self) -> None:
+        self._require("noise", {"range_m": 1, "beacon_m": 1, "invalid": 1, "attitude_deg": 10})
 
 
 @checked_names
@@ -178,22 +168,6 @@ def require_tuning(tuning: Tuning) -> None:
     require_number("tuning.inclination_deg", tuning.inclination_deg, low=1, high=45)
     require_number("tuning.agree_deg", tuning.agree_deg, high=90)
     require_number("tuning.agree_share", tuning.agree_share, high=1)
-
-
-def require_noise(noise: Noise) -> None:
-    """Refuse noise that is out of range.
-
-    Raises:
-      InputError: naming the number.
-    """
-    require_kind("noise", noise, Noise)
-    most = {"range_m": 1, "beacon_m": 1, "invalid": 1, "attitude_deg": 10, "odometry": 0.5, "slip": 0.5}
-    for name, high in most.items():
-        require_number(f"noise.{name}", getattr(noise, name), high=high)
-    require_number("noise.heading_deg_sqrt_m", noise.heading_deg_sqrt_m, high=45)
-    require_number("noise.heading_bias_deg_m", noise.heading_bias_deg_m, low=-45, high=45)
-    for name in ("length_scale", "turn_scale"):
-        require_number(f"noise.{name}", getattr(noise, name), low_open=True, high=2)
 
 
 def require_robot(robot: Robot) -> None:

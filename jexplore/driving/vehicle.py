@@ -17,7 +17,7 @@ from jexplore.driving.building.walls import cast_along, meets
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Building, Draws, RobotBody, Senses
 from jexplore.driving.settings import Noise, Robot
-from jexplore.slam2d.odometry import encoded, noise_of
+from jexplore.slam2d.odometry import encoded
 
 DT_S = 0.1
 SCAN_RANGE_M = 8.0
@@ -44,17 +44,19 @@ def draw(keys: Array, noise: Noise) -> Draws:
 
     def one(key):
         key, missing_key = jax.random.split(key)
-        return jax.random.normal(key, (ends[-1] + 1,)), missing_key
+        return jax.random.normal(key, (ends[-1] + 2,)), missing_key
 
     drawn, missing_keys = jax.vmap(one)(keys)
-    ranges, down, attitude, encoders, beacon = jnp.split(drawn, ends, axis=1)
+    ranges, down, attitude, encoders, rest = jnp.split(drawn, ends, axis=1)
+    beacon, feigned = rest[:, 0], rest[:, 1:]
     missing = lax.cond(
         noise.invalid > 0,
         jax.vmap(lambda key: jax.random.uniform(key, (BEAMS,))),
         lambda keys: jnp.ones((keys.shape[0], BEAMS)),
         missing_keys,
     )
-    return Draws(ranges=ranges, down=down, attitude=attitude, encoders=encoders, missing=missing, beacon=beacon[:, 0])
+    encoders = jnp.concatenate([encoders, feigned], axis=1)
+    return Draws(ranges=ranges, down=down, attitude=attitude, encoders=encoders, missing=missing, beacon=beacon)
 
 
 def draw_one(key: Array, noise: Noise) -> Draws:
@@ -201,7 +203,7 @@ def move(
         contacts=body.contacts + contact,
         refused=body.refused + (~contact & ~climbs),
     )
-    measured, turn = encoded(noise_of(noise), ahead, turn, flat, draws.encoders)
+    measured, turn = encoded(noise, ahead, turn, flat, draws.encoders)
     measured *= jnp.cos(senses.pitch)
     middle = estimate[2] + 0.5 * turn
     odometry = estimate + jnp.stack([measured * jnp.cos(middle), measured * jnp.sin(middle), turn])

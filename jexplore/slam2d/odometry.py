@@ -1,7 +1,5 @@
 """Odometry: what encoders make of a motion, and how far that may be off. One model for all robots."""
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 from jax.tree_util import register_dataclass
@@ -20,7 +18,7 @@ def encoded(noise: Odometry, way: Array | float, turn: Array | float, flat: Arra
       way: float32, metres, below 0 backwards.
       turn: float32, radians, as the tracks make it.
       flat: float32, `way` in the plane.
-      draws: `[3]` or `[4]` float32, normal: for length, turn, heading, and the length that turning feigns.
+      draws: `[4]` float32, normal: for length, turn, heading, and the length that turning feigns.
 
     Source:
       Thrun, Burgard, Fox, Probabilistic robotics (2005), table 5.6. Changed: see `Odometry`.
@@ -29,10 +27,7 @@ def encoded(noise: Odometry, way: Array | float, turn: Array | float, flat: Arra
     walk = jnp.radians(noise.heading_deg_sqrt_m) * draws[2] * jnp.sqrt(jnp.abs(flat))
     turned = noise.turn_scale * turn * (1 + noise.turn * draws[1]) + walk
     turned += jnp.radians(noise.heading_bias_deg_m) * jnp.abs(flat)
-    told = way * length
-    if draws.shape[0] > 3:
-        told += noise.length_m_sqrt_rad * draws[3] * jnp.sqrt(jnp.abs(turn))
-    return told, turned
+    return way * length + noise.length_m_sqrt_rad * draws[3] * jnp.sqrt(jnp.abs(turn)), turned
 
 
 def step_covariance(noise: Odometry, way: Array, turn: Array) -> Array:
@@ -45,16 +40,3 @@ def step_covariance(noise: Odometry, way: Array, turn: Array) -> Array:
     relative2 = noise.turn**2 + (noise.turn_scale - 1) ** 2 + noise.slip**2
     walk2 = jnp.radians(noise.heading_deg_sqrt_m) ** 2 * way + (jnp.radians(noise.heading_bias_deg_m) * way) ** 2
     return jnp.diag(jnp.stack([place, place, relative2 * turn**2 + walk2 + FLOOR_RAD**2]))
-
-
-def noise_of(given: Any) -> Odometry:
-    """Return the `Odometry` of a trace robot's `Noise`, whose encoders err alike in length and turn."""
-    return Odometry(
-        length=given.odometry,
-        turn=given.odometry,
-        heading_deg_sqrt_m=given.heading_deg_sqrt_m,
-        length_scale=given.length_scale,
-        turn_scale=given.turn_scale,
-        heading_bias_deg_m=given.heading_bias_deg_m,
-        slip=given.slip,
-    )

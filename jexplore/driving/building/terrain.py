@@ -2,23 +2,15 @@
 
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 from jax import Array, lax
+
+from jexplore.driving.records import Terrain
 
 FINER = 4  # heights are kept this much finer than cells: a step is a ramp of a quarter of a cell
 CONTACTS = 14  # points of a track, lengthwise, that may touch the ground
 MARCH_M = 0.1  # between two samples of a beam
 RANGE_HALVINGS = 7  # of the stretch in which such a beam meets the ground
 MAX_DOWN_M = 2.4  # range of a beam that looks down, metres
-
-
-@struct.dataclass
-class Terrain:
-    """Heights of a fine grid, between which they are interpolated bilinearly."""
-
-    height_m: Array  # [h, w] float32
-    spacing_m: Array  # float32, of the grid; its first point lies at half a spacing from the map's corner
-    peak_m: Array  # float32, the largest height
 
 
 def terrain_of(elevation: np.ndarray | None, cell_m: float) -> Terrain:

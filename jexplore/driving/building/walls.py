@@ -6,19 +6,12 @@ one small dense computation, on a CPU as on a GPU. Ranges equal those of a trave
 
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 from jax import Array, lax
+
+from jexplore.driving.records import Walls
 
 SEGMENT_SLACK_M = 1e-4  # segments are this much longer at both ends: no beam slips through where two meet
 UNUSED_SLOT_M = 1e6
-
-
-@struct.dataclass
-class Walls:
-    """Segments along the axes, metres. Unused slots lie far away."""
-
-    x: Array  # [V, 3] float32, x, lower and upper y of segments along y
-    y: Array  # [U, 3] float32, y, lower and upper x of segments along x
 
 
 def _faces(occupied):

@@ -128,7 +128,6 @@ class Places(Settings):
     mouth_m: float = 1.0  # before the border of a hall its gateway is narrowest within this
     abeam_m: float = 0.4  # m; a gateway is abeam if its middle is no farther ahead or behind
     # of a circle's diameter: with only one opening, wider than this, it lies in a corner
-    # a match lies within this share of the way plus this many metres of its mapped position
     corner_width_ratio: float = 1.3
     in_line_rad: float = math.radians(45)  # two openings are in line if they are no farther from it
 
@@ -239,6 +238,7 @@ class Motion(Settings):
 class Route(Settings):
     """Following a route."""
 
+    # a match lies within this share of the way plus this many metres of its mapped position
     match_tolerance: tuple[float, float] = (0.1, 1.0)
     exact_match_tolerance: tuple[float, float] = (0.2, 1.5)  # within these if its exits are exactly those of the map
     at_mapped_m: float = 0.7  # one that is so near is it, if only the way on is there

@@ -9,7 +9,7 @@ import numpy as np
 
 from jexplore.config import InputError, as_record, checked_names
 from jexplore.driving.batch import Driven
-from jexplore.driving.settings import Noise, Robot, Tuning, require_noise
+from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.studies.traces.job import NOISE, TraceJob, prepare_trace
 from jexplore.studies.traces.odometry_map import OdometryMap, occupied_centres, odometry_map
@@ -149,7 +149,7 @@ def _settings(axes, noise):
         if not len(given):
             raise InputError(f"axes: {name} must have a value or more, got none")
         for value in given:
-            require_noise(dataclasses.replace(noise, **{name: float(value)}))
+            dataclasses.replace(noise, **{name: float(value)})  # refused where out of range
         values[name] = sorted({own, *map(float, given)})
         rows += [{name: value} for value in values[name] if value != own]
     return values, {f"{NOISE}{name}": np.array([row.get(name, getattr(noise, name)) for row in rows]) for name in axes}

@@ -16,7 +16,7 @@ from jexplore.driving.batch import MAX_STEPS, building_of, outcome_names, pose_i
 from jexplore.driving.guiding.guide import OFF_ROUTE_PLACES, guide_of
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Building, Guide
-from jexplore.driving.settings import Noise, Robot, Tuning, for_world, require_noise, require_tuning
+from jexplore.driving.settings import Noise, Robot, Tuning, for_world, require_tuning
 from jexplore.studies import checks
 from jexplore.studies.traces import routes
 from jexplore.studies.traces.job import MAX_TRACE_STEPS
@@ -123,7 +123,6 @@ def _checked(world, btm, found, robot, tuning, noise):
     tuning = for_world(as_record("tuning", tuning or {}, Tuning), is_course=world.course is not None)
     noise = as_record("noise", noise or {}, Noise)
     require_tuning(tuning)
-    require_noise(noise)
     if isinstance(found, (str, Route)) or not all(isinstance(route, Route) for route in found):
         raise InputError("routes to follow must be a list of jx.btm.Route, such as jx.btm.routes(...)[0]")
     if not found:

@@ -24,7 +24,6 @@ from jexplore.driving.settings import (
     Robot,
     Tuning,
     for_world,
-    require_noise,
     require_robot,
     require_tuning,
     robot_of,
@@ -159,7 +158,7 @@ def prepare_trace(
     robot = robot_of(robot) if isinstance(robot, str) else robot
     tuning, noise = as_record("tuning", tuning or {}, Tuning), as_record("noise", noise or {}, Noise)
     tuning = for_world(tuning, is_course=world.course is not None)
-    _require(robot, tuning, noise)
+    _require(robot, tuning)
     own, swept = for_world(Tuning(), is_course=world.course is not None), swept_values(sweep, settings, seed)
     for name in BY_WORLD.keys() & swept.keys():  # 0 stands for the world's own number
         swept[name] = np.where(swept[name] == 0, getattr(own, name), swept[name])
@@ -168,7 +167,7 @@ def prepare_trace(
         raise InputError(f"{count} settings x {n_runs} runs are more than {MAX_RUNS}; use fewer")
     for i in range(count):
         own_values = {name: int(v[i]) if name in WHOLE else float(v[i]) for name, v in swept.items()}
-        _require(robot, *with_values(tuning, noise, own_values))
+        _require(robot, with_values(tuning, noise, own_values)[0])
     places = _placed(world, _ends(world, start, starts, seed), robot, tuning)
     size = map_room(world, places[1], nodes, links)
     found = robot, tuning, noise, n_runs, seed, swept, count, most, size
@@ -188,10 +187,9 @@ def map_room(world: World, truth: TraceTruth, nodes: int | None = None, links: i
     return room, require_setting("links", 2 * room if links is None else links)
 
 
-def _require(robot, tuning, noise):
+def _require(robot, tuning):
     require_robot(robot)
     require_tuning(tuning)
-    require_noise(noise)
 
 
 def _has_goal(world):

@@ -1,0 +1,86 @@
+"""The robot's numbers as one tree: constants by default, leaves of a program where a sweep varies any."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.extend.core import jaxpr_as_fun
+
+from jexplore.config import InputError
+from jexplore.driving.params.groups import Params, default_numbers
+from jexplore.driving.params.tree import P, params_with, using
+from jexplore.studies.trace_options import swept_values
+from jexplore.studies.traces import job
+
+
+def changed(**numbers):
+    return Params().replace(graph=Params().graph.replace(**numbers))
+
+
+def test_code_reads_the_tree_in_scope():
+    assert P.graph.max_tries == 3
+    with using(changed(max_tries=5)):
+        assert P.graph.max_tries == 5
+        with using(None):
+            assert P.graph.max_tries == 3
+    assert P.graph.max_tries == 3
+
+
+def test_a_leaf_is_no_constant_of_the_program():
+    def read(params):
+        with using(params):
+            return jnp.float32(P.graph.shift_m) + P.graph.max_tries
+
+    assert read(None) == pytest.approx(3.7)
+    program = jaxpr_as_fun(jax.make_jaxpr(read)(Params()))
+    found = [program(*jax.tree.leaves(changed(shift_m=m, max_tries=n)))[0] for m, n in ((0.5, 3), (1.0, 4))]
+    assert [float(m) for m in found] == [3.5, 5.0]
+
+
+def test_numbers_are_told_by_their_names():
+    numbers = default_numbers()
+    assert numbers["graph.max_tries"] == 3
+    assert [numbers[f"graph.match_drift.{i}"] for i in (0, 1)] == [0.025, 2.5]
+    assert list(numbers.values()) == jax.tree.leaves(Params())
+    assert params_with({}, 2) is None
+    found = params_with({"graph.match_drift.1": np.array([1.0, 2.0]), "graph.max_tries": np.array([1.0, 4.0])}, 2)
+    assert found.graph.match_drift[1].tolist() == [1, 2]
+    assert (found.graph.max_tries.tolist(), found.graph.max_tries.dtype) == ([1, 4], np.int32)
+    assert found.graph.max_fails.tolist() == [3, 3]
+    for leaf, number in zip(jax.tree.leaves(found), numbers.values()):
+        assert leaf.dtype == (np.int32 if isinstance(number, int) else np.float32)
+
+
+def test_a_sweep_names_numbers():
+    assert swept_values(["graph.max_tries=1,3"], 1, 0)["graph.max_tries"].tolist() == [1, 3]
+    assert swept_values(["graph.max_tries=1:6"], 4, 0)["graph.max_tries"].tolist() == [1, 4, 3, 6]
+    plan = job.prepare_trace("course", sweep=["graph.max_tries=1,3", "votes=3"])
+    settings = plan.settings_of(np.arange(2)), plan.params_of(np.arange(2))
+    assert (settings[0][1].votes.tolist(), settings[1].graph.max_tries.tolist()) == ([3, 3], [1, 3])
+    assert dataclasses.replace(plan, swept={}).params_of(np.arange(2)) is None
+
+
+@pytest.mark.parametrize(
+    ("sweep", "says"),
+    [
+        ("graph.max_trys=1", "there are .* the numbers of jx.btm.Params"),
+        ("graph.max_tries=0", "sweep of graph.max_tries must be a number at least 1 and at most 300, got 0"),
+        ("graph.max_tries=1.5", "graph.max_tries must be integers"),
+        ("graph.shift_m=-1", "sweep of graph.shift_m must be a number at least 0 and at most 70"),
+        ("graph.shift_m=nan,1", "sweep of graph.shift_m must be"),
+        ("graph.shift_m=0:inf", "sweep of graph.shift_m must be"),
+    ],
+)
+def test_numbers_that_no_robot_has_are_refused(sweep, says):
+    with pytest.raises(InputError, match=says):
+        swept_values([sweep], 4, 0)
+
+
+def test_every_number_is_read():
+    driving = Path(__file__).resolve().parents[1] / "jexplore" / "driving"
+    read = set(re.findall(r"\bP\.(\w+\.\w+)", "".join(path.read_text() for path in driving.rglob("*.py"))))
+    assert read == {re.match(r"\w+\.\w+", name)[0] for name in default_numbers()}  # type: ignore[index]
