@@ -465,10 +465,10 @@ def test_when_nothing_else_is_left_links_that_were_given_up_are_tried_again():
     t, *_ = at_the_t()
     south, north = int(t.link), 3 - int(t.link)
     writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
-    lost = writer.replace(fails=writer.fails.at[south].set(P.graph.max_fails - 1))
+    lost = writer.replace(fails=writer.fails.at[south].set(P.graph.max_tries - 1))
     after, *_ = at_a_dead_end(lost, (4.1, -6.1), SOUTH, 20)
     assert (int(after.link), bool(after.exhausted), int(after.last_chance)) == (south, False, 2)
-    assert int(after.fails[south]) == P.graph.max_fails - 1  # once more
+    assert int(after.fails[south]) == P.graph.max_tries - 1  # once more
     vain = writer.replace(tries=writer.tries.at[north].set(P.graph.max_tries))
     after, *_ = at_a_dead_end(vain, (4.1, -6.1), SOUTH, 20)
     assert (int(after.link), bool(after.exhausted), int(after.last_chance)) == (south, False, 2)  # on the way there

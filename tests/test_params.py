@@ -50,7 +50,7 @@ def test_numbers_are_told_by_their_names():
     found = params_with({"graph.match_drift.1": np.array([1.0, 2.0]), "graph.max_tries": np.array([1.0, 4.0])}, 2)
     assert found.graph.match_drift[1].tolist() == [1, 2]
     assert (found.graph.max_tries.tolist(), found.graph.max_tries.dtype) == ([1, 4], np.int32)
-    assert found.graph.max_fails.tolist() == [3, 3]
+    assert found.motion.debounce_steps.tolist() == [3, 3]
     for leaf, number in zip(jax.tree.leaves(found), numbers.values()):
         assert leaf.dtype == (np.int32 if isinstance(number, int) else np.float32)
 

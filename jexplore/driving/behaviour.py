@@ -201,7 +201,7 @@ def choose_mode(
     """
     left_m, right_m, fronts_m = walls.left_m, walls.right_m, walls.fronts_m
     guarded = (jnp.minimum(*fronts_m) < robot.length_m / 2 + P.motion.contact_guard_m) & ~manoeuvre.has_free_way(
-        ways_m, *P.motion.way_past_wall
+        ways_m, P.motion.way_past_wall_rad, P.motion.go_m
     )
     closed = walls.closed & ~manoeuvre.has_free_way(ways_m, *P.motion.way_past_end)
     latched = drive.latch != Latch.FREE
@@ -322,7 +322,7 @@ def leave_gateway(space: FreeSpace, drive: Drive, out: Array) -> tuple[FreeSpace
       out: float32, radians, direction of the gateway; NaN: the robot is at no gateway.
     """
     is_before, to_left = jnp.isfinite(out), jnp.sin(drive.out - out) > 0
-    stays = jnp.cos(drive.out - out) < P.motion.out_cos
+    stays = jnp.cos(drive.out - out) < P.graph.along_cos
     after = no_free_space().replace(inside=stays)
     space = pick(is_before, after, space)
     side = jnp.where(stays, jnp.where(to_left, -1, 1), 0)  # going to the left, it has the gateway's wall to the right

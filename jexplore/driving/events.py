@@ -113,7 +113,7 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
         passed
         | state.manoeuvre.backing
         | (changed & (crease_m > now.from_m - P.ground.together_m / 2))
-        | (blocked >= P.ground.blocked_steps)
+        | (blocked >= P.motion.debounce_steps)
     )
     after = pick(gone, ground_profile.no_step(), now)
     return now, is_lone & ~changed, after
@@ -237,7 +237,7 @@ def _passes_start(state):
     followed, to, there = links.led_to(state.writer)
     is_led, gone_m = followed & (to == 0), state.odometer_m - state.writer.node_m
     place = to_robot(state.estimate)(jnp.where(is_led, there, jnp.stack([map_.x_m[0], map_.y_m[0]])))
-    within_m = P.graph.same_node_m + jnp.where(is_led, P.graph.way_drift * gone_m, 0.0)
+    within_m = P.graph.same_node_m + jnp.where(is_led, P.graph.drift_share * gone_m, 0.0)
     along = jnp.abs(jnp.cos(state.estimate[2] - map_.start_bearing[0])) > P.graph.along_cos
     within = jnp.hypot(map_.x_m - map_.x_m[0], map_.y_m - map_.y_m[0]) < map_.radius_m
     on_link = ~jnp.any(within & (map_.kind == btm.DIVERGENCE)) & (state.drive.latch != Latch.LOOK)
@@ -263,7 +263,7 @@ def due_node(state: State, writer: Writer, ahead: Ahead, at_goal: Array, is_open
     returns = is_open & _passes_start(state)
     changed = ahead.changed
     crosses = ahead.is_noted & (ahead.missed | (state.odometer_m >= writer.border_m))
-    stops = ahead.blocked >= P.ground.blocked_steps
+    stops = ahead.blocked >= P.motion.debounce_steps
     here = state.estimate
     crease = run_if(changed, lambda _: mapping.pose_at(writer.way, ahead.crease_m), here)
     crease_m = jnp.maximum(ahead.crease_m, writer.node_m)

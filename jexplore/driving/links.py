@@ -92,14 +92,16 @@ def is_alike(map_: Btm, node: Array, found: Openings, back: Array, leads: Array)
       leads: bool, the robot follows a link to that node; else one of the node's links must be un-searched there.
     """
     own, bearing = ends_at(map_, node)
-    near = own[:, None] & found.valid & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < P.graph.same_exit_rad)
+    near = (
+        own[:, None] & found.valid & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < P.places.same_exit_rad)
+    )
     needed = jnp.where(leads, own & ~jnp.tile(map_.blocked, 2), _needed(map_, own))
     missing = jnp.sum(needed & ~jnp.any(near, axis=1))
     more = jnp.sum(found.valid & ~jnp.any(near, axis=0))
     waits = (
         (map_.start == node)
         & btm.open_links(map_)
-        & (jnp.abs(btm.wrapped(map_.start_bearing - back)) < P.graph.same_exit_rad)
+        & (jnp.abs(btm.wrapped(map_.start_bearing - back)) < P.places.same_exit_rad)
     )
     return (missing == 0) & (more == 0) & (leads | jnp.any(waits))
 
@@ -137,7 +139,7 @@ def is_led_to(writer: Writer, centre: Array, odometer_m: Array, reach: Array | f
     The node must lie within `reach`, metres, plus a share of the way along the link.
     """
     followed, to, place = led_to(writer)
-    limit_m = reach + P.graph.way_drift * (odometer_m - writer.node_m)
+    limit_m = reach + P.graph.drift_share * (odometer_m - writer.node_m)
     return to, followed & (jnp.hypot(*(place - centre)) < limit_m)
 
 
@@ -162,7 +164,7 @@ def match_node(
     off_m = jnp.hypot(map_.x_m - seen[0], map_.y_m - seen[1])
     drift_m = jnp.minimum(P.graph.match_drift[0] * odometer_m, P.graph.match_drift[1])
     gone_m = odometer_m - writer.node_m
-    limit_m = reach + jnp.where(leads, P.graph.way_drift * gone_m, jnp.where(followed, 0.0, drift_m))
+    limit_m = reach + jnp.where(leads, P.graph.drift_share * gone_m, jnp.where(followed, 0.0, drift_m))
     may = when & (map_.kind == btm.DIVERGENCE) & (off_m < limit_m) & (jnp.arange(n) != writer.node)
 
     def judged(_):
@@ -187,9 +189,7 @@ def find_hypotheses(writer: Writer, centre: Array, odometer_m: Array, found: Ope
     """
     map_, n = writer.map, writer.map.kind.shape[0]
     off_m = jnp.hypot(map_.x_m - centre[0], map_.y_m - centre[1])
-    may = (map_.kind == btm.DIVERGENCE) & (
-        off_m < jnp.minimum(P.graph.hypothesis_drift[0] * odometer_m, P.graph.hypothesis_drift[1])
-    )
+    may = (map_.kind == btm.DIVERGENCE) & (off_m < jnp.minimum(P.graph.drift_share * odometer_m, P.graph.hypothesis_m))
     may &= when & (jnp.arange(n) != writer.node)
 
     def turns(none):
@@ -257,9 +257,9 @@ def _holds(writer, node, turn, kind, centre, odometer_m, found):
     to = jnp.where(forward, map_.end[link], map_.start[link])
     way = rotate_by(turn)(centre - writer.origin[:2])
     apart_m = jnp.hypot(*(way - way_along(map_, link, forward)))
-    within_m = P.graph.same_way_tolerance[0] + P.graph.same_way_tolerance[1] * (odometer_m - writer.node_m)
+    within_m = P.graph.same_way_m + P.graph.drift_share * (odometer_m - writer.node_m)
     _, spread = turn_to(map_, to, dataclasses.replace(found, bearing=found.bearing + turn))
-    holds = (off[best] < P.graph.same_exit_rad) & (map_.status[link] == btm.SEARCHED) & (apart_m < within_m)
+    holds = (off[best] < P.places.same_exit_rad) & (map_.status[link] == btm.SEARCHED) & (apart_m < within_m)
     holds &= (map_.kind[to] == kind) & ((kind != btm.DIVERGENCE) | jnp.isfinite(spread))
     return holds, link
 
@@ -318,7 +318,7 @@ def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Wr
 
     def chosen(map_, fails):
         open_link = btm.first_open(map_, node, back)
-        usable = map_.replace(length_m=jnp.where(fails >= P.graph.max_fails, btm.NO_WAY_M, map_.length_m))
+        usable = map_.replace(length_m=jnp.where(fails >= P.graph.max_tries, btm.NO_WAY_M, map_.length_m))
         hop, hop_bearing, _ = btm.next_hop(usable, node)
         bearing = map_.start_bearing[jnp.minimum(open_link, map_.start.shape[0] - 1)]
         return tuple(
@@ -330,7 +330,7 @@ def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Wr
     def again(_):
         retried = vain & is_first
         tries, blocked = jnp.where(retried, P.graph.max_tries - 1, writer.tries), map_.blocked & ~retried
-        one_less = jnp.minimum(fails, P.graph.max_fails - 1)
+        one_less = jnp.minimum(fails, P.graph.max_tries - 1)
         return blocked, tries, one_less, *chosen(map_.replace(blocked=blocked), one_less)
 
     link, bearing = chosen(map_, fails)

@@ -20,7 +20,6 @@ from jexplore.driving.settings import Robot
 from jexplore.driving.vehicle import down_directions
 
 SLOPE_STEPS = 32  # steps in which the noise of the attitude is told
-WIDTH_MEAN_STEPS = 5  # of which the width of a passage is the mean, and the roll on it
 
 
 def no_way(size: int) -> Trajectory:
@@ -175,9 +174,9 @@ def way_extremes(way: Trajectory, from_m: Array | float, to_m: Array | float) ->
     within = (way.odometer_m >= from_m) & (way.odometer_m <= to_m)
     known = within & jnp.isfinite(way.width_m)
     place = jnp.where(known, way.odometer_m, jnp.inf)
-    meant = smoothing.mean_near(way.width_m, place, way.odometer_m, WIDTH_MEAN_STEPS, P.graph.width_mean_m)
+    meant = smoothing.mean_near(way.width_m, place, way.odometer_m, smoothing.MEAN_STEPS, P.sensing.mean_m)
     width = jnp.min(jnp.where(known, meant, jnp.inf))
-    rolls = jnp.abs(smoothing.running_mean(way.roll, WIDTH_MEAN_STEPS))
+    rolls = jnp.abs(smoothing.running_mean(way.roll, smoothing.MEAN_STEPS))
     posture, roll = (jnp.degrees(jnp.max(jnp.where(within, a, 0))) for a in (way.posture, rolls))
     return width, posture, roll
 

@@ -252,7 +252,7 @@ def _add_openings(writer, map_, event, at, found, others, when):
     gateways nor on a route, those besides its links, for one try. A start in its circle is on no link."""
     own, bearing = links.ends_at(map_, at.node)
     known = jnp.any(
-        own[:, None] & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < P.graph.new_link_rad), axis=0
+        own[:, None] & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < P.graph.same_end_rad), axis=0
     )
     more = at.met & ~known & jnp.isnan(event.out) if writer.guide is None else False
     goes = others & when & (~at.again | more)

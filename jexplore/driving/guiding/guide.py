@@ -166,12 +166,12 @@ def _next_ones(guide, centre, found, seen, reach_m):
     off_m = jnp.hypot(*(expected - centre).T)
     ways, out, after_m, leads = guide.ways[at], guide.out[at], *_bearings_on(guide, at, expected, centre)
     apart = btm.wrapped(ways[:, :, None] - seen)  # [AHEAD, WAYS, V]
-    alike = jnp.abs(apart) < P.graph.same_exit_rad
+    alike = jnp.abs(apart) < P.places.same_exit_rad
     missing = jnp.sum(jnp.isfinite(ways), axis=1) - jnp.sum(jnp.any(alike, axis=2), axis=1)
     more = jnp.sum(found.valid) - jnp.sum(jnp.any(alike, axis=1), axis=1)
     last = (place == guide.count - 1) & (guide.tail_m == 0)
     by_leg, by_map = (
-        jnp.any(jnp.abs(btm.wrapped(way[:, None] - seen)) < P.graph.same_exit_rad, axis=1) for way in (leads, out)
+        jnp.any(jnp.abs(btm.wrapped(way[:, None] - seen)) < P.places.same_exit_rad, axis=1) for way in (leads, out)
     )
     is_seen = last | by_leg | by_map
     begins, free_m = _strip(reach_m, expected, out - guide.turned)

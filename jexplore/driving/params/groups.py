@@ -14,7 +14,7 @@ class Sensing(Settings):
     """Points around the robot, scan matching, averages of noisy readings."""
 
     floor_m: float = 0.1  # a point no higher than this above the level on which the robot stands is ground
-    behind_deg: float = 88.0  # degrees from straight ahead from which on the last scan is not all there is
+    behind_deg: int = 88  # degrees from straight ahead from which on the last scan is not all there is
     memory_m: float = 0.5  # m; points this much farther than those of triangles are forgotten
     opposite_cos: float = 0.26  # cosine: what lies at least 75 degrees from the nearest point is on the other side
     outline_margin_m: float = 0.03  # between a wall and the robot's outline where it turns
@@ -24,6 +24,7 @@ class Sensing(Settings):
     steady_deg: float = 0.33  # standard deviation of a mean attitude
     max_mean_steps: int = 16  # readings of which it is the mean, at most
     steady_m: float = 0.015  # standard deviation of a mean range
+    mean_m: float = 0.1  # widths and attitudes are averaged over steps as far as they are this near
     agree_deviations: float = 3.7  # standard deviations within which two beams and the one between them agree
     every_m: float = 0.2  # scans are matched after this way
     every_rad: float = 0.25  # or this turn
@@ -56,7 +57,6 @@ class Ground(Settings):
     together_m: float = 1.2  # steps no farther apart are one, as high as those seen before the robot is on the first
     # m; distance of the robot's end beyond the riser: before, its own tipping shows in the profile
     passed_m: float = 0.30
-    attitude_mean_m: float = 0.1  # the attitude is averaged over steps no farther away
     # share of the angle at which a robot stands with one end on the riser that counts as tipping
     tip_share: float = 0.5
     # shares that a point has of the variance besides, and of that of noise
@@ -71,7 +71,6 @@ class Ground(Settings):
     step_slack_m: float = 0.03  # a step ahead may be lower than it looks by this
     look_m: float = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
     level_rad: float = math.radians(4)  # ground that leans less is level, where a single step is looked for
-    blocked_steps: int = 3  # steps in a row that it finds so
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +91,7 @@ class Places(Settings):
     graze_rad: float = math.radians(4)  # a narrower gap, with beams a degree apart, is a wall seen at a grazing angle
     door_m: float = 1.25  # a gap is a door up to this width, or the next
     narrow: float = 0.6  # radii; a gap so narrow that leads on is a door, however far its walls
-    leads_on_m: float = 0.6  # a gap that is free this far leads on
+    leads_on_m: float = 0.6  # a gap that is free this far beyond its ends, or its wall, leads on
     max_point_m: float = 10.0  # no point lies farther away
     corner_depth: float = 0.65  # of the width of a gap: walls that meet so close beyond it are a corner
     pocket: float = 1.2  # of the width of a gap: walls so close beyond it are those of a pocket
@@ -103,9 +102,7 @@ class Places(Settings):
     both_ends: float = 0.75  # share of the directions of a wall that its ends are
     ahead_radii: float = 0.6  # radii from the centre from which on they are
     alike_m: float = 0.02  # m; longer connections of the walls on both sides of a gap weigh less by this scale
-    # a link bears as its passage does if that differs no more from where it is seen
-    passage_rad: float = math.radians(30)
-    apart_rad: float = math.radians(40)  # and no other opening bears so nearly alike
+    same_exit_rad: float = math.radians(40)  # two openings, or a link and one, that bear no farther apart are one
     wider_circle: float = 1.5  # search circles, in which doors that lie partly outside one are looked for
     somewhat_wider: float = 1.25  # radii; wide enough for both jambs, before the next door is in sight
     same_opening_m: float = 0.5  # from the middle of every other opening
@@ -115,15 +112,14 @@ class Places(Settings):
     most_door_m: float = 1.5  # such a door is no wider
     behind_rad: float = math.radians(12)  # what bears no farther from a door, and lies beyond it, is behind it
     through_m: float = 0.5  # m; a point seen through a door's gap and farther by this is behind it too
-    # an opening that leads this far off its middle's direction, and off the opposite, is two
+    # an opening that leads this far off its middle's direction, and off the opposite, is two if another bears no
+    # farther from it
     merged_rad: float = math.radians(60)
-    beside_rad: float = math.radians(60)  # if an opening of the wider circle bears no farther from it
-    # one that leads no farther off the direction of its middle lies straight ahead
+    # a passage that leads no farther off the direction of its middle is straight ahead, and its link bears as it does
     straight_rad: float = math.radians(30)
     wall_reach_m: float = 3.5  # m; length of wall considered to each side
     band_m: float = 0.1  # points so near to a line vote for it
     wall_tolerance_m: float = 0.2  # m; tolerance before and behind the wall's line
-    gateway_depth_m: float = 0.6  # m; a gateway is free this far behind the wall
     max_gateway_m: float = 4.5  # and is no wider
     mouth_m: float = 1.0  # before the border of a hall its gateway is narrowest within this
     abeam_m: float = 0.4  # m; a gateway is abeam if its middle is no farther ahead or behind
@@ -136,25 +132,22 @@ class Places(Settings):
 class Graph(Settings):
     """Nodes and links: which are one, which are given up."""
 
-    width_mean_m: float = 0.1  # widths of a passage are averaged as far as they are this near
     # a node met again truly lies elsewhere if that is farther than this beyond its circle, metres
     elsewhere_m: float = 2.0
     # a robot beyond an opening is no farther before it and behind it
     beyond_opening_m: tuple[float, float] = (0.05, 1.0)
-    same_exit_rad: float = math.radians(40)  # a link and an opening that lie no farther apart are one
     # share of the way, and metres at most: how far off a known place may seem
     match_drift: tuple[float, float] = (0.025, 2.5)
-    way_drift: float = 0.05  # of the way along a known link: how far off its other node may seem
-    hypothesis_drift: tuple[float, float] = (0.05, 4.0)  # as `match_drift`, of a node that a new place perhaps is
-    # metres, and share of its length: a way that is as long as a known one is that one
-    same_way_tolerance: tuple[float, float] = (0.6, 0.05)
-    max_tries: int = 3  # an un-searched link on which the robot has set off so often in vain is given up
-    max_fails: int = 3  # a searched link that has led elsewhere so often in a row is followed no more
-    same_end_rad: float = math.radians(25)  # a robot that comes in nearer to a known link comes by it
+    drift_share: float = 0.05  # of the way: how far off its other node may seem, and a node that a place perhaps is
+    hypothesis_m: float = 4.0  # but no node farther off than this is perhaps the place
+    same_way_m: float = 0.6  # a way whose length differs by no more than this, and the drift, is that one
+    # an un-searched link on which the robot has set off so often in vain is given up, and a searched one is followed no
+    # more that has led elsewhere so often in a row
+    max_tries: int = 3
+    # the way in, or an opening of a known place, that bears no farther from a known link is that link
+    same_end_rad: float = math.radians(25)
     turn_rad: float = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
     door_before_m: float = 3.0  # m; a door passed within this before another opening is the way in
-    # an opening of a known place that bears farther from all its links is a new one
-    new_link_rad: float = math.radians(25)
     # the odometry's place is corrected by half at a node met again no farther than this away, metres
     shift_m: float = 0.7
     same_node_m: float = 1.0  # free space and obstacles nearer than this to one that is known are that one
@@ -167,7 +160,7 @@ class Graph(Settings):
     near_points_m: float = 4.0  # m; a robot that looks farther than this searches near points once more
     min_centre_x_m: float = -0.2  # m; a divergence is searched from this far ahead of the robot's middle
     goal_m: float = 0.5  # a run ends where it hears its goal's beacon within this
-    along_cos: float = 0.7  # cosine of the angle between a robot's heading and a link along which it drives, at least
+    along_cos: float = 0.7  # cosine of the angle, at least, between a way and a link, or a gateway's axis, along it
     blind_steps: int = 20  # scans in a row, most of whose beams give no number, that end a run
 
 
@@ -195,13 +188,13 @@ class Motion(Settings):
     outline_slack_m: float = 0.01  # between a wall and the robot's outline after a step
     keep_direction_weight: float = 0.3  # weight of the direction taken before
     replaceable_votes: int = 2  # votes up to which another triangle takes the place of one that a scan does not show
-    debounce_steps: int = 3  # steps that a free space must be seen, or not seen, in a row
+    debounce_steps: int = 3  # steps in a row that free space, or ground that it cannot climb, must be seen
     hysteresis_m: float = 0.3  # a free space ends where both sides have a wall this much nearer than where it began
     contact_guard_m: float = 0.1  # a wall this near to the robot's front stops it, if there is no way past it
     turn_room_m: float = 0.1  # m; a wall is followed at this more than the clearance for turning in place
-    # bearing, radians, within which a way so long, metres, leads past a wall
-    way_past_wall: tuple[float, float] = (1.75, 0.4)
-    way_past_end: tuple[float, float] = (1.0, 0.8)  # factors; also past an apparent end of a passage
+    way_past_wall_rad: float = 1.75  # a way of `go_m` within this bearing leads past a wall
+    # bearing, radians, and length, metres, of a way that leads past an apparent end of a passage
+    way_past_end: tuple[float, float] = (1.0, 0.8)
     latch_steps: int = 200  # steps; a target not reached within these is given up
     latch_time_ratio: float = 1.5  # or within this multiple of the steps at full speed, if larger
     via_point_m: float = 0.6  # m; a wide place is left via a point this far before the exit
@@ -210,7 +203,6 @@ class Motion(Settings):
     round_rad: float = 4.5  # and this turn
     began_m: float = 2.0  # within this: it may have begun in a corner
     leave_island_m: float = 4.0  # m; distance driven away from an island
-    out_cos: float = 0.7  # of the angle between a way and a gateway's axis from which on it leads out
     # rad; the robot looks round by turning this far: the scanner covers half of the surroundings
     look_rad: float = math.pi - 0.05
     look_on_rad: float = 0.5  # rad; additional turn while it sees no place although every scan on the way has shown one
@@ -242,11 +234,12 @@ class Route(Settings):
     match_tolerance: tuple[float, float] = (0.1, 1.0)
     exact_match_tolerance: tuple[float, float] = (0.2, 1.5)  # within these if its exits are exactly those of the map
     at_mapped_m: float = 0.7  # one that is so near is it, if only the way on is there
-    # and one that is as near as this is it, whatever is seen there: the robot steers on
+    # and one that is as near as this is it, whatever is seen there, also in free space: the robot steers on
     at_mapped_unseen_m: float = 0.4
     misfit_m: float = 0.3  # m; a missing or additional exit adds this to the distance from the mapped position
     back_rad: float = math.radians(120)  # an exit that bears farther from the expected direction does not count
-    # at a place that the map does not have, the robot turns to the next if that is farther than this
+    # at a place that the map does not have, the robot turns to the next if that is farther than this; at one so near
+    # that has not been seen yet, it looks round
     next_place_m: float = 1.5
     heading_share: float = 0.5  # of what the ways of a place say of the heading, by their median
     # and no more than this: the middle of one seen elsewhere turns its ways
@@ -268,8 +261,6 @@ class Route(Settings):
     # ratio and m of the way along which the robot steers for the next place
     steer_bound: tuple[float, float] = (1.5, 3.0)
     sight_m: float = 2.5  # a place that is so near, with a free way to it, is steered for anywhere
-    not_seen_m: float = 1.5  # at one so near that has not been seen yet, the robot looks round
-    meets_m: float = 0.4  # in free space it has been at one so near
     known_way_m: float = 4.0  # the robot knows of no free way farther than this
     sight_slack_m: float = 0.3  # m; a way to a place may fall short by this
     hop_m: float = 1.0  # m; free length required of a way to steer along

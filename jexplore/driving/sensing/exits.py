@@ -67,7 +67,7 @@ def find_exits(xy: Array, valid: Array, centre: Array, radius_m: Array | float, 
     kept, inside = found.valid & ~merged, jnp.hypot(*more.middle.T) <= circle * radius_m
     straight = jnp.any(merged) & (_askew(more) < P.places.straight_rad)
     extra = _new_openings(kept, found, more) & ((inside & (more.width_m <= P.places.door_m)) | straight)
-    beside = jnp.abs(wrapped(found.bearing[:, None] - more.bearing)) < P.places.beside_rad
+    beside = jnp.abs(wrapped(found.bearing[:, None] - more.bearing)) < P.places.merged_rad
     merged &= jnp.any(extra & beside, axis=1)
     parts = (found.valid & ~merged, found), (extra, more)
     together = [jnp.concatenate(pair) for pair in zip(*((there, a.middle, a.across, a.width_m) for there, a in parts))]
@@ -99,7 +99,7 @@ def _divide_by_doors(found, near, more, reach_m):
     door = near.valid & (near.width_m <= P.places.door_m) & (near_m <= reach_m) & ~seen
     # Points seen through a gap, outside the circle, may bear otherwise than the gap.
     outside, straight = away_m > reach_m, _askew(near) < P.places.straight_rad
-    half = jnp.where(outside, P.places.beside_rad, jnp.arctan2(found.width_m / 2, away_m))
+    half = jnp.where(outside, P.places.merged_rad, jnp.arctan2(found.width_m / 2, away_m))
     within = jnp.abs(wrapped(at[:, None] - near_at)) < half[:, None]
     parted = found.valid & ~jnp.any(alike, axis=1) & jnp.any(within & door, axis=1)
     ahead = jnp.abs(wrapped(at[:, None] - near_at)) < math.pi / 2
@@ -131,7 +131,7 @@ def _askew(found):
 def _new_openings(there, found, more):
     """Return the openings of another view that are not among those given: `[K]` bool."""
     off = jnp.hypot(*jnp.moveaxis(more.middle[:, None] - found.middle, -1, 0))
-    alike = there & (jnp.abs(wrapped(more.across[:, None] - found.across)) < P.places.apart_rad)
+    alike = there & (jnp.abs(wrapped(more.across[:, None] - found.across)) < P.places.same_exit_rad)
     return (
         more.valid
         & (jnp.min(jnp.where(there, off, jnp.inf), axis=1) > P.places.same_opening_m)
@@ -153,7 +153,7 @@ def _merge_doors(found, doors, is_wide):
     narrow = found[3] <= P.places.most_door_m
     through = (found[0] & narrow)[:, None] & (off < gap[:, None]) & (away_m > found_m[:, None] + P.places.through_m)
     first &= ~jnp.any(through, axis=0)
-    alone = found[0] & ~(jnp.any(first & (off < P.places.apart_rad / 2), axis=1) & (narrow | is_wide))
+    alone = found[0] & ~(jnp.any(first & (off < P.places.same_exit_rad / 2), axis=1) & (narrow | is_wide))
     return [jnp.concatenate(pair) for pair in zip((alone, *found[1:]), (first, *doors[1:]))]
 
 

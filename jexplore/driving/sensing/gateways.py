@@ -52,13 +52,11 @@ def find_gateway(
         other = jnp.min(jnp.where(wall & (u >= at + off_m), u, jnp.inf))
         inside = valid & (v > 0) & (u > one) & (u < other)
         leads = jnp.all(
-            ~inside
-            | (v > wall_m + P.places.gateway_depth_m)
-            | (jnp.minimum(u - one, other - u) < P.places.wall_tolerance_m)
+            ~inside | (v > wall_m + P.places.leads_on_m) | (jnp.minimum(u - one, other - u) < P.places.wall_tolerance_m)
         )
         beyond = (
             valid
-            & (v > wall_m + P.places.gateway_depth_m)
+            & (v > wall_m + P.places.leads_on_m)
             & (u > one - P.places.wall_tolerance_m)
             & (u < other + P.places.wall_tolerance_m)
         )

@@ -18,7 +18,6 @@ FLANK_M = 0.10  # m; a step is the difference of mean heights this far before an
 RISE_M = FLANK_M + PROFILE_CELL_M  # between the middles of both flanks
 TREADS_M = np.linspace(0.20, 0.44, 13)  # periods of steps that are tried
 FLANK_POINTS = 3  # points on either side of a step, whose height is that between their medians: one may lie on its face
-ATTITUDE_MEAN_STEPS = 5  # steps, m; the attitude is averaged over these, no farther away
 
 _ANGLE = 2 * math.pi * PROFILE_CELL_M * np.arange(PROFILE_CELLS) / TREADS_M[:, None]
 _TREAD_WAVES = np.concatenate([np.cos(_ANGLE), np.sin(_ANGLE)]).astype(np.float32)
@@ -239,7 +238,7 @@ def has_tipped(step: LoneStep, way: Trajectory, length_m: Array | float) -> Arra
     # Of both angles, whose noise goes either way: that of the inclination never goes below 0.
     leant = jnp.hypot(
         *(
-            smoothing.mean_near(a, way.odometer_m, way.odometer_m, ATTITUDE_MEAN_STEPS, P.ground.attitude_mean_m)
+            smoothing.mean_near(a, way.odometer_m, way.odometer_m, smoothing.MEAN_STEPS, P.sensing.mean_m)
             for a in (way.pitch, way.roll)
         )
     )

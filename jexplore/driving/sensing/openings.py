@@ -199,10 +199,10 @@ def sort_openings(together, more, size):
     # The direction of its passage, if from the centre it looks much like that and no other opening does.
     towards = jnp.arctan2(middle[:, 1], middle[:, 0])
     off = jnp.abs(wrapped(across[:, None] - across))
-    alone = jnp.sum(valid & (off < P.places.apart_rad), axis=1) == 1
+    alone = jnp.sum(valid & (off < P.places.same_exit_rad), axis=1) == 1
     away = jnp.abs(wrapped(across - towards))
     # Of a gap wider than half a turn the narrowest place lies on the other side of the centre.
-    bearing = jnp.where((alone & (away < P.places.passage_rad)) | (away > math.pi / 2), across, towards)
+    bearing = jnp.where((alone & (away < P.places.straight_rad)) | (away > math.pi / 2), across, towards)
     order = jnp.argsort(jnp.where(valid, towards, jnp.inf))[:size]
     more += jnp.maximum(jnp.sum(valid, dtype=jnp.int32) - size, 0)
     there = valid[order]

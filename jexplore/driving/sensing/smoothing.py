@@ -12,6 +12,7 @@ from jexplore.arrays.loops import run_if
 from jexplore.driving.params.tree import P
 
 _JUMP_OF_ONE = 0.6745 * math.sqrt(6)  # median of second differences of noise whose standard deviation is 1
+MEAN_STEPS = 5  # steps over which widths and attitudes are averaged
 MAX_BEAM_PAIRS = 6  # beams on either side of which it is the mean
 
 
