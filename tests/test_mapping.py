@@ -1,6 +1,5 @@
 """Writing a map: changes of level from pitch alone, and every kind of node by hand."""
 
-import dataclasses
 import math
 
 import jax
@@ -382,16 +381,15 @@ def test_a_dead_end_sends_back_until_nothing_is_left():
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "centre", "agree_deg", "share"),
+    ("turn_deg", "centre", "share"),
     [
-        (5, T_CENTRE, 0.0, P.graph.turn_share),
-        (-12, T_CENTRE, 0.0, P.graph.turn_share),
-        (8, (3.95, 0.1), 0.0, P.graph.turn_share),
-        (8, T_CENTRE, 3.0, 0.75),  # where all ways agree, more of the heading is put right
-        (30, T_CENTRE, 0.0, 0.0),  # one that is off too far is left alone
+        (5, T_CENTRE, P.graph.turn_share),
+        (-12, T_CENTRE, P.graph.turn_share),
+        (8, (3.95, 0.1), P.graph.turn_share),
+        (30, T_CENTRE, 0.0),  # one that is off too far is left alone
     ],
 )
-def test_where_a_node_is_met_again_the_heading_is_corrected(turn_deg, centre, agree_deg, share):
+def test_where_a_node_is_met_again_the_heading_is_corrected(turn_deg, centre, share):
     """The openings are turned against its links by the error of the odometry."""
     t, *_ = at_the_t()
     dead, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
@@ -400,8 +398,7 @@ def test_where_a_node_is_met_again_the_heading_is_corrected(turn_deg, centre, ag
     due = event(DIVERGENCE, 15.5, (*centre, NORTH + turn), centre, radius=T_RADIUS)
     around = seen(turned(T_WALLS - np.array(T_CENTRE), turn) + centre)
     dead = dead.replace(entry=jnp.asarray(came, jnp.float32))
-    tuning = dataclasses.replace(TUNING, agree_deg=agree_deg, agree_share=0.75)
-    writer, latch, target, out, correction = outcome_of(dead, due, around, tuning)
+    writer, latch, target, out, correction = outcome_of(dead, due, around)
     want = [*P.graph.shift_share * np.subtract(T_CENTRE, centre), -share * turn]
     np.testing.assert_allclose(correction, want, atol=math.radians(1))
     np.testing.assert_allclose(correction[:2], want[:2], atol=1e-6)

@@ -43,8 +43,6 @@ BOUNDS = {
     "tuning.circle": (1, 1.001, 3, 3.001),
     "tuning.obtuse_tol_deg": (-ABOVE, 0, 89.9, 90),
     "tuning.votes": (0, 1, 9, 10),
-    "tuning.agree_deg": (-ABOVE, 0, 90, 90.1),
-    "tuning.agree_share": (-ABOVE, 0, 1, 1.01),
     "tuning.helps": (0, 1, 100, 101),
     "tuning.same_m": (0, LEAST, 1000, MOST),
     "tuning.tread_wave_m2": (-ABOVE, 0, 1000, MOST),

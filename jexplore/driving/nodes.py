@@ -139,7 +139,7 @@ def write_node(
     before, writer = writer, links.resolve_hypotheses(writer, kind, event.centre, event.odometer_m, found)
     at = _arrive(writer, event, found, back, tuning, is_divergence, is_terminal)
     map_, step_m = obstacles.classify_obstacle(at.map, writer, event, tuning, robot, at.posture, at.node)
-    at, event, turn, applied, turned = _turns(writer, event, at, found, tuning)
+    at, event, turn, applied, turned = _turns(writer, event, at, found)
     measured = back, found  # by the odometry; from here on as the map has them
     back, found = back + turn, dataclasses.replace(found, bearing=found.bearing + turn)
     map_, link = _end_way_here(map_, writer, event, at, back, step_m)
@@ -193,17 +193,15 @@ def _way_out(event, found, left, turn, leave_m, is_divergence):
     return pick(left.onward.is_free, (beyond, bearing), ways)
 
 
-def _turns(writer, event, at, found, tuning):
+def _turns(writer, event, at, found):
     """Compare the bearings of a node's openings with its links: `(at, event, turn, applied, turned)`: with its pose
     from the last node; turned; radians that correct the odometry, their applied share; turn of any node, NaN if
     unknown."""
-    turned, spread = links.turn_to(at.map, at.node, found)
+    turned, _ = links.turn_to(at.map, at.node, found)
     turn = jnp.where(at.met, turned, 0.0)
-    agree = (spread < jnp.radians(tuning.agree_deg)) & (jnp.sum(found.valid) > 1)
-    share = jnp.where(agree, tuning.agree_share, P.graph.turn_share)
     turned = jnp.where(at.again, jnp.where(event.kind == btm.DIVERGENCE, turned, jnp.nan), 0.0)
     at = at._replace(moved=pose_from_node(writer, event.centre, turned))
-    return at, dataclasses.replace(event, pose=event.pose.at[2].add(turn)), turn, share * turn, turned
+    return at, dataclasses.replace(event, pose=event.pose.at[2].add(turn)), turn, P.graph.turn_share * turn, turned
 
 
 def make_due_node(

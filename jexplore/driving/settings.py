@@ -107,10 +107,6 @@ class Tuning(Settings):
     """A change of the ground's inclination by more than this, in degrees, is an obstacle."""
     speed_m_s: float = 0.4
     """The robot approaches a target at this speed [Vc], in metres a second."""
-    agree_deg: float = 0.0
-    """Turns of all exits of a known place that agree within this, in degrees, correct the heading by `agree_share`."""
-    agree_share: float = 1.0
-    """Share of the turn seen at such a place by which the heading is corrected; at other places it is a fifth."""
     helps: int = 3
     """The run ends as STUCK after this many times of operator help since the last node."""
     turn_gain: float = 1.5
@@ -123,7 +119,7 @@ BY_WORLD = {"open_m": (2.5, 5.0), "far_m": (4.0, 8.0), "coast_m": (0.0, 1.5)}
 """Thresholds whose 0 stands for another number -> that on courses, and in other worlds."""
 LEVEL_SIGHT_M = 4.0
 """The scanner that looks ahead must see level ground no nearer than this, metres."""
-FROM_ZERO = "obtuse_tol_deg", "leave_m", "tread_wave_m2", "agree_deg", "agree_share", "coast_m"
+FROM_ZERO = "obtuse_tol_deg", "leave_m", "tread_wave_m2", "coast_m"
 """Thresholds that may be 0."""
 WHOLE = {"votes": 9, "helps": 100}
 """Thresholds that are whole numbers -> their largest value."""
@@ -166,8 +162,6 @@ def require_tuning(tuning: Tuning) -> None:
     require_number("tuning.circle", tuning.circle, low=1, low_open=True, high=3)
     require_number("tuning.obtuse_tol_deg", tuning.obtuse_tol_deg, high=90, high_open=True)
     require_number("tuning.inclination_deg", tuning.inclination_deg, low=1, high=45)
-    require_number("tuning.agree_deg", tuning.agree_deg, high=90)
-    require_number("tuning.agree_share", tuning.agree_share, high=1)
 
 
 def require_robot(robot: Robot) -> None:
