@@ -221,9 +221,9 @@ def event(kind, odometer, pose, centre=None, *, radius=0.0, posture=0.0, steepes
 WRITE = jax.jit(lambda writer, due, points, tuning: nodes.write_node(writer, due, points, tuning, KAMUI))
 
 
-def outcome_of(writer, due, points=NOTHING, tuning=TUNING):
+def outcome_of(writer, due, points=NOTHING):
     """Return what `nodes.write_node` does; all of one type, so that one program does for all."""
-    return WRITE(*jax.device_get((writer, due)), points, tuning)
+    return WRITE(*jax.device_get((writer, due)), points, TUNING)
 
 
 def write_node(writer, due, points=NOTHING):
