@@ -171,8 +171,7 @@ def run_missions(
     """
     draws = np.asarray(draws, np.int32)
     resources = find_resources(engine=engine, lanes=lanes, workers=workers)
-    # A name would make another program.
-    unnamed = dataclasses.replace(robots, name="")
+    unnamed = dataclasses.replace(robots, name="")  # a name would make another program
     settings = MissionTask(unnamed, tunings, noises, np.asarray(starts, np.float32), params, guides)  # type: ignore[arg-type]
     program = mission_program(Setup(step_slots(max_steps), *size))._replace(cpu_options=COMPILER_OPTIONS)
     limit, lines = np.int32(max_steps), []

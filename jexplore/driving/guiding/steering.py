@@ -41,11 +41,8 @@ def _sight(place, estimate, ways_m, robot):
     off = place - estimate[:2]
     off_m, bearing = jnp.hypot(*off), btm.wrapped(jnp.arctan2(off[1], off[0]) - estimate[2])
     at = jnp.argmin(jnp.abs(btm.wrapped(surround.DIRECTION - bearing)))
-    return (
-        off_m,
-        bearing,
-        (ways_m[at] + robot.length_m / 2 > off_m - P.route.sight_slack_m) & (off_m < P.route.known_way_m),
-    )
+    sees = (ways_m[at] + robot.length_m / 2 > off_m - P.route.sight_slack_m) & (off_m < P.route.known_way_m)
+    return off_m, bearing, sees
 
 
 def steer_along_route(

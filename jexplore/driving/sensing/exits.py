@@ -56,18 +56,13 @@ def find_exits(xy: Array, valid: Array, centre: Array, radius_m: Array | float, 
     views = jax.vmap(seen)(jnp.array([1.0, P.places.somewhat_wider, P.places.wider_circle]))
     found, near, more = (jax.tree.map(lambda a, i=i: a[i], views) for i in range(3))
     found = _divide_by_doors(found, near, more, circle * radius_m)
-    askew = _askew(found)
+    askew, off_rad = _askew(found), P.places.merged_rad
     # The walls of a gap wider than half a turn face each other on the other side of the centre: one opening.
-    merged = (
-        found.valid
-        & (askew > P.places.merged_rad)
-        & (askew < math.pi - P.places.merged_rad)
-        & (found.width_m > P.places.door_m)
-    )
+    merged = found.valid & (askew > off_rad) & (askew < math.pi - off_rad) & (found.width_m > P.places.door_m)
     kept, inside = found.valid & ~merged, jnp.hypot(*more.middle.T) <= circle * radius_m
     straight = jnp.any(merged) & (_askew(more) < P.places.straight_rad)
     extra = _new_openings(kept, found, more) & ((inside & (more.width_m <= P.places.door_m)) | straight)
-    beside = jnp.abs(wrapped(found.bearing[:, None] - more.bearing)) < P.places.merged_rad
+    beside = jnp.abs(wrapped(found.bearing[:, None] - more.bearing)) < off_rad
     merged &= jnp.any(extra & beside, axis=1)
     parts = (found.valid & ~merged, found), (extra, more)
     together = [jnp.concatenate(pair) for pair in zip(*((there, a.middle, a.across, a.width_m) for there, a in parts))]
@@ -80,9 +75,8 @@ def find_exits(xy: Array, valid: Array, centre: Array, radius_m: Array | float, 
         return _merge_doors(together, doors, radius_m > P.places.wide_place_m), too_many
 
     none = [jnp.concatenate([a, jnp.zeros_like(a[: 2 * size])]) for a in together], jnp.int32(0)
-    together, too_many = run_if(
-        radius_m > jnp.where(farther, P.places.last_resort_m, P.places.wide_place_m), with_doors, none
-    )
+    from_m = jnp.where(farther, P.places.last_resort_m, P.places.wide_place_m)
+    together, too_many = run_if(radius_m > from_m, with_doors, none)
     out = sort_openings(together, found.overflow, size)
     overflow = jnp.maximum(out.overflow, jnp.maximum(jnp.maximum(near.overflow, more.overflow), too_many))
     return dataclasses.replace(out, overflow=overflow)

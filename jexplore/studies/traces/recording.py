@@ -93,8 +93,9 @@ def wall_lines(plan: TraceJob) -> np.ndarray:
 @jax.jit
 def _frame(key, building, settings, state):
     """Make one step, and return its view."""
-    with using(settings[3]):
-        return _viewed(key, building, *settings[:3], state)
+    robot, tuning, noise, params = settings
+    with using(params):
+        return _viewed(key, building, robot, tuning, noise, state)
 
 
 def _viewed(key, building, robot, tuning, noise, state):
