@@ -3,10 +3,10 @@
     python benchmarks/ablation.py --out DIR [--worlds WORLD...] [--runs 8] [--seed 100] [--only NAME...]
     python benchmarks/ablation.py --out DIR --summary
 
-Every run of a changed robot has the noise and the start of one as it is. Rows are written as runs end, a file for each
-run number, and a run that was broken off goes on. The summary is Markdown: for each number, at half and at double, the
-share of runs that stay equal in every bit, and by how much the share of good runs (on a course the true map, in a
-building EXHAUSTED) and of junctions reached changes, in per cent, with the 95 % t interval of the paired differences.
+Every run of a changed robot has the noise and the start of one as it is. Rows are written as runs end, and what was
+broken off goes on. The summary is Markdown: for each number, at half and at double, the share of runs whose path and
+map stay the same, and by how much the share of good runs (on a course the true map, in a building EXHAUSTED) and of
+junctions reached changes, in per cent, with the 95 % t interval of the paired differences.
 """
 
 import argparse
@@ -19,13 +19,14 @@ import pandas as pd
 from scipy import stats
 
 from jexplore.driving.params.groups import default_numbers
-from jexplore.driving.settings import Noise
+from jexplore.driving.settings import WHOLE, Noise
 from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.studies.traces import tracing
 from jexplore.studies.traces.job import prepare_trace
 
 WORLDS = ("course#101", "course#102", "course#103", "course#104", "office", "hospital")
 FACTORS = (0.5, 2.0)
+PART = 40  # changes whose runs are written together
 WORKERS = os.cpu_count() or 1
 
 
@@ -48,28 +49,34 @@ def varied(world, runs, seed, only):
     changes = [("", 1.0), *((name, factor) for name in only or own for factor in FACTORS)]
     swept = {name: np.full(len(changes), value, float) for name, value in own.items()}
     for i, (name, factor) in enumerate(changes[1:], 1):
-        swept[name][i] = min(changed(own[name], factor), 9) if name == "votes" else changed(own[name], factor)
+        swept[name][i] = min(changed(own[name], factor), WHOLE.get(name, np.inf))
     return dataclasses.replace(plan, swept=swept, settings=len(changes)), changes
 
 
 def make(out, world, runs, seed, only):
-    """Make the runs of a world that are not there yet."""
+    """Make the runs of a world that are not there yet, `PART` changes after the other, the first run of all first."""
     plan, changes = varied(world, runs, seed, only)
-    setting = np.arange(plan.settings)
-    for run in range(runs):
-        path = out / f"{world.replace(':', '_')}-{run}.parquet"
-        if path.exists():
-            continue
-        which = np.full(plan.settings, run, np.int32)
-        result = plan.run(setting, which, workers=WORKERS).result
-        table = tracing.trace_table(plan, result, setting, which, {})[0]
+    name, firsts = world.replace(":", "_"), range(0, plan.settings, PART)
+    paths = [(out / f"{name}-{run}-{first}.parquet", run, first) for run in range(runs) for first in firsts]
+    paths = [part for part in paths if not part[0].exists()]
+    own = [np.arange(first, min(first + PART, plan.settings)) for *_, first in paths]
+    if not own:
+        return
+    ends = np.cumsum([len(part) for part in own])
+
+    def put(i, result, _):
+        path, run, _ = paths[i]
+        table = tracing.trace_table(plan, result, own[i], np.full(len(own[i]), run, np.int32), {})[0]
         good = table["true"].astype(float) if plan.world.course else (table["outcome"] == "EXHAUSTED").astype(float)
-        names, factors = zip(*changes)
+        names, factors = zip(*(changes[k] for k in own[i]))
         junctions = table["junctions_reached"] / table["junctions"].clip(lower=1)
-        own = table[["world", "run", "outcome", "steps", "path_m", "code", "mistaken"]]
-        own = own.assign(name=names, factor=factors, good=good, junctions=junctions)
-        own.assign(false=table["false_divergences"]).to_parquet(path)
+        kept = table[["world", "run", "outcome", "steps", "path_m", "code", "mistaken", "false_divergences"]]
+        kept.assign(name=names, factor=factors, good=good, junctions=junctions).to_parquet(path)
         print(path.name, flush=True)
+
+    which = np.concatenate([np.full(len(part), run, np.int32) for part, (_, run, _) in zip(own, paths)])
+    blocks = [(int(end) - len(part), len(part)) for end, part in zip(ends, own)]
+    plan.run(np.concatenate(own), which, blocks=blocks, on_block=put, workers=WORKERS)
 
 
 def summary(out):

@@ -1,7 +1,7 @@
-"""Settings of a trace run: the robot, its sensors' noise, and every threshold of its perception.
+"""Settings of a trace run: the robot, its sensors' noise, and the thresholds that are options.
 
 Plain Python: importing this loads neither jax nor numpy. Every number is a leaf of the compiled run: each sweep is a
-single batch. The docstrings are the command line's help texts.
+single batch. The docstrings are the command line's help texts. All other numbers are `params.groups.Params`.
 """
 
 import dataclasses
