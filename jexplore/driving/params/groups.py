@@ -6,6 +6,7 @@ Sizes of arrays and tables stand in the modules that use them: a compiled progra
 import dataclasses
 import math
 
+from jexplore.config import checked_names
 from jexplore.rules import Settings
 
 
@@ -269,6 +270,7 @@ class Route(Settings):
     towards_rad: float = math.radians(110)  # no way farther off leads towards a place
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Params(Settings):
     """Numbers of perception, driving and mapping besides those of `Tuning`."""
