@@ -13,8 +13,8 @@ from jax.extend.core import jaxpr_as_fun
 from jexplore.config import InputError
 from jexplore.driving.params.groups import Params, default_numbers
 from jexplore.driving.params.tree import P, params_with, using
-from jexplore.studies.trace_options import swept_values
 from jexplore.studies.traces import job
+from jexplore.studies.traces.options import swept_values
 
 
 def changed(**numbers):
