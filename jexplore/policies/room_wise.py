@@ -7,7 +7,7 @@ leaves to future work.
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ from jexplore.arrays.loops import run_if
 from jexplore.config import require_number
 from jexplore.grid import count, is_free, is_known
 from jexplore.planning import Belief, Choice
-from jexplore.policies.policy import Policy
+from jexplore.policies.policy import Policy, Span
 from jexplore.reach import FAR
 from jexplore.rooms import watershed
 from jexplore.segment import MAX_HOPS, PROMINENCE_M, Criteria, form_for, segment
@@ -145,13 +145,13 @@ def segmented(
     policy: Policy,
     kind: str = "holz",
     *,
-    prominence_m: float = PROMINENCE_M,
-    gamma: float = 3.0,
-    ratio: float = watershed.RATIO,
-    smallest_m2: float = watershed.SMALLEST_ROOM_M2,
-    clutter_m: float = watershed.CLUTTER_M,
-    door_m: float = 1.6,
-    room_m2: float = 40.0,
+    prominence_m: Annotated[float, Span(0.0, 0.5)] = PROMINENCE_M,
+    gamma: Annotated[float, Span(1.0, 10.0)] = 3.0,
+    ratio: Annotated[float, Span(0.3, 0.95)] = watershed.RATIO,
+    smallest_m2: Annotated[float, Span(0.5, 10.0, is_log=True)] = watershed.SMALLEST_ROOM_M2,
+    clutter_m: Annotated[float, Span(0.0, 2.0)] = watershed.CLUTTER_M,
+    door_m: Annotated[float, Span(0.6, 3.0)] = 1.6,
+    room_m2: Annotated[float, Span(5.0, 200.0, is_log=True)] = 40.0,
 ) -> Policy:
     """Make a strategy that prefers frontier cells in the robot's own segment.
 
