@@ -63,7 +63,7 @@ class OfBasins(NamedTuple):
         """Divide the map as `OfGraph`, but with the widest exit."""
         model, unknown = belief.model, ~is_known(belief.grid)
         numbers = watershed.room_criteria(
-            model.cell_m, ratio=self.ratio, smallest_m2=self.smallest_m2, clutter_m=self.clutter_m
+            model.cell_m, ratio=self.ratio, narrowing=None, smallest_m2=self.smallest_m2, clutter_m=self.clutter_m
         )
         found = watershed.watershed(
             free, unknown, numbers, form=watershed.room_form_for(free.shape, coarse=model.coarse)
@@ -147,7 +147,7 @@ def segmented(
     *,
     prominence_m: Annotated[float, Span(0.0, 0.5)] = PROMINENCE_M,
     gamma: Annotated[float, Span(1.0, 10.0)] = 3.0,
-    ratio: Annotated[float, Span(0.3, 0.95)] = watershed.RATIO,
+    ratio: Annotated[float, Span(0.3, 0.95)] = 0.75,  # alone, without the narrowing that `jexplore segment` looks at
     smallest_m2: Annotated[float, Span(0.5, 10.0, is_log=True)] = watershed.SMALLEST_ROOM_M2,
     clutter_m: Annotated[float, Span(0.0, 2.0)] = watershed.CLUTTER_M,
     door_m: Annotated[float, Span(0.6, 3.0)] = 1.6,
