@@ -1,6 +1,6 @@
 """Rooms on maps that no setting was chosen on: leave one building out, plain and furnished together.
 
-    python benchmarks/segmentation_left_out.py [--own N] [--rows N] FOLDER
+    python benchmarks/segmentation_left_out.py [--own N] [--rows N] [--variants NAME...] FOLDER
 
 FOLDER has maps as NAME.png, furnished as NAME_furnitures.png, and the true rooms as NAME_gt_segmentation.png, at 0.05 m
 a pixel (Bormann et al. 2016). Buildings are these and N furnished worlds of the package's own generators, with plain
@@ -140,10 +140,11 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--own", type=int, default=6, metavar="N")
     parser.add_argument("--rows", type=int, default=3, metavar="N")
+    parser.add_argument("--variants", nargs="+", choices=GRIDS, default=list(GRIDS), metavar="NAME")
     options = parser.parse_args()
     use_compilation_cache()
     maps = list(maps_of(options.folder, options.own, options.rows))
-    rows = [row for variant in GRIDS for row in left_out(maps, variant)]
+    rows = [row for variant in options.variants for row in left_out(maps, variant)]
     print("## Left-out scores\n")
     print(markdown(["variant", "maps", "n", "MCC mean", "median", "least", "room count error"], rows))
 
