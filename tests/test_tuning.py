@@ -19,10 +19,13 @@ from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
 
 
 def test_a_round_has_twice_the_worlds_and_half_the_trials():
-    assert tuning.halvings(16, 4) == [1, 2, 4]
-    assert tuning.halvings(2, 10) == [5, 10]
-    assert tuning.halvings(1, 3) == [3]
-    assert tuning.halvings(9, 1) == [1]
+    assert tuning.halvings(16, 4) == [(1, 16), (2, 8), (4, 4)]
+    assert tuning.halvings(2, 10) == [(5, 2), (10, 1)]
+    assert tuning.halvings(5, 9) == [(2, 5), (4, 3), (9, 2)]
+    assert tuning.halvings(1, 3) == [(3, 1)]
+    assert tuning.halvings(9, 1) == [(1, 9)]
+    # Of six kinds: one world of each with 16 trials, the defaults and the reference, and so on.
+    assert tuning.episodes_needed(2, 24, 16, 4) == 6 * (1 + 2 * 17) + 6 * (1 + 2 * 9) + 12 * (1 + 2 * 5)
 
 
 @pytest.mark.parametrize("name", [name for name in LEAGUE_STRATEGIES if search_space(name)])
@@ -66,7 +69,8 @@ def test_a_strategy_of_a_user_is_tuned_by_its_annotations(monkeypatch):
 class Told(SimpleNamespace):
     """Worlds in which a strategy's logarithm is its min_gain, but for what is said."""
 
-    def log_ratios(self, strategies, which, seed, *, workers=None):
+    def log_ratios(self, strategies, which, seed, *, workers, on_progress):
+        on_progress(len(which) * (1 + len(strategies)))
         self.asked.append(([one.name for one in strategies], which))
         own = [self.told.get(one.policy.params.min_gain, one.policy.params.min_gain) for one in strategies]
         return np.array([[value + place / 100 for place in which] for value in own], float)
@@ -76,7 +80,9 @@ def test_the_better_half_goes_on_and_the_defaults_always(monkeypatch):
     gains = [7, 3, 9, 4]
     monkeypatch.setattr(tuning, "drawn_settings", lambda *_: [{"min_gain": gain} for gain in gains])
     bank = Told(worlds=range(8), asked=[], told={1: 50.0})  # two kinds of four worlds
-    found = tuning.search("tour", bank, 4, 4, seed=0)
+    how, moved = {"seeds": 4, "trials": 4, "seed": 0}, []
+    (found,) = tuning.search(["tour"], bank, **how, on_progress=moved.append)
+    assert moved[-1] == tuning.episodes_needed(1, 8, 4, 4)
     assert bank.asked == [
         (["tour", *(f"tour:min_gain={gain}" for gain in gains)], [0, 4]),
         (["tour", "tour:min_gain=3", "tour:min_gain=4"], [1, 5]),
@@ -89,7 +95,7 @@ def test_the_better_half_goes_on_and_the_defaults_always(monkeypatch):
     assert table["worlds"].tolist() == [8, 2, 8, 2, 4]
     assert table["ratio"][2] == pytest.approx(np.exp(3 + 0.28 / 8))
     bank.told[1] = -1.0
-    assert tuning.chosen_settings([tuning.search("tour", bank, 4, 4, seed=0)]) == {"tour": {}}
+    assert tuning.chosen_settings(tuning.search(["tour"], bank, **how)) == {"tour": {}}
     text = tuning.tuning_table([found], [f"{kind}#{i}" for kind in ("cave", "maze") for i in range(4)])
     assert "| tour" in text
     assert "min_gain 3" in text

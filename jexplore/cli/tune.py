@@ -1,7 +1,6 @@
 """The command `jexplore tune`."""
 
 import dataclasses
-import itertools
 from collections.abc import Sequence
 
 from jexplore.cli.options import OutOptions, OwnNames, RobotOptions, fields_of
@@ -43,12 +42,10 @@ class Tune(OutOptions, RobotOptions):
             use_compilation_cache()
             with note_if_slow("jexplore: loading worlds"):
                 own = bank.prepare_bank(worlds, **fields_of(self, "cell_m lidar rules"))
-            how = {"seeds": self.world_seeds, **fields_of(self, "trials seed workers")}
-            rounds, done = tuning.halvings(self.trials, self.world_seeds), itertools.count(1)
-            with working(len(names) * len(rounds), "rounds") as on_progress:
-                searches = [
-                    tuning.search(name, own, **how, on_round=lambda: on_progress(next(done))) for name in names
-                ]
+            how = {"trials": self.trials, "seeds": self.world_seeds}
+            with working(tuning.episodes_needed(len(names), len(worlds), **how), "episodes") as on_progress:
+                how |= fields_of(self, "seed workers")
+                searches = tuning.search(names, own, **how, on_progress=on_progress)
             page = {"command": ["jexplore", *arguments], "settings": tuning.chosen_settings(searches)}
             files = {
                 "tuned.json": lambda path: store.write_json(page, path),

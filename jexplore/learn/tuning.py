@@ -5,6 +5,7 @@ half of them in twice as many, and so on. Strategies declare the bounds of their
 """
 
 import contextlib
+import functools
 import math
 import os
 import zlib
@@ -79,41 +80,58 @@ def drawn_settings(name: str, trials: int, seed: int) -> list[dict[str, float]]:
     raise InputError(f"{name!r}: {len(found)} of {MAX_DRAWS * trials} settings within their bounds are settings of it")
 
 
-def halvings(trials: int, seeds: int) -> list[int]:
-    """Return the number of worlds of each kind by round: it doubles as often as trials can be halved."""
+def halvings(trials: int, seeds: int) -> list[tuple[int, int]]:
+    """Return the rounds, `(worlds of each kind, trials)`: the worlds double as often as trials can be halved."""
     rounds = 1 + int(math.log2(min(trials, seeds)))
-    return [seeds >> i for i in reversed(range(rounds))]
+    return [(seeds >> (rounds - 1 - i), math.ceil(trials / 2**i)) for i in range(rounds)]
+
+
+def episodes_needed(strategies: int, worlds: int, trials: int, seeds: int) -> int:
+    """Return the number of episodes of a search, those of the reference included."""
+    before, total = 0, 0
+    for n, left in halvings(trials, seeds):
+        total += (n - before) * worlds // seeds * (1 + strategies * (1 + left))
+        before = n
+    return total
 
 
 def search(
-    name: str, bank: Bank, seeds: int, trials: int, seed: int, *, workers: int | None = None,
-    on_round: Callable[[], object] = lambda: None,
-) -> Search:  # fmt: skip
-    """Tune one strategy.
+    names: Sequence[str], bank: Bank, *, seeds: int, trials: int, seed: int, workers: int | None = None,
+    on_progress: Callable[[int], object] = lambda done: None,
+) -> list[Search]:  # fmt: skip
+    """Tune strategies, all together, so that they share compiled programs; none changes the result of another.
 
     Args:
-      name: text of the strategy.
+      names: of the strategies.
       bank: of worlds, kind by kind, `seeds` of each.
       seeds: number of worlds of each kind.
       trials: number of settings that are drawn, besides the defaults, which run in all worlds.
       seed: of starts and draws.
       workers: cores; by default all.
-      on_round: called after each round of `halvings`.
+      on_progress: called with the number of finished episodes, see `episodes_needed`.
 
     Raises:
       KeyboardInterrupt: it was interrupted.
     """
-    settings = [{}, *drawn_settings(name, trials, seed)]
-    strategies = [parse_strategy(with_values(name, values)) for values in settings]
-    table = np.full((len(settings), len(bank.worlds)), np.nan)
-    number, before, left = np.arange(len(bank.worlds)) % seeds, 0, np.arange(1, len(settings))
-    for n in halvings(trials, seeds):
-        new, rows = np.flatnonzero((number >= before) & (number < n)), [0, *left]
-        table[np.ix_(rows, new)] = bank.log_ratios([strategies[i] for i in rows], new.tolist(), seed, workers=workers)
-        order = np.argsort(table[left][:, number < n].mean(axis=1), kind="stable")
-        left, before = left[order[: (len(left) + 1) // 2]], n
-        on_round()
-    return Search(name, settings, table)
+    found = []
+    for name in names:
+        settings: list[dict[str, float]] = [{}, *drawn_settings(name, trials, seed)]
+        found.append(Search(name, settings, np.full((len(settings), len(bank.worlds)), np.nan)))
+    number, before, done = np.arange(len(bank.worlds)) % seeds, 0, 0
+    left = [np.arange(1, trials + 1) for _ in names]
+    for n, _ in halvings(trials, seeds):
+        new = np.flatnonzero((number >= before) & (number < n))
+        asked = [(one, i) for one, own in zip(found, left) for i in (0, *own)]
+        strategies = [parse_strategy(with_values(one.name, one.settings[i])) for one, i in asked]
+        moved = functools.partial(lambda before, k: on_progress(before + k), done)
+        rows = bank.log_ratios(strategies, new.tolist(), seed, workers=workers, on_progress=moved)
+        for (one, i), row in zip(asked, rows):
+            one.log_ratio[i, new] = row
+        for k, (one, own) in enumerate(zip(found, left)):
+            order = np.argsort(one.log_ratio[own][:, number < n].mean(axis=1), kind="stable")
+            left[k] = own[order[: (len(own) + 1) // 2]]
+        before, done = n, done + len(new) * (1 + len(strategies))
+    return found
 
 
 def trials_table(searches: Iterable[Search]) -> "pd.DataFrame":
