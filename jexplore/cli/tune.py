@@ -22,6 +22,8 @@ class Tune(OutOptions, RobotOptions):
     """Number of settings that are drawn for each strategy, besides its defaults."""
     world_seeds: int = 4
     """Number of worlds of each of six kinds in the last round, #1000 and on, from one start each."""
+    measure: str = "path_m"
+    """Make this small: a column of the table of episodes such as path_m_at_95, area_m or time_s."""
     seed: int = 0
     """Draw settings, starts and all that is random from this seed."""
     cell_m: float = 0.1
@@ -41,7 +43,7 @@ class Tune(OutOptions, RobotOptions):
             worlds = league_worlds(self.cell_m, self.world_seeds, tuning.FIRST_SEED)
             use_compilation_cache()
             with note_if_slow("jexplore: loading worlds"):
-                own = bank.prepare_bank(worlds, **fields_of(self, "cell_m lidar rules"))
+                own = bank.prepare_bank(worlds, **fields_of(self, "cell_m lidar rules measure"))
             how = {"trials": self.trials, "seeds": self.world_seeds}
             with working(tuning.episodes_needed(len(names), len(worlds), **how), "episodes") as on_progress:
                 how |= fields_of(self, "seed workers")
