@@ -67,7 +67,7 @@ def test_a_strategy_of_a_user_is_tuned_by_its_annotations(monkeypatch):
 
 
 class Told(SimpleNamespace):
-    """Worlds in which a strategy's logarithm is its min_gain, but for what is said."""
+    """Worlds in which a strategy's logarithm is its min_gain, unless `told` has another."""
 
     def log_ratios(self, strategies, which, seed, *, workers, on_progress):
         on_progress(len(which) * (1 + len(strategies)))

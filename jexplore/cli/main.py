@@ -28,8 +28,7 @@ from jexplore.cli.tracemaps.merge_maps import MergeMaps
 from jexplore.cli.tracemaps.route import RouteCommand
 from jexplore.cli.tracemaps.station import Station
 from jexplore.cli.tracemaps.trace import Trace
-from jexplore.cli.train import Train
-from jexplore.cli.tune import Tune
+from jexplore.cli.train import Train, Tune
 from jexplore.config import InputError, __version__
 from jexplore.engine.plugins import keep_compiler_quiet, keep_to_cpu
 
