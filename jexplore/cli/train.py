@@ -111,8 +111,8 @@ class Tune(OutOptions, RobotOptions):
     """Choose settings of strategies by one budget for all: the same number of trials in the same worlds.
 
     Settings are drawn at random within their bounds. All trials run in few worlds, the better half of them in twice as
-    many, and so on; the defaults run in all. Prints the choices and writes tuned.json, for `jexplore compare --tuned`,
-    trials.parquet and run.json.
+    many, and so on; the defaults run in all. Prints the choices and writes tuned.json, for the option --tuned of
+    `jexplore compare`, trials.parquet and run.json.
     """
 
     strategies: OwnNames = None

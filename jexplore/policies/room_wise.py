@@ -136,7 +136,7 @@ class _Inner:
     inner: Callable[..., Any]
     keeps: bool = False  # of an `init`: see `_Select`
 
-    def __call__(self, params, *rest):
+    def __call__(self, params: Any, *rest: Any) -> Any:
         found = self.inner(params.inner, *rest)
         return (jnp.full((2,), -1, jnp.int32), found) if self.keeps else found
 
