@@ -1,12 +1,13 @@
 """Rooms on maps that no setting was chosen on: leave one building out, plain and furnished together.
 
-    python benchmarks/segmentation_left_out.py [--own N] FOLDER
+    python benchmarks/segmentation_left_out.py [--own N] [--rows N] [--variants NAME...] FOLDER
 
 FOLDER has maps as NAME.png, furnished as NAME_furnitures.png, and the true rooms as NAME_gt_segmentation.png, at 0.05 m
 a pixel (Bormann et al. 2016). Buildings are these and N furnished worlds of the package's own generators, with plain
-twins (#5000 and on, of three kinds each; 0 leaves them out). For each building a variant's settings are those with the
-best mean MCC on all others; the scores of the building by them are what counts. Prints every setting's mean (the curve)
-and, by building, the settings chosen and the scores, then means.
+twins (#5000 and on, of three kinds each; 0 leaves them out), and N plans of small rooms that face each other across a
+corridor narrower than they are, through doors of 0.55 to 0.9 of their width. For each building a variant's settings
+are those with the best mean MCC on all others; the scores of the building by them are what counts. Prints every
+setting's mean (the curve) and, by building, the settings chosen and the scores, then means.
 """
 
 import argparse
@@ -30,7 +31,7 @@ FIRST = 5000
 KINDS = ("office", "hospital", "rooms")
 FURNISHED = "furniture=1,wide_openings=0.1,max_loops=5"
 GRIDS = {
-    "voronoi": {"ratio": (0.65, 0.7, 0.75, 0.8), "smallest_m2": (1.0, 2.0, 3.0), "clutter_m": (0.7, 1.0, 1.4)},
+    "voronoi": {"ratio": (0.65, 0.7, 0.75, 0.8), "narrowing": (0.0, 0.85, 0.9), "clutter_m": (0.7, 1.0, 1.4)},
     "distance": {"clutter_m": (0.7, 1.0, 1.4)},
     "morphological": {"clutter_m": (0.7, 1.0, 1.4)},
     "maoris": {"clutter_m": (0.7, 1.0, 1.4)},  # its rules were chosen on the real buildings: no left-out scores there
@@ -47,8 +48,30 @@ class Map(NamedTuple):
     truth: np.ndarray
 
 
-def maps_of(folder: Path, own: int) -> Iterator[Map]:
+def facing_rows(seed: int) -> Map:
+    """Two rows of eight rooms, each as wide as the others but for a tenth, and the corridor between them."""
+    rng = np.random.default_rng(seed)
+    width_m, wall_m, share = rng.uniform(1.7, 2.8), rng.uniform(0.1, 0.25), rng.uniform(0.55, 0.9)
+    widths = np.rint(width_m * (1 + 0.1 * rng.uniform(-1, 1, 8)) / CELL_M).astype(int)
+    wall, corridor = round(wall_m / CELL_M), round(rng.uniform(1.2, 0.95 * width_m) / CELL_M)
+    heights = np.rint(rng.uniform(2.0, 4.5, 2) / CELL_M).astype(int)
+    tops = np.cumsum([wall, heights[0], wall, corridor, wall, heights[1]])
+    free = np.zeros((tops[-1] + wall, widths.sum() + 9 * wall), bool)
+    free[tops[2] : tops[3], wall:-wall] = True
+    closed = free.copy()
+    lefts = wall + np.concatenate([[0], np.cumsum(widths + wall)[:-1]])
+    for row, doorway in (((tops[0], tops[1]), (tops[1], tops[2])), ((tops[4], tops[5]), (tops[3], tops[4]))):
+        for left, width in zip(lefts, widths):
+            free[slice(*row), left : left + width] = closed[slice(*row), left : left + width] = True
+            door = round(share * width)
+            begin = left + int(rng.integers(0, width - door + 1))
+            free[slice(*doorway), begin : begin + door] = True
+    return Map(f"rows#{seed}", False, free, rooms_of(closed, min_px=LEAST_PX))
+
+
+def maps_of(folder: Path, own: int, rows: int = 0) -> Iterator[Map]:
     """All maps."""
+    yield from map(facing_rows, range(rows))
     for path in sorted(folder.glob("*_gt_segmentation.png")):
         name = path.name.removesuffix("_gt_segmentation.png")
         closed = ~load_world(f"{path}@{CELL_M}", cell_m=CELL_M).occupied
@@ -66,7 +89,7 @@ def maps_of(folder: Path, own: int) -> Iterator[Map]:
 
 def judged(one: Map, variant: str, settings: RoomSettings) -> tuple[float, int]:
     """MCC and room count error."""
-    (found,) = divided(one.free, np.zeros_like(one.free), [variant], settings, CELL_M)
+    found = divided(one.free, np.zeros_like(one.free), variant, settings, CELL_M)
     scores = score(one.truth, scored_regions(np.where(one.free, found.label, -1), one.free, min_px=LEAST_PX))
     return scores["mcc"], int(scores["room_count_error"])
 
@@ -78,9 +101,12 @@ def left_out(maps: list[Map], variant: str) -> list[list[str]]:
     # [settings, maps, 2]
     scores = np.array([[judged(one, variant, setting) for one in maps] for setting in settings], float)
     building, is_furnished = np.array([one.building for one in maps]), np.array([one.is_furnished for one in maps])
-    is_own = np.array(["#" in name for name in building])
-    groups = [("real, plain", ~is_own & ~is_furnished), ("real, furnished", ~is_own & is_furnished)]
+    is_rows = np.array([name.startswith("rows#") for name in building])
+    is_own = np.array(["#" in name for name in building]) & ~is_rows
+    is_real = ~is_own & ~is_rows
+    groups = [("real, plain", is_real & ~is_furnished), ("real, furnished", is_real & is_furnished)]
     groups += [("own, plain", is_own & ~is_furnished), ("own, furnished", is_own & is_furnished)]
+    groups += [("facing rows", is_rows)]
     groups = [(name, mask) for name, mask in groups if mask.any()]
     print(f"## {variant}\n\nMean MCC by setting:\n")
     rows = [
@@ -94,7 +120,8 @@ def left_out(maps: list[Map], variant: str) -> list[list[str]]:
         best = int(np.argmax(scores[:, ~own, 0].mean(axis=1)))
         chosen[own] = scores[best, own]
         by = ", ".join(f"{key} {getattr(settings[best], key):g}" for key in grid)
-        rows.append([name, by, *(f"{mcc:.3f} ({error:+.0f})" for mcc, error in chosen[own])])
+        judgements = [f"{mcc:.3f} ({error:+.0f})" for mcc, error in chosen[own]]
+        rows.append([name, by, *judgements, *["-"] * (2 - len(judgements))])
     print("Left out, MCC and room count error:\n")
     print(markdown(["building", "chosen on all others", "plain", "furnished"], rows), "\n", flush=True)
     return [
@@ -112,10 +139,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--own", type=int, default=6, metavar="N")
+    parser.add_argument("--rows", type=int, default=3, metavar="N")
+    parser.add_argument("--variants", nargs="+", choices=GRIDS, default=list(GRIDS), metavar="NAME")
     options = parser.parse_args()
     use_compilation_cache()
-    maps = list(maps_of(options.folder, options.own))
-    rows = [row for variant in GRIDS for row in left_out(maps, variant)]
+    maps = list(maps_of(options.folder, options.own, options.rows))
+    rows = [row for variant in options.variants for row in left_out(maps, variant)]
     print("## Left-out scores\n")
     print(markdown(["variant", "maps", "n", "MCC mean", "median", "least", "room count error"], rows))
 

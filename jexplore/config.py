@@ -30,6 +30,8 @@ NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
     "links": (2, 1024),
     "frames": (1, 10_000),
     "rounds": (1, 10**6),
+    "trials": (1, 10_000),
+    "world_seeds": (1, 1000),
     "check_every": (1, 10**6),
     "patience": (0, 10**6),
     "workers": (1, 1024),

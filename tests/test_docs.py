@@ -45,6 +45,7 @@ PARSED_ONLY = {
     "jexplore slam": "needs a recorded log; tests/test_slam_logs.py",
     "jexplore bench": "measures this machine for minutes, or needs a compiler for a GPU; tests/test_bench.py",
     "jexplore train": "minutes of compiling; tests/test_training.py",
+    "jexplore tune": "minutes of compiling; tests/test_tuning.py",
     "jexplore compare --strategies closest+recheck learned+recheck:path=trained/": "needs what `train` writes",
     "jexplore compare --worlds cave#0 ...": "not written out",
     "jexplore trace --runs 100": "a program for many settings at once; tests/test_tracing.py",

@@ -92,6 +92,28 @@ def test_the_own_room_comes_first():
 
 
 @pytest.mark.jit
+def test_the_segment_of_the_last_target_is_kept_until_it_is_done():
+    policy = parse_strategy("closest+segment:keep=true").policy
+    belief, select = belief_of(), jax.jit(policy.select)
+    beams = beliefs.table(beliefs.LIDAR, belief)
+    carry = policy.init(policy.params, belief)
+    for last, done_from, want in (
+        ((-1, -1), 40, OWN),  # no target before: the robot's own
+        ((9, 30), 40, OTHER),
+        ((9, 5), 40, OWN),
+        ((0, 0), 40, OWN),  # a wall by now
+        ((9, 30), 30, OWN),  # done: everything
+    ):
+        given = jnp.array(last, jnp.int32), carry[1]
+        now = belief.replace(exhausted=jnp.broadcast_to(jnp.arange(40) >= done_from, (15, 40)))
+        new, choice, _ = select(jax.random.key(0), policy.params, given, now, beams, jnp.zeros((15, 40), jnp.int8))
+        assert (int(choice.row), int(choice.col)) == want
+        assert new[0].tolist() == list(want)
+    assert carry[0].tolist() == [-1, -1]
+    assert policy.select != parse_strategy("closest+segment").policy.select
+
+
+@pytest.mark.jit
 def test_what_cannot_be_reached_does_not_hold_the_robot():
     """A frontier in the own room that is cut off, or exhausted, and then none at all."""
     belief = belief_of(CUT_OFF)

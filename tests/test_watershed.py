@@ -78,6 +78,42 @@ def test_what_is_wide_is_relative_to_the_rooms():
     assert [np.unique(np.asarray(found_in(free).label)[free]).size for free in (halls, small)] == [2, 1]
 
 
+def test_small_rooms_face_each_other_across_a_corridor_narrower_than_they_are():
+    """Openings of six of eight cells: by the ratio alone they are none, and a crossing wider than the corridor is a
+    room of its own with both rooms. What narrows along its whole length is no door.
+    """
+    text = """
+        ########################
+        #aaaaaaaa##bbbbbbbb#####
+        #aaaaaaaa##bbbbbbbb#####
+        #aaaaaaaa##bbbbbbbb#####
+        #aaaaaaaa##bbbbbbbb#####
+        #aaaaaaaa##bbbbbbbb#####
+        #aaaaaaaa##bbbbbbbb#####
+        #aaaaaaaa##bbbbbbbb#####
+        ##++++++####++++++######
+        #cccccccccccccccccc#####
+        #cccccccccccccccccc#####
+        #cccccccccccccccccc#####
+        #cccccccccccccccccc#####
+        #cccccccccccccccccc#####
+        ##++++++####++++++######
+        #dddddddd##eeeeeeee#####
+        #dddddddd##eeeeeeee#####
+        #dddddddd##eeeeeeee#####
+        #dddddddd##eeeeeeee#####
+        #dddddddd##eeeeeeee#####
+        #dddddddd##eeeeeeee#####
+        #dddddddd##eeeeeeee#####
+        ########################
+        """
+    check(text, ratio=0.65)  # 0.68 between two crossings so close
+    free, _, _ = drawn(text)
+    alone = np.asarray(found_in(free, ratio=0.65, narrowing=None).label)
+    assert alone[3, 4] == alone[11, 4] == alone[19, 4]
+    np.testing.assert_array_equal(found_in(free, ratio=0.65, narrowing=0.0).label, alone)
+
+
 def test_a_niche_beside_a_door_is_no_room_and_hides_no_door():
     check("""
         ###################
@@ -189,8 +225,10 @@ def scattered(seed, density):
 def both(seed, density, ratio):
     """Kernel and oracle on one map: for each its label map, and of every room the way out and the area, sorted."""
     free, unknown = scattered(seed, density)
-    found = found_in(free, unknown, ratio=ratio, smallest_m2=1.0, clutter_m=0.8)
-    label, doors, areas = basins.watershed(free, unknown, ratio=ratio, smallest=16.0, size=np.float32(0.8 / CELL_M))
+    found = found_in(free, unknown, ratio=ratio, narrowing=0.9, smallest_m2=1.0, clutter_m=0.8)
+    label, doors, areas = basins.watershed(
+        free, unknown, ratio=ratio, narrowing=0.9, smallest=16.0, size=np.float32(0.8 / CELL_M)
+    )
     assert int(found.overflow) == 0
     sides = []
     for one, d2, area in ((found.label, found.door_d2, found.area), (label, doors, areas)):

@@ -18,6 +18,7 @@ from jexplore.cli.options import (
     StartText,
     TimedOptions,
     TrustOptions,
+    TunedFile,
     UntilText,
     default_worlds,
     fields_of,
@@ -83,6 +84,9 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
     instead of the pictures of single worlds."""
     league_seeds: int = 8
     """Number of worlds of each kind for the league, #0 and on."""
+    tuned: TunedFile = None
+    """Give strategies the settings that `jexplore tune` wrote into this file; shipped: the file that comes with the
+    package."""
     waste: bool = False
     """Also say where path is wasted: what shows nothing new, and visits to leftovers; keeps every way."""
     bounds: bool = False
@@ -105,6 +109,10 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
         )
         worlds = worlds if self.worlds is None else self.worlds
         strategies = strategies if self.strategies is None else self.strategies
+        if self.tuned is not None:
+            from jexplore.learn.tuning import with_settings
+
+            strategies = with_settings(strategies, self.tuned)
         self = dataclasses.replace(self, worlds=worlds, strategies=strategies)
         require_until(self.until)
         if self.until and self.bounds:

@@ -1,5 +1,5 @@
-"""The command line: `jexplore compare`, `explore`, `bound`, `train`, `reproduce`, `segment`, `slam`, `trace`, `route`,
-`merge-maps`, `station`, `worlds`, `strategies`, `bench`.
+"""The command line: `jexplore compare`, `explore`, `bound`, `train`, `tune`, `reproduce`, `segment`, `slam`, `trace`,
+`route`, `merge-maps`, `station`, `worlds`, `strategies`, `bench`.
 
 Importing this loads neither jax nor numpy; every command imports its modules when it runs. Wrong input ends with one
 line and status 2 and leaves no files, an interruption with one line and status 130; a comparison or reproduction then
@@ -28,7 +28,7 @@ from jexplore.cli.tracemaps.merge_maps import MergeMaps
 from jexplore.cli.tracemaps.route import RouteCommand
 from jexplore.cli.tracemaps.station import Station
 from jexplore.cli.tracemaps.trace import Trace
-from jexplore.cli.train import Train
+from jexplore.cli.train import Train, Tune
 from jexplore.config import InputError, __version__
 from jexplore.engine.plugins import keep_compiler_quiet, keep_to_cpu
 
@@ -39,6 +39,7 @@ COMMANDS: dict[str, type] = {
     "merge": Merge,
     "bound": Bound,
     "train": Train,
+    "tune": Tune,
     "reproduce": Reproduce,
     "segment": Segment,
     "slam": Slam,

@@ -61,6 +61,7 @@ UntilText = Annotated[str | None, tyro.conf.arg(metavar="decided", help_behavior
 StartText = Annotated[str, tyro.conf.arg(metavar="START")]
 PolygonText = Annotated[str | None, tyro.conf.arg(metavar="CORNERS")]
 MapFile = Annotated[str | None, tyro.conf.arg(metavar="MAP.yaml")]
+TunedFile = Annotated[str | None, tyro.conf.arg(metavar="FILE")]
 OutFolder = Annotated[
     str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/<UTC time>-<command>)")
 ]
@@ -158,6 +159,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "merge": ("merge runs/sweep-1 runs/sweep-2 --out runs/sweep",),
     "bound": ("bound cave#3 --starts 10 --seconds 30",),
     "train": ("train --out runs/model",),
+    "tune": ("tune --strategies utility+recheck tour+recheck --out runs/tuned",),
     "reproduce": ("reproduce holz2010 --maps maps --episodes 50",),
     "segment": ("segment plan.png@0.05 --truth rooms.png",),
     "slam": ("slam robot.log.gz --out runs/slam",),

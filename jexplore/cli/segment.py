@@ -31,8 +31,10 @@ class Segment(OutOptions):
     """Also segment the maps that an exploring robot has when it first knows 25, 50 and 75 % of what it will know."""
     cell_m: float = 0.05
     """Make the edge of a cell this long, in metres."""
-    ratio: float = 0.75
+    ratio: float = 0.65
     """By voronoi a pass is a door if its clearance is below this share of that of the rooms at either side."""
+    narrowing: float = 0.9
+    """Or below this share of the clearance on both sides, as far from it as it is wide; 0: only by the ratio."""
     smallest_m2: float = 2.0
     """By voronoi join rooms smaller than this, in square metres, to the room that they open to."""
     clutter_m: float = 1.0

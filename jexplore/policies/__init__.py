@@ -7,18 +7,20 @@ the changelog.
 
 from jexplore.policies import clusters, views
 from jexplore.policies.catalogue.entries import MODIFIERS, STRATEGIES, register
-from jexplore.policies.catalogue.grammar import parse_strategy, strategy
-from jexplore.policies.policy import Entry, Policy, Strategy
+from jexplore.policies.catalogue.grammar import parse_strategy, search_space, strategy
+from jexplore.policies.policy import Entry, Policy, Span, Strategy
 
 __all__ = [
     "MODIFIERS",
     "STRATEGIES",
     "Entry",
     "Policy",
+    "Span",
     "Strategy",
     "clusters",
     "parse_strategy",
     "register",
+    "search_space",
     "strategy",
     "views",
 ]

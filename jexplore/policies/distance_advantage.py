@@ -9,7 +9,7 @@ because the robot will spend its time there; a cluster with a large unknown area
 in. Small, near clusters are finished before the robot leaves for long.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -17,7 +17,7 @@ from jax import Array
 from jexplore.config import require_number, require_whole
 from jexplore.native.kernels import EVERY
 from jexplore.policies.clusters import Best, paths_apart, shown_from
-from jexplore.policies.policy import Policy, no_carry
+from jexplore.policies.policy import MinGain, Policy, Span, no_carry
 
 MIN_COUNT = 1e-6  # keeps a quotient finite where nothing counts
 
@@ -62,16 +62,19 @@ def _params(weight, min_gain, **more):
     )
 
 
-def distance_advantage(weight: float = 1.0, min_gain: int = 1) -> Policy:
+def distance_advantage(weight: Annotated[float, Span(0.0, 2.0)] = 1.0, min_gain: MinGain = 1) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Params`."""
     return Policy(no_carry, Best(_judge), _params(weight, min_gain))
 
 
-def small_first(weight: float = 0.5, side_weight: float = 0.5, min_gain: int = 1) -> Policy:
+def small_first(
+    weight: Annotated[float, Span(0.0, 2.0)] = 0.5,
+    side_weight: Annotated[float, Span(0.0, 2.0)] = 0.5,
+    min_gain: MinGain = 1,
+) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Params`.
 
-    The defaults of the weights were chosen on worlds #1000 to #1013 of each kind (`benchmarks/tuning.py`), with known
-    outlines.
+    The defaults of the weights were chosen among twelve on worlds #1000 to #1013 of each kind, with known outlines.
     """
     side_weight = require_number("side_weight", side_weight, high=100)
     return Policy(no_carry, Best(_judge), _params(weight, min_gain, by_area=True, side_weight=side_weight))

@@ -7,14 +7,16 @@ here does not need; in its place stands known area in sight (O), by which a robo
 package's own: area and path are worth more together than apart, the other pairs less.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 from jax import Array
 
 from jexplore.config import InputError, require_number
 from jexplore.policies.clusters import Best, seen_from
-from jexplore.policies.policy import Policy, no_carry
+from jexplore.policies.policy import Policy, Span, no_carry
+
+Weight: TypeAlias = Annotated[float, Span(0.0, 1.0)]
 
 
 class Params(NamedTuple):
@@ -56,7 +58,9 @@ def _judge(params, belief, at, beams):
     return choquet(utilities, measure), at.used
 
 
-def mcdm(a: float = 0.5, d: float = 0.3, o: float = 0.2, ad: float = 0.95, ao: float = 0.7, do: float = 0.4) -> Policy:
+def mcdm(
+    a: Weight = 0.5, d: Weight = 0.3, o: Weight = 0.2, ad: Weight = 0.95, ao: Weight = 0.7, do: Weight = 0.4
+) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Params`, from 0 to 1, none above that of a larger set."""
     params = Params(
         *(require_number(name, value, high=1) for name, value in zip(Params._fields, (a, d, o, ad, ao, do)))

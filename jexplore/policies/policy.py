@@ -1,7 +1,7 @@
 """The shape that every strategy has."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 from jax import Array
 
@@ -46,6 +46,18 @@ class Strategy(NamedTuple):
 def no_carry(params: Any, belief: Belief) -> tuple[()]:
     """Return the carry of a strategy that remembers nothing: its `init`."""
     return ()
+
+
+class Span(NamedTuple):
+    """Bounds between which `jexplore tune` draws a setting: the metadata of a constructor's annotated parameter."""
+
+    low: float
+    high: float
+    is_log: bool = False  # whether its logarithm is drawn uniformly
+
+
+MinGain: TypeAlias = Annotated[int, Span(1, 200, is_log=True)]
+"""Unknown cells that a look must show: up to 2 m^2 of cells of 0.1 m."""
 
 
 class Entry(NamedTuple):

@@ -7,24 +7,24 @@ leaves to future work.
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.arrays.loops import run_if
-from jexplore.config import require_number
+from jexplore.config import InputError, require_number, shown
 from jexplore.grid import count, is_free, is_known
 from jexplore.planning import Belief, Choice
-from jexplore.policies.policy import Policy
+from jexplore.policies.policy import Policy, Span
 from jexplore.reach import FAR
 from jexplore.rooms import watershed
 from jexplore.segment import MAX_HOPS, PROMINENCE_M, Criteria, form_for, segment
 
 NO_DOOR = 2**30  # squared clearance of no way out, cells^2
-_OF_GRAPH = "prominence_m", "gamma"
-_OF_BASINS = "ratio", "smallest_m2", "clutter_m"
+_OF_GRAPH = "prominence_m", "gamma", "keep"
+_OF_BASINS = "ratio", "smallest_m2", "clutter_m", "keep"
 _OF_ROOMS = "door_m", "room_m2"
 KINDS = {
     **dict.fromkeys(MAX_HOPS, _OF_GRAPH),
@@ -63,7 +63,7 @@ class OfBasins(NamedTuple):
         """Divide the map as `OfGraph`, but with the widest exit."""
         model, unknown = belief.model, ~is_known(belief.grid)
         numbers = watershed.room_criteria(
-            model.cell_m, ratio=self.ratio, smallest_m2=self.smallest_m2, clutter_m=self.clutter_m
+            model.cell_m, ratio=self.ratio, narrowing=None, smallest_m2=self.smallest_m2, clutter_m=self.clutter_m
         )
         found = watershed.watershed(
             free, unknown, numbers, form=watershed.room_form_for(free.shape, coarse=model.coarse)
@@ -80,8 +80,10 @@ class Params(NamedTuple):
     inner: Any
 
 
-def own_segment(params: Params, belief: Belief) -> tuple[Array, Array, Array]:
+def own_segment(params: Params, belief: Belief, last: Array | None = None) -> tuple[Array, Array, Array]:
     """Return the robot's segment `[H, W]` bool, whether it is a room, and the cells that did not fit.
+
+    With `last`, `[2]` int32, row and col of the last target, its segment instead; -1, or no segment: the robot's.
 
     A room has a door, and is no larger than rooms are: corridors, halls and caves get no preference. A door is a
     critical point no wider than doors are; a basin has a door if its widest exit is no wider.
@@ -89,6 +91,9 @@ def own_segment(params: Params, belief: Belief) -> tuple[Array, Array, Array]:
     free = is_free(belief.grid, belief.model.p_free)
     label, door_d2, overflow = params.cut.divide(free, belief)
     own = label[belief.row, belief.col]
+    if last is not None:
+        kept = label[last[0], last[1]]
+        own = jnp.where((last[0] >= 0) & (kept >= 0), kept, own)
     mine = label == own
     door = door_d2[jnp.maximum(own, 0)]
     # From the middle of one wall's cell to that of the other, a cell more than is free between them.
@@ -102,9 +107,11 @@ class _Select:
     """The `select` of a strategy with the modifier. Equal for the same strategy, so compiled once."""
 
     inner: Callable[..., Any]
+    keeps: bool  # the segment of the last target is the robot's; the carry is then that target and the inner one
 
     def __call__(self, key, params, carry, belief, beams, route):
-        mine, is_room, overflow = own_segment(params, belief)
+        last, carry = carry if self.keeps else (None, carry)
+        mine, is_room, overflow = own_segment(params, belief, last)
         none = jnp.int32(-1)
         nothing = Choice(none, none, jnp.int32(FAR), jnp.int32(0))
 
@@ -117,6 +124,8 @@ class _Select:
             return run_if((state[1].row < 0) & (is_room | (i > 0)), choose, state)
 
         carry, choice, route = lax.fori_loop(0, 2, attempt, (carry, nothing, route))
+        if self.keeps:
+            carry = jnp.stack([choice.row, choice.col]), carry
         return carry, choice.replace(overflow=choice.overflow + overflow), route
 
 
@@ -125,9 +134,11 @@ class _Inner:
     """The `init` or `live` of a strategy with the modifier."""
 
     inner: Callable[..., Any]
+    keeps: bool = False  # of an `init`: see `_Select`
 
-    def __call__(self, params, *rest):
-        return self.inner(params.inner, *rest)
+    def __call__(self, params: Any, *rest: Any) -> Any:
+        found = self.inner(params.inner, *rest)
+        return (jnp.full((2,), -1, jnp.int32), found) if self.keeps else found
 
 
 def rebuilt(policy: Policy, change: Callable[[Any], Any]) -> Policy:
@@ -135,7 +146,7 @@ def rebuilt(policy: Policy, change: Callable[[Any], Any]) -> Policy:
 
     def one(function):
         if isinstance(function, (_Select, _Inner)):
-            return type(function)(change(function.inner))
+            return dataclasses.replace(function, inner=change(function.inner))
         return None if function is None else change(function)
 
     return policy._replace(init=one(policy.init), select=one(policy.select), live=one(policy.live))
@@ -145,13 +156,14 @@ def segmented(
     policy: Policy,
     kind: str = "holz",
     *,
-    prominence_m: float = PROMINENCE_M,
-    gamma: float = 3.0,
-    ratio: float = watershed.RATIO,
-    smallest_m2: float = watershed.SMALLEST_ROOM_M2,
-    clutter_m: float = watershed.CLUTTER_M,
-    door_m: float = 1.6,
-    room_m2: float = 40.0,
+    prominence_m: Annotated[float, Span(0.0, 0.5)] = PROMINENCE_M,
+    gamma: Annotated[float, Span(1.0, 10.0)] = 3.0,
+    ratio: Annotated[float, Span(0.3, 0.95)] = 0.75,  # alone, without the narrowing that `jexplore segment` looks at
+    smallest_m2: Annotated[float, Span(0.5, 10.0, is_log=True)] = watershed.SMALLEST_ROOM_M2,
+    clutter_m: Annotated[float, Span(0.0, 2.0)] = watershed.CLUTTER_M,
+    door_m: Annotated[float, Span(0.6, 3.0)] = 1.6,
+    room_m2: Annotated[float, Span(5.0, 200.0, is_log=True)] = 40.0,
+    keep: bool = False,
 ) -> Policy:
     """Make a strategy that prefers frontier cells in the robot's own segment.
 
@@ -163,7 +175,11 @@ def segmented(
       ratio, smallest_m2, clutter_m: see `watershed.room_criteria`.
       door_m: width of the widest door, metres; "auto" and "rooms" only.
       room_m2: area of the largest room, m^2; "auto" and "rooms" only.
+      keep: whether the segment of the last target stays the robot's own until it holds none that can be reached, also
+        while the robot drives through others.
     """
+    if not isinstance(keep, bool):
+        raise InputError(f"keep must be True or False, got {shown(keep)}")
     if "ratio" in KINDS[kind]:
         cut = OfBasins(
             float(require_number("ratio", ratio, high=1)),
@@ -185,4 +201,4 @@ def segmented(
     if "door_m" not in KINDS[kind]:
         params = params._replace(door_m=math.inf, room_m2=math.inf)
     live = None if policy.live is None else _Inner(policy.live)
-    return Policy(_Inner(policy.init), _Select(policy.select), params, live)
+    return Policy(_Inner(policy.init, keep), _Select(policy.select, keep), params, live)

@@ -14,7 +14,7 @@ from jexplore.arrays.loops import repeat
 from jexplore.config import require_whole
 from jexplore.planning import field
 from jexplore.policies.clusters import CLUSTERS, go_to, paths_apart, shown_from, targets
-from jexplore.policies.policy import Policy, no_carry
+from jexplore.policies.policy import MinGain, Policy, no_carry
 
 NO_PATH_M = 1e6  # stands for "no path", so that sums stay finite
 AT_A_TIME = 8  # stops of a route at which it is tried to turn it, together
@@ -109,6 +109,6 @@ def _select(key, params, carry, belief, beams, route):
     return carry, *go_to(belief, route, reached, at, which)
 
 
-def tour(min_gain: int = 1) -> Policy:
+def tour(min_gain: MinGain = 1) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Params`."""
     return Policy(no_carry, _select, Params(require_whole("min_gain", min_gain, low=0, high=2**20)))

@@ -6,11 +6,11 @@ of coverage maps. The utility of Burgard, Moors, Stachniss, Schneider, "Coordina
 21(3), 2005, is another: it falls near the targets of other robots, so that a single robot there explores as `closest`.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from jexplore.config import require_number, require_whole
 from jexplore.policies.clusters import Best, seen_from
-from jexplore.policies.policy import Policy, no_carry
+from jexplore.policies.policy import MinGain, Policy, Span, no_carry
 
 
 class Params(NamedTuple):
@@ -25,7 +25,7 @@ def _judge(params, belief, at, beams):
     return unknown * belief.model.cell_m**2 - params.beta * at.path_m, unknown >= params.min_gain
 
 
-def utility(beta: float = 5.0, min_gain: int = 1) -> Policy:
+def utility(beta: Annotated[float, Span(0.1, 100.0, is_log=True)] = 5.0, min_gain: MinGain = 1) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Params`."""
     params = Params(require_number("beta", beta, high=1e6), require_whole("min_gain", min_gain, low=0, high=2**20))
     return Policy(no_carry, Best(_judge), params)

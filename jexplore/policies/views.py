@@ -12,7 +12,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -24,11 +24,13 @@ from jexplore.config import require_number, require_whole
 from jexplore.gain import look, most, prospect, stops_and_unknown, unknown_seen
 from jexplore.native import kernels
 from jexplore.planning import Belief, Choice, Field, choose, field, known_of, metres, nearest_of
-from jexplore.policies.policy import Policy, no_carry
+from jexplore.policies.policy import MinGain, Policy, Span, no_carry
 from jexplore.raycast import Beams
 from jexplore.reach import FAR
 
 MAX_SAMPLES = 1024  # most samples a plan
+Samples: TypeAlias = Annotated[int, Span(50, 1000, is_log=True)]
+Spread: TypeAlias = Annotated[float, Span(0.0, 4.0)]
 
 
 class Views(NamedTuple):
@@ -166,11 +168,21 @@ def live(params: Views, belief: Belief, beams: Beams, row: Array, col: Array) ->
     return seen >= params.min_gain
 
 
-def decision_theoretic(samples: int = 500, lam: float = 0.2, spread_m: float = 1.0, min_gain: int = 10) -> Policy:
+def decision_theoretic(
+    samples: Samples = 500,
+    lam: Annotated[float, Span(0.01, 5.0, is_log=True)] = 0.2,
+    spread_m: Spread = 1.0,
+    min_gain: MinGain = 10,
+) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Views`, with lam (1/m) as the weight."""
     return Policy(no_carry, SELECT, views(("lam", lam), samples, spread_m, min_gain), live)
 
 
-def gain_rate(samples: int = 500, plus_m: float = 1.0, spread_m: float = 1.0, min_gain: int = 10) -> Policy:
+def gain_rate(
+    samples: Samples = 500,
+    plus_m: Annotated[float, Span(0.05, 20.0, is_log=True)] = 1.0,
+    spread_m: Spread = 1.0,
+    min_gain: MinGain = 10,
+) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Views`, with plus_m, added to the path, as the weight."""
     return Policy(no_carry, SELECT, views(("plus_m", plus_m), samples, spread_m, min_gain, by_rate=True), live)

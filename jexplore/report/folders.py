@@ -24,6 +24,7 @@ OUR_FILES = (
     *("episode.png", "episode.gif", "explored.yaml", "explored.pgm", "worlds.png"),  # explore, worlds
     *("bounds.parquet", "walks.parquet", "bounds.png"),  # bound
     *("model.msgpack", "model.json", "curve.parquet", "curve.png"),  # train
+    *("tuned.json", "trials.parquet"),  # tune
     *("bench.json", "bench.png"),  # bench
     *("scores.parquet", "segments.png"),  # segment
     *("trajectory.txt", "map.yaml", "map.pgm", "slam.png", "errors.parquet"),  # slam

@@ -42,7 +42,7 @@ def _codes(belief):
 
 
 @jax.jit
-def _own_room(params, belief):
+def _own_room(params, belief):  # of a strategy that keeps its segment, too: where the robot is
     mine, is_room, _ = room_wise.own_segment(params, belief)
     return mine & is_room
 

@@ -22,6 +22,7 @@ class RoomSettings(NamedTuple):
     """Numbers and choices of all variants."""
 
     ratio: float = watershed.RATIO  # voronoi: see `watershed.RoomCriteria`
+    narrowing: float = watershed.NARROWING  # voronoi: see there; 0: any
     smallest_m2: float = watershed.SMALLEST_ROOM_M2  # voronoi: area of the smallest room, m^2
     clutter_m: float = watershed.CLUTTER_M  # all but the paper's: smaller obstacles are no walls, metres
     prominence_m: float = segment.PROMINENCE_M  # thrun, wurm, holz: see `segment.Criteria`, metres
@@ -39,7 +40,8 @@ class RoomMap(NamedTuple):
 
 def require(settings: RoomSettings) -> None:
     """Refuse settings that make no sense."""
-    require_number("ratio", settings.ratio, high=1)
+    for name in ("ratio", "narrowing"):
+        require_number(name, getattr(settings, name), high=1)
     for name, high in (("smallest_m2", 1e6), ("clutter_m", 1000), ("prominence_m", 100), ("gamma", 1000)):
         require_number(name, getattr(settings, name), high=high)
 
@@ -58,7 +60,7 @@ def divided(free: np.ndarray, unseen: np.ndarray, variant: str, settings: RoomSe
     form = watershed.room_form_for(wide_free.shape, coarse=True)
     if variant == "voronoi":
         sizes = {"smallest_m2": settings.smallest_m2, "clutter_m": settings.clutter_m}
-        numbers = watershed.room_criteria(cell_m, ratio=settings.ratio, **sizes)
+        numbers = watershed.room_criteria(cell_m, ratio=settings.ratio, narrowing=settings.narrowing, **sizes)
         rooms = watershed.watershed(wide_free, wide_unseen, numbers, form=form)
         label, overflow = np.asarray(rooms.label), rooms.overflow
     else:

@@ -94,8 +94,8 @@ def segment_maps(
     maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World], *,
     truth: str | Sequence[str] | None = None, variants: str | Sequence[str] = BEST, partial: bool = False,
     cell_m: float = 0.05, seed: int = 0, on_progress: Callable[[int], Any] | None = None,
-    ratio: float = ROOM_DEFAULTS.ratio, smallest_m2: float = ROOM_DEFAULTS.smallest_m2,
-    clutter_m: float = ROOM_DEFAULTS.clutter_m,
+    ratio: float = ROOM_DEFAULTS.ratio, narrowing: float = ROOM_DEFAULTS.narrowing,
+    smallest_m2: float = ROOM_DEFAULTS.smallest_m2, clutter_m: float = ROOM_DEFAULTS.clutter_m,
     prominence_m: float = ROOM_DEFAULTS.prominence_m, gamma: float = ROOM_DEFAULTS.gamma,
 ) -> SegmentationResult:  # fmt: skip
     """Divide maps into rooms and score the result.
@@ -111,7 +111,7 @@ def segment_maps(
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
       seed: of the start of the episodes that partial maps come from.
       on_progress: called with the number of maps, partial ones included, that are done.
-      ratio, smallest_m2, clutter_m: of voronoi, the last also of distance, morphological and maoris; see
+      ratio, narrowing, smallest_m2, clutter_m: of voronoi, the last also of distance, morphological and maoris; see
         `room_variants.RoomSettings`.
       prominence_m, gamma: of thrun, wurm, holz.
 
@@ -123,7 +123,7 @@ def segment_maps(
       InputWarning: the largest region of a map lies outside a building: its rooms are not those of the building.
     """
     chosen: Any = list_of("variants", variants)
-    numbers = RoomSettings(ratio, smallest_m2, clutter_m, prominence_m, gamma)
+    numbers = RoomSettings(ratio, narrowing, smallest_m2, clutter_m, prominence_m, gamma)
     tasks = prepare_maps(maps, truth, chosen, cell_m, numbers)
     jobs = [
         prepare_job(task.world, EXPLORER, seed=seed, cell_m=cell_m, start="random", lidar=LIDAR, rules=RULES)

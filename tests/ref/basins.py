@@ -61,7 +61,27 @@ def peak_of(d2, inside, cell):
         cell = best[1]
 
 
-def watershed(free, unknown, *, ratio, smallest, size, none=2**20):
+def is_narrow(d2, inside, one, other, share):
+    """Return whether the clearance between two cells side by side is below a share of that on both half circles round
+    them, as large as the pass is wide.
+    """
+
+    def clearance(squared):
+        return np.sqrt(np.float32(squared)) - np.float32(0.5)
+
+    low, near = min(d2[one], d2[other]), []
+    for at, sign in ((one, -1), (other, 1)):
+        best = 0
+        for angle in np.linspace(-np.pi / 2, np.pi / 2, 17, dtype=np.float32):
+            ahead, aside = (int(np.round(np.sqrt(np.float32(low)) * f(angle))) for f in (np.cos, np.sin))
+            move = (aside, sign * ahead) if one[0] == other[0] else (sign * ahead, aside)
+            there = tuple(min(max(i + d, 0), n - 1) for i, d, n in zip(at, move, d2.shape))
+            best = max(best, d2[there] if inside[there] else 0)
+        near.append(best)
+    return clearance(low) < np.float32(share) * clearance(min(near))
+
+
+def watershed(free, unknown, *, ratio, narrowing, smallest, size, none=2**20):
     """`(label, doors, areas)`: `[H, W]` int, -1 outside; by room squared clearance of the way out, and area."""
     small = clutter(free, size)
     d2 = squared(~free & ~small & ~unknown, none)
@@ -87,8 +107,11 @@ def watershed(free, unknown, *, ratio, smallest, size, none=2**20):
                 room[one] = b
         top[b] = max(top[a], top[b])
 
-    for low, *_, a, b in passes:
+    for low, *_, axis, at, a, b in passes:
         one, other = room[a], room[b]
+        beyond = at[0] + (axis == 1), at[1] + (axis == 0)
+        if is_narrow(d2, inside, at, beyond, narrowing):
+            continue
         if one != other and clearance(-low) >= np.float32(ratio) * clearance(min(top[one], top[other])):
             join(one, other)
 

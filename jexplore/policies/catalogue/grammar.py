@@ -19,7 +19,7 @@ from jexplore.policies.catalogue.entries import (
     parameters,
     source_of,
 )
-from jexplore.policies.policy import Policy, Strategy
+from jexplore.policies.policy import Policy, Span, Strategy
 from jexplore.policies.room_wise import KINDS, segmented
 from jexplore.users import described, import_object, name_of
 
@@ -118,16 +118,8 @@ def _build(
     return with_exact_numbers(Strategy(name, policy, "recheck" in modifiers))
 
 
-def parse_strategy(text: str) -> Strategy:
-    """Make a strategy from its name.
-
-    `text`: `name+modifier+...:key=value,...`, such as `closest+recheck`, or `module:name+...` for one in a module that
-    can be imported or lies in the current folder.
-
-    Raises:
-      InputError: unknown name, modifier or parameter, a modifier given twice, a value of the wrong kind, a module that
-        does not import, something in it that is no strategy.
-    """
+def _parsed(text):
+    """Parse a strategy's text: its function, modifiers, parameters with their defaults, and those that it gives."""
     foreign = _FOREIGN.match(text)
     if foreign and not foreign["module"].endswith(".py") and entry_of(foreign["module"]) is None:
         make, name = import_object(foreign["module"], foreign["name"]), foreign[0]
@@ -143,7 +135,33 @@ def parse_strategy(text: str) -> Strategy:
         raise InputError(f"expected key=value after the colon in {text!r}")
     of_rooms = KINDS[modifiers["segment"]] if "segment" in modifiers else ()
     allowed = parameters(make) | {key: value for key, value in parameters(segmented).items() if key in of_rooms}
-    return _build(text, make, _given(tail, allowed, name + words, text), modifiers)
+    return make, modifiers, allowed, _given(tail, allowed, name + words, text)
+
+
+def search_space(text: str) -> dict[str, tuple[Span, Any]]:
+    """Return the parameters of a strategy that have bounds and are not given: name -> (bounds, default).
+
+    Raises:
+      InputError: as of `parse_strategy`.
+    """
+    make, _, allowed, given = _parsed(text)
+    hints = segmented.__annotations__ | getattr(make, "__annotations__", {})
+    own = {key: getattr(hints.get(key), "__metadata__", ()) for key in allowed if key not in given}
+    return {key: (one, allowed[key]) for key, data in own.items() for one in data if isinstance(one, Span)}
+
+
+def parse_strategy(text: str) -> Strategy:
+    """Make a strategy from its name.
+
+    `text`: `name+modifier+...:key=value,...`, such as `closest+recheck`, or `module:name+...` for one in a module that
+    can be imported or lies in the current folder.
+
+    Raises:
+      InputError: unknown name, modifier or parameter, a modifier given twice, a value of the wrong kind, a module that
+        does not import, something in it that is no strategy.
+    """
+    make, modifiers, _, given = _parsed(text)
+    return _build(text, make, given, modifiers)
 
 
 def strategy(

@@ -41,11 +41,14 @@ LEAGUE_STRATEGIES = (
 """Every strategy, with re-checking except where its source has none; the first is what the others are compared with."""
 
 
-def league_worlds(cell_m: float = 0.1, seeds: int = LEAGUE_SEEDS) -> tuple[str, ...]:
-    """Return names of the league's worlds: `seeds` of each generator, and of furnished buildings in fine cells."""
-    seeds = require_whole("league_seeds", seeds, 1, MOST_SEEDS)
-    plain = [f"{kind}#{seed}" for kind in LEAGUE_KINDS for seed in range(seeds)]
-    furnished = [FURNISHED[seed % len(FURNISHED)].format(seed) for seed in range(seeds)]
+def league_worlds(cell_m: float = 0.1, seeds: int = LEAGUE_SEEDS, first: int = 0) -> tuple[str, ...]:
+    """Return names of worlds, kind by kind: `seeds` of each generator, and of furnished buildings in fine cells.
+
+    Those of the league begin at the seed 0.
+    """
+    numbers = range(first, first + require_whole("league_seeds", seeds, 1, MOST_SEEDS))
+    plain = [f"{kind}#{seed}" for kind in LEAGUE_KINDS for seed in numbers]
+    furnished = [FURNISHED[seed % len(FURNISHED)].format(seed) for seed in numbers]
     return (*plain, *furnished) if cell_m <= FURNISHED_CELL_M else tuple(plain)
 
 
