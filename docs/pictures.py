@@ -78,20 +78,11 @@ DRAWN = {
     "drift": Drawn(
         "python benchmarks/drift.py --parts drift --out drawn", {"trace/drift.png": "drawn/drift.png"}, is_long=True
     ),
-    "coverage": Drawn(
-        "jexplore compare --league --league-seeds 4 --episodes 2 --rules.known-outline --strategies closest+recheck "
-        "closest small-first+recheck learned+recheck distance-advantage+recheck tour+recheck utility+recheck "
-        "random+recheck --out drawn",
-        {"league/coverage.png": "drawn/coverage.png"},
-        is_long=True,
-    ),
     "league": Drawn(
-        "jexplore compare --league --league-seeds 40 --episodes 2 --strategies closest+recheck closest "
-        "small-first+recheck small-first distance-advantage+recheck distance-advantage "
-        "distance-advantage+recheck:weight=0.5 tour+recheck tour utility+recheck utility learned+recheck learned "
-        "closest+recheck+segment closest+segment closest+recheck+segment=auto mcdm+recheck mcdm random random+recheck "
-        "decision-theoretic decision-theoretic+recheck gain-rate gain-rate+recheck --out drawn",
-        {"league/league.png": "drawn/league.png"},
+        "jexplore compare --league --league-seeds 40 --episodes 1 --strategies closest+recheck closest "
+        "small-first+recheck learned+recheck distance-advantage+recheck tour+recheck utility+recheck random+recheck "
+        "--out drawn",
+        {"league/league.png": "drawn/league.png", "league/coverage.png": "drawn/coverage.png"},
         is_long=True,
     ),
 }

@@ -47,7 +47,6 @@ PARSED_ONLY = {
     "jexplore train": "minutes of compiling; tests/test_training.py",
     "jexplore tune": "minutes of compiling; tests/test_tuning.py",
     "jexplore compare --strategies closest+recheck learned+recheck:path=trained/": "needs what `train` writes",
-    "jexplore compare --worlds cave#0 ...": "not written out",
     "jexplore trace --runs 100": "a program for many settings at once; tests/test_tracing.py",
     "jexplore merge parts/*": "needs the parts that 16 machines wrote",
 }
