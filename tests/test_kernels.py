@@ -17,6 +17,7 @@ from jexplore.policies import clusters, views
 from jexplore.rules import Lidar
 from jexplore.slam2d import beams, points
 from jexplore.slam2d.scans import read_scan
+from jexplore.slam2d.search import Window, search
 from jexplore.slam2d.settings import SlamSettings
 
 LIDAR = Lidar(n_beams=31, fov_deg=270, range_m=1.6)
@@ -194,3 +195,19 @@ def test_points_that_enter_a_map_equal_those_in_jax(target, size):
         one, other = add(one, scan, pose), add(other, scan, pose)
         assert_equal(other, one.replace(native=target))
     assert (int(one.overflow) > 0) == (size == 70)
+
+
+@pytest.mark.parametrize("centre", [(1.0, 2.0), (2.9, -0.4)])
+def test_a_search_equals_that_in_jax(target, centre):
+    """Round a place in the middle of the map and at its corner, where some points lie outside."""
+    own, rng, window = SlamSettings(), np.random.default_rng(0), Window(2, 3, 160)
+    angles = jnp.linspace(-3, 3, 61, dtype=jnp.float32)
+    scan = read_scan(own, jnp.float32(rng.choice([0.8, 1.1, 2.0, 3.0, np.nan], 61)), angles, 8.0)
+    known = points.add(own, points.empty_map((200, 260, 512), centre), scan, jnp.float32([1, 2, 0.3]))
+    find = jax.jit(
+        lambda known, start: search(own, known, scan, start, jnp.diag(jnp.float32([0.1, 0.1, 0.01])), window)
+    )
+    for start in rng.normal([1.1, 1.9, 0.3], [0.2, 0.2, 0.05], (5, 3)):
+        one, other = (find(known.replace(native=native), jnp.float32(start)) for native in (None, target))
+        assert_equal(other, one)
+        assert one.cost < 1

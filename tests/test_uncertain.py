@@ -336,7 +336,15 @@ def by_pose(jit_on):
 @pytest.mark.jit
 def test_without_errors_an_episode_is_that_of_a_given_pose(by_pose):
     expected, found = by_pose["true"].episodes, by_pose["exact"].episodes
-    assert set(found) - set(expected) == {"ate_m", "end_error_m", "end_error_deg", "free_iou", "bumps", "unmatched", "loops"}
+    assert set(found) - set(expected) == {
+        "ate_m",
+        "end_error_m",
+        "end_error_deg",
+        "free_iou",
+        "bumps",
+        "unmatched",
+        "loops",
+    }
     for name in expected:
         if expected[name].dtype.kind == "f":  # lengths are sums of rounded steps
             np.testing.assert_allclose(found[name], expected[name], rtol=1e-5)

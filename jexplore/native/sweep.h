@@ -134,10 +134,10 @@ ffi::Error Fold(Counts hits, Counts misses, Reals xy, Vectors direction, Reals d
 // `points.add`, of points whose places are known: those that have the minimum distance from all others enter the map, the
 // one nearest to the scanner first, and its index.
 ffi::Error Enter(Reals x_, Reals y_, Reals normal_x, Reals normal_y, Counts near_, Numbers told, Vectors given, Counts cells,
-                 Bits inside, Scalar least2, ffi::Result<Reals> x_out, ffi::Result<Reals> y_out,
+                 Bits inside, Scalar scale_, ffi::Result<Reals> x_out, ffi::Result<Reals> y_out,
                  ffi::Result<Reals> normal_x_out, ffi::Result<Reals> normal_y_out, ffi::Result<Counts> near_out,
                  ffi::Result<Numbers> told_out) {
-  constexpr int kParts = 64, kReach = 6, kSteps = 190, kNumberBits = 18, kNoPoint = INT32_MAX;
+  constexpr int kParts = 256, kReach = 6, kSteps = 190, kNumberBits = 18, kNoPoint = INT32_MAX, kShares = 2048;
   const int n = static_cast<int>(inside.element_count()), size = static_cast<int>(x_.element_count());
   const int height = static_cast<int>(near_.dimensions()[0]), width = static_cast<int>(near_.dimensions()[1]);
   float *x = InPlace(x_, x_out), *y = InPlace(y_, y_out);
@@ -146,12 +146,12 @@ ffi::Error Enter(Reals x_, Reals y_, Reals normal_x, Reals normal_y, Counts near
   const float* own[7];  // x, y, normals, x and y in the scan, squared distance
   for (int k = 0; k < 7; ++k) own[k] = given.typed_data() + static_cast<int64_t>(k) * n;
   const int32_t *rows = cells.typed_data(), *cols = rows + n;
-  const float least = *least2.typed_data();
-  auto part = [](float a) { return std::nearbyint(a * 4096.0f); };
+  const float scale = *scale_.typed_data();
+  auto share = [scale](float a) { return std::nearbyint(a * scale); };
   auto is_near = [&](int i, float other_x, float other_y) {
-    const int dx = static_cast<int>(std::min(std::fabs(part(own[0][i]) - part(other_x)), 30000.0f));
-    const int dy = static_cast<int>(std::min(std::fabs(part(own[1][i]) - part(other_y)), 30000.0f));
-    return static_cast<float>(dx * dx + dy * dy) < least;
+    const int dx = static_cast<int>(std::min(std::fabs(share(own[0][i]) - share(other_x)), 30000.0f));
+    const int dy = static_cast<int>(std::min(std::fabs(share(own[1][i]) - share(other_y)), 30000.0f));
+    return dx * dx + dy * dy < kShares * kShares;
   };
   auto is_free = [&](int i) {
     const int row = rows[i] / kParts, col = cols[i] / kParts;
@@ -196,10 +196,81 @@ ffi::Error Enter(Reals x_, Reals y_, Reals normal_x, Reals normal_y, Counts near
   return ffi::Error::Success();
 }
 
+using Picture = ffi::Buffer<ffi::S16, 2>;
+using Cells = ffi::Buffer<ffi::S32, 3>;
+constexpr int kBlock = 6;  // `search.BLOCK`
+
+// `search._coarse`. Terms: first row and column of the picture, the largest cost.
+ffi::Error Coarse(Counts near, Cells cells, Bits valid, Numbers terms, ffi::Result<Cells> sums, ffi::Result<Picture> cost) {
+  using Shorts = int16_t __attribute__((vector_size(16)));
+  constexpr int kMany = 8, kNumberBits = 18;
+  const int turns = static_cast<int>(cells.dimensions()[1]), n_beams = static_cast<int>(cells.dimensions()[2]);
+  const int n = static_cast<int>(sums->dimensions()[1]), width_near = static_cast<int>(near.dimensions()[1]);
+  const int height = static_cast<int>(cost->dimensions()[0]), width = static_cast<int>(cost->dimensions()[1]);
+  const int first_row = terms.typed_data()[0], first_col = terms.typed_data()[1];
+  const auto most = static_cast<int16_t>(terms.typed_data()[2]);
+  const int64_t size = static_cast<int64_t>(height) * width;
+  int16_t* costs = cost->typed_data();
+  std::fill(costs, costs + size, most);
+  for (int row = kBlock; row < height - kBlock; ++row) {
+    const int32_t* from = near.typed_data() + static_cast<int64_t>(first_row + row - kBlock) * width_near + first_col;
+    int16_t* to = costs + static_cast<int64_t>(row) * width + kBlock;
+    for (int col = 0; col < width - 2 * kBlock; ++col) to[col] = static_cast<int16_t>(std::min<int32_t>(from[col] >> kNumberBits, most));
+  }
+  // Least costs from every cell on, up and to the right; cells beyond the picture cost the most.
+  std::vector<int16_t> floors(size + 4 * width + kMany, most);
+  std::memcpy(floors.data(), costs, size * sizeof(int16_t));
+  for (const int step : {1, 2, 2, width, 2 * width, 2 * width})
+    for (int64_t i = 0; i < size; i += kMany) {
+      Shorts here, other;
+      std::memcpy(&here, &floors[i], sizeof here), std::memcpy(&other, &floors[i + step], sizeof other);
+      const Shorts is_less = here < other;
+      here = (here & is_less) | (other & ~is_less);
+      std::memcpy(&floors[i], &here, sizeof here);
+    }
+  std::memset(sums->untyped_data(), 0, sums->size_bytes());
+  for (int turn = 0; turn < turns; ++turn)
+    for (int beam = 0; beam < n_beams; ++beam) {
+      if (!valid.typed_data()[beam]) continue;
+      const int64_t at = static_cast<int64_t>(turn) * n_beams + beam;
+      const int row = cells.typed_data()[at] - n / 2 * kBlock;
+      const int col = cells.typed_data()[at + static_cast<int64_t>(turns) * n_beams] - n / 2 * kBlock;
+      int32_t* sum = sums->typed_data() + static_cast<int64_t>(turn) * n * n;
+      for (int i = 0; i < n; ++i)
+        for (int j = 0, r = row + i * kBlock, c = col; j < n; ++j, c += kBlock)
+          *sum++ += 0 <= r && r < height && 0 <= c && c < width ? floors[static_cast<int64_t>(r) * width + c] : most;
+    }
+  return ffi::Error::Success();
+}
+
+// `search._fine`, of blocks `which`: turns, rows and columns. Terms: the largest cost, blocks in a row.
+ffi::Error Fine(Picture cost, Cells cells, Bits valid, Counts which, Numbers terms, ffi::Result<Counts> sums) {
+  const int turns = static_cast<int>(cells.dimensions()[1]), n_beams = static_cast<int>(cells.dimensions()[2]);
+  const int height = static_cast<int>(cost.dimensions()[0]), width = static_cast<int>(cost.dimensions()[1]);
+  const int m = static_cast<int>(which.dimensions()[1]), most = terms.typed_data()[0], half = terms.typed_data()[1] / 2;
+  std::memset(sums->untyped_data(), 0, sums->size_bytes());
+  for (int k = 0; k < m; ++k) {
+    const int32_t* of = which.typed_data() + k;
+    const int64_t turn = std::clamp(of[0], 0, turns - 1) * static_cast<int64_t>(n_beams);
+    int32_t* sum = sums->typed_data() + kBlock * kBlock * k;
+    for (int beam = 0; beam < n_beams; ++beam) {
+      if (!valid.typed_data()[beam]) continue;
+      const int row = cells.typed_data()[turn + beam] + (of[m] - half) * kBlock;
+      const int col = cells.typed_data()[turn + beam + static_cast<int64_t>(turns) * n_beams] + (of[2 * m] - half) * kBlock;
+      for (int i = 0; i < kBlock; ++i)
+        for (int j = 0, r = row + i, c = col; j < kBlock; ++j, ++c)
+          sum[i * kBlock + j] += 0 <= r && r < height && 0 <= c && c < width ? cost.typed_data()[static_cast<int64_t>(r) * width + c] : most;
+    }
+  }
+  return ffi::Error::Success();
+}
+
 }  // namespace
 
 XLA_FFI_DEFINE_HANDLER_SYMBOL(jexplore_cast, Cast);
 XLA_FFI_DEFINE_HANDLER_SYMBOL(jexplore_fold, Fold);
 XLA_FFI_DEFINE_HANDLER_SYMBOL(jexplore_enter, Enter);
+XLA_FFI_DEFINE_HANDLER_SYMBOL(jexplore_coarse, Coarse);
+XLA_FFI_DEFINE_HANDLER_SYMBOL(jexplore_fine, Fine);
 
 }  // namespace jexplore

@@ -20,7 +20,7 @@ REACH = 6  # cells in every direction whose nearest point a new one may be
 PARTS = (
     64  # of a cell's edge, in which a point's place in it is told: whole numbers, which no compiler rounds in two ways
 )
-IN_METRE, MOST_PARTS = 4096, 30_000  # parts of a metre in which the minimum distance is kept; the sum of squares fits
+SHARES, MOST_SHARES = 2048, 30_000  # of the minimum distance in which it is kept, and at which a distance is cut off
 STEPS = 190  # to which a squared distance of 1 cell^2 is rounded: (REACH + 0.5)^2 of them fit above the numbers
 NUMBER_BITS = 18  # of a point's number in `near`; its squared distance stands above
 NO_POINT = 2**31 - 1
@@ -134,15 +134,15 @@ def add(settings: SlamSettings, points: PointMap, scan: Scan, pose: Array) -> Po
     height, width = points.near.shape
     row, col = (jnp.floor(a * PARTS).astype(jnp.int32) for a in cells_of(settings, points, xy[:, 0], xy[:, 1]))
     inside = scan.valid & (row >= 0) & (row < height * PARTS) & (col >= 0) & (col < width * PARTS)
-    far2, least2 = scan.xy[:, 0] ** 2 + scan.xy[:, 1] ** 2, (settings.min_distance_m * IN_METRE) ** 2
+    far2, scale = scan.xy[:, 0] ** 2 + scan.xy[:, 1] ** 2, jnp.float32(SHARES / settings.min_distance_m)
     new = New(*xy.T, *normal.T, row, col, inside, *scan.xy.T, far2)
     native = kernels.target_of(points.native)
     if native is not None:
         names = "x", "y", "normal_x", "normal_y", "near"
         maps = [getattr(points, name) for name in names]
-        *maps, count, overflow = kernels.enter(native, maps, points.count, points.overflow, new, least2)
+        *maps, count, overflow = kernels.enter(native, maps, points.count, points.overflow, new, scale)
         return points.replace(**dict(zip(names, maps)), count=count, overflow=overflow)
-    chosen, first = _chosen(points, new, least2)
+    chosen, first = _chosen(points, new, scale)
     number = points.count + jnp.sum(chosen[None] & first, axis=1, dtype=jnp.int32)
     size = points.x.shape[0]
     fits = chosen & (number < size)
@@ -154,16 +154,16 @@ def add(settings: SlamSettings, points: PointMap, scan: Scan, pose: Array) -> Po
     return points.replace(**more, near=near, count=count, overflow=overflow)
 
 
-def _apart2(x, y, other_x, other_y):
-    """Return squared distances of points in parts of a metre, of whole numbers; far ones are cut off."""
+def _is_near(scale, x, y, other_x, other_y):
+    """Return whether points are nearer to each other than the minimum distance, in whole shares of it: bool."""
     dx, dy = (
-        jnp.minimum(jnp.abs(jnp.round(a * IN_METRE) - jnp.round(b * IN_METRE)), MOST_PARTS).astype(jnp.int32)
+        jnp.minimum(jnp.abs(jnp.round(a * scale) - jnp.round(b * scale)), MOST_SHARES).astype(jnp.int32)
         for a, b in ((x, other_x), (y, other_y))
     )
-    return dx * dx + dy * dy
+    return dx * dx + dy * dy < SHARES**2
 
 
-def _chosen(points, new, least2):
+def _chosen(points, new, scale):
     """Return which points of a scan enter the map, `[B]`, and which is taken before which: `[B, B]` bool."""
     height, width = points.near.shape
     row, col, free = new.row // PARTS, new.col // PARTS, new.inside
@@ -172,12 +172,12 @@ def _chosen(points, new, least2):
             cell = jnp.clip(row + up, 0, height - 1) * width + jnp.clip(col + right, 0, width - 1)
             near = points.near.reshape(-1)[cell]
             at = jnp.minimum(near & (2**NUMBER_BITS - 1), points.x.shape[0] - 1)
-            free &= (near == NO_POINT) | (_apart2(new.x, new.y, points.x[at], points.y[at]) >= least2)
+            free &= (near == NO_POINT) | ~_is_near(scale, new.x, new.y, points.x[at], points.y[at])
     # Ranks, not ranges, are compared: a fused square rounds in two ways, and two points would wait for each other.
     order = jnp.lexsort((new.scan_y, new.scan_x, new.far2))
     rank = jnp.zeros(len(order), jnp.int32).at[order].set(jnp.arange(len(order), dtype=jnp.int32))
     first = rank[None] < rank[:, None]  # [i, j]: j is taken before i
-    rival = first & (_apart2(new.x[:, None], new.y[:, None], new.x, new.y) < least2)
+    rival = first & _is_near(scale, new.x[:, None], new.y[:, None], new.x, new.y)
 
     def choose(state):
         chosen, left = state
