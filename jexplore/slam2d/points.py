@@ -17,9 +17,7 @@ from jexplore.slam2d.settings import SlamSettings
 
 CELL = 0.7  # edge of a cell in minimum distances: below 1 / sqrt(2), so that a point is the nearest one in its cell
 REACH = 6  # cells in every direction whose nearest point a new one may be
-PARTS = (
-    64  # of a cell's edge, in which a point's place in it is told: whole numbers, which no compiler rounds in two ways
-)
+PARTS = 256  # of a cell's edge, in which a place in it is told: whole numbers, which no compiler rounds in two ways
 SHARES, MOST_SHARES = 2048, 30_000  # of the minimum distance in which it is kept, and at which a distance is cut off
 STEPS = 190  # to which a squared distance of 1 cell^2 is rounded: (REACH + 0.5)^2 of them fit above the numbers
 NUMBER_BITS = 18  # of a point's number in `near`; its squared distance stands above
