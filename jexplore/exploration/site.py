@@ -45,7 +45,8 @@ LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
 ROBOT = Robot()
 # A scan from new ground lies half on the map, and matches all the same. Errors of simulated ranges are independent:
 # with the correlation of recorded logs the trajectory error is 3.6 times as large (8 episodes in the cave).
-MATCHING = SlamSettings(min_share=0.5, correlation=1.0)
+# Turns by 45 degrees are uncertain odometry: nine of ten points on the map tell that they went well without a search.
+MATCHING = SlamSettings(min_share=0.5, plain_share=0.9, correlation=1.0)
 MARGIN_M = 1.0  # m, by which the point map is larger than the world on every side
 MOST_POINTS = 2**15  # of the point map: 1.6 km of walls
 MOST_KEYS, MOST_LOOPS = 1024, 128  # key scans and loops of a robot that closes them: some 300 m of way
