@@ -400,6 +400,20 @@ def test_an_episode_is_drawn_with_both_ways_and_not_replayed(by_pose, tmp_path):
 
 
 @pytest.mark.jit
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("pose", "noise", "outcome"),
+    [("icp", {"slip": 0.5}, "LOST"), ("odometry", {"turn_scale": 2.0}, "INCONSISTENT")],
+)
+def test_bad_odometry_ends_episodes(pose, noise, outcome):
+    """Half of every turn is lost, more than a search allows for; walls are counted all round the robot."""
+    found = jx.compare(two_rooms(), STRATEGY, episodes=24, pose=pose, odometry=noise, lidar=SHORT)
+    ended = found.episodes[found.episodes["outcome"] == outcome]
+    assert len(ended) > 0
+    assert (ended["unmatched"] > 0).all() if pose == "icp" else (ended["explored_fraction"] < 1).all()
+
+
+@pytest.mark.jit
 def test_an_environment_tells_what_the_robot_believes(by_pose):
     env = jx.Environment(two_rooms(), pose="icp", odometry=NOISE, lidar=SHORT, recheck=True, paths=True)
     expected = by_pose["icp"].episodes.iloc[0]
