@@ -19,10 +19,10 @@ LIDAR = Lidar(n_beams=91, range_m=3.0)
 
 @functools.cache
 def driven(pose):
-    """A robot that has driven twelve steps in a room, three ahead, three to the left and so on."""
+    """A robot that has driven sixteen steps in a room, three ahead, three to the left and so on."""
     setup, given, state = begun(pose, Odometry(**NOISE), LIDAR)
     look, go = jax.jit(looking.look, static_argnums=0), jax.jit(moving.turn_and_go)
-    for k in range(12):
+    for k in range(16):
         state, _ = go(given, state, jnp.int32(k // 3 * 2), jnp.bool_(True), jnp.bool_(True))
         state = look(setup, given, state, jnp.bool_(True))
     return given, state

@@ -153,7 +153,7 @@ def add(settings: SlamSettings, points: PointMap, scan: Scan, pose: Array) -> Po
 
 
 def _is_near(scale, x, y, other_x, other_y):
-    """Return whether points are nearer to each other than the minimum distance, in whole shares of it: bool."""
+    """Return whether points are nearer to each other than the minimum distance, counted in whole shares: bool."""
     dx, dy = (
         jnp.minimum(jnp.abs(jnp.round(a * scale) - jnp.round(b * scale)), MOST_SHARES).astype(jnp.int32)
         for a, b in ((x, other_x), (y, other_y))
