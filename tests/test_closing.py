@@ -46,7 +46,9 @@ def test_what_a_robot_believes_moves_with_its_key_scans():
     given, state = driven("icp+closing")
     before, cell_m, n = state.poses.mapping.pose_of, 0.1, int(state.poses.mapping.n_keys)
     trail = state.poses.trail.at[:3, 3:].set(jnp.float32([[12.5, 12.5], [13.4, 12.6], [14.5, 12.4]]))
-    belief = state.belief.replace(exhausted=~state.belief.exhausted)
+    blank = empty_grid(state.belief.driven.shape)
+    unseen = blank.replace(misses=blank.misses.at[-2, -2].set(7))
+    belief = state.belief.replace(exhausted=~state.belief.exhausted, grid=unseen)
     poses = state.poses.replace(trail=trail)
 
     def anew(by, moved):
@@ -61,10 +63,12 @@ def test_what_a_robot_believes_moves_with_its_key_scans():
         assert agree.mean() > 0.98  # a beam on an edge may be rounded to the other cell
         assert found.sum() > 1000
     np.testing.assert_allclose(other[1].trail[:3, 3:], trail[:3, 3:] + jnp.float32([2, 1]), atol=1e-3)
-    np.testing.assert_array_equal(np.argwhere(other[0].driven)[:3], [[13, 14], [13, 15], [13, 16]])
+    assert other[0].driven[13, 14:17].all()
+    assert other[0].driven.sum() == 4  # and the robot's own cell
+    assert other[0].grid.misses[-2, -2] == 7  # no key scan has seen it
     assert not other[0].exhausted.any()
     assert other[1].strayed
-    own, grid = given.numbers.unsure, empty_grid(belief.driven.shape)
+    own, grid = given.numbers.unsure, blank
     for pose, ranges in zip(before[: n - 1], poses.mapping.ranges_of):
         direction = jnp.stack([jnp.cos(pose[2] + own.angles_rad), jnp.sin(pose[2] + own.angles_rad)], axis=1)
         reading = Reading(ranges / cell_m, jnp.isfinite(ranges), ~jnp.isnan(ranges))

@@ -289,7 +289,7 @@ def test_an_error_of_the_heading_becomes_one_of_the_place():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"pose": "gps"}, r"unknown pose 'gps' \(there are: true, odometry, icp, icp+closing\)"),
+        ({"pose": "gps"}, r"unknown pose 'gps' \(there are: true, odometry, icp, icp\+closing\)"),
         ({"odometry": {"slip": 0.7}}, "odometry.slip must be a number at least 0 and at most 0.5, got 0.7"),
         ({"odometry": {"length_scale": 0}}, "odometry.length_scale must be a number above 0 and at most 2, got 0"),
         ({"odometry": {"lenght": 0.1}}, "unknown field of odometry: 'lenght'; did you mean 'length'?"),

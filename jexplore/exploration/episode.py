@@ -75,11 +75,12 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
 
 def _left_out(state: State) -> Array | int:
     """Count what the robot's record of scans, if any, had no room for: points, key scans and loops."""
-    mapping = None if state.poses is None else state.poses.mapping
-    if mapping is None:
+    poses = state.poses
+    if poses is None or poses.mapping is None:
         return 0
+    mapping = poses.mapping
     left_out = mapping.points.overflow + mapping.overflow
-    if state.poses.key_of is None:
+    if poses.key_of is None:
         return left_out
     loops = jnp.maximum(mapping.n_loops - len(mapping.loops.ends), 0)
     return left_out + loops + jnp.maximum(mapping.n_keys - len(mapping.pose_of), 0)

@@ -103,7 +103,9 @@ def _example(site: Site, numbers: Numbers) -> tuple[Given, Any, Any]:
     given = Given(np.zeros((), np.int32), site.beams, truth, np.int32(0), numbers, task)  # type: ignore[arg-type]
     belief = jax.eval_shape(environment.blank_belief, given)
     unsure, capacity = site.setup.unsure, site.setup.capacity
-    poses = unsure and jax.eval_shape(lambda grid: blank_poses(unsure, grid, capacity, task, 1.0), belief.grid)
+    poses = unsure and jax.eval_shape(
+        lambda grid, task: blank_poses(unsure, grid, capacity, task, task[0]), belief.grid, task
+    )
     # A function is told by what it computes, by whatever code.
     return given, belief.replace(model=belief.model.replace(native=None)), poses
 

@@ -230,7 +230,8 @@ def remake(settings: SlamSettings, mapping: Mapping, scanner: Scanner, centre: A
     near = lax.top_k(jnp.where(numbers < mapping.n_keys, -off, -jnp.inf), min(most, len(pose_of)))[1]
     near = jnp.sort(jnp.where(near < mapping.n_keys, near, -1))[::-1]
     keys = _some(mapping, near, near >= 0, jnp.zeros(3))
-    blank = empty_map((*points.near.shape, len(points.x)), centre, points.native)
+    rows, cols = points.near.shape
+    blank = empty_map((rows, cols, len(points.x)), centre, points.native)
     return mapping.replace(
         points=map_of(settings, keys, scanner, blank),
         remade_at=mapping.way,

@@ -133,7 +133,8 @@ def add(settings: SlamSettings, points: PointMap, scan: Scan, pose: Array) -> Po
     row, col = (jnp.floor(a * PARTS).astype(jnp.int32) for a in cells_of(settings, points, xy[:, 0], xy[:, 1]))
     inside = scan.valid & (row >= 0) & (row < height * PARTS) & (col >= 0) & (col < width * PARTS)
     far2, scale = scan.xy[:, 0] ** 2 + scan.xy[:, 1] ** 2, jnp.float32(SHARES / settings.min_distance_m)
-    new = New(*xy.T, *normal.T, row, col, inside, *scan.xy.T, far2)
+    (x, y), (normal_x, normal_y), (own_x, own_y) = (jnp.unstack(a, axis=1) for a in (xy, normal, scan.xy))
+    new = New(x, y, normal_x, normal_y, row, col, inside, own_x, own_y, far2)
     native = kernels.target_of(points.native)
     if native is not None:
         names = "x", "y", "normal_x", "normal_y", "near"

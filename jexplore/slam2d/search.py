@@ -49,9 +49,9 @@ def picture(settings: SlamSettings, points: PointMap, row: Array, col: Array, si
 
     The square is moved so that it lies within the map. Whole numbers: their sums do not depend on the order.
     """
-    (rows, cols), first = _square(points, row, col, side)
-    near = lax.dynamic_slice(points.near, first, (rows, cols))
-    return jnp.minimum(near >> NUMBER_BITS, most_steps(settings)).astype(jnp.int16), *first
+    size, (row, col) = _square(points, row, col, side)
+    near = lax.dynamic_slice(points.near, (row, col), size)
+    return jnp.minimum(near >> NUMBER_BITS, most_steps(settings)).astype(jnp.int16), row, col
 
 
 def _square(points, row, col, side):

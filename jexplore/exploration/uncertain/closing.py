@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -10,6 +11,7 @@ from jexplore.arrays.poses import between, compose
 from jexplore.engine.program import Given
 from jexplore.exploration.sensing import blank_grid
 from jexplore.exploration.uncertain.poses import EIGHTH, Poses, beams_of
+from jexplore.grid import Grid, is_known
 from jexplore.planning import Belief
 from jexplore.slam2d.beams import Reading, fold
 from jexplore.slam2d.closing import Scanner
@@ -45,8 +47,8 @@ def made_anew(
 ) -> tuple[Belief, Poses]:
     """Make the robot's map and its way anew of the key scans, if `moved`: `(belief, poses)`.
 
-    The map is that of all key scans but the last, which is still to be counted. No target is exhausted any more, and
-    the way driven is where the key scans now have it.
+    The map is that of all key scans but the last, which is still to be counted; cells that none of them has seen keep
+    their counts. No target is exhausted any more, and the way driven is where the key scans now have it.
 
     Args:
       before: `[K, 3]` float32, poses of the key scans before.
@@ -62,8 +64,10 @@ def made_anew(
         is_past = lax.iota(jnp.int32, len(row)) < steps
         own_col, own_row = jnp.floor(poses.estimate[:2]).astype(jnp.int32)
         driven = jnp.zeros_like(belief.driven).at[jnp.where(is_past, row, own_row), jnp.where(is_past, col, own_col)]
+        grid = _map_of(given, belief, mapping)
+        known = is_known(grid)
         belief = belief.replace(
-            grid=_map_of(given, belief, mapping),
+            grid=jax.tree.map(lambda new, old: jnp.where(known, new, old), grid, belief.grid),
             driven=driven.set(True, mode="drop", wrap_negative_indices=False),
             exhausted=jnp.zeros_like(belief.exhausted),
         )
@@ -72,11 +76,11 @@ def made_anew(
     return run_if(moved, anew, (belief, poses))
 
 
-def _map_of(given: Given, belief: Belief, mapping: Mapping) -> Any:
+def _map_of(given: Given, belief: Belief, mapping: Mapping) -> Grid:
     """Return the map of all key scans but the last one."""
     own, cell_m = given.numbers.unsure, belief.model.cell_m
 
-    def put(k: Array, grid: Any) -> Any:
+    def put(k: Array, grid: Grid) -> Grid:
         (x, y, angle), distance = mapping.pose_of[k], mapping.ranges_of[k] / cell_m
         heading = jnp.round(angle / EIGHTH).astype(jnp.int32)
         pose = jnp.stack([x / cell_m, y / cell_m, angle - heading * EIGHTH])

@@ -62,7 +62,7 @@ class Poses:
     replace: ClassVar[Callable[..., Self]]
 
 
-def blank_poses(unsure: Unsure, grid: Grid, capacity: int, start: Array, cell_m: Array) -> Poses:
+def blank_poses(unsure: Unsure, grid: Grid, capacity: int, start: Any, cell_m: Any) -> Poses:
     """Return the `Poses` of a robot at a cell's centre that knows where it is; `grid` is what it has seen.
 
     `start`: `[3]` int32, row, col and heading.
