@@ -5,6 +5,7 @@ that do not know their pose.
     python benchmarks/slam.py LOGS --only intel --draw pictures
     taskset -c 0 python benchmarks/slam.py --matches 100000
     python benchmarks/slam.py --episodes 12              # cave, office, hospital: closest+recheck by pose, same starts
+    python benchmarks/slam.py --study 8                  # what drift does to strategies, 8 worlds of each of five kinds
 
 Settings were chosen on Intel and Freiburg 079; all other logs are held out. A log's corrected poses come from another
 SLAM: errors say how far both agree. Relations: see `jexplore.studies.slam.errors.relations_between`.
@@ -20,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from scipy.stats import kendalltau
 
 import jexplore as jx
 from jexplore.bench.tables import markdown
@@ -29,6 +31,7 @@ from jexplore.slam2d.matching import Outcome, match
 from jexplore.slam2d.points import add, empty_map
 from jexplore.slam2d.scans import read_scan
 from jexplore.slam2d.settings import SlamSettings
+from jexplore.studies.statistics.league import LEAGUE_KINDS, paths_by_world
 from jexplore.studies.statistics.paired import paired_ratio
 
 CHOSEN_ON = ("intel", "freiburg-079")
@@ -49,6 +52,16 @@ HEAD = (
 )
 WORLDS = ("cave", "office", "hospital")
 ODOMETRY = jx.Odometry(length=0.05, length_scale=1.05, heading_deg_sqrt_m=2.0)
+STRATEGIES = (
+    *("closest+recheck", "closest", "small-first+recheck", "learned+recheck", "distance-advantage+recheck"),
+    *("tour+recheck", "utility+recheck", "random+recheck"),
+)
+LEVELS = {
+    "2 %, 0.5": jx.Odometry(length=0.02, length_scale=1.02, heading_deg_sqrt_m=0.5),
+    "5 %, 2": ODOMETRY,
+    "10 %, 5": jx.Odometry(length=0.1, length_scale=1.1, heading_deg_sqrt_m=5.0),
+}
+"""Length, in error and in spread, and degrees per root metre."""
 BEAMS, ROOM_M = 181, (6.0, 4.0)
 BATCH = 10_000  # random matches at a time
 
@@ -138,17 +151,24 @@ def matches(n, seed):
     print(f"{counts.sum()} random matches: {bad} numbers not finite; {told}")
 
 
+def timed(world, n, **how):
+    """Run episodes, compiled before: the comparison, and processor time of an episode, seconds."""
+    jx.compare(world, "closest+recheck", episodes=1, workers=1, **how)
+    began = time.process_time()
+    found = jx.compare(world, "closest+recheck", episodes=n, workers=1, **how)
+    return found, (time.process_time() - began) / n
+
+
 def episodes(worlds, poses, n, seed):
-    """Run episodes by true and by estimated pose; path and time are over those of a given pose in native code."""
+    """Run episodes by true and by estimated pose; path and time are over those of a given pose."""
     head = ["world", "pose", "COMPLETE", "others", "ATE m", "largest", "end m", "end deg", "free IoU", "least", "bumps"]
-    head += ["path over true (95 %)", "s an episode", "time over true", "time over true in JAX"]
+    head += ["loops", "path over true (95 %)", "ms an episode", "over true, native", "over true, JAX"]
     rows = []
     for world in worlds:
-        how = {"episodes": n, "seed": seed, "workers": 1}
-        given = jx.compare(world, "closest+recheck", **how)
-        in_jax = jx.compare(world, "closest+recheck", **how, engine="jax")
+        given, native_s = timed(world, n, seed=seed)
+        _, jax_s = timed(world, n, seed=seed, engine="jax")
         for pose in poses:
-            found = jx.compare(world, "closest+recheck", **how, pose=pose, odometry=ODOMETRY)
+            found, own_s = timed(world, n, seed=seed, pose=pose, odometry=ODOMETRY)
             table, others = found.episodes, found.episodes["outcome"].value_counts().drop("COMPLETE", errors="ignore")
             ratio = paired_ratio(table["path_m"], given.episodes["path_m"])
             rows.append([
@@ -156,11 +176,48 @@ def episodes(worlds, poses, n, seed):
                 ", ".join(f"{n} {name}" for name, n in others.items()) or "-",
                 f"{table['ate_m'].mean():.3f}", f"{table['ate_m'].max():.3f}", f"{table['end_error_m'].mean():.3f}",
                 f"{table['end_error_deg'].mean():.2f}", f"{table['free_iou'].mean():.3f}",
-                f"{table['free_iou'].min():.3f}", str(table["bumps"].sum()), ratio_text(*ratio[:3]),
-                f"{found.run_s / n:.2f}", f"{found.run_s / given.run_s:.0f}", f"{found.run_s / in_jax.run_s:.1f}",
+                f"{table['free_iou'].min():.3f}", str(table["bumps"].sum()), f"{table['loops'].mean():.1f}",
+                ratio_text(*ratio[:3]), f"{1e3 * own_s:.0f}", f"{own_s / native_s:.1f}", f"{own_s / jax_s:.1f}",
             ])  # fmt: skip
             print(*rows[-1], sep=" | ", file=sys.stderr, flush=True)
     print(markdown(head, rows))
+
+
+def study(worlds, starts, seed):
+    """Run strategies by pose and noise; ratios are paths over those of the first strategy in the same setting."""
+    how = {"episodes": starts, "seed": seed}
+    found = {("true", "-"): jx.compare(worlds, STRATEGIES, **how)}
+    for pose in ("icp", "icp+closing"):
+        for level, odometry in LEVELS.items():
+            found[pose, level] = jx.compare(worlds, STRATEGIES, **how, pose=pose, odometry=odometry)
+            print(pose, level, f"{found[pose, level].run_s:.0f} s", file=sys.stderr, flush=True)
+    ratios = {
+        setting: paths_by_world(one.episodes).groupby("strategy")["log_ratio"].agg(["mean", "sem"])
+        for setting, one in found.items()
+    }
+    order = ratios["true", "-"]["mean"]
+    paths, own = [], []
+    for name in STRATEGIES:
+        row = [name]
+        for setting in found:
+            mean, sem = ratios[setting].loc[name]
+            row.append(ratio_text(*np.exp([mean, mean - 1.96 * sem, mean + 1.96 * sem])))
+        paths.append(row)
+    together = [f"{kendalltau(order, one['mean'].reindex(order.index))[0]:.2f}" for one in ratios.values()]
+    paths.append(["Kendall's tau with true", *together])
+    for (pose, level), one in found.items():
+        for name in STRATEGIES if pose != "true" else ():
+            table = one.episodes[one.episodes["strategy"] == name]
+            given = found["true", "-"].episodes.query("strategy == @name")
+            more = paired_ratio(table["path_m"].to_numpy(), given["path_m"].to_numpy())
+            own.append([
+                pose, level, name, f"{(table['outcome'] == 'COMPLETE').mean():.0%}",
+                str((table["outcome"] == "LOST").sum()), ratio_text(*more[:3]), f"{table['ate_m'].mean():.3f}",
+                f"{table['ate_m'].max():.2f}", f"{table['free_iou'].mean():.3f}", f"{table['loops'].mean():.1f}",
+            ])  # fmt: skip
+    print(markdown(["strategy", *(" ".join(setting) for setting in found)], paths), "\n")
+    head = ["pose", "noise", "strategy", "COMPLETE", "LOST", "path over true", "ATE m", "largest", "free IoU", "loops"]
+    print(markdown(head, own))
 
 
 def main(argv=None):
@@ -172,7 +229,10 @@ def main(argv=None):
     parser.add_argument("--matches", type=int, default=0, help="random matches; also times one")
     parser.add_argument("--episodes", type=int, default=0, help="episodes in each of the worlds, by each of the poses")
     parser.add_argument("--worlds", nargs="+", default=WORLDS)
-    parser.add_argument("--poses", nargs="+", default=("odometry", "icp"))
+    parser.add_argument("--poses", nargs="+", default=("odometry", "icp", "icp+closing"))
+    parser.add_argument("--study", type=int, default=0, help="worlds of each kind, see `study`")
+    parser.add_argument("--kinds", nargs="+", default=LEAGUE_KINDS, help="of worlds of the study")
+    parser.add_argument("--starts", type=int, default=2, help="in each world of the study")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(argv)
     use_compilation_cache()
@@ -188,6 +248,9 @@ def main(argv=None):
         matches(options.matches, options.seed)
     if options.episodes:
         episodes(options.worlds, options.poses, options.episodes, options.seed)
+    if options.study:
+        worlds = [f"{kind}#{number}" for kind in options.kinds for number in range(options.study)]
+        study(worlds, options.starts, options.seed)
 
 
 if __name__ == "__main__":

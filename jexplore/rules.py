@@ -84,8 +84,9 @@ class Lidar(Settings):
 
 
 MOST_TIME_S = 2**30 // 1000  # s; clocks stand still there, see `exploration.motion`
-POSES = ("true", "odometry", "icp")
-"""Ways in which a robot learns its pose: it is given; by odometry alone; by matching its scans as well."""
+POSES = ("true", "odometry", "icp", "icp+closing")
+"""Ways in which a robot learns its pose: it is given; by odometry alone; by matching its scans as well, and by closing
+loops."""
 
 
 @checked_names
@@ -208,8 +209,11 @@ class Rules(Settings):
     """An episode ends as STEP_LIMIT after this many steps; by default the larger of 20000 and the number of cells."""
     max_plans: int | None = None
     """An episode ends as PLAN_LIMIT after this many plans; by default the larger of 20000 and the number of cells."""
-    pose: Literal["true", "odometry", "icp"] = dataclasses.field(default="true", metadata={"short": True})
-    """The robot is given its pose (true), takes it from its odometry, or corrects that by matching its scans (icp)."""
+    pose: Literal["true", "odometry", "icp", "icp+closing"] = dataclasses.field(
+        default="true", metadata={"short": True}
+    )
+    """The robot is given its pose (true), takes it from its odometry, or corrects that by matching its scans (icp) and
+    by closing loops."""
     odometry: Odometry = dataclasses.field(default_factory=Odometry, metadata={"short": True})
 
     def __post_init__(self) -> None:

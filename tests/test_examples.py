@@ -13,7 +13,7 @@ from PIL import Image
 import jexplore as jx
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-STUDIES = [EXAMPLES / "own_strategy.py", EXAMPLES / "sweep.py"]
+STUDIES = [EXAMPLES / "own_strategy.py", EXAMPLES / "sweep.py", EXAMPLES / "certain.py"]
 
 
 @pytest.mark.slow

@@ -10,10 +10,15 @@ import pytest
 from ref import beliefs
 
 from jexplore.gain import look, prospect
-from jexplore.native import build, drive
+from jexplore.grid import Grid, is_known
+from jexplore.native import build, drive, kernels
 from jexplore.planning import choose, field, known_of, nearest_frontier
 from jexplore.policies import clusters, views
 from jexplore.rules import Lidar
+from jexplore.slam2d import beams, points
+from jexplore.slam2d.scans import read_scan
+from jexplore.slam2d.search import Window, search
+from jexplore.slam2d.settings import SlamSettings
 
 LIDAR = Lidar(n_beams=31, fov_deg=270, range_m=1.6)
 SHAPE = 37, 45
@@ -142,3 +147,67 @@ def test_a_robot_beside_its_map_is_refused(target):
     belief = with_native(some_belief(1, SHAPE, 1), target).replace(row=jnp.int32(99))
     with pytest.raises(jax.errors.JaxRuntimeError, match="a robot must be on its map"):
         jax.block_until_ready(jax.jit(field)(belief))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_beams_from_any_pose_equal_those_in_jax(target, seed):
+    """From centres of cells along exact corners, from anywhere, from outside; with readings of noise."""
+    rng, cast = np.random.default_rng(seed), jax.jit(beams.cast, static_argnames="native")
+    fold = jax.jit(beams.fold, static_argnames="native")
+    worlds, reach, extent = rng.random((2, *SHAPE)) < (0.02, 0.2)[seed % 2], jnp.float32(31.7), jnp.int32([35, 45])
+    worlds[:, [0, -1]] = worlds[:, :, [0, -1]] = True
+    occupied, base = jnp.asarray(worlds.reshape(-1, SHAPE[1])), SHAPE[0] * (seed // 2)
+    grid = Grid(*jnp.asarray(rng.integers(0, 2, (2, *SHAPE)), jnp.int32))
+    within = jnp.asarray(rng.random(SHAPE) < 0.7)
+    for k in range(20):
+        xy = jnp.float32(rng.integers(2, 30, 2) + 0.5 if k % 3 == 0 else rng.uniform(1, 34, 2))
+        angle = np.arange(0, 2 * np.pi, np.pi / 60) + (0 if k % 2 else rng.random())
+        direction = jnp.float32(np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        expected = cast(occupied, xy, direction, reach, base)
+        reading = cast(occupied, xy, direction, reach, base, native=target)
+        assert_equal(reading, expected)
+        if k % 4 == 3:
+            reading = reading._replace(distance=reading.distance + jnp.float32(rng.normal(0, 2, len(angle))))
+        reading = reading._replace(speaks=jnp.asarray(rng.random(len(angle)) < 0.9))
+        at = xy - (40 if k == 19 else 0)
+        new = fold(grid, at, direction, reading, reach, extent)
+        assert_equal(fold(grid, at, direction, reading, reach, extent, native=target), new)
+        found, fresh = jax.jit(kernels.fold, static_argnums=0)(
+            target, grid, at, direction, reading, reach, extent, within
+        )
+        assert_equal(found, new)
+        known = [int((np.asarray(is_known(one)) & np.asarray(within)).sum()) for one in (grid, new)]
+        assert int(fresh) == known[1] - known[0]
+        grid = new
+
+
+@pytest.mark.parametrize("size", [4096, 70])
+def test_points_that_enter_a_map_equal_those_in_jax(target, size):
+    """Of scans of noise, of a room, at the edge of the map, and of a map that is full."""
+    own, rng = SlamSettings(), np.random.default_rng(size)
+    angles = jnp.linspace(-3, 3, 61, dtype=jnp.float32)
+    add = jax.jit(lambda *given: points.add(own, *given))
+    one, other = (points.empty_map((200, 260, size), (1.0, 2.0), native) for native in (None, target))
+    for k in range(12):
+        ranges = rng.choice([0.5, 1.1, 2.0, 2.03, 9.0, np.nan], 61) if k % 2 else 1 + 0.01 * rng.random(61)
+        pose = jnp.float32(rng.normal([1, 2, 0], [2, 2, 2]))
+        scan = read_scan(own, jnp.float32(ranges), angles, 8.0)
+        one, other = add(one, scan, pose), add(other, scan, pose)
+        assert_equal(other, one.replace(native=target))
+    assert (int(one.overflow) > 0) == (size == 70)
+
+
+@pytest.mark.parametrize("centre", [(1.0, 2.0), (2.9, -0.4)])
+def test_a_search_equals_that_in_jax(target, centre):
+    """Round a place in the middle of the map and at its corner, where some points lie outside."""
+    own, rng, window = SlamSettings(), np.random.default_rng(0), Window(2, 3, 160)
+    angles = jnp.linspace(-3, 3, 61, dtype=jnp.float32)
+    scan = read_scan(own, jnp.float32(rng.choice([0.8, 1.1, 2.0, 3.0, np.nan], 61)), angles, 8.0)
+    known = points.add(own, points.empty_map((200, 260, 512), centre), scan, jnp.float32([1, 2, 0.3]))
+    find = jax.jit(
+        lambda known, start: search(own, known, scan, start, jnp.diag(jnp.float32([0.1, 0.1, 0.01])), window)
+    )
+    for start in rng.normal([1.1, 1.9, 0.3], [0.2, 0.2, 0.05], (5, 3)):
+        one, other = (find(known.replace(native=native), jnp.float32(start)) for native in (None, target))
+        assert_equal(other, one)
+        assert one.cost < 1

@@ -289,7 +289,7 @@ def test_an_error_of_the_heading_becomes_one_of_the_place():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"pose": "gps"}, r"unknown pose 'gps' \(there are: true, odometry, icp\)"),
+        ({"pose": "gps"}, r"unknown pose 'gps' \(there are: true, odometry, icp, icp\+closing\)"),
         ({"odometry": {"slip": 0.7}}, "odometry.slip must be a number at least 0 and at most 0.5, got 0.7"),
         ({"odometry": {"length_scale": 0}}, "odometry.length_scale must be a number above 0 and at most 2, got 0"),
         ({"odometry": {"lenght": 0.1}}, "unknown field of odometry: 'lenght'; did you mean 'length'?"),
@@ -336,7 +336,15 @@ def by_pose(jit_on):
 @pytest.mark.jit
 def test_without_errors_an_episode_is_that_of_a_given_pose(by_pose):
     expected, found = by_pose["true"].episodes, by_pose["exact"].episodes
-    assert set(found) - set(expected) == {"ate_m", "end_error_m", "end_error_deg", "free_iou", "bumps", "unmatched"}
+    assert set(found) - set(expected) == {
+        "ate_m",
+        "end_error_m",
+        "end_error_deg",
+        "free_iou",
+        "bumps",
+        "unmatched",
+        "loops",
+    }
     for name in expected:
         if expected[name].dtype.kind == "f":  # lengths are sums of rounded steps
             np.testing.assert_allclose(found[name], expected[name], rtol=1e-5)
@@ -389,6 +397,20 @@ def test_an_episode_is_drawn_with_both_ways_and_not_replayed(by_pose, tmp_path):
     assert len(one.plot().lines) >= 3
     with pytest.raises(InputError, match="no replay, its pose was not given"):
         one.save_gif(tmp_path / "a.gif")
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("pose", "noise", "outcome"),
+    [("icp", {"slip": 0.5}, "LOST"), ("odometry", {"turn_scale": 2.0}, "INCONSISTENT")],
+)
+def test_bad_odometry_ends_episodes(pose, noise, outcome):
+    """Half of every turn is lost, more than a search allows for; walls are counted all round the robot."""
+    found = jx.compare(two_rooms(), STRATEGY, episodes=24, pose=pose, odometry=noise, lidar=SHORT)
+    ended = found.episodes[found.episodes["outcome"] == outcome]
+    assert len(ended) > 0
+    assert (ended["unmatched"] > 0).all() if pose == "icp" else (ended["explored_fraction"] < 1).all()
 
 
 @pytest.mark.jit

@@ -17,13 +17,13 @@ from jexplore.distance import within_packed
 from jexplore.engine.program import Given
 from jexplore.exploration import metrics, trail
 from jexplore.exploration.motion import LENGTHS, PLAN, SCAN, motion_step, tick, turn_between
-from jexplore.exploration.sensing import enough_cells, known_cells, sense, stacked
+from jexplore.exploration.sensing import blank_grid, enough_cells, known_cells, sense, stacked
 from jexplore.exploration.state import NEVER, Numbers, Outcome, Setup, State, Stream, no_counts
 from jexplore.exploration.uncertain.looking import look
 from jexplore.exploration.uncertain.moving import mark_bump, turn_and_go
 from jexplore.exploration.uncertain.poses import blank_poses
 from jexplore.frontier import disc
-from jexplore.grid import Grid, empty_grid, is_free, is_known, is_occupied
+from jexplore.grid import is_free, is_known, is_occupied
 from jexplore.native.drive import Stage
 from jexplore.native.drive import drive as drive_natively
 from jexplore.native.kernels import target_of
@@ -307,18 +307,11 @@ def _find_goal(given: Given, row: Array, col: Array) -> tuple[Array, Array]:
 
 
 def blank_belief(given: Given) -> Belief:
-    """Return the `Belief` of a robot that has seen nothing yet; `given` as for `begin`.
-
-    What it knows all the same counts as seen once.
-    """
+    """Return the `Belief` of a robot that has seen nothing yet; `given` as for `begin`."""
     truth, (row, col, heading) = given.scenes, given.task
     flags = jnp.zeros(truth.occupied.shape[1:], bool)
-    grid = empty_grid(flags.shape)
-    if truth.prior is not None:
-        prior = truth.prior[given.scene]
-        grid = Grid(hits=(prior > 0).astype(jnp.int32), misses=(prior == 0).astype(jnp.int32))
     return Belief(
-        grid=grid,
+        grid=blank_grid(given),
         driven=_mark(flags, row, col),
         exhausted=flags,
         row=row,
@@ -379,7 +372,7 @@ def begin(setup: Setup, given: Given) -> State:
         room=room,
         outcome=jnp.where(stuck, Outcome.STUCK, Outcome.RUNNING).astype(jnp.int32),
         room_entries=(room >= 0).astype(jnp.int32),
-        poses=None if setup.unsure is None else blank_poses(setup.unsure, belief.grid, setup.capacity, row, col),
+        poses=setup.unsure and blank_poses(setup.unsure, belief.grid, setup.capacity, given.task, belief.model.cell_m),
         enough=enough_cells(given, row, col, belief.within) if setup.ends else jnp.int32(NEVER),
         **no_counts() | {"n_known": n_known},
     )

@@ -67,15 +67,23 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         starts=end["starts"],
         time_at=state.trail[at, Trail.TIME],
         time_along=jnp.where(reached, state.trail[along, Trail.TIME], -1),
-        overflow=state.overflow + _points_left_out(state),
+        overflow=state.overflow + _left_out(state),
         way_m=_ways(state, at, jnp.where(reached, along, -1)),
         metrics=metrics.values_of(setup, given, state.replace(outcome=outcome)),
     )
 
 
-def _points_left_out(state: State) -> Array | int:
-    """Count points of scans that the robot's point map, if any, had no room for."""
-    return 0 if state.poses is None or state.poses.points is None else state.poses.points.overflow
+def _left_out(state: State) -> Array | int:
+    """Count what the robot's record of scans, if any, had no room for: points, key scans and loops."""
+    poses = state.poses
+    if poses is None or poses.mapping is None:
+        return 0
+    mapping = poses.mapping
+    left_out = mapping.points.overflow + mapping.overflow
+    if poses.key_of is None:
+        return left_out
+    loops = jnp.maximum(mapping.n_loops - len(mapping.loops.ends), 0)
+    return left_out + loops + jnp.maximum(mapping.n_keys - len(mapping.pose_of), 0)
 
 
 def _ways(state: State, at: Array, along: Array) -> Array | None:

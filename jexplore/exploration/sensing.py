@@ -10,13 +10,22 @@ from jax import Array, lax
 from jexplore.arrays.loops import one_kernel
 from jexplore.engine.program import Given
 from jexplore.exploration.state import NEVER, WHOLE, Setup, State, Stream
-from jexplore.grid import Grid, beside, bordered, count, is_known
+from jexplore.grid import Grid, beside, bordered, count, empty_grid, is_known
 from jexplore.raycast import Scan, disturb, fold, scan
 
 
 def stacked(given: Given, maps: Array) -> tuple[Array, Array]:
     """Stack maps of all worlds, and return the row where the run's own begins: `([M * H, W], int32)`."""
     return maps.reshape(-1, maps.shape[-1]), given.scene * maps.shape[-2]
+
+
+def blank_grid(given: Given) -> Grid:
+    """Return the map of a robot that has seen nothing yet: what it knows all the same counts as seen once."""
+    truth = given.scenes
+    if truth.prior is None:
+        return empty_grid(truth.occupied.shape[1:])
+    prior = truth.prior[given.scene]
+    return Grid(hits=(prior > 0).astype(jnp.int32), misses=(prior == 0).astype(jnp.int32))
 
 
 class Square(NamedTuple):

@@ -36,6 +36,7 @@ from jexplore.raycast import (
     scans_all_round,
 )
 from jexplore.rules import Lidar, Robot, Rules
+from jexplore.slam2d.mapping import Sizes
 from jexplore.slam2d.points import cell_m as index_cell_m
 from jexplore.slam2d.settings import SlamSettings
 from jexplore.worlds.world import World, ring_of, with_ring
@@ -44,9 +45,11 @@ LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
 ROBOT = Robot()
 # A scan from new ground lies half on the map, and matches all the same. Errors of simulated ranges are independent:
 # with the correlation of recorded logs the trajectory error is 3.6 times as large (8 episodes in the cave).
-MATCHING = SlamSettings(min_share=0.5, correlation=1.0)
+# Turns by 45 degrees are uncertain odometry: nine of ten points on the map tell that they went well without a search.
+MATCHING = SlamSettings(min_share=0.5, plain_share=0.9, correlation=1.0)
 MARGIN_M = 1.0  # m, by which the point map is larger than the world on every side
 MOST_POINTS = 2**15  # of the point map: 1.6 km of walls
+MOST_KEYS, MOST_LOOPS = 1024, 128  # key scans and loops of a robot that closes them: some 300 m of way
 COARSE_M = 0.15  # cells longer than this are coarse: a corridor is a few of them wide
 
 
@@ -100,7 +103,9 @@ def _example(site: Site, numbers: Numbers) -> tuple[Given, Any, Any]:
     given = Given(np.zeros((), np.int32), site.beams, truth, np.int32(0), numbers, task)  # type: ignore[arg-type]
     belief = jax.eval_shape(environment.blank_belief, given)
     unsure, capacity = site.setup.unsure, site.setup.capacity
-    poses = unsure and jax.eval_shape(lambda grid: blank_poses(unsure, grid, capacity, *task[:2]), belief.grid)
+    poses = unsure and jax.eval_shape(
+        lambda grid, task: blank_poses(unsure, grid, capacity, task, task[0]), belief.grid, task
+    )
     # A function is told by what it computes, by whatever code.
     return given, belief.replace(model=belief.model.replace(native=None)), poses
 
@@ -137,8 +142,8 @@ def prepare_site(
     setup = _setup(everyone, world.cell_m, shape, limit_of(world.shape), native)
     planner = setup.native
     if rules.pose != "true":  # JAX drives
-        setup = setup._replace(native=None, unsure=_unsure(rules, shape, world.cell_m))
-        if rules.pose == "icp":
+        setup = setup._replace(native=None, unsure=_unsure(rules, lidar.n_beams, shape, world.cell_m, planner))
+        if rules.pose != "odometry":
             setup = setup._replace(first_scans=HEADINGS)  # or the first scans would not overlap
     own = rule_numbers(world, lidar, rules)
     model: Any = {name: own.pop(name) for name in ("p_free", "near_d2", "clearance_d2", "connectivity", "least")}
@@ -153,7 +158,7 @@ def prepare_site(
     return site._replace(setup=setup._replace(metrics=own))
 
 
-def _unsure(rules: Rules, shape: tuple[int, int], cell_m: float) -> Unsure:
+def _unsure(rules: Rules, n_beams: int, shape: tuple[int, int], cell_m: float, native: str | None) -> Unsure:
     """Return how a robot in maps of a shape learns its pose."""
     if rules.pose == "odometry":
         return Unsure()
@@ -161,7 +166,10 @@ def _unsure(rules: Rules, shape: tuple[int, int], cell_m: float) -> Unsure:
     margin = math.ceil(MARGIN_M / edge)
     # Even, so that the cells of the index lie alike in maps of all shapes.
     rows, cols = (2 * math.ceil((n * cell_m / edge + 2 * margin) / 2) for n in shape)
-    return Unsure((rows, cols, MOST_POINTS), ((cols / 2 - margin) * edge, (rows / 2 - margin) * edge))
+    closing = rules.pose == "icp+closing"
+    keys, loops = (MOST_KEYS, MOST_LOOPS) if closing else (1, 0)
+    centre_m = (cols / 2 - margin) * edge, (rows / 2 - margin) * edge
+    return Unsure(Sizes(keys, loops, (rows, cols, MOST_POINTS), native), centre_m, n_beams, closing)
 
 
 def _unsure_numbers(lidar: Lidar, rules: Rules, cell_m: float) -> UnsureNumbers:

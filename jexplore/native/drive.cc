@@ -1,7 +1,7 @@
 // An episode in JAX driven on until its strategy must be asked: motions, scans and what they tell the map, in one call
 // of JAX's typed FFI, in the memory of the state. Whole numbers, and one comparison in single precision as JAX makes it.
 
-#include "plan.h"
+#include "sweep.h"
 
 namespace jexplore {
 namespace {

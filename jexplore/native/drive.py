@@ -13,7 +13,9 @@ from jax import Array
 from jexplore.native.build import FOLDER, Library, load_library, warn_once
 from jexplore.native.kernels import KERNELS, call, numbers
 
-SOURCES = tuple(FOLDER / name for name in ("drive.cc", "plan.h", "counts.h", "paths.h", "world.h", "rules.h"))
+SOURCES = tuple(
+    FOLDER / name for name in ("drive.cc", "sweep.h", "plan.h", "counts.h", "paths.h", "world.h", "rules.h")
+)
 CHANGED = (
     "row", "col", "heading", "looking", "looked", "plan_active", "bumped", "since_scan", "n_known", "room", "straight",
     "diagonal", "turns", "scans", "exhausted", "outcome", "room_entries", "refused",

@@ -1,5 +1,5 @@
-"""Kernels of planning in native code, for programs in JAX on a CPU; each does what the function that calls it does in
-JAX, bit by bit. Which target of JAX's FFI they belong to is `MapModel.native`.
+"""Kernels of planning and scanning in native code, for programs in JAX on a CPU; each does what the function that calls
+it does in JAX, bit by bit. Which target of JAX's FFI they belong to is `MapModel.native`.
 """
 
 import math
@@ -10,10 +10,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jexplore.grid import Grid
 from jexplore.raycast import Beams, square_side
 
 EVERY = 2**30  # more unknown cells than any look shows
-KERNELS = ("drive", "field", "clusters", "lay", "look", "apart")
+KERNELS = ("drive", "field", "clusters", "lay", "look", "apart", "cast", "fold", "enter", "coarse", "fine")
 """The kernels of the library, `jexplore_NAME`."""
 
 
@@ -104,3 +105,65 @@ def apart(native: str, cells: Array, at: Array, n: Array | int, side: int, start
     return call(
         native, "apart", [((m, m), jnp.int32)], cells, at, numbers([n, side, clearance_d2, *(-start[:2] % side)])
     )[0]
+
+
+def cast(
+    native: str, occupied: Array, xy: Array, direction: Array, reach: Array, base: Array | int
+) -> tuple[Array, Array]:
+    """Return distance and hit, `[B]` each, of beams; see `slam2d.beams.cast`."""
+    n = direction.shape[:1]
+    terms = jnp.float32(reach), numbers([base])
+    distance, hit = call(native, "cast", [(n, jnp.float32), (n, bool)], occupied, xy, direction, *terms)
+    return distance, hit
+
+
+def fold(
+    native: str, grid: Grid, xy: Array, direction: Array, reading: Any, reach: Array, extent: Array,
+    within: Array | None = None,
+) -> tuple[Grid, Array]:  # fmt: skip
+    """Return a map with readings, changed in place, and how many cells within have become known, int32; see
+    `slam2d.beams.fold`.
+    """
+    maps = grid.hits, grid.misses
+    results = [*((a.shape, jnp.int32) for a in maps), ((1,), jnp.int32)]
+    within = jnp.zeros((1, 1), bool) if within is None else within
+    hits, misses, fresh = call(
+        native, "fold", results, *maps, xy, direction, *reading, jnp.float32(reach), within,
+        numbers(jnp.unstack(extent)), in_place=2,
+    )  # fmt: skip
+    return Grid(hits, misses), fresh[0]
+
+
+def enter(native: str, maps: Sequence[Array], count: Array, overflow: Array, new: Any, scale: Array) -> list[Array]:
+    """Return x, y, both normals and the index of a point map with the points of a scan, changed in place, then how many
+    it has and had no room for; `new`: `slam2d.points.New`.
+    """
+    reals = jnp.stack([new.x, new.y, new.normal_x, new.normal_y, new.scan_x, new.scan_y, new.far2])
+    given_up = *maps, numbers([count, overflow])
+    results = [(a.shape, a.dtype) for a in given_up]
+    terms = jnp.stack([new.row, new.col]), new.inside, scale
+    *maps, told = call(native, "enter", results, *given_up, reals, *terms, in_place=len(given_up))
+    return [*maps, told[0], told[1]]
+
+
+def coarse(
+    native: str,
+    near: Array,
+    cells: Array,
+    valid: Array,
+    first: Sequence[Array],
+    size: Sequence[int],
+    most: Array,
+    n: int,
+) -> tuple[Array, Array]:
+    """Return sums of the least costs in blocks, `[T, n, n]` int32, and the picture; see `slam2d.search`."""
+    margin = 12
+    results = [((cells.shape[1], n, n), jnp.int32), (tuple(side + margin for side in size), jnp.int16)]
+    sums, cost = call(native, "coarse", results, near, cells, valid, numbers([*first, most]))
+    return sums, cost
+
+
+def fine(native: str, cost: Array, cells: Array, valid: Array, which: Array, most: Array, n: int) -> Array:
+    """Return sums of costs in blocks, `[M, 36]` int32; see `slam2d.search`."""
+    result = [((which.shape[1], 36), jnp.int32)]
+    return call(native, "fine", result, cost, cells, valid, which, numbers([most, n]))[0]

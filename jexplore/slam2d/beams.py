@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.grid import Grid
+from jexplore.native import kernels
 from jexplore.raycast import BLOCK, advance_beams, beam_geometry
 
 CORNER = 1e-6  # share by which a beam reads more that passes an exact corner and the free cell next to it
@@ -34,7 +35,9 @@ def _begin(xy, direction):
     return (row, col), geometry, crossed, entered
 
 
-def cast(occupied: Array, xy: Array, direction: Array, reach: Array, base: Array | int = 0) -> Reading:
+def cast(
+    occupied: Array, xy: Array, direction: Array, reach: Array, base: Array | int = 0, native: str | None = None
+) -> Reading:
     """Cast beams in a true map.
 
     Args:
@@ -43,10 +46,14 @@ def cast(occupied: Array, xy: Array, direction: Array, reach: Array, base: Array
       direction: `[B, 2]` float32, unit vectors.
       reach: float32, range, cells.
       base: int32, row where the map begins, of maps of one width one above the other.
+      native: target of native kernels, which give the same; None: JAX does it. Static.
 
     Returns:
       `Reading`: the distance at which the first occupied cell is entered.
     """
+    native = kernels.target_of(native)
+    if native is not None:
+        return Reading(*kernels.cast(native, occupied, xy, direction, reach, base), jnp.ones(direction.shape[0], bool))
     (row, col), geometry, crossed, entered = _begin(xy, direction)
     flat, width, row = occupied.reshape(-1), occupied.shape[1], row + base
 
@@ -69,7 +76,9 @@ def cast(occupied: Array, xy: Array, direction: Array, reach: Array, base: Array
     return Reading(distance, hit, jnp.ones(n, bool))
 
 
-def fold(grid: Grid, xy: Array, direction: Array, reading: Reading, reach: Array, extent: Array) -> Grid:
+def fold(
+    grid: Grid, xy: Array, direction: Array, reading: Reading, reach: Array, extent: Array, native: str | None = None
+) -> Grid:
     """Count readings into a map: a miss for every cell passed and for the robot's own, a hit where a beam ends.
 
     A beam ends in the cell that it enters nearest to its reading, at least in the first one, so that a pose or a
@@ -79,10 +88,14 @@ def fold(grid: Grid, xy: Array, direction: Array, reading: Reading, reach: Array
       grid: `Grid`, `[H, W]`.
       xy, direction, reach: as of `cast`, where the robot takes itself to be; it may be anywhere.
       extent: `[2]` int32, height and width of the map without padding; cells outside are not counted.
+      native: as of `cast`.
 
     Returns:
       `Grid`.
     """
+    native = kernels.target_of(native)
+    if native is not None:
+        return kernels.fold(native, grid, xy, direction, reading, reach, extent)[0]
     (row, col), geometry, crossed, entered = _begin(xy, direction)
     height, width = grid.hits.shape
 

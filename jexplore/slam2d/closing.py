@@ -46,18 +46,26 @@ def map_of(settings: SlamSettings, keys: Keys, scanner: Scanner, points: PointMa
     return lax.scan(put, points, keys)[0]
 
 
-def verify(settings: SlamSettings, keys: Keys, ranges_m: Array, guess: Array, scanner: Scanner) -> tuple[Match, Found]:
+def verify(
+    settings: SlamSettings,
+    keys: Keys,
+    ranges_m: Array,
+    guess: Array,
+    scanner: Scanner,
+    window: Window = WINDOW,
+    native: str | None = None,
+) -> tuple[Match, Found]:
     """Look for a scan in the map of some key scans.
 
     Args:
       keys: scans round the place, their poses in the frame of the guess.
-      guess: `[3]` float32; the pose is looked for in `WINDOW` round it and does not depend on it otherwise.
+      guess: `[3]` float32; the pose is looked for in `window` round it and does not depend on it otherwise.
 
     Returns:
       `(match, found)`: the pose with its information; the search, whose `other` tells how well another place fits.
     """
     scan = read_scan(settings, ranges_m, *scanner)
-    points = map_of(settings, keys, scanner, empty_map(SHAPE, guess[:2] / 2))
+    points = map_of(settings, keys, scanner, empty_map(SHAPE, guess[:2] / 2, native))
     free = jnp.diag(jnp.array([FREE_M, FREE_M, FREE_RAD]) ** 2)
-    found = search(settings, points, scan, guess, free, WINDOW)
+    found = search(settings, points, scan, guess, free, window)
     return match(settings, points, scan, found.pose, free), found

@@ -1,7 +1,8 @@
 """Poses and map of a robot from its scans as they come in: key scans, loop closing, the map they make.
 
 `begin` makes a record of the first scan; `put` takes in the next one and returns the record after it: a pure function
-of fixed sizes for recorded logs (`Mapper`) and for loops of compiled programs alike.
+of fixed sizes for recorded logs (`Mapper`) and for loops of compiled programs alike. Its parts are for robots that
+predict their pose in their own way, those of episodes: `blank`, `enter`, `close`, `remake`.
 """
 
 from collections.abc import Callable
@@ -15,11 +16,13 @@ from jax import Array, lax
 
 from jexplore.arrays.loops import run_if
 from jexplore.arrays.poses import between, compose
+from jexplore.slam2d.closing import WINDOW as LOOP_WINDOW
 from jexplore.slam2d.closing import Keys, Scanner, map_of, verify
 from jexplore.slam2d.graph import Loops, Steps, settle, turned_covariance
-from jexplore.slam2d.matching import Outcome
+from jexplore.slam2d.matching import Match, Outcome
 from jexplore.slam2d.points import PointMap, add, cell_m, empty_map
-from jexplore.slam2d.scans import read_scan
+from jexplore.slam2d.scans import Scan, read_scan
+from jexplore.slam2d.search import Window
 from jexplore.slam2d.settings import SlamSettings
 from jexplore.slam2d.tracking import WIDE, WINDOW, locate, predict
 
@@ -33,6 +36,7 @@ class Sizes(NamedTuple):
     keys: int = 256
     loops: int = 64
     map: tuple[int, int, int] = (2048, 2048, 2**16)  # 72 m square, see `empty_map`
+    native: str | None = None  # target of native kernels
 
 
 @struct.dataclass
@@ -53,12 +57,12 @@ class Mapping:
     pose: Array  # [3] float32, of the last scan
     place: Place  # the same, of the last scan
     way: Array  # float32, metres
-    n_keys: Array  # int32; at K no other scan becomes one: scans are matched with the map as it is
+    n_keys: Array  # int32; those beyond K entered the map, and their record is that of the latest
     pose_of: Array  # [K, 3] float32, poses of key scans
     ranges_of: Array  # [K, B] float32, their ranges, metres
     way_of: Array  # [K] float32, the way up to them, metres
     steps: Steps  # between them
-    n_loops: Array  # int32; at L no other one is closed
+    n_loops: Array  # int32; those beyond L were found, and not closed
     loops: Loops
     tried_at: Array  # float32, way at which a loop was last looked for, metres
     remade_at: Array  # float32, way at which the map was last made anew, metres
@@ -66,29 +70,34 @@ class Mapping:
     replace: ClassVar[Callable[..., Self]]
 
 
-def begin(
-    settings: SlamSettings,
-    sizes: Sizes,
-    ranges_m: Array,
-    pose: Array,
-    scanner: Scanner,
-    centre: tuple[float, float] | Array = (0.0, 0.0),
-) -> Mapping:
-    """Return the record after a first scan `[B]` from a pose `[3]`; `centre`: of the map, see `empty_map`."""
+def blank(sizes: Sizes, n_beams: int, pose: Array, centre: tuple[float, float] | Array = (0.0, 0.0)) -> Mapping:
+    """Return the record of a robot at a pose `[3]` before its first scan; `centre`: of the map, see `empty_map`."""
     k, loops = sizes.keys, sizes.loops
-    pose, zero = jnp.asarray(pose, jnp.float32), jnp.float32(0)
-    points = add(settings, empty_map(sizes.map, centre), read_scan(settings, ranges_m, *scanner), pose)
+    pose, zero, none = jnp.asarray(pose, jnp.float32), jnp.float32(0), jnp.int32(0)
     return Mapping(
-        points, pose, Place(jnp.int32(0), jnp.zeros(3), jnp.int32(Outcome.MATCHED), jnp.float32(1)), zero,
-        jnp.int32(1),
+        empty_map(sizes.map, centre, sizes.native),
+        pose,
+        Place(none, jnp.zeros(3), jnp.int32(Outcome.MATCHED), jnp.float32(1)),
+        zero,
+        none,
         jnp.zeros((k, 3)).at[0].set(pose),
-        jnp.zeros((k, len(ranges_m))).at[0].set(ranges_m),
+        jnp.zeros((k, n_beams)),
         jnp.zeros(k),
         Steps(jnp.zeros((k, 3)), jnp.zeros((k, 3, 3))),
-        jnp.int32(0),
+        none,
         Loops(jnp.full((loops, 2), -1, jnp.int32), jnp.zeros((loops, 3)), jnp.zeros((loops, 3, 3))),
-        zero, zero, jnp.int32(0),
+        zero, zero, none,
     )  # fmt: skip
+
+
+def begin(
+    settings: SlamSettings, sizes: Sizes, ranges_m: Array, pose: Array, scanner: Scanner,
+    centre: tuple[float, float] | Array = (0.0, 0.0),
+) -> Mapping:  # fmt: skip
+    """Return the record after a first scan `[B]` from a pose; see `blank`."""
+    mapping = blank(sizes, len(ranges_m), pose, centre)
+    found = Match(mapping.pose, jnp.zeros((3, 3)), jnp.zeros((3, 3)), mapping.place.fitness, mapping.place.outcome)
+    return enter(settings, mapping, ranges_m, read_scan(settings, ranges_m, *scanner), found)[0]
 
 
 def put(
@@ -100,9 +109,7 @@ def put(
     key scans are looked for among earlier ones nearby, a pose graph spreads what that tells, and the map is made anew
     of the key scans nearest to the robot, the latest first. It is made anew as well where the robot leaves its middle.
 
-    In an episode: `mapping = begin(...)` before its loop, `mapping = put(settings, mapping, ranges, moved, scanner,
-    closing=True)` at every scan, `mapping.pose` is where the robot believes to be, and `mapping.place.outcome` says how
-    well the scan matched. The buffers of a record that is used no more are changed in place.
+    The buffers of a record that is used no more are changed in place.
 
     Args:
       ranges_m: `[B]` float32.
@@ -115,33 +122,54 @@ def put(
     scan = read_scan(settings, ranges_m, *scanner)
     start, prior = predict(settings, mapping.pose, moved)
     found = locate(settings, mapping.points, scan, start, prior, WIDE if moved is None else WINDOW)
-    last, n = mapping.n_keys - 1, mapping.n_keys
+    mapping, is_key = enter(settings, mapping, ranges_m, scan, found)
+    is_stale = is_key & _is_leaving(settings, mapping)
+    if closing:
+        mapping, is_due = close(settings, mapping, scanner, is_key)
+        is_stale |= is_due & (mapping.way - mapping.remade_at >= settings.remake_m)
+    return run_if(is_stale, lambda mapping: remake(settings, mapping, scanner, mapping.pose[:2]), mapping)
+
+
+def enter(settings: SlamSettings, mapping: Mapping, ranges_m: Array, scan: Scan, found: Match) -> tuple[Mapping, Array]:
+    """Take in a scan whose pose has been found: `(mapping, is_key)`; the first one is a key scan.
+
+    A record without room for another key scan keeps it in the place of the last one.
+    """
+    n, k = mapping.n_keys, len(mapping.pose_of)
+    last, at = jnp.clip(n, 1, k) - 1, jnp.minimum(n, k - 1)
     way = mapping.way + jnp.hypot(*(found.pose - mapping.pose)[:2])
     since = between(mapping.pose_of[last], found.pose)
     is_far = (jnp.hypot(since[0], since[1]) >= settings.key_m) | (jnp.abs(since[2]) >= jnp.radians(settings.key_deg))
-    is_key = is_far | ((found.fitness < settings.min_share) & (found.outcome < Outcome.FAR))
-    is_key &= n < len(mapping.pose_of)
-    place = Place(jnp.where(is_key, n, last), jnp.where(is_key, 0, since), found.outcome, found.fitness)
-    covariance = turned_covariance(found.covariance, mapping.pose_of[last, 2])
+    is_key = is_far | ((found.fitness < settings.min_share) & (found.outcome < Outcome.FAR)) | (n == 0)
+    place = Place(jnp.where(is_key, at, last), jnp.where(is_key, 0, since), found.outcome, found.fitness)
+    before = mapping.pose_of[jnp.maximum(at - 1, 0)]
+    covariance = turned_covariance(found.covariance, before[2])
 
     def put_key(mapping):
         steps, own = mapping.steps, covariance + _own_covariance(settings)
         return mapping.replace(
             points=add(settings, mapping.points, scan, mapping.pose),
             n_keys=n + 1,
-            pose_of=mapping.pose_of.at[n].set(mapping.pose),
-            ranges_of=mapping.ranges_of.at[n].set(ranges_m),
-            way_of=mapping.way_of.at[n].set(mapping.way),
-            steps=Steps(steps.moved.at[n].set(since), steps.covariance.at[n].set(own)),
+            pose_of=mapping.pose_of.at[at].set(mapping.pose),
+            ranges_of=mapping.ranges_of.at[at].set(ranges_m),
+            way_of=mapping.way_of.at[at].set(mapping.way),
+            steps=Steps(steps.moved.at[at].set(between(before, mapping.pose)), steps.covariance.at[at].set(own)),
         )
 
-    mapping = run_if(is_key, put_key, mapping.replace(pose=found.pose, place=place, way=way))
-    is_stale = is_key & _is_leaving(settings, mapping)
-    if closing:
-        is_due = is_key & (way - mapping.tried_at >= settings.close_every_m)
-        mapping = run_if(is_due, lambda mapping: _close(settings, mapping.replace(tried_at=way), scanner), mapping)
-        is_stale |= is_due & (way - mapping.remade_at >= settings.remake_m)
-    return run_if(is_stale, lambda mapping: _remake(settings, mapping, scanner), mapping)
+    return run_if(is_key, put_key, mapping.replace(pose=found.pose, place=place, way=way)), is_key
+
+
+def close(
+    settings: SlamSettings, mapping: Mapping, scanner: Scanner, is_key: Array, window: Window = LOOP_WINDOW
+) -> tuple[Mapping, Array]:
+    """Look for a loop if the last scan is a key scan and the robot has come some way: `(mapping, whether it did)`."""
+    is_due = is_key & (mapping.way - mapping.tried_at >= settings.close_every_m)
+    is_due &= mapping.n_keys <= len(mapping.pose_of)
+
+    def look(mapping):
+        return _close(settings, mapping.replace(tried_at=mapping.way), scanner, window)
+
+    return run_if(is_due, look, mapping), is_due
 
 
 def _own_covariance(settings):
@@ -155,7 +183,7 @@ def _is_leaving(settings, mapping):
     return jnp.any(jnp.abs(mapping.pose[:2] - mapping.points.centre) > half_m / 2)
 
 
-def _close(settings, mapping, scanner):
+def _close(settings, mapping, scanner, window):
     """Look for the last key scan round the nearest old one; where that moves poses, the map is to be made anew."""
     last, pose_of, numbers = mapping.n_keys - 1, mapping.pose_of, jnp.arange(len(mapping.pose_of))
     away = between(pose_of, jnp.broadcast_to(pose_of[last], pose_of.shape))
@@ -167,13 +195,14 @@ def _close(settings, mapping, scanner):
     def look(mapping):
         around = j + jnp.arange(-ASIDE, ASIDE + 1)
         keys = _some(mapping, around, (around >= 0) & (around < last), pose_of[j])
-        found, searched = verify(settings, keys, mapping.ranges_of[last], away[j], scanner)
+        found, searched = verify(
+            settings, keys, mapping.ranges_of[last], away[j], scanner, window, mapping.points.native
+        )
         is_loop = (found.outcome == Outcome.MATCHED) | (found.outcome == Outcome.UNSETTLED)
         is_loop &= (found.fitness >= settings.close_share) & (searched.other >= searched.cost + settings.close_margin)
-        is_loop &= mapping.n_loops < len(mapping.loops.ends)
 
         def join(mapping):
-            n, loops = mapping.n_loops, mapping.loops
+            n, loops = mapping.n_loops - 1, mapping.loops
             loops = Loops(
                 loops.ends.at[n].set(jnp.stack([j, last])),
                 loops.moved.at[n].set(found.pose),
@@ -183,24 +212,26 @@ def _close(settings, mapping, scanner):
             moved_m = jnp.max(jnp.where(numbers <= last, jnp.hypot(*(settled - pose_of)[:, :2].T), 0))
             is_moved = moved_m > settings.min_distance_m
             return mapping.replace(
-                n_loops=n + 1, loops=loops, pose_of=settled, pose=settled[last],
+                loops=loops, pose_of=settled, pose=settled[last],
                 remade_at=jnp.where(is_moved, -jnp.inf, mapping.remade_at),
             )  # fmt: skip
 
-        return run_if(is_loop, join, mapping)
+        mapping = mapping.replace(n_loops=mapping.n_loops + is_loop)
+        return run_if(is_loop & (mapping.n_loops <= len(mapping.loops.ends)), join, mapping)
 
     return run_if(far[j] <= settings.close_m, look, mapping)
 
 
-def _remake(settings, mapping, scanner):
-    """Make the map anew of the key scans nearest to the robot, the latest first."""
+def remake(settings: SlamSettings, mapping: Mapping, scanner: Scanner, centre: Array, most: int = ROUND) -> Mapping:
+    """Make the map anew of the key scans nearest to the robot, the latest first, at `most` some; static."""
     pose_of, points = mapping.pose_of, mapping.points
     numbers = jnp.arange(len(pose_of))
     off = jnp.hypot(*(pose_of - mapping.pose)[:, :2].T)
-    near = lax.top_k(jnp.where(numbers < mapping.n_keys, -off, -jnp.inf), min(ROUND, len(pose_of)))[1]
+    near = lax.top_k(jnp.where(numbers < mapping.n_keys, -off, -jnp.inf), min(most, len(pose_of)))[1]
     near = jnp.sort(jnp.where(near < mapping.n_keys, near, -1))[::-1]
     keys = _some(mapping, near, near >= 0, jnp.zeros(3))
-    blank = empty_map((*points.near.shape, len(points.x)), mapping.pose[:2])
+    rows, cols = points.near.shape
+    blank = empty_map((rows, cols, len(points.x)), centre, points.native)
     return mapping.replace(
         points=map_of(settings, keys, scanner, blank),
         remade_at=mapping.way,

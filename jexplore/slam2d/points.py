@@ -11,11 +11,14 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore.arrays.poses import placed, rotated
+from jexplore.native import kernels
 from jexplore.slam2d.scans import Scan
 from jexplore.slam2d.settings import SlamSettings
 
 CELL = 0.7  # edge of a cell in minimum distances: below 1 / sqrt(2), so that a point is the nearest one in its cell
 REACH = 6  # cells in every direction whose nearest point a new one may be
+PARTS = 256  # of a cell's edge, in which a place in it is told: whole numbers, which no compiler rounds in two ways
+SHARES, MOST_SHARES = 2048, 30_000  # of the minimum distance in which it is kept, and at which a distance is cut off
 STEPS = 190  # to which a squared distance of 1 cell^2 is rounded: (REACH + 0.5)^2 of them fit above the numbers
 NUMBER_BITS = 18  # of a point's number in `near`; its squared distance stands above
 NO_POINT = 2**31 - 1
@@ -35,7 +38,23 @@ class PointMap:
     near: Array  # [H, W] int32, the point nearest to a cell's middle and its distance^2; NO_POINT: none within `REACH`
     centre: Array  # [2] float32, the middle of the rectangle, metres
     overflow: Array  # int32, points within the rectangle for which there was no room
+    native: str | None = struct.field(pytree_node=False, default=None)  # target of native kernels; None: JAX does it
     replace: ClassVar[Callable[..., Self]]
+
+
+class New(NamedTuple):
+    """Points of a scan that may enter a map."""
+
+    x: Array  # [B] float32, metres
+    y: Array  # [B] float32
+    normal_x: Array  # [B] float32
+    normal_y: Array  # [B] float32
+    row: Array  # [B] int32, in parts of a cell
+    col: Array  # [B] int32
+    inside: Array  # [B] bool, whether the point lies in the rectangle
+    scan_x: Array  # [B] float32, in the scanner's frame
+    scan_y: Array  # [B] float32
+    far2: Array  # [B] float32, squared distance from the scanner
 
 
 class Partner(NamedTuple):
@@ -48,18 +67,21 @@ class Partner(NamedTuple):
     d2: Array  # [B] float32, squared distance from the query, m^2; inf without a point
 
 
-def empty_map(shape: tuple[int, int, int], centre: tuple[float, float] | Array = (0.0, 0.0)) -> PointMap:
+def empty_map(
+    shape: tuple[int, int, int], centre: tuple[float, float] | Array = (0.0, 0.0), native: str | None = None
+) -> PointMap:
     """Return a map without points.
 
     Args:
       shape: rows and columns of cells, and points that there is room for, at most 2^18. Static.
       centre: of the rectangle that the cells cover, metres; what lies outside is never stored.
+      native: target of native kernels that add points, with the same result; None: JAX does it. Static.
     """
     rows, cols, points = shape
     x, y, normal_x, normal_y = (jnp.zeros(points, jnp.float32) for _ in range(4))  # of their own: they may be donated
     return PointMap(
         x, y, normal_x, normal_y, jnp.int32(0), jnp.full((rows, cols), NO_POINT, jnp.int32),
-        jnp.array(centre, jnp.float32), jnp.int32(0),
+        jnp.array(centre, jnp.float32), jnp.int32(0), native,
     )  # fmt: skip
 
 
@@ -108,18 +130,53 @@ def add(settings: SlamSettings, points: PointMap, scan: Scan, pose: Array) -> Po
     """
     xy, normal = placed(pose, scan.xy), rotated(scan.normal, pose[2])
     height, width = points.near.shape
-    (row, col), least2 = cells_of(settings, points, xy[:, 0], xy[:, 1]), settings.min_distance_m**2
-    inside = scan.valid & (row >= 0) & (row < height) & (col >= 0) & (col < width)
-    free = inside
+    row, col = (jnp.floor(a * PARTS).astype(jnp.int32) for a in cells_of(settings, points, xy[:, 0], xy[:, 1]))
+    inside = scan.valid & (row >= 0) & (row < height * PARTS) & (col >= 0) & (col < width * PARTS)
+    far2, scale = scan.xy[:, 0] ** 2 + scan.xy[:, 1] ** 2, jnp.float32(SHARES / settings.min_distance_m)
+    (x, y), (normal_x, normal_y), (own_x, own_y) = (jnp.unstack(a, axis=1) for a in (xy, normal, scan.xy))
+    new = New(x, y, normal_x, normal_y, row, col, inside, own_x, own_y, far2)
+    native = kernels.target_of(points.native)
+    if native is not None:
+        names = "x", "y", "normal_x", "normal_y", "near"
+        maps = [getattr(points, name) for name in names]
+        *maps, count, overflow = kernels.enter(native, maps, points.count, points.overflow, new, scale)
+        return points.replace(**dict(zip(names, maps)), count=count, overflow=overflow)
+    chosen, first = _chosen(points, new, scale)
+    number = points.count + jnp.sum(chosen[None] & first, axis=1, dtype=jnp.int32)
+    size = points.x.shape[0]
+    fits = chosen & (number < size)
+    at = jnp.where(fits, number, size)
+    more = {name: getattr(points, name).at[at].set(getattr(new, name), mode="drop") for name in New._fields[:4]}
+    near = _near(points.near, new, at, size)
+    count = jnp.minimum(points.count + jnp.sum(chosen, dtype=jnp.int32), size)
+    overflow = points.overflow + jnp.sum(chosen & ~fits, dtype=jnp.int32)
+    return points.replace(**more, near=near, count=count, overflow=overflow)
+
+
+def _is_near(scale, x, y, other_x, other_y):
+    """Return whether points are nearer to each other than the minimum distance, counted in whole shares: bool."""
+    dx, dy = (
+        jnp.minimum(jnp.abs(jnp.round(a * scale) - jnp.round(b * scale)), MOST_SHARES).astype(jnp.int32)
+        for a, b in ((x, other_x), (y, other_y))
+    )
+    return dx * dx + dy * dy < SHARES**2
+
+
+def _chosen(points, new, scale):
+    """Return which points of a scan enter the map, `[B]`, and which is taken before which: `[B, B]` bool."""
+    height, width = points.near.shape
+    row, col, free = new.row // PARTS, new.col // PARTS, new.inside
     for up in (-2, -1, 0, 1, 2):  # every stored point is found in its own cell, which is at most two away
         for right in (-2, -1, 0, 1, 2):
-            free &= partners(points, row + up, col + right, xy[:, 0], xy[:, 1]).d2 >= least2
+            cell = jnp.clip(row + up, 0, height - 1) * width + jnp.clip(col + right, 0, width - 1)
+            near = points.near.reshape(-1)[cell]
+            at = jnp.minimum(near & (2**NUMBER_BITS - 1), points.x.shape[0] - 1)
+            free &= (near == NO_POINT) | ~_is_near(scale, new.x, new.y, points.x[at], points.y[at])
     # Ranks, not ranges, are compared: a fused square rounds in two ways, and two points would wait for each other.
-    order = jnp.lexsort((scan.xy[:, 1], scan.xy[:, 0], scan.xy[:, 0] ** 2 + scan.xy[:, 1] ** 2))
+    order = jnp.lexsort((new.scan_y, new.scan_x, new.far2))
     rank = jnp.zeros(len(order), jnp.int32).at[order].set(jnp.arange(len(order), dtype=jnp.int32))
     first = rank[None] < rank[:, None]  # [i, j]: j is taken before i
-    off = xy[:, None] - xy[None]
-    rival = first & (off[..., 0] ** 2 + off[..., 1] ** 2 < least2)
+    rival = first & _is_near(scale, new.x[:, None], new.y[:, None], new.x, new.y)
 
     def choose(state):
         chosen, left = state
@@ -128,42 +185,29 @@ def add(settings: SlamSettings, points: PointMap, scan: Scan, pose: Array) -> Po
 
     # Every round takes one at least: the first in rank.
     chosen, _ = lax.while_loop(lambda state: jnp.any(state[1]), choose, (jnp.zeros_like(free), free))
-    number = points.count + jnp.sum(chosen[None] & first, axis=1, dtype=jnp.int32)
-    size = points.x.shape[0]
-    fits = chosen & (number < size)
-    n, before = jnp.minimum(points.count + jnp.sum(chosen, dtype=jnp.int32), size), points.count
-    at = jnp.where(fits, number, size)
-
-    def stored(old, new):
-        return old.at[at].set(new, mode="drop")
-
-    points = points.replace(
-        x=stored(points.x, xy[:, 0]),
-        y=stored(points.y, xy[:, 1]),
-        normal_x=stored(points.normal_x, normal[:, 0]),
-        normal_y=stored(points.normal_y, normal[:, 1]),
-        count=n,
-        overflow=points.overflow + jnp.sum(chosen & ~fits, dtype=jnp.int32),
-    )
-    return points.replace(near=_near(settings, points, before))
+    return chosen, first
 
 
-def _near(settings, points, first):
-    """Return the index with the points from one number on."""
-    height, width = points.near.shape
+def _near(near, new, at, size):
+    """Return the index with points of a scan, `TOGETHER` at a time; `at`: their numbers, `size`: none."""
+    height, width = near.shape
     offsets = jnp.arange(-REACH, REACH + 1)
+    which = jnp.argsort(at >= size)  # those that enter first; stable
+    which = jnp.pad(which, (0, -len(which) % TOGETHER), constant_values=len(which))  # clipped, then dropped
 
     def enter(state):
         near, k = state
-        new = k + jnp.arange(TOGETHER)
-        row, col = cells_of(settings, points, points.x[new], points.y[new])  # clipped beyond the last, then dropped
-        rows = jnp.floor(row).astype(jnp.int32)[:, None, None] + offsets[:, None]
-        cols = jnp.floor(col).astype(jnp.int32)[:, None, None] + offsets
-        d2 = (rows + 0.5 - row[:, None, None]) ** 2 + (cols + 0.5 - col[:, None, None]) ** 2
-        is_there = (new < points.count)[:, None, None] & (d2 < (REACH + 0.5) ** 2)
+        now = lax.dynamic_slice_in_dim(which, k, TOGETHER)
+        number = at.at[now].get(mode="fill", fill_value=size)[:, None, None]
+        own_row, own_col = new.row[now][:, None, None], new.col[now][:, None, None]
+        rows = own_row // PARTS + offsets[:, None]
+        cols = own_col // PARTS + offsets
+        d2 = (rows * PARTS + PARTS // 2 - own_row) ** 2 + (cols * PARTS + PARTS // 2 - own_col) ** 2
+        is_there = (number < size) & (d2 < (REACH + 0.5) ** 2 * PARTS**2)
         is_there &= (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
-        packed = (d2 * STEPS).astype(jnp.int32) << NUMBER_BITS | new[:, None, None]
-        at = jnp.where(is_there, rows * width + cols, height * width)
-        return near.reshape(-1).at[at].min(packed, mode="drop").reshape(height, width), k + TOGETHER
+        packed = (d2 * STEPS // PARTS**2) << NUMBER_BITS | number
+        cell = jnp.where(is_there, rows * width + cols, height * width)
+        return near.reshape(-1).at[cell].min(packed, mode="drop").reshape(height, width), k + TOGETHER
 
-    return lax.while_loop(lambda state: state[1] < points.count, enter, (points.near, first))[0]
+    n = jnp.sum(at < size)
+    return lax.while_loop(lambda state: state[1] < n, enter, (near, jnp.int32(0)))[0]

@@ -7,12 +7,14 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.arrays.poses import rotated, wrapped
-from jexplore.slam2d.points import NO_POINT, NUMBER_BITS, STEPS, PointMap, cell_m, cells_of
+from jexplore.native import kernels
+from jexplore.slam2d.points import NUMBER_BITS, STEPS, PointMap, cell_m, cells_of
 from jexplore.slam2d.scans import Scan
 from jexplore.slam2d.settings import SlamSettings
 
 BLOCK = 6  # fine steps to a coarse one
 BEST = 32  # coarse steps that are searched finely
+MOST_STEPS = 2**13 - 1  # the largest cost of a point, that of a cell of the index without one
 
 
 class Window(NamedTuple):
@@ -32,18 +34,31 @@ class Found(NamedTuple):
     is_best: Array  # bool, no pose of the window costs less
 
 
-def picture(settings: SlamSettings, points: PointMap, row: Array, col: Array, side: int) -> tuple[Array, Array, Array]:
-    """Return the cost of a point in every cell round one: `(cost, row, col)`, `[S, S]` float32 and its first cell.
+def step_cost(settings: SlamSettings) -> Array:
+    """Return the cost of one of the steps of `picture`: float32. See `SlamSettings.search_blur_m`."""
+    return jnp.float32(0.5 * (cell_m(settings) / settings.search_blur_m) ** 2 / STEPS)
 
-    The square is moved so that it lies within the map. Cost: see `SlamSettings.search_blur_m`.
+
+def most_steps(settings: SlamSettings) -> Array:
+    """Return the cost of a point without any of the map nearby, in steps: int32."""
+    return jnp.round(jnp.minimum(settings.search_cap / step_cost(settings), MOST_STEPS)).astype(jnp.int32)
+
+
+def picture(settings: SlamSettings, points: PointMap, row: Array, col: Array, side: int) -> tuple[Array, Array, Array]:
+    """Return the cost of a point in every cell round one: `(cost, row, col)`, `[S, S]` int16, steps; its first cell.
+
+    The square is moved so that it lies within the map. Whole numbers: their sums do not depend on the order.
     """
-    height, width = points.near.shape
-    rows, cols = min(side, height), min(side, width)
-    first = jnp.clip(row - rows // 2, 0, height - rows), jnp.clip(col - cols // 2, 0, width - cols)
-    near = lax.dynamic_slice(points.near, first, (rows, cols))
-    scale = 0.5 * (cell_m(settings) / settings.search_blur_m) ** 2 / STEPS
-    cost = jnp.minimum((near >> NUMBER_BITS).astype(jnp.float32) * scale, settings.search_cap)
-    return jnp.where(near == NO_POINT, settings.search_cap, cost), *first
+    size, (row, col) = _square(points, row, col, side)
+    near = lax.dynamic_slice(points.near, (row, col), size)
+    return jnp.minimum(near >> NUMBER_BITS, most_steps(settings)).astype(jnp.int16), row, col
+
+
+def _square(points, row, col, side):
+    """Return height, width and first cell of the square round a cell."""
+    size = tuple(min(side, n) for n in points.near.shape)
+    first = (jnp.clip(at - n // 2, 0, m - n) for at, n, m in zip((row, col), size, points.near.shape))
+    return size, tuple(first)
 
 
 def search(settings: SlamSettings, points: PointMap, scan: Scan, start: Array, prior: Array, window: Window) -> Found:
@@ -61,51 +76,81 @@ def search(settings: SlamSettings, points: PointMap, scan: Scan, start: Array, p
     """
     at = cells_of(settings, points, start[0], start[1])
     row, col = (jnp.floor(a).astype(jnp.int32) for a in at)
-    cost, first_row, first_col = picture(settings, points, row, col, window.side)
-    at = at[0] - first_row + BLOCK, at[1] - first_col + BLOCK
-    cost = jnp.pad(cost, BLOCK, constant_values=settings.search_cap)  # or a block across the edge is no bound
-    (height, width), floor_ = cost.shape, _block_minima(cost, settings.search_cap)
+    _, (first_row, first_col) = _square(points, row, col, window.side)
     edge_m, turn, sd = cell_m(settings), jnp.radians(settings.search_turn_deg), jnp.sqrt(jnp.diagonal(prior))
     n = jnp.maximum(jnp.sum(scan.valid), 1)
-
-    def total(costs, row, col):
-        inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
-        each = jnp.where(inside, costs.reshape(-1)[jnp.where(inside, row * width + col, 0)], settings.search_cap)
-        return jnp.sum(jnp.where(scan.valid, each, 0), axis=-1) / n
-
-    def cells(k):
-        arm = rotated(scan.xy, start[2] + k * turn) / edge_m
-        return tuple(jnp.floor(arm[..., axis] + own).astype(jnp.int32) for axis, own in zip((1, 0), at))
+    turns = jnp.arange(-window.turns, window.turns + 1)
+    blocks = jnp.arange(-window.blocks, window.blocks) * BLOCK
+    arm = rotated(scan.xy, start[2] + turns[:, None] * turn) / edge_m  # [T, B, 2]
+    cells = (arm[..., 1] + (at[0] - first_row), arm[..., 0] + (at[1] - first_col))
+    cells = jnp.stack([jnp.floor(a).astype(jnp.int32) + BLOCK for a in cells])
 
     def guess(k, up, right):
         off2 = (k * turn / sd[2]) ** 2 + (up * edge_m / sd[1])[:, None] ** 2 + (right * edge_m / sd[0])[None, :] ** 2
         # Measured on Freiburg 079: 7 standard deviations where the robot backs out of a room.
         return jnp.log1p(off2 / 2) * settings.correlation / n
 
-    turns = jnp.arange(-window.turns, window.turns + 1)
-    blocks = jnp.arange(-window.blocks, window.blocks) * BLOCK
     least_off = jnp.maximum(jnp.maximum(blocks, -(blocks + BLOCK - 1)), 0)  # cells of a block's nearest from the guess
-
-    def coarse(k):
-        row, col = cells(k)
-        return total(floor_, row + blocks[:, None, None], col + blocks[None, :, None]) + guess(k, least_off, least_off)
-
-    bound = lax.map(coarse, turns)  # [T, N, N]
+    floors, cost = _coarse(settings, points, scan, cells, row, col, window)
+    per = step_cost(settings) / n
+    bound = floors * per + jax.vmap(lambda k: guess(k, least_off, least_off))(turns)  # [T, N, N]
     least, which = lax.top_k(-bound.reshape(-1), min(BEST + 1, bound.size))
+    which = jnp.stack(jnp.unravel_index(which[:-1], bound.shape)).astype(jnp.int32)
+    sums = _fine(settings, points, scan, cells, cost, which, len(blocks))
 
-    def fine(k, i, j):
-        row, col = cells(turns[k])
+    def fine(sums, k, i, j):
         up, right = blocks[i] + jnp.arange(BLOCK), blocks[j] + jnp.arange(BLOCK)
-        costs = total(cost, row + up[:, None, None], col + right[None, :, None]) + guess(turns[k], up, right)
+        costs = sums * per + guess(turns[k], up, right)
         at = jnp.argmin(costs)
         return costs.reshape(-1)[at], jnp.stack([right[at % BLOCK], up[at // BLOCK], turns[k]])
 
-    costs, steps = jax.vmap(fine)(*jnp.unravel_index(which[:-1], bound.shape))
+    costs, steps = jax.vmap(fine)(sums, *which)
     best = jnp.argmin(costs)
     apart = jnp.any(jnp.abs(steps - steps[best]) > jnp.array([BLOCK, BLOCK, 2]), axis=1)
     pose = start + steps[best] * jnp.stack([edge_m, edge_m, turn]).astype(jnp.float32)
     others = jnp.where(apart, costs, -least[-1])
     return Found(pose.at[2].set(wrapped(pose[2])), costs[best], jnp.min(others), costs[best] <= -least[-1])
+
+
+def _coarse(settings, points, scan, cells, row, col, window):
+    """Return sums of the least costs of blocks, `[T, N, N]` int32 steps, and the picture with a margin of a block.
+
+    `cells`: `[2, T, B]` int32, rows and columns of the points in that picture.
+    """
+    most, n, native = most_steps(settings), 2 * window.blocks, kernels.target_of(points.native)
+    if native is not None:
+        size, first = _square(points, row, col, window.side)
+        return kernels.coarse(native, points.near, cells, scan.valid, first, size, most, n)
+    cost, _, _ = picture(settings, points, row, col, window.side)
+    cost = jnp.pad(cost, BLOCK, constant_values=most.astype(jnp.int16))  # or a block across the edge is no bound
+    floors, blocks = _block_minima(cost, most.astype(jnp.int16)), jnp.arange(-window.blocks, window.blocks) * BLOCK
+
+    def total(cells):
+        return _total(floors, cells[0] + blocks[:, None, None], cells[1] + blocks[None, :, None], scan.valid, most)
+
+    return lax.map(total, cells.swapaxes(0, 1)), cost
+
+
+def _fine(settings, points, scan, cells, cost, which, n):
+    """Return sums of costs in blocks `[3, M]` int32, turn, row and column: `[M, BLOCK, BLOCK]` int32, steps."""
+    most, native = most_steps(settings), kernels.target_of(points.native)
+    if native is not None:
+        return kernels.fine(native, cost, cells, scan.valid, which, most, n).reshape(-1, BLOCK, BLOCK)
+    inside = jnp.arange(BLOCK)
+
+    def total(k, i, j):
+        up, right = (BLOCK * (at - n // 2) + inside for at in (i, j))
+        return _total(cost, cells[0, k] + up[:, None, None], cells[1, k] + right[None, :, None], scan.valid, most)
+
+    return jax.vmap(total)(*which)
+
+
+def _total(costs, row, col, valid, most):
+    """Return the sum of the costs of points in cells, over the last axis."""
+    height, width = costs.shape
+    inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
+    each = jnp.where(inside, costs.reshape(-1)[jnp.where(inside, row * width + col, 0)], most)
+    return jnp.sum(jnp.where(valid, each, 0), axis=-1, dtype=jnp.int32)
 
 
 def _block_minima(cost, cap):

@@ -39,6 +39,8 @@ class SlamSettings(Settings):
     min_share: float = 0.8
     """A match of a smaller share of the scan's points is searched for anew, and the scan enters the map: it shows
     something new."""
+    plain_share: float = 1.0
+    """A match of a larger share of them is not searched for anew, however uncertain the odometry is."""
     degenerate_m: float = 0.05
     """A direction in which the scan alone gives a larger standard deviation than this, in metres, is degenerate."""
     correlation: float = 10.0

@@ -38,8 +38,9 @@ def predict(settings: SlamSettings, pose: Array, moved: Array | None) -> tuple[A
 def locate(
     settings: SlamSettings, points: PointMap, scan: Scan, start: Array, prior: Array, window: Window = WINDOW
 ) -> Match:
-    """Match a scan: from the odometry's pose if that is certain enough to find the right partners, or from where a
-    search finds it. A search follows as well if the match fails or fits badly; then the better of the two counts.
+    """Match a scan: from the odometry's pose if that is certain enough to find the right partners, or if nearly all of
+    the scan matches from there, else from where a search finds it. A search follows as well if the match fails or fits
+    badly; then the better of the two counts.
 
     Returns:
       `Match`.
@@ -57,4 +58,5 @@ def locate(
         )
 
     is_good = (first.outcome <= Outcome.UNSETTLED) & (first.fitness >= settings.min_share)
-    return run_if(~(is_sure & is_good), again, first)
+    is_plain = is_sure | (first.fitness > settings.plain_share)
+    return run_if(~(is_plain & is_good), again, first)

@@ -105,8 +105,8 @@ class Environment:
           cell_m: edge of a cell of the worlds that are loaded by name, metres.
           lidar: `Lidar`, or a mapping of some of its fields.
           rules: `Rules`, or a mapping of some of its fields.
-          pose: "true", "odometry" or "icp": `rules.pose`, if given. Views show what the robot believes; `info` has the
-            measures of such episodes, `ate_m` with `paths`.
+          pose: "true", "odometry", "icp" or "icp+closing": `rules.pose`, if given. Views show what the robot believes;
+            `info` has the measures of such episodes, `ate_m` with `paths`.
           odometry: `Odometry`, or a mapping of some of its fields: `rules.odometry`, if given.
           recheck: give up a frontier cell as soon as it is no longer live.
           paths: keep the whole way in the state, for `path`: 8 bytes for every cell of the map, at least 160 kB.

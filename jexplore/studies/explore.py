@@ -207,7 +207,7 @@ def explore(
       lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
       rules: `Rules`, or such a mapping.
       robot: `Robot`, or such a mapping: how long its motions take, and what energy.
-      pose: "true", "odometry" or "icp": `rules.pose`, if given.
+      pose: "true", "odometry", "icp" or "icp+closing": `rules.pose`, if given.
       odometry: `Odometry`, or such a mapping: `rules.odometry`, if given.
 
     Returns:

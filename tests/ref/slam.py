@@ -45,11 +45,14 @@ def ends(settings, ranges, angles, max_range_m=80.0, *, beams=5):
 
 
 def add(settings, stored, xy, valid, pose):
-    """Points of the map, `[n, 2]`, after a scan: one after the other, the nearest to the scanner first."""
-    stored = list(stored)
+    """Points of the map, `[n, 2]`, after a scan: one after the other, the nearest to the scanner first.
+
+    Distances are those of places in whole shares of the minimum distance.
+    """
+    stored, share_m = list(stored), settings.min_distance_m / 2048
     for i in sorted(np.flatnonzero(valid), key=lambda i: (np.sum(xy[i] ** 2), xy[i][0], xy[i][1])):
         point = rotation(pose[2]) @ xy[i] + pose[:2]
-        if all(np.hypot(*(point - other)) >= settings.min_distance_m for other in stored):
+        if all(np.hypot(*(np.round(point / share_m) - np.round(other / share_m))) >= 2048 for other in stored):
             stored.append(point)
     return np.array(stored).reshape(-1, 2)
 

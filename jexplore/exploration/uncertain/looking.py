@@ -7,14 +7,19 @@ import jax.numpy as jnp
 from jax import Array
 
 from jexplore.arrays.loops import run_if
-from jexplore.arrays.poses import rotated, wrapped
+from jexplore.arrays.poses import wrapped
 from jexplore.engine.program import Given
 from jexplore.exploration.sensing import known_cells, square_round, stacked
 from jexplore.exploration.state import Outcome, Setup, State, Stream
-from jexplore.exploration.uncertain.poses import EIGHTH, Poses, UnsureNumbers, cell_of, rounded
-from jexplore.slam2d import matching
-from jexplore.slam2d.beams import Reading, cast, fold
-from jexplore.slam2d.points import add
+from jexplore.exploration.uncertain.closing import look_for_loop, made_anew, ranges_of
+from jexplore.exploration.uncertain.poses import EIGHTH, Poses, UnsureNumbers, beams_of, cell_of, rounded
+from jexplore.grid import Grid
+from jexplore.native import kernels
+from jexplore.planning import Belief
+from jexplore.slam2d import beams, matching
+from jexplore.slam2d.beams import Reading
+from jexplore.slam2d.closing import Scanner
+from jexplore.slam2d.mapping import enter
 from jexplore.slam2d.scans import read_scan
 from jexplore.slam2d.tracking import locate
 
@@ -27,38 +32,38 @@ def look(setup: Setup, given: Given, state: State, when: Array) -> State:
     A robot of whose place or heading the estimate has come to be less certain than `LOST_M` or `LOST_RAD`, as standard
     deviations, because scans do not match, is `LOST`: the episode ends.
     """
-    parts = state.belief.grid, state.poses, state.n_known, state.heading, state.belief.row, state.belief.col
+    is_matched = state.poses.mapping is not None
+    parts = state.belief, state.poses, state.n_known, state.heading
 
     def scanned(parts: Any) -> Any:
-        grid, poses, n_known, heading, row, col = parts
-        own, belief = given.numbers.unsure, state.belief
-        occupied, base = stacked(given, jnp.asarray(given.scenes.occupied))
-        reach = own.reach
-        direction = _directions(own, heading, poses.true)
-        clean = cast(occupied, poses.true[:2], direction, reach, base)
+        belief, poses, n_known, heading = parts
+        own = given.numbers.unsure
+        direction = beams_of(own, heading, poses.true)
+        clean = _cast(given, poses.true[:2], direction)
         clean, reading = _disturbed(setup, given, state, clean)
-        square = square_round(setup, poses.true[1].astype(jnp.int32), poses.true[0].astype(jnp.int32), grid.hits.shape)
-        before = jnp.int32(0) if square is None else known_cells(poses.seen, belief.within, square)
-        seen = fold(poses.seen, poses.true[:2] + jnp.minimum(before, 0), direction, clean, reach, belief.extent)
-        after = known_cells(seen, belief.within, square)
-        n_known = after if square is None else n_known - before + after
+        seen, n_known = _seen(setup, own, belief, poses, direction, clean, n_known)
         poses = poses.replace(seen=seen)
-        if poses.points is not None:
-            poses = _matched(given, poses, heading, reading, belief.model.cell_m)
+        if is_matched:
+            before = poses.mapping.pose_of
+            poses, moved = _matched(given, poses, heading, reading, belief.model.cell_m)
+            if poses.key_of is not None:
+                belief, poses = made_anew(given, belief, poses, before, state.steps, moved)
             heading, poses = rounded(heading, poses)
-            here = cell_of(poses.estimate, row, col, belief.extent)
-            poses = poses.replace(strayed=poses.strayed | (here[0] != row) | (here[1] != col))
-            row, col = here
-        direction = _directions(own, heading, poses.estimate)
-        grid = fold(grid, poses.estimate[:2], direction, reading, reach, belief.extent)
-        return grid, poses, n_known, heading, row, col
+            row, col = cell_of(poses.estimate, belief.row, belief.col, belief.extent)
+            poses = poses.replace(strayed=poses.strayed | (row != belief.row) | (col != belief.col))
+            belief = belief.replace(row=row, col=col, heading=heading)
+        direction = beams_of(own, heading, poses.estimate)
+        grid = beams.fold(
+            belief.grid, poses.estimate[:2], direction, reading, own.reach, belief.extent, belief.model.native
+        )
+        return belief.replace(grid=grid), poses, n_known, heading
 
-    grid, poses, n_known, heading, row, col = run_if(when, scanned, parts)
+    belief, poses, n_known, heading = run_if(when, scanned, parts)
     sd2 = jnp.diagonal(poses.covariance)
     is_lost = (jnp.max(sd2[:2]) > LOST_M**2) | (sd2[2] > LOST_RAD**2)
-    is_lost &= (state.outcome == Outcome.RUNNING) & (poses.points is not None) & when
+    is_lost &= (state.outcome == Outcome.RUNNING) & is_matched & when
     return state.replace(
-        belief=state.belief.replace(grid=grid, row=row, col=col, heading=heading),
+        belief=belief,
         poses=poses,
         heading=heading,
         n_known=n_known,
@@ -68,9 +73,26 @@ def look(setup: Setup, given: Given, state: State, when: Array) -> State:
     )
 
 
-def _directions(own: UnsureNumbers, heading: Array, pose: Array) -> Array:
-    """Return unit vectors of the beams: `[B, 2]`."""
-    return rotated(jnp.asarray(own.directions)[heading], jnp.broadcast_to(pose[2], own.angles_rad.shape))
+def _cast(given: Given, xy: Array, direction: Array) -> Reading:
+    """Return where beams from a place of the true world end."""
+    occupied, base = stacked(given, jnp.asarray(given.scenes.occupied))
+    return beams.cast(occupied, xy, direction, given.numbers.unsure.reach, base, given.numbers.model.native)
+
+
+def _seen(
+    setup: Setup, own: UnsureNumbers, belief: Belief, poses: Poses, direction: Array, clean: Reading, n_known: Array
+) -> tuple[Grid, Array]:
+    """Count a scan at the true pose into the exact map: `(map, n_known)`."""
+    xy, terms = poses.true[:2], (direction, clean, own.reach, belief.extent)
+    native = kernels.target_of(belief.model.native)
+    if native is not None:
+        seen, fresh = kernels.fold(native, poses.seen, xy, *terms, belief.within)
+        return seen, n_known + fresh
+    square = square_round(setup, xy[1].astype(jnp.int32), xy[0].astype(jnp.int32), belief.driven.shape)
+    before = n_known if square is None else known_cells(poses.seen, belief.within, square)
+    # As in `sensing.sense`: the number is made first, so that the map can be changed in place.
+    seen = beams.fold(poses.seen, xy + jnp.minimum(before, 0), *terms)
+    return seen, n_known - before + known_cells(seen, belief.within, square)
 
 
 def _disturbed(setup: Setup, given: Given, state: State, clean: Reading) -> tuple[Reading, Reading]:
@@ -92,26 +114,27 @@ def _disturbed(setup: Setup, given: Given, state: State, clean: Reading) -> tupl
     return told(clean.distance, clean.hit), told(distance, hit)
 
 
-def _matched(given: Given, poses: Poses, heading: Array, reading: Reading, cell_m: Array) -> Poses:
-    """Correct the estimate by matching a scan with the point map; it enters the map after some way or turn."""
-    own = given.numbers.unsure
-    settings, points, since = own.matching, poses.points, poses.since_key
-    ranges_m = jnp.where(reading.hit & reading.speaks, reading.distance, jnp.inf) * cell_m
-    scan = read_scan(settings, ranges_m, own.angles_rad, own.reach * cell_m)
+def _matched(given: Given, poses: Poses, heading: Array, reading: Reading, cell_m: Array) -> tuple[Poses, Array]:
+    """Correct the estimate by matching a scan with the point map, and maybe by a loop: `(poses, moved)`.
+
+    `moved`: bool, whether a loop has moved key scans.
+    """
+    own, mapping, moved = given.numbers.unsure, poses.mapping, jnp.bool_(False)
+    scanner = Scanner(own.angles_rad, own.reach * cell_m)
+    ranges_m = ranges_of(reading, cell_m)
+    scan = read_scan(own.matching, ranges_m, *scanner)
     x, y, more = poses.estimate
     start = jnp.stack([x * cell_m, y * cell_m, wrapped(heading * EIGHTH + more)])
-    found = locate(settings, points, scan, start, poses.covariance)
-    failed = found.outcome >= matching.Outcome.FAR
-    is_key = (since[0] >= settings.key_m) | (since[1] >= jnp.radians(settings.key_deg))
-    is_key |= ~failed & (found.fitness < settings.min_share)
-    points = run_if(is_key, lambda points: add(settings, points, scan, found.pose), points)
-    off = wrapped(found.pose[2] - heading * EIGHTH)
-    estimate = jnp.append(found.pose[:2] / cell_m, off)
-    is_first = jnp.isinf(since[0])
-    return poses.replace(
-        estimate=jnp.where(failed | is_first, poses.estimate, estimate),
-        covariance=jnp.where(is_first, poses.covariance, found.covariance),
-        points=points,
-        since_key=jnp.where(is_key, 0.0, since),
+    found = locate(own.matching, mapping.points, scan, start, poses.covariance)
+    failed, is_first = found.outcome >= matching.Outcome.FAR, mapping.n_keys == 0
+    mapping, is_key = enter(own.matching, mapping, ranges_m, scan, found)
+    if poses.key_of is not None:
+        mapping, moved = look_for_loop(own.matching, mapping, scanner, is_key)
+    estimate = jnp.append(mapping.pose[:2] / cell_m, wrapped(mapping.pose[2] - heading * EIGHTH))
+    poses = poses.replace(
+        estimate=jnp.where(failed & ~moved, poses.estimate, estimate),
+        covariance=found.covariance,
+        mapping=mapping,
         unmatched=poses.unmatched + (failed & ~is_first),
     )
+    return poses, moved

@@ -10,8 +10,9 @@ from jexplore.grid import is_free
 def ate_m(view: EpisodeView) -> Array:
     """Return the absolute trajectory error: the root mean square distance of estimated places from true ones.
 
-    The places are those at the start and after every step; the estimated way is first moved and turned as a whole so
-    that it lies as near as it can. NaN where the way is not kept: an `Environment` without `paths`.
+    The places are those at the start and after every step, moved by loops that were closed later. The estimated way is
+    first moved and turned as a whole so that it lies as near as it can. NaN where the way is not kept: an `Environment`
+    without `paths`.
     """
     trail, cell_m = view.poses.trail, view.belief.model.cell_m
     counts = (lax.iota(jnp.int32, trail.shape[0]) <= view.steps)[:, None]
@@ -63,5 +64,10 @@ def unmatched(view: EpisodeView) -> Array:
     return view.poses.unmatched
 
 
-MEASURES = {one.__name__: Metric(one) for one in (ate_m, end_error_m, end_error_deg, free_iou, bumps, unmatched)}
+def loops(view: EpisodeView) -> Array:
+    """Return how many loops were found."""
+    return jnp.int32(0) if view.poses.key_of is None else view.poses.mapping.n_loops
+
+
+MEASURES = {one.__name__: Metric(one) for one in (ate_m, end_error_m, end_error_deg, free_iou, bumps, unmatched, loops)}
 """Name of a column -> what it holds."""

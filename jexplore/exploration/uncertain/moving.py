@@ -19,6 +19,7 @@ from jexplore.slam2d.odometry import encoded, step_covariance
 
 PARTS = 8  # of a step, after each of which the robot sees whether it is in a wall
 MOST_CELLS = 2.5  # of a step: from a corner of where a robot stays in its cell to the middle of the next one
+MAPS = ("seen", "trail", "mapping", "key_of")  # of `Poses`, what no motion changes
 AHEAD = np.array([MOTIONS[HEADING.index(k)][::-1] for k in range(8)], np.float32)  # x, y of each heading's next cell
 
 
@@ -65,8 +66,6 @@ def turn_and_go(given: Given, state: State, heading: Array, goes: Array, when: A
         motions=poses.motions + 1,
         bumps=poses.bumps + (share < 1),
     )
-    if moved.since_key is not None:
-        moved = moved.replace(since_key=moved.since_key + jnp.stack([way * cell_m, jnp.abs(turn)]))
     new_heading, moved = rounded(heading, moved)
     arrived = share == 1  # else it is taken to be where it was, and not in the wall that it has met
     row, col = belief.row + drow * arrived, belief.col + dcol * arrived
@@ -102,12 +101,11 @@ def _pick_pose(when: Array, new: State, old: State) -> State:
     """Return the state with the pose of one of two, whose maps are the same."""
 
     def own(state: State) -> Any:
-        poses, belief = state.poses.replace(seen=None, trail=None, points=None), state.belief
+        poses, belief = state.poses.replace(**dict.fromkeys(MAPS)), state.belief
         return poses, (state.row, state.col, state.heading, belief.row, belief.col, belief.heading)
 
     poses, (row, col, heading, own_row, own_col, own_heading) = pick(when, own(new), own(old))
-    kept = old.poses
-    poses = poses.replace(seen=kept.seen, trail=kept.trail, points=kept.points)
+    poses = poses.replace(**{name: getattr(old.poses, name) for name in MAPS})
     belief = old.belief.replace(row=own_row, col=own_col, heading=own_heading)
     return old.replace(row=row, col=col, heading=heading, poses=poses, belief=belief)
 

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
+from jexplore.arrays.poses import rotated
 from jexplore.grid import Grid
 from jexplore.rules import Odometry
-from jexplore.slam2d.points import empty_map
+from jexplore.slam2d.mapping import Sizes, blank
 from jexplore.slam2d.settings import SlamSettings
 
 EIGHTH = 0.7853981633974483  # radians, between headings of the lattice
@@ -20,8 +21,10 @@ TRAIL = ("way_m", "true_x", "true_y", "x", "y")  # columns of a trail of poses: 
 class Unsure(NamedTuple):
     """Static config of a robot that does not know its pose."""
 
-    points: tuple[int, int, int] | None = None  # shape of its point map, see `slam2d.points`; None: odometry alone
-    centre_m: tuple[float, float] = (0.0, 0.0)  # x and y of the middle of that map
+    sizes: Sizes | None = None  # of its record of scans; None: odometry alone
+    centre_m: tuple[float, float] = (0.0, 0.0)  # x and y of the middle of its point map
+    n_beams: int = 0
+    closing: bool = False  # whether it closes loops
 
 
 @struct.dataclass
@@ -54,19 +57,23 @@ class Poses:
     bumps: Array  # int32, steps that a wall of the true world ended
     unmatched: Array  # int32, scans without a match
     strayed: Array  # bool, the robot is in another cell than where its plan has it
-    points: Any = None  # `PointMap` of a robot that matches scans, else None
-    since_key: Any = None  # [2] float32, of such a robot, metres and radians since the last scan that entered the map
+    mapping: Any = None  # `Mapping` of a robot that matches scans, else None
+    key_of: Any = None  # [T + 1] int32, key scan that each place of the trail belongs to; None: loops are not closed
     replace: ClassVar[Callable[..., Self]]
 
 
-def blank_poses(unsure: Unsure, grid: Grid, capacity: int, row: Array, col: Array) -> Poses:
-    """Return the `Poses` of a robot at a cell's centre that knows where it is; `grid` is what it has seen."""
+def blank_poses(unsure: Unsure, grid: Grid, capacity: int, start: Any, cell_m: Any) -> Poses:
+    """Return the `Poses` of a robot at a cell's centre that knows where it is; `grid` is what it has seen.
+
+    `start`: `[3]` int32, row, col and heading.
+    """
+    row, col, heading = start
     pose = jnp.stack([col + 0.5, row + 0.5, 0.0]).astype(jnp.float32)
     zero, none = jnp.float32(0), jnp.int32(0)
     trail = jnp.zeros((capacity + 1, len(TRAIL)), jnp.float32)
-    matched: dict[str, Any] = {}
-    if unsure.points is not None:
-        matched = {"points": empty_map(unsure.points, unsure.centre_m), "since_key": jnp.full(2, jnp.inf, jnp.float32)}
+    mapping = unsure.sizes and blank(
+        unsure.sizes, unsure.n_beams, jnp.append(pose[:2] * cell_m, heading * EIGHTH), unsure.centre_m
+    )
     return Poses(
         true=pose,
         estimate=pose,
@@ -78,8 +85,14 @@ def blank_poses(unsure: Unsure, grid: Grid, capacity: int, row: Array, col: Arra
         bumps=none,
         unmatched=none,
         strayed=jnp.bool_(False),
-        **matched,
+        mapping=mapping,
+        key_of=jnp.zeros(capacity + 1, jnp.int32) if unsure.closing else None,
     )
+
+
+def beams_of(own: UnsureNumbers, heading: Array, pose: Array) -> Array:
+    """Return the beams from a pose as unit vectors: `[B, 2]`; `heading`: of the lattice."""
+    return rotated(jnp.asarray(own.directions)[heading], jnp.broadcast_to(pose[2], own.angles_rad.shape))
 
 
 def cell_of(pose: Array, row: Array, col: Array, extent: Array) -> tuple[Array, Array]:
@@ -101,4 +114,7 @@ def note_pose(poses: Poses, steps: Array, when: Array | bool) -> Poses:
     """Add the present poses to their trail."""
     entry = jnp.concatenate([poses.way_m[None], poses.true[:2], poses.estimate[:2]])
     step = jnp.where(when, steps, poses.trail.shape[0])
-    return poses.replace(trail=poses.trail.at[step].set(entry, mode="drop"))
+    poses = poses.replace(trail=poses.trail.at[step].set(entry, mode="drop"))
+    if poses.key_of is None:
+        return poses
+    return poses.replace(key_of=poses.key_of.at[step].set(poses.mapping.place.key, mode="drop"))

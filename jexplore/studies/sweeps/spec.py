@@ -69,7 +69,7 @@ class Sweep:
     rules: Mapping[str, Any] | Rules = dataclasses.field(default_factory=dict)
     """A `jx.Rules`, or some of its fields, without the next two."""
     pose: Any = None
-    """Way in which robots learn their pose: "true" (the default), "odometry" or "icp"."""
+    """Way in which robots learn their pose: "true" (the default), "odometry", "icp" or "icp+closing"."""
     odometry: Mapping[str, Any] | Odometry = dataclasses.field(default_factory=dict)
     """A `jx.Odometry`, or some of its fields."""
     robot: Mapping[str, Any] | Robot = dataclasses.field(default_factory=dict)
