@@ -34,11 +34,13 @@ class Explorer:
             return None
         info, turn, here = grid.info, self.pose.pose.orientation, self.pose.pose.position
         cells = np.array(grid.data, np.int8).reshape(info.height, info.width)
-        choice = self.choose(cells, (here.x, here.y, 2 * math.atan2(turn.z, turn.w)), info)
-        if choice.pose == self.last and math.dist((here.x, here.y), choice.pose[:2]) < info.resolution:
-            self.exhausted.append(choice.pose[:2])  # it is there, and the map shows no more for it
-            choice = self.choose(cells, (here.x, here.y, 0.0), info)
-        self.last, self.memory = choice.pose, choice.memory
+        pose = here.x, here.y, 2 * math.atan2(turn.z, turn.w)
+        choice = self.choose(cells, pose, info)
+        at = choice.pose and choice.pose[:2]
+        if at is not None and at == self.last and math.dist(pose[:2], at) < info.resolution:
+            self.exhausted.append(at)  # it is there, and the map shows no more for it
+            choice = self.choose(cells, pose, info)
+        self.last, self.memory = choice.pose and choice.pose[:2], choice.memory
         if choice.pose is None:
             return None
         goal = copy.deepcopy(self.pose)

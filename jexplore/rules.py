@@ -227,7 +227,7 @@ class Rules(Settings):
             require_number(f"rules.{name}", getattr(self, name), high=1000)
         require_number("rules.p_free", self.p_free, high=1, high_open=True)
         require_whole("rules.min_frontier_cells", self.min_frontier_cells, low=1, high=1000)
-        if self.frontier_connectivity not in (8, 4):
+        if isinstance(self.frontier_connectivity, float) or self.frontier_connectivity not in (8, 4):
             raise InputError(f"rules.frontier_connectivity must be 8 or 4, got {shown(self.frontier_connectivity)}")
         for name, low, high in (("stop_at", 0.0001, 1), ("max_path_m", 0, 1e6), ("max_time_s", 0, MOST_TIME_S)):
             if getattr(self, name) is not None:

@@ -175,6 +175,8 @@ KIND = "occupancy must be [H, W] int8, -1 unknown and 0 to 100"
         (FREE, (1, 1), {}, "pose must be 3 finite numbers, x_m, y_m, heading_rad, got (1, 1)"),
         (FREE, (1, 1, 0), {"origin_m": (0, math.inf)}, "origin_m must be 2 finite numbers, x_m, y_m, got (0, inf)"),
         (FREE, (1, 1, 0), {"driven_m": [1, 2]}, "driven_m must be [N, 2] finite numbers, x_m and y_m, got [1, 2]"),
+        (FREE, (1, 1, 0), {"driven_m": [(1, 2), (3,)]}, "driven_m must be [N, 2] finite numbers, x_m and y_m"),
+        (FREE, (1, 1, 0), {"strategy": ["closest"]}, "strategy must be a name, a function, or made once"),
         (FREE, (1, 1, 0), {"exhausted_m": [(math.nan, 2)]}, "exhausted_m must be [N, 2] finite numbers"),
         (FREE, (1, 1, 0), {"cell_m": 0}, "cell_m must be a number at least 0.001 and at most 100, got 0"),
         (FREE, (1, 1, 0), {"cell_m": 0.005, "rules": {}}, "rules.clearance_m must be below 32 cells"),
@@ -224,9 +226,10 @@ def test_the_ros_node_answers_messages_with_goals(monkeypatch):
     def header():
         return kinds["Header"](types_of["builtin_interfaces/msg/Time"](0, 0), "map")
 
-    def pose(x, y):
+    def pose(x, y, turn=0.0):
         place = types_of["geometry_msgs/msg/Pose"](
-            types_of["geometry_msgs/msg/Point"](x, y, 0.0), types_of["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+            types_of["geometry_msgs/msg/Point"](x, y, 0.0),
+            types_of["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(turn / 2), math.cos(turn / 2)),
         )
         return place if x == y == 0 else types_of["geometry_msgs/msg/PoseStamped"](header(), place)
 
@@ -241,8 +244,11 @@ def test_the_ros_node_answers_messages_with_goals(monkeypatch):
         on_map(grid)  # before the first pose
         on_pose(pose(x, y))
         on_map(grid)
-        on_pose(pose(4.5, 2.5))  # there, and the map is the same: it is exhausted
+        on_pose(pose(4.45, 2.55, 0.03))  # there, nearly, and the map is the same: it is exhausted
         on_map(grid)
+        closed = np.pad(np.zeros_like(cells[1:-1, 1:-1]), 1, constant_values=100).ravel()
+        for _ in range(2):  # nothing is left to explore, and nothing later either
+            on_map(types_of["nav_msgs/msg/OccupancyGrid"](header(), info, closed))
 
     rclpy = types.SimpleNamespace(init=lambda: None, create_node=lambda name: node, spin=spin)
     messages = types.SimpleNamespace(

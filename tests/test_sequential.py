@@ -40,7 +40,7 @@ def test_the_interval_is_wider_than_that_of_a_fixed_number():
 
 @pytest.mark.parametrize(
     ("low", "high", "verdict"),
-    [(0.8, 0.99, "shorter"), (1.01, 1.2, "longer"), (0.9, 1.1, "undecided"), (0.985, 1.02, "within 2 %")],
+    [(0.8, 0.99, "shorter"), (1.01, 1.2, "longer"), (0.9, 1.1, "undecided"), (0.985, 1.02, "known to 2 %")],
 )
 def test_verdicts(low, high, verdict):
     found = paired_ratio([1.0, 2.0], [2.0, 3.0])._replace(low=low, high=high)
@@ -57,11 +57,14 @@ def test_a_world_is_settled_once_all_its_strategies_are():
     long = draw.uniform(90, 110, 60)
     factors = {"first": 1.0, "half": draw.uniform(0.4, 0.6, 60), "same": draw.uniform(0.97, 1.03, 60)}
     near = [table("a", name, long * factor) for name, factor in factors.items()]
-    assert sequential.decided_worlds(3)(near[:2]) == set()
-    assert sequential.decided_worlds(2)(near[:2]) == {"a"}
-    assert sequential.decided_worlds(3)([one.head(9) for one in near]) == set()
+    assert sequential.decided_worlds([*factors])(near[:2]) == set()
+    assert sequential.decided_worlds([*factors][:2])(near[:2]) == {"a"}
+    assert sequential.decided_worlds([*factors])([one.head(9) for one in near]) == set()
+    # A unit that is half done does not change the reference, and its episodes do not count.
+    late = sequential.decisions(pd.concat([near[1], near[2], near[0].head(40)]), [*factors])
+    assert late[["strategy", "n"]].to_numpy().tolist() == [["half", 40], ["same", 40]]
     found = sequential.decisions(pd.concat(near)).set_index("strategy")
-    assert found["verdict"].to_dict() == {"half": "shorter", "same": "within 2 %"}
+    assert found["verdict"].to_dict() == {"half": "shorter", "same": "known to 2 %"}
     text = sequential.decisions_text(pd.concat(near), 1000)
     assert text.startswith("\nDecided after 180 of 1000 episodes, 820 spared.")
 
@@ -112,3 +115,5 @@ def test_the_command_says_what_was_spared(tmp_path, capsys):
 def test_other_ends_are_refused():
     with pytest.raises(InputError, match=r"^until must be None or 'decided', got 'bored'$"):
         jx.compare("cave", "closest", until="bored")
+    with pytest.raises(InputError, match=r"^until must be None or 'decided'"):
+        sequential.require_until(np.array([1, 2]))

@@ -152,6 +152,12 @@ def test_episodes_that_fail_count_as_long_ones():
 
 
 @pytest.mark.jit
+def test_episodes_that_saw_as_much_as_they_were_to_count():
+    own = bank.prepare_bank(SMALL[0], lidar=NEAR, rules=Rules(stop_at=0.5))
+    assert np.isfinite(own.values([parse_strategy("closest")], [0, 0], 0)).all()
+
+
+@pytest.mark.jit
 @pytest.mark.parametrize("measure", ["path_m", "path_m_at_95", "time_s"])
 def test_ratios_are_those_of_a_comparison(measure):
     own = bank.prepare_bank(SMALL, lidar=NEAR, measure=measure)

@@ -11,7 +11,7 @@ import pytest
 
 import jexplore as jx
 from jexplore.cli import main
-from jexplore.config import InputError
+from jexplore.config import InputError, InputWarning
 from jexplore.learn import tuning
 from jexplore.policies import Policy, Span, parse_strategy, search_space
 from jexplore.policies.catalogue import entries
@@ -105,7 +105,11 @@ def test_settings_of_a_file(tmp_path):
     file = tmp_path / "tuned.json"
     file.write_text(json.dumps({"settings": {"tour+recheck": {"min_gain": 4}, "mcdm": {}}}))
     names = ["closest", "tour", "tour+recheck", "mcdm"]
-    assert tuning.with_settings(names, file) == ["closest", "tour", "tour+recheck:min_gain=4", "mcdm"]
+    with pytest.warns(InputWarning, match="has no settings of tour, which keep their defaults"):
+        assert tuning.with_settings(names, file) == ["closest", "tour", "tour+recheck:min_gain=4", "mcdm"]
+    file.write_text('{"settings": {"tour": {"min_gain": [1, 2]}}}')
+    with pytest.raises(InputError, match="settings must be numbers"):
+        tuning.with_settings(names, file)
     for text in ("{}", "[]", '{"settings": {"tour": 3}}'):
         file.write_text(text)
         with pytest.raises(InputError, match="must be a file of settings as `jexplore tune` writes"):
@@ -113,7 +117,8 @@ def test_settings_of_a_file(tmp_path):
 
 
 def test_shipped_settings_are_of_strategies_of_the_league():
-    given = tuning.with_settings(LEAGUE_STRATEGIES, "shipped")
+    with pytest.warns(InputWarning, match="shipped: has no settings of .*small-first, .* keep their defaults"):
+        given = tuning.with_settings(LEAGUE_STRATEGIES, "shipped")
     assert len(set(given) - set(LEAGUE_STRATEGIES)) > 5
     for name in given:
         parse_strategy(name)

@@ -26,6 +26,7 @@ from jexplore.studies.checks import (
     require_given_pose,
     require_memory,
 )
+from jexplore.studies.statistics.by_world import DONE
 from jexplore.studies.statistics.coverage import MEASURES
 from jexplore.studies.statistics.league import LEAGUE_KINDS
 from jexplore.worlds.world import World, with_ring
@@ -69,7 +70,7 @@ class Bank:
     ) -> np.ndarray:  # fmt: skip
         """Compute the measure of strategies, from the same starts: `[N, K]` float64, in the unit of its column.
 
-        inf where an episode did not end COMPLETE. Arguments as of `log_ratios`.
+        inf where an episode did not end COMPLETE or EXPLORED. Arguments as of `log_ratios`.
 
         Raises:
           KeyboardInterrupt: not all were made.
@@ -85,7 +86,7 @@ class Bank:
             if np.any(found.outcome == Outcome.RUNNING):
                 raise KeyboardInterrupt
             told = columns(found, job.starts, seed=seed, cell_m=job.world.cell_m, has_rooms=False, robot=ROBOT)
-            table[i % len(strategies), place] = np.where(found.outcome == Outcome.COMPLETE, told[self.measure], np.inf)
+            table[i % len(strategies), place] = np.where(np.isin(told["outcome"], DONE), told[self.measure], np.inf)
         return table
 
     def some(self, draw: np.random.Generator, n: int) -> list[int]:
@@ -123,7 +124,7 @@ def prepare_bank(
     if measure not in MEASURES.values():
         raise unknown("measure", measure, MEASURES.values())
     lidar, rules = ready_settings(lidar, rules)
-    require_given_pose(rules, "training is")
+    require_given_pose(rules, "training and tuning are")
     ready = [with_ring(world) for world in ready_worlds(worlds, cell_m)]
     for world in ready:
         require_clearance(rules, world.cell_m, repr(world.name))

@@ -127,7 +127,7 @@ class Decisions:
         valid &= ~state.is_over
         new = run_if(valid, lambda state: self._drive_on(state, action, jnp.bool_(True)), state)
         path_m, outcome = new.env.episode.path_m, outcome_of(new.env.episode)
-        failed = new.is_over & (outcome != Outcome.COMPLETE)
+        failed = new.is_over & (outcome != Outcome.COMPLETE) & (outcome != Outcome.EXPLORED)
         cost_m = jnp.where(failed, jnp.maximum(path_m, FAILED * state.reference_m), path_m) - state.driven_m
         reward = -cost_m / state.reference_m
         new = new.replace(driven_m=jnp.where(valid, path_m, state.driven_m))

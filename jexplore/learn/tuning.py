@@ -8,6 +8,7 @@ import contextlib
 import functools
 import math
 import os
+import warnings
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jexplore.arrays.files import read_json
-from jexplore.config import InputError
+from jexplore.config import InputError, InputWarning, shown
 from jexplore.learn.bank import REFERENCE, Bank
 from jexplore.policies import parse_strategy, search_space
 from jexplore.report.store import MAX_RECORD_BYTES
@@ -169,4 +170,11 @@ def with_settings(strategies: Iterable[str], file: str | os.PathLike[str]) -> li
     settings = page.get("settings") if isinstance(page, dict) else None
     if not isinstance(settings, dict) or not all(isinstance(values, dict) for values in settings.values()):
         raise InputError(f"{file}: must be a file of settings as `jexplore tune` writes, with settings by strategy")
-    return [with_values(name, settings.get(name, {})) for name in strategies]
+    numbers = [value for values in settings.values() for value in values.values()]
+    if not all(isinstance(value, int | float) for value in numbers):
+        raise InputError(f"{file}: settings must be numbers, got {shown(numbers)}")
+    names = list(strategies)
+    missing = [name for name in names if name not in settings and ":" not in name and search_space(name)]
+    if missing:
+        warnings.warn(f"{file}: has no settings of {', '.join(missing)}, which keep their defaults", InputWarning, 2)
+    return [with_values(name, settings.get(name, {})) for name in names]

@@ -110,7 +110,10 @@ class _Place(NamedTuple):
 
     def cells(self, name: str, points_m: Any) -> np.ndarray:
         """Return the cells of points, `[N, 2]` int64, row and column, wherever they lie."""
-        points = np.asarray(points_m, float)
+        try:
+            points = np.asarray(points_m, float)
+        except (TypeError, ValueError):
+            points = np.empty(())
         points = points.reshape(0, 2) if points.shape == (0,) else points
         if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
             raise InputError(f"{name} must be [N, 2] finite numbers, x_m and y_m, got {shown(points_m)}")
@@ -201,10 +204,15 @@ def _numbers(name: str, values: Any, n: int, what: str) -> list[float]:
 
 def _ready(asked: Any) -> Strategy:
     """Return the strategy; a name or a function is made one once, so that it is compiled once."""
+    if isinstance(asked, Strategy):
+        return asked
     try:
-        return asked if isinstance(asked, Strategy) else _made(asked)
+        hash(asked)
     except TypeError:
-        raise InputError("a strategy that holds arrays must be made once, by jx.strategy") from None
+        raise InputError(
+            f"strategy must be a name, a function, or made once by jx.strategy, got {shown(asked)}"
+        ) from None
+    return _made(asked)
 
 
 @functools.lru_cache(maxsize=64)

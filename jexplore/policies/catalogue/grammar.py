@@ -85,7 +85,8 @@ def _given(tail, allowed, head, text):
         if key not in allowed:
             raise unknown(f"parameter of {head!r}:", key, allowed)
         if not equals or key in given:
-            kind = "NUMBER" if isinstance(allowed[key], int | float) else "VALUE"
+            is_number = isinstance(allowed[key], int | float) and not isinstance(allowed[key], bool)
+            kind = "NUMBER" if is_number else "VALUE"
             raise InputError(f"expected {key}={kind} once in {text!r}, got {item!r}")
         given[key] = _value(key, value, allowed[key], text)
     return given

@@ -357,5 +357,5 @@ def run_comparison(jobs: Sequence[Job], *, until: str | None = None, **how: Any)
       KeyboardInterrupt: no episode has been finished by every strategy.
     """
     use_compilation_cache()
-    n = len({job.strategy.name for job in jobs})
-    return assemble(jobs, run_units(jobs, settled=sequential.decided_worlds(n) if until else None, **how))
+    names = list(dict.fromkeys(job.strategy.name for job in jobs))
+    return assemble(jobs, run_units(jobs, settled=sequential.decided_worlds(names) if until else None, **how))

@@ -8,6 +8,7 @@ import numpy as np
 from jexplore.config import require_whole
 from jexplore.report.tables import aligned_table, number_text, p_text, ratio_text
 from jexplore.studies.statistics.aggregate import aggregates
+from jexplore.studies.statistics.by_world import DONE
 from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds
 from jexplore.studies.statistics.paired import holm, safe_exp
 from jexplore.worlds.bounds import FURNISHED_CELL_M
@@ -110,7 +111,7 @@ def standings(episodes: "pd.DataFrame") -> "pd.DataFrame":
         row |= {"p": p, "p_holm": math.nan, **{key: extra[key] for key in _AGGREGATES}}
         row |= {"rank": rank, "rank_low": rank_low, "rank_high": rank_high, "best": best}
         ended = episodes.loc[episodes["strategy"] == name, "outcome"]
-        row |= {"complete": float((ended == "COMPLETE").mean()), "failed": float(np.isinf(paths[name]).mean())}
+        row |= {"complete": float(ended.isin(DONE).mean()), "failed": float(np.isinf(paths[name]).mean())}
         for kind in dict.fromkeys(map(kind_of, episodes["world"].unique())):
             some = logs[[one == kind for one in of_kind]]
             row[f"ratio of {kind}"] = math.exp(some.mean()) if len(some) else math.nan

@@ -5,7 +5,7 @@ the end. A confidence sequence covers at all numbers at once.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 ALPHA = 0.05  # chance that some interval of a world, at some number of episodes, does not cover
 TIGHT_AT = 30  # pairs, at which the sequence is tightest
-NARROW = 0.02  # half of an interval of the log ratio: strategies that are closer are not told apart
-OPEN, SHORTER, LONGER, CLOSE = "undecided", "shorter", "longer", f"within {100 * NARROW:g} %"
+NARROW = 0.02  # half of an interval of the log ratio that is narrow enough
+OPEN, SHORTER, LONGER, KNOWN = "undecided", "shorter", "longer", f"known to {100 * NARROW:g} %"
 
 
 def require_until(until: object) -> None:
     """Refuse all but None and "decided"."""
-    if until not in (None, "decided"):
+    if until is not None and not (isinstance(until, str) and until == "decided"):
         raise InputError(f"until must be None or 'decided', got {shown(until)}")
 
 
@@ -63,35 +63,33 @@ def verdict_of(found: PairedRatio) -> str:
         return OPEN
     if found.high < 1 or found.low > 1:
         return SHORTER if found.high < 1 else LONGER
-    return CLOSE if math.log(found.high / found.low) <= 2 * NARROW else OPEN
+    return KNOWN if math.log(found.high / found.low) <= 2 * NARROW else OPEN
 
 
-def decisions(episodes: "pd.DataFrame") -> "pd.DataFrame":
+def decisions(episodes: "pd.DataFrame", names: Sequence[str] | None = None) -> "pd.DataFrame":
     """Tabulate the ratio of each strategy to the first in each world, with an interval that holds at any stopping.
 
     The intervals of a world cover together: each has its share of `ALPHA`.
 
     Args:
-      episodes: the table of episodes.
+      episodes: the table of episodes; one that not every strategy has counts for none.
+      names: of the strategies, in order; by default those in the table.
 
     Returns:
       A DataFrame with the columns `world`, `strategy`, `n`, `ratio`, `ratio_low`, `ratio_high`, `verdict`.
     """
     import pandas as pd
 
-    rows, table = [], episodes
-    names = list(dict.fromkeys(table["strategy"]))
-    for world, own in table.groupby("world", sort=False):
-        paths = own.pivot(index="episode", columns="strategy", values="path_m")
-        for name in names[1:]:
-            pairs = paths[[name, names[0]]].dropna() if {name, names[0]} <= {*paths} else paths.iloc[:0]
-            if len(pairs):
-                found = anytime_ratio(pairs[name], pairs[names[0]], ALPHA / (len(names) - 1))
-                rows.append((world, name, len(pairs), *found[:3], verdict_of(found)))
+    rows, names = [], list(dict.fromkeys(episodes["strategy"])) if names is None else list(names)
+    for world, own in episodes.groupby("world", sort=False):
+        paths = own.pivot(index="episode", columns="strategy", values="path_m").reindex(columns=names).dropna()
+        for name in names[1:] if len(paths) else ():
+            found = anytime_ratio(paths[name], paths[names[0]], ALPHA / (len(names) - 1))
+            rows.append((world, name, len(paths), *found[:3], verdict_of(found)))
     return pd.DataFrame(rows, columns=["world", "strategy", "n", "ratio", "ratio_low", "ratio_high", "verdict"])
 
 
-def decided_worlds(n_strategies: int) -> Callable[["list[pd.DataFrame]"], set[str]]:
+def decided_worlds(names: Sequence[str]) -> Callable[["list[pd.DataFrame]"], set[str]]:
     """Return a function of the tables made until now that names the worlds in which every strategy is decided."""
 
     def settled(tables: "list[pd.DataFrame]") -> set[str]:
@@ -99,9 +97,9 @@ def decided_worlds(n_strategies: int) -> Callable[["list[pd.DataFrame]"], set[st
 
         if not tables:
             return set()
-        every: Any = decisions(pd.concat(tables, ignore_index=True))
+        every: Any = decisions(pd.concat(tables, ignore_index=True), names)
         wholly = every[every["verdict"] != OPEN].groupby("world").size()
-        return {str(world) for world in wholly[wholly == n_strategies - 1].index}
+        return {str(world) for world in wholly[wholly == len(names) - 1].index}
 
     return settled
 

@@ -23,6 +23,7 @@ from jexplore.report.tables import aligned_table, number_text, ratio_text, sprea
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import join_columns, make_units, rows_of
+from jexplore.studies.statistics.by_world import DONE
 from jexplore.studies.statistics.paired import paired_ratio
 from jexplore.studies.sweeps.plan import SweepPlan, in_shard, prepare_sweep
 from jexplore.studies.sweeps.spec import Sweep, read_spec, sweep_from
@@ -156,7 +157,7 @@ def summarise(
                     "ratio_low": np.nan if ratio is None else ratio.low,
                     "ratio_high": np.nan if ratio is None else ratio.high,
                     "explored_fraction": some["explored_fraction"].mean(),
-                    "complete": (some["outcome"] == "COMPLETE").mean(),
+                    "complete": some["outcome"].isin(DONE).mean(),
                     **{name: some[name].mean() for name in metrics},
                 }
             )
