@@ -48,6 +48,14 @@ def test_cases_fit_their_programs():
     assert len(kinds) == 23 + 5 + 4
 
 
+@pytest.mark.slow
+@pytest.mark.jit
+@pytest.mark.parametrize("number", [18, 149])
+def test_a_robot_that_knows_enough_looks_no_further(number):
+    """It goes home in the middle of a look-around."""
+    assert fuzz.compare(fuzz.draw_case(77, number, fuzz.ENDS[:1])).differences == []
+
+
 @pytest.mark.jit
 def test_whatever_differs_is_told():
     """One number of what the oracle measured is changed at a time."""

@@ -146,10 +146,11 @@ def _over(setup: Setup, numbers: Numbers, state: State, outcome: Outcome, when: 
 
 
 def _stop(setup: Setup, numbers: Numbers, state: State, when: Array) -> tuple[State, Array | bool]:
-    """End an episode in which enough is known, `when`: `(state, whether that is so)`."""
+    """End an episode in which enough is known, `when`, and a look-around: `(state, whether that is so)`."""
     if not setup.ends:
         return state, False
     done = when & (state.n_known >= state.enough) & (state.homing == 0) & (state.outcome == Outcome.RUNNING)
+    state = state.replace(looking=jnp.where(done, 0, state.looking))
     return _over(setup, numbers, state, Outcome.EXPLORED, done), done
 
 

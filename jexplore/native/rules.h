@@ -184,6 +184,7 @@ struct Episode {
   // `environment._stop`: whether enough is known.
   DEVICE bool Stops() {
     if (maps.known() < enough || homing != kRunning || outcome != kRunning) return false;
+    looking = 0;
     Over(kExplored);
     return true;
   }
