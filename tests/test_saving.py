@@ -78,7 +78,7 @@ def test_a_run_that_broke_off_is_gone_on_with(found, tmp_path):
             raise RuntimeError("the power fails")
 
     with pytest.raises(RuntimeError):
-        run(out=tmp_path / "run", on_progress=stop)
+        run(out=tmp_path / "run", on_progress=stop, workers=1)  # unit by unit
     assert not (tmp_path / "run" / "run.json").exists()
     with pytest.raises(InputError, match=r"go on with it \(resume=True\), replace it \(overwrite=True\)"):
         run(out=tmp_path / "run")
