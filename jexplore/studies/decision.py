@@ -113,7 +113,7 @@ class _Place(NamedTuple):
         try:
             points = np.asarray(points_m, float)
         except (TypeError, ValueError):
-            points = np.empty(())
+            points = np.empty((0, 0))
         points = points.reshape(0, 2) if points.shape == (0,) else points
         if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
             raise InputError(f"{name} must be [N, 2] finite numbers, x_m and y_m, got {shown(points_m)}")
