@@ -14,6 +14,7 @@ from jexplore.config import InputError
 from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import Given
 from jexplore.exploration.batch import Job, run_jobs
+from jexplore.exploration.environment import NEVER
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.results import length_along_m, progress_m
 from jexplore.exploration.site import prepare_site
@@ -253,7 +254,8 @@ def test_no_key_is_used_twice():
         model=MapModel(jnp.float32(0.25), jnp.int32(1), jnp.float32(1), 0), look_around=jnp.bool_(True),
         recheck=jnp.bool_(True), max_steps=jnp.int32(3), max_plans=jnp.int32(3), sigma_cells=jnp.float32(0.2),
         dropout=jnp.float32(0.1), no_echo_is_free=jnp.bool_(True), scan_every=jnp.int32(0),
-        arrival_d2=jnp.int32(0), clock=jnp.zeros(100, jnp.int32), params=(),
+        arrival_d2=jnp.int32(0), clock=jnp.zeros(100, jnp.int32), params=(), stop_at=jnp.int32(0),
+        return_home=jnp.bool_(False), max_path=jnp.int32(NEVER), max_ms=jnp.int32(NEVER),
     )  # fmt: skip
     program = program_of(Setup(strategy.policy, 2, True, 3, window=4))
     beams, start = jax.device_put((beam_table(lidar, 1.0, 6), np.asarray([1, 1, 0], np.int32)))
