@@ -456,7 +456,7 @@ def test_a_sweep_over_poses_and_errors():
     ("call", "message"),
     [
         (lambda: jx.bound(two_rooms(), rules={"pose": "icp"}), "bounds are of robots whose pose is given"),
-        (lambda: jx.train("cave", rules={"pose": "icp"}), "training is of robots whose pose is given"),
+        (lambda: jx.train("cave", rules={"pose": "icp"}), "training and tuning are of robots whose pose is given"),
         (lambda: jx.sweep({"worlds": ["cave"], "pose": "gps"}), "unknown pose 'gps'"),
         (lambda: jx.sweep({"worlds": ["cave"], "rules": {"pose": "icp"}}), "unknown field of rules 'pose'"),
     ],
