@@ -33,8 +33,7 @@ from jexplore.studies.checks import (
     ready_settings,
     require_clearance,
 )
-
-_SNAP = 6  # decimals of a cell to which a point is rounded: 0.3 m lies at the edge of cells of 0.1 m, not before it
+from jexplore.worlds.poses import SNAP
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,7 +116,7 @@ class _Place(NamedTuple):
         points = points.reshape(0, 2) if points.shape == (0,) else points
         if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
             raise InputError(f"{name} must be [N, 2] finite numbers, x_m and y_m, got {shown(points_m)}")
-        cells = np.floor(np.round((points - self.corner) / self.cell_m, _SNAP))
+        cells = np.floor(np.round((points - self.corner) / self.cell_m, SNAP))
         return np.clip(cells, -1, 2**20)[:, ::-1].astype(np.int64)
 
 

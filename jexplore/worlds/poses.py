@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jexplore.worlds.world import World
 
 ROUNDING_DEG = 0.5  # a heading in whole degrees, or in radians with two decimals, is nearer to what was meant
-_SNAP = 6  # decimals of a cell to which a point is rounded: 0.3 m lies at the edge of cells of 0.1 m, not before it
+SNAP = 6  # decimals of a cell to which a point is rounded: 0.3 m lies at the edge of cells of 0.1 m, not before it
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
 _METRES = re.compile(rf"({_NUMBER}) ?m, ?({_NUMBER}) ?m, ?({_NUMBER}) ?(deg|°|rad|)", re.IGNORECASE)
 Polygon = Sequence[tuple[float, float]]
@@ -98,7 +98,7 @@ def cell_at(world: "World", x_m: float, y_m: float, what: str) -> tuple[int, int
     """Return row and column of the cell in which a point lies; refuse one outside, which a message calls `what`."""
     rows, cols = world.shape
     (low_x, low_y), cell_m = world.origin_m, world.cell_m
-    row, col = (math.floor(round((at - low) / cell_m, _SNAP)) for at, low in ((y_m, low_y), (x_m, low_x)))
+    row, col = (math.floor(round((at - low) / cell_m, SNAP)) for at, low in ((y_m, low_y), (x_m, low_x)))
     if not (0 <= row < rows and 0 <= col < cols):
         raise InputError(
             f"{what}: lies outside; x is {low_x:.6g} to {low_x + cols * cell_m:.6g} m, "
