@@ -50,9 +50,19 @@ def shards(folder):
     return sorted(path.name for path in (folder / ".unfinished").glob("*.parquet"))
 
 
+def is_any_whole(folder):
+    """Tell whether an episode has been finished by every strategy."""
+    rows = [pd.read_parquet(folder / ".unfinished" / name, columns=["episode"]) for name in shards(folder)]
+    return bool(rows) and (pd.concat(rows)["episode"].value_counts() == len(STRATEGIES)).any()
+
+
 def wait_for(process, folder, n):
+    wait_until(process, lambda: len(shards(folder)) >= n)
+
+
+def wait_until(process, is_ready):
     deadline = time.monotonic() + 300
-    while len(shards(folder)) < n:
+    while not is_ready():
         assert time.monotonic() < deadline
         assert process.poll() is None, process.communicate()[1]
         time.sleep(0.01)
@@ -108,7 +118,7 @@ def test_a_run_that_is_killed_again_and_again_comes_out_the_same(want, tmp_path)
 def test_control_c_keeps_what_is_finished(want, tmp_path, capsys):
     folder = tmp_path / "run"
     process = begin(folder, "--episodes", "2000")
-    wait_for(process, folder, 2)
+    wait_until(process, lambda: is_any_whole(folder))
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
