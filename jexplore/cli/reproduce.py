@@ -9,7 +9,8 @@ import tyro
 
 from jexplore.cli.compare import FINISHING, finish_comparison, run_with_bar, show_finished
 from jexplore.cli.options import EngineOptions, ResumeOptions, TimedOptions, fields_of, is_small
-from jexplore.cli.output.console import Out, note_if_slow
+from jexplore.cli.output.console import Out, note_if_slow, progress_of
+from jexplore.config import InputError
 
 
 def default_paper_episodes() -> int:
@@ -21,17 +22,19 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
     """Reproduce a paper's tables: its strategies in its environments, next to its own figures.
 
     Prints a Markdown table an environment, and which orderings of the paper's means hold here. Writes episodes.parquet,
-    run.json and reproduce.png.
+    run.json and reproduce.png. For dare: its Table I beside ours; writes dare.parquet and run.json.
     """
 
     paper: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[PAPER]")] = "holz2010"
-    """Reproduce this paper: holz2010 (Holz, Basilico, Amigoni, Behnke 2010)."""
+    """Reproduce this paper: holz2010 (Holz, Basilico, Amigoni, Behnke 2010) or dare (Cao et al. 2025), which has a
+    scanner and rules of its own."""
     maps: Annotated[str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Read the paper's maps from this folder: stage/cave_filled.png, avz/avz5floor_open.yaml,
-    stage/hospital_section.png. By default built-in counterparts stand in for them."""
+    stage/hospital_section.png; for dare 1.png to 100.png. By default built-in counterparts stand in for them, except
+    for dare."""
     episodes: int = dataclasses.field(default_factory=default_paper_episodes)
     """Number of episodes of each strategy in each environment. The first ones, as many as in the paper, are also
-    reported alone."""
+    reported alone. For dare the number of maps."""
     seed: int = 0
     """Draw starts and all that is random from this seed."""
     cell_m: float = 0.1
@@ -41,6 +44,8 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
         """Run the command and return the exit status, None for 0."""
         from jexplore.studies import reproduction
 
+        if self.paper == "dare":
+            return self._dare(arguments)
         with Out(self, "reproduce") as out:
             settings = fields_of(self, "maps episodes seed cell_m lidar rules robot")
             jobs = reproduction.prepare_paper(self.paper, **settings)
@@ -55,3 +60,21 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
                 entries = {"notes": found.notes, "tables": tables, "orderings": orderings}
                 record = functools.partial(out.record, arguments, self, **entries)
                 return finish_comparison(out, made, found.to_markdown(), {"reproduce.png": found.figure}, record)
+
+    def _dare(self, arguments):
+        """Run the planners of DARE's Table I on its maps."""
+        from jexplore.report import store
+        from jexplore.studies.dare.table import reproduce_dare
+
+        if self.maps is None:
+            raise InputError("dare has no built-in counterparts: name the folder of its maps with --maps DIR")
+        for name in ("cell_m", "lidar", "rules", "robot", "engine", "lanes", "resume"):
+            if getattr(self, name) != getattr(Reproduce(), name):
+                raise InputError(f"dare has rules of its own: leave out --{name.replace('_', '-')}")
+        with Out(self, "reproduce") as out:
+            how = fields_of(self, "episodes seed workers")
+            with progress_of(self.episodes, "maps") as progress:
+                found = reproduce_dare(self.maps, **how, on_progress=progress.update)
+            record = out.record(arguments, self, tables=found.table.to_dict("records"))
+            files = {"dare.parquet": lambda path: store.write_parquet(found.episodes, path)}
+            return out.finish(record, files, found.to_markdown())

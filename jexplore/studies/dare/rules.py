@@ -1,0 +1,245 @@
+"""The rules that DARE's test maps are explored by: maps, scanner, frontiers, graph of nodes, utility, end.
+
+Plain numpy on the host, one map at a time. Cells are `(row, col)` with row 0 at the TOP, as in the pictures.
+
+Source: Cao, Lew, Liang, Cheng, Sartoretti, "DARE: Diffusion Policy for Autonomous Robot Exploration", ICRA 2025,
+section V, and where its text leaves a rule open the public repositories marmotlab/DARE and marmotlab/CogniPlan.
+"""
+
+import dataclasses
+import functools
+import itertools
+import math
+import os
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jexplore.config import InputError
+
+CELL_M = 0.4
+PIXELS = 500  # edge of a map; a cell is 2 x 2 of them
+START = 208  # grey of the pixels round the start, of which
+WHICH = 10  # this one, counted from 0 row by row, is the start
+RANGE = 50  # of the scanner, cells: 20 m
+BEAMS = 720
+STEP = 10  # between nodes, cells: 4 m
+SIGHT = 40  # within which a node's frontier cells count, cells: 16 m
+VOXEL = 4  # edge of the squares that keep one frontier cell each, cells: 1.6 m
+LEAST = 2  # frontier cells of a node: fewer count as none
+UNKNOWN, FREE, OCCUPIED = 0, 1, 2
+PAD = RANGE + 1  # occupied cells round a map: no beam leaves the arrays
+ROUND = [(i, j) for i, j in itertools.product(range(-2, 3), repeat=2) if (i, j) != (0, 0)]
+"""Nodes that a node may be linked to, as steps of `STEP` cells."""
+
+
+def read_map(path: str | os.PathLike[str]) -> tuple[NDArray[np.bool_], tuple[int, int]]:
+    """Read a test map: `[250, 250]` bool, True where a cell is free, and the start.
+
+    Raises:
+      InputError: no picture, one of another size or without start pixels.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as picture:
+            grey = np.asarray(picture.convert("L"))
+    except (OSError, UnidentifiedImageError) as error:
+        raise InputError(f"{path} must be a picture of a test map: {error}") from None
+    if grey.shape != (PIXELS, PIXELS):
+        raise InputError(f"{path} must have {PIXELS} x {PIXELS} pixels, not {grey.shape[1]} x {grey.shape[0]}")
+    cells = grey.reshape(PIXELS // 2, 2, PIXELS // 2, 2).min(axis=(1, 3))
+    starts = np.argwhere(cells == START)
+    if len(starts) <= WHICH:
+        raise InputError(f"{path} must show its start by more than {WHICH} cells of grey {START}, not {len(starts)}")
+    return (cells > 150) | ((cells >= 50) & (cells <= 80)), (int(starts[WHICH][0]), int(starts[WHICH][1]))
+
+
+@functools.cache
+def lines() -> NDArray[np.int16]:
+    """Tabulate straight lines of cells: `[R, R, L, 2]` offsets (row, col) to every offset within `RANGE`.
+
+    Four-connected (Bresenham), the start first, without the end; then the start again, up to the length of the longest.
+    """
+    ends = np.stack(np.meshgrid(*[np.arange(-RANGE, RANGE + 1)] * 2, indexing="ij"), -1)
+    size, sign = np.abs(ends), np.where(ends > 0, 1, -1)
+    at, error = np.zeros_like(ends), size[..., 1] - size[..., 0]
+    found = np.zeros((*ends.shape[:2], math.ceil(RANGE * 2), 2), np.int16)
+    for i in range(found.shape[2]):
+        on_way = (at != ends).any(-1)
+        found[:, :, i] = np.where(on_way[..., None], at, 0)
+        across = error > 0
+        at[..., 1] += np.where(across, sign[..., 1], 0)
+        at[..., 0] += np.where(across, 0, sign[..., 0])
+        error = error + np.where(across, -2 * size[..., 0], 2 * size[..., 1])
+        at = np.where(on_way[..., None], at, ends)
+    return found
+
+
+def in_sight(free: NDArray[np.bool_], cell: NDArray[np.int_], others: NDArray[np.int_]) -> NDArray[np.bool_]:
+    """Tell which of `[N, 2]` cells within `RANGE` a cell sees: all cells of the line but its end are free."""
+    to = others - cell
+    path = lines()[to[:, 0] + RANGE, to[:, 1] + RANGE]
+    return free[cell[0] + path[..., 0], cell[1] + path[..., 1]].all(axis=1)
+
+
+@functools.cache
+def beams() -> NDArray[np.int16]:
+    """Return the lines of the beams, `[BEAMS, L, 2]`."""
+    angle = np.arange(BEAMS) * (2 * math.pi / BEAMS)
+    rows, cols = (np.rint(RANGE * turned(angle)).astype(int) for turned in (np.sin, np.cos))
+    return lines()[rows + RANGE, cols + RANGE, : int((abs(rows) + abs(cols)).max())]
+
+
+def scan(truth: NDArray[np.bool_], belief: NDArray[np.int8], cell: NDArray[np.int_]) -> None:
+    """Enter what the scanner sees into a belief: the 3 x 3 cells round every cell of a beam, up to its first hit."""
+    rows, cols = cell[0] + beams()[..., 0], cell[1] + beams()[..., 1]
+    hit = ~truth[rows, cols]
+    entered = np.cumsum(hit, axis=1) - hit == 0
+    passed = np.zeros_like(truth)
+    passed[rows[entered], cols[entered]] = True
+    rows, cols = np.nonzero(passed)
+    for i, j in itertools.product((-1, 0, 1), repeat=2):
+        belief[rows + i, cols + j] = np.where(truth[rows + i, cols + j], FREE, OCCUPIED)
+
+
+def frontier_cells(belief: NDArray[np.int8]) -> NDArray[np.int_]:
+    """Return free cells with 2 to 7 unknown ones among their eight neighbours, `[N, 2]`, column by column."""
+    unknown = np.pad(belief == UNKNOWN, 1).astype(np.int8)
+    rows = unknown[:-2] + unknown[1:-1] + unknown[2:]
+    n = rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]  # the cell itself is free
+    return np.argwhere(((belief == FREE) & (n > 1) & (n < 8)).T)[:, ::-1]
+
+
+def thinned(cells: NDArray[np.int_], start: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Keep one cell in every square of `VOXEL` cells counted from the start: that nearest to the square's corner."""
+    offset = cells - start
+    square = np.trunc(offset / VOXEL).astype(int)
+    far = ((offset - square * VOXEL) ** 2).sum(axis=1)
+    order = np.lexsort((np.arange(len(cells)), far))
+    first = np.unique(square[order], axis=0, return_index=True)[1]
+    return cells[order[first]]
+
+
+@dataclasses.dataclass
+class Explorer:
+    """A robot on the way: what it knows, its graph of nodes and its path."""
+
+    truth: NDArray[np.bool_]
+    """`[H, W]` free cells, with `PAD` occupied ones round the map."""
+    start: NDArray[np.int_]
+    """`[2]` cell of the first node: all lie `STEP` cells apart from it."""
+    at: int = 0
+    """The node where the robot is."""
+    path_m: float = 0.0
+    moves: int = 0
+
+    def __post_init__(self) -> None:
+        self.belief = np.where(
+            np.pad(np.zeros(np.subtract(self.truth.shape, 2 * PAD)), PAD, constant_values=1), OCCUPIED, UNKNOWN
+        ).astype(np.int8)
+        self.index: dict[tuple[int, int], int] = {}  # place on the lattice -> number of the node
+        self.places: list[tuple[int, int]] = []
+        self.seen: list[set[int]] = []  # of every node, flat indices of the frontier cells that it counts
+        self.links: list[set[int]] = []
+        self.looks: list[bool] = []  # whether a node still looks for links
+        self.frontier: set[int] = set()
+        self.look()
+
+    @property
+    def cells(self) -> NDArray[np.int_]:
+        """Return the nodes' cells, `[N, 2]`."""
+        return self.start + STEP * np.array(self.places).reshape(-1, 2)
+
+    @property
+    def utility(self) -> NDArray[np.int_]:
+        """Return how many frontier cells every node counts."""
+        return np.array([len(seen) for seen in self.seen])
+
+    def move(self, node: int) -> None:
+        """Go to a linked node and look round there."""
+        self.path_m += CELL_M * math.dist(self.cells[self.at], self.cells[node])
+        self.at, self.moves = node, self.moves + 1
+        self.seen[node] = set()  # a node that has been visited counts none; the start has not, until it is come back to
+        self.look()
+
+    def look(self) -> None:
+        """Scan, and bring frontiers, nodes and links up to date."""
+        here = self.start if not self.places else self.cells[self.at]
+        scan(self.truth, self.belief, here)
+        found, width = thinned(frontier_cells(self.belief), self.start), self.truth.shape[1]
+        flat = found @ (width, 1)
+        fresh = ~np.isin(flat, list(self.frontier)) & (np.hypot(*(found - here).T) <= RANGE + VOXEL)
+        self.frontier = set(flat.tolist())
+        free = self.belief == FREE
+        n_old = self._add_nodes(free, here)
+        for node, cell in enumerate(self.cells):
+            is_new = node >= n_old
+            far = np.hypot(*(cell - here))
+            if not is_new and (not self.seen[node] or far > 2 * RANGE):
+                continue
+            near = (np.hypot(*(found - cell).T) < SIGHT) & (is_new | fresh)
+            shown = flat[near][in_sight(free, cell, found[near])]
+            seen = (self.seen[node] & self.frontier) | set(shown.tolist())
+            self.seen[node] = seen if len(seen) >= LEAST else set()
+        self._link(free, here)
+
+    def _add_nodes(self, free, here):
+        """Add the cells of the lattice that are free and joined to the robot; return how many nodes there were."""
+        from scipy import ndimage
+
+        joined = ndimage.label(free, np.ones((3, 3)))[0]  # type: ignore[index]
+        low, high = -(self.start // STEP), (np.array(free.shape) - 1 - self.start) // STEP
+        lattice = np.stack(np.meshgrid(*[np.arange(a, b + 1) for a, b in zip(low, high)], indexing="ij"), -1).reshape(
+            -1, 2
+        )
+        cells = self.start + STEP * lattice
+        lattice = lattice[joined[cells[:, 0], cells[:, 1]] == joined[here[0], here[1]]]
+        old = len(self.places)
+        for place in map(tuple, lattice[np.lexsort(np.abs(lattice).T)].tolist()):
+            if place not in self.index:
+                self.index[place] = len(self.places)
+                self.places.append(place)
+                self.seen.append(set())
+                self.links.append(set())
+                self.looks.append(True)
+        return old
+
+    def _link(self, free, here):
+        """Link nodes near the robot to those of the 5 x 5 round them that lie in sight."""
+        cells = self.cells
+        for node in np.flatnonzero(np.hypot(*(cells - here).T) < RANGE + STEP):
+            if not self.looks[node]:
+                continue
+            i, j = self.places[node]
+            others = [self.index.get((i + di, j + dj), -1) for di, dj in ROUND]
+            others = np.array([other for other in others if other >= 0 and other not in self.links[node]], int)
+            for other in others[in_sight(free, cells[node], cells[others])].tolist():
+                self.links[node].add(other)
+                self.links[other].add(int(node))
+            self.looks[node] = bool(self.seen[node])
+
+
+def explorer(free: NDArray[np.bool_], start: tuple[int, int]) -> Explorer:
+    """Put a robot into a map, where it has looked round once."""
+    return Explorer(np.pad(free, PAD), np.array(start) + PAD)
+
+
+def distances(
+    links: list[set[int]], cells: NDArray[np.int_], sources: list[int]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Compute shortest distances from nodes to all nodes, metres, and the node before each (below 0: none)."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import dijkstra
+
+    pairs = np.array([(a, b) for a, linked in enumerate(links) for b in linked], int).reshape(-1, 2)
+    length = CELL_M * np.hypot(*(cells[pairs[:, 0]] - cells[pairs[:, 1]]).T)
+    graph = csr_array((length, (pairs[:, 0], pairs[:, 1])), shape=(len(links), len(links)))
+    return dijkstra(graph, indices=sources, return_predecessors=True)
+
+
+def first_step(before: NDArray[np.int32], source: int, target: int) -> int:
+    """Return the node after `source` on the way to `target`, from the row of `distances` for that source."""
+    while before[target] != source:
+        target = int(before[target])
+    return target

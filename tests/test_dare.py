@@ -1,0 +1,187 @@
+"""DARE's rules on maps that one can check with a pencil, its planners, its table, refusals."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from jexplore.cli import main
+from jexplore.config import InputError
+from jexplore.studies.dare import planners, rules, table
+
+HALL = np.zeros((13, 93), bool)
+HALL[1:12, 1:92] = True  # 36.4 m long: the far end is seen from the third node on
+
+
+def picture(path, size=rules.PIXELS, n_start=30):
+    """A picture of a square room with `n_start` start cells at its upper left, from row 10, column 10."""
+    grey = np.full((size, size), 127, np.uint8)
+    grey[20:80, 20:80] = 195
+    cells = grey[: size // 2 * 2, : size // 2 * 2].reshape(size // 2, 2, size // 2, 2)
+    cells[10, :, 10 : 10 + n_start] = rules.START
+    Image.fromarray(grey).save(path)
+
+
+def test_a_cell_is_the_darkest_of_four_pixels_and_the_start_the_eleventh_of_its_grey(tmp_path):
+    picture(tmp_path / "1.png", n_start=20)
+    free, start = rules.read_map(tmp_path / "1.png")
+    want = np.zeros((250, 250), bool)
+    want[10:40, 10:40] = True
+    assert np.array_equal(free, want)
+    assert start == (10, 20)
+
+
+def test_a_line_goes_across_edges_and_leaves_out_its_end():
+    path = rules.lines()[rules.RANGE + 1, rules.RANGE + 3]  # 1 row down, 3 columns right
+    assert path[:4].tolist() == [[0, 0], [0, 1], [1, 1], [1, 2]]
+    assert not path[4:].any()
+
+
+def test_a_wall_hides_what_is_behind_it_and_is_seen_itself():
+    free = np.ones((1, 5), bool)
+    free[0, 3] = False
+    ends = np.array([[0, 1], [0, 2], [0, 3], [0, 4]])
+    assert rules.in_sight(free, np.array([0, 0]), ends).tolist() == [True, True, True, False]
+
+
+def test_a_scan_shows_the_cells_round_a_beam_up_to_its_first_hit():
+    explorer = rules.explorer(np.array([[0, 0, 0, 0, 0, 0], [0, 1, 1, 0, 1, 0], [0, 0, 0, 0, 0, 0]], bool), (1, 1))
+    seen = explorer.belief[rules.PAD : -rules.PAD, rules.PAD : -rules.PAD]
+    assert seen[1].tolist() == [rules.OCCUPIED, rules.FREE, rules.FREE, rules.OCCUPIED, rules.FREE, rules.UNKNOWN]
+
+
+def test_a_frontier_cell_has_two_to_seven_unknown_neighbours():
+    belief = np.full((4, 4), rules.FREE, np.int8)
+    belief[0, 0] = rules.UNKNOWN
+    assert rules.frontier_cells(belief).tolist() == []  # each of its neighbours has one
+    belief[0, 1] = rules.UNKNOWN
+    assert rules.frontier_cells(belief).tolist() == [[1, 0], [1, 1]]  # cells (0, 2) and (1, 2) have one
+
+
+def test_a_square_keeps_the_cell_nearest_to_its_corner():
+    cells = np.array([[2, 1], [1, 1], [4, 0], [7, 3], [-1, -1]])
+    kept = rules.thinned(cells, np.array([0, 0]))
+    assert sorted(map(tuple, kept.tolist())) == [(1, 1), (4, 0)]  # (-1, -1) lies in square 0 as well, as far from it
+
+
+def test_nodes_lie_four_metres_apart_and_are_linked_in_sight():
+    explorer = rules.explorer(HALL, (6, 5))
+    assert explorer.places == [(0, i) for i in range(6)]  # 50 cells are seen from column 5 on
+    assert explorer.links[0] == {1, 2}
+    far, before = rules.distances(explorer.links, explorer.cells, [0])
+    np.testing.assert_allclose(far[0], [0, 4, 8, 12, 16, 20])
+    assert rules.first_step(before[0], 0, 3) in (1, 2)
+
+
+@pytest.mark.parametrize("name", planners.PLANNERS)
+def test_every_planner_explores_a_hall(name):
+    explorer, plan, rng = rules.explorer(HALL, (6, 5)), planners.PLANNERS[name](), np.random.default_rng(0)
+    while explorer.utility.any():
+        node = plan(explorer, rng)
+        assert node in explorer.links[explorer.at]
+        explorer.move(node)
+    assert (explorer.belief[explorer.truth] == rules.FREE).all()
+    assert explorer.path_m <= 36.0
+
+
+def made(gains, places):
+    """An explorer at the first of nodes in a row, all linked one by one, that count `gains` frontier cells."""
+    explorer = rules.explorer(HALL, (6, 5))
+    explorer.places = places
+    explorer.seen = [set(range(100 * i, 100 * i + gain)) for i, gain in enumerate(gains)]
+    explorer.links = [{i - 1, i + 1} & set(range(len(gains))) for i in range(len(gains))]
+    return explorer
+
+
+def test_nearest_goes_by_distance_and_utility_by_gain_too():
+    line = made([0, 3, 0, 200], [(0, 1), (0, 0), (0, 2), (0, 3)])
+    line.links = [{1, 2}, {0}, {0, 3}, {2}]  # 4 m to 3 frontier cells, 8 m the other way to 200
+    assert planners.nearest(line, np.random.default_rng(0)) == 1
+    assert planners.utility(line, np.random.default_rng(0)) == 2
+    assert planners.utility(line, np.random.default_rng(0), per_m=2.0) == 1  # ln(200 / 3) / 4 m is 1.05
+
+
+def test_where_nothing_is_left_that_can_be_reached_planners_give_none():
+    explorer = made([0, 5], [(0, 0), (0, 1)])
+    explorer.links = [set(), set()]
+    for plan in (planners.nearest, planners.utility, planners.tare_local()):
+        assert plan(explorer, np.random.default_rng(0)) is None
+
+
+def test_a_short_path_crosses_itself_nowhere():
+    points = np.array([[0, 0], [3, 0], [1, 0], [2, 0], [4, 0]])
+    length = np.hypot(*(points[:, None] - points).transpose(2, 0, 1))
+    assert planners.inserted(length, [0]) == [0, 2, 3, 1, 4]
+    assert planners.shortened(length, [0, 1, 3, 2, 4]) == [0, 2, 3, 1, 4]
+    assert planners.shortened(length, [0, 4, 2, 3, 1]) == [0, 2, 3, 1, 4]
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        points = rng.random((12, 2))
+        length = np.hypot(*(points[:, None] - points).transpose(2, 0, 1))
+        path = planners.shortened(length, list(range(12)))
+        assert path[0] == 0
+        assert sorted(path) == list(range(12))
+        assert length[path[:-1], path[1:]].sum() <= length[range(11), range(1, 12)].sum()
+
+
+def test_view_points_show_everything_and_those_kept_come_first():
+    shows = np.array([[1, 1, 0, 0, 0], [0, 1, 1, 1, 0], [0, 0, 0, 1, 1]], bool)
+    assert planners.view_points(shows, np.random.default_rng(0), [1])[0] == 1
+    # node 1 shows cells 1 to 3; then nodes 0 and 2 show one each, fewer than count
+    assert planners.view_points(shows, np.random.default_rng(0), [1]) == [1]
+    for seed in range(5):
+        taken = planners.view_points(shows, np.random.default_rng(seed), [])
+        assert set(taken) in ({0, 1}, {0, 2}, {1}, {1, 2})
+
+
+def test_the_table_sets_ours_beside_the_papers():
+    rows = [{"map": i, "planner": "nearest", "path_m": path, "complete": True} for i, path in enumerate((600.0, 700.0))]
+    found = table.DareResult(pd.DataFrame(rows).assign(explored_fraction=1.0))
+    row = found.table.iloc[0]
+    assert (row["paper_mean"], row["mean"], row["ratio"], row["complete"]) == (652, 650, 650 / 652, 2)
+    assert row["high"] - row["mean"] == pytest.approx(12.7062 * math.sqrt(5000 / 2), rel=1e-4)  # t of 1 degree
+    text = found.to_markdown()
+    assert "| nearest    |  652.00 ± 76.00 |" in text
+    assert "| dare       |  563.00 ± 71.00 |   0 |" in text
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"size": 400}, "must have 500 x 500 pixels, not 400 x 400"),
+        ({"n_start": 10}, "must show its start by more than 10 cells of grey 208, not 10"),
+    ],
+)
+def test_maps_that_are_none_are_refused(tmp_path, capsys, given, says):
+    picture(tmp_path / "1.png", **given)
+    assert (
+        main.main(["reproduce", "dare", "--maps", str(tmp_path), "--episodes", "1", "--out", str(tmp_path / "o")]) == 2
+    )
+    err = capsys.readouterr().err
+    assert says in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "o").exists()
+
+
+def test_other_bad_input_is_refused(tmp_path, capsys):
+    with pytest.raises(InputError, match="there is no file"):
+        table.map_files(tmp_path / "missing")
+    with pytest.raises(InputError, match="episodes"):
+        table.map_files(tmp_path, 101)
+    (tmp_path / "1.png").write_text("no picture")
+    with pytest.raises(InputError, match="must be a picture"):
+        rules.read_map(tmp_path / "1.png")
+    for more, says in ((["--cell-m", "0.2"], "leave out --cell-m"), ([], "--maps DIR")):
+        assert main.main(["reproduce", "dare", *more, *["--maps", str(tmp_path)] * bool(more)]) == 2
+        assert says in capsys.readouterr().err
+
+
+def test_the_command_writes_a_row_a_planner(tmp_path, capsys):
+    picture(tmp_path / "1.png")
+    command = ["reproduce", "dare", "--maps", str(tmp_path), "--episodes", "1", "--workers", "1"]
+    assert main.main([*command, "--out", str(tmp_path / "o")]) == 0
+    assert "# DARE, Table I" in capsys.readouterr().out
+    found = pd.read_parquet(tmp_path / "o" / "dare.parquet")
+    assert list(found["planner"]) == list(planners.PLANNERS)
