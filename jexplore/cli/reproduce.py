@@ -22,7 +22,7 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
     """Reproduce a paper's tables: its strategies in its environments, next to its own figures.
 
     Prints a Markdown table an environment, and which orderings of the paper's means hold here. Writes episodes.parquet,
-    run.json and reproduce.png. For dare: its Table I beside ours; writes dare.parquet and run.json.
+    run.json and reproduce.png. For dare: its Table I next to ours; writes dare.parquet and run.json.
     """
 
     paper: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[PAPER]")] = "holz2010"

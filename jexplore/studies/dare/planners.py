@@ -178,7 +178,7 @@ def _shows(seen, reachable):
 def tare_local(*, draws: int = DRAWS) -> Plan:
     """Drive the shortest open tour over view points that show all known frontiers, anew at every node.
 
-    View points of the tour before are tried again beside new draws.
+    View points of the tour before are tried again together with new draws.
     """
     kept: list[int] = []
 
@@ -198,7 +198,7 @@ def tare_local(*, draws: int = DRAWS) -> Plan:
 
 
 class _Known:
-    """The graph of one that knows the map: frontier cells are free cells beside what is not free."""
+    """The graph of one that knows the map: frontier cells are free cells next to cells that are not."""
 
     def __init__(self, explorer: Explorer) -> None:
         free = explorer.truth
@@ -221,7 +221,7 @@ class _Known:
 
 
 def tour(*, draws: int = TOUR_DRAWS) -> Plan:
-    """Drive the tour of one that knows where it is free, over view points that show every cell beside a wall.
+    """Drive the tour of one that knows where it is free, over view points that show every cell next to a wall.
 
     Planned anew at every node with what the scan has shown; frontier cells of the belief count as well.
     """

@@ -1,4 +1,4 @@
-"""Table I of DARE again: planners on its 100 test maps, beside its figures."""
+"""Table I of DARE again: planners on its 100 test maps, next to its figures."""
 
 import concurrent.futures
 import dataclasses
