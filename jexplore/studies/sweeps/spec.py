@@ -1,7 +1,6 @@
 """Specification of a sweep: lists are axes of a product, ranges are drawn from."""
 
 import dataclasses
-import difflib
 import itertools
 import math
 import os
@@ -172,10 +171,7 @@ class Sweep:
                 setting = {**row, **one}
                 found.append({key: setting.get(key, _default(key)) for key in names})
         if len({tuple(map(_same, setting.values())) for setting in found}) < len(found):
-            raise InputError(
-                "settings must differ, got one of them more than once: a value is given twice, or a range of whole "
-                "numbers is too short"
-            )
+            raise InputError("settings must differ: a value is given twice, or a range of whole numbers is too short")
         return found
 
     def records(self) -> list[tuple[int, float, Lidar, Rules]]:
@@ -304,9 +300,7 @@ def sweep_from(page: Any, name: str = "the sweep") -> Sweep:
         raise InputError(f"{name} must be a mapping with worlds: [...], got {type(page).__name__}")
     for key in page:
         if key not in _FIELDS:
-            near = difflib.get_close_matches(str(key), _FIELDS, n=1, cutoff=0.5)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise InputError(f"{name}: unknown key {key!r}{hint} (there are: {', '.join(_FIELDS)})")
+            raise InputError(f"{name}: {unknown('key', str(key), _FIELDS)}")
     if "worlds" not in page:
         raise InputError(f"{name}: worlds must name at least one: worlds: [cave, office]")
     try:
