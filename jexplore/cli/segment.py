@@ -60,9 +60,7 @@ class Segment(OutOptions):
 
         with Out(self, "segment") as out:
             if not self.maps:
-                raise InputError(
-                    "expected a map: map.png@0.05 (metres a pixel), map.yaml, or a generator such as office#3"
-                )
+                raise InputError("expected a map: map.png@0.05 (metres a pixel), map.yaml, or a generator: office#3")
             require_whole("seed", self.seed, 0, 2**32 - 1)
             use_compilation_cache()
             with working(len(self.maps) * (1 + len(SHARES) * self.partial), "maps") as on_progress:
