@@ -216,15 +216,8 @@ def explore(
     Raises:
       InputError: a name, number, map or start that cannot be used. Raised before anything is compiled.
     """
-    where = {
-        "cell_m": cell_m,
-        "start": start,
-        "start_m": start_m,
-        "within": within,
-        "from_map": from_map,
-        "robot": robot,
-    }
-    where |= {"pose": pose, "odometry": odometry}
+    where = {"cell_m": cell_m, "start": start, "start_m": start_m, "within": within, "from_map": from_map}
+    where |= {"robot": robot, "pose": pose, "odometry": odometry}
     return run_job(prepare_job(world, strategy, seed=seed, episode=episode, lidar=lidar, rules=rules, **where))
 
 

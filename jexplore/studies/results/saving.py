@@ -28,14 +28,8 @@ from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.worlds.names import file_names, short_names
 from jexplore.worlds.readers.ros import write_ros
 
-VECTORS = (
-    "compare.png",
-    "coverage.png",
-    "league.png",
-    "reproduce.png",
-    "sweep.png",
-    "sweep-map.png",
-)  # written as SVG as well
+VECTORS = ("compare.png", "coverage.png", "league.png", "reproduce.png", "sweep.png", "sweep-map.png")
+"""Pictures that are written as SVG as well."""
 
 
 def write_maps(found: Any, folder: Path) -> list[Path]:
