@@ -350,12 +350,7 @@ def plain_spec(spec: Sweep) -> dict[str, Any]:
             return f"{function.__module__}:{name_of(function)}"
         return value.item() if isinstance(value, np.generic) else value
 
-    return {
-        field.name: simple(getattr(spec, field.name))
-        for field in dataclasses.fields(Sweep)
-        if not _is_empty(getattr(spec, field.name)) or field.name == "worlds"
-    }
+    def is_empty(value):
+        return value is None or (isinstance(value, (Mapping, tuple)) and not value)
 
-
-def _is_empty(value):
-    return value is None or (isinstance(value, (Mapping, tuple)) and not len(value))
+    return {name: simple(value) for name, value in vars(spec).items() if not is_empty(value)}
