@@ -4,11 +4,11 @@ import itertools
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
+from ref.figures import pixels
 
 from jexplore.report import plot_traces
 from jexplore.tracemap import picture
@@ -50,13 +50,6 @@ def ax():
 
 def lines_of(ax):
     return [np.array(lines.get_segments()) for lines in ax.collections if isinstance(lines, LineCollection)]
-
-
-def drawn(figure):
-    figure.set_dpi(100)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return canvas.get_renderer()
 
 
 def test_nodes_and_links(ax):
@@ -173,7 +166,8 @@ def pages():
 @pytest.mark.parametrize("name", pages())
 def test_pages(name):
     page = pages()[name]
-    renderer = drawn(page)
+    pixels(page)  # draws it
+    renderer = page.canvas.get_renderer()
     ax = page.axes[0]
     assert len(page.axes) == (2 if name in ("all", "long", "close") else 1)
     assert ax.get_aspect() == 1
