@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from ref import maps, simulator
+from ref.worlds import with_walls
 from scipy import ndimage
 
 from jexplore.arrays.padding import bucket
@@ -25,7 +26,7 @@ from jexplore.policies import parse_strategy
 from jexplore.raycast import beam_table
 from jexplore.rules import Lidar, Rules
 from jexplore.worlds.starts import draw_starts
-from jexplore.worlds.world import World, pad
+from jexplore.worlds.world import World
 
 LIDAR, RULES = Lidar(range_m=2.0, n_beams=37), Rules(max_plans=30)
 
@@ -134,7 +135,7 @@ def test_fewer_episodes_of_a_job_are_its_first_ones(jobs, one_worker):
 @pytest.mark.jit
 def test_padding_changes_nothing(jobs, one_worker):
     """A world with walls added above and on the right falls into another bucket; draws do not depend on it."""
-    larger = [jobs[i]._replace(world=pad(jobs[i].world, (60, 70))) for i in (1, 2)]
+    larger = [jobs[i]._replace(world=with_walls(jobs[i].world, (60, 70))) for i in (1, 2)]
     for got, i in zip(run_jobs(larger, LIDAR, RULES, workers=1).outcomes, (1, 2)):
         height, width = jobs[i].world.shape
         got = got._replace(first=got.first._replace(
