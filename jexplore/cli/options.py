@@ -156,6 +156,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "explore": ("explore --world map.yaml --start 2.0m,1.5m,90 --lidar.range-m 4",),
     "sweep": ("sweep spec.yaml --out runs/sweep", "sweep spec.yaml --out runs/sweep --shard 1/4"),
     "merge": ("merge runs/sweep-1 runs/sweep-2 --out runs/sweep",),
+    "league": ("league", "league submit runs/mine"),
     "bound": ("bound cave#3 --starts 10 --seconds 30",),
     "train": ("train --out runs/model",),
     "tune": ("tune --strategies utility+recheck tour+recheck --out runs/tuned",),
