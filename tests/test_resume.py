@@ -187,6 +187,8 @@ import ctypes, signal, sys, types
 from jexplore.cli import main
 from jexplore.cli.output.console import Out
 
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which nohup, where the tests run under it, lets processes ignore
+
 def command(arguments, signals):
     signals.listen()
     options = types.SimpleNamespace(out=arguments[0], overwrite=False)
