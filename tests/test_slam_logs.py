@@ -397,7 +397,7 @@ def folder():
 
 @pytest.mark.jit
 @pytest.mark.slow
-@pytest.mark.parametrize(("scans", "closing"), [(None, False), (125, True)])
+@pytest.mark.parametrize(("scans", "closing"), [(None, False), (250, True)])
 def test_intel(folder, scans, closing):
     """All of it without loops; with them as much as has some."""
     with warnings.catch_warnings():
