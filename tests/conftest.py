@@ -54,16 +54,8 @@ def _resident_bytes():
 # What takes longest comes first, so that no worker is left with much at the end; neighbours share few programs, which
 # two workers would compile at the same time.
 LONG = (
-    "mission",
-    "decisions",
-    "training",
-    "engines",
-    "docs",
-    "sweep",
-    "episode",
-    "own_strategies",
-    "bounds",
-    "examples",
+    *("mission", "docs", "slam_logs", "engines", "gym", "outline", "decisions", "tracing", "training", "sweep"),
+    *("uncertain", "episode", "notebooks", "own_strategies", "resume", "bounds", "examples", "joined", "drive"),
 )
 
 

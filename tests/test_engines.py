@@ -12,19 +12,15 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from ref import maps
 from ref.jobs import LIDAR, RULES, digest, few, some_jobs
 
 import jexplore as jx
 from jexplore.arrays import loops
 from jexplore.config import InputError
 from jexplore.engine import devices, lanes, one_by_one, runner
-from jexplore.exploration.batch import Job, run_jobs
+from jexplore.exploration.batch import run_jobs
 from jexplore.exploration.site import line_of, prepare_site
 from jexplore.exploration.state import Outcome
-from jexplore.policies import parse_strategy
-from jexplore.worlds.starts import draw_starts
-from jexplore.worlds.world import World
 
 WAYS: dict[str, dict[str, Any]] = {"one by one": {}, "lanes": {"in_lanes": True, "lanes": 7}}
 TESTS = Path(__file__).resolve().parent
@@ -68,18 +64,6 @@ def test_lanes_give_what_one_after_the_other_does(want):
 def test_calls_of_any_size_give_the_same(want, monkeypatch):
     monkeypatch.setattr(one_by_one, "CHUNK", 7)
     assert_equal(run_jobs(some_jobs(), LIDAR, RULES, engine="jax", workers=2), want)
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_a_strategy_that_draws_looks_ahead_and_divides_the_map_gives_the_same_in_lanes():
-    occupied, rooms = maps.cluttered(1, 32, 36)
-    world = World(occupied=occupied, rooms=rooms, name="cluttered")
-    strategy = parse_strategy("decision-theoretic+recheck+segment=auto:samples=20")
-    jobs = [Job(world, strategy, draw_starts(world, 4, 5, RULES.clearance_m), seed=7)]
-    both = [run_jobs(jobs, LIDAR, RULES, engine="jax", in_lanes=in_lanes) for in_lanes in (False, True)]
-    assert_equal(*both)
-    assert both[0].outcomes[0].result.plans.max() > 1
 
 
 # ---------------------------------------------------------------- devices and processes
