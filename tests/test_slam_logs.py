@@ -399,7 +399,7 @@ def folder():
 @pytest.mark.slow
 @pytest.mark.parametrize(("scans", "closing"), [(None, False), (250, True)])
 def test_intel(folder, scans, closing):
-    """All of it without loops; with them as much as has some."""
+    """The whole log without closing loops, and its beginning with 51 loops."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         whole = read_carmen(folder / "intel.gfs.log")
