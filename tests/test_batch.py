@@ -177,6 +177,7 @@ def test_another_seed_draws_other_targets(jobs, one_worker):
 def test_paths_at_marks_are_those_of_the_trail(jobs, one_worker):
     """The first step after which a share of the cells was known, by the episode's record; knowable cells by hand."""
     found = run_jobs(jobs[:3], LIDAR, RULES, keep="paths").outcomes
+    assert found[0].records[0].state is None
     for job, same, (result, _, records) in zip(jobs[:3], one_worker, found):
         jax.tree.map(np.testing.assert_array_equal, result, same.result)
         free = ~job.world.occupied
@@ -273,17 +274,13 @@ def test_no_key_is_used_twice():
 @pytest.mark.jit
 def test_what_is_kept_of_every_episode_is_the_same_in_lanes(jobs):
     few = [job._replace(starts=job.starts[:2]) for job in jobs[:2]]
-    for keep in ("paths", "maps"):
-        one, other = (
-            run_jobs(few, LIDAR, RULES, engine="jax", in_lanes=in_lanes, keep=keep).outcomes
-            for in_lanes in (False, True)
-        )
-        for job, ours, theirs in zip(few, one, other):
-            assert sorted(ours.records) == sorted(theirs.records) == [0, 1]
-            jax.tree.map(np.testing.assert_array_equal, ours.records[1], theirs.records[1])
-            first, final = ours.records[0], ours.first
-            np.testing.assert_array_equal(first.path, np.stack([final.rows, final.cols, final.n_known], axis=1))
-            assert (first.state is None) == (keep == "paths")
-            if first.state is not None:
-                assert first.state.shape == job.world.shape
-                np.testing.assert_array_equal(first.state > 0, final.hits + final.misses > 0)
+    one, other = (
+        run_jobs(few, LIDAR, RULES, engine="jax", in_lanes=in_lanes, keep="maps").outcomes for in_lanes in (False, True)
+    )
+    for job, ours, theirs in zip(few, one, other):
+        assert sorted(ours.records) == sorted(theirs.records) == [0, 1]
+        jax.tree.map(np.testing.assert_array_equal, ours.records[1], theirs.records[1])
+        first, final = ours.records[0], ours.first
+        np.testing.assert_array_equal(first.path, np.stack([final.rows, final.cols, final.n_known], axis=1))
+        assert first.state.shape == job.world.shape
+        np.testing.assert_array_equal(first.state > 0, final.hits + final.misses > 0)
