@@ -1,6 +1,7 @@
 """A league under a name: what it takes, what it refuses, and its standings."""
 
 import json
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -136,3 +137,13 @@ def test_a_run_stands_with_submit_alone(capsys):
     for words in (["submit"], ["show", "runs"]):
         assert main.main(["league", *words]) == 2
         assert "expected the folder of a run with submit" in capsys.readouterr().err
+
+
+def test_the_entries_of_the_repository():
+    folder = Path(__file__).parents[1] / "leagues" / "exploration-240"
+    entries = league.read_entries(folder, "exploration-240")
+    assert entries[0]["strategy"] == league.REFERENCE
+    assert len(entries) == len(list(folder.glob("*.json"))) >= 8
+    first, *others = (entry["episodes"] for entry in entries)
+    starts = slice(0, 1 + len(league.WHOLE))
+    assert all([row[starts] for row in rows] == [row[starts] for row in first] for rows in others)
