@@ -16,7 +16,7 @@ from jexplore.exploration.site import ROBOT, Site, drive_for, line_of, prepare_s
 from jexplore.exploration.state import Numbers, Result, Setup
 from jexplore.exploration.team.episode import decode as decode_team
 from jexplore.exploration.team.episode import team_line
-from jexplore.exploration.team.starts import team_starts
+from jexplore.exploration.team.starts import place_team
 from jexplore.exploration.team.team import Team
 from jexplore.exploration.trail import Final, Record, decode
 from jexplore.native.build import Library, warn_once
@@ -240,7 +240,7 @@ def _team_starts(job: Job, rules: Rules) -> np.ndarray:
     assert job.team is not None
     near = {"clearance_m": rules.clearance_m, "near_m": rules.near_m}
     made = {
-        start: team_starts(job.world, start, job.team.robots, job.team.starts, **near)
+        start: place_team(job.world, start, job.team.robots, job.team.starts, **near)
         for start in dict.fromkeys(map(tuple, job.starts.tolist()))
     }
     return np.stack([made[tuple(start)] for start in job.starts.tolist()])

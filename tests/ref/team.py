@@ -1,6 +1,6 @@
-"""Oracle for teams in plain loops, the same team by the engine, and what differs between the two.
+"""Oracle for teams in plain loops, the same team by the engine, and their differences.
 
-The rules are those of `exploration/team/environment.py`; each robot is one of `simulator`, whose steps are taken apart
+The rules are those of `exploration/team/environment.py`; each robot is a `simulator.Robot`, whose steps are taken apart
 into motion and scan, because others act between the two.
 """
 
@@ -316,8 +316,9 @@ def draw_case(seed, number, coordination, n):
         coordination=coordination,
         contact_d2=int(draw.choice([-1, 2**30, draw.integers(1, 100)])),
         recheck=bool(draw.random() < 0.5),
-        lidar=Lidar(n_beams=int(draw.integers(20, 62)), fov_deg=float(draw.choice([180.0, 360.0])),
-                    range_m=range_cells * cell_m),  # fmt: skip
+        lidar=Lidar(
+            n_beams=int(draw.integers(20, 62)), fov_deg=float(draw.choice([180.0, 360.0])), range_m=range_cells * cell_m
+        ),
         rules=Rules(
             clearance_m=0.0,
             near_m=float(draw.choice([0.0, 2 * cell_m])),

@@ -155,4 +155,4 @@ COORDINATIONS: dict[str, Callable[[JointView], Array]] = {
     "minpos": minpos,
     "voronoi": voronoi,
 }
-"""Name -> coordination; `independent` is none of them."""
+"""Name -> coordination, but for `independent`."""

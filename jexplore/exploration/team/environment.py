@@ -1,9 +1,9 @@
-"""The rules of a team: whose turn it is, who is in whose way, who knows what.
+"""The rules of a team: turns, bodies, knowledge.
 
 Each robot lives by the rules of `exploration.environment`: `begin`, `decide`, `commit`, `advance`. A team adds these.
 
 Clock: a robot's clock is the length of its way and its waiting. The robot with the least clock acts, of equal ones that
-with the lowest number: it plans, or makes its scan and the next motion. What is no step and no waiting takes no time.
+with the lowest number: it plans, or makes its scan and the next motion. Only steps and waiting take time.
 Bodies: a robot is in one cell, from the beginning of the step into it to the beginning of the step out of it. A step
 into a cell that another one is in is not made, nor a diagonal one between two cells of which another is in one: robots
 neither meet, nor swap, nor cross. The robot waits for the time of a straight step. After `PATIENCE` waits in a row, and
@@ -141,7 +141,7 @@ def begin(setup: TeamSetup, given: Given) -> TeamState:
 
 
 def _note(team: TeamState, i: Array, before: State, grew: Array) -> TeamState:
-    """Note what is known since a scan, made before a motion. One place and time have one entry, the last."""
+    """Note the number of known cells after a scan, made before a motion. A place and time has one entry, the last."""
     entry = jnp.stack([team.n_known, before.straight + team.waits[i], before.diagonal, before.time_ms])
     newest = team.log[jnp.maximum(team.n_log - 1, 0)]
     again = (team.n_log > 0) & (team.last == i) & (newest[1] == entry[1]) & (newest[2] == entry[2])

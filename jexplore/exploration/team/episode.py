@@ -1,6 +1,6 @@
 """A team's episode as a program of the engine, and what it measures."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -42,13 +42,8 @@ class TeamCounts(NamedTuple):
     waits: Array  # [N] int32
     own: Array  # [N] int32, cells that each has seen itself
     seen: Array  # int32, cells that any of them has seen itself
+    whole: Array  # [2] int32, straight steps and waits, and diagonal steps, when all was known that is in the end
     links: Array  # int32, sum over all steps of the others that the robot heard
-
-
-TEAM_MEASURES = "robots", "path_sum_m", "overlap", "share_sd", "waits", "connected"
-"""Columns of teams that are numbers."""
-TEAM_COLUMNS = (*TEAM_MEASURES, "coordination", "contact")
-"""Columns that tables of teams have besides those of a robot."""
 
 
 def finish(setup: TeamSetup, given: Given, team: TeamState) -> Result:
@@ -69,6 +64,7 @@ def finish(setup: TeamSetup, given: Given, team: TeamState) -> Result:
         at = jnp.searchsorted(so_far, counts).astype(jnp.int32)
         return log[jnp.minimum(at, team.n_log - 1)]
 
+    whole = when(team.n_known)[1:3]
     at = when(shares(jnp.array(PERCENTILES), 100, team.n_known))
     marks = shares(lax.iota(jnp.int32, MARKS) + 1, MARKS, knowable)
     along = jnp.where(((marks > 0) & (marks <= team.n_known))[:, None], when(marks), -1)
@@ -92,7 +88,9 @@ def finish(setup: TeamSetup, given: Given, team: TeamState) -> Result:
         starts=jnp.sum(times["starts"], dtype=jnp.int32),
         time_at=at[:, 3],
         time_along=along[:, 3],
-        metrics=TeamCounts(robots.straight, robots.diagonal, times["time_ms"], team.waits, each, seen, team.links),
+        metrics=TeamCounts(
+            robots.straight, robots.diagonal, times["time_ms"], team.waits, each, seen, whole, team.links
+        ),
         **{name: jnp.sum(getattr(robots, name), dtype=jnp.int32) for name in names},
     )
 
@@ -147,16 +145,18 @@ def decode(found: tuple[np.ndarray, ...], shape: tuple[int, int], ring: int) -> 
 def team_columns(result: Result, team: Team, cell_m: float, robot: Robot) -> dict[str, Any]:
     """Return the columns of a table of episodes that are a team's own, and the energy of all robots: arrays `[n]`.
 
-    `overlap`: sum of what each robot has seen itself, as shares of what all have, less 1; `share_sd`: standard
-    deviation of these shares; `connected`: mean over all steps of the share of the others that the robot heard, 1 for a
+    `path_m_at_100`: the clock when all was known that is in the end; `path_sum_m`: ways of all robots; `overlap`: what
+    each has seen itself, as shares of what all have, summed, less 1; `share_sd`: standard deviation of these shares;
+    `waits`: of all robots; `connected`: mean over all steps of the share of the others that the robot heard, 1 for a
     robot alone.
     """
-    counts, n = result.metrics, len(result.outcome)
+    n, counts = len(result.outcome), cast(Any, result.metrics)
     share = counts.own / np.maximum(counts.seen, 1)[:, None]
     steps = np.maximum((counts.straight + counts.diagonal).sum(axis=1), 1)
     sums = {name: getattr(counts, name).sum(axis=1) for name in ("straight", "diagonal", "time_ms")}
     return {
         "robots": np.full(n, team.robots, np.int64),
+        "path_m_at_100": path_m(counts.whole[:, 0], counts.whole[:, 1], cell_m),
         "path_sum_m": path_m(counts.straight, counts.diagonal, cell_m).sum(axis=1),
         "overlap": share.sum(axis=1) - 1,
         "share_sd": share.std(axis=1),

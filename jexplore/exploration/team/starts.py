@@ -24,7 +24,7 @@ def steps_from(floor: np.ndarray, cell: tuple[int, int]) -> np.ndarray:
     return steps.reshape(walled.shape)[1:-1, 1:-1]
 
 
-def team_starts(
+def place_team(
     world: World, start: tuple[int, int, int], n: int, starts: Starts, *, clearance_m: float, near_m: float
 ) -> np.ndarray:
     """Return where the robots of a team start: `[n, 3]` int32, row, col, heading in degrees; the first at `start`.
@@ -63,16 +63,15 @@ def team_starts(
 
 def _given_starts(world: World, n: int, starts: Starts, clearance_m: float, near_m: float) -> np.ndarray:
     if isinstance(starts, str) or len(starts) != n:
-        raise InputError(
-            f"starts must be {' or '.join(STARTS)}, or one row,col,heading_deg for each of {n} robots, got {starts!r}"
-        )
+        form = f"{' or '.join(STARTS)}, or one row,col,heading_deg for each of {n} robots"
+        raise InputError(f"team_starts must be {form}, got {starts!r}")
     own = [check_start(world, start, clearance_m, near_m) for start in starts]
     cells = [start[:2] for start in own]
     twice = next((cell for i, cell in enumerate(cells) if cell in cells[:i]), None)
     if twice:
-        raise InputError(f"starts of {world.name or 'world'!r}: two robots start at {twice}")
+        raise InputError(f"team_starts in {world.name or 'world'!r}: two robots start at {twice}")
     region = reached_from(world, *cells[0], clearance_m, near_m)
     for cell in cells[1:]:
         if not (reached_from(world, *cell, clearance_m, near_m) & region).any():
-            raise InputError(f"starts of {world.name or 'world'!r}: no path leads from {cells[0]} to {cell}")
+            raise InputError(f"team_starts in {world.name or 'world'!r}: no path leads from {cells[0]} to {cell}")
     return np.array(own, np.int32)

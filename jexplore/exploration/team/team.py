@@ -59,7 +59,7 @@ def read_coordination(given: str | Callable[..., Any]) -> Coordination | None:
     """Return a coordination by its name, or of a user's function of a `JointView`; None for `independent`.
 
     Raises:
-      InputError: there is none of that name.
+      InputError: no coordination has that name.
     """
     if given == INDEPENDENT:
         return None
