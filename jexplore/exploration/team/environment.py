@@ -4,7 +4,7 @@ Each robot lives by the rules of `exploration.environment`: `begin`, `decide`, `
 
 Clock: a robot's clock is the length of its way and its waiting. The robot with the least clock acts, of equal ones that
 with the lowest number: it plans, or makes its scan and the next motion. Only steps and waiting take time.
-Bodies: a robot is in one cell, from the beginning of the step into it to the beginning of the step out of it. A step
+Bodies: a robot is in one cell, from the beginning of the step into it until the next step begins. A step
 into a cell that another one is in is not made, nor a diagonal one between two cells of which another is in one: robots
 neither meet, nor swap, nor cross. The robot waits for the time of a straight step. After `PATIENCE` waits in a row, and
 one more for each robot with a lower number, it plans anew and takes robots in adjacent cells for walls; where it then

@@ -1,4 +1,4 @@
-"""How much faster teams are than one robot: times to known shares, speed-up, efficiency.
+"""Teams and one robot: times to known shares, speed-up, efficiency.
 
 pandas is imported by the functions that need it.
 """
