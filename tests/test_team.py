@@ -242,4 +242,4 @@ def test_teams_are_compared(tmp_path):
     again = jx.load(tmp_path / "run")
     assert again.teams.equals(found.teams)
     with pytest.raises(InputError, match="keep"):
-        jx.compare(ROOM, "closest", robots=2, keep="paths")
+        jx.compare(ROOM, "closest", rules=RULES, robots=2, keep="paths")
