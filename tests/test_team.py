@@ -102,7 +102,7 @@ def test_assignments_of_many_sizes_cost_as_much_as_scipys():
 
 
 def joint(robot, positions, aims=(), frontier=(0, 10)):
-    """What robot `robot` sees in a corridor of 11 cells with frontier cells at both ends."""
+    """Return the view of robot `robot` in a corridor of 11 cells with frontier cells at both ends."""
     n, cells = len(positions), np.arange(11)
     costs = np.array([abs(cells - at) * STRAIGHT for at in positions], np.int32)[:, None]
     is_frontier = np.isin(cells, frontier)[None]
