@@ -52,13 +52,23 @@ def test_a_team_is_the_oracles(number):
 @pytest.mark.jit
 @pytest.mark.parametrize(("coordination", "n"), [("independent", 2), ("minpos", 3), ("voronoi", 3)])
 def test_teams_are_the_oracles(coordination, n):
-    """Fifty cases of each; none of them leaves a robot waiting for ever."""
+    """Fifty cases of each, with robots that wait for each other."""
     waits = 0
     for number in range(50):
         told, robots = oracle.differences(oracle.draw_case(2, number, coordination, n))
         assert told == []
         waits += sum(robot.waits for robot in robots)
     assert waits > 0
+
+
+@pytest.mark.parametrize("number", [61, 135])
+def test_robots_that_cannot_pass_end(number):
+    """Three robots that hear nobody stand in each other's way in a corridor; two cannot reach what lies behind others."""
+    case = oracle.draw_case(7, number, "independent", 3)
+    case = case._replace(rules=case.rules.replace(max_steps=None, max_plans=None))
+    robots, _ = oracle.simulate(case)
+    assert sum(robot.waits for robot in robots) > 10
+    assert {robot.ended for robot in robots} <= {"COMPLETE", "BLOCKED"}
 
 
 @pytest.mark.slow

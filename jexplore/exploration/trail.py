@@ -84,7 +84,14 @@ class Final(NamedTuple):
 
     @property
     def own_cells(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the cells in which the robot took itself to be, at the start and after each step: `(rows, cols)`."""
+        """Return the cells in which the robot took itself to be, at the start and after each step: `(rows, cols)`.
+
+        Those of a team are the ways of all robots, with NaN between two.
+        """
+        if self.ways is not None:
+            gap = np.full((1, 2), np.nan)
+            rows, cols = np.concatenate([part for way in self.ways for part in (gap, way[:, :2])])[1:].T
+            return rows, cols
         if self.poses is None:
             return self.rows, self.cols
         cols, rows = np.floor(self.poses[:, 3:]).astype(np.int32).T

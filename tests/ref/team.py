@@ -14,6 +14,7 @@ import numpy as np
 
 from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import Given
+from jexplore.exploration.environment import outcome_of
 from jexplore.exploration.state import Outcome, Setup
 from jexplore.exploration.team.environment import TeamSetup, TeamTask
 from jexplore.exploration.team.episode import decode, detail_of, program_of
@@ -55,6 +56,7 @@ class Member(simulator.Robot):
         self.path, self.pending, self.ended = [], None, None
         self.last_heard = {number}
         self.own = np.zeros(self.occupied.shape, bool)
+        self.shunned, self.fled_from = np.zeros(self.occupied.shape, bool), None
         self.way = [(*self.cell, 0)]
         self.clear_r2 = plans.radius2(case.rules.clearance_m, case.cell_m)
         self.near_r2 = plans.radius2(case.rules.near_m, case.cell_m)
@@ -141,10 +143,12 @@ class Member(simulator.Robot):
         known, free, occupied = self.classes()
         passable = plans.traversable(free, occupied, self.driven, *self.cell, self.clear_r2, self.near_r2)
         cost, pred = plans.dijkstra(passable, self.cell)
-        targets = plans.frontier(plans.clear(free, occupied, self.clear_r2), cost, known, self.exhausted)
+        targets = plans.frontier(plans.clear(free, occupied, self.clear_r2), cost, known, self.exhausted | self.shunned)
         target, flees = self.pick(team, heard, targets, cost, free, occupied), False
         if target is None and self.hemmed:
             flees = True
+            self.shunned[self.target] |= self.target == self.fled_from
+            self.fled_from = self.target
             target = divmod(int(np.argmax(np.where(cost < plans.FAR, cost, -1))), cost.shape[1])
         self.result.hits, self.result.misses, self.driven = kept
         self.hemmed = False
@@ -267,7 +271,7 @@ def compiled(setup, first_scans, truth, table, numbers, task):
     program = program_of(setup._replace(robot=setup.robot._replace(first_scans=first_scans)))
     given = Given(episodes.key_of(0), table, truth, jnp.int32(0), numbers, task)
     team = run_one(program, given)
-    return program.finish(program.setup, given, team), detail_of(team), team.robots.outcome
+    return program.finish(program.setup, given, team), detail_of(team), jax.vmap(outcome_of)(team.robots)
 
 
 def play(case):

@@ -8,8 +8,8 @@ Bodies: a robot is in one cell, from the beginning of the step into it until the
 into a cell that another one is in is not made, nor a diagonal one between two cells of which another is in one: robots
 neither meet, nor swap, nor cross. The robot waits for the time of a straight step. After `PATIENCE` waits in a row, and
 one more for each robot with a lower number, it plans anew and takes robots in adjacent cells for walls; where it then
-finds no target, it goes to the cell that is farthest away, to let others pass. A robot that has ended steps aside: it
-is in nobody's way.
+finds no target, it goes to the cell that is farthest away, to let others pass; the second time that it leaves a target
+so, it gives that up. A robot that has ended steps aside: it is in nobody's way.
 Knowledge: robots hear each other directly within a distance, and through others. When a robot plans, or first hears
 another, it and all that it hears exchange maps: each then has, of each cell, the most hits and the most misses that one
 of them has. Nothing is counted twice, in whatever order robots meet.
@@ -65,6 +65,8 @@ class TeamState:
     waits: Array  # [N] int32
     in_a_row: Array  # [N] int32, waits since the last step
     hemmed: Array  # [N] bool, whether its next plan takes robots for walls
+    fled: Array  # [N, 2] int32, the target from which each has fled last; -1 for none
+    shunned: Array  # [N, H, W] bool, targets that each has given up because others were always in the way
     heard: Array  # [N, N] bool, whom each heard when it last acted
     own: Array  # [N, H, W] bool, cells that each has seen itself
     known: Array  # [H, W] bool, cells that any of them knows
@@ -127,6 +129,8 @@ def begin(setup: TeamSetup, given: Given) -> TeamState:
         waits=zeros,
         in_a_row=zeros,
         hemmed=jnp.zeros(n, bool),
+        fled=jnp.full((n, 2), -1, jnp.int32),
+        shunned=jnp.zeros_like(own),
         heard=jnp.eye(n, dtype=bool),
         own=own,
         known=known,
@@ -202,12 +206,13 @@ def _is_held(team: TeamState, i: Array, motion: Array) -> Array | None:
 
 
 def _hemmed_in(team: TeamState, i: Array, belief: Belief) -> Belief:
-    """Return the belief of a robot to which robots in adjacent cells are walls, if it is to plan so."""
+    """Return the belief that a robot plans by: without targets given up; robots in adjacent cells may be walls."""
     rows, cols = team.robots.row, team.robots.col
     near = (jnp.maximum(jnp.abs(rows - belief.row), jnp.abs(cols - belief.col)) <= 1) & _others(team, i)
     at = jnp.where(near & team.hemmed[i], rows, belief.driven.shape[0]), cols
     grid = Grid(belief.grid.hits.at[at].set(1, mode="drop"), belief.grid.misses.at[at].set(0, mode="drop"))
-    return belief.replace(grid=grid, driven=belief.driven.at[at].set(False, mode="drop"))
+    driven = belief.driven.at[at].set(False, mode="drop")
+    return belief.replace(grid=grid, driven=driven, exhausted=belief.exhausted | take(team.shunned, i))
 
 
 def _farthest(belief: Belief, route: Array) -> tuple[Choice, Array]:
@@ -248,6 +253,12 @@ def decide(setup: TeamSetup, given: Given, team: TeamState) -> TeamState:
         carry, choice, route = _ask(setup, own, team, i, state.replace(belief=hemmed), heard)
         live = ~(team.hemmed[i] & (choice.row < 0))
         choice, route = run_if(~live, lambda _: _farthest(hemmed, route), (choice, route))
+        again = ~live & jnp.all(state.target == team.fled[i])
+        row = jnp.where(again, state.target[0], hemmed.driven.shape[0])
+        team = team.replace(
+            fled=team.fled.at[i].set(jnp.where(live, team.fled[i], state.target)),
+            shunned=team.shunned.at[i, row, state.target[1]].set(True, mode="drop"),
+        )
     held = _is_held(team, i, route[state.belief.row, state.belief.col])
     after = environment.commit(setup.robot, own, state.replace(carry=carry), choice, route, live, held)
     return _act(given, team, i, state, after, heard, held)
