@@ -276,7 +276,7 @@ def defined(module: str, name: str) -> tuple[Path, str | None]:
 
 def league_tables(name: str) -> str:
     """Format the standings of the entries of a league."""
-    from jexplore.studies.league import league_text
+    from jexplore.studies.results.league import league_text
 
     return league_text(ROOT / "leagues" / name, name)
 

@@ -8,7 +8,8 @@ import pytest
 
 from jexplore.cli import main
 from jexplore.config import InputError
-from jexplore.studies import comparison, league
+from jexplore.studies import comparison
+from jexplore.studies.results import league
 from jexplore.studies.results.loading import load, run_record
 from jexplore.studies.statistics.league import standings
 

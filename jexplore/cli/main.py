@@ -15,8 +15,7 @@ from jexplore.cli.bench import Bench
 from jexplore.cli.bound import Bound
 from jexplore.cli.compare import Compare
 from jexplore.cli.explore import Explore
-from jexplore.cli.league import LeagueCommand
-from jexplore.cli.listings import Strategies, Worlds
+from jexplore.cli.listings import LeagueCommand, Strategies, Worlds
 from jexplore.cli.options import check_numbers, help_text, parse_options
 from jexplore.cli.output.console import INTERRUPTED, say
 from jexplore.cli.output.signals import Signals
