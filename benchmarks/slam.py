@@ -183,14 +183,19 @@ def episodes(worlds, poses, n, seed):
     print(markdown(head, rows))
 
 
-def study(worlds, starts, seed):
+def study(worlds, starts, seed, folder):
     """Run strategies by pose and noise; ratios are paths over those of the first strategy in the same setting."""
-    how = {"episodes": starts, "seed": seed}
-    found = {("true", "-"): jx.compare(worlds, STRATEGIES, **how)}
+
+    def run(name, **pose):
+        kept = {} if folder is None else {"out": folder / name, "resume": True}
+        made = jx.compare(worlds, STRATEGIES, episodes=starts, seed=seed, **pose, **kept)
+        print(name, f"{made.run_s:.0f} s", file=sys.stderr, flush=True)
+        return made
+
+    found = {("true", "-"): run("true")}
     for pose in ("icp", "icp+closing"):
-        for level, odometry in LEVELS.items():
-            found[pose, level] = jx.compare(worlds, STRATEGIES, **how, pose=pose, odometry=odometry)
-            print(pose, level, f"{found[pose, level].run_s:.0f} s", file=sys.stderr, flush=True)
+        for i, (level, odometry) in enumerate(LEVELS.items()):
+            found[pose, level] = run(f"{pose}-{i}", pose=pose, odometry=odometry)
     ratios = {
         setting: paths_by_world(one.episodes).groupby("strategy")["log_ratio"].agg(["mean", "sem"])
         for setting, one in found.items()
@@ -233,6 +238,7 @@ def main(argv=None):
     parser.add_argument("--study", type=int, default=0, help="worlds of each kind, see `study`")
     parser.add_argument("--kinds", nargs="+", default=LEAGUE_KINDS, help="of worlds of the study")
     parser.add_argument("--starts", type=int, default=2, help="in each world of the study")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="keep episodes of the study here, and go on with them")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(argv)
     use_compilation_cache()
@@ -250,7 +256,7 @@ def main(argv=None):
         episodes(options.worlds, options.poses, options.episodes, options.seed)
     if options.study:
         worlds = [f"{kind}#{number}" for kind in options.kinds for number in range(options.study)]
-        study(worlds, options.starts, options.seed)
+        study(worlds, options.starts, options.seed, options.out)
 
 
 if __name__ == "__main__":

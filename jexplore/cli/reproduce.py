@@ -12,10 +12,6 @@ from jexplore.cli.options import EngineOptions, ResumeOptions, TimedOptions, fie
 from jexplore.cli.output.console import Out, note_if_slow
 
 
-def default_paper_episodes() -> int:
-    return 5 if is_small() else 100
-
-
 @dataclasses.dataclass(frozen=True)
 class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
     """Reproduce a paper's tables: its strategies in its environments, next to its own figures.
@@ -29,7 +25,7 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
     maps: Annotated[str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Read the paper's maps from this folder: stage/cave_filled.png, avz/avz5floor_open.yaml,
     stage/hospital_section.png. By default built-in counterparts stand in for them."""
-    episodes: int = dataclasses.field(default_factory=default_paper_episodes)
+    episodes: int = dataclasses.field(default_factory=lambda: 5 if is_small() else 100)
     """Number of episodes of each strategy in each environment. The first ones, as many as in the paper, are also
     reported alone."""
     seed: int = 0

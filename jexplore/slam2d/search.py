@@ -94,7 +94,8 @@ def search(settings: SlamSettings, points: PointMap, scan: Scan, start: Array, p
     floors, cost = _coarse(settings, points, scan, cells, row, col, window)
     per = step_cost(settings) / n
     bound = floors * per + jax.vmap(lambda k: guess(k, least_off, least_off))(turns)  # [T, N, N]
-    least, which = lax.top_k(-bound.reshape(-1), min(BEST + 1, bound.size))
+    # The barrier: XLA on a CPU sorts all of them where a slice of the result is used.
+    least, which = lax.optimization_barrier(lax.top_k(-bound.reshape(-1), min(BEST + 1, bound.size)))
     which = jnp.stack(jnp.unravel_index(which[:-1], bound.shape)).astype(jnp.int32)
     sums = _fine(settings, points, scan, cells, cost, which, len(blocks))
 

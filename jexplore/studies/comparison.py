@@ -101,18 +101,14 @@ def compare(
 def _run_in_folder(run, jobs, how, out, overwrite, resume, trust):
     """Run a comparison with a folder that keeps its units and finally holds it."""
     with saving.claimed_by_call(out, overwrite=overwrite, resume=resume) as folder:
-        units = functools.partial(_count_units, jobs)
-        ledger = open_ledger(folder, _asked(jobs, how["keep"], how["until"]), units, resume=resume, trust=trust)
+        asked = _asked(jobs, how["keep"], how["until"])
+        ledger = open_ledger(folder, asked, lambda after: len(cut_jobs(jobs, after)), resume=resume, trust=trust)
         if ledger is None:
             found = loading.load(folder.path)
             return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
         found = run(ledger)
         saving.write_comparison(folder, found)
         return found
-
-
-def _count_units(jobs: Sequence[Job], after: int) -> int:
-    return len(cut_jobs(jobs, after))
 
 
 def _plainly(from_map: KnownMap | None) -> object:

@@ -37,7 +37,10 @@ def policy_from(make: Any, given: dict[str, Any]) -> Policy:
         if value is REQUIRED:
             raise InputError(f"{described(make)} needs the parameter {key}")
     if is_score(make):
-        return _score_policy(make, full)
+        # Numbers and arrays among its parameters may be swept without compiling anew.
+        fixed = {key: value for key, value in full.items() if isinstance(value, (str, os.PathLike, bool, type(None)))}
+        params = {key: value for key, value in full.items() if key not in fixed}
+        return Policy(no_carry, Score(make, tuple(sorted(fixed.items()))), params)
     policy = make if isinstance(make, Policy) else call_user(make, described(make), **given)
     if not isinstance(policy, Policy):
         raise InputError(f"{described(make)} must return a Policy, got {type(policy).__name__}")
@@ -84,13 +87,6 @@ class Theirs:
         return hash(self._key)
 
 
-def _score_policy(function, given):
-    """Make a `Policy` of a score. Numbers and arrays among its parameters may be swept without compiling anew."""
-    fixed = {key: value for key, value in given.items() if isinstance(value, (str, os.PathLike, bool, type(None)))}
-    params = {key: value for key, value in given.items() if key not in fixed}
-    return Policy(no_carry, Score(function, tuple(sorted(fixed.items()))), params)
-
-
 class Score(Theirs):
     """The `select` of a strategy that is a score: the reachable frontier cell with the highest one.
 
@@ -114,15 +110,12 @@ class Score(Theirs):
         return carry, *choose(belief, route, reached, row, col), jnp.where(reached.frontier, score, jnp.nan)
 
 
-def _is_number(dtype):
-    return jnp.issubdtype(dtype, jnp.integer) or jnp.issubdtype(dtype, jnp.floating)
-
-
 def require_scores(what: str, found: Any, shape: tuple[int, ...]) -> Array:
     """Return the scores of a user's function as an array; refuse anything but a number for every cell."""
     with expecting(what, f"a score for every cell, {_shape(shape)} integer or float", found):
         score = jnp.asarray(found)
-        if score.shape != shape or not _is_number(score.dtype):
+        is_number = jnp.issubdtype(score.dtype, jnp.integer) or jnp.issubdtype(score.dtype, jnp.floating)
+        if score.shape != shape or not is_number:
             raise TypeError
     return score
 
