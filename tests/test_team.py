@@ -63,7 +63,7 @@ def test_teams_are_the_oracles(coordination, n):
 
 @pytest.mark.parametrize("number", [61, 135])
 def test_robots_that_cannot_pass_end(number):
-    """Three robots that hear nobody stand in each other's way in a corridor; two cannot reach what others block."""
+    """Three robots that hear nobody wait for each other in a corridor: some can never reach their targets."""
     case = oracle.draw_case(7, number, "independent", 3)
     case = case._replace(rules=case.rules.replace(max_steps=None, max_plans=None))
     robots, _ = oracle.simulate(case)
