@@ -143,7 +143,7 @@ def picture(world, folder, steps=9000):
     for ax, (name, btm) in zip(page.subplots(len(maps), 1), maps):
         walls = LineCollection(list(wall_lines(found.plan).reshape(-1, 2, 2)), colors="0.7", linewidths=2)
         marks["wall of the building"] = ax.add_collection(walls)
-        marks |= {mark.get_label(): mark for mark in draw_btm(ax, btm, legend=False)}
+        marks |= {mark.get_label(): mark for mark in draw_btm(ax, btm)}
         ax.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
         ax.autoscale_view()
         ax.set_title(f"{name}: {len(btm.nodes)} nodes, {len(btm.links)} links")

@@ -37,7 +37,7 @@ SHOWN = (".css", ".png", ".gif")
 """Endings of the files of `docs/` that the site has besides pages."""
 _LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 _FENCE = re.compile(r"(^ *```.*?^ *```$)", re.MULTILINE | re.DOTALL)
-_PART = re.compile(r"<!-- begin (\w+)(?:: ([\w. ]+))? -->\n.*?<!-- end -->\n", re.DOTALL)
+_PART = re.compile(r"<!-- begin (\w+)(?:: ([\w. -]+))? -->\n.*?<!-- end -->\n", re.DOTALL)
 
 
 def generated() -> dict[str, str]:
@@ -274,7 +274,15 @@ def defined(module: str, name: str) -> tuple[Path, str | None]:
     raise KeyError(f"{module} has no {name}")
 
 
+def league_tables(name: str) -> str:
+    """Format the standings of the entries of a league."""
+    from jexplore.studies.results.league import league_text
+
+    return league_text(ROOT / "leagues" / name, name)
+
+
 PARTS = {
+    "league": league_tables,
     "generators": generators_table,
     "strategies": strategies_table,
     "notebooks": notebooks_table,

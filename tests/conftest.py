@@ -54,16 +54,8 @@ def _resident_bytes():
 # What takes longest comes first, so that no worker is left with much at the end; neighbours share few programs, which
 # two workers would compile at the same time.
 LONG = (
-    "mission",
-    "decisions",
-    "training",
-    "engines",
-    "docs",
-    "sweep",
-    "episode",
-    "own_strategies",
-    "bounds",
-    "examples",
+    *("mission", "docs", "slam_logs", "engines", "gym", "outline", "decisions", "tracing", "training", "sweep"),
+    *("uncertain", "episode", "notebooks", "own_strategies", "resume", "bounds", "examples", "joined", "drive"),
 )
 
 
@@ -162,10 +154,13 @@ def _garbage():
 
 @pytest.fixture(autouse=True)
 def _memory():
-    """Drop programs, within a module too, where a worker has grown large."""
+    """Drop programs, within a module too, where a worker is large even without what compiling them has left behind."""
     global _after_drop
     yield
-    if _resident_bytes() > max(RESIDENT_BYTES, _after_drop + GROWTH_BYTES):
+    most = max(RESIDENT_BYTES, _after_drop + GROWTH_BYTES)
+    if _resident_bytes() > most:
+        _trim(0)
+    if _resident_bytes() > most:
         _drop_programs()
         _after_drop = _resident_bytes()
 

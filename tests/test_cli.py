@@ -3,10 +3,8 @@
 import json
 import os
 import shlex
-import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pandas as pd
@@ -228,8 +226,7 @@ def test_the_defaults_are_smaller_on_request(monkeypatch):
 
 BAD_INPUT = [
     ("", "expected a command"),
-    ("compar", "unknown command: 'compar'; there are compare, "),
-    ("compar", "bench (did you mean 'compare'?)"),
+    ("compar", "unknown command 'compar'; did you mean 'compare'? (there are: compare, "),
     ("--worlds cave", "expected a command first"),
     ("compare --epsodes 3", "unrecognized options: --epsodes, 3; did you mean --episodes?"),
     ("compare extra", "unrecognized options: extra"),
@@ -379,35 +376,13 @@ def test_python_m_and_exit_status():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="needs signals")
-def test_control_c_ends_a_run_and_keeps_what_is_finished(world, tmp_path):
-    command = [sys.executable, "-m", "jexplore", "compare", "--worlds", world, "--episodes", "50000", *LIDAR]
-    process = subprocess.Popen([*command, "--out", "run"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    try:
-        deadline = time.monotonic() + 120
-        while "episodes/s" not in process.stderr.readline():  # work has begun
-            assert time.monotonic() < deadline
-            assert process.poll() is None
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=60)
-    finally:
-        process.kill()
-    assert process.returncode == 130
-    assert "Traceback" not in said
-    assert said.endswith("jexplore: interrupted, what was finished was written\n")
-    record = json.loads((tmp_path / "run" / "run.json").read_text())
-    table = pd.read_parquet(tmp_path / "run" / "episodes.parquet")
-    assert 0 < len(table) == 150_000 - record["interrupted"]
-    assert record["warnings"][0] == f"interrupted: {record['interrupted']} episodes are missing"
-    assert table.groupby("strategy")["episode"].agg(list).map(tuple).nunique() == 1
-
-
-@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 def test_an_interruption_that_falls_into_a_callback_of_the_garbage_collector_is_not_lost():
     program = """
 import gc, os, signal, time
 from jexplore.cli import main
+from jexplore.cli.output import signals
+signals.SOON_S = 900  # no line in between, however slow this machine is
 gc.disable()
 def interrupted(phase, _):
     if phase == "start":
@@ -418,11 +393,11 @@ def command(_, signals):
     gc.collect()
     gc.callbacks.clear()
     print("went on", flush=True)
-    time.sleep(30)
+    time.sleep(900)
 main._dispatch = command
 raise SystemExit(main.main())
 """
-    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=25, check=False)
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
     assert found.stdout.strip() == "went on"  # the first was dropped; the second may come before the line ends
     assert found.stderr == "jexplore: interrupted, no results were written\n"
     assert found.returncode == 130

@@ -87,7 +87,7 @@ BEND = maps.walls("""
 
 def played(occupied, start, robot, rules):
     how = {"cell_m": 1.0, "robot": robot}
-    found, state = episodes.play(occupied, start, "closest", CROSS, rules, **how)
+    found, state = episodes.play(occupied, start, "closest", CROSS, rules, **how, shape=(5, 7))  # one program
     want = episodes.replay(occupied, start, "closest", CROSS, rules, cell_m=1.0)
     episodes.assert_equal_episodes(found, state, want, **how)
     return found, want
@@ -107,14 +107,14 @@ def test_a_corridor_by_hand():
     assert (int(slow.time_ms), int(slow.starts)) == (4 * 2828 + 6 * 2000, 4 * 500)
 
 
-@pytest.mark.slow
+@pytest.mark.jit
 def test_a_bend_by_hand():
     """Three runs of 2 m, and two quarter turns in place between."""
     found, _ = played(BEND, (1, 1, 90), PLAIN, STRAIGHT_ON)
     assert (int(found.turns), int(found.time_ms), int(found.starts)) == (4, 3 * 4000 + 2 * 2000, 3000)
 
 
-@pytest.mark.slow
+@pytest.mark.jit
 def test_looks_by_hand():
     """Four steps of a run each, 19 quarter turns, and 15 scans in place."""
     found, want = played(CORRIDOR, (1, 1, 0), SLOW.replace(plan_s=0), ONE_CELL)

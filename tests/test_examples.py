@@ -21,6 +21,7 @@ STUDIES = [EXAMPLES / "own_strategy.py", EXAMPLES / "sweep.py", EXAMPLES / "cert
 def test_an_example_runs(path, tmp_path):
     code, n = re.subn(r"""(episodes=|"episodes": )\d+""", r"\g<1>3", path.read_text(encoding="utf-8"))
     assert n == 1
+    code = code.replace('compare("office"', 'compare("rooms:width_m=8,height_m=6"')
     script, here = tmp_path / path.name, tmp_path / "here"
     script.write_text(code, encoding="utf-8")
     here.mkdir()

@@ -254,20 +254,29 @@ def test_what_is_got_can_be_written_to(env):
 )
 def test_limits_truncate(settings, outcome):
     one = GymEnv(two_rooms(), lidar=LIDAR, **settings)
-    many = GymVectorEnv(two_rooms(), 2, lidar=LIDAR, **settings)
     seen, _ = one.reset(seed=4)
-    both, _ = many.reset(seed=4)
     for _ in range(9):
         seen, _, terminated, truncated, info = one.step(nearest(seen))
-        both, _, dead, cut, infos = many.step(nearest(both))
-        assert (terminated, truncated) == (dead[0], cut[0])
         if truncated:
             break
     assert truncated
     assert not terminated
-    assert info["outcome"] == infos["outcome"][0] == outcome
+    assert info["outcome"] == outcome
     assert int(one.state.episode.plans) == 2 or outcome == jx.Outcome.STEP_LIMIT
     assert bool(info["action_mask"].any()) == (outcome == jx.Outcome.RUNNING)
+
+
+@pytest.mark.slow
+def test_a_truncated_lane_begins_anew_as_a_single_one_does():
+    settings = {"lidar": LIDAR, "max_decisions": 2}
+    one, many = GymEnv(two_rooms(), **settings), GymVectorEnv(two_rooms(), 2, **settings)
+    seen, _ = one.reset(seed=4)
+    both, _ = many.reset(seed=4)
+    for last in (False, True):
+        seen, _, *ended, info = one.step(nearest(seen))
+        both, _, dead, cut, infos = many.step(nearest(both))
+        assert ended == [False, last] == [dead[0], cut[0]]
+        assert info["outcome"] == infos["outcome"][0] == jx.Outcome.RUNNING
     both, reward, dead, cut, infos = many.step(nearest(both))  # whatever the action
     assert (infos["path_m"][0], reward[0], dead[0], cut[0]) == (0, 0, False, False)
     seen, _ = one.reset()

@@ -86,7 +86,6 @@ def assert_equal(one, other):
 @pytest.mark.parametrize(
     ("shape", "clearance_d2", "is_held"),
     [
-        ((37, 45), 0, False),
         ((64, 96), 9, False),
         ((37, 45), 2, True),
     ],

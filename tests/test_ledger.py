@@ -48,7 +48,7 @@ import sys, time
 from jexplore.report import folders
 with folders.claimed(sys.argv[1]) as run:
     print("mine", flush=True)
-    time.sleep(60)
+    time.sleep(900)
 """
 
 
@@ -189,7 +189,7 @@ def test_one_whole_run_is_there_whenever_the_writer_is_ended(tmp_path, how):
     """Nine steps: the new run counts, three old files go, it is moved, three files come, their folder goes."""
     for step in range(1, 12):
         write(tmp_path / f"{step:02d}", "run.json", "episodes.parquet", "paths.png", text="old")
-    said, _ = python(KILLED, tmp_path, int(getattr(signal, how))).communicate(timeout=60)
+    said, _ = python(KILLED, tmp_path, int(getattr(signal, how))).communicate(timeout=300)
     ended = {int(step): int(failed) for step, failed in map(str.split, said.splitlines())}
     assert ended == {step: int(step <= 10) for step in range(1, 12)}  # the tenth is of what follows
     for step in ended:
@@ -238,7 +238,7 @@ def test_processes_that_write_at_once_lose_no_run(tmp_path):
         python(TAKES_NEW_NAMES, tmp_path, k) for k in range(3)
     ]
     for process in all_of_them:
-        process.communicate(timeout=120)
+        process.communicate(timeout=300)
         assert process.returncode == 0
     assert len(set(content(one).values())) == 1
     assert names(one) == ["episodes.parquet", "run.json"]

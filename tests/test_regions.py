@@ -139,8 +139,8 @@ def test_segment_says_that_it_counts_the_outside(tmp_path):
     name = on_paper(tmp_path / "house.png", house())
     with pytest.warns(InputWarning, match="robots start outside"):
         prepare_maps(name, None, "voronoi", CELL_M, RoomSettings())
-    (task,) = prepare_maps(f"{name}:inside=true", None, "voronoi", CELL_M, RoomSettings())
-    assert (~task.world.occupied).sum() == 28 * 58
+    (world,) = prepare_maps(f"{name}:inside=true", None, "voronoi", CELL_M, RoomSettings())
+    assert (~world.occupied).sum() == 28 * 58
 
 
 def test_an_environment_says_so_too():

@@ -25,6 +25,7 @@ FAR = 80.0
 PRIOR = np.diag(np.float32([0.05, 0.05, 0.03]) ** 2)
 HERE = np.float32([1.5, 1.5, 0.3])
 SETTLE = jax.jit(settle)
+LOCATE = jax.jit(lambda *place, window: locate(OWN, *place, window), static_argnames="window")
 few = settings(max_examples=8)
 
 
@@ -271,20 +272,22 @@ def test_search_equals_trying_every_pose(room):
 
 
 @pytest.mark.slow
+@pytest.mark.jit
 @pytest.mark.parametrize("off", [(0.35, -0.3, 0.15), (-0.4, 0.2, -0.18)])
 def test_a_step_with_bad_odometry_is_searched_for(room, off):
     start, prior = HERE + np.float32(off), np.diag(np.float32([0.3, 0.3, 0.15]) ** 2)
-    found = locate(OWN, room, scan_of(HERE), jnp.array(start), jnp.array(prior), Window(3, 12))
+    found = LOCATE(room, scan_of(HERE), start, prior, window=Window(3, 12))
     np.testing.assert_allclose(found.pose, HERE, atol=0.02)
     assert found.outcome == Outcome.MATCHED
 
 
 @pytest.mark.slow
+@pytest.mark.jit
 def test_a_start_2_m_off_is_found_by_a_wide_window_and_not_believed_by_a_narrow_one(room):
     start, prior = HERE + np.float32([1.9, 0.6, 0.0]), np.diag(np.float32([1, 1, 0.1]) ** 2)
-    narrow = locate(OWN, room, scan_of(HERE), jnp.array(start), jnp.array(prior), Window(1, 1))
+    narrow = LOCATE(room, scan_of(HERE), start, prior, window=Window(1, 1))
     assert narrow.fitness < 0.8
-    wide = locate(OWN, room, scan_of(HERE), jnp.array(start), jnp.array(prior), Window(11, 2))
+    wide = LOCATE(room, scan_of(HERE), start, prior, window=Window(11, 2))
     np.testing.assert_allclose(wide.pose, HERE, atol=0.02)
 
 

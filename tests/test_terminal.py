@@ -7,7 +7,6 @@ import re
 import struct
 import subprocess
 import sys
-import time
 import warnings
 
 import pytest
@@ -299,12 +298,36 @@ def test_a_text_over_several_lines_is_one_paragraph():
     assert all("\n" not in text and "  " not in text for text in texts.values())
 
 
+class Timer:
+    """A timer that rings when it is told to, if it has not been cancelled."""
+
+    def __init__(self, seconds, act):
+        assert seconds == console.PATIENCE_S
+        self.act = act
+
+    def start(self):
+        self.is_on = True
+
+    def cancel(self):
+        self.is_on = False
+
+    def ring(self):
+        if self.is_on:
+            self.act()
+
+
 def test_slow_work_is_named_once(monkeypatch, capsys):
-    monkeypatch.setattr(console, "PATIENCE_S", 0.02)
-    for seconds in (0.1, 0.0):
-        with console.working(10, "runs"):
-            time.sleep(seconds)
+    made = []
+    monkeypatch.setattr(console.threading, "Timer", lambda *given: made.append(Timer(*given)) or made[-1])
+    with console.working(10, "runs"):
+        made[-1].ring()
+    with console.working(10, "runs"):
+        pass
+    made[-1].ring()  # after its end
+    with console.working(10, "runs") as on_progress:
+        on_progress(0)  # the first is under way: nothing compiles any more
+        made[-1].ring()
     with console.note_if_slow("never") as call_off:
         call_off()
-        time.sleep(0.05)
+        made[-1].ring()
     assert capsys.readouterr().err == f"{console.COMPILING}\n"

@@ -1,4 +1,4 @@
-"""World: the ring, padding, clearance, components, starts."""
+"""World: the ring, clearance, components, starts."""
 
 import itertools
 import math
@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from ref.worlds import with_walls
 from scipy import ndimage
 
 import jexplore as jx
@@ -20,7 +21,7 @@ from jexplore.studies.results.provenance import map_files_of
 from jexplore.worlds import load_world
 from jexplore.worlds.bounds import MAX_SIDE
 from jexplore.worlds.starts import check_start, clear_of_walls, draw_start, draw_starts, label_components, start_region
-from jexplore.worlds.world import World, occupancy_to_world, pad, require_world, with_ring
+from jexplore.worlds.world import World, occupancy_to_world, require_world, with_ring
 
 masks = hnp.arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 12)))
 
@@ -35,7 +36,7 @@ def room(rows, cols, **fields):
     return with_ring(World(occupied=np.zeros((rows, cols), bool), **fields))
 
 
-# --- ring and padding
+# --- ring
 
 
 def test_ring_is_added_and_everything_moves_along():
@@ -50,9 +51,7 @@ def test_ring_is_added_and_everything_moves_along():
 
 def test_the_ground_goes_along_and_is_level_beyond_the_edge():
     world = picture("..", "..", elevation=np.array([[0, 1], [2, 3]], np.float32))
-    expected = [[0, 0, 1, 1], [0, 0, 1, 1], [2, 2, 3, 3], [2, 2, 3, 3]]
-    assert with_ring(world).elevation.tolist() == expected
-    assert pad(with_ring(world), (5, 4)).elevation.tolist() == [*expected, expected[-1]]
+    assert with_ring(world).elevation.tolist() == [[0, 0, 1, 1], [0, 0, 1, 1], [2, 2, 3, 3], [2, 2, 3, 3]]
     assert with_ring(world).elevation.dtype == np.float32
     assert require_world(picture("..", elevation=np.array([[0.5, 1.0]]))).elevation.dtype == np.float32
 
@@ -121,25 +120,6 @@ def test_ring_refuses_to_exceed_the_limit():
     assert with_ring(at_limit).shape == (3, MAX_SIDE)
     with pytest.raises(InputError, match="4097 cells are more than 4096"):
         with_ring(World(occupied=np.zeros((1, MAX_SIDE - 1), bool), name="long"))
-
-
-def test_pad_adds_at_the_top_and_the_right():
-    world = picture("###", "#.#", "###", rooms=np.zeros((3, 3), np.int32), start=(1, 1, 0))
-    padded = pad(world, (4, 5))
-    assert padded.shape == (4, 5)
-    assert (~padded.occupied).sum() == 1
-    assert not padded.occupied[1, 1]
-    assert padded.rooms[:3, :3].tolist() == [[0] * 3] * 3
-    assert (padded.rooms[3:] == -1).all()
-    assert (padded.rooms[:, 3:] == -1).all()
-    assert padded.start == (1, 1, 0)
-    assert padded.origin_m == world.origin_m
-
-
-@pytest.mark.parametrize("shape", [(2, 5), (5,)])
-def test_pad_refuses_another_shape(shape):
-    with pytest.raises(ValueError, match="expected a shape of at least"):
-        pad(picture("###", "#.#", "###"), shape)
 
 
 # --- occupancy arrays
@@ -282,7 +262,7 @@ def test_a_start_depends_on_seed_and_number_alone():
     assert starts.shape == (12, 3)
     assert np.array_equal(draw_starts(world, 7, 5, 0.1), starts[:5])
     assert [draw_start(world, 7, i, 0.1) for i in range(12)] == [tuple(start) for start in starts.tolist()]
-    assert np.array_equal(draw_starts(pad(world, (40, 50)), 7, 12, 0.1), starts)
+    assert np.array_equal(draw_starts(with_walls(world, (40, 50)), 7, 12, 0.1), starts)
     assert not np.array_equal(draw_starts(world, 8, 12, 0.1), starts)
     assert draw_starts(world, 7, 0, 0.1).shape == (0, 3)
 

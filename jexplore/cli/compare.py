@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 from jexplore.cli.options import (
     DEFAULT_STRATEGIES,
+    ContactText,
     EngineOptions,
+    IntegerList,
     MapFile,
     MetricNames,
     OwnNames,
     PolygonText,
     ReportOptions,
     ResumeOptions,
+    StartsText,
     StartText,
     TimedOptions,
     TrustOptions,
@@ -75,6 +78,17 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
     from_map: MapFile = None
     """Go on from a partial map of the same cells, such as explored.yaml of `jexplore explore`: what it shows is known
     from the beginning, and drawn starts lie where it shows free floor."""
+    robots: IntegerList = None
+    """Explore with teams of these sizes, up to 16 robots; the others are compared with the first. Paths are then times
+    on the team's clock."""
+    coordination: OwnNames = None
+    """Have teams choose targets in these ways: independent, greedy, hungarian, minpos, voronoi, or a function of yours
+    such as mine:apart (default: independent)."""
+    contact: ContactText = "all"
+    """Whom a robot hears: all, none, or those within a distance and whom they hear (range:4, in metres)."""
+    team_starts: StartsText = ("together",)
+    """Start all robots next to the first (together), far from each other (apart), or in these cells (12,30,90 12,31,90:
+    row, column, heading in degrees)."""
     metric: MetricNames = None
     """Add columns of your own: functions of an episode in a module here or installed, such as mine:crowding;
     name=mine:crowding names the column."""
@@ -97,6 +111,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
+        from jexplore.exploration.team.team import INDEPENDENT
         from jexplore.studies.checks import prepare_jobs, require_given_pose
         from jexplore.studies.results.saving import figures_of
         from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
@@ -117,6 +132,8 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
         require_until(self.until)
         if self.until and self.bounds:
             raise InputError("bounds are of all starts: leave out --until or --bounds")
+        if self.robots and (self.waste or self.bounds):
+            raise InputError("--waste and --bounds are of one robot: leave out --robots")
         if self.waste:
             require_given_pose(self.rules, "waste is")
         with Out(self, "compare") as out:
@@ -125,6 +142,9 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
                 strategies,
                 **fields_of(self, "episodes seed cell_m start within from_map lidar rules robot"),
                 metrics=self.metric,
+                **fields_of(self, "robots contact"),
+                coordination=self.coordination or INDEPENDENT,
+                team_starts=self.team_starts[0] if len(self.team_starts) == 1 else self.team_starts,
             )
             tasks, reported = self._bound_tasks(jobs), jobs if self.report else None
             found = run_with_bar(self, jobs, out, tasks)

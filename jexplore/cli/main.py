@@ -1,5 +1,5 @@
-"""The command line: `jexplore compare`, `explore`, `bound`, `train`, `tune`, `reproduce`, `segment`, `slam`, `trace`,
-`route`, `merge-maps`, `station`, `worlds`, `strategies`, `bench`.
+"""The command line: `jexplore compare`, `explore`, `league`, `bound`, `train`, `tune`, `reproduce`, `segment`, `slam`,
+`trace`, `route`, `merge-maps`, `station`, `worlds`, `strategies`, `bench`.
 
 Importing this loads neither jax nor numpy; every command imports its modules when it runs. Wrong input ends with one
 line and status 2 and leaves no files, an interruption with one line and status 130; a comparison or reproduction then
@@ -15,7 +15,7 @@ from jexplore.cli.bench import Bench
 from jexplore.cli.bound import Bound
 from jexplore.cli.compare import Compare
 from jexplore.cli.explore import Explore
-from jexplore.cli.listings import Strategies, Worlds
+from jexplore.cli.listings import LeagueCommand, Strategies, Worlds
 from jexplore.cli.options import check_numbers, help_text, parse_options
 from jexplore.cli.output.console import INTERRUPTED, say
 from jexplore.cli.output.signals import Signals
@@ -37,6 +37,7 @@ COMMANDS: dict[str, type] = {
     "explore": Explore,
     "sweep": SweepCommand,
     "merge": Merge,
+    "league": LeagueCommand,
     "bound": Bound,
     "train": Train,
     "tune": Tune,

@@ -5,7 +5,6 @@ import codecs
 import collections
 import contextlib
 import dataclasses
-import difflib
 import inspect
 import io
 import itertools
@@ -29,7 +28,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from jexplore.config import NUMBER_BOUNDS, InputError, require_engine, require_setting
+from jexplore.config import NUMBER_BOUNDS, InputError, require_engine, require_setting, unknown
 from jexplore.rules import Lidar, Robot, Rules
 
 SMALL = "JEXPLORE_SMALL"
@@ -58,6 +57,8 @@ OneWorld = Annotated[str, tyro.conf.arg(metavar="WORLD")]
 OneStrategy = Annotated[str, tyro.conf.arg(metavar="STRATEGY")]
 OwnModel = Annotated[str | None, tyro.conf.arg(metavar="MODEL", help_behavior_hint="(default: closest)")]
 UntilText = Annotated[str | None, tyro.conf.arg(metavar="decided", help_behavior_hint="")]
+ContactText = Annotated[str, tyro.conf.arg(metavar="all|none|range:M")]
+StartsText = Annotated[tuple[str, ...], tyro.conf.arg(metavar="START [START ...]", help_behavior_hint="")]
 StartText = Annotated[str, tyro.conf.arg(metavar="START")]
 PolygonText = Annotated[str | None, tyro.conf.arg(metavar="CORNERS")]
 MapFile = Annotated[str | None, tyro.conf.arg(metavar="MAP.yaml")]
@@ -157,6 +158,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "explore": ("explore --world map.yaml --start 2.0m,1.5m,90 --lidar.range-m 4",),
     "sweep": ("sweep spec.yaml --out runs/sweep", "sweep spec.yaml --out runs/sweep --shard 1/4"),
     "merge": ("merge runs/sweep-1 runs/sweep-2 --out runs/sweep",),
+    "league": ("league", "league submit runs/mine"),
     "bound": ("bound cave#3 --starts 10 --seconds 30",),
     "train": ("train --out runs/model",),
     "tune": ("tune --strategies utility+recheck tour+recheck --out runs/tuned",),
@@ -182,12 +184,10 @@ def parse_options(arguments: Sequence[str], commands: Mapping[str, type]) -> Any
       SystemExit: with status 0, once help has been printed.
     """
     name, *rest = arguments
+    if name.startswith("-"):
+        raise InputError(f"expected a command first, got {name!r} (there are: {', '.join(commands)})")
     if name not in commands:
-        near = difflib.get_close_matches(name, commands, n=1, cutoff=0.5)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
-        what = "expected a command first" if name.startswith("-") else "unknown command"
-        raise InputError(f"{what}: {name!r}; there are {', '.join(commands)}{hint}")
-
+        raise unknown("command", name, commands)
     page, said = _Page(), _Page()
     page.encoding = codecs.lookup(sys.stdout.encoding or "utf-8").name  # some say UTF-8, which tyro does not know
     page.coloured = sys.stdout.isatty() and not os.environ.get("NO_COLOR")

@@ -13,10 +13,6 @@ from jexplore.cli.output.console import Out, note_if_slow, progress_of
 from jexplore.config import InputError
 
 
-def default_paper_episodes() -> int:
-    return 5 if is_small() else 100
-
-
 @dataclasses.dataclass(frozen=True)
 class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
     """Reproduce a paper's tables: its strategies in its environments, next to its own figures.
@@ -32,7 +28,7 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
     """Read the paper's maps from this folder: stage/cave_filled.png, avz/avz5floor_open.yaml,
     stage/hospital_section.png; for dare 1.png to 100.png. By default built-in counterparts stand in for them, except
     for dare."""
-    episodes: int = dataclasses.field(default_factory=default_paper_episodes)
+    episodes: int = dataclasses.field(default_factory=lambda: 5 if is_small() else 100)
     """Number of episodes of each strategy in each environment. The first ones, as many as in the paper, are also
     reported alone. For dare the number of maps."""
     seed: int = 0

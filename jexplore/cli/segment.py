@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from jexplore.cli.options import OutOptions
+from jexplore.cli.options import OutOptions, fields_of
 from jexplore.cli.output.console import Out, working
 from jexplore.config import InputError
 
@@ -60,22 +60,12 @@ class Segment(OutOptions):
 
         with Out(self, "segment") as out:
             if not self.maps:
-                raise InputError(
-                    "expected a map: map.png@0.05 (metres a pixel), map.yaml, or a generator such as office#3"
-                )
+                raise InputError("expected a map: map.png@0.05 (metres a pixel), map.yaml, or a generator: office#3")
             require_whole("seed", self.seed, 0, 2**32 - 1)
             use_compilation_cache()
             with working(len(self.maps) * (1 + len(SHARES) * self.partial), "maps") as on_progress:
-                found = segment_maps(
-                    self.maps,
-                    truth=self.truth,
-                    variants=self.variant,
-                    partial=self.partial,
-                    cell_m=self.cell_m,
-                    seed=self.seed,
-                    **{name: getattr(self, name) for name in RoomSettings._fields},
-                    on_progress=on_progress,
-                )
+                how = fields_of(self, " ".join(("truth partial cell_m seed", *RoomSettings._fields)))
+                found = segment_maps(self.maps, variants=self.variant, **how, on_progress=on_progress)
             record = out.record(arguments, self, scores=found.scores.to_dict("records"))
             files = {
                 "scores.parquet": lambda path: store.write_parquet(found.scores, path),

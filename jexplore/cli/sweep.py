@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from jexplore.cli.compare import FINISHING
-from jexplore.cli.options import EngineOptions, ReportOptions, ResumeOptions, TrustOptions
+from jexplore.cli.options import EngineOptions, ReportOptions, ResumeOptions, TrustOptions, fields_of
 from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
@@ -60,8 +60,8 @@ class SweepCommand(EngineOptions, ReportOptions, ResumeOptions, TrustOptions):
             ledger = out.keep(plan.asked(shard), lambda n: len(plan.after(n).units), shard)
             if ledger is None:
                 return _show_finished(out, plan if self.report else None)
-            how: dict[str, Any] = {name: getattr(self, name) for name in ("engine", "lanes", "workers")}
             total = sum(plan.size(number) for number in numbers)
+            how = fields_of(self, "engine lanes workers")
             with working(total, "episodes") as on_progress:
                 found = run_sweep(plan, ledger=ledger, shard=shard, **how, on_progress=on_progress)
             with note_if_slow(FINISHING):
@@ -118,13 +118,13 @@ def _finish(out: Out, found: "SweepResult", arguments: Sequence[str], options: A
         arguments,
         options,
         episodes_per_s=ran / costs.run_s if costs.run_s else None,
-        **{name: getattr(costs, name) for name in ("compile_s", "run_s")},
+        **fields_of(costs, "compile_s run_s"),
         **engine_of(costs),
         interrupted=found.missing,
         resumed=found.resumed,
         columns=found.columns,
         reference=found.reference,
-        worlds=[describe_world(world) for world in plan.all_worlds()],
+        worlds=[describe_world(plan.world(*key)) for key in plan.shapes],
         **entries,
     )
     files = {

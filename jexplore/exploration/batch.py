@@ -14,6 +14,10 @@ from jexplore.exploration.metrics import Metric
 from jexplore.exploration.native import NativePlace, NativeRun, is_native, native_place, play_on_gpu
 from jexplore.exploration.site import ROBOT, Site, drive_for, line_of, prepare_site
 from jexplore.exploration.state import Numbers, Result, Setup
+from jexplore.exploration.team.episode import decode as decode_team
+from jexplore.exploration.team.episode import team_line
+from jexplore.exploration.team.starts import place_team
+from jexplore.exploration.team.team import Team
 from jexplore.exploration.trail import Final, Record, decode
 from jexplore.native.build import Library, warn_once
 from jexplore.native.episodes import load_episodes
@@ -38,6 +42,7 @@ class Job(NamedTuple):
     phase: int = 0  # jobs of a later phase are begun when all of this one have been
     metrics: Mapping[str, Metric] = MappingProxyType({})  # name of a column -> what it holds
     robot: Robot = ROBOT
+    team: Team | None = None  # of which `starts` are the first robot's; None: one robot
 
 
 class Outcomes(NamedTuple):
@@ -142,7 +147,10 @@ def _levels_of(work: NativeRun | Line, resources: Resources) -> list[str]:
 
 def _native_runs(wanted: Sequence[_Wanted], keep: str | None, why_not: list[str]) -> dict[int, NativeRun]:
     """Return a `NativeRun` for every job that native code can do, by its number; adds why there is no such code."""
-    ready = [is_native(own.job.strategy, own.lidar, own.rules) and not own.job.metrics for own in wanted]
+    ready = [
+        is_native(own.job.strategy, own.lidar, own.rules) and not own.job.metrics and own.job.team is None
+        for own in wanted
+    ]
     can = [i for i, is_ready in enumerate(ready) if is_ready]
     if not can or jax.config.values["jax_disable_jit"] or jax.process_count() > 1:
         return {}
@@ -183,6 +191,7 @@ def _lines(
         f"JAX makes episodes with metrics: {at_end}" * bool(at_end),
         "JAX drives robots whose pose is not given" * (len(given) < len(wanted)),
         f"JAX drives, for metrics after every motion: {moving}" * bool(moving),
+        "JAX drives teams" * any(own.job.team is not None for own in wanted.values()),
     ])  # fmt: skip
     everyone = [*shared_with, *dict.fromkeys((own.lidar, own.rules) for own in wanted.values())]
     sites: dict[Any, Site] = {}
@@ -199,7 +208,10 @@ def _lines(
         if key not in fitted:
             fitted[key] = sites[place].with_strategy(strategy)
         own = which[resources.process :: resources.processes]
-        line = line_of(sites[place], fitted[key], job.starts, job.seed, own, detailed=detailed, keep=keep)
+        if job.team is None:
+            line = line_of(sites[place], fitted[key], job.starts, job.seed, own, detailed=detailed, keep=keep)
+        else:
+            line = team_line(sites[place], fitted[key], job.team, _team_starts(job, rules), job.seed, own, detailed)
         line.draws, line.phase = line.draws + np.int32(job.first), job.phase
         lines[i] = line
     return lines
@@ -223,6 +235,17 @@ def _checked(job: Job) -> Job:
     return job._replace(starts=np.stack([row, col, heading % 360], axis=1).astype(np.int32), seed=seed)
 
 
+def _team_starts(job: Job, rules: Rules) -> np.ndarray:
+    """Return where the robots of a team start in each episode: `[N, robots, 3]` int32."""
+    assert job.team is not None
+    near = {"clearance_m": rules.clearance_m, "near_m": rules.near_m}
+    made = {
+        start: place_team(job.world, start, job.team.robots, job.team.starts, **near)
+        for start in dict.fromkeys(map(tuple, job.starts.tolist()))
+    }
+    return np.stack([made[tuple(start)] for start in job.starts.tolist()])
+
+
 def _outcomes(job: Job, work: NativeRun | Line) -> Outcomes:
     if isinstance(work, NativeRun):
         return Outcomes(work.results, work.final, work.records)
@@ -230,4 +253,6 @@ def _outcomes(job: Job, work: NativeRun | Line) -> Outcomes:
         return Outcomes(work.results, None, work.records)
     one = jax.tree.map(lambda a: a[work.detailed], work.results)
     detail, ring = jax.tree.map(np.asarray, work.detail), ring_of(job.world.occupied)
+    if job.team is not None:
+        return Outcomes(work.results, decode_team(detail, job.world.shape, ring))
     return Outcomes(work.results, decode(detail, one, job.world.shape, ring), work.records)

@@ -16,7 +16,7 @@ from jexplore.arrays.loops import run_if, stored
 from jexplore.distance import within_packed
 from jexplore.engine.program import Given
 from jexplore.exploration import metrics, trail
-from jexplore.exploration.motion import LENGTHS, PLAN, SCAN, motion_step, tick, turn_between
+from jexplore.exploration.motion import LENGTHS, PLAN, SCAN, STEP, motion_step, tick, turn_between
 from jexplore.exploration.sensing import blank_grid, enough_cells, known_cells, sense, stacked
 from jexplore.exploration.state import NEVER, Numbers, Outcome, Setup, State, Stream, no_counts
 from jexplore.exploration.uncertain.looking import look
@@ -73,11 +73,12 @@ def _place(
     return state.replace(row=row, col=col, heading=turned(state.heading), belief=belief), steps, ahead & blocked
 
 
-def _move(setup: Setup, given: Given, state: State, motion: Array) -> State:
+def _move(setup: Setup, given: Given, state: State, motion: Array, held: Array | None) -> State:
     """Return the next motion of a plan under way, before its scan: a step along the route, or a turn in place.
 
     A step into a cell that is not free is refused: the robot only turns towards it. A plan whose next step would be one
-    too many ends the episode. Does nothing once the plan is done. `motion` is the route's in the robot's cell.
+    too many ends the episode. Does nothing once the plan is done. `motion` is the route's in the robot's cell. A robot
+    that is `held` stands for as long as a straight step takes, instead of a step.
     """
     numbers, looking = given.numbers, state.plan_active & (state.looking > 0)
     limit = jnp.where(state.time_ms >= numbers.max_ms, Outcome.TIME_LIMIT, Outcome.RUNNING)
@@ -87,9 +88,13 @@ def _move(setup: Setup, given: Given, state: State, motion: Array) -> State:
     limit = jnp.where(~looking & (state.steps >= numbers.max_steps), Outcome.STEP_LIMIT, limit)
     at_limit = state.plan_active & (limit != Outcome.RUNNING)
     looking &= ~at_limit
-    moved, steps, refused = _place(setup, given, state, motion, looking, state.plan_active & ~looking & ~at_limit)
+    ahead, stands, wait_ms = state.plan_active & ~looking & ~at_limit, looking, numbers.clock[SCAN]
+    if held is not None:
+        stands, wait_ms = looking | (ahead & held), jnp.where(ahead & held, numbers.clock[STEP], wait_ms)
+        ahead &= ~held
+    moved, steps, refused = _place(setup, given, state, motion, looking, ahead)
     diagonal = steps & is_diagonal
-    time = tick(numbers.clock, state, moved.heading, steps, looking | refused, numbers.clock[SCAN])
+    time = tick(numbers.clock, state, moved.heading, steps, stands | refused, wait_ms)
     rooms, base = stacked(given, given.scenes.rooms)
     room = rooms[base + moved.row, moved.col]
     entered = (room >= 0) & (room != state.room)
@@ -128,7 +133,7 @@ def _mark_exhausted(state: State, spent: Array) -> State:
     return state.replace(belief=state.belief.replace(exhausted=exhausted))
 
 
-def _limit_plans(numbers: Numbers, state: State) -> State:
+def limit_plans(numbers: Numbers, state: State) -> State:
     """End an episode whose plan is done and that may make no other."""
     spent = (state.outcome == Outcome.RUNNING) & ~state.plan_active & (state.plans >= numbers.max_plans)
     return state.replace(outcome=jnp.where(spent, Outcome.PLAN_LIMIT, state.outcome))
@@ -154,11 +159,11 @@ def _stop(setup: Setup, numbers: Numbers, state: State, when: Array) -> tuple[St
     return _over(setup, numbers, state, Outcome.EXPLORED, done), done
 
 
-def advance(setup: Setup, given: Given, state: State) -> State:
+def advance(setup: Setup, given: Given, state: State, held: Array | None = None) -> State:
     """Make one scan of a plan under way, update the plan, and make the next motion if it goes on.
 
     Scan first, motion last: everything is then read from the map after its update, which can so be made in place. Once
-    the plan is done, maps, trail and counters stay the same.
+    the plan is done, maps, trail and counters stay the same. `held`: bool, whether another robot is in the way.
     """
     belief, plan_active, numbers = state.belief, state.plan_active, given.numbers
     # Both orthogonal neighbours of a diagonal step belong to the driven way.
@@ -196,7 +201,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     state, spent = _arrive(setup, state, plan_active & here & ~bumped & (state.looking == 0), live, numbers)
     state = _mark_exhausted(state, spent)
     motion = state.route[state.belief.row, state.belief.col]
-    return _limit_plans(numbers, _move(setup, given, state, motion))
+    return limit_plans(numbers, _move(setup, given, state, motion, held))
 
 
 def _scan(setup: Setup, given: Given, state: State, when: Array) -> State:
@@ -249,12 +254,14 @@ def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array
     return run_if(state.homing > 0, go_home, run_if(state.homing == 0, ask, asked))
 
 
-def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Array, live: Array | bool = True) -> State:
+def commit(
+    setup: Setup, given: Given, state: State, choice: Choice, route: Array, live: Array | bool = True, held: Any = None
+) -> State:
     """Turn a choice into the plan and make its first motion; none ends the episode as complete, as far as is known.
 
     A target that no path leads to is refused: the strategy is asked again, and the third in a row ends the episode.
     `route`: `[H, W]` int8, motions to the target (`planning.readout.lay_route`); `live`: bool, whether a look from the
-    target is worth while: of a strategy's target it always is.
+    target is worth while: of a strategy's target it always is; `held` as for `advance`.
     """
     none = choice.row < 0
     bad = ~none & (choice.cost >= FAR)
@@ -278,7 +285,7 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
     # A path of length 0 is an arrival.
     here = (state.belief.row == choice.row) & (state.belief.col == choice.col) & ~bad
     state, spent = _arrive(setup, state, here, live, given.numbers)
-    state = _limit_plans(given.numbers, _move(setup, given, state, route[state.belief.row, state.belief.col]))
+    state = limit_plans(given.numbers, _move(setup, given, state, route[state.belief.row, state.belief.col], held))
     return _mark_exhausted(state, spent).replace(route=route, choices=state.choices.at[plan].set(entry, mode="drop"))
 
 

@@ -21,6 +21,8 @@ SCAN, PLAN, TURN, RUN = 0, 1, 2, 7
 """Places in a table: ms of a scan in place and of a plan; of turns of 0 to 4 eighths; then three entries for every
 number of steps and for straight and diagonal ones: ms from standing to the last cell without braking, ms until it
 stands there, and thousandths of the kinetic energy at full speed that it had at most."""
+STEP = RUN + 7
+"""Place of the ms of one straight step from standing to standing."""
 LENGTHS = 408, 577
 """Lengths of a straight and a diagonal step of which limits of the path count the sum: their ratio is the root of 2 to
 two millionths."""

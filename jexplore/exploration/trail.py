@@ -79,10 +79,19 @@ class Final(NamedTuple):
     n_known: np.ndarray  # [n + 1] int32, known cells then
     plans: list[Plan] | None  # every choice; None where there was no room for all of them, or the pose was not given
     poses: np.ndarray | None = None  # [n + 1, 5] float32, `uncertain.poses.TRAIL`, in the world's cells; None: given
+    # of a team: of every robot [n + 1, 3] int32, row, col and clock (`motion.LENGTHS`) at the start and after each step
+    ways: list[np.ndarray] | None = None
 
     @property
     def own_cells(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the cells in which the robot took itself to be, at the start and after each step: `(rows, cols)`."""
+        """Return the cells in which the robot took itself to be, at the start and after each step: `(rows, cols)`.
+
+        Those of a team are the ways of all robots, with NaN between two.
+        """
+        if self.ways is not None:
+            gap = np.full((1, 2), np.nan)
+            rows, cols = np.concatenate([part for way in self.ways for part in (gap, way[:, :2])])[1:].T
+            return rows, cols
         if self.poses is None:
             return self.rows, self.cols
         cols, rows = np.floor(self.poses[:, 3:]).astype(np.int32).T

@@ -201,7 +201,7 @@ struct Episode {
     return time >= p.max_ms ? kTimeLimit : kRunning;
   }
 
-  // `environment._move` and `_limit_plans`: a step along the way, or a turn in place.
+  // `environment._move` and `limit_plans`: a step along the way, or a turn in place.
   DEVICE void Move() {
     came = at;
     const int limit = plan_active ? Limit() : kRunning;

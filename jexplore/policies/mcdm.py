@@ -65,10 +65,9 @@ def mcdm(
     params = Params(
         *(require_number(name, value, high=1) for name, value in zip(Params._fields, (a, d, o, ad, ao, do)))
     )
+    given = params._asdict()
     for pair in ("ad", "ao", "do"):
         for one in pair:
-            if getattr(params, one) > getattr(params, pair):
-                raise InputError(
-                    f"{pair} must be at least {one}, got {getattr(params, pair)} and {getattr(params, one)}"
-                )
+            if given[one] > given[pair]:
+                raise InputError(f"{pair} must be at least {one}, got {given[pair]} and {given[one]}")
     return Policy(no_carry, Best(_judge), params)

@@ -62,12 +62,9 @@ class OfBasins(NamedTuple):
     def divide(self, free, belief):
         """Divide the map as `OfGraph`, but with the widest exit."""
         model, unknown = belief.model, ~is_known(belief.grid)
-        numbers = watershed.room_criteria(
-            model.cell_m, ratio=self.ratio, narrowing=None, smallest_m2=self.smallest_m2, clutter_m=self.clutter_m
-        )
-        found = watershed.watershed(
-            free, unknown, numbers, form=watershed.room_form_for(free.shape, coarse=model.coarse)
-        )
+        numbers = watershed.room_criteria(model.cell_m, narrowing=None, **self._asdict())
+        form = watershed.room_form_for(free.shape, coarse=model.coarse)
+        found = watershed.watershed(free, unknown, numbers, form=form)
         return found.label, jnp.where(found.door_d2 > 0, found.door_d2, NO_DOOR), found.overflow
 
 

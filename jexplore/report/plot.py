@@ -126,6 +126,13 @@ def _image(ax, colours, cell_m, **properties):
     return ax.imshow(colours, extent=extent, origin="lower", aspect="equal", **properties)
 
 
+def ways_of(rows: Any, cols: Any) -> list[tuple[Any, Any]]:
+    """Return the paths that are joined in one, with NaN between two robots': pairs of rows and columns."""
+    cuts = np.flatnonzero(np.isnan(np.asarray(rows, np.float64)))
+    parts = zip([0, *(cuts + 1)], [*cuts, len(rows)])
+    return [(rows[begin:end], cols[begin:end]) for begin, end in parts]
+
+
 def draw_path(ax: Axes, rows: Any, cols: Any, cell_m: float, *, width: float = 1.4) -> tuple[Any, Line2D, Line2D]:
     """Draw the driven path, coloured from start to end by distance driven, the start a ring and the end a cross.
 
@@ -200,8 +207,8 @@ def paths_figure(entries: Sequence[tuple[str, Sequence[tuple[str, Any, Any, Any,
 
     Args:
       entries: one or more `(world name, panels)`; a panel is `(strategy, state, rows, cols, cell_m, path_m)`: the final
-        map `[H, W]` uint8, the cells driven `[N]`, the edge of a cell and the path length, metres. Rows may differ in
-        length.
+        map `[H, W]` uint8, the cells driven `[N]` (see `ways_of`), the edge of a cell and the path length, metres. Rows
+        may differ in length.
     """
     n_cols = max(len(panels) for _, panels in entries)
     sizes = [_panel_in([np.shape(panel[1]) for panel in panels], long_in=3.0) for _, panels in entries]
@@ -216,7 +223,8 @@ def paths_figure(entries: Sequence[tuple[str, Sequence[tuple[str, Any, Any, Any,
                 continue
             strategy, state, rows, cols, cell_m, path_m = panel
             draw_map(ax, state, cell_m)
-            marks = draw_path(ax, rows, cols, cell_m)[1:]
+            for way in ways_of(rows, cols):
+                marks = draw_path(ax, *way, cell_m)[1:]
             scale_bar(ax)
             _plain(ax.set_title(f"{wrapped_text(strategy, int(11 * width), max_lines=2)}\n{path_m:.1f} m", fontsize=9))
         _plain(line[0].set_ylabel(wrapped_text(world, int(12 * height), max_lines=3), fontsize=9))

@@ -63,7 +63,8 @@ def rooms_figure(pictures: Sequence[Any], scores: Any) -> Figure:
     for ax, picture, (_, row) in zip(axes.flat, pictures, scores.iterrows()):
         draw_segments(ax, picture)
         share = "" if picture.explored == 1 else f", {picture.explored:.0%} known"
-        agreement = "" if np.isnan(row["mcc"]) else f", MCC {row['mcc']:.2f}, {_doors(row)}"
+        doors = f"doors: {row['doors_missed']:.0f} missed, {row['doors_extra']:.0f} too many"
+        agreement = "" if np.isnan(row["mcc"]) else f", MCC {row['mcc']:.2f}, {doors}"
         title = f"{wrapped_text(picture.name, 40, max_lines=1)}{share}\n"
         ax.set_title(f"{title}{picture.variant}: {int(row['rooms'])} rooms{agreement}", fontsize=8, parse_math=False)
     handles = _handles(pictures)
@@ -83,7 +84,3 @@ def _handles(pictures):
             style: dict[str, Any] = {"marker": marker, "markeredgecolor": colour, "markerfacecolor": "none"}
             handles.append(Line2D([], [], linestyle="none", markersize=6, markeredgewidth=1.3, label=label, **style))
     return handles
-
-
-def _doors(row):
-    return f"doors: {int(row['doors_missed'])} missed, {int(row['doors_extra'])} too many"

@@ -153,7 +153,7 @@ def trace_figure(
     ax = axes[0]
     handles = _draw_building(ax, walls, points)
     handles += draw_trail(ax, trail, modes, mode_names)
-    handles = draw_btm(ax, btm, legend=False) + ([] if route is None else draw_route(ax, btm, route)) + handles
+    handles = draw_btm(ax, btm) + ([] if route is None else draw_route(ax, btm, route)) + handles
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     for axis, long_in in ((ax.xaxis, width), (ax.yaxis, height)):  # not left to the layout, which would chase its ticks
         axis.set_major_locator(MaxNLocator(nbins=max(2, round(long_in)), steps=[1, 2, 5, 10]))

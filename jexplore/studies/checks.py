@@ -16,6 +16,7 @@ from jexplore.config import InputError, InputWarning, as_record, require_differe
 from jexplore.exploration.batch import Job
 from jexplore.exploration.metrics import Metric
 from jexplore.exploration.site import LEAST_LIMIT, ROBOT
+from jexplore.exploration.team.jobs import team_jobs
 from jexplore.exploration.uncertain.measures import MEASURES
 from jexplore.grid import radius_d2
 from jexplore.policies import Policy, Strategy, strategy
@@ -248,8 +249,9 @@ def prepare_jobs(
     robot: RobotLike = ROBOT,
     pose: str | None = None,
     odometry: OdometryLike = None,
+    **team: Any,
 ) -> list[Job]:
-    """Check and load everything before `compare` runs: a list of `Job`. Arguments as there."""
+    """Check and load everything before `compare` runs: a list of `Job`. Arguments as there; `team` of `teams_of`."""
     lidar, rules = ready_settings(lidar, rules, pose, odometry)
     robot = as_record("robot", robot, Robot)
     episodes, seed = require_setting("episodes", episodes), require_setting("seed", seed)
@@ -264,4 +266,4 @@ def prepare_jobs(
         jobs += [
             Job(world, one, starts, seed, lidar=lidar, rules=rules, metrics=own, robot=robot) for one in strategies
         ]
-    return jobs
+    return team_jobs(jobs, **team)

@@ -9,6 +9,8 @@ from typing import Any
 
 from jexplore.config import InputError, checked_names, require_engine
 from jexplore.exploration.batch import Job
+from jexplore.exploration.team.jobs import CoordinationLike
+from jexplore.exploration.team.team import Starts
 from jexplore.exploration.trail import RECORDS
 from jexplore.report.ledger import Ledger, open_ledger
 from jexplore.studies.checks import (
@@ -41,6 +43,8 @@ def compare(
     within: str | Polygon | None = None, from_map: KnownMap | None = None,
     lidar: LidarLike = LIDAR, rules: RulesLike = RULES, robot: RobotLike = ROBOT,
     pose: str | None = None, odometry: OdometryLike = None,
+    robots: int | Sequence[int] | None = None, coordination: CoordinationLike = "independent", contact: str = "all",
+    team_starts: Starts = "together",
     engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
     keep: str | None = None, metrics: MetricsLike = None, until: str | None = None,
@@ -59,16 +63,14 @@ def compare(
       start_m: such a start in metres of the map's frame instead: `(x_m, y_m, yaw_deg)`.
       within: region that robots stay in, corners in metres: see `restrict.stay_within`.
       from_map: partial map that they have from the beginning: see `restrict.with_known`.
-      lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
-      rules: `Rules`, or such a mapping.
-      robot: `Robot`, or such a mapping: how long its motions take, and what energy.
-      pose: "true", "odometry", "icp" or "icp+closing": `rules.pose`, if given.
-      odometry: `Odometry`, or such a mapping: `rules.odometry`, if given.
+      lidar, rules, robot: `Lidar`, `Rules`, `Robot`, or mappings of the fields that are not default: `{"range_m": 4}`.
+      pose, odometry: those of the rules, if given.
+      robots: sizes of teams, 1 to 16, each compared with the first; see `team.environment`.
+      coordination: one or several of independent, greedy, hungarian, minpos, voronoi; functions of a `JointView`.
+      contact, team_starts: "all", "none" or "range:4" metres; "together", "apart", or row, col, heading_deg of each.
       engine: "auto", native code where it can and JAX for the rest; "jax", JAX alone. Results are equal.
-      lanes: with "jax", episodes at a time on each GPU; by default as many as its memory holds.
-      workers: threads on a CPU; by default one a core.
-      on_progress: called now and then with the number of episodes finished.
-      progress: whether a bar shows that; by default in notebooks.
+      lanes, workers: episodes at a time on each GPU, with "jax"; threads on a CPU. By default as many as fit.
+      on_progress, progress: called with the number of episodes finished; whether a bar shows it, as in notebooks.
       keep: "paths" for the way of every episode, 12 bytes a step, "maps" for its last map as well, a byte a cell.
       metrics: columns of your own: name -> function of an `EpisodeView`, see `metric`, or "module:function".
       until: "decided": a world gets episodes, at most as many as asked for, until every strategy is known to drive
@@ -84,12 +86,12 @@ def compare(
     require_engine(engine, lanes)
     settings = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": start, "start_m": start_m}
     limits = {"within": within, "from_map": from_map}
-    robots = {"lidar": lidar, "rules": rules, "robot": robot}
-    jobs = prepare_jobs(
-        worlds, strategies, **settings, **limits, **robots, metrics=metrics, pose=pose, odometry=odometry
-    )
-    settings |= limits | {"from_map": _plainly(from_map)} | {name: getattr(jobs[0], name) for name in robots}
-    _require_setup(keep, until, out, overwrite, resume)
+    own = {"lidar": lidar, "rules": rules, "robot": robot}
+    team = {"robots": robots, "coordination": coordination, "contact": contact, "team_starts": team_starts}
+    more = {"metrics": metrics, "pose": pose, "odometry": odometry}
+    jobs = prepare_jobs(worlds, strategies, **settings, **limits, **own, **team, **more)
+    settings |= limits | {"from_map": _plainly(from_map)} | {name: getattr(jobs[0], name) for name in own}
+    _require_setup(keep, until, out, overwrite, resume, robots)
     how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "until": until}
     with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
         run = functools.partial(_run, jobs, settings, how, moved)
@@ -99,8 +101,8 @@ def compare(
 def _run_in_folder(run, jobs, how, out, overwrite, resume, trust):
     """Run a comparison with a folder that keeps its units and finally holds it."""
     with saving.claimed_by_call(out, overwrite=overwrite, resume=resume) as folder:
-        units = functools.partial(_count_units, jobs)
-        ledger = open_ledger(folder, _asked(jobs, how["keep"], how["until"]), units, resume=resume, trust=trust)
+        asked = _asked(jobs, how["keep"], how["until"])
+        ledger = open_ledger(folder, asked, lambda after: len(cut_jobs(jobs, after)), resume=resume, trust=trust)
         if ledger is None:
             found = loading.load(folder.path)
             return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
@@ -109,17 +111,17 @@ def _run_in_folder(run, jobs, how, out, overwrite, resume, trust):
         return found
 
 
-def _count_units(jobs: Sequence[Job], after: int) -> int:
-    return len(cut_jobs(jobs, after))
-
-
 def _plainly(from_map: KnownMap | None) -> object:
     """Return a known map as a record has it: its name, or the kind of an array."""
     return from_map if from_map is None or isinstance(from_map, (str, os.PathLike)) else type(from_map).__name__
 
 
-def _require_setup(keep: str | None, until: str | None, out: object, overwrite: bool, resume: bool) -> None:
+def _require_setup(
+    keep: str | None, until: str | None, out: object, overwrite: bool, resume: bool, robots: object
+) -> None:
     """Refuse what does not go together."""
+    if keep is not None and robots is not None:
+        raise InputError("ways and maps are kept of one robot: leave out keep or robots")
     require_until(until)
     if keep is not None and keep not in tuple(RECORDS):
         raise InputError(f"keep must be None, {' or '.join(RECORDS)}, got {keep!r}")

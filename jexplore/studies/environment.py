@@ -125,9 +125,7 @@ class Environment:
         self.worlds = tuple(ready_worlds(worlds, cell_m))
         sizes = sorted({world.cell_m for world in self.worlds})
         if len(sizes) > 1:
-            raise InputError(
-                f"worlds of one environment must have cells of one size, got {sizes[0]:g} and {sizes[1]:g} m"
-            )
+            raise InputError(f"worlds must have cells of one size, got {sizes[0]:g} and {sizes[1]:g} m")
         self.cell_m, self._rules = sizes[0], rules
         sizes = zip(*(ringed_shape(world.occupied) for world in self.worlds))
         rows, cols = (max(bucket(side) for side in sides) for sides in sizes)

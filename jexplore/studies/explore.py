@@ -166,17 +166,10 @@ class EpisodeResult:
         length_m = length_along_m(final.rows, final.cols, cell_m)
         for frame in frames(self, max_frames=max_frames):
             known_m2 = int(final.n_known[frame.step]) * cell_m**2
-            yield {
-                "state": map_state(frame.hits, frame.misses, self.rules.p_free),
-                "frontier": frame.frontier,
-                "row": frame.row,
-                "col": frame.col,
-                "heading_deg": frame.heading_deg,
-                "target": frame.target,
-                "rows": final.rows[: frame.step + 1],
-                "cols": final.cols[: frame.step + 1],
-                "caption": f"{length_m[frame.step]:.1f} m driven, {known_m2:.0f} m² known",
-            }
+            way = {"rows": final.rows[: frame.step + 1], "cols": final.cols[: frame.step + 1]}
+            caption = f"{length_m[frame.step]:.1f} m driven, {known_m2:.0f} m² known"
+            state = map_state(frame.hits, frame.misses, self.rules.p_free)
+            yield {**frame._asdict(), **way, "state": state, "caption": caption}
             if on_progress is not None:
                 on_progress(1)
 
@@ -216,15 +209,8 @@ def explore(
     Raises:
       InputError: a name, number, map or start that cannot be used. Raised before anything is compiled.
     """
-    where = {
-        "cell_m": cell_m,
-        "start": start,
-        "start_m": start_m,
-        "within": within,
-        "from_map": from_map,
-        "robot": robot,
-    }
-    where |= {"pose": pose, "odometry": odometry}
+    where = {"cell_m": cell_m, "start": start, "start_m": start_m, "within": within, "from_map": from_map}
+    where |= {"robot": robot, "pose": pose, "odometry": odometry}
     return run_job(prepare_job(world, strategy, seed=seed, episode=episode, lidar=lidar, rules=rules, **where))
 
 
@@ -281,17 +267,10 @@ def frames(episode: EpisodeResult, *, max_frames: int = MAX_FRAMES) -> Iterator[
     shape, ring = episode.world.shape, ring_of(episode.world.occupied)
     for moment in steps_of(episode):
         if moment.step in chosen:
-            hits, misses = _map_of(episode, moment)
-            yield Frame(
-                step=moment.step,
-                hits=hits,
-                misses=misses,
-                frontier=within(replay.frontier(moment.belief), shape, ring),
-                row=moment.row,
-                col=moment.col,
-                heading_deg=45 * moment.heading,
-                target=final.target_after(moment.step) if moment.step < n else None,
-            )
+            frontier = within(replay.frontier(moment.belief), shape, ring)
+            target = final.target_after(moment.step) if moment.step < n else None
+            robot = moment.row, moment.col, 45 * moment.heading
+            yield Frame(moment.step, *_map_of(episode, moment), frontier, *robot, target)
 
 
 def _map_of(episode, moment):

@@ -128,16 +128,9 @@ def _aims(final, shown):
 
 def replay_of(episode: EpisodeResult, *, max_frames: int = MAX_FRAMES) -> ReplayData:
     """Convert an `EpisodeResult` to the frames of a page; see `replay_data`."""
-    return replay_data(
-        *(episode.world, episode.asked, episode.final),
-        start=episode.start,
-        seed=episode.seed,
-        number=episode.number,
-        lidar=episode.lidar,
-        rules=episode.rules,
-        outcome=episode.measures["outcome"],
-        max_frames=max_frames,
-    )
+    how = {name: getattr(episode, name) for name in ("start", "seed", "number", "lidar", "rules")}
+    how |= {"outcome": episode.measures["outcome"], "max_frames": max_frames}
+    return replay_data(episode.world, episode.asked, episode.final, **how)
 
 
 def replays_of(
@@ -189,14 +182,8 @@ def replays_of(
 
 def _replay(episode, job, found, label, **how):
     """Return an episode of a job, a number from 0, as `ReplayData`."""
-    replay = replay_data(
-        *(job.world, job.strategy, found.first),
-        start=tuple(job.starts[episode].tolist()),
-        seed=job.seed,
-        number=job.first + episode,
-        lidar=job.lidar,
-        rules=job.rules,
-        outcome=Outcome(int(found.result.outcome[episode])).name,
-        **how,
-    )
+    how |= {"start": tuple(job.starts[episode].tolist()), "number": job.first + episode}
+    how |= {"outcome": Outcome(int(found.result.outcome[episode])).name}
+    how |= {name: getattr(job, name) for name in ("seed", "lidar", "rules")}
+    replay = replay_data(job.world, job.strategy, found.first, **how)
     return dataclasses.replace(replay, which=label) if label else replay

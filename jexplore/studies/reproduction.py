@@ -222,15 +222,11 @@ def prepare_paper(
     return jobs
 
 
-def notes_of(paper: Paper, maps: str | os.PathLike[str] | None) -> tuple[str, ...]:
-    """Return notes for reading the tables of a paper that was run on maps, or on counterparts."""
-    return (COUNTERPARTS if maps is None else MAPS, paper.remark)
-
-
 def reproduction_of(name: str, maps: str | os.PathLike[str] | None, found: ComparisonResult) -> ReproductionResult:
     """Compare the results of the jobs of `prepare_paper` with the paper."""
     paper = find(name)
-    return ReproductionResult(paper, found, world_names(paper, maps), notes_of(paper, maps))
+    notes = COUNTERPARTS if maps is None else MAPS, paper.remark
+    return ReproductionResult(paper, found, world_names(paper, maps), notes)
 
 
 @checked_names

@@ -34,13 +34,6 @@ SCORE_COLUMNS = (
 )
 
 
-class MapWithRooms(NamedTuple):
-    """A map and its true rooms."""
-
-    world: World
-    truth: np.ndarray | None  # [H, W] int32, -1 outside rooms; None where nobody says
-
-
 class Picture(NamedTuple):
     """Segmentation of a map by a variant."""
 
@@ -124,19 +117,19 @@ def segment_maps(
     """
     chosen: Any = list_of("variants", variants)
     numbers = RoomSettings(ratio, narrowing, smallest_m2, clutter_m, prominence_m, gamma)
-    tasks = prepare_maps(maps, truth, chosen, cell_m, numbers)
+    worlds = prepare_maps(maps, truth, chosen, cell_m, numbers)
     jobs = [
-        prepare_job(task.world, EXPLORER, seed=seed, cell_m=cell_m, start="random", lidar=LIDAR, rules=RULES)
-        for task in tasks
+        prepare_job(world, EXPLORER, seed=seed, cell_m=cell_m, start="random", lidar=LIDAR, rules=RULES)
+        for world in worlds
         if partial
     ]
     rows, pictures, done = [], [], 0
-    short = short_names([os.fspath(task.world.name) for task in tasks])
-    for i, task in enumerate(tasks):
-        for stage, explored, free, unseen in _stages(task.world, jobs[i] if partial else None):
+    short = short_names([os.fspath(world.name) for world in worlds])
+    for i, world in enumerate(worlds):
+        for stage, explored, free, unseen in _stages(world, jobs[i] if partial else None):
             for variant in chosen:
-                made = divided(free, unseen, variant, numbers, task.world.cell_m)
-                row, picture = _judged(task, variant, stage, explored, free, made)
+                made = divided(free, unseen, variant, numbers, world.cell_m)
+                row, picture = _judged(world, variant, stage, explored, free, made)
                 rows.append(row)
                 pictures.append(picture._replace(name=short[i]))
             done += 1
@@ -160,8 +153,8 @@ def prepare_maps(
     variants: Any,
     cell_m: float,
     settings: RoomSettings,
-) -> list[MapWithRooms]:
-    """Check and load everything before `segment_maps` runs. Arguments as there."""
+) -> list[World]:
+    """Check and load everything before `segment_maps` runs: worlds with their true rooms. Arguments as there."""
     variants = list_of("variants", variants)
     require_different("variants", variants)
     for variant in variants:
@@ -172,11 +165,11 @@ def prepare_maps(
     for world in worlds:
         warn_of_outside(world, start_region(world, RULES.clearance_m))
     if truth is None:
-        return [MapWithRooms(world, world.rooms) for world in worlds]
+        return worlds
     truth = list_of("truth", truth)
     if len(truth) != len(worlds):
         raise InputError(f"expected ground truth for each of {len(worlds)} maps, got {len(truth)}")
-    return [MapWithRooms(world, _rooms_in(picture, world)) for world, picture in zip(worlds, truth)]
+    return [world.replace(rooms=_rooms_in(picture, world)) for world, picture in zip(worlds, truth)]
 
 
 def _rooms_in(picture, world):
@@ -201,23 +194,23 @@ def _smallest_px(cell_m):
     return round(MIN_SCORED_M2 / cell_m**2)
 
 
-def _judged(task, variant, stage, explored, free, made):
+def _judged(world, variant, stage, explored, free, made):
     """Return a row of scores, and a picture."""
     row: dict[str, Any] = dict.fromkeys(SCORE_COLUMNS, np.nan)
-    least = _smallest_px(task.world.cell_m)
+    least = _smallest_px(world.cell_m)
     found = scored_regions(np.where(free, made.label, -1), free, min_px=least)
-    row |= {"map": os.fspath(task.world.name), "variant": variant, "rooms": found.max() + 1}
+    row |= {"map": os.fspath(world.name), "variant": variant, "rooms": found.max() + 1}
     row |= {"stage": stage, "explored": explored}
     seen = None
-    if task.truth is not None:
+    if world.rooms is not None:
         # In a partial map only known cells count, on both sides.
-        seen = np.where(free | (explored == 1), task.truth, -1)
+        seen = np.where(free | (explored == 1), world.rooms, -1)
         sizes = np.bincount(seen[seen >= 0], minlength=1)
         seen = np.where((seen >= 0) & (sizes[np.maximum(seen, 0)] > least), seen, -1)
         row |= score(seen, found)
-    doors = compared(seen, found, free, task.world.cell_m)
+    doors = compared(seen, found, free, world.cell_m)
     row |= {"doors": doors.touching, "overflow": made.overflow}
     if seen is not None:
         row |= {"doors_missed": len(doors.missed), "doors_extra": len(doors.extra)}
-    picture = Picture(row["map"], variant, explored, found, free, made.lines, made.critical, doors, task.world.cell_m)
+    picture = Picture(row["map"], variant, explored, found, free, made.lines, made.critical, doors, world.cell_m)
     return row, picture

@@ -30,13 +30,13 @@ def map_png(btm: Any) -> bytes:
     low, high = xy.min(axis=0) - 1.5 * STUB_M, xy.max(axis=0) + 1.5 * STUB_M
     figure = Figure(figsize=(high - low) * (LONG_PX / _DPI / max(high - low)))
     ax = figure.add_axes((0, 0, 1, 1))
-    draw_btm(ax, btm, legend=False)
+    draw_btm(ax, btm)
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     ax.set_axis_off()
     return png_of(figure, dpi=_DPI)
 
 
-def draw_btm(ax: Axes, btm: Any, *, legend: bool = True) -> list[Line2D]:
+def draw_btm(ax: Axes, btm: Any) -> list[Line2D]:
     """Draw searched links as straight lines, un-searched ones as short dashed lines, and nodes with their ids.
 
     Return handles for a legend: of every type of node and state of a link that the map has.
@@ -61,8 +61,6 @@ def draw_btm(ax: Axes, btm: Any, *, legend: bool = True) -> list[Line2D]:
         text = ax.annotate(str(node.id), places[node.id], fontsize=7, zorder=7, **place)
         text.set_path_effects(_HALO)
     ax.autoscale_view()
-    if legend and handles:
-        ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=8, frameon=False)
     return handles
 
 

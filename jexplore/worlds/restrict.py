@@ -68,9 +68,7 @@ def with_known(world: World, map_: KnownMap) -> World:
                 f"got {occupancy.dtype} of shape {list(occupancy.shape)}"
             )
     if abs(cell_m - world.cell_m) > 1e-6 * world.cell_m:
-        raise InputError(
-            f"{name}: has cells of {cell_m:g} m, and {world.name!r} of {world.cell_m:g} m; make them equal"
-        )
+        raise InputError(f"{name}: has cells of {cell_m:g} m, {world.name!r} of {world.cell_m:g} m; make them equal")
     x, y = _centres(world)
     col, row = (np.floor((at - low) / cell_m).astype(int) for at, low in zip((x, y), origin_m))
     (height, width), known = occupancy.shape, np.full(world.shape, -1, np.int8)
@@ -78,9 +76,7 @@ def with_known(world: World, map_: KnownMap) -> World:
     told = occupancy[np.ix_(row[rows], col[cols])]
     known[np.ix_(rows, cols)] = np.where((told >= 0) & (told <= FREE_MAX), 0, np.where(told >= OCCUPIED_MIN, 1, -1))
     if not ((known == 0) & ~world.occupied).any():
-        raise InputError(
-            f"{name}: none of its free cells is a free cell of {world.name!r}; is it a map of this building?"
-        )
+        raise InputError(f"{name}: none of its free cells is free in {world.name!r}; is it a map of this building?")
     return world.replace(known=known)
 
 

@@ -144,9 +144,7 @@ def check_start(
     reached = reached_from(world, row, col, clearance_m, near_m)
     reached[row, col] = False
     if not reached.any():
-        raise InputError(
-            f"{place}: is enclosed; no cell with more than {clearance_m:g} m of clearance can be reached from it"
-        )
+        raise InputError(f"{place}: is enclosed; no cell with more than {clearance_m:g} m of clearance can be reached")
     return row, col, heading % 360
 
 

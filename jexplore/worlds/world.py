@@ -222,28 +222,14 @@ def with_ring(world: World) -> World:
         return world
     require_side(world.name or "world", *ringed_shape(occupied), world.cell_m)
     x_m, y_m = world.origin_m
-    return _grown(world, [(1, 1), (1, 1)]).replace(
+    return world.replace(
+        occupied=np.pad(occupied, 1, constant_values=True),
+        rooms=None if world.rooms is None else np.pad(world.rooms, 1, constant_values=-1),
+        elevation=None if world.elevation is None else np.pad(world.elevation, 1, mode="edge"),
+        within=None if world.within is None else np.pad(world.within, 1),
+        known=None if world.known is None else np.pad(world.known, 1, constant_values=-1),
         start=None if world.start is None else (world.start[0] + 1, world.start[1] + 1, world.start[2]),
         origin_m=(round(x_m - world.cell_m, 9), round(y_m - world.cell_m, 9)),  # as people write them, to the nanometre
-    )
-
-
-def pad(world: World, shape: tuple[int, int]) -> World:
-    """Return the world in an array of a shape at least as large: occupied rows at the top, columns on the right."""
-    grow = [(0, new - old) for new, old in zip(shape, world.shape)]
-    if len(shape) != 2 or min(after for _, after in grow) < 0:
-        raise ValueError(f"expected a shape of at least {world.shape}, got {tuple(shape)}")
-    return _grown(world, grow)
-
-
-def _grown(world: World, grow: list[tuple[int, int]]) -> World:
-    """Add occupied cells of no room, whose ground is as high as at the nearest old cell."""
-    return world.replace(
-        occupied=np.pad(world.occupied, grow, constant_values=True),
-        rooms=None if world.rooms is None else np.pad(world.rooms, grow, constant_values=-1),
-        elevation=None if world.elevation is None else np.pad(world.elevation, grow, mode="edge"),
-        within=None if world.within is None else np.pad(world.within, grow),
-        known=None if world.known is None else np.pad(world.known, grow, constant_values=-1),
     )
 
 

@@ -25,7 +25,7 @@ def play(events, robot, cell_m):
 
     `now`: ms, as if the robot did not brake in the end.
 
-    Events are ("turn", eighths), ("step", diagonal), ("scan",) in place, and ("plan",).
+    Events are ("turn", eighths), ("step", diagonal), ("scan",) in place, ("plan",), and ("wait",) for a step's time.
     """
     stood, starts, run, along = 0, 0, [], [0]  # ms and sum at the last stop; lengths of the steps since, cells
 
@@ -47,6 +47,8 @@ def play(events, robot, cell_m):
             stop(robot.scan_s)
         elif kind == "plan" and robot.plan_s:
             stop(robot.plan_s)
+        elif kind == "wait":
+            stop(stop_s(cell_m, robot.speed_m_s, robot.acceleration_m_s2))
         elif kind == "step":
             run.append(math.sqrt(2) if what[0] else 1)
             along.append(0)

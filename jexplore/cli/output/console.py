@@ -42,12 +42,10 @@ class Progress:
     or half a minute has gone by.
     """
 
-    total: int
-    unit: str
-    bar: Any
+    bar: Any = None
 
     def __init__(self, total: int, unit: str) -> None:
-        self.total, self.unit, self.bar = total, unit, None
+        self.total, self.unit = total, unit
 
     def update(self, done: int) -> None:
         if self.bar is None:  # the clock starts when work does, not when compiling does
@@ -133,9 +131,9 @@ def note_if_slow(text: str) -> Iterator[Callable[[], None]]:
 
 
 @contextlib.contextmanager
-def working(total: int, unit: str) -> Iterator[Callable[[int], None]]:
-    """Show progress of compiled work: a note while it compiles, then a bar. The block gets the function to call."""
-    with progress_of(total, unit) as progress, note_if_slow(COMPILING) as call_off:
+def working(total: int, unit: str, note: str = COMPILING) -> Iterator[Callable[[int], None]]:
+    """Show progress of work: a note until its first part is done, then a bar. The block gets the function to call."""
+    with progress_of(total, unit) as progress, note_if_slow(note) as call_off:
 
         def on_progress(done):
             call_off()
@@ -148,12 +146,9 @@ class Out:
     """Output folder of a command, claimed from beginning to end. A context manager."""
 
     run: "RunFolder"
-    ledger: "Ledger | None"
-    asked: dict[str, Any] | None
-    units: int
-    wanted: int
-    began: float
-    now: datetime.datetime
+    ledger: "Ledger | None" = None
+    asked: dict[str, Any] | None = None
+    units = wanted = 0
 
     def __init__(self, options: Any, command: str) -> None:
         self.given = None if options.out is None else os.path.expanduser(options.out)
@@ -161,7 +156,7 @@ class Out:
             raise InputError(f"--out {self.given}: there is no such home folder; give the whole path")
         self.overwrite, self.resume = options.overwrite, getattr(options, "resume", False)
         self.trust = getattr(options, "trust", False)
-        self.command, self.ledger, self.asked, self.units, self.wanted = command, None, None, 0, 0
+        self.command = command
         if self.resume and self.overwrite:
             raise InputError("--resume goes on with a run and --overwrite replaces it: give one of them")
         if self.resume and self.given is None:

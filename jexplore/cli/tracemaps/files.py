@@ -2,13 +2,13 @@
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from jexplore.cli.output.console import note_if_slow, progress_of
+from jexplore.cli.output.console import working
 from jexplore.config import InputError
 
 Files = Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE [FILE ...]", help_behavior_hint="(required)")]
@@ -41,18 +41,9 @@ def _name(path):
     return path.parent.name if path.stem == TRACED and path.parent.name else path.stem
 
 
-@contextlib.contextmanager
-def comparing(count: int) -> Iterator[Callable[[int], None]]:
-    """Show progress of merging a number of maps. The block gets the function to call."""
-    pairs = (count - 1) ** 2
-    with progress_of(pairs, "pairs of maps") as progress, note_if_slow("jexplore: comparing maps") as call_off:
-        progress.update(0)
-
-        def on_progress(compared):
-            call_off()
-            progress.update(compared)
-
-        yield on_progress
+def comparing(count: int) -> contextlib.AbstractContextManager[Callable[[int], None]]:
+    """Show progress of merging a number of maps, as `console.working`."""
+    return working((count - 1) ** 2, "pairs of maps", "jexplore: comparing maps")
 
 
 def file_out(out: str, maps: Sequence[str], *, overwrite: bool) -> Path:

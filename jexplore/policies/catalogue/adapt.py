@@ -17,7 +17,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 from jexplore.arrays.loops import stored
 from jexplore.config import InputError, shown
 from jexplore.engine.draws import random_key
-from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, nearest_of, view_of
+from jexplore.planning import Belief, Choice, Field, choose, field, first_at, is_open, nearest_of, view_of
 from jexplore.policies.catalogue.entries import REQUIRED, is_score, parameters
 from jexplore.policies.policy import Policy, Strategy, no_carry
 from jexplore.policies.room_wise import rebuilt
@@ -37,7 +37,10 @@ def policy_from(make: Any, given: dict[str, Any]) -> Policy:
         if value is REQUIRED:
             raise InputError(f"{described(make)} needs the parameter {key}")
     if is_score(make):
-        return _score_policy(make, full)
+        # Numbers and arrays among its parameters may be swept without compiling anew.
+        fixed = {key: value for key, value in full.items() if isinstance(value, (str, os.PathLike, bool, type(None)))}
+        params = {key: value for key, value in full.items() if key not in fixed}
+        return Policy(no_carry, Score(make, tuple(sorted(fixed.items()))), params)
     policy = make if isinstance(make, Policy) else call_user(make, described(make), **given)
     if not isinstance(policy, Policy):
         raise InputError(f"{described(make)} must return a Policy, got {type(policy).__name__}")
@@ -84,13 +87,6 @@ class Theirs:
         return hash(self._key)
 
 
-def _score_policy(function, given):
-    """Make a `Policy` of a score. Numbers and arrays among its parameters may be swept without compiling anew."""
-    fixed = {key: value for key, value in given.items() if isinstance(value, (str, os.PathLike, bool, type(None)))}
-    params = {key: value for key, value in given.items() if key not in fixed}
-    return Policy(no_carry, Score(function, tuple(sorted(fixed.items()))), params)
-
-
 class Score(Theirs):
     """The `select` of a strategy that is a score: the reachable frontier cell with the highest one.
 
@@ -107,21 +103,24 @@ class Score(Theirs):
         del key, beams
         reached = field(belief)
         found = call_user(self.function, self.what, view_of(belief, reached), **dict(self.fixed), **params)
-        with expecting(self.what, f"a score for every cell, {_shape(reached.cost.shape)} integer or float", found):
-            score = jnp.asarray(found)
-            if score.shape != reached.cost.shape or not _is_number(score.dtype):
-                raise TypeError
+        score = require_scores(self.what, found, reached.cost.shape)
         # Kept: XLA might compute it anew to compare it with its maximum, round it differently, and nothing equals that.
         score = stored(belief.row >= 0, lambda: lax.optimization_barrier(score))
-        row, col = _highest(score, reached)
+        row, col = highest(score, reached)
         return carry, *choose(belief, route, reached, row, col), jnp.where(reached.frontier, score, jnp.nan)
 
 
-def _is_number(dtype):
-    return jnp.issubdtype(dtype, jnp.integer) or jnp.issubdtype(dtype, jnp.floating)
+def require_scores(what: str, found: Any, shape: tuple[int, ...]) -> Array:
+    """Return the scores of a user's function as an array; refuse anything but a number for every cell."""
+    with expecting(what, f"a score for every cell, {_shape(shape)} integer or float", found):
+        score = jnp.asarray(found)
+        is_number = jnp.issubdtype(score.dtype, jnp.integer) or jnp.issubdtype(score.dtype, jnp.floating)
+        if score.shape != shape or not is_number:
+            raise TypeError
+    return score
 
 
-def _highest(score, reached):
+def highest(score: Array, reached: Field) -> tuple[Array, ...]:
     """Return row and column of the candidate with the highest score; -1 for none."""
     real = jnp.issubdtype(score.dtype, jnp.floating)
     least = -jnp.inf if real else jnp.iinfo(score.dtype).min

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-MOST_CODE = 15  # of a cell
 MAX_RUN_CELLS = 15  # cells of a run; a longer one is several
 
 
@@ -34,7 +33,7 @@ def runs(before: np.ndarray, after: np.ndarray) -> bytes:
     """Encode the changes from one image to the next of the same shape.
 
     Every run is a number of unchanged cells to skip (seven bits a byte, the lowest first, the top bit set on all but
-    the last) and a byte, 16 times the length of the run plus the code of its cells, 0 to `MOST_CODE`. Cells are counted
+    the last) and a byte, 16 times the length of the run plus the code of its cells, 0 to 15. Cells are counted
     row by row, and a run may go on in the next row.
     """
     before, after = before.ravel(), after.ravel()

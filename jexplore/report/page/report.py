@@ -124,13 +124,14 @@ def _asked(asked):
         f"<div><dt>{html_text(name)}</dt><dd>{html_text(_cut_text(text))}</dd></div>"
         for name, text in entries[:MAX_SHOWN_ROWS]
     )
-    more = (
-        f'<p class="soft">The first {MAX_SHOWN_ROWS} of {len(entries)} settings.</p>'
-        if len(entries) > MAX_SHOWN_ROWS
-        else ""
-    )
+    more = _left_out(entries, "settings")
     summary = f"<summary><h2>What was asked, and with what: {len(entries)} entries</h2></summary>"
     return head, f"<section><details>{summary}<dl>{rows}</dl>{more}</details></section>" if rows else ""
+
+
+def _left_out(lines, what):
+    most = f"The first {MAX_SHOWN_ROWS} of {len(lines)} {what}."
+    return f'<p class="soft">{most}</p>' if len(lines) > MAX_SHOWN_ROWS else ""
 
 
 def _cut_text(text):
@@ -172,7 +173,7 @@ def _table(heading, found):
 
     names = line('th scope="col"', map(html_text, head))
     body = "".join(line("td", map(html_text, row)) for row in kept)
-    more = f'<p class="soft">The first {MAX_SHOWN_ROWS} of {len(rows)} rows.</p>' if len(rows) > len(kept) else ""
+    more = _left_out(rows, "rows")
     region = f'<div class="table" tabindex="0" role="region" aria-label="{html_text(heading)}">'
     return f"{region}<table><thead>{names}</thead><tbody>{body}</tbody></table></div>{more}"
 

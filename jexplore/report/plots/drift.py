@@ -106,7 +106,7 @@ def _draw_pair(page, pictures):
     lines = pictures.walls.reshape(-1, 2, 2)
     axes[1].add_collection(LineCollection(list(lines), colors=WALL, linewidths=3, zorder=1))
     building = Line2D([], [], color=WALL, linewidth=3, label="building")
-    handles = [*draw_btm(axes[1], pictures.placed, legend=False), building]
+    handles = [*draw_btm(axes[1], pictures.placed), building]
     axes[1].legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=7, frameon=False)
     titles = "grid map, drawn by odometry", "trace map, nodes where they truly lie"
     for ax, title in zip(axes, titles):

@@ -150,10 +150,9 @@ class Tour:
 
     def to(self, order: list[int]) -> None:
         """Take another order; the common beginning and end are reused."""
-        same = next((i for i, pair in enumerate(zip(order, self.order)) if pair[0] != pair[1]), None)
-        same = min(len(order), len(self.order)) if same is None else same
-        last = next((i for i, (a, b) in enumerate(zip(order[::-1], self.order[::-1])) if a != b), None)
-        last = min(len(order), len(self.order)) if last is None else last
+        short = min(len(order), len(self.order))
+        same = next((i for i, (a, b) in enumerate(zip(order, self.order)) if a != b), short)
+        last = next((i for i, (a, b) in enumerate(zip(order[::-1], self.order[::-1])) if a != b), short)
         del self._ahead[same + 1 :], self._behind[last + 1 :]
         self.order = list(order)
 

@@ -61,7 +61,7 @@ def nbvp(*, per_m: float = NBVP_PER_M, n_nodes: int = NBVP_NODES, most: int = NB
         def add(node, before):
             parent[node] = before
             length[node] = length[before] + rules.CELL_M * math.dist(cells[node], cells[before])
-            value[node] = value[before] + gains[node] * math.exp(-per_m * length[node])
+            value[node] = value[before] + float(gains[node]) * math.exp(-per_m * length[node])
 
         for before, node in zip([explorer.at, *rest], rest):
             if node not in parent:

@@ -64,8 +64,9 @@ def lines() -> NDArray[np.int16]:
     ends = np.stack(np.meshgrid(*[np.arange(-RANGE, RANGE + 1)] * 2, indexing="ij"), -1)
     size, sign = np.abs(ends), np.where(ends > 0, 1, -1)
     at, error = np.zeros_like(ends), size[..., 1] - size[..., 0]
-    found = np.zeros((*ends.shape[:2], math.ceil(RANGE * 2), 2), np.int16)
-    for i in range(found.shape[2]):
+    n = 2 * RANGE
+    found = np.zeros((*ends.shape[:2], n, 2), np.int16)
+    for i in range(n):
         on_way = (at != ends).any(-1)
         found[:, :, i] = np.where(on_way[..., None], at, 0)
         across = error > 0
@@ -80,7 +81,7 @@ def in_sight(free: NDArray[np.bool_], cell: NDArray[np.int_], others: NDArray[np
     """Tell which of `[N, 2]` cells within `RANGE` a cell sees: all cells of the line but its end are free."""
     to = others - cell
     path = lines()[to[:, 0] + RANGE, to[:, 1] + RANGE]
-    return free[cell[0] + path[..., 0], cell[1] + path[..., 1]].all(axis=1)
+    return np.all(free[cell[0] + path[..., 0], cell[1] + path[..., 1]], axis=1)
 
 
 @functools.cache
@@ -91,15 +92,19 @@ def beams() -> NDArray[np.int16]:
     return lines()[rows + RANGE, cols + RANGE, : int((abs(rows) + abs(cols)).max())]
 
 
-def scan(truth: NDArray[np.bool_], belief: NDArray[np.int8], cell: NDArray[np.int_]) -> None:
-    """Enter what the scanner sees into a belief: the 3 x 3 cells round every cell of a beam, up to its first hit."""
+def scan(truth: NDArray[np.bool_], belief: NDArray[np.int8], cell: NDArray[np.int_], *, wide: bool = True) -> None:
+    """Enter what the scanner sees into a belief: the cells of every beam up to its first hit.
+
+    Args:
+      wide: enter the 3 x 3 cells round each of them, as the public code does.
+    """
     rows, cols = cell[0] + beams()[..., 0], cell[1] + beams()[..., 1]
     hit = ~truth[rows, cols]
     entered = np.cumsum(hit, axis=1) - hit == 0
     passed = np.zeros_like(truth)
     passed[rows[entered], cols[entered]] = True
     rows, cols = np.nonzero(passed)
-    for i, j in itertools.product((-1, 0, 1), repeat=2):
+    for i, j in itertools.product((-1, 0, 1) if wide else (0,), repeat=2):
         belief[rows + i, cols + j] = np.where(truth[rows + i, cols + j], FREE, OCCUPIED)
 
 
@@ -129,6 +134,8 @@ class Explorer:
     """`[H, W]` free cells, with `PAD` occupied ones round the map."""
     start: NDArray[np.int_]
     """`[2]` cell of the first node: all lie `STEP` cells apart from it."""
+    wide: bool = True
+    """A beam shows the cells round it, see `scan`."""
     at: int = 0
     """The node where the robot is."""
     path_m: float = 0.0
@@ -166,7 +173,7 @@ class Explorer:
     def look(self) -> None:
         """Scan, and bring frontiers, nodes and links up to date."""
         here = self.start if not self.places else self.cells[self.at]
-        scan(self.truth, self.belief, here)
+        scan(self.truth, self.belief, here, wide=self.wide)
         found, width = thinned(frontier_cells(self.belief), self.start), self.truth.shape[1]
         flat = found @ (width, 1)
         fresh = ~np.isin(flat, list(self.frontier)) & (np.hypot(*(found - here).T) <= RANGE + VOXEL)
@@ -220,9 +227,9 @@ class Explorer:
             self.looks[node] = bool(self.seen[node])
 
 
-def explorer(free: NDArray[np.bool_], start: tuple[int, int]) -> Explorer:
+def explorer(free: NDArray[np.bool_], start: tuple[int, int], *, wide: bool = True) -> Explorer:
     """Put a robot into a map, where it has looked round once."""
-    return Explorer(np.pad(free, PAD), np.array(start) + PAD)
+    return Explorer(np.pad(free, PAD), np.array(start) + PAD, wide)
 
 
 def distances(

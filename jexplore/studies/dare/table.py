@@ -51,12 +51,12 @@ def map_files(folder: str | os.PathLike[str], n: int = MAPS) -> list[str]:
     return files
 
 
-def run_map(file: str, seed: int, most: int = DECISIONS) -> list[dict[str, Any]]:
+def run_map(file: str, seed: int, most: int = DECISIONS, *, wide: bool = True) -> list[dict[str, Any]]:
     """Run every planner in one map: a row of results each."""
     free, start = rules.read_map(file)
     rows, name = [], os.path.splitext(os.path.basename(file))[0]
     for planner, build in planners.PLANNERS.items():
-        explorer, plan = rules.explorer(free, start), build()
+        explorer, plan = rules.explorer(free, start, wide=wide), build()
         rng = np.random.default_rng((seed, int(name)))
         while (left := bool(explorer.utility.any())) and explorer.moves < most:
             node = plan(explorer, rng)
@@ -86,10 +86,11 @@ class DareResult:
         rows = []
         for planner, (mean, sd) in PUBLISHED.items():
             row = {"planner": planner, "paper_mean": mean, "paper_sd": sd, "n": 0}
-            ours = self.episodes[self.episodes["planner"] == planner]
+            ours: Any = self.episodes[self.episodes["planner"] == planner]
             if len(ours):
-                paths, n = ours["path_m"], len(ours)
-                own = {"n": n, "mean": paths.mean(), "sd": paths.std(), "ratio": paths.mean() / mean}
+                paths, n = ours["path_m"].to_numpy(float), len(ours)
+                sd_ours = float(paths.std(ddof=1)) if n > 1 else math.nan
+                own: dict[str, Any] = {"n": n, "mean": float(paths.mean()), "sd": sd_ours, "ratio": paths.mean() / mean}
                 own["low"], own["high"], _ = t_interval(own["mean"], own["sd"] / math.sqrt(n), n - 1)
                 welch = stats.ttest_ind_from_stats(own["mean"], own["sd"], n, mean, sd, MAPS, equal_var=False)
                 own |= {"p": float(welch.pvalue) if n > 1 else math.nan, "complete": int(ours["complete"].sum())}
@@ -112,7 +113,7 @@ class DareResult:
 
 
 def reproduce_dare(
-    maps: str | os.PathLike[str], *, episodes: int = MAPS, seed: int = 0, workers: int | None = None,
+    maps: str | os.PathLike[str], *, episodes: int = MAPS, seed: int = 0, wide: bool = True, workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None,
 ) -> DareResult:  # fmt: skip
     """Run the planners of Table I on DARE's test maps.
@@ -121,6 +122,7 @@ def reproduce_dare(
       maps: folder of the maps, `1.png` to `100.png`, of the repository marmotlab/DARE.
       episodes: number of maps, from the first.
       seed: all draws come from it and from the number of the map.
+      wide: a beam shows the cells round it, see `rules.scan`.
       workers: processes; by default one a core that this process may use.
       on_progress: called with the number of maps that are done.
 
@@ -133,7 +135,7 @@ def reproduce_dare(
     for file in files:
         rules.read_map(file)
     workers = len(os.sched_getaffinity(0)) if workers is None else require_whole("workers", workers, 1, 1024)
-    run, rows = functools.partial(run_map, seed=seed), []
+    run, rows = functools.partial(run_map, seed=seed, wide=wide), []
     with concurrent.futures.ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
         for i, found in enumerate(map(run, files) if workers == 1 else pool.map(run, files), 1):
             rows += found

@@ -17,6 +17,10 @@ SUMMARY_COLUMNS = (
     "outcomes",
 )
 """Columns of a summary by world and strategy."""
+TEAM_MEASURES = "robots", "path_m_at_100", "path_sum_m", "overlap", "share_sd", "waits", "connected"
+"""Columns of teams that are numbers: see `team_columns`."""
+TEAM_COLUMNS = (*TEAM_MEASURES, "coordination", "contact")
+"""Columns that tables of teams have besides `COLUMNS`."""
 RATIO_COLUMNS = ("path_over_high", "path_over_low_any")
 """Columns of ratios of the path: to the walk that was found, and to the lower bound of every robot."""
 WASTE_COLUMNS = ("idle_m", "leftovers", "leftover_m", "leftover_m2")

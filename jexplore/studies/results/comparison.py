@@ -22,10 +22,11 @@ from jexplore.exploration.state import Outcome
 from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.results import provenance
+from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.studies.results.details import Seen
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import EXTRAS, MAP, PROGRESS, SEEN, WAY, Ran, run_units
-from jexplore.studies.statistics import by_world, figures, sequential, sizes, waste
+from jexplore.studies.statistics import by_world, figures, sequential, sizes, teams, waste
 from jexplore.studies.statistics.coverage import at_coverage, coverage_text
 from jexplore.studies.statistics.league import over_worlds_text, standings, standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
@@ -106,6 +107,11 @@ class ComparisonResult(ByStrategy):
         return sequential.decisions(self.episodes)
 
     @functools.cached_property
+    def teams(self) -> "pd.DataFrame":
+        """Tabulate how much faster teams are than one robot, with `robots`: see `teams.tabulate`."""
+        return teams.tabulate(self.episodes)
+
+    @functools.cached_property
     def at_coverage(self) -> "pd.DataFrame":
         """Tabulate ratios of paths and times to shares of a world: see `coverage.at_coverage`."""
         return at_coverage(self.episodes)
@@ -131,6 +137,8 @@ class ComparisonResult(ByStrategy):
         text = by_world.markdown_table(self.summary)
         together = len(self.worlds) >= MIN_PAIRS and max(self.standings["worlds"], default=0) >= MIN_PAIRS
         text = f"{over_worlds_text(self.standings)}\nIn each world:\n\n{text}" if together else text
+        if TEAM_MEASURES[0] in self.episodes:
+            text += f"\nTeams:\n\n{teams.team_table(self.teams)}"
         return f"{text}\n{coverage_text(self.at_coverage)}" if len(self) > 1 else text
 
     def league_text(self) -> str:
@@ -345,7 +353,7 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
         maps=maps,
         lidar=jobs[0].lidar,
         rules=jobs[0].rules,
-        metrics=tuple(jobs[0].metrics),
+        metrics=(*jobs[0].metrics, *(() if jobs[0].team is None else TEAM_MEASURES)),
         made=Made(tuple(jobs), ran.firsts, provenance.engine_of(costs)),
     )
 

@@ -23,8 +23,8 @@ class Seen(NamedTuple):
 
     strategy: str
     state: np.ndarray  # [H, W] uint8, 0 unknown, 1 free, 2 occupied
-    rows: np.ndarray  # [n + 1] int32, cells driven
-    cols: np.ndarray  # [n + 1] int32
+    rows: np.ndarray  # [n + 1] int32, cells driven; of a team float64, NaN between two robots' ways
+    cols: np.ndarray  # [n + 1] int32 or float64
     cell_m: float
     path_m: float
 

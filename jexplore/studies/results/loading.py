@@ -9,7 +9,7 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jexplore.arrays.files import first_line, read_json
 from jexplore.config import InputError, __version__, checked_names, shown
@@ -25,9 +25,6 @@ from jexplore.studies.results.details import DETAILS, read_details
 from jexplore.studies.sweeps.plan import SweepPlan, prepare_sweep
 from jexplore.studies.sweeps.run import SweepResult, whole_table
 from jexplore.studies.sweeps.spec import read_spec
-
-if TYPE_CHECKING:
-    pass
 
 MADE_FROM = ("version", "spec", "episodes", "digests")  # entries of a sweep's settings that must not have changed
 
@@ -135,10 +132,8 @@ def _sweep(folder, record):
 
 def _require_whole(table, plan):
     """Refuse parts that were cut in different ways: one that was continued and one that was not."""
-    twice, missing = (
-        int(table.duplicated(["setting", "world", "strategy", "episode"]).sum()),
-        plan.episodes - len(table),
-    )
+    twice = int(table.duplicated(["setting", "world", "strategy", "episode"]).sum())
+    missing = plan.episodes - len(table)
     if twice or missing:
         raise InputError(
             f"the parts must hold each episode once: {twice:,} are there twice and {missing + twice:,} nowhere, "

@@ -19,7 +19,9 @@ from jexplore.config import InputError, __version__
 from jexplore.engine.runner import Costs
 from jexplore.exploration.batch import Job
 from jexplore.exploration.site import prepare_site
+from jexplore.exploration.team.coordination import COORDINATIONS
 from jexplore.policies.catalogue import adapt
+from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.worlds import names
 from jexplore.worlds.world import World, ringed_shape
 
@@ -94,6 +96,8 @@ def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
     """
     parts: dict[str, dict[Any, str | None]] = {}
     for job in jobs:
+        if job.team is not None and job.team.coordination is not None and job.team.coordinates not in COORDINATIONS:
+            parts[f"coordination {job.team.coordinates!r}"] = {0: None}
         policy, sides = job.strategy.policy, tuple(bucket(side) for side in ringed_shape(job.world.occupied))
         leaves, theirs = jax.tree.leaves(policy.params), adapt.is_theirs(policy)
         where = sides, job.world.within is None, job.world.cell_m, job.lidar, job.rules
@@ -123,6 +127,10 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
     """
     worlds, first = {os.fspath(job.world.name): job.world for job in jobs}, jobs[0]
     measured = {name: metric.reduce or "end" for name, metric in first.metrics.items()}
+    measured |= {} if first.team is None else dict.fromkeys(TEAM_MEASURES, "end")
+    teams = {
+        job.strategy.name: {**job.team._asdict(), "coordination": job.team.coordinates} for job in jobs if job.team
+    }
     # The first start tells whether starts are drawn, and from where: with more episodes it stays the same.
     starts = hashlib.sha256(b"".join(np.ascontiguousarray(job.starts[0], np.int32).tobytes() for job in jobs))
     return {
@@ -135,6 +143,7 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
         "digests": {name: world_digest(world) for name, world in worlds.items()},
         "own": own_digests(jobs),
         **({"metrics": measured} if measured else {}),
+        **({"teams": teams} if teams else {}),
     }
 
 

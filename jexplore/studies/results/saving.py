@@ -28,14 +28,8 @@ from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.worlds.names import file_names, short_names
 from jexplore.worlds.readers.ros import write_ros
 
-VECTORS = (
-    "compare.png",
-    "coverage.png",
-    "league.png",
-    "reproduce.png",
-    "sweep.png",
-    "sweep-map.png",
-)  # written as SVG as well
+VECTORS = ("compare.png", "coverage.png", "league.png", "reproduce.png", "sweep.png", "sweep-map.png")
+"""Pictures that are written as SVG as well."""
 
 
 def write_maps(found: Any, folder: Path) -> list[Path]:
@@ -99,6 +93,8 @@ def pictures_of(
       firsts, labels: as of `replays.replays_of`.
     """
 
+    jobs = None if jobs is None else [job for job in jobs if job.team is None]  # replays are of one robot
+
     def page(path):
         engine = "jax" if record["engine"] == "jax" else "auto"
         replays, notes = replays_of(jobs, firsts, labels=labels, engine=engine) if jobs else ([], [])
@@ -120,12 +116,9 @@ def tables_of(found: Any) -> list[tuple[str, str]]:
 
 def entries_of(found: Any) -> dict[str, Any]:
     """Return the entries of run.json for a `ComparisonResult`."""
+    names = "episodes_per_s", "compile_s", "run_s", "interrupted", "resumed"
     return {
-        "episodes_per_s": found.episodes_per_s,
-        "compile_s": found.compile_s,
-        "run_s": found.run_s,
-        "interrupted": found.interrupted,
-        "resumed": found.resumed,
+        **{name: getattr(found, name) for name in names},
         "worlds": [provenance.describe_world(world) for world in found.worlds],
         "summary": found.summary.to_dict("records"),
         "warnings": found.warnings,

@@ -21,10 +21,11 @@ from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.metrics import reached_limit
 from jexplore.exploration.results import columns, map_state, progress_m
 from jexplore.exploration.state import MARKS
+from jexplore.exploration.team.episode import team_columns
 from jexplore.report.ledger import Ledger, Work
 from jexplore.report.store import read_parquet
 from jexplore.rules import Lidar, Rules
-from jexplore.studies.results.columns import COLUMNS
+from jexplore.studies.results.columns import COLUMNS, TEAM_COLUMNS
 from jexplore.studies.results.details import DETAILS, Seen, read_details
 
 if TYPE_CHECKING:
@@ -73,7 +74,14 @@ def rows_of(job: Job, found: Outcomes) -> dict[str, Any]:
         if metric.reduce == "sum" and reached_limit(values):
             warnings.warn(f"metric {name!r}: a sum has left int32: return a float32", InputWarning, stacklevel=2)
         rows[name] = values.astype(np.int64 if values.dtype == np.int32 else np.float64)
-    return {name: rows[name] for name in (*COLUMNS, *job.metrics)}
+    if job.team is not None:
+        rows |= team_columns(found.result, job.team, world.cell_m, job.robot)
+    return {name: rows[name] for name in columns_of(job)}
+
+
+def columns_of(job: Job) -> tuple[str, ...]:
+    """Return the columns that the episodes of a job have in tables."""
+    return *COLUMNS, *job.metrics, *(() if job.team is None else TEAM_COLUMNS)
 
 
 def join_columns(rows: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
@@ -267,5 +275,5 @@ def _earlier(ledger, jobs):
     for name, of_pair in ((PROGRESS, found["progress"]), (WAY, found["paths"]), (MAP, found["maps"])):
         if of_pair:
             extras[name] = list(itertools.chain.from_iterable(of_pair.values()))
-    table: Any = episodes[[*COLUMNS, *jobs[0].metrics]].assign(**extras)
+    table: Any = episodes[[*columns_of(jobs[0])]].assign(**extras)
     return table[table["episode"] < ledger.after]

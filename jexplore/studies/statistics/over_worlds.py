@@ -103,9 +103,7 @@ def comparable_paths(episodes: "pd.DataFrame", column: str = "path_m") -> "pd.Da
     twice = episodes.duplicated(["world", "strategy", "episode"])
     if twice.any():
         world, strategy, number = episodes.loc[twice.to_numpy(), ["world", "strategy", "episode"]].iloc[0]
-        raise InputError(
-            f"{world}, {strategy}: episode {number} must occur once, got it more than once; choose one setting first"
-        )
+        raise InputError(f"{world}, {strategy}: episode {number} must occur once; choose one setting first")
     strategies, order = list(dict.fromkeys(episodes["strategy"])), list(dict.fromkeys(episodes["world"]))
     table: Any = episodes
     explored, outcome, paths = (

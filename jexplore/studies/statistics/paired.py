@@ -28,9 +28,7 @@ class PairedRatio(NamedTuple):
 def _vector(values, name):
     values = np.asarray(values, dtype=np.float64)
     if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all() or values.min() < 0:
-        raise ValueError(
-            f"expected {name} as a vector of one or more finite numbers from 0, got shape {values.shape} of {values}"
-        )
+        raise ValueError(f"expected {name} as a vector of finite numbers from 0, got shape {values.shape} of {values}")
     return values
 
 

@@ -71,9 +71,7 @@ def sample_size(values: ArrayLike, reference: ArrayLike, *, within: float = 0.02
     how = _checked(within=within, assurance=assurance)
     values, reference = np.asarray(values, np.float64), np.asarray(reference, np.float64)
     if values.ndim != 1 or values.shape != reference.shape or len(values) < 2:
-        raise InputError(
-            f"values and reference must be vectors of one length, 2 or more, got {values.shape} and {reference.shape}"
-        )
+        raise InputError(f"expected two vectors of one length, 2 or more, got {values.shape} and {reference.shape}")
     if not np.isfinite([values, reference]).all() or min(values.min(), reference.min()) < 0:
         raise InputError("values and reference must be finite numbers from 0")
     if values.mean() == 0 or reference.mean() == 0:
@@ -94,9 +92,7 @@ def worlds_needed(log_ratios: ArrayLike, kinds: Sequence[str], *, within: float 
     how = _checked(within=within, assurance=assurance)
     logs = np.asarray(log_ratios, np.float64)
     if logs.ndim != 1 or len(logs) < 2 or len(logs) != len(kinds) or not np.isfinite(logs).all():
-        raise InputError(
-            f"log_ratios must be two or more finite numbers, one for each of {len(kinds)} kinds, got {logs}"
-        )
+        raise InputError(f"log_ratios must be finite, two or more, one for each of {len(kinds)} kinds, got {logs}")
     _, error, freedom, most = mean_and_error(logs, kinds)
     if not error:
         raise InputError("worlds must differ in their ratios: without any spread there is nothing to plan with")

@@ -155,10 +155,6 @@ class SweepPlan:
         """Return the number of episodes of a unit."""
         return sum(block.n for block in self.units[unit])
 
-    def all_worlds(self) -> list[World]:
-        """Return every world in every cell size."""
-        return [self.world(world, cell_m) for world, cell_m in self.shapes]
-
     def world(self, number: int, cell_m: float) -> World:
         """Load a world."""
         return _loaded(os.fspath(self.spec.worlds[number]), cell_m)
@@ -223,7 +219,8 @@ def prepare_sweep(spec: Sweep) -> SweepPlan:
     Raises:
       InputError: what cannot be run, in one line.
     """
-    require_different("worlds", [os.fspath(world) for world in spec.worlds])
+    names = [os.fspath(world) for world in spec.worlds]
+    require_different("worlds", names)
     _loaded.cache_clear()  # a file may have changed since
     _starts.cache_clear()
     settings, records, listed = spec.expanded(), spec.records(), spec.strategy_list()
@@ -232,22 +229,19 @@ def prepare_sweep(spec: Sweep) -> SweepPlan:
     if total > MAX_TOTAL:
         raise InputError(f"a sweep may have {MAX_TOTAL:,} episodes, got {total:,}; use fewer settings or episodes")
     shapes, digests = {}, []
-    for world in range(len(spec.worlds)):
+    for world, name in enumerate(names):
         for cell_m in dict.fromkeys(cell_m for _, cell_m, _, _ in records):
-            loaded = _loaded(os.fspath(spec.worlds[world]), cell_m)
+            loaded = _loaded(name, cell_m)
             shapes[world, cell_m] = ringed_shape(loaded.occupied)
             digests.append(world_digest(loaded))
-    require_different_buildings(_loaded(os.fspath(spec.worlds[world]), cell_m) for world, cell_m in shapes)
+    require_different_buildings(_loaded(names[world], cell_m) for world, cell_m in shapes)
     checked = set()
     for seed, cell_m, lidar, rules in records:
-        for world in range(len(spec.worlds)):
-            loaded = _loaded(os.fspath(spec.worlds[world]), cell_m)
-            if (world, cell_m, seed, rules.clearance_m, rules.near_m) not in checked:
-                checked.add((world, cell_m, seed, rules.clearance_m, rules.near_m))
-                ready_starts(loaded, _start_of(spec), 1, seed=seed, rules=rules)
-            if (world, cell_m, lidar, rules.max_steps) not in checked:
-                checked.add((world, cell_m, lidar, rules.max_steps))
-                require_memory(loaded, lidar, rules)
+        for name in names:
+            _starts(name, cell_m, seed, rules.clearance_m, rules.near_m, 1, _start_of(spec))
+            if (name, cell_m, lidar, rules.max_steps) not in checked:
+                checked.add((name, cell_m, lidar, rules.max_steps))
+                require_memory(_loaded(name, cell_m), lidar, rules)
     units, programs = _cut(spec, records, shapes, len(strategies), total)
     parameters, metrics = [own for _, own in listed], ready_metrics(spec.metrics)
     return SweepPlan(spec, settings, records, strategies, parameters, shapes, digests, units, programs, metrics)

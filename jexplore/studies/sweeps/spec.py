@@ -1,7 +1,6 @@
 """Specification of a sweep: lists are axes of a product, ranges are drawn from."""
 
 import dataclasses
-import difflib
 import itertools
 import math
 import os
@@ -172,10 +171,7 @@ class Sweep:
                 setting = {**row, **one}
                 found.append({key: setting.get(key, _default(key)) for key in names})
         if len({tuple(map(_same, setting.values())) for setting in found}) < len(found):
-            raise InputError(
-                "settings must differ, got one of them more than once: a value is given twice, or a range of whole "
-                "numbers is too short"
-            )
+            raise InputError("settings must differ: a value is given twice, or a range of whole numbers is too short")
         return found
 
     def records(self) -> list[tuple[int, float, Lidar, Rules]]:
@@ -304,9 +300,7 @@ def sweep_from(page: Any, name: str = "the sweep") -> Sweep:
         raise InputError(f"{name} must be a mapping with worlds: [...], got {type(page).__name__}")
     for key in page:
         if key not in _FIELDS:
-            near = difflib.get_close_matches(str(key), _FIELDS, n=1, cutoff=0.5)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise InputError(f"{name}: unknown key {key!r}{hint} (there are: {', '.join(_FIELDS)})")
+            raise InputError(f"{name}: {unknown('key', str(key), _FIELDS)}")
     if "worlds" not in page:
         raise InputError(f"{name}: worlds must name at least one: worlds: [cave, office]")
     try:
@@ -356,12 +350,7 @@ def plain_spec(spec: Sweep) -> dict[str, Any]:
             return f"{function.__module__}:{name_of(function)}"
         return value.item() if isinstance(value, np.generic) else value
 
-    return {
-        field.name: simple(getattr(spec, field.name))
-        for field in dataclasses.fields(Sweep)
-        if not _is_empty(getattr(spec, field.name)) or field.name == "worlds"
-    }
+    def is_empty(value):
+        return value is None or (isinstance(value, (Mapping, tuple)) and not value)
 
-
-def _is_empty(value):
-    return value is None or (isinstance(value, (Mapping, tuple)) and not len(value))
+    return {name: simple(value) for name, value in vars(spec).items() if not is_empty(value)}

@@ -89,9 +89,8 @@ class TraceJob:
 
     def all_runs(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the numbers of settings and of runs of all runs, `[n]` each: a setting after the other."""
-        return np.repeat(np.arange(self.settings), self.runs), np.tile(
-            np.arange(self.runs, dtype=np.int32), self.settings
-        )
+        setting, which = np.arange(self.settings), np.arange(self.runs, dtype=np.int32)
+        return np.repeat(setting, self.runs), np.tile(which, self.settings)
 
     def run(self, setting: np.ndarray, which: np.ndarray, **how: Any) -> batch.MissionResults:
         """Make runs `[n]`, by numbers of settings and of runs; `how` as of `batch.run_missions`."""

@@ -95,33 +95,29 @@ def _frame(key, building, settings, state):
     """Make one step, and return its view."""
     robot, tuning, noise, params = settings
     with using(params):
-        return _viewed(key, building, robot, tuning, noise, state)
-
-
-def _viewed(key, building, robot, tuning, noise, state):
-    draws = vehicle.draw_one(key, noise)
-    senses = vehicle.read_sensors(draws, building, robot, noise, state.body)
-    after = mission.make_step(draws, building, robot, tuning, noise, state)
-    walls = events.walls_of_scan(mission.smooth_senses(senses, robot)[0].ranges_m, tuning, robot)
-    found = events.triangles(*surround.known_points(after.around), walls.beside.min(), tuning)
-    best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
-    there = found.valid[best]
-    seen = {
-        "pose": state.body.pose,
-        "estimate": state.estimate,
-        "mode": after.mode,
-        "target": vehicle.to_odometry(state.estimate)(after.target),
-        "ranges_m": senses.ranges_m,
-        "triangles_m": jnp.where(there[:, None, None], found.corners[best], jnp.nan),
-        "chosen": jnp.where(there[0], 0, -1),
-        "pitch_deg": jnp.degrees(senses.pitch),
-        "roll_deg": jnp.degrees(senses.roll),
-        "n_nodes": after.writer.map.n_nodes,
-        "status": after.writer.map.status,
-        "votes": behaviour.votes(after.track),
-        "left_m": walls.region_sides[0],
-        "right_m": walls.region_sides[1],
-    }
+        draws = vehicle.draw_one(key, noise)
+        senses = vehicle.read_sensors(draws, building, robot, noise, state.body)
+        after = mission.make_step(draws, building, robot, tuning, noise, state)
+        walls = events.walls_of_scan(mission.smooth_senses(senses, robot)[0].ranges_m, tuning, robot)
+        found = events.triangles(*surround.known_points(after.around), walls.beside.min(), tuning)
+        best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
+        there = found.valid[best]
+        seen = {
+            "pose": state.body.pose,
+            "estimate": state.estimate,
+            "mode": after.mode,
+            "target": vehicle.to_odometry(state.estimate)(after.target),
+            "ranges_m": senses.ranges_m,
+            "triangles_m": jnp.where(there[:, None, None], found.corners[best], jnp.nan),
+            "chosen": jnp.where(there[0], 0, -1),
+            "pitch_deg": jnp.degrees(senses.pitch),
+            "roll_deg": jnp.degrees(senses.roll),
+            "n_nodes": after.writer.map.n_nodes,
+            "status": after.writer.map.status,
+            "votes": behaviour.votes(after.track),
+            "left_m": walls.region_sides[0],
+            "right_m": walls.region_sides[1],
+        }
     return after, seen
 
 

@@ -5,7 +5,6 @@ import math
 from collections.abc import Callable, Iterable
 
 from jexplore.tracemap.merging.pair import Guess, Pair
-from jexplore.tracemap.merging.ways import Places, PlaceWay
 
 PRIOR = 4.0  # prior beliefs about buildings weigh as much as this many nodes or links of the two maps
 ALIKE_CHANCE = 0.15  # chance that two places look alike, in buildings at large
@@ -27,13 +26,13 @@ class Evidence:
         self.pair = pair
         both, limits = (pair.one, pair.other), pair.limits
         self._noise2, self._scale2 = (limits.length_m / 2) ** 2 + 1e-6, limits.length_share**2 * 2 / 3
-        ways = [way for part in both for way in _whole_ways(part)]
-        self._ends = sum(len(own) for part in both for own in part.ways.values())
+        ends = [(a, i, way) for part in both for a, own in part.ways.items() for i, way in enumerate(own)]
+        ways = [way for a, i, way in ends if way.is_whole and (a, i) < (way.end, way.back)]  # each once
+        self._ends = len(ends)
         self._long = _Usual([way.length_m for way in ways], self._as_long)
-        openings = [way.opening_m for part in both for own in part.ways.values() for way in own]
         slopes = [node.inclination_deg for part in both for node in part.nodes.values()]
         self._wide = _Usual([way.width_m for way in ways], lambda one, other: _bell(one - other, WIDTH_M))
-        self._open = _Usual(openings, self._wide.bell)
+        self._open = _Usual([way.opening_m for *_, way in ends], self._wide.bell)
         self._steep = _Usual(slopes, lambda one, other: _bell(one - other, INCLINATION_DEG))
         self._alike = functools.cache(pair.counts)
 
@@ -86,12 +85,6 @@ class Evidence:
             at_large = math.exp(-0.5 * about**2) / (max(match.length_m, 0.1) * SPREAD * math.sqrt(2 * math.pi))
             total -= math.log(self._long.density(match.length_m, way.length_m, at_large))
         return total
-
-
-def _whole_ways(part: Places) -> list[PlaceWay]:
-    """Return ways between places, each once."""
-    ends = ((a, i, way) for a, ways in part.ways.items() for i, way in enumerate(ways))
-    return [way for a, i, way in ends if way.is_whole and (a, i) < (way.end, way.back)]
 
 
 class _Usual:

@@ -212,9 +212,9 @@ def _legs(u0: float, v0: float, u1: float, v1: float) -> list[Rect]:
     return [_leg(u, v) for u in (u0, u1 - _LEG_M) for v in (v0, v1 - _LEG_M)]
 
 
-def _door_zone(door: Door) -> Rect:
+def _door_zone(door: Door, before: float = _DOOR_M[1]) -> Rect:
     """Return the area to keep free on both sides of a door."""
-    beside, before = _DOOR_M
+    beside = _DOOR_M[0]
     along = (door.middle - door.width / 2 - beside, door.middle + door.width / 2 + beside)
     across = (door.wall - before, door.wall + before)
     (x0, x1), (y0, y1) = (across, along) if door.vertical else (along, across)
@@ -249,13 +249,8 @@ class _Space:
         rooms = np.asarray(world.rooms)[window]
         self.doors = []
         for door in doors:
-            x0, y0, x1, y1 = _door_zone(door)
-            if door.vertical:  # no more of the strip than the thickness of the wall
-                x0, x1 = door.wall - OUTER_WALL_M, door.wall + OUTER_WALL_M
-            else:
-                y0, y1 = door.wall - OUTER_WALL_M, door.wall + OUTER_WALL_M
             at = np.zeros_like(self.occupied)
-            at[self._window((x0, y0, x1, y1))] = True
+            at[self._window(_door_zone(door, OUTER_WALL_M))] = True  # no more of the strip than the wall's thickness
             self.doors.append(at & ~self.occupied & (rooms < 0))
         self.own = np.logical_or.reduce([rooms == number, *self.doors])
         self.parts, self.reach, size = self._state(self.occupied)

@@ -48,9 +48,7 @@ def load_image(path: str, scale: float | tuple[float, float], *, cell_m: float =
     occupied = _occupied(path, levels, free)
     if isinstance(scale, tuple):
         if not occupied.any():
-            raise InputError(
-                f"{path!r}: no pixel is occupied, so there is no box to stretch; take @0.05, metres a pixel"
-            )
+            raise InputError(f"{path!r}: no pixel is occupied, so there is no box; take @0.05, metres a pixel")
         box = _bounding_box(occupied)
         levels, occupied = levels[box], occupied[box]
         if occupied.all():

@@ -239,10 +239,9 @@ def _read_yaml(path: str) -> RosInfo:
         free_thresh=_float(path, "free_thresh", content["free_thresh"], high=1),
         mode=mode.lower(),
     )
-    if info.free_thresh >= info.occupied_thresh:
-        raise InputError(
-            f"{path!r}: free_thresh {info.free_thresh:g} must be below occupied_thresh {info.occupied_thresh:g}"
-        )
+    low, high = info.free_thresh, info.occupied_thresh
+    if low >= high:
+        raise InputError(f"{path!r}: free_thresh {low:g} must be below occupied_thresh {high:g}")
     return info
 
 

@@ -1,0 +1,168 @@
+"""A team's episode as a program of the engine, and what it measures."""
+
+from typing import Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from jexplore.arrays.padding import within
+from jexplore.engine.program import Given, Line, Program
+from jexplore.exploration import environment
+from jexplore.exploration.episode import CPU_OPTIONS
+from jexplore.exploration.motion import tick
+from jexplore.exploration.results import energy_j, path_m
+from jexplore.exploration.sensing import explorable_and_knowable, shares
+from jexplore.exploration.site import Site, tasks_of
+from jexplore.exploration.state import MARKS, PERCENTILES, Numbers, Result, Setup
+from jexplore.exploration.team.environment import (
+    TeamSetup,
+    TeamState,
+    TeamTask,
+    advance,
+    begin,
+    decide,
+    given_of_robot,
+    is_done,
+    must_decide,
+    take,
+)
+from jexplore.exploration.team.team import Team, contact_d2
+from jexplore.exploration.trail import Final
+from jexplore.rules import Robot
+
+
+class TeamCounts(NamedTuple):
+    """Counts of a team's robots: `Result.metrics` of a team."""
+
+    straight: Array  # [N] int32, straight steps
+    diagonal: Array  # [N] int32, diagonal steps
+    time_ms: Array  # [N] int32
+    waits: Array  # [N] int32
+    own: Array  # [N] int32, cells that each has seen itself
+    seen: Array  # int32, cells that any of them has seen itself
+    whole: Array  # [2] int32, straight steps and waits, and diagonal steps, when all was known that is in the end
+    links: Array  # int32, sum over all steps of the others that the robot heard
+
+
+def finish(setup: TeamSetup, given: Given, team: TeamState) -> Result:
+    """Return the `Result` of a team: as of a robot alone, but for these.
+
+    Steps, as a length, are the clock of the robot that ends last; `straight_at` and all such the clock when that much
+    was known; counts of turns, scans, plans and the like are sums; known cells those that any robot knows; the outcome
+    the highest code, the time the longest. A team of one has the result of a robot alone.
+    """
+    robots, log = team.robots, team.log
+    last = jnp.argmax(team.clock)
+    start = take(robots.belief.start, 0)
+    area = None if robots.belief.within is None else robots.belief.within[0]
+    explorable, knowable = explorable_and_knowable(given_of_robot(given, 0), start[0], start[1], area)
+    so_far = jnp.where(lax.iota(jnp.int32, log.shape[0]) < team.n_log, log[:, 0], jnp.iinfo(jnp.int32).max)
+
+    def when(counts: Array) -> Array:
+        at = jnp.searchsorted(so_far, counts).astype(jnp.int32)
+        return log[jnp.minimum(at, team.n_log - 1)]
+
+    whole = when(team.n_known)[1:3]
+    at = when(shares(jnp.array(PERCENTILES), 100, team.n_known))
+    marks = shares(lax.iota(jnp.int32, MARKS) + 1, MARKS, knowable)
+    along = jnp.where(((marks > 0) & (marks <= team.n_known))[:, None], when(marks), -1)
+    end = jax.vmap(lambda state: tick(given.numbers.clock, state, state.heading, jnp.bool_(False), jnp.bool_(True), 0))
+    times = end(robots)
+    own = team.own if area is None else team.own & area
+    each, seen = jnp.sum(own, axis=(1, 2), dtype=jnp.int32), jnp.sum(jnp.any(own, axis=0), dtype=jnp.int32)
+    names = ("turns", "scans", "plans", "exhausted", "room_entries", "saturated", "refused", "overflow")
+    return Result(
+        straight=robots.straight[last] + team.waits[last],
+        diagonal=robots.diagonal[last],
+        outcome=jnp.max(jax.vmap(environment.outcome_of)(robots)),
+        n_known=team.n_known,
+        explored=jnp.sum(explorable & team.known, dtype=jnp.int32),
+        explorable=jnp.sum(explorable, dtype=jnp.int32),
+        straight_at=at[:, 1],
+        diagonal_at=at[:, 2],
+        straight_along=along[:, 1],
+        diagonal_along=along[:, 2],
+        time_ms=jnp.max(times["time_ms"]),
+        starts=jnp.sum(times["starts"], dtype=jnp.int32),
+        time_at=at[:, 3],
+        time_along=along[:, 3],
+        metrics=TeamCounts(
+            robots.straight, robots.diagonal, times["time_ms"], team.waits, each, seen, whole, team.links
+        ),
+        **{name: jnp.sum(getattr(robots, name), dtype=jnp.int32) for name in names},
+    )
+
+
+def detail_of(team: TeamState) -> tuple[Array, ...]:
+    """Return the detailed record of a team: the map that all robots' maps make, and their ways and steps."""
+    grid = team.robots.belief.grid
+    return jnp.max(grid.hits, axis=0), jnp.max(grid.misses, axis=0), team.way, team.robots.steps
+
+
+def program_of(setup: TeamSetup) -> Program:
+    """Return the exploration of a team as a `Program`."""
+    return Program(
+        setup=setup,
+        begin=begin,
+        advance=advance,
+        is_done=is_done,
+        finish=finish,
+        detail=detail_of,
+        decide=decide,
+        must_decide=must_decide,
+        cpu_options=CPU_OPTIONS,
+    )
+
+
+def team_line(
+    site: Site, fitted: tuple[Setup, Numbers], team: Team, starts: np.ndarray, seed: int, which: Any, detailed: int
+) -> Line:
+    """Make the `Line` of a team's episodes; arguments as of `site.line_of`, `starts` are `[N, robots, 3]`."""
+    setup, numbers = fitted
+    robot = setup._replace(native=None, capacity=1)
+    own = TeamSetup(robot, team.robots, team.coordination, setup.capacity)
+    heard = contact_d2(team.contact, float(numbers.model.cell_m))
+    tasks = tasks_of(starts.reshape(-1, 3), site.ring).reshape(starts.shape)
+    task = TeamTask(tasks, np.full(len(starts), heard, np.int32))
+    return Line(program_of(own), site.beams, site.truth, numbers, seed, task, which, detailed)
+
+
+def decode(found: tuple[np.ndarray, ...], shape: tuple[int, int], ring: int) -> Final:
+    """Make `Final` of what `detail_of` gave: the team's map, the way of the first robot, those of all in `ways`."""
+    hits, misses, way, steps = found
+    walks = []
+    for own, n in zip(way, steps):
+        rows, cols = np.divmod(own[: n + 1, 0], hits.shape[1])
+        walks.append(np.stack([rows - ring, cols - ring, own[: n + 1, 1]], axis=1))
+    none = np.zeros(len(walks[0]), np.int32)
+    rows, cols, _ = walks[0].T
+    maps = within(hits, shape, ring), within(misses, shape, ring)
+    return Final(*maps, rows, cols, none, none, plans=None, ways=walks)
+
+
+def team_columns(result: Result, team: Team, cell_m: float, robot: Robot) -> dict[str, Any]:
+    """Return the columns of a table of episodes that are a team's own, and the energy of all robots: arrays `[n]`.
+
+    `path_m_at_100`: the clock when all was known that is in the end; `path_sum_m`: ways of all robots; `overlap`: what
+    each has seen itself, as shares of what all have, summed, less 1; `share_sd`: standard deviation of these shares;
+    `waits`: of all robots; `connected`: mean over all steps of the share of the others that the robot heard, 1 for a
+    robot alone.
+    """
+    n, counts = len(result.outcome), cast(Any, result.metrics)
+    share = counts.own / np.maximum(counts.seen, 1)[:, None]
+    steps = np.maximum((counts.straight + counts.diagonal).sum(axis=1), 1)
+    sums = {name: getattr(counts, name).sum(axis=1) for name in ("straight", "diagonal", "time_ms")}
+    return {
+        "robots": np.full(n, team.robots, np.int64),
+        "path_m_at_100": path_m(counts.whole[:, 0], counts.whole[:, 1], cell_m),
+        "path_sum_m": path_m(counts.straight, counts.diagonal, cell_m).sum(axis=1),
+        "overlap": share.sum(axis=1) - 1,
+        "share_sd": share.std(axis=1),
+        "waits": counts.waits.sum(axis=1).astype(np.int64),
+        "connected": counts.links / (steps * (team.robots - 1)) if team.robots > 1 else np.ones(n),
+        "coordination": [team.coordinates] * n,
+        "contact": [team.contact] * n,
+        "energy_j": energy_j(result.replace(**sums), robot, cell_m),
+    }

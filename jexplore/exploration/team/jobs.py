@@ -1,0 +1,103 @@
+"""Jobs of teams: every strategy by every size and coordination, checked before anything is compiled."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from jexplore.config import InputError
+from jexplore.exploration.batch import Job
+from jexplore.exploration.team.starts import place_team
+from jexplore.exploration.team.team import (
+    INDEPENDENT,
+    Starts,
+    Team,
+    contact_d2,
+    read_coordination,
+    read_robots,
+)
+from jexplore.policies.closest import is_nearest
+from jexplore.users import import_object
+from jexplore.worlds.poses import read_start
+
+Coordinate: TypeAlias = str | Callable[..., Any]
+CoordinationLike: TypeAlias = Coordinate | Sequence[Coordinate]
+"""A coordination or several: names, "module:function", or functions of a `JointView`."""
+
+
+def team_jobs(
+    jobs: Sequence[Job],
+    robots: int | Sequence[int] | None = None,
+    coordination: CoordinationLike = INDEPENDENT,
+    contact: str = "all",
+    team_starts: Starts | Sequence[str] = "together",
+) -> list[Job]:
+    """Return the jobs of teams made of those of one robot, each of them for every team; these where `robots` is None.
+
+    A team of one has no coordination: it comes once.
+
+    Raises:
+      InputError: an option that has no meaning without `robots`; a pose that is not given, metrics; whatever a team
+        cannot be.
+    """
+    if robots is None:
+        if (coordination, contact, team_starts) != (INDEPENDENT, "all", "together"):
+            raise InputError("coordination, contact and team_starts are for teams: give robots, such as 1 2 4")
+        return list(jobs)
+    teams = _teams(robots, coordination, contact, team_starts)
+    made = []
+    for job in jobs:
+        assert job.rules is not None
+        if job.rules.pose != "true":
+            raise InputError(f"teams are of robots whose pose is given: pose must be true, got {job.rules.pose}")
+        if job.metrics:
+            raise InputError("metrics are of one robot: leave out metrics or robots")
+        contact_d2(contact, job.world.cell_m)
+        own, near = job.starts, {"clearance_m": job.rules.clearance_m, "near_m": job.rules.near_m}
+        for team in teams:
+            if team.coordination is not None and not is_nearest(job.strategy.policy):
+                raise InputError(
+                    f"coordination {team.coordinates} chooses targets itself: give it the strategy closest or "
+                    f"closest+recheck, got {job.strategy.name}"
+                )
+            if not isinstance(team.starts, str):
+                own = np.tile(np.array(team.starts[:1], np.int32), (len(job.starts), 1))
+            for start in dict.fromkeys(map(tuple, own.tolist())):
+                place_team(job.world, start, team.robots, team.starts, **near)
+            name = team.label(job.strategy.name)
+            made.append(job._replace(team=team, strategy=job.strategy._replace(name=name), starts=own))
+    return made
+
+
+def _teams(
+    robots: int | Sequence[int], coordination: CoordinationLike, contact: str, starts: Starts | Sequence[str]
+) -> list[Team]:
+    """Return every team that is asked for, in order."""
+    given = [coordination] if isinstance(coordination, str) or callable(coordination) else list(coordination)
+    ways = [read_coordination(_imported(one) if isinstance(one, str) else one) for one in given]
+    names = [INDEPENDENT if one is None else one.name for one in ways]
+    if not names or len(set(names)) < len(names):
+        raise InputError(f"coordination must be one or several different ones, got {', '.join(names) or 'none'}")
+    teams: dict[Team, None] = {}
+    for size in read_robots(robots):
+        for one in ways:
+            teams[Team(size, one if size > 1 else None, contact, _read_starts(starts, size))] = None
+    return list(teams)
+
+
+def _imported(name: str) -> Coordinate:
+    """Return the function that a text "module:function" names; any other text as it is."""
+    module, colon, function = name.partition(":")
+    return import_object(module, function) if colon else name
+
+
+def _read_starts(starts: Starts | Sequence[str], size: int) -> Starts:
+    """Return starts as a `Team` has them: a word, or the first `size` of given ones."""
+    if isinstance(starts, str):
+        return starts
+    given: list[Any] = [read_start(start) if isinstance(start, str) else start for start in starts]
+    if given in (["together"], ["apart"]):
+        return str(given[0])
+    if not all(isinstance(start, tuple | list) and len(start) == 3 for start in given):
+        raise InputError(f"team_starts must be together, apart, or row,col,heading_deg of each robot, got {starts!r}")
+    return tuple((int(row), int(col), int(heading)) for row, col, heading in given[:size])

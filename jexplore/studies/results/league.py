@@ -1,0 +1,208 @@
+"""Leagues under a name, which anybody can enter: worlds, starts, scanner, rules and version are fixed.
+
+An entry is a JSON file with one strategy's episodes, taken from the folder of a comparison and checked.
+"""
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jexplore.config import InputError, shown, unknown
+from jexplore.rules import Lidar, Robot, Rules
+from jexplore.studies.statistics.league import league_worlds
+from jexplore.worlds.names import file_names
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+REFERENCE = "closest+recheck"
+"""Strategy that every submission holds: its episodes must equal those entered, and others are compared with it."""
+WHOLE = ("episode", "start_row", "start_col", "start_heading_deg")
+LENGTHS = (
+    *("path_m", "path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99", "area_m"),
+    *("time_s", "time_s_at_50", "time_s_at_90", "time_s_at_95", "time_s_at_99", "area_s", "energy_j"),
+)
+COLUMNS = ("world", *WHOLE, "outcome", "explored_fraction", *LENGTHS)
+"""Columns of an entry's episodes, a row a world; real numbers are rounded to `DECIMALS`."""
+DECIMALS = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class League:
+    """A league: one episode in each world, with the default scanner, rules and robot, seed 0."""
+
+    version: str  # of this package, with which episodes are made
+    worlds: tuple[str, ...]
+    digest: str  # SHA-256 of worlds to the bit, starts and settings, in hexadecimal digits: see `digest_of`
+
+
+LEAGUES = {
+    "exploration-240": League(
+        "0.1.0", league_worlds(0.1, 40), "931351c4e5afb8900ffb92088e31350a3bb8a81299a37d972f0da99a81cd6f78"
+    ),
+}
+"""Name -> league. What changes episodes is a new league with a new name."""
+
+
+def league_of(name: str) -> League:
+    """Return a league by its name.
+
+    Raises:
+      InputError: no league has that name.
+    """
+    if name not in LEAGUES:
+        raise unknown("league", name, list(LEAGUES))
+    return LEAGUES[name]
+
+
+def digest_of(asked: Mapping[str, Any], episodes: "pd.DataFrame") -> str:
+    """Return SHA-256 of the worlds, starts and settings of a comparison, in hexadecimal digits.
+
+    Args:
+      asked: as run.json has it.
+      episodes: those of one strategy, a row a world, in the order of the worlds.
+    """
+    own = {key: asked[key] for key in ("worlds", "digests", "episodes", "seed", "lidar", "rules", "robot")}
+    own["starts"] = episodes[list(WHOLE)].to_numpy(int).tolist()
+    return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()
+
+
+def entries_of(run: Path, name: str) -> list[dict[str, Any]]:
+    """Make the entries of all strategies of a comparison.
+
+    Args:
+      run: the folder of results of `jexplore compare`.
+      name: of the league.
+
+    Raises:
+      InputError: the folder holds no finished comparison, or one of another version, other worlds, starts or settings;
+        episodes or the reference are missing.
+    """
+    from jexplore.report.store import read_parquet
+    from jexplore.studies.results.loading import run_record
+
+    league, record = league_of(name), run_record(run)
+    asked = record.get("asked", {})
+    if asked.get("command") != "compare":
+        raise InputError(f"{run}: not the folder of a comparison (jexplore compare)")
+    _require_same(run, league, asked)
+    table, made = read_parquet(run / "episodes.parquet", required=("strategy", *COLUMNS)), []
+    if REFERENCE not in set(table["strategy"]):
+        raise InputError(f"{run}: {REFERENCE} is missing: every submission runs it too")
+    for strategy, own in table.groupby("strategy", sort=False):
+        own = own.set_index("world").reindex(league.worlds).reset_index()
+        missing = [world for world, outcome in zip(own["world"], own["outcome"]) if not isinstance(outcome, str)]
+        if missing:
+            raise InputError(f"{run}: {strategy}: {len(missing)} episodes are missing, that in {missing[0]} first")
+        if digest_of(asked, own) != league.digest:
+            raise InputError(f"{run}: worlds or starts are not those of {name}, though their names and the seed are")
+        rows = own[list(COLUMNS)].astype(dict.fromkeys(WHOLE, int)).round(DECIMALS).to_numpy(object).tolist()
+        head = {"league": name, "version": league.version, "digest": league.digest, "strategy": strategy}
+        made.append({**head, "own": asked["own"].get(f"strategy {strategy!r}"), "columns": COLUMNS, "episodes": rows})
+    return made
+
+
+def _require_same(run, league, asked):
+    """Refuse a comparison whose settings are not the league's, and say which differ."""
+    if asked["version"] != league.version:
+        raise InputError(f"{run}: made by version {asked['version']}; the league is of {league.version}")
+    missing = [world for world in league.worlds if world not in asked["worlds"]]
+    more = [world for world in asked["worlds"] if world not in league.worlds]
+    if missing or more:
+        what = f"{missing[0]} and {len(missing) - 1} more are missing" if missing else f"{more[0]} is not one of them"
+        raise InputError(f"{run}: not the {len(league.worlds)} worlds of the league: {what}")
+    if asked["worlds"] != list(league.worlds):
+        raise InputError(f"{run}: the worlds of the league in another order")
+    records = {"lidar": Lidar(), "rules": Rules(), "robot": Robot()}
+    wanted = {"episodes": 1, "seed": 0, "until": None, **{k: dataclasses.asdict(own) for k, own in records.items()}}
+    for key, value in wanted.items():
+        got = asked.get(key)
+        if json.loads(json.dumps(value)) != got:
+            names = [k for k in value if got.get(k) != value[k]] if isinstance(value, dict) else [shown(got)]
+            raise InputError(f"{run}: {key} must be as the league's, got other {', '.join(names)}")
+
+
+def submit(run: Path, name: str, folder: Path) -> dict[str, bool]:
+    """Enter the strategies of a comparison: write a file for each that is not there yet.
+
+    Args:
+      run, name: as in `entries_of`.
+      folder: of the league's entries; it is made.
+
+    Returns:
+      Strategy -> whether it is new. Those that were there have the same episodes.
+
+    Raises:
+      InputError: as `entries_of`; an entry of the same name has other episodes.
+    """
+    made = entries_of(run, name)
+    before = {entry["strategy"]: entry for entry in read_entries(folder, name)} if folder.is_dir() else {}
+    for entry in made:
+        old = before.get(entry["strategy"])
+        for row, other in zip(entry["episodes"], [] if old is None else old["episodes"]):
+            if row != other:
+                raise InputError(f"{run}: {entry['strategy']} is entered with another episode in {row[0]}: take its "
+                                 "file away first, or give the strategy another name")  # fmt: skip
+    new = [entry for entry in made if entry["strategy"] not in before]
+    folder.mkdir(parents=True, exist_ok=True)
+    names = file_names([*before, *(entry["strategy"] for entry in new)])[len(before) :]
+    for entry, file in zip(new, names):
+        *head, rows = ({key: value} for key, value in entry.items())
+        lines = [json.dumps(one)[1:-1] for one in head]
+        lines.append('"episodes": [\n  ' + ",\n  ".join(map(json.dumps, rows["episodes"])) + "\n ]")
+        (folder / f"{file}.json").write_text("{\n " + ",\n ".join(lines) + "\n}\n", encoding="utf-8")
+    return {entry["strategy"]: entry in new for entry in made}
+
+
+def read_entries(folder: Path, name: str) -> list[dict[str, Any]]:
+    """Return the entries in a folder, the reference first, then by name.
+
+    Raises:
+      InputError: a file that is no entry of this league.
+    """
+    league, found = league_of(name), []
+    for path in sorted(folder.glob("*.json")):
+        try:
+            entry = json.loads(path.read_text(encoding="utf-8"))
+            kept = [entry[key] for key in ("league", "version", "digest", "columns")]
+            worlds = [row[0] for row in entry["episodes"]]
+        except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+            raise InputError(f"{path}: not an entry of a league: {error!r}") from error
+        if kept != [name, league.version, league.digest, list(COLUMNS)] or worlds != list(league.worlds):
+            raise InputError(f"{path}: not an entry of {name}, version {league.version}")
+        found.append(entry)
+    return sorted(found, key=lambda entry: (entry["strategy"] != REFERENCE, entry["strategy"]))
+
+
+def entries_table(folder: Path, name: str) -> "pd.DataFrame":
+    """Return the episodes of all entries in a folder, a row an episode: `COLUMNS` and `strategy`.
+
+    Raises:
+      InputError: as `read_entries`; there is no entry of the reference.
+    """
+    import pandas as pd
+
+    entries = read_entries(folder, name)
+    if not entries or entries[0]["strategy"] != REFERENCE:
+        raise InputError(f"{folder}: no entry of {REFERENCE} there")
+    tables = [
+        pd.DataFrame(entry["episodes"], columns=pd.Index(COLUMNS)).assign(strategy=entry["strategy"])
+        for entry in entries
+    ]
+    return pd.concat(tables, ignore_index=True)
+
+
+def league_text(folder: Path, name: str) -> str:
+    """Format the standings of all entries in a folder, and their ratios at equal coverage, as Markdown tables.
+
+    Raises:
+      InputError: as `entries_table`.
+    """
+    from jexplore.studies.statistics.coverage import at_coverage, coverage_text
+    from jexplore.studies.statistics.league import standings, standings_table
+
+    episodes = entries_table(folder, name)
+    return f"{standings_table(standings(episodes))}\n{coverage_text(at_coverage(episodes))}"

@@ -1,0 +1,255 @@
+"""Teams: equal to the oracle, and to a robot alone where there is only one; starts, contact, coordination, input."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from ref import team as oracle
+from scipy.optimize import linear_sum_assignment
+
+import jexplore as jx
+from jexplore.config import InputError
+from jexplore.exploration.batch import Job, run_jobs
+from jexplore.exploration.team.assignment import MOST_COST, assign
+from jexplore.exploration.team.coordination import COORDINATIONS, JointView
+from jexplore.exploration.team.jobs import team_jobs
+from jexplore.exploration.team.starts import place_team
+from jexplore.exploration.team.team import EVERYBODY, NOBODY, Team, contact_d2, read_coordination
+from jexplore.policies import strategy
+from jexplore.reach import FAR, STRAIGHT
+from jexplore.rules import Lidar, Rules
+from jexplore.worlds.world import World
+
+RULES, LIDAR = Rules(clearance_m=0.0), Lidar(range_m=0.6, n_beams=61, fov_deg=360.0)
+
+
+def world_of(text):
+    """A world drawn in characters, # is wall; row 0 is the first line."""
+    rows = text.split()
+    return World(np.array([[sign == "#" for sign in row] for row in rows]), cell_m=0.1, name="drawn")
+
+
+ROOM = world_of("""
+########
+#......#
+#.##.#.#
+#.#..#.#
+#......#
+########
+""")
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("number", range(20))
+def test_a_team_is_the_oracles(number):
+    told, _ = oracle.differences(oracle.draw_case(1, number, "independent", 3))
+    assert told == []
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+@pytest.mark.parametrize(("coordination", "n"), [("independent", 2), ("minpos", 3), ("voronoi", 3)])
+def test_teams_are_the_oracles(coordination, n):
+    """Fifty cases of each, with robots that wait for each other."""
+    waits = 0
+    for number in range(50):
+        told, robots = oracle.differences(oracle.draw_case(2, number, coordination, n))
+        assert told == []
+        waits += sum(robot.waits for robot in robots)
+    assert waits > 0
+
+
+@pytest.mark.parametrize("number", [61, 135])
+def test_robots_that_cannot_pass_end(number):
+    """Three robots that hear nobody wait for each other in a corridor: some can never reach their targets."""
+    case = oracle.draw_case(7, number, "independent", 3)
+    case = case._replace(rules=case.rules.replace(max_steps=None, max_plans=None))
+    robots, _ = oracle.simulate(case)
+    assert sum(robot.waits for robot in robots) > 10
+    assert {robot.ended for robot in robots} <= {"COMPLETE", "BLOCKED"}
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_a_team_of_one_is_a_robot_alone():
+    """Every measure is equal to the bit, noise and draws of the strategy included."""
+    world, starts = jx.load_world("maze:width_m=3,height_m=3"), np.array([[5, 5, 0], [5, 5, 90]])
+    lidar = Lidar(range_m=1.0, sigma_m=0.05, dropout=0.05)
+    rules = Rules(clearance_m=0.1, look_around=True)
+    job = Job(world, strategy("random+recheck"), starts, 3)
+    alone, team = (
+        run_jobs([one], lidar, rules, engine="jax").outcomes[0].result for one in (job, job._replace(team=Team(1)))
+    )
+    for name in alone.__dataclass_fields__:
+        if name not in ("metrics", "replace"):
+            jax.tree.map(np.testing.assert_array_equal, getattr(alone, name), getattr(team, name))
+
+
+@pytest.mark.jit
+def test_assignment_costs_as_much_as_scipys():
+    draw = np.random.default_rng(0)
+    for _ in range(40):
+        n = int(draw.integers(1, 5))
+        cost = draw.integers(0, draw.choice([3, 50, MOST_COST]), (4, 7))
+        cost[n:] = 0
+        column = np.asarray(assign(jnp.asarray(cost, jnp.int32)))
+        rows, columns = linear_sum_assignment(cost)
+        assert len(set(column)) == 4
+        assert cost[np.arange(4), column].sum() == cost[rows, columns].sum()
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_assignments_of_many_sizes_cost_as_much_as_scipys():
+    draw = np.random.default_rng(1)
+    for n, m in itertools.product((1, 2, 5, 16), (16, 40, 144)):
+        for _ in range(100):
+            cost = draw.integers(0, draw.choice([2, 10, MOST_COST]) + 1, (n, m))
+            column = np.asarray(assign(jnp.asarray(cost, jnp.int32)))
+            assert cost[np.arange(n), column].sum() == cost[linear_sum_assignment(cost)].sum()
+
+
+def joint(robot, positions, aims=(), frontier=(0, 10)):
+    """Return the view of robot `robot` in a corridor of 11 cells with frontier cells at both ends."""
+    n, cells = len(positions), np.arange(11)
+    costs = np.array([abs(cells - at) * STRAIGHT for at in positions], np.int32)[:, None]
+    is_frontier = np.isin(cells, frontier)[None]
+    targets = np.full((n, 2), -1, np.int32)
+    for other, at in aims:
+        targets[other] = 0, at
+    at = np.array([(0, position) for position in positions], np.int32)
+    view = JointView(
+        jnp.int32(robot), jnp.ones(n, bool), jnp.asarray(at), jnp.asarray(targets), jnp.asarray(costs[robot]),
+        jnp.asarray(costs), jnp.asarray(is_frontier), None, jnp.float32(4.0),
+    )  # fmt: skip
+    return view, is_frontier[0]
+
+
+def chosen(name, *view):
+    view, is_frontier = joint(*view)
+    score = np.asarray(COORDINATIONS[name](view))[0].astype(float)
+    return int(np.argmax(np.where(is_frontier, score, -np.inf)))
+
+
+@pytest.mark.jit
+def test_coordinated_robots_take_different_ends():
+    """Robots in cells 3 and 4 are both nearer to the left end; the second goes right."""
+    for name in ("minpos", "voronoi", "hungarian"):
+        assert [chosen(name, robot, (3, 4)) for robot in (0, 1)] == [0, 10]
+
+
+def test_greedy_avoids_what_the_others_target_shows():
+    """The nearest end is another's target, or close to one: the far end is worth more, until it is too far."""
+    assert chosen("greedy", 1, (3, 4)) == 0
+    assert chosen("greedy", 1, (3, 4), [(0, 0)]) == 10
+    assert chosen("greedy", 1, (3, 4), [(0, 3)]) == 0  # a quarter is shown, and the far end is 2 cells farther
+    assert chosen("greedy", 1, (3, 1), [(0, 0)]) == 0
+
+
+@pytest.mark.jit
+def test_robots_that_are_not_there_do_not_count():
+    view, _ = joint(0, (4, 3))
+    view = view.replace(there=jnp.array([True, False]), costs=view.costs.at[1].set(FAR))
+    for name in ("minpos", "voronoi", "hungarian"):
+        assert int(np.argmax(np.where(np.asarray(view.frontier), COORDINATIONS[name](view), -np.inf))) == 0
+
+
+def test_starts_together_and_apart():
+    together = place_team(ROOM, (1, 1, 90), 3, "together", clearance_m=0.0, near_m=0.5)
+    assert together.tolist() == [[1, 1, 90], [1, 2, 90], [2, 1, 90]]
+    apart = place_team(ROOM, (1, 1, 90), 2, "apart", clearance_m=0.0, near_m=0.5)
+    assert apart.tolist() == [[1, 1, 90], [4, 6, 90]]
+
+
+@pytest.mark.parametrize(
+    ("n", "starts", "text"),
+    [
+        (16, "together", None),
+        (2, ((1, 1, 0), (1, 1, 90)), "two robots start at"),
+        (2, ((1, 1, 0), (0, 0, 0)), "lies in a wall"),
+        (3, ((1, 1, 0), (1, 2, 0)), "for each of 3 robots"),
+        (2, "beside", "team_starts must be together or apart"),
+    ],
+)
+def test_starts_that_cannot_be_are_refused(n, starts, text):
+    if text is None:
+        placed = place_team(ROOM, (1, 1, 0), n, starts, clearance_m=0.0, near_m=0.5)
+        assert len({tuple(cell) for cell in placed[:, :2].tolist()}) == n
+        text, starts, n = "robots do not fit", "apart", 40
+    with pytest.raises(InputError, match=text):
+        place_team(ROOM, (1, 1, 0), n, starts, clearance_m=0.0, near_m=0.5)
+
+
+def test_contact_is_read():
+    assert [contact_d2(text, 0.1) for text in ("all", "none", "range:0.3")] == [EVERYBODY, NOBODY, 9]
+    for text in ("range", "range:-1", "range:inf", "sight", "range:4m"):
+        with pytest.raises(InputError, match="contact must be all, none or range:METRES"):
+            contact_d2(text, 0.1)
+
+
+def jobs(text="closest", rules=RULES, metrics=None, **team):
+    job = Job(ROOM, strategy(text), np.array([[1, 1, 0]]), lidar=LIDAR, rules=rules, metrics=metrics or {})
+    return team_jobs([job], **team)
+
+
+def test_teams_are_named():
+    made = jobs(robots=[1, 2], coordination=["independent", "greedy"])
+    names = [job.strategy.name for job in made]
+    assert names == ["1 x closest", "2 x closest, independent", "2 x closest, greedy"]
+    assert jobs()[0].team is None
+
+
+@pytest.mark.parametrize(
+    ("how", "text"),
+    [
+        ({"robots": 17}, "robots must be an integer from 1 to 16, got 17"),
+        ({"robots": [2, 2]}, "different sizes"),
+        ({"robots": 30}, "from 1 to 16"),
+        ({"contact": "none"}, "give robots"),
+        ({"robots": 2, "coordination": "gready"}, "greedy"),
+        ({"robots": 2, "coordination": ["greedy", "greedy"]}, "different ones"),
+        ({"robots": 2, "coordination": "greedy", "text": "random"}, "chooses targets itself"),
+        ({"robots": 2, "coordination": "no_such_module:f"}, "no module"),
+        ({"robots": 2, "rules": RULES.replace(pose="icp")}, "pose must be true"),
+        ({"robots": 2, "metrics": {"own": None}}, "metrics are of one robot"),
+        ({"robots": 2, "team_starts": ["here"]}, "start must be"),
+    ],
+)
+def test_what_teams_cannot_be_is_refused(how, text):
+    with pytest.raises(InputError, match=text):
+        jobs(**how)
+
+
+def test_a_coordination_of_ones_own_is_checked():
+    own = read_coordination(lambda view: 3)
+    view, _ = joint(0, (3, 4))
+    with pytest.raises(InputError, match="must return a score for every cell"):
+        own(view, view, None)
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_teams_are_compared(tmp_path):
+    """A table of teams with speed-up, that is kept and loaded."""
+
+    def backwards(view):
+        return view.cost
+
+    found = jx.compare(
+        ROOM, "closest", episodes=3, rules=RULES, lidar=LIDAR, robots=[1, 2], coordination=["independent", backwards],
+        contact="range:0.3", out=tmp_path / "run",
+    )  # fmt: skip
+    table = found.teams.set_index("strategy")
+    assert list(table.index) == ["1 x closest", "2 x closest, independent", "2 x closest, backwards"]
+    assert table["speed_up"].iloc[0] == 1
+    alone = found["1 x closest"]
+    assert (alone["path_sum_m"] == alone["path_m"]).all()
+    assert (found.episodes["connected"] <= 1).all()
+    assert found.episodes["coordination"].tolist()[-1] == "backwards"
+    assert "speed-up" in found.to_markdown()
+    again = jx.load(tmp_path / "run")
+    assert again.teams.equals(found.teams)
+    with pytest.raises(InputError, match="keep"):
+        jx.compare(ROOM, "closest", rules=RULES, robots=2, keep="paths")
