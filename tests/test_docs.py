@@ -41,6 +41,7 @@ NO_COMMANDS_OF_OURS = (
 PARSED_ONLY = {
     ".venv/bin/jexplore compare": "the first run: .ci/run has it",
     "jexplore compare --league": "hours",
+    "jexplore league submit": "needs what the line before writes; tests/test_league_entries.py",
     "jexplore reproduce": "needs the paper's maps",
     "jexplore compare --worlds MAPS/": "needs the paper's maps",
     "jexplore slam": "needs a recorded log; tests/test_slam_logs.py",

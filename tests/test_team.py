@@ -5,6 +5,7 @@ import itertools
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
 from ref import team as oracle
 from scipy.optimize import linear_sum_assignment
@@ -20,6 +21,7 @@ from jexplore.exploration.team.team import EVERYBODY, NOBODY, Team, contact_d2, 
 from jexplore.policies import strategy
 from jexplore.reach import FAR, STRAIGHT
 from jexplore.rules import Lidar, Rules
+from jexplore.studies.statistics import teams
 from jexplore.worlds.world import World
 
 RULES, LIDAR = Rules(clearance_m=0.0), Lidar(range_m=0.6, n_beams=61, fov_deg=360.0)
@@ -214,7 +216,12 @@ def test_teams_are_named():
         ({"robots": 2, "coordination": "no_such_module:f"}, "no module"),
         ({"robots": 2, "rules": RULES.replace(pose="icp")}, "pose must be true"),
         ({"robots": 2, "metrics": {"own": None}}, "metrics are of one robot"),
-        ({"robots": 2, "team_starts": ["here"]}, "start must be"),
+        ({"robots": 2, "team_starts": ["here"]}, "team_starts must be together, apart, or row,col,heading_deg"),
+        ({"robots": 2, "team_starts": 5}, "team_starts must be together, apart"),
+        ({"robots": 2, "team_starts": [(1.5, 2, 0), (3, 3, 0)]}, "team_starts must be together, apart"),
+        ({"robots": [1, 2], "team_starts": [(1, 2, 0)] * 3}, "one for each robot of the largest team, 2, got 3"),
+        ({"robots": 2.5}, "robots must be an integer"),
+        ({"robots": 2, "coordination": 5}, "coordination"),
     ],
 )
 def test_what_teams_cannot_be_is_refused(how, text):
@@ -253,3 +260,32 @@ def test_teams_are_compared(tmp_path):
     assert again.teams.equals(found.teams)
     with pytest.raises(InputError, match="keep"):
         jx.compare(ROOM, "closest", rules=RULES, robots=2, keep="paths")
+
+
+def test_an_own_coordination_has_a_name_of_its_own():
+    def minpos(view):
+        return -view.cost
+
+    with pytest.raises(InputError, match="coordination minpos is one that is there: give your function another name"):
+        team_jobs([], 2, minpos)
+
+
+def test_ratios_over_worlds_and_of_completed_episodes():
+    """Two worlds in which two robots take 1/2 and 1/8 of the time of one: 1/4 in the mean of logarithms."""
+    rows = []
+    for world, times in (("a#0", (8.0, 4.0)), ("a#1", (8.0, 1.0))):
+        for robots, time in zip((1, 2), times):
+            for episode in range(3):
+                name = Team(robots).label("closest")
+                ended = "STEP_LIMIT" if episode == 2 else "COMPLETE"
+                path = 1000.0 if episode == 2 and robots == 2 else time  # not counted in ratios
+                row = {"world": world, "strategy": name, "coordination": "independent", "contact": "all"}
+                row |= dict.fromkeys(teams.MEANS, 1.0) | {"episode": episode, "outcome": ended}
+                row |= {"robots": robots, "path_m_at_100": path}
+                rows.append(row)
+    table = teams.tabulate(pd.DataFrame(rows))
+    assert table["world"].tolist() == ["a#0", "a#0", "a#1", "a#1", "all", "all"]
+    pair = table[table["robots"] == 2]
+    assert pair["speed_up"].tolist() == pytest.approx([2, 8, 4])
+    assert pair["efficiency"].tolist() == pytest.approx([1, 4, 2])
+    assert table["vs_independent"].tolist() == pytest.approx([1] * 6)

@@ -132,6 +132,8 @@ class LeagueCommand:
         folder = self.entries or Path("leagues", self.name)
         if (self.action == "submit") != (self.run is not None):
             raise InputError("expected the folder of a run with submit, and none with show: jexplore league submit RUN")
+        if not folder.is_dir():
+            raise InputError(f"no entries in {folder}: give a checkout's leagues/{self.name} with --entries")
         if self.run is not None:
             for strategy, is_new in league.submit(self.run, self.name, folder).items():
                 show_line(f"{strategy}: {'entered' if is_new else 'as entered before'}")

@@ -214,7 +214,7 @@ def require_same(path: Path, there: Mapping[str, Any], here: Mapping[str, Any], 
     for name in () if trust else dict.fromkeys((*is_, *was)):
         if is_.get(name) is None:
             raise InputError(
-                f"{path} holds a run of the {name}, which calls back into Python, so that nothing tells whether it has "
+                f"{path} holds a run of the {name}, of which nothing tells whether it has "
                 "changed since: --trust goes on if you know that it has not, --overwrite begins anew"
             )
         if was.get(name) != is_[name]:

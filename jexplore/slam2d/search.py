@@ -14,6 +14,7 @@ from jexplore.slam2d.settings import SlamSettings
 
 BLOCK = 6  # fine steps to a coarse one
 BEST = 32  # coarse steps that are searched finely
+OUTSIDE = 2.0**24  # cells from the picture beyond which a point is anywhere: whole numbers do not wrap
 MOST_STEPS = 2**13 - 1  # the largest cost of a point, that of a cell of the index without one
 
 
@@ -83,7 +84,7 @@ def search(settings: SlamSettings, points: PointMap, scan: Scan, start: Array, p
     blocks = jnp.arange(-window.blocks, window.blocks) * BLOCK
     arm = rotated(scan.xy, start[2] + turns[:, None] * turn) / edge_m  # [T, B, 2]
     cells = (arm[..., 1] + (at[0] - first_row), arm[..., 0] + (at[1] - first_col))
-    cells = jnp.stack([jnp.floor(a).astype(jnp.int32) + BLOCK for a in cells])
+    cells = jnp.stack([jnp.floor(jnp.clip(a, -OUTSIDE, OUTSIDE)).astype(jnp.int32) + BLOCK for a in cells])
 
     def guess(k, up, right):
         off2 = (k * turn / sd[2]) ** 2 + (up * edge_m / sd[1])[:, None] ** 2 + (right * edge_m / sd[0])[None, :] ** 2

@@ -142,17 +142,22 @@ def decode(found: tuple[np.ndarray, ...], shape: tuple[int, int], ring: int) -> 
     return Final(*maps, rows, cols, none, none, plans=None, ways=walks)
 
 
+SECONDS = "time_s_at_50", "time_s_at_90", "time_s_at_95", "time_s_at_99", "area_s"
+"""Columns of times to known shares, in seconds."""
+
+
 def team_columns(result: Result, team: Team, cell_m: float, robot: Robot) -> dict[str, Any]:
     """Return the columns of a table of episodes that are a team's own, and the energy of all robots: arrays `[n]`.
 
     `path_m_at_100`: the clock when all was known that is in the end; `path_sum_m`: ways of all robots; `overlap`: what
     each has seen itself, as shares of what all have, summed, less 1; `share_sd`: standard deviation of these shares;
     `waits`: of all robots; `connected`: mean over all steps of the share of the others that the robot heard, 1 for a
-    robot alone.
+    robot alone, NaN where no robot made a step. Times in seconds to known shares are NaN for several robots.
     """
     n, counts = len(result.outcome), cast(Any, result.metrics)
     share = counts.own / np.maximum(counts.seen, 1)[:, None]
-    steps = np.maximum((counts.straight + counts.diagonal).sum(axis=1), 1)
+    steps = (counts.straight + counts.diagonal).sum(axis=1)
+    heard = np.where(steps > 0, counts.links / np.maximum(steps * (team.robots - 1), 1), np.nan)
     sums = {name: getattr(counts, name).sum(axis=1) for name in ("straight", "diagonal", "time_ms")}
     return {
         "robots": np.full(n, team.robots, np.int64),
@@ -161,8 +166,9 @@ def team_columns(result: Result, team: Team, cell_m: float, robot: Robot) -> dic
         "overlap": share.sum(axis=1) - 1,
         "share_sd": share.std(axis=1),
         "waits": counts.waits.sum(axis=1).astype(np.int64),
-        "connected": counts.links / (steps * (team.robots - 1)) if team.robots > 1 else np.ones(n),
+        "connected": heard if team.robots > 1 else np.ones(n),
         "coordination": [team.coordinates] * n,
         "contact": [team.contact] * n,
         "energy_j": energy_j(result.replace(**sums), robot, cell_m),
+        **(dict.fromkeys(SECONDS, np.full(n, np.nan)) if team.robots > 1 else {}),
     }

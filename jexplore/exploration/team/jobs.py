@@ -73,15 +73,18 @@ def _teams(
     robots: int | Sequence[int], coordination: CoordinationLike, contact: str, starts: Starts | Sequence[str]
 ) -> list[Team]:
     """Return every team that is asked for, in order."""
-    given = [coordination] if isinstance(coordination, str) or callable(coordination) else list(coordination)
+    given: list[Any] = list(coordination) if isinstance(coordination, list | tuple) else [coordination]
     ways = [read_coordination(_imported(one) if isinstance(one, str) else one) for one in given]
     names = [INDEPENDENT if one is None else one.name for one in ways]
     if not names or len(set(names)) < len(names):
         raise InputError(f"coordination must be one or several different ones, got {', '.join(names) or 'none'}")
     teams: dict[Team, None] = {}
-    for size in read_robots(robots):
+    sizes, own = read_robots(robots), _read_starts(starts)
+    if not isinstance(own, str) and len(own) != max(sizes):
+        raise InputError(f"team_starts must be one for each robot of the largest team, {max(sizes)}, got {len(own)}")
+    for size in sizes:
         for one in ways:
-            teams[Team(size, one if size > 1 else None, contact, _read_starts(starts, size))] = None
+            teams[Team(size, one if size > 1 else None, contact, own if isinstance(own, str) else own[:size])] = None
     return list(teams)
 
 
@@ -91,13 +94,17 @@ def _imported(name: str) -> Coordinate:
     return import_object(module, function) if colon else name
 
 
-def _read_starts(starts: Starts | Sequence[str], size: int) -> Starts:
-    """Return starts as a `Team` has them: a word, or the first `size` of given ones."""
+def _read_starts(starts: Starts | Sequence[str]) -> Starts:
+    """Return starts as a `Team` has them: a word, or given ones."""
     if isinstance(starts, str):
         return starts
-    given: list[Any] = [read_start(start) if isinstance(start, str) else start for start in starts]
+    form = f"team_starts must be together, apart, or row,col,heading_deg of each robot, got {starts!r}"
+    if not isinstance(starts, list | tuple | np.ndarray):
+        raise InputError(form)
+    given: list[Any] = [read_start(start) if isinstance(start, str) and "," in start else start for start in starts]
     if given in (["together"], ["apart"]):
         return str(given[0])
-    if not all(isinstance(start, tuple | list) and len(start) == 3 for start in given):
-        raise InputError(f"team_starts must be together, apart, or row,col,heading_deg of each robot, got {starts!r}")
-    return tuple((int(row), int(col), int(heading)) for row, col, heading in given[:size])
+    is_pose = [isinstance(one, tuple | list | np.ndarray) and len(one) == 3 for one in given]
+    if not all(is_pose) or np.asarray(given).dtype.kind not in "iu":
+        raise InputError(form)
+    return tuple((int(row), int(col), int(heading)) for row, col, heading in given)

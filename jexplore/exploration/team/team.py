@@ -4,8 +4,6 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeAlias
 
-import numpy as np
-
 from jexplore.config import InputError, require_whole, shown, unknown
 from jexplore.exploration.team.coordination import COORDINATIONS, Coordination
 from jexplore.grid import radius_d2
@@ -59,12 +57,15 @@ def read_coordination(given: str | Callable[..., Any]) -> Coordination | None:
     """Return a coordination by its name, or of a user's function of a `JointView`; None for `independent`.
 
     Raises:
-      InputError: no coordination has that name.
+      InputError: no coordination has that name; a user's function has the name of one.
     """
     if given == INDEPENDENT:
         return None
     if callable(given):
-        return Coordination(name_of(given) or "own", given)
+        name = name_of(given) or "own"
+        if name == INDEPENDENT or COORDINATIONS.get(name, given) is not given:
+            raise InputError(f"coordination {name} is one that is there: give your function another name")
+        return Coordination(name, given)
     names = [INDEPENDENT, *COORDINATIONS]
     if given not in names:
         raise unknown("coordination", str(given), names)
@@ -77,7 +78,7 @@ def read_robots(given: int | Iterable[int]) -> list[int]:
     Raises:
       InputError: not whole numbers from 1 to `MOST_ROBOTS`, or one of them twice.
     """
-    sizes = [given] if isinstance(given, (int, np.integer)) else list(given)
+    sizes = list(given) if isinstance(given, Iterable) else [given]
     sizes = [require_whole("robots", size, 1, MOST_ROBOTS) for size in sizes]
     if not sizes or len(set(sizes)) < len(sizes):
         raise InputError(f"robots must be one or several different sizes of a team, got {shown(given)}")

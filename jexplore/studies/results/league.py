@@ -6,11 +6,13 @@ An entry is a JSON file with one strategy's episodes, taken from the folder of a
 import dataclasses
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jexplore.config import InputError, shown, unknown
+from jexplore.exploration.state import Outcome
 from jexplore.rules import Lidar, Robot, Rules
 from jexplore.studies.statistics.league import league_worlds
 from jexplore.worlds.names import file_names
@@ -84,23 +86,26 @@ def entries_of(run: Path, name: str) -> list[dict[str, Any]]:
     from jexplore.report.store import read_parquet
     from jexplore.studies.results.loading import run_record
 
-    league, record = league_of(name), run_record(run)
-    asked = record.get("asked", {})
-    if asked.get("command") != "compare":
+    league, asked = league_of(name), run_record(run).get("asked", {})
+    wanted = "version", "worlds", "digests", "own", "strategies"
+    if asked.get("command") != "compare" or not all(key in asked for key in wanted):
         raise InputError(f"{run}: not the folder of a comparison (jexplore compare)")
     _require_same(run, league, asked)
     table, made = read_parquet(run / "episodes.parquet", required=("strategy", *COLUMNS)), []
     if REFERENCE not in set(table["strategy"]):
         raise InputError(f"{run}: {REFERENCE} is missing: every submission runs it too")
     for strategy, own in table.groupby("strategy", sort=False):
-        own = own.set_index("world").reindex(league.worlds).reset_index()
-        missing = [world for world, outcome in zip(own["world"], own["outcome"]) if not isinstance(outcome, str)]
+        missing = [world for world in league.worlds if world not in set(own["world"])]
         if missing:
             raise InputError(f"{run}: {strategy}: {len(missing)} episodes are missing, that in {missing[0]} first")
+        if len(own) != len(league.worlds):
+            raise InputError(f"{run}: {strategy}: {len(own)} episodes in {len(league.worlds)} worlds")
+        own = own.set_index("world").reindex(league.worlds).reset_index()
         if digest_of(asked, own) != league.digest:
             raise InputError(f"{run}: worlds or starts are not those of {name}, though their names and the seed are")
         rows = own[list(COLUMNS)].astype(dict.fromkeys(WHOLE, int)).round(DECIMALS).to_numpy(object).tolist()
         head = {"league": name, "version": league.version, "digest": league.digest, "strategy": strategy}
+        _require_rows(f"{run}: {strategy}", rows)
         made.append({**head, "own": asked["own"].get(f"strategy {strategy!r}"), "columns": COLUMNS, "episodes": rows})
     return made
 
@@ -116,13 +121,26 @@ def _require_same(run, league, asked):
         raise InputError(f"{run}: not the {len(league.worlds)} worlds of the league: {what}")
     if asked["worlds"] != list(league.worlds):
         raise InputError(f"{run}: the worlds of the league in another order")
+    if "teams" in asked or asked.get("from_map"):
+        raise InputError(f"{run}: the league is of one robot that begins without a map")
     records = {"lidar": Lidar(), "rules": Rules(), "robot": Robot()}
     wanted = {"episodes": 1, "seed": 0, "until": None, **{k: dataclasses.asdict(own) for k, own in records.items()}}
     for key, value in wanted.items():
         got = asked.get(key)
         if json.loads(json.dumps(value)) != got:
-            names = [k for k in value if got.get(k) != value[k]] if isinstance(value, dict) else [shown(got)]
+            pair = (value, got) if isinstance(value, dict) and isinstance(got, dict) else None
+            names = [k for k in pair[0] if pair[1].get(k) != pair[0][k]] if pair else [shown(got)]
             raise InputError(f"{run}: {key} must be as the league's, got other {', '.join(names)}")
+
+
+def _require_rows(what, rows):
+    """Refuse episodes with another number of columns, numbers that are not finite, or an unknown outcome."""
+    for row in rows:
+        numbers = [value for name, value in zip(COLUMNS, row) if name not in ("world", "outcome")]
+        if len(row) != len(COLUMNS) or not all(isinstance(a, int | float) and math.isfinite(a) for a in numbers):
+            raise InputError(f"{what}: the episode in {row[0]} must have {len(COLUMNS)} values, all numbers finite")
+        if row[COLUMNS.index("outcome")] not in Outcome.__members__:
+            raise InputError(f"{what}: the episode in {row[0]} has no outcome that there is")
 
 
 def submit(run: Path, name: str, folder: Path) -> dict[str, bool]:
@@ -168,12 +186,16 @@ def read_entries(folder: Path, name: str) -> list[dict[str, Any]]:
         try:
             entry = json.loads(path.read_text(encoding="utf-8"))
             kept = [entry[key] for key in ("league", "version", "digest", "columns")]
-            worlds = [row[0] for row in entry["episodes"]]
+            worlds, strategy = [row[0] for row in entry["episodes"]], entry["strategy"]
         except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
             raise InputError(f"{path}: not an entry of a league: {error!r}") from error
         if kept != [name, league.version, league.digest, list(COLUMNS)] or worlds != list(league.worlds):
             raise InputError(f"{path}: not an entry of {name}, version {league.version}")
+        _require_rows(f"{path}: {strategy}", entry["episodes"])
         found.append(entry)
+    starts = {tuple(tuple(row[: 1 + len(WHOLE)]) for row in entry["episodes"]) for entry in found}
+    if len(starts) > 1:
+        raise InputError(f"{folder}: entries do not have the same starts")
     return sorted(found, key=lambda entry: (entry["strategy"] != REFERENCE, entry["strategy"]))
 
 

@@ -6,8 +6,12 @@ pandas is imported by the functions that need it.
 import math
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+
 from jexplore.report.tables import aligned_table, number_text, ratio_text
 from jexplore.studies.results.columns import TEAM_MEASURES
+from jexplore.studies.statistics.by_world import DONE
+from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
 from jexplore.studies.statistics.paired import PairedRatio, paired_ratio
 
 if TYPE_CHECKING:
@@ -21,8 +25,8 @@ TABLE = (
 
 
 def _ratio(rows: Any, reference: Any) -> PairedRatio:
-    """Return the `paired_ratio` of the times until all is known, over the episodes that both have."""
-    ours, theirs = (one.set_index("episode")["path_m_at_100"] for one in (rows, reference))
+    """Return the `paired_ratio` of the times until all is known, over the episodes that both have completed."""
+    ours, theirs = (one[one["outcome"].isin(DONE)].set_index("episode")["path_m_at_100"] for one in (rows, reference))
     both = ours.index.intersection(theirs.index)
     if not len(both):
         return PairedRatio(math.nan, math.nan, math.nan, math.nan, 0)
@@ -30,7 +34,7 @@ def _ratio(rows: Any, reference: Any) -> PairedRatio:
 
 
 def tabulate(episodes: "pd.DataFrame") -> "pd.DataFrame":
-    """Tabulate one row a world and team, in order of first appearance.
+    """Tabulate one row a world and team, in order of first appearance; then one a team over several worlds, as "all".
 
     Args:
       episodes: the table of episodes, with `columns.TEAM_COLUMNS`.
@@ -39,7 +43,8 @@ def tabulate(episodes: "pd.DataFrame") -> "pd.DataFrame":
       A DataFrame: means of times in metres on the common clock, and of the team's measures; `speed_up`, the mean time
         of one robot by that of the team until all is known, with its interval (`paired_ratio`), and `efficiency`, that
         by the number of robots: NaN without a team of one; `vs_independent`, the team's time by that of as many robots
-        without coordination, with its interval.
+        without coordination, with its interval. In a world intervals are over starts; over worlds they are by
+        `mean_over_worlds`, of ratios as logarithms.
     """
     import pandas as pd
 
@@ -57,7 +62,23 @@ def tabulate(episodes: "pd.DataFrame") -> "pd.DataFrame":
         up = [1 / value for value in (alone.ratio, alone.high, alone.low)]
         names = world, strategy, first["coordination"], first["contact"]
         table.append((*names, *means, *up, up[0] / first["robots"], versus.ratio, versus.low, versus.high))
-    return pd.DataFrame(table, columns=[*TABLE])
+    found = pd.DataFrame(table, columns=[*TABLE])
+    return found if len(set(found["world"])) < 2 else pd.concat([found, _over_worlds(found)], ignore_index=True)
+
+
+def _over_worlds(table: Any) -> "pd.DataFrame":
+    """Return a row a team over all worlds, of those of single ones."""
+    import pandas as pd
+
+    rows = []
+    for _, own in table.groupby("strategy", sort=False):
+        row = {**own.iloc[0], "world": "all", **own[[*MEANS]].mean()}
+        for name, low, high in (("speed_up", "speed_up_low", "speed_up_high"), ("vs_independent", "vs_low", "vs_high")):
+            some = own[np.isfinite(own[name])]
+            found = mean_over_worlds(np.log(some[name]), [kind_of(world) for world in some["world"]])
+            row |= dict(zip((name, low, high), np.exp(found[:3])))
+        rows.append(row | {"efficiency": row["speed_up"] / row["robots"]})
+    return pd.DataFrame(rows, columns=[*TABLE])
 
 
 def _base(row: Any) -> str:
@@ -70,7 +91,8 @@ def team_table(table: "pd.DataFrame") -> str:
     head = [
         "world",
         "strategy",
-        *(f"m at {share} %" for share in (90, 95, 99, 100)),
+        *(f"m at {share} %" for share in (90, 95, 99)),
+        "m until all is known",
         "speed-up",
         "efficiency",
         "to independent",
