@@ -9,7 +9,8 @@ into a cell that another one is in is not made, nor a diagonal one between two c
 neither meet, nor swap, nor cross. The robot waits for the time of a straight step. After `PATIENCE` waits in a row, and
 one more for each robot with a lower number, it plans anew and takes robots in adjacent cells for walls; where it then
 finds no target, it goes to the cell that is farthest away, to let others pass; a target that it
-leaves in this way twice, and no other in between, it gives up. A robot that has ended steps aside: it is in nobody's way.
+leaves in this way twice, and no other in between, it gives up. A robot that has ended steps aside and is in nobody's
+way.
 Knowledge: robots hear each other directly within a distance, and through others. When a robot plans, or first hears
 another, it and all that it hears exchange maps: each then has, of each cell, the most hits and the most misses that one
 of them has. Nothing is counted twice, in whatever order robots meet.
