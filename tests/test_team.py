@@ -266,7 +266,7 @@ def test_an_own_coordination_has_a_name_of_its_own():
     def minpos(view):
         return -view.cost
 
-    with pytest.raises(InputError, match="coordination minpos is one that is there: give your function another name"):
+    with pytest.raises(InputError, match="coordination minpos is built in: give your function another name"):
         team_jobs([], 2, minpos)
 
 

@@ -37,7 +37,7 @@ def team_jobs(
     A team of one has no coordination: it comes once.
 
     Raises:
-      InputError: an option that has no meaning without `robots`; a pose that is not given, metrics; whatever a team
+      InputError: an option that has no meaning without `robots`; a pose that is not given, metrics; a team that
         cannot be.
     """
     if robots is None:

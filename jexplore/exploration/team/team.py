@@ -64,7 +64,7 @@ def read_coordination(given: str | Callable[..., Any]) -> Coordination | None:
     if callable(given):
         name = name_of(given) or "own"
         if name == INDEPENDENT or COORDINATIONS.get(name, given) is not given:
-            raise InputError(f"coordination {name} is one that is there: give your function another name")
+            raise InputError(f"coordination {name} is built in: give your function another name")
         return Coordination(name, given)
     names = [INDEPENDENT, *COORDINATIONS]
     if given not in names:
