@@ -204,7 +204,7 @@ class _Known:
         free = explorer.truth
         belief = np.where(free, rules.FREE, rules.UNKNOWN).astype(np.int8)
         found, self.width = rules.frontier_cells(belief), free.shape[1]
-        whole = Explorer(free, explorer.start)
+        whole = Explorer(free, explorer.start, explorer.scanner)
         whole.belief, whole.looks = belief, []
         whole.index, whole.places, whole.seen, whole.links = {}, [], [], []
         whole._add_nodes(free, explorer.start)

@@ -11,6 +11,7 @@ import functools
 import itertools
 import math
 import os
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,23 @@ UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 PAD = RANGE + 1  # occupied cells round a map: no beam leaves the arrays
 ROUND = [(i, j) for i, j in itertools.product(range(-2, 3), repeat=2) if (i, j) != (0, 0)]
 """Nodes that a node may be linked to, as steps of `STEP` cells."""
+
+
+class Scanner(NamedTuple):
+    """What a beam enters into the belief."""
+
+    is_wide: bool
+    """The 3 x 3 cells round every cell of a beam, not that cell alone."""
+    depth: int
+    """Occupied cells that a beam enters at most, one behind another."""
+
+
+SCANNERS = {
+    "dare": Scanner(is_wide=True, depth=1),  # marmotlab/DARE
+    "ariadne": Scanner(is_wide=False, depth=9),  # marmotlab/ARiADNE, HDPlanner_Exp_and_Nav, CogniPlan
+    "bare": Scanner(is_wide=False, depth=1),  # DARE's without the cells round a beam
+}
+"""Scanners of the public code of the same group."""
 
 
 def read_map(path: str | os.PathLike[str]) -> tuple[NDArray[np.bool_], tuple[int, int]]:
@@ -92,19 +110,17 @@ def beams() -> NDArray[np.int16]:
     return lines()[rows + RANGE, cols + RANGE, : int((abs(rows) + abs(cols)).max())]
 
 
-def scan(truth: NDArray[np.bool_], belief: NDArray[np.int8], cell: NDArray[np.int_], *, wide: bool = True) -> None:
-    """Enter what the scanner sees into a belief: the cells of every beam up to its first hit.
-
-    Args:
-      wide: enter the 3 x 3 cells round each of them, as the public code does.
-    """
+def scan(truth: NDArray[np.bool_], belief: NDArray[np.int8], cell: NDArray[np.int_], scanner: Scanner) -> None:
+    """Enter what the scanner sees into a belief: the cells of every beam, into the wall that it hits."""
     rows, cols = cell[0] + beams()[..., 0], cell[1] + beams()[..., 1]
     hit = ~truth[rows, cols]
-    entered = np.cumsum(hit, axis=1) - hit == 0
+    before = np.cumsum(hit, axis=1) - hit  # occupied cells that the beam has passed
+    in_first_wall = np.arange(hit.shape[1]) - hit.argmax(axis=1)[:, None] == before
+    entered = (before == 0) | (hit & in_first_wall & (before < scanner.depth))
     passed = np.zeros_like(truth)
     passed[rows[entered], cols[entered]] = True
     rows, cols = np.nonzero(passed)
-    for i, j in itertools.product((-1, 0, 1) if wide else (0,), repeat=2):
+    for i, j in itertools.product((-1, 0, 1) if scanner.is_wide else (0,), repeat=2):
         belief[rows + i, cols + j] = np.where(truth[rows + i, cols + j], FREE, OCCUPIED)
 
 
@@ -134,8 +150,7 @@ class Explorer:
     """`[H, W]` free cells, with `PAD` occupied ones round the map."""
     start: NDArray[np.int_]
     """`[2]` cell of the first node: all lie `STEP` cells apart from it."""
-    wide: bool = True
-    """A beam shows the cells round it, see `scan`."""
+    scanner: Scanner
     at: int = 0
     """The node where the robot is."""
     path_m: float = 0.0
@@ -173,7 +188,7 @@ class Explorer:
     def look(self) -> None:
         """Scan, and bring frontiers, nodes and links up to date."""
         here = self.start if not self.places else self.cells[self.at]
-        scan(self.truth, self.belief, here, wide=self.wide)
+        scan(self.truth, self.belief, here, self.scanner)
         found, width = thinned(frontier_cells(self.belief), self.start), self.truth.shape[1]
         flat = found @ (width, 1)
         fresh = ~np.isin(flat, list(self.frontier)) & (np.hypot(*(found - here).T) <= RANGE + VOXEL)
@@ -227,9 +242,9 @@ class Explorer:
             self.looks[node] = bool(self.seen[node])
 
 
-def explorer(free: NDArray[np.bool_], start: tuple[int, int], *, wide: bool = True) -> Explorer:
+def explorer(free: NDArray[np.bool_], start: tuple[int, int], scanner: Scanner = SCANNERS["dare"]) -> Explorer:
     """Put a robot into a map, where it has looked round once."""
-    return Explorer(np.pad(free, PAD), np.array(start) + PAD, wide)
+    return Explorer(np.pad(free, PAD), np.array(start) + PAD, scanner)
 
 
 def distances(
