@@ -201,23 +201,18 @@ class _Known:
     """The graph of one that knows the map: frontier cells are free cells next to cells that are not."""
 
     def __init__(self, explorer: Explorer) -> None:
-        free = explorer.truth
-        belief = np.where(free, rules.FREE, rules.UNKNOWN).astype(np.int8)
-        found, self.width = rules.frontier_cells(belief), free.shape[1]
-        whole = Explorer(free, explorer.start, explorer.scanner)
-        whole.belief, whole.looks = belief, []
-        whole.index, whole.places, whole.seen, whole.links = {}, [], [], []
-        whole._add_nodes(free, explorer.start)
-        self.places, self.cells = whole.index, whole.cells
-        whole.frontier = set()
+        free, start = explorer.truth, explorer.start
+        self.places = {place: node for node, place in enumerate(rules.lattice(free, start, start))}
+        self.cells = start + rules.STEP * np.array(list(self.places))
+        links: list[set[int]] = [set() for _ in self.places]
+        for place in self.places:
+            rules.link(free, start, self.places, links, place)
+        self.far, self.before = rules.distances(links, self.cells, list(range(len(self.cells))))
+        found = rules.frontier_cells(np.where(free, rules.FREE, rules.UNKNOWN).astype(np.int8))
         self.seen: list[set[int]] = []
         for cell in self.cells:
             near = found[np.hypot(*(found - cell).T) < rules.SIGHT]
-            self.seen.append(set((near[rules.in_sight(free, cell, near)] @ (self.width, 1)).tolist()))
-        whole.seen, whole.looks = [{0}] * len(self.cells), [True] * len(self.cells)
-        for cell in self.cells:
-            whole._link(free, cell)
-        self.far, self.before = rules.distances(whole.links, self.cells, list(range(len(self.cells))))
+            self.seen.append(set((near[rules.in_sight(free, cell, near)] @ (free.shape[1], 1)).tolist()))
 
 
 def tour(*, draws: int = TOUR_DRAWS) -> Plan:
@@ -235,7 +230,7 @@ def tour(*, draws: int = TOUR_DRAWS) -> Plan:
         truth = np.where(belief == rules.OCCUPIED, rules.OCCUPIED, np.where(explorer.truth, rules.FREE, rules.UNKNOWN))
         cells = rules.frontier_cells(truth)
         cells = cells[belief[cells[:, 0], cells[:, 1]] != rules.FREE]
-        left = set((cells @ (known.width, 1)).tolist())
+        left = set((cells @ (belief.shape[1], 1)).tolist())
         for node, place in enumerate(known.places):
             if known.seen[node]:
                 mine = explorer.index.get(place)

@@ -142,6 +142,31 @@ def thinned(cells: NDArray[np.int_], start: NDArray[np.int_]) -> NDArray[np.int_
     return cells[order[first]]
 
 
+def lattice(free: NDArray[np.bool_], start: NDArray[np.int_], here: NDArray[np.int_]) -> list[tuple[int, int]]:
+    """Return where nodes are, in steps of `STEP` from the start: free cells that are joined to `here`."""
+    from scipy import ndimage
+
+    joined = ndimage.label(free, np.ones((3, 3)))[0]  # type: ignore[index]
+    low, high = -(start // STEP), (np.array(free.shape) - 1 - start) // STEP
+    places = np.array(list(itertools.product(*[range(a, b + 1) for a, b in zip(low, high)])))
+    rows, cols = (start + STEP * places).T
+    places = places[joined[rows, cols] == joined[here[0], here[1]]]
+    return list(map(tuple, places[np.lexsort(np.abs(places).T)].tolist()))
+
+
+def link(
+    free: NDArray[np.bool_], start: NDArray[np.int_], index: dict[tuple[int, int], int], links: list[set[int]],
+    place: tuple[int, int],
+) -> None:  # fmt: skip
+    """Link a node, both ways, to those of the 5 x 5 round it that lie in its sight."""
+    node, near = index[place], [(place[0] + i, place[1] + j) for i, j in ROUND]
+    near = [other for other in near if other in index and index[other] not in links[node]]
+    cell, cells = (start + STEP * np.array(at, int).reshape(-1, 2) for at in (place, near))
+    for other in itertools.compress(near, in_sight(free, cell[0], cells)):
+        links[node].add(index[other])
+        links[index[other]].add(node)
+
+
 @dataclasses.dataclass
 class Explorer:
     """A robot on the way: what it knows, its graph of nodes and its path."""
@@ -207,38 +232,21 @@ class Explorer:
         self._link(free, here)
 
     def _add_nodes(self, free, here):
-        """Add the cells of the lattice that are free and joined to the robot; return how many nodes there were."""
-        from scipy import ndimage
-
-        joined = ndimage.label(free, np.ones((3, 3)))[0]  # type: ignore[index]
-        low, high = -(self.start // STEP), (np.array(free.shape) - 1 - self.start) // STEP
-        lattice = np.stack(np.meshgrid(*[np.arange(a, b + 1) for a, b in zip(low, high)], indexing="ij"), -1).reshape(
-            -1, 2
-        )
-        cells = self.start + STEP * lattice
-        lattice = lattice[joined[cells[:, 0], cells[:, 1]] == joined[here[0], here[1]]]
-        old = len(self.places)
-        for place in map(tuple, lattice[np.lexsort(np.abs(lattice).T)].tolist()):
-            if place not in self.index:
-                self.index[place] = len(self.places)
-                self.places.append(place)
-                self.seen.append(set())
-                self.links.append(set())
-                self.looks.append(True)
-        return old
+        """Add the nodes that have become free; return how many there were."""
+        new, n_old = [place for place in lattice(free, self.start, here) if place not in self.index], len(self.places)
+        self.index |= {place: n_old + i for i, place in enumerate(new)}
+        self.places += new
+        self.seen += [set() for _ in new]
+        self.links += [set() for _ in new]
+        self.looks += [True for _ in new]
+        return n_old
 
     def _link(self, free, here):
         """Link nodes near the robot to those of the 5 x 5 round them that lie in sight."""
-        cells = self.cells
-        for node in np.flatnonzero(np.hypot(*(cells - here).T) < RANGE + STEP):
+        for node in np.flatnonzero(np.hypot(*(self.cells - here).T) < RANGE + STEP):
             if not self.looks[node]:
                 continue
-            i, j = self.places[node]
-            others = [self.index.get((i + di, j + dj), -1) for di, dj in ROUND]
-            others = np.array([other for other in others if other >= 0 and other not in self.links[node]], int)
-            for other in others[in_sight(free, cells[node], cells[others])].tolist():
-                self.links[node].add(other)
-                self.links[other].add(int(node))
+            link(free, self.start, self.index, self.links, self.places[node])
             self.looks[node] = bool(self.seen[node])
 
 
