@@ -14,10 +14,10 @@ from jexplore.studies.dare import rules
 from jexplore.studies.dare.rules import Explorer
 
 Plan = Callable[[Explorer, np.random.Generator], int | None]
-UTILITY_PER_M = 0.2  # decay of gain with distance; González-Baños and Latombe 2002
-NBVP_PER_M = 0.5  # decay of gain with distance; Bircher et al. 2016, Table I
-NBVP_NODES = 15  # of a tree; Bircher et al. 2016, Table I
-NBVP_MOST = 200  # nodes of a tree that has found no gain yet; from there the way to the nearest gain is taken
+UTILITY_PER_M = 0.2  # decay of gain with distance; González-Baños and Latombe 2002, as Holz et al. 2010 cite it
+NBVP_PER_M = 0.5  # decay of gain with distance; Bircher et al. 2016, as all of NBVP in ethz-asl/nbvplanner
+NBVP_DRAWS = 30  # nodes drawn for a tree
+NBVP_MOST = 200  # nodes drawn for a tree that has found no gain yet; then the way to the nearest gain is taken
 DRAWS = 5  # sets of view points drawn at a decision by tare-local
 TOUR_DRAWS = 10  # and by the tour
 
@@ -46,7 +46,7 @@ def utility(explorer: Explorer, rng: np.random.Generator, *, per_m: float = UTIL
     return rules.first_step(before, explorer.at, int(np.argmax(score)))
 
 
-def nbvp(*, per_m: float = NBVP_PER_M, n_nodes: int = NBVP_NODES, most: int = NBVP_MOST) -> Plan:
+def nbvp(*, per_m: float = NBVP_PER_M, n_draws: int = NBVP_DRAWS, most: int = NBVP_MOST) -> Plan:
     """Take the first edge of the best branch of a random tree, and keep the rest for the next (Bircher et al. 2016).
 
     The tree grows over linked nodes: towards a drawn node, from the node of the tree that is nearest to it. A branch's
@@ -67,7 +67,7 @@ def nbvp(*, per_m: float = NBVP_PER_M, n_nodes: int = NBVP_NODES, most: int = NB
             if node not in parent:
                 add(node, before)
         draws = 0
-        while draws < n_nodes or (draws < most and max(value.values()) == 0):
+        while draws < n_draws or (draws < most and max(value.values()) == 0):
             draws += 1
             drawn = cells[rng.integers(len(cells))]
             tree = np.array(list(parent))
