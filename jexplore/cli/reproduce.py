@@ -73,7 +73,7 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
             if getattr(self, name) != getattr(Reproduce(), name):
                 raise InputError(f"dare has rules of its own: leave out --{name.replace('_', '-')}")
         if self.own_rules:
-            return self._own_rules(arguments)
+            return self._own_rules(arguments, self.maps)
         with Out(self, "reproduce") as out:
             how = fields_of(self, "episodes seed workers")
             with progress_of(self.episodes, "maps") as progress:
@@ -82,7 +82,7 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
             files = {"dare.parquet": lambda path: store.write_parquet(found.episodes, path)}
             return out.finish(record, files, found.to_markdown())
 
-    def _own_rules(self, arguments):
+    def _own_rules(self, arguments, maps):
         """Explore DARE's maps by this package's rules."""
         from jexplore.report import plot, store
         from jexplore.studies.dare import own
@@ -91,7 +91,7 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
         with Out(self, "reproduce") as out:
             how = fields_of(self, "episodes seed workers")
             with working(self.episodes * (len(own.STRATEGIES) + 1), "episodes and bounds") as on_progress:
-                found, bounds = own.explore_dare(self.maps, **how, on_progress=on_progress)
+                found, bounds = own.explore_dare(maps, **how, on_progress=on_progress)
             files = {**saving.comparison_files(found)}
             files["bounds.parquet"] = lambda path: store.write_parquet(bounds.table, path)
             drawn = {"paths.png": lambda path: plot.save_figure(own.paths_figure(found), path)}

@@ -18,7 +18,6 @@ from jexplore.studies.dare import rules, table
 from jexplore.studies.results.columns import RATIO_COLUMNS
 from jexplore.studies.results.comparison import ComparisonResult
 from jexplore.studies.results.provenance import world_digest
-from jexplore.studies.statistics.over_worlds import mean_over_worlds
 from jexplore.studies.statistics.paired import paired_ratio, safe_exp
 from jexplore.worlds.world import World
 
@@ -67,12 +66,13 @@ def explore_dare(
     n_episodes = len(found.episodes)
     if on_progress is not None:
         how["on_progress"] = lambda done: on_progress(n_episodes + done)
-    bounds = run_bounds(bound_tasks([(w, w.start) for w in found.worlds], LIDAR, RULES, seconds), **how)
+    starts: Any = [(world, world.start) for world in found.worlds]
+    bounds = run_bounds(bound_tasks(starts, LIDAR, RULES, seconds), **how)
     return found, bounds
 
 
 def own_text(found: ComparisonResult, bounds: BoundsResult) -> str:
-    """Format a row a strategy: its path until COMPLETE and until 99 % is known, each next to the first's; the bound.
+    """Format a row a strategy: its path until COMPLETE and until 99 % is known, over the first's and over the bound.
 
     Ratios are of means over the maps that both completed, with 95 % intervals. The bound holds for any robot that
     completes; ratios to it are geometric means.
@@ -86,14 +86,14 @@ def own_text(found: ComparisonResult, bounds: BoundsResult) -> str:
         both = own.index.intersection(first.index)
         for column in ("path_m", "path_m_at_99"):
             row.append(tables.spread_text(own[column].mean(), own[column].std()))
-            ratio = paired_ratio(own.loc[both, column], first.loc[both, column]) if len(both) else None
-            row.append(tables.ratio_text(*ratio[:3]) if ratio and name != STRATEGIES[0] else "1")
+            pairs = own.loc[both, column], first.loc[both, column]
+            row.append(tables.ratio_text(*paired_ratio(*pairs)[:3]) if len(both) else "-")
         row.append(tables.number_text(safe_exp(np.log(own[RATIO_COLUMNS[1]]).mean()), 3))
         rows.append([*row, tables.number_text(own[RATIO_COLUMNS[1]].min(), 3)])
     head = ["strategy", "COMPLETE", "path m", "ratio", "path m at 99 %", "ratio at 99 %", "path / bound", "least"]
-    low, high = (bounds.table[name].mean() for name in ("low_any_m", "high_m"))
-    optimal = int((bounds.table["status"] == "OPTIMAL").sum())
-    note = f"Shortest walks of one that knows the map: {low:.1f} to {high:.1f} m in the mean, {optimal} of them exact."
+    known: Any = bounds.table
+    exact = (known["status"] == "OPTIMAL").sum()
+    note = f"Lower bounds: {known['low_any_m'].mean():.1f} m in the mean, {exact} of {len(known)} exact."
     return f"# DARE's maps by our own rules\n\n{tables.aligned_table(head, rows, left=('strategy',))}\n{note}\n"
 
 

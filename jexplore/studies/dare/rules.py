@@ -35,7 +35,7 @@ ROUND = [(i, j) for i, j in itertools.product(range(-2, 3), repeat=2) if (i, j) 
 
 
 class Scanner(NamedTuple):
-    """What a beam enters into the belief."""
+    """The cells that a beam enters into the belief."""
 
     is_wide: bool
     """The 3 x 3 cells round every cell of a beam, not that cell alone."""

@@ -113,8 +113,8 @@ class DareResult:
 
 
 def reproduce_dare(
-    maps: str | os.PathLike[str], *, episodes: int = MAPS, seed: int = 0, scanner: str = "dare", workers: int | None = None,
-    on_progress: Callable[[int], Any] | None = None,
+    maps: str | os.PathLike[str], *, episodes: int = MAPS, seed: int = 0, scanner: str = "dare",
+    workers: int | None = None, on_progress: Callable[[int], Any] | None = None,
 ) -> DareResult:  # fmt: skip
     """Run the planners of Table I on DARE's test maps.
 
