@@ -26,6 +26,7 @@ from jexplore.studies.sweeps.spec import sweep_from
 ROOT = Path(__file__).resolve().parents[1]
 TOP = ("README.md", "CONTRIBUTING.md", "benchmarks/README.md")
 PAGES = [*TOP, *sorted(page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md"))]
+API = [page for page in PAGES if page.startswith("docs/reference/api/")]
 EXCERPT = "<!-- excerpt: "
 RUN_ELSEWHERE = ("CONTRIBUTING.md", "docs/tutorial.md")  # by tests of their own, here and in test_program.py
 NO_COMMANDS_OF_OURS = (
@@ -308,24 +309,11 @@ def test_readme_is_short_and_begins_with_what_is_run():
 
 
 def test_every_public_name_is_in_the_reference():
-    pages = "\n".join(text_of(page) for page in PAGES if page.startswith("docs/reference/api/"))
-    named = re.findall(r"^\| \[`jx\.([\w.]+)`\]", pages, re.M)
+    lists = re.findall(r"^Names: .*(?:\n.+)*", "\n".join(map(text_of, API)), re.M)
+    named = [name for text in lists for name in re.findall(r"`jx\.([\w.]+)`", text)]
     there = {*dir(jx), *(f"btm.{name}" for name in jx.btm._LAZY.module_of)} - {"__version__", "btm", "worlds"}
+    assert len(lists) == len(API)
     assert sorted(named) == sorted(there)
-    assert not re.findall(r"^\| \[`.*\| +\|$", pages, re.M), "a name without a meaning"
-
-
-@pytest.mark.parametrize("page", script("generate").generated())
-def test_generated_pages_are_as_the_code_has_them(page):
-    assert script("generate").generated()[page] == text_of(f"docs/{page}"), "run `python docs/generate.py`"
-
-
-def test_pages_hold_what_they_show_without_being_built():
-    """As a Git host shows them: no mark stands for a table, no line for a docstring."""
-    for page in PAGES:
-        text = text_of(page)
-        assert not re.search(r"^:::|^<!-- \w+ -->$(?<!<!-- end -->)", text, re.M), page
-        assert "<!-- begin" not in re.sub(r"<!-- begin [^>]*-->\n\n\|.*?\n<!-- end -->", "", text, flags=re.S), page
 
 
 @pytest.mark.slow
@@ -333,6 +321,9 @@ def test_the_site_has_whole_docstrings_and_files_of_the_repository(tmp_path):
     script("generate").write_site(tmp_path / "site")
     page = (tmp_path / "site" / "reference" / "api" / "steps.md").read_text(encoding="utf-8")
     assert "\n::: jexplore.Environment\n" in page
+    assert "Names:" not in page
+    for part in ("commands", "strategies", "worlds"):
+        assert "| --- |" in (tmp_path / "site" / "reference" / f"{part}.md").read_text(encoding="utf-8"), part
     assert "(../results/measured/exploration.md#" in (tmp_path / "site" / "reference" / "worlds.md").read_text(
         encoding="utf-8"
     )
@@ -354,7 +345,7 @@ def test_every_option_is_in_the_reference(name, capsys, monkeypatch):
     with pytest.raises(SystemExit):
         parse_options([name, "--help"], COMMANDS)
     told = set(re.findall(r"│ (--[\w.-]+)", capsys.readouterr().out))
-    page = script("generate").commands_page(COMMANDS)
+    page = script("generate").commands_text(COMMANDS)
     own = re.search(rf"^## jexplore {name}\n(.*?)(?=^## )", page, re.S | re.M)[1]
     link = r"\[`--(\w+)\.\*`\]\(#options-of-\1\)"
     parts = re.findall(link, own)
@@ -432,7 +423,7 @@ def test_a_commands_page_from_two_options():
         crust: bool = dataclasses.field(default=True, metadata={"off": "Without."})
         """With."""
 
-    page = script("generate").commands_page({"bake": Bake})
+    page = script("generate").commands_text({"bake": Bake})
     assert page.endswith(
         "## jexplore bake\n\nBake bread.\n\nUntil it is &lt;brown>.\n\n"
         "| option | default | meaning |\n| --- | --- | --- |\n"
