@@ -14,6 +14,7 @@ import os
 import re
 import shutil
 import sys
+import textwrap
 import typing
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -33,7 +34,7 @@ SHOWN = (".css", ".png", ".gif")
 """Endings of the files of `docs/` that the site has besides pages."""
 _LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 _FENCE = re.compile(r"(^ *```.*?^ *```$)", re.MULTILINE | re.DOTALL)
-_MARK = re.compile(r"^<!-- (\w+)(?:: ([\w.-]+))? -->$", re.MULTILINE)
+_MARK = re.compile(r"^<!-- (\w+)(?:: ([\w. -]+))? -->$(?!\n```)", re.MULTILINE)
 _NAMES = re.compile(r"^Names: (.*(?:\n.+)*)", re.MULTILINE)
 
 
@@ -131,7 +132,7 @@ def filled(text: str) -> str:
     Args:
       text: Markdown. `<!-- NAME: ARGUMENT -->` on a line of its own marks one of `PARTS`; `Names: ` begins a list.
     """
-    text = _MARK.sub(lambda mark: PARTS[mark[1]](*[mark[2]] if mark[2] else []), text)
+    text = _MARK.sub(lambda mark: PARTS[mark[1]](*(mark[2] or "").split()), text)
     return _NAMES.sub(lambda match: "\n".join(f"::: {name}\n" for name in names_in(match[0])), text)
 
 
@@ -199,6 +200,20 @@ def strategies_table() -> str:
 def notebooks() -> list[Path]:
     """List the notebooks of the repository, in order."""
     return sorted((ROOT / "notebooks").glob("*.ipynb"))
+
+
+def example_code(*names: str) -> str:
+    """Show functions and methods of `examples/episode.py`.
+
+    Args:
+      *names: of these; `imports` for what stands before the first.
+    """
+    text = (ROOT / "examples" / "episode.py").read_text(encoding="utf-8").split('"""\n\n', 1)[1]
+    found = {"imports": text.split("\n\n\n")[0]}
+    for part in re.split(r"\n{2,3}(?=(?: {4})?(?:@|def |class ))", text)[1:]:
+        found[re.findall(r"(?:def|class) (\w+)", part)[0]] = part.split("\n\n\n")[0]
+    shown = "\n\n".join(found[name] for name in names)
+    return f"```python\n{textwrap.dedent(shown)}\n```"
 
 
 def league_tables(name: str) -> str:
@@ -304,6 +319,7 @@ PARTS = {
     "generators": generators_table,
     "strategies": strategies_table,
     "commands": commands_text,
+    "code": example_code,
 }
 """Parts of pages: name in the mark -> function that writes it."""
 

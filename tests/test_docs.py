@@ -252,7 +252,8 @@ def test_page_of_an_episode_shows_the_whole_example():
     def lines(text):
         return [line.strip() for line in text.splitlines() if line.strip()]
 
-    shown = [body for language, body in blocks(text_of("docs/tutorial-episode.md")) if language == "excerpt"]
+    page = script("generate").filled(text_of("docs/tutorial-episode.md"))
+    shown = [body for language, body in blocks(page) if language == "python"]
     _, code = text_of("examples/episode.py").split('"""\n', 1)
     assert lines("\n".join(shown)) == lines(code.partition('if __name__ == "__main__"')[0])
 
