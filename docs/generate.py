@@ -7,6 +7,7 @@ worlds and leagues, whole docstrings of the Python names. Four files of the repo
 """
 
 import argparse
+import ast
 import base64
 import dataclasses
 import json
@@ -61,7 +62,7 @@ def site_files() -> dict[str, str | bytes]:
         elif path.suffix in SHOWN:
             files[name] = path.read_bytes()
     for source, page in TAKEN.items():
-        text = (ROOT / source).read_text(encoding="utf-8")
+        text = filled((ROOT / source).read_text(encoding="utf-8"))
         for subject, part in (subjects(text) if source == BY_SUBJECT else {"": text}).items():
             name = f"{page.removesuffix('.md')}/{subject}.md" if subject else page
             files[name] = rewritten(part, source, name)
@@ -202,6 +203,14 @@ def notebooks() -> list[Path]:
     return sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
+def benchmarks_table() -> str:
+    """Tabulate the scripts of `benchmarks/` with the first paragraphs of their docstrings."""
+    scripts = sorted((ROOT / "benchmarks").glob("*.py"))
+    texts = [ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "" for path in scripts]
+    rows = [(f"`{path.name}`", " ".join(text.split("\n\n")[0].split())) for path, text in zip(scripts, texts, strict=True)]
+    return table_of(["script", "what it measures"], rows)
+
+
 def example_code(*names: str) -> str:
     """Show functions and methods of `examples/episode.py`.
 
@@ -315,6 +324,7 @@ def _escaped(text):
 
 
 PARTS = {
+    "benchmarks": benchmarks_table,
     "league": league_tables,
     "generators": generators_table,
     "strategies": strategies_table,
