@@ -31,7 +31,7 @@ TAKEN = {
 """Files of the repository that are pages of the site: path there -> path here."""
 BY_SUBJECT = "benchmarks/RESULTS.md"
 """A file of the repository of which every second-level heading is a page of the site, below the page of the file."""
-SHOWN = (".css", ".png", ".gif")
+SHOWN = (".css", ".png", ".gif", ".bib")
 """Endings of the files of `docs/` that the site has besides pages."""
 _LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 _FENCE = re.compile(r"(^ *```.*?^ *```$)", re.MULTILINE | re.DOTALL)
@@ -205,9 +205,10 @@ def notebooks() -> list[Path]:
 
 def benchmarks_table() -> str:
     """Tabulate the scripts of `benchmarks/` with the first paragraphs of their docstrings."""
-    scripts = sorted((ROOT / "benchmarks").glob("*.py"))
-    texts = [ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "" for path in scripts]
-    rows = [(f"`{path.name}`", " ".join(text.split("\n\n")[0].split())) for path, text in zip(scripts, texts, strict=True)]
+    rows = []
+    for path in sorted((ROOT / "benchmarks").glob("*.py")):
+        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        rows.append((f"`{path.name}`", " ".join(text.split("\n\n")[0].split())))
     return table_of(["script", "what it measures"], rows)
 
 

@@ -28,7 +28,7 @@ TOP = ("README.md", "CONTRIBUTING.md", "benchmarks/README.md")
 PAGES = [*TOP, *sorted(page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md"))]
 API = [page for page in PAGES if page.startswith("docs/reference/api/")]
 EXCERPT = "<!-- excerpt: "
-RUN_ELSEWHERE = ("CONTRIBUTING.md", "docs/tutorial.md")  # by tests of their own, here and in test_program.py
+RUN_ELSEWHERE = ("CONTRIBUTING.md", "docs/tutorial.md")  # by .ci/run, and by a test of its own
 NO_COMMANDS_OF_OURS = (
     "python3 -m venv",
     "pip install",
@@ -228,15 +228,6 @@ def test_steps_are_those_of_the_strategy_that_they_say(desk, capsys):
     episode = jx.explore(found["env"].worlds[0], "closest", start=tuple(start.tolist()))
     assert float(said) == pytest.approx(episode.measures["path_m"], rel=1e-5)
     assert found["many"][0].world.shape == (256,)
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_the_longer_form():
-    (own,) = re.findall(r"^## A strategy of your own\n(.*?)^## ", text_of("CONTRIBUTING.md"), re.S | re.M)
-    exec("\n".join(body for language, body in blocks(own) if language == "python"), found := {})
-    one = jx.compare("maze:width_m=6,height_m=6", found["restless"], episodes=1)
-    assert one.episodes["outcome"].tolist() == ["COMPLETE"]
 
 
 def test_excerpts_name_what_there_is():
