@@ -103,9 +103,7 @@ def main():
     parser.add_argument("--kinds", nargs="+", default=["office"])
     parser.add_argument("--rows", nargs="+", choices=tuple(ROWS), default=list(ROWS))
     given = parser.parse_args()
-    worlds = [
-        f"{kind}#{seed}" + f":{given.sizes}" * bool(given.sizes) for kind in given.kinds for seed in range(given.worlds)
-    ]
+    worlds = [f"{kind}#{seed}" for kind in given.kinds for seed in range(given.worlds)]
     print("| rules | closest, m | distance advantage / closest | worlds |\n| --- | ---: | ---: | ---: |")
     for name in given.rows:
         print("|", " | ".join([name, *ratio_of(worlds, *ROWS[name])]), "|", flush=True)
