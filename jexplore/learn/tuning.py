@@ -12,9 +12,10 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from jexplore.arrays.files import read_json
 from jexplore.config import InputError, InputWarning, shown
@@ -24,9 +25,6 @@ from jexplore.report.store import MAX_RECORD_BYTES
 from jexplore.report.tables import aligned_table, ratio_text
 from jexplore.studies.statistics.league import LEAGUE_STRATEGIES
 from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 FIRST_SEED = 1000  # of the worlds; the league's are #0 and on
 SHIPPED = Path(__file__).with_name("tuned.json")
@@ -135,10 +133,8 @@ def search(
     return found
 
 
-def trials_table(searches: Iterable[Search]) -> "pd.DataFrame":
+def trials_table(searches: Iterable[Search]) -> pd.DataFrame:
     """Tabulate all trials: a row each with `strategy`, `trial`, `text`, `worlds`, and `ratio` over those worlds."""
-    import pandas as pd
-
     rows = [
         (one.name, i, with_values(one.name, values), n := int(np.isfinite(own).sum()), math.exp(np.nansum(own) / n))
         for one in searches

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError, __version__, checked_names, require_setting, require_whole
 from jexplore.engine.backend import start_backend, use_compilation_cache
@@ -45,7 +46,6 @@ from jexplore.studies.results.provenance import world_digest
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 JOIN_S = 5.0  # seconds that a process may take to end
@@ -120,13 +120,13 @@ def solve(task: BoundTask) -> Solved:
 class BoundsResult:
     """Result of `bound`. Tables are pandas DataFrames."""
 
-    table: "pd.DataFrame"
+    table: pd.DataFrame
     """One row a world and start: `low_m`, `low_any_m`, `high_m`, metres; `status`; see `BOUND_COLUMNS`.
 
     `high_m` is the length of a walk on which the reference robot, which knows the map, stands on clear cells and turns
     for nothing, sees all that an episode must see. None of its walks is shorter than `low_m`; none of any robot that
     crosses free cells is shorter than `low_any_m`, so no complete episode of any strategy is."""
-    walks: "pd.DataFrame"
+    walks: pd.DataFrame
     """One row a step: `world`, `start` (number of the row in `table`), `step`, `row`, `col`."""
     worlds: tuple[World, ...]
     """The worlds, in order."""
@@ -137,13 +137,13 @@ class BoundsResult:
     interrupted: int = 0
     """Starts that are missing because the run was interrupted."""
 
-    def to_pandas(self) -> "pd.DataFrame":
+    def to_pandas(self) -> pd.DataFrame:
         return self.table
 
     def to_markdown(self) -> str:
         return bounds_table(self.table)
 
-    def beside(self, comparison: Any) -> "pd.DataFrame":
+    def beside(self, comparison: Any) -> pd.DataFrame:
         """Compare the episodes of a `ComparisonResult` with the bounds: see `beside.with_bound_ratios`.
 
         Raises:
@@ -172,7 +172,7 @@ class BoundsResult:
         return f"<Bounds of {len(self.table)} starts in {len(self.worlds)} worlds>"
 
 
-def bounds_table(table: "pd.DataFrame") -> str:
+def bounds_table(table: pd.DataFrame) -> str:
     """Format rows of `BoundsResult.table` as Markdown."""
     head = ["world", "start", "low any m", "low m", "high m", "high / low", "status", "witnesses", "s"]
     lines = []
@@ -303,8 +303,6 @@ def run_bounds(
     Raises:
       KeyboardInterrupt: none was finished.
     """
-    import pandas as pd
-
     workers = min(own_cores() if workers is None else require_setting("workers", workers), len(tasks))
     numbers = range(first, first + len(tasks))
     work: Work[Solved] = Work(numbers, ledger, _to_table, _of_table)
@@ -371,8 +369,6 @@ def _begin_worker():
 
 
 def _to_table(found):
-    import pandas as pd
-
     return pd.DataFrame([{**found.row, WALK: found.walk.tobytes(), WITNESSES: found.witnesses.tobytes()}])
 
 

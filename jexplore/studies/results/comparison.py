@@ -1,6 +1,6 @@
 """A comparison: strategies in worlds, all from the same starts, as a table with statistics and warnings.
 
-pandas and matplotlib are imported by the functions that need them.
+matplotlib is imported by the functions that need it.
 """
 
 import collections
@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from jexplore.arrays.pictures import MAX_TABLE_ROWS, axes_of, html_of, or_text, png_of
 from jexplore.config import InputError, checked_names, unknown
@@ -33,7 +34,6 @@ from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 
@@ -56,7 +56,7 @@ class ComparisonResult(ByStrategy):
     Iterating gives the names of its strategies, and `results["closest"]` the table of that one's episodes.
     """
 
-    episodes: "pd.DataFrame"
+    episodes: pd.DataFrame
     """One row an episode, ordered by world, strategy, episode; columns `columns.COLUMNS` and `metrics`."""
     worlds: tuple[World, ...]
     """The worlds, in order."""
@@ -91,33 +91,33 @@ class ComparisonResult(ByStrategy):
     """Provenance for its folder."""
 
     @functools.cached_property
-    def summary(self) -> "pd.DataFrame":
+    def summary(self) -> pd.DataFrame:
         """Tabulate means, one row a world and strategy: see `by_world.summarise`."""
         return by_world.summarise(self.episodes, self.metrics)
 
     @functools.cached_property
-    def standings(self) -> "pd.DataFrame":
+    def standings(self) -> pd.DataFrame:
         """Tabulate standings, one row a strategy, over all worlds: see `league.standings`."""
         return standings(self.episodes)
 
     @functools.cached_property
-    def decisions(self) -> "pd.DataFrame":
+    def decisions(self) -> pd.DataFrame:
         """Tabulate ratios with intervals that hold whenever one stops, one row a world and strategy: see
         `sequential.decisions`."""
         return sequential.decisions(self.episodes)
 
     @functools.cached_property
-    def teams(self) -> "pd.DataFrame":
+    def teams(self) -> pd.DataFrame:
         """Tabulate how much faster teams are than one robot, with `robots`: see `teams.tabulate`."""
         return teams.tabulate(self.episodes)
 
     @functools.cached_property
-    def at_coverage(self) -> "pd.DataFrame":
+    def at_coverage(self) -> pd.DataFrame:
         """Tabulate ratios of paths and times to shares of a world: see `coverage.at_coverage`."""
         return at_coverage(self.episodes)
 
     @functools.cached_property
-    def wasted(self) -> "pd.DataFrame":
+    def wasted(self) -> pd.DataFrame:
         """Add the wasted part of each path to the table of episodes, with `keep="paths"`: see `waste.wasted`."""
         return waste.wasted(self.episodes, self.paths, {world.name: world.cell_m for world in self.worlds})
 
@@ -170,7 +170,7 @@ class ComparisonResult(ByStrategy):
 
         return saving.write_maps(self, Path(folder))
 
-    def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":
+    def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> pd.DataFrame:
         """Compute the episodes and worlds needed to know every ratio `± within`: see `sizes.sample_sizes`."""
         return sizes.sample_sizes(self.episodes, within=within, assurance=assurance)
 
@@ -318,8 +318,6 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
     Raises:
       KeyboardInterrupt: there are none.
     """
-    import pandas as pd
-
     table: Any = pd.concat(ran.tables, ignore_index=True)
     places = {(os.fspath(job.world.name), job.strategy.name): i for i, job in enumerate(jobs)}
     place = [places[pair] for pair in zip(table["world"], table["strategy"])]

@@ -2,17 +2,15 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from jexplore.arrays.files import read_npz
 from jexplore.config import InputError
 from jexplore.exploration.state import MARKS
 from jexplore.worlds.world import World
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 DETAILS = "details.npz"
 MAX_DETAILS_BYTES = 2**32  # unpacked; the progress of a million episodes takes a fifth
@@ -57,7 +55,7 @@ def write_details(found: Any, path: Path) -> None:
     np.savez_compressed(path, **arrays)
 
 
-def read_details(path: Path, episodes: "pd.DataFrame") -> dict[str, Any]:
+def read_details(path: Path, episodes: pd.DataFrame) -> dict[str, Any]:
     """Load worlds, first episodes, progress, ways and maps, as fields of a `ComparisonResult` of these episodes."""
     arrays = read_npz(path, MAX_DETAILS_BYTES)
     worlds, first = [], {}

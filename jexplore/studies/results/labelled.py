@@ -1,15 +1,13 @@
 """Results as labelled arrays: xarray datasets, for netCDF and zarr. Needs xarray, the extra `xarray`."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError
 from jexplore.studies.results.columns import COLUMNS
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 UNITS = {
     **dict.fromkeys(("path_m", "path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99"), "m"),
@@ -26,14 +24,12 @@ UNITS = {
 MISSING = {"i": -1, "f": np.nan, "O": "", "b": False}  # kind of a column -> what stands where there is no episode
 
 
-def _dataset(table: "pd.DataFrame", dims: Mapping[str, Sequence[Any]], metrics: Iterable[str]) -> Any:
+def _dataset(table: pd.DataFrame, dims: Mapping[str, Sequence[Any]], metrics: Iterable[str]) -> Any:
     """Make a dataset of the columns of a table, whose rows are identified by the dimensions."""
     try:
         import xarray
     except ImportError as error:
         raise InputError("labelled arrays need xarray: pip install 'jexplore[xarray]'") from error
-    import pandas as pd
-
     whole = pd.MultiIndex.from_product(list(dims.values()), names=list(dims))
     table = table.astype({"room_entries": "float64"})
     rows = table.set_index(list(dims)).reindex(whole)

@@ -9,16 +9,15 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from jexplore.config import InputError, shown, unknown
 from jexplore.exploration.state import Outcome
 from jexplore.rules import Lidar, Robot, Rules
 from jexplore.studies.statistics.league import league_worlds
 from jexplore.worlds.names import file_names
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 REFERENCE = "closest+recheck"
 """Strategy that every submission holds: its episodes must equal those entered, and others are compared with it."""
@@ -60,7 +59,7 @@ def league_of(name: str) -> League:
     return LEAGUES[name]
 
 
-def digest_of(asked: Mapping[str, Any], episodes: "pd.DataFrame") -> str:
+def digest_of(asked: Mapping[str, Any], episodes: pd.DataFrame) -> str:
     """Return SHA-256 of the worlds, starts and settings of a comparison, in hexadecimal digits.
 
     Args:
@@ -199,14 +198,12 @@ def read_entries(folder: Path, name: str) -> list[dict[str, Any]]:
     return sorted(found, key=lambda entry: (entry["strategy"] != REFERENCE, entry["strategy"]))
 
 
-def entries_table(folder: Path, name: str) -> "pd.DataFrame":
+def entries_table(folder: Path, name: str) -> pd.DataFrame:
     """Return the episodes of all entries in a folder, a row an episode: `COLUMNS` and `strategy`.
 
     Raises:
       InputError: as `read_entries`; there is no entry of the reference.
     """
-    import pandas as pd
-
     entries = read_entries(folder, name)
     if not entries or entries[0]["strategy"] != REFERENCE:
         raise InputError(f"{folder}: no entry of {REFERENCE} there")

@@ -4,14 +4,13 @@ import abc
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from jexplore.config import checked_names, unknown
 from jexplore.report import store
 from jexplore.report.tables import latex_table
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @checked_names
@@ -22,7 +21,7 @@ class ByStrategy(abc.ABC):
         results[name]["path_m"].mean()
     """
 
-    episodes: "pd.DataFrame"
+    episodes: pd.DataFrame
 
     @property
     def strategies(self) -> tuple[str, ...]:
@@ -35,14 +34,14 @@ class ByStrategy(abc.ABC):
     def __iter__(self) -> Iterator[str]:
         return iter(self.strategies)
 
-    def __getitem__(self, name: str) -> "pd.DataFrame":
+    def __getitem__(self, name: str) -> pd.DataFrame:
         """Return the episodes of one strategy: those rows of the table of all, counted anew from 0."""
         if name not in self.strategies:
             raise unknown("strategy of these results:", str(name), self.strategies)
         own: Any = self.episodes[self.episodes["strategy"] == name]
         return own.reset_index(drop=True)
 
-    def to_pandas(self) -> "pd.DataFrame":
+    def to_pandas(self) -> pd.DataFrame:
         """Return the table of episodes."""
         return self.episodes
 

@@ -6,17 +6,15 @@ With two worlds or more, worlds are the sample: all count the same, however many
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from jexplore.config import InputError
 from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds, share_over_worlds
 from jexplore.studies.statistics.paired import safe_exp
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 OVER = ("first", "best")
 """Denominator of a path's score: the path of the first strategy from the same start, or the shortest of all."""
@@ -117,7 +115,7 @@ def interquartile_mean(scores: ArrayLike, worlds: Iterable[object] | None = None
     return Estimate(mean, safe_exp(low), safe_exp(high), p, len(kinds))
 
 
-def scores_of(episodes: "pd.DataFrame", *, over: str = "first") -> "pd.DataFrame":
+def scores_of(episodes: pd.DataFrame, *, over: str = "first") -> pd.DataFrame:
     """Compute path lengths over those of the first strategy, or of the `best`: of the starts that every strategy has.
 
     Two paths of no length have the ratio 1. The ratio of an episode that has failed (see `comparable_paths`) is
@@ -136,7 +134,7 @@ def scores_of(episodes: "pd.DataFrame", *, over: str = "first") -> "pd.DataFrame
     return paths.div(by, axis=0).mask(nothing.astype(bool), 1.0)
 
 
-def aggregates(episodes: "pd.DataFrame") -> "pd.DataFrame":
+def aggregates(episodes: pd.DataFrame) -> pd.DataFrame:
     """Tabulate one row a strategy: chance of a shorter path than the first one's, and the middle of their ratios.
 
     Returns:
@@ -144,8 +142,6 @@ def aggregates(episodes: "pd.DataFrame") -> "pd.DataFrame":
         `shorter_p` from `improvement`, NaN for the first strategy; `iqm`, `iqm_low`, `iqm_high` from
         `interquartile_mean` of `scores_of` without those that have none.
     """
-    import pandas as pd
-
     tables: Any = comparable_paths(episodes), scores_of(episodes)
     paths, scores = tables
     worlds, rows = paths.index.get_level_values("world"), []
@@ -170,7 +166,7 @@ def _ratios(scores):
     return np.geomspace(low, high, 101) if low < 1 else np.concatenate([[1.0], np.geomspace(1.0, high, 101)[1:]])
 
 
-def profiles(episodes: "pd.DataFrame", *, over: str = "best", ratios: ArrayLike | None = None) -> "pd.DataFrame":
+def profiles(episodes: pd.DataFrame, *, over: str = "best", ratios: ArrayLike | None = None) -> pd.DataFrame:
     """Compute performance profiles: the share of starts whose path is at most a multiple of the reference's.
 
     Args:
@@ -185,8 +181,6 @@ def profiles(episodes: "pd.DataFrame", *, over: str = "best", ratios: ArrayLike 
     Source:
       Dolan and More 2002; with bands as by Agarwal et al. 2021. Changed: the bands are over worlds.
     """
-    import pandas as pd
-
     scores = scores_of(episodes, over=over).fillna(np.inf)
     at: Any = _ratios(scores.to_numpy()) if ratios is None else np.asarray(ratios, np.float64)
     if at.ndim != 1 or not len(at) or not (np.isfinite(at) & (at > 0)).all() or (np.diff(at) <= 0).any():

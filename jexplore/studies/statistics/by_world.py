@@ -2,17 +2,15 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError
 from jexplore.report.tables import aligned_table, interval_text, number_text, p_text, ratio_text, spread_text
 from jexplore.studies.results.columns import MEANS, SUMMARY_COLUMNS
 from jexplore.studies.statistics.paired import PairedRatio, holm, mean_interval, paired_ratio
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 DONE = "COMPLETE", "EXPLORED"
 LIMITS = "STEP_LIMIT", "PLAN_LIMIT", "PATH_LIMIT", "TIME_LIMIT"
@@ -63,7 +61,7 @@ def _n_different(rows):
     return 1 if len(rows) and all(rows[name].nunique() == 1 for name in _SAME) else len(rows)
 
 
-def summarise(episodes: "pd.DataFrame", metrics: Sequence[str] = ()) -> "pd.DataFrame":
+def summarise(episodes: pd.DataFrame, metrics: Sequence[str] = ()) -> pd.DataFrame:
     """Tabulate one row a world and strategy, in order of first appearance.
 
     Strategies are compared with the first strategy of the table, over the episodes that both have. In its own rows,
@@ -84,8 +82,6 @@ def summarise(episodes: "pd.DataFrame", metrics: Sequence[str] = ()) -> "pd.Data
     Raises:
       InputError: an episode occurs twice, or paired episodes start differently.
     """
-    import pandas as pd
-
     first = episodes["strategy"].iloc[0] if len(episodes) else None
     table = []
     for world, strategies in _groups(episodes).items():
@@ -201,7 +197,7 @@ def _flaws(episodes):
             yield f"{who}: all {len(rows)} episodes are the same one, which counts once"
 
 
-def warnings_of(episodes: "pd.DataFrame", progress: Mapping[tuple[str, str], np.ndarray] | None = None) -> list[str]:
+def warnings_of(episodes: pd.DataFrame, progress: Mapping[tuple[str, str], np.ndarray] | None = None) -> list[str]:
     """Describe what makes the comparison with the first strategy unfair, and the ratio at equal coverage.
 
     Warns where the outcomes of paired episodes differ, or their explored fractions by more than `EQUAL_FRACTION`, or

@@ -3,18 +3,16 @@
 import math
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from jexplore.config import InputError
 from jexplore.studies.statistics.by_world import DONE, EQUAL_FRACTION
 from jexplore.studies.statistics.paired import UPPER, t_interval
 from jexplore.worlds import GENERATORS
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 ALL_WORLDS = "all worlds"
 """Stands for a world's name where a row is about all of them."""
@@ -90,7 +88,7 @@ def share_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, f
     return mean, min(max(low, 0.0), mean), max(min(high, 1.0), mean), p  # the mean lies between, rounding aside
 
 
-def comparable_paths(episodes: "pd.DataFrame", column: str = "path_m") -> "pd.DataFrame":
+def comparable_paths(episodes: pd.DataFrame, column: str = "path_m") -> pd.DataFrame:
     """Return path lengths, or another column, of the starts that every strategy has, infinite for failed episodes.
 
     An episode that is not COMPLETE has failed if another from the same start is, or, where none is, if it has explored

@@ -3,16 +3,14 @@
 import difflib
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError
 from jexplore.studies.statistics.over_worlds import ALL_WORLDS, kind_of, mean_over_worlds
 from jexplore.studies.statistics.paired import mean_interval, paired_ratio, safe_exp
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 SHARED = ("seed", "cell_m")
 """Settings without a dot in their name."""
@@ -22,12 +20,12 @@ MOST_PANELS = 6
 """With more worlds than this, their means are shown instead of each."""
 
 
-def setting_columns(episodes: "pd.DataFrame") -> list[str]:
+def setting_columns(episodes: pd.DataFrame) -> list[str]:
     """Return the setting columns of a table of episodes: those with a dot in their name, `seed` and `cell_m`."""
     return [name for name in map(str, episodes.columns) if "." in name or name in SHARED]
 
 
-def require_column(episodes: "pd.DataFrame", name: str, what: str) -> None:
+def require_column(episodes: pd.DataFrame, name: str, what: str) -> None:
     """Refuse a column that a table does not have; say which is near."""
     if name not in episodes.columns:
         near = difflib.get_close_matches(str(name), map(str, episodes.columns), 1)
@@ -87,9 +85,9 @@ def _with_reference(table):
 
 
 def response(
-    episodes: "pd.DataFrame", settings: str | Sequence[str], *, value: str = "path_m", ratio: bool = False,
+    episodes: pd.DataFrame, settings: str | Sequence[str], *, value: str = "path_m", ratio: bool = False,
     over_worlds: bool | None = None, bins: int | None = None,
-) -> "pd.DataFrame":  # fmt: skip
+) -> pd.DataFrame:  # fmt: skip
     """Estimate a mean, or a paired ratio to the first strategy, with its interval, at every value of a setting or two.
 
     In one world the sample are its starts, episodes of one number and seed, each with its mean over all other settings:
@@ -114,8 +112,6 @@ def response(
       InputError: no such column, a column of text where numbers are averaged, no row that has them, or an episode of
         the first strategy that occurs twice in a setting.
     """
-    import pandas as pd
-
     own = [settings] if isinstance(settings, str) else list(settings)
     for name in own:
         require_column(episodes, name, "setting")

@@ -3,9 +3,10 @@
 import bisect
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from jexplore.config import InputError, require_number
@@ -13,9 +14,6 @@ from jexplore.studies.statistics.by_world import summarise
 from jexplore.studies.statistics.league import paths_by_world
 from jexplore.studies.statistics.over_worlds import ALL_WORLDS, kind_of, mean_and_error, mean_over_worlds
 from jexplore.studies.statistics.paired import UPPER, safe_exp
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 SIZES_COLUMNS = ("world", "strategy", "unit", "n", "within", "needed")
 MAX_NEEDED = 10**9
@@ -99,7 +97,7 @@ def worlds_needed(log_ratios: ArrayLike, kinds: Sequence[str], *, within: float 
     return _smallest(error * math.sqrt(len(logs)), freedom, lambda m: m - (len(logs) - most), **how)
 
 
-def sample_sizes(episodes: "pd.DataFrame", *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":
+def sample_sizes(episodes: pd.DataFrame, *, within: float = 0.02, assurance: float = 0.8) -> pd.DataFrame:
     """Compute the episodes in each world, and the worlds, needed to know every ratio to the first strategy `± within`.
 
     Returns:
@@ -107,8 +105,6 @@ def sample_sizes(episodes: "pd.DataFrame", *, within: float = 0.02, assurance: f
         more, a row a strategy for `ALL_WORLDS`: `unit`, "episodes" or "worlds"; `n` of the pilot; `within`, its present
         interval, as a share of the ratio; `needed`, <NA> where the pilot shows no spread.
     """
-    import pandas as pd
-
     how, rows = _checked(within=within, assurance=assurance), []
     now: Any = summarise(episodes)
     first = episodes["strategy"].iloc[0] if len(episodes) else None

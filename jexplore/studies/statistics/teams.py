@@ -1,21 +1,16 @@
-"""Teams and one robot: times to known shares, speed-up, efficiency.
-
-pandas is imported by the functions that need it.
-"""
+"""Teams and one robot: times to known shares, speed-up, efficiency."""
 
 import math
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
+import pandas as pd
 
 from jexplore.report.tables import aligned_table, number_text, ratio_text
 from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.studies.statistics.by_world import DONE
 from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
 from jexplore.studies.statistics.paired import PairedRatio, paired_ratio
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MEANS = "path_m_at_90", "path_m_at_95", "path_m_at_99", *TEAM_MEASURES
 TABLE = (
@@ -33,7 +28,7 @@ def _ratio(rows: Any, reference: Any) -> PairedRatio:
     return paired_ratio(ours[both], theirs[both])
 
 
-def tabulate(episodes: "pd.DataFrame") -> "pd.DataFrame":
+def tabulate(episodes: pd.DataFrame) -> pd.DataFrame:
     """Tabulate one row a world and team, in order of first appearance; then one a team over several worlds, as "all".
 
     Args:
@@ -46,8 +41,6 @@ def tabulate(episodes: "pd.DataFrame") -> "pd.DataFrame":
         without coordination, with its interval. In a world intervals are over starts; over worlds they are by
         `mean_over_worlds`, of ratios as logarithms.
     """
-    import pandas as pd
-
     table = []
     base = [_base(row) for row in episodes[["strategy", "robots", "coordination"]].itertuples(index=False)]
     episodes = episodes.assign(base=base)
@@ -66,10 +59,8 @@ def tabulate(episodes: "pd.DataFrame") -> "pd.DataFrame":
     return found if len(set(found["world"])) < 2 else pd.concat([found, _over_worlds(found)], ignore_index=True)
 
 
-def _over_worlds(table: Any) -> "pd.DataFrame":
+def _over_worlds(table: Any) -> pd.DataFrame:
     """Return a row a team over all worlds, of those of single ones."""
-    import pandas as pd
-
     rows = []
     for _, own in table.groupby("strategy", sort=False):
         row = {**own.iloc[0], "world": "all", **own[[*MEANS]].mean()}
@@ -86,7 +77,7 @@ def _base(row: Any) -> str:
     return row.strategy.removeprefix(f"{row.robots} x ").removesuffix(f", {row.coordination}")
 
 
-def team_table(table: "pd.DataFrame") -> str:
+def team_table(table: pd.DataFrame) -> str:
     """Format a table of `tabulate` as Markdown."""
     head = [
         "world",

@@ -1,7 +1,4 @@
-"""A sweep run, unit by unit, and its results.
-
-pandas is imported by the functions that need it.
-"""
+"""A sweep run, unit by unit, and its results."""
 
 import dataclasses
 import functools
@@ -11,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from jexplore.arrays.pictures import shown_figure
 from jexplore.config import InputError, checked_names, require_engine
@@ -29,7 +27,6 @@ from jexplore.studies.sweeps.plan import SweepPlan, in_shard, prepare_sweep
 from jexplore.studies.sweeps.spec import Sweep, read_spec, sweep_from
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 SHOWN_ROWS = 24  # of the table in a notebook
@@ -46,7 +43,7 @@ class SweepResult(ByStrategy):
     """
 
     spec: Sweep
-    episodes: "pd.DataFrame"
+    episodes: pd.DataFrame
     """One row an episode, ordered by setting, world, strategy, episode; columns `columns.COLUMNS`, metrics, settings:
     `setting` (its number), `lidar.range_m`, `strategy.weight`, ..."""
     columns: tuple[str, ...]
@@ -60,7 +57,7 @@ class SweepResult(ByStrategy):
     """Name of the first strategy, with which the others are compared."""
 
     @functools.cached_property
-    def summary(self) -> "pd.DataFrame":
+    def summary(self) -> pd.DataFrame:
         """Tabulate one row a setting, world and strategy.
 
         Columns are `n`, `mean` and `sd` of the path, metres, the paired `ratio` to the first strategy with `ratio_low`
@@ -130,15 +127,11 @@ class SweepResult(ByStrategy):
         return f"<Sweep of {self.episodes['setting'].nunique()} settings, {len(self.episodes)} episodes>"
 
 
-def summarise(
-    episodes: "pd.DataFrame", columns: Sequence[str], first: str, metrics: Sequence[str] = ()
-) -> "pd.DataFrame":
+def summarise(episodes: pd.DataFrame, columns: Sequence[str], first: str, metrics: Sequence[str] = ()) -> pd.DataFrame:
     """Compute the `SweepResult.summary` of a table of episodes whose settings are in these columns.
 
     Ratios are to the strategy `first`; NaN where it has no episode, as in a part of a sweep.
     """
-    import pandas as pd
-
     rows, own = [], [name for name in dict.fromkeys((*columns, "seed")) if name != "setting"]
     for pair, group in episodes.groupby(["setting", "world"], sort=False):
         setting, world = pair  # type: ignore[misc]
@@ -250,13 +243,11 @@ def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
     return [", ".join(f"{key.rpartition('.')[2]} {_value_text(own[key])}" for key in varied) for own in settings]
 
 
-def whole_table(tables: Sequence["pd.DataFrame"], plan: SweepPlan) -> "pd.DataFrame":
+def whole_table(tables: Sequence[pd.DataFrame], plan: SweepPlan) -> pd.DataFrame:
     """Join tables of a sweep: rows by setting, world, strategy and episode, as in the spec, with all settings.
 
     Settings are truth values, whole numbers, numbers (NaN where missing), or text (empty where missing).
     """
-    import pandas as pd
-
     table = pd.concat(tables, ignore_index=True)
     names = [strategy.name for strategy in plan.strategies]
     parameters = dict(zip(names, plan.parameters))

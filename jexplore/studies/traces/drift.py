@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError, as_record, checked_names
 from jexplore.driving.batch import Driven
@@ -19,7 +20,6 @@ from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 AXES: dict[str, tuple[float, ...]] = {
@@ -56,14 +56,14 @@ class DriftResult:
     plan: TraceJob
     axes: dict[str, list[float]]
     """Name of an error -> its values, rising, with that of the study."""
-    runs: "pd.DataFrame"
+    runs: pd.DataFrame
     """A row a run: the columns of a trace's table; the errors; `node_error_m`, mean distance of the map's nodes from
     where they truly lie; `on_wall` and `doubled` of the grid map, see `OdometryMap`."""
     example: Example | None
     """None where no map was true."""
 
     @property
-    def summary(self) -> "pd.DataFrame":
+    def summary(self) -> pd.DataFrame:
         return summarised(self.runs, self.axes, self.plan.noise)
 
     def figure(self) -> "Figure":
@@ -117,8 +117,6 @@ def drift(
     Raises:
       InputError: no such error, no value, or one out of range; else as `prepare_trace`.
     """
-    import pandas as pd
-
     noise = as_record("noise", noise or Noise(range_m=RANGE_NOISE_M), Noise)
     plan = prepare_trace(
         world, noise=noise, tuning=tuning, robot=robot, runs=runs, starts=starts, seed=seed, start=start,
@@ -212,7 +210,7 @@ def placed_truly(btm: BtmMap, node_at: np.ndarray, way: Driven, origin_m: tuple[
     return dataclasses.replace(btm, nodes=tuple(nodes), links=tuple(links))
 
 
-def summarised(runs: Any, axes: Mapping[str, Sequence[float]], noise: Noise) -> "pd.DataFrame":
+def summarised(runs: Any, axes: Mapping[str, Sequence[float]], noise: Noise) -> pd.DataFrame:
     """Tabulate `DriftResult.runs`, a row for every error and value of `DriftResult.axes`; `noise` is the study's own.
 
     Returns:
@@ -220,7 +218,6 @@ def summarised(runs: Any, axes: Mapping[str, Sequence[float]], noise: Noise) -> 
       interval `true_low`, `true_high` (NaN without a truth); of `node_error_m`, `on_wall` and `doubled` the median, and
       the quartiles as `..._low`, `..._high`. Values without a run are left out.
     """
-    import pandas as pd
     from scipy.stats import binomtest
 
     rows = []

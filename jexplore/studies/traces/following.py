@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 
 from jexplore.config import MAX_SEED, InputError, as_record, checked_names, require_whole
 from jexplore.driving import vehicle
@@ -223,8 +224,6 @@ def _ways(btm, node):
 
 
 def _table(world, btm, found, result):
-    import pandas as pd
-
     places = {node.id: (node.x_m, node.y_m) for node in btm.nodes}
     ends = np.array([places[route.nodes[-1]] for route in found])
     off_m = np.hypot(*(result.end[:, :2] + np.asarray(world.origin_m) - ends).T)

@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import pandas as pd
 
 from jexplore import btm
 from jexplore.config import __version__, checked_names, require_engine
@@ -97,8 +98,6 @@ def execute(
     Raises:
       KeyboardInterrupt: the first unit has not been finished.
     """
-    import pandas as pd
-
     blocks, (setting, which) = run_blocks(plan), plan.all_runs()
     work: Work[pd.DataFrame] = Work(range(len(blocks)), ledger)
     resumed, costs, maps = sum(map(len, work.done.values())), Costs(), {}
@@ -203,8 +202,6 @@ def trace_table(
 
     `setting` and `which` are `[n]` int, numbers of setting and run; `chosen` are further columns, name -> `[n]`.
     """
-    import pandas as pd
-
     found = [repaired(map_of(plan, result, i)) for i in range(len(which))]
     maps = [of_run.map for of_run in found]
     codes = [code(found) for found in maps]
