@@ -188,7 +188,7 @@ def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
 
 
 def _helps(help_at, origin_m):
-    """Describe place, time and run mode of the first operator helps: text."""
+    """Describe the first operator helps: text."""
     return "; ".join(
         f"({x + origin_m[0]:.2f}, {y + origin_m[1]:.2f}) m at {step * vehicle.DT_S:.0f} s, {RunMode(int(mode)).name}"
         for x, y, step, mode in help_at[np.isfinite(help_at[:, 0])]
@@ -204,8 +204,7 @@ def trace_table(
     """
     found = [repaired(map_of(plan, result, i)) for i in range(len(which))]
     maps = [of_run.map for of_run in found]
-    codes = [code(found) for found in maps]
-    truths = [{code(true) for true in own} for own in plan.truths]
+    codes, truths = list(map(code, maps)), [set(map(code, own)) for own in plan.truths]
     own_truths = [truths[run % len(truths)] for run in which]
     marks, is_door = result.met[:, : len(plan.truth.marks)], plan.truth.is_door
     node_at = result.node_at + np.asarray(plan.world.origin_m)
