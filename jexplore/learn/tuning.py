@@ -24,7 +24,7 @@ from jexplore.policies import parse_strategy, search_space
 from jexplore.report.store import MAX_RECORD_BYTES
 from jexplore.report.tables import aligned_table, ratio_text
 from jexplore.studies.statistics.league import LEAGUE_STRATEGIES
-from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
+from jexplore.studies.statistics.over_worlds import ratio_over_worlds
 
 FIRST_SEED = 1000  # of the worlds; the league's are #0 and on
 SHIPPED = Path(__file__).with_name("tuned.json")
@@ -145,10 +145,10 @@ def trials_table(searches: Iterable[Search]) -> pd.DataFrame:
 
 def tuning_table(searches: Iterable[Search], worlds: Sequence[str]) -> str:
     """Format the choices as a Markdown table. Intervals are over worlds; the choice was made in the same ones."""
-    kinds, lines = [kind_of(world) for world in worlds], []
+    lines = []
     for one in searches:
         chosen, default = one.log_ratio[one.best], one.log_ratio[0]
-        ratios = [np.exp(mean_over_worlds(logs, kinds)[:3]) for logs in (default, chosen, chosen - default)]
+        ratios = [ratio_over_worlds(logs, worlds)[:3] for logs in (default, chosen, chosen - default)]
         settings = ", ".join(f"{key} {value:g}" for key, value in one.settings[one.best].items()) or "the defaults"
         lines.append([one.name, settings, *(ratio_text(*ratio) for ratio in ratios)])
     head = ["strategy", "chosen", f"defaults, to {REFERENCE}", f"chosen, to {REFERENCE}", "chosen to defaults"]

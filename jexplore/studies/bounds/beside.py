@@ -9,8 +9,7 @@ import pandas as pd
 from jexplore.config import InputError
 from jexplore.report.tables import aligned_table, number_text, ratio_text
 from jexplore.studies.results.columns import RATIO_COLUMNS
-from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
-from jexplore.studies.statistics.paired import safe_exp
+from jexplore.studies.statistics.over_worlds import kind_of, ratio_over_worlds
 
 START = ("start_row", "start_col", "start_heading_deg")
 
@@ -62,5 +61,4 @@ def _over_worlds(rows, column):
     """Format the ratio of some episodes, a world's mean logarithm counting once, and its interval."""
     known = rows.dropna(subset=[column])
     logs = np.log(known[column]).groupby(known["world"], sort=False).mean()
-    mean, low, high, _ = mean_over_worlds(logs.to_numpy(), [kind_of(world) for world in logs.index])
-    return ratio_text(safe_exp(mean), safe_exp(low), safe_exp(high))
+    return ratio_text(*ratio_over_worlds(logs, logs.index)[:3])

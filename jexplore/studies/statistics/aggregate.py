@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from jexplore.config import InputError
 from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds, share_over_worlds
-from jexplore.studies.statistics.paired import safe_exp
+from jexplore.studies.statistics.paired import NO_RATIO, safe_exp
 
 OVER = ("first", "best")
 """Denominator of a path's score: the path of the first strategy from the same start, or the shortest of all."""
@@ -99,7 +99,7 @@ def interquartile_mean(scores: ArrayLike, worlds: Iterable[object] | None = None
     """
     scores, unit, kinds = _checked(scores, worlds, "scores")
     if not len(scores):
-        return Estimate(math.nan, math.nan, math.nan, math.nan, 0)
+        return Estimate(*NO_RATIO)
     weights = 1.0 / np.bincount(unit)[unit]
     order = np.argsort(scores, kind="stable")
     ends = np.cumsum(weights[order]) / weights.sum()

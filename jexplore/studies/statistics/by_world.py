@@ -10,7 +10,7 @@ import pandas as pd
 from jexplore.config import InputError
 from jexplore.report.tables import aligned_table, interval_text, number_text, p_text, ratio_text, spread_text
 from jexplore.studies.results.columns import MEANS, SUMMARY_COLUMNS
-from jexplore.studies.statistics.paired import PairedRatio, holm, mean_interval, paired_ratio
+from jexplore.studies.statistics.paired import NO_RATIO, finite_ratio, holm, mean_interval
 
 DONE = "COMPLETE", "EXPLORED"
 LIMITS = "STEP_LIMIT", "PLAN_LIMIT", "PATH_LIMIT", "TIME_LIMIT"
@@ -87,13 +87,9 @@ def summarise(episodes: pd.DataFrame, metrics: Sequence[str] = ()) -> pd.DataFra
     for world, strategies in _groups(episodes).items():
         for strategy, rows in strategies.items():
             path_m = rows["path_m"].to_numpy(dtype=np.float64)
-            versus = PairedRatio(math.nan, math.nan, math.nan, math.nan, 0)
-            if strategy == first:
-                versus = versus._replace(ratio=1.0)
-            elif first in strategies:
-                ours, theirs = _pairs(rows, strategies[first])
-                if len(ours):
-                    versus = paired_ratio(ours["path_m"], theirs["path_m"])
+            versus = NO_RATIO._replace(ratio=1.0) if strategy == first else NO_RATIO
+            if strategy != first and first in strategies:
+                versus = finite_ratio(*(own["path_m"] for own in _pairs(rows, strategies[first])))
             n = _n_different(rows)
             row = (world, strategy, n, path_m.mean(), path_m.std(ddof=1) if n > 1 else math.nan)
             row += (*mean_interval(path_m), versus.ratio, versus.low, versus.high, versus.p)
@@ -149,10 +145,10 @@ def path_at_equal_coverage(progress: np.ndarray, reference: np.ndarray) -> tuple
     return ours, theirs
 
 
-def _ratio_text(values, reference, keep):
-    if not keep.any():
+def _ratio_text(values, reference):
+    found = finite_ratio(values, reference)
+    if not found.n:
         return "no pair to compare"
-    found = paired_ratio(values[keep], reference[keep])
     if not math.isfinite(found.ratio):
         return "none, for the reference did not move"
     return f"{ratio_text(found.ratio, found.low, found.high)} over {found.n} pair{'s' if found.n > 1 else ''}"
@@ -173,14 +169,13 @@ def _unequal(ours, theirs, progress):
         said.append(
             f"explored fractions differ by more than {EQUAL_FRACTION:g} in {apart.sum()} of {n} pairs ({means})"
         )
-    whole = _ratio_text(ours["path_m"].to_numpy(), theirs["path_m"].to_numpy(), np.ones(n, dtype=bool))
+    whole = _ratio_text(ours["path_m"], theirs["path_m"])
     text = f"{' and '.join(said)}; a truncated path is not a short one: path ratio {whole}; "
     if progress is not None:
-        path_m, path_ref_m = path_at_equal_coverage(*progress)
-        equal = _ratio_text(path_m, path_ref_m, np.isfinite(path_m) & np.isfinite(path_ref_m))
+        equal = _ratio_text(*path_at_equal_coverage(*progress))
         text += f"at equal coverage ({100 * EQUAL_SHARE:g} % of what the less thorough one of each pair knew) {equal}; "
     complete = (ended == ended_ref) & np.isin(ended, DONE) & ~apart
-    at_95 = _ratio_text(ours["path_m_at_95"].to_numpy(), theirs["path_m_at_95"].to_numpy(), complete)
+    at_95 = _ratio_text(*(rows["path_m_at_95"][complete] for rows in (ours, theirs)))
     return f"{text}where both are COMPLETE and equally explored, at path_m_at_95, {at_95}"
 
 

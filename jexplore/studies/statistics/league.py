@@ -10,8 +10,8 @@ from jexplore.config import require_whole
 from jexplore.report.tables import aligned_table, number_text, p_text, ratio_text
 from jexplore.studies.statistics.aggregate import aggregates
 from jexplore.studies.statistics.by_world import DONE
-from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds
-from jexplore.studies.statistics.paired import holm, safe_exp
+from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds, ratio_over_worlds
+from jexplore.studies.statistics.paired import holm
 from jexplore.worlds.bounds import FURNISHED_CELL_M
 
 LEAGUE_KINDS = ("cave", "office", "hospital", "maze", "rooms")
@@ -96,13 +96,13 @@ def standings(episodes: pd.DataFrame) -> pd.DataFrame:
     for name, extra in zip(paths.columns, more.to_dict("records")):
         own = ratios[ratios["strategy"] == name]
         logs, of_kind = own["log_ratio"].to_numpy(), [kind_of(world) for world in own["world"]]
-        log_ratio, low, high, p = mean_over_worlds(logs, of_kind)
+        found = ratio_over_worlds(logs, own["world"])
         rank, *ends, _ = mean_over_worlds(ranks[name], kinds)
         rank_low, rank_high = (min(max(end, 1.0), len(paths.columns)) for end in ends)  # NaN stays
         best = int((np.isfinite(means[name]) & (means[name] <= means.min(axis=1))).sum())
         row = {"strategy": name, "worlds": len(ranks), "paired": len(own)}
-        row |= {"ratio": safe_exp(log_ratio), "ratio_low": safe_exp(low), "ratio_high": safe_exp(high)}
-        row |= {"p": p, "p_holm": math.nan, **{key: extra[key] for key in _AGGREGATES}}
+        row |= {"ratio": found.ratio, "ratio_low": found.low, "ratio_high": found.high, "p": found.p}
+        row |= {"p_holm": math.nan, **{key: extra[key] for key in _AGGREGATES}}
         row |= {"rank": rank, "rank_low": rank_low, "rank_high": rank_high, "best": best}
         ended = episodes.loc[episodes["strategy"] == name, "outcome"]
         row |= {"complete": float(ended.isin(DONE).mean()), "failed": float(np.isinf(paths[name]).mean())}

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from jexplore.config import InputError
 from jexplore.studies.statistics.by_world import DONE, EQUAL_FRACTION
-from jexplore.studies.statistics.paired import UPPER, t_interval
+from jexplore.studies.statistics.paired import UPPER, PairedRatio, safe_exp, t_interval
 from jexplore.worlds import GENERATORS
 
 ALL_WORLDS = "all worlds"
@@ -57,6 +57,13 @@ def mean_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, fl
         return math.nan, math.nan, math.nan, math.nan
     mean, error, freedom, _ = mean_and_error(values, kinds)
     return mean, *t_interval(mean, error, freedom)
+
+
+def ratio_over_worlds(log_ratios: ArrayLike, worlds: Iterable[object]) -> PairedRatio:
+    """Return `mean_over_worlds` of logarithms of ratios, one a world of these names, as a ratio."""
+    logs = np.asarray(log_ratios, np.float64)
+    mean, low, high, p = mean_over_worlds(logs, [kind_of(world) for world in worlds])
+    return PairedRatio(safe_exp(mean), safe_exp(low), safe_exp(high), p, len(logs))
 
 
 def share_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, float, float, float]:

@@ -25,6 +25,9 @@ class PairedRatio(NamedTuple):
     n: int  # pairs; 1 if all pairs are identical
 
 
+NO_RATIO = PairedRatio(math.nan, math.nan, math.nan, math.nan, 0)
+
+
 def _vector(values, name):
     values = np.asarray(values, dtype=np.float64)
     if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all() or values.min() < 0:
@@ -98,6 +101,13 @@ def paired_ratio(values: ArrayLike, reference: ArrayLike) -> PairedRatio:
     error, freedom = spread_of(values, reference)
     low, high, p = t_interval(math.log(ratio) if error else math.nan, error, freedom)
     return PairedRatio(ratio, safe_exp(low), safe_exp(high), p, n)
+
+
+def finite_ratio(values: ArrayLike, reference: ArrayLike) -> PairedRatio:
+    """Estimate `paired_ratio` of the pairs that are finite; `NO_RATIO` without any."""
+    both = np.asarray([values, reference], np.float64)
+    both = both[:, np.isfinite(both).all(axis=0)]
+    return paired_ratio(*both) if both.size else NO_RATIO
 
 
 def mean_interval(values: ArrayLike) -> tuple[float, float]:

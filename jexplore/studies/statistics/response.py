@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from jexplore.config import InputError
-from jexplore.studies.statistics.over_worlds import ALL_WORLDS, kind_of, mean_over_worlds
-from jexplore.studies.statistics.paired import mean_interval, paired_ratio, safe_exp
+from jexplore.studies.statistics.over_worlds import ALL_WORLDS, kind_of, mean_over_worlds, ratio_over_worlds
+from jexplore.studies.statistics.paired import mean_interval, paired_ratio
 
 SHARED = ("seed", "cell_m")
 """Settings without a dot in their name."""
@@ -150,9 +150,8 @@ def _over_worlds(rows, ratio):
     means = rows.groupby("world", sort=False)[["value", "reference"]].mean()
     if ratio:
         means = means[(means > 0).all(axis=1)]
+        found = ratio_over_worlds(np.log(means["value"] / means["reference"]), means.index)
+        return found.n, found.ratio, found.low, found.high
     values = (means["value"] / means["reference"]).to_numpy()
-    kinds = [kind_of(world) for world in means.index]
-    mean, low, high, _ = mean_over_worlds(np.log(values) if ratio else values, kinds)
-    if ratio:
-        return len(values), safe_exp(mean), safe_exp(low), safe_exp(high)
+    mean, low, high, _ = mean_over_worlds(values, [kind_of(world) for world in means.index])
     return len(values), mean, max(low, 0.0) if math.isfinite(low) else low, high

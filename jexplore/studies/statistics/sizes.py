@@ -72,7 +72,7 @@ def sample_size(values: ArrayLike, reference: ArrayLike, *, within: float = 0.02
         raise InputError(f"expected two vectors of one length, 2 or more, got {values.shape} and {reference.shape}")
     if not np.isfinite([values, reference]).all() or min(values.min(), reference.min()) < 0:
         raise InputError("values and reference must be finite numbers from 0")
-    if values.mean() == 0 or reference.mean() == 0:
+    if not (values.any() and reference.any()):
         raise InputError("values and reference must have a path that is longer than 0")
     spread, n = float((values / values.mean() - reference / reference.mean()).std(ddof=1)), len(values)
     equal = int((values == reference).sum())

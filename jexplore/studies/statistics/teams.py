@@ -1,6 +1,5 @@
 """Teams and one robot: times to known shares, speed-up, efficiency."""
 
-import math
 from typing import Any, cast
 
 import numpy as np
@@ -9,8 +8,8 @@ import pandas as pd
 from jexplore.report.tables import aligned_table, number_text, ratio_text
 from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.studies.statistics.by_world import DONE
-from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
-from jexplore.studies.statistics.paired import PairedRatio, paired_ratio
+from jexplore.studies.statistics.over_worlds import ratio_over_worlds
+from jexplore.studies.statistics.paired import PairedRatio, finite_ratio
 
 MEANS = "path_m_at_90", "path_m_at_95", "path_m_at_99", *TEAM_MEASURES
 TABLE = (
@@ -20,12 +19,10 @@ TABLE = (
 
 
 def _ratio(rows: Any, reference: Any) -> PairedRatio:
-    """Return the `paired_ratio` of the times until all is known, over the episodes that both have completed."""
+    """Return the ratio of the times until all is known, over the episodes that both have completed."""
     ours, theirs = (one[one["outcome"].isin(DONE)].set_index("episode")["path_m_at_100"] for one in (rows, reference))
     both = ours.index.intersection(theirs.index)
-    if not len(both):
-        return PairedRatio(math.nan, math.nan, math.nan, math.nan, 0)
-    return paired_ratio(ours[both], theirs[both])
+    return finite_ratio(ours[both], theirs[both])
 
 
 def tabulate(episodes: pd.DataFrame) -> pd.DataFrame:
@@ -66,8 +63,7 @@ def _over_worlds(table: Any) -> pd.DataFrame:
         row = {**own.iloc[0], "world": "all", **own[[*MEANS]].mean()}
         for name, low, high in (("speed_up", "speed_up_low", "speed_up_high"), ("vs_independent", "vs_low", "vs_high")):
             some = own[np.isfinite(own[name])]
-            found = mean_over_worlds(np.log(some[name]), [kind_of(world) for world in some["world"]])
-            row |= dict(zip((name, low, high), np.exp(found[:3])))
+            row |= dict(zip((name, low, high), ratio_over_worlds(np.log(some[name]), some["world"])))
         rows.append(row | {"efficiency": row["speed_up"] / row["robots"]})
     return pd.DataFrame(rows, columns=[*TABLE])
 
@@ -79,16 +75,8 @@ def _base(row: Any) -> str:
 
 def team_table(table: pd.DataFrame) -> str:
     """Format a table of `tabulate` as Markdown."""
-    head = [
-        "world",
-        "strategy",
-        *(f"m at {share} %" for share in (90, 95, 99)),
-        "m until all is known",
-        "speed-up",
-        "efficiency",
-        "to independent",
-    ]
-    head += ["sum of paths m", "overlap", "sd of shares", "waits", "connected"]
+    head = ["world", "strategy", *(f"m at {share} %" for share in (90, 95, 99)), "m until all is known", "speed-up"]
+    head += ["efficiency", "to independent", "sum of paths m", "overlap", "sd of shares", "waits", "connected"]
     lines = []
     for row in table.to_dict("records"):
         line = [str(row["world"]), str(row["strategy"])]
