@@ -100,17 +100,9 @@ def search(
 ) -> list[Search]:  # fmt: skip
     """Tune strategies, all together, so that they share compiled programs; none changes the result of another.
 
-    Args:
-      names: of the strategies.
-      bank: of worlds, kind by kind, `seeds` of each.
-      seeds: number of worlds of each kind.
-      trials: number of settings that are drawn, besides the defaults, which run in all worlds.
-      seed: of starts and draws.
-      workers: cores; by default all.
-      on_progress: called with the number of finished episodes, see `episodes_needed`.
-
-    Raises:
-      KeyboardInterrupt: it was interrupted.
+    The bank has worlds, kind by kind, `seeds` of each. `trials` settings are drawn besides the defaults, which run in
+    all worlds; `seed` is that of starts and draws. `on_progress` is called with the number of finished episodes, see
+    `episodes_needed`.
     """
     found = []
     for name in names:

@@ -152,17 +152,10 @@ class ComparisonResult(ByStrategy):
         return labelled.of_comparison(self)
 
     def save_maps(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write the last map of every episode as files of ROS's map_server, with `keep="maps"`.
+        """Write the last map of every episode as files of ROS's map_server, with `keep="maps"`; return the yaml files.
 
-        Args:
-          folder: where to; it is made. Files are named world-strategy-episode.yaml, with a picture each: of a world's
-            path as much as tells it from the others.
-
-        Returns:
-          Paths of the yaml files; `jx.load_world` reads them, and their cells are those of the maps.
-
-        Raises:
-          InputError: no maps were kept, or a file cannot be written.
+        They are named world-strategy-episode.yaml, with a picture each: of a world's path as much as tells it from the
+        others. `jx.load_world` reads them, and their cells are those of the maps.
         """
         if not self.maps:
             raise InputError('no maps were kept: compare(..., keep="maps")')
@@ -178,37 +171,20 @@ class ComparisonResult(ByStrategy):
         return by_world.markdown_table(self.summary, as_text=as_text)
 
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False, report: bool = True) -> Path:
-        """Write the folder that `jexplore compare` writes: tables, pictures, run.json, report.html.
+        """Write the folder that `jexplore compare` writes: tables, pictures, run.json, report.html; return its path.
 
         `jx.load` reads it, ways and maps included, and `jx.compare(..., out=folder, resume=True)` takes it for done.
-
-        Args:
-          folder: where to; it is made.
-          overwrite: whether it may hold a run, which is then replaced.
-          report: whether report.html is written. That of a comparison that was loaded has no replays.
-
-        Returns:
-          The folder.
-
-        Raises:
-          InputError: it holds a run, or cannot be written.
+        `overwrite` replaces a run that is there. The `report` of a comparison that was loaded has no replays.
         """
         from jexplore.studies.results import saving
 
         return saving.save(self, folder, overwrite=overwrite, report=report)
 
     def plot(self, ax: Any = None, world: str | None = None) -> Any:
-        """Draw path lengths in one world: every episode as a dot, and the means with their 95 % intervals.
+        """Draw path lengths in one world, by default the first: every episode, and the means with their 95 % intervals.
 
-        Args:
-          ax: matplotlib `Axes`; by default those of a new figure.
-          world: its name; by default the first. `compare_figure` shows all of them.
-
-        Returns:
-          The `Axes`.
-
-        Raises:
-          InputError: no such world in this comparison.
+        Draws into matplotlib `Axes`, by default those of a new figure, and returns them. `compare_figure` shows all
+        worlds.
         """
         world = self.worlds[0].name if world is None else world
         if world not in self.episodes["world"].to_numpy():

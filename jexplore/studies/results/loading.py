@@ -150,13 +150,7 @@ def _require_alike(path, there, here, trust):
 def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[SweepResult, SweepPlan]:
     """Join the parts of a sweep, from the folders of all of them.
 
-    Args:
-      parts: folders.
-      trust: take users' strategies and metrics as the same in all parts, even where nothing tells.
-
-    Raises:
-      InputError: a folder that holds no finished part, parts of different sweeps, one that is missing or there twice,
-        parts that were not continued alike.
+    With `trust` users' strategies and metrics are taken as the same in all parts, even where nothing tells.
     """
     if not parts:
         raise InputError("expected the folders of all parts, got none")

@@ -46,25 +46,11 @@ class ByStrategy(abc.ABC):
         return self.episodes
 
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str | None:
-        """Format the table of episodes as comma-separated values.
-
-        Args:
-          path: the file to write; without one the text is returned.
-
-        Raises:
-          InputError: the file cannot be written.
-        """
+        """Format the table of episodes as comma-separated values: the text, or None if it is written to a path."""
         return _written(self.episodes.to_csv(index=False), path)
 
     def to_latex(self, path: str | os.PathLike[str] | None = None) -> str | None:
-        r"""Format the summary as a LaTeX table, for `\usepackage{booktabs}`.
-
-        Args:
-          path: the file to write; without one the text is returned.
-
-        Raises:
-          InputError: the file cannot be written.
-        """
+        r"""Format the summary as a LaTeX table, for `\usepackage{booktabs}`: text, or None if written to a path."""
         return _written(self._summary_text(latex_table), path)
 
     @abc.abstractmethod

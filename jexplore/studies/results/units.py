@@ -153,7 +153,7 @@ def make_units(
     on_progress: Callable[[int], object] | None = None,
     **how: Any,
 ) -> Costs:
-    """Make the units that are left, of one run or of one after the other.
+    """Make the units that are left, of one run or of one after the other; return the costs.
 
     Args:
       work: takes every unit as soon as it is finished.
@@ -163,9 +163,6 @@ def make_units(
       resumed: number of episodes that are there already.
       on_progress: called with the number of episodes that are there.
       how: engine, lanes, workers, keep, shared_with, as of `batch.run_jobs`.
-
-    Returns:
-      The costs; interrupted after Ctrl-C.
     """
     costs, done = Costs(), resumed
     for window in windows(work.left) if work.left else ():
@@ -214,14 +211,8 @@ def run_units(
 ) -> Ran:
     """Run every episode of every job, with its scanner and rules, that the ledger does not have.
 
-    Args:
-      ledger: where units are kept as soon as they are finished.
-      on_progress: as in `batch.run_jobs`; it counts earlier episodes too.
-      settled: asked after each phase with all units made; it names the worlds that need no more episodes.
-      how: engine, lanes, workers, keep, as in `batch.run_jobs`.
-
-    Returns:
-      `Ran`. After Ctrl-C it holds the units that had been finished.
+    `settled` is asked after each phase with all units made: it names the worlds that need no more episodes.
+    `on_progress` and `how` are as of `make_units`. After Ctrl-C the result holds the units that had been finished.
 
     Raises:
       KeyboardInterrupt: there are none.

@@ -59,13 +59,9 @@ def _unit_means(values, unit, kinds):
 def improvement(values: ArrayLike, reference: ArrayLike, worlds: Iterable[object] | None = None) -> Estimate:
     """Estimate the chance that a path is shorter than the reference's from the same start; equal ones count half.
 
-    Args:
-      values, reference: `[N]` path lengths of the same starts in the same order, inf for an episode that has failed;
-        two that have failed are equal.
-      worlds: `[N]`, the world of each; None for a single one.
-
-    Returns:
-      `Estimate`; p is of the chance being 1/2. No interval for fewer than two worlds, or two starts in a single one.
+    `values` and `reference` are `[N]` path lengths of the same starts, inf for an episode that has failed; two that
+    have failed are equal. `worlds` are the world of each, None for a single one. p is of the chance being 1/2. No
+    interval for fewer than two worlds, or two starts in a single one.
 
     Source:
       Agarwal et al. 2021, probability of improvement. Changed: paired by start, and the sample are worlds.
@@ -81,17 +77,11 @@ def improvement(values: ArrayLike, reference: ArrayLike, worlds: Iterable[object
 def interquartile_mean(scores: ArrayLike, worlds: Iterable[object] | None = None) -> Estimate:
     """Compute the mean of the middle half of scores, robust against a few lost or lucky episodes.
 
-    Scores that lie across a quartile count with the part that is inside. The interval is `M exp(± t s / M)`, s the
-    standard error over worlds of the scores pulled in to the quartiles, divided by the half that is kept.
-    `benchmarks/intervals.py --over worlds` measures how often it covers.
-
-    Args:
-      scores: `[N]` ratios of paths, from `scores_of`; inf for an episode that has failed.
-      worlds: as of `improvement`.
-
-    Returns:
-      `Estimate`; p is of the mean being 1. Infinite if more than a quarter has failed; no interval then, for fewer than
-        two worlds (starts in a single one), or without any spread.
+    Scores are `[N]` ratios of paths, from `scores_of`; `worlds` are as of `improvement`. Scores that lie across a
+    quartile count with the part that is inside. The interval is `M exp(± t s / M)`, s the standard error over worlds of
+    the scores pulled in to the quartiles, divided by the half that is kept. `benchmarks/intervals.py --over worlds`
+    measures how often it covers. p is of the mean being 1. The mean is infinite if more than a quarter has failed; no
+    interval then, for fewer than two worlds (starts in a single one), or without any spread.
 
     Source:
       Agarwal et al. 2021; the standard error of a trimmed mean by Tukey and McLaughlin 1963. Changed: worlds weigh the
@@ -169,14 +159,9 @@ def _ratios(scores):
 def profiles(episodes: pd.DataFrame, *, over: str = "best", ratios: ArrayLike | None = None) -> pd.DataFrame:
     """Compute performance profiles: the share of starts whose path is at most a multiple of the reference's.
 
-    Args:
-      episodes: the table of episodes of a comparison.
-      over: one of `OVER`: denominator of the ratios.
-      ratios: `[K]` positive numbers, rising; by default 101 up to the 99th percentile, `MOST_RATIO` at most.
-
-    Returns:
-      A DataFrame with the columns `PROFILE_COLUMNS`, a row a strategy and ratio. Episodes that have failed are in no
-        share; worlds count the same.
+    `over` is the denominator of the ratios, one of `OVER`; `ratios` rise, by default 101 up to the 99th percentile,
+    `MOST_RATIO` at most. Returns `PROFILE_COLUMNS`, a row a strategy and ratio. Episodes that have failed are in no
+    share; worlds count the same.
 
     Source:
       Dolan and More 2002; with bands as by Agarwal et al. 2021. Changed: the bands are over worlds.

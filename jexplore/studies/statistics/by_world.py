@@ -67,20 +67,12 @@ def summarise(episodes: pd.DataFrame, metrics: Sequence[str] = ()) -> pd.DataFra
     Strategies are compared with the first strategy of the table, over the episodes that both have. In its own rows,
     `ratio` is 1 and `ratio_low`, `ratio_high` and `p` are NaN; in a world without it, so is `ratio`.
 
-    Args:
-      episodes: the table of episodes, a pandas DataFrame.
-      metrics: names of more columns whose means are wanted.
-
     Returns:
       A DataFrame with the columns `SUMMARY_COLUMNS`, then `metrics`: `n` episodes, 1 where one is repeated; `mean`,
         `sd` (divided by n - 1; NaN for one episode) and the interval `ci_low`, `ci_high` of the path length, metres,
         from `mean_interval`; `ratio`, `ratio_low`, `ratio_high`, `p` from `paired_ratio`; `p_holm`, that p corrected
-        for as many strategies as are compared in the world (`holm`); the means of `plans`, `scans`, `turning_rad`,
-        `time_s`, `energy_j`, `explored_fraction`, `exhausted` and `room_entries` (NaN without rooms); `outcomes`, text
+        for as many strategies as are compared in the world (`holm`); the means of `columns.MEANS`; `outcomes`, text
         such as "COMPLETE 98, BLOCKED 2"; means of the metrics.
-
-    Raises:
-      InputError: an episode occurs twice, or paired episodes start differently.
     """
     first = episodes["strategy"].iloc[0] if len(episodes) else None
     table = []
@@ -104,12 +96,7 @@ def summarise(episodes: pd.DataFrame, metrics: Sequence[str] = ()) -> pd.DataFra
 
 
 def markdown_table(summary: Any, *, as_text: Callable[..., str] = aligned_table) -> str:
-    """Format a summary from `summarise` as one Markdown table; missing values are `-`.
-
-    Args:
-      summary: the table.
-      as_text: makes text of the names of columns and the texts of rows.
-    """
+    """Format a summary from `summarise` as one Markdown table, or what `as_text` makes; missing values are `-`."""
     widths_m = [high - low for low, high in zip(summary["ci_low"], summary["ci_high"]) if math.isfinite(high - low)]
     decimals = 1 if widths_m and min(widths_m) >= 1 else 2
     head = ["world", "strategy", "n", "path m", "95 % interval", "ratio to the first", "p (Holm)"]
@@ -132,11 +119,8 @@ def path_at_equal_coverage(progress: np.ndarray, reference: np.ndarray) -> tuple
     """Compute path lengths of paired episodes at which both knew equally many cells: two of `[N]` float64, metres.
 
     Of each pair the one that knew less in the end sets the mark: the last one up to `EQUAL_SHARE` of its own. Paths are
-    those that the robots had driven when they first knew as much: recorded, not interpolated; NaN without a mark.
-
-    Args:
-      progress, reference: `[N, 100]` float, metres: path at each per cent of what can be known in the world, NaN
-        where that was never known; of the same episodes.
+    those that the robots had driven when they first knew as much: recorded, not interpolated; NaN without a mark. The
+    arguments are `[N, 100]`, metres: path at each per cent of what can be known, NaN where that was never known.
     """
     marks = np.minimum(*(np.isfinite(metres).sum(axis=1) for metres in (progress, reference)))
     mark = np.floor(EQUAL_SHARE * marks + 1e-9).astype(int) - 1
@@ -201,12 +185,7 @@ def warnings_of(episodes: pd.DataFrame, progress: Mapping[tuple[str, str], np.nd
     that are COMPLETE on both sides with equal explored fractions, at the recorded `path_m_at_95`: pairs that are
     selected by how they ended. Warns also where the episodes of a strategy are one episode repeated.
 
-    Args:
-      episodes: the table of episodes.
-      progress: (world, strategy) -> `[N, 100]` float, as in `path_at_equal_coverage`, in the order of the table's rows.
-
-    Raises:
-      InputError: an episode occurs twice, or paired episodes start differently.
+    `progress` is (world, strategy) -> `[N, 100]`, as in `path_at_equal_coverage`, in the order of the table's rows.
     """
     found = []
     first = episodes["strategy"].iloc[0] if len(episodes) else None

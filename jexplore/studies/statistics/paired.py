@@ -70,7 +70,7 @@ def spread_of(values: ArrayLike, reference: ArrayLike) -> tuple[float, float]:
 
 
 def paired_ratio(values: ArrayLike, reference: ArrayLike) -> PairedRatio:
-    """Estimate the ratio R of the means of paired samples, with an interval and a test.
+    """Estimate the ratio R of the means of paired samples, `[N]` numbers from 0, with an interval and a test.
 
     The interval is `R exp(± t s)`, where `s` is the standard error of the logarithm of R by the delta method: the
     standard deviation of `v / mean(v) - r / mean(r)` over the pairs `(v, r)`, divided by the root of their number; t is
@@ -80,12 +80,6 @@ def paired_ratio(values: ArrayLike, reference: ArrayLike) -> PairedRatio:
 
     Pairs of equal members carry no spread: together they count once in the degrees of freedom. Identical pairs (one
     episode repeated) count as a single pair. One pair, or pairs without any spread, have no interval and no p.
-
-    Args:
-      values, reference: `[N]` finite numbers from 0, N >= 1, the same episodes; their order does not matter.
-
-    Raises:
-      ValueError: not vectors, lengths that differ, empty, not finite, or negative.
 
     Source:
       The delta method for a ratio of means, on the logarithm; Fieller 1954 treats the same problem.

@@ -107,10 +107,6 @@ def response(
     Returns:
       A DataFrame: `world` (`over_worlds.ALL_WORLDS` for the mean over them), `strategy`, the settings under their
         names, `n` starts or worlds, `estimate`, `low`, `high`; in order of first appearance, settings rising.
-
-    Raises:
-      InputError: no such column, a column of text where numbers are averaged, no row that has them, or an episode of
-        the first strategy that occurs twice in a setting.
     """
     own = [settings] if isinstance(settings, str) else list(settings)
     for name in own:

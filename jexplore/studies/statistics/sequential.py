@@ -67,14 +67,8 @@ def verdict_of(found: PairedRatio) -> str:
 def decisions(episodes: pd.DataFrame, names: Sequence[str] | None = None) -> pd.DataFrame:
     """Tabulate the ratio of each strategy to the first in each world, with an interval that holds at any stopping.
 
-    The intervals of a world cover together: each has its share of `ALPHA`.
-
-    Args:
-      episodes: the table of episodes; one that not every strategy has counts for none.
-      names: of the strategies, in order; by default those in the table.
-
-    Returns:
-      A DataFrame with the columns `world`, `strategy`, `n`, `ratio`, `ratio_low`, `ratio_high`, `verdict`.
+    The intervals of a world cover together: each has its share of `ALPHA`. An episode that not every strategy has
+    counts for none; `names` are the strategies, in order, by default those in the table.
     """
     rows, names = [], list(dict.fromkeys(episodes["strategy"])) if names is None else list(names)
     for world, own in episodes.groupby("world", sort=False):

@@ -49,19 +49,8 @@ def sample_size(values: ArrayLike, reference: ArrayLike, *, within: float = 0.02
     The interval is that of `paired_ratio`: it then ends at most at `(1 + within)` times the ratio, and at `1 / (1 +
     within)` times it. The spread of a pilot is itself uncertain, and that of the new episodes varies: the number is
     large enough that, with the `assurance`, the new interval is as narrow for a normal spread; with skewed ratios of
-    paths this holds less often. `benchmarks/intervals.py --over sizes` measures how often.
-
-    Args:
-      values, reference: `[N]` path lengths of a pilot, the same starts in the same order, N >= 2.
-      within: wanted half of the width, as a share of the ratio.
-      assurance: chance that the interval comes out as narrow; 0.5 is an even chance.
-
-    Returns:
-      The number of pairs, 2 or more; `MAX_NEEDED` if it takes more.
-
-    Raises:
-      InputError: not two vectors of finite numbers from 0, of one length, 2 or more, that differ; no spread in the
-        pilot; a share out of range.
+    paths this holds less often. `benchmarks/intervals.py --over sizes` measures how often. Returns 2 or more;
+    `MAX_NEEDED` if it takes more.
 
     Source:
       Kupper and Hafner 1989, assurance of the width of an interval; here with the uncertainty of the pilot.

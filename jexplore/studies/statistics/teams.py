@@ -28,15 +28,12 @@ def _ratio(rows: Any, reference: Any) -> PairedRatio:
 def tabulate(episodes: pd.DataFrame) -> pd.DataFrame:
     """Tabulate one row a world and team, in order of first appearance; then one a team over several worlds, as "all".
 
-    Args:
-      episodes: the table of episodes, with `columns.TEAM_COLUMNS`.
-
     Returns:
       A DataFrame: means of times in metres on the common clock, and of the team's measures; `speed_up`, the mean time
         of one robot by that of the team until all is known, with its interval (`paired_ratio`), and `efficiency`, that
         by the number of robots: NaN without a team of one; `vs_independent`, the team's time by that of as many robots
         without coordination, with its interval. In a world intervals are over starts; over worlds they are by
-        `mean_over_worlds`, of ratios as logarithms.
+        `ratio_over_worlds`.
     """
     table = []
     base = [_base(row) for row in episodes[["strategy", "robots", "coordination"]].itertuples(index=False)]

@@ -140,9 +140,6 @@ def prepare_trace(
       max_steps: steps after which a run ends as STEP_LIMIT; by default `MAX_STEPS`, in buildings more by free area.
       attributes: see `attributes_of`.
       nodes, links: most of a map; a run that needs more ends as MAP_FULL. By default see `map_room`.
-
-    Raises:
-      InputError: what cannot be run, in one line.
     """
     (world,) = checks.ready_worlds([world], cell_m)
     if start is None and world.course is None and (starts or world.start is None):

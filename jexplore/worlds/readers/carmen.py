@@ -39,25 +39,15 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
     pose in both and in an `ODOM` line after every scan, from where further `ODOM` lines lead on: `odometry` joins these
     steps; a scan without one stays where the last one was. Of an `FLASER` line CARMEN assumes that the first of n
     readings points 90 degrees to the right. The next ones are 1 degree apart for n = 180 and 181, 0.5 for 360 and 361,
-    0.25 for 400 and 401, else 180 / (n - 1).
+    0.25 for 400 and 401, else 180 / (n - 1). Readings of inf, NaN and below 0 stay as they are.
 
     Args:
       path: the log, a text file, or one packed by gzip whose name ends in `.gz`.
       max_range_m: a reading of this or more means that nothing was seen, metres. Default: the least of what the log
         gives signs of: what `ROBOTLASER1` lines say; for `FLASER` the last `PARAM robot_front_laser_max`, without one
-        80, and 8 if no reading is above 8.2, as a SICK in its mode of millimetres has it; and the largest reading,
-        where it ends in more than 5 times as many places as a reading does in the median, and in more than 5 where
-        there is no other.
-
-    Returns:
-      `ScanLog`, scans in the order of the file. Readings of inf, NaN and below 0 stay as they are.
-
-    Warns:
-      InputWarning: readings count as no echo because they are the largest and many, or a parameter is no distance.
-
-    Raises:
-      InputError: the file cannot be read, has no scan with a pose, a line of one is cut short or not numbers, or scans
-        differ in their readings: one log is of one scanner.
+        80, and 8 if no reading is above 8.2, as a SICK in its mode of millimetres has it; and, with a warning, the
+        largest reading, where it ends in more than 5 times as many places as a reading does in the median, and in more
+        than 5 where there is no other.
     """
     path = os.fspath(path)
     if max_range_m is not None:
