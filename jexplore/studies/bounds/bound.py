@@ -26,7 +26,7 @@ from jexplore.reach import DIAGONAL, FAR, STRAIGHT
 from jexplore.report.ledger import Ledger, Work
 from jexplore.report.tables import aligned_table, number_text
 from jexplore.rules import Lidar, Rules
-from jexplore.studies.bounds.beside import with_bound_ratios
+from jexplore.studies.bounds.beside import START, with_bound_ratios
 from jexplore.studies.bounds.scene import prepare_scene
 from jexplore.studies.bounds.search import Budget, SearchResult, search
 from jexplore.studies.checks import (
@@ -94,8 +94,7 @@ def solve(task: BoundTask) -> Solved:
     """Bound one start."""
     world, start = task.world, task.start
     scene = prepare_scene(world, start, task.lidar, task.rules, scans_all_round(task.lidar))
-    row: dict[str, Any] = {"world": os.fspath(world.name), "start_row": start[0], "start_col": start[1]}
-    row |= {"start_heading_deg": start[2], "sha256": world_digest(world)}
+    row: dict[str, Any] = {"world": os.fspath(world.name), **dict(zip(START, start)), "sha256": world_digest(world)}
     if scene is None:
         row |= {"low_m": 0.0, "low_any_m": 0.0, "high_m": math.nan, "status": STUCK, "witnesses": 0, "seconds": 0.0}
         nothing = np.zeros((0, 2), np.int32)
@@ -227,48 +226,43 @@ def prepare_bounds(
     """Check and load everything before `bound` runs: the tasks. Arguments as there."""
     lidar, rules = ready_settings(lidar, rules)
     starts, seed = require_setting("starts", starts), require_setting("seed", seed)
-    seconds = require_setting("seconds", seconds)
+    seconds, pairs = require_setting("seconds", seconds), []
     if max_floods is not None:
         require_whole("max_floods", max_floods, 1, 10**9)
-    require_perfect(lidar, rules)
-    tasks, limits = [], (None if max_floods else seconds, max_floods)
     for world in ready_worlds(worlds, cell_m):
-        require_whole_world(world)
         places = ready_starts(world, start, starts if start == "random" else 1, seed=seed, rules=rules)
-        tasks += [BoundTask(world, (int(r), int(c), int(h)), lidar, rules, *limits) for r, c, h in places]
-    return tasks
+        pairs += [(world, (int(r), int(c), int(h))) for r, c, h in places]
+    return _tasks(pairs, lidar, rules, None if max_floods else seconds, max_floods)
 
 
 def require_perfect(lidar: Lidar, rules: Rules) -> None:
     """Refuse a scanner with noise, whose beams may say nothing, or that is not at the robot's centre, and odometry."""
     require_given_pose(rules, "bounds are")
+    centre = "that sees all from the robot's centre: lidar.min_range_m, forward_m and left_m must be 0"
     for is_bad, needs in (
         (lidar.sigma_m or lidar.dropout, "without noise: lidar.sigma_m and lidar.dropout must be 0"),
         (lidar.no_echo != "free", "that shows what it has no echo from: lidar.no_echo must be free"),
-        (
-            lidar.min_range_m or lidar.mount_m,
-            "that sees all from the robot's centre: lidar.min_range_m, forward_m and left_m must be 0",
-        ),
+        (lidar.min_range_m or lidar.mount_m, centre),
     ):
         if is_bad:
             raise InputError(f"bounds are of a scanner {needs}")
 
 
-def require_whole_world(world: World) -> None:
-    """Refuse a world with a region to stay in, or of which a robot knows a part beforehand."""
-    if world.within is not None or world.known is not None:
-        raise InputError(f"{world.name!r}: bounds are of whole worlds, of which nothing is known beforehand")
+def _tasks(pairs, lidar, rules, seconds, max_floods):
+    """Return the tasks of worlds and starts; refuse a world with a region to stay in or of which a part is known."""
+    require_perfect(lidar, rules)
+    for world, _ in pairs:
+        if world.within is not None or world.known is not None:
+            raise InputError(f"{world.name!r}: bounds are of whole worlds, of which nothing is known beforehand")
+    return [BoundTask(world, start, lidar, rules, seconds, max_floods) for world, start in pairs]
 
 
 def bound_tasks(
     pairs: Iterable[tuple[World, tuple[int, int, int]]], lidar: Lidar, rules: Rules, seconds: float
 ) -> list[BoundTask]:
     """Return the tasks of some starts, each once."""
-    require_perfect(lidar, rules)
-    pairs = list(pairs)
-    for world, _ in pairs:
-        require_whole_world(world)
-    return list({(of.name, *start): BoundTask(of, start, lidar, rules, seconds, None) for of, start in pairs}.values())
+    once = {(world.name, *start): (world, start) for world, start in pairs}
+    return _tasks(once.values(), lidar, rules, seconds, None)
 
 
 def bound_settings(lidar: Lidar, rules: Rules) -> dict[str, Any]:

@@ -5,7 +5,7 @@ import functools
 import itertools
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pandas as pd
@@ -22,7 +22,7 @@ from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import join_columns, make_units, rows_of
 from jexplore.studies.statistics.by_world import DONE
-from jexplore.studies.statistics.paired import paired_ratio
+from jexplore.studies.statistics.paired import NO_RATIO, finite_ratio
 from jexplore.studies.sweeps.plan import SweepPlan, in_shard, prepare_sweep
 from jexplore.studies.sweeps.spec import Sweep, read_spec, sweep_from
 
@@ -108,17 +108,13 @@ class SweepResult(ByStrategy):
         from jexplore.studies.statistics import figures
 
         numbers = [name for name in self.varied if self.episodes[name].dtype.kind in "iuf"]
-        drawn: dict[str, Callable[[], Any]] = (
-            {"sweep.png": functools.partial(figures.response_figure, self.episodes, numbers[0])} if numbers else {}
-        )
-        pair = next((pair for pair in itertools.combinations(numbers, 2) if self._occur_together(pair)), None)
-        if pair is not None:
+        there, drawn = cast(Any, self.episodes.notna()), {}
+        for name in numbers[:1]:
+            drawn["sweep.png"] = functools.partial(figures.response_figure, self.episodes, name)
+        pairs = (pair for pair in itertools.combinations(numbers, 2) if there[[*pair]].all(axis=1).any())
+        for pair in itertools.islice(pairs, 1):  # that some strategy has both of
             drawn["sweep-map.png"] = functools.partial(figures.heat_figure, self.episodes, *pair)
         return drawn
-
-    def _occur_together(self, names):
-        """Return whether some strategy has all of these settings."""
-        return bool(self.episodes[list(names)].notna().to_numpy().all(axis=1).any())
 
     def _repr_markdown_(self):
         return self.to_markdown(SHOWN_ROWS)
@@ -139,16 +135,13 @@ def summarise(episodes: pd.DataFrame, columns: Sequence[str], first: str, metric
         for strategy, some in group.groupby("strategy", sort=False):
             path_m = some.set_index("episode")["path_m"]
             both = path_m.index.intersection(reference.index)
-            is_first = strategy == first
-            ratio = None if is_first or not len(both) else paired_ratio(path_m[both], reference[both])
+            ratio = NO_RATIO._replace(ratio=1.0) if strategy == first else finite_ratio(path_m[both], reference[both])
             rows.append(
                 {
                     **{"setting": setting, "world": world, "strategy": strategy},
                     **{name: some[name].iloc[0] for name in own},
                     **{"n": len(some), "mean": path_m.mean(), "sd": path_m.std(ddof=1)},
-                    "ratio": 1.0 if is_first else np.nan if ratio is None else ratio.ratio,
-                    "ratio_low": np.nan if ratio is None else ratio.low,
-                    "ratio_high": np.nan if ratio is None else ratio.high,
+                    **{"ratio": ratio.ratio, "ratio_low": ratio.low, "ratio_high": ratio.high},
                     "explored_fraction": some["explored_fraction"].mean(),
                     "complete": some["outcome"].isin(DONE).mean(),
                     **{name: some[name].mean() for name in metrics},

@@ -93,10 +93,8 @@ class Sweep:
             if not isinstance(given, Iterable) or isinstance(given, Mapping):
                 raise InputError(f"{name} must be a list, got {given!r}")
             object.__setattr__(self, name, tuple(given))
-        if not self.worlds:
-            raise InputError("worlds must name at least one, got none")
-        if not self.strategies:
-            raise InputError("strategies must name at least one, got none")
+            if name != "settings" and not getattr(self, name):
+                raise InputError(f"{name} must name at least one, got none")
         for world in self.worlds:
             if not isinstance(world, (str, os.PathLike)):
                 raise InputError(f"worlds must be names or files, got {world!r}")
@@ -149,11 +147,10 @@ class Sweep:
         for key in dict.fromkeys(key for one in explicit for key in one):
             if key in axes and key not in SINGLE:
                 raise InputError(f"{key} is given twice, in settings and in its own place")
-        is_range = any(isinstance(axis, Range) for axis in axes.values())
-        if is_range and self.draws is None:
-            name = next(key for key, axis in axes.items() if isinstance(axis, Range))
-            raise InputError(f"{name} is a range: say how many settings are drawn, as in draws: 64")
-        if self.draws is not None and not is_range:
+        ranges = [key for key, axis in axes.items() if isinstance(axis, Range)]
+        if ranges and self.draws is None:
+            raise InputError(f"{ranges[0]} is a range: say how many settings are drawn, as in draws: 64")
+        if self.draws is not None and not ranges:
             raise InputError("draws goes with a range, such as lidar: {range_m: {low: 4, high: 12}}, and there is none")
         own = [{key: axis for key, axis in axes.items() if key not in one} for one in explicit or [{}]]
         n = sum(self.draws or math.prod(map(len, some.values())) for some in own)

@@ -52,70 +52,55 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
     path = os.fspath(path)
     if max_range_m is not None:
         require_number("max_range_m", max_range_m, low_open=True, high=1000)
-    scans, scanner, first, others, said_m, steps = [], None, 0, set(), None, _Steps()
+    scans, scanner, first, others, said_m, told = [], None, 0, set(), None, []
     for number, line in enumerate(read_text(path, _MAX_BYTES).splitlines(), start=1):
         word = line.split(maxsplit=1)[0] if line.strip() else ""
         if word not in _READ:
             others.add(word)
-            steps.pass_line(word, line)
+            if word == "ODOM" and told:
+                told[-1] += _odom(line)
             said_m = max_range_m or _parameter(f"{path!r}: line {number}", line) or said_m
             continue
         own, *scan = _READ[word](f"{path!r}: line {number}", line.split())
         if scanner is None:
             scanner, first = own, number
         elif own != scanner:
-            told = f"{path!r}: line {number} has {_describe(own)}, line {first} {_describe(scanner)}"
-            raise InputError(f"{told}; keep the lines of one scanner")
+            where = f"{path!r}: line {number} has {_describe(own)}, line {first} {_describe(scanner)}"
+            raise InputError(f"{where}; keep the lines of one scanner")
         scans.append(scan)
-        steps.pass_scan(scan[1])
+        told.append([])
     if scanner is None:
         hint = "; RAWLASER lines have no pose" if any(word.startswith("RAWLASER") for word in others) else ""
         raise InputError(f"{path!r}: has no FLASER or ROBOTLASER1 line, so no scan with a pose{hint}")
     ranges, poses, odometry, times = (np.array(column) for column in zip(*scans))
-    if steps.are_told and (poses == odometry).all():
-        odometry = steps.odometry(poses)
-    longest_m, angles_rad = scanner[3], scanner[1] + scanner[2] * np.arange(scanner[0])
-    if max_range_m is not None:
-        return ScanLog(poses, odometry, ranges, angles_rad, times, float(max_range_m))
-    log = ScanLog(poses, odometry, ranges, angles_rad, times, _longest(ranges, longest_m, said_m))
-    return dataclasses.replace(log, max_range_m=_found(path, log))
+    if (poses == odometry).all() and (joined := _joined(poses, told)) is not None:
+        odometry = joined
+    angles_rad = scanner[1] + scanner[2] * np.arange(scanner[0])
+    longest_m = max_range_m or _longest(ranges, scanner[3], said_m)
+    log = ScanLog(poses, odometry, ranges, angles_rad, times, float(longest_m))
+    return log if max_range_m else dataclasses.replace(log, max_range_m=_found(path, log))
 
 
-class _Steps:
-    """Steps of the odometry in a log of GMapping, where they begin at the corrected poses."""
+def _odom(line):
+    """Return the pose of an ODOM line, in a list; nothing of a line without one."""
+    try:
+        pose = [float(value) for value in line.split()[1:4]]
+    except ValueError:
+        return []
+    return [pose] if len(pose) == 3 and all(abs(value) < _MAX_POSE for value in pose) else []
 
-    def __init__(self) -> None:
-        self.are_told = True  # every scan but the last is followed by its own pose
-        self.pose: list[float] | None = None  # of the last scan
-        self.repeated = True
-        self.last: list[float] | None = None  # pose by the last ODOM line since
-        self.before: list[list[float] | None] = []  # pose by the last ODOM line before every scan
 
-    def pass_line(self, word: str, line: str) -> None:
-        if word == "ODOM":
-            try:
-                pose = [float(value) for value in line.split()[1:4]]
-            except ValueError:
-                return
-            if len(pose) < 3 or not all(abs(value) < _MAX_POSE for value in pose):
-                return
-            if pose == self.pose:
-                self.repeated = True
-            else:
-                self.last = pose
+def _joined(poses, told):
+    """Join the steps of a log of GMapping, from the first pose on: `[N, 3]`; None for another log.
 
-    def pass_scan(self, pose: np.ndarray) -> None:
-        self.are_told &= self.repeated
-        self.before.append(self.last)
-        self.pose, self.repeated, self.last = pose.tolist(), False, None
-
-    def odometry(self, poses: np.ndarray) -> np.ndarray:
-        """Join the steps: `[N, 3]`, from the first pose on."""
-        joined = [poses[0]]
-        for pose, last in zip(poses, self.before[1:]):
-            moved = np.zeros(3) if last is None else between(pose, np.array(last))
-            joined.append(compose(joined[-1], moved))
-        return np.array(joined)
+    `told` are the poses of ODOM lines after every scan: in such a log every scan but the last is followed by its own.
+    """
+    joined, after = [poses[0]], list(zip(poses[:-1].tolist(), told))
+    for pose, lines in after:
+        further = [line for line in lines if line != pose]
+        moved = between(np.array(pose), np.array(further[-1])) if further else np.zeros(3)
+        joined.append(compose(joined[-1], moved))
+    return np.array(joined) if all(pose in lines for pose, lines in after) else None
 
 
 def load_carmen(
