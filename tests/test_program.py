@@ -15,6 +15,8 @@ from jexplore.engine.lanes import Group
 from jexplore.engine.program import Line, Program, given_of, split
 from jexplore.engine.runner import find_resources, run_all
 
+pytestmark = pytest.mark.jit
+
 ROOM = 2000  # a large array
 
 
@@ -92,7 +94,6 @@ def by_hand(line, number):
     return state
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize(
     "how",
     [
@@ -117,7 +118,6 @@ def test_runs_are_those_that_a_loop_makes(how):
     assert len({tuple(line.results["at"].tolist()) for line in lines}) == 3
 
 
-@pytest.mark.jit
 def test_arrays_of_a_run_that_is_done_are_kept():
     """Whatever `advance` would make of them. A run ends in every turn, and waits for another."""
     program = Program(
@@ -137,7 +137,6 @@ def test_arrays_of_a_run_that_is_done_are_kept():
         assert (line.detail == tasks[0]).all()
 
 
-@pytest.mark.jit
 def test_one_run_of_many_can_be_made_alone():
     whole, _ = run(workers=1)
     for in_lanes in (False, True):
@@ -170,7 +169,6 @@ def test_scalars_and_arrays_are_told_apart():
     jax.tree.map(np.testing.assert_array_equal, join(scalars, arrays), numbers)
 
 
-@pytest.mark.jit
 def test_the_program_that_is_shown_to_contributors_runs(capsys):
     text = (Path(__file__).resolve().parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
     (code,) = [block for block in re.findall(r"```python\n(.*?)```", text, re.S) if "Program(" in block]
