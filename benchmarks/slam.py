@@ -183,8 +183,10 @@ def episodes(worlds, poses, n, seed):
     print(markdown(head, rows))
 
 
-def study(worlds, strategies, starts, seed, folder):
-    """Run strategies by pose and noise; ratios are paths over those of the first strategy in the same setting."""
+def study(worlds, strategies, poses, levels, starts, seed, folder):
+    """Run strategies by given and estimated pose, and by noise; ratios are paths over those of the first strategy in
+    the same setting.
+    """
 
     def run(name, **pose):
         kept = {} if folder is None else {"out": folder / name, "resume": True}
@@ -193,9 +195,10 @@ def study(worlds, strategies, starts, seed, folder):
         return made
 
     found = {("true", "-"): run("true")}
-    for pose in ("icp", "icp+closing"):
+    for pose in poses:
         for i, (level, odometry) in enumerate(LEVELS.items()):
-            found[pose, level] = run(f"{pose}-{i}", pose=pose, odometry=odometry)
+            if level in levels:
+                found[pose, level] = run(f"{pose}-{i}", pose=pose, odometry=odometry)
     ratios = {
         setting: paths_by_world(one.episodes).groupby("strategy")["log_ratio"].agg(["mean", "sem"])
         for setting, one in found.items()
@@ -243,9 +246,10 @@ def main(argv=None):
     parser.add_argument("--matches", type=int, default=0, help="random matches; also times one")
     parser.add_argument("--episodes", type=int, default=0, help="episodes in each of the worlds, by each of the poses")
     parser.add_argument("--worlds", nargs="+", default=WORLDS)
-    parser.add_argument("--poses", nargs="+", default=("odometry", "icp", "icp+closing"))
+    parser.add_argument("--poses", nargs="+", default=("icp", "icp+closing"))
     parser.add_argument("--study", type=int, default=0, help="worlds of each kind, see `study`")
     parser.add_argument("--kinds", nargs="+", default=LEAGUE_KINDS, help="of worlds of the study")
+    parser.add_argument("--levels", nargs="+", choices=LEVELS, default=LEVELS, help="of noise in the study")
     parser.add_argument("--strategies", nargs="+", default=STRATEGIES, help="of the study; ratios are to the first")
     parser.add_argument("--starts", type=int, default=2, help="in each world of the study")
     parser.add_argument("--out", type=Path, metavar="DIR", help="keep episodes of the study here, and go on with them")
@@ -266,7 +270,7 @@ def main(argv=None):
         episodes(options.worlds, options.poses, options.episodes, options.seed)
     if options.study:
         worlds = [f"{kind}#{number}" for kind in options.kinds for number in range(options.study)]
-        study(worlds, options.strategies, options.starts, options.seed, options.out)
+        study(worlds, options.strategies, options.poses, options.levels, options.starts, options.seed, options.out)
 
 
 if __name__ == "__main__":
