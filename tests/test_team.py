@@ -16,8 +16,10 @@ from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.team.assignment import MOST_COST, assign
 from jexplore.exploration.team.coordination import COORDINATIONS, JointView
 from jexplore.exploration.team.jobs import team_jobs
-from jexplore.exploration.team.starts import place_team
-from jexplore.exploration.team.team import EVERYBODY, NOBODY, Team, contact_d2, read_coordination
+from jexplore.exploration.team.starts import place_team, steps_from
+from jexplore.exploration.team.team import EVERYBODY, NOBODY, Team, read_contact, read_coordination
+from jexplore.grid import Grid
+from jexplore.planning import Belief, MapModel
 from jexplore.policies import strategy
 from jexplore.reach import FAR, STRAIGHT
 from jexplore.rules import Lidar, Rules
@@ -150,6 +152,40 @@ def test_greedy_avoids_what_the_others_target_shows():
     assert chosen("greedy", 1, (3, 1), [(0, 0)]) == 0
 
 
+TWO_ROOMS = world_of("""
+#######################
+#..........#..........#
+#..........#..........#
+#.....................#
+#.....................#
+#.....................#
+#..........#..........#
+#..........#..........#
+#######################
+""")
+
+
+@pytest.mark.jit
+def test_segments_are_shared_out():
+    """Two robots in one room, a frontier cell near to them there and two in the other room: each gets a room."""
+    free = ~TWO_ROOMS.occupied
+    view, _ = joint(0, (3, 4))
+    frontier = np.zeros(free.shape, bool)
+    frontier[[2, 4, 7], [2, 20, 20]] = True
+    cells = np.array([[4, 3], [4, 4]])
+    costs = np.where(free, [STRAIGHT * steps_from(free, tuple(cell)).clip(max=99) for cell in cells], FAR)
+    model = MapModel(0.25, 0, np.float32(0.1), 0)
+    grid = Grid(jnp.asarray(~free, jnp.int32), jnp.asarray(free, jnp.int32))
+    belief = Belief(grid, None, None, 4, 3, 0, None, None, model)
+    view = view.replace(
+        cells=jnp.asarray(cells), costs=jnp.asarray(costs, jnp.int32), frontier=jnp.asarray(frontier), belief=belief
+    )
+    for robot, expected in ((0, [[2, 2]]), (1, [[4, 20]])):
+        score = COORDINATIONS["segments"](view.replace(robot=jnp.int32(robot), cost=view.costs[robot]))
+        score = np.where(frontier, score, -np.inf)
+        assert np.argwhere(score == score.max()).tolist() == expected
+
+
 @pytest.mark.jit
 def test_robots_that_are_not_there_do_not_count():
     view, _ = joint(0, (4, 3))
@@ -185,10 +221,13 @@ def test_starts_that_cannot_be_are_refused(n, starts, text):
 
 
 def test_contact_is_read():
-    assert [contact_d2(text, 0.1) for text in ("all", "none", "range:0.3")] == [EVERYBODY, NOBODY, 9]
-    for text in ("range", "range:-1", "range:inf", "sight", "range:4m"):
-        with pytest.raises(InputError, match="contact must be all, none or range:METRES"):
-            contact_d2(text, 0.1)
+    assert [read_contact(text, 0.1).d2 for text in ("all", "none", "range:0.3")] == [EVERYBODY, NOBODY, 9]
+    assert read_contact("line-of-sight", 0.1) == (EVERYBODY, True, 0, 0)
+    assert read_contact("line-of-sight:0.3,loss=0.2,delay=2", 0.1) == (9, True, 2 * oracle.STRAIGHT, 0.2)
+    for text in ("range", "range:-1", "range:inf", "sight", "range:4m", "all:4", "all,", "all,loss=2", "all,delay=.5",
+                 "all,delay=1,delay=2", "none,hops=1", "range:nan", "all,delay=-1"):  # fmt: skip
+        with pytest.raises(InputError, match="contact must be all, none, range:METRES or line-of-sight"):
+            read_contact(text, 0.1)
 
 
 def jobs(text="closest", rules=RULES, metrics=None, **team):

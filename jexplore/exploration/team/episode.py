@@ -28,7 +28,7 @@ from jexplore.exploration.team.environment import (
     must_decide,
     take,
 )
-from jexplore.exploration.team.team import Team, contact_d2
+from jexplore.exploration.team.team import Contact, Team, read_contact
 from jexplore.exploration.trail import Final
 from jexplore.rules import Robot
 
@@ -123,9 +123,10 @@ def team_line(
     setup, numbers = fitted
     robot = setup._replace(native=None, capacity=1)
     own = TeamSetup(robot, team.robots, team.coordination, setup.capacity)
-    heard = contact_d2(team.contact, float(numbers.model.cell_m))
+    kinds, n = (np.int32, np.bool_, np.int32, np.float32), len(starts)
+    contact = read_contact(team.contact, float(numbers.model.cell_m))
     tasks = tasks_of(starts.reshape(-1, 3), site.ring).reshape(starts.shape)
-    task = TeamTask(tasks, np.full(len(starts), heard, np.int32))
+    task = TeamTask(tasks, Contact(*(np.full(n, value, kind) for value, kind in zip(contact, kinds))))
     return Line(program_of(own), site.beams, site.truth, numbers, seed, task, which, detailed)
 
 

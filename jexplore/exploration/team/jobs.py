@@ -12,7 +12,7 @@ from jexplore.exploration.team.team import (
     INDEPENDENT,
     Starts,
     Team,
-    contact_d2,
+    read_contact,
     read_coordination,
     read_robots,
 )
@@ -52,7 +52,7 @@ def team_jobs(
             raise InputError(f"teams are of robots whose pose is given: pose must be true, got {job.rules.pose}")
         if job.metrics:
             raise InputError("metrics are of one robot: leave out metrics or robots")
-        contact_d2(contact, job.world.cell_m)
+        read_contact(contact, job.world.cell_m)
         own, near = job.starts, {"clearance_m": job.rules.clearance_m, "near_m": job.rules.near_m}
         for team in teams:
             if team.coordination is not None and not is_nearest(job.strategy.policy):
