@@ -132,8 +132,8 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
         require_until(self.until)
         if self.until and self.bounds:
             raise InputError("bounds are of all starts: leave out --until or --bounds")
-        if self.robots and (self.waste or self.bounds):
-            raise InputError("--waste and --bounds are of one robot: leave out --robots")
+        if self.robots and self.waste:
+            raise InputError("--waste is of one robot: leave out --robots")
         if self.waste:
             require_given_pose(self.rules, "waste is")
         with Out(self, "compare") as out:

@@ -384,7 +384,7 @@ def lengths(straight, diagonal):
 def differences(case):
     """Everything in which the engine and the oracle differ, as texts, and the outcomes and waits of the robots."""
     (result, final, outcomes), (team, log) = play(case), simulate(case)
-    ways = [[tuple(row) for row in way.tolist()] for way in final.ways]
+    ways = [[tuple(row[:3]) for row in way.tolist()] for way in final.ways]
     end_ms = [clock.play(robot.result.events, ROBOT, case.cell_m)[1] for robot in team]
     whole = simulator.knowable(simulator.connected(~case.occupied, case.starts[0][:2]), np.ones_like(case.occupied))
     counts, known = result.metrics, log[-1][0]
@@ -394,6 +394,10 @@ def differences(case):
         **{f"way {i}": (way, robot.way) for i, (way, robot) in enumerate(zip(ways, team))},
         "hits": (final.hits.tolist(), functools.reduce(np.maximum, (robot.result.hits for robot in team)).tolist()),
         "misses": (final.misses.tolist(), functools.reduce(np.maximum, (r.result.misses for r in team)).tolist()),
+        "seen at": (
+            [int((final.seen_at <= now).sum()) for _, now in log[:-1]],
+            [max(known for known, at in log if at <= now) for _, now in log[:-1]],
+        ),
         "own": (counts.own.tolist(), [int(robot.own.sum()) for robot in team]),
         "known": ((int(result.n_known), int(counts.seen)), (known, known)),
         "links": (int(counts.links), sum(robot.links for robot in team)),

@@ -41,7 +41,7 @@ from jexplore.raycast import Beams
 from jexplore.reach import FAR
 
 PATIENCE = 2  # waits in a row of robot 0 before it plans anew: fewer, and robots turn round for one that only passes
-ENDED = 2**31 - 1  # clock of a robot that has ended
+ENDED = 2**31 - 1  # clock of a robot that has ended, and of a cell that nobody has seen
 
 
 class TeamSetup(NamedTuple):
@@ -75,13 +75,13 @@ class TeamState:
     acts: Array  # int32, times that a robot has acted
     heard: Array  # [N, N] bool, whom each heard when it last acted
     own: Array  # [N, H, W] bool, cells that each has seen itself
-    known: Array  # [H, W] bool, cells that any of them knows
+    seen_at: Array  # [H, W] int32, clock when any of them first knew each cell; `ENDED`: not yet
     n_known: Array  # int32, those among them that are to be known
     log: Array  # [H * W + 1, 4] int32: n_known, straight steps and waits, diagonal steps, ms; when it last grew
     n_log: Array  # int32, entries
     last: Array  # int32, robot of the last entry
     links: Array  # int32, sum over steps of the others that the robot heard
-    way: Array  # [N, T + 1, 2] int32, flat index of the cell at the start and after each step, and the clock
+    way: Array  # [N, T + 1, 3] int32, at the start and after each step: index of the cell, clock, index of the target
     replace: ClassVar[Callable[..., Self]]
 
 
@@ -128,7 +128,7 @@ def begin(setup: TeamSetup, given: Given) -> TeamState:
     own = (grid.hits != before.hits) | (grid.misses != before.misses)
     known = jnp.any(own, axis=0) | is_known(before)
     zeros, zero, shape = jnp.zeros(n, jnp.int32), jnp.int32(0), known.shape
-    way = jnp.zeros((n, setup.capacity + 1, 2), jnp.int32)
+    way = jnp.zeros((n, setup.capacity + 1, 3), jnp.int32).at[:, :, 2].set(-1)
     team = TeamState(
         robots=robots,
         clock=zeros,
@@ -141,7 +141,7 @@ def begin(setup: TeamSetup, given: Given) -> TeamState:
         acts=zero,
         heard=jnp.eye(n, dtype=bool),
         own=own,
-        known=known,
+        seen_at=jnp.where(known, 0, ENDED),
         n_known=count(known if robots.belief.within is None else known & robots.belief.within[0]),
         log=jnp.zeros((math.prod(shape) + 1, 4), jnp.int32),
         n_log=zero,
@@ -218,7 +218,7 @@ def _exchange(robots: State, heard: Array) -> State:
     return robots.replace(belief=belief, n_known=jnp.where(heard, n_known, robots.n_known))
 
 
-def _meet(given: Given, team: TeamState, i: Array, *, plans: bool) -> tuple[TeamState, Array]:
+def meet(given: Given, team: TeamState, i: Array, *, plans: bool) -> tuple[TeamState, Array]:
     """Have a robot exchange maps with those that it hears, if it plans or one of them is new."""
     if team.clock.shape[0] == 1:
         return team, jnp.ones(1, bool)
@@ -233,7 +233,7 @@ def _others(team: TeamState, i: Array) -> Array:
     return is_exploring(team) & (lax.iota(jnp.int32, team.clock.shape[0]) != i)
 
 
-def _is_held(team: TeamState, i: Array, motion: Array) -> Array | None:
+def is_held(team: TeamState, i: Array, motion: Array) -> Array | None:
     """Return whether another robot is in the way of a robot's motion, an index into `reach.MOTIONS`: bool."""
     if team.clock.shape[0] == 1:
         return None
@@ -282,7 +282,7 @@ def _ask(setup: TeamSetup, given: Given, team: TeamState, i: Array, state: State
 def decide(setup: TeamSetup, given: Given, team: TeamState) -> TeamState:
     """Have the robot whose turn it is plan, and make the first motion."""
     i = next_robot(team)
-    team, heard = _meet(given, team, i, plans=True)
+    team, heard = meet(given, team, i, plans=True)
     own, state = given_of_robot(given, i), take(team.robots, i)
     if setup.n == 1:
         carry, choice, route = _ask(setup, own, team, i, state, heard)
@@ -298,28 +298,28 @@ def decide(setup: TeamSetup, given: Given, team: TeamState) -> TeamState:
             fled=team.fled.at[i].set(jnp.where(live, team.fled[i], state.target)),
             shunned=team.shunned.at[i, row, state.target[1]].set(True, mode="drop"),
         )
-    held = _is_held(team, i, route[state.belief.row, state.belief.col])
+    held = is_held(team, i, route[state.belief.row, state.belief.col])
     after = environment.commit(setup.robot, own, state.replace(carry=carry), choice, route, live, held)
-    return _act(given, team, i, state, after, heard, held)
+    return act(given, team, i, state, after, heard, held)
 
 
 def advance(setup: TeamSetup, given: Given, team: TeamState) -> TeamState:
     """Have the robot whose turn it is make its scan and the next motion of its plan."""
     i = next_robot(team)
-    team, heard = _meet(given, team, i, plans=False)
+    team, heard = meet(given, team, i, plans=False)
     own, state = given_of_robot(given, i), take(team.robots, i)
-    held = _is_held(team, i, state.route[state.belief.row, state.belief.col])
+    held = is_held(team, i, state.route[state.belief.row, state.belief.col])
     after = environment.advance(setup.robot, own, state, held)
     old, grid = state.belief.grid, after.belief.grid
     seen = (grid.hits != old.hits) | (grid.misses != old.misses)
-    new = seen & ~team.known
+    new = seen & (team.seen_at == ENDED)
     grew = count(new if state.belief.within is None else new & state.belief.within)
     mine = lax.dynamic_update_index_in_dim(team.own, take(team.own, i) | seen, i, 0)
-    team = team.replace(own=mine, known=team.known | seen, n_known=team.n_known + grew)
-    return _act(given, _note(team, i, state, grew > 0), i, state, after, heard, held)
+    team = team.replace(own=mine, seen_at=jnp.where(new, team.clock[i], team.seen_at), n_known=team.n_known + grew)
+    return act(given, _note(team, i, state, grew > 0), i, state, after, heard, held)
 
 
-def _act(
+def act(
     given: Given, team: TeamState, i: Array, before: State, after: State, heard: Array, held: Array | None
 ) -> TeamState:
     """Put a robot back into its team after it has acted: its clock, waits and way."""
@@ -334,7 +334,8 @@ def _act(
     waits = team.waits.at[i].add(waited)
     clock = LENGTHS[0] * (after.straight + waits[i]) + LENGTHS[1] * after.diagonal
     step = jnp.where(moved, after.steps, team.way.shape[1])
-    here = jnp.stack([after.row * after.shape[1] + after.col, clock])
+    target = jnp.where(after.target[0] < 0, -1, after.target[0] * after.shape[1] + after.target[1])
+    here = jnp.stack([after.row * after.shape[1] + after.col, clock, target])
     return team.replace(
         robots=_put(team.robots, i, after),
         clock=team.clock.at[i].set(clock),

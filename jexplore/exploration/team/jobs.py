@@ -31,10 +31,11 @@ def team_jobs(
     coordination: CoordinationLike = INDEPENDENT,
     contact: str = "all",
     team_starts: Starts | Sequence[str] = "together",
+    start: Any = "random",
 ) -> list[Job]:
     """Return the jobs of teams made of those of one robot, each of them for every team; these where `robots` is None.
 
-    A team of one has no coordination: it comes once.
+    A team of one has no coordination: it comes once. `start` is what the jobs' starts are made of.
 
     Raises:
       InputError: an option that has no meaning without `robots`; a pose that is not given, metrics; a team that
@@ -45,6 +46,8 @@ def team_jobs(
             raise InputError("coordination, contact and team_starts are for teams: give robots, such as 1 2 4")
         return list(jobs)
     teams = _teams(robots, coordination, contact, team_starts)
+    if start != "random" and not isinstance(teams[0].starts, str):
+        raise InputError("team_starts are the starts of all robots: leave out start")
     made = []
     for job in jobs:
         assert job.rules is not None

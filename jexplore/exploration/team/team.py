@@ -56,14 +56,14 @@ def read_contact(contact: str, cell_m: float) -> Contact:
     """
     first, *more = str(contact).split(",")
     word, colon, metres = first.partition(":")
-    given = dict(part.partition("=")[::2] for part in more)
+    given = {name: value for name, _, value in (part.partition("=") for part in more)}
+    known = word in CONTACTS and bool(metres) == bool(colon) and {*given} <= {"delay", "loss"}
+    known &= len(given) == len(more) and (bool(colon) if word == "range" else word == SIGHT or not colon)
     try:
         reach_m, delay, loss = float(metres or "inf"), int(given.get("delay", "0")), float(given.get("loss", "0"))
-        can_be = reach_m >= 0 and (not colon or math.isfinite(reach_m)) and 0 <= delay <= MOST_DELAY and 0 <= loss <= 1
-        known = word in CONTACTS and bool(metres) == bool(colon) and {*given} <= {"delay", "loss"}
-        known &= len(given) == len(more) and (bool(colon) if word == "range" else word == SIGHT or not colon)
     except ValueError:
-        can_be = known = False
+        reach_m, delay, loss = -1.0, 0, 0.0
+    can_be = reach_m >= 0 and (not colon or math.isfinite(reach_m)) and 0 <= delay <= MOST_DELAY and 0 <= loss <= 1
     if not (can_be and known):
         raise InputError(
             "contact must be all, none, range:METRES or line-of-sight[:METRES], with ,delay=TICKS (up to "
