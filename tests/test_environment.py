@@ -11,6 +11,7 @@ from ref.worlds import two_rooms
 
 import jexplore as jx
 from jexplore.config import InputError
+from jexplore.exploration.state import Outcome
 from jexplore.rules import Lidar, Rules
 from jexplore.studies import environment
 from jexplore.worlds.starts import draw_starts
@@ -56,11 +57,10 @@ def test_a_team_that_goes_to_the_nearest_frontier_is_closest():
     assert not done
     assert not info["valid"].any()
     assert after.episode.waits.tolist() == [1, 1]
-    _, _, _, done, info = env.step(
-        keys(1)[0], env.reset(keys(1)[0], jnp.array(starts[:1] * 2))[0], jnp.zeros((2, 2), int)
-    )
+    state, _ = env.reset(keys(1)[0], jnp.array(starts[:1] * 2))
+    _, _, _, done, info = env.step(keys(1)[0], state, jnp.zeros((2, 2), jnp.int32))
     assert done
-    assert jx.Outcome(int(info["outcome"])).name == "BAD_START"
+    assert int(info["outcome"]) == Outcome.BAD_START
     with pytest.raises(InputError, match="of one robot"):
         jx.Environment(world, robots=2, paths=True)
 

@@ -22,10 +22,14 @@ from jexplore.grid import Grid
 from jexplore.planning import Belief, MapModel
 from jexplore.policies import strategy
 from jexplore.reach import FAR, STRAIGHT
+from jexplore.report.page.replay import STATE
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.bounds.scene import prepare_scene
 from jexplore.studies.bounds.teams import team_low
+from jexplore.studies.replays import replays_of
 from jexplore.studies.statistics import teams
+from jexplore.studies.sweeps.plan import SweepBlock, prepare_sweep
+from jexplore.studies.sweeps.spec import sweep_from
 from jexplore.worlds.world import World
 
 RULES, LIDAR = Rules(clearance_m=0.0), Lidar(range_m=0.6, n_beams=61, fov_deg=360.0)
@@ -332,8 +336,37 @@ def test_teams_are_compared(tmp_path):
     assert "speed-up" in found.to_markdown()
     again = jx.load(tmp_path / "run")
     assert again.teams.equals(found.teams)
+    spec = {"worlds": ["maze:width_m=3,height_m=3"], "strategies": ["closest"], "episodes": 1, "robots": [2]}
+    swept = jx.sweep({**spec, "rules": {"clearance_m": 0.1}})
+    assert swept.summary["path_m_at_100"].iloc[0] > 0
+    job = found.made.jobs[1]
+    (replay,), _ = replays_of([job], {0: found.made.firsts[1]}, episodes=1)
+    *_, last = replay.maps()
+    np.testing.assert_array_equal(last & STATE, found.first["drawn"][1].state)
+    assert len(replay.others) == 1
+    for robot in (replay, *replay.others):
+        assert robot.steps[-1] == len(robot.rows) - 1
+    bounds = jx.bound(ROOM, starts=3, max_floods=100, rules=RULES, lidar=LIDAR)
+    ratios = bounds.beside(found)
+    assert (ratios["path_over_low_any"].dropna() >= 1).all()
+    assert ratios["path_over_low_any"].notna().sum() > 3
     with pytest.raises(InputError, match="keep"):
         jx.compare(ROOM, "closest", rules=RULES, robots=2, keep="paths")
+
+
+@pytest.mark.jit
+def test_axes_of_a_sweep_are_teams():
+    """Programs are counted apart for every team; what a comparison refuses a sweep does."""
+    spec = {"worlds": ["maze:width_m=3,height_m=3"], "strategies": ["closest"], "episodes": 2}
+    given = {"robots": [1, 2], "coordination": ["independent", "minpos"], "rules": {"clearance_m": 0.1}}
+    plan = prepare_sweep(sweep_from({**spec, **given}))
+    assert [setting["robots"] for setting in plan.settings] == [1, 1, 2, 2]
+    assert plan.programs == 4
+    team = plan.job(SweepBlock(3, 0, 0, 0, 2), 0).team
+    assert team == Team(2, read_coordination("minpos"))
+    for more, text in (({"coordination": "minpos"}, "give robots"), ({"robots": 17}, "from 1 to 16")):
+        with pytest.raises(InputError, match=text):
+            prepare_sweep(sweep_from({**spec, **more}))
 
 
 def test_an_own_coordination_has_a_name_of_its_own():

@@ -73,7 +73,6 @@ def team_frames(site: Site, strategy: Strategy, final: Final, start: Any, clocks
         for way, robot in zip(final.ways, robots):
             driven[way[: robot.step + 1, 0] + ring, way[: robot.step + 1, 1] + ring] = True
         here = {"row": np.int32(robots[0].row + ring), "col": np.int32(robots[0].col + ring)}
-        belief = blank.replace(
-            grid=Grid(jnp.asarray(hits, jnp.int32), jnp.asarray(misses, jnp.int32)), driven=driven, **here
-        )
+        grid = Grid(jnp.asarray(hits, jnp.int32), jnp.asarray(misses, jnp.int32))
+        belief = blank.replace(grid=grid, driven=driven, **here)
         yield TeamFrame(clock / LENGTHS[0] * cell_m, belief, int(known.sum()), robots)
