@@ -33,12 +33,12 @@ PAPER = {
 
 
 def around(cell):
-    """Yield the four cells beside a cell."""
+    """Return the four cells next to a cell."""
     return [(cell[0] + drow, cell[1] + dcol) for drow, dcol in STEPS]
 
 
 def make_maze(draw, walls):
-    """Draw a maze: `[SIDE, SIDE]`; the smaller `walls`, a probability, the more of it is opened."""
+    """Draw a maze: `[SIDE, SIDE]`; free cells are opened up with a probability of 1 - `walls`."""
     maze, stack = np.full((SIDE, SIDE), WALL), [(1, 1)]
     maze[1, 1] = FREE
     while stack:
@@ -82,7 +82,7 @@ def rays(cell, grid, robots=()):
 
 
 def distances(known, robots, start):
-    """Return steps from a cell to others, by breadth: dict; what is unknown counts as free."""
+    """Return steps from a cell to others, by breadth: dict; unknown cells count as free."""
     steps, ring = {start: 0}, [start]
     while ring:
         after = []

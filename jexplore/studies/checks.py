@@ -274,7 +274,7 @@ def prepare_jobs(
 
 
 def require_key(key: Any) -> None:
-    """Refuse what is no key of JAX."""
+    """Refuse anything but one key of JAX."""
     dtype, shape = getattr(key, "dtype", None), getattr(key, "shape", None)
     typed = dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key) and shape == ()
     if not (typed or (dtype == np.uint32 and shape == (2,))):

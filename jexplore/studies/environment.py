@@ -128,9 +128,7 @@ class Environment:
             raise InputError(f"recheck must be True or False, got {recheck!r}")
         if rules.return_home:
             raise InputError("rules.return_home must be False: whoever steps through an Environment drives home itself")
-        self.robots = require_whole("robots", robots, 1, MOST_ROBOTS)
-        if robots > 1 and (recheck or paths or metrics or rules.pose != "true"):
-            raise InputError("recheck, paths, metrics and a pose that is not given are of one robot: leave out robots")
+        self.robots = _require_robots(robots, alone=recheck or paths or metrics or rules.pose != "true")
         use_compilation_cache()
         self._metrics = ready_metrics(metrics) | measures_of(rules)
         self.worlds = tuple(ready_worlds(worlds, cell_m))
@@ -153,11 +151,9 @@ class Environment:
         capacity = max(site.setup.capacity for site in sites) if paths else 1
         self._setup: Any = sites[0].setup._replace(policy=closest(), capacity=capacity)  # which nobody asks
         if robots > 1:
-            self._setup = TeamSetup(self._setup, robots, None, 1)
-        truths = unify_truths([site.truth for site in sites])
-        scenes, numbers = (
-            jax.tree.map(lambda *a: jnp.stack(a), *records) for records in (truths, [site.numbers for site in sites])
-        )
+            self._setup = stepping.setup_of(self._setup, robots, min(map(len, cells)))
+        records = unify_truths([site.truth for site in sites]), [site.numbers for site in sites]
+        scenes, numbers = (jax.tree.map(lambda *a: jnp.stack(a), *own) for own in records)
         ring = jnp.asarray([site.ring for site in sites], jnp.int32) if any(site.ring for site in sites) else None
         self._bank = _Bank(jax.tree.map(jnp.asarray, sites[0].beams), scenes, numbers, jnp.bool_(recheck), ring)
         self._n_cells = jnp.asarray([len(own) for own in cells], jnp.int32)
@@ -270,19 +266,21 @@ class Environment:
         if jnp.ndim(state.world):
             many = f"{jnp.shape(state.world)[0]} or more"
             raise InputError(f"{taker} takes one state, got {many}; use jax.vmap(env.step), or take one of them")
-        is_team = isinstance(state.episode, TeamState)
-        robots = len(state.episode.clock) if is_team else 1
-        one = state.episode.robots if is_team else state.episode
-        if (
-            robots != self.robots
-            or one.belief.driven.shape[-2:] != self.shape
-            or (not is_team and one.trail.shape[0] != self._setup.capacity + 1)
-        ):
+        own = getattr(state.episode, "robots", state.episode)
+        shape = (self.robots, *self.shape)[self.robots == 1 :]
+        if own.trail.shape[-2] != self._setup.capacity + 1 or own.belief.driven.shape != shape:
             raise InputError("state must be one of this environment: its maps or its path have another size")
 
     def __repr__(self) -> str:
         names = ", ".join(str(world.name) for world in self.worlds)
         return f"<Environment of {names}; {self.shape[0]} x {self.shape[1]} cells of {self.cell_m:g} m>"
+
+
+def _require_robots(robots, alone):
+    """Check the size of a team; `alone`: something is asked for that only a robot alone has."""
+    if require_whole("robots", robots, 1, MOST_ROBOTS) > 1 and alone:
+        raise InputError("recheck, paths, metrics and a pose that is not given are of one robot: leave out robots")
+    return robots
 
 
 def _given(bank, key, world, start):

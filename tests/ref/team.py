@@ -53,7 +53,7 @@ class Radio:
         self.case, self.contact, self.since, self.acts = case, case.contact, {}, 0
 
     def is_open(self, a, b):
-        """Whether no wall lies on the line between two cells."""
+        """Return whether no wall lies on the line between two cells."""
         n = max(abs(a[0] - b[0]), abs(a[1] - b[1]))
         between = [tuple(math.floor(p + k * (q - p) / n + 0.5) for p, q in zip(a, b)) for k in range(1, n)]
         return not any(self.case.occupied[cell] for cell in between)

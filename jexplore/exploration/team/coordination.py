@@ -184,7 +184,7 @@ def segments(view: JointView) -> Array:
         is_free(view.belief.grid, model.p_free), criteria(prominence=PROMINENCE_M / model.cell_m), form=form
     )
     n = parts.group.shape[0] + 1
-    label = jnp.where(parts.label < 0, n - 1, parts.label)  # what lies in no segment is one
+    label = jnp.where(parts.label < 0, n - 1, parts.label)  # cells in no segment make one more
     costs = _costs_to(view, label, n)
     is_in = lax.iota(jnp.int32, n) == label[view.cells[:, 0], view.cells[:, 1]][:, None]
     own = _assigned(view, jnp.where(is_in & (costs < FAR), 0, costs))[:, None, None]

@@ -7,10 +7,11 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.arrays.loops import run_if
+from jexplore.config import InputError
 from jexplore.engine.program import Given
 from jexplore.exploration import environment
 from jexplore.exploration.motion import LENGTHS
-from jexplore.exploration.state import Outcome, steps_m
+from jexplore.exploration.state import Outcome, Setup, steps_m
 from jexplore.exploration.team.environment import (
     TeamSetup,
     TeamState,
@@ -30,6 +31,13 @@ from jexplore.exploration.team.environment import (
 from jexplore.exploration.team.team import EVERYBODY, Contact
 from jexplore.planning import Field, choose, field, is_live
 from jexplore.reach import FAR
+
+
+def setup_of(robot: Setup, robots: int, cells: int) -> TeamSetup:
+    """Return the static config of a team, of that of one robot; `cells` are those where robots may start."""
+    if robots > cells:
+        raise InputError(f"{robots} robots do not fit: a world has {cells} clear cells")
+    return TeamSetup(robot._replace(native=None), robots, None, 1)
 
 
 def fields(team: TeamState) -> Field:
@@ -124,7 +132,7 @@ def drawn(key: Array, most: int, n: Array, robots: int) -> Array:
 
 
 def play(setup: TeamSetup, given: Given, team: TeamState, cells: Array) -> tuple[TeamState, Array, dict[str, Array]]:
-    """Make a `step`: the team, the reward, and what there is to tell of it, as in `studies.environment`."""
+    """Make a `step`: the team, the reward and the entries of `info`, as in `studies.environment`."""
     now, valid = step(setup, given.replace(task=_team_task(given.task)), team, cells)
     cell_m = given.numbers.model.cell_m
     before, after = (steps_m(jnp.sum(one.robots.straight), jnp.sum(one.robots.diagonal), cell_m) for one in (team, now))

@@ -129,7 +129,7 @@ def _world(replay):
 
 
 def _way(robot: Any) -> dict[str, Any]:
-    """Return the way of a robot, and what there is of it in every frame."""
+    """Return the way of a robot, and its state in every frame."""
     moves = 3 * (1 + np.diff(robot.rows)) + 1 + np.diff(robot.cols)
     return {
         "start": [int(robot.rows[0]), int(robot.cols[0])],
