@@ -95,12 +95,12 @@ def distances(known, robots, start):
     return steps
 
 
-def way_to(steps, target, draw):
-    """Return the cells of a shortest way, from the first step to the target: at random among equal ones, backwards."""
+def way_to(steps, target, pick):
+    """Return the cells of a shortest way, from the first step to the target: of equal steps `pick`'s, backwards."""
     way = [target]
     while steps[way[-1]] > 1:
         before = [cell for cell in around(way[-1]) if steps.get(cell) == steps[way[-1]] - 1]
-        way.append(before[draw.integers(len(before))])
+        way.append(before[pick(len(before))])
     return way[::-1]
 
 
@@ -110,7 +110,7 @@ def normalised(values):
     return (values - values.min()) / max(np.ptp(values), 1e-9)
 
 
-def choose(rule, known, robots, robot, taken, draw):
+def choose(rule, known, robots, robot, taken, pick):
     """Return the next target of a robot; its own cell for none."""
     steps = distances(known, robots, robot)
     targets = [cell for cell in map(tuple, np.argwhere(known == UNKNOWN)) if cell in steps and cell not in taken]
@@ -121,24 +121,24 @@ def choose(rule, known, robots, robot, taken, draw):
     if rule == "nearest":
         return nearest[-1]  # the last one, as in their code
     away = [sum(abs(row - r) + abs(col - c) for r, c in robots) for row, col in nearest]
-    ways = [way_to(steps, cell, draw) for cell in nearest]
+    ways = [way_to(steps, cell, pick) for cell in nearest]
     shown = [sum(known[seen] == UNKNOWN for at in [robot, *way] for seen in rays(at, known, robots)) for way in ways]
     return nearest[np.argmax(normalised(away) + LAMBDA * normalised(shown))]
 
 
-def choose_all(rule, known, robots, targets, draw):
+def choose_all(rule, known, robots, targets, pick):
     """Return the targets of all robots, new ones where they are known; by the cost-utility rule different ones."""
     targets, left = list(targets), np.count_nonzero(known == UNKNOWN)
     differ = rule != "nearest" and left >= len(robots)
     for i, robot in enumerate(robots):
         if targets[i] is None or known[targets[i]] != UNKNOWN:
             others = [target for j, target in enumerate(targets) if j != i and target and known[target] == UNKNOWN]
-            targets[i] = choose(rule, known, robots, robot, others if differ else (), draw)
+            targets[i] = choose(rule, known, robots, robot, others if differ else (), pick)
     return targets
 
 
-def run(rule, walls, n, number):
-    """Return the rounds of one run, and whether all was known then."""
+def run(rule, walls, n, first, number):
+    """Return the rounds of one run, and whether all was known then; `first`: of equal ways robots take the first."""
     draw = np.random.default_rng((number, n, round(100 * walls)))
     maze = make_maze(draw, walls)
     free = np.argwhere(maze == FREE)
@@ -153,16 +153,17 @@ def run(rule, walls, n, number):
 
     for robot in robots:
         look(robot)
-    targets, rounds = choose_all(rule, known, robots, [None] * n, draw), 0
+    pick = (lambda _: 0) if first else draw.integers
+    targets, rounds = choose_all(rule, known, robots, [None] * n, pick), 0
     while (known == UNKNOWN).any():
         rounds, moved = rounds + 1, False
         for i, target in enumerate(targets):
             others = [robot for j, robot in enumerate(robots) if j != i]
             steps = distances(known, others, robots[i])
             if steps.get(target, 0):
-                robots[i], moved = way_to(steps, target, draw)[0], True
+                robots[i], moved = way_to(steps, target, pick)[0], True
             look(robots[i])
-        targets = choose_all(rule, known, robots, targets, draw)
+        targets = choose_all(rule, known, robots, targets, pick)
         if not moved:
             break
     return rounds, not (known == UNKNOWN).any()
@@ -171,13 +172,14 @@ def run(rule, walls, n, number):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--first", action="store_true", help="of equally short ways take the first, not one at random")
     parser.add_argument("--workers", type=int, default=1)
     given = parser.parse_args()
     rows = []
     with ProcessPoolExecutor(given.workers) as pool:
         for (rule, walls), paper in PAPER.items():
             for n, theirs in zip(ROBOTS, paper):
-                found = list(pool.map(partial(run, rule, walls, n), range(given.runs), chunksize=25))
+                found = list(pool.map(partial(run, rule, walls, n, given.first), range(given.runs), chunksize=25))
                 rounds = np.array([one for one, _ in found])
                 error = rounds.std(ddof=1) / np.sqrt(len(rounds))
                 whole = f"{100 * np.mean([whole for _, whole in found]):.1f}%"
