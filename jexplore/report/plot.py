@@ -203,12 +203,10 @@ def _path_legend(figure, axes, marks):
 
 
 def paths_figure(entries: Sequence[tuple[str, Sequence[tuple[str, Any, Any, Any, float, float]]]]) -> Figure:
-    """Draw the map as each strategy saw it with its path, a row a world and a column a strategy.
+    """Draw the map as each strategy saw it with its path: a row, of any length, a world, a column a strategy.
 
-    Args:
-      entries: one or more `(world name, panels)`; a panel is `(strategy, state, rows, cols, cell_m, path_m)`: the final
-        map `[H, W]` uint8, the cells driven `[N]` (see `ways_of`), the edge of a cell and the path length, metres. Rows
-        may differ in length.
+    `entries` are `(world name, panels)`; a panel is `(strategy, state, rows, cols, cell_m, path_m)`: the final map `[H,
+    W]` uint8, the cells driven `[N]` (see `ways_of`), the edge of a cell and the path length, metres.
     """
     n_cols = max(len(panels) for _, panels in entries)
     sizes = [_panel_in([np.shape(panel[1]) for panel in panels], long_in=3.0) for _, panels in entries]

@@ -85,12 +85,9 @@ def pictures_of(
 ) -> dict[str, Callable[[Path], Any]]:
     """Return pictures, `VECTORS` as SVG as well, and the page of a run: name -> writer.
 
-    Args:
-      figures: name -> function that draws it.
-      record: content of run.json.
-      tables: returns the tables of the page, each with its heading.
-      jobs: those whose first episodes the page replays; None for no page.
-      firsts, labels: as of `replays.replays_of`.
+    `figures` are name -> function that draws it, `record` the content of run.json, `tables` a function that returns the
+    tables of the page, each with its heading. The page replays the first episodes of `jobs`; None for no page. `firsts`
+    and `labels` are as of `replays.replays_of`.
     """
 
     def page(path):

@@ -5,7 +5,7 @@ import dataclasses
 import functools
 import itertools
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +36,7 @@ from jexplore.worlds.poses import read_start
 from jexplore.worlds.world import World, ringed_shape
 
 MAX_UNIT_EPISODES = 256  # episodes of a unit at most, about; one file each
+FIRST_JOBS = 12  # that a report replays
 MAX_SWEEP_UNITS = 4096  # larger sweeps have larger units
 
 
@@ -116,13 +117,10 @@ class SweepPlan:
     @functools.cached_property
     def kinds(self) -> dict[str, str]:
         """Return columns of settings and the types of their values, see `column_type`."""
-        found = {
-            name: [setting[name] for setting in self.settings] for name in self.columns if name in self.settings[0]
-        }
-        for name in self.columns:
-            if name.startswith("strategy."):
-                found[name] = [own.get(name.partition(".")[2]) for own in self.parameters]
-        return {name: column_type(values) for name, values in found.items()}
+        given = {name: [setting[name] for setting in self.settings] for name in self.settings[0]}
+        own = {f"strategy.{key}": [one.get(key) for one in self.parameters] for one in self.parameters for key in one}
+        found = given | own
+        return {name: column_type(found[name]) for name in self.columns if name in found}
 
     def asked(self, shard: tuple[int, int] | None = None) -> dict[str, Any]:
         """Return all that the results depend on, as plain values."""
@@ -166,17 +164,11 @@ class SweepPlan:
         """Return the starts of all episodes in a world."""
         return _starts(world.name, world.cell_m, seed, clearance_m, near_m, self.spec.episodes, _start_of(self.spec))
 
-    def first_jobs(self, most: int = 12) -> list[tuple[Job, dict[str, Any]]]:
+    def first_jobs(self) -> list[tuple[Job, dict[str, Any]]]:
         """Return episode 0 of the first settings, worlds and strategies, and the setting of each."""
-        found = []
-        for setting in range(len(self.settings)):
-            for world in range(len(self.spec.worlds)):
-                for strategy in range(len(self.strategies)):
-                    if len(found) == most:
-                        return found
-                    job = self.job(SweepBlock(setting, world, strategy, 0, 1), 0)
-                    found.append((job, self.settings[setting]))
-        return found
+        every = itertools.product(*(range(len(of)) for of in (self.settings, self.spec.worlds, self.strategies)))
+        blocks = [SweepBlock(s, w, k, 0, 1) for s, w, k in itertools.islice(every, FIRST_JOBS)]
+        return [(self.job(block, 0), self.settings[block.setting]) for block in blocks]
 
     def job(self, block: SweepBlock, phase: int) -> Job:
         """Make the `Job` of a block."""
@@ -279,7 +271,10 @@ def _cut(spec, settings, records, shapes, n_strategies, total, after=0):
         worth = round(UNIT_S / (CELL_S * padded[0] * padded[1]))  # so that large maps lose no more to a kill
         size = max(min(MAX_UNIT_EPISODES, max(MIN_UNIT_EPISODES, worth)), -(-total // MAX_SWEEP_UNITS))
         unit, room = [], size
-        for block in _blocks(pairs, n_strategies, range(after, spec.episodes, size), spec.episodes):
+        for (setting, world), first, strategy in itertools.product(
+            pairs, range(after, spec.episodes, size), range(n_strategies)
+        ):
+            block = SweepBlock(setting, world, strategy, first, min(size, spec.episodes - first))
             if unit and block.n > room:
                 units.append(unit)
                 unit, room = [], size
@@ -287,13 +282,6 @@ def _cut(spec, settings, records, shapes, n_strategies, total, after=0):
             room -= block.n
         units.append(unit)
     return units, len(by_key)
-
-
-def _blocks(pairs, n_strategies, firsts, episodes) -> Iterator[SweepBlock]:
-    for setting, world in pairs:
-        for first in firsts:
-            for strategy in range(n_strategies):
-                yield SweepBlock(setting, world, strategy, first, min(firsts.step, episodes - first))
 
 
 def in_shard(units: int, shard: tuple[int, int] | None) -> list[int]:
