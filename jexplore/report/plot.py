@@ -241,7 +241,7 @@ def episode_figure(state: Any, rows: Any, cols: Any, cell_m: float, *,
     figure = Figure(figsize=(width + 4.4, max(height, 3.2) + 0.7), layout="constrained")
     left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [width, 4.0]})
     draw_map(left, state, cell_m)
-    _, *marks = draw_path(left, rows, cols, cell_m)
+    _, *marks = [draw_path(left, *way, cell_m) for way in ways_of(rows, cols)].pop()
     marks += [] if estimate is None else [draw_estimate(left, estimate[0], estimate[1], cell_m)]
     left.set(xlabel="x (m)", ylabel="y (m)")
     figure.legend(handles=marks, loc="outside lower left", ncols=2, frameon=False, fontsize=8)

@@ -22,13 +22,15 @@ from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.engine.runner import own_cores
 from jexplore.exploration.results import length_along_m
 from jexplore.raycast import scans_all_round
-from jexplore.reach import DIAGONAL, FAR, STRAIGHT
+from jexplore.reach import FAR
 from jexplore.report.ledger import Ledger, Work
 from jexplore.report.tables import aligned_table, number_text
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.bounds.beside import START, with_bound_ratios
+from jexplore.studies.bounds.floor import low_metres
 from jexplore.studies.bounds.scene import prepare_scene
 from jexplore.studies.bounds.search import Budget, SearchResult, search
+from jexplore.studies.bounds.teams import with_team_ratios
 from jexplore.studies.checks import (
     LIDAR,
     RULES,
@@ -79,15 +81,6 @@ class Solved(NamedTuple):
     row: dict[str, Any]  # `BOUND_COLUMNS`
     walk: np.ndarray  # [K, 2] int32, row and col
     witnesses: np.ndarray  # [N, 2] int32
-
-
-def low_metres(cost: int, cell_m: float) -> float:
-    """Convert a least cost to a least length in metres: rounded down to a millimetre.
-
-    A diagonal step costs a millionth more than sqrt(2) straight ones, so a walk may be that much shorter than its cost.
-    """
-    shortest = cost / STRAIGHT * (STRAIGHT * math.sqrt(2) / DIAGONAL) * cell_m
-    return math.floor(shortest * 1000 * (1 - 1e-12)) / 1000
 
 
 def solve(task: BoundTask) -> Solved:
@@ -145,6 +138,8 @@ class BoundsResult:
     def beside(self, comparison: Any) -> pd.DataFrame:
         """Compare the episodes of a `ComparisonResult` with the bounds: see `beside.with_bound_ratios`.
 
+        Those of teams are compared with bounds of the whole team: see `teams.with_team_ratios`.
+
         Raises:
           InputError: no comparison; one with another scanner, another clearance, or noise.
         """
@@ -156,7 +151,8 @@ class BoundsResult:
                 if self.settings[name] != value:
                     raise InputError(f"the bounds are for {name} {self.settings[name]:g}, the episodes had {value:g}")
         digests = {os.fspath(world.name): world_digest(world) for world in comparison.worlds}
-        return with_bound_ratios(comparison.episodes, self.table, digests)
+        table = with_bound_ratios(comparison.episodes, self.table, digests)
+        return with_team_ratios(table, self, comparison.made.jobs) if "robots" in table else table
 
     def figure(self) -> "Figure":
         """Draw the walks and the witnesses of the first starts: a matplotlib `Figure`."""

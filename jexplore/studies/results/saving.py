@@ -90,8 +90,6 @@ def pictures_of(
     and `labels` are as of `replays.replays_of`.
     """
 
-    jobs = None if jobs is None else [job for job in jobs if job.team is None]  # replays are of one robot
-
     def page(path):
         engine = "jax" if record["engine"] == "jax" else "auto"
         replays, notes = replays_of(jobs, firsts, labels=labels, engine=engine) if jobs else ([], [])

@@ -26,13 +26,16 @@ def at_coverage(episodes: pd.DataFrame) -> pd.DataFrame:
     `area` is the area above the curve of the known share, over the path or over time: how far the robot has driven, or
     how long, when a share was first known, in the mean over all hundredths. The area below the curve up to a common end
     D, beyond all curves, is 1 - area / D: the ratio of the areas above depends on no such end. Episodes that have
-    failed (`over_worlds.comparable_paths`) are left out with their partners.
+    failed (`over_worlds.comparable_paths`) are left out with their partners. A team's path to 100 % ends when all was
+    known, not with its last robot.
 
     Returns:
       A DataFrame, a row each: `measure`, `share` (of `MEASURES`), `world`, `strategy`, `ratio`, `low`, `high`, `p`, and
         `n`, how many worlds or pairs. With `MIN_PAIRS` worlds or more the rows are over all of them, as in
         `league.standings`, else of each world, by `paired_ratio`.
     """
+    if "path_m_at_100" in episodes:
+        episodes = episodes.assign(path_m=episodes["path_m_at_100"])
     worlds, strategies = (list(dict.fromkeys(episodes[key])) for key in ("world", "strategy"))
     together = len(worlds) >= MIN_PAIRS
     rows = []

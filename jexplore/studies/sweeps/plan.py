@@ -15,6 +15,7 @@ from jexplore.config import InputError, __version__, require_different
 from jexplore.exploration.batch import Job
 from jexplore.exploration.metrics import Metric
 from jexplore.exploration.site import COARSE_M, reach_d2
+from jexplore.exploration.team.jobs import team_jobs
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import join_strategies
 from jexplore.raycast import scans_all_round
@@ -30,7 +31,7 @@ from jexplore.studies.checks import (
 from jexplore.studies.metrics import ready_metrics
 from jexplore.studies.results.provenance import own_digests, world_digest
 from jexplore.studies.results.units import CELL_S, MIN_UNIT_EPISODES, UNIT_S
-from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain_spec, robot_of
+from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain_spec, robot_of, team_of
 from jexplore.worlds.poses import read_start
 from jexplore.worlds.world import World, ringed_shape
 
@@ -135,7 +136,8 @@ class SweepPlan:
 
     def after(self, n: int) -> "SweepPlan":
         """Return the plan of the episodes from number n on."""
-        units, programs = _cut(self.spec, self.records, self.shapes, len(self.strategies), self.episodes, n)
+        given = self.spec, self.settings, self.records, self.shapes
+        units, programs = _cut(*given, len(self.strategies), self.episodes, n)
         return dataclasses.replace(self, units=units, programs=programs)
 
     def _one_of_each_kind(self):
@@ -173,11 +175,12 @@ class SweepPlan:
         seed, cell_m, lidar, rules = self.records[block.setting]
         world = self.world(block.world, cell_m)
         starts = self.starts(world, seed, rules.clearance_m, rules.near_m)[block.first : block.first + block.n]
-        strategy = self.together[block.strategy]
+        team = team_of(self.settings[block.setting])
+        strategy = (self.strategies if team else self.together)[block.strategy]
         robot = robot_of(self.settings[block.setting])
-        return Job(
-            world, strategy, starts, seed, block.first, lidar, rules, phase, self.metrics | measures_of(rules), robot
-        )
+        metrics = self.metrics | measures_of(rules)
+        job = Job(world, strategy, starts, seed, block.first, lidar, rules, phase, metrics, robot)
+        return team_jobs([job], **team)[0]
 
 
 @functools.lru_cache(maxsize=256)
@@ -235,9 +238,14 @@ def prepare_sweep(spec: Sweep) -> SweepPlan:
             if (name, cell_m, lidar, rules.max_steps) not in checked:
                 checked.add((name, cell_m, lidar, rules.max_steps))
                 require_memory(_loaded(name, cell_m), lidar, rules)
-    units, programs = _cut(spec, records, shapes, len(strategies), total)
+    units, programs = _cut(spec, settings, records, shapes, len(strategies), total)
     parameters, metrics = [own for _, own in listed], ready_metrics(spec.metrics)
-    return SweepPlan(spec, settings, records, strategies, parameters, shapes, digests, units, programs, metrics)
+    plan = SweepPlan(spec, settings, records, strategies, parameters, shapes, digests, units, programs, metrics)
+    teams = {(tuple(team_of(own).items()), records[i][1], records[i][3]): i for i, own in enumerate(settings)}
+    for (team, *_), i in teams.items():
+        for world, strategy in itertools.product(range(len(names)), range(len(strategies))) if team else ():
+            plan.job(SweepBlock(i, world, strategy, 0, 1), 0)  # which refuses what cannot be
+    return plan
 
 
 def _program_key(world, lidar, rules):
@@ -250,13 +258,14 @@ def _program_key(world, lidar, rules):
     return padded, *own, *frontier, ends
 
 
-def _cut(spec, records, shapes, n_strategies, total, after=0):
+def _cut(spec, settings, records, shapes, n_strategies, total, after=0):
     """Divide the work into blocks, those that share a program together: `(units, number of programs)`."""
     by_key = collections.defaultdict(list)
     loaded = {(world, cell_m): _loaded(os.fspath(spec.worlds[world]), cell_m) for world, cell_m in shapes}
     for i, (_, cell_m, lidar, rules) in enumerate(records):
         for world in range(len(spec.worlds)):
-            by_key[_program_key(loaded[world, cell_m], lidar, rules)].append((i, world))
+            team = settings[i].get("robots"), settings[i].get("coordination")
+            by_key[*_program_key(loaded[world, cell_m], lidar, rules), *team].append((i, world))
     units = []
     for (padded, *_), pairs in by_key.items():
         worth = round(UNIT_S / (CELL_S * padded[0] * padded[1]))  # so that large maps lose no more to a kill

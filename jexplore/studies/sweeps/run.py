@@ -18,6 +18,7 @@ from jexplore.exploration.uncertain.measures import MEASURES
 from jexplore.report.ledger import Ledger, Work
 from jexplore.report.store import read_parquet
 from jexplore.report.tables import aligned_table, number_text, ratio_text, spread_text
+from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import join_columns, make_units, rows_of
@@ -64,7 +65,7 @@ class SweepResult(ByStrategy):
         and `ratio_high` (95 %, see `paired.paired_ratio`), mean `explored_fraction`, share `complete`; those of
         settings and metrics.
         """
-        measures = (name for name in MEASURES if name in self.episodes)
+        measures = (name for name in (*MEASURES, *TEAM_MEASURES[1:]) if name in self.episodes)
         return summarise(self.episodes, self.columns, self.reference, (*self.spec.metrics, *measures))
 
     def _summary_text(self, as_text):

@@ -30,7 +30,8 @@ MAX_TOTAL = 100_000_000  # episodes
 DRAW_METHODS = ("random", "sobol")
 RANGE = ("low", "high", "log")
 SETTING_PARTS = {"lidar": Lidar, "rules": Rules, "odometry": Odometry, "robot": Robot}
-SINGLE = {"seed": 0, "cell_m": 0.1, "pose": "true"}
+TEAM = {"robots": 1, "coordination": "independent", "contact": "all", "team_starts": "together"}
+SINGLE = {"seed": 0, "cell_m": 0.1, "pose": "true", **TEAM}
 """Settings that are no part of a record -> their defaults."""
 _FIELDS_OF = {
     name: {field.name: field for field in dataclasses.fields(kind) if not field.metadata.get("short")}
@@ -38,6 +39,7 @@ _FIELDS_OF = {
 }
 WHOLE_SETTINGS = [
     "seed",
+    "robots",
     *(f"{part}.{key}" for part in _FIELDS_OF for key, one in _FIELDS_OF[part].items() if one.type in (int, int | None)),
 ]
 """Names of settings that are whole numbers."""
@@ -73,6 +75,14 @@ class Sweep:
     """A `jx.Odometry`, or some of its fields."""
     robot: Mapping[str, Any] | Robot = dataclasses.field(default_factory=dict)
     """A `jx.Robot`, or some of its fields."""
+    robots: Any = None
+    """Sizes of teams, as in `jx.compare`."""
+    coordination: Any = None
+    """With `robots`: name, or "module:function"."""
+    contact: Any = None
+    """With `robots`: "all", "none", "range:4", "line-of-sight", ..."""
+    team_starts: Any = None
+    """With `robots`: "together" or "apart"."""
     metrics: Any = dataclasses.field(default_factory=dict)
     """Columns of your own: name -> function or "module:function", as in `jx.compare`."""
     settings: tuple[Mapping[str, Any], ...] = ()
@@ -136,7 +146,7 @@ class Sweep:
     def axes(self) -> dict[str, Any]:
         """Return the varied settings: dotted name -> list of values, or a `Range`."""
         given = {"seed": self.seed, "cell_m": self.cell_m}
-        given |= {} if self.pose is None else {"pose": self.pose}
+        given |= {name: own for name in ("pose", *TEAM) if (own := getattr(self, name)) is not None}
         for part in SETTING_PARTS:
             given |= {f"{part}.{key}": value for key, value in getattr(self, part).items()}
         return {key: _axis(key, value) for key, value in given.items()}
@@ -222,6 +232,11 @@ def _default(key):
 def robot_of(setting: Mapping[str, Any]) -> Robot:
     """Return the robot of a setting of `Sweep.expanded`."""
     return Robot(**_part(setting, "robot"))
+
+
+def team_of(setting: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of `team_jobs` in a setting of `Sweep.expanded`; none where no team is asked for."""
+    return {key: value for key, value in setting.items() if key in TEAM}
 
 
 def _part(setting, kind):
