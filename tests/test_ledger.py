@@ -10,6 +10,7 @@ import warnings
 from pathlib import Path
 
 import pandas as pd
+import pyarrow.parquet
 import pytest
 
 from jexplore.config import InputError, InputWarning
@@ -399,14 +400,14 @@ def test_a_finished_run_goes_on_with_more_episodes(tmp_path):
 def test_a_full_disk_leaves_what_was_finished(tmp_path, monkeypatch):
     leave(tmp_path, 0)
 
-    def full(self, file, **options):
+    def full(table, file, **options):
         file.write(b"half")
         raise OSError(28, "No space left on device")
 
     with claimed(tmp_path, resume=True) as run, monkeypatch.context() as patch:
         book = open_ledger(run, ASKED, 4, resume=True)
         assert book is not None
-        patch.setattr(pd.DataFrame, "to_parquet", full)
+        patch.setattr(pyarrow.parquet, "write_table", full)
         with pytest.raises(InputError, match="No space left on device"):
             book.put(1, table(1))
         assert book.done == {0}

@@ -72,8 +72,12 @@ def sync_folder(folder):
 
 def write_parquet(episodes: "pd.DataFrame", path: str | os.PathLike[str]) -> None:
     """Write a DataFrame as Parquet, without its index, whole or not at all."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.Table.from_pandas(episodes, preserve_index=False)
     with atomic(path) as part, open(part, "wb") as file:  # of a name that need not be UTF-8, as pyarrow would want it
-        episodes.to_parquet(file, index=False, write_page_checksum=True)
+        pq.write_table(table, file, write_page_checksum=True)
 
 
 def read_parquet(path: str | os.PathLike[str], *, required: Sequence[str] = ()) -> "pd.DataFrame":
