@@ -38,7 +38,6 @@ from jexplore.studies.checks import (
     ready_settings,
     ready_starts,
     ready_worlds,
-    require_given_pose,
 )
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import world_digest
@@ -241,7 +240,7 @@ def prepare_bounds(
 
 def require_perfect(lidar: Lidar, rules: Rules) -> None:
     """Refuse a scanner with noise, whose beams may say nothing, or that is not at the robot's centre, and odometry."""
-    require_given_pose(rules, "bounds are")
+    rules.require_lattice("bounds are")
     for is_bad, needs in (
         (lidar.sigma_m or lidar.dropout, "without noise: lidar.sigma_m and lidar.dropout must be 0"),
         (lidar.no_echo != "free", "that shows what it has no echo from: lidar.no_echo must be free"),
