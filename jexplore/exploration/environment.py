@@ -29,7 +29,7 @@ from jexplore.exploration.state import NEVER, Numbers, Outcome, Setup, State, St
 from jexplore.exploration.uncertain.looking import look
 from jexplore.exploration.uncertain.moving import mark_bump, turn_and_go
 from jexplore.exploration.uncertain.poses import blank_poses
-from jexplore.exploration.uncertain.pursuit import begin_route, brake, look_on, pursue, stands, time_of
+from jexplore.exploration.uncertain.pursuit import begin_route, brake, has_arrived, look_on, pursue, time_of
 from jexplore.grid import is_free, is_known, is_occupied
 from jexplore.native.drive import Stage
 from jexplore.native.drive import drive as drive_natively
@@ -197,7 +197,8 @@ def advance(setup: Setup, given: Given, state: State, held: Array | None = None)
         marked &= is_open(belief, *beside)
     state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, marked)))
     row, col = state.target[0] - belief.row, state.target[1] - belief.col
-    here, near = (row == 0) & (col == 0) & stands(state), row * row + col * col <= numbers.arrival_d2
+    here = has_arrived(given, state, state.target) if setup.rides else (row == 0) & (col == 0)
+    near = row * row + col * col <= numbers.arrival_d2
     due = plan_active & (here | (state.bumped >= 0) | (state.since_scan >= numbers.scan_every))
     state = state.replace(since_scan=jnp.where(due, 0, state.since_scan))
     state = metrics.take_stock(setup, given, trail.note_step(_scan(setup, given, state, due), plan_active), plan_active)
@@ -307,7 +308,8 @@ def commit(
         state = begin_route(brake(given, state, clock[PLAN] > 0))
     state = _over(setup, given.numbers, state, Outcome.COMPLETE, none)
     # A path of length 0 is an arrival.
-    here = (state.belief.row == choice.row) & (state.belief.col == choice.col) & ~bad & stands(state)
+    here = (state.belief.row == choice.row) & (state.belief.col == choice.col)
+    here = (has_arrived(given, state, state.target) if setup.rides else here) & ~bad
     state, spent = _arrive(setup, state, here, live, given.numbers)
     state = limit_plans(given.numbers, _move(setup, given, state, route[state.belief.row, state.belief.col], held))
     return _mark_exhausted(state, spent).replace(route=route, choices=state.choices.at[plan].set(entry, mode="drop"))

@@ -48,7 +48,9 @@ class Rider:
             cells.append(target)
             lengths = np.cumsum([0.0, *(math.dist(*pair) for pair in itertools.pairwise(cells))])
             near = [
-                (_off(here, *pair), -i) for i, pair in enumerate(itertools.pairwise(cells)) if lengths[i] <= lookahead
+                (_off(here, *pair), -i)
+                for i, pair in enumerate(itertools.pairwise(cells))
+                if lengths[i] <= max(lookahead, 2)
             ]
             off, passed = min(near)
             self.anchor, k = cells[-passed], 1 - passed
@@ -60,12 +62,15 @@ class Rider:
             rest = math.dist(here, goal) if self.careful else rest
             aside = math.atan2(goal[1] - self.y, goal[0] - self.x) - self.heading
             aside = (aside + math.pi) % (2 * math.pi) - math.pi
-            arrives = (math.floor(self.y), math.floor(self.x)) == target
+            end = math.dist(here, _centre(target))
+            arrives = (math.floor(self.y), math.floor(self.x)) == target or end <= tolerance
             bend = 2 * math.sin(aside) / distance
             goes = abs(aside) < (0.1 if self.careful or self.v == 0 else math.pi / 3)
             v, w = 0.0, 0.0
             if goes and not arrives:
                 v = min(top, math.sqrt(2 * faster * rest), robot.turn_rad_s / max(abs(bend), 1e-6))
+                if self.careful or (goal == _centre(target)).all():
+                    v = min(v, distance + 0.5)
             v = min(max(v, self.v - faster * dt), self.v + faster * dt)
             if not arrives:
                 spin = min(

@@ -27,6 +27,7 @@ from jexplore.reach import MOTIONS
 
 PARTS = 4  # times that the robot steers in a motion
 MOST_S = 0.2  # s, of a motion; it is also at most as long as the robot at full speed stays within a cell's edge
+APPROACH_S, CREEP = 1.0, 0.5  # 1/s, cells/s; it comes to a target, and to a careful robot's cell, no faster than this
 TURN_FIRST_RAD = math.pi / 3  # an arc to a point farther aside would lead away from the route
 AIM_RAD = 0.1  # a robot that has turned in place drives once it looks there this exactly: 1 cm aside over 0.1 m
 
@@ -81,7 +82,7 @@ def _progress(own: RideNumbers, after: Callable[[Array], Array], xy: Array, anch
         return jnp.where(off <= found[1], piece[0], found[0]), jnp.minimum(off, found[1])
 
     last = _off(xy, anchor, after(anchor))
-    return _walk(after, anchor, own.lookahead, nearer, (anchor, last))
+    return _walk(after, anchor, jnp.maximum(own.lookahead, 2), nearer, (anchor, last))  # at least to the next cell
 
 
 def _look_ahead(own: RideNumbers, after: Callable[[Array], Array], xy: Array, one: Array) -> tuple[Array, Array]:
@@ -119,10 +120,12 @@ def _steer(own: RideNumbers, state: State, xy: Array, heading: Array, ride: Ride
     aside = wrapped(jnp.arctan2(aim[1] - xy[1], aim[0] - xy[0]) - heading)
     rest = jnp.where(careful, _distance(xy, aim), rest)
     bend = 2 * jnp.sin(aside) / jnp.maximum(_distance(xy, aim), 1e-3)
-    arrives = jnp.all(jnp.floor(xy)[::-1] == target)
+    arrives = _is_at(own, xy, target)
     goes = jnp.abs(aside) < jnp.where(careful | (ride.speed == 0), AIM_RAD, TURN_FIRST_RAD)
     most = jnp.minimum(own.speed, jnp.sqrt(2 * own.acceleration * rest))
     most = jnp.minimum(most, own.turn / jnp.maximum(jnp.abs(bend), 1e-6))
+    slowly = careful | jnp.all(aim == _centre(target))
+    most = jnp.where(slowly, jnp.minimum(most, _distance(xy, aim) * APPROACH_S + CREEP), most)
     v = _clipped(jnp.where(goes & ~arrives, most, 0), ride.speed, own.acceleration * own.step_s)
     spin = jnp.minimum(own.turn, jnp.sqrt(2 * own.turn_acceleration * jnp.abs(aside)))
     spin = jnp.minimum(spin, jnp.abs(aside) / own.step_s) * jnp.sign(aside)
@@ -194,10 +197,15 @@ def time_of(given: Given, state: State, goes: Array, eighths: Array) -> dict[str
     return {"time_ms": jnp.minimum(state.time_ms + more, MOST_MS)}
 
 
-def stands(state: State) -> Array | bool:
-    """Return whether the robot stands; one on the lattice does between any two motions."""
-    ride = None if state.poses is None else state.poses.ride
-    return True if ride is None else (ride.speed == 0) & (ride.turn == 0)
+def _is_at(own: RideNumbers, xy: Array, target: Array) -> Array:
+    return jnp.all(jnp.floor(xy)[::-1] == target) | (_distance(xy, _centre(target)) <= own.tolerance)
+
+
+def has_arrived(given: Given, state: State, target: Array) -> Array:
+    """Return whether the robot stands in its target's cell, or within the tolerance of the cell's centre."""
+    ride = state.poses.ride
+    stands = (ride.speed == 0) & (ride.turn == 0)
+    return stands & _is_at(given.numbers.unsure.ride, state.poses.true[:2], target)
 
 
 def begin_route(state: State) -> State:
