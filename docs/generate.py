@@ -1,22 +1,21 @@
-"""Write what the documentation has from the code: tables, the commands' options, what the Python names mean.
+"""Write all pages of the documentation's site, for `mkdocs build`.
 
-    python docs/generate.py                     the pages of the repository; a test tells when they are stale
-    python docs/generate.py --site build/docs   all pages of the site, for `mkdocs build`
+    python docs/generate.py --site build/docs
 
-The site has four files of the repository as pages, one of them by subject, the notebooks with their outputs, and the
-whole docstring of every Python name.
+The site has what the pages of the repository leave to the code: the options of every command, tables of strategies,
+worlds and leagues, whole docstrings of the Python names. Four files of the repository and the notebooks are pages too.
 """
 
 import argparse
 import ast
 import base64
 import dataclasses
-import itertools
 import json
 import os
 import re
 import shutil
 import sys
+import textwrap
 import typing
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -32,31 +31,12 @@ TAKEN = {
 """Files of the repository that are pages of the site: path there -> path here."""
 BY_SUBJECT = "benchmarks/RESULTS.md"
 """A file of the repository of which every second-level heading is a page of the site, below the page of the file."""
-COMMANDS_PAGE = "reference/commands.md"
-SHOWN = (".css", ".png", ".gif")
+SHOWN = (".css", ".png", ".gif", ".bib")
 """Endings of the files of `docs/` that the site has besides pages."""
 _LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 _FENCE = re.compile(r"(^ *```.*?^ *```$)", re.MULTILINE | re.DOTALL)
-_PART = re.compile(r"<!-- begin (\w+)(?:: ([\w. -]+))? -->\n.*?<!-- end -->\n", re.DOTALL)
-
-
-def generated() -> dict[str, str]:
-    """Return the pages with generated parts, path below `docs/` -> text, as they should be."""
-    from jexplore.cli.main import COMMANDS
-
-    pages = {COMMANDS_PAGE: commands_page(COMMANDS)}
-    for path in sorted(DOCS.rglob("*.md")):
-        text = path.read_text(encoding="utf-8")
-        if _PART.search(text):
-            pages[path.relative_to(DOCS).as_posix()] = _PART.sub(_filled, text)
-    return pages
-
-
-def _filled(part):
-    """Fill in a part of a page between its two marks."""
-    name, given = part[1], (part[2] or "").split()
-    begin = part[0].splitlines()[0]
-    return f"{begin}\n\n{PARTS[name](*given)}\n<!-- end -->\n"
+_MARK = re.compile(r"^<!-- (\w+)(?:: ([\w. -]+))? -->$(?!\n```)", re.MULTILINE)
+_NAMES = re.compile(r"^Names: (.*(?:\n.+)*)", re.MULTILINE)
 
 
 def write_site(folder: Path) -> None:
@@ -78,11 +58,11 @@ def site_files() -> dict[str, str | bytes]:
     for path in sorted(DOCS.rglob("*")):
         name = path.relative_to(DOCS).as_posix()
         if path.suffix == ".md":
-            files[name] = rewritten(_PART.sub(_whole, path.read_text(encoding="utf-8")), f"docs/{name}")
+            files[name] = rewritten(filled(path.read_text(encoding="utf-8")), f"docs/{name}")
         elif path.suffix in SHOWN:
             files[name] = path.read_bytes()
     for source, page in TAKEN.items():
-        text = (ROOT / source).read_text(encoding="utf-8")
+        text = filled((ROOT / source).read_text(encoding="utf-8"))
         for subject, part in (subjects(text) if source == BY_SUBJECT else {"": text}).items():
             name = f"{page.removesuffix('.md')}/{subject}.md" if subject else page
             files[name] = rewritten(part, source, name)
@@ -147,11 +127,19 @@ def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
     return "\n\n".join(parts) + "\n", pictures
 
 
-def _whole(part):
-    """Return the directives for whole docstrings, in place of the repository's line for every name."""
-    if part[1] != "api":
-        return part[0]
-    return "\n\n".join(f"::: jexplore.{name}" for name in part[2].split()) + "\n"
+def filled(text: str) -> str:
+    """Fill in what a page leaves to the code: parts where their marks stand, and docstrings of the names that it lists.
+
+    Args:
+      text: Markdown. `<!-- NAME: ARGUMENT -->` on a line of its own marks one of `PARTS`; `Names: ` begins a list.
+    """
+    text = _MARK.sub(lambda mark: PARTS[mark[1]](*(mark[2] or "").split()), text)
+    return _NAMES.sub(lambda match: "\n".join(f"::: {name}\n" for name in names_in(match[0])), text)
+
+
+def names_in(text: str) -> list[str]:
+    """Return the Python names in backticks, with `jx` written out."""
+    return [re.sub(r"^jx\b", "jexplore", name) for name in re.findall(r"`([\w.]+)`", text)]
 
 
 def rewritten(text: str, source: str, here: str | None = None) -> str:
@@ -215,63 +203,27 @@ def notebooks() -> list[Path]:
     return sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
-def notebooks_table() -> str:
-    """Tabulate the notebooks with their first heading and the question in bold below."""
+def benchmarks_table() -> str:
+    """Tabulate the scripts of `benchmarks/` with the first paragraphs of their docstrings."""
     rows = []
-    for path in notebooks():
-        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-        text = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
-        heading, question = re.findall(r"^# (.+)|\*\*([^*]+)\*\*", text, re.MULTILINE)[:2]
-        rows.append((f"[{path.stem}](../../notebooks/{path.name})", heading[0], " ".join(question[1].split())))
-    return table_of(["notebook", "subject", "question"], rows)
+    for path in sorted((ROOT / "benchmarks").glob("*.py")):
+        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        rows.append((f"`{path.name}`", " ".join(text.split("\n\n")[0].split())))
+    return table_of(["script", "what it measures"], rows)
 
 
-def api_table(*names: str) -> str:
-    """Tabulate Python names, the modules that define them, and the first sentence of their docstrings.
+def example_code(*names: str) -> str:
+    """Show functions and methods of `examples/episode.py`.
 
     Args:
-      *names: below `jexplore`, dotted where they are not the package's own.
+      *names: of these; `imports` for what stands before the first.
     """
-    import jexplore as jx
-
-    home = jx._LAZY.module_of | {f"btm.{name}": module for name, module in jx.btm._LAZY.module_of.items()}
-    rows = []
-    for name in names:
-        module, own = home.get(name, name.rpartition(".")[0]), name.rpartition(".")[2]
-        path, text = defined(f"jexplore.{module}", own)
-        meaning = " ".join((text or "").split("\n\n")[0].split())
-        where = f"../../../{path.relative_to(ROOT).as_posix()}"
-        rows.append((f"[`{'jx.' if name in home else 'jexplore.'}{name}`]({where})", meaning))
-    return table_of(["name", "meaning"], rows)
-
-
-def defined(module: str, name: str) -> tuple[Path, str | None]:
-    """Return the file that defines a name of a module, and its docstring there; nothing is imported.
-
-    Args:
-      module: dotted.
-      name: a function, a class, a value or a module below it; what the module imports is followed.
-
-    Raises:
-      KeyError: the module has no such name.
-    """
-    for at in (f"{module}.{name}", module):
-        file = ROOT.joinpath(*at.split("."))
-        file = file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
-        if file.exists():
-            break
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    if at != module:
-        return file, ast.get_docstring(tree)
-    for after, node in itertools.pairwise([ast.Pass(), *reversed(tree.body)]):  # the last one, not its overloads
-        if getattr(node, "name", None) == name:
-            return file, ast.get_docstring(node)  # pyright: ignore[reportArgumentType]
-        if isinstance(node, ast.ImportFrom) and name in (alias.name for alias in node.names):
-            return defined(node.module or "", name)
-        targets = getattr(node, "targets", [getattr(node, "target", None)])
-        if any(isinstance(target, ast.Name) and target.id == name for target in targets):
-            return file, ast.get_docstring(ast.Module([after], []))
-    raise KeyError(f"{module} has no {name}")
+    text = (ROOT / "examples" / "episode.py").read_text(encoding="utf-8").split('"""\n\n', 1)[1]
+    found = {"imports": text.split("\n\n\n")[0]}
+    for part in re.split(r"\n{2,3}(?=(?: {4})?(?:@|def |class ))", text)[1:]:
+        found[re.findall(r"(?:def|class) (\w+)", part)[0]] = part.split("\n\n\n")[0]
+    shown = "\n\n".join(found[name] for name in names)
+    return f"```python\n{textwrap.dedent(shown)}\n```"
 
 
 def league_tables(name: str) -> str:
@@ -281,37 +233,23 @@ def league_tables(name: str) -> str:
     return league_text(ROOT / "leagues" / name, name)
 
 
-PARTS = {
-    "league": league_tables,
-    "generators": generators_table,
-    "strategies": strategies_table,
-    "notebooks": notebooks_table,
-    "api": api_table,
-}
-"""Parts of pages: what stands between `<!-- begin NAME -->` and `<!-- end -->`."""
-
-
 def table_of(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Format a Markdown table."""
     lines = [head, ["---"] * len(head), *([_safe(cell) for cell in row] for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
-def commands_page(commands: Mapping[str, type]) -> str:
+def commands_text(commands: Mapping[str, type] | None = None) -> str:
     """Write the reference of every command, from the records of their options.
 
     Args:
-      commands: name -> class of its options.
+      commands: name -> class of its options; by default all.
     """
-    parts = [
-        "# Commands\n\n"
-        "Every command prints its options with `--help`. Wrong input ends with one line that says what would be right\n"
-        "and exit status 2; Ctrl-C with 130, SIGTERM with 143, SIGHUP with 129. `jexplore --version` shows the\n"
-        "version. With `JEXPLORE_SMALL=1` in the environment default comparisons are small; `NO_COLOR=1` keeps\n"
-        "colours away.\n"
-    ]
+    from jexplore.cli.main import COMMANDS
+
+    parts: list[str] = []
     shared: dict[str, type] = {}
-    for name, kind in commands.items():
+    for name, kind in (commands or COMMANDS).items():
         parts.append(f"## jexplore {name}\n\n{_summary(kind)}\n\n{_table(kind, '', shared)}")
     left = [*shared.items()]
     for name, kind in left:
@@ -386,16 +324,22 @@ def _escaped(text):
     return "".join(part if part.startswith("`") else part.replace("<", "&lt;") for part in parts)
 
 
+PARTS = {
+    "benchmarks": benchmarks_table,
+    "league": league_tables,
+    "generators": generators_table,
+    "strategies": strategies_table,
+    "commands": commands_text,
+    "code": example_code,
+}
+"""Parts of pages: name in the mark -> function that writes it."""
+
+
 def main() -> None:
     """Run the command line's request."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--site", type=Path, metavar="DIR", help="all pages of the site into this folder")
-    site = parser.parse_args().site
-    if site is not None:
-        write_site(site)
-        return
-    for name, text in generated().items():
-        (DOCS / name).write_text(text, encoding="utf-8")
+    parser.add_argument("--site", type=Path, metavar="DIR", required=True, help="folder for the pages; emptied")
+    write_site(parser.parse_args().site)
 
 
 if __name__ == "__main__":

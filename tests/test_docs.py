@@ -26,8 +26,9 @@ from jexplore.studies.sweeps.spec import sweep_from
 ROOT = Path(__file__).resolve().parents[1]
 TOP = ("README.md", "CONTRIBUTING.md", "benchmarks/README.md")
 PAGES = [*TOP, *sorted(page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md"))]
+API = [page for page in PAGES if page.startswith("docs/reference/api/")]
 EXCERPT = "<!-- excerpt: "
-RUN_ELSEWHERE = ("CONTRIBUTING.md", "docs/tutorial.md")  # by tests of their own, here and in test_program.py
+RUN_ELSEWHERE = ("CONTRIBUTING.md", "docs/tutorial.md")  # by .ci/run, and by a test of its own
 NO_COMMANDS_OF_OURS = (
     "python3 -m venv",
     "pip install",
@@ -229,15 +230,6 @@ def test_steps_are_those_of_the_strategy_that_they_say(desk, capsys):
     assert found["many"][0].world.shape == (256,)
 
 
-@pytest.mark.slow
-@pytest.mark.jit
-def test_the_longer_form():
-    (own,) = re.findall(r"^## A strategy of your own\n(.*?)^## ", text_of("CONTRIBUTING.md"), re.S | re.M)
-    exec("\n".join(body for language, body in blocks(own) if language == "python"), found := {})
-    one = jx.compare("maze:width_m=6,height_m=6", found["restless"], episodes=1)
-    assert one.episodes["outcome"].tolist() == ["COMPLETE"]
-
-
 def test_excerpts_name_what_there_is():
     some = [(page, body) for page in PAGES for language, body in blocks(text_of(page)) if language == "excerpt"]
     assert some
@@ -251,7 +243,8 @@ def test_page_of_an_episode_shows_the_whole_example():
     def lines(text):
         return [line.strip() for line in text.splitlines() if line.strip()]
 
-    shown = [body for language, body in blocks(text_of("docs/tutorial-episode.md")) if language == "excerpt"]
+    page = script("generate").filled(text_of("docs/tutorial-episode.md"))
+    shown = [body for language, body in blocks(page) if language == "python"]
     _, code = text_of("examples/episode.py").split('"""\n', 1)
     assert lines("\n".join(shown)) == lines(code.partition('if __name__ == "__main__"')[0])
 
@@ -308,24 +301,11 @@ def test_readme_is_short_and_begins_with_what_is_run():
 
 
 def test_every_public_name_is_in_the_reference():
-    pages = "\n".join(text_of(page) for page in PAGES if page.startswith("docs/reference/api/"))
-    named = re.findall(r"^\| \[`jx\.([\w.]+)`\]", pages, re.M)
+    lists = re.findall(r"^Names: .*(?:\n.+)*", "\n".join(map(text_of, API)), re.M)
+    named = [name for text in lists for name in re.findall(r"`jx\.([\w.]+)`", text)]
     there = {*dir(jx), *(f"btm.{name}" for name in jx.btm._LAZY.module_of)} - {"__version__", "btm", "worlds"}
+    assert len(lists) == len(API)
     assert sorted(named) == sorted(there)
-    assert not re.findall(r"^\| \[`.*\| +\|$", pages, re.M), "a name without a meaning"
-
-
-@pytest.mark.parametrize("page", script("generate").generated())
-def test_generated_pages_are_as_the_code_has_them(page):
-    assert script("generate").generated()[page] == text_of(f"docs/{page}"), "run `python docs/generate.py`"
-
-
-def test_pages_hold_what_they_show_without_being_built():
-    """As a Git host shows them: no mark stands for a table, no line for a docstring."""
-    for page in PAGES:
-        text = text_of(page)
-        assert not re.search(r"^:::|^<!-- \w+ -->$(?<!<!-- end -->)", text, re.M), page
-        assert "<!-- begin" not in re.sub(r"<!-- begin [^>]*-->\n\n\|.*?\n<!-- end -->", "", text, flags=re.S), page
 
 
 @pytest.mark.slow
@@ -333,6 +313,9 @@ def test_the_site_has_whole_docstrings_and_files_of_the_repository(tmp_path):
     script("generate").write_site(tmp_path / "site")
     page = (tmp_path / "site" / "reference" / "api" / "steps.md").read_text(encoding="utf-8")
     assert "\n::: jexplore.Environment\n" in page
+    assert "Names:" not in page
+    for part in ("commands", "strategies", "worlds"):
+        assert "| --- |" in (tmp_path / "site" / "reference" / f"{part}.md").read_text(encoding="utf-8"), part
     assert "(../results/measured/exploration.md#" in (tmp_path / "site" / "reference" / "worlds.md").read_text(
         encoding="utf-8"
     )
@@ -354,7 +337,7 @@ def test_every_option_is_in_the_reference(name, capsys, monkeypatch):
     with pytest.raises(SystemExit):
         parse_options([name, "--help"], COMMANDS)
     told = set(re.findall(r"│ (--[\w.-]+)", capsys.readouterr().out))
-    page = script("generate").commands_page(COMMANDS)
+    page = script("generate").commands_text(COMMANDS)
     own = re.search(rf"^## jexplore {name}\n(.*?)(?=^## )", page, re.S | re.M)[1]
     link = r"\[`--(\w+)\.\*`\]\(#options-of-\1\)"
     parts = re.findall(link, own)
@@ -432,7 +415,7 @@ def test_a_commands_page_from_two_options():
         crust: bool = dataclasses.field(default=True, metadata={"off": "Without."})
         """With."""
 
-    page = script("generate").commands_page({"bake": Bake})
+    page = script("generate").commands_text({"bake": Bake})
     assert page.endswith(
         "## jexplore bake\n\nBake bread.\n\nUntil it is &lt;brown>.\n\n"
         "| option | default | meaning |\n| --- | --- | --- |\n"

@@ -72,3 +72,11 @@ def test_the_written_out_episode_runs_as_a_script(capsys, monkeypatch):
 
 def test_the_written_out_episode_is_short():
     assert len((EXAMPLES / "episode.py").read_text(encoding="utf-8").splitlines()) <= 150
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_the_policy_runs():
+    restless = runpy.run_path(str(EXAMPLES / "policy.py"))["restless"]
+    found = jx.compare("maze:width_m=6,height_m=6", restless, episodes=1)
+    assert found.episodes["outcome"].tolist() == ["COMPLETE"]

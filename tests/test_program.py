@@ -1,6 +1,7 @@
 """Any program one by one and in lanes: walks of random steps that stop to decide, in scenes, with shared weights."""
 
 import re
+import runpy
 from pathlib import Path
 from typing import NamedTuple
 
@@ -171,14 +172,11 @@ def test_scalars_and_arrays_are_told_apart():
 
 
 @pytest.mark.jit
-def test_the_program_that_is_shown_to_contributors_runs(capsys):
-    text = (Path(__file__).resolve().parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    (code,) = [block for block in re.findall(r"```python\n(.*?)```", text, re.S) if "Program(" in block]
-    exec(code, found := {})
-    assert capsys.readouterr().out.startswith("[")
-    results = found["line"].results
-    found["line"].results = None
-    found["line"].finished[:] = False
-    run_all([found["line"]], find_resources(**LANES, lanes=7))
-    np.testing.assert_array_equal(found["line"].results, results)
+def test_the_program_of_the_examples_runs_on_cores_and_in_lanes():
+    line = runpy.run_path(str(Path(__file__).resolve().parents[1] / "examples" / "program.py"))["line"]
+    run_all([line], find_resources())
+    results, line.results = line.results, None
+    line.finished[:] = False
+    run_all([line], find_resources(**LANES, lanes=7))
+    np.testing.assert_array_equal(line.results, results)
     assert len(set(results.tolist())) > 5

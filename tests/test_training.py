@@ -145,10 +145,16 @@ def test_wrong_input(options, message, tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.jit
 def test_episodes_that_fail_count_as_long_ones():
+    logs = bank.log_ratio(np.asarray([[np.inf, 2.0, np.inf]]), np.asarray([1.0, 1.0, np.inf]))
+    np.testing.assert_allclose(logs, [[np.log(bank.FAILED), np.log(2), 0.0]])
+
+
+@pytest.mark.jit
+def test_a_reference_that_finishes_nothing_is_refused():
     own = bank.prepare_bank(SMALL[0], lidar=NEAR, rules=Rules(max_steps=5))
-    assert own.log_ratios([parse_strategy("closest")], [0, 0], 0).tolist() == [[0.0, 0.0]]  # the reference's fail too
+    with pytest.raises(InputError, match="finishes no episode in rooms#1000"):
+        own.log_ratios([parse_strategy("closest")], [0, 0], 0)
 
 
 @pytest.mark.jit

@@ -25,8 +25,8 @@ from jexplore.engine.runner import Costs, find_resources, level_of, run_all
 from jexplore.worlds.world import World
 
 MAX_STEPS = 6000
-# Two thirds of the time of compiling and two fifths of its memory, for steps that take 7 % longer. XLA of JAX 0.12 does
-# not have it any more.
+# Two thirds of the time of compiling and two fifths of its memory, for steps that take 7 % longer. JAX 0.11.2 and
+# later do not have it.
 COMPILER_OPTIONS = (("xla_cpu_use_fusion_emitters", False),)
 MARKS_MULTIPLE = 64  # numbers of places to visit are padded to multiples of this
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jexplore.config import unknown
+from jexplore.config import InputError, unknown
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.results import columns
 from jexplore.exploration.site import ROBOT
@@ -58,9 +58,16 @@ class Bank:
 
         `which` are K numbers of worlds: an episode in each, from another start if a world occurs twice; the same for
         all strategies. `seed` is that of the starts and all other draws; `on_progress` as of `batch.run_jobs`.
+
+        Raises:
+          InputError: the reference finished no episode.
+          KeyboardInterrupt: not all were made.
         """
         how: Any = {"workers": workers, "on_progress": on_progress}
         values = self.values([parse_strategy(REFERENCE), *strategies], which, seed, **how)
+        if not np.isfinite(values[0]).any():
+            names = ", ".join(sorted({str(self.worlds[i].name) for i in which}))
+            raise InputError(f"{REFERENCE} finishes no episode in {names}: ratios to its measure have no meaning")
         return log_ratio(values[1:], values[0])
 
     def values(

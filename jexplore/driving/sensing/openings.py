@@ -44,7 +44,7 @@ def find_gaps(point: Array, last: Array, here: Array, width_m: Array | float) ->
 def _grazes(point, after, here, centre, seen_from):
     """Return whether a gap of less than half a turn begins and ends in nearly one direction from the robot."""
     if seen_from is None:
-        return False
+        return jnp.zeros_like(here)
     one, other = (place + centre - seen_from for place in (point, after))
     apart = jnp.arctan2(one[:, 1], one[:, 0]) - jnp.arctan2(other[:, 1], other[:, 0])
     span = (_next(here) - jnp.arange(BEARINGS)) % BEARINGS  # 0: the gap is all there is

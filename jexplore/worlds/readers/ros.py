@@ -153,7 +153,7 @@ def write_ros(
     if trinary:
         pixels = np.select([occupancy == 0, occupancy == 100], [_FREE, _OCCUPIED], _UNKNOWN)
     else:
-        pixels = np.where(occupancy < 0, 255, occupancy)
+        pixels = np.where(occupancy < 0, 255, occupancy.astype(np.int32))
     image = path.with_suffix(".pgm")
     text = (
         f"image: {json.dumps(image.name)}\n"
