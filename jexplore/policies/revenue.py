@@ -45,7 +45,7 @@ def _known_near(belief, at, radius):
 
 def _judge(params, belief, at, beams):
     cell_m = belief.model.cell_m
-    # The disc less what is known of it: what lies beyond the map is unknown, however the map is padded.
+    # The disc less its known cells: cells beyond the map count as unknown, however the map is padded.
     known_m2 = _known_near(belief, at, params.radius_m / cell_m) * cell_m**2
     unknown_m2 = jnp.maximum(jnp.pi * params.radius_m**2 - known_m2, 0)
     off_m = jnp.hypot(at.row - belief.row, at.col - belief.col) * cell_m
