@@ -59,10 +59,10 @@ def on_route(motions, heading=0, closed=()):
     for at in closed:
         grid = Grid(grid.hits.at[at].add(100), grid.misses)
     state = state.replace(
-        route=jnp.asarray(laid), target=jnp.int32(cell), heading=jnp.int32(heading),
+        target=jnp.int32(cell), heading=jnp.int32(heading),
         belief=belief.replace(grid=grid, heading=jnp.int32(heading)),
     )  # fmt: skip
-    return begin_route(state), route, cell
+    return begin_route(state, jnp.asarray(laid)), route, cell
 
 
 ROUTES = {

@@ -305,7 +305,7 @@ def commit(
         **time,
     )
     if setup.rides:
-        state = begin_route(brake(given, state, clock[PLAN] > 0))
+        state = begin_route(brake(given, state, clock[PLAN] > 0), route)
     state = _over(setup, given.numbers, state, Outcome.COMPLETE, none)
     # A path of length 0 is an arrival.
     here = (state.belief.row == choice.row) & (state.belief.col == choice.col)

@@ -208,11 +208,11 @@ def has_arrived(given: Given, state: State, target: Array) -> Array:
     return stands & _is_at(given.numbers.unsure.ride, state.poses.true[:2], target)
 
 
-def begin_route(state: State) -> State:
+def begin_route(state: State, route: Array) -> State:
     """Begin to follow a new route, which leads on from the robot's cell."""
     poses = state.poses
     ride = poses.ride.replace(anchor=jnp.stack([state.belief.row, state.belief.col]))
-    return state.replace(poses=poses.replace(ride=ride))
+    return state.replace(route=route, poses=poses.replace(ride=ride))
 
 
 def brake(given: Given, state: State, when: Array | bool) -> State:
