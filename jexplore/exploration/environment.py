@@ -29,7 +29,7 @@ from jexplore.exploration.state import NEVER, Numbers, Outcome, Setup, State, St
 from jexplore.exploration.uncertain.looking import look
 from jexplore.exploration.uncertain.moving import mark_bump, turn_and_go
 from jexplore.exploration.uncertain.poses import blank_poses
-from jexplore.exploration.uncertain.pursuit import begin_route, brake, has_arrived, look_on, pursue, time_of
+from jexplore.exploration.uncertain.pursuit import begin_route, brake, look_on, pursue, stands, time_of
 from jexplore.grid import is_free, is_known, is_occupied
 from jexplore.native.drive import Stage
 from jexplore.native.drive import drive as drive_natively
@@ -197,7 +197,7 @@ def advance(setup: Setup, given: Given, state: State, held: Array | None = None)
         marked &= is_open(belief, *beside)
     state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, marked)))
     row, col = state.target[0] - belief.row, state.target[1] - belief.col
-    here = has_arrived(given, state, state.target) if setup.rides else (row == 0) & (col == 0)
+    here = (row == 0) & (col == 0) & (stands(state) if setup.rides else True)
     near = row * row + col * col <= numbers.arrival_d2
     due = plan_active & (here | (state.bumped >= 0) | (state.since_scan >= numbers.scan_every))
     state = state.replace(since_scan=jnp.where(due, 0, state.since_scan))
@@ -309,7 +309,7 @@ def commit(
     state = _over(setup, given.numbers, state, Outcome.COMPLETE, none)
     # A path of length 0 is an arrival.
     here = (state.belief.row == choice.row) & (state.belief.col == choice.col)
-    here = (has_arrived(given, state, state.target) if setup.rides else here) & ~bad
+    here &= ~bad & (stands(state) if setup.rides else True)
     state, spent = _arrive(setup, state, here, live, given.numbers)
     state = limit_plans(given.numbers, _move(setup, given, state, route[state.belief.row, state.belief.col], held))
     return _mark_exhausted(state, spent).replace(route=route, choices=state.choices.at[plan].set(entry, mode="drop"))

@@ -62,8 +62,7 @@ class Rider:
             rest = math.dist(here, goal) if self.careful else rest
             aside = math.atan2(goal[1] - self.y, goal[0] - self.x) - self.heading
             aside = (aside + math.pi) % (2 * math.pi) - math.pi
-            end = math.dist(here, _centre(target))
-            arrives = (math.floor(self.y), math.floor(self.x)) == target or end <= tolerance
+            arrives = (math.floor(self.y), math.floor(self.x)) == target
             bend = 2 * math.sin(aside) / distance
             goes = abs(aside) < (0.1 if self.careful or self.v == 0 else math.pi / 3)
             v, w = 0.0, 0.0

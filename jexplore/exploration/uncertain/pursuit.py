@@ -120,7 +120,7 @@ def _steer(own: RideNumbers, state: State, xy: Array, heading: Array, ride: Ride
     aside = wrapped(jnp.arctan2(aim[1] - xy[1], aim[0] - xy[0]) - heading)
     rest = jnp.where(careful, _distance(xy, aim), rest)
     bend = 2 * jnp.sin(aside) / jnp.maximum(_distance(xy, aim), 1e-3)
-    arrives = _is_at(own, xy, target)
+    arrives = jnp.all(jnp.floor(xy)[::-1] == target)
     goes = jnp.abs(aside) < jnp.where(careful | (ride.speed == 0), AIM_RAD, TURN_FIRST_RAD)
     most = jnp.minimum(own.speed, jnp.sqrt(2 * own.acceleration * rest))
     most = jnp.minimum(most, own.turn / jnp.maximum(jnp.abs(bend), 1e-6))
@@ -197,15 +197,10 @@ def time_of(given: Given, state: State, goes: Array, eighths: Array) -> dict[str
     return {"time_ms": jnp.minimum(state.time_ms + more, MOST_MS)}
 
 
-def _is_at(own: RideNumbers, xy: Array, target: Array) -> Array:
-    return jnp.all(jnp.floor(xy)[::-1] == target) | (_distance(xy, _centre(target)) <= own.tolerance)
-
-
-def has_arrived(given: Given, state: State, target: Array) -> Array:
-    """Return whether the robot stands in its target's cell, or within the tolerance of the cell's centre."""
+def stands(state: State) -> Array:
+    """Return whether the robot stands."""
     ride = state.poses.ride
-    stands = (ride.speed == 0) & (ride.turn == 0)
-    return stands & _is_at(given.numbers.unsure.ride, state.poses.true[:2], target)
+    return (ride.speed == 0) & (ride.turn == 0)
 
 
 def begin_route(state: State, route: Array) -> State:
