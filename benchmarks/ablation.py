@@ -1,6 +1,7 @@
 """Vary every number of the trace robot, one at a time, at half and at double, as leaves of one compiled program.
 
     python benchmarks/ablation.py --out DIR [--worlds WORLD...] [--runs 8] [--seed 100] [--only NAME...]
+    python benchmarks/ablation.py --out DIR --off [NAME+NAME...]      # without the rules that numbers steer
     python benchmarks/ablation.py --out DIR --summary
 
 Every run of a changed robot has the noise and the start of one as it is. Rows are written as runs end, and what was
@@ -26,8 +27,43 @@ from jexplore.studies.traces.job import prepare_trace
 
 WORLDS = ("course#101", "course#102", "course#103", "course#104", "office", "hospital")
 FACTORS = (0.5, 2.0)
+NEVER, ALWAYS = 0.0, 1e4
+OFF = {
+    "sensing.behind_deg": 180, "sensing.memory_m": NEVER, "sensing.opposite_cos": NEVER, "sensing.side_margin_m": 0.03,
+    "sensing.coast_width_share": 1, "sensing.mean_m": ALWAYS, "sensing.agree_deviations": ALWAYS,
+    "sensing.line_flatness": ALWAYS, "sensing.gate_m.0": 0.1, "sensing.encoder_m": 1e-4, "sensing.encoder_rad": 1e-4,
+    "sensing.max_deviations": ALWAYS, "sensing.plane_rad": ALWAYS, "sensing.tilt_rad": ALWAYS,
+    "sensing.key_share": NEVER, "sensing.key_rad": ALWAYS, "sensing.every_rad": ALWAYS, "sensing.min_points": 1,
+    "ground.tip_share": NEVER, "ground.along_rad": ALWAYS, "ground.level_rad": ALWAYS, "ground.passed_m": NEVER,
+    "ground.stairs_rise_m": ALWAYS, "ground.noise_shares.1": NEVER, "ground.face_m": NEVER,
+    "places.bridge_share": ALWAYS, "places.clearance_step_m": ALWAYS, "places.front_guard_m": NEVER,
+    "places.roomy_share": 1, "places.recess_widths": NEVER, "places.wall_fill_share": NEVER, "places.graze_rad": NEVER,
+    "places.narrow": NEVER, "places.max_point_m": 100, "places.corner_depth": NEVER, "places.pocket": NEVER,
+    "places.seen": NEVER, "places.door": 0, "places.beyond_pocket_m": NEVER, "places.both_ends": ALWAYS,
+    "places.ahead_radii": -ALWAYS, "places.alike_m": 1e-6, "places.wider_circle": 1, "places.somewhat_wider": 1,
+    "places.same_opening_m": NEVER, "places.wide_place_m": ALWAYS, "places.last_resort_m": ALWAYS,
+    "places.behind_rad": NEVER, "places.through_m": ALWAYS, "places.merged_rad": ALWAYS, "places.straight_rad": NEVER,
+    "places.near_wall_radii": ALWAYS, "places.abeam_m": ALWAYS, "places.max_gateway_m": ALWAYS,
+    "places.wall_reach_m": ALWAYS, "places.corner_width_ratio": ALWAYS, "places.in_line_rad": NEVER,
+    "graph.door_before_m": NEVER, "graph.shift_m": NEVER, "graph.led_node_m": NEVER, "graph.turn_share": NEVER,
+    "graph.shift_share": NEVER, "graph.crossing_m": NEVER, "graph.near_points_m": ALWAYS, "graph.min_centre_x_m": NEVER,
+    "graph.along_cos": NEVER, "graph.hypothesis_m": NEVER, "graph.match_drift.1": ALWAYS, "graph.same_way_m": NEVER,
+    "graph.match_drift.0": NEVER, "graph.max_tries": 1, "graph.search_every_steps": 1, "graph.steered_lengths": 1,
+    "motion.off_trail_rad": ALWAYS, "motion.max_back_m": ALWAYS, "motion.drive_away_m": NEVER,
+    "motion.min_back_step_m": NEVER, "motion.lean_rad_s": NEVER, "motion.keep_direction_weight": NEVER,
+    "motion.replaceable_votes": 0, "motion.debounce_steps": 1, "motion.hysteresis_m": NEVER,
+    "motion.contact_guard_m": NEVER, "motion.turn_room_m": NEVER, "motion.way_past_wall_rad": NEVER,
+    "motion.way_past_end.0": NEVER, "motion.latch_time_ratio": NEVER, "motion.off_axis_m": ALWAYS,
+    "motion.leave_island_m": NEVER, "motion.began_m": ALWAYS, "motion.look_on_rad": NEVER, "motion.survey_m": ALWAYS,
+    "motion.unturned_stop_m": ALWAYS, "motion.at_place_ratio": ALWAYS, "motion.max_surveys": 0,
+    "motion.same_place_m": NEVER, "motion.same_place_radii": NEVER, "motion.better_radius_ratio": 1,
+    "motion.same_radius_share": NEVER, "motion.stray_steps": 100000, "motion.heed_on_way_m": ALWAYS,
+    "motion.lost_place_m": NEVER, "motion.stuck_steps": 100000, "motion.latch_steps": 100000,
+    "motion.steer_rad_m": NEVER, "motion.stop_m": 0.4, "motion.recovery_steps": 0, "motion.touch_again_steps": 0,
+    "motion.taken_rad": ALWAYS,
+}  # fmt: skip
+"""Number -> its value at which the rule that it steers does nothing, or does without a number of its own."""
 PART = 40  # changes whose runs are written together
-WORKERS = os.cpu_count() or 1
 
 
 def numbers_of(plan):
@@ -41,23 +77,33 @@ def changed(value, factor):
     return max(1, round(value * factor)) if isinstance(value, int) else value * factor
 
 
-def varied(world, runs, seed, only):
-    """Return a plan with a setting for every change, and the changes, `(name, factor)`; the first changes nothing."""
-    is_course = world.startswith("course")
-    plan = prepare_trace(world, noise=Noise(range_m=0.01), seed=seed, **{"runs" if is_course else "starts": runs})
+def changes_of(own, only, off):
+    """Return the changes to make: `[(name, factor, {name: value})]`; the first changes nothing; factor NaN: off."""
+    if off is None:
+        varied = [(name, f, {name: changed(own[name], f)}) for name in only or own for f in FACTORS]
+    else:
+        varied = [(some, np.nan, {name: OFF[name] for name in some.split("+")}) for some in off or OFF]
+    return [("", 1.0, {}), *varied]
+
+
+def varied(world, options):
+    """Return a plan with a setting for every change, and the changes."""
+    runs = "runs" if world.startswith("course") else "starts"
+    plan = prepare_trace(world, noise=Noise(range_m=0.01), seed=options.seed, **{runs: options.runs})
     own = numbers_of(plan)
-    changes = [("", 1.0), *((name, factor) for name in only or own for factor in FACTORS)]
+    changes = changes_of(own, options.only, options.off)
     swept = {name: np.full(len(changes), value, float) for name, value in own.items()}
-    for i, (name, factor) in enumerate(changes[1:], 1):
-        swept[name][i] = min(changed(own[name], factor), WHOLE.get(name, np.inf))
+    for i, (_, _, values) in enumerate(changes):
+        for name, value in values.items():
+            swept[name][i] = min(value, WHOLE.get(name, np.inf))
     return dataclasses.replace(plan, swept=swept, settings=len(changes)), changes
 
 
-def make(out, world, runs, seed, only):
+def make(world, options):
     """Make the runs of a world that are not there yet, `PART` changes after the other, the first run of all first."""
-    plan, changes = varied(world, runs, seed, only)
+    plan, changes = varied(world, options)
     name, firsts = world.replace(":", "_"), range(0, plan.settings, PART)
-    paths = [(out / f"{name}-{run}-{first}.parquet", run, first) for run in range(runs) for first in firsts]
+    paths = [(options.out / f"{name}-{k}-{first}.parquet", k, first) for k in range(options.runs) for first in firsts]
     paths = [part for part in paths if not part[0].exists()]
     own = [np.arange(first, min(first + PART, plan.settings)) for *_, first in paths]
     if not own:
@@ -68,7 +114,7 @@ def make(out, world, runs, seed, only):
         path, run, _ = paths[i]
         table = tracing.trace_table(plan, result, own[i], np.full(len(own[i]), run, np.int32), {})[0]
         good = table["true"].astype(float) if plan.world.course else (table["outcome"] == "EXHAUSTED").astype(float)
-        names, factors = zip(*(changes[k] for k in own[i]))
+        names, factors = zip(*(changes[k][:2] for k in own[i]))
         junctions = table["junctions_reached"] / table["junctions"].clip(lower=1)
         kept = table[["world", "run", "outcome", "steps", "path_m", "code", "mistaken", "false_divergences"]]
         kept.assign(name=names, factor=factors, good=good, junctions=junctions).to_parquet(path)
@@ -76,7 +122,7 @@ def make(out, world, runs, seed, only):
 
     which = np.concatenate([np.full(len(part), run, np.int32) for part, (_, run, _) in zip(own, paths)])
     blocks = [(int(end) - len(part), len(part)) for end, part in zip(ends, own)]
-    plan.run(np.concatenate(own), which, blocks=blocks, on_block=put, workers=WORKERS)
+    plan.run(np.concatenate(own), which, blocks=blocks, on_block=put, workers=options.workers)
 
 
 def summary(out):
@@ -84,7 +130,7 @@ def summary(out):
     table = pd.concat(pd.read_parquet(path) for path in sorted(out.glob("*.parquet")))
     plain = table[table["name"] == ""].set_index(["world", "run"])
     rows = []
-    for (name, factor), some in table[table["name"] != ""].groupby(["name", "factor"]):
+    for (name, factor), some in table[table["name"] != ""].groupby(["name", "factor"], dropna=False):
         some = some.set_index(["world", "run"])
         base = plain.loc[some.index]
         same = ((some["path_m"] == base["path_m"]) & (some["code"] == base["code"])).mean()
@@ -102,8 +148,9 @@ def summary(out):
     print("\n| number | factor | equal % | good | junctions | moves |\n| --- | --- | --- | --- | --- | --- |")
     order = found.groupby("name")["same"].transform("min")
     for _, row in found.assign(order=order).sort_values(["order", "name", "factor"]).iterrows():
+        factor = "off" if np.isnan(row["factor"]) else row["factor"]
         cells = (f"{row[m]:+.1f} ± {row[f'{m}_half']:.1f}" for m in ("good", "junctions"))
-        print("|", row["name"], "|", row["factor"], "|", f"{100 * row['same']:.0f} |", " | ".join(cells), "|",
+        print("|", row["name"], "|", factor, "|", f"{100 * row['same']:.0f} |", " | ".join(cells), "|",
               "yes |" if row["moved"] else "no |")  # fmt: skip
 
 
@@ -114,14 +161,16 @@ def main():
     parser.add_argument("--runs", type=int, default=8, help="of every change and world")
     parser.add_argument("--seed", type=int, default=100)
     parser.add_argument("--only", nargs="+", help="names of numbers; by default all")
+    parser.add_argument("--off", nargs="*", help="rules of OFF to do without, a+b at once; by default each alone")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--summary", action="store_true", help="make no run")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     if not options.summary:
-        start_backend(WORKERS)
+        start_backend(options.workers)
         use_compilation_cache()
         for world in options.worlds:
-            make(options.out, world, options.runs, options.seed, options.only)
+            make(world, options)
     summary(options.out)
 
 

@@ -1,12 +1,13 @@
-"""Run the planners of DARE's Table I with a scanner that shows only the cells of a beam.
+"""Run the planners of DARE's Table I with other scanners.
 
-    python benchmarks/dare.py --maps DIR [--episodes 100]
+    python benchmarks/dare.py --maps DIR [--episodes 100] [--scanners ariadne bare]
 
-`jexplore reproduce dare` has the scanner of the public code, which also enters the cells round it.
+`jexplore reproduce dare` has the scanner of DARE's public code.
 """
 
 import argparse
 
+from jexplore.studies.dare.rules import SCANNERS
 from jexplore.studies.dare.table import MAPS, reproduce_dare
 
 
@@ -14,8 +15,11 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--maps", required=True, help="folder of 1.png to 100.png")
     parser.add_argument("--episodes", type=int, default=MAPS, help="number of maps")
+    parser.add_argument("--scanners", nargs="+", choices=tuple(SCANNERS), default=["ariadne", "bare"])
     options = parser.parse_args()
-    print(reproduce_dare(options.maps, episodes=options.episodes, wide=False).to_markdown())
+    for scanner in options.scanners:
+        print(f"scanner {scanner}\n")
+        print(reproduce_dare(options.maps, episodes=options.episodes, scanner=scanner).to_markdown())
 
 
 if __name__ == "__main__":

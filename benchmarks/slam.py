@@ -183,26 +183,29 @@ def episodes(worlds, poses, n, seed):
     print(markdown(head, rows))
 
 
-def study(worlds, starts, seed, folder):
-    """Run strategies by pose and noise; ratios are paths over those of the first strategy in the same setting."""
+def study(worlds, strategies, poses, levels, starts, seed, folder):
+    """Run strategies by given and estimated pose, and by noise; ratios are paths over those of the first strategy in
+    the same setting.
+    """
 
     def run(name, **pose):
         kept = {} if folder is None else {"out": folder / name, "resume": True}
-        made = jx.compare(worlds, STRATEGIES, episodes=starts, seed=seed, **pose, **kept)
+        made = jx.compare(worlds, strategies, episodes=starts, seed=seed, **pose, **kept)
         print(name, f"{made.run_s:.0f} s", file=sys.stderr, flush=True)
         return made
 
     found = {("true", "-"): run("true")}
-    for pose in ("icp", "icp+closing"):
+    for pose in poses:
         for i, (level, odometry) in enumerate(LEVELS.items()):
-            found[pose, level] = run(f"{pose}-{i}", pose=pose, odometry=odometry)
+            if level in levels:
+                found[pose, level] = run(f"{pose}-{i}", pose=pose, odometry=odometry)
     ratios = {
         setting: paths_by_world(one.episodes).groupby("strategy")["log_ratio"].agg(["mean", "sem"])
         for setting, one in found.items()
     }
     order = ratios["true", "-"]["mean"]
     paths, own = [], []
-    for name in STRATEGIES:
+    for name in strategies:
         row = [name]
         for setting in found:
             mean, sem = ratios[setting].loc[name]
@@ -211,7 +214,7 @@ def study(worlds, starts, seed, folder):
     together = [f"{kendalltau(order, one['mean'].reindex(order.index))[0]:.2f}" for one in ratios.values()]
     paths.append(["Kendall's tau with true", *together])
     for (pose, level), one in found.items():
-        for name in STRATEGIES if pose != "true" else ():
+        for name in strategies if pose != "true" else ():
             table = one.episodes[one.episodes["strategy"] == name]
             given = found["true", "-"].episodes.query("strategy == @name")
             more = paired_ratio(table["path_m"].to_numpy(), given["path_m"].to_numpy())
@@ -222,7 +225,16 @@ def study(worlds, starts, seed, folder):
             ])  # fmt: skip
     print(markdown(["strategy", *(" ".join(setting) for setting in found)], paths), "\n")
     head = ["pose", "noise", "strategy", "COMPLETE", "LOST", "path over true", "ATE m", "largest", "free IoU", "loops"]
-    print(markdown(head, own))
+    print(markdown(head, own), "\n")
+    estimated = [setting for setting in found if setting[0] != "true"]
+    kinds = []
+    for kind in dict.fromkeys(world.partition("#")[0] for world in worlds):
+        kinds.append([kind])
+        for setting in estimated:
+            table = found[setting].episodes
+            table = table[table["world"].str.startswith(f"{kind}#") & (table["strategy"] != "random+recheck")]
+            kinds[-1].append(f"{(table['outcome'] == 'COMPLETE').mean():.0%}, {table['ate_m'].mean():.3f}")
+    print(markdown(["COMPLETE, ATE m; without random", *(" ".join(setting) for setting in estimated)], kinds))
 
 
 def main(argv=None):
@@ -234,9 +246,11 @@ def main(argv=None):
     parser.add_argument("--matches", type=int, default=0, help="random matches; also times one")
     parser.add_argument("--episodes", type=int, default=0, help="episodes in each of the worlds, by each of the poses")
     parser.add_argument("--worlds", nargs="+", default=WORLDS)
-    parser.add_argument("--poses", nargs="+", default=("odometry", "icp", "icp+closing"))
+    parser.add_argument("--poses", nargs="+", default=("icp", "icp+closing"))
     parser.add_argument("--study", type=int, default=0, help="worlds of each kind, see `study`")
     parser.add_argument("--kinds", nargs="+", default=LEAGUE_KINDS, help="of worlds of the study")
+    parser.add_argument("--levels", nargs="+", choices=LEVELS, default=LEVELS, help="of noise in the study")
+    parser.add_argument("--strategies", nargs="+", default=STRATEGIES, help="of the study; ratios are to the first")
     parser.add_argument("--starts", type=int, default=2, help="in each world of the study")
     parser.add_argument("--out", type=Path, metavar="DIR", help="keep episodes of the study here, and go on with them")
     parser.add_argument("--seed", type=int, default=0)
@@ -256,7 +270,7 @@ def main(argv=None):
         episodes(options.worlds, options.poses, options.episodes, options.seed)
     if options.study:
         worlds = [f"{kind}#{number}" for kind in options.kinds for number in range(options.study)]
-        study(worlds, options.starts, options.seed, options.out)
+        study(worlds, options.strategies, options.poses, options.levels, options.starts, options.seed, options.out)
 
 
 if __name__ == "__main__":

@@ -66,7 +66,7 @@ def form_for(shape: tuple[int, ...], *, coarse: bool = False) -> Form:
 def criteria(
     variant: str = "holz",
     *,
-    prominence: float = 1.0,
+    prominence: float | Array = 1.0,
     gamma: float = 3.0,
 ) -> Criteria:
     """Return `Criteria` of a variant. Lengths in cells."""

@@ -17,15 +17,8 @@ from jexplore.studies.statistics.paired import paired_ratio
 from jexplore.studies.statistics.sizes import sample_size, worlds_needed
 
 START = {"start_row": 3, "start_col": 4, "start_heading_deg": 90}
-REST = {
-    "turning_rad": 1.0,
-    "scans": 9,
-    "plans": 3,
-    "exhausted": 0,
-    "time_s": 2.0,
-    "energy_j": 5.0,
-    "room_entries": pd.NA,
-}
+REST = {"turning_rad": 1.0, "time_s": 2.0, "energy_j": 5.0, "scans": 9, "plans": 3, "exhausted": 0}
+REST["room_entries"] = pd.NA
 
 
 def episodes(paths, **columns):

@@ -20,6 +20,8 @@ from jexplore.policies.tour import inserted, two_opt
 from jexplore.reach import FAR, STRAIGHT, reach
 from jexplore.rules import Lidar
 
+pytestmark = pytest.mark.jit
+
 ONE_METRE = {"cell_m": 1.0}
 CROSS = Lidar(n_beams=4, fov_deg=360, range_m=4.0)  # in cells of one metre: four cells back, right, ahead, left
 STAR = Lidar(n_beams=8, fov_deg=360, range_m=1.5)  # the eight cells around
@@ -45,7 +47,6 @@ A, B, C = (1, 3), (1, 9), (1, 13)  # paths from the robot 4, 2, 6; A to B 6, B t
 # ---------------------------------------------------------------- by hand
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize(
     ("name", "numbers"),
     [
@@ -99,7 +100,6 @@ def test_small_first_puts_off_what_draws_the_robot_in():
         assert beliefs.target_of(f"small-first:{text}".rstrip(":"), belief, CROSS) == want
 
 
-@pytest.mark.jit
 def test_every_pair_of_criteria_has_a_weight_of_its_own():
     """The near one is best in unknown cells (3 to 1) and path, the far one in known cells (6 to 5)."""
     belief = beliefs.belief_of("############# ##########.## #???.R.....?# #############", **ONE_METRE)
@@ -108,7 +108,6 @@ def test_every_pair_of_criteria_has_a_weight_of_its_own():
         assert beliefs.target_of(f"mcdm:{text}".rstrip(":"), belief, CROSS) == want
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize(
     ("name", "numbers"),
     [
@@ -137,7 +136,6 @@ def everything(belief, beams):
     return at, clusters.seen_from(belief, at, beams), clusters.paths_apart(belief, at), known.traversable
 
 
-@pytest.mark.jit
 def test_targets_by_hand():
     belief = beliefs.belief_of(NICHES, **ONE_METRE)
     at, (unknown, seen_known), apart_m, _ = everything(belief, beliefs.table(STAR, belief))
@@ -164,7 +162,6 @@ def test_the_best_of_some_targets():
     assert clusters.best_of(at.replace(used=at.used & False), worth, worth > 0) == -1
 
 
-@pytest.mark.jit
 @given(st.integers(0, 2**30), st.integers(0, 12))
 @settings(max_examples=20, deadline=None)
 def test_costs_between_cells_are_those_from_each(seed, n):
@@ -185,7 +182,6 @@ def test_costs_between_cells_are_those_from_each(seed, n):
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 @pytest.mark.parametrize("clearance_d2", [0, 9])
 def test_distances_on_blocks_are_near_the_exact_ones(clearance_d2):
     """And the cells seen from the targets are those of a look-around at each."""
@@ -218,7 +214,6 @@ def test_distances_on_blocks_are_near_the_exact_ones(clearance_d2):
     assert compared > 20
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize("wall", [28, 31])
 def test_no_way_leads_through_a_thin_wall_beside_the_robot(wall):
     cells = np.full((60, 70), ".")
@@ -232,7 +227,6 @@ def test_no_way_leads_through_a_thin_wall_beside_the_robot(wall):
     assert apart_m[0, 1] > 0.9 * cost[at.row[1], at.col[1]] * 0.1 / STRAIGHT > 9
 
 
-@pytest.mark.jit
 def test_no_path_no_distance():
     """Two rooms, one of them with the robot in it: a target in the other cannot be, so both are given."""
     text = "######### #?..#..?# #..R#...# #########"
@@ -278,7 +272,6 @@ def length_of(lengths, route):
     return sum(float(lengths[a][b]) for a, b in itertools.pairwise(route))
 
 
-@pytest.mark.jit
 def test_a_route_by_hand():
     """B is the nearest stop. A and C are as near to the route then; A comes first, at the end, because that is 6 more
     and before B 8. C is 8 more in either gap and 10 at the end; the first gap is taken. Turned round as a whole it is
@@ -307,7 +300,6 @@ def best_turns(lengths, route, n):
         route = new
 
 
-@pytest.mark.jit
 def test_every_turn_is_tried_however_many_stops_there_are():
     """More than are tried together, in a table with room for more. City blocks tie, and are whole numbers."""
     for n, seed in ((8, 0), (8, 1), (20, 0), (20, 1)):
@@ -330,7 +322,6 @@ def nearest_insertion(lengths, n):
     return route
 
 
-@pytest.mark.jit
 @given(st.integers(0, 6), hnp.arrays(np.int64, (7, 2), elements=st.integers(0, 30)), st.integers(0, 2**32 - 1))
 @settings(max_examples=25)
 def test_routes_beside_all_permutations(n, places, seed):
@@ -376,7 +367,6 @@ def test_the_choquet_integral_by_hand():
 SHARES = hnp.arrays(np.float32, (3, 4), elements=st.floats(0, 1, width=32))
 
 
-@pytest.mark.jit
 @given(SHARES, hnp.arrays(np.float32, 3, elements=st.floats(0.0625, 1, width=32)))
 @settings(max_examples=20)
 def test_laws_of_the_choquet_integral(utilities, weights):

@@ -9,7 +9,7 @@ from PIL import Image
 
 from jexplore.cli import main
 from jexplore.config import InputError
-from jexplore.studies.dare import planners, rules, table
+from jexplore.studies.dare import own, planners, rules, table
 
 HALL = np.zeros((13, 93), bool)
 HALL[1:12, 1:92] = True  # 36.4 m long: the far end is seen from the third node on
@@ -50,6 +50,14 @@ def test_a_scan_shows_the_cells_round_a_beam_up_to_its_first_hit():
     explorer = rules.explorer(np.array([[0, 0, 0, 0, 0, 0], [0, 1, 1, 0, 1, 0], [0, 0, 0, 0, 0, 0]], bool), (1, 1))
     seen = explorer.belief[rules.PAD : -rules.PAD, rules.PAD : -rules.PAD]
     assert seen[1].tolist() == [rules.OCCUPIED, rules.FREE, rules.FREE, rules.OCCUPIED, rules.FREE, rules.UNKNOWN]
+
+
+def test_ariadnes_scanner_enters_the_cells_of_beams_alone_and_walls_in_depth():
+    explorer = rules.explorer(np.array([[1, 1, 0, 0, 1]], bool), (0, 0), rules.SCANNERS["ariadne"])
+    seen = explorer.belief[rules.PAD - 1 : rules.PAD + 1, rules.PAD : -rules.PAD]
+    assert seen[1].tolist() == [rules.FREE, rules.FREE, rules.OCCUPIED, rules.OCCUPIED, rules.UNKNOWN]
+    bare = rules.explorer(np.array([[1, 1, 0, 0, 1]], bool), (0, 0), rules.SCANNERS["bare"])
+    assert bare.belief[rules.PAD, rules.PAD + 3] == rules.UNKNOWN
 
 
 def test_a_frontier_cell_has_two_to_seven_unknown_neighbours():
@@ -185,3 +193,23 @@ def test_the_command_writes_a_row_a_planner(tmp_path, capsys):
     assert "# DARE, Table I" in capsys.readouterr().out
     found = pd.read_parquet(tmp_path / "o" / "dare.parquet")
     assert list(found["planner"]) == list(planners.PLANNERS)
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_own_rules_explore_the_same_map_from_the_same_start_above_the_bound(tmp_path, capsys, monkeypatch):
+    picture(tmp_path / "1.png")
+    monkeypatch.setattr(own, "STRATEGIES", ("closest+recheck", "closest"))
+    (world,) = own.worlds_of(tmp_path, 1)
+    free, (row, col) = rules.read_map(tmp_path / "1.png")
+    assert world.start == (249 - row, col, 0)
+    assert np.array_equal(~world.occupied[::-1], free)
+    command = ["reproduce", "dare", "--own-rules", "--maps", str(tmp_path), "--episodes", "1", "--workers", "1"]
+    assert main.main([*command, "--out", str(tmp_path / "o")]) == 0
+    assert "| closest+recheck |   1 of 1 |" in capsys.readouterr().out
+    bound = pd.read_parquet(tmp_path / "o" / "bounds.parquet")["low_any_m"].item()
+    paths = pd.read_parquet(tmp_path / "o" / "episodes.parquet").set_index("strategy")["path_m"]
+    assert (paths >= bound).all()
+    assert (tmp_path / "o" / "paths.png").is_file()
+    assert main.main(["reproduce", "--own-rules"]) == 2
+    assert "leave out --own-rules" in capsys.readouterr().err

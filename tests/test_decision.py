@@ -20,6 +20,8 @@ from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Stream
 from jexplore.rules import Lidar, Rules
 
+pytestmark = pytest.mark.jit
+
 LIDAR, ORIGIN = Lidar(n_beams=37, range_m=1.0), (-1.3, 2.7)
 POINT = Rules(clearance_m=0.0, near_m=0.0)
 
@@ -44,7 +46,6 @@ DRAWN = """
 """
 
 
-@pytest.mark.jit
 def test_target_path_and_scores_of_a_drawn_map():
     """No step cuts a corner of the pillar; two cells lie at the unknown ones."""
     grid, x, y = grid_of(DRAWN)
@@ -60,7 +61,6 @@ def test_target_path_and_scores_of_a_drawn_map():
     assert (unscored.cell, unscored.pose, unscored.path_m) == (found.cell, found.pose, found.path_m)
 
 
-@pytest.mark.jit
 def test_what_was_driven_can_be_driven_and_what_is_exhausted_is_not_chosen():
     grid, x, y = grid_of("??????\n#R#..?\n######")
     first = ask(grid, (x, y, 0.0))
@@ -76,7 +76,6 @@ def test_what_was_driven_can_be_driven_and_what_is_exhausted_is_not_chosen():
     assert across.path_m == 2
 
 
-@pytest.mark.jit
 def test_the_edge_of_a_grid_is_unknown_unless_it_is_the_outline():
     grid, x, y = grid_of("...\n.R.\n...")
     assert ask(grid, (x, y, 0.0)).path_m == 1
@@ -122,13 +121,11 @@ def check_episode(world, name, lidar, rules, *, episode=0, seed=3, most=10**6):
     return n
 
 
-@pytest.mark.jit
 def test_it_is_the_episodes_own_choice():
     assert check_episode(two_rooms(), "closest", LIDAR, Rules(), most=6) == 6
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 @pytest.mark.parametrize(
     "name", ["random", "tour+recheck", "learned+recheck", "decision-theoretic:samples=50", "closest+segment"]
 )
@@ -139,14 +136,12 @@ def test_it_is_the_episodes_own_choice_by_each_kind_of_strategy(name):
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 def test_it_is_the_episodes_own_choice_with_noise():
     noisy = Lidar(n_beams=91, range_m=2.0, sigma_m=0.05, dropout=0.1)
     assert check_episode("rooms#5:width_m=8,height_m=6", "closest", noisy, Rules(max_plans=100)) > 10
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 @pytest.mark.parametrize("name", ["closest", "utility", "mcdm", "small-first", "distance-advantage", "learned"])
 def test_the_target_has_the_highest_score(name):
     """A room with three exits; asking for scores does not change the choice."""
@@ -191,7 +186,6 @@ def test_wrong_input_is_refused_in_one_line(grid, pose, how, message):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.jit
 def test_a_strategy_of_ones_own_gives_its_scores_or_is_told_that_no_path_leads_there():
     grid, x, y = grid_of(DRAWN)
 
@@ -212,7 +206,6 @@ def test_a_strategy_of_ones_own_gives_its_scores_or_is_told_that_no_path_leads_t
         ask(grid, (x, y, 0.0), strategy=bad)
 
 
-@pytest.mark.jit
 def test_the_ros_node_answers_messages_with_goals(monkeypatch):
     """With the messages' types of rosbags in the place of those of ROS, which pip cannot install."""
     typesys = pytest.importorskip("rosbags.typesys")

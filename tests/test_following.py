@@ -286,8 +286,8 @@ def test_wrong_input_is_one_line():
     btm = load_world("course:obstacle=none").course.topology
     here, wide = jx.btm.route(btm, "wheeled", 0, 0), jx.btm.Robot("wheeled", 3, 3, 1, 5, 0.1, 1, 1, 0.5, 0, 45, 0.7)
     for routes, robot, message in [
-        ([], "wheeled", "expected a route"),
-        ([here], "wheeled", "must have a link"),
+        ([], "wheeled", "one jx.btm.Route or more"),
+        ([here], "wheeled", "with a link or more"),
         ([jx.btm.route(btm, "wheeled", 0, 5)], "tank", "robot must be one of"),
         ([jx.btm.route(btm, "wheeled", 0, 5)], wide, "not fit on link"),
         ([jx.btm.route(btm, "wheeled", 0, 5)], "kamui", "kamui cannot follow a route of wheeled"),

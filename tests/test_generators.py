@@ -440,14 +440,13 @@ def test_fewer_ways_round_and_the_same_rooms(kind):
 
 @pytest.mark.parametrize("kind", BUILDINGS)
 def test_a_share_of_the_doors_becomes_wide_openings(kind):
-    for seed in (1,):
-        plain, some, more = (BUILDINGS[kind](seed, cell_m=0.05, wide_openings=share) for share in (0.0, 0.1, 0.2))
-        gaps = [np.array([gap for gap, _, _ in doorways(world)]) * 0.05 for world in (plain, some, more)]
-        assert [len(gap) for gap in gaps] == [len(gaps[0])] * 3
-        wide = [(gap >= 1.6 - 1e-9).sum() for gap in gaps]
-        assert wide == [0, round(0.1 * len(gaps[0])), round(0.2 * len(gaps[0]))]
-        assert gaps[2].max() <= 2.65
-        assert (more.occupied <= some.occupied).all()
+    plain, some, more = (BUILDINGS[kind](1, cell_m=0.05, wide_openings=share) for share in (0.0, 0.1, 0.2))
+    gaps = [np.array([gap for gap, _, _ in doorways(world)]) * 0.05 for world in (plain, some, more)]
+    assert [len(gap) for gap in gaps] == [len(gaps[0])] * 3
+    wide = [(gap >= 1.6 - 1e-9).sum() for gap in gaps]
+    assert wide == [0, round(0.1 * len(gaps[0])), round(0.2 * len(gaps[0]))]
+    assert gaps[2].max() <= 2.65
+    assert (more.occupied <= some.occupied).all()
 
 
 def test_corridors_of_an_office_differ_in_width():
@@ -509,13 +508,12 @@ def test_a_place_behind_a_slot_is_filled_until_no_robot_can_stand_there():
 
 @pytest.mark.parametrize("kind", BUILDINGS)
 def test_a_seed_is_one_building_at_every_cell(kind):
-    for seed in (0,):
-        fine, *others = (BUILDINGS[kind](seed, cell_m=cell_m) for cell_m in (0.05, 0.1, 0.2))
-        for world in others:
-            assert world.rooms.max() == fine.rooms.max()
-            assert len(doorways(world)) == len(doorways(fine))
-            assert world.free_m2 == pytest.approx(fine.free_m2, rel=0.05)
-            np.testing.assert_allclose(_room_middles(world), _room_middles(fine), atol=0.25)
+    fine, *others = (BUILDINGS[kind](0, cell_m=cell_m) for cell_m in (0.05, 0.1, 0.2))
+    for world in others:
+        assert world.rooms.max() == fine.rooms.max()
+        assert len(doorways(world)) == len(doorways(fine))
+        assert world.free_m2 == pytest.approx(fine.free_m2, rel=0.05)
+        np.testing.assert_allclose(_room_middles(world), _room_middles(fine), atol=0.25)
 
 
 def _room_middles(world):
@@ -529,23 +527,12 @@ def _sizes(low_w, low_h, high, **others):
     return st.fixed_dictionaries(fixed | others)
 
 
+UNEVEN = {"corridor_sd_m": st.floats(0, 1), "max_loops": st.floats(0, 20)}
+OFFICE = {"corridor_m": st.floats(1.5, 3), "room_m": st.floats(2.6, 6), "open_plan": st.booleans(), **UNEVEN}
 DRAWN = {
     "cave": _sizes(6, 6, 20, free=st.floats(0.5, 0.9), passage_m=st.floats(0.8, 1.0)),
-    "office": _sizes(
-        *(14, 9, 50),
-        corridor_m=st.floats(1.5, 3),
-        room_m=st.floats(2.6, 6),
-        corridor_sd_m=st.floats(0, 1),
-        max_loops=st.floats(0, 20),
-        open_plan=st.booleans(),
-    ),
-    "hospital": _sizes(
-        *(32, 11, 60),
-        corridor_m=st.floats(1.8, 3.5),
-        room_m=st.floats(3.4, 7),
-        corridor_sd_m=st.floats(0, 1),
-        max_loops=st.floats(0, 20),
-    ),
+    "office": _sizes(14, 9, 50, **OFFICE),
+    "hospital": _sizes(32, 11, 60, corridor_m=st.floats(1.8, 3.5), room_m=st.floats(3.4, 7), **UNEVEN),
     "maze": _sizes(8, 8, 20, corridor_m=st.floats(1.4, 3), wall_m=st.floats(0.05, 0.6), loops=st.floats(0, 1)),
     "rooms": _sizes(8, 8, 30, room_m=st.floats(2, 4), extra_doors=st.floats(0, 1)),
 }
@@ -579,13 +566,8 @@ def test_wrong_numbers_are_refused_in_one_line(kind):
         assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("kind", BUILDINGS)
-def test_furniture_in_cells_that_it_would_fill_is_refused(kind):
-    BUILDINGS[kind](0, cell_m=0.25)
-    with pytest.raises(InputError, match=rf"{kind}: furniture needs a cell_m of at most 0\.2, got 0\.25"):
-        BUILDINGS[kind](0, cell_m=0.25, furniture=0.1)
-
-
-def test_a_maze_that_no_robot_passes_is_refused():
+def test_cells_too_large_for_furniture_or_corridors_are_refused():
+    with pytest.raises(InputError, match=r"office: furniture needs a cell_m of at most 0\.2, got 0\.25"):
+        office(0, cell_m=0.25, furniture=0.1)
     with pytest.raises(InputError, match=r"corridor_m = 0\.8 leaves [012] cells of 0\.3 m"):
         maze(0, cell_m=0.3, corridor_m=0.8)

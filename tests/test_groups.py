@@ -13,6 +13,8 @@ from scipy import ndimage
 
 from jexplore.arrays import groups
 
+pytestmark = pytest.mark.jit
+
 SHAPES = ((1, 1), (3, 40), (70, 5))  # wider and taller than a machine word
 masks = st.tuples(st.sampled_from(SHAPES), st.sampled_from((0.0, 0.1, 0.4, 1.0)), st.integers(0, 2**30)).map(
     lambda case: np.random.default_rng(case[2]).random(case[0]) < case[1]
@@ -21,7 +23,6 @@ GROUPED = jax.jit(groups.grouped, static_argnames=("size", "part"))
 EIGHT = np.ones((3, 3))
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize("part", [1, 2, 4, 8])
 def test_groups_by_hand(part):
     """Two groups that begin in one row; the first takes in what seems a third one until the last row."""
@@ -31,7 +32,6 @@ def test_groups_by_hand(part):
     assert (int(found.count), int(found.overflow)) == (7, 0)
 
 
-@pytest.mark.jit
 def test_cells_that_do_not_fit_are_counted_and_whole_parts_are_made():
     found = GROUPED(jnp.asarray(maps.walls("####")), size=3, part=2)
     assert found.cell.tolist() == [0, 1, 2, 4]
@@ -39,7 +39,6 @@ def test_cells_that_do_not_fit_are_counted_and_whole_parts_are_made():
     assert (int(found.count), int(found.overflow)) == (3, 1)
 
 
-@pytest.mark.jit
 @given(masks, st.sampled_from((7, 64, 80)))
 @settings(max_examples=25, deadline=None)
 def test_groups_are_scipys(mask, part):
@@ -56,7 +55,6 @@ def test_groups_are_scipys(mask, part):
     assert (int(found.count), int(found.overflow)) == (n, mask.sum() - n)
 
 
-@pytest.mark.jit
 def test_a_long_winding_group_is_one_and_rows_of_a_batch_are_independent():
     mask = np.ones((21, 20), bool)
     mask[1::2] = False

@@ -13,6 +13,8 @@ from jexplore.studies.replays import replay_of
 from jexplore.studies.room_variants import RoomSettings, divided
 from jexplore.worlds.world import occupancy_to_world
 
+pytestmark = pytest.mark.jit
+
 LIDAR = Lidar(n_beams=37, range_m=1.0)
 START = 20, 12, 90
 
@@ -40,7 +42,6 @@ def both(jit_on):
         return [explore(world, "closest", start=at, lidar=LIDAR) for world, at in ((PLAIN, START), (WALLED, walled))]
 
 
-@pytest.mark.jit
 def test_an_episode_begins_where_it_was_told_to_and_keeps_its_cells(both):
     one, other = both
     assert one.start == START
@@ -57,7 +58,6 @@ def test_an_episode_begins_where_it_was_told_to_and_keeps_its_cells(both):
     assert {name: one.measures[name] for name in same} == {name: other.measures[name] for name in same}
 
 
-@pytest.mark.jit
 def test_so_do_its_frames_and_its_page(both):
     for one, other in zip(*(list(frames(made, max_frames=4)) for made in both)):
         assert (one.row + 1, one.col + 1) == (other.row, other.col)
@@ -69,7 +69,6 @@ def test_so_do_its_frames_and_its_page(both):
     assert np.array_equal(pages[0].known_m2, pages[1].known_m2)
 
 
-@pytest.mark.jit
 def test_so_do_paths_and_maps_of_a_comparison():
     found = [jx.compare(world, "closest", episodes=2, lidar=LIDAR, keep="maps") for world in (PLAIN, WALLED)]
     key = "mine", "closest"
@@ -81,7 +80,6 @@ def test_so_do_paths_and_maps_of_a_comparison():
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 def test_so_do_views_actions_and_paths_of_an_environment():
     envs = [jx.Environment(world, lidar=LIDAR, paths=True) for world in (PLAIN, WALLED)]
     start, key = np.array(START, np.int32), jax.random.key(0)
@@ -102,7 +100,6 @@ def test_so_do_views_actions_and_paths_of_an_environment():
     assert np.array_equal(envs[0].path(state) + 1, envs[1].path(other))
 
 
-@pytest.mark.jit
 def test_worlds_of_an_environment_may_differ_in_their_edges():
     env = jx.Environment([PLAIN, WALLED.replace(name="walled")], lidar=LIDAR)
     for world, ring in enumerate((0, 1)):
@@ -123,7 +120,6 @@ def test_a_learner_sees_the_cells_of_the_array():
     assert np.array_equal(np.flatnonzero(info["action_mask"]), np.flatnonzero(seen["frontier"]))
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize("variant", ["voronoi", "distance", "wurm"])
 def test_rooms_are_those_of_the_same_plan_in_walls(variant):
     made = [
@@ -135,7 +131,6 @@ def test_rooms_are_those_of_the_same_plan_in_walls(variant):
     assert np.array_equal(cells[0] + 1, cells[1])
 
 
-@pytest.mark.jit
 def test_figures_of_a_building_are_those_of_the_same_plan_in_walls():
     assert geometry(PLAIN) == geometry(WALLED)
 

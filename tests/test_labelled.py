@@ -14,6 +14,8 @@ from jexplore.studies.comparison import compare
 from jexplore.studies.sweeps.run import sweep
 from jexplore.worlds.readers.ros import read_ros
 
+pytestmark = pytest.mark.jit
+
 xarray = pytest.importorskip("xarray", reason="needs xarray: pip install 'jexplore[xarray]'")
 WORLDS = [two_rooms("one", 12, 20, 2), two_rooms("two", 14, 16, 2)]
 
@@ -25,7 +27,6 @@ def found(jit_on):
         return compare(WORLDS, ["closest", "random"], episodes=3, lidar=lidar, rules=rules, keep="maps")
 
 
-@pytest.mark.jit
 def test_every_number_is_in_its_place(found):
     made = found.to_xarray()
     assert dict(made.sizes) | {"step": 0} == {
@@ -52,7 +53,6 @@ def test_every_number_is_in_its_place(found):
     assert made["cell_m"].values.tolist() == [world.cell_m for world in WORLDS]
 
 
-@pytest.mark.jit
 def test_what_is_missing_is_told(found):
     fewer = dataclasses.replace(found, episodes=found.episodes.iloc[1:], progress={}, paths={}, maps={})
     here = fewer.to_xarray().sel(world="one", strategy="closest", episode=0)
@@ -62,7 +62,6 @@ def test_what_is_missing_is_told(found):
     assert "map" not in fewer.to_xarray()
 
 
-@pytest.mark.jit
 @pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::UserWarning", "ignore::DeprecationWarning")
 def test_netcdf_gives_it_back(found, tmp_path):
     pytest.importorskip("h5netcdf", reason="needs h5netcdf: pip install 'jexplore[xarray]'")
@@ -74,7 +73,6 @@ def test_netcdf_gives_it_back(found, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 def test_settings_are_coordinates():
     asked = {
         "worlds": ["rooms:width_m=5,height_m=5"],
@@ -94,7 +92,6 @@ def test_settings_are_coordinates():
     assert made["path_m"].sel({key: row[key] for key in keys}) == row["path_m"]
 
 
-@pytest.mark.jit
 def test_maps_are_ros_maps_to_the_cell(found, tmp_path):
     files = found.save_maps(tmp_path / "maps")
     assert len(files) == 12
@@ -104,7 +101,6 @@ def test_maps_are_ros_maps_to_the_cell(found, tmp_path):
         np.testing.assert_array_equal(occupancy, to_occupancy(state))
 
 
-@pytest.mark.jit
 def test_no_maps_and_no_xarray(found, monkeypatch, tmp_path):
     with pytest.raises(InputError, match="no maps were kept"):
         dataclasses.replace(found, maps={}).save_maps(tmp_path)

@@ -140,6 +140,13 @@ def test_a_run_stands_with_submit_alone(capsys):
         assert "expected the folder of a run with submit" in capsys.readouterr().err
 
 
+def test_outside_a_checkout_one_line_says_where_entries_are(tmp_path, capsys):
+    assert main.main(["league", "--entries", str(tmp_path / "none")]) == 2
+    err = capsys.readouterr().err
+    assert "of a checkout of the repository with --entries" in err
+    assert err.count("\n") == 1
+
+
 def test_the_entries_of_the_repository():
     folder = Path(__file__).parents[1] / "leagues" / "exploration-240"
     entries = league.read_entries(folder, "exploration-240")

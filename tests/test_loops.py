@@ -18,6 +18,8 @@ from jexplore.arrays.loops import (
     take,
 )
 
+pytestmark = pytest.mark.jit
+
 
 def bumped(x, table):
     """A condition that closes over arrays, within a loop, with a pytree as its state."""
@@ -38,7 +40,6 @@ def kept(x, y):
     return stored(x > -100, lambda: {"sum": x + y, "twice": 2 * x})
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize("n", [1, SHARE, 2 * SHARE + 1])
 @pytest.mark.parametrize(
     "function",
@@ -54,20 +55,17 @@ def test_many_at_a_time_are_as_many_alone(function, n):
         jax.tree.map(lambda many, one, i=i: np.testing.assert_array_equal(many[i], one), together, plain)
 
 
-@pytest.mark.jit
 def test_a_condition_may_be_common_to_all():
     both = [jax.vmap(lambda x, c=c: run_if(c, lambda x: x + 1, x))(jnp.arange(4)) for c in (jnp.bool_(False), True)]
     assert [b.tolist() for b in both] == [[0, 1, 2, 3], [1, 2, 3, 4]]
 
 
-@pytest.mark.jit
 def test_a_loop_over_what_lanes_share_and_what_they_do_not():
     limits = jnp.asarray([3, 8, 0])
     counts = jax.vmap(lambda limit: repeat(lambda n: n < limit, lambda n: n + (n < limit), jnp.int32(0)))(limits)
     assert counts.tolist() == [3, 8, 0]
 
 
-@pytest.mark.jit
 def test_a_condition_works_on_the_lanes_that_need_it_only():
     """An eighth of the lanes at a time."""
     text = str(jax.make_jaxpr(jax.vmap(lambda x: run_if(x > 3, lambda x: jnp.sin(x), x)))(jnp.arange(32.0)))
@@ -100,7 +98,6 @@ def small_steps(grid, at, by, unused):
 GRIDS = {(5, 7): 1, (1, 1): 0}
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize("shape", [(5, 7), pytest.param((1, 1), marks=pytest.mark.slow)])
 def test_one_kernel_is_the_function_wherever_it_stands(shape):
     """Alone, of constants, in loops, under a condition, twice, for many: XLA ends the process over some of these."""

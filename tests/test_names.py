@@ -177,32 +177,21 @@ def generators(monkeypatch):
 
 
 @pytest.mark.usefixtures("generators")
-def test_a_generator_gets_its_seed_cell_and_parameters():
+def test_a_generator_gets_its_seed_cell_and_parameters_and_its_world_has_them_as_its_name():
     CALLS.clear()
     load_world("bare")
-    load_world("bare#3:width_m=2,n_doors=4,loops=true,style=grand,height_m=5", cell_m=0.5)
+    name = "bare#3:width_m=2,n_doors=4,loops=true,style=grand,height_m=5"
+    world = load_world(name, cell_m=0.5)
     assert CALLS == [(0, 0.1, 1.0, 2, False, "plain", None), (3, 0.5, 2.0, 4, True, "grand", 5)]
     assert type(CALLS[1][2]) is float
-
-
-@pytest.mark.usefixtures("generators")
-def test_a_world_has_its_cells_and_its_name_verbatim():
-    world = load_world("bare#3:width_m=2,n_doors=4,loops=true,style=grand,height_m=5", cell_m=0.5)
-    assert world.name == "bare#3:width_m=2,n_doors=4,loops=true,style=grand,height_m=5"
-    assert world.shape == (2, 4)
-    assert world.cell_m == 0.5
-    assert world.origin_m == (0.0, 0.0)
+    assert world.name == name
+    assert (world.shape, world.cell_m, world.origin_m) == ((2, 4), 0.5, (0.0, 0.0))
 
 
 @pytest.mark.usefixtures("generators")
 def test_what_a_generator_takes_is_read_from_its_signature():
-    assert generator_parameters("bare") == {
-        "width_m": 1.0,
-        "n_doors": 2,
-        "loops": False,
-        "style": "plain",
-        "height_m": None,
-    }
+    defaults = {"width_m": 1.0, "n_doors": 2, "loops": False, "style": "plain", "height_m": None}
+    assert generator_parameters("bare") == defaults
     assert generator_parameters("full") == {}
 
 

@@ -23,6 +23,7 @@ NAMES = (
     "sweep",
     "learned",
     "maps_shared",
+    "drift",
 )
 KERNEL = {"display_name": "Python 3", "language": "python", "name": "python3"}
 MOST_BYTES = 150_000  # of a notebook

@@ -14,6 +14,8 @@ from jexplore.rules import Lidar, Rules
 from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
 
+pytestmark = pytest.mark.jit
+
 OCCUPIED, ROOMS = maps.cluttered(3, 33, 41)
 LIDAR = Lidar(n_beams=37, range_m=1.5)
 MODIFIED = ("closest+recheck+segment", "small-first+recheck+segment=rooms", "decision-theoretic+segment=voronoi")
@@ -43,7 +45,6 @@ def check(names, lidar, rules, engine, thicknesses, n=2):
     assert min(int(outcomes.result.plans.min()) for outcomes in found) >= 3
 
 
-@pytest.mark.jit
 def test_rock_round_a_world_changes_no_episode():
     """Of 1 cell the blocks lie otherwise in the map, of 20 the padded map is larger."""
     names = ("small-first+recheck",)
@@ -51,7 +52,6 @@ def test_rock_round_a_world_changes_no_episode():
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 @pytest.mark.parametrize(
     ("clearance_m", "own", "engine", "modified"),
     [
@@ -65,7 +65,6 @@ def test_rock_changes_no_episode_of_any_strategy(clearance_m, own, engine, modif
     check(names, lidar, Rules(clearance_m=clearance_m), engine, (1, 2, 3), n=1)
 
 
-@pytest.mark.jit
 def test_a_known_outline_is_of_use():
     """The same rock then shortens what a strategy expects to see: its episodes are others."""
     names, rules = ("small-first+recheck",), Rules(clearance_m=0.2, known_outline=True)

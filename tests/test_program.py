@@ -16,6 +16,8 @@ from jexplore.engine.lanes import Group
 from jexplore.engine.program import Line, Program, given_of, split
 from jexplore.engine.runner import find_resources, run_all
 
+pytestmark = pytest.mark.jit
+
 ROOM = 2000  # a large array
 
 
@@ -93,7 +95,6 @@ def by_hand(line, number):
     return state
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize(
     "how",
     [
@@ -118,7 +119,6 @@ def test_runs_are_those_that_a_loop_makes(how):
     assert len({tuple(line.results["at"].tolist()) for line in lines}) == 3
 
 
-@pytest.mark.jit
 def test_arrays_of_a_run_that_is_done_are_kept():
     """Whatever `advance` would make of them. A run ends in every turn, and waits for another."""
     program = Program(
@@ -138,7 +138,6 @@ def test_arrays_of_a_run_that_is_done_are_kept():
         assert (line.detail == tasks[0]).all()
 
 
-@pytest.mark.jit
 def test_one_run_of_many_can_be_made_alone():
     whole, _ = run(workers=1)
     for in_lanes in (False, True):
@@ -171,7 +170,6 @@ def test_scalars_and_arrays_are_told_apart():
     jax.tree.map(np.testing.assert_array_equal, join(scalars, arrays), numbers)
 
 
-@pytest.mark.jit
 def test_the_program_of_the_examples_runs_on_cores_and_in_lanes():
     line = runpy.run_path(str(Path(__file__).resolve().parents[1] / "examples" / "program.py"))["line"]
     run_all([line], find_resources())

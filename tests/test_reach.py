@@ -28,6 +28,8 @@ from jexplore.reach import (
     saturated,
 )
 
+pytestmark = pytest.mark.jit
+
 S, D = STRAIGHT, DIAGONAL
 SHAPES = ((1, 1), (1, 8), (7, 1), (7, 9))
 LAY, SATURATED = jax.jit(lay_route), jax.jit(saturated)
@@ -105,7 +107,6 @@ def test_ties_go_to_the_first_motion_in_the_order():
     np.testing.assert_array_equal(came[::-1], by_hand)
 
 
-@pytest.mark.jit
 def test_the_nearest_source_of_a_long_map():
     """Rows that lie further from the first one than any path may be long."""
     free = np.zeros((3968, 32), bool)
@@ -120,7 +121,6 @@ def test_the_nearest_source_of_a_long_map():
     np.testing.assert_array_equal(found >= 0, free)
 
 
-@pytest.mark.jit
 def test_edge_cases():
     for passable in (np.ones((1, 1), bool), np.zeros((1, 1), bool)):
         cost = reach(jnp.asarray(passable), 0, 0)
@@ -141,7 +141,6 @@ def test_a_start_in_a_wall_can_be_left():
     assert cost.tolist() == [[D, S, D], [S, 0, S], [D, S, D]]
 
 
-@pytest.mark.jit
 @given(places())
 @settings(max_examples=200, deadline=None)
 def test_costs_and_predecessors_are_dijkstras(place):
@@ -153,7 +152,6 @@ def test_costs_and_predecessors_are_dijkstras(place):
     assert SATURATED(cost, jnp.asarray(passable)) == 0
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize("seed", range(4))
 def test_a_labyrinth_of_one_long_way_is_dijkstras(seed):
     """Many turns: the sweeps must run until nothing changes, and no further."""
@@ -166,7 +164,6 @@ def test_a_labyrinth_of_one_long_way_is_dijkstras(seed):
         np.testing.assert_array_equal(cost, plans.dijkstra(passable, (row, col))[0])
 
 
-@pytest.mark.jit
 @given(places(), st.integers(0, 3), st.booleans())
 @settings(max_examples=40, deadline=None)
 def test_costs_turn_and_mirror_with_the_map(place, quarters, mirror):
@@ -184,7 +181,6 @@ def test_costs_turn_and_mirror_with_the_map(place, quarters, mirror):
     )
 
 
-@pytest.mark.jit
 @given(places())
 @settings(max_examples=60, deadline=None)
 def test_no_neighbour_offers_a_cheaper_way(place):
@@ -197,7 +193,6 @@ def test_no_neighbour_offers_a_cheaper_way(place):
     assert (cost[~passable] == FAR).all()
 
 
-@pytest.mark.jit
 @given(places())
 @settings(max_examples=60, deadline=None)
 def test_every_route_leads_from_the_start_to_its_target_at_the_exact_cost(place):
@@ -221,7 +216,6 @@ def test_a_route_from_a_window_by_hand():
     np.testing.assert_array_equal(route, [[5] * 6, [5, 5, 0, 0, 5, 5], [5] * 6])
 
 
-@pytest.mark.jit
 def test_empty_space_around_changes_nothing():
     passable = np.random.default_rng(2).random((7, 9)) < 0.75
     passable[3, 4] = True
@@ -234,7 +228,6 @@ def test_empty_space_around_changes_nothing():
     np.testing.assert_array_equal(predecessors(cost_wide, jnp.asarray(wide))[:7, :9], came)
 
 
-@pytest.mark.jit
 def test_rows_of_a_batch_are_independent():
     passable = jnp.asarray(np.random.default_rng(5).random((3, 7, 9)) < [[[0.6]], [[0.9]], [[1.0]]])
     rows, cols = jnp.asarray([0, 3, 6]), jnp.asarray([0, 4, 8])
@@ -256,7 +249,6 @@ def test_rows_of_a_batch_are_independent():
         jax.tree.map(lambda many, single, i=i: np.testing.assert_array_equal(many[i], single), batch, alone)
 
 
-@pytest.mark.jit
 def test_costs_saturate_below_far_and_are_counted():
     """A row of 16,390 cells: 16,383 steps fit, the next would cost FAR."""
     row = jnp.ones((1, 16390), bool)
@@ -270,7 +262,6 @@ def test_costs_saturate_below_far_and_are_counted():
     assert SATURATED(reach(row, 0, 20000), row) == 2
 
 
-@pytest.mark.jit
 @given(places(), st.integers(0, 2**30))
 @settings(max_examples=100, deadline=None)
 def test_with_goals_costs_are_final_up_to_the_cheapest_goals(place, seed):
@@ -305,7 +296,6 @@ def flooded(passable, row, col):
     return bits.unpack(flood(bits.pack(passable), row, col), passable.shape[0])
 
 
-@pytest.mark.jit
 @given(place=places(), seed=st.integers(0, 2**30), steps=st.integers(-1, 12))
 @settings(max_examples=100, deadline=None)
 def test_costs_are_final_up_to_the_limit_and_the_cheapest_goals(place, seed, steps):
@@ -322,7 +312,6 @@ def test_costs_are_final_up_to_the_limit_and_the_cheapest_goals(place, seed, ste
         np.testing.assert_array_equal(flat_predecessors(came)[final], pred[final])
 
 
-@pytest.mark.jit
 def test_costs_do_not_end_at_a_goal_that_it_has_met_but_not_settled():
     """Four diagonal motions cost more than five straight ones would."""
     goals = np.zeros((6, 6), bool)
@@ -331,7 +320,6 @@ def test_costs_do_not_end_at_a_goal_that_it_has_met_but_not_settled():
     assert (cost[4, 4], cost[0, 5]) == (4 * D, 5 * S)
 
 
-@pytest.mark.jit
 def test_goals_of_equal_cost_are_all_final():
     """Two goals at the same cost, one of which the first sweeps reach by a longer way."""
     rows = ["..#....", "..#.##.", "..#.#..", "..#.#.#", "....#..", ".####..", "......."]
@@ -342,7 +330,6 @@ def test_goals_of_equal_cost_are_all_final():
         np.testing.assert_array_equal(limited(passable, goals, 0, 0, FAR)[goals], cost)
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize("turns", range(4))
 @pytest.mark.parametrize("wide", [1, 3])
 def test_a_goal_behind_a_wall_is_found_however_far_the_way_round_is(turns, wide):
@@ -358,7 +345,6 @@ def test_a_goal_behind_a_wall_is_found_however_far_the_way_round_is(turns, wide)
     assert cost[goals] == exact[goals] > 80 * S
 
 
-@pytest.mark.jit
 @given(place=places(), stands=st.booleans())
 @settings(max_examples=100, deadline=None)
 def test_a_flood_reaches_what_has_a_cost(place, stands):
@@ -368,7 +354,6 @@ def test_a_flood_reaches_what_has_a_cost(place, stands):
     np.testing.assert_array_equal(flooded(jnp.asarray(passable), row, col), want)
 
 
-@pytest.mark.jit
 @given(
     seed=st.integers(0, 2**30),
     share=st.sampled_from((0.55, 0.6, 0.65, 0.8)),
@@ -391,7 +376,6 @@ def test_a_flood_by_hand():
     assert np.argwhere(found).tolist() == [[0, 30], [0, 31], [0, 32], [0, 33], [0, 34]]
 
 
-@pytest.mark.jit
 def test_a_flood_has_no_limit_of_cost_and_keeps_its_start():
     winding = np.ones((183, 183), bool)  # one corridor that turns back and forth
     winding[1::4, :-1], winding[3::4, 1:] = False, False
@@ -410,7 +394,6 @@ def nearest(passable, sources, n):
     return nearest_source(bits.pack(passable), padded, n)[: passable.shape[0]]
 
 
-@pytest.mark.jit
 def test_the_nearest_source_by_hand():
     passable = ~maps.walls("....#... .##.#.#. ...#..#.")
     sources = np.full((3, 8), -1, np.int32)
@@ -420,7 +403,6 @@ def test_the_nearest_source_by_hand():
     np.testing.assert_array_equal(nearest(passable, sources, 3)[::-1], by_hand)
 
 
-@pytest.mark.jit
 def test_a_diagonal_motion_counts_99_and_a_straight_one_70():
     """Five diagonal motions are longer than seven straight ones, and shorter than that and one diagonal one."""
     passable = np.zeros((7, 9), bool)
@@ -435,7 +417,6 @@ def test_a_diagonal_motion_counts_99_and_a_straight_one_70():
     np.testing.assert_array_equal(found == 1, length < np.inf)
 
 
-@pytest.mark.jit
 @given(place=places(((1, 8), (7, 9))), seed=st.integers(0, 2**30))
 @settings(max_examples=80, deadline=None)
 def test_the_nearest_source_is_dijkstras_from_every_source(place, seed):
@@ -454,7 +435,6 @@ def test_the_nearest_source_is_dijkstras_from_every_source(place, seed):
     np.testing.assert_array_equal(nearest(passable, sources, 3), expected)
 
 
-@pytest.mark.jit
 def test_sources_of_a_batch_are_independent():
     draw = np.random.default_rng(7)
     passable, sources = draw.random((3, 7, 9)) < 0.8, draw.integers(-40, 3, (3, 7, 9)).astype(np.int32).clip(-1)

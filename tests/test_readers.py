@@ -111,14 +111,10 @@ def test_a_wall_of_one_pixel_parts_the_world_at_any_cell_size(wall):
         assert min(labels[0, -1], labels[-1, 0]) > 0
 
 
-def test_resample_refuses_a_large_world_before_allocating():
+def test_too_large_a_world_is_refused_before_allocating_and_says_which_cell_would_do():
     picture = np.zeros((2, 2), bool)
     assert resample(picture, (1, 1024), 0.5, name="").shape == (MAX_SIDE, 4)
-    refused("'m.png': 4097 x 1 cells are more than 4096", resample, picture, (0.1, 2048.1), 1.0, name="m.png")
     refused("over a billion cells are more than 4096", resample, picture, (1e6, 1e6), 0.001, name="")
-
-
-def test_too_large_a_world_says_which_cell_would_do():
     picture = np.zeros((3, 2), bool)
     line = r"'m.png': 12345 x 6 cells are more than 4096 a side; use a larger cell_m, at least 0.31, or cut"
     refused(line, resample, picture, (0.3, 411.5), 0.1, name="m.png")  # 1234.5 m in 4094 cells and a ring: 0.3015 m
@@ -275,11 +271,8 @@ def test_images_that_are_no_map_are_refused(tmp_path):
     refused("no pixel is free; the brightest opaque grey is 40 and free is 250", load_world, f"{black}@0.1")
     refused("free must be a number at least 0 and at most 255, got 256", load_world, f"{white}@0.1:free=256")
     refused("free must be a number", load_world, f"{white}@0.1:free=bright")
-    refused(
-        "no parameter 'fre'; it takes free, inside, inside_x_m, inside_y_m .did you mean 'free'",
-        load_world,
-        f"{white}@0.1:fre=1",
-    )
+    line = "no parameter 'fre'; it takes free, inside, inside_x_m, inside_y_m .did you mean 'free'"
+    refused(line, load_world, f"{white}@0.1:fre=1")
     refused("30000 x 30000 cells are more than 4096", load_world, f"{white}@1000")
     line = save(tmp_path / "line.png", np.vstack([np.zeros((1, 4)), np.full((3, 4), 255)]))
     refused("no pixel is free within the box round the occupied ones", load_world, f"{line}@4x4")
@@ -474,23 +467,20 @@ def test_a_mask_of_0_and_1_in_mode_raw_has_no_wall_and_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "resolution"),
-    [("010", 10), ("0x10", 16), ("1e-1", 0.1), ("'0.5'", 0.5), ("4:30", None), ("1_0", None), ("0b1", None)],
+    ("key", "text", "value"),
+    [
+        *(("resolution_m", text, value) for text, value in (("010", 10), ("0x10", 16), ("1e-1", 0.1), ("'0.5'", 0.5))),
+        *(("resolution_m", text, None) for text in ("4:30", "1_0", "0b1")),
+        *(("negate", word, value) for word, value in (("yes", 1), ("On", 1), ("no", 0), ("n", 0), ("true", 1))),
+    ],
 )
-def test_numbers_are_those_of_yaml_1_2(tmp_path, text, resolution):
-    path = ros_map(tmp_path, [[254]], resolution="HERE")
+def test_values_are_those_of_yaml_1_2_and_the_map_server(tmp_path, key, text, value):
+    path = ros_map(tmp_path, [[254]], **{key.removesuffix("_m"): "HERE"})
     path.write_text(path.read_text().replace("HERE", text))
-    if resolution is None:
+    if value is None:
         refused(f"resolution must be a number .* got '{text}'", read_ros, path)
     else:
-        assert read_ros(path)[1].resolution_m == resolution
-
-
-@pytest.mark.parametrize(("word", "negate"), [("yes", True), ("On", True), ("no", False), ("n", False), ("true", True)])
-def test_negate_may_be_a_word_as_for_the_map_server(tmp_path, word, negate):
-    path = ros_map(tmp_path, [[254]], negate="HERE")
-    path.write_text(path.read_text().replace("HERE", word))
-    assert read_ros(path)[1].negate is negate
+        assert getattr(read_ros(path)[1], key) == value
 
 
 NUMBERS = ("1e308", "-1e308", "1e-300", "5e-324", "1e999", ".inf", "-.inf", ".nan", "0", "-0.0", "1e-4", "1:1:1", "1_0")

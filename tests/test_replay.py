@@ -16,6 +16,8 @@ from jexplore.rules import Lidar, Rules
 from jexplore.studies import explore
 from jexplore.studies.comparison import compare
 
+pytestmark = pytest.mark.jit
+
 LIDAR = Lidar(n_beams=37, range_m=1.0)
 
 
@@ -29,7 +31,6 @@ ROUGH = Lidar(n_beams=37, range_m=1.0, sigma_m=0.3, dropout=0.1)
 VIEWS = "decision-theoretic+recheck:samples=20,min_gain=3"
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize(
     ("strategy", "lidar", "rules", "number"),
     [
@@ -71,7 +72,6 @@ def test_the_replay_is_the_episode(strategy, lidar, rules, number):
         assert any(plan.is_view for plan in plans)
 
 
-@pytest.mark.jit
 def test_exhausted_targets_are_marked_in_the_replay():
     """A robot with one short beam sees nothing new from where it stands, however it turns."""
     lidar = Lidar(n_beams=1, range_m=0.25)
@@ -81,14 +81,12 @@ def test_exhausted_targets_are_marked_in_the_replay():
     assert int(last.belief.exhausted.sum()) == episode.measures["exhausted"]
 
 
-@pytest.mark.jit
 def test_an_episode_of_more_plans_than_are_kept_is_refused(made):
     lost = dataclasses.replace(made, final=made.final._replace(plans=None))
     with pytest.raises(InputError, match="no replay, it made more plans than are kept"):
         list(explore.frames(lost))
 
 
-@pytest.mark.jit
 def test_frames(made):
     frames = list(explore.frames(made, max_frames=10))
     n = made.measures["steps"]
@@ -108,7 +106,6 @@ def test_frames(made):
     assert len(list(explore.frames(made, max_frames=10**6))) == n + 1
 
 
-@pytest.mark.jit
 def test_an_episode_is_that_number_of_a_comparison(made):
     rows = compare(two_rooms(), "closest+recheck", episodes=3, seed=3, lidar=LIDAR).to_pandas()
     third = explore.explore(two_rooms(), "closest+recheck", seed=3, episode=2, lidar=LIDAR)
@@ -119,7 +116,6 @@ def test_an_episode_is_that_number_of_a_comparison(made):
     assert made.start != third.start
 
 
-@pytest.mark.jit
 def test_pictures(made, tmp_path):
     drawn = []
     made.save_gif(tmp_path / "a.gif", max_frames=5, on_progress=drawn.append)

@@ -17,6 +17,8 @@ from jexplore.studies import explore, replays
 from jexplore.studies.checks import prepare_jobs
 from jexplore.studies.replays import before_leaving, replay_of, replays_of
 
+pytestmark = pytest.mark.jit
+
 LIDAR = Lidar(n_beams=37, range_m=1.0)
 
 
@@ -33,7 +35,6 @@ def test_the_last_moment_at_each_place_is_shown():
     assert [moment.heading for moment in before_leaving(iter(found[:1]), [0])] == [0]
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize("max_frames", [1, 10**6])
 def test_frames_are_those_of_the_episode(max_frames):
     """Against the frames of the animation, which are made scan by scan."""
@@ -53,7 +54,6 @@ def test_frames_are_those_of_the_episode(max_frames):
     np.testing.assert_array_equal(replay.truth, episode.world.occupied)
 
 
-@pytest.mark.jit
 def test_the_way_ahead_ends_where_the_next_plan_is_made():
     episode = ran("closest")
     replay = replay_of(episode, max_frames=10**6)
@@ -64,7 +64,6 @@ def test_the_way_ahead_ends_where_the_next_plan_is_made():
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 def test_the_own_room_is_the_strategys():
     episode = ran("closest+segment")
     replay = replay_of(episode, max_frames=5)
@@ -86,7 +85,6 @@ def jobs(jit_on):
         return [explore.prepare_job(two_rooms(), name, **settings) for name in ("closest", "random", "closest+recheck")]
 
 
-@pytest.mark.jit
 def test_jobs_are_replayed_from_what_they_left_or_run_again(jobs):
     outcomes = batch.run_jobs(jobs, LIDAR, Rules()).outcomes
     kept, notes = replays_of(jobs, dict(enumerate(outcomes)), max_frames=30)
@@ -98,7 +96,6 @@ def test_jobs_are_replayed_from_what_they_left_or_run_again(jobs):
         assert one.outcome == other.outcome == "COMPLETE"
 
 
-@pytest.mark.jit
 def test_later_episodes_are_those_of_the_comparison():
     settings = {"seed": 3, "cell_m": 0.1, "start": "random", "lidar": LIDAR, "rules": Rules()}
     jobs = prepare_jobs(two_rooms(), ["closest", "random"], episodes=4, **settings)
@@ -110,7 +107,6 @@ def test_later_episodes_are_those_of_the_comparison():
     assert len(replays_of([job._replace(starts=job.starts[:1]) for job in jobs], max_frames=3)[0]) == 2
 
 
-@pytest.mark.jit
 def test_what_is_missing_is_said(jobs, monkeypatch):
     outcomes = batch.run_jobs(jobs, LIDAR, Rules()).outcomes
     assert outcomes[1].first is not None
@@ -131,7 +127,6 @@ def test_what_is_missing_is_said(jobs, monkeypatch):
     assert notes == ["Replays show the first 1 of 3 pairs of world and strategy."]
 
 
-@pytest.mark.jit
 def test_an_episode_of_more_plans_than_are_kept_is_refused():
     episode = ran("closest")
     lost = dataclasses.replace(episode, final=episode.final._replace(plans=None))

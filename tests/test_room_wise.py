@@ -11,6 +11,8 @@ from jexplore.planning import field
 from jexplore.policies import parse_strategy
 from jexplore.policies.room_wise import own_segment
 
+pytestmark = pytest.mark.jit
+
 # Two rooms and a door of three cells of 0.1 m. The frontier in the other room is nearer than that in the own one.
 ROOMS = """
     ########################################
@@ -84,14 +86,12 @@ KINDS = {
 }
 
 
-@pytest.mark.jit
 def test_the_own_room_comes_first():
     belief = belief_of()
     assert target("closest", belief) == OTHER
     assert {kind: target(f"closest+segment{kind}", belief) for kind in KINDS} == KINDS
 
 
-@pytest.mark.jit
 def test_the_segment_of_the_last_target_is_kept_until_it_is_done():
     policy = parse_strategy("closest+segment:keep=true").policy
     belief, select = belief_of(), jax.jit(policy.select)
@@ -113,7 +113,6 @@ def test_the_segment_of_the_last_target_is_kept_until_it_is_done():
     assert policy.select != parse_strategy("closest+segment").policy.select
 
 
-@pytest.mark.jit
 def test_what_cannot_be_reached_does_not_hold_the_robot():
     """A frontier in the own room that is cut off, or exhausted, and then none at all."""
     belief = belief_of(CUT_OFF)
@@ -128,7 +127,6 @@ def test_what_cannot_be_reached_does_not_hold_the_robot():
         assert target("closest+segment", belief.replace(exhausted=columns)) == want
 
 
-@pytest.mark.jit
 def test_the_own_segment_is_the_room():
     belief = belief_of()
     free = np.asarray(belief.grid.misses) > 0
@@ -143,7 +141,6 @@ def test_the_own_segment_is_the_room():
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 def test_views_are_taken_from_the_own_room():
     """Although paths weigh enough to favour the other room."""
     belief = belief_of()
@@ -158,7 +155,6 @@ def test_views_are_taken_from_the_own_room():
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 def test_the_kinds_share_a_program():
     """They differ by numbers only, so that a sweep over them is compiled once."""
     policies = [parse_strategy(f"closest+segment{k}").policy for k in ("", "=holz", "=wurm", "=thrun", "=auto")]
@@ -179,7 +175,6 @@ def test_the_kinds_share_a_program():
     assert views[0].live == views[1].live is not None
 
 
-@pytest.mark.jit
 def test_a_modified_strategy_asks_the_strategy_whether_a_view_point_is_live():
     belief = beliefs.belief_of("###### #.R.?# ######", cell_m=1.0)
     beams = beliefs.table(beliefs.Lidar(n_beams=4, fov_deg=360, range_m=2.0), belief)

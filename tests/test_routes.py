@@ -42,12 +42,7 @@ def stub(number, start, bearing_deg, **measures):
 #   | /     |
 #   0 --0-- 1
 SQUARE = BtmMap(
-    (
-        Node(0, 0.0, 0.0, "divergence"),
-        Node(1, 5.0, 0.0, "divergence"),
-        Node(2, 5.0, 5.0, "divergence"),
-        Node(3, 0.0, 5.0, "divergence"),
-    ),
+    tuple(Node(i, x, y, "divergence") for i, (x, y) in enumerate([(0.0, 0.0), (5.0, 0.0), (5.0, 5.0), (0.0, 5.0)])),
     (
         way(0, 0, 1, 0.0, 180.0),
         way(1, 1, 2, 90.0, 270.0),
@@ -288,11 +283,8 @@ def test_an_unsearched_link_beyond_a_step_is_refused_with_the_step():
     btm = dataclasses.replace(btm, links=(*btm.links, stub(1, 1, 0.0, opening_m=2.0)))
     route = jx.btm.route(btm, "wheeled", 0, "unsearched")
     assert route.refused == ((1, ("step 0.15 m > 0.03 m",)),)
-    assert (route.end, route.onward, route.trouble) == (
-        None,
-        None,
-        "wheeled can get from node 0 to no un-searched link",
-    )
+    assert (route.end, route.onward) == (None, None)
+    assert route.trouble == "wheeled can get from node 0 to no un-searched link"
     assert jx.btm.route(btm, "kamui", 0, "unsearched").onward.link == 1
     assert jx.btm.route(btm, "wheeled", 0, 1).refused == ()  # an un-searched link is no way to a node
 
@@ -438,10 +430,7 @@ def test_many_goals_in_many_parts_are_those_of_networkx(seed, n_nodes):
     graph = networkx.MultiGraph()
     graph.add_nodes_from(node.id for node in nodes)
     graph.add_edges_from((link.start, link.end, link.id, {"weight": link.length_m}) for link in links)
-    pairs = [
-        (3 * int(a), 3 * int(b))
-        for a, b in rng.permutation(np.stack(np.indices((n_nodes, n_nodes)), -1).reshape(-1, 2))
-    ]
+    pairs = (3 * rng.permutation(np.stack(np.indices((n_nodes, n_nodes)), -1).reshape(-1, 2))).tolist()
     metres = dict(networkx.all_pairs_dijkstra_path_length(graph))
     with pytest.MonkeyPatch.context() as patch:  # 40 goals in three parts, the last one not full
         patch.setattr(shortest, "GOALS_AT_ONCE", 16)
@@ -476,14 +465,14 @@ def test_bad_requests_are_refused(arguments, message):
 
 
 def test_bad_maps_are_refused():
-    with pytest.raises(InputError, match=r"^to: there is no node 99: the map has 20 nodes, with ids from 0 to 19$"):
-        jx.btm.route(chain("D" * 20), "kamui", 3, 99)
-    with pytest.raises(InputError, match=r"^the map has no node: there is nowhere to go$"):
-        jx.btm.route(BtmMap((), ()), "kamui", 0, 0)
-    with pytest.raises(InputError, match=r"^btm must be a jx.btm.BtmMap"):
-        jx.btm.route("btm.json", "kamui", 0, 0)
-    with pytest.raises(InputError, match=r"^links must be less than 1074 km long in all$"):
-        jx.btm.route(changed(SQUARE, 0, length_m=1.1e6), "kamui", 1, 2)
+    for btm, start, end, message in (
+        (chain("D" * 20), 3, 99, r"^to: there is no node 99: the map has 20 nodes, with ids from 0 to 19$"),
+        (BtmMap((), ()), 0, 0, r"^the map has no node: there is nowhere to go$"),
+        ("btm.json", 0, 0, r"^btm must be a jx.btm.BtmMap"),
+        (changed(SQUARE, 0, length_m=1.1e6), 1, 2, r"^links must be less than 1074 km long in all$"),
+    ):
+        with pytest.raises(InputError, match=message):
+            jx.btm.route(btm, "kamui", start, end)
     with pytest.raises(InputError, match=r"^robots must be a list, got 'kamui'$"):
         jx.btm.routes(SQUARE, "kamui", [(0, 1)])
     with pytest.raises(InputError, match=r"^within_m must be a number at least 0"):

@@ -15,6 +15,8 @@ from jexplore.segment import MAX_HOPS, Form, borders, criteria, critical_points,
 from jexplore.skeleton import graph
 from jexplore.worlds import load_world
 
+pytestmark = pytest.mark.jit
+
 SHAPES = ((11, 23), (24, 24))  # of all maps that are compiled for
 FORM = Form(nodes=256, splits=64)
 BORDERS, MERGED = jax.jit(borders, static_argnums=1), jax.jit(merged)
@@ -68,7 +70,6 @@ TWO_ROOMS = """
 """
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize("variant", MAX_HOPS)
 def test_two_rooms_and_a_door_by_hand(variant):
     """The door's cells are as far from either side's seed: they go to the first, which lies to the east."""
@@ -82,7 +83,6 @@ def test_two_rooms_and_a_door_by_hand(variant):
     assert found.group.tolist() == list(range(128))
 
 
-@pytest.mark.jit
 def test_a_room_without_a_door_is_no_segment():
     free = np.zeros(SHAPES[0], bool)
     free[1:-1, 1:-1] = True
@@ -93,7 +93,6 @@ def test_a_room_without_a_door_is_no_segment():
     assert (np.asarray(found.seed) == free.size).all()
 
 
-@pytest.mark.jit
 def test_what_no_seed_reaches_is_no_segment():
     drawn = parts(TWO_ROOMS)
     free = drawn >= 0
@@ -117,7 +116,6 @@ CORRIDOR = """
 """
 
 
-@pytest.mark.jit
 def test_a_corridor_with_two_rooms_by_hand():
     found = check(CORRIDOR, criteria(prominence=0.2))
     # seeds 1 and 3 both lie in the corridor, where their segments touch
@@ -142,7 +140,6 @@ RING = """
 """
 
 
-@pytest.mark.jit
 def test_a_ring_has_no_junction():
     """Its narrow places are critical points for Thrun alone."""
     free = parts(RING) >= 0
@@ -167,7 +164,6 @@ def critical_cells(skeleton, d2, criteria, size=150):
 ARM = (2, 3, 2, 4, 4, 1, 1, 4, 3, 4, 2, 3)  # clearance along a chain from junction to junction
 
 
-@pytest.mark.jit
 def test_critical_points_of_a_chain_by_hand():
     """Minima at 2, 5, 8 and 10, maxima at 1, 4, 7 and 9; of equal neighbours the lower index is the narrower."""
     skeleton = maps.walls("#..........# ############ #..........#")
@@ -200,7 +196,6 @@ chains = st.tuples(
 )
 
 
-@pytest.mark.jit
 @given(chains, st.sampled_from((0, 1, 2, 3, 5, None)))
 @settings(max_examples=30, deadline=None)
 def test_critical_points_are_the_oracles(case, max_hops):
@@ -227,7 +222,6 @@ def test_borders_by_hand():
     np.testing.assert_array_equal(shared, expected)
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize(
     ("shared", "group"),
     [
@@ -248,7 +242,6 @@ def test_merging_by_hand(shared, group):
     assert MERGED(jnp.asarray(given), jnp.arange(6)).tolist() == group
 
 
-@pytest.mark.jit
 def test_segments_that_grew_from_one_cell_are_one_from_the_start():
     """0 and 2 share a cell: 1 and 3, the other sides, must meet neither."""
     shared = np.zeros((4, 4), np.int32)
@@ -256,7 +249,6 @@ def test_segments_that_grew_from_one_cell_are_one_from_the_start():
     assert MERGED(jnp.asarray(shared), jnp.asarray([0, 1, 0, 3])).tolist() == [0, 1, 0, 1]
 
 
-@pytest.mark.jit
 @given(st.integers(0, 2**30), st.sampled_from((3, 6, 12)))
 @settings(max_examples=20, deadline=None)
 def test_borders_and_merging_are_the_oracles(seed, blocks):
@@ -290,7 +282,6 @@ choices = st.fixed_dictionaries(
 )
 
 
-@pytest.mark.jit
 @given(free=floors, chosen=choices)
 @settings(max_examples=25, deadline=None)
 def test_segments_are_the_oracles(free, chosen):
@@ -315,7 +306,6 @@ def test_segments_are_the_oracles(free, chosen):
 # ---------------------------------------------------------------- laws
 
 
-@pytest.mark.jit
 def test_a_turned_map_has_the_same_segments_but_for_ties():
     """In general it has not: of two equally near obstacles the one in the lower column is named, and thinning takes
     cells from one side first, so that the graph itself shifts by a cell. Here it cannot; equally near seeds remain.
@@ -334,7 +324,6 @@ def test_a_turned_map_has_the_same_segments_but_for_ties():
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 def test_rows_of_a_batch_are_independent():
     """Maps and criteria at once: numbers may be swept without compiling anew."""
     chosen = [
@@ -358,7 +347,6 @@ TINY = Form(nodes=14, splits=2)
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 def test_jit_changes_nothing():
     free = jnp.asarray(maps.walls("......... .###.###. .###.###. .#######. .###.###. .###.###. ........."))
     jitted = segment(free, criteria("thrun", gamma=1.0, prominence=0.0), form=TINY)
@@ -369,7 +357,6 @@ def test_jit_changes_nothing():
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 def test_splits_that_do_not_fit_are_counted():
     free, thrun = jnp.asarray(parts(RING) >= 0), criteria("thrun", prominence=0.5)
     few, whole = segment(free, thrun, form=FORM._replace(splits=3)), segment(free, thrun, form=FORM)
@@ -378,7 +365,6 @@ def test_splits_that_do_not_fit_are_counted():
     assert ((few.label >= 0) == free).all()
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize("free", [False, True])
 def test_a_single_cell(free):
     found = segment(jnp.full((1, 1), free), criteria("thrun", prominence=0.0), form=TINY)
@@ -386,7 +372,6 @@ def test_a_single_cell(free):
     assert (int(found.count), int(found.overflow)) == (0, 0)
 
 
-@pytest.mark.jit
 def test_maps_without_free_space():
     found = segment(jnp.zeros(SHAPES[0], bool), criteria("thrun", prominence=0.0), form=FORM)
     assert (np.asarray(found.label) == -1).all()
@@ -404,7 +389,6 @@ SMALL = (64, 64)
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 @pytest.mark.parametrize("name", ["cave", "maze", "rooms"])
 def test_small_worlds_fit(name):
     """On maps of 6.2 m graphs of 256 nodes were too small."""

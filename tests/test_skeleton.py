@@ -16,6 +16,8 @@ from jexplore.arrays.sparse import EIGHT_NEIGHBOURS
 from jexplore.distance import nearest_offset
 from jexplore.skeleton import graph, medial_axis, thin, voronoi_graph
 
+pytestmark = pytest.mark.jit
+
 SHAPES = ((12, 12), (40, 7))  # one of them taller than a machine word
 
 
@@ -49,7 +51,6 @@ VORONOI = jax.jit(graph_of, static_argnames="size")
 # ---------------------------------------------------------------- medial axis
 
 
-@pytest.mark.jit
 def test_the_axis_of_a_corridor_by_hand():
     odd = maps.walls("####### #.....# #.....# #.....# #######")
     # at either end the wall across is as near as those along it: the axis runs on into the corners
@@ -62,7 +63,6 @@ def test_the_axis_of_a_corridor_by_hand():
     assert not axis(jnp.asarray(odd), jnp.float32(4)).any()
 
 
-@pytest.mark.jit
 def test_the_axis_of_a_cross_by_hand():
     cross = ~maps.walls("""
         .........
@@ -96,7 +96,6 @@ def test_the_axis_of_a_cross_by_hand():
     assert int(found.overflow) == 0
 
 
-@pytest.mark.jit
 @given(masks().map(lambda m: m & np.roll(m, 1)) | masks(), st.sampled_from((1.0, 1.5, 2.0, 3.0)))
 @settings(max_examples=25, deadline=None)
 def test_an_axis_lies_between_obstacles_that_are_apart(obstacle, gamma):
@@ -114,7 +113,6 @@ def test_an_axis_lies_between_obstacles_that_are_apart(obstacle, gamma):
 # ---------------------------------------------------------------- thinning
 
 
-@pytest.mark.jit
 @given(masks())
 @settings(max_examples=40, deadline=None)
 def test_thinning_is_scikit_images(mask):
@@ -126,7 +124,6 @@ def test_thinning_is_scikit_images(mask):
 # ---------------------------------------------------------------- graph
 
 
-@pytest.mark.jit
 def test_a_corner_of_a_line_is_not_a_junction():
     skeleton = maps.walls("""
         #....
@@ -151,7 +148,6 @@ def test_a_corner_of_a_line_is_not_a_junction():
     )
 
 
-@pytest.mark.jit
 @given(masks(), st.booleans())
 @settings(max_examples=20, deadline=None)
 def test_degrees_and_links_are_networkxs(mask, lines):
@@ -173,7 +169,6 @@ def test_degrees_and_links_are_networkxs(mask, lines):
             assert link[slot, i] == (cells.index(there) if expected.has_edge((row, col), there) else 300)
 
 
-@pytest.mark.jit
 def test_cells_that_do_not_fit_are_counted_and_not_linked():
     skeleton = jnp.asarray(maps.walls("####### ....... #......"))
     found = GRAPH(skeleton, jnp.ones((3, 7), jnp.int32), size=5)
@@ -182,7 +177,6 @@ def test_cells_that_do_not_fit_are_counted_and_not_linked():
     assert int(found.overflow) == 3
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (40, 7)])
 def test_maps_without_an_axis(shape):
     """All free: no obstacle to be far from. All wall. One row of free cells between two walls."""
@@ -197,7 +191,6 @@ def test_maps_without_an_axis(shape):
         assert int(found.overflow) == 0
 
 
-@pytest.mark.jit
 def test_one_row_between_two_walls_has_its_axis_in_the_middle():
     found = VORONOI(jnp.asarray(maps.walls("#.....#")), jnp.float32(4), size=16)
     assert found.cell.tolist()[:2] == [3, 7]
@@ -205,7 +198,6 @@ def test_one_row_between_two_walls_has_its_axis_in_the_middle():
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 def test_rows_of_a_batch_are_independent():
     obstacle = jnp.asarray(np.random.default_rng(5).random((3, 12, 12)) < [[[0.0]], [[0.05]], [[0.2]]])
     batch = jax.jit(jax.vmap(functools.partial(graph_of, size=40), (0, None)))(obstacle, jnp.float32(4))

@@ -1,5 +1,7 @@
 """Localisation by scans: the point map, scan matching, search, one step of all, loops and their graph."""
 
+from itertools import pairwise
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +12,8 @@ from ref import slam as ref
 
 from jexplore.arrays.poses import between, compose, placed, wrapped
 from jexplore.slam2d.closing import Keys, Scanner, map_of
-from jexplore.slam2d.graph import Loops, Steps, settle, turned_covariance
+from jexplore.slam2d.graph import Loops, Steps, settle, surprise, turned_covariance
+from jexplore.slam2d.mapping import Sizes, blank, close
 from jexplore.slam2d.matching import Outcome, inverted, match
 from jexplore.slam2d.points import GATE, PointMap, add, cell_m, cells_of, empty_map, partners
 from jexplore.slam2d.scans import Scan, read_scan
@@ -24,7 +27,7 @@ MIDDLE = (3.0, 2.0)
 FAR = 80.0
 PRIOR = np.diag(np.float32([0.05, 0.05, 0.03]) ** 2)
 HERE = np.float32([1.5, 1.5, 0.3])
-SETTLE = jax.jit(settle)
+SETTLE, SURPRISE = jax.jit(settle), jax.jit(surprise)
 LOCATE = jax.jit(lambda *place, window: locate(OWN, *place, window), static_argnames="window")
 few = settings(max_examples=8)
 
@@ -390,6 +393,79 @@ def test_a_loop_closes_large_drift_and_a_wrong_one_counts_for_nothing():
     assert open_m > 1
     np.testing.assert_allclose(found, SETTLE(jnp.float32(poses), single(steps), single(loops), 10.0)[0], atol=0.02)
     assert misfit2[1] > 1e4 > 10 > misfit2[0]
+
+
+@pytest.mark.jit
+@few
+@given(st.integers(0, 10**6))
+def test_a_loop_surprises_by_what_it_adds_to_the_least_misfit(seed):
+    true, poses, steps, loops = ring(7, np.random.default_rng(seed), sd=0.003)
+    loops = added(loops, [1, 4], between(true[1], true[4]) + 0.01)
+
+    def least(n):
+        """Poses settled with the chain and n loops, and their squared misfit."""
+        ends = np.array([*((k, k + 1) for k in range(6)), *loops.ends[:n]])
+        moved, covariance = (np.concatenate([a[1:], b[:n]]) for a, b in zip(steps, loops[1:]))
+        found = ref.settle(poses, ends, moved, np.linalg.inv(covariance))
+        off = between(found[ends[:, 0]], found[ends[:, 1]]) - moved
+        off[:, 2] = wrapped(off[:, 2])
+        return found, np.einsum("li,lij,lj", off, np.linalg.inv(covariance), off)
+
+    (before, one), (_, both) = least(1), least(2)
+    found = SURPRISE(jnp.float32(before), single(steps), single(loops), 1, 1e9)
+    np.testing.assert_allclose(found, both - one, rtol=0.02, atol=0.05)
+
+
+AROUND = np.float32(np.linspace(-np.pi, np.pi, 120, endpoint=False))
+LANES = (
+    *((-1, 0, 7, 0), (7, 0, 7, 3), (7, 3, -1, 3), (-1, 3, -1, 0)),  # a corridor of 1 m round a block
+    *((0, 1, 6, 1), (6, 1, 6, 2), (6, 2, 0, 2), (0, 2, 0, 1)),
+    *((x, y + up, x, y + up + long) for x, y, long in ((2.2, 0, 0.3), (4.5, 0.6, 0.4)) for up in (0, 2)),
+)
+
+
+def record(corners, seed):
+    """Key scans along a way through the lanes, their chain, and true poses. The last corner's heading is the last's."""
+    rng, true = np.random.default_rng(seed), []
+    for (x, y), (u, v) in pairwise(corners):
+        share = np.arange(0, 1, 0.5 / np.hypot(u - x, v - y))
+        true += [(x + a * (u - x), y + a * (v - y), np.arctan2(v - y, u - x)) for a in share]
+    true = np.array(true)
+    sd, n = np.array([0.02, 0.02, np.radians(0.5)]), len(true)
+    moved, poses = between(true[:-1], true[1:]) + rng.normal(0, sd, (n - 1, 3)), [true[0]]
+    for step in moved:
+        poses.append(compose(poses[-1], step))
+    room, chain = ((0, 64 - n), (0, 0)), np.pad(moved, ((1, 64 - n), (0, 0)))
+    way = np.cumsum(np.r_[0, np.hypot(*moved[:, :2].T)])
+    mapping = blank(Sizes(64, 2, (16, 16, 16)), len(AROUND), poses[-1])
+    mapping = mapping.replace(
+        n_keys=jnp.int32(n),
+        way=jnp.float32(way[-1]),
+        pose_of=jnp.float32(np.pad(poses, room)),
+        ranges_of=jnp.float32(np.pad([ref.cast(pose, LANES, AROUND) for pose in true], room)),
+        way_of=jnp.float32(np.pad(way, room[0])),
+        steps=Steps(jnp.float32(chain), jnp.tile(jnp.diag(jnp.float32(sd**2)), (64, 1, 1))),
+    )
+    return mapping, true
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+def test_a_ring_is_closed_and_corridors_alike_are_not_taken_for_one():
+    """Both corridors look alike from their middle and lie 2 m apart: the scan alone is sure of the wrong one."""
+    scanner = Scanner(jnp.asarray(AROUND), jnp.float32(FAR))
+    looked = jax.jit(lambda own, mapping: close(own, mapping, scanner, jnp.bool_(True), Window(12, 12))[0])
+    there_and_other = (-0.5, 0.5), (3.6, 0.5), (-0.5, 0.5), (-0.5, 2.5), (3.6, 2.5)
+    round_about = (2, 0.5), (6.5, 0.5), (6.5, 2.5), (-0.5, 2.5), (-0.5, 0.5), (3.1, 0.5)
+    for seed in range(3):
+        alike, _ = record(there_and_other, seed)
+        assert looked(OWN, alike).n_loops == 0
+        assert looked(SlamSettings(close_doubt=1e6), alike).n_loops == 1
+        ring, true = record(round_about, seed)
+        closed = looked(OWN, ring)
+        assert closed.n_loops == 1
+        off = between(closed.pose_of[0], closed.pose) - between(true[0], true[-1])
+        np.testing.assert_allclose(off[:2], 0, atol=0.03)
 
 
 def test_a_covariance_turns_with_its_frame():

@@ -12,6 +12,8 @@ from ref import maps
 
 from jexplore.arrays import bits, sparse
 
+pytestmark = pytest.mark.jit
+
 SHAPES = ((1, 1), (3, 40), (70, 5))  # wider and taller than a machine word
 masks = st.tuples(st.sampled_from(SHAPES), st.sampled_from((0.0, 0.02, 0.5, 1.0)), st.integers(0, 2**30)).map(
     lambda case: np.random.default_rng(case[2]).random(case[0]) < case[1]
@@ -19,7 +21,6 @@ masks = st.tuples(st.sampled_from(SHAPES), st.sampled_from((0.0, 0.02, 0.5, 1.0)
 LISTED = jax.jit(sparse.list_cells, static_argnames="size")
 
 
-@pytest.mark.jit
 def test_a_list_by_hand():
     cells = LISTED(jnp.asarray(maps.walls("##.. ..#. ..#.")), size=5)
     assert cells.cell.dtype == cells.near.dtype == jnp.int32
@@ -37,7 +38,6 @@ def test_a_list_by_hand():
     assert int(cells.overflow) == 0
 
 
-@pytest.mark.jit
 def test_cells_that_do_not_fit_are_counted():
     cells = LISTED(jnp.asarray(maps.walls("####")), size=3)
     assert cells.cell.tolist() == [0, 1, 2]
@@ -52,7 +52,6 @@ def test_values_at_listed_places():
     assert sparse.at(jnp.asarray([8, 9]), jnp.asarray([1, 2]), 7).tolist() == [9, 7]
 
 
-@pytest.mark.jit
 @given(masks)
 @settings(max_examples=30, deadline=None)
 def test_a_list_is_numpys(mask):
@@ -74,7 +73,6 @@ PACK, NTH = jax.jit(bits.pack), jax.jit(bits.nth_cells)
 FIRST = jax.jit(bits.first_cells, static_argnames="size")
 
 
-@pytest.mark.jit
 def test_cells_by_their_number_by_hand():
     words = PACK(jnp.asarray(maps.walls("..#.# ..... #....")))
     found = NTH(words, jnp.asarray([2, 0, 1, 3, 99]))
@@ -84,7 +82,6 @@ def test_cells_by_their_number_by_hand():
     assert FIRST(words, size=4).tolist() == [0, 12, 14, 160]
 
 
-@pytest.mark.jit
 @given(masks, st.integers(0, 2**30))
 @settings(max_examples=30, deadline=None)
 def test_cells_by_their_number_are_numpys(mask, seed):
@@ -96,7 +93,6 @@ def test_cells_by_their_number_are_numpys(mask, seed):
     np.testing.assert_array_equal(FIRST(words, size=30), np.append(flat, [none] * 30)[:30])
 
 
-@pytest.mark.jit
 def test_rows_of_a_batch_are_independent():
     mask = jnp.asarray(np.random.default_rng(6).random((3, 3, 40)) < [[[0.0]], [[0.3]], [[0.05]]])
     batch = jax.jit(jax.vmap(functools.partial(sparse.list_cells, size=12)))(mask)

@@ -48,22 +48,13 @@ SQUARE = BtmMap(
 
 
 def first():
-    """A map that `SECOND` has three nodes in common with."""
+    """A map that `second` has three nodes in common with."""
+    nodes = (node(0, "T", 0, 0), node(1, "D", 4, 0), node(2, "F", 13, 0))
     return BtmMap(
-        (
-            node(0, "T", 0, 0),
-            node(1, "D", 4, 0),
-            node(2, "F", 13, 0),
-            node(3, "D", 13, -6, attributes={"victim": True}),
-        ),
-        (
-            way(0, 0, 1, 0, length_m=4.0),
-            way(1, 1, 2, 0, length_m=9.0, opening_m=2.3),
-            stub(2, 1, 90, opening_m=1.2),
-            way(3, 2, 3, 270, length_m=6.0),
-            stub(4, 3, 0),
-        ),
-    )
+        (*nodes, node(3, "D", 13, -6, attributes={"victim": True})),
+        (way(0, 0, 1, 0, length_m=4.0), way(1, 1, 2, 0, length_m=9.0, opening_m=2.3), stub(2, 1, 90, opening_m=1.2),
+         way(3, 2, 3, 270, length_m=6.0), stub(4, 3, 0)),
+    )  # fmt: skip
 
 
 def second():
@@ -163,14 +154,9 @@ def test_maps_none_of_which_fits_stand_each_alone():
 def test_those_left_apart_are_merged_among_themselves():
     other = BtmMap(
         (node(0, "O", 0, 0, obstacle="slope", inclination_deg=20.0), node(1, "F", 3, 0), node(2, "D", 3, 7.5)),
-        (
-            way(0, 0, 1, 0, length_m=3.0),
-            way(1, 1, 2, 60, length_m=7.5),
-            stub(2, 2, 10),
-            stub(3, 1, 300),
-            stub(4, 0, 130),
-        ),
-    )
+        (way(0, 0, 1, 0, length_m=3.0), way(1, 1, 2, 60, length_m=7.5), stub(2, 2, 10), stub(3, 1, 300),
+         stub(4, 0, 130)),
+    )  # fmt: skip
     again = moved_map(other, Move(1.0, 2.0, 30.0))
     panels, _ = panels_of([first(), other, second(), again], ["a", "b", "c", "d"])
     assert [panel.maps for panel in panels] == [("a", "c"), ("b", "d")]
@@ -555,11 +541,3 @@ def test_the_command_refuses(files, capsys, words, said):
     assert said in err
     assert err.count("\n") == 1
     assert sorted(file.name for file in files.iterdir()) == before
-
-
-def test_wrong_input():
-    """The checks are those of `merge_maps`."""
-    with pytest.raises(jx.InputError, match="expected one map or more, got none"):
-        jx.btm.station([])
-    with pytest.raises(jx.InputError, match="names of maps must differ, got 'a' more than once"):
-        jx.btm.station([first(), second()], ["a", "a"])

@@ -23,15 +23,8 @@ def table(**columns):
     path_m = np.asarray(columns.get("path_m", np.full(n, 10.0)), dtype=np.float64)
     marks = {f"path_m_at_{mark}": path_m * mark / 100 for mark in (50, 90, 95, 99)}
     start = {"seed": 0, "start_row": 3, "start_col": 4, "start_heading_deg": 90}
-    counts = {
-        "turning_rad": 1.5,
-        "steps": 100,
-        "scans": 104,
-        "plans": 7,
-        "exhausted": 0,
-        "time_s": 30.0,
-        "energy_j": 900.0,
-    }
+    counts = {"steps": 100, "scans": 104, "plans": 7, "exhausted": 0}
+    counts |= {"turning_rad": 1.5, "time_s": 30.0, "energy_j": 900.0}
     default = {"world": "office#1", "strategy": "closest", "episode": np.arange(n), **start, "path_m": path_m, **counts}
     default |= {"outcome": "COMPLETE", "explored_fraction": 1.0, **marks}
     default |= {"room_entries": pd.array([pd.NA] * n, dtype="Int64")}
@@ -264,12 +257,9 @@ def test_only_common_episodes_are_compared():
     assert len(by_world.warnings_of(apart)) == 1
 
 
-def test_pairs_that_start_differently_are_refused():
+def test_pairs_that_start_differently_and_episodes_that_occur_twice_are_refused():
     with pytest.raises(InputError, match=r"^office#1, random, episode 1: .*start_col is 9, not 4$"):
         by_world.summarise(both([1.0, 2.0], [1.0, 2.0], start_col=[4, 9]))
-
-
-def test_an_episode_that_occurs_twice_is_refused():
     with pytest.raises(InputError, match="episode 5 must occur once"):
         by_world.summarise(table(path_m=[1.0, 2.0], episode=[5, 5]))
 

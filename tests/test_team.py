@@ -16,12 +16,20 @@ from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.team.assignment import MOST_COST, assign
 from jexplore.exploration.team.coordination import COORDINATIONS, JointView
 from jexplore.exploration.team.jobs import team_jobs
-from jexplore.exploration.team.starts import place_team
-from jexplore.exploration.team.team import EVERYBODY, NOBODY, Team, contact_d2, read_coordination
+from jexplore.exploration.team.starts import place_team, steps_from
+from jexplore.exploration.team.team import EVERYBODY, NOBODY, Team, read_contact, read_coordination
+from jexplore.grid import Grid
+from jexplore.planning import Belief, MapModel
 from jexplore.policies import strategy
 from jexplore.reach import FAR, STRAIGHT
+from jexplore.report.page.replay import STATE
 from jexplore.rules import Lidar, Rules
+from jexplore.studies.bounds.scene import prepare_scene
+from jexplore.studies.bounds.teams import team_low
+from jexplore.studies.replays import replays_of
 from jexplore.studies.statistics import teams
+from jexplore.studies.sweeps.plan import SweepBlock, prepare_sweep
+from jexplore.studies.sweeps.spec import sweep_from
 from jexplore.worlds.world import World
 
 RULES, LIDAR = Rules(clearance_m=0.0), Lidar(range_m=0.6, n_beams=61, fov_deg=360.0)
@@ -150,12 +158,78 @@ def test_greedy_avoids_what_the_others_target_shows():
     assert chosen("greedy", 1, (3, 1), [(0, 0)]) == 0
 
 
+TWO_ROOMS = world_of("""
+#######################
+#..........#..........#
+#..........#..........#
+#.....................#
+#.....................#
+#.....................#
+#..........#..........#
+#..........#..........#
+#######################
+""")
+
+
+@pytest.mark.jit
+def test_segments_are_shared_out():
+    """Two robots in one room, a frontier cell near to them there and two in the other room: each gets a room."""
+    free = ~TWO_ROOMS.occupied
+    view, _ = joint(0, (3, 4))
+    frontier = np.zeros(free.shape, bool)
+    frontier[[2, 4, 7], [2, 20, 20]] = True
+    cells = np.array([[4, 3], [4, 4]])
+    costs = np.where(free, [STRAIGHT * steps_from(free, tuple(cell)).clip(max=99) for cell in cells], FAR)
+    model = MapModel(0.25, 0, np.float32(0.1), 0)
+    grid = Grid(jnp.asarray(~free, jnp.int32), jnp.asarray(free, jnp.int32))
+    belief = Belief(grid, None, None, 4, 3, 0, None, None, model)
+    view = view.replace(
+        cells=jnp.asarray(cells), costs=jnp.asarray(costs, jnp.int32), frontier=jnp.asarray(frontier), belief=belief
+    )
+    for robot, expected in ((0, [[2, 2]]), (1, [[4, 20]])):
+        score = COORDINATIONS["segments"](view.replace(robot=jnp.int32(robot), cost=view.costs[robot]))
+        score = np.where(frontier, score, -np.inf)
+        assert np.argwhere(score == score.max()).tolist() == expected
+
+
 @pytest.mark.jit
 def test_robots_that_are_not_there_do_not_count():
     view, _ = joint(0, (4, 3))
     view = view.replace(there=jnp.array([True, False]), costs=view.costs.at[1].set(FAR))
     for name in ("minpos", "voronoi", "hungarian"):
         assert int(np.argmax(np.where(np.asarray(view.frontier), COORDINATIONS[name](view), -np.inf))) == 0
+
+
+def lowest(world, start, starts, lidar, every=1):
+    """Return `team_low` with some of the cells that must be seen as witnesses."""
+    scene = prepare_scene(world, start, lidar, Rules(clearance_m=0.0, near_m=0.0), 2)
+    return scene and team_low(scene, np.flatnonzero(scene.must_see)[::every], np.array(starts))
+
+
+@pytest.mark.jit
+def test_lower_bound_of_a_corridor():
+    """Of 21 cells robots see 2 each way: the tree from the middle to both ends has 16 steps, for two robots 8."""
+    corridor = World(np.pad(np.zeros((1, 21), bool), 1, constant_values=True), cell_m=0.1, name="corridor")
+    lidar = Lidar(range_m=0.25, n_beams=9, fov_deg=360.0)
+    for starts, expected in (([(1, 11)], 16), ([(1, 11), (1, 12)], 8), ([(1, 3), (1, 19)], 6)):
+        assert lowest(corridor, (1, starts[0][1], 0), starts, lidar) == expected * STRAIGHT
+
+
+@pytest.mark.jit
+def test_no_team_is_below_its_lower_bound():
+    ratios = []
+    for number in range(10):
+        case = oracle.draw_case(9, number, "independent", 2 + number % 2)
+        case = case._replace(rules=case.rules.replace(max_steps=None, max_plans=None))
+        team, log = oracle.simulate(case)
+        if {robot.ended for robot in team} == {"COMPLETE"}:
+            world = World(case.occupied, cell_m=case.cell_m, name="case")
+            low = lowest(world, case.starts[0], case.starts, case.lidar, 4)
+            time = oracle.when(log, [log[-1][0]])[0] / oracle.STRAIGHT
+            assert low / STRAIGHT <= time * (1 + 1e-5)
+            ratios += [low / STRAIGHT / time] if time else []
+    assert len(ratios) > 5
+    assert np.mean(ratios) > 0.2
 
 
 def test_starts_together_and_apart():
@@ -185,10 +259,13 @@ def test_starts_that_cannot_be_are_refused(n, starts, text):
 
 
 def test_contact_is_read():
-    assert [contact_d2(text, 0.1) for text in ("all", "none", "range:0.3")] == [EVERYBODY, NOBODY, 9]
-    for text in ("range", "range:-1", "range:inf", "sight", "range:4m"):
-        with pytest.raises(InputError, match="contact must be all, none or range:METRES"):
-            contact_d2(text, 0.1)
+    assert [read_contact(text, 0.1).d2 for text in ("all", "none", "range:0.3")] == [EVERYBODY, NOBODY, 9]
+    assert read_contact("line-of-sight", 0.1) == (EVERYBODY, True, 0, 0)
+    assert read_contact("line-of-sight:0.3,loss=0.2,delay=2", 0.1) == (9, True, 2 * oracle.STRAIGHT, 0.2)
+    for text in ("range", "range:-1", "range:inf", "sight", "range:4m", "all:4", "all,", "all,loss=2", "all,delay=.5",
+                 "all,delay=1,delay=2", "none,hops=1", "range:nan", "all,delay=-1"):  # fmt: skip
+        with pytest.raises(InputError, match="contact must be all, none, range:METRES or line-of-sight"):
+            read_contact(text, 0.1)
 
 
 def jobs(text="closest", rules=RULES, metrics=None, **team):
@@ -220,6 +297,7 @@ def test_teams_are_named():
         ({"robots": 2, "team_starts": 5}, "team_starts must be together, apart"),
         ({"robots": 2, "team_starts": [(1.5, 2, 0), (3, 3, 0)]}, "team_starts must be together, apart"),
         ({"robots": [1, 2], "team_starts": [(1, 2, 0)] * 3}, "one for each robot of the largest team, 2, got 3"),
+        ({"robots": 2, "team_starts": [(1, 2, 0), (1, 3, 0)], "start": (1, 1, 0)}, "leave out start"),
         ({"robots": 2.5}, "robots must be an integer"),
         ({"robots": 2, "coordination": 5}, "coordination"),
     ],
@@ -258,8 +336,37 @@ def test_teams_are_compared(tmp_path):
     assert "speed-up" in found.to_markdown()
     again = jx.load(tmp_path / "run")
     assert again.teams.equals(found.teams)
+    spec = {"worlds": ["maze:width_m=3,height_m=3"], "strategies": ["closest"], "episodes": 1, "robots": [2]}
+    swept = jx.sweep({**spec, "rules": {"clearance_m": 0.1}})
+    assert swept.summary["path_m_at_100"].iloc[0] > 0
+    job = found.made.jobs[1]
+    (replay,), _ = replays_of([job], {0: found.made.firsts[1]}, episodes=1)
+    *_, last = replay.maps()
+    np.testing.assert_array_equal(last & STATE, found.first["drawn"][1].state)
+    assert len(replay.others) == 1
+    for robot in (replay, *replay.others):
+        assert robot.steps[-1] == len(robot.rows) - 1
+    bounds = jx.bound(ROOM, starts=3, max_floods=100, rules=RULES, lidar=LIDAR)
+    ratios = bounds.beside(found)
+    assert (ratios["path_over_low_any"].dropna() >= 1).all()
+    assert ratios["path_over_low_any"].notna().sum() > 3
     with pytest.raises(InputError, match="keep"):
         jx.compare(ROOM, "closest", rules=RULES, robots=2, keep="paths")
+
+
+@pytest.mark.jit
+def test_axes_of_a_sweep_are_teams():
+    """Programs are counted apart for every team; what a comparison refuses a sweep does."""
+    spec = {"worlds": ["maze:width_m=3,height_m=3"], "strategies": ["closest"], "episodes": 2}
+    given = {"robots": [1, 2], "coordination": ["independent", "minpos"], "rules": {"clearance_m": 0.1}}
+    plan = prepare_sweep(sweep_from({**spec, **given}))
+    assert [setting["robots"] for setting in plan.settings] == [1, 1, 2, 2]
+    assert plan.programs == 4
+    team = plan.job(SweepBlock(3, 0, 0, 0, 2), 0).team
+    assert team == Team(2, read_coordination("minpos"))
+    for more, text in (({"coordination": "minpos"}, "give robots"), ({"robots": 17}, "from 1 to 16")):
+        with pytest.raises(InputError, match=text):
+            prepare_sweep(sweep_from({**spec, **more}))
 
 
 def test_an_own_coordination_has_a_name_of_its_own():

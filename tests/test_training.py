@@ -18,6 +18,8 @@ from jexplore.policies.learned import model
 from jexplore.rules import Lidar, Rules
 from jexplore.worlds.world import World
 
+pytestmark = pytest.mark.jit
+
 SMALL = ["rooms#1000:width_m=6,height_m=6", "maze#1000:width_m=6,height_m=6"]
 WATCHED = ["rooms#2000:width_m=6,height_m=6"]
 NEAR = Lidar(n_beams=61, range_m=1.5)
@@ -33,7 +35,6 @@ def toy():
     return World(occupied=walls, cell_m=0.1, name="toy", start=(7, 118, 0))
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize(
     ("algo", "rounds", "settings"),
     [
@@ -64,7 +65,6 @@ def quick_plan(rounds=4, **changes):
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 def test_the_command_interrupted_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
     out, whole = tmp_path / "run", tmp_path / "whole"
     command = ["train", "--worlds", *SMALL, "--validation", *WATCHED, "--rounds", "4", "--check-every", "1", "--set"]
@@ -95,7 +95,6 @@ def test_the_command_interrupted_goes_on_where_it_was(tmp_path, monkeypatch, cap
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 def test_weights_that_are_no_numbers_end_training_with_the_best_before(monkeypatch):
     make_round = es.make_round
 
@@ -113,7 +112,6 @@ def test_weights_that_are_no_numbers_end_training_with_the_best_before(monkeypat
         training.run_training(quick_plan(check_every=4))
 
 
-@pytest.mark.jit
 def test_patience():
     found = training.run_training(quick_plan(40, check_every=1, patience=1))
     checks = found.curve["validation"]
@@ -157,13 +155,11 @@ def test_a_reference_that_finishes_nothing_is_refused():
         own.log_ratios([parse_strategy("closest")], [0, 0], 0)
 
 
-@pytest.mark.jit
 def test_episodes_that_saw_as_much_as_they_were_to_count():
     own = bank.prepare_bank(SMALL[0], lidar=NEAR, rules=Rules(stop_at=0.5))
     assert np.isfinite(own.values([parse_strategy("closest")], [0, 0], 0)).all()
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize("measure", ["path_m", "path_m_at_95", "time_s"])
 def test_ratios_are_those_of_a_comparison(measure):
     own = bank.prepare_bank(SMALL, lidar=NEAR, measure=measure)
@@ -178,7 +174,6 @@ def test_ratios_are_those_of_a_comparison(measure):
 
 
 @pytest.mark.slow
-@pytest.mark.jit
 def test_training_as_a_function(tmp_path):
     options = {"worlds": SMALL, "validation": WATCHED, "lidar": NEAR, "rounds": 1, "settings": QUICK}
     found = jx.train(**options)

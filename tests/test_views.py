@@ -14,6 +14,8 @@ from jexplore.policies import parse_strategy, views
 from jexplore.reach import FAR
 from jexplore.rules import Lidar
 
+pytestmark = pytest.mark.jit
+
 CROSS = Lidar(n_beams=4, fov_deg=360, range_m=4.0)  # in cells of one metre: four cells back, right, ahead, left
 
 # One step to the left lies a frontier that shows 1 cell, six to the right one that shows 3.
@@ -31,7 +33,6 @@ ONE_METRE = {"cell_m": 1.0}
 # ---------------------------------------------------------------- by hand
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize(
     ("name", "numbers"),
     [
@@ -52,7 +53,6 @@ def test_much_to_see_far_off_or_little_near_by(name, numbers):
         assert beliefs.target_of(f"{name}:{text},samples=200,spread_m=0", belief, CROSS) == want
 
 
-@pytest.mark.jit
 def test_a_choice_says_whether_it_is_a_view_point():
     belief = beliefs.belief_of(CORRIDOR, **ONE_METRE)
     for min_gain, is_view in ((3, True), (4, False)):
@@ -91,7 +91,6 @@ def numbers(samples=500, spread_m=0.4, weight=0.2, min_gain=5):
     return views.views(("lam", weight), samples, spread_m, min_gain)
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize("seed", range(3))
 def test_samples_can_be_reached_and_lie_near_frontiers(seed):
     belief = beliefs.after_scans(seed, SHAPE)
@@ -110,7 +109,6 @@ def test_samples_can_be_reached_and_lie_near_frontiers(seed):
     assert len(set(zip(row, col))) > 0.9 * len(frontier)
 
 
-@pytest.mark.jit
 def test_draws_depend_neither_on_padding_nor_on_how_many_there_are():
     narrow, wide = (beliefs.after_scans(1, SHAPE, grow=grow) for grow in ((0, 0), (5, 11)))
     for key in map(jax.random.key, range(3)):
@@ -120,7 +118,6 @@ def test_draws_depend_neither_on_padding_nor_on_how_many_there_are():
             np.testing.assert_array_equal(a, c)
 
 
-@pytest.mark.jit
 def test_samples_fill_a_disc_evenly():
     """Round one unknown cell in the open, 12 cells far: a quarter of them within half the radius, or nearly."""
     misses = np.ones(SHAPE, int)
@@ -133,7 +130,6 @@ def test_samples_fill_a_disc_evenly():
         assert 0.4 < side.mean() < 0.52
 
 
-@pytest.mark.jit
 def test_without_a_frontier_there_are_no_samples():
     belief = beliefs.after_scans(1, SHAPE)
     row, _, _ = drawn(jax.random.key(0), belief.replace(exhausted=~belief.exhausted), numbers())
@@ -155,7 +151,6 @@ def all_views(utility, key, params, belief, beams):
     return row * reached.cost.shape[1] + col, worth, told.unknown, best, overflow
 
 
-@pytest.mark.jit
 @pytest.mark.parametrize(
     ("name", "known"),
     [

@@ -80,15 +80,10 @@ def delaunay(points: Array, valid: Array) -> Triangles:
 
 
 def circumcircles(points: Array, corner: Array) -> tuple[Array, Array, Array]:
-    """Compute circles through three points each.
+    """Compute circles through three points each: `points` `[n, 2]` float32, `corner` `[T, 3]` int32.
 
-    Args:
-      points: `[n, 2]` float32.
-      corner: `[T, 3]` int32.
-
-    Returns:
-      `(centre, radius, side2)`: `[T, 2]` and `[T]` float32; and `[T, 3]`, squared lengths of the sides opposite to the
-        corners. A triangle without area has a radius of inf.
+    Returns `(centre, radius, side2)`: `[T, 2]` and `[T]` float32; and `[T, 3]`, squared lengths of the sides opposite
+    to the corners. A triangle without area has a radius of inf.
     """
     a, b, c = (points[jnp.minimum(corner[:, i], points.shape[0] - 1)] for i in range(3))
     side2 = jnp.stack([jnp.sum((p - q) ** 2, axis=1) for p, q in ((b, c), (c, a), (a, b))], axis=1)

@@ -62,12 +62,9 @@ def write(values: Array, slot: Array, used: Array, new: Array) -> Array:
 
 
 def grouped(mask: Array, size: int, *, part: int = PART) -> Groups:
-    """Return `Groups` of a mask.
+    """Return `Groups` of a mask `[H, W]`; `size` and `part` are static.
 
-    Args:
-      mask: `[H, W]` bool.
-      size: cells that there is room for; K is that, rounded up to whole parts. Static.
-      part: cells at a time. Static.
+    K is `size`, cells that there is room for, rounded up to whole parts of `part` cells.
 
     Source:
       Zhang, Azad and Buluc 2020 (FastSV): rounds that grow with the logarithm of a group's longest way, not with it.

@@ -100,11 +100,7 @@ def prepare_bench(
     repeat: int | None = None,
     quick: bool = False,
 ) -> Agenda:
-    """Check and load everything, and start JAX with one thread: the options of `jexplore bench`. None: the default.
-
-    Raises:
-      InputError: anything that cannot be measured.
-    """
+    """Check and load everything, and start JAX with one thread: the options of `jexplore bench`. None: the default."""
     default = DEFAULT | (QUICK if quick else {})
     if engine is not None and not engine:
         raise InputError(f"engine must be one or more of {', '.join(ENGINES)}, got none")
@@ -207,11 +203,7 @@ def measure_episodes(
 
 
 def run_once(world: World, strategy: Strategy, starts: np.ndarray, engine: str, lanes: int | None = None) -> Finished:
-    """Run episodes from some starts on one core, or in lanes.
-
-    Raises:
-      KeyboardInterrupt: not all were run.
-    """
+    """Run episodes from some starts on one core, or in lanes."""
     found = run_jobs([Job(world, strategy, starts, SEED)], LIDAR, RULES, engine=engine, lanes=lanes, workers=1)
     if found.costs.interrupted:
         raise KeyboardInterrupt

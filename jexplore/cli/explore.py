@@ -4,11 +4,13 @@ import dataclasses
 from collections.abc import Sequence
 
 from jexplore.cli.options import (
+    ContactText,
     MapFile,
     OneStrategy,
     OneWorld,
     PolygonText,
     ReportOptions,
+    StartsText,
     StartText,
     TimedOptions,
     fields_of,
@@ -43,6 +45,14 @@ class Explore(ReportOptions, TimedOptions):
     from_map: MapFile = None
     """Go on from a partial map of the same cells, such as explored.yaml of `jexplore explore`: what it shows is known
     from the beginning, and drawn starts lie where it shows free floor."""
+    robots: int | None = None
+    """Explore with a team of this size, up to 16 robots."""
+    coordination: OneStrategy = "independent"
+    """Have the team choose targets in this way: see compare."""
+    contact: ContactText = "all"
+    """Whom a robot hears: see compare."""
+    team_starts: StartsText = ("together",)
+    """Start the robots together, apart, or in these cells: see compare."""
     frames: int = 300
     """Most frames of the animation, evenly spaced."""
 
@@ -56,6 +66,8 @@ class Explore(ReportOptions, TimedOptions):
                 self.world,
                 self.strategy,
                 **fields_of(self, "seed episode cell_m start within from_map lidar rules robot"),
+                **fields_of(self, "robots coordination contact"),
+                team_starts=self.team_starts[0] if len(self.team_starts) == 1 else self.team_starts,
             )
             with note_if_slow(COMPILING):
                 found = run_job(job)
@@ -63,7 +75,7 @@ class Explore(ReportOptions, TimedOptions):
             times = {"compile_s": found.compile_s, "run_s": found.run_s}
             record = out.record(arguments, self, result=measures, worlds=[describe_world(found.world)], **times)
             lines = [f"{name:<18} {_text(value)}" for name, value in measures.items()]
-            if found.final.plans is None:
+            if not found.can_be_replayed:
                 lines.append(f"warning: {why_no_replay(found.rules)}: no animation")
             return out.finish(record, {}, "\n".join(lines), self._pictures(found, record))
 
@@ -80,11 +92,11 @@ class Explore(ReportOptions, TimedOptions):
             plot.save_figure(found.figure(), path)
 
         def animation(path):
-            with progress_of(min(len(found.final.rows), self.frames), "frames") as progress:
+            with progress_of(min(found.measures["steps"] + 1, self.frames), "frames") as progress:
                 found.save_gif(path, max_frames=self.frames, on_progress=progress.step)
 
         def page(path):
-            replays = [] if found.final.plans is None else [replay_of(found)]
+            replays = [replay_of(found)] if found.can_be_replayed else []
             rows = [[name, _text(value)] for name, value in record["result"].items()]
             table = aligned_table(["measure", "value"], rows, left=["measure"])
             write_report(path, record, [("What it measured", table)], ["episode.png"], replays)
@@ -95,7 +107,7 @@ class Explore(ReportOptions, TimedOptions):
             write_ros(to_occupancy(state), path, cell_m=world.cell_m, origin_m=world.origin_m)
 
         writers = {"episode.png": picture, "explored.yaml": explored}
-        if found.final.plans is not None:
+        if found.can_be_replayed:
             writers["episode.gif"] = animation
         return writers | ({"report.html": page} if self.report else {})
 

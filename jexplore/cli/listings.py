@@ -133,7 +133,10 @@ class LeagueCommand:
         if (self.action == "submit") != (self.run is not None):
             raise InputError("expected the folder of a run with submit, and none with show: jexplore league submit RUN")
         if not folder.is_dir():
-            raise InputError(f"no entries in {folder}: give a checkout's leagues/{self.name} with --entries")
+            raise InputError(
+                f"no entries in {folder}: an installed package has none; give leagues/{self.name} of a checkout of the "
+                "repository with --entries"
+            )
         if self.run is not None:
             for strategy, is_new in league.submit(self.run, self.name, folder).items():
                 show_line(f"{strategy}: {'entered' if is_new else 'as entered before'}")

@@ -56,10 +56,7 @@ COMMANDS: dict[str, type] = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command.
-
-    Args:
-      argv: list of text; by default the arguments of this process.
+    """Run a command, by default that of this process.
 
     Returns:
       The exit status: 0; 2 for wrong input; 1 where there is no route, or memory or the reader of the output is

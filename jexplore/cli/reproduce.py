@@ -9,7 +9,7 @@ import tyro
 
 from jexplore.cli.compare import FINISHING, finish_comparison, run_with_bar, show_finished
 from jexplore.cli.options import EngineOptions, ResumeOptions, TimedOptions, fields_of, is_small
-from jexplore.cli.output.console import Out, note_if_slow, progress_of
+from jexplore.cli.output.console import Out, note_if_slow, progress_of, working
 from jexplore.config import InputError
 
 
@@ -31,6 +31,9 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
     episodes: int = dataclasses.field(default_factory=lambda: 5 if is_small() else 100)
     """Number of episodes of each strategy in each environment. The first ones, as many as in the paper, are also
     reported alone. For dare the number of maps."""
+    own_rules: bool = False
+    """For dare: explore its maps by the rules of this package instead, with the league's strategies and bounds; writes
+    episodes.parquet, bounds.parquet and paths.png."""
     seed: int = 0
     """Draw starts and all that is random from this seed."""
     cell_m: float = 0.1
@@ -42,6 +45,8 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
 
         if self.paper == "dare":
             return self._dare(arguments)
+        if self.own_rules:
+            raise InputError("leave out --own-rules: it is of dare")
         with Out(self, "reproduce") as out:
             settings = fields_of(self, "maps episodes seed cell_m lidar rules robot")
             jobs = reproduction.prepare_paper(self.paper, **settings)
@@ -67,6 +72,8 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
         for name in ("cell_m", "lidar", "rules", "robot", "engine", "lanes", "resume"):
             if getattr(self, name) != getattr(Reproduce(), name):
                 raise InputError(f"dare has rules of its own: leave out --{name.replace('_', '-')}")
+        if self.own_rules:
+            return self._own_rules(arguments, self.maps)
         with Out(self, "reproduce") as out:
             how = fields_of(self, "episodes seed workers")
             with progress_of(self.episodes, "maps") as progress:
@@ -74,3 +81,18 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
             record = out.record(arguments, self, tables=found.table.to_dict("records"))
             files = {"dare.parquet": lambda path: store.write_parquet(found.episodes, path)}
             return out.finish(record, files, found.to_markdown())
+
+    def _own_rules(self, arguments, maps):
+        """Explore DARE's maps by this package's rules."""
+        from jexplore.report import plot, store
+        from jexplore.studies.dare import own
+        from jexplore.studies.results import saving
+
+        with Out(self, "reproduce") as out:
+            how = fields_of(self, "episodes seed workers")
+            with working(self.episodes * (len(own.STRATEGIES) + 1), "episodes and bounds") as on_progress:
+                found, bounds = own.explore_dare(maps, **how, on_progress=on_progress)
+            files = {**saving.comparison_files(found)}
+            files["bounds.parquet"] = lambda path: store.write_parquet(bounds.table, path)
+            drawn = {"paths.png": lambda path: plot.save_figure(own.paths_figure(found), path)}
+            return out.finish(out.record(arguments, self), files, own.own_text(found, bounds), drawn)

@@ -69,11 +69,7 @@ class SweepCommand(EngineOptions, ReportOptions, ResumeOptions, TrustOptions):
 
 
 def shard_of(text: str | None) -> tuple[int, int] | None:
-    """Parse `I/N` to `(i, n)`, i from 0; None for None.
-
-    Raises:
-      InputError: not of this form.
-    """
+    """Parse `I/N` to `(i, n)`, i from 0; None for None."""
     if text is None:
         return None
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)

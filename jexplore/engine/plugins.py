@@ -14,8 +14,7 @@ DRIVER = ("/dev/nvidiactl", "/dev/dxg", "/dev/nvhost-gpu", "/proc/driver/nvidia/
 def is_idle(driver: tuple[str, ...] = DRIVER) -> bool:
     """Return whether JAX's CUDA plugin is installed on a machine without an NVIDIA driver, as for compiling only.
 
-    Args:
-      driver: paths of which one exists with a driver.
+    Of the paths `driver` one exists with a driver.
     """
     spec = importlib.util.find_spec("jax_plugins") if sys.platform == "linux" else None
     folders = (spec and spec.submodule_search_locations) or ()

@@ -97,11 +97,7 @@ class Resources(NamedTuple):
 
 
 def on_cores(workers: int | None = None) -> Resources:
-    """Return resources for runs in native code alone: threads, by default one a core. JAX is not started.
-
-    Raises:
-      InputError: workers out of range.
-    """
+    """Return resources for runs in native code alone: threads, by default one a core. JAX is not started."""
     if workers is not None:
         require_setting("workers", workers)
     return Resources([], False, workers or own_cores(), None, 0, 1)
@@ -121,11 +117,7 @@ def cpu_devices() -> list[Device]:
 
 
 def require_32_bits() -> None:
-    """Refuse jax's 64-bit mode, which may be switched on at any time.
-
-    Raises:
-      InputError: saying so.
-    """
+    """Refuse jax's 64-bit mode, which may be switched on at any time."""
     if jax.config.values["jax_enable_x64"]:
         raise InputError("jax_enable_x64 is on, and jexplore computes in 32 bits: switch it off")
 

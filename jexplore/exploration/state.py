@@ -49,6 +49,7 @@ class Stream(enum.IntEnum):
     POLICY = 1
     ODOMETRY = 4  # 2 and 3 are `studies.environment`'s
     ROBOT = 5  # of a team: each of the others draws from a key of its own
+    CONTACT = 6  # of a team: which links fail
 
 
 def steps_m(straight: Any, diagonal: Any, cell_m: Any) -> Array:

@@ -79,8 +79,10 @@ class Final(NamedTuple):
     n_known: np.ndarray  # [n + 1] int32, known cells then
     plans: list[Plan] | None  # every choice; None where there was no room for all of them, or the pose was not given
     poses: np.ndarray | None = None  # [n + 1, 5] float32, `uncertain.poses.TRAIL`, in the world's cells; None: given
-    # of a team: of every robot [n + 1, 3] int32, row, col and clock (`motion.LENGTHS`) at the start and after each step
+    # of a team: of every robot [n + 1, 5] int32 at the start and after each step: row, col, clock (`motion.LENGTHS`),
+    # row and col of the target, -1 for none; and [H, W] int32, the clock when each cell was first known, or the largest
     ways: list[np.ndarray] | None = None
+    seen_at: np.ndarray | None = None
 
     @property
     def own_cells(self) -> tuple[np.ndarray, np.ndarray]:

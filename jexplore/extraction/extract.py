@@ -41,7 +41,8 @@ def extract(
     Divergence nodes are junctions of the Voronoi graph with a dead end, a corner or three and more passages; those
     nearer to each other than their clearance are merged. A clearance above `open_m` means free space: one node at the
     mouth of each passage into it, the nodes linked in a ring. A way into unknown space is an un-searched link. Passages
-    narrower than `width_m` are closed. Without obstacle nodes: a grid has no heights.
+    narrower than `width_m` are closed. Without obstacle nodes: a grid has no heights. Nodes are in the order of a
+    depth-first search that takes the first link counter-clockwise from its entry.
 
     Args:
       free: `[H, W]` bool, cells known to be free.
@@ -54,13 +55,6 @@ def extract(
       open_m: clearance above which a place is free space, metres: the paper's C1.
       clutter_m: obstacles in the open whose bounding box has a shorter diagonal, metres, are looked through.
       origin_m: x, y of the lower left corner of cell (0, 0), metres.
-
-    Returns:
-      `BtmMap`, nodes in the order of a depth-first search that takes the first link counter-clockwise from its entry.
-
-    Raises:
-      InputError: masks that are no bool matrices of one shape, no free cell, a number out of range, or a start or an
-        end of the trail that is not free.
 
     Source:
       Mano et al., Behavioral Trace Map. Changed: from the Voronoi graph of a whole map instead of single scans.

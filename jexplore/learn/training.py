@@ -1,6 +1,6 @@
 """Training from beginning to end: rounds of a trainer, checks on validation worlds, stored results.
 
-pandas and matplotlib are imported by the functions that need them.
+matplotlib is imported by the functions that need it.
 """
 
 import dataclasses
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError, __version__, checked_names, require_setting
 from jexplore.engine.backend import use_compilation_cache
@@ -38,7 +39,6 @@ from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import world_digest
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 STATE = "_state"  # column of a unit's file besides: the trainer's state as bytes, in the last row
@@ -81,7 +81,7 @@ class TrainingResult:
 
     model: Model
     """The best model by the checks."""
-    curve: "pd.DataFrame"
+    curve: pd.DataFrame
     """One row a round, see `CURVE_COLUMNS`; the first, of round 0, is of the weights at the beginning."""
     best: int
     """The round that it is from."""
@@ -229,8 +229,6 @@ def run_training(
     Raises:
       KeyboardInterrupt: before the first check.
     """
-    import pandas as pd
-
     trainer = TRAINERS[plan.algo]
     state: Any = trainer.begin(plan.begins.weights, plan.settings)
     tables, ended, kept = [], "rounds", [state.weights]  # the last at every check
@@ -271,8 +269,6 @@ def run_training(
 
 
 def _trained(plan, tables, kept, ended):
-    import pandas as pd
-
     curve = pd.concat(tables, ignore_index=True)
     checks = [curve["validation"].iloc[0], *(table["validation"].iloc[-1] for table in tables)]
     best = int(np.argmin(checks))

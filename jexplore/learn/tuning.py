@@ -12,9 +12,10 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from jexplore.arrays.files import read_json
 from jexplore.config import InputError, InputWarning, shown
@@ -23,10 +24,7 @@ from jexplore.policies import parse_strategy, search_space
 from jexplore.report.store import MAX_RECORD_BYTES
 from jexplore.report.tables import aligned_table, ratio_text
 from jexplore.studies.statistics.league import LEAGUE_STRATEGIES
-from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
-
-if TYPE_CHECKING:
-    import pandas as pd
+from jexplore.studies.statistics.over_worlds import ratio_over_worlds
 
 FIRST_SEED = 1000  # of the worlds; the league's are #0 and on
 SHIPPED = Path(__file__).with_name("tuned.json")
@@ -102,17 +100,9 @@ def search(
 ) -> list[Search]:  # fmt: skip
     """Tune strategies, all together, so that they share compiled programs; none changes the result of another.
 
-    Args:
-      names: of the strategies.
-      bank: of worlds, kind by kind, `seeds` of each.
-      seeds: number of worlds of each kind.
-      trials: number of settings that are drawn, besides the defaults, which run in all worlds.
-      seed: of starts and draws.
-      workers: cores; by default all.
-      on_progress: called with the number of finished episodes, see `episodes_needed`.
-
-    Raises:
-      KeyboardInterrupt: it was interrupted.
+    The bank has worlds, kind by kind, `seeds` of each. `trials` settings are drawn besides the defaults, which run in
+    all worlds; `seed` is that of starts and draws. `on_progress` is called with the number of finished episodes, see
+    `episodes_needed`.
     """
     found = []
     for name in names:
@@ -135,10 +125,8 @@ def search(
     return found
 
 
-def trials_table(searches: Iterable[Search]) -> "pd.DataFrame":
+def trials_table(searches: Iterable[Search]) -> pd.DataFrame:
     """Tabulate all trials: a row each with `strategy`, `trial`, `text`, `worlds`, and `ratio` over those worlds."""
-    import pandas as pd
-
     rows = [
         (one.name, i, with_values(one.name, values), n := int(np.isfinite(own).sum()), math.exp(np.nansum(own) / n))
         for one in searches
@@ -149,10 +137,10 @@ def trials_table(searches: Iterable[Search]) -> "pd.DataFrame":
 
 def tuning_table(searches: Iterable[Search], worlds: Sequence[str]) -> str:
     """Format the choices as a Markdown table. Intervals are over worlds; the choice was made in the same ones."""
-    kinds, lines = [kind_of(world) for world in worlds], []
+    lines = []
     for one in searches:
         chosen, default = one.log_ratio[one.best], one.log_ratio[0]
-        ratios = [np.exp(mean_over_worlds(logs, kinds)[:3]) for logs in (default, chosen, chosen - default)]
+        ratios = [ratio_over_worlds(logs, worlds)[:3] for logs in (default, chosen, chosen - default)]
         settings = ", ".join(f"{key} {value:g}" for key, value in one.settings[one.best].items()) or "the defaults"
         lines.append([one.name, settings, *(ratio_text(*ratio) for ratio in ratios)])
     head = ["strategy", "chosen", f"defaults, to {REFERENCE}", f"chosen, to {REFERENCE}", "chosen to defaults"]

@@ -147,18 +147,11 @@ def _costs_apart(belief, at, n, side):
 
 
 def costs_between(passable: Array, row: Array, col: Array, n: Array | int) -> Array:
-    """Compute costs of the paths between the first n of some cells.
+    """Compute costs of the paths between the first n of some cells, `[M]` int32 each, all of them passable.
 
     The map is tiled, up to `ACROSS` times each way, with walls between: one sweep along a row or a column serves a
-    source in each copy at little more cost than one.
-
-    Args:
-      passable: `[h, w]` bool.
-      row, col: `[M]` int32, the cells, all of them passable.
-      n: int32.
-
-    Returns:
-      `[M, M]` int32, as of `reach.reach`, symmetric, 0 on the diagonal; arbitrary where not both are of the first n.
+    source in each copy at little more cost than one. Returns `[M, M]` int32, as of `reach.reach`, symmetric, 0 on the
+    diagonal; arbitrary where not both are of the first n.
     """
     height, width = (size + 1 for size in passable.shape)
     # From the corner outwards: few maps fill a small square, and the sweeps end at its edges.

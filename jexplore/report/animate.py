@@ -67,19 +67,23 @@ def frame_image(frame: Mapping[str, Any], *, cell_m: float) -> Image.Image:
     def pixel(row, col):
         return left + (col + 0.5) * per_cell, height - (row + 0.5) * per_cell
 
-    points = [pixel(row, col) for row, col in zip(frame["rows"], frame["cols"])]
-    if len(points) > 1:
-        draw.line(points, fill=_PATH, width=max(1, min(3, scale // 2)))
+    robots = [frame, *frame.get("others", ())]
+    for robot in robots:
+        points = [pixel(row, col) for row, col in zip(robot["rows"], robot["cols"])]
+        if len(points) > 1:
+            draw.line(points, fill=_PATH, width=max(1, min(3, scale // 2)))
     size = min(max(6.0, 0.3 / cell_m * per_cell), 14.0)
-    if frame["target"] is not None:
-        x, y = pixel(*frame["target"])
-        draw.ellipse((x - size, y - size, x + size, y + size), outline=_TARGET, width=3)
-    x, y = pixel(frame["row"], frame["col"])
-    cos, sin = math.cos(math.radians(frame["heading_deg"])), math.sin(math.radians(frame["heading_deg"]))
-    arrow = [
-        (x + size * (u * cos - v * sin), y - size * (u * sin + v * cos)) for u, v in np.asarray(ARROW.vertices)[:-1]
-    ]
-    draw.polygon(arrow, fill=_ROBOT, outline=_OCCUPIED)
+    for robot in robots:
+        if robot["target"] is not None:
+            x, y = pixel(*robot["target"])
+            draw.ellipse((x - size, y - size, x + size, y + size), outline=_TARGET, width=3)
+    for robot in robots:
+        x, y = pixel(robot["row"], robot["col"])
+        cos, sin = math.cos(math.radians(robot["heading_deg"])), math.sin(math.radians(robot["heading_deg"]))
+        arrow = [
+            (x + size * (u * cos - v * sin), y - size * (u * sin + v * cos)) for u, v in np.asarray(ARROW.vertices)[:-1]
+        ]
+        draw.polygon(arrow, fill=_ROBOT, outline=_OCCUPIED)
     _draw_legend(image, draw, height + _BAND_PX)
     _draw_band(image, draw, frame["caption"], cell_m / per_cell, height)
     return image
@@ -127,7 +131,8 @@ def save_animation(
     Args:
       frames: iterable of one or more dicts: `state` `[H, W]` uint8; `frontier` `[H, W]` bool; `row`, `col`,
         `heading_deg` of the robot; `target`, a `(row, col)` or None; `rows`, `cols` `[N]`, cells driven; `caption`,
-        text. A frame is drawn before the next one is asked for.
+        text; of a team `others`, dicts of its other robots with the robot's entries. A frame is drawn before the next
+        one is asked for.
       path: the file; without an ending it is a GIF. MP4 is written by the program ffmpeg.
       cell_m: edge of a cell, metres.
       fps: frames a second, above 0 and at most 50.

@@ -61,9 +61,6 @@ class RunFolder:
         They are written into a hidden folder, which one renaming makes the run of this folder. If a writer fails or the
         user interrupts before that, the folder stays as before; whatever comes after, the new run is there. The units
         of a finished run are removed.
-
-        Raises:
-          InputError: a file cannot be written.
         """
         with _staged(self.path, writers) as stage:
             _taken(self.path, True)
@@ -86,11 +83,7 @@ class RunFolder:
         shutil.rmtree(gone, ignore_errors=True)
 
     def add(self, name: str, write: Callable[[Path], Any]) -> None:
-        """Add a file to a finished run, whole or not at all; `write` may add others next to it.
-
-        Raises:
-          InputError: it cannot be written.
-        """
+        """Add a file to a finished run, whole or not at all; `write` may add others next to it."""
         with _staged(self.path, {name: write}) as stage:
             for file in stage.iterdir():
                 os.replace(file, self.path / file.name)
@@ -117,10 +110,6 @@ def claimed(path: str | os.PathLike[str], *, overwrite: bool = False, resume: bo
     Nothing in it is changed before the run is written. The claim dies with its holder, however that ends. With
     `overwrite` it may hold a run, which the new one replaces as a whole; files of other names than a run's are never
     touched. With `resume` it may hold a run, finished or not, to be continued.
-
-    Raises:
-      InputError: it holds a run, finished or not, or another process writes to it; it is a file, or cannot be made or
-        written.
     """
     if not os.fspath(path):
         raise InputError("the output folder must have a name, got an empty one")

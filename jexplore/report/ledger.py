@@ -126,7 +126,7 @@ def open_ledger(
     resume: bool = False,
     trust: bool = False,
 ) -> Ledger | None:
-    """Open the ledger of a run, new or to be continued.
+    """Open the ledger of a run, new or to be continued; None if the folder holds the finished run.
 
     Args:
       run: the run's folder.
@@ -135,12 +135,6 @@ def open_ledger(
         then continues a finished one of fewer `episodes`.
       resume: continue with existing units; else they are removed.
       trust: as in `require_same`.
-
-    Returns:
-      None if the folder holds the finished run.
-
-    Raises:
-      InputError: the folder holds a run with other settings, or another command's files, or cannot be written.
     """
     asked, after = jsonable(dict(asked)), 0
     page_file, record_file = run.unfinished / ASKED_FILE, run.path / "run.json"

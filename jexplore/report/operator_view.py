@@ -67,9 +67,6 @@ def page(recording: RunRecording) -> str:
     """Return a run as one HTML file that replays in a browser: no network, no server, no other file. Plain ASCII.
 
     Metres are kept to 1 cm (poses and walls to 1 mm), angles of beams to 0.1 mrad, tilt to 0.01 degrees.
-
-    Raises:
-      ValueError: a number too large to be kept.
     """
     modes = '<div id="modekey" aria-label="Colours of the run modes"></div>'
     return map_page("trace", recording.title, _data(recording), ("trace.js",), own_controls=modes)

@@ -203,12 +203,10 @@ def _path_legend(figure, axes, marks):
 
 
 def paths_figure(entries: Sequence[tuple[str, Sequence[tuple[str, Any, Any, Any, float, float]]]]) -> Figure:
-    """Draw the map as each strategy saw it with its path, a row a world and a column a strategy.
+    """Draw the map as each strategy saw it with its path: a row, of any length, a world, a column a strategy.
 
-    Args:
-      entries: one or more `(world name, panels)`; a panel is `(strategy, state, rows, cols, cell_m, path_m)`: the final
-        map `[H, W]` uint8, the cells driven `[N]` (see `ways_of`), the edge of a cell and the path length, metres. Rows
-        may differ in length.
+    `entries` are `(world name, panels)`; a panel is `(strategy, state, rows, cols, cell_m, path_m)`: the final map `[H,
+    W]` uint8, the cells driven `[N]` (see `ways_of`), the edge of a cell and the path length, metres.
     """
     n_cols = max(len(panels) for _, panels in entries)
     sizes = [_panel_in([np.shape(panel[1]) for panel in panels], long_in=3.0) for _, panels in entries]
@@ -243,7 +241,7 @@ def episode_figure(state: Any, rows: Any, cols: Any, cell_m: float, *,
     figure = Figure(figsize=(width + 4.4, max(height, 3.2) + 0.7), layout="constrained")
     left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [width, 4.0]})
     draw_map(left, state, cell_m)
-    _, *marks = draw_path(left, rows, cols, cell_m)
+    _, *marks = [draw_path(left, *way, cell_m) for way in ways_of(rows, cols)].pop()
     marks += [] if estimate is None else [draw_estimate(left, estimate[0], estimate[1], cell_m)]
     left.set(xlabel="x (m)", ylabel="y (m)")
     figure.legend(handles=marks, loc="outside lower left", ncols=2, frameon=False, fontsize=8)

@@ -77,12 +77,7 @@ def write_parquet(episodes: "pd.DataFrame", path: str | os.PathLike[str]) -> Non
 
 
 def read_parquet(path: str | os.PathLike[str], *, required: Sequence[str] = ()) -> "pd.DataFrame":
-    """Read a DataFrame that `write_parquet` wrote; column types come back as they were.
-
-    Raises:
-      InputError: the file is missing, cannot be read, is no Parquet file, has more than `MAX_TABLE_VALUES`, or lacks a
-        required column.
-    """
+    """Read a DataFrame that `write_parquet` wrote; column types come back as they were."""
     import pandas as pd
     import pyarrow.parquet as pq
 

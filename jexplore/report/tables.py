@@ -32,11 +32,9 @@ def ratio_text(ratio: float, low: float = math.nan, high: float = math.nan, deci
 
 
 def aligned_table(head: Sequence[str], lines: Iterable[Sequence[str]], *, left: Collection[str]) -> str:
-    """Format texts as one aligned Markdown table.
+    """Format texts as one aligned Markdown table, columns named in `left` to the left, the others to the right.
 
-    Args:
-      lines: lists of `[K]` texts. Bars in texts are escaped.
-      left: names of the columns that are aligned to the left; the others are to the right.
+    Bars in texts are escaped.
     """
     is_left = [name in left for name in head]
     head, *lines = ([" ".join(cell.split()).replace("|", "\\|") for cell in line] for line in [head, *lines])

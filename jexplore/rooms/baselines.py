@@ -54,13 +54,7 @@ def _parts(mask, cell_m):
 def distance_rooms(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.ndarray:
     """Divide by clearance: seeds are the cells above the level with most components; the rest goes to the nearest.
 
-    Args:
-      inside: `[H, W]` bool.
-      clearance: `[H, W]` float, cells.
-      cell_m: edge of a cell, metres.
-
-    Returns:
-      `[H, W]` int32, room; -1 outside, and where no seed gets to.
+    `clearance` is in cells. Returns `[H, W]` int32, room; -1 outside, and where no seed gets to.
 
     Source:
       Bormann et al. 2016, "Room Segmentation: Survey, Implementation, and Analysis", distance transform, with the

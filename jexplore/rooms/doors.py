@@ -76,11 +76,7 @@ def middles_of(label: np.ndarray, free: np.ndarray, cell_m: float) -> np.ndarray
 def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell_m: float) -> Doors:
     """Compare the doors of a segmentation with the true ones.
 
-    Args:
-      truth: `[H, W]` int, true rooms, negative in doorways and walls; None if unknown.
-      found: `[H, W]` int, rooms of the segmentation, in the same form.
-      free: `[H, W]` bool.
-      cell_m: edge of a cell, metres.
+    `truth` and `found` are `[H, W]` int, rooms, negative in doorways and walls; `truth` is None if unknown.
     """
     gap = DOOR_NEAR_M / cell_m
     own = touching(with_doorways(found, free, gap))

@@ -45,21 +45,11 @@ def rooms_of(free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
 
 
 def scored_regions(labels: ArrayLike, free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
-    """Label the regions of a predicted segmentation for scoring.
+    """Label the regions of a predicted segmentation for scoring: `[H, W]` int32 as from `rooms_of`.
 
-    All free pixels of a label form a region, even if it has several parts. Free pixels without a label are not excused:
-    each of their 4-connected components is a region. Labels on pixels that are not free do not count.
-
-    Args:
-      labels: `[H, W]` int, any numbers from 0; negative for none.
-      free: `[H, W]` bool, pixels to segment.
-      min_px: regions of this many pixels or fewer are dropped.
-
-    Returns:
-      `[H, W]` int32: regions 0..n-1, in the order of their first pixels by row and column; -1 elsewhere.
-
-    Raises:
-      InputError: shapes that differ.
+    All free pixels of a label (a number from 0) form a region, even if it has several parts. Free pixels without a
+    label are not excused: each of their 4-connected components is a region. Labels on pixels that are not free do not
+    count. Regions of `min_px` pixels or fewer are dropped.
     """
     labels, free = np.asarray(labels), np.asarray(free, dtype=bool)
     _same_size("the labels", labels, "the free mask", free)

@@ -85,13 +85,10 @@ def room_criteria(
 def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Array]:
     """Find obstacles other than walls: legs of tables, cupboards in the middle of a room.
 
-    Args:
-      free: `[H, W]` bool. Cells that are not free and touch along edges or corners are one obstacle.
-      size: cells; an obstacle whose bounding box has a shorter diagonal, and that is not at the map's rim, is clutter.
-      edges: most obstacle cells next to free ones that are examined. Static. Those beyond count as walls.
-
-    Returns:
-      `(mask, overflow)`: `[H, W]` bool, cells of clutter; int32, edges that did not fit.
+    Cells that are not `free` `[H, W]` and touch along edges or corners are one obstacle. One whose bounding box has a
+    diagonal shorter than `size` cells, and that is not at the map's rim, is clutter. At most `edges` obstacle cells
+    next to free ones are examined; those beyond count as walls. Returns `[H, W]` bool, and int32, how many edges did
+    not fit.
     """
     height, width = free.shape
     edge = ~free & any_within_one(free)

@@ -49,11 +49,8 @@ def settle(pose: Array, steps: Steps, loops: Loops, doubt: Array | float) -> tup
       Agarwal et al., Robust map optimization using dynamic covariance scaling (2013), for the weights of loops;
       Yang et al., Graduated non-convexity for robust spatial perception (2020), for their fall from round to round.
     """
-    there = loops.ends[:, 0] >= 0
-    first, second = jnp.maximum(loops.ends, 0).T
-    own = jnp.where(there[:, None, None], loops.covariance, jnp.eye(3))
+    there, first, second, own, moved = _rows(loops)
     information = jax.vmap(inverted)(own)
-    moved = jnp.where(there[:, None], loops.moved, 0)
 
     def misfit(pose):
         off = _off(pose[first], pose[second], moved) * there[:, None]
@@ -64,27 +61,9 @@ def settle(pose: Array, steps: Steps, loops: Loops, doubt: Array | float) -> tup
         off, misfit2 = misfit(pose)
         # Trusted at first, or what has drifted far would never be closed.
         trust = jnp.maximum(jnp.minimum(trust / FALL, jnp.max(misfit2, initial=0)), doubt)
-        measured = own / jnp.minimum(1, 2 * trust / (trust + misfit2))[:, None, None] ** 2
         twist, spread = _twists(pose, steps)
-        seen = _rigid(-pose[first, 2], rotated(_aside(pose[second, :2]), -pose[first, 2])) * there[:, None, None]
-
-        def across(chain):  # what loops see of sums along the chain
-            total = jnp.cumsum(chain, axis=0)
-            return jnp.einsum("lij,lj->li", seen, total[second] - total[first])
-
-        def along(pull):  # what loops ask of every step
-            each = jnp.einsum("lji,lj->li", seen, pull)
-            after = jnp.zeros_like(pose).at[first].add(-each).at[second].add(each)
-            return jnp.einsum("kij,kj->ki", spread, jnp.cumsum(after[::-1], axis=0)[::-1])
-
-        def joint(pull):
-            return across(along(pull)) + jnp.einsum("lij,lj->li", measured, pull)
-
-        total = jnp.cumsum(spread, axis=0)
-        alone = jax.vmap(inverted)(seen @ (total[second] - total[first]) @ seen.mT + measured)
-        pull, _ = cg(
-            joint, off - across(twist), pull, tol=SOLVE_ERROR, maxiter=SOLVE_ROUNDS,
-            M=lambda pull: jnp.einsum("lij,lj->li", alone, pull))  # fmt: skip
+        solve, across, along = _chain(pose, spread, loops, _doubted(own, misfit2, trust))
+        pull = solve(off - across(twist), pull)
         total = jnp.cumsum(-along(pull) - twist, axis=0)
         step = total.at[:, :2].add(_aside(pose[:, :2]) * total[:, 2:])
         return pose + step, pull, trust, jnp.max(jnp.abs(step)), k + 1
@@ -95,6 +74,69 @@ def settle(pose: Array, steps: Steps, loops: Loops, doubt: Array | float) -> tup
     first_state = pose, jnp.zeros_like(moved), jnp.float32(jnp.inf), jnp.float32(jnp.inf), jnp.int32(0)
     pose = lax.while_loop(is_going, better, first_state)[0]
     return pose, misfit(pose)[1]
+
+
+def surprise(pose: Array, steps: Steps, loops: Loops, which: Array, doubt: Array | float) -> Array:
+    """Return how far a loop lies from what the chain and the other loops tell: float32, squared standard deviations.
+
+    If the loop is true this has the chi-square distribution of three degrees of freedom.
+
+    Args:
+      pose: `[K, 3]` float32, settled without it.
+      which: int32, its row.
+
+    Source:
+      Neira and Tardos, Data association in stochastic mapping using the joint compatibility test (2001): of the joint
+      test, the part that one more loop adds.
+    """
+    there, first, second, own, moved = _rows(loops)
+    off = _off(pose[first], pose[second], moved) * there[:, None]
+    misfit2 = jnp.einsum("li,lij,lj->l", off, jax.vmap(inverted)(own), off)
+    measured = jnp.where((jnp.arange(len(own)) == which)[:, None, None], own, _doubted(own, misfit2, doubt))
+    solve = _chain(pose, _twists(pose, steps)[1], loops, measured)[0]
+    alone = jnp.zeros_like(off).at[which].set(off[which])
+    return off[which] @ solve(alone, alone * 0)[which]
+
+
+def _rows(loops):
+    """Return whether there is a loop in each row, its ends, covariance and move."""
+    there = loops.ends[:, 0] >= 0
+    own = jnp.where(there[:, None, None], loops.covariance, jnp.eye(3))
+    return there, *jnp.maximum(loops.ends, 0).T, own, jnp.where(there[:, None], loops.moved, 0)
+
+
+def _doubted(covariance, misfit2, trust):
+    """Return covariances of loops, larger where their misfit exceeds the trust."""
+    return covariance / jnp.minimum(1, 2 * trust / (trust + misfit2))[:, None, None] ** 2
+
+
+def _chain(pose, spread, loops, measured):
+    """Return functions `(solve, across, along)`: the pulls of loops that explain misfits, beginning with others; what
+    loops see of twists of the chain; what they ask of every step.
+    """
+    there, first, second, _, _ = _rows(loops)
+    seen = _rigid(-pose[first, 2], rotated(_aside(pose[second, :2]), -pose[first, 2])) * there[:, None, None]
+
+    def across(chain):
+        total = jnp.cumsum(chain, axis=0)
+        return jnp.einsum("lij,lj->li", seen, total[second] - total[first])
+
+    def along(pull):
+        each = jnp.einsum("lji,lj->li", seen, pull)
+        after = jnp.zeros_like(pose).at[first].add(-each).at[second].add(each)
+        return jnp.einsum("kij,kj->ki", spread, jnp.cumsum(after[::-1], axis=0)[::-1])
+
+    def joint(pull):
+        return across(along(pull)) + jnp.einsum("lij,lj->li", measured, pull)
+
+    total = jnp.cumsum(spread, axis=0)
+    alone = jax.vmap(inverted)(seen @ (total[second] - total[first]) @ seen.mT + measured)
+
+    def solve(off, pull):
+        return cg(joint, off, pull, tol=SOLVE_ERROR, maxiter=SOLVE_ROUNDS,
+                  M=lambda pull: jnp.einsum("lij,lj->li", alone, pull))[0]  # fmt: skip
+
+    return solve, across, along
 
 
 def turned_covariance(covariance: Array, angle: Array) -> Array:

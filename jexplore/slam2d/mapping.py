@@ -18,7 +18,7 @@ from jexplore.arrays.loops import run_if
 from jexplore.arrays.poses import between, compose
 from jexplore.slam2d.closing import WINDOW as LOOP_WINDOW
 from jexplore.slam2d.closing import Keys, Scanner, map_of, verify
-from jexplore.slam2d.graph import Loops, Steps, settle, turned_covariance
+from jexplore.slam2d.graph import Loops, Steps, settle, surprise, turned_covariance
 from jexplore.slam2d.matching import Match, Outcome
 from jexplore.slam2d.points import PointMap, add, cell_m, empty_map
 from jexplore.slam2d.scans import Scan, read_scan
@@ -184,7 +184,10 @@ def _is_leaving(settings, mapping):
 
 
 def _close(settings, mapping, scanner, window):
-    """Look for the last key scan round the nearest old one; where that moves poses, the map is to be made anew."""
+    """Look for the last key scan round the nearest old one; where that moves poses, the map is to be made anew.
+
+    A scan alone is sure of places that look alike: the way between must allow the loop as well.
+    """
     last, pose_of, numbers = mapping.n_keys - 1, mapping.pose_of, jnp.arange(len(mapping.pose_of))
     away = between(pose_of, jnp.broadcast_to(pose_of[last], pose_of.shape))
     far = jnp.hypot(jnp.hypot(away[:, 0], away[:, 1]), settings.close_turn_m * away[:, 2])
@@ -198,26 +201,32 @@ def _close(settings, mapping, scanner, window):
         found, searched = verify(
             settings, keys, mapping.ranges_of[last], away[j], scanner, window, mapping.points.native
         )
-        is_loop = (found.outcome == Outcome.MATCHED) | (found.outcome == Outcome.UNSETTLED)
-        is_loop &= (found.fitness >= settings.close_share) & (searched.other >= searched.cost + settings.close_margin)
+        is_sure = (found.outcome == Outcome.MATCHED) | (found.outcome == Outcome.UNSETTLED)
+        is_sure &= (found.fitness >= settings.close_share) & (searched.other >= searched.cost + settings.close_margin)
 
-        def join(mapping):
-            n, loops = mapping.n_loops - 1, mapping.loops
-            loops = Loops(
+        def weigh(mapping):
+            n, loops = mapping.n_loops, mapping.loops
+            joined = Loops(
                 loops.ends.at[n].set(jnp.stack([j, last])),
                 loops.moved.at[n].set(found.pose),
                 loops.covariance.at[n].set(found.covariance + _own_covariance(settings)),
             )
-            settled, _ = settle(pose_of, mapping.steps, loops, settings.close_doubt)
-            moved_m = jnp.max(jnp.where(numbers <= last, jnp.hypot(*(settled - pose_of)[:, :2].T), 0))
-            is_moved = moved_m > settings.min_distance_m
-            return mapping.replace(
-                loops=loops, pose_of=settled, pose=settled[last],
-                remade_at=jnp.where(is_moved, -jnp.inf, mapping.remade_at),
-            )  # fmt: skip
+            off2 = surprise(pose_of, mapping.steps, joined, n, settings.close_doubt)
 
-        mapping = mapping.replace(n_loops=mapping.n_loops + is_loop)
-        return run_if(is_loop & (mapping.n_loops <= len(mapping.loops.ends)), join, mapping)
+            def join(mapping):
+                settled, _ = settle(pose_of, mapping.steps, joined, settings.close_doubt)
+                moved_m = jnp.max(jnp.where(numbers <= last, jnp.hypot(*(settled - pose_of)[:, :2].T), 0))
+                is_moved = moved_m > settings.min_distance_m
+                return mapping.replace(
+                    n_loops=n + 1, loops=joined, pose_of=settled, pose=settled[last],
+                    remade_at=jnp.where(is_moved, -jnp.inf, mapping.remade_at),
+                )  # fmt: skip
+
+            return run_if(off2 <= settings.close_doubt, join, mapping)
+
+        has_room = mapping.n_loops < len(mapping.loops.ends)
+        mapping = mapping.replace(n_loops=mapping.n_loops + (is_sure & ~has_room))
+        return run_if(is_sure & has_room, weigh, mapping)
 
     return run_if(far[j] <= settings.close_m, look, mapping)
 

@@ -8,7 +8,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
+from jax.core import Tracer
 
 from jexplore.arrays.bits import WORD
 from jexplore.arrays.padding import bucket
@@ -260,4 +264,32 @@ def prepare_jobs(
         jobs += [
             Job(world, one, starts, seed, lidar=lidar, rules=rules, metrics=own, robot=robot) for one in strategies
         ]
-    return team_jobs(jobs, **team)
+    return team_jobs(jobs, **team, start=start)
+
+
+def require_key(key: Any) -> None:
+    """Refuse anything but one key of JAX."""
+    dtype, shape = getattr(key, "dtype", None), getattr(key, "shape", None)
+    typed = dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key) and shape == ()
+    if not (typed or (dtype == np.uint32 and shape == (2,))):
+        got = type(key).__name__ if dtype is None else f"{list(shape or ())} {dtype}"
+        raise InputError(f"key must be one jax.random.key(...), got {got}")
+
+
+def whole_array(name: str, value: Any, shape: tuple[int, ...], meaning: str = "") -> Array:
+    """Convert a value to int32 of a shape, which may be traced."""
+    expected = f"{name} must be int32 {list(shape)}" + (f", {meaning}" if meaning else "")
+    try:
+        if not isinstance(value, Array) and np.asarray(value).dtype.kind in "iu":  # 64 bits are not cut off
+            value = np.clip(value, -(2**31), 2**31 - 1)
+        array = jnp.asarray(value)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{expected}, got {value!r}") from None
+    if array.shape != shape or not jnp.issubdtype(array.dtype, jnp.integer):
+        raise InputError(f"{expected}, got {list(array.shape)} {array.dtype}")
+    return array.astype(jnp.int32)
+
+
+def concrete(array: Array) -> np.ndarray | None:
+    """Return an array's value on the host; None while it is traced."""
+    return None if isinstance(array, Tracer) else np.asarray(array)

@@ -66,8 +66,8 @@ def compare(
       lidar, rules, robot: `Lidar`, `Rules`, `Robot`, or mappings of the fields that are not default: `{"range_m": 4}`.
       pose, odometry: those of the rules, if given.
       robots: sizes of teams, 1 to 16, each compared with the first; see `team.environment`.
-      coordination: one or several of independent, greedy, hungarian, minpos, voronoi; functions of a `JointView`.
-      contact, team_starts: "all", "none" or "range:4" metres; "together", "apart", or row, col, heading_deg of each.
+      coordination: one or several of independent, greedy, hungarian, minpos, voronoi, segments; your own functions.
+      contact, team_starts: see `team.read_contact`; "together", "apart", or row, col, heading_deg of each.
       engine: "auto", native code where it can and JAX for the rest; "jax", JAX alone. Results are equal.
       lanes, workers: episodes at a time on each GPU, with "jax"; threads on a CPU. By default as many as fit.
       on_progress, progress: called with the number of episodes finished; whether a bar shows it, as in notebooks.

@@ -13,18 +13,21 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jax import Array
-from jax.core import Tracer
 
 from jexplore.arrays.loops import alone_on_cpu, run_if
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, checked_names
+from jexplore.config import InputError, checked_names, require_whole
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.program import Given
 from jexplore.engine.runner import find_resources, require_32_bits
 from jexplore.exploration import environment
 from jexplore.exploration.metrics import values_of
 from jexplore.exploration.site import drive_for, prepare_site, unify_truths
-from jexplore.exploration.state import Numbers, Outcome, State, Truth, steps_m
+from jexplore.exploration.state import Numbers, Outcome, Truth, steps_m
+from jexplore.exploration.team import stepping
+from jexplore.exploration.team.environment import TeamSetup, TeamState
+from jexplore.exploration.team.stepping import cell_inside
+from jexplore.exploration.team.team import MOST_ROBOTS
 from jexplore.exploration.trail import LOOKS, Trail
 from jexplore.planning import Field, View, choose, field, is_live, view_of
 from jexplore.policies.closest import closest
@@ -36,11 +39,14 @@ from jexplore.studies.checks import (
     LidarLike,
     OdometryLike,
     RulesLike,
+    concrete,
     measures_of,
     ready_settings,
     ready_worlds,
     require_clearance,
+    require_key,
     require_memory,
+    whole_array,
 )
 from jexplore.studies.metrics import MetricsLike, ready_metrics
 from jexplore.worlds.regions import warn_of_floor
@@ -55,8 +61,8 @@ WORLD, START = 2, 3  # streams of random numbers besides those of an episode (`s
 class EnvState:
     """An episode under way, between two decisions."""
 
-    episode: State
-    reached: Field  # of its belief
+    episode: Any  # `State`, of a team `TeamState`
+    reached: Field  # of its belief; of a team, of every robot's
     world: Array  # int32, which of the environment's worlds it is in
     ring: Array | None  # int32, cells by which indices in its maps are larger than its world's; None: 0 in all worlds
     replace: ClassVar[Callable[..., Self]]
@@ -96,7 +102,7 @@ class Environment:
     def __init__(
         self, worlds: Any, *, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
         pose: str | None = None, odometry: OdometryLike = None,
-        recheck: bool = False, paths: bool = False, metrics: MetricsLike = None,
+        recheck: bool = False, paths: bool = False, metrics: MetricsLike = None, robots: int = 1,
     ) -> None:  # fmt: skip
         """Load the worlds.
 
@@ -111,6 +117,8 @@ class Environment:
           recheck: give up a frontier cell as soon as it is no longer live.
           paths: keep the whole way in the state, for `path`: 8 bytes for every cell of the map, at least 160 kB.
           metrics: more entries of `info`: name -> function of an `EpisodeView`, see `metric`.
+          robots: size of a team that hears each other everywhere, without recheck, paths, metrics. A view then has a
+            leading axis N; an action is `[N, 2]`; a step goes on until a robot needs a target.
 
         Raises:
           InputError: no world, one that cannot be loaded, or one without a clear cell; cells of different sizes.
@@ -120,6 +128,7 @@ class Environment:
             raise InputError(f"recheck must be True or False, got {recheck!r}")
         if rules.return_home:
             raise InputError("rules.return_home must be False: whoever steps through an Environment drives home itself")
+        self.robots = _require_robots(robots, alone=recheck or paths or metrics or rules.pose != "true")
         use_compilation_cache()
         self._metrics = ready_metrics(metrics) | measures_of(rules)
         self.worlds = tuple(ready_worlds(worlds, cell_m))
@@ -140,11 +149,11 @@ class Environment:
             warn_of_floor(world, start_region(world, rules.clearance_m), rules.clearance_m, drawn=True)
             sites.append(prepare_site(world, lidar, rules, self.shape, native=native, metrics=own))
         capacity = max(site.setup.capacity for site in sites) if paths else 1
-        self._setup = sites[0].setup._replace(policy=closest(), capacity=capacity)  # which nobody asks
-        truths = unify_truths([site.truth for site in sites])
-        scenes, numbers = (
-            jax.tree.map(lambda *a: jnp.stack(a), *records) for records in (truths, [site.numbers for site in sites])
-        )
+        self._setup: Any = sites[0].setup._replace(policy=closest(), capacity=capacity)  # which nobody asks
+        if robots > 1:
+            self._setup = stepping.setup_of(self._setup, robots, min(map(len, cells)))
+        records = unify_truths([site.truth for site in sites]), [site.numbers for site in sites]
+        scenes, numbers = (jax.tree.map(lambda *a: jnp.stack(a), *own) for own in records)
         ring = jnp.asarray([site.ring for site in sites], jnp.int32) if any(site.ring for site in sites) else None
         self._bank = _Bank(jax.tree.map(jnp.asarray, sites[0].beams), scenes, numbers, jnp.bool_(recheck), ring)
         self._n_cells = jnp.asarray([len(own) for own in cells], jnp.int32)
@@ -157,8 +166,8 @@ class Environment:
         Args:
           key: of the episode; draws the world, the start and the scanner's noise, each from a stream of its own. That
             of episode n of a comparison is `jax.random.fold_in(jax.random.key(seed), n)`.
-          start: int32 `[3]`, row, col, heading_deg (a multiple of 45); may be traced. Without it, drawn uniformly from
-            the cells that are clear. From an enclosed one the episode is over at once, as STUCK.
+          start: int32 `[3]`, row, col, heading_deg (a multiple of 45), of a team `[N, 3]`; may be traced. Without it,
+            drawn uniformly from the cells that are clear. From an enclosed one the episode is over at once, as STUCK.
           world: int32, which of `worlds`; may be traced. Without it, drawn. Where it or the start is traced and cannot
             be one, the episode is over at once, as BAD_START.
 
@@ -169,24 +178,29 @@ class Environment:
           InputError: a key, start or world that cannot be one; 64-bit mode.
         """
         require_32_bits()
-        _require_key(key)
+        require_key(key)
         drawn = world is None and len(self.worlds) > 1  # a start may then lie in a wall of the one and not of the other
         if world is not None:
-            world = _whole("world", world, ())
-            known = _concrete(world)
+            world = whole_array("world", world, ())
+            known = concrete(world)
             if known is not None and not 0 <= known < len(self.worlds):
                 raise InputError(f"world must be from 0 to {len(self.worlds) - 1}, got {known}")
         else:
             world = jax.random.randint(jax.random.fold_in(key, WORLD), (), 0, len(self.worlds), jnp.int32)
         if start is not None:
-            start = _whole("start", start, (3,), "row, col, heading_deg")
-            given, where = _concrete(start), _concrete(world)
+            start = whole_array("start", start, (self.robots, 3)[self.robots == 1 :], "row, col, heading_deg")
+            given, where = concrete(start), concrete(world)
             if given is not None and where is not None and not drawn:
-                check_start(self.worlds[int(where)], given, self._rules.clearance_m, self._rules.near_m)
+                for one in given.reshape(-1, 3):
+                    check_start(self.worlds[int(where)], one, self._rules.clearance_m, self._rules.near_m)
         else:
             which, turn = jax.random.split(jax.random.fold_in(key, START))
-            cell = self._cells[world, jax.random.randint(which, (), 0, self._n_cells[world], jnp.int32)]
-            start = jnp.append(cell, 45 * jax.random.randint(turn, (), 0, 8, jnp.int32))
+            n = self._n_cells[world]
+            places = jax.random.randint(which, (), 0, n, jnp.int32)
+            if self.robots > 1:
+                places = stepping.drawn(which, self._cells.shape[1], n, self.robots)
+            turns = jax.random.randint(turn, jnp.shape(places), 0, 8, jnp.int32)
+            start = jnp.concatenate([self._cells[world, places], 45 * turns[..., None]], axis=-1)
         return _reset(self._setup, self._bank, jax.random.clone(key), start.astype(jnp.int32), world)
 
     def step(self, key: Array, state: EnvState, action: Any) -> tuple[EnvState, View, Array, Array, dict[str, Array]]:
@@ -197,12 +211,13 @@ class Environment:
             same at every step, gives the noise of a comparison. Not consumed.
           state: `EnvState`.
           action: int32 `[2]`, row and col of a cell of finite `view.cost`. Any other moves nothing, and
-            `info["valid"]` is False.
+            `info["valid"]` is False. Of a team `[N, 2]`: robots under way keep their targets, and a robot that needs
+            one and gets none waits for the time of a straight step.
 
         Returns:
           state: `EnvState`; as it was once the episode is over.
           view: `View`.
-          reward: float32, minus the metres driven.
+          reward: float32, minus the metres driven, by all robots.
           done: bool, the episode is over: with the step that leaves no frontier, or at a limit of the rules.
           info: dict of `valid`, bool; `outcome`, int32, an `Outcome`; `path_m`, float32, metres driven since the start;
             `known_m2`, float32, known area; the present values of the metrics.
@@ -211,9 +226,9 @@ class Environment:
           InputError: a key, state or action of a wrong shape or dtype; 64-bit mode.
         """
         require_32_bits()
-        _require_key(key)
+        require_key(key)
         self._require_one(state, "step")
-        action = _whole("action", action, (2,), "row, col")
+        action = whole_array("action", action, (self.robots, 2)[self.robots == 1 :], "row, col")
         *seen, info, values = _step(self._setup, self._bank, jax.random.clone(key), state, action)
         return (*seen, info | dict(zip(self._metrics, values)))
 
@@ -251,7 +266,9 @@ class Environment:
         if jnp.ndim(state.world):
             many = f"{jnp.shape(state.world)[0]} or more"
             raise InputError(f"{taker} takes one state, got {many}; use jax.vmap(env.step), or take one of them")
-        if state.episode.trail.shape[0] != self._setup.capacity + 1 or state.episode.shape != self.shape:
+        own = getattr(state.episode, "robots", state.episode)
+        shape = (self.robots, *self.shape)[self.robots == 1 :]
+        if own.trail.shape[-2] != self._setup.capacity + 1 or own.belief.driven.shape != shape:
             raise InputError("state must be one of this environment: its maps or its path have another size")
 
     def __repr__(self) -> str:
@@ -259,14 +276,15 @@ class Environment:
         return f"<Environment of {names}; {self.shape[0]} x {self.shape[1]} cells of {self.cell_m:g} m>"
 
 
+def _require_robots(robots, alone):
+    """Check the size of a team; `alone`: something is asked for that only a robot alone has."""
+    if require_whole("robots", robots, 1, MOST_ROBOTS) > 1 and alone:
+        raise InputError("recheck, paths, metrics and a pose that is not given are of one robot: leave out robots")
+    return robots
+
+
 def _given(bank, key, world, start):
     return Given(key, bank.beams, bank.scenes, world, jax.tree.map(lambda a: a[world], bank.numbers), start)
-
-
-def _inside(shape, row, col):
-    """Return whether a cell lies on the maps, and the cell; outside, (0, 0), which is a wall."""
-    inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
-    return inside, jnp.where(inside, row, 0), jnp.where(inside, col, 0)
 
 
 def _seen(setup, given, episode, ring):
@@ -283,6 +301,9 @@ def _seen(setup, given, episode, ring):
 
 def shown(state: EnvState) -> View:
     """Return the `View` of a state, in the cells of its world."""
+    if isinstance(state.episode, TeamState):
+        robots = state.episode.robots, state.reached
+        return jax.lax.map(lambda one: shown(EnvState(one[0], one[1], state.world, state.ring)), robots)
     view, ring = view_of(state.episode.belief, state.reached), state.ring
     if ring is None:
         return view
@@ -306,25 +327,39 @@ def _ringed(ring, row, col):
 
 
 def _begun(setup, bank, key, start, world):
-    row, col, heading_deg = start
+    row, col, heading_deg = jnp.moveaxis(start, -1, 0)
     occupied = bank.scenes.occupied
     own = jnp.clip(world, 0, len(occupied) - 1)
     ring = None if bank.ring is None else bank.ring[own]
-    _, row, col = _inside(occupied.shape[1:], *_ringed(ring, row, col))
+    _, row, col = cell_inside(occupied.shape[1:], *_ringed(ring, row, col))
     bad = occupied[own, row, col] | (heading_deg % 45 != 0) | (world != own)
     if bank.scenes.within is not None:
         bad |= ~bank.scenes.within[own, row, col]
-    given = _given(bank, key, own, jnp.stack([row, col, heading_deg // 45 % 8]))
+    given = _given(bank, key, own, jnp.stack([row, col, heading_deg // 45 % 8], axis=-1))
+    if isinstance(setup, TeamSetup):
+        team = stepping.begun(setup, given, jnp.any(bad))
+        state = EnvState(team, stepping.fields(team), own, ring)
+        return state, shown(state)
     state = _seen(setup, given, environment.begin(setup, given), ring)
     outcome = jnp.where(bad, Outcome.BAD_START, state.episode.outcome)
     state = state.replace(episode=state.episode.replace(outcome=outcome))
     return state, shown(state)
 
 
+def _driven_by_team(setup, bank, key, state, action):
+    given = _given(bank, key, state.world, state.episode.robots.belief.start)
+    cells = action if state.ring is None else action + state.ring
+    team, reward, info = stepping.play(setup, given, state.episode, cells)
+    state = EnvState(team, stepping.fields(team), state.world, state.ring)
+    return state, shown(state), reward, stepping.is_done(team), info, ()
+
+
 def _driven(setup, bank, key, state, action):
+    if isinstance(setup, TeamSetup):
+        return _driven_by_team(setup, bank, key, state, action)
     episode, known = state.episode, state.reached
     given = _given(bank, key, state.world, episode.belief.start)
-    inside, row, col = _inside(known.cost.shape, *_ringed(state.ring, *action))
+    inside, row, col = cell_inside(known.cost.shape, *_ringed(state.ring, *action))
     valid = inside & (known.cost[row, col] < FAR) & (episode.outcome == Outcome.RUNNING)
 
     def drive(state):
@@ -359,30 +394,3 @@ def _reset(setup, *args):
 @functools.partial(jax.jit, static_argnums=0)
 def _step(setup, *args):
     return alone_on_cpu(functools.partial(_driven, setup))(*args)
-
-
-def _require_key(key):
-    dtype, shape = getattr(key, "dtype", None), getattr(key, "shape", None)
-    typed = dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key) and shape == ()
-    if not (typed or (dtype == np.uint32 and shape == (2,))):
-        got = type(key).__name__ if dtype is None else f"{list(shape or ())} {dtype}"
-        raise InputError(f"key must be one jax.random.key(...), got {got}")
-
-
-def _whole(name, value, shape, meaning=""):
-    """Convert a value to int32 of a shape, which may be traced."""
-    expected = f"{name} must be int32 {list(shape)}" + (f", {meaning}" if meaning else "")
-    try:
-        if not isinstance(value, Array) and np.asarray(value).dtype.kind in "iu":  # 64 bits are not cut off
-            value = np.clip(value, -(2**31), 2**31 - 1)
-        array = jnp.asarray(value)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{expected}, got {value!r}") from None
-    if array.shape != shape or not jnp.issubdtype(array.dtype, jnp.integer):
-        raise InputError(f"{expected}, got {list(array.shape)} {array.dtype}")
-    return array.astype(jnp.int32)
-
-
-def _concrete(array):
-    """Return an array's value on the host; None while it is traced."""
-    return None if isinstance(array, Tracer) else np.asarray(array)

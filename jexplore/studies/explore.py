@@ -14,8 +14,13 @@ from jexplore.config import InputError, checked_names, require_setting
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch, replay
 from jexplore.exploration.batch import Job
+from jexplore.exploration.motion import LENGTHS
 from jexplore.exploration.results import columns, length_along_m, map_state
 from jexplore.exploration.site import prepare_site
+from jexplore.exploration.team.episode import team_columns
+from jexplore.exploration.team.jobs import Coordinate
+from jexplore.exploration.team.replay import last_clock, team_frames
+from jexplore.exploration.team.team import Starts
 from jexplore.exploration.trail import Final
 from jexplore.policies import Strategy
 from jexplore.report import animate, plot
@@ -82,6 +87,11 @@ class EpisodeResult:
     """Seconds in which the compiled program ran."""
 
     @property
+    def can_be_replayed(self) -> bool:
+        """Return whether its frames can be shown: it has a record of its plans, or is a team's."""
+        return self.final.plans is not None or self.final.ways is not None
+
+    @property
     def title(self) -> str:
         """Return the title of a picture."""
         return f"{self.strategy} in {self.world.name}: {self.measures['path_m']:.1f} m, {self.measures['outcome']}"
@@ -90,11 +100,17 @@ class EpisodeResult:
         """Draw the last map with the path, and the growth of the known area: a matplotlib `Figure`."""
         final, cell_m = self.final, self.world.cell_m
         (rows, cols), estimate = self._ways
+        path_m = length_along_m(final.rows, final.cols, cell_m) if final.poses is None else final.poses[:, 0]
+        known_cells = final.n_known
+        if final.seen_at is not None:
+            clocks = np.array(evenly(last_clock(final), MAX_FRAMES))
+            path_m = clocks / LENGTHS[0] * cell_m
+            known_cells = np.searchsorted(np.sort(final.seen_at, axis=None), clocks, side="right")
         return plot.episode_figure(
             *(map_state(final.hits, final.misses, self.rules.p_free), rows, cols, cell_m),
             estimate=estimate,
-            path_m=length_along_m(final.rows, final.cols, cell_m) if final.poses is None else final.poses[:, 0],
-            known_cells=final.n_known,
+            path_m=path_m,
+            known_cells=known_cells,
             title=self.title,
         )
 
@@ -103,7 +119,7 @@ class EpisodeResult:
         """Return true and estimated way, each rows and columns of cells' centres; no estimated one of a given pose."""
         poses = self.final.poses
         if poses is None:
-            return (self.final.rows, self.final.cols), None
+            return self.final.own_cells, None
         x, y, own_x, own_y = poses[:, 1:].T - 0.5
         return (y, x), None if self.rules.pose == "true" else (own_y, own_x)
 
@@ -114,7 +130,10 @@ class EpisodeResult:
         ax, final, world = axes_of(ax), self.final, self.world
         state = map_state(final.hits, final.misses, self.rules.p_free)
         true, estimate = self._ways
-        drawn = [plot.draw_map(ax, state, world.cell_m), *plot.draw_path(ax, *true, world.cell_m)]
+        drawn = [
+            plot.draw_map(ax, state, world.cell_m),
+            *(artist for way in plot.ways_of(*true) for artist in plot.draw_path(ax, *way, world.cell_m)),
+        ]
         drawn += [] if estimate is None else [plot.draw_estimate(ax, *estimate, world.cell_m)]
         for artist in drawn:  # which lie at metres from the corner of cell (0, 0)
             artist.set_transform(Affine2D().translate(*world.origin_m) + ax.transData)
@@ -161,7 +180,28 @@ class EpisodeResult:
         """
         animate.save_animation(self._pictures(max_frames, on_progress), path, cell_m=self.world.cell_m, fps=fps)
 
+    def _team_pictures(self, max_frames):
+        final, world = self.final, self.world
+        site, clocks = prepare_site(world, self.lidar, self.rules), evenly(last_clock(final), max_frames)
+        for frame in team_frames(site, self.asked, final, self.start, clocks):
+            maps = frame.belief.grid.hits, frame.belief.grid.misses, replay.frontier(frame.belief)
+            hits, misses, frontier = (within(np.asarray(one), world.shape, site.ring) for one in maps)
+            first, *others = (
+                {**robot._asdict(), "rows": way[: robot.step + 1, 0], "cols": way[: robot.step + 1, 1]}
+                for way, robot in zip(final.ways or (), frame.robots)
+            )
+            known_m2 = frame.n_known * world.cell_m**2
+            caption = f"{frame.clock_m:.1f} m on the clock, {known_m2:.0f} m² known"
+            state = map_state(hits, misses, self.rules.p_free)
+            yield {**first, "others": others, "state": state, "frontier": frontier, "caption": caption}
+
     def _pictures(self, max_frames, on_progress):
+        for picture in self._team_pictures(max_frames) if self.final.ways else self._own_pictures(max_frames):
+            yield picture
+            if on_progress is not None:
+                on_progress(1)
+
+    def _own_pictures(self, max_frames):
         final, cell_m = self.final, self.world.cell_m
         length_m = length_along_m(final.rows, final.cols, cell_m)
         for frame in frames(self, max_frames=max_frames):
@@ -170,8 +210,6 @@ class EpisodeResult:
             caption = f"{length_m[frame.step]:.1f} m driven, {known_m2:.0f} m² known"
             state = map_state(frame.hits, frame.misses, self.rules.p_free)
             yield {**frame._asdict(), **way, "state": state, "caption": caption}
-            if on_progress is not None:
-                on_progress(1)
 
 
 @checked_names
@@ -182,6 +220,8 @@ def explore(
     within: str | Polygon | None = None, from_map: KnownMap | None = None,
     lidar: LidarLike = LIDAR, rules: RulesLike = RULES, robot: RobotLike = ROBOT,
     pose: str | None = None, odometry: OdometryLike = None,
+    robots: int | None = None, coordination: Coordinate = "independent", contact: str = "all",
+    team_starts: Starts = "together",
 ) -> EpisodeResult:  # fmt: skip
     """Run one episode and keep its map and way.
 
@@ -202,6 +242,7 @@ def explore(
       robot: `Robot`, or such a mapping: how long its motions take, and what energy.
       pose: "true", "odometry", "icp" or "icp+closing": `rules.pose`, if given.
       odometry: `Odometry`, or such a mapping: `rules.odometry`, if given.
+      robots, coordination, contact, team_starts: of a team, one of each, as in `compare`.
 
     Returns:
       `EpisodeResult`.
@@ -211,13 +252,16 @@ def explore(
     """
     where = {"cell_m": cell_m, "start": start, "start_m": start_m, "within": within, "from_map": from_map}
     where |= {"robot": robot, "pose": pose, "odometry": odometry}
+    where |= {"robots": robots, "coordination": coordination, "contact": contact, "team_starts": team_starts}
     return run_job(prepare_job(world, strategy, seed=seed, episode=episode, lidar=lidar, rules=rules, **where))
 
 
 def prepare_job(world: WorldLike, strategy: StrategyLike, *, episode: int = 0, **settings: Any) -> Job:
     """Check and load everything before `explore` runs: a `Job` of episodes up to its own. `settings` as there."""
-    (job,) = prepare_jobs(world, strategy, episodes=require_setting("episode", episode) + 1, **settings)
-    return job
+    jobs = prepare_jobs(world, strategy, episodes=require_setting("episode", episode) + 1, **settings)
+    if len(jobs) > 1:
+        raise InputError("an episode has one number of robots and one coordination")
+    return jobs[0]
 
 
 def run_job(job: Job) -> EpisodeResult:
@@ -231,6 +275,7 @@ def run_job(job: Job) -> EpisodeResult:
     has_rooms, cell_m = job.world.rooms is not None, job.world.cell_m
     found = columns(result, job.starts, seed=job.seed, cell_m=cell_m, has_rooms=has_rooms, robot=job.robot)
     found |= dict(zip(job.metrics, result.metrics))
+    found |= {} if job.team is None else team_columns(result, job.team, cell_m, job.robot)
     last = {name: values[number] for name, values in found.items()}
     row, col, heading_deg = (int(value) for value in job.starts[number])
     return EpisodeResult(

@@ -20,11 +20,12 @@ from jexplore.exploration.native import show_episode
 from jexplore.exploration.replay import Moment, moments
 from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Outcome
+from jexplore.exploration.team.replay import last_clock, team_frames
 from jexplore.exploration.trail import Final
 from jexplore.grid import is_free, is_occupied
 from jexplore.planning import field
 from jexplore.policies import Strategy, room_wise
-from jexplore.report.page.replay import FRONTIER, OWN_ROOM, ReplayData, changes_of, evenly
+from jexplore.report.page.replay import FRONTIER, OWN_ROOM, OtherRobot, ReplayData, changes_of, evenly
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.explore import MAX_FRAMES, EpisodeResult, why_no_replay
 from jexplore.worlds.world import World, ring_of
@@ -53,9 +54,16 @@ def replay_data(
 ) -> ReplayData:  # fmt: skip
     """Convert one episode to the frames of a page: the maps after the last scan at each place that is shown.
 
-    Frames are `max_frames` at most, evenly spaced over the steps, the last step among them. With engine "jax" there is
-    no native code; the frames are the same.
+    Frames are `max_frames` at most, evenly spaced over the steps, of a team over time, the last step among them. With
+    engine "jax" there is no native code; the frames are the same.
     """
+    common = {
+        **{"world": world.name, "strategy": strategy.name, "which": f"seed {seed}", "episode": number},
+        **{"outcome": outcome, "cell_m": world.cell_m, "truth": world.occupied, "rooms": world.rooms},
+    }
+    if final.ways is not None:
+        site = prepare_site(world, lidar, rules)
+        return ReplayData(**common, **_team_parts(site, world, strategy, final, start, max_frames))
     if final.plans is None:
         raise InputError(f"{strategy.name} in {world.name}: {why_no_replay(rules)}")
     shown = evenly(len(final.rows) - 1, max_frames)
@@ -72,14 +80,7 @@ def replay_data(
     changes = tuple(changes)  # only then headings are there
     target, until = _aims(final, shown)
     return ReplayData(
-        world=world.name,
-        strategy=strategy.name,
-        which=f"seed {seed}",
-        episode=number,
-        outcome=outcome,
-        cell_m=world.cell_m,
-        truth=world.occupied,
-        rooms=world.rooms,
+        **common,
         rows=final.rows,
         cols=final.cols,
         steps=np.array(shown),
@@ -90,6 +91,27 @@ def replay_data(
         changes=changes,
         has_own_room=own_room,
     )
+
+
+def _team_parts(site, world, strategy, final, start, max_frames):
+    """Return what `ReplayData` has of the ways and maps of a team, evenly spaced in time."""
+    frames = list(team_frames(site, strategy, final, start, evenly(last_clock(final), max_frames)))
+    images = (within(np.asarray(_codes(frame.belief)), world.shape, site.ring) for frame in frames)
+    first, *others = (
+        {
+            **{"rows": way[:, 0], "cols": way[:, 1], "steps": np.array([robot.step for robot in states])},
+            "heading_deg": np.array([robot.heading_deg for robot in states]),
+            "target": np.array([robot.target or (-1, -1) for robot in states]),
+        }
+        for way, states in zip(final.ways, zip(*(frame.robots for frame in frames)))
+    )
+    return first | {
+        "until": first["steps"],
+        "known_m2": np.array([frame.n_known for frame in frames]) * world.cell_m**2,
+        "changes": tuple(changes_of(images)),
+        "others": tuple(OtherRobot(**other) for other in others),
+        "clock_m": np.array([frame.clock_m for frame in frames]),
+    }
 
 
 def before_leaving(found: Iterable[Moment], shown: Iterable[int]) -> Iterator[Moment]:
@@ -170,7 +192,7 @@ def replays_of(
             title = f"{job.strategy.name} in {job.world.name}, episode {job.first + episode}"
             if found.first is None:
                 notes.append(f"{title}: no replay, the run was interrupted before it ended.")
-            elif found.first.plans is None:
+            elif job.team is None and found.first.plans is None:
                 notes.append(f"{title}: no replay, it made more plans than are kept.")
             else:
                 shown.append((job, found, label))

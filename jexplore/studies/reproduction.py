@@ -8,6 +8,8 @@ import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
+
 from jexplore.config import InputError, checked_names, require_engine, unknown
 from jexplore.exploration.batch import Job
 from jexplore.report import tables
@@ -18,7 +20,6 @@ from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.statistics import paired
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 COUNTERPARTS = (
@@ -77,14 +78,12 @@ class ReproductionResult:
     """Notes for reading the tables."""
 
     @functools.cached_property
-    def tables(self) -> "pd.DataFrame":
+    def tables(self) -> pd.DataFrame:
         """Tabulate results, one row an environment and strategy; columns of `by_world.summarise`, and the paper's.
 
         `ratio` is ours to the paper's reference strategy, paired; `first_mean` and `first_sd` are over the first
         episodes, `first_n` of them: as many as the paper has runs, or fewer where fewer have run.
         """
-        import pandas as pd
-
         published = [
             (name, self.worlds[name], strategy, *path, path[0] / environment.paths[self.paper.reference][0])
             for name, environment in self.paper.environments.items()
@@ -98,15 +97,13 @@ class ReproductionResult:
         return pd.DataFrame(published, columns=head).merge(ours, on=key)
 
     @functools.cached_property
-    def orderings(self) -> "pd.DataFrame":
+    def orderings(self) -> pd.DataFrame:
         """Tabulate every pair of strategies, in the order of the paper's means: `a` shorter than `b`.
 
         `paper_p` is Welch's, of the paper's means, standard deviations and number of runs; `claimed`: whether its text
         says the order. `ratio` is our mean of a over that of b, paired, with its 95 % interval, p and verdict. Each
         interval stands alone: of twenty that are undecided in truth about one will seem decided.
         """
-        import pandas as pd
-
         episodes = self.comparison.episodes
         paths_m, outcomes = (
             episodes.pivot(index="episode", columns=["world", "strategy"], values=value)
@@ -149,7 +146,7 @@ class ReproductionResult:
             lines.append(f"- Of {len(rows)} orderings {told} {n[0]} hold, {n[1]} are undecided, {n[2]} do not hold.")
         return "\n".join(lines)
 
-    def to_pandas(self) -> "pd.DataFrame":
+    def to_pandas(self) -> pd.DataFrame:
         """Return the table of episodes."""
         return self.comparison.episodes
 

@@ -2,9 +2,10 @@
 
 import os
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError, checked_names, require_different, unknown
 from jexplore.exploration.results import FREE, UNKNOWN
@@ -19,9 +20,6 @@ from jexplore.worlds.readers.images import load_image, read_pixels
 from jexplore.worlds.regions import warn_of_outside
 from jexplore.worlds.starts import start_region
 from jexplore.worlds.world import World
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MIN_SCORED_M2 = 0.25  # regions up to this area are not scored: 100 pixels of 0.05 m
 SHARES = (0.25, 0.5, 0.75)  # of the cells known in the end, at which partial maps are taken
@@ -52,7 +50,7 @@ class Picture(NamedTuple):
 class SegmentationResult(NamedTuple):
     """Scores and pictures of segmentations."""
 
-    scores: "pd.DataFrame"
+    scores: pd.DataFrame
     """One row a map, variant and share, columns `SCORE_COLUMNS`; NaN where the true rooms are not known."""
     pictures: list[Picture]
 
@@ -135,8 +133,6 @@ def segment_maps(
             done += 1
             if on_progress is not None:
                 on_progress(done)
-    import pandas as pd
-
     return SegmentationResult(pd.DataFrame(rows, columns=list(SCORE_COLUMNS)), pictures)
 
 

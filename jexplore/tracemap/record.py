@@ -125,17 +125,9 @@ class BtmMap:
     def with_attributes(
         self, attributes: Mapping[str, Any], *, node: int | None = None, link: int | None = None
     ) -> "BtmMap":
-        """Set attributes: of a node, of a link, or of the map if neither is named.
+        """Return the map with attributes set: of a node, of a link (by id), or of the map if neither is named.
 
-        Args:
-          attributes: such as `{"victim": True, "radio_dbm": -61}`: anything that JSON can hold.
-          node, link: id of the one that they are set of.
-
-        Returns:
-          `BtmMap`; this one stays as it is.
-
-        Raises:
-          InputError: no such node or link, both named, or what JSON cannot hold.
+        They are such as `{"victim": True, "radio_dbm": -61}`: anything that JSON can hold.
         """
         if node is not None and link is not None:
             raise InputError("attributes are set of a node or of a link, not of both at once")

@@ -19,12 +19,8 @@ def topology_from(topology: BtmMap, pose: tuple[float, float, float]) -> BtmMap:
     by the shortest way to a node that has one. Unreachable parts are left out. A start that the map already has, a
     first node of type terminal with two links, is removed before.
 
-    Args:
-      topology: the whole map; its links run straight from node to node, as those of a course.
-      pose: x, y, metres; heading, degrees.
-
-    Raises:
-      InputError: the map has no link, or one without an end.
+    Links of the whole map must run straight from node to node, as those of a course. The pose is x, y, metres; heading,
+    degrees.
     """
     unknown = [link.id for link in topology.links if link.end == NOWHERE or link.length_m is None]
     if unknown or not topology.links:

@@ -111,11 +111,7 @@ def _is_own(file, folder):
 
 
 def import_object(module: str, name: str) -> Any:
-    """Import an object of a module, possibly from the current folder: its present source, with its imports from there.
-
-    Raises:
-      InputError: the module does not import (its own error), is hidden by another, or has no such name.
-    """
+    """Import an object of a module, possibly from the current folder; modules that it imports may lie there, too."""
     here = os.getcwd()
     with _imported_from(here, module.partition(".")[0]):
         try:

@@ -161,9 +161,6 @@ def read_name(name: str) -> tuple[names.WorldName, tuple[Any, ...] | None]:
 
     Returns the parsed name, its parameters of the kinds that they need, and what comes after the world in the arguments
     of `regions.inside`; None where no region is chosen.
-
-    Raises:
-      InputError: as `names.parse_name`, or naming the parameter and what would be right.
     """
     parsed = names.parse_name(name, generators=known_generators())
     if parsed.kind == "generator":

@@ -53,11 +53,7 @@ def bounded(generate: Callable[_P, _World]) -> Callable[_P, _World]:
 
 
 def require_generator(kind: str, given: Mapping[str, Any]) -> None:
-    """Refuse parameters that a generator cannot draw; `given` are all of them, `cell_m` included.
-
-    Raises:
-      InputError: one out of range, a size too small to hold the layout or of more than `MAX_SIDE` cells a side.
-    """
+    """Refuse parameters that a generator cannot draw; `given` are all of them, `cell_m` included."""
     for name, bounds in PARAMETERS[kind].items():
         what, value = f"{kind}: {name}", given[name]
         if bounds is bool:
@@ -113,10 +109,7 @@ def count_cells(size_m: float, cell_m: float) -> int:
 def require_side(name: str, rows: float, cols: float, cell_m: float | None = None) -> None:
     """Refuse a world of more than `MAX_SIDE` rows or columns, before anything of that size is allocated.
 
-    Args:
-      name: of the world in the error.
-      rows, cols: its size, cells; may be infinite.
-      cell_m: edge of a cell, metres, from which the error reckons one that would do.
+    The size in cells may be infinite. From `cell_m` the error reckons an edge of a cell that would do.
     """
     if max(rows, cols) <= MAX_SIDE:
         return

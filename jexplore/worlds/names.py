@@ -61,11 +61,7 @@ class WorldName:
 
 
 def parse_name(name: str, *, generators: Collection[str]) -> WorldName:
-    """Take a world name apart, and refuse one that names nothing; `generators` are the names of all generators.
-
-    Raises:
-      InputError: neither a file of a known kind nor a generator, or a malformed seed, scale or parameter.
-    """
+    """Take a world name apart, and refuse one that names nothing; `generators` are the names of all generators."""
     cuts = [match.end() for match in _CUT.finditer(name)]
     if cuts:
         return _parse_file(name, _path_end(name, cuts))

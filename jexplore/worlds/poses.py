@@ -40,9 +40,6 @@ def read_start(start: Any, start_m: Any = None) -> "str | tuple[Any, ...] | Pose
     `start` is "random"; "world"; cells, `(row, col, heading_deg)` or the text `12,30,90`; or the text `2.0m,1.5m,90`: x
     and y in metres, marked by their `m`, and the yaw in degrees, or in radians as `1.5708rad`. `start_m` is `(x_m, y_m,
     yaw_deg)`, instead of `start`.
-
-    Raises:
-      InputError: none of these, or both.
     """
     if start_m is not None:
         if start != "random":

@@ -38,18 +38,9 @@ def _edge(array: np.ndarray) -> np.ndarray:
 def inside(world: World, point_m: tuple[float, float] | None = None) -> World:
     """Return the inside of a building: the same world with other free floor as wall.
 
-    Regions are separate if a robot of `GAP_M` clearance does not fit through.
-
-    Args:
-      world: a `World`.
-      point_m: x, y, metres in the world's frame: only the region of this point remains. None: all regions remain but
-        those that touch the edge of the map.
-
-    Returns:
-      A `World` of the same shape; its start and rooms are kept where they are free.
-
-    Raises:
-      InputError: nothing is enclosed, or no robot can stand round that point.
+    Regions are separate if a robot of `GAP_M` clearance does not fit through. Only the region of the point `point_m`
+    remains, x, y, metres in the world's frame; without one, all regions but those that touch the edge of the map. Start
+    and rooms are kept where they are free. Refused if nothing is enclosed, or no robot can stand round that point.
     """
     name, (floor, _, at_edge) = world.name or "world", _regions(world)
     if point_m is None:

@@ -28,9 +28,6 @@ def stay_within(world: World, polygon_m: str | Polygon) -> World:
 
     The region is no wall: beams pass its edge. Cells outside are never entered, are no frontier's unknown cells, and
     count neither as known nor as explorable.
-
-    Raises:
-      InputError: no polygon, or no free cell inside.
     """
     corner = np.array(read_polygon(polygon_m))
     x, y = _centres(world)
@@ -49,10 +46,8 @@ def with_known(world: World, map_: KnownMap) -> World:
 
     What it says of a cell counts as one observation; scans may contradict it. `map_` is the path of a ROS map, such as
     `explored.yaml` of `jexplore explore`; a `ScanMap`; or an occupancy `[H, W]` of the world's cells: -1 unknown, 0
-    (free) to 100 (occupied). Between 25 and 65 it is unknown.
-
-    Raises:
-      InputError: a file that is no map, another size of cells, or a map of which no known free cell lies in the world.
+    (free) to 100 (occupied). Between 25 and 65 it is unknown. A map of which no known free cell lies in the world is
+    refused.
     """
     if isinstance(map_, (str, os.PathLike)):
         occupancy, info = read_ros(map_)

@@ -84,9 +84,6 @@ def draw_start(world: World, seed: int, i: int, clearance_m: float) -> tuple[int
 
     It depends on the world and its name, the clearance, `seed` and `i` alone: neither on how many starts are drawn nor
     on padding. Of a map file's name the folder does not count; a generator's name without a seed is that with seed 0.
-
-    Raises:
-      InputError: no cell has that much clearance, or `seed` or `i` is negative.
     """
     return _draw(start_cells(world, clearance_m), world.name, seed, i)
 
@@ -123,9 +120,6 @@ def check_start(
 
     The robot may drive over clear cells and over free cells within `near_m` of the start. A start from which no clear
     cell but itself can be reached that way is enclosed.
-
-    Raises:
-      InputError: the start lies outside, in a wall, is enclosed, or its heading is not a multiple of 45 degrees.
     """
     try:
         row, col, heading = (operator.index(value) for value in start)

@@ -77,14 +77,7 @@ class World:
         return np.array(self.occupied, dtype, copy=copy)
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw walls, rooms and start in metres of the map's frame.
-
-        Args:
-          ax: matplotlib `Axes`; by default those of a new figure.
-
-        Returns:
-          The `Axes`.
-        """
+        """Draw walls, rooms and start in metres of the map's frame; return the `Axes`, by default new ones."""
         ax, (rows, cols), (x_m, y_m) = axes_of(ax), self.shape, self.origin_m
         colours, rooms = np.full((rows, cols, 3), 255, np.uint8), np.full((rows, cols), -1)
         if self.rooms is not None and np.max(self.rooms) >= 0:
@@ -102,19 +95,10 @@ class World:
         return ax
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write walls and origin as a map of ROS's map_server: a yaml file and a PGM next to it.
+        """Write walls and origin as a map of ROS's map_server: a yaml file and a PGM; return the first.
 
-        `jx.load_world(path, cell_m=world.cell_m)` gives the same cells and origin. Such a map cannot hold rooms, start
-        and elevation.
-
-        Args:
-          path: the yaml file; missing folders are made.
-
-        Returns:
-          The path of the yaml file.
-
-        Raises:
-          InputError: another ending, or the files cannot be written.
+        Missing folders are made. `jx.load_world(path, cell_m=world.cell_m)` gives the same cells and origin. Such a map
+        cannot hold rooms, start and elevation.
         """
         ros = importlib.import_module("jexplore.worlds.readers.ros")  # by name: readers stand upon worlds
         path = Path(os.path.expanduser(path))

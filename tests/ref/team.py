@@ -5,6 +5,7 @@ into motion and scan, because others act between the two.
 """
 
 import functools
+import itertools
 import math
 from typing import NamedTuple
 
@@ -15,10 +16,10 @@ import numpy as np
 from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import Given
 from jexplore.exploration.environment import outcome_of
-from jexplore.exploration.state import Outcome, Setup
+from jexplore.exploration.state import Outcome, Setup, Stream
 from jexplore.exploration.team.environment import TeamSetup, TeamTask
 from jexplore.exploration.team.episode import decode, detail_of, program_of
-from jexplore.exploration.team.team import read_coordination
+from jexplore.exploration.team.team import EVERYBODY, NOBODY, Contact, read_coordination
 from jexplore.policies import parse_strategy
 from jexplore.raycast import scans_all_round
 from jexplore.rules import Lidar, Robot, Rules
@@ -37,7 +38,7 @@ class Case(NamedTuple):
     occupied: np.ndarray
     starts: list  # (row, col, heading in degrees) of each robot
     coordination: str
-    contact_d2: int  # cells^2
+    contact: Contact
     recheck: bool
     lidar: Lidar
     rules: Rules
@@ -45,12 +46,42 @@ class Case(NamedTuple):
     world: str
 
 
+class Radio:
+    """The links between the robots of a team."""
+
+    def __init__(self, case):
+        self.case, self.contact, self.since, self.acts = case, case.contact, {}, 0
+
+    def is_open(self, a, b):
+        """Return whether no wall lies on the line between two cells."""
+        n = max(abs(a[0] - b[0]), abs(a[1] - b[1]))
+        between = [tuple(math.floor(p + k * (q - p) / n + 0.5) for p, q in zip(a, b)) for k in range(1, n)]
+        return not any(self.case.occupied[cell] for cell in between)
+
+    def links(self, team, now):
+        """The pairs of robots whose link carries, the lower number first; to be asked once an act."""
+        key = jax.random.fold_in(jax.random.fold_in(episodes.key_of(0), Stream.CONTACT), self.acts)
+        lost = np.asarray(jax.random.uniform(key, (len(team),) * 2)) < self.contact.loss if self.contact.loss else None
+        self.acts, held = self.acts + 1, {}
+        for a, b in itertools.combinations(team, 2):
+            pair = a.number, b.number
+            near = (a.cell[0] - b.cell[0]) ** 2 + (a.cell[1] - b.cell[1]) ** 2 <= self.contact.d2
+            if (
+                near
+                and (not self.contact.in_sight or self.is_open(a.cell, b.cell))
+                and (lost is None or not lost[pair])
+            ):
+                held[pair] = self.since.get(pair, now)
+        self.since = held
+        return {pair for pair, began in held.items() if now - began >= self.contact.delay}
+
+
 class Member(simulator.Robot):
     """A robot of a team: between two calls of `act` others act."""
 
-    def join(self, number, case, goal):
+    def join(self, number, case, goal, radio):
         """Take a place in the team."""
-        self.number, self.case, self.goal = number, case, goal
+        self.number, self.case, self.goal, self.radio = number, case, goal, radio
         self.time = self.waits = self.in_a_row = self.looking = self.looked = self.links = 0
         self.active = self.hemmed = False
         self.path, self.pending, self.ended = [], None, None
@@ -74,13 +105,11 @@ class Member(simulator.Robot):
 
     def hear(self, team, planning):
         """Exchange maps if it is due, and return the numbers of those heard."""
+        links = self.radio.links(team, self.time)
         heard, grown = set(), {self.number}
         while heard != grown:
             heard = set(grown)
-            for a in heard:
-                for b in team:
-                    d2 = (team[a].cell[0] - b.cell[0]) ** 2 + (team[a].cell[1] - b.cell[1]) ** 2
-                    grown |= {b.number} if d2 <= self.case.contact_d2 else set()
+            grown |= {b for a in heard for b in range(len(team)) if (min(a, b), max(a, b)) in links}
         if (planning and len(heard) > 1) or heard - self.last_heard:
             for name, best in (("hits", np.maximum), ("misses", np.maximum)):
                 most = functools.reduce(best, (getattr(team[j].result, name) for j in heard))
@@ -230,12 +259,12 @@ def simulate(case):
         return beams.scan(case.occupied, row, col, heading_deg, case.lidar.n_beams, case.lidar.fov_deg, reach)
 
     scan_every = round(beams.in_cells(case.rules.scan_every_m, case.cell_m) * 65536)
-    team = []
+    team, radio = [], Radio(case)
     for number, (row, col, heading) in enumerate(case.starts):
         robot = Member(case.occupied, (row, col), heading, perfect, case.rules.p_free, scan_every)
         radii = (plans.radius2(m, case.cell_m) for m in (case.rules.clearance_m, case.rules.near_m))
         goal = simulator.goal_cells(case.occupied, (row, col), *radii)
-        robot.join(number, case, goal)
+        robot.join(number, case, goal, radio)
         robot.arrival_r2 = plans.radius2(case.rules.arrival_m, case.cell_m)
         elsewhere = goal.copy()
         elsewhere[row, col] = False
@@ -288,7 +317,7 @@ def play(case):
         jax.device_put(episodes.truth_of(case.occupied, None, SHAPE)),
         jax.device_put(episodes.beams_of(case.lidar, case.cell_m, SHAPE[1], BEAMS_AS)),
         episodes.numbers_of(strategy, case.lidar, rules, case.cell_m, max(SHAPE), ROBOT),
-        TeamTask(jnp.asarray(starts), jnp.int32(case.contact_d2)),
+        TeamTask(jnp.asarray(starts), Contact(*map(jnp.asarray, case.contact))),
     )
     result, detail, outcomes = jax.tree.map(np.asarray, found)
     return result, decode(detail, case.occupied.shape, 0), [Outcome(int(code)).name for code in outcomes]
@@ -318,7 +347,12 @@ def draw_case(seed, number, coordination, n):
         occupied=occupied,
         starts=starts,
         coordination=coordination,
-        contact_d2=int(draw.choice([-1, 2**30, draw.integers(1, 100)])),
+        contact=Contact(
+            d2=np.int32(draw.choice([NOBODY, EVERYBODY, draw.integers(1, 100)])),
+            in_sight=np.bool_(draw.random() < 0.3),
+            delay=np.int32(draw.choice([0, 0, STRAIGHT * draw.integers(1, 10)])),
+            loss=np.float32(draw.choice([0, 0, 0.3])),
+        ),
         recheck=bool(draw.random() < 0.5),
         lidar=Lidar(
             n_beams=int(draw.integers(20, 62)), fov_deg=float(draw.choice([180.0, 360.0])), range_m=range_cells * cell_m
@@ -350,7 +384,7 @@ def lengths(straight, diagonal):
 def differences(case):
     """Everything in which the engine and the oracle differ, as texts, and the outcomes and waits of the robots."""
     (result, final, outcomes), (team, log) = play(case), simulate(case)
-    ways = [[tuple(row) for row in way.tolist()] for way in final.ways]
+    ways = [[tuple(row[:3]) for row in way.tolist()] for way in final.ways]
     end_ms = [clock.play(robot.result.events, ROBOT, case.cell_m)[1] for robot in team]
     whole = simulator.knowable(simulator.connected(~case.occupied, case.starts[0][:2]), np.ones_like(case.occupied))
     counts, known = result.metrics, log[-1][0]
@@ -360,6 +394,10 @@ def differences(case):
         **{f"way {i}": (way, robot.way) for i, (way, robot) in enumerate(zip(ways, team))},
         "hits": (final.hits.tolist(), functools.reduce(np.maximum, (robot.result.hits for robot in team)).tolist()),
         "misses": (final.misses.tolist(), functools.reduce(np.maximum, (r.result.misses for r in team)).tolist()),
+        "seen at": (
+            [int((final.seen_at <= now).sum()) for _, now in log[:-1]],
+            [max(known for known, at in log if at <= now) for _, now in log[:-1]],
+        ),
         "own": (counts.own.tolist(), [int(robot.own.sum()) for robot in team]),
         "known": ((int(result.n_known), int(counts.seen)), (known, known)),
         "links": (int(counts.links), sum(robot.links for robot in team)),

@@ -20,9 +20,6 @@ def names_of(command: str, paths: Sequence[str], given: Sequence[str] = ()) -> l
     """Return names of maps: the given ones, else each by its own file alone, however its path is typed.
 
     This is the file without suffix, or its folder if the file is `btm.json`.
-
-    Raises:
-      InputError: a file that is given twice, a map without a name, or a name used twice.
     """
     again = [path for i, path in enumerate(paths) if any(_are_one(path, other) for other in paths[:i])]
     if again:

@@ -17,11 +17,13 @@ from jexplore.arrays.loops import run_if, stored
 from jexplore.config import checked_names
 from jexplore.exploration.team.assignment import MOST_COST, assign
 from jexplore.frontier import frontier_clusters
+from jexplore.grid import is_free
 from jexplore.planning import Belief, Choice, Field, choose, field
 from jexplore.policies.catalogue.adapt import highest, require_scores
 from jexplore.policies.clusters import CLUSTERS
 from jexplore.raycast import Beams
 from jexplore.reach import FAR, STRAIGHT
+from jexplore.segment import PROMINENCE_M, criteria, form_for, segment
 from jexplore.users import call_user, described
 
 ASSIGNED = STRAIGHT // 8
@@ -89,12 +91,34 @@ def _rank(view: JointView, costs: Array, own: Array) -> Array:
     return jnp.sum(nearer & (costs < FAR) & (number != view.robot), axis=0, dtype=jnp.int32)
 
 
-def _frontiers(view: JointView) -> tuple[Array, Array]:
-    """Return the frontier cluster of every cell, -1 for none, and robots' path costs to them: `[H, W]`, `[N, M]`."""
-    label = frontier_clusters(view.frontier, max_clusters=CLUSTERS).label
-    cluster = jnp.where(label < 0, CLUSTERS, label).ravel()
-    nearest = jnp.full((view.there.shape[0], CLUSTERS), FAR, jnp.int32)
-    return label, nearest.at[:, cluster].min(view.costs.reshape(view.there.shape[0], -1), mode="drop")
+def _clusters(view: JointView) -> Array:
+    """Return the frontier cluster of every cell: `[H, W]` int32, -1 for none."""
+    return frontier_clusters(view.frontier, max_clusters=CLUSTERS).label
+
+
+def _costs_to(view: JointView, label: Array, n: int, costs: Array | None = None) -> Array:
+    """Return robots' path costs to the nearest frontier cell of each label: `[N, n]` int32, FAR where none leads."""
+    at = jnp.where(view.frontier & (label >= 0), label, n).ravel()
+    costs = view.costs if costs is None else costs
+    nearest = jnp.full((costs.shape[0], n), FAR, jnp.int32)
+    return nearest.at[:, at].min(costs.reshape(costs.shape[0], -1), mode="drop")
+
+
+def _assigned(view: JointView, costs: Array) -> Array:
+    """Return the label that every robot gets when labels are assigned at the least sum of costs: `[N]` int32.
+
+    `costs`: `[N, n]` int32. A robot that gets none, or is not there, has n or more.
+    """
+    n = view.there.shape[0]
+    costs = jnp.where((costs < FAR) & view.there[:, None], jnp.minimum(costs // ASSIGNED, MOST_COST // 2), MOST_COST)
+    # A robot that is not there takes a column of no label for nothing.
+    spare = jnp.where(view.there[:, None], MOST_COST - 1, 0) + jnp.zeros((1, n), jnp.int32)
+    return assign(jnp.concatenate([costs, spare], axis=1))
+
+
+def _nearest_of(view: JointView, mine: Array) -> Array:
+    """Score the robot's own cells by path, all cells if there are none."""
+    return jnp.where(mine | ~jnp.any(mine), -view.cost, -FAR)
 
 
 def minpos(view: JointView) -> Array:
@@ -103,7 +127,8 @@ def minpos(view: JointView) -> Array:
     Source:
       Bautin, Simonin, Charpillet 2012, MinPos.
     """
-    label, costs = _frontiers(view)
+    label = _clusters(view)
+    costs = _costs_to(view, label, CLUSTERS)
     own = costs[view.robot]
     rank = jnp.where(own < FAR, _rank(view, costs, own), view.there.shape[0])
     chosen = (label >= 0) & (rank == jnp.min(rank))[jnp.maximum(label, 0)]
@@ -112,8 +137,7 @@ def minpos(view: JointView) -> Array:
 
 def voronoi(view: JointView) -> Array:
     """Score frontier cells of the robot's own part by path: those that no other robot is nearer to; else all."""
-    own = view.frontier & (_rank(view, view.costs, view.cost) == 0)
-    return jnp.where(own | ~jnp.any(own), -view.cost, -FAR)
+    return _nearest_of(view, view.frontier & (_rank(view, view.costs, view.cost) == 0))
 
 
 def greedy(view: JointView) -> Array:
@@ -140,13 +164,33 @@ def hungarian(view: JointView) -> Array:
 
     Where there are more robots than clusters some get none, and go to the nearest.
     """
-    label, costs = _frontiers(view)
-    n = view.there.shape[0]
-    costs = jnp.where((costs < FAR) & view.there[:, None], jnp.minimum(costs // ASSIGNED, MOST_COST // 2), MOST_COST)
-    # A robot that is not there takes a column of no cluster for nothing.
-    spare = jnp.where(view.there[:, None], MOST_COST - 1, 0) + jnp.zeros((1, n), jnp.int32)
-    mine = (label >= 0) & (label == assign(jnp.concatenate([costs, spare], axis=1))[view.robot])
-    return jnp.where(mine | ~jnp.any(mine), -view.cost, -FAR)
+    label = _clusters(view)
+    return _nearest_of(view, (label >= 0) & (label == _assigned(view, _costs_to(view, label, CLUSTERS))[view.robot]))
+
+
+def segments(view: JointView) -> Array:
+    """Score the frontier cluster that the robot gets in the segment that it gets, both by assignments.
+
+    A robot in a segment with frontier cells gets it at no cost. Where there are more robots than such segments, some
+    may go to clusters of all segments.
+
+    Source:
+      Wurm, Stachniss, Burgard 2008, Algorithm 3, by the segments of Holz et al. Changed: a robot's own segment costs
+        nothing instead of less; a segment is assigned once.
+    """
+    model = view.belief.model
+    form = form_for(view.cost.shape, coarse=model.coarse)
+    parts = segment(
+        is_free(view.belief.grid, model.p_free), criteria(prominence=PROMINENCE_M / model.cell_m), form=form
+    )
+    n = parts.group.shape[0] + 1
+    label = jnp.where(parts.label < 0, n - 1, parts.label)  # cells in no segment make one more
+    costs = _costs_to(view, label, n)
+    is_in = lax.iota(jnp.int32, n) == label[view.cells[:, 0], view.cells[:, 1]][:, None]
+    own = _assigned(view, jnp.where(is_in & (costs < FAR), 0, costs))[:, None, None]
+    allowed, cluster = (own >= n) | (label == own), _clusters(view)
+    costs = _costs_to(view, cluster, CLUSTERS, jnp.where(allowed, view.costs, FAR))
+    return _nearest_of(view, (cluster >= 0) & (cluster == _assigned(view, costs)[view.robot]) & allowed[view.robot])
 
 
 COORDINATIONS: dict[str, Callable[[JointView], Array]] = {
@@ -154,5 +198,6 @@ COORDINATIONS: dict[str, Callable[[JointView], Array]] = {
     "hungarian": hungarian,
     "minpos": minpos,
     "voronoi": voronoi,
+    "segments": segments,
 }
 """Name -> coordination, but for `independent`."""

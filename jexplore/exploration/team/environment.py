@@ -11,9 +11,10 @@ one more for each robot with a lower number, it plans anew and takes robots in a
 finds no target, it goes to the cell that is farthest away, to let others pass; a target that it
 leaves in this way twice, and no other in between, it gives up. A robot that has ended steps aside and is in nobody's
 way.
-Knowledge: robots hear each other directly within a distance, and through others. When a robot plans, or first hears
-another, it and all that it hears exchange maps: each then has, of each cell, the most hits and the most misses that one
-of them has. Nothing is counted twice, in whatever order robots meet.
+Knowledge: two robots have a link within a distance, if wanted only where no wall lies between them. When a robot acts,
+each link may fail; one that has held for long enough carries. Robots hear each other by such links, and through others.
+When a robot plans, or first hears another, it and all that it hears exchange maps: each then has, of each cell, the
+most hits and the most misses that one of them has. Nothing is counted twice, in whatever order robots meet.
 """
 
 import math
@@ -22,6 +23,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jax import Array, lax
 
@@ -29,16 +31,17 @@ from jexplore.arrays.loops import run_if
 from jexplore.engine.program import Given
 from jexplore.exploration import environment
 from jexplore.exploration.motion import LENGTHS, motion_step
-from jexplore.exploration.sensing import blank_grid, known_cells
+from jexplore.exploration.sensing import blank_grid, known_cells, stacked
 from jexplore.exploration.state import Outcome, Setup, State, Stream
 from jexplore.exploration.team.coordination import Coordination, joint_view
+from jexplore.exploration.team.team import Contact
 from jexplore.grid import Grid, count, is_known
 from jexplore.planning import Belief, Choice, choose, field, first_at
 from jexplore.raycast import Beams
 from jexplore.reach import FAR
 
 PATIENCE = 2  # waits in a row of robot 0 before it plans anew: fewer, and robots turn round for one that only passes
-ENDED = 2**31 - 1  # clock of a robot that has ended
+ENDED = 2**31 - 1  # clock of a robot that has ended, and of a cell that nobody has seen
 
 
 class TeamSetup(NamedTuple):
@@ -54,7 +57,7 @@ class TeamTask(NamedTuple):
     """Task of a team's run."""
 
     starts: Any  # [N, 3] int32, row, col and heading of each
-    contact_d2: Any  # int32, cells^2, squared distance of robots that hear each other; -1: none do
+    contact: Contact
 
 
 @struct.dataclass
@@ -68,15 +71,17 @@ class TeamState:
     hemmed: Array  # [N] bool, whether its next plan takes robots for walls
     fled: Array  # [N, 2] int32, the target from which each has fled last; -1 for none
     shunned: Array  # [N, H, W] bool, targets that each has given up because others were always in the way
+    since: Array  # [N, N] int32, clock since which each two have a link; -1 for none
+    acts: Array  # int32, times that a robot has acted
     heard: Array  # [N, N] bool, whom each heard when it last acted
     own: Array  # [N, H, W] bool, cells that each has seen itself
-    known: Array  # [H, W] bool, cells that any of them knows
+    seen_at: Array  # [H, W] int32, clock when any of them first knew each cell; `ENDED`: not yet
     n_known: Array  # int32, those among them that are to be known
     log: Array  # [H * W + 1, 4] int32: n_known, straight steps and waits, diagonal steps, ms; when it last grew
     n_log: Array  # int32, entries
     last: Array  # int32, robot of the last entry
     links: Array  # int32, sum over steps of the others that the robot heard
-    way: Array  # [N, T + 1, 2] int32, flat index of the cell at the start and after each step, and the clock
+    way: Array  # [N, T + 1, 3] int32, at the start and after each step: index of the cell, clock, index of the target
     replace: ClassVar[Callable[..., Self]]
 
 
@@ -123,7 +128,7 @@ def begin(setup: TeamSetup, given: Given) -> TeamState:
     own = (grid.hits != before.hits) | (grid.misses != before.misses)
     known = jnp.any(own, axis=0) | is_known(before)
     zeros, zero, shape = jnp.zeros(n, jnp.int32), jnp.int32(0), known.shape
-    way = jnp.zeros((n, setup.capacity + 1, 2), jnp.int32)
+    way = jnp.zeros((n, setup.capacity + 1, 3), jnp.int32).at[:, :, 2].set(-1)
     team = TeamState(
         robots=robots,
         clock=zeros,
@@ -132,9 +137,11 @@ def begin(setup: TeamSetup, given: Given) -> TeamState:
         hemmed=jnp.zeros(n, bool),
         fled=jnp.full((n, 2), -1, jnp.int32),
         shunned=jnp.zeros_like(own),
+        since=jnp.full((n, n), -1, jnp.int32),
+        acts=zero,
         heard=jnp.eye(n, dtype=bool),
         own=own,
-        known=known,
+        seen_at=jnp.where(known, 0, ENDED),
         n_known=count(known if robots.belief.within is None else known & robots.belief.within[0]),
         log=jnp.zeros((math.prod(shape) + 1, 4), jnp.int32),
         n_log=zero,
@@ -155,14 +162,45 @@ def _note(team: TeamState, i: Array, before: State, grew: Array) -> TeamState:
     return team.replace(log=log, n_log=team.n_log + more, last=jnp.where(more, i, team.last))
 
 
-def _hears(given: Given, team: TeamState, i: Array) -> Array:
-    """Return whom a robot hears, itself included: `[N]` bool."""
+def _sees(given: Given, rows: Array, cols: Array) -> Array:
+    """Return which two robots see each other: `[N, N]` bool, symmetric.
+
+    The line from the one with the lower number passes a cell for each row or column of the longer side, the nearest one
+    (half up): none of them, apart from the two of the robots, is occupied.
+    """
+    occupied, base = stacked(given, given.scenes.occupied)
+    n, shape = rows.shape[0], given.scenes.occupied.shape[1:]
+    first, second = np.triu_indices(n, 1)
+    drow, dcol = rows[second] - rows[first], cols[second] - cols[first]
+    length = jnp.maximum(jnp.abs(drow), jnp.abs(dcol))[:, None]
+    step, whole = lax.iota(jnp.int32, max(shape))[None], jnp.maximum(length, 1)
+    row, col = (
+        at[first, None] + (2 * step * ahead[:, None] + whole) // (2 * whole)
+        for at, ahead in ((rows, drow), (cols, dcol))
+    )
+    walls = occupied[base + jnp.clip(row, 0, shape[0] - 1), jnp.clip(col, 0, shape[1] - 1)]
+    sees = jnp.zeros((n, n), bool).at[first, second].set(~jnp.any(walls & (step > 0) & (step < length), axis=1))
+    return sees | sees.T
+
+
+def _hears(given: Given, team: TeamState, i: Array) -> tuple[Array, Array]:
+    """Return whom a robot hears, itself included, and since when each two have a link: `[N]` bool, `[N, N]` int32."""
+    contact, now = given.task.contact, team.clock[i]
     rows, cols = team.robots.row, team.robots.col
-    d2 = (rows[:, None] - rows) ** 2 + (cols[:, None] - cols) ** 2
-    near = (d2 <= given.task.contact_d2) | jnp.eye(rows.shape[0], dtype=bool)
-    for _ in range((rows.shape[0] - 1).bit_length()):
-        near = jnp.any(near[:, :, None] & near[None], axis=1)
-    return near[i]
+    n, d2 = rows.shape[0], (rows[:, None] - rows) ** 2 + (cols[:, None] - cols) ** 2
+    near = run_if(contact.in_sight, lambda near: near & _sees(given, rows, cols), d2 <= contact.d2)
+
+    def without_lost(near: Array) -> Array:
+        key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.CONTACT), team.acts)
+        lost = jnp.triu(jax.random.uniform(key, (n, n)) < contact.loss, 1)
+        return near & ~(lost | lost.T)
+
+    near = run_if(contact.loss > 0, without_lost, near)
+    since = jnp.where(near, jnp.where(team.since < 0, now, team.since), -1)
+    heard = near & (now - since >= contact.delay) | jnp.eye(n, dtype=bool)
+    for _ in range((n - 1).bit_length()):
+        heard = jnp.any(heard[:, :, None] & heard[None], axis=1)
+    return heard[i], since
 
 
 def _exchange(robots: State, heard: Array) -> State:
@@ -180,14 +218,14 @@ def _exchange(robots: State, heard: Array) -> State:
     return robots.replace(belief=belief, n_known=jnp.where(heard, n_known, robots.n_known))
 
 
-def _meet(given: Given, team: TeamState, i: Array, *, plans: bool) -> tuple[TeamState, Array]:
+def meet(given: Given, team: TeamState, i: Array, *, plans: bool) -> tuple[TeamState, Array]:
     """Have a robot exchange maps with those that it hears, if it plans or one of them is new."""
     if team.clock.shape[0] == 1:
         return team, jnp.ones(1, bool)
-    heard = _hears(given, team, i)
+    heard, since = _hears(given, team, i)
     is_due = (plans & jnp.any(heard.at[i].set(False))) | jnp.any(heard & ~team.heard[i])
     robots = run_if(is_due, lambda robots: _exchange(robots, heard), team.robots)
-    return team.replace(robots=robots, heard=team.heard.at[i].set(heard)), heard
+    return team.replace(robots=robots, since=since, acts=team.acts + 1, heard=team.heard.at[i].set(heard)), heard
 
 
 def _others(team: TeamState, i: Array) -> Array:
@@ -195,7 +233,7 @@ def _others(team: TeamState, i: Array) -> Array:
     return is_exploring(team) & (lax.iota(jnp.int32, team.clock.shape[0]) != i)
 
 
-def _is_held(team: TeamState, i: Array, motion: Array) -> Array | None:
+def is_held(team: TeamState, i: Array, motion: Array) -> Array | None:
     """Return whether another robot is in the way of a robot's motion, an index into `reach.MOTIONS`: bool."""
     if team.clock.shape[0] == 1:
         return None
@@ -244,7 +282,7 @@ def _ask(setup: TeamSetup, given: Given, team: TeamState, i: Array, state: State
 def decide(setup: TeamSetup, given: Given, team: TeamState) -> TeamState:
     """Have the robot whose turn it is plan, and make the first motion."""
     i = next_robot(team)
-    team, heard = _meet(given, team, i, plans=True)
+    team, heard = meet(given, team, i, plans=True)
     own, state = given_of_robot(given, i), take(team.robots, i)
     if setup.n == 1:
         carry, choice, route = _ask(setup, own, team, i, state, heard)
@@ -260,28 +298,28 @@ def decide(setup: TeamSetup, given: Given, team: TeamState) -> TeamState:
             fled=team.fled.at[i].set(jnp.where(live, team.fled[i], state.target)),
             shunned=team.shunned.at[i, row, state.target[1]].set(True, mode="drop"),
         )
-    held = _is_held(team, i, route[state.belief.row, state.belief.col])
+    held = is_held(team, i, route[state.belief.row, state.belief.col])
     after = environment.commit(setup.robot, own, state.replace(carry=carry), choice, route, live, held)
-    return _act(given, team, i, state, after, heard, held)
+    return act(given, team, i, state, after, heard, held)
 
 
 def advance(setup: TeamSetup, given: Given, team: TeamState) -> TeamState:
     """Have the robot whose turn it is make its scan and the next motion of its plan."""
     i = next_robot(team)
-    team, heard = _meet(given, team, i, plans=False)
+    team, heard = meet(given, team, i, plans=False)
     own, state = given_of_robot(given, i), take(team.robots, i)
-    held = _is_held(team, i, state.route[state.belief.row, state.belief.col])
+    held = is_held(team, i, state.route[state.belief.row, state.belief.col])
     after = environment.advance(setup.robot, own, state, held)
     old, grid = state.belief.grid, after.belief.grid
     seen = (grid.hits != old.hits) | (grid.misses != old.misses)
-    new = seen & ~team.known
+    new = seen & (team.seen_at == ENDED)
     grew = count(new if state.belief.within is None else new & state.belief.within)
     mine = lax.dynamic_update_index_in_dim(team.own, take(team.own, i) | seen, i, 0)
-    team = team.replace(own=mine, known=team.known | seen, n_known=team.n_known + grew)
-    return _act(given, _note(team, i, state, grew > 0), i, state, after, heard, held)
+    team = team.replace(own=mine, seen_at=jnp.where(new, team.clock[i], team.seen_at), n_known=team.n_known + grew)
+    return act(given, _note(team, i, state, grew > 0), i, state, after, heard, held)
 
 
-def _act(
+def act(
     given: Given, team: TeamState, i: Array, before: State, after: State, heard: Array, held: Array | None
 ) -> TeamState:
     """Put a robot back into its team after it has acted: its clock, waits and way."""
@@ -296,7 +334,8 @@ def _act(
     waits = team.waits.at[i].add(waited)
     clock = LENGTHS[0] * (after.straight + waits[i]) + LENGTHS[1] * after.diagonal
     step = jnp.where(moved, after.steps, team.way.shape[1])
-    here = jnp.stack([after.row * after.shape[1] + after.col, clock])
+    target = jnp.where(after.target[0] < 0, -1, after.target[0] * after.shape[1] + after.target[1])
+    here = jnp.stack([after.row * after.shape[1] + after.col, clock, target])
     return team.replace(
         robots=_put(team.robots, i, after),
         clock=team.clock.at[i].set(clock),

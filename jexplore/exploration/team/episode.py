@@ -17,6 +17,7 @@ from jexplore.exploration.sensing import explorable_and_knowable, shares
 from jexplore.exploration.site import Site, tasks_of
 from jexplore.exploration.state import MARKS, PERCENTILES, Numbers, Result, Setup
 from jexplore.exploration.team.environment import (
+    ENDED,
     TeamSetup,
     TeamState,
     TeamTask,
@@ -28,7 +29,7 @@ from jexplore.exploration.team.environment import (
     must_decide,
     take,
 )
-from jexplore.exploration.team.team import Team, contact_d2
+from jexplore.exploration.team.team import Contact, Team, read_contact
 from jexplore.exploration.trail import Final
 from jexplore.rules import Robot
 
@@ -78,7 +79,7 @@ def finish(setup: TeamSetup, given: Given, team: TeamState) -> Result:
         diagonal=robots.diagonal[last],
         outcome=jnp.max(jax.vmap(environment.outcome_of)(robots)),
         n_known=team.n_known,
-        explored=jnp.sum(explorable & team.known, dtype=jnp.int32),
+        explored=jnp.sum(explorable & (team.seen_at < ENDED), dtype=jnp.int32),
         explorable=jnp.sum(explorable, dtype=jnp.int32),
         straight_at=at[:, 1],
         diagonal_at=at[:, 2],
@@ -96,9 +97,9 @@ def finish(setup: TeamSetup, given: Given, team: TeamState) -> Result:
 
 
 def detail_of(team: TeamState) -> tuple[Array, ...]:
-    """Return the detailed record of a team: the map that all robots' maps make, and their ways and steps."""
+    """Return the detailed record of a team: the map that all robots' maps make, when; their ways and steps."""
     grid = team.robots.belief.grid
-    return jnp.max(grid.hits, axis=0), jnp.max(grid.misses, axis=0), team.way, team.robots.steps
+    return jnp.max(grid.hits, axis=0), jnp.max(grid.misses, axis=0), team.seen_at, team.way, team.robots.steps
 
 
 def program_of(setup: TeamSetup) -> Program:
@@ -123,23 +124,25 @@ def team_line(
     setup, numbers = fitted
     robot = setup._replace(native=None, capacity=1)
     own = TeamSetup(robot, team.robots, team.coordination, setup.capacity)
-    heard = contact_d2(team.contact, float(numbers.model.cell_m))
+    kinds, n = (np.int32, np.bool_, np.int32, np.float32), len(starts)
+    contact = read_contact(team.contact, float(numbers.model.cell_m))
     tasks = tasks_of(starts.reshape(-1, 3), site.ring).reshape(starts.shape)
-    task = TeamTask(tasks, np.full(len(starts), heard, np.int32))
+    task = TeamTask(tasks, Contact(*(np.full(n, value, kind) for value, kind in zip(contact, kinds))))
     return Line(program_of(own), site.beams, site.truth, numbers, seed, task, which, detailed)
 
 
 def decode(found: tuple[np.ndarray, ...], shape: tuple[int, int], ring: int) -> Final:
     """Make `Final` of what `detail_of` gave: the team's map, the way of the first robot, those of all in `ways`."""
-    hits, misses, way, steps = found
+    hits, misses, seen_at, way, steps = found
     walks = []
     for own, n in zip(way, steps):
-        rows, cols = np.divmod(own[: n + 1, 0], hits.shape[1])
-        walks.append(np.stack([rows - ring, cols - ring, own[: n + 1, 1]], axis=1))
+        cells, targets = (np.stack(np.divmod(own[: n + 1, i], hits.shape[1]), axis=1) - ring for i in (0, 2))
+        targets[own[: n + 1, 2] < 0] = -1
+        walks.append(np.concatenate([cells, own[: n + 1, 1:2], targets], axis=1))
     none = np.zeros(len(walks[0]), np.int32)
-    rows, cols, _ = walks[0].T
+    rows, cols = walks[0][:, :2].T
     maps = within(hits, shape, ring), within(misses, shape, ring)
-    return Final(*maps, rows, cols, none, none, plans=None, ways=walks)
+    return Final(*maps, rows, cols, none, none, plans=None, ways=walks, seen_at=within(seen_at, shape, ring))
 
 
 SECONDS = "time_s_at_50", "time_s_at_90", "time_s_at_95", "time_s_at_99", "area_s"

@@ -12,7 +12,7 @@ from jexplore.exploration.team.team import (
     INDEPENDENT,
     Starts,
     Team,
-    contact_d2,
+    read_contact,
     read_coordination,
     read_robots,
 )
@@ -31,10 +31,11 @@ def team_jobs(
     coordination: CoordinationLike = INDEPENDENT,
     contact: str = "all",
     team_starts: Starts | Sequence[str] = "together",
+    start: Any = "random",
 ) -> list[Job]:
     """Return the jobs of teams made of those of one robot, each of them for every team; these where `robots` is None.
 
-    A team of one has no coordination: it comes once.
+    A team of one has no coordination: it comes once. `start` is what the jobs' starts are made of.
 
     Raises:
       InputError: an option that has no meaning without `robots`; a pose that is not given, metrics; a team that
@@ -45,13 +46,15 @@ def team_jobs(
             raise InputError("coordination, contact and team_starts are for teams: give robots, such as 1 2 4")
         return list(jobs)
     teams = _teams(robots, coordination, contact, team_starts)
+    if start != "random" and not isinstance(teams[0].starts, str):
+        raise InputError("team_starts are the starts of all robots: leave out start")
     made = []
     for job in jobs:
         assert job.rules is not None
         job.rules.require_lattice("teams are")
         if job.metrics:
             raise InputError("metrics are of one robot: leave out metrics or robots")
-        contact_d2(contact, job.world.cell_m)
+        read_contact(contact, job.world.cell_m)
         own, near = job.starts, {"clearance_m": job.rules.clearance_m, "near_m": job.rules.near_m}
         for team in teams:
             if team.coordination is not None and not is_nearest(job.strategy.policy):

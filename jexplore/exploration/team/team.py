@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeAlias
 
 from jexplore.config import InputError, require_whole, shown, unknown
+from jexplore.exploration.motion import LENGTHS
 from jexplore.exploration.team.coordination import COORDINATIONS, Coordination
 from jexplore.grid import radius_d2
 from jexplore.users import name_of
@@ -12,6 +13,9 @@ from jexplore.users import name_of
 MOST_ROBOTS = 16
 NOBODY, EVERYBODY = -1, 2**30
 """Squared distances in cells within which robots hear each other: none, and any."""
+SIGHT = "line-of-sight"
+CONTACTS = "all", "none", "range", SIGHT
+MOST_DELAY = 100_000  # ticks, times of a straight step
 STARTS = "together", "apart"
 INDEPENDENT = "independent"
 Starts: TypeAlias = str | tuple[tuple[int, int, int], ...]
@@ -35,22 +39,38 @@ class Team(NamedTuple):
         return f"{self.robots} x {strategy}" + (f", {self.coordinates}" if self.robots > 1 else "")
 
 
-def contact_d2(contact: str, cell_m: float) -> int:
-    """Return the largest squared distance of robots that hear each other, cells^2.
+class Contact(NamedTuple):
+    """Whom robots hear directly, numbers or arrays of one shape."""
+
+    d2: Any  # int32, cells^2, largest squared distance
+    in_sight: Any  # bool, whether no wall may be between
+    delay: Any  # int32, how long a link must hold before it carries anything, in units of `motion.LENGTHS`
+    loss: Any  # float32, probability that a link fails, each time that a robot acts
+
+
+def read_contact(contact: str, cell_m: float) -> Contact:
+    """Return the `Contact` of a text such as all, none, range:4, line-of-sight, range:4,delay=10,loss=0.2.
 
     Raises:
-      InputError: `contact` is not all, none, or range and a number of metres.
+      InputError: the text says something else; a distance, delay or loss that cannot be.
     """
-    if contact in ("all", "none"):
-        return EVERYBODY if contact == "all" else NOBODY
-    word, _, text = str(contact).partition(":")
+    first, *more = str(contact).split(",")
+    word, colon, metres = first.partition(":")
+    given = {name: value for name, _, value in (part.partition("=") for part in more)}
+    known = word in CONTACTS and bool(metres) == bool(colon) and {*given} <= {"delay", "loss"}
+    known &= len(given) == len(more) and (bool(colon) if word == "range" else word == SIGHT or not colon)
     try:
-        metres = float(text) if word == "range" else -1.0
+        reach_m, delay, loss = float(metres or "inf"), int(given.get("delay", "0")), float(given.get("loss", "0"))
     except ValueError:
-        metres = -1.0
-    if not (metres >= 0 and math.isfinite(metres)):
-        raise InputError(f"contact must be all, none or range:METRES such as range:4, got {shown(contact)}")
-    return min(radius_d2(metres, cell_m), EVERYBODY)
+        reach_m, delay, loss = -1.0, 0, 0.0
+    can_be = reach_m >= 0 and (not colon or math.isfinite(reach_m)) and 0 <= delay <= MOST_DELAY and 0 <= loss <= 1
+    if not (can_be and known):
+        raise InputError(
+            "contact must be all, none, range:METRES or line-of-sight[:METRES], with ,delay=TICKS (up to "
+            f"{MOST_DELAY:,}) and ,loss=P (0 to 1) if wanted, got {shown(contact)}"
+        )
+    d2 = NOBODY if word == "none" else EVERYBODY if math.isinf(reach_m) else min(radius_d2(reach_m, cell_m), EVERYBODY)
+    return Contact(d2, word == SIGHT, delay * LENGTHS[0], loss)
 
 
 def read_coordination(given: str | Callable[..., Any]) -> Coordination | None:

@@ -291,11 +291,7 @@ def digest_of(policy: Policy) -> str | None:
 
 
 def traced_policy(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> Policy:
-    """Identify the functions of a user's strategy by their computation: traced on shapes, without compiling.
-
-    Raises:
-      InputError: a function raises, or returns the wrong thing; one line that names it.
-    """
+    """Identify the functions of a user's strategy by their computation: traced on shapes, without compiling."""
     leaves, tree = jax.tree.flatten((params, belief, beams, route))
     shapes = tuple(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves)
     digest = _digest(policy._replace(params=()), tree, shapes)

@@ -140,11 +140,7 @@ def _parsed(text):
 
 
 def search_space(text: str) -> dict[str, tuple[Span, Any]]:
-    """Return the parameters of a strategy that have bounds and are not given: name -> (bounds, default).
-
-    Raises:
-      InputError: as of `parse_strategy`.
-    """
+    """Return the parameters of a strategy that have bounds and are not given: name -> (bounds, default)."""
     make, _, allowed, given = _parsed(text)
     hints = segmented.__annotations__ | getattr(make, "__annotations__", {})
     own = {key: getattr(hints.get(key), "__metadata__", ()) for key in allowed if key not in given}
@@ -156,10 +152,6 @@ def parse_strategy(text: str) -> Strategy:
 
     `text`: `name+modifier+...:key=value,...`, such as `closest+recheck`, or `module:name+...` for one in a module that
     can be imported or lies in the current folder.
-
-    Raises:
-      InputError: unknown name, modifier or parameter, a modifier given twice, a value of the wrong kind, a module that
-        does not import, something in it that is no strategy.
     """
     make, modifiers, _, given = _parsed(text)
     return _build(text, make, given, modifiers)

@@ -77,12 +77,7 @@ def write_page(path: Path, model: Model) -> None:
 
 
 def load_model(path: str | os.PathLike[str]) -> Model:
-    """Load a model from its files; `path` is that of the weights or of their JSON.
-
-    Raises:
-      InputError: a file is missing, damaged, of another version, network or features, or the two do not belong
-        together.
-    """
+    """Load a model from its files; `path` is that of the weights or of their JSON."""
     from flax import serialization
 
     file = Path(os.path.expanduser(path)).with_suffix(".msgpack")

@@ -8,9 +8,21 @@ import numpy as np
 
 from jexplore.report.page.packing import base64_of, change, packed_numbers, runs
 
+_BY_FRAME = "steps", "heading_deg", "target"
 STATE, FRONTIER, OWN_ROOM = 3, 4, 8
 """Of the code of a cell: the bits of its state (0 unknown, 1 free, 2 occupied); whether it is a frontier cell that can
 be reached; whether the strategy takes it for a part of the room that the robot is in."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class OtherRobot:
+    """Another robot of a team; fields as those of `ReplayData`."""
+
+    rows: np.ndarray
+    cols: np.ndarray
+    steps: np.ndarray
+    heading_deg: np.ndarray
+    target: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,10 +63,15 @@ class ReplayData:
     """`[F]` what changed in the map of codes, see `packing.runs`; at first from all 0."""
     has_own_room: bool = False
     """True if the strategy has a room of its own."""
+    others: tuple[OtherRobot, ...] = ()
+    """The robots of a team besides this one."""
+    clock_m: np.ndarray | None = None
+    """`[F]` of a team, its clock, metres; steps then need not increase. None: a robot alone."""
 
     def __post_init__(self) -> None:
         steps = len(self.rows) - 1
-        if not len(self.steps) or (np.diff(self.steps) <= 0).any() or self.steps[0] < 0 or self.steps[-1] != steps:
+        least = 1 if self.clock_m is None else 0
+        if not len(self.steps) or (np.diff(self.steps) < least).any() or self.steps[0] < 0 or self.steps[-1] != steps:
             raise ValueError(f"expected steps that increase up to {steps}, got {list(self.steps)[:20]}")
         if np.abs(np.diff([self.rows, self.cols])).max(initial=0) > 1:
             raise ValueError("expected rows and cols of neighbouring cells, got a jump")
@@ -73,8 +90,13 @@ class ReplayData:
             return self
         chosen = evenly(frames - 1, most)
         changes = tuple(changes_of(image for i, image in enumerate(self.maps()) if i in chosen))
-        parts = {name: getattr(self, name)[chosen] for name in ("steps", "heading_deg", "target", "until", "known_m2")}
-        return dataclasses.replace(self, changes=changes, **parts)
+        parts = {name: getattr(self, name)[chosen] for name in ("until", "known_m2", *_BY_FRAME)}
+        parts |= {} if self.clock_m is None else {"clock_m": self.clock_m[chosen]}
+        others = tuple(
+            dataclasses.replace(other, **{name: getattr(other, name)[chosen] for name in _BY_FRAME})
+            for other in self.others
+        )
+        return dataclasses.replace(self, changes=changes, others=others, **parts)
 
 
 def changes_of(images: Iterable[np.ndarray]) -> Iterator[bytes]:
@@ -106,6 +128,16 @@ def _world(replay):
     }
 
 
+def _way(robot: Any) -> dict[str, Any]:
+    """Return the way of a robot, and its state in every frame."""
+    moves = 3 * (1 + np.diff(robot.rows)) + 1 + np.diff(robot.cols)
+    return {
+        "start": [int(robot.rows[0]), int(robot.cols[0])],
+        "moves": base64_of(moves.astype(np.uint8).tobytes()),
+        **{name: packed_numbers(getattr(robot, name)) for name in _BY_FRAME},
+    }
+
+
 def page_data(replays: Sequence[ReplayData]) -> dict[str, Any]:
     """Return the data for the page: `worlds`, each once, and `replays`, plain JSON types.
 
@@ -119,15 +151,15 @@ def page_data(replays: Sequence[ReplayData]) -> dict[str, Any]:
         if key not in numbers:
             numbers[key] = len(worlds)
             worlds.append(_world(replay))
-        moves = 3 * (1 + np.diff(replay.rows)) + 1 + np.diff(replay.cols)
         found.append(
             {
                 "world": numbers[key],
                 **{name: str(getattr(replay, name)) for name in ("strategy", "which", "outcome")},
                 "episode": int(replay.episode),
-                "start": [int(replay.rows[0]), int(replay.cols[0])],
-                "moves": base64_of(moves.astype(np.uint8).tobytes()),
-                **{name: packed_numbers(getattr(replay, name)) for name in ("steps", "heading_deg", "target", "until")},
+                **_way(replay),
+                "until": packed_numbers(replay.until),
+                "others": [_way(other) for other in replay.others],
+                "clock_m": None if replay.clock_m is None else packed_numbers(replay.clock_m, 0.01, "clock_m"),
                 "known_m2": packed_numbers(replay.known_m2, 0.01, "known_m2"),
                 "sizes": packed_numbers([len(part) for part in replay.changes]),
                 "changes": base64_of(b"".join(replay.changes)),

@@ -42,11 +42,11 @@ function readWorld({name, shape, cell_m, truth, rooms}) {
     view: {kind: "whole", x: 0, y: 0, scale: 0}, bounds: [0, 0, shape[1] * cell_m, shape[0] * cell_m],
   };
 }
-function readReplay(replay) {
-  const own = worlds[replay.world], {cell_m} = own, moves = bytesOf(replay.moves), n = moves.length;
-  const [steps, heading, target, until, known, sizes] = ["steps", "heading_deg", "target", "until", "known_m2", "sizes"].map((name) => unpack(replay[name]));
+function readWay(robot, cell_m) {  // of one robot
+  const moves = bytesOf(robot.moves), n = moves.length;
+  const [steps, heading, target] = ["steps", "heading_deg", "target"].map((name) => unpack(robot[name]));
   const x = new Float64Array(n + 1), y = new Float64Array(n + 1), metres = new Float64Array(n + 1);
-  let [row, col] = replay.start;
+  let [row, col] = robot.start;
   for (let i = 0; i <= n; i++) {
     if (i) {
       const up = Math.floor(moves[i - 1] / 3) - 1, right = moves[i - 1] % 3 - 1;
@@ -55,11 +55,18 @@ function readReplay(replay) {
     }
     x[i] = (col + 0.5) * cell_m; y[i] = (row + 0.5) * cell_m;
   }
+  return {x, y, metres, n, steps, heading, target};
+}
+function readReplay(replay) {
+  const own = worlds[replay.world], {cell_m} = own, way = readWay(replay, cell_m), {metres, steps} = way;
+  const [until, known, sizes] = ["until", "known_m2", "sizes"].map((name) => unpack(replay[name]));
+  const clock = replay.clock_m && unpack(replay.clock_m);  // of a team
   const offsets = new Float64Array(sizes.length + 1);
   sizes.forEach((size, i) => { offsets[i + 1] = offsets[i] + size; });
   return {
-    ...replay, own, x, y, metres, steps, heading, target, until, known, offsets, n, bytes: bytesOf(replay.changes),
-    at: {metres: steps.map((step) => metres[step]), steps}, codes: new Uint8Array(own.shape[0] * own.shape[1]), ...sheet(own.shape),
+    ...replay, own, ...way, until, known, offsets, bytes: bytesOf(replay.changes), clock,
+    others: replay.others.map((other) => readWay(other, cell_m)),
+    at: {metres: clock ?? steps.map((step) => metres[step]), steps: clock ? clock.map((at) => Math.round(at / cell_m)) : steps}, codes: new Uint8Array(own.shape[0] * own.shape[1]), ...sheet(own.shape),
     frame: -1, fresh: false,
   };
 }
@@ -151,23 +158,27 @@ function drawRobot({pen, sx, sy, view}, x, y, degrees) {
   pen.restore();
 }
 function drawTile(replay, position) {
-  const frame = frameAt(replay, position), {plane, own, x, y} = replay, step = replay.steps[frame], until = replay.until[frame];
+  const frame = frameAt(replay, position), {plane, own, x, y, clock} = replay, step = replay.steps[frame], until = replay.until[frame];
+  const robots = [replay, ...replay.others];  // of a team, each in a colour of its own
   turnTo(replay, frame);
   plane.begin();
   drawSheet(plane, replay, own.cell_m);
   if (shown.truth) drawSheet(plane, own.truth, own.cell_m);
   plane.pen.lineJoin = "round";
-  if (shown.path) {
-    plane.path(x, y, 0, step + 1); plane.stroke(ink.floor, 4.5); plane.path(x, y, 0, step + 1); plane.stroke(colourOf(replay), 2.2);
-    plane.disc(x[0], y[0], 4); plane.fill(ink.floor); plane.stroke(colourOf(replay), 2);
-  }
+  if (shown.path) robots.forEach((robot, i) => {
+    const colour = clock ? PALETTE[i % PALETTE.length] : colourOf(replay), end = robot.steps[frame] + 1;
+    plane.path(robot.x, robot.y, 0, end); plane.stroke(ink.floor, 4.5); plane.path(robot.x, robot.y, 0, end); plane.stroke(colour, 2.2);
+    plane.disc(robot.x[0], robot.y[0], 4); plane.fill(ink.floor); plane.stroke(colour, 2);
+  });
   if (shown.ahead && until > step) { plane.path(x, y, step, until + 1); plane.stroke(ink.floor, 4); plane.path(x, y, step, until + 1); plane.stroke(ink.way, 2, [4, 3]); }
-  const [row, col] = [replay.target[2 * frame], replay.target[2 * frame + 1]];
-  if (shown.target && row >= 0) plane.drawTarget((col + 0.5) * own.cell_m, (row + 0.5) * own.cell_m);
-  if (shown.robot) drawRobot(plane, x[step], y[step], replay.heading[frame]);
+  for (const {target} of robots) {
+    const [row, col] = [target[2 * frame], target[2 * frame + 1]];
+    if (shown.target && row >= 0) plane.drawTarget((col + 0.5) * own.cell_m, (row + 0.5) * own.cell_m);
+  }
+  if (shown.robot) for (const robot of robots) drawRobot(plane, robot.x[robot.steps[frame]], robot.y[robot.steps[frame]], robot.heading[frame]);
   plane.drawBar(Math.min(150, plane.width / 4));
   const done = frame === replay.steps.length - 1;
-  const ways = done ? [`${replay.metres[step].toFixed(1)} m`, `${step} steps`] : [`${replay.metres[step].toFixed(1)} of ${replay.metres[replay.n].toFixed(1)} m`, `step ${step} of ${replay.n}`];
+  const ways = clock ? [`${clock[frame].toFixed(1)} of ${clock.at(-1).toFixed(1)} m`, `${robots.length} robots`] : done ? [`${replay.metres[step].toFixed(1)} m`, `${step} steps`] : [`${replay.metres[step].toFixed(1)} of ${replay.metres[replay.n].toFixed(1)} m`, `step ${step} of ${replay.n}`];
   replay.now.textContent = [...ways, `${replay.known[frame].toFixed(1)} m\u00b2 known`, ...(done ? [words(replay.outcome).toLowerCase()] : [])].join(" \u00b7 ");
 }
 const isChosen = (replay) => replay.episode === episode && (world < 0 || replay.world === world);

@@ -94,12 +94,7 @@ def draw_profile(ax: Axes, ratio: Any, share: Any, low: Any, high: Any, look: Ma
 def profile_curves_figure(table: Any, *, over: str = "best") -> Figure:
     """Draw performance profiles: the share of starts whose path is at most a multiple of the reference's.
 
-    Args:
-      table: from `aggregate.profiles`.
-      over: denominator of the ratios, for the label: "best" or "first".
-
-    Source:
-      Dolan and More 2002.
+    `table` is from `aggregate.profiles`; `over` is the denominator of the ratios, for the label: "best" or "first".
     """
     page = Figure(figsize=(6.4, 3.8), layout="constrained")
     ax: Any = page.subplots()

@@ -58,13 +58,10 @@ def draw_response(ax: Axes, x: Any, estimate: Any, low: Any, high: Any, look: Ma
 def response_curves_figure(
     table: Any, setting: str, *, label: str = "path length (m)", ratio: bool = False, averaged: str = ""
 ) -> Figure:
-    """Draw curves over one setting: one panel a world, one line a strategy.
+    """Draw curves over a setting, a column of a table from `response.response`: a panel a world, a line a strategy.
 
-    Args:
-      table: from `response.response`.
-      setting: name of the column; text or truth values stand side by side in order of first appearance.
-      ratio: bool, estimates are ratios: a logarithmic axis with a line at 1.
-      averaged: name of the averaged settings: a line above the panels.
+    Text or truth values stand side by side in order of first appearance. A `ratio` has a logarithmic axis with a line
+    at 1. `averaged` names the averaged settings: a line above the panels.
     """
     worlds, strategies = (list(dict.fromkeys(table[key])) for key in ("world", "strategy"))
     levels = _levels(table[setting])
@@ -138,13 +135,10 @@ def _norm(values, ratio) -> Any:
 def heat_maps_figure(
     table: Any, x: str, y: str, *, label: str = "path length (m)", ratio: bool = False, averaged: str = ""
 ) -> Figure:
-    """Draw colours over two settings: a row of panels a world, one panel a strategy, on one colour scale.
+    """Draw colours over two settings of a table from `response.response`: a row of panels a world, one a strategy.
 
-    Args:
-      table: from `response.response`.
-      x, y: names of the columns; every value has a place of its own, whatever lies between.
-      ratio: bool, estimates are ratios: blue below 1, red above.
-      averaged: name of the averaged settings: a line above the panels.
+    All have one colour scale, and every value a place of its own, whatever lies between. A `ratio` is blue below 1, red
+    above. `averaged` names the averaged settings: a line above the panels.
     """
     worlds, strategies = (list(dict.fromkeys(table[key])) for key in ("world", "strategy"))
     across, up = _levels(table[x]), _levels(table[y])

@@ -1,23 +1,20 @@
 """Episodes compared with the bounds of their starts."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError
 from jexplore.report.tables import aligned_table, number_text, ratio_text
 from jexplore.studies.results.columns import RATIO_COLUMNS
-from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
-from jexplore.studies.statistics.paired import safe_exp
-
-if TYPE_CHECKING:
-    import pandas as pd
+from jexplore.studies.statistics.over_worlds import kind_of, ratio_over_worlds
 
 START = ("start_row", "start_col", "start_heading_deg")
 
 
-def with_bound_ratios(episodes: "pd.DataFrame", bounds: "pd.DataFrame", digests: Mapping[str, str]) -> "pd.DataFrame":
+def with_bound_ratios(episodes: pd.DataFrame, bounds: pd.DataFrame, digests: Mapping[str, str]) -> pd.DataFrame:
     """Add the columns `RATIO_COLUMNS` to the table of episodes; NaN for an incomplete episode or one without a bound.
 
     A ratio to the walk that was found may be below 1: that walk is short, not the shortest, and stands on clear cells.
@@ -39,7 +36,7 @@ def with_bound_ratios(episodes: "pd.DataFrame", bounds: "pd.DataFrame", digests:
     return episodes.assign(**{name: path_m / length for name, length in zip(RATIO_COLUMNS, lengths)})
 
 
-def beside_table(table: "pd.DataFrame", by: Sequence[str] = ("world", "strategy")) -> str:
+def beside_table(table: pd.DataFrame, by: Sequence[str] = ("world", "strategy")) -> str:
     """Format ratios from `with_bound_ratios` as Markdown, a row for each value of the columns `by`.
 
     Means are of logarithms, each world once; next to them the worst episode's. Intervals (95 %) are for other worlds of
@@ -64,5 +61,4 @@ def _over_worlds(rows, column):
     """Format the ratio of some episodes, a world's mean logarithm counting once, and its interval."""
     known = rows.dropna(subset=[column])
     logs = np.log(known[column]).groupby(known["world"], sort=False).mean()
-    mean, low, high, _ = mean_over_worlds(logs.to_numpy(), [kind_of(world) for world in logs.index])
-    return ratio_text(safe_exp(mean), safe_exp(low), safe_exp(high))
+    return ratio_text(*ratio_over_worlds(logs, logs.index)[:3])

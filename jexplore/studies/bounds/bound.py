@@ -15,19 +15,22 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError, __version__, checked_names, require_setting, require_whole
 from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.engine.runner import own_cores
 from jexplore.exploration.results import length_along_m
 from jexplore.raycast import scans_all_round
-from jexplore.reach import DIAGONAL, FAR, STRAIGHT
+from jexplore.reach import FAR
 from jexplore.report.ledger import Ledger, Work
 from jexplore.report.tables import aligned_table, number_text
 from jexplore.rules import Lidar, Rules
-from jexplore.studies.bounds.beside import with_bound_ratios
+from jexplore.studies.bounds.beside import START, with_bound_ratios
+from jexplore.studies.bounds.floor import low_metres
 from jexplore.studies.bounds.scene import prepare_scene
 from jexplore.studies.bounds.search import Budget, SearchResult, search
+from jexplore.studies.bounds.teams import with_team_ratios
 from jexplore.studies.checks import (
     LIDAR,
     RULES,
@@ -44,7 +47,6 @@ from jexplore.studies.results.provenance import world_digest
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 JOIN_S = 5.0  # seconds that a process may take to end
@@ -80,21 +82,11 @@ class Solved(NamedTuple):
     witnesses: np.ndarray  # [N, 2] int32
 
 
-def low_metres(cost: int, cell_m: float) -> float:
-    """Convert a least cost to a least length in metres: rounded down to a millimetre.
-
-    A diagonal step costs a millionth more than sqrt(2) straight ones, so a walk may be that much shorter than its cost.
-    """
-    shortest = cost / STRAIGHT * (STRAIGHT * math.sqrt(2) / DIAGONAL) * cell_m
-    return math.floor(shortest * 1000 * (1 - 1e-12)) / 1000
-
-
 def solve(task: BoundTask) -> Solved:
     """Bound one start."""
     world, start = task.world, task.start
     scene = prepare_scene(world, start, task.lidar, task.rules, scans_all_round(task.lidar))
-    row: dict[str, Any] = {"world": os.fspath(world.name), "start_row": start[0], "start_col": start[1]}
-    row |= {"start_heading_deg": start[2], "sha256": world_digest(world)}
+    row: dict[str, Any] = {"world": os.fspath(world.name), **dict(zip(START, start)), "sha256": world_digest(world)}
     if scene is None:
         row |= {"low_m": 0.0, "low_any_m": 0.0, "high_m": math.nan, "status": STUCK, "witnesses": 0, "seconds": 0.0}
         nothing = np.zeros((0, 2), np.int32)
@@ -119,13 +111,13 @@ def solve(task: BoundTask) -> Solved:
 class BoundsResult:
     """Result of `bound`. Tables are pandas DataFrames."""
 
-    table: "pd.DataFrame"
+    table: pd.DataFrame
     """One row a world and start: `low_m`, `low_any_m`, `high_m`, metres; `status`; see `BOUND_COLUMNS`.
 
     `high_m` is the length of a walk on which the reference robot, which knows the map, stands on clear cells and turns
     for nothing, sees all that an episode must see. None of its walks is shorter than `low_m`; none of any robot that
     crosses free cells is shorter than `low_any_m`, so no complete episode of any strategy is."""
-    walks: "pd.DataFrame"
+    walks: pd.DataFrame
     """One row a step: `world`, `start` (number of the row in `table`), `step`, `row`, `col`."""
     worlds: tuple[World, ...]
     """The worlds, in order."""
@@ -136,14 +128,16 @@ class BoundsResult:
     interrupted: int = 0
     """Starts that are missing because the run was interrupted."""
 
-    def to_pandas(self) -> "pd.DataFrame":
+    def to_pandas(self) -> pd.DataFrame:
         return self.table
 
     def to_markdown(self) -> str:
         return bounds_table(self.table)
 
-    def beside(self, comparison: Any) -> "pd.DataFrame":
+    def beside(self, comparison: Any) -> pd.DataFrame:
         """Compare the episodes of a `ComparisonResult` with the bounds: see `beside.with_bound_ratios`.
+
+        Those of teams are compared with bounds of the whole team: see `teams.with_team_ratios`.
 
         Raises:
           InputError: no comparison; one with another scanner, another clearance, or noise.
@@ -156,7 +150,8 @@ class BoundsResult:
                 if self.settings[name] != value:
                     raise InputError(f"the bounds are for {name} {self.settings[name]:g}, the episodes had {value:g}")
         digests = {os.fspath(world.name): world_digest(world) for world in comparison.worlds}
-        return with_bound_ratios(comparison.episodes, self.table, digests)
+        table = with_bound_ratios(comparison.episodes, self.table, digests)
+        return with_team_ratios(table, self, comparison.made.jobs) if "robots" in table else table
 
     def figure(self) -> "Figure":
         """Draw the walks and the witnesses of the first starts: a matplotlib `Figure`."""
@@ -171,7 +166,7 @@ class BoundsResult:
         return f"<Bounds of {len(self.table)} starts in {len(self.worlds)} worlds>"
 
 
-def bounds_table(table: "pd.DataFrame") -> str:
+def bounds_table(table: pd.DataFrame) -> str:
     """Format rows of `BoundsResult.table` as Markdown."""
     head = ["world", "start", "low any m", "low m", "high m", "high / low", "status", "witnesses", "s"]
     lines = []
@@ -226,48 +221,43 @@ def prepare_bounds(
     """Check and load everything before `bound` runs: the tasks. Arguments as there."""
     lidar, rules = ready_settings(lidar, rules)
     starts, seed = require_setting("starts", starts), require_setting("seed", seed)
-    seconds = require_setting("seconds", seconds)
+    seconds, pairs = require_setting("seconds", seconds), []
     if max_floods is not None:
         require_whole("max_floods", max_floods, 1, 10**9)
-    require_perfect(lidar, rules)
-    tasks, limits = [], (None if max_floods else seconds, max_floods)
     for world in ready_worlds(worlds, cell_m):
-        require_whole_world(world)
         places = ready_starts(world, start, starts if start == "random" else 1, seed=seed, rules=rules)
-        tasks += [BoundTask(world, (int(r), int(c), int(h)), lidar, rules, *limits) for r, c, h in places]
-    return tasks
+        pairs += [(world, (int(r), int(c), int(h))) for r, c, h in places]
+    return _tasks(pairs, lidar, rules, None if max_floods else seconds, max_floods)
 
 
 def require_perfect(lidar: Lidar, rules: Rules) -> None:
     """Refuse a scanner with noise, whose beams may say nothing, or that is not at the robot's centre, and odometry."""
     rules.require_lattice("bounds are")
+    centre = "that sees all from the robot's centre: lidar.min_range_m, forward_m and left_m must be 0"
     for is_bad, needs in (
         (lidar.sigma_m or lidar.dropout, "without noise: lidar.sigma_m and lidar.dropout must be 0"),
         (lidar.no_echo != "free", "that shows what it has no echo from: lidar.no_echo must be free"),
-        (
-            lidar.min_range_m or lidar.mount_m,
-            "that sees all from the robot's centre: lidar.min_range_m, forward_m and left_m must be 0",
-        ),
+        (lidar.min_range_m or lidar.mount_m, centre),
     ):
         if is_bad:
             raise InputError(f"bounds are of a scanner {needs}")
 
 
-def require_whole_world(world: World) -> None:
-    """Refuse a world with a region to stay in, or of which a robot knows a part beforehand."""
-    if world.within is not None or world.known is not None:
-        raise InputError(f"{world.name!r}: bounds are of whole worlds, of which nothing is known beforehand")
+def _tasks(pairs, lidar, rules, seconds, max_floods):
+    """Return the tasks of worlds and starts; refuse a world with a region to stay in or of which a part is known."""
+    require_perfect(lidar, rules)
+    for world, _ in pairs:
+        if world.within is not None or world.known is not None:
+            raise InputError(f"{world.name!r}: bounds are of whole worlds, of which nothing is known beforehand")
+    return [BoundTask(world, start, lidar, rules, seconds, max_floods) for world, start in pairs]
 
 
 def bound_tasks(
     pairs: Iterable[tuple[World, tuple[int, int, int]]], lidar: Lidar, rules: Rules, seconds: float
 ) -> list[BoundTask]:
     """Return the tasks of some starts, each once."""
-    require_perfect(lidar, rules)
-    pairs = list(pairs)
-    for world, _ in pairs:
-        require_whole_world(world)
-    return list({(of.name, *start): BoundTask(of, start, lidar, rules, seconds, None) for of, start in pairs}.values())
+    once = {(world.name, *start): (world, start) for world, start in pairs}
+    return _tasks(once.values(), lidar, rules, seconds, None)
 
 
 def bound_settings(lidar: Lidar, rules: Rules) -> dict[str, Any]:
@@ -302,8 +292,6 @@ def run_bounds(
     Raises:
       KeyboardInterrupt: none was finished.
     """
-    import pandas as pd
-
     workers = min(own_cores() if workers is None else require_setting("workers", workers), len(tasks))
     numbers = range(first, first + len(tasks))
     work: Work[Solved] = Work(numbers, ledger, _to_table, _of_table)
@@ -370,8 +358,6 @@ def _begin_worker():
 
 
 def _to_table(found):
-    import pandas as pd
-
     return pd.DataFrame([{**found.row, WALK: found.walk.tobytes(), WITNESSES: found.witnesses.tobytes()}])
 
 

@@ -1,6 +1,7 @@
 """Cells where a robot may stand, shortest paths there, and the shortest walks that see witnesses in an order."""
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +18,15 @@ from jexplore.studies.bounds.scene import Scene
 @jax.jit
 def _flood(words, start):
     return reach.spread(words, start, (0, 0), None, jnp.int32(FAR), reach.STEPS)
+
+
+def low_metres(cost: int, cell_m: float) -> float:
+    """Convert a least cost to a least length in metres: rounded down to a millimetre.
+
+    A diagonal step costs a millionth more than sqrt(2) straight ones, so a walk may be that much shorter than its cost.
+    """
+    shortest = cost / STRAIGHT * (STRAIGHT * math.sqrt(2) / DIAGONAL) * cell_m
+    return math.floor(shortest * 1000 * (1 - 1e-12)) / 1000
 
 
 class Floor:

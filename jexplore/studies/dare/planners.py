@@ -14,10 +14,10 @@ from jexplore.studies.dare import rules
 from jexplore.studies.dare.rules import Explorer
 
 Plan = Callable[[Explorer, np.random.Generator], int | None]
-UTILITY_PER_M = 0.2  # decay of gain with distance; González-Baños and Latombe 2002
-NBVP_PER_M = 0.5  # decay of gain with distance; Bircher et al. 2016, Table I
-NBVP_NODES = 15  # of a tree; Bircher et al. 2016, Table I
-NBVP_MOST = 200  # nodes of a tree that has found no gain yet; from there the way to the nearest gain is taken
+UTILITY_PER_M = 0.2  # decay of gain with distance; González-Baños and Latombe 2002, as Holz et al. 2010 cite it
+NBVP_PER_M = 0.5  # decay of gain with distance; Bircher et al. 2016, as all of NBVP in ethz-asl/nbvplanner
+NBVP_DRAWS = 30  # nodes drawn for a tree
+NBVP_MOST = 200  # nodes drawn for a tree that has found no gain yet; then the way to the nearest gain is taken
 DRAWS = 5  # sets of view points drawn at a decision by tare-local
 TOUR_DRAWS = 10  # and by the tour
 
@@ -46,7 +46,7 @@ def utility(explorer: Explorer, rng: np.random.Generator, *, per_m: float = UTIL
     return rules.first_step(before, explorer.at, int(np.argmax(score)))
 
 
-def nbvp(*, per_m: float = NBVP_PER_M, n_nodes: int = NBVP_NODES, most: int = NBVP_MOST) -> Plan:
+def nbvp(*, per_m: float = NBVP_PER_M, n_draws: int = NBVP_DRAWS, most: int = NBVP_MOST) -> Plan:
     """Take the first edge of the best branch of a random tree, and keep the rest for the next (Bircher et al. 2016).
 
     The tree grows over linked nodes: towards a drawn node, from the node of the tree that is nearest to it. A branch's
@@ -67,7 +67,7 @@ def nbvp(*, per_m: float = NBVP_PER_M, n_nodes: int = NBVP_NODES, most: int = NB
             if node not in parent:
                 add(node, before)
         draws = 0
-        while draws < n_nodes or (draws < most and max(value.values()) == 0):
+        while draws < n_draws or (draws < most and max(value.values()) == 0):
             draws += 1
             drawn = cells[rng.integers(len(cells))]
             tree = np.array(list(parent))
@@ -201,23 +201,18 @@ class _Known:
     """The graph of one that knows the map: frontier cells are free cells next to cells that are not."""
 
     def __init__(self, explorer: Explorer) -> None:
-        free = explorer.truth
-        belief = np.where(free, rules.FREE, rules.UNKNOWN).astype(np.int8)
-        found, self.width = rules.frontier_cells(belief), free.shape[1]
-        whole = Explorer(free, explorer.start)
-        whole.belief, whole.looks = belief, []
-        whole.index, whole.places, whole.seen, whole.links = {}, [], [], []
-        whole._add_nodes(free, explorer.start)
-        self.places, self.cells = whole.index, whole.cells
-        whole.frontier = set()
+        free, start = explorer.truth, explorer.start
+        self.places = {place: node for node, place in enumerate(rules.lattice(free, start, start))}
+        self.cells = start + rules.STEP * np.array(list(self.places))
+        links: list[set[int]] = [set() for _ in self.places]
+        for place in self.places:
+            rules.link(free, start, self.places, links, place)
+        self.far, self.before = rules.distances(links, self.cells, list(range(len(self.cells))))
+        found = rules.frontier_cells(np.where(free, rules.FREE, rules.UNKNOWN).astype(np.int8))
         self.seen: list[set[int]] = []
         for cell in self.cells:
             near = found[np.hypot(*(found - cell).T) < rules.SIGHT]
-            self.seen.append(set((near[rules.in_sight(free, cell, near)] @ (self.width, 1)).tolist()))
-        whole.seen, whole.looks = [{0}] * len(self.cells), [True] * len(self.cells)
-        for cell in self.cells:
-            whole._link(free, cell)
-        self.far, self.before = rules.distances(whole.links, self.cells, list(range(len(self.cells))))
+            self.seen.append(set((near[rules.in_sight(free, cell, near)] @ (free.shape[1], 1)).tolist()))
 
 
 def tour(*, draws: int = TOUR_DRAWS) -> Plan:
@@ -235,7 +230,7 @@ def tour(*, draws: int = TOUR_DRAWS) -> Plan:
         truth = np.where(belief == rules.OCCUPIED, rules.OCCUPIED, np.where(explorer.truth, rules.FREE, rules.UNKNOWN))
         cells = rules.frontier_cells(truth)
         cells = cells[belief[cells[:, 0], cells[:, 1]] != rules.FREE]
-        left = set((cells @ (known.width, 1)).tolist())
+        left = set((cells @ (belief.shape[1], 1)).tolist())
         for node, place in enumerate(known.places):
             if known.seen[node]:
                 mine = explorer.index.get(place)

@@ -11,6 +11,7 @@ import functools
 import itertools
 import math
 import os
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,23 @@ UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 PAD = RANGE + 1  # occupied cells round a map: no beam leaves the arrays
 ROUND = [(i, j) for i, j in itertools.product(range(-2, 3), repeat=2) if (i, j) != (0, 0)]
 """Nodes that a node may be linked to, as steps of `STEP` cells."""
+
+
+class Scanner(NamedTuple):
+    """The cells that a beam enters into the belief."""
+
+    is_wide: bool
+    """The 3 x 3 cells round every cell of a beam, not that cell alone."""
+    depth: int
+    """Occupied cells that a beam enters at most, one behind another."""
+
+
+SCANNERS = {
+    "dare": Scanner(is_wide=True, depth=1),  # marmotlab/DARE
+    "ariadne": Scanner(is_wide=False, depth=9),  # marmotlab/ARiADNE, HDPlanner_Exp_and_Nav, CogniPlan
+    "bare": Scanner(is_wide=False, depth=1),  # DARE's without the cells round a beam
+}
+"""Scanners of the public code of the same group."""
 
 
 def read_map(path: str | os.PathLike[str]) -> tuple[NDArray[np.bool_], tuple[int, int]]:
@@ -92,19 +110,17 @@ def beams() -> NDArray[np.int16]:
     return lines()[rows + RANGE, cols + RANGE, : int((abs(rows) + abs(cols)).max())]
 
 
-def scan(truth: NDArray[np.bool_], belief: NDArray[np.int8], cell: NDArray[np.int_], *, wide: bool = True) -> None:
-    """Enter what the scanner sees into a belief: the cells of every beam up to its first hit.
-
-    Args:
-      wide: enter the 3 x 3 cells round each of them, as the public code does.
-    """
+def scan(truth: NDArray[np.bool_], belief: NDArray[np.int8], cell: NDArray[np.int_], scanner: Scanner) -> None:
+    """Enter what the scanner sees into a belief: the cells of every beam, into the wall that it hits."""
     rows, cols = cell[0] + beams()[..., 0], cell[1] + beams()[..., 1]
     hit = ~truth[rows, cols]
-    entered = np.cumsum(hit, axis=1) - hit == 0
+    before = np.cumsum(hit, axis=1) - hit  # occupied cells that the beam has passed
+    in_first_wall = np.arange(hit.shape[1]) - hit.argmax(axis=1)[:, None] == before
+    entered = (before == 0) | (hit & in_first_wall & (before < scanner.depth))
     passed = np.zeros_like(truth)
     passed[rows[entered], cols[entered]] = True
     rows, cols = np.nonzero(passed)
-    for i, j in itertools.product((-1, 0, 1) if wide else (0,), repeat=2):
+    for i, j in itertools.product((-1, 0, 1) if scanner.is_wide else (0,), repeat=2):
         belief[rows + i, cols + j] = np.where(truth[rows + i, cols + j], FREE, OCCUPIED)
 
 
@@ -126,6 +142,31 @@ def thinned(cells: NDArray[np.int_], start: NDArray[np.int_]) -> NDArray[np.int_
     return cells[order[first]]
 
 
+def lattice(free: NDArray[np.bool_], start: NDArray[np.int_], here: NDArray[np.int_]) -> list[tuple[int, int]]:
+    """Return where nodes are, in steps of `STEP` from the start: free cells that are joined to `here`."""
+    from scipy import ndimage
+
+    joined = ndimage.label(free, np.ones((3, 3)))[0]  # type: ignore[index]
+    low, high = -(start // STEP), (np.array(free.shape) - 1 - start) // STEP
+    places = np.array(list(itertools.product(*[range(a, b + 1) for a, b in zip(low, high)])))
+    rows, cols = (start + STEP * places).T
+    places = places[joined[rows, cols] == joined[here[0], here[1]]]
+    return list(map(tuple, places[np.lexsort(np.abs(places).T)].tolist()))
+
+
+def link(
+    free: NDArray[np.bool_], start: NDArray[np.int_], index: dict[tuple[int, int], int], links: list[set[int]],
+    place: tuple[int, int],
+) -> None:  # fmt: skip
+    """Link a node, both ways, to those of the 5 x 5 round it that lie in its sight."""
+    node, near = index[place], [(place[0] + i, place[1] + j) for i, j in ROUND]
+    near = [other for other in near if other in index and index[other] not in links[node]]
+    cell, cells = (start + STEP * np.array(at, int).reshape(-1, 2) for at in (place, near))
+    for other in itertools.compress(near, in_sight(free, cell[0], cells)):
+        links[node].add(index[other])
+        links[index[other]].add(node)
+
+
 @dataclasses.dataclass
 class Explorer:
     """A robot on the way: what it knows, its graph of nodes and its path."""
@@ -134,8 +175,7 @@ class Explorer:
     """`[H, W]` free cells, with `PAD` occupied ones round the map."""
     start: NDArray[np.int_]
     """`[2]` cell of the first node: all lie `STEP` cells apart from it."""
-    wide: bool = True
-    """A beam shows the cells round it, see `scan`."""
+    scanner: Scanner
     at: int = 0
     """The node where the robot is."""
     path_m: float = 0.0
@@ -173,7 +213,7 @@ class Explorer:
     def look(self) -> None:
         """Scan, and bring frontiers, nodes and links up to date."""
         here = self.start if not self.places else self.cells[self.at]
-        scan(self.truth, self.belief, here, wide=self.wide)
+        scan(self.truth, self.belief, here, self.scanner)
         found, width = thinned(frontier_cells(self.belief), self.start), self.truth.shape[1]
         flat = found @ (width, 1)
         fresh = ~np.isin(flat, list(self.frontier)) & (np.hypot(*(found - here).T) <= RANGE + VOXEL)
@@ -192,44 +232,27 @@ class Explorer:
         self._link(free, here)
 
     def _add_nodes(self, free, here):
-        """Add the cells of the lattice that are free and joined to the robot; return how many nodes there were."""
-        from scipy import ndimage
-
-        joined = ndimage.label(free, np.ones((3, 3)))[0]  # type: ignore[index]
-        low, high = -(self.start // STEP), (np.array(free.shape) - 1 - self.start) // STEP
-        lattice = np.stack(np.meshgrid(*[np.arange(a, b + 1) for a, b in zip(low, high)], indexing="ij"), -1).reshape(
-            -1, 2
-        )
-        cells = self.start + STEP * lattice
-        lattice = lattice[joined[cells[:, 0], cells[:, 1]] == joined[here[0], here[1]]]
-        old = len(self.places)
-        for place in map(tuple, lattice[np.lexsort(np.abs(lattice).T)].tolist()):
-            if place not in self.index:
-                self.index[place] = len(self.places)
-                self.places.append(place)
-                self.seen.append(set())
-                self.links.append(set())
-                self.looks.append(True)
-        return old
+        """Add the nodes that have become free; return how many there were."""
+        new, n_old = [place for place in lattice(free, self.start, here) if place not in self.index], len(self.places)
+        self.index |= {place: n_old + i for i, place in enumerate(new)}
+        self.places += new
+        self.seen += [set() for _ in new]
+        self.links += [set() for _ in new]
+        self.looks += [True for _ in new]
+        return n_old
 
     def _link(self, free, here):
         """Link nodes near the robot to those of the 5 x 5 round them that lie in sight."""
-        cells = self.cells
-        for node in np.flatnonzero(np.hypot(*(cells - here).T) < RANGE + STEP):
+        for node in np.flatnonzero(np.hypot(*(self.cells - here).T) < RANGE + STEP):
             if not self.looks[node]:
                 continue
-            i, j = self.places[node]
-            others = [self.index.get((i + di, j + dj), -1) for di, dj in ROUND]
-            others = np.array([other for other in others if other >= 0 and other not in self.links[node]], int)
-            for other in others[in_sight(free, cells[node], cells[others])].tolist():
-                self.links[node].add(other)
-                self.links[other].add(int(node))
+            link(free, self.start, self.index, self.links, self.places[node])
             self.looks[node] = bool(self.seen[node])
 
 
-def explorer(free: NDArray[np.bool_], start: tuple[int, int], *, wide: bool = True) -> Explorer:
+def explorer(free: NDArray[np.bool_], start: tuple[int, int], scanner: Scanner = SCANNERS["dare"]) -> Explorer:
     """Put a robot into a map, where it has looked round once."""
-    return Explorer(np.pad(free, PAD), np.array(start) + PAD, wide)
+    return Explorer(np.pad(free, PAD), np.array(start) + PAD, scanner)
 
 
 def distances(

@@ -51,12 +51,12 @@ def map_files(folder: str | os.PathLike[str], n: int = MAPS) -> list[str]:
     return files
 
 
-def run_map(file: str, seed: int, most: int = DECISIONS, *, wide: bool = True) -> list[dict[str, Any]]:
+def run_map(file: str, seed: int, most: int = DECISIONS, *, scanner: str = "dare") -> list[dict[str, Any]]:
     """Run every planner in one map: a row of results each."""
     free, start = rules.read_map(file)
     rows, name = [], os.path.splitext(os.path.basename(file))[0]
     for planner, build in planners.PLANNERS.items():
-        explorer, plan = rules.explorer(free, start, wide=wide), build()
+        explorer, plan = rules.explorer(free, start, rules.SCANNERS[scanner]), build()
         rng = np.random.default_rng((seed, int(name)))
         while (left := bool(explorer.utility.any())) and explorer.moves < most:
             node = plan(explorer, rng)
@@ -113,8 +113,8 @@ class DareResult:
 
 
 def reproduce_dare(
-    maps: str | os.PathLike[str], *, episodes: int = MAPS, seed: int = 0, wide: bool = True, workers: int | None = None,
-    on_progress: Callable[[int], Any] | None = None,
+    maps: str | os.PathLike[str], *, episodes: int = MAPS, seed: int = 0, scanner: str = "dare",
+    workers: int | None = None, on_progress: Callable[[int], Any] | None = None,
 ) -> DareResult:  # fmt: skip
     """Run the planners of Table I on DARE's test maps.
 
@@ -122,7 +122,7 @@ def reproduce_dare(
       maps: folder of the maps, `1.png` to `100.png`, of the repository marmotlab/DARE.
       episodes: number of maps, from the first.
       seed: all draws come from it and from the number of the map.
-      wide: a beam shows the cells round it, see `rules.scan`.
+      scanner: one of `rules.SCANNERS`.
       workers: processes; by default one a core that this process may use.
       on_progress: called with the number of maps that are done.
 
@@ -135,7 +135,7 @@ def reproduce_dare(
     for file in files:
         rules.read_map(file)
     workers = len(os.sched_getaffinity(0)) if workers is None else require_whole("workers", workers, 1, 1024)
-    run, rows = functools.partial(run_map, seed=seed, wide=wide), []
+    run, rows = functools.partial(run_map, seed=seed, scanner=scanner), []
     with concurrent.futures.ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
         for i, found in enumerate(map(run, files) if workers == 1 else pool.map(run, files), 1):
             rows += found

@@ -1,6 +1,6 @@
 """A comparison: strategies in worlds, all from the same starts, as a table with statistics and warnings.
 
-pandas and matplotlib are imported by the functions that need them.
+matplotlib is imported by the functions that need it.
 """
 
 import collections
@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from jexplore.arrays.pictures import MAX_TABLE_ROWS, axes_of, html_of, or_text, png_of
 from jexplore.config import InputError, checked_names, unknown
@@ -33,7 +34,6 @@ from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 
@@ -56,7 +56,7 @@ class ComparisonResult(ByStrategy):
     Iterating gives the names of its strategies, and `results["closest"]` the table of that one's episodes.
     """
 
-    episodes: "pd.DataFrame"
+    episodes: pd.DataFrame
     """One row an episode, ordered by world, strategy, episode; columns `columns.COLUMNS` and `metrics`."""
     worlds: tuple[World, ...]
     """The worlds, in order."""
@@ -91,33 +91,33 @@ class ComparisonResult(ByStrategy):
     """Provenance for its folder."""
 
     @functools.cached_property
-    def summary(self) -> "pd.DataFrame":
+    def summary(self) -> pd.DataFrame:
         """Tabulate means, one row a world and strategy: see `by_world.summarise`."""
         return by_world.summarise(self.episodes, self.metrics)
 
     @functools.cached_property
-    def standings(self) -> "pd.DataFrame":
+    def standings(self) -> pd.DataFrame:
         """Tabulate standings, one row a strategy, over all worlds: see `league.standings`."""
         return standings(self.episodes)
 
     @functools.cached_property
-    def decisions(self) -> "pd.DataFrame":
+    def decisions(self) -> pd.DataFrame:
         """Tabulate ratios with intervals that hold whenever one stops, one row a world and strategy: see
         `sequential.decisions`."""
         return sequential.decisions(self.episodes)
 
     @functools.cached_property
-    def teams(self) -> "pd.DataFrame":
+    def teams(self) -> pd.DataFrame:
         """Tabulate how much faster teams are than one robot, with `robots`: see `teams.tabulate`."""
         return teams.tabulate(self.episodes)
 
     @functools.cached_property
-    def at_coverage(self) -> "pd.DataFrame":
+    def at_coverage(self) -> pd.DataFrame:
         """Tabulate ratios of paths and times to shares of a world: see `coverage.at_coverage`."""
         return at_coverage(self.episodes)
 
     @functools.cached_property
-    def wasted(self) -> "pd.DataFrame":
+    def wasted(self) -> pd.DataFrame:
         """Add the wasted part of each path to the table of episodes, with `keep="paths"`: see `waste.wasted`."""
         return waste.wasted(self.episodes, self.paths, {world.name: world.cell_m for world in self.worlds})
 
@@ -152,17 +152,10 @@ class ComparisonResult(ByStrategy):
         return labelled.of_comparison(self)
 
     def save_maps(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write the last map of every episode as files of ROS's map_server, with `keep="maps"`.
+        """Write the last map of every episode as files of ROS's map_server, with `keep="maps"`; return the yaml files.
 
-        Args:
-          folder: where to; it is made. Files are named world-strategy-episode.yaml, with a picture each: of a world's
-            path as much as tells it from the others.
-
-        Returns:
-          Paths of the yaml files; `jx.load_world` reads them, and their cells are those of the maps.
-
-        Raises:
-          InputError: no maps were kept, or a file cannot be written.
+        They are named world-strategy-episode.yaml, with a picture each: of a world's path as much as tells it from the
+        others. `jx.load_world` reads them, and their cells are those of the maps.
         """
         if not self.maps:
             raise InputError('no maps were kept: compare(..., keep="maps")')
@@ -170,7 +163,7 @@ class ComparisonResult(ByStrategy):
 
         return saving.write_maps(self, Path(folder))
 
-    def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":
+    def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> pd.DataFrame:
         """Compute the episodes and worlds needed to know every ratio `± within`: see `sizes.sample_sizes`."""
         return sizes.sample_sizes(self.episodes, within=within, assurance=assurance)
 
@@ -178,37 +171,20 @@ class ComparisonResult(ByStrategy):
         return by_world.markdown_table(self.summary, as_text=as_text)
 
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False, report: bool = True) -> Path:
-        """Write the folder that `jexplore compare` writes: tables, pictures, run.json, report.html.
+        """Write the folder that `jexplore compare` writes: tables, pictures, run.json, report.html; return its path.
 
         `jx.load` reads it, ways and maps included, and `jx.compare(..., out=folder, resume=True)` takes it for done.
-
-        Args:
-          folder: where to; it is made.
-          overwrite: whether it may hold a run, which is then replaced.
-          report: whether report.html is written. That of a comparison that was loaded has no replays.
-
-        Returns:
-          The folder.
-
-        Raises:
-          InputError: it holds a run, or cannot be written.
+        `overwrite` replaces a run that is there. The `report` of a comparison that was loaded has no replays.
         """
         from jexplore.studies.results import saving
 
         return saving.save(self, folder, overwrite=overwrite, report=report)
 
     def plot(self, ax: Any = None, world: str | None = None) -> Any:
-        """Draw path lengths in one world: every episode as a dot, and the means with their 95 % intervals.
+        """Draw path lengths in one world, by default the first: every episode, and the means with their 95 % intervals.
 
-        Args:
-          ax: matplotlib `Axes`; by default those of a new figure.
-          world: its name; by default the first. `compare_figure` shows all of them.
-
-        Returns:
-          The `Axes`.
-
-        Raises:
-          InputError: no such world in this comparison.
+        Draws into matplotlib `Axes`, by default those of a new figure, and returns them. `compare_figure` shows all
+        worlds.
         """
         world = self.worlds[0].name if world is None else world
         if world not in self.episodes["world"].to_numpy():
@@ -318,8 +294,6 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
     Raises:
       KeyboardInterrupt: there are none.
     """
-    import pandas as pd
-
     table: Any = pd.concat(ran.tables, ignore_index=True)
     places = {(os.fspath(job.world.name), job.strategy.name): i for i, job in enumerate(jobs)}
     place = [places[pair] for pair in zip(table["world"], table["strategy"])]

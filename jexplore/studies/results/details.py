@@ -2,17 +2,15 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from jexplore.arrays.files import read_npz
 from jexplore.config import InputError
 from jexplore.exploration.state import MARKS
 from jexplore.worlds.world import World
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 DETAILS = "details.npz"
 MAX_DETAILS_BYTES = 2**32  # unpacked; the progress of a million episodes takes a fifth
@@ -33,19 +31,11 @@ def write_details(found: Any, path: Path) -> None:
     """Write worlds, first episodes, progress, ways, maps: parts of a result outside its table of episodes."""
     arrays: dict[str, Any] = {}
     for i, world in enumerate(found.worlds):
-        arrays[f"world/{i}/occupied"] = world.occupied
-        arrays[f"world/{i}/cell_m"] = np.float64(world.cell_m)
-        arrays[f"world/{i}/origin_m"] = np.asarray(world.origin_m, np.float64)
-        arrays[f"world/{i}/name"] = np.str_(os.fspath(world.name))
-        if world.rooms is not None:
-            arrays[f"world/{i}/rooms"] = world.rooms
-        if world.start is not None:
-            arrays[f"world/{i}/start"] = np.asarray(world.start, np.int64)
+        kept = {name: getattr(world, name) for name in ("occupied", "cell_m", "origin_m", "rooms", "start")}
+        kept["name"] = os.fspath(world.name)
+        arrays |= {f"world/{i}/{name}": np.asarray(value) for name, value in kept.items() if value is not None}
         for k, seen in enumerate(found.first.get(world.name, [])):
-            at = f"first/{i}/{k}"
-            arrays[f"{at}/strategy"] = np.str_(seen.strategy)
-            arrays[f"{at}/state"], arrays[f"{at}/rows"], arrays[f"{at}/cols"] = seen.state, seen.rows, seen.cols
-            arrays[f"{at}/path_m"] = np.float64(seen.path_m)
+            arrays |= {f"first/{i}/{k}/{name}": np.asarray(value) for name, value in seen._asdict().items()}
     if found.progress:
         arrays["progress"] = np.concatenate(list(found.progress.values()))
     for k, pair in enumerate(found.progress):
@@ -57,12 +47,11 @@ def write_details(found: Any, path: Path) -> None:
     np.savez_compressed(path, **arrays)
 
 
-def read_details(path: Path, episodes: "pd.DataFrame") -> dict[str, Any]:
+def read_details(path: Path, episodes: pd.DataFrame) -> dict[str, Any]:
     """Load worlds, first episodes, progress, ways and maps, as fields of a `ComparisonResult` of these episodes."""
     arrays = read_npz(path, MAX_DETAILS_BYTES)
     worlds, first = [], {}
-    while f"world/{len(worlds)}/occupied" in arrays:
-        at = f"world/{len(worlds)}"
+    while (at := f"world/{len(worlds)}") + "/occupied" in arrays:
         start = arrays.get(f"{at}/start")
         world = World(
             occupied=arrays[f"{at}/occupied"],
@@ -73,8 +62,7 @@ def read_details(path: Path, episodes: "pd.DataFrame") -> dict[str, Any]:
             origin_m=tuple(arrays[f"{at}/origin_m"].tolist()),
         )
         own, i = [], len(worlds)
-        while f"first/{i}/{len(own)}/state" in arrays:
-            at = f"first/{i}/{len(own)}"
+        while (at := f"first/{i}/{len(own)}") + "/state" in arrays:
             state, rows, cols = (arrays[f"{at}/{name}"] for name in ("state", "rows", "cols"))
             strategy, path_m = str(arrays[f"{at}/strategy"]), float(arrays[f"{at}/path_m"])
             own.append(Seen(strategy, state, rows, cols, world.cell_m, path_m))

@@ -1,15 +1,13 @@
 """Results as labelled arrays: xarray datasets, for netCDF and zarr. Needs xarray, the extra `xarray`."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError
 from jexplore.studies.results.columns import COLUMNS
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 UNITS = {
     **dict.fromkeys(("path_m", "path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99"), "m"),
@@ -26,14 +24,12 @@ UNITS = {
 MISSING = {"i": -1, "f": np.nan, "O": "", "b": False}  # kind of a column -> what stands where there is no episode
 
 
-def _dataset(table: "pd.DataFrame", dims: Mapping[str, Sequence[Any]], metrics: Iterable[str]) -> Any:
+def _dataset(table: pd.DataFrame, dims: Mapping[str, Sequence[Any]], metrics: Iterable[str]) -> Any:
     """Make a dataset of the columns of a table, whose rows are identified by the dimensions."""
     try:
         import xarray
     except ImportError as error:
         raise InputError("labelled arrays need xarray: pip install 'jexplore[xarray]'") from error
-    import pandas as pd
-
     whole = pd.MultiIndex.from_product(list(dims.values()), names=list(dims))
     table = table.astype({"room_entries": "float64"})
     rows = table.set_index(list(dims)).reindex(whole)
@@ -57,16 +53,11 @@ def _with_units(found: Any) -> Any:
 def of_comparison(found: Any) -> Any:
     """Convert a `ComparisonResult` to an `xarray.Dataset`.
 
-    Returns:
-      A `Dataset` with the dimensions `world`, `strategy`, `episode`: the columns of the table of episodes;
-        `progress_m`, with the dimension `percent` besides (metres driven when each per cent of what can be known was;
-        NaN: never).
-        Where they were kept, the ways, `way_row`, `way_col` and `way_known`, with the dimension `step` (-1 beyond the
-        end), and the maps, `map`, with the dimensions `row` and `col` (0 unknown, 1 free, 2 occupied; 255 beyond a
-        world's edge). Where an episode is missing: NaN, -1 or no text. Units are attributes.
-
-    Raises:
-      InputError: xarray is not installed.
+    Its dimensions are `world`, `strategy`, `episode`: the columns of the table of episodes; and `progress_m`, with the
+    dimension `percent` besides (metres driven when each per cent of what can be known was; NaN: never). Where they were
+    kept, the ways, `way_row`, `way_col` and `way_known`, with the dimension `step` (-1 beyond the end), and the maps,
+    `map`, with the dimensions `row` and `col` (0 unknown, 1 free, 2 occupied; 255 beyond a world's edge). Where an
+    episode is missing: NaN, -1 or no text. Units are attributes.
     """
     table = found.episodes
     dims = {
@@ -108,13 +99,9 @@ def of_comparison(found: Any) -> Any:
 def of_sweep(found: Any) -> Any:
     """Convert a `SweepResult` to an `xarray.Dataset`.
 
-    Returns:
-      A `Dataset` with the dimensions `setting`, `world`, `strategy`, `episode`: the columns of the table of episodes.
-        The settings are coordinates: `lidar.range_m` and the like along `setting`, `strategy.weight` and the like along
-        `strategy`. Where an episode is missing: NaN, -1 or no text. Units are attributes.
-
-    Raises:
-      InputError: xarray is not installed.
+    Its dimensions are `setting`, `world`, `strategy`, `episode`: the columns of the table of episodes. The settings are
+    coordinates: `lidar.range_m` and the like along `setting`, `strategy.weight` and the like along `strategy`. Missing
+    episodes and units are as of `of_comparison`.
     """
     table = found.episodes
     dims = {name: list(dict.fromkeys(table[name])) for name in ("setting", "world", "strategy", "episode")}

@@ -9,16 +9,15 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from jexplore.config import InputError, shown, unknown
 from jexplore.exploration.state import Outcome
 from jexplore.rules import Lidar, Robot, Rules
 from jexplore.studies.statistics.league import league_worlds
 from jexplore.worlds.names import file_names
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 REFERENCE = "closest+recheck"
 """Strategy that every submission holds: its episodes must equal those entered, and others are compared with it."""
@@ -50,24 +49,18 @@ LEAGUES = {
 
 
 def league_of(name: str) -> League:
-    """Return a league by its name.
-
-    Raises:
-      InputError: no league has that name.
-    """
+    """Return a league by its name."""
     if name not in LEAGUES:
         raise unknown("league", name, list(LEAGUES))
     return LEAGUES[name]
 
 
-def digest_of(asked: Mapping[str, Any], episodes: "pd.DataFrame") -> str:
+def digest_of(asked: Mapping[str, Any], episodes: pd.DataFrame) -> str:
     """Return SHA-256 of the worlds and starts of a comparison, in hexadecimal digits.
 
     Scanner, rules and robot are not in it: they must be the defaults, and later versions may have more fields.
 
-    Args:
-      asked: as run.json has it.
-      episodes: those of one strategy, a row a world, in the order of the worlds.
+    `asked` is as run.json has it; `episodes` are those of one strategy, a row a world, in the order of the worlds.
     """
     own = {key: asked[key] for key in ("worlds", "digests", "episodes", "seed")}
     own["starts"] = episodes[list(WHOLE)].to_numpy(int).tolist()
@@ -75,16 +68,7 @@ def digest_of(asked: Mapping[str, Any], episodes: "pd.DataFrame") -> str:
 
 
 def entries_of(run: Path, name: str) -> list[dict[str, Any]]:
-    """Make the entries of all strategies of a comparison.
-
-    Args:
-      run: the folder of results of `jexplore compare`.
-      name: of the league.
-
-    Raises:
-      InputError: the folder holds no finished comparison, or one of another version, other worlds, starts or settings;
-        episodes or the reference are missing.
-    """
+    """Make the entries of all strategies of a comparison, from its folder, for the league of a name."""
     from jexplore.report.store import read_parquet
     from jexplore.studies.results.loading import run_record
 
@@ -146,17 +130,9 @@ def _require_rows(what, rows):
 
 
 def submit(run: Path, name: str, folder: Path) -> dict[str, bool]:
-    """Enter the strategies of a comparison: write a file for each that is not there yet.
+    """Enter the strategies of a comparison: write a file to the folder of entries for each that is not there yet.
 
-    Args:
-      run, name: as in `entries_of`.
-      folder: of the league's entries; it is made.
-
-    Returns:
-      Strategy -> whether it is new. Those that were there have the same episodes.
-
-    Raises:
-      InputError: as `entries_of`; an entry of the same name has other episodes.
+    Returns strategy -> whether it is new. Those that were there must have the same episodes.
     """
     made = entries_of(run, name)
     before = {entry["strategy"]: entry for entry in read_entries(folder, name)} if folder.is_dir() else {}
@@ -178,11 +154,7 @@ def submit(run: Path, name: str, folder: Path) -> dict[str, bool]:
 
 
 def read_entries(folder: Path, name: str) -> list[dict[str, Any]]:
-    """Return the entries in a folder, the reference first, then by name.
-
-    Raises:
-      InputError: a file that is no entry of this league.
-    """
+    """Return the entries in a folder, the reference first, then by name."""
     league, found = league_of(name), []
     for path in sorted(folder.glob("*.json")):
         try:
@@ -201,14 +173,8 @@ def read_entries(folder: Path, name: str) -> list[dict[str, Any]]:
     return sorted(found, key=lambda entry: (entry["strategy"] != REFERENCE, entry["strategy"]))
 
 
-def entries_table(folder: Path, name: str) -> "pd.DataFrame":
-    """Return the episodes of all entries in a folder, a row an episode: `COLUMNS` and `strategy`.
-
-    Raises:
-      InputError: as `read_entries`; there is no entry of the reference.
-    """
-    import pandas as pd
-
+def entries_table(folder: Path, name: str) -> pd.DataFrame:
+    """Return the episodes of all entries in a folder, a row an episode: `COLUMNS` and `strategy`."""
     entries = read_entries(folder, name)
     if not entries or entries[0]["strategy"] != REFERENCE:
         raise InputError(f"{folder}: no entry of {REFERENCE} there")
@@ -220,11 +186,7 @@ def entries_table(folder: Path, name: str) -> "pd.DataFrame":
 
 
 def league_text(folder: Path, name: str) -> str:
-    """Format the standings of all entries in a folder, and their ratios at equal coverage, as Markdown tables.
-
-    Raises:
-      InputError: as `entries_table`.
-    """
+    """Format the standings of all entries in a folder, and their ratios at equal coverage, as Markdown tables."""
     from jexplore.studies.statistics.coverage import at_coverage, coverage_text
     from jexplore.studies.statistics.league import standings, standings_table
 

@@ -1,7 +1,4 @@
-"""Results of a run read from its folder again.
-
-pandas is imported by the functions that need it.
-"""
+"""Results of a run read from its folder again."""
 
 import contextlib
 import functools
@@ -10,6 +7,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+import pandas as pd
 
 from jexplore.arrays.files import first_line, read_json
 from jexplore.config import InputError, __version__, checked_names, shown
@@ -51,8 +50,6 @@ def load(path: str | os.PathLike[str]) -> Any:
 
 
 def _load(folder, record):
-    import pandas as pd
-
     command = record["command"][1]
     if record.get("asked", {}).get("command") == "sweep":
         return _sweep(folder, record)
@@ -153,13 +150,7 @@ def _require_alike(path, there, here, trust):
 def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[SweepResult, SweepPlan]:
     """Join the parts of a sweep, from the folders of all of them.
 
-    Args:
-      parts: folders.
-      trust: take users' strategies and metrics as the same in all parts, even where nothing tells.
-
-    Raises:
-      InputError: a folder that holds no finished part, parts of different sweeps, one that is missing or there twice,
-        parts that were not continued alike.
+    With `trust` users' strategies and metrics are taken as the same in all parts, even where nothing tells.
     """
     if not parts:
         raise InputError("expected the folders of all parts, got none")

@@ -19,11 +19,8 @@ def progress_bar(
 ) -> Iterator[Callable[[int], object] | None]:
     """Provide the function that work calls with the number of finished things; it moves a bar, if requested.
 
-    Args:
-      progress: whether there is to be a bar; None: in a notebook, unless there is an `on_progress`.
-      total: number of things.
-      unit: what they are called.
-      on_progress: called with the same numbers; None for nothing.
+    Without `progress` there is a bar in a notebook, unless there is an `on_progress`, which is called with the same
+    numbers.
     """
     if not (in_notebook() and on_progress is None if progress is None else progress):
         yield on_progress

@@ -85,15 +85,10 @@ def pictures_of(
 ) -> dict[str, Callable[[Path], Any]]:
     """Return pictures, `VECTORS` as SVG as well, and the page of a run: name -> writer.
 
-    Args:
-      figures: name -> function that draws it.
-      record: content of run.json.
-      tables: returns the tables of the page, each with its heading.
-      jobs: those whose first episodes the page replays; None for no page.
-      firsts, labels: as of `replays.replays_of`.
+    `figures` are name -> function that draws it, `record` the content of run.json, `tables` a function that returns the
+    tables of the page, each with its heading. The page replays the first episodes of `jobs`; None for no page. `firsts`
+    and `labels` are as of `replays.replays_of`.
     """
-
-    jobs = None if jobs is None else [job for job in jobs if job.team is None]  # replays are of one robot
 
     def page(path):
         engine = "jax" if record["engine"] == "jax" else "auto"

@@ -4,14 +4,13 @@ import abc
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from jexplore.config import checked_names, unknown
 from jexplore.report import store
 from jexplore.report.tables import latex_table
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @checked_names
@@ -22,7 +21,7 @@ class ByStrategy(abc.ABC):
         results[name]["path_m"].mean()
     """
 
-    episodes: "pd.DataFrame"
+    episodes: pd.DataFrame
 
     @property
     def strategies(self) -> tuple[str, ...]:
@@ -35,37 +34,23 @@ class ByStrategy(abc.ABC):
     def __iter__(self) -> Iterator[str]:
         return iter(self.strategies)
 
-    def __getitem__(self, name: str) -> "pd.DataFrame":
+    def __getitem__(self, name: str) -> pd.DataFrame:
         """Return the episodes of one strategy: those rows of the table of all, counted anew from 0."""
         if name not in self.strategies:
             raise unknown("strategy of these results:", str(name), self.strategies)
         own: Any = self.episodes[self.episodes["strategy"] == name]
         return own.reset_index(drop=True)
 
-    def to_pandas(self) -> "pd.DataFrame":
+    def to_pandas(self) -> pd.DataFrame:
         """Return the table of episodes."""
         return self.episodes
 
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str | None:
-        """Format the table of episodes as comma-separated values.
-
-        Args:
-          path: the file to write; without one the text is returned.
-
-        Raises:
-          InputError: the file cannot be written.
-        """
+        """Format the table of episodes as comma-separated values: the text, or None if it is written to a path."""
         return _written(self.episodes.to_csv(index=False), path)
 
     def to_latex(self, path: str | os.PathLike[str] | None = None) -> str | None:
-        r"""Format the summary as a LaTeX table, for `\usepackage{booktabs}`.
-
-        Args:
-          path: the file to write; without one the text is returned.
-
-        Raises:
-          InputError: the file cannot be written.
-        """
+        r"""Format the summary as a LaTeX table, for `\usepackage{booktabs}`: text, or None if written to a path."""
         return _written(self._summary_text(latex_table), path)
 
     @abc.abstractmethod

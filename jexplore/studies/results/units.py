@@ -1,7 +1,4 @@
-"""Units of work: some episodes, run and kept together; and the tables that are made of them.
-
-pandas is imported by the functions that need it.
-"""
+"""Units of work: some episodes, run and kept together; and the tables that are made of them."""
 
 import collections
 import io
@@ -10,9 +7,10 @@ import os
 import warnings
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputWarning
 from jexplore.engine.runner import Costs
@@ -27,9 +25,6 @@ from jexplore.report.store import read_parquet
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.results.columns import COLUMNS, TEAM_COLUMNS
 from jexplore.studies.results.details import DETAILS, Seen, read_details
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MIN_UNIT_EPISODES = 8  # least number of episodes of a unit
 UNIT_S = 1.0  # seconds that a unit should take, about: writing it takes a hundredth of that
@@ -84,10 +79,8 @@ def columns_of(job: Job) -> tuple[str, ...]:
     return *COLUMNS, *job.metrics, *(() if job.team is None else TEAM_COLUMNS)
 
 
-def join_columns(rows: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
+def join_columns(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     """Join columns of several units, one below the other, as one table."""
-    import pandas as pd
-
     joined = {
         name: list(itertools.chain.from_iterable(one[name] for one in rows))
         if isinstance(rows[0][name], list)
@@ -97,7 +90,7 @@ def join_columns(rows: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
     return pd.DataFrame(joined).astype({"room_entries": "Int64"})
 
 
-def unit_table(job: Job, found: Outcomes) -> "pd.DataFrame":
+def unit_table(job: Job, found: Outcomes) -> pd.DataFrame:
     """Return a comparison's unit: the episodes of a job, with its scanner and rules; columns with `EXTRAS`."""
     assert job.rules is not None
     table, n = join_columns([rows_of(job, found)]), len(job.starts)
@@ -113,7 +106,7 @@ def unit_table(job: Job, found: Outcomes) -> "pd.DataFrame":
     return table.assign(**extras)
 
 
-def to_file(table: "pd.DataFrame") -> "pd.DataFrame":
+def to_file(table: pd.DataFrame) -> pd.DataFrame:
     """Encode the `EXTRAS` of a unit as bytes, for its file, from which `of_file` makes it again."""
 
     def packed(**arrays):
@@ -130,7 +123,7 @@ def to_file(table: "pd.DataFrame") -> "pd.DataFrame":
     return table.assign(**{name: [encode[name](one) for one in table[name]] for name in EXTRAS if name in table})
 
 
-def of_file(table: "pd.DataFrame") -> "pd.DataFrame":
+def of_file(table: pd.DataFrame) -> pd.DataFrame:
     """Return the unit that `to_file` encoded."""
 
     def unpacked(data):
@@ -160,7 +153,7 @@ def make_units(
     on_progress: Callable[[int], object] | None = None,
     **how: Any,
 ) -> Costs:
-    """Make the units that are left, of one run or of one after the other.
+    """Make the units that are left, of one run or of one after the other; return the costs.
 
     Args:
       work: takes every unit as soon as it is finished.
@@ -170,9 +163,6 @@ def make_units(
       resumed: number of episodes that are there already.
       on_progress: called with the number of episodes that are there.
       how: engine, lanes, workers, keep, shared_with, as of `batch.run_jobs`.
-
-    Returns:
-      The costs; interrupted after Ctrl-C.
     """
     costs, done = Costs(), resumed
     for window in windows(work.left) if work.left else ():
@@ -204,7 +194,7 @@ def make_units(
 class Ran(NamedTuple):
     """Result of `run_units`."""
 
-    tables: "list[pd.DataFrame]"  # of `unit_table`
+    tables: list[pd.DataFrame]  # of `unit_table`
     costs: Costs
     resumed: int  # episodes that were there before
     firsts: dict[int, Outcomes]  # number of a job, one of the first -> what its first unit left, if that was run here
@@ -216,19 +206,13 @@ def run_units(
     *,
     ledger: Ledger | None = None,
     on_progress: Callable[[int], object] | None = None,
-    settled: "Callable[[list[pd.DataFrame]], set[str]] | None" = None,
+    settled: Callable[[list[pd.DataFrame]], set[str]] | None = None,
     **how: Any,
 ) -> Ran:
     """Run every episode of every job, with its scanner and rules, that the ledger does not have.
 
-    Args:
-      ledger: where units are kept as soon as they are finished.
-      on_progress: as in `batch.run_jobs`; it counts earlier episodes too.
-      settled: asked after each phase with all units made; it names the worlds that need no more episodes.
-      how: engine, lanes, workers, keep, as in `batch.run_jobs`.
-
-    Returns:
-      `Ran`. After Ctrl-C it holds the units that had been finished.
+    `settled` is asked after each phase with all units made: it names the worlds that need no more episodes.
+    `on_progress` and `how` are as of `make_units`. After Ctrl-C the result holds the units that had been finished.
 
     Raises:
       KeyboardInterrupt: there are none.

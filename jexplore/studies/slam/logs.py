@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from jexplore.arrays.poses import between, compose
 from jexplore.config import InputError, InputWarning, as_record, checked_names, require_number
@@ -19,7 +20,6 @@ from jexplore.worlds.readers.laser_bags import is_bag, read_laser_bag
 from jexplore.worlds.readers.scans import ScanLog, ScanMap, fold_scans
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 MOST_BACK = 0.1  # share of scans that may be earlier than the one before; the times of a log of more tell no order
@@ -46,7 +46,7 @@ class SlamResult:
     """`[N]` float64, share of a scan's points that matched."""
     overflow: int
     """The most points for which a map, remade now and then, had no room."""
-    errors: "pd.DataFrame"
+    errors: pd.DataFrame
     """A row a kind of relation: `relations`, `pairs`, mean and standard deviation of `place_m` and `turn_deg`. Empty
     for a log without corrected poses and relations."""
     ate_m: float
@@ -164,8 +164,6 @@ def _is_corrected(log):
 
 def _result(log, mapper, known, interrupted):
     """Return the result of the scans taken in."""
-    import pandas as pd
-
     n = len(mapper.places)
     log = dataclasses.replace(log, **{name: getattr(log, name)[:n] for name in PER_SCAN})
     found = mapper.poses()

@@ -6,17 +6,15 @@ With two worlds or more, worlds are the sample: all count the same, however many
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from jexplore.config import InputError
 from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds, share_over_worlds
-from jexplore.studies.statistics.paired import safe_exp
-
-if TYPE_CHECKING:
-    import pandas as pd
+from jexplore.studies.statistics.paired import NO_RATIO, safe_exp
 
 OVER = ("first", "best")
 """Denominator of a path's score: the path of the first strategy from the same start, or the shortest of all."""
@@ -61,13 +59,9 @@ def _unit_means(values, unit, kinds):
 def improvement(values: ArrayLike, reference: ArrayLike, worlds: Iterable[object] | None = None) -> Estimate:
     """Estimate the chance that a path is shorter than the reference's from the same start; equal ones count half.
 
-    Args:
-      values, reference: `[N]` path lengths of the same starts in the same order, inf for an episode that has failed;
-        two that have failed are equal.
-      worlds: `[N]`, the world of each; None for a single one.
-
-    Returns:
-      `Estimate`; p is of the chance being 1/2. No interval for fewer than two worlds, or two starts in a single one.
+    `values` and `reference` are `[N]` path lengths of the same starts, inf for an episode that has failed; two that
+    have failed are equal. `worlds` are the world of each, None for a single one. p is of the chance being 1/2. No
+    interval for fewer than two worlds, or two starts in a single one.
 
     Source:
       Agarwal et al. 2021, probability of improvement. Changed: paired by start, and the sample are worlds.
@@ -83,17 +77,11 @@ def improvement(values: ArrayLike, reference: ArrayLike, worlds: Iterable[object
 def interquartile_mean(scores: ArrayLike, worlds: Iterable[object] | None = None) -> Estimate:
     """Compute the mean of the middle half of scores, robust against a few lost or lucky episodes.
 
-    Scores that lie across a quartile count with the part that is inside. The interval is `M exp(± t s / M)`, s the
-    standard error over worlds of the scores pulled in to the quartiles, divided by the half that is kept.
-    `benchmarks/intervals.py --over worlds` measures how often it covers.
-
-    Args:
-      scores: `[N]` ratios of paths, from `scores_of`; inf for an episode that has failed.
-      worlds: as of `improvement`.
-
-    Returns:
-      `Estimate`; p is of the mean being 1. Infinite if more than a quarter has failed; no interval then, for fewer than
-        two worlds (starts in a single one), or without any spread.
+    Scores are `[N]` ratios of paths, from `scores_of`; `worlds` are as of `improvement`. Scores that lie across a
+    quartile count with the part that is inside. The interval is `M exp(± t s / M)`, s the standard error over worlds of
+    the scores pulled in to the quartiles, divided by the half that is kept. `benchmarks/intervals.py --over worlds`
+    measures how often it covers. p is of the mean being 1. The mean is infinite if more than a quarter has failed; no
+    interval then, for fewer than two worlds (starts in a single one), or without any spread.
 
     Source:
       Agarwal et al. 2021; the standard error of a trimmed mean by Tukey and McLaughlin 1963. Changed: worlds weigh the
@@ -101,7 +89,7 @@ def interquartile_mean(scores: ArrayLike, worlds: Iterable[object] | None = None
     """
     scores, unit, kinds = _checked(scores, worlds, "scores")
     if not len(scores):
-        return Estimate(math.nan, math.nan, math.nan, math.nan, 0)
+        return Estimate(*NO_RATIO)
     weights = 1.0 / np.bincount(unit)[unit]
     order = np.argsort(scores, kind="stable")
     ends = np.cumsum(weights[order]) / weights.sum()
@@ -117,7 +105,7 @@ def interquartile_mean(scores: ArrayLike, worlds: Iterable[object] | None = None
     return Estimate(mean, safe_exp(low), safe_exp(high), p, len(kinds))
 
 
-def scores_of(episodes: "pd.DataFrame", *, over: str = "first") -> "pd.DataFrame":
+def scores_of(episodes: pd.DataFrame, *, over: str = "first") -> pd.DataFrame:
     """Compute path lengths over those of the first strategy, or of the `best`: of the starts that every strategy has.
 
     Two paths of no length have the ratio 1. The ratio of an episode that has failed (see `comparable_paths`) is
@@ -136,7 +124,7 @@ def scores_of(episodes: "pd.DataFrame", *, over: str = "first") -> "pd.DataFrame
     return paths.div(by, axis=0).mask(nothing.astype(bool), 1.0)
 
 
-def aggregates(episodes: "pd.DataFrame") -> "pd.DataFrame":
+def aggregates(episodes: pd.DataFrame) -> pd.DataFrame:
     """Tabulate one row a strategy: chance of a shorter path than the first one's, and the middle of their ratios.
 
     Returns:
@@ -144,8 +132,6 @@ def aggregates(episodes: "pd.DataFrame") -> "pd.DataFrame":
         `shorter_p` from `improvement`, NaN for the first strategy; `iqm`, `iqm_low`, `iqm_high` from
         `interquartile_mean` of `scores_of` without those that have none.
     """
-    import pandas as pd
-
     tables: Any = comparable_paths(episodes), scores_of(episodes)
     paths, scores = tables
     worlds, rows = paths.index.get_level_values("world"), []
@@ -170,23 +156,16 @@ def _ratios(scores):
     return np.geomspace(low, high, 101) if low < 1 else np.concatenate([[1.0], np.geomspace(1.0, high, 101)[1:]])
 
 
-def profiles(episodes: "pd.DataFrame", *, over: str = "best", ratios: ArrayLike | None = None) -> "pd.DataFrame":
+def profiles(episodes: pd.DataFrame, *, over: str = "best", ratios: ArrayLike | None = None) -> pd.DataFrame:
     """Compute performance profiles: the share of starts whose path is at most a multiple of the reference's.
 
-    Args:
-      episodes: the table of episodes of a comparison.
-      over: one of `OVER`: denominator of the ratios.
-      ratios: `[K]` positive numbers, rising; by default 101 up to the 99th percentile, `MOST_RATIO` at most.
-
-    Returns:
-      A DataFrame with the columns `PROFILE_COLUMNS`, a row a strategy and ratio. Episodes that have failed are in no
-        share; worlds count the same.
+    `over` is the denominator of the ratios, one of `OVER`; `ratios` rise, by default 101 up to the 99th percentile,
+    `MOST_RATIO` at most. Returns `PROFILE_COLUMNS`, a row a strategy and ratio. Episodes that have failed are in no
+    share; worlds count the same.
 
     Source:
       Dolan and More 2002; with bands as by Agarwal et al. 2021. Changed: the bands are over worlds.
     """
-    import pandas as pd
-
     scores = scores_of(episodes, over=over).fillna(np.inf)
     at: Any = _ratios(scores.to_numpy()) if ratios is None else np.asarray(ratios, np.float64)
     if at.ndim != 1 or not len(at) or not (np.isfinite(at) & (at > 0)).all() or (np.diff(at) <= 0).any():

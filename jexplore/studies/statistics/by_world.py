@@ -2,17 +2,15 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError
 from jexplore.report.tables import aligned_table, interval_text, number_text, p_text, ratio_text, spread_text
 from jexplore.studies.results.columns import MEANS, SUMMARY_COLUMNS
-from jexplore.studies.statistics.paired import PairedRatio, holm, mean_interval, paired_ratio
-
-if TYPE_CHECKING:
-    import pandas as pd
+from jexplore.studies.statistics.paired import NO_RATIO, finite_ratio, holm, mean_interval
 
 DONE = "COMPLETE", "EXPLORED"
 LIMITS = "STEP_LIMIT", "PLAN_LIMIT", "PATH_LIMIT", "TIME_LIMIT"
@@ -63,41 +61,27 @@ def _n_different(rows):
     return 1 if len(rows) and all(rows[name].nunique() == 1 for name in _SAME) else len(rows)
 
 
-def summarise(episodes: "pd.DataFrame", metrics: Sequence[str] = ()) -> "pd.DataFrame":
+def summarise(episodes: pd.DataFrame, metrics: Sequence[str] = ()) -> pd.DataFrame:
     """Tabulate one row a world and strategy, in order of first appearance.
 
     Strategies are compared with the first strategy of the table, over the episodes that both have. In its own rows,
     `ratio` is 1 and `ratio_low`, `ratio_high` and `p` are NaN; in a world without it, so is `ratio`.
 
-    Args:
-      episodes: the table of episodes, a pandas DataFrame.
-      metrics: names of more columns whose means are wanted.
-
     Returns:
       A DataFrame with the columns `SUMMARY_COLUMNS`, then `metrics`: `n` episodes, 1 where one is repeated; `mean`,
         `sd` (divided by n - 1; NaN for one episode) and the interval `ci_low`, `ci_high` of the path length, metres,
         from `mean_interval`; `ratio`, `ratio_low`, `ratio_high`, `p` from `paired_ratio`; `p_holm`, that p corrected
-        for as many strategies as are compared in the world (`holm`); the means of `plans`, `scans`, `turning_rad`,
-        `time_s`, `energy_j`, `explored_fraction`, `exhausted` and `room_entries` (NaN without rooms); `outcomes`, text
+        for as many strategies as are compared in the world (`holm`); the means of `columns.MEANS`; `outcomes`, text
         such as "COMPLETE 98, BLOCKED 2"; means of the metrics.
-
-    Raises:
-      InputError: an episode occurs twice, or paired episodes start differently.
     """
-    import pandas as pd
-
     first = episodes["strategy"].iloc[0] if len(episodes) else None
     table = []
     for world, strategies in _groups(episodes).items():
         for strategy, rows in strategies.items():
             path_m = rows["path_m"].to_numpy(dtype=np.float64)
-            versus = PairedRatio(math.nan, math.nan, math.nan, math.nan, 0)
-            if strategy == first:
-                versus = versus._replace(ratio=1.0)
-            elif first in strategies:
-                ours, theirs = _pairs(rows, strategies[first])
-                if len(ours):
-                    versus = paired_ratio(ours["path_m"], theirs["path_m"])
+            versus = NO_RATIO._replace(ratio=1.0) if strategy == first else NO_RATIO
+            if strategy != first and first in strategies:
+                versus = finite_ratio(*(own["path_m"] for own in _pairs(rows, strategies[first])))
             n = _n_different(rows)
             row = (world, strategy, n, path_m.mean(), path_m.std(ddof=1) if n > 1 else math.nan)
             row += (*mean_interval(path_m), versus.ratio, versus.low, versus.high, versus.p)
@@ -112,12 +96,7 @@ def summarise(episodes: "pd.DataFrame", metrics: Sequence[str] = ()) -> "pd.Data
 
 
 def markdown_table(summary: Any, *, as_text: Callable[..., str] = aligned_table) -> str:
-    """Format a summary from `summarise` as one Markdown table; missing values are `-`.
-
-    Args:
-      summary: the table.
-      as_text: makes text of the names of columns and the texts of rows.
-    """
+    """Format a summary from `summarise` as one Markdown table, or what `as_text` makes; missing values are `-`."""
     widths_m = [high - low for low, high in zip(summary["ci_low"], summary["ci_high"]) if math.isfinite(high - low)]
     decimals = 1 if widths_m and min(widths_m) >= 1 else 2
     head = ["world", "strategy", "n", "path m", "95 % interval", "ratio to the first", "p (Holm)"]
@@ -140,11 +119,8 @@ def path_at_equal_coverage(progress: np.ndarray, reference: np.ndarray) -> tuple
     """Compute path lengths of paired episodes at which both knew equally many cells: two of `[N]` float64, metres.
 
     Of each pair the one that knew less in the end sets the mark: the last one up to `EQUAL_SHARE` of its own. Paths are
-    those that the robots had driven when they first knew as much: recorded, not interpolated; NaN without a mark.
-
-    Args:
-      progress, reference: `[N, 100]` float, metres: path at each per cent of what can be known in the world, NaN
-        where that was never known; of the same episodes.
+    those that the robots had driven when they first knew as much: recorded, not interpolated; NaN without a mark. The
+    arguments are `[N, 100]`, metres: path at each per cent of what can be known, NaN where that was never known.
     """
     marks = np.minimum(*(np.isfinite(metres).sum(axis=1) for metres in (progress, reference)))
     mark = np.floor(EQUAL_SHARE * marks + 1e-9).astype(int) - 1
@@ -153,10 +129,10 @@ def path_at_equal_coverage(progress: np.ndarray, reference: np.ndarray) -> tuple
     return ours, theirs
 
 
-def _ratio_text(values, reference, keep):
-    if not keep.any():
+def _ratio_text(values, reference):
+    found = finite_ratio(values, reference)
+    if not found.n:
         return "no pair to compare"
-    found = paired_ratio(values[keep], reference[keep])
     if not math.isfinite(found.ratio):
         return "none, for the reference did not move"
     return f"{ratio_text(found.ratio, found.low, found.high)} over {found.n} pair{'s' if found.n > 1 else ''}"
@@ -177,14 +153,13 @@ def _unequal(ours, theirs, progress):
         said.append(
             f"explored fractions differ by more than {EQUAL_FRACTION:g} in {apart.sum()} of {n} pairs ({means})"
         )
-    whole = _ratio_text(ours["path_m"].to_numpy(), theirs["path_m"].to_numpy(), np.ones(n, dtype=bool))
+    whole = _ratio_text(ours["path_m"], theirs["path_m"])
     text = f"{' and '.join(said)}; a truncated path is not a short one: path ratio {whole}; "
     if progress is not None:
-        path_m, path_ref_m = path_at_equal_coverage(*progress)
-        equal = _ratio_text(path_m, path_ref_m, np.isfinite(path_m) & np.isfinite(path_ref_m))
+        equal = _ratio_text(*path_at_equal_coverage(*progress))
         text += f"at equal coverage ({100 * EQUAL_SHARE:g} % of what the less thorough one of each pair knew) {equal}; "
     complete = (ended == ended_ref) & np.isin(ended, DONE) & ~apart
-    at_95 = _ratio_text(ours["path_m_at_95"].to_numpy(), theirs["path_m_at_95"].to_numpy(), complete)
+    at_95 = _ratio_text(*(rows["path_m_at_95"][complete] for rows in (ours, theirs)))
     return f"{text}where both are COMPLETE and equally explored, at path_m_at_95, {at_95}"
 
 
@@ -201,7 +176,7 @@ def _flaws(episodes):
             yield f"{who}: all {len(rows)} episodes are the same one, which counts once"
 
 
-def warnings_of(episodes: "pd.DataFrame", progress: Mapping[tuple[str, str], np.ndarray] | None = None) -> list[str]:
+def warnings_of(episodes: pd.DataFrame, progress: Mapping[tuple[str, str], np.ndarray] | None = None) -> list[str]:
     """Describe what makes the comparison with the first strategy unfair, and the ratio at equal coverage.
 
     Warns where the outcomes of paired episodes differ, or their explored fractions by more than `EQUAL_FRACTION`, or
@@ -210,12 +185,7 @@ def warnings_of(episodes: "pd.DataFrame", progress: Mapping[tuple[str, str], np.
     that are COMPLETE on both sides with equal explored fractions, at the recorded `path_m_at_95`: pairs that are
     selected by how they ended. Warns also where the episodes of a strategy are one episode repeated.
 
-    Args:
-      episodes: the table of episodes.
-      progress: (world, strategy) -> `[N, 100]` float, as in `path_at_equal_coverage`, in the order of the table's rows.
-
-    Raises:
-      InputError: an episode occurs twice, or paired episodes start differently.
+    `progress` is (world, strategy) -> `[N, 100]`, as in `path_at_equal_coverage`, in the order of the table's rows.
     """
     found = []
     first = episodes["strategy"].iloc[0] if len(episodes) else None

@@ -1,17 +1,13 @@
 """Strategies at equal coverage: paths and times until a share was known, relative to the first strategy."""
 
-import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
+import pandas as pd
 
 from jexplore.report.tables import aligned_table, ratio_text
 from jexplore.studies.statistics.league import paths_by_world
-from jexplore.studies.statistics.over_worlds import ALL_WORLDS, comparable_paths, kind_of, mean_over_worlds
-from jexplore.studies.statistics.paired import MIN_PAIRS, PairedRatio, paired_ratio, safe_exp
-
-if TYPE_CHECKING:
-    import pandas as pd
+from jexplore.studies.statistics.over_worlds import ALL_WORLDS, comparable_paths, ratio_over_worlds
+from jexplore.studies.statistics.paired import MIN_PAIRS, finite_ratio
 
 _SHARES = {"50 %": "_at_50", "90 %": "_at_90", "95 %": "_at_95", "99 %": "_at_99", "100 %": ""}
 MEASURES = {
@@ -24,35 +20,22 @@ MEASURES = {
 """Measure and place on the curve -> column of the table of episodes."""
 
 
-def _over_worlds(ratios: Any, name: str) -> PairedRatio:
-    own = ratios[ratios["strategy"] == name]
-    mean, low, high, p = mean_over_worlds(own["log_ratio"], [kind_of(world) for world in own["world"]])
-    return PairedRatio(safe_exp(mean), safe_exp(low), safe_exp(high), p, len(own))
-
-
-def _in_world(values: "pd.DataFrame", name: str) -> PairedRatio:
-    both = values.iloc[:, 0].to_numpy(), values[name].to_numpy()
-    kept = np.isfinite(both).all(axis=0)
-    if not kept.any():
-        return PairedRatio(math.nan, math.nan, math.nan, math.nan, 0)
-    return paired_ratio(both[1][kept], both[0][kept])
-
-
-def at_coverage(episodes: "pd.DataFrame") -> "pd.DataFrame":
+def at_coverage(episodes: pd.DataFrame) -> pd.DataFrame:
     """Tabulate ratios to the first strategy at every share, of path and time.
 
     `area` is the area above the curve of the known share, over the path or over time: how far the robot has driven, or
     how long, when a share was first known, in the mean over all hundredths. The area below the curve up to a common end
     D, beyond all curves, is 1 - area / D: the ratio of the areas above depends on no such end. Episodes that have
-    failed (`over_worlds.comparable_paths`) are left out with their partners.
+    failed (`over_worlds.comparable_paths`) are left out with their partners. A team's path to 100 % ends when all was
+    known, not with its last robot.
 
     Returns:
       A DataFrame, a row each: `measure`, `share` (of `MEASURES`), `world`, `strategy`, `ratio`, `low`, `high`, `p`, and
         `n`, how many worlds or pairs. With `MIN_PAIRS` worlds or more the rows are over all of them, as in
         `league.standings`, else of each world, by `paired_ratio`.
     """
-    import pandas as pd
-
+    if "path_m_at_100" in episodes:
+        episodes = episodes.assign(path_m=episodes["path_m_at_100"])
     worlds, strategies = (list(dict.fromkeys(episodes[key])) for key in ("world", "strategy"))
     together = len(worlds) >= MIN_PAIRS
     rows = []
@@ -60,7 +43,11 @@ def at_coverage(episodes: "pd.DataFrame") -> "pd.DataFrame":
         values: Any = paths_by_world(episodes, column) if together else comparable_paths(episodes, column)
         for world in [ALL_WORLDS] if together else [one for one in worlds if one in values.index]:
             for name in strategies:
-                found = _over_worlds(values, name) if together else _in_world(values.loc[world], name)
+                if together:
+                    own = values[values["strategy"] == name]
+                    found = ratio_over_worlds(own["log_ratio"], own["world"])
+                else:
+                    found = finite_ratio(values.loc[world][name], values.loc[world].iloc[:, 0])
                 rows.append((measure, share, world, name, *found))
     return pd.DataFrame(rows, columns=["measure", "share", "world", "strategy", *("ratio", "low", "high", "p", "n")])
 
@@ -71,7 +58,7 @@ TITLES = {
 }
 
 
-def coverage_tables(table: "pd.DataFrame") -> dict[str, str]:
+def coverage_tables(table: pd.DataFrame) -> dict[str, str]:
     """Format `at_coverage` as Markdown tables by title; over many worlds the shortest to 100 % come first."""
     found = {}
     for measure, title in TITLES.items():
@@ -88,6 +75,6 @@ def coverage_tables(table: "pd.DataFrame") -> dict[str, str]:
     return found
 
 
-def coverage_text(table: "pd.DataFrame") -> str:
+def coverage_text(table: pd.DataFrame) -> str:
     """Format `at_coverage` as Markdown with titles."""
     return "\n".join(f"{title}:\n\n{text}" for title, text in coverage_tables(table).items())

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError
 from jexplore.studies.statistics.aggregate import profiles
@@ -14,7 +15,6 @@ from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.studies.statistics.response import response, setting_columns
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 MOST_WORLDS = 12
@@ -24,7 +24,7 @@ MOST_CURVES = 7
 
 
 def compare_figure(
-    episodes: "pd.DataFrame", *, summary: "pd.DataFrame | None" = None, table: "pd.DataFrame | None" = None
+    episodes: pd.DataFrame, *, summary: pd.DataFrame | None = None, table: pd.DataFrame | None = None
 ) -> "Figure":
     """Draw every episode's path with means, intervals and paired ratios: a panel a world, and one for six or more.
 
@@ -46,7 +46,7 @@ def compare_figure(
     return compare.comparison_figure(panels, strategies)
 
 
-def draw_world(ax: Any, episodes: "pd.DataFrame", summary: "pd.DataFrame", world: str) -> list[Any]:
+def draw_world(ax: Any, episodes: pd.DataFrame, summary: pd.DataFrame, world: str) -> list[Any]:
     """Draw the path lengths of one world as points, with means and intervals from `summarise`.
 
     Returns one `ErrorbarContainer` a strategy.
@@ -116,7 +116,7 @@ def coverage_figure(progress: Mapping[tuple[str, str], np.ndarray]) -> "Figure":
 
 
 def league_coverage_figure(
-    episodes: "pd.DataFrame", progress: Mapping[tuple[str, str], np.ndarray], table: "pd.DataFrame"
+    episodes: pd.DataFrame, progress: Mapping[tuple[str, str], np.ndarray], table: pd.DataFrame
 ) -> "Figure":
     """Draw the known share over all worlds, along paths as multiples of the first strategy's whole path there.
 
@@ -138,7 +138,7 @@ def league_coverage_figure(
     return curves.coverage_curves_figure([(title, found)], label=f"path length over the whole one of {reference}")
 
 
-def profile_figure(episodes: "pd.DataFrame", *, over: str = "best") -> "Figure":
+def profile_figure(episodes: pd.DataFrame, *, over: str = "best") -> "Figure":
     """Draw performance profiles of a comparison's strategies: see `aggregate.profiles`."""
     from jexplore.report.plots import curves
 
@@ -162,7 +162,7 @@ def _averaged(episodes, table, *own) -> str:
 
 
 def response_figure(
-    episodes: "pd.DataFrame", setting: str, *, value: str = "path_m", ratio: bool = False, **how: Any
+    episodes: pd.DataFrame, setting: str, *, value: str = "path_m", ratio: bool = False, **how: Any
 ) -> "Figure":
     """Draw curves of a mean or a paired ratio over one setting, one line a strategy, one panel a world.
 
@@ -177,7 +177,7 @@ def response_figure(
 
 
 def heat_figure(
-    episodes: "pd.DataFrame", x: str, y: str, *, value: str = "path_m", ratio: bool = False, **how: Any
+    episodes: pd.DataFrame, x: str, y: str, *, value: str = "path_m", ratio: bool = False, **how: Any
 ) -> "Figure":
     """Draw colours of a mean or a paired ratio over two settings, one panel a strategy, a row a world.
 

@@ -1,20 +1,18 @@
 """Strategies over many worlds: path lengths relative to a reference, and ranks."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import require_whole
 from jexplore.report.tables import aligned_table, number_text, p_text, ratio_text
 from jexplore.studies.statistics.aggregate import aggregates
 from jexplore.studies.statistics.by_world import DONE
-from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds
-from jexplore.studies.statistics.paired import holm, safe_exp
+from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds, ratio_over_worlds
+from jexplore.studies.statistics.paired import holm
 from jexplore.worlds.bounds import FURNISHED_CELL_M
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 LEAGUE_KINDS = ("cave", "office", "hospital", "maze", "rooms")
 LEAGUE_SEEDS = 8
@@ -53,7 +51,7 @@ def league_worlds(cell_m: float = 0.1, seeds: int = LEAGUE_SEEDS, first: int = 0
     return (*plain, *furnished) if cell_m <= FURNISHED_CELL_M else tuple(plain)
 
 
-def paths_by_world(episodes: "pd.DataFrame", column: str = "path_m") -> "pd.DataFrame":
+def paths_by_world(episodes: pd.DataFrame, column: str = "path_m") -> pd.DataFrame:
     """Compute mean paths in every world of a strategy and of the first one, over the starts from which neither failed.
 
     Or means of another `column` that grows with the path.
@@ -62,8 +60,6 @@ def paths_by_world(episodes: "pd.DataFrame", column: str = "path_m") -> "pd.Data
       A DataFrame with the columns `world`, `strategy`, `mean`, `reference`, metres, and `log_ratio`, the logarithm of
         their ratio: a row for every strategy and world in which both have moved, in order of first appearance.
     """
-    import pandas as pd
-
     paths: Any = comparable_paths(episodes, column)
     tables = []
     for name in paths.columns:
@@ -75,7 +71,7 @@ def paths_by_world(episodes: "pd.DataFrame", column: str = "path_m") -> "pd.Data
     return found.reindex(columns=["world", "strategy", "mean", "reference", "log_ratio"])
 
 
-def standings(episodes: "pd.DataFrame") -> "pd.DataFrame":
+def standings(episodes: pd.DataFrame) -> pd.DataFrame:
     """Tabulate one row a strategy, the best ranks first.
 
     An episode that has failed (see `comparable_paths`) has no short path: it ranks behind all that have not failed.
@@ -93,8 +89,6 @@ def standings(episodes: "pd.DataFrame") -> "pd.DataFrame":
         `best`, worlds in which its mean path is no longer than any other's; `complete`, share of its episodes that
         ended COMPLETE; `failed`, share that failed; and `ratio of K` for every kind of world K.
     """
-    import pandas as pd
-
     tables: Any = comparable_paths(episodes), paths_by_world(episodes), aggregates(episodes)
     paths, ratios, more = tables
     ranks, means = (table.groupby(level="world", sort=False).mean() for table in (paths.rank(axis=1), paths))
@@ -102,13 +96,13 @@ def standings(episodes: "pd.DataFrame") -> "pd.DataFrame":
     for name, extra in zip(paths.columns, more.to_dict("records")):
         own = ratios[ratios["strategy"] == name]
         logs, of_kind = own["log_ratio"].to_numpy(), [kind_of(world) for world in own["world"]]
-        log_ratio, low, high, p = mean_over_worlds(logs, of_kind)
+        found = ratio_over_worlds(logs, own["world"])
         rank, *ends, _ = mean_over_worlds(ranks[name], kinds)
         rank_low, rank_high = (min(max(end, 1.0), len(paths.columns)) for end in ends)  # NaN stays
         best = int((np.isfinite(means[name]) & (means[name] <= means.min(axis=1))).sum())
         row = {"strategy": name, "worlds": len(ranks), "paired": len(own)}
-        row |= {"ratio": safe_exp(log_ratio), "ratio_low": safe_exp(low), "ratio_high": safe_exp(high)}
-        row |= {"p": p, "p_holm": math.nan, **{key: extra[key] for key in _AGGREGATES}}
+        row |= {"ratio": found.ratio, "ratio_low": found.low, "ratio_high": found.high, "p": found.p}
+        row |= {"p_holm": math.nan, **{key: extra[key] for key in _AGGREGATES}}
         row |= {"rank": rank, "rank_low": rank_low, "rank_high": rank_high, "best": best}
         ended = episodes.loc[episodes["strategy"] == name, "outcome"]
         row |= {"complete": float(ended.isin(DONE).mean()), "failed": float(np.isinf(paths[name]).mean())}
@@ -127,7 +121,7 @@ def _verdict(row):
     return "not distinguishable" if row["p_holm"] >= 0.05 else "shorter" if row["ratio"] < 1 else "longer"
 
 
-def standings_table(table: "pd.DataFrame") -> str:
+def standings_table(table: pd.DataFrame) -> str:
     """Format `standings` as one aligned Markdown table. The reference differs at the 5 % level of the corrected p."""
     kinds = [name for name in table.columns if name.startswith("ratio of ")]
     kinds = kinds if len(kinds) > 1 else []
@@ -145,7 +139,7 @@ def standings_table(table: "pd.DataFrame") -> str:
     return aligned_table(head, lines, left=["strategy", ""])
 
 
-def over_worlds_text(table: "pd.DataFrame") -> str:
+def over_worlds_text(table: pd.DataFrame) -> str:
     """Summarise a comparison over two worlds or more, from `standings`, as Markdown, with how to read it."""
     worlds = max(table["worlds"], default=0)
     return f"""\

@@ -2,19 +2,17 @@
 
 import math
 import re
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from jexplore.config import InputError
 from jexplore.studies.statistics.by_world import DONE, EQUAL_FRACTION
-from jexplore.studies.statistics.paired import UPPER, t_interval
+from jexplore.studies.statistics.paired import UPPER, PairedRatio, safe_exp, t_interval
 from jexplore.worlds import GENERATORS
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 ALL_WORLDS = "all worlds"
 """Stands for a world's name where a row is about all of them."""
@@ -61,6 +59,13 @@ def mean_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, fl
     return mean, *t_interval(mean, error, freedom)
 
 
+def ratio_over_worlds(log_ratios: ArrayLike, worlds: Iterable[object]) -> PairedRatio:
+    """Return `mean_over_worlds` of logarithms of ratios, one a world of these names, as a ratio."""
+    logs = np.asarray(log_ratios, np.float64)
+    mean, low, high, p = mean_over_worlds(logs, [kind_of(world) for world in worlds])
+    return PairedRatio(safe_exp(mean), safe_exp(low), safe_exp(high), p, len(logs))
+
+
 def share_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, float, float, float]:
     """Estimate the mean over worlds of a share, such as of starts with a shorter path, and its interval.
 
@@ -90,7 +95,7 @@ def share_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, f
     return mean, min(max(low, 0.0), mean), max(min(high, 1.0), mean), p  # the mean lies between, rounding aside
 
 
-def comparable_paths(episodes: "pd.DataFrame", column: str = "path_m") -> "pd.DataFrame":
+def comparable_paths(episodes: pd.DataFrame, column: str = "path_m") -> pd.DataFrame:
     """Return path lengths, or another column, of the starts that every strategy has, infinite for failed episodes.
 
     An episode that is not COMPLETE has failed if another from the same start is, or, where none is, if it has explored

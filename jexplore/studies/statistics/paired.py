@@ -25,6 +25,9 @@ class PairedRatio(NamedTuple):
     n: int  # pairs; 1 if all pairs are identical
 
 
+NO_RATIO = PairedRatio(math.nan, math.nan, math.nan, math.nan, 0)
+
+
 def _vector(values, name):
     values = np.asarray(values, dtype=np.float64)
     if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all() or values.min() < 0:
@@ -67,7 +70,7 @@ def spread_of(values: ArrayLike, reference: ArrayLike) -> tuple[float, float]:
 
 
 def paired_ratio(values: ArrayLike, reference: ArrayLike) -> PairedRatio:
-    """Estimate the ratio R of the means of paired samples, with an interval and a test.
+    """Estimate the ratio R of the means of paired samples, `[N]` numbers from 0, with an interval and a test.
 
     The interval is `R exp(± t s)`, where `s` is the standard error of the logarithm of R by the delta method: the
     standard deviation of `v / mean(v) - r / mean(r)` over the pairs `(v, r)`, divided by the root of their number; t is
@@ -77,12 +80,6 @@ def paired_ratio(values: ArrayLike, reference: ArrayLike) -> PairedRatio:
 
     Pairs of equal members carry no spread: together they count once in the degrees of freedom. Identical pairs (one
     episode repeated) count as a single pair. One pair, or pairs without any spread, have no interval and no p.
-
-    Args:
-      values, reference: `[N]` finite numbers from 0, N >= 1, the same episodes; their order does not matter.
-
-    Raises:
-      ValueError: not vectors, lengths that differ, empty, not finite, or negative.
 
     Source:
       The delta method for a ratio of means, on the logarithm; Fieller 1954 treats the same problem.
@@ -98,6 +95,13 @@ def paired_ratio(values: ArrayLike, reference: ArrayLike) -> PairedRatio:
     error, freedom = spread_of(values, reference)
     low, high, p = t_interval(math.log(ratio) if error else math.nan, error, freedom)
     return PairedRatio(ratio, safe_exp(low), safe_exp(high), p, n)
+
+
+def finite_ratio(values: ArrayLike, reference: ArrayLike) -> PairedRatio:
+    """Estimate `paired_ratio` of the pairs that are finite; `NO_RATIO` without any."""
+    both = np.asarray([values, reference], np.float64)
+    both = both[:, np.isfinite(both).all(axis=0)]
+    return paired_ratio(*both) if both.size else NO_RATIO
 
 
 def mean_interval(values: ArrayLike) -> tuple[float, float]:

@@ -3,16 +3,14 @@
 import difflib
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError
-from jexplore.studies.statistics.over_worlds import ALL_WORLDS, kind_of, mean_over_worlds
-from jexplore.studies.statistics.paired import mean_interval, paired_ratio, safe_exp
-
-if TYPE_CHECKING:
-    import pandas as pd
+from jexplore.studies.statistics.over_worlds import ALL_WORLDS, kind_of, mean_over_worlds, ratio_over_worlds
+from jexplore.studies.statistics.paired import mean_interval, paired_ratio
 
 SHARED = ("seed", "cell_m")
 """Settings without a dot in their name."""
@@ -22,12 +20,12 @@ MOST_PANELS = 6
 """With more worlds than this, their means are shown instead of each."""
 
 
-def setting_columns(episodes: "pd.DataFrame") -> list[str]:
+def setting_columns(episodes: pd.DataFrame) -> list[str]:
     """Return the setting columns of a table of episodes: those with a dot in their name, `seed` and `cell_m`."""
     return [name for name in map(str, episodes.columns) if "." in name or name in SHARED]
 
 
-def require_column(episodes: "pd.DataFrame", name: str, what: str) -> None:
+def require_column(episodes: pd.DataFrame, name: str, what: str) -> None:
     """Refuse a column that a table does not have; say which is near."""
     if name not in episodes.columns:
         near = difflib.get_close_matches(str(name), map(str, episodes.columns), 1)
@@ -87,9 +85,9 @@ def _with_reference(table):
 
 
 def response(
-    episodes: "pd.DataFrame", settings: str | Sequence[str], *, value: str = "path_m", ratio: bool = False,
+    episodes: pd.DataFrame, settings: str | Sequence[str], *, value: str = "path_m", ratio: bool = False,
     over_worlds: bool | None = None, bins: int | None = None,
-) -> "pd.DataFrame":  # fmt: skip
+) -> pd.DataFrame:  # fmt: skip
     """Estimate a mean, or a paired ratio to the first strategy, with its interval, at every value of a setting or two.
 
     In one world the sample are its starts, episodes of one number and seed, each with its mean over all other settings:
@@ -109,13 +107,7 @@ def response(
     Returns:
       A DataFrame: `world` (`over_worlds.ALL_WORLDS` for the mean over them), `strategy`, the settings under their
         names, `n` starts or worlds, `estimate`, `low`, `high`; in order of first appearance, settings rising.
-
-    Raises:
-      InputError: no such column, a column of text where numbers are averaged, no row that has them, or an episode of
-        the first strategy that occurs twice in a setting.
     """
-    import pandas as pd
-
     own = [settings] if isinstance(settings, str) else list(settings)
     for name in own:
         require_column(episodes, name, "setting")
@@ -154,9 +146,8 @@ def _over_worlds(rows, ratio):
     means = rows.groupby("world", sort=False)[["value", "reference"]].mean()
     if ratio:
         means = means[(means > 0).all(axis=1)]
+        found = ratio_over_worlds(np.log(means["value"] / means["reference"]), means.index)
+        return found.n, found.ratio, found.low, found.high
     values = (means["value"] / means["reference"]).to_numpy()
-    kinds = [kind_of(world) for world in means.index]
-    mean, low, high, _ = mean_over_worlds(np.log(values) if ratio else values, kinds)
-    if ratio:
-        return len(values), safe_exp(mean), safe_exp(low), safe_exp(high)
+    mean, low, high, _ = mean_over_worlds(values, [kind_of(world) for world in means.index])
     return len(values), mean, max(low, 0.0) if math.isfinite(low) else low, high

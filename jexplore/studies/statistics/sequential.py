@@ -6,16 +6,14 @@ the end. A confidence sequence covers at all numbers at once.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from jexplore.config import InputError, shown
 from jexplore.report.tables import aligned_table, ratio_text
 from jexplore.studies.statistics.paired import PairedRatio, paired_ratio, safe_exp, spread_of
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 ALPHA = 0.05  # chance that some interval of a world, at some number of episodes, does not cover
 TIGHT_AT = 30  # pairs, at which the sequence is tightest
@@ -66,20 +64,12 @@ def verdict_of(found: PairedRatio) -> str:
     return KNOWN if math.log(found.high / found.low) <= 2 * NARROW else OPEN
 
 
-def decisions(episodes: "pd.DataFrame", names: Sequence[str] | None = None) -> "pd.DataFrame":
+def decisions(episodes: pd.DataFrame, names: Sequence[str] | None = None) -> pd.DataFrame:
     """Tabulate the ratio of each strategy to the first in each world, with an interval that holds at any stopping.
 
-    The intervals of a world cover together: each has its share of `ALPHA`.
-
-    Args:
-      episodes: the table of episodes; one that not every strategy has counts for none.
-      names: of the strategies, in order; by default those in the table.
-
-    Returns:
-      A DataFrame with the columns `world`, `strategy`, `n`, `ratio`, `ratio_low`, `ratio_high`, `verdict`.
+    The intervals of a world cover together: each has its share of `ALPHA`. An episode that not every strategy has
+    counts for none; `names` are the strategies, in order, by default those in the table.
     """
-    import pandas as pd
-
     rows, names = [], list(dict.fromkeys(episodes["strategy"])) if names is None else list(names)
     for world, own in episodes.groupby("world", sort=False):
         paths = own.pivot(index="episode", columns="strategy", values="path_m").reindex(columns=names).dropna()
@@ -89,12 +79,10 @@ def decisions(episodes: "pd.DataFrame", names: Sequence[str] | None = None) -> "
     return pd.DataFrame(rows, columns=["world", "strategy", "n", "ratio", "ratio_low", "ratio_high", "verdict"])
 
 
-def decided_worlds(names: Sequence[str]) -> Callable[["list[pd.DataFrame]"], set[str]]:
+def decided_worlds(names: Sequence[str]) -> Callable[[list[pd.DataFrame]], set[str]]:
     """Return a function of the tables made until now that names the worlds in which every strategy is decided."""
 
-    def settled(tables: "list[pd.DataFrame]") -> set[str]:
-        import pandas as pd
-
+    def settled(tables: list[pd.DataFrame]) -> set[str]:
         if not tables:
             return set()
         every: Any = decisions(pd.concat(tables, ignore_index=True), names)
@@ -104,7 +92,7 @@ def decided_worlds(names: Sequence[str]) -> Callable[["list[pd.DataFrame]"], set
     return settled
 
 
-def decisions_text(episodes: "pd.DataFrame", asked: int) -> str:
+def decisions_text(episodes: pd.DataFrame, asked: int) -> str:
     """Format `decisions` as Markdown, with the number of episodes spared; `asked`: most episodes."""
     made = len(episodes)
     lines = [

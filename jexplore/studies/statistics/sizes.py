@@ -3,9 +3,10 @@
 import bisect
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from jexplore.config import InputError, require_number
@@ -13,9 +14,6 @@ from jexplore.studies.statistics.by_world import summarise
 from jexplore.studies.statistics.league import paths_by_world
 from jexplore.studies.statistics.over_worlds import ALL_WORLDS, kind_of, mean_and_error, mean_over_worlds
 from jexplore.studies.statistics.paired import UPPER, safe_exp
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 SIZES_COLUMNS = ("world", "strategy", "unit", "n", "within", "needed")
 MAX_NEEDED = 10**9
@@ -51,19 +49,8 @@ def sample_size(values: ArrayLike, reference: ArrayLike, *, within: float = 0.02
     The interval is that of `paired_ratio`: it then ends at most at `(1 + within)` times the ratio, and at `1 / (1 +
     within)` times it. The spread of a pilot is itself uncertain, and that of the new episodes varies: the number is
     large enough that, with the `assurance`, the new interval is as narrow for a normal spread; with skewed ratios of
-    paths this holds less often. `benchmarks/intervals.py --over sizes` measures how often.
-
-    Args:
-      values, reference: `[N]` path lengths of a pilot, the same starts in the same order, N >= 2.
-      within: wanted half of the width, as a share of the ratio.
-      assurance: chance that the interval comes out as narrow; 0.5 is an even chance.
-
-    Returns:
-      The number of pairs, 2 or more; `MAX_NEEDED` if it takes more.
-
-    Raises:
-      InputError: not two vectors of finite numbers from 0, of one length, 2 or more, that differ; no spread in the
-        pilot; a share out of range.
+    paths this holds less often. `benchmarks/intervals.py --over sizes` measures how often. Returns 2 or more;
+    `MAX_NEEDED` if it takes more.
 
     Source:
       Kupper and Hafner 1989, assurance of the width of an interval; here with the uncertainty of the pilot.
@@ -74,7 +61,7 @@ def sample_size(values: ArrayLike, reference: ArrayLike, *, within: float = 0.02
         raise InputError(f"expected two vectors of one length, 2 or more, got {values.shape} and {reference.shape}")
     if not np.isfinite([values, reference]).all() or min(values.min(), reference.min()) < 0:
         raise InputError("values and reference must be finite numbers from 0")
-    if values.mean() == 0 or reference.mean() == 0:
+    if not (values.any() and reference.any()):
         raise InputError("values and reference must have a path that is longer than 0")
     spread, n = float((values / values.mean() - reference / reference.mean()).std(ddof=1)), len(values)
     equal = int((values == reference).sum())
@@ -99,7 +86,7 @@ def worlds_needed(log_ratios: ArrayLike, kinds: Sequence[str], *, within: float 
     return _smallest(error * math.sqrt(len(logs)), freedom, lambda m: m - (len(logs) - most), **how)
 
 
-def sample_sizes(episodes: "pd.DataFrame", *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":
+def sample_sizes(episodes: pd.DataFrame, *, within: float = 0.02, assurance: float = 0.8) -> pd.DataFrame:
     """Compute the episodes in each world, and the worlds, needed to know every ratio to the first strategy `± within`.
 
     Returns:
@@ -107,8 +94,6 @@ def sample_sizes(episodes: "pd.DataFrame", *, within: float = 0.02, assurance: f
         more, a row a strategy for `ALL_WORLDS`: `unit`, "episodes" or "worlds"; `n` of the pilot; `within`, its present
         interval, as a share of the ratio; `needed`, <NA> where the pilot shows no spread.
     """
-    import pandas as pd
-
     how, rows = _checked(within=within, assurance=assurance), []
     now: Any = summarise(episodes)
     first = episodes["strategy"].iloc[0] if len(episodes) else None

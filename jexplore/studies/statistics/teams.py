@@ -1,21 +1,15 @@
-"""Teams and one robot: times to known shares, speed-up, efficiency.
+"""Teams and one robot: times to known shares, speed-up, efficiency."""
 
-pandas is imported by the functions that need it.
-"""
-
-import math
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
+import pandas as pd
 
 from jexplore.report.tables import aligned_table, number_text, ratio_text
 from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.studies.statistics.by_world import DONE
-from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
-from jexplore.studies.statistics.paired import PairedRatio, paired_ratio
-
-if TYPE_CHECKING:
-    import pandas as pd
+from jexplore.studies.statistics.over_worlds import ratio_over_worlds
+from jexplore.studies.statistics.paired import PairedRatio, finite_ratio
 
 MEANS = "path_m_at_90", "path_m_at_95", "path_m_at_99", *TEAM_MEASURES
 TABLE = (
@@ -25,29 +19,22 @@ TABLE = (
 
 
 def _ratio(rows: Any, reference: Any) -> PairedRatio:
-    """Return the `paired_ratio` of the times until all is known, over the episodes that both have completed."""
+    """Return the ratio of the times until all is known, over the episodes that both have completed."""
     ours, theirs = (one[one["outcome"].isin(DONE)].set_index("episode")["path_m_at_100"] for one in (rows, reference))
     both = ours.index.intersection(theirs.index)
-    if not len(both):
-        return PairedRatio(math.nan, math.nan, math.nan, math.nan, 0)
-    return paired_ratio(ours[both], theirs[both])
+    return finite_ratio(ours[both], theirs[both])
 
 
-def tabulate(episodes: "pd.DataFrame") -> "pd.DataFrame":
+def tabulate(episodes: pd.DataFrame) -> pd.DataFrame:
     """Tabulate one row a world and team, in order of first appearance; then one a team over several worlds, as "all".
-
-    Args:
-      episodes: the table of episodes, with `columns.TEAM_COLUMNS`.
 
     Returns:
       A DataFrame: means of times in metres on the common clock, and of the team's measures; `speed_up`, the mean time
         of one robot by that of the team until all is known, with its interval (`paired_ratio`), and `efficiency`, that
         by the number of robots: NaN without a team of one; `vs_independent`, the team's time by that of as many robots
         without coordination, with its interval. In a world intervals are over starts; over worlds they are by
-        `mean_over_worlds`, of ratios as logarithms.
+        `ratio_over_worlds`.
     """
-    import pandas as pd
-
     table = []
     base = [_base(row) for row in episodes[["strategy", "robots", "coordination"]].itertuples(index=False)]
     episodes = episodes.assign(base=base)
@@ -66,17 +53,14 @@ def tabulate(episodes: "pd.DataFrame") -> "pd.DataFrame":
     return found if len(set(found["world"])) < 2 else pd.concat([found, _over_worlds(found)], ignore_index=True)
 
 
-def _over_worlds(table: Any) -> "pd.DataFrame":
+def _over_worlds(table: Any) -> pd.DataFrame:
     """Return a row a team over all worlds, of those of single ones."""
-    import pandas as pd
-
     rows = []
     for _, own in table.groupby("strategy", sort=False):
         row = {**own.iloc[0], "world": "all", **own[[*MEANS]].mean()}
         for name, low, high in (("speed_up", "speed_up_low", "speed_up_high"), ("vs_independent", "vs_low", "vs_high")):
             some = own[np.isfinite(own[name])]
-            found = mean_over_worlds(np.log(some[name]), [kind_of(world) for world in some["world"]])
-            row |= dict(zip((name, low, high), np.exp(found[:3])))
+            row |= dict(zip((name, low, high), ratio_over_worlds(np.log(some[name]), some["world"])))
         rows.append(row | {"efficiency": row["speed_up"] / row["robots"]})
     return pd.DataFrame(rows, columns=[*TABLE])
 
@@ -86,18 +70,10 @@ def _base(row: Any) -> str:
     return row.strategy.removeprefix(f"{row.robots} x ").removesuffix(f", {row.coordination}")
 
 
-def team_table(table: "pd.DataFrame") -> str:
+def team_table(table: pd.DataFrame) -> str:
     """Format a table of `tabulate` as Markdown."""
-    head = [
-        "world",
-        "strategy",
-        *(f"m at {share} %" for share in (90, 95, 99)),
-        "m until all is known",
-        "speed-up",
-        "efficiency",
-        "to independent",
-    ]
-    head += ["sum of paths m", "overlap", "sd of shares", "waits", "connected"]
+    head = ["world", "strategy", *(f"m at {share} %" for share in (90, 95, 99)), "m until all is known", "speed-up"]
+    head += ["efficiency", "to independent", "sum of paths m", "overlap", "sd of shares", "waits", "connected"]
     lines = []
     for row in table.to_dict("records"):
         line = [str(row["world"]), str(row["strategy"])]

@@ -5,17 +5,15 @@ visit; a visit that shows less than `LEFTOVER_M2` was to a leftover, an area tha
 """
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError
 from jexplore.exploration.results import length_along_m
 from jexplore.report.tables import aligned_table, number_text
 from jexplore.studies.results.columns import WASTE_COLUMNS
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 TRANSIT_M = 2.0
 LEFTOVER_M2 = 3.0
@@ -53,8 +51,8 @@ def waste_of(way: np.ndarray, cell_m: float) -> Waste:
 
 
 def wasted(
-    episodes: "pd.DataFrame", paths: Mapping[tuple[str, str], Sequence[np.ndarray]], cells_m: Mapping[str, float]
-) -> "pd.DataFrame":
+    episodes: pd.DataFrame, paths: Mapping[tuple[str, str], Sequence[np.ndarray]], cells_m: Mapping[str, float]
+) -> pd.DataFrame:
     """Add the columns `WASTE_COLUMNS` to the table of episodes.
 
     `paths` are `ComparisonResult.paths`; `cells_m` is world -> edge of its cells, metres.
@@ -71,7 +69,7 @@ def wasted(
     return episodes.assign(**rows)
 
 
-def waste_table(table: "pd.DataFrame", by: Sequence[str] = ("world", "strategy")) -> str:
+def waste_table(table: pd.DataFrame, by: Sequence[str] = ("world", "strategy")) -> str:
     """Format shares of the path from `wasted` as Markdown, a row for each value of the columns `by`."""
     head = [*by, "path m", "shows nothing new", "after 95 %", "leftovers", "to leftovers", "that show m2"]
     lines = []

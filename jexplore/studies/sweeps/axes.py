@@ -31,14 +31,11 @@ class Range:
 def combined(
     axes: Mapping[str, list[Any] | Range], draws: int, method: str, seed: int, whole: Collection[str] = ()
 ) -> list[dict[str, Any]]:
-    """Combine the values of axes: a list of `{name: value}`.
+    """Combine the values of axes, name -> list of values or a range: a list of `{name: value}`.
 
-    Args:
-      axes: name -> list of values, or a range. Without a range every combination is made.
-      draws: number of settings that are drawn if there is a range; lists are drawn from as well, each value alike.
-      method: "sobol" (scrambled), "latin" (hypercube) or "random".
-      seed: of the draws.
-      whole: names of the axes whose ranges are of whole numbers.
+    Without a range every combination is made, else `draws` settings are drawn, from lists as well, each value alike.
+    `method` is "sobol" (scrambled), "latin" (hypercube) or "random"; `whole` are the axes whose ranges are of whole
+    numbers.
     """
     if not any(isinstance(axis, Range) for axis in axes.values()):
         lists: Any = axes.values()

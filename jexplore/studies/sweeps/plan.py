@@ -3,8 +3,9 @@
 import collections
 import dataclasses
 import functools
+import itertools
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from jexplore.config import InputError, __version__, require_different
 from jexplore.exploration.batch import Job
 from jexplore.exploration.metrics import Metric
 from jexplore.exploration.site import COARSE_M, reach_d2
+from jexplore.exploration.team.jobs import team_jobs
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import join_strategies
 from jexplore.raycast import scans_all_round
@@ -29,11 +31,12 @@ from jexplore.studies.checks import (
 from jexplore.studies.metrics import ready_metrics
 from jexplore.studies.results.provenance import own_digests, world_digest
 from jexplore.studies.results.units import CELL_S, MIN_UNIT_EPISODES, UNIT_S
-from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain_spec, robot_of
+from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain_spec, robot_of, team_of
 from jexplore.worlds.poses import read_start
 from jexplore.worlds.world import World, ringed_shape
 
 MAX_UNIT_EPISODES = 256  # episodes of a unit at most, about; one file each
+FIRST_JOBS = 12  # that a report replays
 MAX_SWEEP_UNITS = 4096  # larger sweeps have larger units
 
 
@@ -114,13 +117,10 @@ class SweepPlan:
     @functools.cached_property
     def kinds(self) -> dict[str, str]:
         """Return columns of settings and the types of their values, see `column_type`."""
-        found = {
-            name: [setting[name] for setting in self.settings] for name in self.columns if name in self.settings[0]
-        }
-        for name in self.columns:
-            if name.startswith("strategy."):
-                found[name] = [own.get(name.partition(".")[2]) for own in self.parameters]
-        return {name: column_type(values) for name, values in found.items()}
+        given = {name: [setting[name] for setting in self.settings] for name in self.settings[0]}
+        own = {f"strategy.{key}": [one.get(key) for one in self.parameters] for one in self.parameters for key in one}
+        found = given | own
+        return {name: column_type(found[name]) for name in self.columns if name in found}
 
     def asked(self, shard: tuple[int, int] | None = None) -> dict[str, Any]:
         """Return all that the results depend on, as plain values."""
@@ -136,7 +136,8 @@ class SweepPlan:
 
     def after(self, n: int) -> "SweepPlan":
         """Return the plan of the episodes from number n on."""
-        units, programs = _cut(self.spec, self.records, self.shapes, len(self.strategies), self.episodes, n)
+        given = self.spec, self.settings, self.records, self.shapes
+        units, programs = _cut(*given, len(self.strategies), self.episodes, n)
         return dataclasses.replace(self, units=units, programs=programs)
 
     def _one_of_each_kind(self):
@@ -163,28 +164,23 @@ class SweepPlan:
         """Return the starts of all episodes in a world."""
         return _starts(world.name, world.cell_m, seed, clearance_m, near_m, self.spec.episodes, _start_of(self.spec))
 
-    def first_jobs(self, most: int = 12) -> list[tuple[Job, dict[str, Any]]]:
+    def first_jobs(self) -> list[tuple[Job, dict[str, Any]]]:
         """Return episode 0 of the first settings, worlds and strategies, and the setting of each."""
-        found = []
-        for setting in range(len(self.settings)):
-            for world in range(len(self.spec.worlds)):
-                for strategy in range(len(self.strategies)):
-                    if len(found) == most:
-                        return found
-                    job = self.job(SweepBlock(setting, world, strategy, 0, 1), 0)
-                    found.append((job, self.settings[setting]))
-        return found
+        every = itertools.product(*(range(len(of)) for of in (self.settings, self.spec.worlds, self.strategies)))
+        blocks = [SweepBlock(s, w, k, 0, 1) for s, w, k in itertools.islice(every, FIRST_JOBS)]
+        return [(self.job(block, 0), self.settings[block.setting]) for block in blocks]
 
     def job(self, block: SweepBlock, phase: int) -> Job:
         """Make the `Job` of a block."""
         seed, cell_m, lidar, rules = self.records[block.setting]
         world = self.world(block.world, cell_m)
         starts = self.starts(world, seed, rules.clearance_m, rules.near_m)[block.first : block.first + block.n]
-        strategy = self.together[block.strategy]
+        team = team_of(self.settings[block.setting])
+        strategy = (self.strategies if team else self.together)[block.strategy]
         robot = robot_of(self.settings[block.setting])
-        return Job(
-            world, strategy, starts, seed, block.first, lidar, rules, phase, self.metrics | measures_of(rules), robot
-        )
+        metrics = self.metrics | measures_of(rules)
+        job = Job(world, strategy, starts, seed, block.first, lidar, rules, phase, metrics, robot)
+        return team_jobs([job], **team)[0]
 
 
 @functools.lru_cache(maxsize=256)
@@ -242,9 +238,14 @@ def prepare_sweep(spec: Sweep) -> SweepPlan:
             if (name, cell_m, lidar, rules.max_steps) not in checked:
                 checked.add((name, cell_m, lidar, rules.max_steps))
                 require_memory(_loaded(name, cell_m), lidar, rules)
-    units, programs = _cut(spec, records, shapes, len(strategies), total)
+    units, programs = _cut(spec, settings, records, shapes, len(strategies), total)
     parameters, metrics = [own for _, own in listed], ready_metrics(spec.metrics)
-    return SweepPlan(spec, settings, records, strategies, parameters, shapes, digests, units, programs, metrics)
+    plan = SweepPlan(spec, settings, records, strategies, parameters, shapes, digests, units, programs, metrics)
+    teams = {(tuple(team_of(own).items()), records[i][1], records[i][3]): i for i, own in enumerate(settings)}
+    for (team, *_), i in teams.items():
+        for world, strategy in itertools.product(range(len(names)), range(len(strategies))) if team else ():
+            plan.job(SweepBlock(i, world, strategy, 0, 1), 0)  # which refuses what cannot be
+    return plan
 
 
 def _program_key(world, lidar, rules):
@@ -257,19 +258,23 @@ def _program_key(world, lidar, rules):
     return padded, *own, *frontier, ends
 
 
-def _cut(spec, records, shapes, n_strategies, total, after=0):
+def _cut(spec, settings, records, shapes, n_strategies, total, after=0):
     """Divide the work into blocks, those that share a program together: `(units, number of programs)`."""
     by_key = collections.defaultdict(list)
     loaded = {(world, cell_m): _loaded(os.fspath(spec.worlds[world]), cell_m) for world, cell_m in shapes}
     for i, (_, cell_m, lidar, rules) in enumerate(records):
         for world in range(len(spec.worlds)):
-            by_key[_program_key(loaded[world, cell_m], lidar, rules)].append((i, world))
+            team = settings[i].get("robots"), settings[i].get("coordination")
+            by_key[*_program_key(loaded[world, cell_m], lidar, rules), *team].append((i, world))
     units = []
     for (padded, *_), pairs in by_key.items():
         worth = round(UNIT_S / (CELL_S * padded[0] * padded[1]))  # so that large maps lose no more to a kill
         size = max(min(MAX_UNIT_EPISODES, max(MIN_UNIT_EPISODES, worth)), -(-total // MAX_SWEEP_UNITS))
         unit, room = [], size
-        for block in _blocks(pairs, n_strategies, range(after, spec.episodes, size), spec.episodes):
+        for (setting, world), first, strategy in itertools.product(
+            pairs, range(after, spec.episodes, size), range(n_strategies)
+        ):
+            block = SweepBlock(setting, world, strategy, first, min(size, spec.episodes - first))
             if unit and block.n > room:
                 units.append(unit)
                 unit, room = [], size
@@ -277,13 +282,6 @@ def _cut(spec, records, shapes, n_strategies, total, after=0):
             room -= block.n
         units.append(unit)
     return units, len(by_key)
-
-
-def _blocks(pairs, n_strategies, firsts, episodes) -> Iterator[SweepBlock]:
-    for setting, world in pairs:
-        for first in firsts:
-            for strategy in range(n_strategies):
-                yield SweepBlock(setting, world, strategy, first, min(firsts.step, episodes - first))
 
 
 def in_shard(units: int, shard: tuple[int, int] | None) -> list[int]:

@@ -1,16 +1,14 @@
-"""A sweep run, unit by unit, and its results.
-
-pandas is imported by the functions that need it.
-"""
+"""A sweep run, unit by unit, and its results."""
 
 import dataclasses
 import functools
 import itertools
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+import pandas as pd
 
 from jexplore.arrays.pictures import shown_figure
 from jexplore.config import InputError, checked_names, require_engine
@@ -20,16 +18,16 @@ from jexplore.exploration.uncertain.measures import MEASURES
 from jexplore.report.ledger import Ledger, Work
 from jexplore.report.store import read_parquet
 from jexplore.report.tables import aligned_table, number_text, ratio_text, spread_text
+from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import join_columns, make_units, rows_of
 from jexplore.studies.statistics.by_world import DONE
-from jexplore.studies.statistics.paired import paired_ratio
+from jexplore.studies.statistics.paired import NO_RATIO, finite_ratio
 from jexplore.studies.sweeps.plan import SweepPlan, in_shard, prepare_sweep
 from jexplore.studies.sweeps.spec import Sweep, read_spec, sweep_from
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 SHOWN_ROWS = 24  # of the table in a notebook
@@ -46,7 +44,7 @@ class SweepResult(ByStrategy):
     """
 
     spec: Sweep
-    episodes: "pd.DataFrame"
+    episodes: pd.DataFrame
     """One row an episode, ordered by setting, world, strategy, episode; columns `columns.COLUMNS`, metrics, settings:
     `setting` (its number), `lidar.range_m`, `strategy.weight`, ..."""
     columns: tuple[str, ...]
@@ -60,14 +58,14 @@ class SweepResult(ByStrategy):
     """Name of the first strategy, with which the others are compared."""
 
     @functools.cached_property
-    def summary(self) -> "pd.DataFrame":
+    def summary(self) -> pd.DataFrame:
         """Tabulate one row a setting, world and strategy.
 
         Columns are `n`, `mean` and `sd` of the path, metres, the paired `ratio` to the first strategy with `ratio_low`
         and `ratio_high` (95 %, see `paired.paired_ratio`), mean `explored_fraction`, share `complete`; those of
         settings and metrics.
         """
-        measures = (name for name in MEASURES if name in self.episodes)
+        measures = (name for name in (*MEASURES, *TEAM_MEASURES[1:]) if name in self.episodes)
         return summarise(self.episodes, self.columns, self.reference, (*self.spec.metrics, *measures))
 
     def _summary_text(self, as_text):
@@ -111,17 +109,13 @@ class SweepResult(ByStrategy):
         from jexplore.studies.statistics import figures
 
         numbers = [name for name in self.varied if self.episodes[name].dtype.kind in "iuf"]
-        drawn: dict[str, Callable[[], Any]] = (
-            {"sweep.png": functools.partial(figures.response_figure, self.episodes, numbers[0])} if numbers else {}
-        )
-        pair = next((pair for pair in itertools.combinations(numbers, 2) if self._occur_together(pair)), None)
-        if pair is not None:
+        there, drawn = cast(Any, self.episodes.notna()), {}
+        for name in numbers[:1]:
+            drawn["sweep.png"] = functools.partial(figures.response_figure, self.episodes, name)
+        pairs = (pair for pair in itertools.combinations(numbers, 2) if there[[*pair]].all(axis=1).any())
+        for pair in itertools.islice(pairs, 1):  # that some strategy has both of
             drawn["sweep-map.png"] = functools.partial(figures.heat_figure, self.episodes, *pair)
         return drawn
-
-    def _occur_together(self, names):
-        """Return whether some strategy has all of these settings."""
-        return bool(self.episodes[list(names)].notna().to_numpy().all(axis=1).any())
 
     def _repr_markdown_(self):
         return self.to_markdown(SHOWN_ROWS)
@@ -130,15 +124,11 @@ class SweepResult(ByStrategy):
         return f"<Sweep of {self.episodes['setting'].nunique()} settings, {len(self.episodes)} episodes>"
 
 
-def summarise(
-    episodes: "pd.DataFrame", columns: Sequence[str], first: str, metrics: Sequence[str] = ()
-) -> "pd.DataFrame":
+def summarise(episodes: pd.DataFrame, columns: Sequence[str], first: str, metrics: Sequence[str] = ()) -> pd.DataFrame:
     """Compute the `SweepResult.summary` of a table of episodes whose settings are in these columns.
 
     Ratios are to the strategy `first`; NaN where it has no episode, as in a part of a sweep.
     """
-    import pandas as pd
-
     rows, own = [], [name for name in dict.fromkeys((*columns, "seed")) if name != "setting"]
     for pair, group in episodes.groupby(["setting", "world"], sort=False):
         setting, world = pair  # type: ignore[misc]
@@ -146,16 +136,13 @@ def summarise(
         for strategy, some in group.groupby("strategy", sort=False):
             path_m = some.set_index("episode")["path_m"]
             both = path_m.index.intersection(reference.index)
-            is_first = strategy == first
-            ratio = None if is_first or not len(both) else paired_ratio(path_m[both], reference[both])
+            ratio = NO_RATIO._replace(ratio=1.0) if strategy == first else finite_ratio(path_m[both], reference[both])
             rows.append(
                 {
                     **{"setting": setting, "world": world, "strategy": strategy},
                     **{name: some[name].iloc[0] for name in own},
                     **{"n": len(some), "mean": path_m.mean(), "sd": path_m.std(ddof=1)},
-                    "ratio": 1.0 if is_first else np.nan if ratio is None else ratio.ratio,
-                    "ratio_low": np.nan if ratio is None else ratio.low,
-                    "ratio_high": np.nan if ratio is None else ratio.high,
+                    **{"ratio": ratio.ratio, "ratio_low": ratio.low, "ratio_high": ratio.high},
                     "explored_fraction": some["explored_fraction"].mean(),
                     "complete": some["outcome"].isin(DONE).mean(),
                     **{name: some[name].mean() for name in metrics},
@@ -250,13 +237,11 @@ def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
     return [", ".join(f"{key.rpartition('.')[2]} {_value_text(own[key])}" for key in varied) for own in settings]
 
 
-def whole_table(tables: Sequence["pd.DataFrame"], plan: SweepPlan) -> "pd.DataFrame":
+def whole_table(tables: Sequence[pd.DataFrame], plan: SweepPlan) -> pd.DataFrame:
     """Join tables of a sweep: rows by setting, world, strategy and episode, as in the spec, with all settings.
 
     Settings are truth values, whole numbers, numbers (NaN where missing), or text (empty where missing).
     """
-    import pandas as pd
-
     table = pd.concat(tables, ignore_index=True)
     names = [strategy.name for strategy in plan.strategies]
     parameters = dict(zip(names, plan.parameters))

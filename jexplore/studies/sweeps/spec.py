@@ -30,7 +30,8 @@ MAX_TOTAL = 100_000_000  # episodes
 DRAW_METHODS = ("random", "sobol")
 RANGE = ("low", "high", "log")
 SETTING_PARTS = {"lidar": Lidar, "rules": Rules, "odometry": Odometry, "robot": Robot}
-SINGLE = {"seed": 0, "cell_m": 0.1, "pose": "true"}
+TEAM = {"robots": 1, "coordination": "independent", "contact": "all", "team_starts": "together"}
+SINGLE = {"seed": 0, "cell_m": 0.1, "pose": "true", **TEAM}
 """Settings that are no part of a record -> their defaults."""
 _FIELDS_OF = {
     name: {one.name: one for one in dataclasses.fields(kind) if one.name not in (*SINGLE, *SETTING_PARTS)}
@@ -38,6 +39,7 @@ _FIELDS_OF = {
 }
 WHOLE_SETTINGS = [
     "seed",
+    "robots",
     *(f"{part}.{key}" for part in _FIELDS_OF for key, one in _FIELDS_OF[part].items() if one.type in (int, int | None)),
 ]
 """Names of settings that are whole numbers."""
@@ -73,6 +75,14 @@ class Sweep:
     """A `jx.Odometry`, or some of its fields."""
     robot: Mapping[str, Any] | Robot = dataclasses.field(default_factory=dict)
     """A `jx.Robot`, or some of its fields."""
+    robots: Any = None
+    """Sizes of teams, as in `jx.compare`."""
+    coordination: Any = None
+    """With `robots`: name, or "module:function"."""
+    contact: Any = None
+    """With `robots`: "all", "none", "range:4", "line-of-sight", ..."""
+    team_starts: Any = None
+    """With `robots`: "together" or "apart"."""
     metrics: Any = dataclasses.field(default_factory=dict)
     """Columns of your own: name -> function or "module:function", as in `jx.compare`."""
     settings: tuple[Mapping[str, Any], ...] = ()
@@ -93,10 +103,8 @@ class Sweep:
             if not isinstance(given, Iterable) or isinstance(given, Mapping):
                 raise InputError(f"{name} must be a list, got {given!r}")
             object.__setattr__(self, name, tuple(given))
-        if not self.worlds:
-            raise InputError("worlds must name at least one, got none")
-        if not self.strategies:
-            raise InputError("strategies must name at least one, got none")
+            if name != "settings" and not getattr(self, name):
+                raise InputError(f"{name} must name at least one, got none")
         for world in self.worlds:
             if not isinstance(world, (str, os.PathLike)):
                 raise InputError(f"worlds must be names or files, got {world!r}")
@@ -138,26 +146,21 @@ class Sweep:
     def axes(self) -> dict[str, Any]:
         """Return the varied settings: dotted name -> list of values, or a `Range`."""
         given = {"seed": self.seed, "cell_m": self.cell_m}
-        given |= {} if self.pose is None else {"pose": self.pose}
+        given |= {name: own for name in ("pose", *TEAM) if (own := getattr(self, name)) is not None}
         for part in SETTING_PARTS:
             given |= {f"{part}.{key}": value for key, value in getattr(self, part).items()}
         return {key: _axis(key, value) for key, value in given.items()}
 
     def expanded(self) -> list[dict[str, Any]]:
-        """Return the settings: a list of `{dotted name: value}`, all with the same names, all different.
-
-        Raises:
-          InputError: none, too many, ranges without `draws`, `draws` without a range.
-        """
+        """Return the settings: a list of `{dotted name: value}`, all with the same names, all different."""
         axes, explicit = self.axes, [dict(one) for one in self.settings]
         for key in dict.fromkeys(key for one in explicit for key in one):
             if key in axes and key not in SINGLE:
                 raise InputError(f"{key} is given twice, in settings and in its own place")
-        is_range = any(isinstance(axis, Range) for axis in axes.values())
-        if is_range and self.draws is None:
-            name = next(key for key, axis in axes.items() if isinstance(axis, Range))
-            raise InputError(f"{name} is a range: say how many settings are drawn, as in draws: 64")
-        if self.draws is not None and not is_range:
+        ranges = [key for key, axis in axes.items() if isinstance(axis, Range)]
+        if ranges and self.draws is None:
+            raise InputError(f"{ranges[0]} is a range: say how many settings are drawn, as in draws: 64")
+        if self.draws is not None and not ranges:
             raise InputError("draws goes with a range, such as lidar: {range_m: {low: 4, high: 12}}, and there is none")
         own = [{key: axis for key, axis in axes.items() if key not in one} for one in explicit or [{}]]
         n = sum(self.draws or math.prod(map(len, some.values())) for some in own)
@@ -175,11 +178,7 @@ class Sweep:
         return found
 
     def records(self) -> list[tuple[int, float, Lidar, Rules]]:
-        """Return seed, cell size, scanner and rules of every setting of `expanded`.
-
-        Raises:
-          InputError: a value that cannot be used, naming it.
-        """
+        """Return seed, cell size, scanner and rules of every setting of `expanded`."""
         found = []
         for setting in self.expanded():
             seed = require_setting("seed", setting["seed"])
@@ -191,11 +190,7 @@ class Sweep:
         return found
 
     def strategy_list(self) -> list[tuple[str, dict[str, Any]]]:
-        """Return the strategies, lists of parameters expanded: a list of `(name, parameters that are settings)`.
-
-        Raises:
-          InputError: a mapping that does not describe a strategy, a strategy twice.
-        """
+        """Return the strategies, lists of parameters expanded: a list of `(name, parameters that are settings)`."""
         found = []
         for given in self.strategies:
             if isinstance(given, str):
@@ -237,6 +232,11 @@ def _default(key):
 def robot_of(setting: Mapping[str, Any]) -> Robot:
     """Return the robot of a setting of `Sweep.expanded`."""
     return Robot(**_part(setting, "robot"))
+
+
+def team_of(setting: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of `team_jobs` in a setting of `Sweep.expanded`; none where no team is asked for."""
+    return {key: value for key, value in setting.items() if key in TEAM}
 
 
 def _part(setting, kind):
@@ -291,11 +291,7 @@ _FIELDS = [field.name for field in dataclasses.fields(Sweep)]
 
 
 def sweep_from(page: Any, name: str = "the sweep") -> Sweep:
-    """Make a `Sweep` of plain values, as a YAML file has them.
-
-    Raises:
-      InputError: no mapping, an unknown key, a value that cannot be used.
-    """
+    """Make a `Sweep` of plain values, as a YAML file has them."""
     if not isinstance(page, Mapping):
         raise InputError(f"{name} must be a mapping with worlds: [...], got {type(page).__name__}")
     for key in page:
@@ -316,11 +312,7 @@ def _plain(value: Any) -> Any:
 
 
 def read_spec(path: str | os.PathLike[str]) -> Sweep:
-    """Read a `Sweep` from a YAML file by `plain_yaml`: YAML 1.2.
-
-    Raises:
-      InputError: no such file, broken YAML (with line and column), or what `sweep_from` refuses.
-    """
+    """Read a `Sweep` from a YAML file by `plain_yaml`: YAML 1.2."""
     path = os.path.expanduser(path)
     page = read_yaml(path)
     try:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from jexplore.config import InputError, as_record, checked_names
 from jexplore.driving.batch import Driven
@@ -19,7 +20,6 @@ from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 AXES: dict[str, tuple[float, ...]] = {
@@ -56,45 +56,41 @@ class DriftResult:
     plan: TraceJob
     axes: dict[str, list[float]]
     """Name of an error -> its values, rising, with that of the study."""
-    runs: "pd.DataFrame"
+    runs: pd.DataFrame
     """A row a run: the columns of a trace's table; the errors; `node_error_m`, mean distance of the map's nodes from
     where they truly lie; `on_wall` and `doubled` of the grid map, see `OdometryMap`."""
     example: Example | None
     """None where no map was true."""
 
     @property
-    def summary(self) -> "pd.DataFrame":
+    def summary(self) -> pd.DataFrame:
         return summarised(self.runs, self.axes, self.plan.noise)
 
     def figure(self) -> "Figure":
         """Draw the three measures over every error; below the example: its grid map, and its map on the true plan."""
         from jexplore.report.plots import drift as plots
 
-        pictures = None
-        if self.example is not None:
-            drawn, cell_m = self.example.drawn, self.example.drawn.map.cell_m
-            errors = self.example.errors.items()
-            what = ", ".join(f"{plots.ERROR_NAMES.get(name, name)} {value:g}" for name, value in errors)
-            pictures = plots.Pictures(
-                title=what or "no further error",
-                walls=wall_lines(self.plan),
-                cells=occupied_centres(drawn.map),
-                cell_m=cell_m,
-                map=self.example.map,
-                placed=self.example.placed,
-            )
+        if (one := self.example) is None:
+            return plots.drift_figure(self.summary, None)
+        errors = [f"{plots.ERROR_NAMES.get(name, name)} {value:g}" for name, value in one.errors.items()]
+        pictures = plots.Pictures(
+            title=", ".join(errors) or "no further error",
+            walls=wall_lines(self.plan),
+            cells=occupied_centres(one.drawn.map),
+            cell_m=one.drawn.map.cell_m,
+            map=one.map,
+            placed=one.placed,
+        )
         return plots.drift_figure(self.summary, pictures)
 
 
 @checked_names
 def drift(
     world: str | os.PathLike[str] | World = "course", *,
-    axes: Mapping[str, Sequence[float]] | None = None, runs: int = 8,
+    axes: Mapping[str, Sequence[float]] | None = None, runs: int = 8, seed: int = 0,
     noise: Noise | Mapping[str, Any] | None = None, tuning: Tuning | Mapping[str, Any] | None = None,
-    robot: str | Robot = "kamui", starts: int | None = None, seed: int = 0,
-    start: tuple[float, float, float] | None = None, cell_m: float = 0.1, max_steps: int | None = None,
-    attributes: Sequence[str] = (), nodes: int | None = None, links: int | None = None,
-    workers: int | None = None, on_progress: Callable[[int], Any] | None = None,
+    robot: str | Robot = "kamui", max_steps: int | None = None,
+    workers: int | None = None, on_progress: Callable[[int], Any] = lambda done: None,
 ) -> DriftResult:  # fmt: skip
     """Let a robot write its map with one kind of odometry error after the other, and draw its grid map.
 
@@ -106,8 +102,7 @@ def drift(
       axes: names of errors, fields of `Noise`, and their values; by default `AXES`. Each varies alone.
       runs: of every value; run i draws alike with all of them.
       noise: `Noise` of the constant errors, or a mapping of some of its fields; by default 1 cm of range noise.
-      robot, starts, seed, tuning, start, cell_m, max_steps, attributes, nodes, links: see `prepare_trace`; the grid map
-        has cells as large as the world's.
+      robot, seed, tuning, max_steps: see `prepare_trace`; the grid map has cells as large as the world's.
       workers: see `runner.find_resources`.
       on_progress: called with the number of finished runs.
 
@@ -117,23 +112,29 @@ def drift(
     Raises:
       InputError: no such error, no value, or one out of range; else as `prepare_trace`.
     """
-    import pandas as pd
-
     noise = as_record("noise", noise or Noise(range_m=RANGE_NOISE_M), Noise)
-    plan = prepare_trace(
-        world, noise=noise, tuning=tuning, robot=robot, runs=runs, starts=starts, seed=seed, start=start,
-        cell_m=cell_m, max_steps=max_steps, attributes=attributes, nodes=nodes, links=links,
-    )  # fmt: skip
+    plan = prepare_trace(world, noise=noise, tuning=tuning, robot=robot, runs=runs, seed=seed, max_steps=max_steps)
     values, swept = _settings(AXES if axes is None else axes, noise)
     plan = dataclasses.replace(plan, swept=swept, settings=len(next(iter(swept.values()))))
     use_compilation_cache()
-    made = _Made(plan, on_progress)
-    blocks = [(i, 1) for i in range(len(made.which))]
-    costs = plan.run(made.setting, made.which, blocks=blocks, on_block=made.put, ways=True, workers=workers).costs
-    if costs.interrupted and not made.rows:
+    # Run 0 of every value, then run 1 of every value: one that is interrupted has some of all.
+    settings = np.tile(np.arange(plan.settings), plan.runs)
+    which = np.repeat(np.arange(plan.runs, dtype=np.int32), plan.settings)
+    rows, examples = {}, []
+
+    def put(i, result, way):
+        rows[i], example = _row(plan, result, way, settings[i : i + 1], which[i : i + 1])
+        examples.extend([example] if example else [])
+        examples[:] = sorted(examples, key=_rank, reverse=True)[:1]  # of equal ones the first
+        on_progress(len(rows))
+
+    costs = plan.run(
+        settings, which, blocks=[(i, 1) for i in range(len(which))], on_block=put, ways=True, workers=workers
+    ).costs
+    if costs.interrupted and not rows:
         raise KeyboardInterrupt
-    table = pd.concat([made.rows[i] for i in sorted(made.rows)])
-    return DriftResult(plan, values, table.sort_values(["setting", "run"], ignore_index=True), made.example)
+    table = pd.concat([rows[i] for i in sorted(rows)]).sort_values(["setting", "run"], ignore_index=True)
+    return DriftResult(plan, values, table, examples[0] if examples else None)
 
 
 def _settings(axes, noise):
@@ -155,38 +156,24 @@ def _settings(axes, noise):
     return values, {f"{NOISE}{name}": np.array([row.get(name, getattr(noise, name)) for row in rows]) for name in axes}
 
 
-class _Made:
-    """Results of a study."""
-
-    def __init__(self, plan, on_progress):
-        self.plan, self.on_progress = plan, on_progress
-        # Run 0 of every value, then run 1 of every value: one that is interrupted has some of all.
-        self.setting = np.tile(np.arange(plan.settings), plan.runs)
-        self.which = np.repeat(np.arange(plan.runs, dtype=np.int32), plan.settings)
-        self.rows: dict[int, Any] = {}
-        self.example: Example | None = None
-
-    def put(self, i, result, way):
-        """Take run i: a `Result` with a leading axis of 1, and its way."""
-        plan, setting, run = self.plan, int(self.setting[i]), int(self.which[i])
-        errors = {name: float(values[setting]) for name, values in plan.swept.items()}
-        row, maps = trace_table(plan, result, self.setting[i : i + 1], self.which[i : i + 1], errors)
-        found = maps[0]
-        log = scans_of(plan, way, setting=setting, run=run, every=SCAN_EVERY)
-        drawn = odometry_map(log, plan.world, cell_m=plan.world.cell_m)
-        placed = placed_truly(found, result.node_at[0] + np.asarray(plan.world.origin_m), way, plan.world.origin_m)
-        off_m = [np.hypot(a.x_m - b.x_m, a.y_m - b.y_m) for a, b in zip(found.nodes, placed.nodes)]
-        self.rows[i] = row.assign(node_error_m=float(np.mean(off_m)), on_wall=drawn.on_wall, doubled=drawn.doubled)
-        best = self.example
-        if row["true"].fillna(False).iloc[0] and (best is None or _rank(drawn) > _rank(best.drawn)):
-            other = {name.removeprefix(NOISE): v for name, v in errors.items() if v != plan.swept[name][0]}
-            self.example = Example(other, run, found, placed, drawn)
-        if self.on_progress is not None:
-            self.on_progress(len(self.rows))
+def _row(plan, result, way, setting, run):
+    """Return the row of a run, and an `Example` if its map is true; `result`, `setting` and `run` have an axis of 1."""
+    errors = {name: float(values[setting[0]]) for name, values in plan.swept.items()}
+    row, (found,) = trace_table(plan, result, setting, run, errors)
+    log = scans_of(plan, way, setting=int(setting[0]), run=int(run[0]), every=SCAN_EVERY)
+    drawn = odometry_map(log, plan.world, cell_m=plan.world.cell_m)
+    placed = placed_truly(found, result.node_at[0] + np.asarray(plan.world.origin_m), way, plan.world.origin_m)
+    off_m = [np.hypot(a.x_m - b.x_m, a.y_m - b.y_m) for a, b in zip(found.nodes, placed.nodes)]
+    row = row.assign(node_error_m=float(np.mean(off_m)), on_wall=drawn.on_wall, doubled=drawn.doubled)
+    if not row["true"].fillna(False).iloc[0]:
+        return row, None
+    other = {name.removeprefix(NOISE): v for name, v in errors.items() if v != plan.swept[name][0]}
+    return row, Example(other, int(run[0]), found, placed, drawn)
 
 
-def _rank(drawn):
-    return np.nan_to_num(drawn.doubled), -np.nan_to_num(drawn.on_wall, nan=1.0)
+def _rank(example):
+    """Return how bad the grid map of an example is."""
+    return np.nan_to_num(example.drawn.doubled), -np.nan_to_num(example.drawn.on_wall, nan=1.0)
 
 
 def placed_truly(btm: BtmMap, node_at: np.ndarray, way: Driven, origin_m: tuple[float, float] = (0.0, 0.0)) -> BtmMap:
@@ -212,7 +199,7 @@ def placed_truly(btm: BtmMap, node_at: np.ndarray, way: Driven, origin_m: tuple[
     return dataclasses.replace(btm, nodes=tuple(nodes), links=tuple(links))
 
 
-def summarised(runs: Any, axes: Mapping[str, Sequence[float]], noise: Noise) -> "pd.DataFrame":
+def summarised(runs: Any, axes: Mapping[str, Sequence[float]], noise: Noise) -> pd.DataFrame:
     """Tabulate `DriftResult.runs`, a row for every error and value of `DriftResult.axes`; `noise` is the study's own.
 
     Returns:
@@ -220,7 +207,6 @@ def summarised(runs: Any, axes: Mapping[str, Sequence[float]], noise: Noise) -> 
       interval `true_low`, `true_high` (NaN without a truth); of `node_error_m`, `on_wall` and `doubled` the median, and
       the quartiles as `..._low`, `..._high`. Values without a run are left out.
     """
-    import pandas as pd
     from scipy.stats import binomtest
 
     rows = []

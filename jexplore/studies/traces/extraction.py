@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jexplore.config import require_number
-from jexplore.driving.building.walls import segments, walls_of
 from jexplore.driving.settings import Tuning, for_world, require_tuning
 from jexplore.extraction.extract import extract
 from jexplore.grid import centre_of
@@ -15,6 +14,7 @@ from jexplore.report import plot_traces
 from jexplore.rooms.watershed import CLUTTER_M
 from jexplore.studies import explore
 from jexplore.studies.explore import EpisodeResult
+from jexplore.studies.traces.odometry_map import walls_in_frame
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.world import World, ring_of, with_ring
 
@@ -45,13 +45,9 @@ class ExtractionResult:
         """Draw the map over the building and the robot's way: a matplotlib `Figure`."""
         world, final = self.episode.world, self.episode.final
         x, y = centre_of(final.rows, final.cols, cell_m=world.cell_m, origin_m=world.origin_m)
-        world = with_ring(world)
-        trail = np.stack([x, y, np.zeros(len(x))], axis=1)
-        walls = segments(walls_of(world.occupied, world.cell_m)) + np.tile(np.asarray(world.origin_m), 2)
-        modes = np.zeros(len(x), int)
-        return plot_traces.trace_figure(
-            self.map, walls, trail, None, modes, [self.episode.strategy], self.episode.title
-        )
+        trail, modes = np.stack([x, y, np.zeros(len(x))], axis=1), np.zeros(len(x), int)
+        walls, episode = walls_in_frame(with_ring(world)), self.episode
+        return plot_traces.trace_figure(self.map, walls, trail, None, modes, [episode.strategy], episode.title)
 
 
 def extracted(

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 
 from jexplore.config import MAX_SEED, InputError, as_record, checked_names, require_whole
 from jexplore.driving import vehicle
@@ -22,8 +23,8 @@ from jexplore.studies.traces import routes
 from jexplore.studies.traces.job import MAX_TRACE_STEPS
 from jexplore.tracemap.merging.rigid import apart_deg
 from jexplore.tracemap.passable import BLOCKED, BLOCKED_FOR, CONFLICTS, FOUND_BY, blocked_for
-from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, length_of
-from jexplore.tracemap.route import Route
+from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link
+from jexplore.tracemap.route import MapIndex, Route
 from jexplore.worlds.world import World, with_ring
 
 FOLLOWER_SIZE = 32, 64  # most nodes and links of the map that a robot writes on its way
@@ -106,13 +107,12 @@ def follow(
 
 def _refused_places(btm, found):
     """Return the middles of straight links that are refused to a route's robot: `[K, 3]`, as for `building_of`."""
-    nodes, refused = {node.id: node for node in btm.nodes}, {own for route in found for own, _ in route.refused}
-    places = []
-    for link in btm.links:
-        if link.id in refused and link.end != NOWHERE:
-            a, b = nodes[link.start], nodes[link.end]
-            if math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) > STRAIGHT_SHARE * length_of(link, nodes):
-                places.append(((a.x_m + b.x_m) / 2, (a.y_m + b.y_m) / 2, ON_IT_M))
+    index, places = MapIndex(btm), []
+    refused = {own for route in found for own, _ in route.refused}
+    for own, length_m in index.length_m.items():
+        a, b = (index.nodes[end] for end in (index.links[own].start, index.links[own].end))
+        if own in refused and math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) > STRAIGHT_SHARE * length_m:
+            places.append(((a.x_m + b.x_m) / 2, (a.y_m + b.y_m) / 2, ON_IT_M))
     return np.reshape(places, (-1, 3))
 
 
@@ -123,16 +123,12 @@ def _checked(world, btm, found, robot, tuning, noise):
     tuning = for_world(as_record("tuning", tuning or {}, Tuning), is_course=world.course is not None)
     noise = as_record("noise", noise or {}, Noise)
     require_tuning(tuning)
-    if isinstance(found, (str, Route)) or not all(isinstance(route, Route) for route in found):
-        raise InputError("routes to follow must be a list of jx.btm.Route, such as jx.btm.routes(...)[0]")
-    if not found:
-        raise InputError("expected a route or more, got none")
+    if isinstance(found, (str, Route)) or not found or not all(isinstance(route, Route) for route in found):
+        raise InputError("routes to follow must be a list of one jx.btm.Route or more, such as jx.btm.routes(...)[0]")
     nodes, links = {node.id for node in btm.nodes}, {link.id for link in btm.links}
     for route in found:
-        if not route.links:
-            raise InputError(f"a route to follow must have a link, got {route!r}")
-        if not (nodes.issuperset(route.nodes) and links.issuperset(route.links)):
-            raise InputError(f"a route to follow must be one of this map, got {route!r}")
+        if not (route.links and nodes.issuperset(route.nodes) and links.issuperset(route.links)):
+            raise InputError(f"a route to follow must be one of this map with a link or more, got {route!r}")
         if route.robot != body.name:
             raise InputError(f"{body.name} cannot follow a route of {route.robot}: ask for one of its own")
     return body, tuning, noise
@@ -223,10 +219,8 @@ def _ways(btm, node):
 
 
 def _table(world, btm, found, result):
-    import pandas as pd
-
     places = {node.id: (node.x_m, node.y_m) for node in btm.nodes}
-    ends = np.array([places[route.nodes[-1]] for route in found])
+    ends = np.array([places[route.end] for route in found])
     off_m = np.hypot(*(result.end[:, :2] + np.asarray(world.origin_m) - ends).T)
     guide: Guide = result.guide
     outcomes = zip(outcome_names(result), guide.blocked | guide.walled)

@@ -140,9 +140,6 @@ def prepare_trace(
       max_steps: steps after which a run ends as STEP_LIMIT; by default `MAX_STEPS`, in buildings more by free area.
       attributes: see `attributes_of`.
       nodes, links: most of a map; a run that needs more ends as MAP_FULL. By default see `map_room`.
-
-    Raises:
-      InputError: what cannot be run, in one line.
     """
     (world,) = checks.ready_worlds([world], cell_m)
     if start is None and world.course is None and (starts or world.start is None):
@@ -157,19 +154,19 @@ def prepare_trace(
     robot = robot_of(robot) if isinstance(robot, str) else robot
     tuning, noise = as_record("tuning", tuning or {}, Tuning), as_record("noise", noise or {}, Noise)
     tuning = for_world(tuning, is_course=world.course is not None)
-    _require(robot, tuning)
+    require_robot(robot)
     own, swept = for_world(Tuning(), is_course=world.course is not None), swept_values(sweep, settings, seed)
     for name in BY_WORLD.keys() & swept.keys():  # 0 stands for the world's own number
         swept[name] = np.where(swept[name] == 0, getattr(own, name), swept[name])
     count = len(next(iter(swept.values()))) if swept else 1
     if count * n_runs > MAX_RUNS:
         raise InputError(f"{count} settings x {n_runs} runs are more than {MAX_RUNS}; use fewer")
+    require_tuning(tuning)
     for i in range(count):
         own_values = {name: int(v[i]) if name in WHOLE else float(v[i]) for name, v in swept.items()}
-        _require(robot, with_values(tuning, noise, own_values)[0])
+        require_tuning(with_values(tuning, noise, own_values)[0])
     places = _placed(world, _ends(world, start, starts, seed), robot, tuning)
-    size = map_room(world, places[1], nodes, links)
-    found = robot, tuning, noise, n_runs, seed, swept, count, most, size
+    found = robot, tuning, noise, n_runs, seed, swept, count, most, map_room(world, places[1], nodes, links)
     return TraceJob(world, *places, *found, attributes_of(attributes))
 
 
@@ -186,11 +183,6 @@ def map_room(world: World, truth: TraceTruth, nodes: int | None = None, links: i
     return room, require_setting("links", 2 * room if links is None else links)
 
 
-def _require(robot, tuning):
-    require_robot(robot)
-    require_tuning(tuning)
-
-
 def _has_goal(world):
     return world.course is not None and world.course.goal_m is not None
 
@@ -201,9 +193,9 @@ def _enough(world):
     return int(min(-(-max(wanted, MAX_STEPS) // MAX_STEPS) * MAX_STEPS, MAX_TRACE_STEPS))
 
 
-def _placed(world, ends, robot, tuning):
+def _placed(world, poses, robot, tuning):
     """Return `(building, truth, begins)`: see `TraceJob`."""
-    poses, goal = ends
+    goal = world.course and world.course.goal_m
     begins = np.stack([pose_in(world, pose) for pose in poses])
     building = building_of(world, goal)
     for pose in begins:
@@ -222,15 +214,14 @@ def with_values(tuning, noise, values):
     return dataclasses.replace(tuning, **thresholds), dataclasses.replace(noise, **errors)
 
 
-def _ends(world, start, starts, seed) -> tuple[Any, Any]:
-    """Return the starts of runs, a list of poses, and the end, in the world's frame."""
-    goal = None if world.course is None else world.course.goal_m
+def _ends(world, start, starts, seed) -> list[Any]:
+    """Return the starts of runs, a list of poses in the world's frame."""
     if start is not None:
         require_start_pose(start)
-        return [tuple(start)], goal
+        return [tuple(start)]
     if world.course is not None and starts is None:
-        return [world.course.start_pose], goal
+        return [world.course.start_pose]
     is_own, half = world.start and starts is None, world.cell_m / 2
     cells = [world.start] if is_own else draw_starts(world, seed, starts or 1, START_CLEARANCE_M)
     x_m, y_m = world.origin_m
-    return [(x_m + c * world.cell_m + half, y_m + r * world.cell_m + half, float(deg)) for r, c, deg in cells], goal
+    return [(x_m + c * world.cell_m + half, y_m + r * world.cell_m + half, float(deg)) for r, c, deg in cells]

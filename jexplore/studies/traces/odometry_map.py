@@ -95,15 +95,19 @@ def _beginnings(log):
     return found
 
 
+def walls_in_frame(world: World) -> np.ndarray:
+    """Return the true walls in the world's frame: `[S, 4]`, metres."""
+    return segments(walls_of(world.occupied, world.cell_m)) + np.tile(np.asarray(world.origin_m), 2)
+
+
 def _wall_points(world):
     """Return points along the true walls, `[P, 2]`, metres; the wall's normal at each, `[P, 2]`, and its piece."""
-    lines = segments(walls_of(world.occupied, world.cell_m)) + np.tile(np.asarray(world.origin_m), 2)
     points, normals, pieces, count = [], [], [], 0
-    for line in lines.astype(np.float64):
+    for line in walls_in_frame(world).astype(np.float64):
         start, along = line[:2], line[2:] - line[:2]
         length = float(np.hypot(*along))
-        at = (np.arange(max(1, round(length / SPACING_M))) + 0.5) / max(1, round(length / SPACING_M))
-        n = max(1, round(length / PIECE_M))
+        k, n = (max(1, round(length / part_m)) for part_m in (SPACING_M, PIECE_M))
+        at = (np.arange(k) + 0.5) / k
         points.append(start + at[:, None] * along)
         normals.append(np.broadcast_to(np.array([-along[1], along[0]]) / length, (len(at), 2)))
         pieces.append(count + np.minimum((at * n).astype(int), n - 1))

@@ -45,10 +45,9 @@ def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np
         is_range = ":" in values
         try:
             numbers = [float(value) for value in (values.split(":", 1) if is_range else values.split(","))]
-            is_wrong = name in whole and not is_range and any(value != int(value) for value in numbers)
-        except (ValueError, OverflowError):
+        except ValueError:
             raise InputError(f"sweep {text!r}: values must be numbers") from None
-        if is_wrong:
+        if name in whole and not is_range and not all(value.is_integer() for value in numbers):
             raise InputError(f"sweep {text!r}: {name} must be integers")
         if is_range and not numbers[0] < numbers[1]:
             raise InputError(f"sweep {text!r}: a range must rise, as in {name}={numbers[1]:g}:{numbers[0]:g}")

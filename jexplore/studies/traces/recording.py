@@ -34,39 +34,34 @@ def scans_of(plan: TraceJob, way: Driven, *, setting: int = 0, run: int = 0, eve
     nodes met again. Readings are distances in the plane; 0 for none, or for a beam that has met ground.
     """
     steps = np.arange(0, len(way.truth), every)
-    ranges = _scans(plan, steps, way.truth[steps], setting=setting, run=run)
-    ranges = np.where(np.isnan(ranges), 0.0, np.minimum(ranges, vehicle.SCAN_RANGE_M)).astype(np.float64)
+    key = jax.random.fold_in(random_key(np.uint32(plan.seed)), run)
+    robot, _, noise, params = _setting(plan, setting)
+    building = jax.device_put(plan.building)
+    calls = np.pad(steps, (0, -len(steps) % SCANS_A_CALL), "edge").reshape(-1, SCANS_A_CALL)
+    found = [_measured(key, building, robot, noise, params, (some, way.truth[some])) for some in calls]
+    ranges = np.concatenate(jax.device_get(found))[: len(steps)]
     origin = np.array([*plan.world.origin_m, 0.0])
     return ScanLog(
         poses=way.truth[steps] + origin,
         odometry=way.estimate[steps] + origin,
-        ranges=ranges,
+        ranges=np.where(np.isnan(ranges), 0.0, np.minimum(ranges, vehicle.SCAN_RANGE_M)).astype(np.float64),
         angles_rad=vehicle.ANGLES_RAD.astype(np.float64),
         times=vehicle.DT_S * steps,
         max_range_m=vehicle.SCAN_RANGE_M,
     )
 
 
-def _scans(plan: TraceJob, steps: np.ndarray, poses: np.ndarray, *, setting: int = 0, run: int = 0) -> np.ndarray:
-    """Compute the scans in some steps of a run from true poses `[n, 3]` in the building, see `vehicle.level_scan`.
-
-    Returns `[n, B]` float32, metres; inf: no return; NaN: no reading, or ground.
-    """
+def _setting(plan, setting):
+    """Return robot, thresholds, noise and parameters of a setting."""
     own = np.array([setting])
-    robot, _, noise, params = jax.tree.map(lambda a: a[0], (*plan.settings_of(own), plan.params_of(own)))
-    key = jax.random.fold_in(random_key(np.uint32(plan.seed)), run)
-    building, found = jax.device_put(plan.building), []
-    for first in range(0, len(steps), SCANS_A_CALL):
-        own = steps[first : first + SCANS_A_CALL], poses[first : first + SCANS_A_CALL]
-        lack = SCANS_A_CALL - len(own[0])
-        some = np.pad(own[0], (0, lack), "edge"), np.pad(own[1], ((0, lack), (0, 0)), "edge")
-        found.append(np.asarray(_measured(key, building, robot, noise, params, some))[: SCANS_A_CALL - lack])
-    return np.concatenate(found)
+    return jax.tree.map(lambda a: jnp.asarray(a[0]), (*plan.settings_of(own), plan.params_of(own)))
 
 
 @pinned_draws()
 @jax.jit
 def _measured(key, building, robot, noise, params, steps_and_poses):
+    """Return the scans in some steps, see `vehicle.level_scan`; inf: no return; NaN: no reading, or ground."""
+
     def one(of):
         step, pose = of
         body = vehicle.initial_body(building, robot, pose)
@@ -123,9 +118,7 @@ def _frame(key, building, settings, state):
 
 def record_run(plan: TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> RunRecording:
     """Record the operator's view of run 0; `on_progress` is called with the number of finished steps."""
-    own = np.array([0])
-    settings = jax.tree.map(lambda a: jnp.asarray(a[0]), (*plan.settings_of(own), plan.params_of(own)))
-    building = jax.device_put(plan.building)
+    settings, building = _setting(plan, 0), jax.device_put(plan.building)
     setup = mission.Setup(step_slots(plan.max_steps), *plan.size)
     key = jax.random.fold_in(random_key(np.uint32(plan.seed)), 0)
     # With exactly the types that a step returns, not weak ones: else the second step would be compiled once more.

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def routes(
     if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in pairs):
         raise InputError(f"pairs must be pairs of places, (start, end), got {shown(pairs)}")
     index = MapIndex(btm)
-    asked = [(_node(index, start, "from", within_m), _goal(index, end, within_m)) for start, end in pairs]
+    asked: Any = [(_node(index, a, "from", within_m), _node(index, b, "to", within_m)) for a, b in pairs]
     graph, uses = WalkGraph(index), [_use_of(index, body, known_only) for body in bodies]
     walks = functools.cache(lambda problem: graph.walks(problem, asked))
     return [[_made(index, use, *both) for both in zip(asked, walks(use.problem))] for use in uses]
@@ -127,14 +128,11 @@ def checked_robot(robot: str | Robot) -> Robot:
     return robot
 
 
-def _goal(index: MapIndex, place: RoutePlace, within_m: float) -> int | None:
-    return None if isinstance(place, str) and place == UNSEARCHED else _node(index, place, "to", within_m)
-
-
-def _node(index: MapIndex, place: RoutePlace, name: str, within_m: float) -> int:
-    """Find the id of the requested node."""
-    ids = index.nodes
-    numbers = _numbers(place)
+def _node(index: MapIndex, place: RoutePlace, name: str, within_m: float) -> int | None:
+    """Find the id of the requested node; None for the nearest un-searched link to go to."""
+    if name == "to" and isinstance(place, str) and place == UNSEARCHED:
+        return None
+    ids, numbers = index.nodes, _numbers(place)
     if numbers is None:
         also = f", or {UNSEARCHED}" if name == "to" else ""
         raise InputError(f"{name} must be a node's id or X,Y in metres{also}, got {shown(place)}")

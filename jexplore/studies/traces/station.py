@@ -45,8 +45,7 @@ def station(maps: Sequence[BtmMap], names: Sequence[str] | None = None, *, title
     Raises:
       InputError: no map, names that are not as many or not different, or an improper map.
     """
-    panels, said = panels_of(maps, names)
-    return page_from(panels, said, title)
+    return page_from(*panels_of(maps, names), title)
 
 
 def page_from(panels: Sequence[MapPanel], said: Sequence[str], title: str | None = None) -> str:

@@ -29,11 +29,12 @@ EDGE_BYTES = 2 * 4 + 3 * 4 + 6 * 4  # two poses, the motion between, the upper h
 P_FREE = 0.25  # largest reflection probability of a free cell
 READING_BYTES = 2  # a range in whole millimetres
 UNKNOWN = -1  # of a measure in a packed record
-_NODE = (("x", "<i2"), ("y", "<i2"), ("type", "i1"), ("inclination", "i1"), ("step", "i1"), ("posture", "i1"))
-_LINK = (
-    *(("start", "<u2"), ("end", "<i2"), ("status", "i1"), ("start_bearing", "<i2"), ("end_bearing", "<i2")),
-    *(("length", "<i2"), ("width", "i1"), ("opening", "i1"), ("step", "i1"), ("posture", "i1"), ("roll", "i1")),
-)
+_NODE = {"x_m": ("<i2", 100), "y_m": ("<i2", 100), "type": ("i1", 1), "inclination_deg": ("i1", 1),
+         "step_m": ("i1", 100), "posture_deg": ("i1", 1)}  # fmt: skip
+_LINK = {"start": ("<u2", 1), "end": ("<i2", 1), "status": ("i1", 1), "start_bearing_deg": ("<i2", 1),
+         "end_bearing_deg": ("<i2", 1), "length_m": ("<i2", 100), "min_width_m": ("i1", 10), "opening_m": ("i1", 10),
+         "max_step_m": ("i1", 100), "posture_deg": ("i1", 1), "max_roll_deg": ("i1", 1)}  # fmt: skip
+"""Fields of packed records -> type, and steps a metre or degree."""
 
 
 @checked_names
@@ -63,11 +64,7 @@ def storage(
         open_m = for_world(Tuning(), is_course=False).open_m
         btm = extract(free, np.ones_like(free), world.cell_m, open_m=open_m)
     text = json.dumps(jsonable(to_json(btm)), separators=(",", ":")).encode()
-    forms = {
-        "btm_json": text,
-        "btm_packed": packed_map(btm),
-        "grid_packed": _grid(_states(world, drawn)),
-    }
+    forms = {"btm_json": text, "btm_packed": packed_map(btm), "grid_packed": _grid(_states(world, drawn))}
     found = {name: len(data) for name, data in forms.items()}
     found |= {f"{name}_zlib": len(zlib.compress(data, 9)) for name, data in forms.items()}
     return {**found, "pose_graph": _pose_graph(btm)}
@@ -82,31 +79,25 @@ def packed_map(btm: BtmMap) -> bytes:
     """
     x_m, y_m = (min((getattr(node, name) for node in btm.nodes), default=0.0) for name in ("x_m", "y_m"))
     place = {node.id: i for i, node in enumerate(btm.nodes)} | {NOWHERE: NOWHERE}
-    nodes = [
-        (
-            *(_whole(node.x_m - x_m, 100, 2), _whole(node.y_m - y_m, 100, 2)),
-            NODE_TYPES.index(node.type)
-            + (len(NODE_TYPES) * OBSTACLE_SHAPES.index(node.obstacle) if node.obstacle else 0),
-            *(_whole(node.inclination_deg, 1), _whole(node.step_m, 100), _whole(node.posture_deg, 1)),
-        )
-        for node in btm.nodes
-    ]
-    links = [
-        (
-            *(place[link.start], place[link.end]),
-            STATUS.index(link.status) + len(STATUS) * bool(blockages_of(link)),
-            *(_whole(link.start_bearing_deg, 1, 2), _whole(link.end_bearing_deg, 1, 2), _whole(link.length_m, 100, 2)),
-            *(_whole(link.min_width_m, 10), _whole(link.opening_m, 10), _whole(link.max_step_m, 100)),
-            *(_whole(link.posture_deg, 1), _whole(link.max_roll_deg, 1)),
-        )
-        for link in btm.links
-    ]
-    return np.array(nodes, list(_NODE)).tobytes() + np.array(links, list(_LINK)).tobytes()
+    nodes, links = [], []
+    for node in btm.nodes:
+        shape = OBSTACLE_SHAPES.index(node.obstacle) if node.obstacle else 0
+        kind = NODE_TYPES.index(node.type) + len(NODE_TYPES) * shape
+        nodes.append(vars(node) | {"x_m": node.x_m - x_m, "y_m": node.y_m - y_m, "type": kind})
+    for link in btm.links:
+        status = STATUS.index(link.status) + len(STATUS) * bool(blockages_of(link))
+        links.append(vars(link) | {"start": place[link.start], "end": place[link.end], "status": status})
+    return _packed(nodes, _NODE) + _packed(links, _LINK)
 
 
-def _whole(value, scale, size=1):
-    """Encode a measure as a whole number of `size` bytes."""
-    return UNKNOWN if value is None else min(round(value * scale), 2 ** (8 * size - 1) - 1)
+def _packed(items, fields):
+    """Pack records as whole numbers."""
+
+    def whole(value, kind, scale):
+        return UNKNOWN if value is None else min(round(value * scale), np.iinfo(kind).max)
+
+    rows = [tuple(whole(item[name], *how) for name, how in fields.items()) for item in items]
+    return np.array(rows, [(name, kind) for name, (kind, _) in fields.items()]).tobytes()
 
 
 def _states(world, drawn):

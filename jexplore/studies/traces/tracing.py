@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import pandas as pd
 
 from jexplore import btm
 from jexplore.config import __version__, checked_names, require_engine
@@ -97,8 +98,6 @@ def execute(
     Raises:
       KeyboardInterrupt: the first unit has not been finished.
     """
-    import pandas as pd
-
     blocks, (setting, which) = run_blocks(plan), plan.all_runs()
     work: Work[pd.DataFrame] = Work(range(len(blocks)), ledger)
     resumed, costs, maps = sum(map(len, work.done.values())), Costs(), {}
@@ -189,7 +188,7 @@ def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
 
 
 def _helps(help_at, origin_m):
-    """Describe place, time and run mode of the first operator helps: text."""
+    """Describe the first operator helps: text."""
     return "; ".join(
         f"({x + origin_m[0]:.2f}, {y + origin_m[1]:.2f}) m at {step * vehicle.DT_S:.0f} s, {RunMode(int(mode)).name}"
         for x, y, step, mode in help_at[np.isfinite(help_at[:, 0])]
@@ -203,12 +202,9 @@ def trace_table(
 
     `setting` and `which` are `[n]` int, numbers of setting and run; `chosen` are further columns, name -> `[n]`.
     """
-    import pandas as pd
-
     found = [repaired(map_of(plan, result, i)) for i in range(len(which))]
     maps = [of_run.map for of_run in found]
-    codes = [code(found) for found in maps]
-    truths = [{code(true) for true in own} for own in plan.truths]
+    codes, truths = list(map(code, maps)), [set(map(code, own)) for own in plan.truths]
     own_truths = [truths[run % len(truths)] for run in which]
     marks, is_door = result.met[:, : len(plan.truth.marks)], plan.truth.is_door
     node_at = result.node_at + np.asarray(plan.world.origin_m)

@@ -243,15 +243,9 @@ def bands(
 ) -> list[tuple[float, float]]:
     """Stack a building of n corridors: a row of rooms, a corridor, a core, a corridor, ..., a row of rooms.
 
-    Args:
-      rng: numpy `Generator`.
-      height_m: metres.
-      widths: `[n]`, of the corridors, bottom to top, metres.
-      edge: least and largest depth of the first and last row, as a multiple of half a corridor's share of the depth;
-        the cores take the rest.
-
-    Returns:
-      A list of `(y0, y1)` from 0 to `height_m`. Rows and cores have even indices, corridors odd ones.
+    `widths` are those of the corridors, bottom to top; `edge` is the least and largest depth of the first and last row,
+    as a multiple of half a corridor's share of the depth. The cores take the rest. Returns `(y0, y1)` of each from 0 to
+    `height_m`: rows and cores have even indices, corridors odd ones.
     """
     n = len(widths)
     row = (height_m - math.fsum(widths)) / (2 * n)

@@ -36,13 +36,10 @@ def draw_network(
 ) -> CoursePlan:
     """Plan a course with independent cycles, or of equal junctions, or both; the first passage has start and obstacle.
 
-    Args:
-      rng: generator; None: nothing is drawn, the widths are `width_m` and all lengths 6 m.
-      width_m: of the passages, metres.
-      creases: places of the obstacle that become nodes; 0: no obstacle.
-      loops: rings, each of which shares a side with the one before or is joined to it by a passage.
-      repeat: T junctions at equal distances, with dead ends of equal length: on the first ring, else on a straight.
-      spurs: bool, rings have dead ends.
+    Without `rng` nothing is drawn: widths are `width_m` and all lengths 6 m. `creases` places of the obstacle become
+    nodes. Each of the `loops` rings shares a side with the one before or is joined to it by a passage. `repeat` T
+    junctions, with dead ends of equal length, lie at equal distances: on the first ring, else on a straight. With
+    `spurs` rings have dead ends.
     """
     draw = _Draws(rng, width_m)
     sides = _rings(draw, loops) if loops else {_Side(0, 0.0, 1 / (repeat + 1), repeat / (repeat + 1))}

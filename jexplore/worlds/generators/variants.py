@@ -42,17 +42,12 @@ def finish_building(
     corridor_sd_m: float = 0.0,
     flips: Sequence[bool] = (False, False),
 ) -> World:
-    """Draw the irregularities of a building and its furniture, and render it.
+    """Draw the irregularities of a building and its furniture into the plan, and render it.
 
-    Args:
-      plan: of the building, changed in place.
-      seed, kind: of the building.
-      cell_m: edge of a cell, metres.
-      furniture: share of the furniture that exists, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
-      wide_openings: share of the doors that are openings 1.6 to 2.6 m wide where the wall allows, 0 to 1.
-      max_loops: most cycles per 1000 m2: doors beyond them are closed, but none that would cut off a room. 0 to 1000.
-      corridor_sd_m: standard deviation of the widths of the corridors, and depth of constrictions, metres; 0 to 1.
-      flips: whether the building is mirrored left to right, and bottom to top.
+    `furniture` is the share of the pieces that exist, see `furniture.furnish`; `wide_openings` the share of the doors
+    that are openings 1.6 to 2.6 m wide where the wall allows. Of more than `max_loops` cycles in 1000 m2 doors are
+    closed, but none that would cut off a room. `corridor_sd_m` is the standard deviation of the widths of corridors and
+    the depth of constrictions, metres. `flips`: mirrored left to right, and bottom to top.
     """
     narrow_corridors(plan, seed, kind, corridor_sd_m)
     limit_loops(plan, seed, kind, max_loops)

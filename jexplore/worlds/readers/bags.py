@@ -43,10 +43,6 @@ def read_bag(path: str | os.PathLike[str], *, topic: str | None = None, message:
       path: `.bag` of ROS 1; `.db3` or `.mcap` of ROS 2, or the folder, or the `metadata.yaml` in it, of such files.
       topic: by default the only one with maps; of several, `/map`.
       message: which of its messages, counted from 0; a negative one counts from the last, -1.
-
-    Raises:
-      InputError: rosbags is not installed; the recording cannot be read, or has no such topic or message; the map is
-        tilted, empty, too large, or has values outside -1..100.
     """
     path = os.fspath(path)
     message = require_whole(f"{path!r}: message", message, -(10**9), 10**9)
@@ -61,11 +57,7 @@ def read_bag(path: str | os.PathLike[str], *, topic: str | None = None, message:
 
 @contextlib.contextmanager
 def opened_bag(path: str) -> Iterator[Any]:
-    """Open a recording with rosbags' `AnyReader`; errors within the context are reported in one form.
-
-    Raises:
-      InputError: rosbags is not installed, or the recording cannot be read.
-    """
+    """Open a recording with rosbags' `AnyReader`; errors within the context are reported in one form."""
     if os.path.basename(path) == METADATA:
         path = os.path.dirname(path) or "."
     is_folder = os.path.isfile(os.path.join(path, METADATA))
@@ -101,15 +93,8 @@ def load_bag(
 ) -> World:
     """Load a world from a map in a recording, with its origin. Unknown cells count as occupied.
 
-    `load_world("run.bag:topic=/map,free_max=49")` is the same; topics that a name cannot hold are given here.
-
-    Args:
-      path, topic, message: see `read_bag`.
-      cell_m: edge of a cell, metres; the map is resampled to it.
-      free_max, occupied_min: see `grids.free_cells`.
-
-    Raises:
-      InputError: as `read_bag` and `grids.free_cells`, a mask of 0 and 1, or too large a world.
+    `load_world("run.bag:topic=/map,free_max=49")` is the same; topics that a name cannot hold are given here. `topic`
+    and `message` are as of `read_bag`, `free_max` and `occupied_min` as of `grids.free_cells`.
     """
     path = os.fspath(path)
     grid = read_bag(path, topic=topic, message=message)

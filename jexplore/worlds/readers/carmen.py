@@ -39,93 +39,68 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
     pose in both and in an `ODOM` line after every scan, from where further `ODOM` lines lead on: `odometry` joins these
     steps; a scan without one stays where the last one was. Of an `FLASER` line CARMEN assumes that the first of n
     readings points 90 degrees to the right. The next ones are 1 degree apart for n = 180 and 181, 0.5 for 360 and 361,
-    0.25 for 400 and 401, else 180 / (n - 1).
+    0.25 for 400 and 401, else 180 / (n - 1). Readings of inf, NaN and below 0 stay as they are.
 
     Args:
       path: the log, a text file, or one packed by gzip whose name ends in `.gz`.
       max_range_m: a reading of this or more means that nothing was seen, metres. Default: the least of what the log
         gives signs of: what `ROBOTLASER1` lines say; for `FLASER` the last `PARAM robot_front_laser_max`, without one
-        80, and 8 if no reading is above 8.2, as a SICK in its mode of millimetres has it; and the largest reading,
-        where it ends in more than 5 times as many places as a reading does in the median, and in more than 5 where
-        there is no other.
-
-    Returns:
-      `ScanLog`, scans in the order of the file. Readings of inf, NaN and below 0 stay as they are.
-
-    Warns:
-      InputWarning: readings count as no echo because they are the largest and many, or a parameter is no distance.
-
-    Raises:
-      InputError: the file cannot be read, has no scan with a pose, a line of one is cut short or not numbers, or scans
-        differ in their readings: one log is of one scanner.
+        80, and 8 if no reading is above 8.2, as a SICK in its mode of millimetres has it; and, with a warning, the
+        largest reading, where it ends in more than 5 times as many places as a reading does in the median, and in more
+        than 5 where there is no other.
     """
     path = os.fspath(path)
     if max_range_m is not None:
         require_number("max_range_m", max_range_m, low_open=True, high=1000)
-    scans, scanner, first, others, said_m, steps = [], None, 0, set(), None, _Steps()
+    scans, scanner, first, others, said_m, told = [], None, 0, set(), None, []
     for number, line in enumerate(read_text(path, _MAX_BYTES).splitlines(), start=1):
         word = line.split(maxsplit=1)[0] if line.strip() else ""
         if word not in _READ:
             others.add(word)
-            steps.pass_line(word, line)
+            if word == "ODOM" and told:
+                told[-1] += _odom(line)
             said_m = max_range_m or _parameter(f"{path!r}: line {number}", line) or said_m
             continue
         own, *scan = _READ[word](f"{path!r}: line {number}", line.split())
         if scanner is None:
             scanner, first = own, number
         elif own != scanner:
-            told = f"{path!r}: line {number} has {_describe(own)}, line {first} {_describe(scanner)}"
-            raise InputError(f"{told}; keep the lines of one scanner")
+            where = f"{path!r}: line {number} has {_describe(own)}, line {first} {_describe(scanner)}"
+            raise InputError(f"{where}; keep the lines of one scanner")
         scans.append(scan)
-        steps.pass_scan(scan[1])
+        told.append([])
     if scanner is None:
         hint = "; RAWLASER lines have no pose" if any(word.startswith("RAWLASER") for word in others) else ""
         raise InputError(f"{path!r}: has no FLASER or ROBOTLASER1 line, so no scan with a pose{hint}")
     ranges, poses, odometry, times = (np.array(column) for column in zip(*scans))
-    if steps.are_told and (poses == odometry).all():
-        odometry = steps.odometry(poses)
-    longest_m, angles_rad = scanner[3], scanner[1] + scanner[2] * np.arange(scanner[0])
-    if max_range_m is not None:
-        return ScanLog(poses, odometry, ranges, angles_rad, times, float(max_range_m))
-    log = ScanLog(poses, odometry, ranges, angles_rad, times, _longest(ranges, longest_m, said_m))
-    return dataclasses.replace(log, max_range_m=_found(path, log))
+    if (poses == odometry).all() and (joined := _joined(poses, told)) is not None:
+        odometry = joined
+    angles_rad = scanner[1] + scanner[2] * np.arange(scanner[0])
+    longest_m = max_range_m or _longest(ranges, scanner[3], said_m)
+    log = ScanLog(poses, odometry, ranges, angles_rad, times, float(longest_m))
+    return log if max_range_m else dataclasses.replace(log, max_range_m=_found(path, log))
 
 
-class _Steps:
-    """Steps of the odometry in a log of GMapping, where they begin at the corrected poses."""
+def _odom(line):
+    """Return the pose of an ODOM line, in a list; nothing of a line without one."""
+    try:
+        pose = [float(value) for value in line.split()[1:4]]
+    except ValueError:
+        return []
+    return [pose] if len(pose) == 3 and all(abs(value) < _MAX_POSE for value in pose) else []
 
-    def __init__(self) -> None:
-        self.are_told = True  # every scan but the last is followed by its own pose
-        self.pose: list[float] | None = None  # of the last scan
-        self.repeated = True
-        self.last: list[float] | None = None  # pose by the last ODOM line since
-        self.before: list[list[float] | None] = []  # pose by the last ODOM line before every scan
 
-    def pass_line(self, word: str, line: str) -> None:
-        if word == "ODOM":
-            try:
-                pose = [float(value) for value in line.split()[1:4]]
-            except ValueError:
-                return
-            if len(pose) < 3 or not all(abs(value) < _MAX_POSE for value in pose):
-                return
-            if pose == self.pose:
-                self.repeated = True
-            else:
-                self.last = pose
+def _joined(poses, told):
+    """Join the steps of a log of GMapping, from the first pose on: `[N, 3]`; None for another log.
 
-    def pass_scan(self, pose: np.ndarray) -> None:
-        self.are_told &= self.repeated
-        self.before.append(self.last)
-        self.pose, self.repeated, self.last = pose.tolist(), False, None
-
-    def odometry(self, poses: np.ndarray) -> np.ndarray:
-        """Join the steps: `[N, 3]`, from the first pose on."""
-        joined = [poses[0]]
-        for pose, last in zip(poses, self.before[1:]):
-            moved = np.zeros(3) if last is None else between(pose, np.array(last))
-            joined.append(compose(joined[-1], moved))
-        return np.array(joined)
+    `told` are the poses of ODOM lines after every scan: in such a log every scan but the last is followed by its own.
+    """
+    joined, after = [poses[0]], list(zip(poses[:-1].tolist(), told))
+    for pose, lines in after:
+        further = [line for line in lines if line != pose]
+        moved = between(np.array(pose), np.array(further[-1])) if further else np.zeros(3)
+        joined.append(compose(joined[-1], moved))
+    return np.array(joined) if all(pose in lines for pose, lines in after) else None
 
 
 def load_carmen(

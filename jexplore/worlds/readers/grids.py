@@ -25,14 +25,8 @@ def free_cells(
     """Return the free cells of an occupancy grid, -1 unknown, 0 free to 100 occupied. `where` names it in messages.
 
     A cell is free up to `free_max`, by default 25 or the values below `occupied_min`, and occupied from `occupied_min`
-    on, by default 65 or the values above `free_max`. Cells between the two count as unknown.
-
-    Warns:
-      InputWarning: `free_max` is not given, and at least 1 % of the known cells lie between it and 50.
-
-    Raises:
-      InputError: a bound out of range, `occupied_min` is not above `free_max`, or no cell is free where the warning
-        would be given.
+    on, by default 65 or the values above `free_max`. Cells between the two count as unknown. Warns where `free_max` is
+    not given and at least 1 % of the known cells lie between it and 50; refuses that where no cell is free.
     """
     if free_max is not None:
         free_max = require_whole(f"{where}: free_max", free_max, 0, 99)
@@ -66,9 +60,6 @@ def upright(
 
     `yaw_rad` turns it about the lower left corner of cell (0, 0), `origin_m`, counter-clockwise: by a multiple of 90
     degrees, or by so little more that no cell moves by half its edge. Returns the new grid, and its own `origin_m`.
-
-    Raises:
-      InputError: another turn.
     """
     yaw_rad = math.remainder(yaw_rad, 2 * math.pi)
     quarters = round(yaw_rad / (math.pi / 2))
@@ -96,10 +87,7 @@ def resample(occupied: np.ndarray, pixel_m: tuple[float, float], cell_m: float, 
     """Resample the occupied cells of a picture `[h, w]`. The lower left corners of cell and pixel (0, 0) coincide.
 
     The last row and column of cells may reach beyond the picture; only the part within counts. `pixel_m` is width and
-    height of a pixel.
-
-    Raises:
-      InputError: more than `MAX_SIDE` cells a side, or pixels beyond all measure, before anything is allocated.
+    height of a pixel. Too large a world is refused before anything is allocated.
     """
     if not LEAST_PIXEL_M <= min(pixel_m) <= max(pixel_m) <= MOST_PIXEL_M:
         raise InputError(

@@ -25,9 +25,6 @@ def load_houseexpo(path: str, *, cell_m: float = 0.1) -> World:
     Cells on the outline are occupied, at least one cell thick; a cell whose centre lies inside is free. A room is a box
     [x0, y0, x1, y1], numbered from 0 in the order of the file; where boxes overlap the smallest one counts, and of
     equal ones the first. The lower left corner of cell (0, 0) is that of the outline's bounding box.
-
-    Raises:
-      InputError: the file cannot be read, is not such a plan, or is too large.
     """
     plan = read_json(path, _MAX_PLAN_BYTES)
     if not isinstance(plan, dict) or "verts" not in plan:

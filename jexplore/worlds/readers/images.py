@@ -29,7 +29,8 @@ def load_image(path: str, scale: float | tuple[float, float], *, cell_m: float =
     """Load a world from a picture as drawn: its edges need not be occupied.
 
     A filled rectangle of one saturated colour in an otherwise grey picture, as in the dungeon maps, marks the start:
-    its middle, heading 0. This holds only if it has the only colour and its cell is free.
+    its middle, heading 0. This holds only if it has the only colour and its cell is free. Warns if most of the picture
+    is transparent, or as `read_pixels`.
 
     Args:
       path: PNG, PGM, PBM, PPM, JPEG, BMP, GIF (its first frame) or TIFF.
@@ -37,12 +38,6 @@ def load_image(path: str, scale: float | tuple[float, float], *, cell_m: float =
         a number: metres a pixel of the whole picture.
       cell_m: edge of a cell, metres.
       free: a pixel is free if its grey, 0 to 255, is at least this.
-
-    Warns:
-      InputWarning: most of the picture is transparent; or as `read_pixels`.
-
-    Raises:
-      InputError: the file cannot be read, has no free pixel, or the world would be too large.
     """
     levels = read_pixels(path)[::-1]
     occupied = _occupied(path, levels, free)
@@ -81,20 +76,14 @@ def _occupied(path: str, levels: np.ndarray, free: float) -> np.ndarray:
 
 
 def read_pixels(path: str | os.PathLike[str], *, as_stored: bool = False) -> np.ndarray:
-    """Read the pixels of a picture file, refused by its header if there are too many.
+    """Read the pixels of a picture file, refused by its header if there are more than `MAX_PIXELS`.
 
-    `as_stored` passes over the orientation that EXIF data give, as the map servers of ROS do.
+    `as_stored` passes over the orientation that EXIF data give, as the map servers of ROS do. Warns of a JPEG that is
+    blurred, and of several frames or pages, of which the first is read.
 
     Returns:
       `[h, w, c]` uint8, row 0 at the top; c is 1 (grey), 3 (red, green, blue) or 4 (and opacity). Sixteen bit greys are
         scaled to 0..255.
-
-    Warns:
-      InputWarning: a JPEG that is blurred, or several frames or pages, of which the first is read.
-
-    Raises:
-      InputError: the file cannot be read, is no picture, is cut short, has more than `MAX_PIXELS` pixels, or more than
-        16 bits a pixel.
     """
     content = read_bytes(path, _MAX_PICTURE_BYTES)
     try:

@@ -36,18 +36,11 @@ def read_laser_bag(
     Odometry is that of Odometry messages; without any, the transforms from the frame `odom` to the robot's base.
     Between two messages it is interpolated; scans before the first message or after the last have its pose. A scanner
     is mounted where transforms from the base to its frame say, also upside down; without any it stands at the base and
-    looks forward.
+    looks forward. `poses` of the `ScanLog` are those of the odometry: there are no corrected ones.
 
     Args:
       path: `.bag` of ROS 1; `.db3` or `.mcap` of ROS 2, or the folder, or the `metadata.yaml` in it, of such files.
       topic, odometry_topic: by default the only one of its type; of several, `/scan` and `/odom`.
-
-    Returns:
-      `ScanLog`; `poses` are those of the odometry: there are no corrected ones.
-
-    Raises:
-      InputError: rosbags is not installed; the recording cannot be read, or has no such topic or no message on it;
-        scans differ in their beams; the scanner is tilted; or a number is not finite where it must be.
     """
     path = os.fspath(path)
     with opened_bag(path) as reader:

@@ -20,10 +20,6 @@ def load_movingai(path: str, map_cell_m: float | None = None, *, cell_m: float =
     """Load a world from a `.map` file, whose first row of characters is the top.
 
     `map_cell_m` is the edge of one cell of the file, by default `cell_m`.
-
-    Raises:
-      InputError: the file cannot be read, its header is wrong, a row is missing or of another length, a character is
-        unknown, or the world would be too large.
     """
     if isinstance(map_cell_m, tuple):
         raise InputError(f"{path!r}: a .map file takes the metres of one cell after the '@', as in @0.1")

@@ -50,9 +50,6 @@ def read_ros(path: str | os.PathLike[str]) -> tuple[np.ndarray, RosInfo]:
 
     The occupancy is `[H, W]` int8, -1 unknown, 0 free to 100 occupied, row 0 at the bottom. It is not turned by the
     yaw.
-
-    Raises:
-      InputError: a file cannot be read, or a key is missing or wrong.
     """
     levels, info = _read(str(path))
     return _occupancy(levels, info), info
@@ -72,14 +69,9 @@ def load_ros(
 ) -> World:
     """Load a world from a ROS map, with its origin. Unknown cells count as occupied.
 
-    `free_max` and `occupied_min` are for the modes scale and raw, see `grids.free_cells`.
-
-    Warns:
-      InputWarning: pixels that stand for unknown are free by the map's own thresholds or mode, as they are in the map
-        server; mode raw with a picture of black and white; as `grids.free_cells`, `grids.upright` or `read_pixels`.
-
-    Raises:
-      InputError: as `read_ros` and `grids`, no free pixel, a mask of 0 and 1 in mode raw, or too large a world.
+    `free_max` and `occupied_min` are for the modes scale and raw, see `grids.free_cells`. Warns of pixels that stand
+    for unknown and are free by the map's own thresholds or mode, as they are in the map server, and of a picture of
+    black and white in mode raw.
     """
     path = str(path)
     levels, info = _read(path)
@@ -121,7 +113,7 @@ def write_ros(
 ) -> Path:
     """Write a ROS map that `read_ros` and the map servers read back unchanged: a yaml file and a PGM next to it.
 
-    The mode is trinary if every value is -1, 0 or 100, else raw.
+    The mode is trinary if every value is -1, 0 or 100, else raw. Returns the path of the picture.
 
     Args:
       grid: a `World`, or an occupancy `[H, W]` of integers from -1 to 100 (or bool, True is occupied), row 0 at the
@@ -129,13 +121,6 @@ def write_ros(
       path: the yaml file to write. The picture gets its name with the suffix `.pgm`.
       cell_m: edge of a cell, metres. Default: the world's, or 0.1.
       origin_m: x, y of the lower left corner, metres. Default: the world's, or 0, 0.
-
-    Returns:
-      The path of the picture.
-
-    Raises:
-      InputError: not an occupancy, a suffix that is not `.yaml` or `.yml`, a bad number, or a place that cannot be
-        written.
     """
     path = Path(path)
     if path.suffix.lower() not in (".yaml", ".yml"):

@@ -76,9 +76,6 @@ class ScanMap:
         """Return the map as a world to be explored: cells that are not known to be free are occupied.
 
         `p_free` is the largest reflection probability of a free cell. The start is the robot's, if that cell is free.
-
-        Raises:
-          InputError: a bad `p_free`, or no free cell.
         """
         require_number("p_free", p_free, high=1, high_open=True)
         occupied = ~np.asarray(is_free(self.grid, p_free))
@@ -112,9 +109,6 @@ def fold_scans(
     Returns:
       `ScanMap`. It covers, with a cell to spare, where the scanner was and where readings below `range_m` end; other
       beams count as far as it reaches.
-
-    Raises:
-      InputError: a bad number, or more than `bounds.MAX_SIDE` cells a side.
 
     Source:
       Holz et al. 2010, section 2.1; Amanatides and Woo 1987.
