@@ -84,6 +84,7 @@ class Lidar(Settings):
 
 
 MOST_TIME_S = 2**30 // 1000  # s; clocks stand still there, see `exploration.motion`
+MOTIONS = ("lattice", "diff-drive")
 POSES = ("true", "odometry", "icp", "icp+closing")
 """Ways in which a robot learns its pose: it is given; by odometry alone; by matching its scans as well, and by closing
 loops."""
@@ -131,7 +132,7 @@ class Odometry(Settings):
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Robot(Settings):
-    """Times and energies of the robot's motions; no path depends on them.
+    """Times and energies of the robot's motions; no path on the lattice depends on them.
 
     The defaults are a Pioneer 3-DX with a SICK LMS 200: accelerations and turns as its firmware has them (300 mm/s²,
     100 degrees/s²), half a metre a second as in rooms, energy by Mei et al. 2005.
@@ -157,12 +158,20 @@ class Robot(Settings):
     """Turning in place takes this energy, in joules a radian: that of wheels that roll 0.16 m from the centre."""
     mass_kg: float = 14.0
     """It weighs this much, in kilograms; braking loses the kinetic energy."""
+    scan_period_s: float = 0.2
+    """With --motion diff-drive it scans whenever this much time has passed on its way, in seconds."""
+    lookahead_m: float = 0.3
+    """With --motion diff-drive it steers to the point of its route that lies this far ahead, in metres."""
+    tolerance_m: float = 0.1
+    """With --motion diff-drive it brakes and turns in place where it is farther than this from its route, in metres."""
 
     def __post_init__(self) -> None:
         for name in ("speed_m_s", "turn_rad_s", "acceleration_m_s2", "turn_acceleration_rad_s2"):
             require_number(f"robot.{name}", getattr(self, name), low=0.001, high=1000)
-        for name in ("scan_s", "plan_s"):
+        for name in ("scan_s", "plan_s", "scan_period_s"):
             require_number(f"robot.{name}", getattr(self, name), high=3600)
+        for name in ("lookahead_m", "tolerance_m"):
+            require_number(f"robot.{name}", getattr(self, name), low=0.01, high=10)
         for name in ("standby_w", "drive_j_m", "turn_j_rad", "mass_kg"):
             require_number(f"robot.{name}", getattr(self, name), high=1e6)
 
@@ -209,6 +218,9 @@ class Rules(Settings):
     """An episode ends as STEP_LIMIT after this many steps; by default the larger of 20000 and the number of cells."""
     max_plans: int | None = None
     """An episode ends as PLAN_LIMIT after this many plans; by default the larger of 20000 and the number of cells."""
+    motion: Literal["lattice", "diff-drive"] = dataclasses.field(default="lattice", metadata={"short": True})
+    """The robot goes from cell to cell in eight directions, or pursues its route as a differential drive
+    with the robot's speeds and accelerations, and scans by the clock."""
     pose: Literal["true", "odometry", "icp", "icp+closing"] = dataclasses.field(
         default="true", metadata={"short": True}
     )
@@ -221,6 +233,12 @@ class Rules(Settings):
         object.__setattr__(self, "pose", "true" if self.pose is True else self.pose)  # as YAML has it
         if self.pose not in POSES:
             raise unknown("pose", str(self.pose), POSES)
+        if self.motion not in MOTIONS:
+            raise unknown("motion", str(self.motion), MOTIONS)
+        if self.motion != "lattice" and self.pose != "true":
+            raise InputError(
+                f"motion diff-drive is for a robot whose pose is given: pose must be true, got {self.pose}"
+            )
         require_number("rules.clearance_m", self.clearance_m, high=10)
         require_number("rules.near_m", self.near_m, high=10)
         for name in ("scan_every_m", "arrival_m"):
@@ -239,3 +257,19 @@ class Rules(Settings):
             value = getattr(self, name)
             if value is not None:
                 require_whole(f"rules.{name}", value, low=1, high=2**24)
+        if self.motion != "lattice" and self.scan_every_m:
+            raise InputError("rules.scan_every_m is for the lattice: motion diff-drive scans by robot.scan_period_s")
+
+    @property
+    def on_lattice(self) -> bool:
+        """Return whether the robot is always in the middle of a cell, and knows which one."""
+        return self.pose == "true" and self.motion == "lattice"
+
+    def require_lattice(self, what: str) -> None:
+        """Refuse other robots than those `on_lattice`, for what cannot do without."""
+        if not self.on_lattice:
+            name = "motion" if self.pose == "true" else "pose"
+            wanted, got = {"motion": ("lattice", self.motion), "pose": ("true", self.pose)}[name]
+            raise InputError(
+                f"{what} of robots whose pose is given, on the lattice: {name} must be {wanted}, got {got}"
+            )

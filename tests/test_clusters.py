@@ -69,6 +69,30 @@ def test_much_to_see_far_off_or_little_near_by(name, numbers):
             assert beliefs.target_of(f"{name}:{text}", belief, lidar) == want
 
 
+@pytest.mark.jit
+def test_revenue_counts_unknown_area_seen_or_not():
+    """The better of two clusters, 1 m and 6 m away, by the formula in plain numpy."""
+    belief = beliefs.belief_of(CORRIDOR, **ONE_METRE)
+    known = np.asarray(belief.grid.hits + belief.grid.misses) > 0
+    rows, cols = np.indices(known.shape)
+
+    def worth(at, weight=3.0, radius_m=1.0, near_m=3.0, near_gain=2.0):
+        off_m = np.hypot(at[0] - int(belief.row), at[1] - int(belief.col))
+        near = np.hypot(rows - at[0], cols - at[1]) <= radius_m
+        gain = max(np.pi * radius_m**2 - (known & near).sum(), 0)
+        return weight * gain * (near_gain if off_m <= near_m else 1.0) - off_m
+
+    chosen = set()
+    for more in ({}, {"near_gain": 0.5}, {"near_gain": 0.5, "weight": 30.0}, {"radius_m": 2.0, "near_m": 0.5},
+                 {"radius_m": 2.0, "near_m": 0.5, "weight": 20.0}):  # fmt: skip
+        text = ",".join(f"{key}={value}" for key, value in more.items())
+        want = max((NEAR, FAR_OFF), key=lambda at: worth(at, **more))
+        assert beliefs.target_of(f"revenue:{text}".rstrip(":"), belief, CROSS) == want
+        chosen.add(want)
+    assert chosen == {NEAR, FAR_OFF}
+
+
+@pytest.mark.jit
 def test_small_first_puts_off_what_draws_the_robot_in():
     """One step to the right 3 unknown cells, six to the left 1: -1 - s sqrt(3) and -6 - s, the same at s = 6.83."""
     belief = beliefs.belief_of("############## #?......R.???# ##############", **ONE_METRE)

@@ -114,7 +114,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
         from jexplore.exploration.team.team import INDEPENDENT
-        from jexplore.studies.checks import prepare_jobs, require_given_pose
+        from jexplore.studies.checks import prepare_jobs
         from jexplore.studies.results.saving import figures_of
         from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
         from jexplore.studies.statistics.sequential import decisions_text, require_until
@@ -137,7 +137,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
         if self.robots and self.waste:
             raise InputError("--waste is of one robot: leave out --robots")
         if self.waste:
-            require_given_pose(self.rules, "waste is")
+            self.rules.require_lattice("waste is")
         with Out(self, "compare") as out:
             jobs = prepare_jobs(
                 worlds,

@@ -183,13 +183,13 @@ def _lines(
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
     is_driven = engine == "auto" and not resources.in_lanes
     native = drive_for(resources.devices[0].platform) if is_driven else Library(None)
-    given = [own for own in wanted.values() if own.rules.pose == "true"]
+    given = [own for own in wanted.values() if own.rules.on_lattice]
     measured = {name: metric.reduce for own in given for name, metric in own.job.metrics.items()}
     at_end, moving = (", ".join(name for name in measured if bool(measured[name]) == moves) for moves in (False, True))
     why_not += filter(None, [
         native.why_not,
         f"JAX makes episodes with metrics: {at_end}" * bool(at_end),
-        "JAX drives robots whose pose is not given" * (len(given) < len(wanted)),
+        "JAX drives differential drives, and robots whose pose is not given" * (len(given) < len(wanted)),
         f"JAX drives, for metrics after every motion: {moving}" * bool(moving),
         "JAX drives teams" * any(own.job.team is not None for own in wanted.values()),
     ])  # fmt: skip

@@ -12,23 +12,30 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.arrays import bits
-from jexplore.arrays.loops import run_if, stored
-from jexplore.distance import within_packed
+from jexplore.arrays.loops import run_if
 from jexplore.engine.program import Given
 from jexplore.exploration import metrics, trail
 from jexplore.exploration.motion import LENGTHS, PLAN, SCAN, STEP, motion_step, tick, turn_between
-from jexplore.exploration.sensing import blank_grid, enough_cells, known_cells, sense, stacked
+from jexplore.exploration.sensing import (
+    blank_grid,
+    connected,
+    enough_cells,
+    find_goal,
+    known_cells,
+    sense,
+    stacked,
+)
 from jexplore.exploration.state import NEVER, Numbers, Outcome, Setup, State, Stream, no_counts
 from jexplore.exploration.uncertain.looking import look
 from jexplore.exploration.uncertain.moving import mark_bump, turn_and_go
 from jexplore.exploration.uncertain.poses import blank_poses
-from jexplore.frontier import disc
+from jexplore.exploration.uncertain.pursuit import begin_route, brake, look_on, pursue, stands, time_of
 from jexplore.grid import is_free, is_known, is_occupied
 from jexplore.native.drive import Stage
 from jexplore.native.drive import drive as drive_natively
 from jexplore.native.kernels import target_of
-from jexplore.planning import Belief, Choice, MapModel, choose, field, is_live, is_open
-from jexplore.reach import DIAGONAL, FAR, NO_MOTION, STRAIGHT, flood
+from jexplore.planning import Belief, Choice, choose, field, is_live, is_open
+from jexplore.reach import DIAGONAL, FAR, NO_MOTION, STRAIGHT
 
 BAD_TARGETS = 3  # targets in a row that no path leads to, and an episode ends
 LOOK_AROUND = 4  # looks, at least, with which a robot looks all round on arrival, the one on arrival included
@@ -60,6 +67,9 @@ def _place(
     def turned(old: Array) -> Array:
         return jnp.where(looking, (old + 8 // _n_looks(setup)) % 8, jnp.where(ahead, heading, old))
 
+    if setup.rides:
+        state, stopped = pursue(given, look_on(state, looking * (8 // _n_looks(setup))), ahead)
+        return state, ahead, stopped
     if setup.unsure is not None:
         goes = ahead & is_clear
         state, bumped = turn_and_go(given, state, turned(belief.heading), goes, looking | ahead)
@@ -82,8 +92,11 @@ def _move(setup: Setup, given: Given, state: State, motion: Array, held: Array |
     """
     numbers, looking = given.numbers, state.plan_active & (state.looking > 0)
     limit = jnp.where(state.time_ms >= numbers.max_ms, Outcome.TIME_LIMIT, Outcome.RUNNING)
+    motion = jnp.int32(0) if setup.rides else motion  # then it tells no more than that something stopped the robot
     is_diagonal = motion >= 4
     length = LENGTHS[0] * (state.straight + ~is_diagonal) + LENGTHS[1] * (state.diagonal + is_diagonal)
+    if setup.rides:
+        length = LENGTHS[0] * (state.poses.way_m / state.belief.model.cell_m + 1)
     limit = jnp.where(~looking & (length > numbers.max_path), Outcome.PATH_LIMIT, limit)
     limit = jnp.where(~looking & (state.steps >= numbers.max_steps), Outcome.STEP_LIMIT, limit)
     at_limit = state.plan_active & (limit != Outcome.RUNNING)
@@ -94,7 +107,14 @@ def _move(setup: Setup, given: Given, state: State, motion: Array, held: Array |
         ahead &= ~held
     moved, steps, refused = _place(setup, given, state, motion, looking, ahead)
     diagonal = steps & is_diagonal
-    time = tick(numbers.clock, state, moved.heading, steps, stands | refused, wait_ms)
+    if setup.rides:
+        since, time = (
+            steps * numbers.unsure.ride.tick_ms,
+            time_of(given, state, ahead, looking * (8 // _n_looks(setup))),
+        )
+    else:
+        since = steps * jnp.where(diagonal, DIAGONAL, STRAIGHT)
+        time = tick(numbers.clock, state, moved.heading, steps, stands | refused, wait_ms)
     rooms, base = stacked(given, given.scenes.rooms)
     room = rooms[base + moved.row, moved.col]
     entered = (room >= 0) & (room != state.room)
@@ -105,7 +125,7 @@ def _move(setup: Setup, given: Given, state: State, motion: Array, held: Array |
         bumped=jnp.where(state.plan_active, jnp.where(refused, motion, NO_MOTION), state.bumped).astype(jnp.int32),
         plan_active=state.plan_active & ~at_limit,
         outcome=jnp.where(at_limit, limit, state.outcome),
-        since_scan=state.since_scan + steps * jnp.where(diagonal, DIAGONAL, STRAIGHT),
+        since_scan=state.since_scan + since,
         turns=state.turns + turn_between(state.heading, moved.heading),
         straight=state.straight + (steps & ~diagonal),
         diagonal=state.diagonal + diagonal,
@@ -173,9 +193,12 @@ def advance(setup: Setup, given: Given, state: State, held: Array | None = None)
         diagonal &= (jnp.abs(row - row_before) == 1) & (jnp.abs(col - col_before) == 1)
     beside = jnp.stack([row, row, row_before]), jnp.stack([col, col_before, col])
     marked = plan_active & jnp.stack([jnp.bool_(True), diagonal, diagonal])
+    if setup.rides:  # it has passed one of the two, and the other may be a wall
+        marked &= is_open(belief, *beside)
     state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, marked)))
     row, col = state.target[0] - belief.row, state.target[1] - belief.col
-    here, near = (row == 0) & (col == 0), row * row + col * col <= numbers.arrival_d2
+    here = (row == 0) & (col == 0) & (stands(state) if setup.rides else True)
+    near = row * row + col * col <= numbers.arrival_d2
     due = plan_active & (here | (state.bumped >= 0) | (state.since_scan >= numbers.scan_every))
     state = state.replace(since_scan=jnp.where(due, 0, state.since_scan))
     state = metrics.take_stock(setup, given, trail.note_step(_scan(setup, given, state, due), plan_active), plan_active)
@@ -281,37 +304,15 @@ def commit(
         outcome=jnp.where(bad_targets >= BAD_TARGETS, Outcome.BAD_TARGET, state.outcome),
         **time,
     )
+    if setup.rides:
+        state = begin_route(brake(given, state, clock[PLAN] > 0), route)
     state = _over(setup, given.numbers, state, Outcome.COMPLETE, none)
     # A path of length 0 is an arrival.
-    here = (state.belief.row == choice.row) & (state.belief.col == choice.col) & ~bad
+    here = (state.belief.row == choice.row) & (state.belief.col == choice.col)
+    here &= ~bad & (stands(state) if setup.rides else True)
     state, spent = _arrive(setup, state, here, live, given.numbers)
     state = limit_plans(given.numbers, _move(setup, given, state, route[state.belief.row, state.belief.col], held))
     return _mark_exhausted(state, spent).replace(route=route, choices=state.choices.at[plan].set(entry, mode="drop"))
-
-
-def _connected(
-    model: MapModel, free: Array, walls: Array, row: Array, col: Array, within: Array | None = None
-) -> tuple[Array, Array]:
-    """Return the clear cells that are connected to a cell, packed; and whether there are none but its own."""
-    shape = free.shape
-    words, walls, near = stored(
-        row >= 0, lambda: [bits.pack(m) for m in (free, walls, disc(shape, row, col, model.near_d2))]
-    )
-    if within is not None:
-        words &= bits.pack(within)
-    clear = words & ~within_packed(walls, model.clearance_d2)
-    reached = clear & flood(clear | (words & near), row, col)
-    rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
-    return reached, ~jnp.any(reached & bits.pack((rows != row) | (cols != col)))
-
-
-def _find_goal(given: Given, row: Array, col: Array) -> tuple[Array, Array]:
-    """Return the cells to be known in the end, those connected to the start, packed; and whether that is enclosed."""
-    maps, base = stacked(given, given.scenes.occupied)
-    occupied = lax.dynamic_slice(maps, (base, jnp.int32(0)), given.scenes.occupied.shape[1:])
-    within = None if given.scenes.within is None else given.scenes.within[given.scene]
-    goal, enclosed = _connected(given.numbers.model, ~occupied, occupied, row, col, within)
-    return goal, occupied[row, col] | enclosed
 
 
 def blank_belief(given: Given) -> Belief:
@@ -337,14 +338,13 @@ def outcome_of(state: State) -> Array:
 
     If the pose is not given, a cell counts as known once it has been seen in truth.
     """
-    grid = state.belief.grid if state.poses is None else state.poses.seen
-    missed = (state.outcome == Outcome.COMPLETE) & jnp.any(state.goal & ~bits.pack(is_known(grid)))
+    missed = (state.outcome == Outcome.COMPLETE) & jnp.any(state.goal & ~bits.pack(is_known(state.seen)))
     outcome = jnp.where(missed, Outcome.BLOCKED, state.outcome)
-    if state.poses is None:
+    if state.poses is None or state.poses.seen is None:
         return outcome
     belief = state.belief
     free, walls = is_free(belief.grid, belief.model.p_free), is_occupied(belief.grid, belief.model.p_free)
-    _, enclosed = _connected(belief.model, free, walls, belief.row, belief.col)
+    _, enclosed = connected(belief.model, free, walls, belief.row, belief.col)
     return jnp.where(missed & enclosed, Outcome.INCONSISTENT, outcome)
 
 
@@ -356,7 +356,7 @@ def begin(setup: Setup, given: Given) -> State:
     """
     truth, (row, col, _) = given.scenes, given.task
     shape = truth.occupied.shape[1:]
-    goal, stuck = _find_goal(given, row, col)
+    goal, stuck = find_goal(given, row, col)
     belief = blank_belief(given)
     n_known = jnp.int32(0) if truth.prior is None else known_cells(belief.grid, belief.within)
     rooms, base = stacked(given, truth.rooms)
@@ -391,7 +391,7 @@ def begin(setup: Setup, given: Given) -> State:
     def look_round(_: Array, state: State) -> State:
         state, belief = _scan(setup, given, state, ~stuck), state.belief
         turned = (belief.heading + 8 // setup.first_scans) % 8
-        if setup.unsure is not None:
+        if setup.unsure is not None and not setup.rides:
             return turn_and_go(given, state, turned, jnp.bool_(False), ~stuck)[0]
         return state.replace(heading=turned, belief=state.belief.replace(heading=turned))
 

@@ -9,6 +9,7 @@ from jexplore.exploration.motion import tick
 from jexplore.exploration.sensing import explorable_and_knowable, shares
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result, Setup, State
 from jexplore.exploration.trail import LOOKS, RECORDS, Trail, detail_of
+from jexplore.exploration.uncertain.pursuit import brake
 from jexplore.grid import is_known
 
 # A tenth of the time of compiling, and nothing gained by it: loops here store what they would compute anew.
@@ -23,8 +24,11 @@ def plan(setup: Setup, given: Given, state: State) -> State:
 
 def finish(setup: Setup, given: Given, state: State) -> Result:
     """Return the `Result` of an episode that has ended."""
-    shape = state.shape
-    known = is_known(state.belief.grid if state.poses is None else state.poses.seen)
+    shape, ride = state.shape, None
+    if setup.rides:
+        state = brake(given, state, True)
+        ride = jnp.stack([state.poses.ride.turned_rad, state.poses.ride.braked])
+    known = is_known(state.seen)
     cell = state.trail[:, Trail.SPOT] // LOOKS
     start = cell[0] // shape[1], cell[0] % shape[1]
     explorable, knowable = explorable_and_knowable(given, *start, state.belief.within)
@@ -68,6 +72,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         time_at=state.trail[at, Trail.TIME],
         time_along=jnp.where(reached, state.trail[along, Trail.TIME], -1),
         overflow=state.overflow + _left_out(state),
+        ride=ride,
         way_m=_ways(state, at, jnp.where(reached, along, -1)),
         metrics=metrics.values_of(setup, given, state.replace(outcome=outcome)),
     )

@@ -29,7 +29,7 @@ MOST = 4096  # episodes in one call
 # 1,300 in a cave, and makes 100,000 a second (`benchmarks/device.py`).
 GPU_FROM = 4096
 ON_GPU, ON_CPU = "native on a GPU", "native on a CPU"
-_MEASURES = [field.name for field in dataclasses.fields(Result) if field.name not in ("metrics", "way_m")]
+_MEASURES = [field.name for field in dataclasses.fields(Result) if field.name not in ("metrics", "way_m", "ride")]
 _OUTCOME = _MEASURES.index("outcome")
 _WIDTHS = {
     "straight_at": len(PERCENTILES),
@@ -55,7 +55,7 @@ def is_exact(lidar: Lidar) -> bool:
 
 def is_native(strategy: Strategy, lidar: Lidar, rules: Rules) -> bool:
     """Tell whether there is native code for a strategy's episodes by a scanner and rules."""
-    return chooser_of(strategy) is not None and is_exact(lidar) and rules.pose == "true"
+    return chooser_of(strategy) is not None and is_exact(lidar) and rules.on_lattice
 
 
 class NativePlace(NamedTuple):

@@ -29,6 +29,12 @@ def progress_m(result: Result, cell_m: float) -> np.ndarray:
     return np.where(np.asarray(result.straight_along) < 0, np.nan, metres)
 
 
+def turning_rad(result: Result) -> np.ndarray:
+    """Return the angle turned in episodes: `[N]` float64, radians."""
+    turned = result.turns * EIGHTH_TURN_RAD if result.ride is None else result.ride[:, 0]
+    return np.asarray(turned, np.float64)
+
+
 def energy_j(result: Result, robot: Robot, cell_m: float) -> np.ndarray:
     """Return the energy of episodes: `[N]` float64, joules.
 
@@ -39,10 +45,13 @@ def energy_j(result: Result, robot: Robot, cell_m: float) -> np.ndarray:
       Mei et al. 2005: a Pioneer 3-DX draws 0.29 W + 7.4 J/m times its speed to move. Added: turning in place, and the
       kinetic energy, which is not in what they measured at even speeds.
     """
-    rolled = robot.drive_j_m * path_m(result.straight, result.diagonal, cell_m)
-    turned = robot.turn_j_rad * result.turns * EIGHTH_TURN_RAD
-    kinetic = robot.mass_kg / 2 * robot.speed_m_s**2 * result.starts / 1000
-    return robot.standby_w * result.time_ms / 1000 + rolled + turned + kinetic
+    way_m, full = path_m(result.straight, result.diagonal, cell_m), np.asarray(result.starts) / 1000
+    if result.ride is not None and result.way_m is not None:
+        way_m, full = (np.asarray(a, np.float64) for a in (result.way_m[:, 0], result.ride[:, 1]))
+    rolled = robot.drive_j_m * way_m
+    turned = robot.turn_j_rad * turning_rad(result)
+    kinetic = robot.mass_kg / 2 * robot.speed_m_s**2 * full
+    return robot.standby_w * np.asarray(result.time_ms) / 1000 + rolled + turned + kinetic
 
 
 def _area(along: np.ndarray, whole: np.ndarray) -> np.ndarray:
@@ -90,7 +99,7 @@ def columns(
         "start_col": starts[:, 1].astype(np.int64),
         "start_heading_deg": starts[:, 2].astype(np.int64),
         "path_m": whole_m,
-        "turning_rad": result.turns.astype(np.float64) * EIGHTH_TURN_RAD,
+        "turning_rad": turning_rad(result),
         "time_s": whole_s,
         "energy_j": energy_j(result, robot, cell_m),
         "steps": (result.straight + result.diagonal).astype(np.int64),

@@ -7,11 +7,16 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jexplore.arrays.loops import one_kernel
+from jexplore.arrays import bits
+from jexplore.arrays.loops import one_kernel, stored
+from jexplore.distance import within_packed
 from jexplore.engine.program import Given
 from jexplore.exploration.state import NEVER, WHOLE, Setup, State, Stream
+from jexplore.frontier import disc
 from jexplore.grid import Grid, beside, bordered, count, empty_grid, is_known
+from jexplore.planning import MapModel
 from jexplore.raycast import Scan, disturb, fold, scan
+from jexplore.reach import flood
 
 
 def stacked(given: Given, maps: Array) -> tuple[Array, Array]:
@@ -89,6 +94,31 @@ def enough_cells(given: Given, row: Array, col: Array, within: Array | None) -> 
     """Return the known cells at which an episode from a start ends; `NEVER` if it does not so: int32."""
     stop_at, (_, knowable) = given.numbers.stop_at, explorable_and_knowable(given, row, col, within)
     return jnp.where(stop_at > 0, shares(stop_at, WHOLE, knowable), NEVER)
+
+
+def connected(
+    model: MapModel, free: Array, walls: Array, row: Array, col: Array, within: Array | None = None
+) -> tuple[Array, Array]:
+    """Return the clear cells that are connected to a cell, packed; and whether there are none but its own."""
+    shape = free.shape
+    words, walls, near = stored(
+        row >= 0, lambda: [bits.pack(m) for m in (free, walls, disc(shape, row, col, model.near_d2))]
+    )
+    if within is not None:
+        words &= bits.pack(within)
+    clear = words & ~within_packed(walls, model.clearance_d2)
+    reached = clear & flood(clear | (words & near), row, col)
+    rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
+    return reached, ~jnp.any(reached & bits.pack((rows != row) | (cols != col)))
+
+
+def find_goal(given: Given, row: Array, col: Array) -> tuple[Array, Array]:
+    """Return the cells to be known in the end, those connected to the start, packed; and whether that is enclosed."""
+    maps, base = stacked(given, given.scenes.occupied)
+    occupied = lax.dynamic_slice(maps, (base, jnp.int32(0)), given.scenes.occupied.shape[1:])
+    within = None if given.scenes.within is None else given.scenes.within[given.scene]
+    goal, enclosed = connected(given.numbers.model, ~occupied, occupied, row, col, within)
+    return goal, occupied[row, col] | enclosed
 
 
 def without_silent(seen: Scan, blind: Array, no_echo_is_free: Array | bool) -> Scan:

@@ -20,6 +20,7 @@ from jexplore.exploration.motion import LENGTHS, clock_table
 from jexplore.exploration.state import NEVER, WHOLE, Numbers, Setup, Truth
 from jexplore.exploration.trail import record_of
 from jexplore.exploration.uncertain.poses import Unsure, UnsureNumbers, blank_poses
+from jexplore.exploration.uncertain.pursuit import ride_numbers
 from jexplore.grid import in_cells, radius_d2
 from jexplore.native.build import Library
 from jexplore.native.drive import find_target
@@ -141,9 +142,9 @@ def prepare_site(
     native = None if any(metric.reduce for metric in metrics) else native
     setup = _setup(everyone, world.cell_m, shape, limit_of(world.shape), native)
     planner = setup.native
-    if rules.pose != "true":  # JAX drives
+    if not rules.on_lattice:  # JAX drives
         setup = setup._replace(native=None, unsure=_unsure(rules, lidar.n_beams, shape, world.cell_m, planner))
-        if rules.pose != "odometry":
+        if rules.pose not in ("true", "odometry"):
             setup = setup._replace(first_scans=HEADINGS)  # or the first scans would not overlap
     own = rule_numbers(world, lidar, rules)
     model: Any = {name: own.pop(name) for name in ("p_free", "near_d2", "clearance_d2", "connectivity", "least")}
@@ -151,7 +152,9 @@ def prepare_site(
     model = MapModel(coarse=world.cell_m > COARSE_M, native=planner, **model)  # type: ignore[arg-type]
     more: Any = {"sigma_cells": lidar.sigma_m / world.cell_m, "dropout": lidar.dropout, "recheck": False}
     more["clock"] = clock_table(robot, world.cell_m, max(shape))
-    unsure = None if setup.unsure is None else _unsure_numbers(lidar, rules, world.cell_m)
+    unsure = None if setup.unsure is None else _unsure_numbers(lidar, rules, world.cell_m, robot)
+    if rules.motion != "lattice":
+        own["scan_every"] = round(1000 * robot.scan_period_s)
     numbers = jax.tree.map(number, Numbers(model=model, params=(), unsure=unsure, **more, **own))
     site = Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
     own = traced_metrics(metrics, *_example(site, numbers)) if metrics else ()
@@ -160,8 +163,8 @@ def prepare_site(
 
 def _unsure(rules: Rules, n_beams: int, shape: tuple[int, int], cell_m: float, native: str | None) -> Unsure:
     """Return how a robot in maps of a shape learns its pose."""
-    if rules.pose == "odometry":
-        return Unsure()
+    if rules.pose in ("true", "odometry"):
+        return Unsure(rides=rules.motion != "lattice")
     edge = float(index_cell_m(MATCHING))
     margin = math.ceil(MARGIN_M / edge)
     # Even, so that the cells of the index lie alike in maps of all shapes.
@@ -172,11 +175,11 @@ def _unsure(rules: Rules, n_beams: int, shape: tuple[int, int], cell_m: float, n
     return Unsure(Sizes(keys, loops, (rows, cols, MOST_POINTS), native), centre_m, n_beams, closing)
 
 
-def _unsure_numbers(lidar: Lidar, rules: Rules, cell_m: float) -> UnsureNumbers:
+def _unsure_numbers(lidar: Lidar, rules: Rules, cell_m: float, robot: Robot) -> UnsureNumbers:
     if lidar.mount_m:
         raise InputError(
-            f"lidar.forward_m and left_m must be 0 where the pose is not given, got {lidar.forward_m:g} and "
-            f"{lidar.left_m:g} m for pose {rules.pose}"
+            "lidar.forward_m and left_m must be 0 where the pose is not given or no cell, got "
+            f"{lidar.forward_m:g} and {lidar.left_m:g} m for pose {rules.pose}, motion {rules.motion}"
         )
     angles = beam_angles_deg(lidar)
     directions = exact_direction(45.0 * np.arange(HEADINGS)[:, None] + angles)
@@ -188,6 +191,7 @@ def _unsure_numbers(lidar: Lidar, rules: Rules, cell_m: float) -> UnsureNumbers:
         angles_rad=np.radians(angles),  # type: ignore[arg-type]
         reach=in_cells(lidar.range_m, cell_m),  # type: ignore[arg-type]
         min_reach=in_cells(lidar.min_range_m, cell_m),  # type: ignore[arg-type]
+        ride=None if rules.motion == "lattice" else ride_numbers(robot, cell_m),
     )
 
 

@@ -10,6 +10,7 @@ from flax import struct
 from jax import Array
 
 from jexplore.exploration.uncertain.poses import Unsure, UnsureNumbers
+from jexplore.grid import Grid
 from jexplore.planning import Belief, MapModel
 
 PERCENTILES = (50, 90, 95, 99)
@@ -82,6 +83,11 @@ class Setup(NamedTuple):
     unsure: Unsure | None = None  # how the robot learns its pose; None: it is given
     ends: bool = False  # whether some episodes end once enough is known, or some robots return home
 
+    @property
+    def rides(self) -> bool:
+        """Return whether the robot is a differential drive."""
+        return self.unsure is not None and self.unsure.rides
+
 
 @struct.dataclass
 class Numbers:
@@ -90,7 +96,7 @@ class Numbers:
     model: MapModel
     look_around: Array  # bool
     recheck: Array  # bool
-    scan_every: Array  # int32, cost of the way after which a robot scans, see `reach`
+    scan_every: Array  # int32, cost of the way after which a robot scans, see `reach`; of a differential drive ms
     arrival_d2: Array  # int32, cells^2, distance at which a target that is not live counts as reached
     max_steps: Array  # int32
     max_plans: Array  # int32
@@ -137,6 +143,8 @@ class Result:
     # [1 + 4 + MARKS] float32, metres driven in the end, at `straight_at` and at `straight_along`, where the pose is not
     # given; NaN: never
     way_m: Array | None = None
+    # [2] float32, radians turned, and kinetic energy lost by braking, that at full speed is 1, of a differential drive
+    ride: Array | None = None
     replace: ClassVar[Callable[..., Self]]
 
 
@@ -181,7 +189,7 @@ class State(StepCounts):
     plan_active: Array  # bool, whether the plan is still being carried out
     bumped: Array  # int32, the motion that was refused just now, index into `reach.MOTIONS`; -1 for none
     came_from: Array  # [2] int32, row and col of the belief before the last motion
-    since_scan: Array  # int32, cost of the way driven since the last scan
+    since_scan: Array  # int32, cost of the way driven since the last scan, or ms, as `Numbers.scan_every`
     n_known: Array  # int32, known cells among those that are to be known
     enough: Array  # int32, their number at which the episode ends; `NEVER`
     homing: Array  # int32, the outcome of a robot that is done and on its way home; 0 for none
@@ -204,6 +212,11 @@ class State(StepCounts):
     poses: Any = None  # `Poses` of a robot whose pose is not given; None: it is given
     metrics: Any = ()  # how often those after every motion were taken, and a value for each, see `metrics.take_stock`
     replace: ClassVar[Callable[..., Self]]
+
+    @property
+    def seen(self) -> Grid:
+        """Return the map whose known cells count: the robot's, or that of the true poses."""
+        return self.belief.grid if self.poses is None or self.poses.seen is None else self.poses.seen
 
     @property
     def shape(self) -> tuple[int, ...]:

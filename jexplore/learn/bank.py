@@ -23,7 +23,6 @@ from jexplore.studies.checks import (
     ready_starts,
     ready_worlds,
     require_clearance,
-    require_given_pose,
     require_memory,
 )
 from jexplore.studies.statistics.by_world import DONE
@@ -131,7 +130,7 @@ def prepare_bank(
     if measure not in MEASURES.values():
         raise unknown("measure", measure, MEASURES.values())
     lidar, rules = ready_settings(lidar, rules)
-    require_given_pose(rules, "training and tuning are")
+    rules.require_lattice("training and tuning are")
     ready = [with_ring(world) for world in ready_worlds(worlds, cell_m)]
     for world in ready:
         require_clearance(rules, world.cell_m, repr(world.name))

@@ -85,12 +85,6 @@ def ready_settings(
     return as_record("lidar", lidar, Lidar), ready
 
 
-def require_given_pose(rules: Rules, what: str) -> None:
-    """Refuse rules by which the pose is not given, for what cannot do without."""
-    if rules.pose != "true":
-        raise InputError(f"{what} of robots whose pose is given: pose must be true, got {rules.pose}")
-
-
 def measures_of(rules: Rules) -> dict[str, Metric]:
     """Return the measures that episodes have as metrics by their rules: name -> `Metric`."""
     return {} if rules.pose == "true" else dict(MEASURES)

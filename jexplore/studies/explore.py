@@ -121,7 +121,7 @@ class EpisodeResult:
         if poses is None:
             return self.final.own_cells, None
         x, y, own_x, own_y = poses[:, 1:].T - 0.5
-        return (y, x), (own_y, own_x)
+        return (y, x), None if self.rules.pose == "true" else (own_y, own_x)
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the last map with the path, in metres of the map's frame, on `Axes`, by default new; return them."""
@@ -289,7 +289,9 @@ def run_job(job: Job) -> EpisodeResult:
 
 def why_no_replay(rules: Rules) -> str:
     """Return why an episode whose plans are not on record cannot be replayed."""
-    return "no replay, " + ("it made more plans than are kept" if rules.pose == "true" else "its pose was not given")
+    if rules.on_lattice:
+        return "no replay, it made more plans than are kept"
+    return "no replay, " + ("its pose was not given" if rules.motion == "lattice" else "it did not move cell by cell")
 
 
 def steps_of(episode: EpisodeResult) -> Iterator[replay.Moment]:

@@ -171,9 +171,9 @@ def replays_of(
       engine: as in `batch.run_jobs`.
     """
     notes = []
-    given = [i for i, job in enumerate(jobs) if job.rules is None or job.rules.pose == "true"]
+    given = [i for i, job in enumerate(jobs) if job.rules is None or job.rules.on_lattice]
     if len(given) < len(jobs):
-        notes.append("There are no replays of robots whose pose is not given.")
+        notes.append("There are no replays of robots that do not move from cell to cell, or whose pose is not given.")
         firsts = {n: firsts[i] for n, i in enumerate(given) if i in firsts}
         labels = [labels[i] for i in given if labels]
         jobs = [jobs[i] for i in given]

@@ -51,8 +51,7 @@ def team_jobs(
     made = []
     for job in jobs:
         assert job.rules is not None
-        if job.rules.pose != "true":
-            raise InputError(f"teams are of robots whose pose is given: pose must be true, got {job.rules.pose}")
+        job.rules.require_lattice("teams are")
         if job.metrics:
             raise InputError("metrics are of one robot: leave out metrics or robots")
         read_contact(contact, job.world.cell_m)

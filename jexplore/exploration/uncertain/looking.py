@@ -41,7 +41,10 @@ def look(setup: Setup, given: Given, state: State, when: Array) -> State:
         direction = beams_of(own, heading, poses.true)
         clean = _cast(given, poses.true[:2], direction)
         clean, reading = _disturbed(setup, given, state, clean)
-        seen, n_known = _seen(setup, own, belief, poses, direction, clean, n_known)
+        if poses.seen is None:
+            grid, n_known = _seen(setup, own, belief, belief.grid, poses, direction, reading, n_known)
+            return belief.replace(grid=grid), poses, n_known, heading
+        seen, n_known = _seen(setup, own, belief, poses.seen, poses, direction, clean, n_known)
         poses = poses.replace(seen=seen)
         if is_matched:
             before = poses.mapping.pose_of
@@ -80,18 +83,19 @@ def _cast(given: Given, xy: Array, direction: Array) -> Reading:
 
 
 def _seen(
-    setup: Setup, own: UnsureNumbers, belief: Belief, poses: Poses, direction: Array, clean: Reading, n_known: Array
-) -> tuple[Grid, Array]:
-    """Count a scan at the true pose into the exact map: `(map, n_known)`."""
+    setup: Setup, own: UnsureNumbers, belief: Belief, grid: Grid, poses: Poses,
+    direction: Array, clean: Reading, n_known: Array,
+) -> tuple[Grid, Array]:  # fmt: skip
+    """Count a scan at the true pose into a map: `(map, n_known)`."""
     xy, terms = poses.true[:2], (direction, clean, own.reach, belief.extent)
     native = kernels.target_of(belief.model.native)
     if native is not None:
-        seen, fresh = kernels.fold(native, poses.seen, xy, *terms, belief.within)
+        seen, fresh = kernels.fold(native, grid, xy, *terms, belief.within)
         return seen, n_known + fresh
     square = square_round(setup, xy[1].astype(jnp.int32), xy[0].astype(jnp.int32), belief.driven.shape)
-    before = n_known if square is None else known_cells(poses.seen, belief.within, square)
+    before = n_known if square is None else known_cells(grid, belief.within, square)
     # As in `sensing.sense`: the number is made first, so that the map can be changed in place.
-    seen = beams.fold(poses.seen, xy + jnp.minimum(before, 0), *terms)
+    seen = beams.fold(grid, xy + jnp.minimum(before, 0), *terms)
     return seen, n_known - before + known_cells(seen, belief.within, square)
 
 

@@ -1,4 +1,4 @@
-"""Records of a robot that does not know its pose."""
+"""Records of a robot whose pose is no cell, or that does not know it."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, Self
@@ -19,17 +19,45 @@ TRAIL = ("way_m", "true_x", "true_y", "x", "y")  # columns of a trail of poses: 
 
 
 class Unsure(NamedTuple):
-    """Static config of a robot that does not know its pose."""
+    """Static config of a robot whose pose is no cell, or that does not know it."""
 
     sizes: Sizes | None = None  # of its record of scans; None: odometry alone
     centre_m: tuple[float, float] = (0.0, 0.0)  # x and y of the middle of its point map
     n_beams: int = 0
     closing: bool = False  # whether it closes loops
+    rides: bool = False  # whether it is a differential drive, which knows its pose
+
+
+@struct.dataclass
+class RideNumbers:
+    """Numbers of a differential drive, float32 but for the first: cells, seconds and radians, see `rules.Robot`."""
+
+    tick_ms: Array  # int32, duration of a motion
+    step_s: Array  # of a part of a motion
+    speed: Array
+    acceleration: Array
+    turn: Array
+    turn_acceleration: Array
+    lookahead: Array
+    tolerance: Array
+
+
+@struct.dataclass
+class Ride:
+    """Motion of a differential drive."""
+
+    speed: Array  # float32, cells a second
+    turn: Array  # float32, radians a second
+    anchor: Array  # [2] int32, row and col of the cell of its route that it has passed last
+    careful: Array  # bool, whether it turns in place to the next cell of its route, and drives there straight
+    turned_rad: Array  # float32, turned in all
+    braked: Array  # float32, kinetic energy lost by braking, that at full speed is 1
+    replace: ClassVar[Callable[..., Self]]
 
 
 @struct.dataclass
 class UnsureNumbers:
-    """Numbers of a robot that does not know its pose."""
+    """Numbers of a robot whose pose is no cell, or that does not know it."""
 
     odometry: Odometry
     matching: SlamSettings
@@ -37,6 +65,7 @@ class UnsureNumbers:
     angles_rad: Array  # [B] float32, beams relative to the heading
     reach: Array  # float32, range of the scanner, cells
     min_reach: Array  # float32, a beam that is stopped nearer says nothing, cells
+    ride: RideNumbers | None = None  # of a differential drive
 
 
 @struct.dataclass
@@ -50,7 +79,7 @@ class Poses:
     true: Array  # [3] float32
     estimate: Array  # [3] float32
     covariance: Array  # [3, 3] float32, of the estimate, m^2 and rad^2
-    seen: Grid  # [H, W], the map that the scans would make if the pose were given
+    seen: Grid | None  # [H, W], the map that the scans would make if the pose were given; None: it is given
     trail: Array  # [T + 1, 5] float32, `TRAIL` at the start and after every step
     way_m: Array  # float32, driven in truth
     motions: Array  # int32, steps and turns made
@@ -58,6 +87,7 @@ class Poses:
     unmatched: Array  # int32, scans without a match
     strayed: Array  # bool, the robot is in another cell than where its plan has it
     mapping: Any = None  # `Mapping` of a robot that matches scans, else None
+    ride: Ride | None = None  # of a differential drive
     key_of: Any = None  # [T + 1] int32, key scan that each place of the trail belongs to; None: loops are not closed
     replace: ClassVar[Callable[..., Self]]
 
@@ -70,6 +100,7 @@ def blank_poses(unsure: Unsure, grid: Grid, capacity: int, start: Any, cell_m: A
     row, col, heading = start
     pose = jnp.stack([col + 0.5, row + 0.5, 0.0]).astype(jnp.float32)
     zero, none = jnp.float32(0), jnp.int32(0)
+    ride = Ride(zero, zero, jnp.stack([row, col]), jnp.bool_(False), zero, zero) if unsure.rides else None
     trail = jnp.zeros((capacity + 1, len(TRAIL)), jnp.float32)
     mapping = unsure.sizes and blank(
         unsure.sizes, unsure.n_beams, jnp.append(pose[:2] * cell_m, heading * EIGHTH), unsure.centre_m
@@ -78,7 +109,7 @@ def blank_poses(unsure: Unsure, grid: Grid, capacity: int, start: Any, cell_m: A
         true=pose,
         estimate=pose,
         covariance=jnp.zeros((3, 3), jnp.float32),
-        seen=grid,
+        seen=None if unsure.rides else grid,
         trail=trail,
         way_m=zero,
         motions=none,
@@ -86,6 +117,7 @@ def blank_poses(unsure: Unsure, grid: Grid, capacity: int, start: Any, cell_m: A
         unmatched=none,
         strayed=jnp.bool_(False),
         mapping=mapping,
+        ride=ride,
         key_of=jnp.zeros(capacity + 1, jnp.int32) if unsure.closing else None,
     )
 

@@ -15,6 +15,7 @@ from jexplore.policies.distance_advantage import distance_advantage, small_first
 from jexplore.policies.learned.strategy import learned
 from jexplore.policies.mcdm import mcdm
 from jexplore.policies.policy import Entry, Policy
+from jexplore.policies.revenue import revenue
 from jexplore.policies.tour import tour
 from jexplore.policies.uniform import uniform
 from jexplore.policies.utility import utility
@@ -43,6 +44,11 @@ STRATEGIES: dict[str, Entry] = {
         utility,
         "the frontier cluster with the most unknown area in sight less beta times the path",
         "after Stachniss and Burgard 2003",
+    ),
+    "revenue": Entry(
+        revenue,
+        "the frontier cluster with the most unknown area round it, near ones counted twice, less the distance",
+        "Umari and Mukhopadhyay 2017",
     ),
     "distance-advantage": Entry(
         distance_advantage, "the frontier cluster near to the robot and far from the others", "Ericson et al. 2025"
@@ -85,6 +91,7 @@ SYNONYMS: dict[str, str] = {
     "nearest-frontier": "closest",
     "next-best-view": "decision-theoretic",
     "rl": "learned",
+    "rrt": "revenue",
     "tsp": "tour",
     "uniform": "random",
     "yamauchi": "closest",

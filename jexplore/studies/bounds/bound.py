@@ -41,7 +41,6 @@ from jexplore.studies.checks import (
     ready_settings,
     ready_starts,
     ready_worlds,
-    require_given_pose,
 )
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import world_digest
@@ -233,7 +232,7 @@ def prepare_bounds(
 
 def require_perfect(lidar: Lidar, rules: Rules) -> None:
     """Refuse a scanner with noise, whose beams may say nothing, or that is not at the robot's centre, and odometry."""
-    require_given_pose(rules, "bounds are")
+    rules.require_lattice("bounds are")
     centre = "that sees all from the robot's centre: lidar.min_range_m, forward_m and left_m must be 0"
     for is_bad, needs in (
         (lidar.sigma_m or lidar.dropout, "without noise: lidar.sigma_m and lidar.dropout must be 0"),

@@ -254,7 +254,7 @@ def _program_key(world, lidar, rules):
     around = scans_all_round(lidar)
     frontier = rules.frontier_connectivity, rules.min_frontier_cells
     ends = rules.stop_at is not None or rules.return_home
-    own = reach_d2(rules.clearance_m, world), lidar.n_beams, around, world.cell_m > COARSE_M, rules.pose
+    own = reach_d2(rules.clearance_m, world), lidar.n_beams, around, world.cell_m > COARSE_M, rules.pose, rules.motion
     return padded, *own, *frontier, ends
 
 

@@ -34,7 +34,7 @@ TEAM = {"robots": 1, "coordination": "independent", "contact": "all", "team_star
 SINGLE = {"seed": 0, "cell_m": 0.1, "pose": "true", **TEAM}
 """Settings that are no part of a record -> their defaults."""
 _FIELDS_OF = {
-    name: {field.name: field for field in dataclasses.fields(kind) if not field.metadata.get("short")}
+    name: {one.name: one for one in dataclasses.fields(kind) if one.name not in (*SINGLE, *SETTING_PARTS)}
     for name, kind in SETTING_PARTS.items()
 }
 WHOLE_SETTINGS = [
