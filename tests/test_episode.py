@@ -300,4 +300,4 @@ def test_outcomes_and_streams_keep_their_numbers():
         "RUNNING": 0, "COMPLETE": 1, "BLOCKED": 2, "STEP_LIMIT": 3, "PLAN_LIMIT": 4, "STUCK": 5, "BAD_TARGET": 6,
         "BAD_START": 7, "LOST": 8, "INCONSISTENT": 9, "EXPLORED": 10, "PATH_LIMIT": 11, "TIME_LIMIT": 12,
     }  # fmt: skip
-    assert {s.name: s.value for s in Stream} == {"SENSOR": 0, "POLICY": 1, "ODOMETRY": 4, "ROBOT": 5}
+    assert {s.name: s.value for s in Stream} == {"SENSOR": 0, "POLICY": 1, "ODOMETRY": 4, "ROBOT": 5, "CONTACT": 6}

@@ -93,6 +93,7 @@ def test_a_motion_is_that_of_plain_numpy(name):
         found = ride.speed, ride.turn, ride.turned_rad, ride.braked, state.poses.way_m
         np.testing.assert_allclose(found, [rider.v, rider.w, rider.turned, rider.braked, rider.way], atol=0.02)
         assert bool(ride.careful) == rider.careful
+        assert abs(ride.turn) <= SLOW.turn_rad_s + 1e-6
         if stopped:
             break
     assert bool(stopped) == bool(closed)

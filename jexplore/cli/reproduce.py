@@ -95,4 +95,5 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
             files = {**saving.comparison_files(found)}
             files["bounds.parquet"] = lambda path: store.write_parquet(bounds.table, path)
             drawn = {"paths.png": lambda path: plot.save_figure(own.paths_figure(found), path)}
-            return out.finish(out.record(arguments, self), files, own.own_text(found, bounds), drawn)
+            record = out.record(arguments, self, interrupted=bounds.interrupted)
+            return out.finish(record, files, own.own_text(found, bounds), drawn, interrupted=bounds.interrupted > 0)

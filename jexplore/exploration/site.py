@@ -178,7 +178,7 @@ def _unsure(rules: Rules, n_beams: int, shape: tuple[int, int], cell_m: float, n
 def _unsure_numbers(lidar: Lidar, rules: Rules, cell_m: float, robot: Robot) -> UnsureNumbers:
     if lidar.mount_m:
         raise InputError(
-            "lidar.forward_m and left_m must be 0 where the pose is not given or no cell, got "
+            "lidar.forward_m and left_m must be 0 where the pose is not given, and with motion diff-drive, got "
             f"{lidar.forward_m:g} and {lidar.left_m:g} m for pose {rules.pose}, motion {rules.motion}"
         )
     angles = beam_angles_deg(lidar)

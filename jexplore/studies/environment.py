@@ -128,7 +128,7 @@ class Environment:
             raise InputError(f"recheck must be True or False, got {recheck!r}")
         if rules.return_home:
             raise InputError("rules.return_home must be False: whoever steps through an Environment drives home itself")
-        self.robots = _require_robots(robots, alone=recheck or paths or metrics or rules.pose != "true")
+        self.robots = _require_robots(robots, alone=recheck or paths or metrics or not rules.on_lattice)
         use_compilation_cache()
         self._metrics = ready_metrics(metrics) | measures_of(rules)
         self.worlds = tuple(ready_worlds(worlds, cell_m))

@@ -105,7 +105,8 @@ class EpisodeResult:
         if final.seen_at is not None:
             clocks = np.array(evenly(last_clock(final), MAX_FRAMES))
             path_m = clocks / LENGTHS[0] * cell_m
-            known_cells = np.searchsorted(np.sort(final.seen_at, axis=None), clocks, side="right")
+            seen_at = final.seen_at.ravel() if self.world.within is None else final.seen_at[self.world.within]
+            known_cells = np.searchsorted(np.sort(seen_at), clocks, side="right")
         return plot.episode_figure(
             *(map_state(final.hits, final.misses, self.rules.p_free), rows, cols, cell_m),
             estimate=estimate,
@@ -296,6 +297,8 @@ def why_no_replay(rules: Rules) -> str:
 
 def steps_of(episode: EpisodeResult) -> Iterator[replay.Moment]:
     """Yield the episode again: its last `replay.Moment` at every step."""
+    if episode.final.seen_at is not None:
+        raise InputError(f"{episode.title}: a team's episode has no steps; save_gif and figure show it")
     if episode.final.plans is None:
         raise InputError(f"{episode.title}: {why_no_replay(episode.rules)}")
     site = prepare_site(episode.world, episode.lidar, episode.rules)
@@ -331,7 +334,7 @@ def maps_at(episode: EpisodeResult, shares: Sequence[float]) -> Iterator[tuple[f
 
     Each is `(share, explored, state)`: the share reached, that known then, and the map by `results.map_state`.
     """
-    known = episode.final.n_known / episode.final.n_known[-1]
+    known = episode.final.n_known / max(episode.final.n_known[-1], 1)
     left = [share for share in shares if share > known[0]]
     for moment in steps_of(episode):
         reached = [share for share in left if share <= known[moment.step]]

@@ -78,6 +78,7 @@ class Rider:
                 w = v * bend if goes else math.copysign(spin, aside)
             change = robot.turn_acceleration_rad_s2 * dt
             w = min(max(w, self.w - change), self.w + change)
+            w = min(max(w, -robot.turn_rad_s), robot.turn_rad_s)
             middle = self.heading + w * dt / 2
             new = here + v * dt * np.array([math.cos(middle), math.sin(middle)])
             self.braked += max(self.v**2 - v**2, 0) / top**2

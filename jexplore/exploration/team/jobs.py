@@ -5,7 +5,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from jexplore.config import InputError
+from jexplore.config import InputError, shown
 from jexplore.exploration.batch import Job
 from jexplore.exploration.team.starts import place_team
 from jexplore.exploration.team.team import (
@@ -63,7 +63,7 @@ def team_jobs(
                     f"closest+recheck, got {job.strategy.name}"
                 )
             if not isinstance(team.starts, str):
-                own = np.tile(np.array(team.starts[:1], np.int32), (len(job.starts), 1))
+                own = np.tile(np.array(team.starts[:1]), (len(job.starts), 1))
             for start in dict.fromkeys(map(tuple, own.tolist())):
                 place_team(job.world, start, team.robots, team.starts, **near)
             name = team.label(job.strategy.name)
@@ -75,6 +75,8 @@ def _teams(
     robots: int | Sequence[int], coordination: CoordinationLike, contact: str, starts: Starts | Sequence[str]
 ) -> list[Team]:
     """Return every team that is asked for, in order."""
+    if not isinstance(contact, str):
+        raise InputError(f"contact must be a text such as all or range:5, got {shown(contact)}")
     given: list[Any] = list(coordination) if isinstance(coordination, list | tuple) else [coordination]
     ways = [read_coordination(_imported(one) if isinstance(one, str) else one) for one in given]
     names = [INDEPENDENT if one is None else one.name for one in ways]
@@ -98,15 +100,16 @@ def _imported(name: str) -> Coordinate:
 
 def _read_starts(starts: Starts | Sequence[str]) -> Starts:
     """Return starts as a `Team` has them: a word, or given ones."""
-    if isinstance(starts, str):
+    if isinstance(starts, str) and "," not in starts:
         return starts
-    form = f"team_starts must be together, apart, or row,col,heading_deg of each robot, got {starts!r}"
+    starts = (starts,) if isinstance(starts, str) else starts
+    form = f"team_starts must be together, apart, or row,col,heading_deg of each robot, got {shown(starts)}"
     if not isinstance(starts, list | tuple | np.ndarray):
         raise InputError(form)
     given: list[Any] = [read_start(start) if isinstance(start, str) and "," in start else start for start in starts]
     if given in (["together"], ["apart"]):
         return str(given[0])
     is_pose = [isinstance(one, tuple | list | np.ndarray) and len(one) == 3 for one in given]
-    if not all(is_pose) or np.asarray(given).dtype.kind not in "iu":
+    if not all(is_pose) or not all(isinstance(x, int | np.integer) for one in given for x in one):
         raise InputError(form)
     return tuple((int(row), int(col), int(heading)) for row, col, heading in given)

@@ -65,6 +65,7 @@ def team_frames(site: Site, strategy: Strategy, final: Final, start: Any, clocks
     rows, cols = final.seen_at.shape
     sides = (ring, height - rows - ring), (ring, width - cols - ring)
     cell_m = float(site.numbers.model.cell_m)
+    counted = True if blank.within is None else np.asarray(blank.within)[ring : ring + rows, ring : ring + cols]
     for clock in clocks:
         known = final.seen_at <= clock
         hits, misses = (np.pad(np.where(known, counts, 0), sides) for counts in (final.hits, final.misses))
@@ -75,4 +76,4 @@ def team_frames(site: Site, strategy: Strategy, final: Final, start: Any, clocks
         here = {"row": np.int32(robots[0].row + ring), "col": np.int32(robots[0].col + ring)}
         grid = Grid(jnp.asarray(hits, jnp.int32), jnp.asarray(misses, jnp.int32))
         belief = blank.replace(grid=grid, driven=driven, **here)
-        yield TeamFrame(clock / LENGTHS[0] * cell_m, belief, int(known.sum()), robots)
+        yield TeamFrame(clock / LENGTHS[0] * cell_m, belief, int((known & counted).sum()), robots)

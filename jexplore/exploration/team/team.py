@@ -69,7 +69,7 @@ def read_contact(contact: str, cell_m: float) -> Contact:
             "contact must be all, none, range:METRES or line-of-sight[:METRES], with ,delay=TICKS (up to "
             f"{MOST_DELAY:,}) and ,loss=P (0 to 1) if wanted, got {shown(contact)}"
         )
-    d2 = NOBODY if word == "none" else EVERYBODY if math.isinf(reach_m) else min(radius_d2(reach_m, cell_m), EVERYBODY)
+    d2 = NOBODY if word == "none" else min(radius_d2(min(reach_m, EVERYBODY * cell_m), cell_m), EVERYBODY)
     return Contact(d2, word == SIGHT, delay * LENGTHS[0], loss)
 
 

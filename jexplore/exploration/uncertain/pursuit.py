@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.arrays.poses import wrapped
+from jexplore.config import require_number
 from jexplore.engine.program import Given
 from jexplore.exploration.motion import MOST_MS, SCAN, TURN
 from jexplore.exploration.sensing import stacked
@@ -33,7 +34,8 @@ AIM_RAD = 0.1  # a robot that has turned in place drives once it looks there thi
 
 
 def ride_numbers(robot: Any, cell_m: float) -> RideNumbers:
-    """Return the numbers of a robot in a world, on the host."""
+    """Return the numbers of a robot in a world, on the host; refuse one that crosses a cell within a millisecond."""
+    require_number("robot.speed_m_s", robot.speed_m_s, high=1000 * cell_m)
     tick_ms = max(1, math.floor(min(1000 * MOST_S, 1000 * cell_m / robot.speed_m_s) + 1e-6))
     per_cell = ("speed_m_s", "acceleration_m_s2", "lookahead_m", "tolerance_m")
     in_cells: Any = {name.split("_m")[0]: getattr(robot, name) / cell_m for name in per_cell}
@@ -130,7 +132,7 @@ def _steer(own: RideNumbers, state: State, xy: Array, heading: Array, ride: Ride
     spin = jnp.minimum(own.turn, jnp.sqrt(2 * own.turn_acceleration * jnp.abs(aside)))
     spin = jnp.minimum(spin, jnp.abs(aside) / own.step_s) * jnp.sign(aside)
     w = jnp.where(arrives, 0, jnp.where(goes, v * bend, spin))
-    w = _clipped(w, ride.turn, own.turn_acceleration * own.step_s)
+    w = jnp.clip(_clipped(w, ride.turn, own.turn_acceleration * own.step_s), -own.turn, own.turn)
     return v, w, ride.replace(anchor=anchor, careful=careful)
 
 

@@ -58,11 +58,16 @@ def explore_dare(
 
     Returns:
       The comparison, its episodes with the columns of bounds, and the bounds.
+
+    Raises:
+      KeyboardInterrupt: not all episodes were made, or no bound.
     """
     worlds = worlds_of(maps, episodes)
     how: Any = {"workers": workers, "on_progress": on_progress}
     own: Any = {"start": "world", "lidar": LIDAR, "rules": RULES}
     found = compare(worlds, STRATEGIES, episodes=1, seed=seed, cell_m=rules.CELL_M, **own, **how)
+    if found.interrupted:
+        raise KeyboardInterrupt
     n_episodes = len(found.episodes)
     if on_progress is not None:
         how["on_progress"] = lambda done: on_progress(n_episodes + done)

@@ -94,7 +94,7 @@ class Game:
         """Fetch the result of `look` to the host, steps as metres: `(seen, info)`."""
         seen, info = jax.device_get((seen, info))
         driven_m = path_m(info.pop("straight"), info.pop("diagonal"), self.env.cell_m)
-        return seen, info | {"path_m": driven_m}
+        return seen, {"path_m": driven_m} | info
 
     def picture(self, seen: dict[str, np.ndarray], world: int) -> np.ndarray:
         """Draw the map of an observation: `[h, w, 3]` uint8, row 0 at the top, a square of pixels for every cell."""
@@ -135,6 +135,8 @@ def observe(state: EnvState, *, targets: str) -> tuple[dict[str, Array], dict[st
         "diagonal": episode.diagonal,
         "known_m2": episode.n_known * belief.model.cell_m**2,
     }
+    if episode.poses is not None:  # steps are not of a cell's length
+        info["path_m"] = episode.path_m
     return seen, info
 
 
