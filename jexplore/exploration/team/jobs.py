@@ -72,7 +72,7 @@ def team_jobs(
 
 
 def _teams(
-    robots: int | Sequence[int], coordination: CoordinationLike, contact: str, starts: Starts | Sequence[str]
+    robots: int | Sequence[int], coordination: CoordinationLike, contact: Any, starts: Starts | Sequence[str]
 ) -> list[Team]:
     """Return every team that is asked for, in order."""
     if not isinstance(contact, str):
