@@ -218,7 +218,7 @@ def _ground_ahead(x, z, robot, state):
     def judged(_):
         near, beyond = ground_profile.profile(x, z, ahead | behind), ground_profile.profile(x, z, ahead)
         step_m = near.step_m
-        is_step = ((step_m > robot.max_step_m) | state.halts) & (step_m > P.ground.step_m)
+        is_step = ((step_m > robot.max_step_m + P.ground.step_slack_m) | state.halts) & (step_m > P.ground.step_m)
         # Two steps that it climbs one by one rise more than a slope that it climbs.
         sudden = ground_profile.steepest_rise(x, z, ahead | behind) > P.ground.step_m
         gentle = sudden & (near.slope <= jnp.tan(jnp.radians(robot.max_slope_deg)))

@@ -53,6 +53,7 @@ class Ground(Settings):
 
     step_m: float = 0.04  # a rise of the profile by more than this from point to point is a step
     face_m: float = 0.04  # m; within this of a step, points may lie on its face
+    min_step_m: float = 0.015  # no lower step is told of
     noise_deviations: float = 4.5  # standard deviations of a point; a lower one may be noise
     together_m: float = 1.2  # steps no farther apart are one, as high as those seen before the robot is on the first
     # m; distance of the robot's end beyond the riser: before, its own tipping shows in the profile
@@ -61,11 +62,14 @@ class Ground(Settings):
     tip_share: float = 0.5
     # shares that a point has of the variance besides, and of that of noise
     noise_shares: tuple[float, float] = (10.0, 8.0)
+    sure_wave_ratio: float = 5.0  # thresholds; a larger wave is stairs however large the rest
     # ground counts that a robot sees which heads no farther off than when it is there
     along_rad: float = math.radians(45)
+    profile_margin_m: float = 0.1  # m; margin of an obstacle's profile from the nodes at its ends
     even_deg: float = 1.0  # the robot stands evenly once its lean has varied by less than this
     even_lengths: float = 0.25  # over this way, in lengths of the robot: on a long robot a gentle slope comes slowly
     stairs_rise_m: float = 0.1  # where the profile ahead rises by more, what looks like a wall may be stairs
+    step_slack_m: float = 0.03  # a step ahead may be lower than it looks by this
     look_m: float = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
     level_rad: float = math.radians(4)  # ground that leans less is level, where a single step is looked for
 

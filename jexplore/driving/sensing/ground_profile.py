@@ -107,7 +107,9 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
         slope=jnp.where(enough, slope, 0),
         step_m=jnp.where(enough, _median(rises, steps), 0),
         riser_m=jnp.where(enough, _riser(steps, rises, *heights), 0),
-        highest_m=jnp.where(enough & (highest > P.ground.noise_deviations * noise), highest, 0),
+        highest_m=jnp.where(
+            enough & (highest > P.ground.min_step_m) & (highest > P.ground.noise_deviations * noise), highest, 0
+        ),
         count=n.astype(jnp.int32),
     )
 

@@ -23,14 +23,17 @@ def is_stairs(found: Profile, tuning: Tuning) -> Array:
     rest = found.variance_m2 - found.tread_wave_m2
     noise = jnp.minimum(found.noise_m**2, rest)  # of points far apart neighbours differ by risers
     share = (P.ground.noise_shares[0] * rest + P.ground.noise_shares[1] * noise) / jnp.maximum(found.count, 1)
-    return found.tread_wave_m2 > jnp.maximum(tuning.tread_wave_m2, share)
+    doubt = jnp.minimum(share, P.ground.sure_wave_ratio * tuning.tread_wave_m2)
+    return found.tread_wave_m2 > jnp.maximum(tuning.tread_wave_m2, doubt)
 
 
 def _gone_over(writer, event):
     """Return the `Profile` of the ground between the last node and the one that is due. Points that the robot has seen
     while it was turned away from its way are left out."""
     way = writer.way
-    within = (way.ground_x_m > writer.node_m) & (way.ground_x_m < event.odometer_m)
+    within = (way.ground_x_m > writer.node_m + P.ground.profile_margin_m) & (
+        way.ground_x_m < event.odometer_m - P.ground.profile_margin_m
+    )
     there = jnp.minimum(jnp.searchsorted(way.odometer_m, way.ground_x_m), len(way.odometer_m) - 1)
     within &= jnp.abs(btm.wrapped(way.pose[:, 2] - way.pose[there, 2])) < P.ground.along_rad
     return ground_profile.profile(way.ground_x_m, way.ground_z_m, within & jnp.isfinite(way.ground_x_m))
