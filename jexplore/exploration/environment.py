@@ -108,10 +108,8 @@ def _move(setup: Setup, given: Given, state: State, motion: Array, held: Array |
     moved, steps, refused = _place(setup, given, state, motion, looking, ahead)
     diagonal = steps & is_diagonal
     if setup.rides:
-        since, time = (
-            steps * numbers.unsure.ride.tick_ms,
-            time_of(given, state, ahead, looking * (8 // _n_looks(setup))),
-        )
+        since = steps * numbers.unsure.ride.tick_ms
+        time = time_of(given, state, ahead, looking * (8 // _n_looks(setup)))
     else:
         since = steps * jnp.where(diagonal, DIAGONAL, STRAIGHT)
         time = tick(numbers.clock, state, moved.heading, steps, stands | refused, wait_ms)
