@@ -132,6 +132,7 @@ class LeagueCommand:
         folder = self.entries or Path("leagues", self.name)
         if (self.action == "submit") != (self.run is not None):
             raise InputError("expected the folder of a run with submit, and none with show: jexplore league submit RUN")
+        league.league_of(self.name)
         if not folder.is_dir():
             raise InputError(
                 f"no entries in {folder}: an installed package has none; give leagues/{self.name} of a checkout of the "
