@@ -86,7 +86,7 @@ def _attempts(attempts, table):
         "with a wrong match",
         "pairs",
         "first at step",
-        "teams of one map",
+        "one map",
     ]
     return aligned_table(head, rows, left=key)
 
