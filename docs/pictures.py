@@ -64,7 +64,7 @@ DRAWN = {
         "jexplore trace --world course --robot kamui --noise-m 0.01 --out drawn", {"trace/btm.png": "drawn/btm.png"}
     ),
     "team": Drawn(
-        "jexplore trace --world office --robots 2 --noise-m 0.01 --contact range:8 --out drawn",
+        "jexplore trace --world rooms --robots 2 --noise-m 0.01 --contact range:4 --out drawn",
         {"trace/team.png": "drawn/team.png"},
     ),
     "tutorial": Drawn(

@@ -51,7 +51,7 @@ PARSED_ONLY = {
     "jexplore tune": "minutes of compiling; tests/test_tuning.py",
     "jexplore compare --strategies closest+recheck learned+recheck:path=trained/": "needs what `train` writes",
     "jexplore trace --runs 100": "a program for many settings at once; tests/test_tracing.py",
-    "jexplore trace --world office --robots": "minutes of driving; tests/test_trace_teams.py",
+    "jexplore trace --world rooms --robots": "minutes of driving; tests/test_trace_teams.py",
     "jexplore merge parts/*": "needs the parts that 16 machines wrote",
 }
 """Beginnings of command lines of which only the options are checked -> why they are not run."""

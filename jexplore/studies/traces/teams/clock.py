@@ -20,6 +20,7 @@ from jexplore.driving.records import State
 from jexplore.engine.program import Given, Line, Program
 from jexplore.engine.runner import Costs, find_resources, level_of, run_all
 from jexplore.studies.traces.job import TraceJob
+from jexplore.tracemap.record import BtmMap
 
 EXCHANGE_STEPS = 100  # steps between two exchanges: 10 s, in which a robot drives 4 m
 
@@ -40,6 +41,8 @@ class RobotLog:
     """`[n, 3]` float32, true poses, building's frame; n = steps."""
     rows: np.ndarray
     """`[K, W]` int32, map and true places at every exchange: see `_row`."""
+    maps: dict[int, BtmMap] = dataclasses.field(default_factory=dict[int, BtmMap])
+    """Exchange -> map there, repaired; of those that were needed."""
 
     def held(self, exchange: int) -> Held:
         """Return the map that the robot has when an exchange begins, from 0; after its run that of its end."""

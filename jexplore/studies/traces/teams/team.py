@@ -215,8 +215,10 @@ def merge_team(
 
 def _map_at(plan, log, exchange):
     """Return the map that a robot has at an exchange, repaired."""
-    held = jax.tree.map(lambda a: np.asarray(a)[None], log.held(exchange))
-    return repaired(map_of(plan, held, 0)).map
+    if exchange not in log.maps:
+        held = jax.tree.map(lambda a: np.asarray(a)[None], log.held(exchange))
+        log.maps[exchange] = repaired(map_of(plan, held, 0)).map
+    return log.maps[exchange]
 
 
 def _contacts(logs, reach_m, last):
