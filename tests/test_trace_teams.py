@@ -89,9 +89,13 @@ def test_maps_merge_once_a_contact_and_only_with_new_nodes(plan, by_hand):
     assert len(found.map.nodes) == len(whole.nodes)
     everywhere = team.merge_team(plan, [first, second, third], "all")  # type: ignore[list-item]
     assert [*everywhere.groups] == [("robot-0", "robot-1", "robot-2")]
+    panels = data_of(everywhere.page())["panels"]
+    assert [panel["name"] for panel in panels] == ["global map", "robot-0", "robot-1", "robot-2"]
+    assert "Stands apart: it has not enough in common" in panels[-1]["note"]
     nowhere = team.merge_team(plan, [first, second, third], "none")  # type: ignore[list-item]
     assert not nowhere.groups
     assert not len(nowhere.contacts)
+    assert [panel["note"] for panel in data_of(nowhere.page())["panels"]] == ["As it was written."] * 3
     assert nowhere.map is nowhere.maps["robot-0"]
 
 
@@ -170,6 +174,7 @@ def test_starts_of_a_team(plan):
         ("--robots 2 --team-starts near", "2 robots need 2 starts, got 'near'"),
         ("--robots 2 --team-starts 1,2,0 3,2", "a start of team_starts must be x,y,heading_deg, got '3,2'"),
         ("--robots 2 --team-starts 1,-2,0 1,99,0", "start (1.00, -2.00) m of 'course': lies outside"),
+        ("--robots 1 --team-starts 1,2,0 --start 1 2 0", "start and given team_starts exclude each other"),
         ("--robots 2 --runs 3", "--robots takes no --runs: every robot makes one run"),
         ("--contact none", "--contact goes with --robots"),
         ("--limits.lost 2", "--limits goes with --robots"),
@@ -202,6 +207,7 @@ def test_a_team_in_rooms(tmp_path, capsys):
     assert table["merged"].iloc[-1] > table["one"].iloc[-1] > 0
     assert table["steps_reached_90"].isna().tolist()[0]
     assert "robot-0, robot-1 in the end: MERGED" in said
+    assert "outcomes: STEP_LIMIT 2" in said
     merged = json_form.read_btm(out / "btm.json")
     assert merged.attributes["merged_from"] == ["robot-0", "robot-1"]
     page = (out / "station.html").read_text()

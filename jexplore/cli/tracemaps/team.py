@@ -1,5 +1,6 @@
 """Teams of robots of the command `jexplore trace`."""
 
+import collections
 from collections.abc import Sequence
 from typing import Any
 
@@ -54,8 +55,12 @@ def trace_robots(out: Out, options: Any, arguments: Sequence[str]) -> int:
 
 
 def summary(found: Any) -> str:
-    """Return the text that the command prints: the table of teams, and how often robots merged their maps."""
+    """Return the text that the command prints: the table of teams, outcomes, and how often robots merged their maps."""
+    from jexplore.driving.mission import RunOutcome
+
     lines = [aligned_table(list(found.table), _rows(found.table), left=("outcome",))]
+    ends = collections.Counter(RunOutcome(int(log.result.outcome)).name for log in found.logs)
+    lines.append("outcomes: " + ", ".join(f"{name} {count}" for name, count in ends.most_common()))
     wrong, outcomes = found.contacts["wrong"], found.contacts["outcome"].value_counts()
     counts = ", ".join(f"{name} {count}" for name, count in outcomes.items())
     merged = f", of them {int((wrong > 0).sum())} with a wrong match" if len(wrong) else ""

@@ -25,13 +25,14 @@ from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.traces.job import START_CLEARANCE_M, TraceJob, prepare_trace
 from jexplore.studies.traces.options import require_start_pose
 from jexplore.studies.traces.recording import wall_lines
-from jexplore.studies.traces.station import GLOBAL_MAP, page_from, panels_of
+from jexplore.studies.traces.station import GLOBAL_MAP, WHY, page_from
 from jexplore.studies.traces.teams.clock import EXCHANGE_STEPS, RobotLog, run_robots
 from jexplore.studies.traces.teams.counts import first_found, sizes_of, team_row, wrong_matches
 from jexplore.studies.traces.tracing import map_of
 from jexplore.tracemap.merging.limits import Limits
 from jexplore.tracemap.merging.match import Merging
 from jexplore.tracemap.merging.merge import MergeResult, merge_maps
+from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.repairing.repaired import repaired
 from jexplore.worlds.world import World
@@ -80,17 +81,15 @@ class TraceTeamResult:
 
     def page(self) -> str:
         """Return the station's page: the merged map of every group, and each robot's own. HTML, plain ASCII."""
-        alone = [name for name in self.maps if not any(name in group for group in self.groups)]
-        panels, said = [], []
-        for group in (*self.groups, *((name,) for name in alone)):
-            joined, notes = panels_of([self.maps[name] for name in group], group)
-            whole = GLOBAL_MAP if len(self.groups) == 1 else f"map of {' and '.join(joined[0].maps)}"
-            panels += [dataclasses.replace(one, name=whole) if one.name == GLOBAL_MAP else one for one in joined]
-            said += notes
-        apart = {panel.name for panel in panels}
-        panels += [
-            MapPanel(name, btm, (name,), "As it was written.") for name, btm in self.maps.items() if name not in apart
-        ]
+        panels, said, why = [], [], dict.fromkeys(self.maps, "")
+        for merged in self.groups.values():
+            said += merged.notes
+            why |= dict.fromkeys(merged.left, f" Stands apart: {WHY[merged.outcome]}.")
+            if len(names := tuple(merged.moves)) > 1:
+                whole = GLOBAL_MAP if len(self.groups) == 1 else f"map of {' and '.join(names)}"
+                first = next(name for name, move in merged.moves.items() if move == Move())
+                panels.append(MapPanel(whole, merged.map, names, f"In the frame of {first}."))
+        panels += [MapPanel(name, btm, (name,), f"As it was written.{why[name]}") for name, btm in self.maps.items()]
         return page_from(panels, said, f"{len(self.maps)} robots in {self.plan.world.name}")
 
 
@@ -115,7 +114,7 @@ def place_robots(plan: TraceJob, n: int, starts: TeamStarts) -> np.ndarray:
     of each robot.
     """
     world, (x, y, heading) = plan.world, plan.begins[0]
-    if isinstance(starts, str) and starts in STARTS:
+    if starts in STARTS:
         cell = int(y / world.cell_m), int(x / world.cell_m), 0
         cells = place_team(world, cell, n, starts, clearance_m=START_CLEARANCE_M, near_m=START_CLEARANCE_M)
         places = (cells[:, 1::-1] + 0.5) * world.cell_m
@@ -163,7 +162,7 @@ def trace_team(
       contact: "all", "none", or "range:M", within M metres, also through walls.
       team_starts: see `place_robots`.
       limits: of merging: see `merge_maps`.
-      start: of the first robot; with given `team_starts` it is not used.
+      start: of the first robot, without given `team_starts`.
       world, robot, seed, tuning, noise, cell_m, max_steps, attributes, nodes, links: see `prepare_trace`.
       engine, lanes, workers, on_progress, progress: see `trace`.
 
@@ -189,8 +188,11 @@ def prepare_team(
     world: str | os.PathLike[str] | World, robots: int, team_starts: TeamStarts = "apart", **how: Any
 ) -> TraceJob:
     """Check all that a team needs, and return its runs, one a robot; `how` as of `prepare_trace`."""
-    plan = prepare_trace(world, runs=require_whole("robots", robots, 1, MOST_ROBOTS), **how)
-    plan = dataclasses.replace(plan, begins=place_robots(plan, robots, team_starts))
+    n, is_given = require_whole("robots", robots, 1, MOST_ROBOTS), team_starts not in STARTS
+    if is_given and how.get("start") is not None:
+        raise InputError("start and given team_starts exclude each other: give one of them")
+    plan = prepare_trace(world, runs=n, **how)
+    plan = dataclasses.replace(plan, begins=place_robots(plan, n, team_starts))
     for pose in plan.begins:
         require_start(plan.world, plan.building, plan.robot, pose)
     return plan
