@@ -125,7 +125,7 @@ def team_figure(
             style: dict[str, Any] = {"linestyle": "none", "marker": marker, "markersize": 7, "zorder": 6}
             (handles[name],) = above.plot(*np.transpose(at), **style, color=colour, markeredgecolor="black")
     handles |= {mark.get_label(): mark for mark in draw_btm(below, btm)}
-    for ax, name in ((above, title), (below, f"merged map: {len(btm.nodes)} nodes, {len(btm.links)} links")):
+    for ax, name in ((above, title), (below, f"map of most robots: {len(btm.nodes)} nodes, {len(btm.links)} links")):
         handles |= {mark.get_label(): mark for mark in _draw_building(ax, walls, ())}
         ax.set(aspect="equal", ylabel="y (m)")
         ax.set_title(wrapped_text(name, int(11 * wide), max_lines=2), fontsize=10, parse_math=False)

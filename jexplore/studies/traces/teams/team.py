@@ -84,7 +84,8 @@ class TraceTeamResult:
         panels, said, why = [], [], dict.fromkeys(self.maps, "")
         for merged in self.groups.values():
             said += merged.notes
-            why |= dict.fromkeys(merged.left, f" Stands apart: {WHY[merged.outcome]}.")
+            if merged.left:
+                why |= dict.fromkeys(merged.left, f" Stands apart: {WHY[merged.outcome]}.")
             if len(names := tuple(merged.moves)) > 1:
                 whole = GLOBAL_MAP if len(self.groups) == 1 else f"map of {' and '.join(names)}"
                 first = next(name for name, move in merged.moves.items() if move == Move())
