@@ -5,7 +5,7 @@ import functools
 import math
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -60,6 +60,8 @@ class Trace(ResumeOptions):
     """Most nodes of the map; by default 32 for a course with a goal, else more than the true map has."""
     links: int | None = None
     """Most links of the map; by default two a node."""
+    perception: Literal["triangles", "map"] = "triangles"
+    """Perceive by triangles of single scans, as in the paper, or by a local map, on level ground."""
     attribute: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE@X,Y [...]", help_behavior_hint="")] = ()
     """Give the node that is nearest to a place in the building, in metres, an attribute: victim=true@12.5,4,
     radio_dbm=-61@3,8."""
@@ -92,7 +94,7 @@ class Trace(ResumeOptions):
             if self.from_episode:
                 return _trace_episode(out, self, arguments)
             noise = self.noise if self.noise_m is None else dataclasses.replace(self.noise, range_m=self.noise_m)
-            own = fields_of(self, "robot runs starts seed tuning start sweep settings cell_m max_steps nodes links")
+            own = fields_of(self, "robot runs starts seed tuning start sweep settings cell_m max_steps nodes links perception")
             plan = prepare_trace(self.world, **own, noise=noise, attributes=self.attribute)
             if plan.size[0] < plan.places:
                 say(f"jexplore: note: the true map has {plan.places} nodes, this one has room for {plan.size[0]}", 0)
