@@ -23,7 +23,7 @@ CLEAR_M = 0.6  # ways nearer to an obstacle than this cost more,
 CLOSE_COST = 2.0  # at most this much more,
 CLOSE_M = 0.3  # growing to it over this distance
 START_CELLS = 3.0  # the plan begins at a state no farther than this from the robot, cells
-START_RAD = 1.0  # and turned by no more than this
+START_RAD = 0.45  # and turned by no more than this: half an eighth of a turn, and the error of a turn
 
 
 class State(NamedTuple):

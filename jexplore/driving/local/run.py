@@ -23,6 +23,7 @@ LINK_M = 1.5  # the same on a link
 NEAR_M = 0.3  # a point of a path is reached from a cell no farther away
 PLACE_M = 1.5  # a place is gone to as near as its clearance, and no farther off than this
 FACE_M = 0.15  # the robot turns towards the end of what it knows of a way if that lies farther away
+BACK_M = 0.7  # where something is in the way the robot goes back this far, its own length, to plan anew
 DETOUR = 3.0  # a point of a link is gone to where that costs no more than this many times the link
 DETOUR_M = 2.0  # and this
 RETRACES = 6  # times in a row that the robot goes back before it is STUCK, twice as far each time
@@ -59,16 +60,15 @@ class LocalRun:
                 elif (here := self._here()) is not None and (route := self.map.route(here, goals)) is not None:
                     retraces = 0
                     self._go_along(route)
-                else:
-                    if here in goals:
-                        self._give_up(here)
-                    elif retraces >= SURE_RETRACES and here is not None and self._is_free(here):
-                        return RunOutcome.EXHAUSTED
-                    elif retraces >= RETRACES:
+                elif retraces < SURE_RETRACES or here is None:
+                    if retraces >= RETRACES:
                         return RunOutcome.STUCK
-                    else:
-                        self.pilot.retrace(LOOK_M * 2**retraces)
-                        retraces += 1
+                    self.pilot.retrace(LOOK_M * 2**retraces)
+                    retraces += 1
+                elif here in goals:
+                    self._give_up(here)
+                else:
+                    return RunOutcome.EXHAUSTED if self._is_free(here) else RunOutcome.STUCK
         except RunEnded as end:
             return end.outcome
 
@@ -76,11 +76,11 @@ class LocalRun:
         return here == 0 or self.map.route(here, {0}) is not None
 
     def _give_up(self, here):
-        """Count another try of what is left at a node that the robot is at and cannot reach."""
+        """Give up what is left at a node that the robot is at, since it cannot reach that."""
         node = self.map.nodes[here]
         node.is_visited = True
         for exit_ in node.exits:
-            exit_.tries += exit_.to < 0
+            exit_.tries = TRIES
 
     # Perception
 
@@ -141,10 +141,12 @@ class LocalRun:
         _, i, exit_, cell = min(targets, key=lambda target: target[0])
         window, begin_m = self._lattice.window, self.pilot.odometer_m
         self.pilot.mode = RunMode.BRANCH_SELECTION
-        self.pilot.follow(self._lattice.path_to(cell), window, LOOK_M)
-        off_m = math.dist(window.xy(cell), self.pilot.pose[:2])
-        if off_m < FACE_M or self.pilot.odometer_m - begin_m < FACE_M:
+        follows = self.pilot.follow(self._lattice.path_to(cell), window, LOOK_M)
+        is_there = math.dist(window.xy(cell), self.pilot.pose[:2]) < FACE_M
+        if is_there or self.pilot.odometer_m - begin_m < FACE_M:
             self._arrive(self.map.nodes[i], exit_)
+        if not follows and not is_there:
+            self.pilot.retrace(BACK_M)
         return True
 
     def _arrive(self, node, exit_: Exit | None):
@@ -185,7 +187,7 @@ class LocalRun:
                     return
                 exit_ = min((e for e, _ in route), key=lambda e: np.hypot(*(e.path - self.pilot.pose[:2]).T).min())
                 exit_.fails += 1
-                self.pilot.retrace(LOOK_M)
+                self.pilot.retrace(BACK_M)
                 return
             near = np.hypot(*(path[at : to + 1] - self.pilot.pose[:2]).T)
             at += int(near.argmin())

@@ -30,7 +30,7 @@ class SeenPlace(NamedTuple):
     xy: np.ndarray  # [2] float, metres
     type: str  # one of `NODE_TYPES`
     radius_m: float  # clearance
-    is_sure: bool  # all around it is known
+    is_sure: bool  # all around it is known, or the robot is there
     ways: list[SeenWay]
 
 
@@ -55,14 +55,15 @@ def look(window: Window, pose: np.ndarray, start: np.ndarray, width_m: float, op
         if at in alive:
             terminals = {at: PlaceDraft(float(began[0]), float(began[1]), "terminal", float(lines.radius[at]))}
     places, ways = places_and_passages(lines, corners, alive, terminals, open_cells=open_m / CELL_M)
-    edge = free & window.known & ndimage.binary_dilation(~window.known)
+    edge = free & ndimage.binary_dilation(~window.known & ~free)
     edge_m = np.asarray(ndimage.distance_transform_edt(~edge)) * CELL_M
     number = {key: i for i, key in enumerate(places)}
 
     def seen(place):
         sure_m = place.radius * CELL_M + CONFIRM_M
-        is_sure = place.type == "terminal" or edge_m[round(place.row), round(place.col)] > sure_m
         xy = window.xy(np.array([place.row, place.col]))
+        is_there = place.type == "terminal" or math.dist(xy, pose[:2]) < sure_m
+        is_sure = is_there or edge_m[round(place.row), round(place.col)] > sure_m
         return SeenPlace(xy, place.type, place.radius * CELL_M, bool(is_sure), [])
 
     found = [seen(place) for place in places.values()]
