@@ -37,7 +37,7 @@ def direction_out(path: np.ndarray) -> float:
     return math.atan2(*(path[int(away.argmax()) if away.any() else -1] - path[0])[::-1])
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(eq=False)
 class Exit:
     """An exit of a node."""
 
@@ -48,7 +48,7 @@ class Exit:
     fails: int = 0  # times that the robot has not come along it
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(eq=False)
 class Node:
     """A node."""
 

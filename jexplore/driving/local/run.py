@@ -23,6 +23,7 @@ LINK_M = 1.5  # the same on a link
 NEAR_M = 0.3  # a point of a path is reached from a cell no farther away
 PLACE_M = 1.5  # a place is gone to as near as its clearance, and no farther off than this
 FACE_M = 0.15  # the robot turns towards the end of what it knows of a way if that lies farther away
+KEEP_M = 2.0  # another target must be nearer by this than the last one: twice the way between two looks
 BACK_M = 0.7  # where something is in the way the robot goes back this far, its own length, to plan anew
 DETOUR = 3.0  # a point of a link is gone to where that costs no more than this many times the link
 DETOUR_M = 2.0  # and this
@@ -41,6 +42,7 @@ class LocalRun:
         self.map = TraceMap(self._start, self.pilot.now.truth[:2].astype(float))
         self.mistaken = 0
         self._at, self._since = 0, 0  # the node that the robot was at last, and the step then
+        self._target: tuple[int, Exit | None] | None = None
         self._node_of: dict[int, int] = {}
         self._seen: list[SeenPlace] = []
 
@@ -138,7 +140,8 @@ class LocalRun:
                     targets += [(found[1], i, exit_, found[0])] if found else []
         if not targets:
             return False
-        _, i, exit_, cell = min(targets, key=lambda target: target[0])
+        _, i, exit_, cell = min(targets, key=lambda target: target[0] - KEEP_M * (target[1:3] == self._target))
+        self._target = i, exit_
         window, begin_m = self._lattice.window, self.pilot.odometer_m
         self.pilot.mode = RunMode.BRANCH_SELECTION
         follows = self.pilot.follow(self._lattice.path_to(cell), window, LOOK_M)
