@@ -108,7 +108,7 @@ def _checked(free, known, cell_m, start_rc, trail, width_m, open_m, clutter_m):
 
 
 def open_cells(occupied: np.ndarray, known: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return `(free, obstacle)` cells, `[H, W]` bool: unseen patches too small for a robot of `width` cells are free."""
+    """Return `(free, obstacle)`, `[H, W]` bool: unseen patches too small for a robot of `width` cells are free."""
     patches = label_components(~known)
     small = np.bincount(patches[patches >= 0], minlength=1) < max(width, 1) ** 2
     return (known & ~occupied) | ((patches >= 0) & small[patches]), known & occupied

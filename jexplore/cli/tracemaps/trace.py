@@ -94,7 +94,9 @@ class Trace(ResumeOptions):
             if self.from_episode:
                 return _trace_episode(out, self, arguments)
             noise = self.noise if self.noise_m is None else dataclasses.replace(self.noise, range_m=self.noise_m)
-            own = fields_of(self, "robot runs starts seed tuning start sweep settings cell_m max_steps nodes links perception")
+            own = fields_of(
+                self, "robot runs starts seed tuning start sweep settings cell_m max_steps nodes links perception"
+            )
             plan = prepare_trace(self.world, **own, noise=noise, attributes=self.attribute)
             if plan.size[0] < plan.places:
                 say(f"jexplore: note: the true map has {plan.places} nodes, this one has room for {plan.size[0]}", 0)

@@ -46,14 +46,16 @@ def run_missions(
         raise InputError("perception map: the ground must be level; use --perception triangles")
     begin_s, results, ways = time.perf_counter(), [None] * len(draws), [None] * len(draws)
     key, on_device = random_key(np.uint32(seed)), jax.device_put(building)
+    robots = dataclasses.replace(robots, name="")  # a name would make another program
     costs = Costs()
     blocks = [(0, len(draws))] if blocks is None else list(blocks)
     n_done = 0
     try:
         for number, (first, n) in enumerate(blocks):
             for i in range(first, first + n):
-                own = (jax.tree.map(lambda a, i=i: a[i], settings) for settings in (robots, tunings, noises))
-                results[i], ways[i] = _run(on_device, *own, starts[i], jax.random.fold_in(key, draws[i]), max_steps, size)
+                robot, tuning, noise = jax.tree.map(lambda a, i=i: a[i], (robots, tunings, noises))
+                fixed = Fixed(on_device, robot, noise, SlamSettings(), jax.random.fold_in(key, draws[i]))
+                results[i], ways[i] = _run(fixed, tuning, starts[i], max_steps, size)
                 n_done += 1
                 if on_progress is not None:
                     on_progress(n_done)
@@ -73,34 +75,34 @@ def _stacked(results) -> Any:
     return jax.tree.map(lambda *a: np.stack(a), *results)
 
 
-def _run(building, robot, tuning, noise, start, key, max_steps, size):
+def _run(fixed, tuning, start, max_steps, size):
     """Make one run: `(result, way)`."""
-    fixed = Fixed(building, dataclasses.replace(robot, name=""), noise, SlamSettings(), key)
     run = LocalRun(jax.tree.map(jnp.asarray, fixed), start, tuning, max_steps)
     outcome = run.drive()
     now, nodes = run.pilot.now, run.map.nodes
     estimate, truth, mode = (np.array(a) for a in zip(*run.pilot.way, strict=True))
     node_at = np.full((size[0], 2), np.nan, np.float32)
-    node_at[: len(nodes)] = [node.truth for node in nodes[: size[0]]]
-    marks = np.asarray(building.marks)
+    node_at[: min(len(nodes), size[0])] = [node.truth for node in nodes[: size[0]]]
+    marks = np.asarray(fixed.building.marks)
     off2 = ((truth[None, ::2, :2] - marks[:, None, :2]) ** 2).sum(-1).min(1)
-    result = RunResult(
-        map=run.map.to_btm(*size),
-        outcome=np.int32(RunOutcome.MAP_FULL if len(nodes) > size[0] else outcome),
-        steps=np.int32(len(run.pilot.way)),
-        path_m=np.float32(now.path_m),
-        contacts=np.int32(now.contacts),
-        refused=np.int32(now.refused),
-        interventions=np.int32(0),
-        help_at=np.full((HELPS_KEPT, 4), np.nan, np.float32),
-        node_at=node_at,
-        mistaken=np.int32(run.mistaken),
-        dropped=np.int32(0),
-        met=off2 < marks[:, 2] ** 2,
-        scan_overflow=np.int32(0),
-        drift_m=np.float32(np.hypot(*(now.truth - now.pose)[:2])),
-        end=now.truth,
-        guide=None,
-    )  # type: ignore[arg-type]
+    fields: dict[str, Any] = {
+        "map": run.map.to_btm(*size),
+        "outcome": np.int32(RunOutcome.MAP_FULL if len(nodes) > size[0] else outcome),
+        "steps": np.int32(len(run.pilot.way)),
+        "path_m": np.float32(now.path_m),
+        "contacts": np.int32(now.contacts),
+        "refused": np.int32(now.refused),
+        "interventions": np.int32(0),
+        "help_at": np.full((HELPS_KEPT, 4), np.nan, np.float32),
+        "node_at": node_at,
+        "mistaken": np.int32(run.mistaken),
+        "dropped": np.int32(0),
+        "met": off2 < marks[:, 2] ** 2,
+        "scan_overflow": np.int32(0),
+        "drift_m": np.float32(np.hypot(*(now.truth - now.pose)[:2])),
+        "end": now.truth,
+        "guide": None,
+    }
+    result = RunResult(**fields)
     pitch = np.zeros(len(mode), np.float32)
     return result, Driven(truth, estimate, mode.astype(np.int32), pitch)

@@ -162,7 +162,8 @@ class TraceMap:
 
     def to_btm(self, n_nodes: int, n_links: int) -> Btm:
         """Return the map as padded arrays: every link once, numbered as the nodes that have them."""
-        fields = {name: np.array(value) for name, value in btm.empty(n_nodes, n_links).__dict__.items()}
+        blank = btm.empty(n_nodes, n_links)
+        fields = {name: np.array(value) for name, value in blank.__dict__.items() if name != "overflow"}
         for i, node in enumerate(self.nodes[:n_nodes]):
             fields["x_m"][i], fields["y_m"][i] = node.xy
             fields["kind"][i], fields["radius_m"][i] = NODE_TYPES.index(node.type), node.radius_m
@@ -174,9 +175,10 @@ class TraceMap:
                 fields["end"][n], fields["status"][n] = exit_.to, btm.SEARCHED
                 fields["end_bearing"][n] = wrapped(direction_out(exit_.path[::-1]) if back is None else back.bearing)
                 fields["length_m"][n] = length_of(exit_.path)
-        fields["n_nodes"], fields["n_links"] = np.int32(min(len(self.nodes), n_nodes)), np.int32(len(links[:n_links]))
-        fields["overflow"] = np.int32(max(len(self.nodes) - n_nodes, 0) + max(len(links) - n_links, 0))
-        return Btm(**fields)
+        room = {"n_nodes": (n_nodes, self.nodes), "n_links": (n_links, links)}
+        counts = {name: np.array(min(most, len(found)), np.int32) for name, (most, found) in room.items()}
+        over = np.array(sum(max(len(found) - most, 0) for most, found in room.values()), np.int32)
+        return blank.replace(**(fields | counts), overflow=over)
 
     def _links(self):
         """Yield node, exit and the exit that leads back, if the way has an end; every pair of exits once."""

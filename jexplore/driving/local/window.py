@@ -55,8 +55,7 @@ class Report(NamedTuple):
     behind_m: float  # the same behind
 
 
-@struct.dataclass
-class LocalState:
+class LocalState(struct.PyTreeNode):
     """State of the robot and of its local map."""
 
     body: RobotBody
@@ -188,7 +187,9 @@ def _counted(fixed, state):
     extent = jnp.full(2, SIDE, jnp.int32)
     grid = fold(grid, xy, direction, reading, jnp.float32(SCAN_RANGE_M / CELL_M), extent)
     ahead, left = _in_frame(state)
-    own = (jnp.abs(ahead) < fixed.robot.length_m / 2 - OUTLINE_M) & (jnp.abs(left) < fixed.robot.width_m / 2 - OUTLINE_M)
+    own = (jnp.abs(ahead) < fixed.robot.length_m / 2 - OUTLINE_M) & (
+        jnp.abs(left) < fixed.robot.width_m / 2 - OUTLINE_M
+    )
     return state.replace(grid=Grid(jnp.where(own, 0, grid.hits), grid.misses + own))
 
 
