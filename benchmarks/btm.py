@@ -2,7 +2,7 @@
 
     python benchmarks/btm.py [--runs 1000] [--parts repeat place robots]
     python benchmarks/btm.py [--runs 1000] [--parts buildings halls furniture sensors steps speed] [--seed 0]
-    python benchmarks/btm.py [--runs 1000] --parts buildings --worlds WORLD... [--seed 0] [--perception map] [--starts 2]
+    python benchmarks/btm.py [--runs 1000] --parts buildings --worlds WORLD... [--perception map] [--starts 2]
     python benchmarks/btm.py [--runs 1000] --parts loops [--first 21]
     python benchmarks/btm.py --parts read-off --maps FOLDER
 

@@ -44,31 +44,29 @@ def run_missions(
     """
     if float(np.ptp(np.asarray(building.terrain.height_m))) > 0:
         raise InputError("perception map: the ground must be level; use --perception triangles")
-    begin_s, results, ways = time.perf_counter(), [None] * len(draws), [None] * len(draws)
+    begin_s, results, ways = time.perf_counter(), dict[int, RunResult](), dict[int, Driven]()
     key, on_device = random_key(np.uint32(seed)), jax.device_put(building)
     robots = dataclasses.replace(robots, name="")  # a name would make another program
     costs = Costs()
     blocks = [(0, len(draws))] if blocks is None else list(blocks)
-    n_done = 0
     try:
         for number, (first, n) in enumerate(blocks):
             for i in range(first, first + n):
                 robot, tuning, noise = jax.tree.map(lambda a, i=i: a[i], (robots, tunings, noises))
                 fixed = Fixed(on_device, robot, noise, SlamSettings(), jax.random.fold_in(key, draws[i]))
                 results[i], ways[i] = _run(fixed, tuning, starts[i], max_steps, size)
-                n_done += 1
                 if on_progress is not None:
-                    on_progress(n_done)
+                    on_progress(len(results))
             if on_block is not None:
-                on_block(number, _stacked(results[first : first + n]), ways[first])
+                on_block(number, _stacked([results[i] for i in range(first, first + n)]), ways[first])
     except KeyboardInterrupt:
-        if n_done == 0:
+        if not results:
             raise
         costs = Costs(interrupted=True)
-    made = next(result for result in results if result is not None)
-    blank = jax.tree.map(np.zeros_like, made)
+    blank = jax.tree.map(np.zeros_like, next(iter(results.values())))
     costs.run_s = time.perf_counter() - begin_s
-    return MissionResults(_stacked([blank if r is None else r for r in results]), ways[blocks[0][0]], costs)
+    stacked = _stacked([results.get(i, blank) for i in range(len(draws))])
+    return MissionResults(stacked, ways.get(blocks[0][0]), costs)
 
 
 def _stacked(results) -> Any:
