@@ -18,7 +18,7 @@ OFF_RAD = 0.5  # a robot turned farther from its way turns before it drives
 STEER = 1.5  # rate of turning for each radian off a straight way, 1/s
 STOP_M = 0.08  # room ahead at which it stops: two steps' way
 GOAL_M = 0.5  # the goal is reached within this distance of its beacon
-BLIND_STEPS = 50  # steps without a scan after which a run ends: five seconds
+BLIND_STEPS = 30  # steps without a scan after which a run ends: three seconds, less than one turn in place
 PATIENCE = 200  # steps of one motion, more than the longest takes
 
 
