@@ -1,5 +1,6 @@
 """The robot with a local map: paths of its outline, places in view, the trace map as it grows, whole runs."""
 
+import itertools
 import math
 
 import numpy as np
@@ -77,7 +78,7 @@ def test_path_leads_from_the_robot_to_the_cell_by_single_motions():
     path = found.path_to(np.array([90, 40]))
     assert np.abs(path[0].cell - 64).max() <= 3
     assert path[-1].cell.tolist() == [90, 40]
-    for one, other in zip(path, path[1:]):
+    for one, other in itertools.pairwise(path):
         turn, step = (other.heading - one.heading) % 8, np.abs(other.cell - one.cell).max()
         assert (turn in (1, 7) and step == 0) or (turn == 0 and step == 1)
 
@@ -100,7 +101,7 @@ def tee(**more):
 def test_junction_is_one_sure_place_with_three_ways():
     seen = look(tee(), np.array([0.0, 0.0, 0.0]), np.array([99.0, 99.0]), 0.39, 5.0)
     (place,) = [place for place in seen if len(place.ways) == 3]
-    assert place.is_sure and place.type == "divergence"
+    assert (place.is_sure, place.type) == (True, "divergence")
     assert math.dist(place.xy, (0.0, 0.25)) < 0.3
     bearings = sorted(round(math.degrees(way.bearing) / 90) % 4 for way in place.ways)
     assert bearings == [0, 1, 2]
@@ -285,5 +286,5 @@ def test_robot_maps_a_crossing_the_same_way_twice():
 def test_robot_without_readings_is_blind_and_one_without_time_ends():
     blind = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), noise={"invalid": 1.0}, perception="map")
     assert blind.table["outcome"].tolist() == ["BLIND"]
-    late = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), max_steps=30, perception="map")
-    assert late.table[["outcome", "steps"]].iloc[0].tolist() == ["STEP_LIMIT", 30]
+    late = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), max_steps=100, perception="map")
+    assert late.table[["outcome", "steps"]].iloc[0].tolist() == ["STEP_LIMIT", 100]

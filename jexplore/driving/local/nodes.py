@@ -19,7 +19,7 @@ SAME_RADII = 0.6  # or than this share of the smaller clearance
 SAME_RAD = math.radians(35)  # two exits of a node less apart than this are one
 SAME_END_RAD = math.radians(70)  # the same where both lead to one node
 NEAR_M = 4.0  # a robot no farther than this from a node sees which exits it does not have
-MOVED_M = 0.25  # the end of what is known of a way has moved where it lies this far from before
+MOVED_M = 0.25  # more of a way is known where its seen part ends this far from before: the tries at it begin anew
 
 
 TRIES = 3  # times that the robot goes in vain to a node, to an exit's end or along a link before it gives that up

@@ -1,7 +1,7 @@
-"""A run: look, enter what is seen, go to the nearest place or exit that is left, until none is.
+"""A run: look, enter the places seen, go to the nearest place or exit that is left, until all are searched.
 
-The robot goes to exits in the local map first, nearest by the cost of driving there. If none is left it follows links
-to the nearest node that has one. Where nothing can be reached it goes back the way it came.
+The robot goes to exits in the local map first, nearest by the cost of driving there. Without one it follows links to
+the nearest node that has one. Where nothing can be reached it goes back the way it came.
 """
 
 import math
@@ -78,7 +78,7 @@ class LocalRun:
         return here == 0 or self.map.route(here, {0}) is not None
 
     def _give_up(self, here):
-        """Give up what is left at a node that the robot is at, since it cannot reach that."""
+        """Give up the exits of the node that the robot is at, since it cannot reach their ends."""
         node = self.map.nodes[here]
         node.is_visited = True
         for exit_ in node.exits:
@@ -124,7 +124,7 @@ class LocalRun:
         return {i for i, node in enumerate(self.map.nodes) if is_open(node)}
 
     def _go_near(self):
-        """Go to the nearest place or exit that is left in the local map; return False if there is none."""
+        """Go to the nearest place or exit that is left in the local map; return False without one."""
         targets = []
         for i in self._open_nodes():
             node = self.map.nodes[i]
