@@ -294,3 +294,10 @@ def test_robot_without_readings_is_blind_and_one_without_time_ends():
     assert blind.table["outcome"].tolist() == ["BLIND"]
     late = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), max_steps=100, perception="map")
     assert late.table[["outcome", "steps"]].iloc[0].tolist() == ["STEP_LIMIT", 100]
+
+
+def test_what_does_not_count_with_a_local_map_is_told():
+    with pytest.raises(InputError, match="sweep: votes does not count with perception map"):
+        prepare_trace(cross(), sweep=["votes=1,2"], perception="map")
+    with pytest.raises(InputError, match="leave engine, lanes and workers out"):
+        jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), workers=2, perception="map")

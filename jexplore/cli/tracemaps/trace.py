@@ -88,6 +88,9 @@ class Trace(ResumeOptions):
         for name in ("strategy", "clutter_m"):
             if not self.from_episode and getattr(self, name) != getattr(type(self)(), name):
                 raise InputError(f"--{name.replace('_', '-')} goes with --from-episode")
+        for name in ("animate", "corrected"):  # the map's poses come from scans: no drift is left to spread
+            if self.perception == "map" and getattr(self, name):
+                raise InputError(f"--{name} goes with --perception triangles")
         if self.noise_m is not None and self.noise.range_m not in (type(self)().noise.range_m, self.noise_m):
             raise InputError("--noise-m and --noise.range-m say the same: give one of them")
         with Out(self, "trace") as out:

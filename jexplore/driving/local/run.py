@@ -58,7 +58,7 @@ class LocalRun:
                 if self._go_near():
                     retraces = 0
                 elif not (goals := self._open_nodes()):
-                    return RunOutcome.EXHAUSTED
+                    return RunOutcome.EXHAUSTED if np.isfinite(self._lattice.cost).any() else RunOutcome.STUCK
                 elif (here := self._here()) is not None and (route := self.map.route(here, goals)) is not None:
                     retraces = 0
                     self._go_along(route)

@@ -40,6 +40,7 @@ from jexplore.worlds.world import World, with_ring
 MAX_TRACE_STEPS = int(NUMBER_BOUNDS["max_steps"][1])
 STEPS_M2 = 100  # steps of 4 cm for each square metre of free area: four metres of way
 PERCEPTIONS = "triangles", "map"
+OF_MAP = "width_m", "open_m", "speed_m_s"  # thresholds that count with the second
 START_CLEARANCE_M = 0.5  # of starts that are drawn
 MIN_NODES = 128  # most nodes of a map of a building, at least
 SPARE = 2  # default room for nodes, for each node of the true map
@@ -164,6 +165,8 @@ def prepare_trace(
     tuning = for_world(tuning, is_course=world.course is not None)
     require_robot(robot)
     own, swept = for_world(Tuning(), is_course=world.course is not None), swept_values(sweep, settings, seed)
+    if perception == "map" and (unused := [name for name in swept if not name.startswith(NOISE) and name not in OF_MAP]):
+        raise InputError(f"sweep: {unused[0]} does not count with perception map; {', '.join(OF_MAP)} and noise do")
     for name in BY_WORLD.keys() & swept.keys():  # 0 stands for the world's own number
         swept[name] = np.where(swept[name] == 0, getattr(own, name), swept[name])
     count = len(next(iter(swept.values()))) if swept else 1

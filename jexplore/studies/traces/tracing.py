@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from jexplore import btm
-from jexplore.config import __version__, checked_names, require_engine
+from jexplore.config import InputError, __version__, checked_names, require_engine
 from jexplore.driving import vehicle
 from jexplore.driving.batch import Driven, outcome_names
 from jexplore.driving.records import RunMode
@@ -115,6 +115,8 @@ def execute(
         moved = None if on_progress is None else (lambda done: on_progress(done + resumed))
         how = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": moved}
         if plan.perception == "map":
+            if (engine, lanes, workers) != ("auto", None, None):
+                raise InputError("perception map makes runs one after the other: leave engine, lanes and workers out")
             how = {"on_progress": moved}
         try:
             costs = plan.run(setting, which, blocks=[blocks[i] for i in work.left], on_block=put, **how).costs
