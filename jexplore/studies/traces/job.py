@@ -165,7 +165,8 @@ def prepare_trace(
     tuning = for_world(tuning, is_course=world.course is not None)
     require_robot(robot)
     own, swept = for_world(Tuning(), is_course=world.course is not None), swept_values(sweep, settings, seed)
-    if perception == "map" and (unused := [name for name in swept if not name.startswith(NOISE) and name not in OF_MAP]):
+    unused = [name for name in swept if not name.startswith(NOISE) and name not in OF_MAP]
+    if perception == "map" and unused:
         raise InputError(f"sweep: {unused[0]} does not count with perception map; {', '.join(OF_MAP)} and noise do")
     for name in BY_WORLD.keys() & swept.keys():  # 0 stands for the world's own number
         swept[name] = np.where(swept[name] == 0, getattr(own, name), swept[name])
