@@ -5,7 +5,7 @@ import functools
 import math
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -72,6 +72,8 @@ class Trace(ResumeOptions):
     """Most nodes of the map; by default 32 for a course with a goal, else more than the true map has."""
     links: int | None = None
     """Most links of the map; by default two a node."""
+    perception: Literal["triangles", "map"] = "triangles"
+    """Perceive by triangles of single scans, as in the paper, or by a local map, on level ground."""
     attribute: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE@X,Y [...]", help_behavior_hint="")] = ()
     """Give the node that is nearest to a place in the building, in metres, an attribute: victim=true@12.5,4,
     radio_dbm=-61@3,8."""
@@ -114,16 +116,21 @@ class Trace(ResumeOptions):
             for name, value in fields_of(self, names).items():
                 if not asked and value != getattr(type(self)(), name):
                     raise InputError(f"--{name.replace('_', '-')} goes with {option}")
+        for name in ("animate", "corrected"):  # the map's poses come from scans: no drift is left to spread
+            if self.perception == "map" and getattr(self, name):
+                raise InputError(f"--{name} goes with --perception triangles")
         if self.noise_m is not None and self.noise.range_m not in (type(self)().noise.range_m, self.noise_m):
             raise InputError("--noise-m and --noise.range-m say the same: give one of them")
         with Out(self, "trace") as out:
             if self.from_episode:
                 return _trace_episode(out, self, arguments)
             if self.robots is not None:
-                others = "runs starts sweep settings corrected animate resume"
+                others = "runs starts sweep settings corrected animate resume perception"
                 _refuse(self, others.split(), "--robots", "every robot makes one run")
                 return trace_robots(out, self, arguments)
-            own = fields_of(self, "robot runs starts seed tuning start sweep settings cell_m max_steps nodes links")
+            own = fields_of(
+                self, "robot runs starts seed tuning start sweep settings cell_m max_steps nodes links perception"
+            )
             plan = prepare_trace(self.world, **own, noise=self.own_noise, attributes=self.attribute)
             if plan.size[0] < plan.places:
                 say(f"jexplore: note: the true map has {plan.places} nodes, this one has room for {plan.size[0]}", 0)
