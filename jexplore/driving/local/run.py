@@ -151,8 +151,8 @@ class LocalRun:
         is_there = math.dist(window.xy(cell), self.pilot.pose[:2]) < FACE_M
         if is_there or self.pilot.odometer_m - begin_m < FACE_M:
             self._arrive(self.map.nodes[i], exit_)
-        if not follows and not is_there:
-            self.pilot.retrace(BACK_M)
+            if not follows:
+                self.pilot.retrace(BACK_M)
         return True
 
     def _arrive(self, node, exit_: Exit | None):
@@ -182,7 +182,7 @@ class LocalRun:
         self.pilot.mode = RunMode.CENTRAL
         goal = self.map.nodes[route[-1][1]]
         path = np.concatenate([exit_.path for exit_, _ in route])
-        at = 0
+        at, steps = 0, len(self.pilot.way)
         while math.dist(goal.xy, self.pilot.pose[:2]) > goal.reached_m and at < len(path) - 1:
             found, to = self._farthest(path, at)
             begin_m = self.pilot.odometer_m
@@ -198,8 +198,8 @@ class LocalRun:
             near = np.hypot(*(path[at : to + 1] - self.pilot.pose[:2]).T)
             at += int(near.argmin())
             self._look()
-        goal.is_visited, goal.tries = True, goal.tries + 1
-        if goal.tries >= TRIES:
+        goal.is_visited = True
+        if steps == len(self.pilot.way):  # it is there, and nothing that is left there can be reached
             self._give_up(goal)
 
     def _farthest(self, path, at):
