@@ -10,9 +10,9 @@ line for every case that was not equal; exit status 1 if there was any. With --c
 robot, in rooms of 10 x 8 m, to that in the smallest team.
 
 With --study teams explore worlds of five kinds, 20 x 20 m (hospitals 32 x 20 m) in cells of 0.2 m, from one start
-each: all coordinations with 4 robots, three with 2 and 8, started together and apart, and those three with 4 robots and
-every contact. Parts that are in the folder are not computed again. Prints ratios of the times until all is known;
-intervals are over worlds.
+each: all coordinations with 4 robots, started together and apart, and in half of the worlds three with 2 and 8, and two
+with 4 robots and every contact. Parts that are in the folder are not computed again. Prints ratios of the times until
+all is known; intervals are over worlds.
 """
 
 import argparse
@@ -40,11 +40,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from ref import team
 
 KINDS = "cave", "office", "hospital", "maze", "rooms"
-EACH, ALL = ("independent", "greedy", "minpos"), ("independent", "greedy", "hungarian", "minpos", "voronoi", "segments")
-PARTS = [  # sizes, coordinations, contact, starts
-    *((([1, 4]), ALL, "all", starts) for starts in ("together", "apart")),
-    *((([2, 8]), EACH, "all", starts) for starts in ("together", "apart")),
-    *(([4], EACH, contact, "together") for contact in ("none", "range:5", "range:10", "line-of-sight")),
+ALL = "independent", "greedy", "hungarian", "minpos", "voronoi", "segments"
+EACH, TWO = ("independent", "greedy", "minpos"), ("independent", "minpos")
+PARTS = [  # sizes, coordinations, contact, starts, part of the worlds
+    *(([1, 4], ALL, "all", starts, 1) for starts in ("together", "apart")),
+    *(([4], TWO, contact, "together", 2) for contact in ("none", "range:5", "range:10", "line-of-sight")),
+    *(([2, 8], EACH, "all", starts, 2) for starts in ("together", "apart")),
 ]
 
 
@@ -52,11 +53,11 @@ def study(folder, worlds):
     """Run what the folder lacks, and return all episodes."""
     folder.mkdir(parents=True, exist_ok=True)
     parts = []
-    for (sizes, coordinations, contact, starts), kind in itertools.product(PARTS, KINDS):
+    for (sizes, coordinations, contact, starts, part), kind in itertools.product(PARTS, KINDS):
         path = folder / f"{kind}-{'-'.join(map(str, sizes))}-{contact.replace(':', '')}-{starts}.parquet"
         if not path.exists():
             width_m = 32 if kind == "hospital" else 20  # the least of a hospital
-            names = [f"{kind}#{number}:width_m={width_m},height_m=20" for number in range(worlds)]
+            names = [f"{kind}#{number}:width_m={width_m},height_m=20" for number in range(worlds // part)]
             how = {"robots": sizes, "coordination": list(coordinations), "contact": contact, "team_starts": starts}
             began = time.monotonic()
             found = jx.compare(names, "closest+recheck", episodes=1, cell_m=0.2, workers=1, progress=False, **how)
@@ -66,7 +67,7 @@ def study(folder, worlds):
     return pd.concat(parts, ignore_index=True)
 
 
-def ratio_rows(episodes, ours, theirs):
+def ratio_row(episodes, ours, theirs):
     """Return a row of ratios of the time until all is known, by kind and over all: of worlds completed by both."""
     ours, theirs = (
         episodes.loc[
@@ -83,46 +84,35 @@ def ratio_rows(episodes, ours, theirs):
     return [*cells, str(len(logs))]
 
 
+def team_of(robots, coordination="independent", contact="all", starts="together"):
+    """Return the columns that tell a team of the study."""
+    coordination = coordination if robots > 1 else "independent"
+    return {"robots": robots, "coordination": coordination, "contact": contact, "starts": starts}
+
+
 def study_tables(episodes):
     """Return the tables of a study, as Markdown."""
-    head, told = [*KINDS, "all", "worlds"], []
-
-    def team_of(robots, coordination="independent", contact="all", starts="together"):
-        coordination = coordination if robots > 1 else "independent"
-        return {"robots": robots, "coordination": coordination, "contact": contact, "starts": starts}
-
+    teams = [(name, n) for n in (4, 2, 8) for name in (ALL if n == 4 else EACH)]
+    tables, contacts = {}, ("range:10", "range:5", "line-of-sight", "none")
     for starts in ("together", "apart"):
-        rows = [
-            [f"{name}, {n}", *ratio_rows(episodes, team_of(n, name, starts=starts), team_of(n, starts=starts))]
-            for n in (4, 2, 8)
-            for name in ALL[1:]
-            if n == 4 or name in EACH
-        ]
-        told.append((f"to independent, {starts}", rows))
-        rows = [
-            [f"{name}, {n}", *ratio_rows(episodes, team_of(1, starts=starts), team_of(n, name, starts=starts))]
-            for name in EACH
-            for n in (2, 4, 8)
-        ]
-        told.append((f"speed-up, {starts}", rows))
-    rows = [
-        [f"{name}, {n}", *ratio_rows(episodes, team_of(n, name, starts="apart"), team_of(n, name))]
-        for n in (2, 4, 8)
-        for name in (ALL if n == 4 else EACH)
-    ]
-    told.append(("apart to together", rows))
-    rows = [
-        [f"{name}, {contact}", *ratio_rows(episodes, team_of(4, name, contact), team_of(4, name))]
-        for name in EACH
-        for contact in ("range:10", "range:5", "line-of-sight", "none")
-    ]
-    told.append(("contact to all", rows))
+        own = {(name, n): team_of(n, name, starts=starts) for name, n in teams}
+        for other in ("independent", "greedy"):
+            tables[f"to {other}, {starts}"] = {f"{name}, {n}": (who, own[other, n]) for (name, n), who in own.items()}
+        alone = team_of(1, starts=starts)
+        tables[f"speed-up, {starts}"] = {f"{name}, {n}": (alone, who) for (name, n), who in own.items()}
+    tables["apart to together"] = {f"{name}, {n}": (who, team_of(n, name)) for (name, n), who in own.items()}
+    tables["contact to all"] = {
+        f"{name}, {contact}": (team_of(4, name, contact), team_of(4, name)) for name in TWO for contact in contacts
+    }
+    told = []
+    for title, pairs in tables.items():
+        rows = [[label, *ratio_row(episodes, *pair)] for label, pair in pairs.items() if pair[0] != pair[1]]
+        told.append(f"{title}\n\n{markdown(['team', *KINDS, 'all', 'worlds'], rows)}")
     keys = ["starts", "robots", "contact", "coordination"]
-    measures = ["path_m_at_90", "path_m_at_100", "path_sum_m", "overlap", "share_sd", "waits", "connected"]
-    means = episodes.assign(complete=100 * (episodes["outcome"] == "COMPLETE")).groupby(keys, sort=False)
-    means = means[[*measures, "complete"]].mean().round(2).reset_index().astype(str).to_numpy().tolist()
-    tables = [f"{title}\n\n{markdown(['team', *head], rows)}" for title, rows in told]
-    return "\n\n".join([*tables, f"means\n\n{markdown([*keys, *measures, 'complete %'], means)}"])
+    measures = ["path_m_at_90", "path_m_at_100", "path_sum_m", "overlap", "share_sd", "waits", "connected", "complete"]
+    means = episodes.assign(complete=episodes["outcome"] == "COMPLETE").groupby(keys, sort=False)[measures].mean()
+    rows = means.round(2).reset_index().astype(str).to_numpy().tolist()
+    return "\n\n".join([*told, f"means\n\n{markdown([*keys, *measures], rows)}"])
 
 
 def cost(coordinations, sizes):
@@ -149,6 +139,7 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--robots", type=int, nargs="+", default=[2, 3, 5])
     parser.add_argument("--coordination", nargs="+", default=["independent", "minpos", "voronoi"])
+    parser.add_argument("--mixed", action="store_true", help="robots that differ, most with a rendezvous")
     parser.add_argument("--cost", action="store_true", help="measure the time of a turn instead")
     parser.add_argument("--study", type=Path, metavar="DIR", help="run the study of teams into this folder instead")
     parser.add_argument("--worlds", type=int, default=40, help="number of worlds of each kind, with --study")
@@ -164,7 +155,8 @@ def main():
     for coordination, n in kinds:
         ends, waits, equal, of = Counter(), 0, 0, -(-given.cases // len(kinds))
         for number in range(given.first, given.first + of):
-            told, robots = team.differences(team.draw_case(given.seed, number, coordination, n))
+            case = team.draw_case(given.seed, number, coordination, n)
+            told, robots = team.differences(team.mixed(case, number) if given.mixed else case)
             ends.update(robot.ended for robot in robots)
             waits += sum(robot.waits for robot in robots)
             equal += not told

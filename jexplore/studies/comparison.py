@@ -67,8 +67,7 @@ def compare(
       pose, odometry: those of the rules, if given.
       robots: sizes of teams, 1 to 16, each compared with the first; see `team.environment`.
       coordination: one or several of independent, greedy, hungarian, minpos, voronoi, segments; your own functions.
-      contact, team_starts: see `team.read_contact`; "together", "apart", or row, col, heading_deg of each.
-      members: robots that differ, a text for each robot of the largest team: see `team.read_members`.
+      contact, members, team_starts: see `team.read_contact`, `read_members`, `starts.place_team`.
       engine: "auto", native code where it can and JAX for the rest; "jax", JAX alone. Results are equal.
       lanes, workers: episodes at a time on each GPU, with "jax"; threads on a CPU. By default as many as fit.
       on_progress, progress: called with the number of episodes finished; whether a bar shows it, as in notebooks.
@@ -89,8 +88,7 @@ def compare(
     limits = {"within": within, "from_map": from_map}
     own = {"lidar": lidar, "rules": rules, "robot": robot}
     team = {"robots": robots, "coordination": coordination, "contact": contact, "team_starts": team_starts}
-    team["members"] = members
-    more = {"metrics": metrics, "pose": pose, "odometry": odometry}
+    more = {"metrics": metrics, "pose": pose, "odometry": odometry, "members": members}
     jobs = prepare_jobs(worlds, strategies, **settings, **limits, **own, **team, **more)
     settings |= limits | {"from_map": _plainly(from_map)} | {name: getattr(jobs[0], name) for name in own}
     _require_setup(keep, until, out, overwrite, resume, robots)

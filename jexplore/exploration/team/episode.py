@@ -130,7 +130,7 @@ def team_line(
     contact = read_contact(team.contact, cell_m)
     robot = setup._replace(native=None, capacity=1, ends=setup.ends and not contact.rendezvous)
     own = TeamSetup(robot, team.robots, team.coordination, setup.capacity, contact.rendezvous > 0)
-    paces = np.tile(np.int32([one.pace for one in team.members] or [1] * team.robots), (n, 1))
+    paces = np.tile(np.array([one.pace for one in team.members] or [1] * team.robots, np.int32), (n, 1))
     beams = of_ranges(site.beams, lidar.without_noise(), cell_m, [one.range_m for one in team.members])
     tasks = tasks_of(starts.reshape(-1, 3), site.ring).reshape(starts.shape)
     task = TeamTask(tasks, Contact(*(np.full(n, value, kind) for value, kind in zip(contact, kinds))), paces)

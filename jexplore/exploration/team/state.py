@@ -1,4 +1,4 @@
-"""Records of a team, and what is read off them."""
+"""Records of a team, and values that follow from them."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, Self

@@ -96,8 +96,9 @@ def read_members(given: Sequence[str], lidar: Lidar) -> tuple[Member, ...]:
     """
     made = []
     for text in (given,) if isinstance(given, str) else given:
-        parts = [part.partition("=")[::2] for part in str(text).split(",")]
-        own, form = dict(parts), f"members must be such as pace=2, range=3 or pace=2,range=3, got {shown(text)}"
+        parts = [part.partition("=") for part in str(text).split(",")]
+        own = {name: value for name, _, value in parts}
+        form = f"members must be such as pace=2, range=3 or pace=2,range=3, got {shown(text)}"
         if not {*own} <= {"pace", "range"} or len(own) < len(parts):
             raise InputError(form)
         try:
