@@ -80,7 +80,8 @@ def ratio_row(episodes, ours, theirs):
     for kind in (*KINDS, None):
         own = logs[[kind is None or world.startswith(kind) for world in logs.index]]
         found = ratio_over_worlds(own, own.index)
-        cells.append(f"{found.ratio:.3f} [{found.low:.3f}, {found.high:.3f}]" if math.isfinite(found.low) else "-")
+        interval = f" [{found.low:.3f}, {found.high:.3f}]" if math.isfinite(found.low) else ""
+        cells.append(f"{found.ratio:.3f}{interval}")
     return [*cells, str(len(logs))]
 
 
