@@ -407,6 +407,11 @@ def test_a_strip_is_free_as_far_as_the_nearest_point_in_it():
     assert found == [math.inf, 3.0, 2.0]
 
 
+def test_a_goal_is_taken_into_the_frame_of_the_building():
+    world = World(occupied=np.ones((4, 4), bool), cell_m=0.1, origin_m=(-3.0, 2.0))
+    np.testing.assert_allclose(building_of(world, goal_m=(1.0, 4.0)).goal, (4.0, 2.0))
+
+
 def start(occupied, y_m):
     nodes = Node(0, 1.0, y_m, "divergence"), Node(1, 7.0, y_m, "divergence")
     btm = BtmMap(nodes, (Link(0, 0, 1, "searched", 0.0, 180.0, 6.0, 1.0),))
