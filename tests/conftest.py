@@ -40,7 +40,7 @@ try:  # the C library keeps freed memory in pieces; this returns it
 except AttributeError:  # another C library
     _trim = int
 
-# JAX makes a context for each program and keeps it: 1.4 MB and 3 ms, more than an operation outside of jit needs itself.
+# JAX makes a context for each program and keeps it: 1.4 MB and some ms, more than an operation outside of jit needs.
 # One serves all programs until they are dropped.
 try:
     mlir.make_ir_context = _context = functools.cache(mlir.make_ir_context)
