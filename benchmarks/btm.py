@@ -2,7 +2,7 @@
 
     python benchmarks/btm.py [--runs 1000] [--parts repeat place robots]
     python benchmarks/btm.py [--runs 1000] [--parts buildings halls furniture sensors steps speed] [--seed 0]
-    python benchmarks/btm.py [--runs 1000] --parts buildings --worlds WORLD... [--seed 0]
+    python benchmarks/btm.py [--runs 1000] --parts buildings --worlds WORLD... [--perception map] [--starts 2]
     python benchmarks/btm.py [--runs 1000] --parts loops [--first 21]
     python benchmarks/btm.py --parts read-off --maps FOLDER
 
@@ -67,7 +67,8 @@ WORKERS = os.cpu_count() or 1
 
 
 def traced(world, **options):
-    return tracing.execute(job.prepare_trace(world, **options), workers=WORKERS)
+    plan = job.prepare_trace(world, **options)
+    return tracing.execute(plan, workers=WORKERS if plan.perception == "triangles" else None)
 
 
 def row(*cells):
@@ -155,12 +156,12 @@ def robots(runs):
                 row(world, sigma, width, share(right, runs), share(same, runs))
 
 
-def buildings(runs, seed=0, worlds=BUILDINGS):
-    """Run in buildings, each from a twenty-fifth of `runs` starts, and compare with the true map.
+def buildings(runs, seed=0, worlds=BUILDINGS, perception="triangles", n=None):
+    """Run in buildings, each from n starts, by default a twenty-fifth of `runs`, and compare with the true map.
 
     Truth: `extract` of the true map, as far as the robot gets; doors are those of the generator.
     """
-    n = max(8, runs // 25)
+    n = n or max(8, runs // 25)
     columns = ["building", "starts", "EXHAUSTED", "with at most one help", "outcomes", "junctions", "doors"]
     more = [
         "false divergences",
@@ -172,7 +173,7 @@ def buildings(runs, seed=0, worlds=BUILDINGS):
     ]
     head(*columns, *more)
     for world in worlds:
-        table = traced(world, starts=n, seed=seed, noise=Noise(range_m=0.01)).table
+        table = traced(world, starts=n, seed=seed, noise=Noise(range_m=0.01), perception=perception).table
         done = table["outcome"] == "EXHAUSTED"
         outcomes = ", ".join(f"{name} {count}" for name, count in table["outcome"].value_counts().items())
         near = [part(table, f"{name}_reached", name) for name in ("junctions", "doors")]
@@ -370,13 +371,17 @@ def main():
     parser.add_argument("--parts", nargs="*", default=PARTS, choices=(*PARTS, "read-off"))
     parser.add_argument("--seed", type=int, default=0, help="of the starts in buildings and their noise, and of halls")
     parser.add_argument("--worlds", nargs="+", default=BUILDINGS, help="of buildings")
+    parser.add_argument("--perception", default="triangles", help="in buildings")
+    parser.add_argument("--starts", type=int, help="in a building")
     parser.add_argument("--first", type=int, default=21, help="course of loops and equal junctions, of twenty")
     parser.add_argument("--maps", help="folder with the plans of read-off")
     options = parser.parse_args()
     start_backend(WORKERS)
     use_compilation_cache()
     given = {
-        "buildings": functools.partial(buildings, options.runs, options.seed, options.worlds),
+        "buildings": functools.partial(
+            buildings, options.runs, options.seed, options.worlds, options.perception, options.starts
+        ),
         "halls": functools.partial(halls, options.runs, options.seed),
         "loops": functools.partial(loops, options.runs, options.first),
         "read-off": functools.partial(read_off, options.maps),

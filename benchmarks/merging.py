@@ -1,7 +1,6 @@
 """Measure how often maps without a common frame are merged right: drifting parts of true maps of courses.
 
     python benchmarks/merging.py [--pairs 400] [--first 0] [--part overlap | apart | alike | driven | all]
-    python benchmarks/merging.py --part picture [--worlds office] --out FOLDER
 
 Every part is grown along links from a start of its own, in the middle of a link or at a terminal node, to 30 to 100 %
 of the links, has a frame of its own and an odometry that is wrong: lengths by one factor of 0.95 to 1.05, the heading
@@ -121,38 +120,6 @@ def driven(worlds, runs, errors=(1.0, 5.0)):
         yield _row(f"driven, {world}", counts)
 
 
-def picture(world, folder, steps=9000):
-    """Two robots explore an office from two starts, each for a quarter of an hour: their maps and the merged one, over
-    the plan, as merged.png.
-    """
-    from matplotlib.collections import LineCollection
-    from matplotlib.figure import Figure
-
-    from jexplore.driving.settings import Noise
-    from jexplore.report.plot import save_figure
-    from jexplore.report.plots.looks import legend_below
-    from jexplore.studies.traces.recording import wall_lines
-    from jexplore.studies.traces.tracing import trace
-    from jexplore.tracemap.picture import draw_btm
-
-    found = trace(world, starts=2, noise=Noise(range_m=0.01), max_steps=steps)
-    names = ["the first robot's map", "the second's"]
-    merged = merge_maps([found.maps[0], found.maps[1]], names=names)
-    maps = [*zip(names, (found.maps[0], found.maps[1])), ("merged, in the frame of the first", merged.map)]
-    page, marks = Figure(figsize=(9, 15), layout="constrained"), {}
-    for ax, (name, btm) in zip(page.subplots(len(maps), 1), maps):
-        walls = LineCollection(list(wall_lines(found.plan).reshape(-1, 2, 2)), colors="0.7", linewidths=2)
-        marks["wall of the building"] = ax.add_collection(walls)
-        marks |= {mark.get_label(): mark for mark in draw_btm(ax, btm)}
-        ax.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
-        ax.autoscale_view()
-        ax.set_title(f"{name}: {len(btm.nodes)} nodes, {len(btm.links)} links")
-    legend_below(page, list(marks.values()), list(marks))
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    save_figure(page, Path(folder) / "merged.png")
-    print(f"{merged.outcome.value}; {merged.matched} nodes in common; {'; '.join(merged.notes) or 'no notes'}")
-
-
 PARTS = {"overlap": overlapping, "apart": apart, "alike": alike}
 
 
@@ -160,18 +127,13 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pairs", type=int, default=400)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--part", choices=[*PARTS, "driven", "picture", "all"], default="all")
-    parser.add_argument("--worlds", nargs="+", help="of --part driven (rooms, rooms#1) and picture (office)")
-    parser.add_argument("--out", default="runs/merging", help="of --part picture")
+    parser.add_argument("--part", choices=[*PARTS, "driven", "all"], default="all")
+    parser.add_argument("--worlds", nargs="+", help="of --part driven")
     parser.add_argument("--runs", type=int, default=5, help="of --part driven, in each world")
     given = parser.parse_args()
     rows, spent = [], []
     if given.part == "driven":
         print(aligned_table(HEAD, driven(given.worlds or ["rooms", "rooms#1"], given.runs), left=HEAD[:1]))
-        return
-    if given.part == "picture":
-        for world in given.worlds or ["office"]:
-            picture(world, given.out)
         return
     for name in PARTS if given.part == "all" else [given.part]:
         counts, groups = collections.Counter(), collections.defaultdict(collections.Counter)

@@ -63,8 +63,9 @@ DRAWN = {
     "trace": Drawn(
         "jexplore trace --world course --robot kamui --noise-m 0.01 --out drawn", {"trace/btm.png": "drawn/btm.png"}
     ),
-    "merged": Drawn(
-        "python benchmarks/merging.py --part picture --out drawn", {"trace/merged.png": "drawn/merged.png"}
+    "team": Drawn(
+        "jexplore trace --world rooms --robots 2 --noise-m 0.01 --contact range:4 --out drawn",
+        {"trace/team.png": "drawn/team.png"},
     ),
     "tutorial": Drawn(
         "",

@@ -13,6 +13,8 @@ from jexplore.studies.traces.routes import route as route
 from jexplore.studies.traces.routes import routes as routes
 from jexplore.studies.traces.station import station as station
 from jexplore.studies.traces.storage import storage as storage
+from jexplore.studies.traces.teams.team import TraceTeamResult as TraceTeamResult
+from jexplore.studies.traces.teams.team import trace_team as trace_team
 from jexplore.studies.traces.tracing import TraceResult as TraceResult
 from jexplore.studies.traces.tracing import trace as trace
 from jexplore.tracemap.corrected import correct_map as correct_map

@@ -176,6 +176,8 @@ def test_maps_that_are_none_are_refused(tmp_path, capsys, given, says):
 def test_other_bad_input_is_refused(tmp_path, capsys):
     with pytest.raises(InputError, match="there is no file"):
         table.map_files(tmp_path / "missing")
+    with pytest.raises(InputError, match=r"unknown scanner 'x' \(there are: dare"):
+        table.reproduce_dare(tmp_path, scanner="x")
     with pytest.raises(InputError, match="episodes"):
         table.map_files(tmp_path, 101)
     (tmp_path / "1.png").write_text("no picture")

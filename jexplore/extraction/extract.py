@@ -6,6 +6,7 @@ junction of that graph, whose branches are passages or run into corners. Runs on
 
 import itertools
 import math
+from collections.abc import Container, Mapping
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ import numpy as np
 
 from jexplore.arrays.padding import framed
 from jexplore.config import InputError, require_number
-from jexplore.extraction.lines import connected_cells, lines_of, take_corners
+from jexplore.extraction.lines import Lines, connected_cells, lines_of, take_corners
 from jexplore.extraction.passages import SEARCH, PlaceDraft, places_and_passages
 from jexplore.grid import centre_of, in_cells
 from jexplore.rooms.watershed import CLUTTER_M, clutter
@@ -62,7 +63,7 @@ def extract(
     free, obstacle, ends = _checked(free, known, cell_m, start_rc, trail, width_m, open_m, clutter_m)
     lines = lines_of(obstacle, free, width=in_cells(width_m, cell_m))
     corners = take_corners(lines)
-    cells = _attached(lines, corners, ends, free)
+    cells = attached(lines, corners, ends, free)
     if "start" in ends and "start" not in cells:
         start = PlaceDraft(*ends["start"], "terminal", 0.0)
         return _numbered({0: start}, [], 0, lines, cell_m, origin_m)
@@ -101,11 +102,16 @@ def _checked(free, known, cell_m, start_rc, trail, width_m, open_m, clutter_m):
     for name, (row, col) in ends.items():
         if not (0 <= row < free.shape[0] and 0 <= col < free.shape[1]) or not free[row, col]:
             raise InputError(f"{name}: cell ({row}, {col}) is not a free cell of the map")
-    patches = label_components(~known)
-    small = np.bincount(patches[patches >= 0], minlength=1) < max(in_cells(width_m, cell_m), 1) ** 2
-    open_ = free | ((patches >= 0) & small[patches])
+    open_, _ = open_cells(known & ~free, known, in_cells(width_m, cell_m))
     open_ |= _clutter(open_, in_cells(clutter_m, cell_m))
     return open_, known & ~free & ~open_, ends
+
+
+def open_cells(occupied: np.ndarray, known: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return `(free, obstacle)`, `[H, W]` bool: unseen patches too small for a robot of `width` cells are free."""
+    patches = label_components(~known)
+    small = np.bincount(patches[patches >= 0], minlength=1) < max(width, 1) ** 2
+    return (known & ~occupied) | ((patches >= 0) & small[patches]), known & occupied
 
 
 def _clutter(free, size):
@@ -120,8 +126,13 @@ def _counts(lines, cell):
     return bool(lines.known[cell] and lines.near[cell])
 
 
-def _attached(lines, corners, ends, free):
-    """Return the cell of the graph that each terminal belongs to: the nearest in sight, no junction if that can be."""
+def attached(
+    lines: Lines, corners: Container[int], ends: Mapping[str, tuple[int, int]], free: np.ndarray
+) -> dict[str, int]:
+    """Return the cell of the graph that each place of `ends`, row and col by name, belongs to.
+
+    That is the nearest in sight, no junction if that can be; places are left out that are on no part of the graph.
+    """
     found, parts = {}, label_components(free)
     for name, (row, col) in ends.items():
         same = parts[lines.row, lines.col] == parts[row, col]
@@ -149,7 +160,7 @@ def _numbered(places, ways, first, lines, cell_m, origin_m):
     for n, way in enumerate(ways):
         for last, key, path in ((False, way.start, way.path), (True, way.end, way.path[::-1])):
             if key is not None:
-                bearing[n, last] = _leaves(lines, places[key], path)
+                bearing[n, last] = leaves(lines, places[key], path)
                 leaving[key].append((n, last))
     number, links = {}, {}
     stack = [(first, None)] if places else []
@@ -200,7 +211,7 @@ def _narrowest(lines, path):
     return float(2 * radius.min() - 1)
 
 
-def _leaves(lines, place, path):
+def leaves(lines: Lines, place: PlaceDraft, path: list[int]) -> float:
     """Return the direction in which a path leaves a place: to where it crosses its search circle, degrees."""
     rows, cols = (lines.at[path] - place[:2]).T
     away = np.hypot(rows, cols)

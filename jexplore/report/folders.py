@@ -31,6 +31,8 @@ OUR_FILES = (
     *("reproduce.png", "reproduce.svg", "dare.parquet"),  # reproduce
     *("asked.yaml", "summary.csv", "sweep.png", "sweep-map.png", "sweep.svg", "sweep-map.svg"),  # sweep
     *("btm.json", "btm.geojson", "btm.graphml", "btm.png", "btm.html", "runs.parquet"),  # trace
+    *("station.html", "teams.parquet", "contacts.parquet", "team.png"),  # trace --robots
+    *(f"robot-{i}.json" for i in range(16)),
     *("route.json", "route.png"),  # route
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""

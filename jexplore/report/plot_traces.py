@@ -13,6 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from jexplore.report.plot import PALETTE, wrapped_text
+from jexplore.report.plots.looks import legend_below
 from jexplore.tracemap.picture import STUB_M, draw_btm, link_lines
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.route import Route
@@ -21,6 +22,12 @@ MODE_COLOURS = tuple(PALETTE[i] for i in (0, 1, 2, 5, 7, 3, 4, 6))
 """Of run modes, those first that no type of node has; a ninth mode starts over."""
 WALL, POINT = "#dddddd", "#555555"
 WAY, REFUSED = PALETTE[0], "#e01010"
+OUTCOME_MARKS = {
+    "MERGED": ("*", "#f0e442"),
+    "AMBIGUOUS": ("^", "#ffffff"),
+    "NOT_ENOUGH_IN_COMMON": ("X", "#ffffff"),
+}
+"""Of attempts to merge maps: marker and colour."""
 LONG_IN, LEGEND_IN = 8.0, 1.9
 FIRST_PASS_M = 0.25  # by which a first pass of a node may be farther than the nearest
 
@@ -92,6 +99,39 @@ def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2
     ax.tick_params(labelsize=8)
     ax.spines[["top", "right"]].set_visible(False)
     return line
+
+
+def team_figure(
+    walls: ArrayLike, ways: Sequence[ArrayLike], attempts: Sequence[tuple[float, float, str]], btm: BtmMap, title: str
+) -> Figure:
+    """Draw a page with the robots' true ways and where they tried to merge their maps, and the merged map, over a plan.
+
+    `walls` as of `trace_figure`; `ways` are `[n, 2]`, metres, of each robot; `attempts` are x, y, metres, and the
+    outcome; `btm` is drawn below.
+    """
+    walls, handles = np.asarray(walls, float), {}
+    width, height = np.ptp(walls.reshape(-1, 2), axis=0)
+    wide = min(LONG_IN, 1.2 * LONG_IN * width / height)
+    page = Figure(figsize=(wide + 1.0, 2 * wide * height / width + 1.6), layout="constrained")
+    above, below = page.subplots(2, 1, sharex=True, sharey=True)
+    for i, way in enumerate(ways):
+        xy, colour = np.asarray(way), PALETTE[i % len(PALETTE)]
+        (handles[f"way of robot-{i}"],) = above.plot(*xy.T, color=colour, linewidth=1.6, alpha=0.7)
+        above.plot(*xy[0], marker="o", color=colour, markeredgecolor="black", markersize=9, zorder=5)
+    for outcome, (marker, colour) in OUTCOME_MARKS.items():
+        at = [(x, y) for x, y, own in attempts if own == outcome]
+        if at:
+            name = outcome.lower().replace("_", " ")
+            style: dict[str, Any] = {"linestyle": "none", "marker": marker, "markersize": 7, "zorder": 6}
+            (handles[name],) = above.plot(*np.transpose(at), **style, color=colour, markeredgecolor="black")
+    handles |= {mark.get_label(): mark for mark in draw_btm(below, btm)}
+    for ax, name in ((above, title), (below, f"map of most robots: {len(btm.nodes)} nodes, {len(btm.links)} links")):
+        handles |= {mark.get_label(): mark for mark in _draw_building(ax, walls, ())}
+        ax.set(aspect="equal", ylabel="y (m)")
+        ax.set_title(wrapped_text(name, int(11 * wide), max_lines=2), fontsize=10, parse_math=False)
+    below.set_xlabel("x (m)")
+    legend_below(page, list(handles.values()), list(handles))
+    return page
 
 
 def _draw_building(ax, walls, points):

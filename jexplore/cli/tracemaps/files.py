@@ -1,4 +1,4 @@
-"""Files of trace maps on the command line: what they are called, where a result may go, and progress of merging."""
+"""Files of trace maps on the command line: names, checks of output files, formats; progress of merging."""
 
 import contextlib
 import os
@@ -10,6 +10,7 @@ import tyro
 
 from jexplore.cli.output.console import working
 from jexplore.config import InputError
+from jexplore.tracemap.record import BtmMap
 
 Files = Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE [FILE ...]", help_behavior_hint="(required)")]
 MapNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
@@ -62,3 +63,16 @@ def _are_one(path, other):
         return os.path.samefile(path, other)
     except OSError:  # one is not there
         return os.path.abspath(path) == os.path.abspath(other)
+
+
+def exchanged(found: BtmMap) -> dict[str, Callable[[Path], object]]:
+    """Return the files of a trace map for other programs: `{name: writer}`."""
+    from jexplore.report import store
+    from jexplore.tracemap import export, json_form
+
+    files = {"btm.json": lambda path: store.write_json(json_form.to_json(found), path)}
+    if any(link.end >= 0 for link in found.links):  # a route needs an edge
+        route = export.geojson(found)
+        files["btm.geojson"] = lambda path: store.write_json(route, path)
+    graph = export.graphml(found)
+    return {**files, "btm.graphml": lambda path: path.write_text(graph, encoding="utf-8")}

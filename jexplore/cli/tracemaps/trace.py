@@ -5,14 +5,26 @@ import functools
 import math
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
-from jexplore.cli.options import EngineName, OneStrategy, OneWorld, ResumeOptions, fields_of
+from jexplore.cli.options import (
+    ContactText,
+    EngineName,
+    Number,
+    OneStrategy,
+    OneWorld,
+    ResumeOptions,
+    StartsText,
+    fields_of,
+)
 from jexplore.cli.output.console import COMPILING, Out, note_if_slow, say, working
+from jexplore.cli.tracemaps.files import exchanged
+from jexplore.cli.tracemaps.team import trace_robots
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
+from jexplore.tracemap.merging.limits import Limits
 
 SAME_WAY_M = 0.01  # two ways no farther apart than this are one
 
@@ -60,6 +72,8 @@ class Trace(ResumeOptions):
     """Most nodes of the map; by default 32 for a course with a goal, else more than the true map has."""
     links: int | None = None
     """Most links of the map; by default two a node."""
+    perception: Literal["triangles", "map"] = "triangles"
+    """Perceive by triangles of single scans, as in the paper, or by a local map, on level ground."""
     attribute: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE@X,Y [...]", help_behavior_hint="")] = ()
     """Give the node that is nearest to a place in the building, in metres, an attribute: victim=true@12.5,4,
     radio_dbm=-61@3,8."""
@@ -75,25 +89,49 @@ class Trace(ResumeOptions):
     clutter_m: float = 1.0
     """Let --from-episode look through obstacles in the open whose bounding box has a diagonal shorter than this, in
     metres, such as legs of tables."""
+    robots: Number = None
+    """Let this number of robots, 1 to 16, drive at the same time, and merge their maps whenever two are in contact."""
+    contact: ContactText = "all"
+    """With --robots: which of them exchange maps: all, none or, within M metres, range:M."""
+    team_starts: StartsText = ("apart",)
+    """With --robots: begin far from each other (apart), next to the first (together), or at X,Y,HEADING_DEG each."""
+    limits: Limits = dataclasses.field(default_factory=Limits)
     tuning: Tuning = dataclasses.field(default_factory=Tuning)
     noise: Noise = dataclasses.field(default_factory=Noise)
+
+    @property
+    def own_noise(self) -> Noise:
+        """Return the noise, with that of --noise-m."""
+        return self.noise if self.noise_m is None else dataclasses.replace(self.noise, range_m=self.noise_m)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
         from jexplore.studies.traces import tracing
         from jexplore.studies.traces.job import prepare_trace
 
-        for name in ("strategy", "clutter_m"):
-            if not self.from_episode and getattr(self, name) != getattr(type(self)(), name):
-                raise InputError(f"--{name.replace('_', '-')} goes with --from-episode")
+        for names, asked, option in (
+            ("strategy clutter_m", self.from_episode, "--from-episode"),
+            ("contact team_starts limits", self.robots is not None, "--robots"),
+        ):
+            for name, value in fields_of(self, names).items():
+                if not asked and value != getattr(type(self)(), name):
+                    raise InputError(f"--{name.replace('_', '-')} goes with {option}")
+        for name in ("animate", "corrected", "robots"):  # the map's poses come from scans: no drift is left to spread
+            if self.perception == "map" and getattr(self, name):
+                raise InputError(f"--{name} goes with --perception triangles")
         if self.noise_m is not None and self.noise.range_m not in (type(self)().noise.range_m, self.noise_m):
             raise InputError("--noise-m and --noise.range-m say the same: give one of them")
         with Out(self, "trace") as out:
             if self.from_episode:
                 return _trace_episode(out, self, arguments)
-            noise = self.noise if self.noise_m is None else dataclasses.replace(self.noise, range_m=self.noise_m)
-            own = fields_of(self, "robot runs starts seed tuning start sweep settings cell_m max_steps nodes links")
-            plan = prepare_trace(self.world, **own, noise=noise, attributes=self.attribute)
+            if self.robots is not None:
+                others = "runs starts sweep settings corrected animate resume"
+                _refuse(self, others.split(), "--robots", "every robot makes one run")
+                return trace_robots(out, self, arguments)
+            own = fields_of(
+                self, "robot runs starts seed tuning start sweep settings cell_m max_steps nodes links perception"
+            )
+            plan = prepare_trace(self.world, **own, noise=self.own_noise, attributes=self.attribute)
             if plan.size[0] < plan.places:
                 say(f"jexplore: note: the true map has {plan.places} nodes, this one has room for {plan.size[0]}", 0)
             ledger = out.keep(tracing.asked_of_runs(plan), len(tracing.run_blocks(plan)))
@@ -122,7 +160,7 @@ class Trace(ResumeOptions):
             **engine_of(costs),
         )
         first = correct_map(found.first) if self.corrected else found.first
-        files = {**_exchanged(first), "runs.parquet": lambda path: store.write_parquet(found.table, path)}
+        files = {**exchanged(first), "runs.parquet": lambda path: store.write_parquet(found.table, path)}
         text = trace_tables.map_tables(first) + "\n" + "\n".join(trace_tables.summary(found))
         pictures = {"btm.png": functools.partial(_draw, found, first)}
         if self.animate and not costs.interrupted:
@@ -172,17 +210,11 @@ def _draw(found, first, path):
     plot.save_figure(figure, path)
 
 
-def _exchanged(found):
-    """Return the files of a trace map for other programs: `{name: writer}`."""
-    from jexplore.report import store
-    from jexplore.tracemap import export, json_form
-
-    files = {"btm.json": lambda path: store.write_json(json_form.to_json(found), path)}
-    if any(link.end >= 0 for link in found.links):  # a route needs an edge
-        route = export.geojson(found)
-        files["btm.geojson"] = lambda path: store.write_json(route, path)
-    graph = export.graphml(found)
-    return {**files, "btm.graphml": lambda path: path.write_text(graph, encoding="utf-8")}
+def _refuse(options, names, given, why):
+    """Refuse options, by their fields, that do not go with a given one."""
+    for name in names:
+        if getattr(options, name) != getattr(type(options)(), name):
+            raise InputError(f"{given} takes no --{name.replace('_', '-')}: {why}")
 
 
 def _trace_episode(out, options, arguments):
@@ -190,16 +222,13 @@ def _trace_episode(out, options, arguments):
     from jexplore.report import plot, trace_tables
     from jexplore.studies.traces import extraction
 
-    plain = type(options)()
     own = {"world", "strategy", "seed", "cell_m", "clutter_m", "tuning", "out", "overwrite", "from_episode"}
-    for field in dataclasses.fields(options):
-        if field.name not in own and getattr(options, field.name) != getattr(plain, field.name):
-            option = field.name.replace("_", "-")
-            raise InputError(f"--from-episode takes no --{option}: an episode's robot is that of `jexplore explore`")
+    others = [field.name for field in dataclasses.fields(options) if field.name not in own]
+    _refuse(options, others, "--from-episode", "an episode's robot is that of `jexplore explore`")
     with note_if_slow(COMPILING):
         own = fields_of(options, "seed cell_m clutter_m tuning")
         found = extraction.extracted(options.world, options.strategy, **own)
     pictures = {"btm.png": lambda path: plot.save_figure(found.figure(), path)}
     text = trace_tables.map_tables(found.map) + "\n" + "\n".join(found.agreement())
     record = out.record(arguments, options, result=found.measures, agreement=found.agreement())
-    return out.finish(record, _exchanged(found.map), text, pictures)
+    return out.finish(record, exchanged(found.map), text, pictures)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jexplore.config import InputError, checked_names, require_whole
+from jexplore.config import InputError, checked_names, require_whole, unknown
 from jexplore.report import tables
 from jexplore.studies.dare import planners, rules
 from jexplore.studies.statistics.paired import t_interval
@@ -127,10 +127,12 @@ def reproduce_dare(
       on_progress: called with the number of maps that are done.
 
     Raises:
-      InputError: a folder, map or number that cannot be used. All maps are read before any is run.
+      InputError: a folder, map, number or scanner that cannot be used. All maps are read before any is run.
     """
     import pandas as pd
 
+    if scanner not in rules.SCANNERS:
+        raise unknown("scanner", str(scanner), rules.SCANNERS)
     files = map_files(maps, episodes)
     for file in files:
         rules.read_map(file)

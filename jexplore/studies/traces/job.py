@@ -12,6 +12,7 @@ import numpy as np
 from jexplore.config import MAX_RUNS, NUMBER_BOUNDS, InputError, as_record, checked_names, require_setting
 from jexplore.driving import batch
 from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start, settings_arrays
+from jexplore.driving.local.batch import run_missions as run_by_map
 from jexplore.driving.mission import MAP_SIZE
 from jexplore.driving.params.groups import default_numbers
 from jexplore.driving.params.tree import Params, params_with
@@ -38,6 +39,8 @@ from jexplore.worlds.world import World, with_ring
 
 MAX_TRACE_STEPS = int(NUMBER_BOUNDS["max_steps"][1])
 STEPS_M2 = 100  # steps of 4 cm for each square metre of free area: four metres of way
+PERCEPTIONS = "triangles", "map"
+OF_MAP = "width_m", "open_m", "speed_m_s"  # thresholds that count with the second
 START_CLEARANCE_M = 0.5  # of starts that are drawn
 MIN_NODES = 128  # most nodes of a map of a building, at least
 SPARE = 2  # default room for nodes, for each node of the true map
@@ -65,6 +68,7 @@ class TraceJob:
     max_steps: int
     size: tuple[int, int] = MAP_SIZE
     """Most nodes and links of a map; see `map_room`."""
+    perception: str = PERCEPTIONS[0]
     attributes: tuple[tuple[str, Any, tuple[float, float]], ...] = ()
     """Name, value and place, metres: the node of every run's map that is nearest to the place in truth gets it."""
 
@@ -94,9 +98,11 @@ class TraceJob:
 
     def run(self, setting: np.ndarray, which: np.ndarray, **how: Any) -> batch.MissionResults:
         """Make runs `[n]`, by numbers of settings and of runs; `how` as of `batch.run_missions`."""
-        how = {"max_steps": self.max_steps, "size": self.size, "params": self.params_of(setting), **how}
-        starts = self.starts_of(which)
-        return batch.run_missions(self.building, *self.settings_of(setting), starts, self.seed, which, **how)
+        what = self.building, *self.settings_of(setting), self.starts_of(which), self.seed, which
+        how = {"max_steps": self.max_steps, "size": self.size, **how}
+        if self.perception == "map":
+            return run_by_map(*what, **how)
+        return batch.run_missions(*what, params=self.params_of(setting), **how)
 
     def starts_of(self, which: np.ndarray) -> np.ndarray:
         """Return the starts of runs by their numbers: `[n, 3]` float32."""
@@ -122,7 +128,7 @@ def prepare_trace(
     tuning: Tuning | Mapping[str, Any] | None = None, noise: Noise | Mapping[str, Any] | None = None,
     start: tuple[float, float, float] | None = None, sweep: Sequence[str] = (), settings: int = 100,
     cell_m: float = 0.1, max_steps: int | None = None, attributes: Sequence[str] = (),
-    nodes: int | None = None, links: int | None = None,
+    nodes: int | None = None, links: int | None = None, perception: str = PERCEPTIONS[0],
 ) -> TraceJob:  # fmt: skip
     """Check everything before anything is compiled.
 
@@ -140,7 +146,10 @@ def prepare_trace(
       max_steps: steps after which a run ends as STEP_LIMIT; by default `MAX_STEPS`, in buildings more by free area.
       attributes: see `attributes_of`.
       nodes, links: most of a map; a run that needs more ends as MAP_FULL. By default see `map_room`.
+      perception: `triangles` of single scans, as in the paper; `map`: a local map, on level ground.
     """
+    if perception not in PERCEPTIONS:
+        raise InputError(f"perception must be one of {', '.join(PERCEPTIONS)}, got {perception!r}")
     (world,) = checks.ready_worlds([world], cell_m)
     if start is None and world.course is None and (starts or world.start is None):
         warn_of_outside(world, start_region(world, START_CLEARANCE_M))
@@ -156,6 +165,9 @@ def prepare_trace(
     tuning = for_world(tuning, is_course=world.course is not None)
     require_robot(robot)
     own, swept = for_world(Tuning(), is_course=world.course is not None), swept_values(sweep, settings, seed)
+    unused = [name for name in swept if not name.startswith(NOISE) and name not in OF_MAP]
+    if perception == "map" and unused:
+        raise InputError(f"sweep: {unused[0]} does not count with perception map; {', '.join(OF_MAP)} and noise do")
     for name in BY_WORLD.keys() & swept.keys():  # 0 stands for the world's own number
         swept[name] = np.where(swept[name] == 0, getattr(own, name), swept[name])
     count = len(next(iter(swept.values()))) if swept else 1
@@ -167,7 +179,7 @@ def prepare_trace(
         require_tuning(with_values(tuning, noise, own_values)[0])
     places = _placed(world, _ends(world, start, starts, seed), robot, tuning)
     found = robot, tuning, noise, n_runs, seed, swept, count, most, map_room(world, places[1], nodes, links)
-    return TraceJob(world, *places, *found, attributes_of(attributes))
+    return TraceJob(world, *places, *found, perception, attributes_of(attributes))
 
 
 def map_room(world: World, truth: TraceTruth, nodes: int | None = None, links: int | None = None) -> tuple[int, int]:

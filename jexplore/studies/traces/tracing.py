@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from jexplore import btm
-from jexplore.config import __version__, checked_names, require_engine
+from jexplore.config import InputError, __version__, checked_names, require_engine
 from jexplore.driving import vehicle
 from jexplore.driving.batch import Driven, outcome_names
 from jexplore.driving.records import RunMode
@@ -23,7 +23,7 @@ from jexplore.report.ledger import Ledger, Work
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import world_digest
 from jexplore.studies.results.units import MAX_UNITS_OF_JOB, MIN_UNIT_EPISODES
-from jexplore.studies.traces.job import TraceJob, prepare_trace
+from jexplore.studies.traces.job import PERCEPTIONS, TraceJob, prepare_trace
 from jexplore.studies.traces.recording import scans_of
 from jexplore.studies.traces.truth import false_divergences
 from jexplore.tracemap import json_form
@@ -80,7 +80,7 @@ def asked_of_runs(plan: TraceJob) -> dict[str, Any]:
         "version": __version__,
         "world": os.fspath(plan.world.name),
         **{name: getattr(plan, name) for name in ("robot", "tuning", "noise", "runs", "seed", "swept", "max_steps")},
-        **{name: getattr(plan, name) for name in ("size", "attributes")},
+        **{name: getattr(plan, name) for name in ("size", "perception", "attributes")},
         "starts": plan.begins,
         "digest": world_digest(plan.world),
     }
@@ -114,6 +114,10 @@ def execute(
     if work.left:
         moved = None if on_progress is None else (lambda done: on_progress(done + resumed))
         how = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": moved}
+        if plan.perception == "map":
+            if (engine, lanes, workers) != ("auto", None, None):
+                raise InputError("perception map makes runs one after the other: leave engine, lanes and workers out")
+            how = {"on_progress": moved}
         try:
             costs = plan.run(setting, which, blocks=[blocks[i] for i in work.left], on_block=put, **how).costs
         except KeyboardInterrupt:
@@ -145,7 +149,7 @@ def trace(
     tuning: Tuning | Mapping[str, Any] | None = None, noise: Noise | Mapping[str, Any] | None = None,
     start: tuple[float, float, float] | None = None, sweep: Sequence[str] = (), settings: int = 100,
     cell_m: float = 0.1, max_steps: int | None = None, attributes: Sequence[str] = (),
-    nodes: int | None = None, links: int | None = None,
+    nodes: int | None = None, links: int | None = None, perception: str = PERCEPTIONS[0],
     engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None, progress: bool | None = None,
 ) -> TraceResult:  # fmt: skip
@@ -153,7 +157,7 @@ def trace(
 
     Args:
       world, robot, runs, starts, seed, tuning, noise, start: see `prepare_trace`.
-      sweep, settings, cell_m, max_steps, attributes, nodes, links: see `prepare_trace`.
+      sweep, settings, cell_m, max_steps, attributes, nodes, links, perception: see `prepare_trace`.
       engine, lanes, workers: see `runner.find_resources`; results are equal but for rounding.
       on_progress: called with the number of finished runs.
       progress: show a bar; by default in notebooks.
@@ -168,6 +172,7 @@ def trace(
     plan = prepare_trace(
         world, robot=robot, runs=runs, starts=starts, seed=seed, tuning=tuning, noise=noise, start=start, sweep=sweep,
         settings=settings, cell_m=cell_m, max_steps=max_steps, attributes=attributes, nodes=nodes, links=links,
+        perception=perception,
     )  # fmt: skip
     with progress_bar(progress, plan.settings * plan.runs, "runs", on_progress) as moved:
         return execute(plan, engine=engine, lanes=lanes, workers=workers, on_progress=moved)

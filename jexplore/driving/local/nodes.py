@@ -1,0 +1,195 @@
+"""The trace map while it is written: nodes, their exits, what a look at the local map adds, routes."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from jexplore import btm
+from jexplore.arrays.poses import wrapped
+from jexplore.btm import Btm
+from jexplore.driving.local.sight import SeenPlace
+from jexplore.tracemap.record import NODE_TYPES
+
+SAME_M = 0.5  # two places of a type no farther apart than this are one node,
+SAME_RADII = 0.6  # or than this share of the smaller clearance
+SAME_RAD = math.radians(35)  # two exits of a node less apart than this are one
+SAME_END_RAD = math.radians(70)  # the same where both lead to one node
+NEAR_M = 4.0  # a robot no farther than this from a node sees which exits it does not have
+MOVED_M = 0.25  # more of a way is known where its seen part ends this far from before: the tries at it begin anew
+
+
+TRIES = 3  # times that the robot goes in vain to a node, to an exit's end or along a link before it gives that up
+FAIL_M = 10.0  # a link along which it did not come counts as longer by this each time
+
+
+def length_of(path: np.ndarray) -> float:
+    """Return the length of a path `[n, 2]`."""
+    return float(np.hypot(*np.diff(path, axis=0).T).sum())
+
+
+def direction_out(path: np.ndarray) -> float:
+    """Return the direction in which a path leaves its begin, radians."""
+    away = np.hypot(*(path - path[0]).T) > SAME_M
+    return math.atan2(*(path[int(away.argmax()) if away.any() else -1] - path[0])[::-1])
+
+
+@dataclasses.dataclass(eq=False)
+class Exit:
+    """An exit of a node."""
+
+    bearing: float  # radians
+    path: np.ndarray  # [n, 2], metres, as far as it was seen
+    to: int = -1  # node; -1: none yet
+    tries: int = 0  # times that the robot has gone to its end in vain
+    fails: int = 0  # times that the robot has not come along it
+
+
+@dataclasses.dataclass(eq=False)
+class Node:
+    """A node."""
+
+    xy: np.ndarray  # [2] float, metres
+    type: str  # one of `NODE_TYPES`
+    radius_m: float
+    truth: np.ndarray  # [2] float, its true position, as far off as the robot when it first saw it
+    exits: list[Exit] = dataclasses.field(default_factory=list)
+    is_visited: bool = False
+    tries: int = 0  # times that the robot has gone there in vain
+
+    @property
+    def reached_m(self) -> float:
+        """Return the distance within which the robot is at the node."""
+        return max(SAME_M, self.radius_m)
+
+
+class TraceMap:
+    """A trace map of at most some nodes; node 0 is the start."""
+
+    def __init__(self, start: np.ndarray, truth: np.ndarray) -> None:
+        """Begin with the start `[2]`, metres, estimated and true."""
+        self.nodes = [Node(start, "terminal", 0.0, truth, is_visited=True)]
+
+    def note(self, seen: Sequence[SeenPlace], pose: np.ndarray, truth: np.ndarray) -> dict[int, int]:
+        """Enter what a look at the local map shows.
+
+        Args:
+          pose, truth: `[3]`, of the robot.
+
+        Returns:
+          Place in `seen` -> node, of the places that are nodes.
+        """
+        node_of: dict[int, int] = {}
+        for i, place in enumerate(seen):
+            same = self._same(place, set(node_of.values()))
+            if same is not None:
+                node_of[i] = same
+                node = self.nodes[same]
+                if place.is_sure and place.type != "terminal":
+                    node.radius_m = place.radius_m
+                    if not node.is_visited:
+                        node.truth = node.truth + place.xy - node.xy
+                        node.xy = place.xy
+            elif place.is_sure:
+                node_of[i] = len(self.nodes)
+                self.nodes.append(Node(place.xy, place.type, place.radius_m, place.xy + (truth - pose)[:2]))
+        for i, at in node_of.items():
+            self._note_exits(self.nodes[at], seen[i], node_of, math.dist(self.nodes[at].xy, pose[:2]) < NEAR_M)
+        return node_of
+
+    def _same(self, place, taken):
+        """Return the node that a place is, None if it is new."""
+        best, nearest = None, math.inf
+        for i, node in enumerate(self.nodes):
+            off = math.dist(node.xy, place.xy)
+            limit = max(SAME_M, SAME_RADII * min(place.radius_m, node.radius_m))
+            if node.type == place.type and i not in taken and off < min(limit, nearest):
+                best, nearest = i, off
+        return best
+
+    @staticmethod
+    def _note_exits(node, place, node_of, is_near):
+        met = set()
+        for way in place.ways:
+            to = node_of.get(way.to, -1)
+
+            def off(exit_, way=way, to=to):
+                apart = abs(wrapped(way.bearing - exit_.bearing))
+                return apart if apart < (SAME_END_RAD if to >= 0 and exit_.to == to else SAME_RAD) else math.inf
+
+            best = min((e for e in node.exits if id(e) not in met), key=off, default=None)
+            if best is not None and off(best) < math.inf:
+                met.add(id(best))
+                if best.to < 0:
+                    if to >= 0 or math.dist(best.path[-1], way.path[-1]) > MOVED_M:
+                        best.tries = 0
+                    best.bearing, best.path, best.to = way.bearing, way.path, to
+            elif place.is_sure or not node.exits:
+                node.exits.append(Exit(way.bearing, way.path, to))
+                met.add(id(node.exits[-1]))
+        if place.is_sure and is_near:
+            node.exits = [e for e in node.exits if id(e) in met or e.to >= 0]
+
+    def link_driven(self, one: int, other: int, way: np.ndarray) -> None:
+        """Link two nodes by the way `[n, 2]` that the robot has driven, if no route leads from one to the other."""
+        if self.route(one, {other}) is None:
+            for begin, end, path in ((one, other, way), (other, one, way[::-1])):
+                self.nodes[begin].exits.append(Exit(direction_out(path), path, end))
+
+    def route(self, begin: int, goals: set[int]) -> list[tuple[Exit, int]] | None:
+        """Return the shortest way from a node to another of `goals`: exits and the nodes they lead to; None: none."""
+        ends = [(i, e.to, e) for i, node in enumerate(self.nodes) for e in node.exits if e.to >= 0 and e.fails < TRIES]
+        shortest: dict[tuple[int, int], tuple[float, Exit]] = {}
+        for i, to, exit_ in ends:
+            length = 0.1 + length_of(exit_.path) + FAIL_M * exit_.fails
+            if length < shortest.get((i, to), (math.inf,))[0]:
+                shortest[i, to] = length, exit_
+        first, last = np.array(list(shortest), int).reshape(-1, 2).T
+        lengths = [length for length, _ in shortest.values()]
+        n = len(self.nodes)
+        away, before = dijkstra(csr_matrix((lengths, (first, last)), (n, n)), indices=begin, return_predecessors=True)
+        at = min(goals - {begin}, key=lambda i: away[i], default=None)
+        if at is None or math.isinf(away[at]):
+            return None
+        found = []
+        while at != begin:
+            found.append((shortest[int(before[at]), at][1], at))
+            at = int(before[at])
+        return found[::-1]
+
+    def to_btm(self, n_nodes: int, n_links: int) -> Btm:
+        """Return the map as padded arrays: every link once, numbered as the nodes that have them."""
+        blank = btm.empty(n_nodes, n_links)
+        fields = {name: np.array(value) for name, value in blank.__dict__.items() if name != "overflow"}
+        for i, node in enumerate(self.nodes[:n_nodes]):
+            fields["x_m"][i], fields["y_m"][i] = node.xy
+            fields["kind"][i], fields["radius_m"][i] = NODE_TYPES.index(node.type), node.radius_m
+        links = list(self._links())
+        for n, (i, exit_, back) in enumerate(links[:n_links]):
+            fields["start"][n], fields["start_bearing"][n] = i, wrapped(exit_.bearing)
+            fields["status"][n], fields["blocked"][n] = btm.UNSEARCHED, exit_.fails >= TRIES
+            if exit_.to >= 0:
+                fields["end"][n], fields["status"][n] = exit_.to, btm.SEARCHED
+                fields["end_bearing"][n] = wrapped(direction_out(exit_.path[::-1]) if back is None else back.bearing)
+                fields["length_m"][n] = length_of(exit_.path)
+        room = {"n_nodes": (n_nodes, self.nodes), "n_links": (n_links, links)}
+        counts = {name: np.array(min(most, len(found)), np.int32) for name, (most, found) in room.items()}
+        over = np.array(sum(max(len(found) - most, 0) for most, found in room.values()), np.int32)
+        return blank.replace(**(fields | counts), overflow=over)
+
+    def _links(self):
+        """Yield node, exit and the exit that leads back, if the way has an end; every pair of exits once."""
+        used = set()
+        for i, node in enumerate(self.nodes):
+            for exit_ in node.exits:
+                if id(exit_) not in used:
+                    used.add(id(exit_))
+                    others = self.nodes[exit_.to].exits if exit_.to >= 0 else []
+                    others = [e for e in others if e.to == i and id(e) not in used]
+                    path = exit_.path
+                    back = min(others, key=lambda e, p=path: math.dist(e.path[0], p[-1]), default=None)
+                    used.add(id(back))
+                    yield i, exit_, back

@@ -1,0 +1,207 @@
+"""A run: look, enter the places seen, go to the nearest place or exit that is left, until all are searched.
+
+The robot goes to exits in the local map first, nearest by the cost of driving there. Without one it follows links to
+the nearest node that has one. Where nothing can be reached it goes back the way it came.
+"""
+
+import math
+
+import numpy as np
+
+from jexplore.driving.local.lattice import Lattice
+from jexplore.driving.local.nodes import TRIES, Exit, TraceMap, length_of
+from jexplore.driving.local.pilot import Pilot, RunEnded
+from jexplore.driving.local.sight import SeenPlace, look
+from jexplore.driving.local.window import Fixed
+from jexplore.driving.mission import RunOutcome
+from jexplore.driving.records import RunMode
+from jexplore.driving.settings import Tuning
+from jexplore.driving.vehicle import DT_S, SCAN_RANGE_M
+
+LOOK_M = 1.0  # the robot looks anew after this way: an eighth of what it sees
+LINK_M = 1.5  # the same on a link
+NEAR_M = 0.3  # a point of a path is reached from a cell no farther away
+PLACE_M = 1.5  # a place is gone to as near as its clearance, and no farther off than this
+FACE_M = 0.15  # the robot turns towards the end of what it knows of a way if that lies farther away
+KEEP_M = 2.0  # another target must be nearer by this than the last one: twice the way between two looks
+BACK_M = 0.7  # where something is in the way the robot goes back this far, its own length, to plan anew
+DETOUR = 3.0  # a point of a link is gone to where that costs no more than this many times the link
+DETOUR_M = 2.0  # and this
+RETRACES = 6  # times in a row that the robot goes back before it is STUCK, twice as far each time
+SURE_RETRACES = 2  # and before it gives up what no route leads to, if one leads to its start
+
+
+class LocalRun:
+    """A robot that writes its trace map."""
+
+    def __init__(self, fixed: Fixed, start: np.ndarray, tuning: Tuning, max_steps: int) -> None:
+        """Begin at a start `[3]`; of `tuning` the width and clearance of passages and the speed count."""
+        self._tuning, self._start = tuning, np.asarray(start[:2], float)
+        self.pilot = Pilot(fixed, start, float(tuning.speed_m_s), max_steps)
+        self.robot = fixed.robot
+        self.map = TraceMap(self._start, self.pilot.now.truth[:2].astype(float))
+        self.mistaken = 0
+        self._at, self._since = 0, 0  # the node that the robot was at last, and the step then
+        self._target: tuple[int, Exit | None] | None = None
+        self._node_of: dict[int, int] = {}
+        self._seen: list[SeenPlace] = []
+
+    def drive(self) -> RunOutcome:
+        """Drive until the run ends; return its outcome."""
+        try:
+            heading = float(self.pilot.pose[2])
+            for quarter in range(1, 5):
+                self.pilot.turn_to(heading + quarter * math.pi / 2)
+            retraces = 0
+            while True:
+                self._look()
+                if self._go_near():
+                    retraces = 0
+                elif not (goals := self._open_nodes()):
+                    return RunOutcome.EXHAUSTED if np.isfinite(self._lattice.cost).any() else RunOutcome.STUCK
+                elif (here := self._here()) is not None and (route := self.map.route(here, goals)) is not None:
+                    retraces = 0
+                    self._go_along(route)
+                elif retraces < SURE_RETRACES or here is None:
+                    if retraces >= RETRACES:
+                        return RunOutcome.STUCK
+                    self.pilot.retrace(LOOK_M * 2**retraces)
+                    retraces += 1
+                elif here in goals:
+                    self._give_up(here)
+                else:
+                    return RunOutcome.EXHAUSTED if self._is_free(here) else RunOutcome.STUCK
+        except RunEnded as end:
+            return end.outcome
+
+    def _is_free(self, here):
+        return here == 0 or self.map.route(here, {0}) is not None
+
+    def _give_up(self, here):
+        """Give up the exits of the node that the robot is at, since it cannot reach their ends."""
+        node = self.map.nodes[here]
+        node.is_visited = True
+        for exit_ in node.exits:
+            exit_.tries = TRIES
+
+    # Perception
+
+    def _look(self):
+        window, pose = self.pilot.window(), self.pilot.pose
+        self._lattice = Lattice(window, pose, self.robot)
+        how = float(self._tuning.width_m), float(self._tuning.open_m)
+        self._seen = look(window, pose, self._start, *how)
+        self._node_of = self.map.note(self._seen, pose, self.pilot.now.truth)
+        self._visit()
+
+    def _visit(self):
+        """Note which nodes the robot is at, and the link that it has driven from the last one."""
+        xy, truth = self.pilot.pose[:2], self.pilot.now.truth[:2]
+        for i in self._node_of.values():
+            node = self.map.nodes[i]
+            node.is_visited |= math.dist(node.xy, xy) < node.reached_m
+        at = min(range(len(self.map.nodes)), key=lambda i: math.dist(self.map.nodes[i].xy, xy))
+        node = self.map.nodes[at]
+        if math.dist(node.xy, xy) < node.reached_m:
+            if at != self._at:
+                way = [step[0][:2] for step in self.pilot.way[self._since :: round(0.5 / DT_S)]]
+                ends = self.map.nodes[self._at].xy, node.xy
+                self.map.link_driven(self._at, at, np.array([ends[0], *way, ends[1]]))
+                # A node's true position is that of its middle, the robot's its own.
+                off_m = math.dist(node.truth - node.xy, truth - xy)
+                self.mistaken += off_m > node.reached_m
+            self._at, self._since = at, len(self.pilot.way)
+
+    # Targets
+
+    def _open_nodes(self):
+        """Return the nodes that the robot has still to go to."""
+
+        def is_open(node):
+            waits = not node.is_visited and node.tries < TRIES
+            return waits or any(e.to < 0 and e.tries < TRIES for e in node.exits)
+
+        return {i for i, node in enumerate(self.map.nodes) if is_open(node)}
+
+    def _go_near(self):
+        """Go to the nearest place or exit that is left in the local map; return False without one."""
+        targets = []
+        for i in self._open_nodes():
+            node = self.map.nodes[i]
+            if math.dist(node.xy, self.pilot.pose[:2]) > 2 * SCAN_RANGE_M:
+                continue
+            if not node.is_visited and node.tries < TRIES:
+                found = self._lattice.nearest(node.xy, min(max(NEAR_M, node.radius_m), PLACE_M))
+                targets += [(found[1], i, None, found[0])] if found else []
+            for exit_ in node.exits:
+                if exit_.to < 0 and exit_.tries < TRIES:
+                    ends = (self._lattice.nearest(xy, NEAR_M) for xy in exit_.path[::-1])
+                    found = next(filter(None, ends), None)
+                    targets += [(found[1], i, exit_, found[0])] if found else []
+        if not targets:
+            return False
+        _, i, exit_, cell = min(targets, key=lambda target: target[0] - KEEP_M * (target[1:3] == self._target))
+        self._target = i, exit_
+        window, begin_m = self._lattice.window, self.pilot.odometer_m
+        self.pilot.mode = RunMode.BRANCH_SELECTION
+        follows = self.pilot.follow(self._lattice.path_to(cell), window, LOOK_M)
+        is_there = math.dist(window.xy(cell), self.pilot.pose[:2]) < FACE_M
+        if is_there or self.pilot.odometer_m - begin_m < FACE_M:
+            self._arrive(self.map.nodes[i], exit_)
+        if not follows and not is_there:
+            self.pilot.retrace(BACK_M)
+        return True
+
+    def _arrive(self, node, exit_: Exit | None):
+        """Look along the way whose end is reached, or where the robot does not get on; note that it has been there."""
+        if exit_ is None:
+            node.tries += 1
+            node.is_visited |= math.dist(node.xy, self.pilot.pose[:2]) < max(PLACE_M, node.radius_m)
+            return
+        off = exit_.path[-1] - self.pilot.pose[:2]
+        if math.hypot(*off) > FACE_M:
+            self.pilot.turn_to(math.atan2(off[1], off[0]))
+        exit_.tries += 1
+
+    # Links
+
+    def _here(self):
+        """Return the node in the local map that is nearest by the cost of driving there; None: none can be reached."""
+        costs = {}
+        for i in self._node_of.values():
+            node = self.map.nodes[i]
+            found = self._lattice.nearest(node.xy, node.reached_m)
+            costs |= {i: found[1]} if found else {}
+        return min(costs, key=lambda i: costs[i], default=None)
+
+    def _go_along(self, route):
+        """Follow links; count a failure of the one along which the robot does not get on, and go back a little."""
+        self.pilot.mode = RunMode.CENTRAL
+        goal = self.map.nodes[route[-1][1]]
+        path = np.concatenate([exit_.path for exit_, _ in route])
+        at = 0
+        while math.dist(goal.xy, self.pilot.pose[:2]) > goal.reached_m and at < len(path) - 1:
+            found, to = self._farthest(path, at)
+            begin_m = self.pilot.odometer_m
+            if found is not None:
+                self.pilot.follow(self._lattice.path_to(found), self._lattice.window, LINK_M)
+            if self.pilot.odometer_m - begin_m < FACE_M:
+                if to >= len(path) - 1 and found is not None:
+                    return
+                exit_ = min((e for e, _ in route), key=lambda e: np.hypot(*(e.path - self.pilot.pose[:2]).T).min())
+                exit_.fails += 1
+                self.pilot.retrace(BACK_M)
+                return
+            near = np.hypot(*(path[at : to + 1] - self.pilot.pose[:2]).T)
+            at += int(near.argmin())
+            self._look()
+
+    def _farthest(self, path, at):
+        """Return the cell from which the robot reaches the farthest point of a path, and the number of that point."""
+        for i in range(len(path) - 1, at - 1, -1):
+            found = self._lattice.nearest(path[i], NEAR_M)
+            if found:
+                on_path_m = math.dist(path[at], self.pilot.pose[:2]) + length_of(path[at : i + 1])
+                if found[1] < DETOUR * on_path_m + DETOUR_M:
+                    return found[0], i
+        return None, at

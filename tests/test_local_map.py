@@ -1,0 +1,303 @@
+"""The robot with a local map: paths of its outline, places in view, the trace map as it grows, whole runs."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+import jexplore as jx
+from jexplore.config import InputError
+from jexplore.driving.local.lattice import Lattice, outlines
+from jexplore.driving.local.nodes import TRIES, Exit, Node, TraceMap, direction_out
+from jexplore.driving.local.sight import SeenPlace, SeenWay, look
+from jexplore.driving.local.window import CELL_M, SIDE, Window
+from jexplore.driving.settings import ROBOTS
+from jexplore.studies.traces.job import prepare_trace
+from jexplore.worlds.world import World
+
+CRAWLER = ROBOTS["kamui"]
+
+
+def window_with(*free, unknown=(), walls=True):
+    """A window whose cells are occupied but for rectangles `(row, col, rows, cols)`, of which some are unknown."""
+    occupied, known = np.full((SIDE, SIDE), walls), np.ones((SIDE, SIDE), bool)
+    for row, col, rows, cols in free:
+        occupied[row : row + rows, col : col + cols] = False
+    for row, col, rows, cols in unknown:
+        known[row : row + rows, col : col + cols] = False
+    known[[0, -1]] = known[:, [0, -1]] = False
+    return Window(np.array([-64, -64]), occupied & known, known)
+
+
+# Paths of the outline
+
+
+def test_outline_covers_its_area_at_every_heading():
+    for mask in outlines(0.7, 0.39):
+        assert abs(mask.sum() * CELL_M**2 - (0.7 + 0.1) * (0.39 + 0.1)) < 0.12
+        assert (mask == mask[::-1, ::-1]).all()  # it looks the same ahead and behind
+
+
+def test_cost_is_the_way_straight_on_and_more_to_the_back():
+    window = window_with((20, 20, 88, 88))
+    found = Lattice(window, np.array([0.05, 0.05, 0.0]), CRAWLER)
+    begin = found.cost[64, 64]
+    assert found.cost[64, 84] - begin == pytest.approx(2.0, abs=0.01)
+    assert found.cost[64, 54] - begin == pytest.approx(min(2.5 * 1.0, 4 * 0.25 + 1.0), abs=0.01)
+    assert found.cost[84, 84] - begin == pytest.approx(0.25 + 20 * math.sqrt(2) * 0.1, abs=0.01)
+
+
+@pytest.mark.parametrize(("cells", "passes"), [(4, False), (6, True)])
+def test_robot_passes_where_its_width_fits(cells, passes):
+    window = window_with((50, 30, 28, 30), (64 - cells // 2, 60, cells, 20), (50, 80, 28, 30))
+    found = Lattice(window, np.array([-1.95, 0.05, 0.0]), CRAWLER)
+    assert np.isfinite(found.cost[64, 95]) == passes
+
+
+def test_robot_does_not_turn_where_its_length_does_not_fit():
+    """A corner of 0.6 m: each leg is wide enough, the bend is not for a robot of 0.7 m."""
+    window = window_with((61, 40, 6, 30), (30, 64, 37, 6))
+    found = Lattice(window, np.array([-1.95, 0.05, 0.0]), CRAWLER)
+    assert np.isfinite(found.cost[64, 60])
+    assert np.isinf(found.cost[35, 66])
+    wide = window_with((59, 40, 10, 30), (30, 60, 39, 10))
+    assert np.isfinite(Lattice(wide, np.array([-1.95, 0.05, 0.0]), CRAWLER).cost[35, 65])
+
+
+def test_unknown_cells_are_not_passed():
+    free = (50, 30, 28, 70)
+    assert np.isfinite(Lattice(window_with(free), np.array([-1.95, 0.05, 0.0]), CRAWLER).cost[64, 90])
+    across = window_with(free, unknown=[(50, 70, 28, 1)])
+    assert np.isinf(Lattice(across, np.array([-1.95, 0.05, 0.0]), CRAWLER).cost[64, 90])
+
+
+def test_path_leads_from_the_robot_to_the_cell_by_single_motions():
+    window = window_with((20, 20, 88, 88), (64, 64, 1, 1))
+    found = Lattice(window, np.array([0.05, 0.05, 0.3]), CRAWLER)
+    path = found.path_to(np.array([90, 40]))
+    assert np.abs(path[0].cell - 64).max() <= 3
+    assert path[-1].cell.tolist() == [90, 40]
+    for one, other in itertools.pairwise(path):
+        turn, step = (other.heading - one.heading) % 8, np.abs(other.cell - one.cell).max()
+        assert (turn in (1, 7) and step == 0) or (turn == 0 and step == 1)
+
+
+def test_walled_in_robot_reaches_nothing():
+    found = Lattice(window_with(), np.array([0.05, 0.05, 0.0]), CRAWLER)
+    assert np.isinf(found.cost).all()
+    assert found.nearest(np.zeros(2), 1.0) is None
+    assert found.nearest(np.array([500.0, 0.0]), 1.0) is None  # far outside
+
+
+# Places in view
+
+
+def tee(**more):
+    """A corridor of 2 m along x with one of 2 m up from its middle."""
+    return window_with((54, 4, 20, 120), (74, 54, 50, 20), **more)
+
+
+def test_junction_is_one_sure_place_with_three_ways():
+    seen = look(tee(), np.array([0.0, 0.0, 0.0]), np.array([99.0, 99.0]), 0.39, 5.0)
+    (place,) = [place for place in seen if len(place.ways) == 3]
+    assert (place.is_sure, place.type) == (True, "divergence")
+    assert math.dist(place.xy, (0.0, 0.25)) < 0.3
+    bearings = sorted(round(math.degrees(way.bearing) / 90) % 4 for way in place.ways)
+    assert bearings == [0, 1, 2]
+
+
+def test_way_into_the_unknown_has_no_end_and_stops_there():
+    seen = look(tee(unknown=[(0, 100, 128, 28)]), np.array([0.0, 0.0, 0.0]), np.array([99.0, 99.0]), 0.39, 5.0)
+    (place,) = [place for place in seen if len(place.ways) == 3]
+    (way,) = [way for way in place.ways if math.cos(way.bearing) > 0.9]
+    assert way.to == -1
+    assert 3.0 < way.path[-1, 0] < 3.7
+
+
+def test_place_next_to_the_unknown_is_not_sure_until_the_robot_is_there():
+    window, start = tee(unknown=[(74, 54, 50, 20)]), np.array([99.0, 99.0])
+
+    def sure(x_m):
+        seen = look(window, np.array([x_m, 0.0, 0.0]), start, 0.39, 5.0)
+        return [place.is_sure for place in seen if math.dist(place.xy, (0.0, 0.0)) < 1]
+
+    assert sure(-4.0) == [False]
+    assert sure(0.0) == [True]
+
+
+def test_start_in_the_window_is_a_terminal():
+    seen = look(tee(), np.array([0.0, 0.0, 0.0]), np.array([-3.0, 0.0]), 0.39, 5.0)
+    assert [place.type for place in seen].count("terminal") == 1
+
+
+def test_robot_off_the_graph_sees_no_place():
+    assert look(window_with(), np.zeros(3), np.zeros(2), 0.39, 5.0) == []
+
+
+# The map as it grows
+
+
+def place_at(x, y, ways=(), *, kind="divergence", sure=True):
+    made = [SeenWay(bearing, to, np.array([[x, y], end])) for bearing, to, end in ways]
+    return SeenPlace(np.array([x, y]), kind, 1.0, sure, made)
+
+
+def new_map():
+    return TraceMap(np.zeros(2), np.zeros(2))
+
+
+AT = np.zeros(3)
+
+
+def test_place_seen_again_is_the_same_node_and_one_of_another_type_is_not():
+    trace = new_map()
+    trace.note([place_at(3, 0)], AT, AT)
+    assert trace.note([place_at(3.4, 0)], AT, AT) == {0: 1}
+    assert trace.note([place_at(3.4, 0, kind="free_space")], AT, AT) == {0: 2}
+    assert trace.note([place_at(3.4, 5)], AT, AT) == {0: 3}
+
+
+def test_unsure_place_makes_no_node():
+    trace = new_map()
+    assert trace.note([place_at(3, 0, sure=False)], AT, AT) == {}
+    assert len(trace.nodes) == 1
+
+
+def test_exit_is_searched_once_its_end_is_a_node():
+    trace = new_map()
+    trace.note([place_at(3, 0, [(0.0, -1, (5, 0))])], AT, AT)
+    assert [e.to for e in trace.nodes[1].exits] == [-1]
+    trace.note([place_at(3, 0, [(0.1, 1, (8, 0))]), place_at(8, 0, [(math.pi, 0, (3, 0))])], AT, AT)
+    assert [e.to for e in trace.nodes[1].exits] == [2]
+    assert [e.to for e in trace.nodes[2].exits] == [1]
+
+
+def test_exit_that_is_not_there_goes_when_the_place_is_sure_and_near():
+    trace = new_map()
+    ways = [(0.0, -1, (5, 0)), (math.pi / 2, -1, (3, 2))]
+    trace.note([place_at(3, 0, ways)], AT, AT)
+    trace.note([place_at(3, 0, ways[:1], sure=False)], AT, AT)
+    assert len(trace.nodes[1].exits) == 2
+    trace.note([place_at(3, 0, ways[:1])], np.array([50.0, 0, 0]), AT)
+    assert len(trace.nodes[1].exits) == 2
+    trace.note([place_at(3, 0, ways[:1])], AT, AT)
+    assert len(trace.nodes[1].exits) == 1
+
+
+def test_tries_begin_anew_where_more_of_a_way_is_known():
+    trace = new_map()
+    trace.note([place_at(3, 0, [(0.0, -1, (5, 0))])], AT, AT)
+    trace.nodes[1].exits[0].tries = 2
+    trace.note([place_at(3, 0, [(0.0, -1, (5.1, 0))])], AT, AT)
+    assert trace.nodes[1].exits[0].tries == 2
+    trace.note([place_at(3, 0, [(0.0, -1, (6, 0))])], AT, AT)
+    assert trace.nodes[1].exits[0].tries == 0
+
+
+def ends(trace, begin, goals):
+    """Return the nodes of a route; None: no way leads there."""
+    found = trace.route(begin, goals)
+    return found if found is None else [to for _, to in found]
+
+
+def linked(*edges, n):
+    """A map of n nodes with links `(one, other, length)`, passable from the first to the second."""
+    trace = new_map()
+    trace.nodes += [Node(np.array([float(i), 0.0]), "divergence", 0.5, np.zeros(2)) for i in range(1, n)]
+    for one, other, length in edges:
+        trace.nodes[one].exits.append(Exit(0.0, np.array([[0.0, 0.0], [length, 0.0]]), other))
+    return trace
+
+
+def test_route_is_the_shortest_to_the_nearest_goal():
+    trace = linked((0, 1, 1), (1, 2, 1), (0, 2, 5), (2, 3, 1), (0, 3, 9), n=4)
+    assert ends(trace, 0, {3}) == [1, 2, 3]
+    assert ends(trace, 0, {2, 3}) == [1, 2]
+    assert trace.route(3, {0}) is None
+    assert trace.route(0, {0}) is None
+
+
+def test_link_that_failed_counts_as_longer_and_is_left_out_in_the_end():
+    trace = linked((0, 1, 1), (1, 2, 1), (0, 2, 5), n=3)
+    trace.nodes[1].exits[0].fails = 1
+    assert ends(trace, 0, {2}) == [2]
+    trace.nodes[0].exits[1].fails = TRIES
+    assert ends(trace, 0, {2}) == [1, 2]
+    trace.nodes[1].exits[0].fails = TRIES
+    assert trace.route(0, {2}) is None
+
+
+def test_driven_way_links_nodes_that_no_route_joins():
+    trace = linked(n=3)
+    way = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
+    trace.link_driven(0, 1, way)
+    trace.link_driven(0, 1, way)
+    assert [len(node.exits) for node in trace.nodes] == [1, 1, 0]
+    assert trace.nodes[1].exits[0].bearing == pytest.approx(-math.pi / 2)
+    assert direction_out(way) == pytest.approx(0.0)
+
+
+def test_map_as_arrays_has_each_link_once_and_counts_what_does_not_fit():
+    trace = linked((0, 1, 2), (1, 0, 2), (1, 2, 3), n=3)
+    trace.nodes[2].exits.append(Exit(1.0, np.zeros((1, 2))))
+    found = jx.btm.to_map(trace.to_btm(8, 8))
+    assert [(link.start, link.end, link.status) for link in found.links] == [
+        (0, 1, "searched"),
+        (1, 2, "searched"),
+        (2, -1, "un-searched"),
+    ]
+    assert found.links[1].length_m == pytest.approx(3.0)
+    small = trace.to_btm(2, 1)
+    assert (int(small.n_nodes), int(small.n_links), int(small.overflow)) == (2, 1, 1 + 2)
+
+
+# Runs
+
+
+def cross(cells=120):
+    """Two corridors of 1.6 m, 11 m long, that cross."""
+    occupied = np.ones((cells, cells), bool)
+    occupied[52:68, 5:-5] = occupied[5:-5, 52:68] = False
+    return World(occupied=occupied, cell_m=0.1, name="cross")
+
+
+def test_wrong_perception_is_told():
+    with pytest.raises(InputError, match="perception must be one of triangles, map, got 'eyes'"):
+        prepare_trace(cross(), perception="eyes")
+
+
+def test_uneven_ground_is_told():
+    with pytest.raises(InputError, match="perception map: the ground must be level"):
+        jx.btm.trace("course", perception="map")
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+def test_robot_maps_a_crossing_the_same_way_twice():
+    found = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), runs=2, noise={"range_m": 0.01}, perception="map")
+    assert found.table["outcome"].tolist() == ["EXHAUSTED", "EXHAUSTED"]
+    assert found.table["contacts"].max() == 0
+    for i in range(2):
+        crossing = [n for n in found.maps[i].nodes if math.dist((n.x_m, n.y_m), (6.0, 6.0)) < 0.5]
+        assert [n.type for n in crossing] == ["divergence"]
+        assert len(found.maps[i].bearings_deg(crossing[0].id)) == 4
+    again = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), runs=1, noise={"range_m": 0.01}, perception="map")
+    assert again.table["steps"][0] == found.table["steps"][0]
+    assert np.array_equal(again.driven.truth, found.driven.truth)
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+def test_robot_without_readings_is_blind_and_one_without_time_ends():
+    blind = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), noise={"invalid": 1.0}, perception="map")
+    assert blind.table["outcome"].tolist() == ["BLIND"]
+    late = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), max_steps=100, perception="map")
+    assert late.table[["outcome", "steps"]].iloc[0].tolist() == ["STEP_LIMIT", 100]
+
+
+def test_what_does_not_count_with_a_local_map_is_told():
+    with pytest.raises(InputError, match="sweep: votes does not count with perception map"):
+        prepare_trace(cross(), sweep=["votes=1,2"], perception="map")
+    with pytest.raises(InputError, match="leave engine, lanes and workers out"):
+        jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), workers=2, perception="map")
