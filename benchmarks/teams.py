@@ -3,18 +3,28 @@
     python benchmarks/teams.py --cases 1000
     python benchmarks/teams.py --first 137 --cases 1 --coordination minpos --robots 3
     python benchmarks/teams.py --cost --robots 1 2 4 --coordination independent
+    python benchmarks/teams.py --study runs/teams --worlds 40
 
 Prints, for each coordination and size, how many cases were equal, how robots ended and how often they waited, and a
 line for every case that was not equal; exit status 1 if there was any. With --cost the processor time of a turn of one
 robot, in rooms of 10 x 8 m, to that in the smallest team.
+
+With --study teams explore worlds of five kinds, 20 x 20 m (hospitals 32 x 20 m) in cells of 0.2 m, from one start
+each: all coordinations with 4 robots, started together and apart, and in half of the worlds three with 2 and 8, and two
+with 4 robots and every contact. Parts that are in the folder are not computed again. Prints ratios of the times until
+all is known; intervals are over worlds.
 """
 
 import argparse
 import itertools
+import math
 import sys
 import time
 from collections import Counter
 from pathlib import Path
+
+import numpy as np
+import pandas as pd
 
 import jexplore as jx
 from jexplore.bench.tables import markdown
@@ -22,11 +32,88 @@ from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.team.team import Team, read_coordination
 from jexplore.policies import strategy
 from jexplore.rules import Lidar, Rules
+from jexplore.studies.statistics.over_worlds import ratio_over_worlds
 from jexplore.worlds.starts import draw_starts
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from ref import team
+
+KINDS = "cave", "office", "hospital", "maze", "rooms"
+ALL = "independent", "greedy", "hungarian", "minpos", "voronoi", "segments"
+EACH, TWO = ("independent", "greedy", "minpos"), ("independent", "minpos")
+PARTS = [  # sizes, coordinations, contact, starts, part of the worlds
+    *(([1, 4], ALL, "all", starts, 1) for starts in ("together", "apart")),
+    *(([4], TWO, contact, "together", 2) for contact in ("none", "range:5", "range:10", "line-of-sight")),
+    *(([2, 8], EACH, "all", starts, 2) for starts in ("together", "apart")),
+]
+
+
+def study(folder, worlds):
+    """Run what the folder lacks, and return all episodes."""
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = []
+    for (sizes, coordinations, contact, starts, part), kind in itertools.product(PARTS, KINDS):
+        path = folder / f"{kind}-{'-'.join(map(str, sizes))}-{contact.replace(':', '')}-{starts}.parquet"
+        if not path.exists():
+            width_m = 32 if kind == "hospital" else 20  # the least of a hospital
+            names = [f"{kind}#{number}:width_m={width_m},height_m=20" for number in range(worlds // part)]
+            how = {"robots": sizes, "coordination": list(coordinations), "contact": contact, "team_starts": starts}
+            began = time.monotonic()
+            found = jx.compare(names, "closest+recheck", episodes=1, cell_m=0.2, workers=1, progress=False, **how)
+            found.episodes.assign(kind=kind, starts=starts).to_parquet(path)
+            print(f"{path.stem}: {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
+        parts.append(pd.read_parquet(path))
+    return pd.concat(parts, ignore_index=True)
+
+
+def ratio_row(episodes, ours, theirs):
+    """Return a row of ratios of the time until all is known, by kind and over all: of worlds completed by both."""
+    ours, theirs = (
+        episodes.loc[
+            (episodes[list(who)] == pd.Series(who)).all(axis=1) & (episodes["outcome"] == "COMPLETE")
+        ].set_index("world")["path_m_at_100"]
+        for who in (ours, theirs)
+    )
+    logs = np.log(ours / theirs).dropna()
+    cells = []
+    for kind in (*KINDS, None):
+        own = logs[[kind is None or world.startswith(kind) for world in logs.index]]
+        found = ratio_over_worlds(own, own.index)
+        interval = f" [{found.low:.3f}, {found.high:.3f}]" if math.isfinite(found.low) else ""
+        cells.append(f"{found.ratio:.3f}{interval}")
+    return [*cells, str(len(logs))]
+
+
+def team_of(robots, coordination="independent", contact="all", starts="together"):
+    """Return the columns that tell a team of the study."""
+    coordination = coordination if robots > 1 else "independent"
+    return {"robots": robots, "coordination": coordination, "contact": contact, "starts": starts}
+
+
+def study_tables(episodes):
+    """Return the tables of a study, as Markdown."""
+    teams = [(name, n) for n in (4, 2, 8) for name in (ALL if n == 4 else EACH)]
+    tables, contacts = {}, ("range:10", "range:5", "line-of-sight", "none")
+    for starts in ("together", "apart"):
+        own = {(name, n): team_of(n, name, starts=starts) for name, n in teams}
+        for other in ("independent", "greedy"):
+            tables[f"to {other}, {starts}"] = {f"{name}, {n}": (who, own[other, n]) for (name, n), who in own.items()}
+        alone = team_of(1, starts=starts)
+        tables[f"speed-up, {starts}"] = {f"{name}, {n}": (alone, who) for (name, n), who in own.items()}
+    tables["apart to together"] = {f"{name}, {n}": (who, team_of(n, name)) for (name, n), who in own.items()}
+    tables["contact to all"] = {
+        f"{name}, {contact}": (team_of(4, name, contact), team_of(4, name)) for name in TWO for contact in contacts
+    }
+    told = []
+    for title, pairs in tables.items():
+        rows = [[label, *ratio_row(episodes, *pair)] for label, pair in pairs.items() if pair[0] != pair[1]]
+        told.append(f"{title}\n\n{markdown(['team', *KINDS, 'all', 'worlds'], rows)}")
+    keys = ["starts", "robots", "contact", "coordination"]
+    measures = ["path_m_at_90", "path_m_at_100", "path_sum_m", "overlap", "share_sd", "waits", "connected", "complete"]
+    means = episodes.assign(complete=episodes["outcome"] == "COMPLETE").groupby(keys, sort=False)[measures].mean()
+    rows = means.round(2).reset_index().astype(str).to_numpy().tolist()
+    return "\n\n".join([*told, f"means\n\n{markdown([*keys, *measures], rows)}"])
 
 
 def cost(coordinations, sizes):
@@ -53,8 +140,14 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--robots", type=int, nargs="+", default=[2, 3, 5])
     parser.add_argument("--coordination", nargs="+", default=["independent", "minpos", "voronoi"])
+    parser.add_argument("--mixed", action="store_true", help="robots that differ, most with a rendezvous")
     parser.add_argument("--cost", action="store_true", help="measure the time of a turn instead")
+    parser.add_argument("--study", type=Path, metavar="DIR", help="run the study of teams into this folder instead")
+    parser.add_argument("--worlds", type=int, default=40, help="number of worlds of each kind, with --study")
     given = parser.parse_args()
+    if given.study:
+        print(study_tables(study(given.study, given.worlds)))
+        return 0
     if given.cost:
         print(cost(given.coordination, given.robots))
         return 0
@@ -63,7 +156,8 @@ def main():
     for coordination, n in kinds:
         ends, waits, equal, of = Counter(), 0, 0, -(-given.cases // len(kinds))
         for number in range(given.first, given.first + of):
-            told, robots = team.differences(team.draw_case(given.seed, number, coordination, n))
+            case = team.draw_case(given.seed, number, coordination, n)
+            told, robots = team.differences(team.mixed(case, number) if given.mixed else case)
             ends.update(robot.ended for robot in robots)
             waits += sum(robot.waits for robot in robots)
             equal += not told

@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import functools
 import gc
 import os
 import signal
@@ -26,6 +27,7 @@ import hypothesis
 import hypothesis.configuration
 import jax
 import pytest
+from jax._src.interpreters import mlir
 
 from jexplore.engine import devices, plugins
 
@@ -38,9 +40,16 @@ try:  # the C library keeps freed memory in pieces; this returns it
 except AttributeError:  # another C library
     _trim = int
 
+# JAX makes a context for each program and keeps it: 1.4 MB and some ms, more than an operation outside of jit needs.
+# One serves all programs until they are dropped.
+try:
+    mlir.make_ir_context = _context = functools.cache(mlir.make_ir_context)
+except AttributeError:  # another JAX
+    _context = functools.cache(int)
 
-RESIDENT_BYTES = 1_400_000_000  # up to which a worker keeps its programs
-GROWTH_BYTES = 500_000_000  # by which it may grow beyond what was left when it dropped them last
+
+RESIDENT_BYTES = 1_100_000_000  # up to which a worker keeps its programs
+GROWTH_BYTES = 400_000_000  # by which it may grow beyond what was left when it dropped them last
 _after_drop = 0
 MOST_PROGRAMS = 200  # that a quick test with jit may compile, operations outside of `jax.jit` included; most do 4
 MOST_OPERATIONS = 500  # without jit, where each operation of each shape is a program: an episode has 422
@@ -145,6 +154,7 @@ def _drop_programs():
     """Free the memory of compiled programs; they come back from the folder."""
     devices._compiled.cache_clear()
     jax.clear_caches()
+    _context.cache_clear()
     gc.collect()
     _trim(0)
 

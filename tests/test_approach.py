@@ -40,7 +40,7 @@ def selected(state, track, pose):
     return approach.select_branch(state, ahead, around, ways_m, to_odometry(pose), TUNING, KAMUI)
 
 
-def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None, looked=math.pi, seen=511):
+def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None, looked=math.pi, seen=511, age=20):
     """Return `Latched` of a robot that has looked round.
 
     It stands at `(robot_x_m, Y_M)`, has turned by `looked` radians, has seen a circle of `RADIUS_M` there, and its map
@@ -58,7 +58,7 @@ def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None, looked=math.pi, 
         odometer_m=jnp.float32(100),
     )
     at = pose[:2] if track_x_m is None else jnp.array([track_x_m, Y_M])
-    track = Track(at, jnp.float32(RADIUS_M), jnp.uint32(seen), jnp.int32(20), jnp.float32(math.nan))
+    track = Track(at, jnp.float32(RADIUS_M), jnp.uint32(seen), jnp.int32(age), jnp.float32(math.nan))
     return selected(state, track, pose)
 
 
@@ -87,6 +87,11 @@ def test_where_a_robot_that_has_looked_round_goes(node, radius_m, robot_x_m, tra
         assert int(found.drive.latch) == Latch.APPROACH
         assert bool(found.drive.known) == (track_x_m is None)
         assert found.drive.target.tolist() == pytest.approx(goes_to, abs=0.1)  # beams are a degree apart
+
+
+@pytest.mark.jit
+def test_without_a_place_it_takes_the_one_that_it_sees():
+    assert int(looked_round((0.0, 50.0), RADIUS_M, age=0).track.age) == 1
 
 
 @pytest.mark.jit

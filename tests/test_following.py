@@ -13,7 +13,7 @@ import jexplore as jx
 from jexplore import btm as maps
 from jexplore.config import InputError
 from jexplore.driving import behaviour
-from jexplore.driving.batch import building_of
+from jexplore.driving.batch import MAX_STEPS, building_of, step_slots
 from jexplore.driving.guiding import guide as guides
 from jexplore.driving.guiding import leaving, steering
 from jexplore.driving.links import reach_m
@@ -405,6 +405,16 @@ def test_a_strip_is_free_as_far_as_the_nearest_point_in_it():
     points = walls((3.0, 0.2), (2.0, 0.4), (-1.0, 0.0))
     found = [float(reach_m(points, jnp.zeros(2), jnp.float32(0), width)) for width in (0.3, 0.5, 1.0)]
     assert found == [math.inf, 3.0, 2.0]
+
+
+@pytest.mark.parametrize(("steps", "slots"), [(1, 1), (MAX_STEPS, 1), (MAX_STEPS + 1, 2), (2 * MAX_STEPS + 1, 4)])
+def test_buffers_of_steps_double(steps, slots):
+    assert step_slots(steps) == slots * MAX_STEPS
+
+
+def test_a_goal_is_taken_into_the_frame_of_the_building():
+    world = World(occupied=np.ones((4, 4), bool), cell_m=0.1, origin_m=(-3.0, 2.0))
+    np.testing.assert_allclose(building_of(world, goal_m=(1.0, 4.0)).goal, (4.0, 2.0))
 
 
 def start(occupied, y_m):

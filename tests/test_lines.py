@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from jexplore.extraction.lines import Lines, bearing_deg, cells_apart, chains, connected_cells, take_corners
+from jexplore.extraction.lines import Lines, bearing_deg, cells_apart, chains, connected_cells, lines_of, take_corners
 from jexplore.extraction.passages import free_spaces
 
 
@@ -37,6 +37,17 @@ def test_distances_bearings_and_components_by_hand():
     assert [bearing_deg(lines, 0, 1), bearing_deg(lines, 1, 2), bearing_deg(lines, 1, 0)] == [0, 90, 180]
     assert connected_cells(dict(enumerate(lines.near)), [0, 3]) == [{0, 1, 2}, {3}]
     assert list(chains(lines.near, range(4), {})) == [[0, 1, 2]]
+
+
+@pytest.mark.parametrize("width", [3, 4])
+def test_the_axis_of_a_passage_lies_between_its_walls(width):
+    obstacle = np.ones((width + 2, 24), bool)
+    obstacle[1:-1] = False
+    lines = lines_of(obstacle, ~obstacle, width=2)
+    inside = (lines.col > 4) & (lines.col < 19)
+    assert set(lines.col[inside]) == set(range(5, 19))
+    for found, want in ((lines.at[:, 0], (width + 1) / 2), (lines.radius, (width + 1) / 2), (lines.spread_deg, 180)):
+        np.testing.assert_allclose(found[inside], want)
 
 
 def spaces_of(radius, open_cells):

@@ -55,6 +55,13 @@ def off(found, motion):
     return math.hypot(*error[:2]), abs(math.degrees(error[2]))
 
 
+@pytest.mark.parametrize(("within", "there"), [(2.5, True), (1.5, False)])
+def test_a_line_is_laid_through_five_points_within_reach(within, there):
+    apart = float(ANGLES_RAD[1] - ANGLES_RAD[0])
+    ranges = jnp.full(BEAMS, P.sensing.reach_m / within / apart)  # a wall around the scanner
+    assert matching._fit_lines(ranges)[2][BEAMS // 2] == there
+
+
 @pytest.mark.parametrize(("pose", "motion"), [*zip(POSES, MOTIONS)])
 def test_in_a_room_a_wrong_guess_is_put_right(pose, motion):
     before, after = scans(ROOM, pose, motion)

@@ -268,6 +268,7 @@ def test_without_a_compiler_jax_runs_and_says_so_once(monkeypatch, tmp_path):
 @pytest.mark.usefixtures("forgetful")
 def test_a_library_that_counts_wrongly_is_not_used(monkeypatch):
     whole = cache_folder() / f"{episodes.load_episodes().name}.so"
+    assert episodes.check(ctypes.CDLL(str(whole))) == ""
     build.build_library.cache_clear()
     monkeypatch.setattr(build.subprocess, "run", lambda command, **_: shutil.copy(whole, command[-1]))
     monkeypatch.setitem(episodes._EXPECTED, episodes.NEAREST, (0,) * 9)

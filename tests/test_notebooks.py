@@ -24,6 +24,7 @@ NAMES = (
     "learned",
     "maps_shared",
     "drift",
+    "teams",
 )
 KERNEL = {"display_name": "Python 3", "language": "python", "name": "python3"}
 MOST_BYTES = 150_000  # of a notebook

@@ -98,6 +98,12 @@ def test_an_id_stands_above_if_it_can(ax):
     np.testing.assert_allclose([text.xyann for text in ax.texts], [above, above, beside], atol=1e-9)
 
 
+def test_an_id_stands_below_where_nothing_else_is_free(ax):
+    links = tuple(Link(i, 0, NOWHERE, "un-searched", float(deg)) for i, deg in enumerate((20, 70, 120, 160, 215, 325)))
+    picture.draw_btm(ax, BtmMap((Node(0, 0.0, 0.0, "divergence"),), links))
+    np.testing.assert_allclose(ax.texts[0].xyann, (0, -12), atol=1e-9)
+
+
 def test_the_trail_has_the_colours_of_its_modes(ax):
     handles = plot_traces.draw_trail(ax, TRAIL, RUN, MODES)
     (pieces,) = ax.collections

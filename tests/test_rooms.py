@@ -74,6 +74,7 @@ def test_doors_found_missed_and_extra():
     one = doors.compared(np.zeros_like(truth), np.zeros_like(found), free, 0.1)
     assert [len(a) for a in one[:3]] == [0, 0, 0]
     assert one.touching == 0
+    assert [len(a) for a in doors.compared(truth, np.zeros_like(found), free, 0.1)[:3]] == [0, 2, 0]
 
 
 def clearance_of(inside):

@@ -234,6 +234,13 @@ def test_summary_of_nothing():
     assert by_world.markdown_table(by_world.summarise(empty)).count("\n") == 2
 
 
+@pytest.mark.parametrize(("path_m", "decimals"), [([10.0, 12.0, 14.0], 1), ([10.0, 10.1, 10.2], 2)])
+def test_intervals_of_a_metre_and_more_have_one_decimal(path_m, decimals):
+    text = by_world.markdown_table(by_world.summarise(table(path_m=path_m)))
+    low, high = text.splitlines()[2].split("[")[1].split("]")[0].split(", ")
+    assert [len(end.split(".")[1]) for end in (low, high)] == [decimals] * 2
+
+
 def test_room_entries_average_over_known_ones():
     episodes = table(path_m=[1.0, 2.0, 3.0], room_entries=pd.array([4, pd.NA, 8], dtype="Int64"))
     assert by_world.summarise(episodes)["room_entries"].tolist() == [6.0]

@@ -17,7 +17,7 @@ from jexplore.exploration.team.assignment import MOST_COST, assign
 from jexplore.exploration.team.coordination import COORDINATIONS, JointView
 from jexplore.exploration.team.jobs import team_jobs
 from jexplore.exploration.team.starts import place_team, steps_from
-from jexplore.exploration.team.team import EVERYBODY, NOBODY, Team, read_contact, read_coordination
+from jexplore.exploration.team.team import EVERYBODY, NOBODY, Member, Team, read_contact, read_coordination
 from jexplore.grid import Grid
 from jexplore.planning import Belief, MapModel
 from jexplore.policies import strategy
@@ -49,23 +49,60 @@ ROOM = world_of("""
 #......#
 ########
 """)
+TICK = oracle.STRAIGHT
 
 
 @pytest.mark.jit
 @pytest.mark.parametrize("number", range(20))
 def test_a_team_is_the_oracles(number):
-    told, _ = oracle.differences(oracle.draw_case(1, number, "independent", 3))
+    """Robots differ, and in every other case have a rendezvous."""
+    told, _ = oracle.differences(oracle.mixed(oracle.draw_case(1, number, "independent", 3), number))
     assert told == []
+
+
+def corridor_case(**contact):
+    """Robots 0 and 1 in the middle of a corridor of 19 cells that see 2 cells; a third one is enclosed."""
+    occupied = np.ones((5, 21), bool)
+    occupied[1, 1:20] = occupied[3, 10] = False
+    case = oracle.draw_case(1, 0, "independent", 3)
+    return case._replace(
+        occupied=occupied, starts=[(1, 10, 0), (1, 11, 0), (3, 10, 0)], cell_m=0.1, recheck=True,
+        contact=oracle.Contact(np.int32(1), np.bool_(False), np.int32(contact.get("delay", 0)), np.float32(0),
+                               np.int32(contact["rendezvous"])),
+        lidar=Lidar(range_m=0.25, n_beams=24, fov_deg=360.0), paces=(1, 1, 1), ranges_m=(0.25,) * 3,
+        rules=Rules(clearance_m=0.0, near_m=0.0, look_around=False),
+    )  # fmt: skip
+
+
+@pytest.mark.jit
+def test_robots_come_back_to_the_rendezvous():
+    """They go six steps apart, and back until they are next to each other."""
+    told, (first, second, third) = oracle.differences(corridor_case(rendezvous=6 * TICK))
+    assert told == []
+    assert [col for _, col, _ in first.way[:13]] == [*range(10, 3, -1), *range(5, 11)]
+    assert [col for _, col, _ in second.way[:13]] == [*range(11, 18), *range(16, 10, -1)]
+    assert [robot.ended for robot in (first, second, third)] == ["COMPLETE", "COMPLETE", "STUCK"]
+
+
+def test_robots_that_can_never_meet_do_not_wait_for_ever():
+    """A link must hold for 50 ticks, and they wait for 6: they explore all the same, and wait again and again."""
+    case = corridor_case(rendezvous=6 * TICK, delay=50 * TICK)
+    robots, _ = oracle.simulate(case)
+    assert [robot.ended for robot in robots] == ["COMPLETE", "COMPLETE", "STUCK"]
+    assert all(robot.waits > 12 for robot in robots[:2])
+    with pytest.raises(InputError, match="robots that never hear each other cannot meet"):
+        read_contact("none,rendezvous=6", 0.1)
 
 
 @pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize(("coordination", "n"), [("independent", 2), ("minpos", 3), ("voronoi", 3)])
 def test_teams_are_the_oracles(coordination, n):
-    """Fifty cases of each, with robots that wait for each other."""
+    """Fifty cases of each, with robots that wait for each other; with `voronoi` they differ."""
     waits = 0
     for number in range(50):
-        told, robots = oracle.differences(oracle.draw_case(2, number, coordination, n))
+        case = oracle.draw_case(2, number, coordination, n)
+        told, robots = oracle.differences(oracle.mixed(case, number) if coordination == "voronoi" else case)
         assert told == []
         waits += sum(robot.waits for robot in robots)
     assert waits > 0
@@ -84,15 +121,14 @@ def test_robots_that_cannot_pass_end(number):
 @pytest.mark.slow
 @pytest.mark.jit
 def test_a_team_of_one_is_a_robot_alone():
-    """Every measure is equal to the bit, noise and draws of the strategy included."""
+    """Every measure is equal to the bit, noise and draws of the strategy included; with a shorter range as well."""
     world, starts = jx.load_world("maze:width_m=3,height_m=3"), np.array([[5, 5, 0], [5, 5, 90]])
     lidar = Lidar(range_m=1.0, sigma_m=0.05, dropout=0.05)
     rules = Rules(clearance_m=0.1, look_around=True)
-    job = Job(world, strategy("random+recheck"), starts, 3)
-    alone, team = (
-        run_jobs([one], lidar, rules, engine="jax").outcomes[0].result for one in (job, job._replace(team=Team(1)))
-    )
-    for name in alone.__dataclass_fields__:
+    job, long = Job(world, strategy("random+recheck"), starts, 3), lidar.replace(range_m=2.0)
+    teams = [job._replace(team=Team(1)), job._replace(team=Team(1, members=(Member(1, 1.0),)), lidar=long)]
+    alone, *teams = (run_jobs([one], lidar, rules, engine="jax").outcomes[0].result for one in (job, *teams))
+    for name, team in itertools.product(alone.__dataclass_fields__, teams):
         if name not in ("metrics", "replace"):
             jax.tree.map(np.testing.assert_array_equal, getattr(alone, name), getattr(team, name))
 
@@ -258,12 +294,19 @@ def test_starts_that_cannot_be_are_refused(n, starts, text):
         place_team(ROOM, (1, 1, 0), n, starts, clearance_m=0.0, near_m=0.5)
 
 
+def test_starts_with_a_wall_between_are_refused():
+    two = World(np.vstack([ROOM.occupied, ROOM.occupied]), cell_m=0.1, name="two")
+    with pytest.raises(InputError, match=r"no path leads from \(1, 1\) to \(7, 1\)"):
+        place_team(two, (1, 1, 0), 2, ((1, 1, 0), (7, 1, 0)), clearance_m=0.0, near_m=0.5)
+
+
 def test_contact_is_read():
     assert [read_contact(text, 0.1).d2 for text in ("all", "none", "range:0.3")] == [EVERYBODY, NOBODY, 9]
-    assert read_contact("line-of-sight", 0.1) == (EVERYBODY, True, 0, 0)
-    assert read_contact("line-of-sight:0.3,loss=0.2,delay=2", 0.1) == (9, True, 2 * oracle.STRAIGHT, 0.2)
+    assert read_contact("line-of-sight", 0.1) == (EVERYBODY, True, 0, 0, 0)
+    assert read_contact("line-of-sight:0.3,loss=0.2,delay=2", 0.1) == (9, True, 2 * oracle.STRAIGHT, 0.2, 0)
+    assert read_contact("all,rendezvous=30", 0.1).rendezvous == 30 * oracle.STRAIGHT
     for text in ("range", "range:-1", "range:inf", "sight", "range:4m", "all:4", "all,", "all,loss=2", "all,delay=.5",
-                 "all,delay=1,delay=2", "none,hops=1", "range:nan", "all,delay=-1"):  # fmt: skip
+                 "all,delay=1,delay=2", "none,hops=1", "all,rendezvous=0", "range:nan", "all,delay=-1"):  # fmt: skip
         with pytest.raises(InputError, match="contact must be all, none, range:METRES or line-of-sight"):
             read_contact(text, 0.1)
 
@@ -300,6 +343,12 @@ def test_teams_are_named():
         ({"robots": 2, "team_starts": [(1, 2, 0), (1, 3, 0)], "start": (1, 1, 0)}, "leave out start"),
         ({"robots": 2.5}, "robots must be an integer"),
         ({"robots": 2, "coordination": 5}, "coordination"),
+        ({"robots": 2, "contact": "all,rendezvous=9", "rules": RULES.replace(return_home=True)}, "have a rendezvous"),
+        ({"members": ["pace=2"]}, "give robots"),
+        ({"robots": 2, "members": ["pace=2"]}, "one for each robot of the largest team, got 1"),
+        ({"robots": 1, "members": ["pace=0"]}, "pace must be an integer from 1 to 8"),
+        ({"robots": 1, "members": ["pace=2,pace=3"]}, "members must be such as pace=2"),
+        ({"robots": 1, "members": ["range=0.7"]}, "range must be a number above 0 and at most 0.6"),
     ],
 )
 def test_what_teams_cannot_be_is_refused(how, text):
@@ -319,8 +368,8 @@ def test_a_coordination_of_ones_own_is_checked():
 def test_teams_are_compared(tmp_path):
     """A table of teams with speed-up, that is kept and loaded."""
 
-    def backwards(view):
-        return view.cost
+    def backwards(view):  # both robots have the same target
+        return -jnp.arange(view.cost.size).reshape(view.cost.shape)
 
     found = jx.compare(
         ROOM, "closest", episodes=3, rules=RULES, lidar=LIDAR, robots=[1, 2], coordination=["independent", backwards],
@@ -333,6 +382,7 @@ def test_teams_are_compared(tmp_path):
     assert (alone["path_sum_m"] == alone["path_m"]).all()
     assert (found.episodes["connected"] <= 1).all()
     assert found.episodes["coordination"].tolist()[-1] == "backwards"
+    assert set(found.episodes["outcome"]) == {"COMPLETE"}
     assert "speed-up" in found.to_markdown()
     again = jx.load(tmp_path / "run")
     assert again.teams.equals(found.teams)

@@ -148,6 +148,13 @@ def test_episodes_that_fail_count_as_long_ones():
     np.testing.assert_allclose(logs, [[np.log(bank.FAILED), np.log(2), 0.0]])
 
 
+def test_a_reference_may_fail_in_some_worlds(monkeypatch):
+    values = np.array([[1.0, np.inf], [2.0, 3.0]])
+    monkeypatch.setattr(bank.Bank, "values", lambda *_, **__: values)
+    found = bank.prepare_bank(SMALL[0], lidar=NEAR).log_ratios([], [0, 0], 0)
+    np.testing.assert_allclose(found, bank.log_ratio(values[1:], values[0]))
+
+
 @pytest.mark.jit
 def test_a_reference_that_finishes_nothing_is_refused():
     own = bank.prepare_bank(SMALL[0], lidar=NEAR, rules=Rules(max_steps=5))

@@ -12,6 +12,7 @@ from jexplore.cli.options import (
     EngineOptions,
     IntegerList,
     MapFile,
+    MemberTexts,
     MetricNames,
     OwnNames,
     PolygonText,
@@ -91,6 +92,9 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
     team_starts: StartsText = ("together",)
     """Start all robots next to the first (together), far from each other (apart), or in these cells (12,30,90 12,31,90:
     row, column, heading in degrees)."""
+    members: MemberTexts = ()
+    """Give the robots different paces and scanners: a text for each robot of the largest team, such as pace=2 (a step
+    takes twice the time), range=3 (its scanner reaches 3 m) or pace=2,range=3."""
     metric: MetricNames = None
     """Add columns of your own: functions of an episode in a module here or installed, such as mine:crowding;
     name=mine:crowding names the column."""
@@ -144,9 +148,8 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
                 strategies,
                 **fields_of(self, "episodes seed cell_m start within from_map lidar rules robot"),
                 metrics=self.metric,
-                **fields_of(self, "robots contact"),
+                **fields_of(self, "robots contact team_starts members"),
                 coordination=self.coordination or INDEPENDENT,
-                team_starts=self.team_starts[0] if len(self.team_starts) == 1 else self.team_starts,
             )
             tasks, reported = self._bound_tasks(jobs), jobs if self.report else None
             found = run_with_bar(self, jobs, out, tasks)

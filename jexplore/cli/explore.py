@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from jexplore.cli.options import (
     ContactText,
     MapFile,
+    MemberTexts,
     OneStrategy,
     OneWorld,
     PolygonText,
@@ -53,6 +54,8 @@ class Explore(ReportOptions, TimedOptions):
     """Whom a robot hears: see compare."""
     team_starts: StartsText = ("together",)
     """Start the robots together, apart, or in these cells: see compare."""
+    members: MemberTexts = ()
+    """Give the robots different paces and scanners: see compare."""
     frames: int = 300
     """Most frames of the animation, evenly spaced."""
 
@@ -66,8 +69,7 @@ class Explore(ReportOptions, TimedOptions):
                 self.world,
                 self.strategy,
                 **fields_of(self, "seed episode cell_m start within from_map lidar rules robot"),
-                **fields_of(self, "robots coordination contact"),
-                team_starts=self.team_starts[0] if len(self.team_starts) == 1 else self.team_starts,
+                **fields_of(self, "robots coordination contact team_starts members"),
             )
             with note_if_slow(COMPILING):
                 found = run_job(job)

@@ -187,7 +187,7 @@ def run_missions(
 
 def step_slots(max_steps: int) -> int:
     """Round a number of steps up to one of few buffer sizes, so that buildings share programs."""
-    return MAX_STEPS << (-(-max_steps // MAX_STEPS) - 1).bit_length() if max_steps > MAX_STEPS else MAX_STEPS
+    return MAX_STEPS << ((max_steps - 1) // MAX_STEPS).bit_length()
 
 
 def _merge_blocks(lines, blocks, n, costs):

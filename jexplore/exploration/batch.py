@@ -211,7 +211,8 @@ def _lines(
         if job.team is None:
             line = line_of(sites[place], fitted[key], job.starts, job.seed, own, detailed=detailed, keep=keep)
         else:
-            line = team_line(sites[place], fitted[key], job.team, _team_starts(job, rules), job.seed, own, detailed)
+            starts = _team_starts(job, rules)
+            line = team_line(sites[place], fitted[key], job.team, lidar, starts, job.seed, own, detailed)
         line.draws, line.phase = line.draws + np.int32(job.first), job.phase
         lines[i] = line
     return lines

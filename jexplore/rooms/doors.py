@@ -90,7 +90,7 @@ def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell
 
 def _close(middles, pieces, shape, gap):
     """Return the middles within a distance of any piece: `[n]` bool."""
-    if not pieces or not len(middles):
+    if not pieces:
         return np.zeros(len(middles), bool)
     mask = np.ones(shape, bool)
     mask[tuple(np.concatenate(pieces).T)] = False

@@ -44,7 +44,7 @@ def compare(
     lidar: LidarLike = LIDAR, rules: RulesLike = RULES, robot: RobotLike = ROBOT,
     pose: str | None = None, odometry: OdometryLike = None,
     robots: int | Sequence[int] | None = None, coordination: CoordinationLike = "independent", contact: str = "all",
-    team_starts: Starts = "together",
+    team_starts: Starts = "together", members: Sequence[str] = (),
     engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
     keep: str | None = None, metrics: MetricsLike = None, until: str | None = None,
@@ -67,7 +67,7 @@ def compare(
       pose, odometry: those of the rules, if given.
       robots: sizes of teams, 1 to 16, each compared with the first; see `team.environment`.
       coordination: one or several of independent, greedy, hungarian, minpos, voronoi, segments; your own functions.
-      contact, team_starts: see `team.read_contact`; "together", "apart", or row, col, heading_deg of each.
+      contact, members, team_starts: see `team.read_contact`, `read_members`, `starts.place_team`.
       engine: "auto", native code where it can and JAX for the rest; "jax", JAX alone. Results are equal.
       lanes, workers: episodes at a time on each GPU, with "jax"; threads on a CPU. By default as many as fit.
       on_progress, progress: called with the number of episodes finished; whether a bar shows it, as in notebooks.
@@ -88,7 +88,7 @@ def compare(
     limits = {"within": within, "from_map": from_map}
     own = {"lidar": lidar, "rules": rules, "robot": robot}
     team = {"robots": robots, "coordination": coordination, "contact": contact, "team_starts": team_starts}
-    more = {"metrics": metrics, "pose": pose, "odometry": odometry}
+    more = {"metrics": metrics, "pose": pose, "odometry": odometry, "members": members}
     jobs = prepare_jobs(worlds, strategies, **settings, **limits, **own, **team, **more)
     settings |= limits | {"from_map": _plainly(from_map)} | {name: getattr(jobs[0], name) for name in own}
     _require_setup(keep, until, out, overwrite, resume, robots)

@@ -25,7 +25,7 @@ from jexplore.exploration.metrics import values_of
 from jexplore.exploration.site import drive_for, prepare_site, unify_truths
 from jexplore.exploration.state import Numbers, Outcome, Truth, steps_m
 from jexplore.exploration.team import stepping
-from jexplore.exploration.team.environment import TeamSetup, TeamState
+from jexplore.exploration.team.state import TeamSetup, TeamState
 from jexplore.exploration.team.stepping import cell_inside
 from jexplore.exploration.team.team import MOST_ROBOTS
 from jexplore.exploration.trail import LOOKS, Trail

@@ -222,7 +222,7 @@ def explore(
     lidar: LidarLike = LIDAR, rules: RulesLike = RULES, robot: RobotLike = ROBOT,
     pose: str | None = None, odometry: OdometryLike = None,
     robots: int | None = None, coordination: Coordinate = "independent", contact: str = "all",
-    team_starts: Starts = "together",
+    team_starts: Starts = "together", members: Sequence[str] = (),
 ) -> EpisodeResult:  # fmt: skip
     """Run one episode and keep its map and way.
 
@@ -243,7 +243,7 @@ def explore(
       robot: `Robot`, or such a mapping: how long its motions take, and what energy.
       pose: "true", "odometry", "icp" or "icp+closing": `rules.pose`, if given.
       odometry: `Odometry`, or such a mapping: `rules.odometry`, if given.
-      robots, coordination, contact, team_starts: of a team, one of each, as in `compare`.
+      robots, coordination, contact, team_starts, members: of a team, one of each, as in `compare`.
 
     Returns:
       `EpisodeResult`.
@@ -254,6 +254,7 @@ def explore(
     where = {"cell_m": cell_m, "start": start, "start_m": start_m, "within": within, "from_map": from_map}
     where |= {"robot": robot, "pose": pose, "odometry": odometry}
     where |= {"robots": robots, "coordination": coordination, "contact": contact, "team_starts": team_starts}
+    where["members"] = members
     return run_job(prepare_job(world, strategy, seed=seed, episode=episode, lidar=lidar, rules=rules, **where))
 
 

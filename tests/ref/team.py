@@ -17,8 +17,8 @@ from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import Given
 from jexplore.exploration.environment import outcome_of
 from jexplore.exploration.state import Outcome, Setup, Stream
-from jexplore.exploration.team.environment import TeamSetup, TeamTask
 from jexplore.exploration.team.episode import decode, detail_of, program_of
+from jexplore.exploration.team.state import TeamSetup, TeamTask
 from jexplore.exploration.team.team import EVERYBODY, NOBODY, Contact, read_coordination
 from jexplore.policies import parse_strategy
 from jexplore.raycast import scans_all_round
@@ -44,6 +44,8 @@ class Case(NamedTuple):
     rules: Rules
     cell_m: float
     world: str
+    paces: tuple = ()  # of each robot; (): all have 1, and by the program of teams whose robots are alike
+    ranges_m: tuple = ()  # of each robot's scanner
 
 
 class Radio:
@@ -82,8 +84,9 @@ class Member(simulator.Robot):
     def join(self, number, case, goal, radio):
         """Take a place in the team."""
         self.number, self.case, self.goal, self.radio = number, case, goal, radio
-        self.time = self.waits = self.in_a_row = self.looking = self.looked = self.links = 0
-        self.active = self.hemmed = False
+        self.time = self.waits = self.in_a_row = self.looking = self.looked = self.links = self.met = 0
+        self.active = self.hemmed = self.homing = False
+        self.pace, self.came = case.paces[number] if case.paces else 1, None
         self.path, self.pending, self.ended = [], None, None
         self.last_heard = {number}
         self.own = np.zeros(self.occupied.shape, bool)
@@ -124,19 +127,40 @@ class Member(simulator.Robot):
     def act(self, team):
         """Plan, or scan, and make the next motion."""
         before, heard = self.result.steps, self.hear(team, not self.active)
+        if {robot.number for robot in self.others(team)} <= heard:
+            self.met, self.came = self.time, None
         if self.active:
             self.finish_motion()
             self.judge()
         else:
-            self.choose(team, heard)
+            due, rests = self.rendezvous(team)
+            if rests:
+                self.waits, self.hemmed = self.waits + 1, False
+                self.result.events.append(("wait",))
+            else:
+                self.choose(team, heard, due)
         if self.active and self.ended is None:
             self.move(team)
         if self.ended is None and not self.active and self.result.plans >= (self.case.rules.max_plans or CAPACITY):
             self.ended = "PLAN_LIMIT"
-        self.time = STRAIGHT * (self.result.straight + self.waits) + DIAGONAL * self.result.diagonal
+        self.time = self.pace * (STRAIGHT * (self.result.straight + self.waits) + DIAGONAL * self.result.diagonal)
         if self.result.steps > before:
             self.links += len(heard) - 1
             self.way.append((*self.cell, self.time))
+
+    def rendezvous(self, team):
+        """Return whether it is time to look for the others, and whether to wait for them here."""
+        most = self.case.contact.rendezvous
+        if not most or self.time - self.met < most:
+            return False, False
+        off = max(abs(a - b) for a, b in zip(self.cell, self.case.starts[0]))
+        if off > (len(team) if self.hemmed else 0):
+            return True, False
+        self.came = self.time if self.came is None else self.came
+        if self.time - self.came >= most:
+            self.met, self.came = self.time, None
+            return False, False
+        return True, True
 
     def finish_motion(self):
         """Make the scan that belongs to the last motion, if one is due."""
@@ -147,7 +171,7 @@ class Member(simulator.Robot):
         """Give the plan up, or go on with it, or arrive."""
         near = sum((a - b) ** 2 for a, b in zip(self.cell, self.target)) <= self.arrival_r2
         if self.pending == "refused" or (
-            (self.case.recheck or near) and not self.live(self.target) and self.cell != self.target
+            (self.case.recheck or near) and not self.live(self.target) and self.cell != self.target and not self.homing
         ):
             self.active = False
         elif self.cell == self.target and self.looking == 0:
@@ -161,7 +185,7 @@ class Member(simulator.Robot):
             self.exhausted[self.target] = True
             self.result.exhausted += 1
 
-    def choose(self, team, heard):
+    def choose(self, team, heard, due):
         """Choose a target and the way there."""
         kept = self.result.hits, self.result.misses, self.driven
         if self.hemmed:
@@ -174,6 +198,9 @@ class Member(simulator.Robot):
         cost, pred = plans.dijkstra(passable, self.cell)
         targets = plans.frontier(plans.clear(free, occupied, self.clear_r2), cost, known, self.exhausted | self.shunned)
         target, flees = self.pick(team, heard, targets, cost, free, occupied), False
+        base = tuple(self.case.starts[0][:2])
+        self.homing = due and not self.hemmed and target is not None and cost[base] < plans.FAR
+        target = base if self.homing else target
         if target is None and self.hemmed:
             flees = True
             self.shunned[self.target] |= self.target == self.fled_from
@@ -253,15 +280,16 @@ class Member(simulator.Robot):
 
 def simulate(case):
     """Explore as a team: `(robots, log)`, the log a list of known cells and the clock after each scan."""
-    reach = beams.in_cells(case.lidar.range_m, case.cell_m)
 
-    def perfect(row, col, heading_deg):
+    def perfect(reach, row, col, heading_deg):
         return beams.scan(case.occupied, row, col, heading_deg, case.lidar.n_beams, case.lidar.fov_deg, reach)
 
     scan_every = round(beams.in_cells(case.rules.scan_every_m, case.cell_m) * 65536)
     team, radio = [], Radio(case)
     for number, (row, col, heading) in enumerate(case.starts):
-        robot = Member(case.occupied, (row, col), heading, perfect, case.rules.p_free, scan_every)
+        range_m = case.ranges_m[number] if case.ranges_m else case.lidar.range_m
+        sees = functools.partial(perfect, beams.in_cells(range_m, case.cell_m))
+        robot = Member(case.occupied, (row, col), heading, sees, case.rules.p_free, scan_every)
         radii = (plans.radius2(m, case.cell_m) for m in (case.rules.clearance_m, case.rules.near_m))
         goal = simulator.goal_cells(case.occupied, (row, col), *radii)
         robot.join(number, case, goal, radio)
@@ -303,21 +331,36 @@ def compiled(setup, first_scans, truth, table, numbers, task):
     return program.finish(program.setup, given, team), detail_of(team), jax.vmap(outcome_of)(team.robots)
 
 
+def beams_of(case):
+    """The beams of a case; with a length for every robot where ranges are given."""
+    found, *own = (
+        episodes.beams_of(case.lidar.replace(range_m=one), case.cell_m, SHAPE[1], BEAMS_AS)
+        for one in (case.lidar.range_m, *case.ranges_m)
+    )
+    if not own:
+        return found
+    return found.replace(length=np.stack([one.length for one in own]), reach=np.stack([one.reach for one in own]))
+
+
 def play(case):
     """Explore by the engine: `(Result, Final, outcomes)`."""
     name = "closest+recheck" if case.recheck else "closest"
     strategy = parse_strategy(name)
     robot = Setup(strategy.policy._replace(params=()), 0, False, 1)
-    setup = TeamSetup(robot, len(case.starts), read_coordination(case.coordination), CAPACITY)
+    setup = TeamSetup(robot, len(case.starts), read_coordination(case.coordination), CAPACITY, bool(case.paces))
     rules = case.rules.replace(max_steps=case.rules.max_steps or CAPACITY, max_plans=case.rules.max_plans or CAPACITY)
     starts = np.array([(row, col, heading // 45) for row, col, heading in case.starts], np.int32)
     found = compiled(
         setup,
         jnp.int32(scans_all_round(case.lidar)),
         jax.device_put(episodes.truth_of(case.occupied, None, SHAPE)),
-        jax.device_put(episodes.beams_of(case.lidar, case.cell_m, SHAPE[1], BEAMS_AS)),
+        jax.device_put(beams_of(case)),
         episodes.numbers_of(strategy, case.lidar, rules, case.cell_m, max(SHAPE), ROBOT),
-        TeamTask(jnp.asarray(starts), Contact(*map(jnp.asarray, case.contact))),
+        TeamTask(
+            jnp.asarray(starts),
+            Contact(*map(jnp.asarray, case.contact)),
+            jnp.asarray(case.paces or [1] * len(starts), jnp.int32),
+        ),
     )
     result, detail, outcomes = jax.tree.map(np.asarray, found)
     return result, decode(detail, case.occupied.shape, 0), [Outcome(int(code)).name for code in outcomes]
@@ -371,6 +414,17 @@ def draw_case(seed, number, coordination, n):
     )
 
 
+def mixed(case, number):
+    """A case with robots that differ, most with a rendezvous; of the same arguments always the same one."""
+    draw, n = np.random.default_rng((3, number)), len(case.starts)
+    ticks = draw.choice([100_000, *draw.integers(3, 30, 2)])  # the first: never
+    return case._replace(
+        paces=tuple(draw.integers(1, 4, n).tolist()),
+        ranges_m=tuple((case.lidar.range_m * draw.choice([0.4, 0.7, 1.0], n)).tolist()),
+        contact=case.contact._replace(rendezvous=np.int32(STRAIGHT * ticks)),
+    )
+
+
 def when(log, counts):
     """The clock when each count of known cells was first reached; -1 for never."""
     return [next((at for known, at in log if known >= count), -1) for count in counts]
@@ -385,7 +439,7 @@ def differences(case):
     """Everything in which the engine and the oracle differ, as texts, and the outcomes and waits of the robots."""
     (result, final, outcomes), (team, log) = play(case), simulate(case)
     ways = [[tuple(row[:3]) for row in way.tolist()] for way in final.ways]
-    end_ms = [clock.play(robot.result.events, ROBOT, case.cell_m)[1] for robot in team]
+    end_ms = [clock.play(robot.result.events, ROBOT, case.cell_m)[1] * robot.pace for robot in team]
     whole = simulator.knowable(simulator.connected(~case.occupied, case.starts[0][:2]), np.ones_like(case.occupied))
     counts, known = result.metrics, log[-1][0]
     pairs = {

@@ -43,7 +43,8 @@ class Pilot:
         self.way: list[tuple[np.ndarray, np.ndarray, RunMode]] = []
         """Pose, true pose and mode of every step, before it was made."""
         self.mode = RunMode.CENTRAL
-        self.odometer_m, self._blind, self._commands = 0.0, 0, []
+        self.odometer_m, self._blind = 0.0, 0
+        self._commands: list[tuple[float, float]] = []  # speed, m/s, and turn, radians, since the start
 
     @property
     def pose(self) -> np.ndarray:
@@ -69,8 +70,11 @@ class Pilot:
         if len(self.way) >= self._max_steps:
             raise RunEnded(RunOutcome.STEP_LIMIT)
         goes = self.now.contacts + self.now.refused == before.contacts + before.refused
-        if goes:
-            self._commands.append((speed_m_s, turn_rad_s))
+        if goes and self.mode != RunMode.CONTACT_GUARD:
+            turned = turn_rad_s * DT_S
+            if not speed_m_s and self._commands and not self._commands[-1][0]:  # turns in place add up
+                turned += self._commands.pop()[1]
+            self._commands.append((speed_m_s, turned))
         return goes
 
     def turn_to(self, heading: float) -> bool:
@@ -125,9 +129,10 @@ class Pilot:
     def retrace(self, most_m: float) -> None:
         """Go back for a distance, by its own commands the other way round, until something is in the way."""
         begin_m, mode, self.mode = self.odometer_m, self.mode, RunMode.CONTACT_GUARD
-        while self._commands and self.odometer_m - begin_m < most_m:
-            speed, turn = self._commands.pop()
-            if not self._step(-speed, -turn):
-                break
-            self._commands.pop()
+        goes = True
+        while goes and self._commands and self.odometer_m - begin_m < most_m:
+            speed, turned = self._commands.pop()
+            n = max(math.ceil(abs(turned) / (self._turn_rad_s * DT_S)), 1)
+            for _ in range(n):
+                goes = goes and self._step(-speed, -turned / (n * DT_S))
         self.mode = mode

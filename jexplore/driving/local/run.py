@@ -28,6 +28,7 @@ BACK_M = 0.7  # where something is in the way the robot goes back this far, its 
 DETOUR = 3.0  # a point of a link is gone to where that costs no more than this many times the link
 DETOUR_M = 2.0  # and this
 RETRACES = 6  # times in a row that the robot goes back before it is STUCK, twice as far each time
+MOST_IDLE = 30  # looks in a row without a step in between, after which the robot is STUCK
 SURE_RETRACES = 2  # and before it gives up what no route leads to, if one leads to its start
 
 
@@ -52,8 +53,9 @@ class LocalRun:
             heading = float(self.pilot.pose[2])
             for quarter in range(1, 5):
                 self.pilot.turn_to(heading + quarter * math.pi / 2)
-            retraces = 0
-            while True:
+            retraces, idle, steps = 0, 0, 0
+            while idle < MOST_IDLE:
+                idle, steps = (idle + 1 if steps == len(self.pilot.way) else 0), len(self.pilot.way)
                 self._look()
                 if self._go_near():
                     retraces = 0
@@ -68,18 +70,19 @@ class LocalRun:
                     self.pilot.retrace(LOOK_M * 2**retraces)
                     retraces += 1
                 elif here in goals:
-                    self._give_up(here)
+                    self._give_up(self.map.nodes[here])
                 else:
                     return RunOutcome.EXHAUSTED if self._is_free(here) else RunOutcome.STUCK
         except RunEnded as end:
             return end.outcome
+        return RunOutcome.STUCK
 
     def _is_free(self, here):
         return here == 0 or self.map.route(here, {0}) is not None
 
-    def _give_up(self, here):
-        """Give up the exits of the node that the robot is at, since it cannot reach their ends."""
-        node = self.map.nodes[here]
+    @staticmethod
+    def _give_up(node):
+        """Give up the exits of a node that the robot is at, since it cannot reach their ends."""
         node.is_visited = True
         for exit_ in node.exits:
             exit_.tries = TRIES
@@ -148,8 +151,8 @@ class LocalRun:
         is_there = math.dist(window.xy(cell), self.pilot.pose[:2]) < FACE_M
         if is_there or self.pilot.odometer_m - begin_m < FACE_M:
             self._arrive(self.map.nodes[i], exit_)
-        if not follows and not is_there:
-            self.pilot.retrace(BACK_M)
+            if not follows:
+                self.pilot.retrace(BACK_M)
         return True
 
     def _arrive(self, node, exit_: Exit | None):
@@ -179,7 +182,7 @@ class LocalRun:
         self.pilot.mode = RunMode.CENTRAL
         goal = self.map.nodes[route[-1][1]]
         path = np.concatenate([exit_.path for exit_, _ in route])
-        at = 0
+        at, steps = 0, len(self.pilot.way)
         while math.dist(goal.xy, self.pilot.pose[:2]) > goal.reached_m and at < len(path) - 1:
             found, to = self._farthest(path, at)
             begin_m = self.pilot.odometer_m
@@ -187,7 +190,7 @@ class LocalRun:
                 self.pilot.follow(self._lattice.path_to(found), self._lattice.window, LINK_M)
             if self.pilot.odometer_m - begin_m < FACE_M:
                 if to >= len(path) - 1 and found is not None:
-                    return
+                    break
                 exit_ = min((e for e, _ in route), key=lambda e: np.hypot(*(e.path - self.pilot.pose[:2]).T).min())
                 exit_.fails += 1
                 self.pilot.retrace(BACK_M)
@@ -195,6 +198,9 @@ class LocalRun:
             near = np.hypot(*(path[at : to + 1] - self.pilot.pose[:2]).T)
             at += int(near.argmin())
             self._look()
+        goal.is_visited = True
+        if steps == len(self.pilot.way):  # it is there, and nothing that is left there can be reached
+            self._give_up(goal)
 
     def _farthest(self, path, at):
         """Return the cell from which the robot reaches the farthest point of a path, and the number of that point."""

@@ -1,5 +1,6 @@
 """A team's episode as a program of the engine, and what it measures."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
 import jax
@@ -16,22 +17,22 @@ from jexplore.exploration.results import energy_j, path_m
 from jexplore.exploration.sensing import explorable_and_knowable, shares
 from jexplore.exploration.site import Site, tasks_of
 from jexplore.exploration.state import MARKS, PERCENTILES, Numbers, Result, Setup
-from jexplore.exploration.team.environment import (
+from jexplore.exploration.team.environment import advance, begin, decide
+from jexplore.exploration.team.state import (
     ENDED,
     TeamSetup,
     TeamState,
     TeamTask,
-    advance,
-    begin,
-    decide,
     given_of_robot,
     is_done,
     must_decide,
+    paced_ms,
     take,
 )
 from jexplore.exploration.team.team import Contact, Team, read_contact
 from jexplore.exploration.trail import Final
-from jexplore.rules import Robot
+from jexplore.raycast import Beams, beam_table
+from jexplore.rules import Lidar, Robot
 
 
 class TeamCounts(NamedTuple):
@@ -50,9 +51,10 @@ class TeamCounts(NamedTuple):
 def finish(setup: TeamSetup, given: Given, team: TeamState) -> Result:
     """Return the `Result` of a team: as of a robot alone, but for these.
 
-    Steps, as a length, are the clock of the robot that ends last; `straight_at` and all such the clock when that much
-    was known; counts of turns, scans, plans and the like are sums; known cells those that any robot knows; the outcome
-    the highest code, the time the longest. A team of one has the result of a robot alone.
+    Steps, as a length, are the clock of the robot that ends last, in units of the way of one of pace 1; `straight_at`
+    and all such the clock when that much was known; counts of turns, scans, plans and the like are sums; known cells
+    those that any robot knows; the outcome the highest code, the time the longest. A team of one has the result of a
+    robot alone.
     """
     robots, log = team.robots, team.log
     last = jnp.argmax(team.clock)
@@ -70,13 +72,14 @@ def finish(setup: TeamSetup, given: Given, team: TeamState) -> Result:
     marks = shares(lax.iota(jnp.int32, MARKS) + 1, MARKS, knowable)
     along = jnp.where(((marks > 0) & (marks <= team.n_known))[:, None], when(marks), -1)
     end = jax.vmap(lambda state: tick(given.numbers.clock, state, state.heading, jnp.bool_(False), jnp.bool_(True), 0))
-    times = end(robots)
+    times, paces = end(robots), given.task.paces
+    times["time_ms"] = paced_ms(times["time_ms"], paces)
     own = team.own if area is None else team.own & area
     each, seen = jnp.sum(own, axis=(1, 2), dtype=jnp.int32), jnp.sum(jnp.any(own, axis=0), dtype=jnp.int32)
     names = ("turns", "scans", "plans", "exhausted", "room_entries", "saturated", "refused", "overflow")
     return Result(
-        straight=robots.straight[last] + team.waits[last],
-        diagonal=robots.diagonal[last],
+        straight=paces[last] * (robots.straight[last] + team.waits[last]),
+        diagonal=paces[last] * robots.diagonal[last],
         outcome=jnp.max(jax.vmap(environment.outcome_of)(robots)),
         n_known=team.n_known,
         explored=jnp.sum(explorable & (team.seen_at < ENDED), dtype=jnp.int32),
@@ -118,17 +121,35 @@ def program_of(setup: TeamSetup) -> Program:
 
 
 def team_line(
-    site: Site, fitted: tuple[Setup, Numbers], team: Team, starts: np.ndarray, seed: int, which: Any, detailed: int
-) -> Line:
+    site: Site, fitted: tuple[Setup, Numbers], team: Team, lidar: Lidar, starts: np.ndarray, seed: int, which: Any,
+    detailed: int,
+) -> Line:  # fmt: skip
     """Make the `Line` of a team's episodes; arguments as of `site.line_of`, `starts` are `[N, robots, 3]`."""
     setup, numbers = fitted
-    robot = setup._replace(native=None, capacity=1)
-    own = TeamSetup(robot, team.robots, team.coordination, setup.capacity)
-    kinds, n = (np.int32, np.bool_, np.int32, np.float32), len(starts)
-    contact = read_contact(team.contact, float(numbers.model.cell_m))
+    kinds, n, cell_m = (np.int32, np.bool_, np.int32, np.float32, np.int32), len(starts), float(numbers.model.cell_m)
+    contact = read_contact(team.contact, cell_m)
+    robot = setup._replace(native=None, capacity=1, ends=setup.ends and not contact.rendezvous)
+    own = TeamSetup(robot, team.robots, team.coordination, setup.capacity, contact.rendezvous > 0)
+    paces = np.tile(np.array([one.pace for one in team.members] or [1] * team.robots, np.int32), (n, 1))
+    beams = of_ranges(site.beams, lidar.without_noise(), cell_m, [one.range_m for one in team.members])
     tasks = tasks_of(starts.reshape(-1, 3), site.ring).reshape(starts.shape)
-    task = TeamTask(tasks, Contact(*(np.full(n, value, kind) for value, kind in zip(contact, kinds))))
-    return Line(program_of(own), site.beams, site.truth, numbers, seed, task, which, detailed)
+    task = TeamTask(tasks, Contact(*(np.full(n, value, kind) for value, kind in zip(contact, kinds))), paces)
+    return Line(program_of(own), beams, site.truth, numbers, seed, task, which, detailed)
+
+
+def of_ranges(beams: Beams, lidar: Lidar, cell_m: float, ranges_m: Sequence[float | None]) -> Beams:
+    """Return beams of which lengths and ranges have a leading axis N, a robot's each; these where all ranges are None.
+
+    `beams`: of the scanner with the longest range.
+    """
+    if not any(ranges_m):
+        return beams
+    own = [beam_table(lidar.replace(range_m=one or lidar.range_m), cell_m, 1) for one in ranges_m]
+    around: Any = beams.all_round
+    if around is not None:
+        around = around.replace(length=np.stack([one.all_round.length for one in own]))
+    length: Any = np.stack([one.length for one in own])
+    return beams.replace(length=length, reach=np.stack([one.reach for one in own]), all_round=around)
 
 
 def decode(found: tuple[np.ndarray, ...], shape: tuple[int, int], ring: int) -> Final:
@@ -155,8 +176,10 @@ def team_columns(result: Result, team: Team, cell_m: float, robot: Robot) -> dic
     `path_m_at_100`: the clock when all was known that is in the end; `path_sum_m`: ways of all robots; `overlap`: what
     each has seen itself, as shares of what all have, summed, less 1; `share_sd`: standard deviation of these shares;
     `waits`: of all robots; `connected`: mean over all steps of the share of the others that the robot heard, 1 for a
-    robot alone, NaN where no robot made a step. Times in seconds to known shares are NaN for several robots.
+    robot alone, NaN where no robot made a step. Times in seconds to known shares are NaN for several robots, and the
+    energy where a pace is not 1.
     """
+    is_paced = any(one.pace != 1 for one in team.members)
     n, counts = len(result.outcome), cast(Any, result.metrics)
     share = counts.own / np.maximum(counts.seen, 1)[:, None]
     steps = (counts.straight + counts.diagonal).sum(axis=1)
@@ -172,6 +195,6 @@ def team_columns(result: Result, team: Team, cell_m: float, robot: Robot) -> dic
         "connected": heard if team.robots > 1 else np.ones(n),
         "coordination": [team.coordinates] * n,
         "contact": [team.contact] * n,
-        "energy_j": energy_j(result.replace(**sums), robot, cell_m),
+        "energy_j": np.full(n, np.nan) if is_paced else energy_j(result.replace(**sums), robot, cell_m),
         **(dict.fromkeys(SECONDS, np.full(n, np.nan)) if team.robots > 1 else {}),
     }

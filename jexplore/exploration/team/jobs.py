@@ -14,6 +14,7 @@ from jexplore.exploration.team.team import (
     Team,
     read_contact,
     read_coordination,
+    read_members,
     read_robots,
 )
 from jexplore.policies.closest import is_nearest
@@ -31,6 +32,7 @@ def team_jobs(
     coordination: CoordinationLike = INDEPENDENT,
     contact: str = "all",
     team_starts: Starts | Sequence[str] = "together",
+    members: Sequence[str] = (),
     start: Any = "random",
 ) -> list[Job]:
     """Return the jobs of teams made of those of one robot, each of them for every team; these where `robots` is None.
@@ -41,11 +43,12 @@ def team_jobs(
       InputError: an option that has no meaning without `robots`; a pose that is not given, metrics; a team that
         cannot be.
     """
+    starts = _read_starts(team_starts)
     if robots is None:
-        if (coordination, contact, team_starts) != (INDEPENDENT, "all", "together"):
-            raise InputError("coordination, contact and team_starts are for teams: give robots, such as 1 2 4")
+        if (coordination, contact, starts, *members) != (INDEPENDENT, "all", "together"):
+            raise InputError("coordination, contact, team_starts and members are for teams: give robots, such as 1 2 4")
         return list(jobs)
-    teams = _teams(robots, coordination, contact, team_starts)
+    teams = _teams(robots, coordination, contact, starts)
     if start != "random" and not isinstance(teams[0].starts, str):
         raise InputError("team_starts are the starts of all robots: leave out start")
     made = []
@@ -54,7 +57,12 @@ def team_jobs(
         job.rules.require_lattice("teams are")
         if job.metrics:
             raise InputError("metrics are of one robot: leave out metrics or robots")
-        read_contact(contact, job.world.cell_m)
+        if read_contact(contact, job.world.cell_m).rendezvous and (job.rules.stop_at or job.rules.return_home):
+            raise InputError("robots that have a rendezvous do not stop early or return home: leave out one of them")
+        assert job.lidar is not None
+        robots_are = read_members(members, job.lidar)
+        if robots_are and len(robots_are) != max(team.robots for team in teams):
+            raise InputError(f"members must be one for each robot of the largest team, got {len(robots_are)}")
         own, near = job.starts, {"clearance_m": job.rules.clearance_m, "near_m": job.rules.near_m}
         for team in teams:
             if team.coordination is not None and not is_nearest(job.strategy.policy):
@@ -67,13 +75,12 @@ def team_jobs(
             for start in dict.fromkeys(map(tuple, own.tolist())):
                 place_team(job.world, start, team.robots, team.starts, **near)
             name = team.label(job.strategy.name)
+            team = team._replace(members=robots_are[: team.robots])
             made.append(job._replace(team=team, strategy=job.strategy._replace(name=name), starts=own))
     return made
 
 
-def _teams(
-    robots: int | Sequence[int], coordination: CoordinationLike, contact: Any, starts: Starts | Sequence[str]
-) -> list[Team]:
+def _teams(robots: int | Sequence[int], coordination: CoordinationLike, contact: Any, own: Starts) -> list[Team]:
     """Return every team that is asked for, in order."""
     if not isinstance(contact, str):
         raise InputError(f"contact must be a text such as all or range:5, got {shown(contact)}")
@@ -83,7 +90,7 @@ def _teams(
     if not names or len(set(names)) < len(names):
         raise InputError(f"coordination must be one or several different ones, got {', '.join(names) or 'none'}")
     teams: dict[Team, None] = {}
-    sizes, own = read_robots(robots), _read_starts(starts)
+    sizes = read_robots(robots)
     if not isinstance(own, str) and len(own) != max(sizes):
         raise InputError(f"team_starts must be one for each robot of the largest team, {max(sizes)}, got {len(own)}")
     for size in sizes:

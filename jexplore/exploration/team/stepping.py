@@ -12,18 +12,15 @@ from jexplore.engine.program import Given
 from jexplore.exploration import environment
 from jexplore.exploration.motion import LENGTHS
 from jexplore.exploration.state import Outcome, Setup, steps_m
-from jexplore.exploration.team.environment import (
+from jexplore.exploration.team.contact import meet
+from jexplore.exploration.team.environment import act, advance, begin, is_held
+from jexplore.exploration.team.state import (
     TeamSetup,
     TeamState,
     TeamTask,
-    act,
-    advance,
-    begin,
     given_of_robot,
     is_done,
     is_exploring,
-    is_held,
-    meet,
     must_decide,
     next_robot,
     take,
@@ -122,7 +119,8 @@ def begun(setup: TeamSetup, given: Given, is_bad: Array) -> TeamState:
 
 
 def _team_task(starts: Array) -> TeamTask:
-    return TeamTask(starts, Contact(jnp.int32(EVERYBODY), jnp.bool_(False), jnp.int32(0), jnp.float32(0)))
+    contact = Contact(jnp.int32(EVERYBODY), jnp.bool_(False), jnp.int32(0), jnp.float32(0), jnp.int32(0))
+    return TeamTask(starts, contact, jnp.ones(starts.shape[0], jnp.int32))
 
 
 def drawn(key: Array, most: int, n: Array, robots: int) -> Array:

@@ -1,13 +1,14 @@
 """A team as it is asked for: how many robots, how they coordinate, whom they hear, where they start."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
-from jexplore.config import InputError, require_whole, shown, unknown
+from jexplore.config import InputError, require_number, require_whole, shown, unknown
 from jexplore.exploration.motion import LENGTHS
 from jexplore.exploration.team.coordination import COORDINATIONS, Coordination
 from jexplore.grid import radius_d2
+from jexplore.rules import Lidar
 from jexplore.users import name_of
 
 MOST_ROBOTS = 16
@@ -16,9 +17,17 @@ NOBODY, EVERYBODY = -1, 2**30
 SIGHT = "line-of-sight"
 CONTACTS = "all", "none", "range", SIGHT
 MOST_DELAY = 100_000  # ticks, times of a straight step
+MOST_PACE = 8  # clocks of the slowest robots fit int32 up to 460,000 steps
 STARTS = "together", "apart"
 INDEPENDENT = "independent"
 Starts: TypeAlias = str | tuple[tuple[int, int, int], ...]
+
+
+class Member(NamedTuple):
+    """A robot of a team."""
+
+    pace: int = 1  # ticks that a straight step takes; turns and scans take as many times their time
+    range_m: float | None = None  # range of its scanner; None: the team's
 
 
 class Team(NamedTuple):
@@ -28,6 +37,7 @@ class Team(NamedTuple):
     coordination: Coordination | None = None  # None: every robot asks its own strategy
     contact: str = "all"
     starts: Starts = "together"  # or row, col, heading_deg of every robot, the first one's with them
+    members: tuple[Member, ...] = ()  # of each robot; (): all are alike
 
     @property
     def coordinates(self) -> str:
@@ -46,31 +56,60 @@ class Contact(NamedTuple):
     in_sight: Any  # bool, whether no wall may be between
     delay: Any  # int32, how long a link must hold before it carries anything, in units of `motion.LENGTHS`
     loss: Any  # float32, probability that a link fails, each time that a robot acts
+    rendezvous: Any = 0  # int32, how long a robot explores without having heard all others, as `delay`; 0: for ever
 
 
 def read_contact(contact: str, cell_m: float) -> Contact:
     """Return the `Contact` of a text such as all, none, range:4, line-of-sight, range:4,delay=10,loss=0.2.
 
     Raises:
-      InputError: the text says something else; a distance, delay or loss that cannot be.
+      InputError: the text says something else; a distance, delay, loss or rendezvous that cannot be.
     """
     first, *more = str(contact).split(",")
     word, colon, metres = first.partition(":")
     given = {name: value for name, _, value in (part.partition("=") for part in more)}
-    known = word in CONTACTS and bool(metres) == bool(colon) and {*given} <= {"delay", "loss"}
+    known = word in CONTACTS and bool(metres) == bool(colon) and {*given} <= {"delay", "loss", "rendezvous"}
     known &= len(given) == len(more) and (bool(colon) if word == "range" else word == SIGHT or not colon)
     try:
         reach_m, delay, loss = float(metres or "inf"), int(given.get("delay", "0")), float(given.get("loss", "0"))
+        meets = int(given.get("rendezvous", "1"))
     except ValueError:
-        reach_m, delay, loss = -1.0, 0, 0.0
+        reach_m, delay, loss, meets = -1.0, 0, 0.0, 1
     can_be = reach_m >= 0 and (not colon or math.isfinite(reach_m)) and 0 <= delay <= MOST_DELAY and 0 <= loss <= 1
+    can_be &= 1 <= meets <= MOST_DELAY
     if not (can_be and known):
         raise InputError(
             "contact must be all, none, range:METRES or line-of-sight[:METRES], with ,delay=TICKS (up to "
-            f"{MOST_DELAY:,}) and ,loss=P (0 to 1) if wanted, got {shown(contact)}"
+            f"{MOST_DELAY:,}), ,rendezvous=TICKS and ,loss=P (0 to 1) if wanted, got {shown(contact)}"
         )
     d2 = NOBODY if word == "none" else min(radius_d2(min(reach_m, EVERYBODY * cell_m), cell_m), EVERYBODY)
-    return Contact(d2, word == SIGHT, delay * LENGTHS[0], loss)
+    if "rendezvous" in given and (d2 < 1 or loss == 1):
+        raise InputError(f"contact {shown(contact)}: robots that never hear each other cannot meet")
+    return Contact(d2, word == SIGHT, delay * LENGTHS[0], loss, meets * LENGTHS[0] * ("rendezvous" in given))
+
+
+def read_members(given: Sequence[str], lidar: Lidar) -> tuple[Member, ...]:
+    """Return robots of texts such as pace=2, range=3, pace=2,range=3.
+
+    Raises:
+      InputError: a text says something else; a pace or range that cannot be, a range longer than the scanner's.
+    """
+    made = []
+    for text in (given,) if isinstance(given, str) else given:
+        parts = [part.partition("=") for part in str(text).split(",")]
+        own = {name: value for name, _, value in parts}
+        form = f"members must be such as pace=2, range=3 or pace=2,range=3, got {shown(text)}"
+        if not {*own} <= {"pace", "range"} or len(own) < len(parts):
+            raise InputError(form)
+        try:
+            pace, range_m = int(own.get("pace", "1")), float(own["range"]) if "range" in own else None
+        except ValueError:
+            raise InputError(form) from None
+        require_whole("members: pace", pace, 1, MOST_PACE)
+        if range_m is not None:
+            require_number("members: range", range_m, low=lidar.min_range_m, low_open=True, high=lidar.range_m)
+        made.append(Member(pace, range_m))
+    return tuple(made)
 
 
 def read_coordination(given: str | Callable[..., Any]) -> Coordination | None:
