@@ -19,7 +19,7 @@ from jexplore.slam2d.points import GATE, PointMap, add, cell_m, cells_of, empty_
 from jexplore.slam2d.scans import Scan, read_scan
 from jexplore.slam2d.search import Window, most_steps, picture, search, step_cost
 from jexplore.slam2d.settings import SlamSettings
-from jexplore.slam2d.tracking import locate, predict
+from jexplore.slam2d.tracking import WIDE, locate, predict
 
 OWN = SlamSettings()
 SHAPE = (256, 320, 2048)  # 9 x 11 m
@@ -294,6 +294,22 @@ def test_a_start_2_m_off_is_found_by_a_wide_window_and_not_believed_by_a_narrow_
     np.testing.assert_allclose(wide.pose, HERE, atol=0.02)
 
 
+FINS = tuple((x, y, x, 0.7 * y) for x in np.arange(-9.5, 10, 2) for y in (-1, 1))
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_without_odometry_a_place_that_looks_like_another_is_ambiguous(room):
+    prior = np.diag(np.float32([1, 1, 0.8]) ** 2)
+    found = LOCATE(room, scan_of(HERE), HERE, prior, window=WIDE)
+    assert found.outcome == Outcome.MATCHED
+    np.testing.assert_allclose(found.pose, HERE, atol=0.02)
+    walls = (*CORRIDOR, *FINS)
+    rows = map_from((-2, 0, 0), (0, 0, 0), (2, 0, 0), walls=walls)
+    found = LOCATE(rows, scan_of((0, 0, 0), walls), np.float32([-1, 0, 0]), prior, window=WIDE)  # halfway to another
+    assert found.outcome == Outcome.AMBIGUOUS
+
+
 def test_odometry_by_pencil():
     pose, covariance = predict(OWN, jnp.float32([1, 2, np.pi / 2]), jnp.float32([1, 0, 0]))
     np.testing.assert_allclose(pose, [1, 3, np.pi / 2], atol=1e-6)
@@ -327,6 +343,26 @@ def test_rows_of_a_batch_are_independent_and_nothing_is_nan(room):
     again = together(ranges[order], starts[order], priors[order])
     for a, b in zip(found, again):
         np.testing.assert_array_equal(np.asarray(a)[order], b)
+
+
+@pytest.mark.jit
+def test_more_noise_is_never_better(room):
+    """Of ranges and of the start, in the mean of 1,000 draws."""
+    rng = np.random.default_rng(4)
+    draws = np.float32(rng.normal(size=(1000, 61))), np.float32(rng.normal(size=(1000, 3)) * [0.05, 0.05, 0.03])
+    clean, angles = jnp.float32(ref.cast(HERE)), jnp.float32(ref.ANGLES)
+
+    @jax.jit
+    def off_m(range_m, start):
+        def one(draws):
+            scan = read_scan(OWN, clean + range_m * draws[0], angles, FAR)
+            return jnp.hypot(*(match(OWN, room, scan, HERE + start * draws[1], PRIOR).pose - HERE)[:2])
+
+        return jnp.mean(jax.lax.map(one, draws))
+
+    for levels in ([(sd, 1.0) for sd in (0.0, 0.01, 0.03, 0.1)], [(0.01, share) for share in (0.0, 1.0, 2.0, 4.0)]):
+        errors = [off_m(*map(np.float32, level)) for level in levels]
+        assert (np.diff(errors) > 0).all()
 
 
 # --- loops
@@ -466,6 +502,10 @@ def test_a_ring_is_closed_and_corridors_alike_are_not_taken_for_one():
         assert closed.n_loops == 1
         off = between(closed.pose_of[0], closed.pose) - between(true[0], true[-1])
         np.testing.assert_allclose(off[:2], 0, atol=0.03)
+        assert looked(OWN, alike.replace(n_loops=jnp.int32(2))).n_loops == 2  # without room only loops count
+        full = looked(OWN, ring.replace(n_loops=jnp.int32(2)))
+        assert full.n_loops == 3
+        np.testing.assert_array_equal(full.pose_of, ring.pose_of)
 
 
 def test_a_covariance_turns_with_its_frame():

@@ -1,5 +1,6 @@
 """Poses and maps of recorded logs: reading, errors, the study, the command."""
 
+import dataclasses
 import gzip
 import json
 import warnings
@@ -286,6 +287,9 @@ def test_scans_correct_the_odometry(log):
     t, x, y, *_, qz, qw = map(float, lines[-1].split())
     np.testing.assert_allclose([t, x, y, 2 * np.arctan2(qz, qw)], [N - 1, *found.poses[-1]], atol=1e-5)
     assert "24 scans" in found.to_markdown()
+    assert "without odometry" not in found.to_markdown()
+    ambiguous = dataclasses.replace(found, outcomes=np.full(24, Outcome.AMBIGUOUS))
+    assert "warning: 24 scans without odometry fit another place" in ambiguous.to_markdown()
     drawn = found.map()
     assert np.asarray(drawn.grid.hits).sum() > 0
     assert len(found.figure().axes) == 2

@@ -34,7 +34,7 @@ class Outcome(enum.IntEnum):
     PLAN_LIMIT = 4
     STUCK = 5  # the start is enclosed: no clear cell can be reached
     BAD_TARGET = 6  # the strategy chose, three times in a row, a target that no path leads to
-    BAD_START = 7  # a start, heading or world that there is not, given while it is traced: `studies.environment`
+    BAD_START = 7  # a traced start or world turned out to be wrong: `studies.environment.Environment.reset`
     LOST = 8  # scans have not matched for so long that the robot does not know where it is, see `uncertain.looking`
     INCONSISTENT = 9  # as BLOCKED, and walls of the robot's map enclose it: no clear cell can be reached from its own
     EXPLORED = 10  # the share of `rules.stop_at` is known

@@ -206,27 +206,24 @@ def _close(settings, mapping, scanner, window):
 
         def weigh(mapping):
             n, loops = mapping.n_loops, mapping.loops
-            joined = Loops(
-                loops.ends.at[n].set(jnp.stack([j, last])),
-                loops.moved.at[n].set(found.pose),
-                loops.covariance.at[n].set(found.covariance + _own_covariance(settings)),
-            )
-            off2 = surprise(pose_of, mapping.steps, joined, n, settings.close_doubt)
+            own = Loops(jnp.stack([j, last]), found.pose, found.covariance + _own_covariance(settings))
+            more = jax.tree.map(lambda a, one: jnp.concatenate([a, one[None]]), loops, own)
+            off2 = surprise(pose_of, mapping.steps, more, jnp.int32(len(loops.ends)), settings.close_doubt)
+            is_true = off2 <= settings.close_doubt
 
             def join(mapping):
+                joined = jax.tree.map(lambda a, one: a.at[n].set(one), loops, own)
                 settled, _ = settle(pose_of, mapping.steps, joined, settings.close_doubt)
                 moved_m = jnp.max(jnp.where(numbers <= last, jnp.hypot(*(settled - pose_of)[:, :2].T), 0))
                 is_moved = moved_m > settings.min_distance_m
                 return mapping.replace(
-                    n_loops=n + 1, loops=joined, pose_of=settled, pose=settled[last],
+                    loops=joined, pose_of=settled, pose=settled[last],
                     remade_at=jnp.where(is_moved, -jnp.inf, mapping.remade_at),
                 )  # fmt: skip
 
-            return run_if(off2 <= settings.close_doubt, join, mapping)
+            return run_if(is_true & (n < len(loops.ends)), join, mapping).replace(n_loops=n + is_true)
 
-        has_room = mapping.n_loops < len(mapping.loops.ends)
-        mapping = mapping.replace(n_loops=mapping.n_loops + (is_sure & ~has_room))
-        return run_if(is_sure & has_room, weigh, mapping)
+        return run_if(is_sure, weigh, mapping)
 
     return run_if(far[j] <= settings.close_m, look, mapping)
 

@@ -23,8 +23,9 @@ class Outcome(enum.IntEnum):
     MATCHED = 0
     DEGENERATE = 1  # a direction or the heading follows the odometry
     UNSETTLED = 2  # the last round still moved it
-    FAR = 3  # farther from the odometry than plausible
-    FEW = 4  # too few points have partners
+    AMBIGUOUS = 3  # another place fits nearly as well, and there is no odometry to tell
+    FAR = 4  # farther from the odometry than plausible
+    FEW = 5  # too few points have partners
 
 
 class Match(NamedTuple):

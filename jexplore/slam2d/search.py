@@ -13,7 +13,6 @@ from jexplore.slam2d.scans import Scan
 from jexplore.slam2d.settings import SlamSettings
 
 BLOCK = 6  # fine steps to a coarse one
-BEST = 32  # coarse steps that are searched finely
 OUTSIDE = 2.0**24  # cells from the picture beyond which a point is anywhere: whole numbers do not wrap
 MOST_STEPS = 2**13 - 1  # the largest cost of a point, that of a cell of the index without one
 
@@ -24,6 +23,7 @@ class Window(NamedTuple):
     blocks: int  # coarse steps of place
     turns: int  # steps of heading
     side: int = 448  # cells of the map that are looked at, of at most as many as it has
+    best: int = 32  # coarse steps that are searched finely
 
 
 class Found(NamedTuple):
@@ -96,7 +96,7 @@ def search(settings: SlamSettings, points: PointMap, scan: Scan, start: Array, p
     per = step_cost(settings) / n
     bound = floors * per + jax.vmap(lambda k: guess(k, least_off, least_off))(turns)  # [T, N, N]
     # The barrier: XLA on a CPU sorts all of them where a slice of the result is used.
-    least, which = lax.optimization_barrier(lax.top_k(-bound.reshape(-1), min(BEST + 1, bound.size)))
+    least, which = lax.optimization_barrier(lax.top_k(-bound.reshape(-1), min(window.best + 1, bound.size)))
     which = jnp.stack(jnp.unravel_index(which[:-1], bound.shape)).astype(jnp.int32)
     sums = _fine(settings, points, scan, cells, cost, which, len(blocks))
 

@@ -13,7 +13,7 @@ from jexplore.slam2d.settings import SlamSettings
 
 SURE = 2.0  # standard deviations of a point's place that must lie within the gate
 WINDOW = Window(3, 12)  # 0.63 m and 18 degrees on either side, 7.8 m round the robot
-WIDE = Window(12, 90)  # 2.5 m and 135 degrees, for steps without odometry
+WIDE = Window(12, 90, best=1024)  # 2.5 m and 135 degrees, for steps without odometry
 
 
 def predict(settings: SlamSettings, pose: Array, moved: Array | None) -> tuple[Array, Array]:
@@ -40,7 +40,8 @@ def locate(
 ) -> Match:
     """Match a scan: from the odometry's pose if that is certain enough to find the right partners, or if nearly all of
     the scan matches from there, else from where a search finds it. A search follows as well if the match fails or fits
-    badly; then the better of the two counts.
+    badly; then the better of the two counts. Without odometry (`WIDE`) the match is `AMBIGUOUS` if another place costs
+    less than `close_margin` more: it is kept, and its covariance says nothing of that other place.
 
     Returns:
       `Match`.
@@ -53,9 +54,11 @@ def locate(
     def again(first):
         found = search(settings, points, scan, start, prior, window)
         second = match(settings, points, scan, start, prior, found.pose)
-        return pick(
-            (second.outcome <= Outcome.UNSETTLED) & (~is_sure | (second.fitness > first.fitness)), second, first
-        )
+        is_better = (second.outcome <= Outcome.UNSETTLED) & (~is_sure | (second.fitness > first.fitness))
+        if window == WIDE:
+            has_rival = is_better & (found.other < found.cost + settings.close_margin)
+            second = second._replace(outcome=jnp.where(has_rival, Outcome.AMBIGUOUS, second.outcome))
+        return pick(is_better, second, first)
 
     is_good = (first.outcome <= Outcome.UNSETTLED) & (first.fitness >= settings.min_share)
     is_plain = is_sure | (first.fitness > settings.plain_share)

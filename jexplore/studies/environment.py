@@ -59,7 +59,11 @@ WORLD, START = 2, 3  # streams of random numbers besides those of an episode (`s
 @checked_names
 @struct.dataclass
 class EnvState:
-    """An episode under way, between two decisions."""
+    """An episode under way, between two decisions.
+
+    It is over before the first decision, as BAD_START, if a traced start or world, which `reset` cannot refuse by an
+    error, turns out to be wrong.
+    """
 
     episode: Any  # `State`, of a team `TeamState`
     reached: Field  # of its belief; of a team, of every robot's
@@ -168,8 +172,11 @@ class Environment:
             of episode n of a comparison is `jax.random.fold_in(jax.random.key(seed), n)`.
           start: int32 `[3]`, row, col, heading_deg (a multiple of 45), of a team `[N, 3]`; may be traced. Without it,
             drawn uniformly from the cells that are clear. From an enclosed one the episode is over at once, as STUCK.
-          world: int32, which of `worlds`; may be traced. Without it, drawn. Where it or the start is traced and cannot
-            be one, the episode is over at once, as BAD_START.
+          world: int32, which of `worlds`; may be traced. Without it, drawn.
+
+        A wrong start or world raises an error, but for a traced one, whose value is not known yet: a world's number
+        out of range, a start outside the map or in a wall, a heading that is no multiple of 45 degrees, or two robots
+        in one cell end the episode at once, as BAD_START.
 
         Returns:
           `(state, view)`.

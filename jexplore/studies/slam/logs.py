@@ -88,6 +88,10 @@ class SlamResult:
             lines += ["", aligned_table(head, rows, left=["relations"])]
         if np.isfinite(self.ate_m):
             lines.append(f"distance from the corrected poses, aligned: {self.ate_m:.3f} m (root mean square)")
+        if n := counts[Outcome.AMBIGUOUS]:
+            lines.append(
+                f"warning: {n} scans without odometry fit another place nearly as well: the way may be wrong there"
+            )
         if self.overflow:
             lines.append(f"warning: {self.overflow} points found no room in the map")
         return "\n".join(lines) + "\n"
