@@ -1,8 +1,11 @@
 """The robot with a local map: paths of its outline, places in view, the trace map as it grows, whole runs."""
 
+import dataclasses
 import itertools
 import math
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -10,9 +13,12 @@ import jexplore as jx
 from jexplore.config import InputError
 from jexplore.driving.local.lattice import Lattice, outlines
 from jexplore.driving.local.nodes import TRIES, Exit, Node, TraceMap, direction_out
+from jexplore.driving.local.pilot import Pilot
 from jexplore.driving.local.sight import SeenPlace, SeenWay, look
-from jexplore.driving.local.window import CELL_M, SIDE, Window
+from jexplore.driving.local.window import CELL_M, SIDE, Fixed, Window
 from jexplore.driving.settings import ROBOTS
+from jexplore.engine.draws import random_key
+from jexplore.slam2d.settings import SlamSettings
 from jexplore.studies.traces.job import prepare_trace
 from jexplore.worlds.world import World
 
@@ -228,6 +234,15 @@ def test_link_that_failed_counts_as_longer_and_is_left_out_in_the_end():
     assert trace.route(0, {2}) is None
 
 
+def test_failures_are_forgotten_once():
+    trace = linked((0, 1, 1), n=2)
+    trace.nodes[0].exits[0].fails = TRIES
+    assert trace.route(0, {1}) is None
+    assert trace.forget_failures()
+    assert ends(trace, 0, {1}) == [1]
+    assert not trace.forget_failures()
+
+
 def test_driven_way_links_nodes_that_no_route_joins():
     trace = linked(n=3)
     way = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
@@ -285,6 +300,26 @@ def test_robot_maps_a_crossing_the_same_way_twice():
     again = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), runs=1, noise={"range_m": 0.01}, perception="map")
     assert again.table["steps"][0] == found.table["steps"][0]
     assert np.array_equal(again.driven.truth, found.driven.truth)
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+def test_robot_goes_back_the_way_it_came_past_contacts():
+    plan = prepare_trace(cross(), start=(1.5, 6.0, 0.0), perception="map")
+    (robot, _, noise), draw = plan.settings_of(np.zeros(1, int)), np.random.default_rng(0)
+    robot, noise = jax.tree.map(lambda a: jnp.asarray(a[0]), (dataclasses.replace(robot, name=""), noise))
+    fixed = Fixed(jax.device_put(plan.building), robot, noise, SlamSettings(), random_key(np.uint32(0)))
+    pilot = Pilot(fixed, plan.begins[0], 0.4, 5000)
+    begin = pilot.now.truth
+    for _ in range(20):
+        pilot.drive_to(pilot.pose[:2] + draw.uniform(-1, 1, 2), back=bool(draw.integers(2)))
+        pilot.turn_to(draw.uniform(-3, 3))
+    touched = pilot.now.contacts
+    assert touched > 0
+    assert math.dist(begin, pilot.now.truth) > 0.1
+    pilot.retrace(1000.0)
+    assert pilot.now.contacts == touched
+    assert pilot.now.truth == pytest.approx(begin, abs=1e-3)
 
 
 @pytest.mark.jit

@@ -139,6 +139,13 @@ class TraceMap:
             for begin, end, path in ((one, other, way), (other, one, way[::-1])):
                 self.nodes[begin].exits.append(Exit(direction_out(path), path, end))
 
+    def forget_failures(self) -> bool:
+        """Let links on which the robot failed be tried anew; return False without any."""
+        failed = [exit_ for node in self.nodes for exit_ in node.exits if exit_.fails]
+        for exit_ in failed:
+            exit_.fails = 0
+        return bool(failed)
+
     def route(self, begin: int, goals: set[int]) -> list[tuple[Exit, int]] | None:
         """Return the shortest way from a node to another of `goals`: exits and the nodes they lead to; None: none."""
         ends = [(i, e.to, e) for i, node in enumerate(self.nodes) for e in node.exits if e.to >= 0 and e.fails < TRIES]

@@ -44,7 +44,7 @@ class Pilot:
         """Pose, true pose and mode of every step, before it was made."""
         self.mode = RunMode.CENTRAL
         self.odometer_m, self._blind = 0.0, 0
-        self._commands: list[tuple[float, float]] = []  # speed, m/s, and turn, radians, since the start
+        self._commands: list[tuple[float, float]] = []  # speeds, m/s, and rates of turning, rad/s
 
     @property
     def pose(self) -> np.ndarray:
@@ -71,10 +71,7 @@ class Pilot:
             raise RunEnded(RunOutcome.STEP_LIMIT)
         goes = self.now.contacts + self.now.refused == before.contacts + before.refused
         if goes and self.mode != RunMode.CONTACT_GUARD:
-            turned = turn_rad_s * DT_S
-            if not speed_m_s and self._commands and not self._commands[-1][0]:  # turns in place add up
-                turned += self._commands.pop()[1]
-            self._commands.append((speed_m_s, turned))
+            self._commands.append((speed_m_s, turn_rad_s))
         return goes
 
     def turn_to(self, heading: float) -> bool:
@@ -127,12 +124,14 @@ class Pilot:
         return True
 
     def retrace(self, most_m: float) -> None:
-        """Go back for a distance, by its own commands the other way round, until something is in the way."""
+        """Go back for a distance, by its own commands the other way round, until something is in the way.
+
+        What it has not gone back stays to be gone back later: without slip that leads out of every place.
+        """
         begin_m, mode, self.mode = self.odometer_m, self.mode, RunMode.CONTACT_GUARD
-        goes = True
-        while goes and self._commands and self.odometer_m - begin_m < most_m:
-            speed, turned = self._commands.pop()
-            n = max(math.ceil(abs(turned) / (self._turn_rad_s * DT_S)), 1)
-            for _ in range(n):
-                goes = goes and self._step(-speed, -turned / (n * DT_S))
+        while self._commands and self.odometer_m - begin_m < most_m:
+            speed, turn = self._commands[-1]
+            if not self._step(-speed, -turn):
+                break
+            self._commands.pop()
         self.mode = mode

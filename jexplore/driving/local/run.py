@@ -53,7 +53,7 @@ class LocalRun:
             heading = float(self.pilot.pose[2])
             for quarter in range(1, 5):
                 self.pilot.turn_to(heading + quarter * math.pi / 2)
-            retraces, idle, steps = 0, 0, 0
+            retraces, idle, steps, known = 0, 0, 0, 0
             while idle < MOST_IDLE:
                 idle, steps = (idle + 1 if steps == len(self.pilot.way) else 0), len(self.pilot.way)
                 self._look()
@@ -71,6 +71,8 @@ class LocalRun:
                     retraces += 1
                 elif here in goals:
                     self._give_up(self.map.nodes[here])
+                elif len(self.map.nodes) > known and self._is_cut_off(here, goals) and self.map.forget_failures():
+                    retraces, known = 0, len(self.map.nodes)  # once for all that is new
                 else:
                     return RunOutcome.EXHAUSTED if self._is_free(here) else RunOutcome.STUCK
         except RunEnded as end:
@@ -79,6 +81,10 @@ class LocalRun:
 
     def _is_free(self, here):
         return here == 0 or self.map.route(here, {0}) is not None
+
+    def _is_cut_off(self, here, goals):
+        """Return whether no link leads on to a node where the robot has been."""
+        return not self._is_free(here) or any(self.map.nodes[i].is_visited for i in goals)
 
     @staticmethod
     def _give_up(node):

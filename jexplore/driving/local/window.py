@@ -36,7 +36,7 @@ CELL_M = 0.1  # edge of a cell
 SIDE = 128  # cells: 12.8 m, three quarters of what the scanner sees on both sides
 SHIFT = 16  # cells by which the grid moves at once, at least half as many
 P_FREE = 0.2  # a cell is occupied above this share of hits: a beam along a wall passes many of its cells
-CONTACT_HITS = 100  # hits that a contact counts: more than beams pass a cell while the robot plans anew
+CONTACT_HITS = 30  # hits that a contact counts: seen free, such a cell is free again after 12 s, a few plans
 SLAM_SIZES = Sizes(keys=256, loops=1)
 OUTLINE_M = 0.05  # cells whose centres lie this deep inside the robot's outline are free: half a cell
 
@@ -164,7 +164,7 @@ def _touched(fixed, state, speed, turn):
     beside = jnp.abs(left) - width
     leads = jnp.sign(turn) * ahead * left > 0
     swept = leads & (beside > 0) & (beside < CELL_M) & (jnp.abs(ahead) > length - CELL_M) & (jnp.abs(ahead) < length)
-    met = jnp.where(speed != 0, pushed, swept)
+    met = ((speed != 0) & pushed) | ((turn != 0) & swept)
     return state.replace(grid=Grid(state.grid.hits + CONTACT_HITS * met, state.grid.misses))
 
 
