@@ -59,11 +59,7 @@ WORLD, START = 2, 3  # streams of random numbers besides those of an episode (`s
 @checked_names
 @struct.dataclass
 class EnvState:
-    """An episode under way, between two decisions.
-
-    It is over before the first decision, as BAD_START, if a traced start or world, which `reset` cannot refuse by an
-    error, turns out to be wrong.
-    """
+    """An episode under way, between two decisions; over before the first where `reset` says BAD_START."""
 
     episode: Any  # `State`, of a team `TeamState`
     reached: Field  # of its belief; of a team, of every robot's
