@@ -27,7 +27,6 @@ import hypothesis
 import hypothesis.configuration
 import jax
 import pytest
-from jax._src.interpreters import mlir
 
 from jexplore.engine import devices, plugins
 
@@ -43,8 +42,10 @@ except AttributeError:  # another C library
 # JAX makes a context for each program and keeps it: 1.4 MB and some ms, more than an operation outside of jit needs.
 # One serves all programs until they are dropped.
 try:
+    from jax._src.interpreters import mlir
+
     mlir.make_ir_context = _context = functools.cache(mlir.make_ir_context)
-except AttributeError:  # another JAX
+except (AttributeError, ImportError):  # another JAX
     _context = functools.cache(int)
 
 

@@ -331,8 +331,35 @@ def test_robot_without_readings_is_blind_and_one_without_time_ends():
     assert late.table[["outcome", "steps"]].iloc[0].tolist() == ["STEP_LIMIT", 100]
 
 
+def test_exit_is_not_tried_anew_where_less_is_known():
+    trace = new_map()
+    for end, tries in ((5.0, 2), (4.5, 3), (5.0, 3)):
+        trace.note([place_at(3, 0, [(0.0, -1, (end, 0))])], AT, AT)
+        trace.nodes[1].exits[0].tries = max(trace.nodes[1].exits[0].tries, tries)
+    trace.note([place_at(3, 0)], AT, AT)  # it is not seen: that it was given up is kept
+    assert [e.tries for e in trace.nodes[1].exits] == [3]
+
+
+def test_link_that_failed_from_either_end_is_blocked():
+    for failed in (0, 1):
+        trace = linked((0, 1, 2), (1, 0, 2), n=2)
+        trace.nodes[failed].exits[0].fails = TRIES
+        assert trace.to_btm(4, 4).blocked.tolist() == [True, False, False, False]
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+def test_run_with_a_full_map_says_so():
+    found = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), nodes=3, perception="map")
+    assert found.table["outcome"].tolist() == ["MAP_FULL"]
+    assert len(found.first.nodes) == 3
+    assert all(link.end < 3 for link in found.first.links)
+
+
 def test_what_does_not_count_with_a_local_map_is_told():
     with pytest.raises(InputError, match="sweep: votes does not count with perception map"):
         prepare_trace(cross(), sweep=["votes=1,2"], perception="map")
+    with pytest.raises(InputError, match=r"tuning\.votes does not count with perception map"):
+        prepare_trace(cross(), tuning={"votes": 4}, perception="map")
     with pytest.raises(InputError, match="leave engine, lanes and workers out"):
         jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), workers=2, perception="map")

@@ -116,7 +116,7 @@ class Trace(ResumeOptions):
             for name, value in fields_of(self, names).items():
                 if not asked and value != getattr(type(self)(), name):
                     raise InputError(f"--{name.replace('_', '-')} goes with {option}")
-        for name in ("animate", "corrected", "robots"):  # the map's poses come from scans: no drift is left to spread
+        for name in ("animate", "corrected", "robots"):
             if self.perception == "map" and getattr(self, name):
                 raise InputError(f"--{name} goes with --perception triangles")
         if self.noise_m is not None and self.noise.range_m not in (type(self)().noise.range_m, self.noise_m):

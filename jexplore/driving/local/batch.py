@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jexplore.config import InputError
 from jexplore.driving.approach import HELPS_KEPT
 from jexplore.driving.batch import Driven, MissionResults
 from jexplore.driving.local.run import LocalRun
@@ -37,13 +36,7 @@ def run_missions(
     blocks: Sequence[tuple[int, int]] | None = None,
     on_block: Callable[[int, RunResult, Driven | None], object] | None = None,
 ) -> MissionResults:
-    """Make runs; arguments and results as of `driving.batch.run_missions`. Every run has its way.
-
-    Raises:
-      InputError: the building has ground that is not level.
-    """
-    if float(np.ptp(np.asarray(building.terrain.height_m))) > 0:
-        raise InputError("perception map: the ground must be level; use --perception triangles")
+    """Make runs in a building on level ground; arguments and results as of `driving.batch.run_missions`."""
     begin_s, results, ways = time.perf_counter(), dict[int, RunResult](), dict[int, Driven]()
     key, on_device = random_key(np.uint32(seed)), jax.device_put(building)
     robots = dataclasses.replace(robots, name="")  # a name would make another program
@@ -54,7 +47,9 @@ def run_missions(
             for i in range(first, first + n):
                 robot, tuning, noise = jax.tree.map(lambda a, i=i: a[i], (robots, tunings, noises))
                 fixed = Fixed(on_device, robot, noise, SlamSettings(), jax.random.fold_in(key, draws[i]))
-                results[i], ways[i] = _run(fixed, tuning, starts[i], max_steps, size)
+                results[i], way = _run(fixed, tuning, starts[i], max_steps, size)
+                if i == first:
+                    ways[i] = way
                 if on_progress is not None:
                     on_progress(len(results))
             if on_block is not None:
@@ -77,15 +72,15 @@ def _run(fixed, tuning, start, max_steps, size):
     """Make one run: `(result, way)`."""
     run = LocalRun(jax.tree.map(jnp.asarray, fixed), start, tuning, max_steps)
     outcome = run.drive()
-    now, nodes = run.pilot.now, run.map.nodes
+    now, nodes, found = run.pilot.now, run.map.nodes, run.map.to_btm(*size)
     estimate, truth, mode = (np.array(a) for a in zip(*run.pilot.way, strict=True))
     node_at = np.full((size[0], 2), np.nan, np.float32)
     node_at[: min(len(nodes), size[0])] = [node.truth for node in nodes[: size[0]]]
     marks = np.asarray(fixed.building.marks)
     off2 = ((truth[None, ::2, :2] - marks[:, None, :2]) ** 2).sum(-1).min(1)
     fields: dict[str, Any] = {
-        "map": run.map.to_btm(*size),
-        "outcome": np.int32(RunOutcome.MAP_FULL if len(nodes) > size[0] else outcome),
+        "map": found,
+        "outcome": np.int32(RunOutcome.MAP_FULL if found.overflow else outcome),
         "steps": np.int32(len(run.pilot.way)),
         "path_m": np.float32(now.path_m),
         "contacts": np.int32(now.contacts),
@@ -96,7 +91,7 @@ def _run(fixed, tuning, start, max_steps, size):
         "mistaken": np.int32(run.mistaken),
         "dropped": np.int32(0),
         "met": off2 < marks[:, 2] ** 2,
-        "scan_overflow": np.int32(0),
+        "scan_overflow": np.int32(run.pilot.points_left_out),
         "drift_m": np.float32(np.hypot(*(now.truth - now.pose)[:2])),
         "end": now.truth,
         "guide": None,

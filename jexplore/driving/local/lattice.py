@@ -20,8 +20,8 @@ MARGIN_M = 0.05  # kept from occupied cells: the robot is driven to centres of c
 BACK = 2.5  # cost of a way back, of that ahead: the scanner does not see there
 TURN_M = 0.25  # cost of an eighth of a turn, metres of way: 0.5 s at 1.5 rad/s
 CLEAR_M = 0.6  # ways nearer to an obstacle than this cost more,
-CLOSE_COST = 2.0  # at most this much more,
-CLOSE_M = 0.3  # growing to it over this distance
+CLOSE_COST = 2.0  # at most this many times more,
+CLOSE_M = 0.3  # once more for each of this
 START_CELLS = 3.0  # the plan begins at a state no farther than this from the robot, cells
 START_RAD = 0.45  # and turned by no more than this: half an eighth of a turn, and the error of a turn
 
@@ -46,6 +46,13 @@ def outlines(length_m: float, width_m: float) -> list[np.ndarray]:
     return masks
 
 
+def distance_m(mask: np.ndarray) -> np.ndarray:
+    """Return the distance of all cells to the nearest one of a mask, metres; inf without one."""
+    if not mask.any():
+        return np.full(mask.shape, np.inf)
+    return np.asarray(ndimage.distance_transform_edt(~mask)) * CELL_M
+
+
 class Lattice:
     """Least costs from the robot to all states of a window."""
 
@@ -57,7 +64,7 @@ class Lattice:
         free = [fftconvolve(solid, mask.astype(np.float32), "same") < 0.5 for mask in masks]
         stands = [free[2 * (h % 4)] for h in range(HEADINGS)]
         turns = [stands[h] & free[(2 * h + 1) % HEADINGS] & stands[(h + 1) % HEADINGS] for h in range(HEADINGS)]
-        clear_m = np.asarray(ndimage.distance_transform_edt(~window.occupied)) * CELL_M
+        clear_m = distance_m(window.occupied)
         cost = 1 + np.clip((CLEAR_M - clear_m) / CLOSE_M, 0, CLOSE_COST)
         begins = _begins(window, pose, stands)
         self._first = n = HEADINGS * SIDE * SIDE

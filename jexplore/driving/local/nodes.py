@@ -19,7 +19,7 @@ SAME_RADII = 0.6  # or than this share of the smaller clearance
 SAME_RAD = math.radians(35)  # two exits of a node less apart than this are one
 SAME_END_RAD = math.radians(70)  # the same where both lead to one node
 NEAR_M = 4.0  # a robot no farther than this from a node sees which exits it does not have
-MOVED_M = 0.25  # more of a way is known where its seen part ends this far from before: the tries at it begin anew
+MOVED_M = 0.25  # the tries at a way begin anew where its seen part is longer by this than before
 
 
 TRIES = 3  # times that the robot goes in vain to a node, to an exit's end or along a link before it gives that up
@@ -67,7 +67,7 @@ class Node:
 
 
 class TraceMap:
-    """A trace map of at most some nodes; node 0 is the start."""
+    """A trace map; node 0 is the start."""
 
     def __init__(self, start: np.ndarray, truth: np.ndarray) -> None:
         """Begin with the start `[2]`, metres, estimated and true."""
@@ -124,14 +124,14 @@ class TraceMap:
             if best is not None and off(best) < math.inf:
                 met.add(id(best))
                 if best.to < 0:
-                    if to >= 0 or math.dist(best.path[-1], way.path[-1]) > MOVED_M:
+                    if to >= 0 or length_of(way.path) > length_of(best.path) + MOVED_M:
                         best.tries = 0
                     best.bearing, best.path, best.to = way.bearing, way.path, to
             elif place.is_sure or not node.exits:
                 node.exits.append(Exit(way.bearing, way.path, to))
                 met.add(id(node.exits[-1]))
         if place.is_sure and is_near:
-            node.exits = [e for e in node.exits if id(e) in met or e.to >= 0]
+            node.exits = [e for e in node.exits if id(e) in met or e.to >= 0 or e.tries >= TRIES]
 
     def link_driven(self, one: int, other: int, way: np.ndarray) -> None:
         """Link two nodes by the way `[n, 2]` that the robot has driven, if no route leads from one to the other."""
@@ -174,17 +174,19 @@ class TraceMap:
         for i, node in enumerate(self.nodes[:n_nodes]):
             fields["x_m"][i], fields["y_m"][i] = node.xy
             fields["kind"][i], fields["radius_m"][i] = NODE_TYPES.index(node.type), node.radius_m
-        links = list(self._links())
+        found = list(self._links())
+        links = [link for link in found if link[0] < n_nodes and link[1].to < n_nodes]
         for n, (i, exit_, back) in enumerate(links[:n_links]):
             fields["start"][n], fields["start_bearing"][n] = i, wrapped(exit_.bearing)
-            fields["status"][n], fields["blocked"][n] = btm.UNSEARCHED, exit_.fails >= TRIES
+            fails = max(exit_.fails, back.fails if back else 0)
+            fields["status"][n], fields["blocked"][n] = btm.UNSEARCHED, fails >= TRIES
             if exit_.to >= 0:
                 fields["end"][n], fields["status"][n] = exit_.to, btm.SEARCHED
                 fields["end_bearing"][n] = wrapped(direction_out(exit_.path[::-1]) if back is None else back.bearing)
                 fields["length_m"][n] = length_of(exit_.path)
         room = {"n_nodes": (n_nodes, self.nodes), "n_links": (n_links, links)}
-        counts = {name: np.array(min(most, len(found)), np.int32) for name, (most, found) in room.items()}
-        over = np.array(sum(max(len(found) - most, 0) for most, found in room.values()), np.int32)
+        counts = {name: np.array(min(most, len(items)), np.int32) for name, (most, items) in room.items()}
+        over = np.array(max(len(self.nodes) - n_nodes, 0) + len(found) - int(counts["n_links"]), np.int32)
         return blank.replace(**(fields | counts), overflow=over)
 
     def _links(self):

@@ -19,7 +19,7 @@ STEER = 1.5  # rate of turning for each radian off a straight way, 1/s
 STOP_M = 0.08  # room ahead at which it stops: two steps' way
 GOAL_M = 0.5  # the goal is reached within this distance of its beacon
 BLIND_STEPS = 30  # steps without a scan after which a run ends: three seconds, less than one turn in place
-PATIENCE = 200  # steps of one motion, more than the longest takes
+PATIENCE = 100  # steps more than a motion should take, after which it counts as prevented
 
 
 class RunEnded(Exception):
@@ -55,6 +55,11 @@ class Pilot:
         """Return the local map."""
         return window_of(self._state)
 
+    @property
+    def points_left_out(self) -> int:
+        """Return the most points that found no room in the map of points by which it finds its pose."""
+        return int(max(self._state.slam.overflow, self._state.slam.points.overflow))
+
     def _step(self, speed_m_s: float, turn_rad_s: float) -> bool:
         """Make a step; return whether it was made, which a contact prevents."""
         before = self.now
@@ -76,7 +81,7 @@ class Pilot:
 
     def turn_to(self, heading: float) -> bool:
         """Turn in place to a heading, radians; return whether nothing was in the way."""
-        for _ in range(PATIENCE):
+        for _ in range(round(math.pi / (self._turn_rad_s * DT_S)) + PATIENCE):
             off = wrapped(heading - float(self.pose[2]))
             if abs(off) < TURNED_RAD:
                 return True
@@ -86,7 +91,8 @@ class Pilot:
 
     def drive_to(self, xy: np.ndarray, back: bool) -> bool:
         """Drive straight to a point, metres, or past it; return whether nothing was in the way."""
-        for _ in range(PATIENCE):
+        due = math.dist(xy, self.pose[:2]) / (self._speed * DT_S)
+        for _ in range(round(due) + PATIENCE):
             off, heading = np.asarray(xy) - self.pose[:2], float(self.pose[2])
             away_m, sign = math.hypot(*off), -1 if back else 1
             if away_m < ARRIVED_M or sign * (off @ (math.cos(heading), math.sin(heading))) < 0:
@@ -107,7 +113,8 @@ class Pilot:
             return False
         if math.hypot(*off) > 2 * ARRIVED_M:
             heading = float(self.pose[2])
-            self.drive_to(window.xy(first.cell), bool(off @ (math.cos(heading), math.sin(heading)) < 0))
+            if not self.drive_to(window.xy(first.cell), bool(off @ (math.cos(heading), math.sin(heading)) < 0)):
+                return False
         i = 1
         while i < len(path) and self.odometer_m - begin_m < most_m:
             (heading, cell), before = path[i], path[i - 1]

@@ -18,7 +18,7 @@ from jexplore.driving.records import RunMode
 from jexplore.driving.settings import Tuning
 from jexplore.driving.vehicle import DT_S, SCAN_RANGE_M
 
-LOOK_M = 1.0  # the robot looks anew after this way: an eighth of what it sees
+LOOK_M = 1.0  # the robot looks anew at the end of the straight piece on which it has come this far
 LINK_M = 1.5  # the same on a link
 NEAR_M = 0.3  # a point of a path is reached from a cell no farther away
 PLACE_M = 1.5  # a place is gone to as near as its clearance, and no farther off than this
@@ -28,8 +28,8 @@ BACK_M = 0.7  # where something is in the way the robot goes back this far, its 
 DETOUR = 3.0  # a point of a link is gone to where that costs no more than this many times the link
 DETOUR_M = 2.0  # and this
 RETRACES = 6  # times in a row that the robot goes back before it is STUCK, twice as far each time
+SURE_RETRACES = 2  # and before it gives up what no route leads to
 MOST_IDLE = 30  # looks in a row without a step in between, after which the robot is STUCK
-SURE_RETRACES = 2  # and before it gives up what no route leads to, if one leads to its start
 
 
 class LocalRun:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from jexplore.driving.local.lattice import distance_m
 from jexplore.driving.local.window import CELL_M, SIDE, Window
 from jexplore.extraction.extract import attached, leaves, open_cells
 from jexplore.extraction.lines import connected_cells, lines_of, take_corners
@@ -56,7 +57,7 @@ def look(window: Window, pose: np.ndarray, start: np.ndarray, width_m: float, op
             terminals = {at: PlaceDraft(float(began[0]), float(began[1]), "terminal", float(lines.radius[at]))}
     places, ways = places_and_passages(lines, corners, alive, terminals, open_cells=open_m / CELL_M)
     edge = free & ndimage.binary_dilation(~window.known & ~free)
-    edge_m = np.asarray(ndimage.distance_transform_edt(~edge)) * CELL_M
+    edge_m = distance_m(edge)
     number = {key: i for i, key in enumerate(places)}
 
     def seen(place):

@@ -45,7 +45,7 @@ def team_jobs(
     """
     starts = _read_starts(team_starts)
     if robots is None:
-        if (coordination, contact, starts, *members) != (INDEPENDENT, "all", "together"):
+        if (coordination, contact, starts) != (INDEPENDENT, "all", "together") or members != ():
             raise InputError("coordination, contact, team_starts and members are for teams: give robots, such as 1 2 4")
         return list(jobs)
     teams = _teams(robots, coordination, contact, starts)

@@ -94,8 +94,11 @@ def read_members(given: Sequence[str], lidar: Lidar) -> tuple[Member, ...]:
     Raises:
       InputError: a text says something else; a pace or range that cannot be, a range longer than the scanner's.
     """
+    given = (given,) if isinstance(given, str) else given
+    if not isinstance(given, list | tuple):
+        raise InputError(f"members must be a list of texts such as pace=2,range=3, got {shown(given)}")
     made = []
-    for text in (given,) if isinstance(given, str) else given:
+    for text in given:
         parts = [part.partition("=") for part in str(text).split(",")]
         own = {name: value for name, _, value in parts}
         form = f"members must be such as pace=2, range=3 or pace=2,range=3, got {shown(text)}"

@@ -148,8 +148,6 @@ def prepare_trace(
       nodes, links: most of a map; a run that needs more ends as MAP_FULL. By default see `map_room`.
       perception: `triangles` of single scans, as in the paper; `map`: a local map, on level ground.
     """
-    if perception not in PERCEPTIONS:
-        raise InputError(f"perception must be one of {', '.join(PERCEPTIONS)}, got {perception!r}")
     (world,) = checks.ready_worlds([world], cell_m)
     if start is None and world.course is None and (starts or world.start is None):
         warn_of_outside(world, start_region(world, START_CLEARANCE_M))
@@ -165,9 +163,7 @@ def prepare_trace(
     tuning = for_world(tuning, is_course=world.course is not None)
     require_robot(robot)
     own, swept = for_world(Tuning(), is_course=world.course is not None), swept_values(sweep, settings, seed)
-    unused = [name for name in swept if not name.startswith(NOISE) and name not in OF_MAP]
-    if perception == "map" and unused:
-        raise InputError(f"sweep: {unused[0]} does not count with perception map; {', '.join(OF_MAP)} and noise do")
+    _require_perception(perception, tuning, own, swept)
     for name in BY_WORLD.keys() & swept.keys():  # 0 stands for the world's own number
         swept[name] = np.where(swept[name] == 0, getattr(own, name), swept[name])
     count = len(next(iter(swept.values()))) if swept else 1
@@ -178,8 +174,21 @@ def prepare_trace(
         own_values = {name: int(v[i]) if name in WHOLE else float(v[i]) for name, v in swept.items()}
         require_tuning(with_values(tuning, noise, own_values)[0])
     places = _placed(world, _ends(world, start, starts, seed), robot, tuning)
+    if perception == "map" and np.ptp(np.asarray(places[0].terrain.height_m)) > 0:
+        raise InputError("perception map: the ground must be level; use --perception triangles")
     found = robot, tuning, noise, n_runs, seed, swept, count, most, map_room(world, places[1], nodes, links)
     return TraceJob(world, *places, *found, perception, attributes_of(attributes))
+
+
+def _require_perception(perception, tuning, own, swept):
+    """Refuse an unknown perception, and thresholds other than the world's `own` that do not count with it."""
+    if perception not in PERCEPTIONS:
+        raise InputError(f"perception must be one of {', '.join(PERCEPTIONS)}, got {perception!r}")
+    given = {f"tuning.{name}": name for name, value in vars(tuning).items() if value != getattr(own, name)}
+    given |= {f"sweep: {name}": name for name in swept if not name.startswith(NOISE)}
+    unused = [told for told, name in given.items() if name not in OF_MAP]
+    if perception == "map" and unused:
+        raise InputError(f"{unused[0]} does not count with perception map; {', '.join(OF_MAP)} and noise do")
 
 
 def map_room(world: World, truth: TraceTruth, nodes: int | None = None, links: int | None = None) -> tuple[int, int]:

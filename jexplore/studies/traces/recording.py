@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jexplore import btm
+from jexplore.config import InputError
 from jexplore.driving import behaviour, events, mission, vehicle
 from jexplore.driving.batch import Driven, step_slots
 from jexplore.driving.building.walls import segments
@@ -117,7 +118,13 @@ def _frame(key, building, settings, state):
 
 
 def record_run(plan: TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> RunRecording:
-    """Record the operator's view of run 0; `on_progress` is called with the number of finished steps."""
+    """Record the operator's view of run 0; `on_progress` is called with the number of finished steps.
+
+    Raises:
+      InputError: the robot perceives by a local map.
+    """
+    if plan.perception == "map":
+        raise InputError("the operator's view shows triangles: it goes with perception triangles")
     settings, building = _setting(plan, 0), jax.device_put(plan.building)
     setup = mission.Setup(step_slots(plan.max_steps), *plan.size)
     key = jax.random.fold_in(random_key(np.uint32(plan.seed)), 0)

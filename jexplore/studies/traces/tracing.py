@@ -98,6 +98,8 @@ def execute(
     Raises:
       KeyboardInterrupt: the first unit has not been finished.
     """
+    if plan.perception == "map" and (engine, lanes, workers) != ("auto", None, None):
+        raise InputError("perception map makes runs one after the other: leave engine, lanes and workers out")
     blocks, (setting, which) = run_blocks(plan), plan.all_runs()
     work: Work[pd.DataFrame] = Work(range(len(blocks)), ledger)
     resumed, costs, maps = sum(map(len, work.done.values())), Costs(), {}
@@ -115,8 +117,6 @@ def execute(
         moved = None if on_progress is None else (lambda done: on_progress(done + resumed))
         how = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": moved}
         if plan.perception == "map":
-            if (engine, lanes, workers) != ("auto", None, None):
-                raise InputError("perception map makes runs one after the other: leave engine, lanes and workers out")
             how = {"on_progress": moved}
         try:
             costs = plan.run(setting, which, blocks=[blocks[i] for i in work.left], on_block=put, **how).costs

@@ -189,9 +189,14 @@ def prepare_team(
     world: str | os.PathLike[str] | World, robots: int, team_starts: TeamStarts = "apart", **how: Any
 ) -> TraceJob:
     """Check all that a team needs, and return its runs, one a robot; `how` as of `prepare_trace`."""
-    n, is_given = require_whole("robots", robots, 1, MOST_ROBOTS), team_starts not in STARTS
+    n, is_given = (
+        require_whole("robots", robots, 1, MOST_ROBOTS),
+        not (isinstance(team_starts, str) and team_starts in STARTS),
+    )
     if is_given and how.get("start") is not None:
         raise InputError("start and given team_starts exclude each other: give one of them")
+    if how.get("perception", "triangles") != "triangles":
+        raise InputError("teams go with perception triangles")
     plan = prepare_trace(world, runs=n, **how)
     plan = dataclasses.replace(plan, begins=place_robots(plan, n, team_starts))
     for pose in plan.begins:
