@@ -57,7 +57,7 @@ def run_missions(
     except KeyboardInterrupt:
         if not results:
             raise
-        costs = Costs(interrupted=True)
+        costs.interrupted = True
     blank = jax.tree.map(np.zeros_like, next(iter(results.values())))
     costs.run_s = time.perf_counter() - begin_s
     stacked = _stacked([results.get(i, blank) for i in range(len(draws))])

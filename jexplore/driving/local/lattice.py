@@ -110,7 +110,7 @@ def _begins(window, pose, stands):
             near = off <= START_CELLS
             states.append((h * SIDE + row[near] + middle[0] - n) * SIDE + col[near] + middle[1] - n)
             costs.append((off[near] * CELL_M + 1e-3) * (1 + CLOSE_COST) + TURN_M * turn / (math.pi / 4))
-    return (np.concatenate(a) if a else np.zeros(0, int) for a in (states, costs))
+    return np.concatenate(states), np.concatenate(costs)
 
 
 def _edges(stands, turns, cost, begins):

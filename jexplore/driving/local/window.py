@@ -38,7 +38,6 @@ SHIFT = 16  # cells by which the grid moves at once, at least half as many
 P_FREE = 0.2  # a cell is occupied above this share of hits: a beam along a wall passes many of its cells
 CONTACT_HITS = 30  # hits that a contact counts: seen free, such a cell is free again after 12 s, a few plans
 SLAM_SIZES = Sizes(keys=8192, loops=1)  # key scans of a kilometre of way and as many turns
-OUTLINE_M = 0.05  # cells whose centres lie this deep inside the robot's outline are free: half a cell
 
 
 class Report(NamedTuple):
@@ -187,8 +186,8 @@ def _counted(fixed, state):
     extent = jnp.full(2, SIDE, jnp.int32)
     grid = fold(grid, xy, direction, reading, jnp.float32(SCAN_RANGE_M / CELL_M), extent)
     ahead, left = _in_frame(state)
-    own = (jnp.abs(ahead) < fixed.robot.length_m / 2 - OUTLINE_M) & (
-        jnp.abs(left) < fixed.robot.width_m / 2 - OUTLINE_M
+    own = (jnp.abs(ahead) < fixed.robot.length_m / 2 - CELL_M / 2) & (
+        jnp.abs(left) < fixed.robot.width_m / 2 - CELL_M / 2
     )
     return state.replace(grid=Grid(jnp.where(own, 0, grid.hits), grid.misses + own))
 
