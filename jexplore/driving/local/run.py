@@ -12,7 +12,7 @@ from jexplore.driving.local.lattice import Lattice
 from jexplore.driving.local.nodes import TRIES, Exit, TraceMap, length_of
 from jexplore.driving.local.pilot import Pilot, RunEnded
 from jexplore.driving.local.sight import SeenPlace, look
-from jexplore.driving.local.window import Fixed
+from jexplore.driving.local.window import SIDE, Fixed
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.records import RunMode
 from jexplore.driving.settings import Tuning
@@ -61,7 +61,10 @@ class LocalRun:
                     retraces = 0
                 elif not (goals := self._open_nodes()):
                     return RunOutcome.EXHAUSTED if np.isfinite(self._lattice.cost).any() else RunOutcome.STUCK
-                elif (here := self._here()) is not None and (route := self.map.route(here, goals)) is not None:
+                elif (here := self._here()) is not None and self._doubt_shut(goals):
+                    retraces = 0
+                    self.pilot.retrace(BACK_M)
+                elif here is not None and (route := self.map.route(here, goals)) is not None:
                     retraces = 0
                     self._go_along(route)
                 elif retraces < SURE_RETRACES or here is None:
@@ -140,7 +143,7 @@ class LocalRun:
             if math.dist(node.xy, self.pilot.pose[:2]) > 2 * SCAN_RANGE_M:
                 continue
             if not node.is_visited and node.tries < TRIES:
-                found = self._lattice.nearest(node.xy, min(max(NEAR_M, node.radius_m), PLACE_M))
+                found = self._lattice.nearest(node.xy, self._within(node))
                 targets += [(found[1], i, None, found[0])] if found else []
             for exit_ in node.exits:
                 if exit_.to < 0 and exit_.tries < TRIES:
@@ -165,12 +168,38 @@ class LocalRun:
         """Look along the way whose end is reached, or where the robot does not get on; note that it has been there."""
         if exit_ is None:
             node.tries += 1
-            node.is_visited |= math.dist(node.xy, self.pilot.pose[:2]) < max(PLACE_M, node.radius_m)
             return
         off = exit_.path[-1] - self.pilot.pose[:2]
         if math.hypot(*off) > FACE_M:
             self.pilot.turn_to(math.atan2(off[1], off[0]))
         exit_.tries += 1
+
+    def _doubt_shut(self, goals):
+        """Count a try at all in the local map that no way leads to, not even through unknown cells; return if any is.
+
+        A contact or noise may have shut the way for a while only: the robot looks from several places.
+        """
+        window, found = self._lattice.window, False
+        hopeful = Lattice(window, self.pilot.pose, self.robot, through_unknown=True)
+
+        def is_shut(points, within_m):
+            cells = window.cell(points)
+            return bool(np.all((cells > 0) & (cells < SIDE - 1))) and not any(
+                hopeful.nearest(xy, within_m) for xy in points
+            )
+
+        for node in (self.map.nodes[i] for i in goals):
+            if not node.is_visited and node.tries < TRIES and is_shut(node.xy[None], self._within(node)):
+                node.tries, found = node.tries + 1, True
+            for exit_ in node.exits:
+                if exit_.to < 0 and exit_.tries < TRIES and is_shut(exit_.path, NEAR_M):
+                    exit_.tries, found = exit_.tries + 1, True
+        return found
+
+    @staticmethod
+    def _within(node):
+        """Return the distance of a cell from which a place is looked at, at most."""
+        return min(max(NEAR_M, node.radius_m), PLACE_M)
 
     # Links
 
