@@ -89,7 +89,6 @@ def _run(fixed, tuning, start, max_steps, size):
         "help_at": np.full((HELPS_KEPT, 4), np.nan, np.float32),
         "node_at": node_at,
         "mistaken": np.int32(run.mistaken),
-        "dropped": np.int32(0),
         "met": off2 < marks[:, 2] ** 2,
         "scan_overflow": np.int32(run.pilot.points_left_out),
         "drift_m": np.float32(np.hypot(*(now.truth - now.pose)[:2])),

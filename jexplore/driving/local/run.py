@@ -44,6 +44,7 @@ class LocalRun:
         self.mistaken = 0
         self._at, self._since = 0, 0  # the node that the robot was at last, and the step then
         self._target: tuple[int, Exit | None] | None = None
+        self._stops = 0  # times that something stopped it where it set off, since it last came to a target
         self._node_of: dict[int, int] = {}
         self._seen: list[SeenPlace] = []
 
@@ -61,15 +62,18 @@ class LocalRun:
                     retraces = 0
                 elif not (goals := self._open_nodes()):
                     return RunOutcome.EXHAUSTED if np.isfinite(self._lattice.cost).any() else RunOutcome.STUCK
-                elif (here := self._here()) is not None and self._doubt_shut(goals):
-                    retraces = 0
-                    self.pilot.retrace(BACK_M)
-                elif here is not None and (route := self.map.route(here, goals)) is not None:
-                    retraces = 0
-                    self._go_along(route)
-                elif retraces < SURE_RETRACES or here is None:
+                elif (here := self._here()) is None or self._is_shut_in():
                     if retraces >= RETRACES:
                         return RunOutcome.STUCK
+                    self.pilot.retrace(LOOK_M * 2**retraces)
+                    retraces += 1
+                elif self._doubt_shut(goals):
+                    retraces = 0
+                    self.pilot.retrace(BACK_M)
+                elif (route := self.map.route(here, goals)) is not None:
+                    retraces = 0
+                    self._go_along(route)
+                elif retraces < SURE_RETRACES:
                     self.pilot.retrace(LOOK_M * 2**retraces)
                     retraces += 1
                 elif here in goals:
@@ -158,10 +162,15 @@ class LocalRun:
         self.pilot.mode = RunMode.BRANCH_SELECTION
         follows = self.pilot.follow(self._lattice.path_to(cell), window, LOOK_M)
         is_there = math.dist(window.xy(cell), self.pilot.pose[:2]) < FACE_M
-        if is_there or self.pilot.odometer_m - begin_m < FACE_M:
+        if is_there:
+            self._stops = 0
             self._arrive(self.map.nodes[i], exit_)
-            if not follows:
-                self.pilot.retrace(BACK_M)
+        elif not follows and self.pilot.odometer_m - begin_m < FACE_M:
+            # What stops the robot here says nothing of a place elsewhere: it begins from farther back each time.
+            if self._stops >= SURE_RETRACES:
+                self._arrive(self.map.nodes[i], exit_)
+            self.pilot.retrace(BACK_M * 2**self._stops)
+            self._stops = min(self._stops + 1, RETRACES)
         return True
 
     def _arrive(self, node, exit_: Exit | None):
@@ -174,18 +183,31 @@ class LocalRun:
             self.pilot.turn_to(math.atan2(off[1], off[0]))
         exit_.tries += 1
 
+    def _hopes(self):
+        """Return the least costs of the robot if all that is unknown is free."""
+        return Lattice(self._lattice.window, self.pilot.pose, self.robot, through_unknown=True)
+
+    def _is_shut_in(self):
+        """Return whether most of the way that it has driven in the local map cannot be driven again.
+
+        Then contacts or noise have shut it in, and what it cannot reach from here says nothing.
+        """
+        window = self._lattice.window
+        cells = window.cell(np.array([pose[:2] for pose, *_ in self.pilot.way[:: round(0.5 / DT_S)]]).reshape(-1, 2))
+        cells = cells[np.all((cells >= 0) & (cells < SIDE), axis=1)]
+        return bool(np.isinf(self._hopes().cost[tuple(cells.T)]).mean() > 0.5) if len(cells) else False
+
     def _doubt_shut(self, goals):
         """Count a try at all in the local map that no way leads to, not even through unknown cells; return if any is.
 
         A contact or noise may have shut the way for a while only: the robot looks from several places.
         """
-        window, found = self._lattice.window, False
-        hopeful = Lattice(window, self.pilot.pose, self.robot, through_unknown=True)
+        window, hopes, found = self._lattice.window, self._hopes(), False
 
         def is_shut(points, within_m):
             cells = window.cell(points)
             return bool(np.all((cells > 0) & (cells < SIDE - 1))) and not any(
-                hopeful.nearest(xy, within_m) for xy in points
+                hopes.nearest(xy, within_m) for xy in points
             )
 
         for node in (self.map.nodes[i] for i in goals):

@@ -223,7 +223,7 @@ def _placed(world, poses, robot, tuning):
         require_start(world, building, robot, pose)
     x_m, y_m = begins[0, :2]
     at = int(y_m / world.cell_m), int(x_m / world.cell_m)
-    truth = truth_of(world, at, robot.width_m, tuning.open_m, tuning.coast_m)
+    truth = truth_of(world, at, robot.width_m, tuning.open_m)
     return building_of(world, goal, truth.marks), truth, begins
 
 

@@ -243,7 +243,7 @@ def trace_table(
             "inclination_deg": largest("inclination_deg"),
             "step_m": largest("step_m"),
             "closings": [of_run.closings for of_run in found],
-            **{name: getattr(result, name) for name in ("mistaken", "dropped")},
+            "mistaken": result.mistaken,
             "contradicted": [of_run.contradicted for of_run in found],
             "overflow": result.map.overflow,
             "scan_overflow": result.scan_overflow,

@@ -28,7 +28,7 @@ def junctions_at(plan: TraceJob, places: np.ndarray) -> np.ndarray:
     `places` are `[n, 2]`, metres, in the building's frame.
     """
     truth = plan.truth
-    at, around_m = truth.marks[~truth.is_door, :2] - plan.world.origin_m, truth.around_m[~truth.is_door]
+    at, around_m = truth.marks[~truth.is_door, :2] - plan.world.origin_m, truth.marks[~truth.is_door, 2]
     if not len(at) or not len(places):
         return np.full(len(places), -1)
     off_m = np.hypot(*(places[:, None] - at).transpose(2, 0, 1))
