@@ -5,6 +5,7 @@ the nearest node that has one. Where nothing can be reached it goes back the way
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -35,10 +36,20 @@ MOST_IDLE = 30  # looks in a row without a step in between, after which the robo
 class LocalRun:
     """A robot that writes its trace map."""
 
-    def __init__(self, fixed: Fixed, start: np.ndarray, tuning: Tuning, max_steps: int) -> None:
-        """Begin at a start `[3]`; of `tuning` the width and clearance of passages and the speed count."""
+    def __init__(
+        self,
+        fixed: Fixed,
+        start: np.ndarray,
+        tuning: Tuning,
+        max_steps: int,
+        on_step: Callable[["LocalRun"], object] = lambda run: None,
+    ) -> None:
+        """Begin at a start `[3]`; of `tuning` the width and clearance of passages and the speed count.
+
+        `on_step` is called with the run after every step.
+        """
         self._tuning, self._start = tuning, np.asarray(start[:2], float)
-        self.pilot = Pilot(fixed, start, float(tuning.speed_m_s), max_steps)
+        self.pilot = Pilot(fixed, start, float(tuning.speed_m_s), max_steps, lambda: on_step(self))
         self.robot = fixed.robot
         self.map = TraceMap(self._start, self.pilot.now.truth[:2].astype(float))
         self.mistaken = 0
@@ -46,7 +57,8 @@ class LocalRun:
         self._target: tuple[int, Exit | None] | None = None
         self._stops = 0  # times that something stopped it where it set off, since it last came to a target
         self._node_of: dict[int, int] = {}
-        self._seen: list[SeenPlace] = []
+        self.seen: list[SeenPlace] = []
+        """Places of the last look."""
 
     def drive(self) -> RunOutcome:
         """Drive until the run ends; return its outcome."""
@@ -106,8 +118,8 @@ class LocalRun:
         window, pose = self.pilot.window(), self.pilot.pose
         self._lattice = Lattice(window, pose, self.robot)
         how = float(self._tuning.width_m), float(self._tuning.open_m)
-        self._seen = look(window, pose, self._start, *how)
-        self._node_of = self.map.note(self._seen, pose, self.pilot.now.truth)
+        self.seen = look(window, pose, self._start, *how)
+        self._node_of = self.map.note(self.seen, pose, self.pilot.now.truth)
         self._visit()
 
     def _visit(self):
