@@ -88,7 +88,9 @@ def changes_of(own, only, off):
 def varied(world, options):
     """Return a plan with a setting for every change, and the changes."""
     runs = "runs" if world.startswith("course") else "starts"
-    plan = prepare_trace(world, noise=Noise(range_m=0.01), seed=options.seed, **{runs: options.runs})
+    plan = prepare_trace(
+        world, noise=Noise(range_m=0.01), seed=options.seed, perception="triangles", **{runs: options.runs}
+    )
     own = numbers_of(plan)
     changes = changes_of(own, options.only, options.off)
     swept = {name: np.full(len(changes), value, float) for name, value in own.items()}

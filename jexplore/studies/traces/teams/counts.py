@@ -12,7 +12,7 @@ from jexplore.studies.traces.teams.clock import EXCHANGE_STEPS, RobotLog
 from jexplore.tracemap.merging.merge import MergeResult
 from jexplore.tracemap.record import NODE_TYPES, BtmMap
 
-WRONG_M = 2.0  # distance of two true places that are not one: robots tell gateways 1.5 m from each other apart
+WRONG_M = 2.0  # m; nodes of one place truly lie no farther apart: both robots were in its circle
 SHARE = 0.9  # of the junctions, whose time is told
 MERGED_TYPES = NODE_TYPES[DIVERGENCE], NODE_TYPES[FREE_SPACE]
 
