@@ -24,8 +24,7 @@ from jexplore.engine.draws import random_key
 from jexplore.engine.runner import Costs, find_resources
 from jexplore.slam2d.settings import SlamSettings
 
-OnStep = Callable[[int, LocalRun], object]
-"""Called with the number of a run and the run after every step of it, from the run's thread."""
+OnStep = Callable[[int, LocalRun], object]  # of the number of a run and the run
 
 
 class LocalTask(NamedTuple):
@@ -76,6 +75,8 @@ def run_tasks(
     on_step: OnStep = lambda i, run: None,
 ) -> None:
     """Make runs, `workers` at a time, by default one a core; `on_run` is called with each in their order.
+
+    `on_step` is called after every step, from the run's thread.
 
     Raises:
       KeyboardInterrupt: after Ctrl-C, once the runs that have begun have been stopped.
