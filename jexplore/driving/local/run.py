@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from jexplore.driving.local.area import SeenArea, nearest_to
 from jexplore.driving.local.lattice import Lattice
 from jexplore.driving.local.nodes import TRIES, Exit, TraceMap, length_of
 from jexplore.driving.local.pilot import Pilot, RunEnded
@@ -28,6 +29,7 @@ KEEP_M = 2.0  # another target must be nearer by this than the last one: twice t
 BACK_M = 0.7  # where something is in the way the robot goes back this far, its own length, to plan anew
 DETOUR = 3.0  # a point of a link is gone to where that costs no more than this many times the link
 DETOUR_M = 2.0  # and this
+EDGE_M = 1.0  # where free space leads on the robot goes as near to the unknown as this: its length, and a look
 RETRACES = 6  # times in a row that the robot goes back before it is STUCK, twice as far each time
 SURE_RETRACES = 2  # and before it gives up what no route leads to
 MOST_IDLE = 30  # looks in a row without a step in between, after which the robot is STUCK
@@ -57,6 +59,9 @@ class LocalRun:
         self._target: tuple[int, Exit | None] | None = None
         self._stops = 0  # times that something stopped it where it set off, since it last came to a target
         self._node_of: dict[int, int] = {}
+        self._area = SeenArea()
+        self._frontiers: list[np.ndarray] = []  # of free space, in the local map
+        self._onward: list[np.ndarray] = []  # where free space leads on elsewhere, metres
         self.seen: list[SeenPlace] = []
         """Places of the last look."""
 
@@ -70,9 +75,11 @@ class LocalRun:
             while idle < MOST_IDLE:
                 idle, steps = (idle + 1 if steps == len(self.pilot.way) else 0), len(self.pilot.way)
                 self._look()
-                if self._go_near():
+                if self._go_near() or self._go_on_in_the_open():
                     retraces = 0
                 elif not (goals := self._open_nodes()):
+                    if self._go_back_to_the_open():
+                        continue
                     return RunOutcome.EXHAUSTED if np.isfinite(self._lattice.cost).any() else RunOutcome.STUCK
                 elif (here := self._here()) is None or self._is_shut_in():
                     if retraces >= RETRACES:
@@ -117,6 +124,11 @@ class LocalRun:
     def _look(self):
         window, pose = self.pilot.window(), self.pilot.pose
         self._lattice = Lattice(window, pose, self.robot)
+        self._area.add(window)
+        self._frontiers = self._area.frontiers(self._lattice, float(self._tuning.open_m))
+        off = [np.abs(window.cell(xy) - SIDE // 2).max() for xy in self._onward]
+        self._onward = [xy for xy, cells in zip(self._onward, off) if cells >= SIDE // 2]
+        self._onward += [window.xy(np.argwhere(some)[0]) for some in self._frontiers]
         how = float(self._tuning.width_m), float(self._tuning.open_m)
         self.seen = look(window, pose, self._start, *how)
         self._node_of = self.map.note(self.seen, pose, self.pilot.now.truth)
@@ -194,6 +206,35 @@ class LocalRun:
         if math.hypot(*off) > FACE_M:
             self.pilot.turn_to(math.atan2(off[1], off[0]))
         exit_.tries += 1
+
+    # Free space
+
+    def _go_on_in_the_open(self):
+        """Go to the nearest frontier of free space in the local map; return False without one."""
+        window = self._lattice.window
+        found = [(nearest_to(some, self._lattice, EDGE_M), some) for some in self._frontiers]
+        found = [(*there, some) for there, some in found if there]
+        if not found:
+            return False
+        cell, _, some = min(found, key=lambda target: target[1])
+        begin_m, self.pilot.mode = self.pilot.odometer_m, RunMode.WALL_FOLLOWING
+        self.pilot.follow(self._lattice.path_to(cell), window, LOOK_M)
+        is_there = math.dist(window.xy(cell), self.pilot.pose[:2]) < FACE_M
+        if is_there or self.pilot.odometer_m - begin_m < FACE_M:
+            self._area.give_up(window, some)
+        return True
+
+    def _go_back_to_the_open(self):
+        """Go to the node that is nearest to a frontier of free space seen before; return False without one."""
+        while self._onward:
+            xy = self._onward.pop()
+            goal = min(range(len(self.map.nodes)), key=lambda i: math.dist(self.map.nodes[i].xy, xy))
+            here = self._here()
+            route = None if here is None else self.map.route(here, {goal})
+            if route is not None:
+                self._go_along(route)
+                return True
+        return False
 
     def _hopes(self):
         """Return the least costs of the robot if all that is unknown is free."""
