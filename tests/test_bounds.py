@@ -7,11 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from ref import bounds as ref
+from ref.refusals import refused
 from scipy import ndimage
 
 import jexplore as jx
 from jexplore.cli import main
-from jexplore.config import InputError
 from jexplore.reach import FAR, STRAIGHT
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.bounds import beside, pieces, scene, search, subsets
@@ -243,8 +243,7 @@ def test_no_time_for_a_walk_leaves_a_weak_bound():
     ],
 )
 def test_what_cannot_be_bounded(options, message):
-    with pytest.raises(InputError, match=message):
-        jx.bound(ROOMS, **options)
+    refused(message, jx.bound, ROOMS, **options)
 
 
 def test_the_command(tmp_path, capsys):
@@ -313,10 +312,8 @@ def test_a_comparison_beside_its_bounds(tmp_path, capsys):
     assert np.isnan(table["path_over_high"][1])
     assert table["path_over_low_any"][0] == table["path_m"][0] / found.table["low_any_m"][0]
     other = compared.worlds[0].replace(occupied=compared.worlds[0].occupied | (np.arange(50) == 20))
-    with pytest.raises(InputError, match="another world of that name"):
-        found.beside(jx.compare(other, "closest", episodes=1, lidar=NEAR))
-    with pytest.raises(InputError, match="have none of them"):
-        found.beside(jx.compare(ROOMS, "closest", episodes=1, seed=5, lidar=NEAR))
+    refused("another world of that name", found.beside, jx.compare(other, "closest", episodes=1, lidar=NEAR))
+    refused("have none of them", found.beside, jx.compare(ROOMS, "closest", episodes=1, seed=5, lidar=NEAR))
 
 
 def test_ratios_over_worlds_by_hand():

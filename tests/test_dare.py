@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
+from ref.refusals import refused
 
 from jexplore.cli import main
-from jexplore.config import InputError
 from jexplore.studies.dare import own, planners, rules, table
 
 HALL = np.zeros((13, 93), bool)
@@ -174,15 +174,11 @@ def test_maps_that_are_none_are_refused(tmp_path, capsys, given, says):
 
 
 def test_other_bad_input_is_refused(tmp_path, capsys):
-    with pytest.raises(InputError, match="there is no file"):
-        table.map_files(tmp_path / "missing")
-    with pytest.raises(InputError, match=r"unknown scanner 'x' \(there are: dare"):
-        table.reproduce_dare(tmp_path, scanner="x")
-    with pytest.raises(InputError, match="episodes"):
-        table.map_files(tmp_path, 101)
+    refused("there is no file", table.map_files, tmp_path / "missing")
+    refused(r"unknown scanner 'x' \(there are: dare", table.reproduce_dare, tmp_path, scanner="x")
+    refused("episodes", table.map_files, tmp_path, 101)
     (tmp_path / "1.png").write_text("no picture")
-    with pytest.raises(InputError, match="must be a picture"):
-        rules.read_map(tmp_path / "1.png")
+    refused("must be a picture", rules.read_map, tmp_path / "1.png")
     for more, says in ((["--cell-m", "0.2"], "leave out --cell-m"), ([], "--maps DIR")):
         assert main.main(["reproduce", "dare", *more, *["--maps", str(tmp_path)] * bool(more)]) == 2
         assert says in capsys.readouterr().err

@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 import pytest
+from ref.refusals import refused
 
 from jexplore.cli import main
-from jexplore.config import InputError
 from jexplore.studies.geometry import GEOMETRY_COLUMNS, geometry, geometry_table, medians
 from jexplore.worlds import load_world
 from jexplore.worlds.world import World
@@ -134,8 +134,7 @@ def test_a_map_with_a_single_free_cell_has_no_figures_that_do_not_exist():
 
 def test_the_clearance_must_be_a_number():
     for wrong in (-1.0, math.nan, 1000.0):
-        with pytest.raises(InputError, match="clearance_m"):
-            geometry(two_rooms(), clearance_m=wrong)
+        refused("clearance_m", geometry, two_rooms(), clearance_m=wrong)
 
 
 def test_a_table_ends_with_the_medians_of_more_than_one():

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from ref.refusals import refused
 
 from jexplore.cli import main
 from jexplore.config import InputError
@@ -111,27 +112,22 @@ def test_an_entry_with_other_episodes_is_kept(run, tmp_path):
     entry = json.loads(path.read_text())
     entry["episodes"][1][league.COLUMNS.index("path_m")] += 0.1
     path.write_text(json.dumps(entry))
-    with pytest.raises(InputError, match=f"closest is entered with another episode in {WORLDS[1]}"):
-        league.submit(run, "tiny", folder)
+    refused(f"closest is entered with another episode in {WORLDS[1]}", league.submit, run, "tiny", folder)
     assert json.loads(path.read_text()) == entry
 
 
 def test_files_that_are_no_entries_are_refused(run, tmp_path):
-    with pytest.raises(InputError, match=r"no entry of closest\+recheck there"):
-        league.entries_table(tmp_path / "nothing", "tiny")
+    refused(r"no entry of closest\+recheck there", league.entries_table, tmp_path / "nothing", "tiny")
     league.submit(run, "tiny", tmp_path)
     path = tmp_path / "closest.json"
     entry = json.loads(path.read_text())
     for text in ("[]", "{", json.dumps(entry | {"episodes": [[]]})):
         path.write_text(text)
-        with pytest.raises(InputError, match=r"closest\.json: not an entry of a league"):
-            league.read_entries(tmp_path, "tiny")
+        refused(r"closest\.json: not an entry of a league", league.read_entries, tmp_path, "tiny")
     for more in ({"version": "9"}, {"digest": ""}, {"episodes": entry["episodes"][:1]}):
         path.write_text(json.dumps(entry | more))
-        with pytest.raises(InputError, match=r"closest\.json: not an entry of tiny, version 0\.1\.0"):
-            league.read_entries(tmp_path, "tiny")
-    with pytest.raises(InputError, match="'tony'"):
-        league.read_entries(tmp_path, "tony")
+        refused(r"closest\.json: not an entry of tiny, version 0\.1\.0", league.read_entries, tmp_path, "tiny")
+    refused("'tony'", league.read_entries, tmp_path, "tony")
 
 
 def test_a_run_stands_with_submit_alone(capsys):

@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
+from ref.refusals import refused
 from scipy import ndimage
 from skimage.measure import points_in_poly
 
@@ -40,13 +41,6 @@ def save(path, pixels, mode=None):
     """Write a picture; `pixels` has its row 0 at the top."""
     Image.fromarray(np.asarray(pixels, np.uint8 if mode is None else mode)).save(path)
     return path
-
-
-def refused(line, call, *args, **kwargs):
-    """The call is refused in one line that matches."""
-    with pytest.raises(InputError, match=line) as error:
-        call(*args, **kwargs)
-    assert "\n" not in str(error.value)
 
 
 # --- resampling

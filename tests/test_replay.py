@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 from PIL import Image
+from ref.refusals import refused
 from ref.worlds import two_rooms
 
-from jexplore.config import InputError
 from jexplore.exploration import replay
 from jexplore.exploration.site import prepare_site
 from jexplore.policies import parse_strategy
@@ -83,8 +83,7 @@ def test_exhausted_targets_are_marked_in_the_replay():
 
 def test_an_episode_of_more_plans_than_are_kept_is_refused(made):
     lost = dataclasses.replace(made, final=made.final._replace(plans=None))
-    with pytest.raises(InputError, match="no replay, it made more plans than are kept"):
-        list(explore.frames(lost))
+    refused("no replay, it made more plans than are kept", list, explore.frames(lost))
 
 
 def test_frames(made):
@@ -140,9 +139,6 @@ def test_a_start_given_by_hand_and_what_is_refused():
     job = explore.prepare_job(two_rooms(), "closest", start=(10, 10, 270), **options)
     assert job.starts.tolist() == [[10, 10, 270]]
     for start, message in [((0, 3, 0), "lies in a wall"), ((99, 3, 0), "outside"), ((10, 10, 7), "45"), ("w", "start")]:
-        with pytest.raises(InputError, match=message):
-            explore.explore(two_rooms(), "closest", start=start)
-    with pytest.raises(InputError, match="episode must be"):
-        explore.explore(two_rooms(), "closest", episode=-1)
-    with pytest.raises(InputError, match="seed must be"):
-        explore.explore(two_rooms(), "closest", seed=0.5)
+        refused(message, explore.explore, two_rooms(), "closest", start=start)
+    refused("episode must be", explore.explore, two_rooms(), "closest", episode=-1)
+    refused("seed must be", explore.explore, two_rooms(), "closest", seed=0.5)

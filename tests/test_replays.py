@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from ref.refusals import refused
 from ref.worlds import two_rooms
 
-from jexplore.config import InputError
 from jexplore.exploration import batch
 from jexplore.exploration.replay import Moment
 from jexplore.exploration.results import map_state
@@ -130,5 +130,4 @@ def test_what_is_missing_is_said(jobs, monkeypatch):
 def test_an_episode_of_more_plans_than_are_kept_is_refused():
     episode = ran("closest")
     lost = dataclasses.replace(episode, final=episode.final._replace(plans=None))
-    with pytest.raises(InputError, match="closest in two rooms: no replay, it made more plans than are kept"):
-        replay_of(lost)
+    refused("closest in two rooms: no replay, it made more plans than are kept", replay_of, lost)
