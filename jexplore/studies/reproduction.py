@@ -58,13 +58,6 @@ def verdict(ours: paired.PairedRatio) -> str:
     return "holds" if ours.high < 1 else "does not hold" if ours.low > 1 else "undecided"
 
 
-def welch_p(one: tuple[float, float], other: tuple[float, float], n: int) -> float:
-    """Return p, two-sided, that two samples of n have one mean, by Welch's t on their `(mean, standard deviation)`."""
-    parts = one[1] ** 2 / n, other[1] ** 2 / n
-    freedom = (n - 1) * sum(parts) ** 2 / (parts[0] ** 2 + parts[1] ** 2)
-    return paired.t_interval(one[0] - other[0], math.sqrt(sum(parts)), freedom)[2]
-
-
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class ReproductionResult:
@@ -104,7 +97,9 @@ class ReproductionResult:
         says the order. `ratio` is our mean of a over that of b, paired, with its 95 % interval, p and verdict. Each
         interval stands alone: of twenty that are undecided in truth about one will seem decided.
         """
-        episodes = self.comparison.episodes
+        from scipy.stats import ttest_ind_from_stats
+
+        episodes, runs = self.comparison.episodes, self.paper.runs
         paths_m, outcomes = (
             episodes.pivot(index="episode", columns=["world", "strategy"], values=value)
             for value in ("path_m", "outcome")
@@ -118,10 +113,11 @@ class ReproductionResult:
                 if len(both):
                     ours = paired.paired_ratio(both[pair[0]], both[pair[1]])
                 paths = environment.paths[a], environment.paths[b]
+                welch = ttest_ind_from_stats(*paths[0], runs, *paths[1], runs, equal_var=False)
                 rows.append(
                     {
                         **{"environment": name, "a": a, "b": b, "claimed": {a, b} in self.paper.claimed},
-                        **{"paper_ratio": paths[0][0] / paths[1][0], "paper_p": welch_p(*paths, self.paper.runs)},
+                        **{"paper_ratio": paths[0][0] / paths[1][0], "paper_p": float(welch.pvalue)},
                         **{"ratio": ours.ratio, "ratio_low": ours.low, "ratio_high": ours.high, "p": ours.p},
                         **{"verdict": verdict(ours), "pairs": ours.n, "complete": int(complete.all(axis=1).sum())},
                     }
