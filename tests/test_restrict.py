@@ -15,7 +15,7 @@ from jexplore.studies.results import provenance
 from jexplore.worlds.poses import read_polygon
 from jexplore.worlds.readers.ros import write_ros
 from jexplore.worlds.restrict import stay_within, with_known
-from jexplore.worlds.starts import check_start, draw_start, start_region
+from jexplore.worlds.starts import check_start, draw_starts, start_region
 
 ROOM = jx.occupancy_to_world(
     maps.walls("""
@@ -162,7 +162,7 @@ def test_both_are_arguments_of_functions_and_part_of_what_is_asked(tmp_path, mon
 def test_an_environment_holds_restricted_worlds_beside_others():
     plain = jx.load_world(ROOMS).replace(name="plain")
     within = stay_within(plain, "0,0 3.2,0 3.2,5 0,5").replace(name="within")
-    key, start = jax.random.key(0), jnp.asarray(draw_start(within, 0, 0, 0.3), jnp.int32)
+    key, start = jax.random.key(0), jnp.asarray(draw_starts(within, 0, 1, 0.3)[0])
     both, alone = jx.Environment([plain, within], lidar=LIDAR), jx.Environment(within, lidar=LIDAR)
     (_, view), (_, own) = both.reset(key, start, jnp.int32(1)), alone.reset(key, start, jnp.int32(0))
     np.testing.assert_array_equal(view.frontier, own.frontier)

@@ -21,7 +21,7 @@ from jexplore.config import InputError
 from jexplore.studies.results.provenance import map_files_of
 from jexplore.worlds import load_world
 from jexplore.worlds.bounds import MAX_SIDE
-from jexplore.worlds.starts import check_start, clear_of_walls, draw_start, draw_starts, label_components, start_region
+from jexplore.worlds.starts import check_start, clear_of_walls, draw_starts, label_components, start_region
 from jexplore.worlds.world import World, occupancy_to_world, require_world, with_ring
 
 masks = hnp.arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 12)))
@@ -254,7 +254,6 @@ def test_a_start_depends_on_seed_and_number_alone():
     assert starts.dtype == np.int32
     assert starts.shape == (12, 3)
     assert np.array_equal(draw_starts(world, 7, 5, 0.1), starts[:5])
-    assert [draw_start(world, 7, i, 0.1) for i in range(12)] == [tuple(start) for start in starts.tolist()]
     assert np.array_equal(draw_starts(with_walls(world, (40, 50)), 7, 12, 0.1), starts)
     assert not np.array_equal(draw_starts(world, 8, 12, 0.1), starts)
     assert draw_starts(world, 7, 0, 0.1).shape == (0, 3)
@@ -295,9 +294,8 @@ def test_drawn_starts_are_uniform_over_cells_and_headings():
 
 
 def test_drawing_without_room_or_with_a_bad_seed_is_refused():
-    refused(r"'closet': no cell has more than 0.3 m of clearance", draw_start, room(5, 5, name="closet"), 0, 0, 0.3)
-    refused("at least 0, got seed -1", draw_start, room(5, 5), -1, 0, 0)
-    refused("number -1", draw_start, room(5, 5), 0, -1, 0)
+    refused(r"'closet': no cell has more than 0.3 m of clearance", draw_starts, room(5, 5, name="closet"), 0, 1, 0.3)
+    refused("at least 0, got -1", draw_starts, room(5, 5), -1, 1, 0)
 
 
 def test_a_given_start_is_made_plain():
