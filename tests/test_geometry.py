@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from ref.refusals import refused
 
-from jexplore.cli import main
 from jexplore.studies.geometry import GEOMETRY_COLUMNS, geometry, geometry_table, medians
 from jexplore.worlds import load_world
 from jexplore.worlds.world import World
@@ -146,15 +145,14 @@ def test_a_table_ends_with_the_medians_of_more_than_one():
     assert len(geometry_table(found[:1]).splitlines()) == 3
 
 
-def test_the_command_prints_and_records_it(tmp_path, capsys):
+def test_the_command_prints_and_records_it(tmp_path, printed):
     names = ["rooms:width_m=6,height_m=5", "rooms#1:width_m=6,height_m=5,furniture=1"]
-    assert main.main(["worlds", *names, "--geometry", "--clearance-m", "0.2", "--out", str(tmp_path)]) == 0
-    printed = capsys.readouterr().out
-    assert "islands/100 m²" in printed
-    assert "median" in printed
+    said = printed(["worlds", *names, "--geometry", "--clearance-m", "0.2", "--out", str(tmp_path)]).out
+    assert "islands/100 m²" in said
+    assert "median" in said
     worlds = json.loads((tmp_path / "run.json").read_text())["worlds"]
     assert [world["geometry"]["world"] for world in worlds] == names
     assert worlds[0]["geometry"]["islands_per_100_m2"] == 0 < worlds[1]["geometry"]["islands_per_100_m2"]
     assert worlds[0]["geometry"]["corridor_low_m"] is None
-    assert main.main(["worlds", names[0], "--geometry", "--clearance-m", "nan", "--out", str(tmp_path / "no")]) == 2
-    assert "clearance_m" in capsys.readouterr().err
+    command = ["worlds", names[0], "--geometry", "--clearance-m", "nan", "--out", str(tmp_path / "no")]
+    assert "clearance_m" in printed(command, 2).err

@@ -34,7 +34,7 @@ def _tiny(run, monkeypatch):
     monkeypatch.setitem(league.LEAGUES, "tiny", league.League("0.1.0", WORLDS, digest))
 
 
-def test_strategies_are_entered_once_and_ranked_as_in_their_run(run, tmp_path, capsys):
+def test_strategies_are_entered_once_and_ranked_as_in_their_run(run, tmp_path, capsys, printed):
     folder, found = tmp_path / "entries", load(run)
     assert league.submit(run, "tiny", folder) == {"closest+recheck": True, "closest": True}
     assert sorted(path.name for path in folder.iterdir()) == ["closest+recheck.json", "closest.json"]
@@ -49,8 +49,7 @@ def test_strategies_are_entered_once_and_ranked_as_in_their_run(run, tmp_path, c
             assert kept[column].tolist() == own.tolist()
     ours, theirs = standings(kept), standings(found.episodes)
     pd.testing.assert_frame_equal(ours, theirs, rtol=1e-3, check_exact=False)
-    assert main.main(["league", "--name", "tiny", "--entries", str(folder)]) == 0
-    shown = capsys.readouterr().out
+    shown = printed(["league", "--name", "tiny", "--entries", str(folder)]).out
     assert "closest+recheck" in shown
     assert "ratio to the reference" in shown
     assert main.main(["league", "submit", str(run), "--name", "tiny", "--entries", str(folder)]) == 0
@@ -130,15 +129,13 @@ def test_files_that_are_no_entries_are_refused(run, tmp_path):
     refused("'tony'", league.read_entries, tmp_path, "tony")
 
 
-def test_a_run_stands_with_submit_alone(capsys):
+def test_a_run_stands_with_submit_alone(printed):
     for words in (["submit"], ["show", "runs"]):
-        assert main.main(["league", *words]) == 2
-        assert "expected the folder of a run with submit" in capsys.readouterr().err
+        assert "expected the folder of a run with submit" in printed(["league", *words], 2).err
 
 
-def test_outside_a_checkout_one_line_says_where_entries_are(tmp_path, capsys):
-    assert main.main(["league", "--entries", str(tmp_path / "none")]) == 2
-    err = capsys.readouterr().err
+def test_outside_a_checkout_one_line_says_where_entries_are(tmp_path, printed):
+    err = printed(["league", "--entries", str(tmp_path / "none")], 2).err
     assert "of a checkout of the repository with --entries" in err
     assert err.count("\n") == 1
 

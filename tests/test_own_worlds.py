@@ -9,7 +9,6 @@ from ref.refusals import refused
 
 import jexplore as jx
 from jexplore import worlds
-from jexplore.cli.main import main
 
 CODE = """
 import numpy as np
@@ -52,15 +51,14 @@ def test_a_module_in_the_current_folder_names_a_world(desk):
         refused(line, jx.load_world, wrong)
 
 
-def test_a_registered_world_is_one_like_the_others(desk, capsys):
+def test_a_registered_world_is_one_like_the_others(desk, printed):
     jx.register_world("hall", hall)
     world = jx.load_world("hall#4:length=50")
     assert (world.name, world.shape, world.cell_m) == ("hall#4:length=50", (30, 50), 0.2)
     assert world.occupied[15, 9]
     assert not world.occupied[15, 8]
     assert [row[2] for row in jx.worlds().rows if row[0].startswith("hall")] == ["length=40"]
-    assert main(["worlds", "hall", "mine_of_tests:plan#1"]) == 0
-    assert "hall" in capsys.readouterr().out
+    assert "hall" in printed(["worlds", "hall", "mine_of_tests:plan#1"]).out
     jx.register_world("hall", lambda seed: hall(seed, 60))
     assert jx.load_world("hall").shape == (30, 60)
 

@@ -194,10 +194,9 @@ def test_a_hall_is_one_room(variant):
     assert scores["doors"].tolist() == [0]
 
 
-def test_the_command_refuses(capsys, monkeypatch, tmp_path):
+def test_the_command_refuses(printed, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    assert main.main(["segment"]) == 2
-    assert "expected a map" in capsys.readouterr().err
+    assert "expected a map" in printed(["segment"], 2).err
 
 
 @pytest.mark.slow

@@ -339,16 +339,14 @@ rules: {clearance_m: 0.2, p_free: [0.2, 0.3]}
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
+def test_the_command_and_its_parts(tmp_path, capsys, printed, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.yaml").write_text(YAML)
-    assert main.main(["sweep", "s.yaml", "--dry-run"]) == 0
-    said = capsys.readouterr().out
+    said = printed(["sweep", "s.yaml", "--dry-run"]).out
     assert said.startswith("4 settings x 1 worlds x 3 strategies x 24 episodes = 288 episodes\n2 units of about 144")
     assert "1 compiled programs" in said
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s.yaml"]
-    assert main.main(["sweep", "s.yaml", "--out", "whole"]) == 0
-    said = capsys.readouterr().out
+    said = printed(["sweep", "s.yaml", "--out", "whole"]).out
     assert "| rooms:width_m=5,height_m=5 |" in said
     names = "episodes.parquet, summary.csv, asked.yaml, run.json, sweep.png, sweep-map.png, report.html"
     assert said.splitlines()[-1] == f"wrote {names} to whole/"
@@ -369,8 +367,7 @@ def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
         ([], "expected the folders of all parts, got none"),
     ):
         capsys.readouterr()
-        assert main.main(["merge", *given, "--out", "merged"]) == 2
-        assert message in capsys.readouterr().err
+        assert message in printed(["merge", *given, "--out", "merged"], 2).err
     assert main.main(["merge", "part3", "part1", "part2", "--out", "merged"]) == 0
     pd.testing.assert_frame_equal(jx.load("merged").episodes, whole.episodes)
     assert json.loads((tmp_path / "merged" / "run.json").read_text())["parts"] == ["part3", "part1", "part2"]
@@ -387,7 +384,7 @@ def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
     pd.testing.assert_frame_equal(longer.episodes, sweep("s.yaml").episodes)
 
 
-def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, monkeypatch):
+def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, printed, monkeypatch):
     """Part 2 is made with 11 episodes and continued to 20, which cuts its work in another way than part 1 at once."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(plans, "MAX_UNIT_EPISODES", 8)
@@ -415,8 +412,7 @@ def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, monk
     sweep_part(20, "--shard", "2/2", "--out", "short2", "--resume")
     sweep_part(20, "--shard", "1/2", "--out", "part1")
     capsys.readouterr()
-    assert main.main(["merge", "part1", "short2", "--out", "merged"]) == 2
-    said = capsys.readouterr().err
+    said = printed(["merge", "part1", "short2", "--out", "merged"], 2).err
     assert re.search(r"must hold each episode once: \d+ are there twice and \d+ nowhere, .*continue all", said)
     sweep_part(20, "--shard", "1/2", "--out", "short1", "--resume")
     assert main.main(["merge", "short1", "short2", "--out", "./short1/", "--overwrite"]) == 2
@@ -504,11 +500,10 @@ def test_odd_yaml_is_one_line(text, tmp_path):
         (["s.yaml", "--shard", "9/9"], "the sweep has only 2 units"),
     ],
 )
-def test_bad_commands_are_one_line(options, message, tmp_path, capsys, monkeypatch):
+def test_bad_commands_are_one_line(options, message, tmp_path, printed, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.yaml").write_text(YAML)
-    assert main.main(["sweep", *options]) == 2
-    said = capsys.readouterr().err.replace("jexplore: loading worlds\n", "")  # where that takes long
+    said = printed(["sweep", *options], 2).err.replace("jexplore: loading worlds\n", "")
     assert message in said
     assert said.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s.yaml"]
