@@ -178,7 +178,10 @@ class ComparisonResult(ByStrategy):
         """
         from jexplore.studies.results import saving
 
-        return saving.save(self, folder, overwrite=overwrite, report=report)
+        if "command" not in self.made.record:
+            raise InputError("only what jx.compare or jx.load returned can be saved; to_csv() writes the table alone")
+        with saving.claimed_by_call(folder, overwrite=overwrite) as run:
+            return saving.write_comparison(run, self, report=report)
 
     def plot(self, ax: Any = None, world: str | None = None) -> Any:
         """Draw path lengths in one world, by default the first: every episode, and the means with their 95 % intervals.

@@ -166,10 +166,5 @@ def describe_world(world: World) -> dict[str, Any]:
 
 def engine_of(costs: Costs) -> dict[str, Any]:
     """Return what run.json says of the engine."""
-    return {
-        "engine": costs.engine,
-        "levels": costs.levels,
-        "why_not_native": costs.why_not,
-        "devices": costs.devices,
-        "lanes": costs.lanes,
-    }
+    own = {name: getattr(costs, name) for name in ("engine", "levels", "devices", "lanes")}
+    return own | {"why_not_native": costs.why_not}
