@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
+from scipy import ndimage
 
 from jexplore.arrays.bits import WORD
 from jexplore.arrays.padding import bucket
@@ -170,8 +171,6 @@ def warn_of_share(world: World, lidar: Lidar, rules: Rules) -> None:
     """Warn of a share of the cells to stop at of which more lies out of a scanner's reach than may stay unknown."""
     if rules.stop_at is None:
         return
-    from scipy import ndimage
-
     ring, free = ring_of(world.occupied), ~with_ring(world).occupied
     stands = np.pad(start_region(world, rules.clearance_m), ring)
     if world.within is not None:

@@ -4,9 +4,11 @@ import dataclasses
 import functools
 import os
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.transforms import Affine2D
 
 from jexplore.arrays.padding import within
 from jexplore.arrays.pictures import axes_of, html_of, or_text, png_of
@@ -44,9 +46,6 @@ from jexplore.studies.replays import MAX_FRAMES, before_leaving, replay_data, wh
 from jexplore.worlds.restrict import KnownMap, Polygon
 from jexplore.worlds.world import World, ring_of
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 @checked_names
 @dataclasses.dataclass(frozen=True)
@@ -83,7 +82,7 @@ class EpisodeResult:
         """Return the title of a picture."""
         return f"{self.strategy} in {self.world.name}: {self.measures['path_m']:.1f} m, {self.measures['outcome']}"
 
-    def figure(self) -> "Figure":
+    def figure(self) -> Figure:
         """Draw the last map with the path, and the growth of the known area: a matplotlib `Figure`."""
         final, cell_m = self.final, self.world.cell_m
         (rows, cols), estimate = self._ways
@@ -113,8 +112,6 @@ class EpisodeResult:
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the last map with the path, in metres of the map's frame, on `Axes`, by default new; return them."""
-        from matplotlib.transforms import Affine2D
-
         ax, final, world = axes_of(ax), self.final, self.world
         state = map_state(final.hits, final.misses, self.rules.p_free)
         true, estimate = self._ways

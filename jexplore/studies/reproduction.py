@@ -6,21 +6,21 @@ import itertools
 import math
 import os
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
+from matplotlib.figure import Figure
+from scipy.stats import ttest_ind_from_stats
 
 from jexplore.config import InputError, checked_names, require_engine, unknown
 from jexplore.exploration.batch import Job
 from jexplore.report import tables
+from jexplore.report.plots.standings import papers_figure
 from jexplore.studies.checks import LIDAR, ROBOT, RULES, LidarLike, RobotLike, RulesLike, prepare_jobs
 from jexplore.studies.papers import PAPERS, Paper
 from jexplore.studies.results.comparison import ComparisonResult, run_comparison
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.statistics import paired
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 COUNTERPARTS = (
     "The worlds are built-in counterparts, NOT the paper's maps: ratios and orderings compare, metres do not."
@@ -97,8 +97,6 @@ class ReproductionResult:
         says the order. `ratio` is our mean of a over that of b, paired, with its 95 % interval, p and verdict. Each
         interval stands alone: of twenty that are undecided in truth about one will seem decided.
         """
-        from scipy.stats import ttest_ind_from_stats
-
         episodes, runs = self.comparison.episodes, self.paper.runs
         paths_m, outcomes = (
             episodes.pivot(index="episode", columns=["world", "strategy"], values=value)
@@ -155,10 +153,8 @@ class ReproductionResult:
             text.append(_table_text(rows) if len(rows) else "Nothing has run here.\n")
         return "\n".join([*text, "## Orderings\n", f"{self.agreement}\n", _orderings_text(self.orderings)])
 
-    def figure(self) -> "Figure":
+    def figure(self) -> Figure:
         """Draw mean paths as bars, ours and the paper's, one panel an environment: a matplotlib `Figure`."""
-        from jexplore.report.plots.standings import papers_figure
-
         return papers_figure(self.tables, self.paper.short)
 
     def _repr_markdown_(self):
