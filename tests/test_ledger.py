@@ -21,7 +21,6 @@ from jexplore.report.ledger import open_ledger
 from jexplore.rules import Lidar
 
 ASKED = {"command": "compare", "worlds": ["cave"], "episodes": 3, "lidar": [Lidar()]}
-NOW = datetime.datetime(2026, 11, 21, 9, 30, 42)
 
 
 def texts(*names, text="new"):

@@ -37,10 +37,6 @@ def shown(figure):
     return [ax for ax in figure.axes if ax.get_visible()]
 
 
-def lines_of(ax, label):
-    return [line for line in ax.lines if line.get_label() == label]
-
-
 def test_looks_differ_also_in_grey():
     found = looks.looks_of([f"s{i}" for i in range(28)])
     assert len({(look["color"], str(look["linestyle"])) for look in found.values()}) == 28
