@@ -32,7 +32,7 @@ from jexplore.grid import Grid, empty_grid, radius_d2
 from jexplore.raycast import fold, scan
 from jexplore.reach import FAR, flood, reach
 from jexplore.worlds import load_world
-from jexplore.worlds.starts import clear_cells, draw_start, draw_starts
+from jexplore.worlds.starts import clear_of_walls, draw_starts
 from jexplore.worlds.world import with_ring
 
 CALL_S = 0.02  # seconds that one timed call should last
@@ -80,7 +80,7 @@ def scans_of(world):
 
 def half_known(world):
     """Return a world known within half its longer side round a drawn start: arguments of `plan_masks`."""
-    row, col, _ = draw_start(world, SEED, 0, RULES.clearance_m)
+    ((row, col, _),) = draw_starts(world, SEED, 1, RULES.clearance_m)
     rows, cols = np.indices(world.shape)
     known = (rows - row) ** 2 + (cols - col) ** 2 <= (max(world.shape) // 2) ** 2
     hits, misses = (np.where(known & mask, 3, 0).astype(np.int32) for mask in (world.occupied, ~world.occupied))
@@ -130,8 +130,8 @@ def kernels_of(world):
 
     `step(last output, arguments)` returns the output, `result(output)` what must equal `answer()`.
     """
-    row, col, _ = draw_start(world, SEED, 0, RULES.clearance_m)
-    clear = clear_cells(world.occupied, RULES.clearance_m, world.cell_m)
+    ((row, col, _),) = draw_starts(world, SEED, 1, RULES.clearance_m)
+    clear = clear_of_walls(world.occupied, RULES.clearance_m, world.cell_m)
     graph, words = motion_graph(clear), np.asarray(bits.pack(jnp.asarray(clear)))
     hits, misses, *rest = half_known(world)
     d2 = {f"{name}_d2": radius_d2(getattr(RULES, f"{name}_m"), world.cell_m) for name in ("near", "clearance")}

@@ -232,3 +232,15 @@ def forgetful():
     yield
     for cache in caches:
         cache.cache_clear()
+
+
+@pytest.fixture
+def printed(capsys):
+    """A function that runs a command, which must end with a status, and returns what it prints: `.out` and `.err`."""
+    from jexplore.cli import main
+
+    def run(arguments, status=0):
+        assert main.main(arguments) == status
+        return capsys.readouterr()
+
+    return run

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
+from ref.refusals import refused
 
-from jexplore.config import InputError
 from jexplore.report import animate, plot
 
 STATE = np.array([[2, 2, 2, 2], [2, 1, 1, 0], [2, 2, 0, 0]], dtype=np.uint8)
@@ -129,8 +129,7 @@ def test_gif_errors(tmp_path):
     for wrong in ({"fps": 0}, {"fps": 51}):
         with pytest.raises(ValueError, match="expected 0 < fps"):
             animate.save_animation([frame()], tmp_path / "a.gif", cell_m=0.1, **wrong)
-    with pytest.raises(InputError, match="missing"):
-        animate.save_animation([frame()], tmp_path / "missing" / "a.gif", cell_m=0.1)
+    refused("missing", animate.save_animation, [frame()], tmp_path / "missing" / "a.gif", cell_m=0.1)
 
     def breaks():
         yield frame()
@@ -144,8 +143,7 @@ def test_gif_errors(tmp_path):
 def test_only_animations_are_written(tmp_path, monkeypatch):
     monkeypatch.setattr(animate.FFMpegWriter, "isAvailable", classmethod(lambda cls: False))
     for name, said in (("a.mp4", "needs the program ffmpeg"), ("a.png", r"must end in \.gif or \.mp4, got \.png")):
-        with pytest.raises(InputError, match=said):
-            animate.save_animation(iter([frame()]), tmp_path / name, cell_m=0.1)
+        refused(said, animate.save_animation, iter([frame()]), tmp_path / name, cell_m=0.1)
     assert list(tmp_path.iterdir()) == []
     animate.save_animation([frame()], tmp_path / "bare", cell_m=0.1)
     assert (tmp_path / "bare").read_bytes().startswith(b"GIF8")

@@ -59,11 +59,10 @@ def test_both_engines_are_measured_and_give_the_same(tmp_path, capsys):
         (("--sides",), "sides must be one or more"),
     ],
 )
-def test_wrong_input_is_one_line_before_anything_runs(options, says, capsys, monkeypatch, tmp_path):
+def test_wrong_input_is_one_line_before_anything_runs(options, says, printed, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(bench, "run_bench", lambda *_, **__: pytest.fail("it ran"))
-    assert main.main(["bench", *options]) == 2
-    said = capsys.readouterr()
+    said = printed(["bench", *options], 2)
     assert said.out == ""
     assert said.err.count("\n") == 1
     assert says in said.err

@@ -7,11 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from ref import bounds as ref
+from ref.refusals import refused
 from scipy import ndimage
 
 import jexplore as jx
 from jexplore.cli import main
-from jexplore.config import InputError
 from jexplore.reach import FAR, STRAIGHT
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.bounds import beside, pieces, scene, search, subsets
@@ -243,31 +243,26 @@ def test_no_time_for_a_walk_leaves_a_weak_bound():
     ],
 )
 def test_what_cannot_be_bounded(options, message):
-    with pytest.raises(InputError, match=message):
-        jx.bound(ROOMS, **options)
+    refused(message, jx.bound, ROOMS, **options)
 
 
-def test_the_command(tmp_path, capsys):
+def test_the_command(tmp_path, printed):
     out = tmp_path / "run"
     command = ["bound", ROOMS, "--starts", "2", "--max-floods", "200", "--lidar.range-m", "1.5", "--workers", "1"]
     command += ["--out", str(out)]
-    assert main.main(command) == 0
-    said = capsys.readouterr().out
+    said = printed(command).out
     assert said.splitlines()[-1].startswith("wrote bounds.parquet, walks.parquet, run.json, bounds.png")
     table = jx.load(out)
     assert list(table.columns) == list(study.BOUND_COLUMNS)
     assert len(table) == 2
     assert (table["high_m"] >= table["low_m"]).all()
-    assert main.main([*command, "--resume"]) == 0
-    assert "nothing was left to do" in capsys.readouterr().out
-    assert main.main([*command, "--resume", "--seed", "1"]) == 2
-    assert "holds another run" in capsys.readouterr().err
-    assert main.main(["bound", "--out", str(out)]) == 2
-    assert "expected worlds" in capsys.readouterr().err
+    assert "nothing was left to do" in printed([*command, "--resume"]).out
+    assert "holds another run" in printed([*command, "--resume", "--seed", "1"], 2).err
+    assert "expected worlds" in printed(["bound", "--out", str(out)], 2).err
 
 
 @pytest.mark.slow
-def test_a_comparison_interrupted_while_it_bounds_goes_on_with_the_bounds_that_are_left(tmp_path, monkeypatch, capsys):
+def test_a_comparison_interrupted_while_it_bounds_goes_on_with_the_bounds_that_are_left(tmp_path, monkeypatch, printed):
     out, solved = tmp_path / "run", []
     command = ["compare", "--worlds", ROOMS, "--strategies", "closest", "--episodes", "3", "--no-report", "--bounds"]
     command += ["--bound-seconds", "0.5", "--workers", "1", "--lidar.range-m", "1.5", "--out", str(out)]
@@ -280,8 +275,7 @@ def test_a_comparison_interrupted_while_it_bounds_goes_on_with_the_bounds_that_a
         return solve(task)
 
     monkeypatch.setattr(study, "solve", until_the_second)
-    assert main.main(command) == 130
-    assert "units are kept" in capsys.readouterr().err
+    assert "units are kept" in printed(command, 130).err
     monkeypatch.setattr(study, "solve", lambda task: solved.append(task) or solve(task))
     assert main.main([*command, "--resume"]) == 0
     assert len(solved) == 4  # one was there, one was cut short, two are made now
@@ -290,33 +284,27 @@ def test_a_comparison_interrupted_while_it_bounds_goes_on_with_the_bounds_that_a
 
 
 @pytest.mark.slow
-def test_a_comparison_beside_its_bounds(tmp_path, capsys):
+def test_a_comparison_beside_its_bounds(tmp_path, printed):
     out, floods = tmp_path / "run", {"max_floods": 300}
     command = ["compare", "--worlds", ROOMS, "--strategies", "closest", "random", "--episodes", "2", "--no-report"]
     command += ["--lidar.n-beams", "61", "--lidar.range-m", "1.5", "--out", str(out)]
-    assert main.main([*command, "--bounds", "--bound-seconds", "1"]) == 0
-    assert "path / low any" in capsys.readouterr().out
+    assert "path / low any" in printed([*command, "--bounds", "--bound-seconds", "1"]).out
     episodes = jx.load(out).to_pandas()
     assert (episodes["path_over_low_any"] >= 1).all()
     assert not (episodes["path_over_low_any"] < episodes["path_over_high"] - 1e-9).any()  # a slow machine has no walk
     assert len(pd.read_parquet(out / "bounds.parquet")) == 2
-    assert main.main([*command, "--bounds", "--bound-seconds", "1", "--resume"]) == 0
-    assert "nothing was left to do" in capsys.readouterr().out
-    assert main.main([*command, "--bounds", "--bound-seconds", "2", "--resume"]) == 2
-    assert "its bound_seconds is 1" in capsys.readouterr().err
+    assert "nothing was left to do" in printed([*command, "--bounds", "--bound-seconds", "1", "--resume"]).out
+    assert "its bound_seconds is 1" in printed([*command, "--bounds", "--bound-seconds", "2", "--resume"], 2).err
     assert main.main([*command, "--overwrite", "--bounds", "--bound-seconds", "0"]) == 2
-    assert main.main([*command, "--overwrite", "--bounds", "--lidar.sigma-m", "0.1"]) == 2
-    assert "without noise" in capsys.readouterr().err
+    assert "without noise" in printed([*command, "--overwrite", "--bounds", "--lidar.sigma-m", "0.1"], 2).err
     found = jx.bound(ROOMS, starts=1, lidar=NEAR, **floods)
     compared = jx.compare(ROOMS, "closest", episodes=2, lidar=NEAR)
     table = found.beside(compared)
     assert np.isnan(table["path_over_high"][1])
     assert table["path_over_low_any"][0] == table["path_m"][0] / found.table["low_any_m"][0]
     other = compared.worlds[0].replace(occupied=compared.worlds[0].occupied | (np.arange(50) == 20))
-    with pytest.raises(InputError, match="another world of that name"):
-        found.beside(jx.compare(other, "closest", episodes=1, lidar=NEAR))
-    with pytest.raises(InputError, match="have none of them"):
-        found.beside(jx.compare(ROOMS, "closest", episodes=1, seed=5, lidar=NEAR))
+    refused("another world of that name", found.beside, jx.compare(other, "closest", episodes=1, lidar=NEAR))
+    refused("have none of them", found.beside, jx.compare(ROOMS, "closest", episodes=1, seed=5, lidar=NEAR))
 
 
 def test_ratios_over_worlds_by_hand():

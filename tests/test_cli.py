@@ -102,7 +102,7 @@ def test_run_json(ran, world):
 
 
 @pytest.mark.jit
-def test_compare_again_is_the_same_and_prints_the_table(ran, world, tmp_path, capsys, monkeypatch):
+def test_compare_again_is_the_same_and_prints_the_table(ran, world, tmp_path, printed, monkeypatch):
     monkeypatch.chdir(tmp_path)
     command = [
         "compare",
@@ -117,8 +117,7 @@ def test_compare_again_is_the_same_and_prints_the_table(ran, world, tmp_path, ca
         "3",
         *LIDAR,
     ]
-    assert main.main(command) == 0
-    said = capsys.readouterr().out
+    said = printed(command).out
     assert said.startswith("| world ")
     assert "| random " in said
     (folder,) = (tmp_path / "runs").iterdir()
@@ -171,48 +170,41 @@ def test_an_interruption_is_one_line_and_leaves_the_old_run(ran, world, tmp_path
         assert (tmp_path / "run.json").read_text() == "old"
 
 
-def test_worlds_are_listed(capsys):
-    assert main.main(["worlds"]) == 0
-    said = capsys.readouterr().out
+def test_worlds_are_listed(printed):
+    said = printed(["worlds"]).out
     for name in GENERATORS:
         assert f"\n  {name} " in said
     assert "corridor_m=" in said
 
 
-def test_worlds_are_measured_and_pictured(world, tmp_path, capsys):
-    assert main.main(["worlds", world, "rooms:width_m=6,height_m=5", "--out", str(tmp_path / "a")]) == 0
-    said = capsys.readouterr().out
+def test_worlds_are_measured_and_pictured(world, tmp_path, printed):
+    said = printed(["worlds", world, "rooms:width_m=6,height_m=5", "--out", str(tmp_path / "a")]).out
     assert f"| {world} " in said
     assert "| 34 x 22 | 3.4 x 2.2 |" in " ".join(said.split())
     assert files(tmp_path / "a") == ["run.json", "worlds.png"]
 
 
-def test_strategies_are_listed(capsys):
-    assert main.main(["strategies"]) == 0
-    said = capsys.readouterr().out
+def test_strategies_are_listed(printed):
+    said = printed(["strategies"]).out
     for word in ("closest", "random", "+recheck", "Holz et al. 2010"):
         assert word in said
 
 
-def test_version_and_help(capsys):
-    assert main.main(["--version"]) == 0
-    assert capsys.readouterr().out == f"jexplore {jexplore.__version__}\n"
-    assert main.main(["--help"]) == 0
-    said = capsys.readouterr().out
+def test_version_and_help(printed):
+    assert printed(["--version"]).out == f"jexplore {jexplore.__version__}\n"
+    said = printed(["--help"]).out
     assert all(f"\n  {name} " in said for name in main.COMMANDS)
-    assert main.main(["explore", "--help"]) == 0
-    assert "--lidar.range-m" in capsys.readouterr().out
+    assert "--lidar.range-m" in printed(["explore", "--help"]).out
 
 
-def test_examples_of_help_are_commands(capsys):
+def test_examples_of_help_are_commands(printed):
     assert list(options.EXAMPLES) == list(main.COMMANDS)
     for name, examples in options.EXAMPLES.items():
         for example in examples:
             command, *rest = shlex.split(example)
             assert command == name
             assert type(options.parse_options([name, *rest], main.COMMANDS)) is main.COMMANDS[name]
-    assert main.main(["merge", "--help"]) == 0
-    assert f"  jexplore {options.EXAMPLES['merge'][0]}\n" in capsys.readouterr().out
+    assert f"  jexplore {options.EXAMPLES['merge'][0]}\n" in printed(["merge", "--help"]).out
 
 
 def test_the_defaults_are_smaller_on_request(monkeypatch):
@@ -335,13 +327,12 @@ def test_a_message_stays_on_one_line(capsys, monkeypatch):
 
 
 @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 8 bytes")])
-def test_memory_that_runs_out_is_one_line(error, capsys, monkeypatch):
+def test_memory_that_runs_out_is_one_line(error, printed, monkeypatch):
     def fails(*_):
         raise error
 
     monkeypatch.setattr(main, "_dispatch", fails)
-    assert main.main(["worlds"]) == 1
-    assert capsys.readouterr().err.startswith("jexplore: error: out of memory")
+    assert printed(["worlds"], 1).err.startswith("jexplore: error: out of memory")
 
 
 @pytest.mark.slow
@@ -403,12 +394,11 @@ raise SystemExit(main.main())
     assert found.returncode == 130
 
 
-def test_a_map_that_hardly_means_what_it_says_is_told_in_one_line(tmp_path, capsys):
+def test_a_map_that_hardly_means_what_it_says_is_told_in_one_line(tmp_path, printed):
     Image.fromarray(np.array([[205, 254, 0]], np.uint8)).save(tmp_path / "m.pgm")
     text = "image: m.pgm\nresolution: 0.5\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
     (tmp_path / "m.yaml").write_text(text)
-    assert main.main(["worlds", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "run")]) == 0
-    said = capsys.readouterr().err
+    said = printed(["worlds", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "run")]).err
     assert said.startswith("warning: ")
     assert said.count("\n") == 1
     assert "33% of its pixels are grey 205" in said

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
+from ref.refusals import refused
 
 from jexplore.cli import main
-from jexplore.config import InputError
 from jexplore.studies.dare import own, planners, rules, table
 
 HALL = np.zeros((13, 93), bool)
@@ -173,33 +173,27 @@ def test_maps_that_are_none_are_refused(tmp_path, capsys, given, says):
     assert not (tmp_path / "o").exists()
 
 
-def test_other_bad_input_is_refused(tmp_path, capsys):
-    with pytest.raises(InputError, match="there is no file"):
-        table.map_files(tmp_path / "missing")
-    with pytest.raises(InputError, match=r"unknown scanner 'x' \(there are: dare"):
-        table.reproduce_dare(tmp_path, scanner="x")
-    with pytest.raises(InputError, match="episodes"):
-        table.map_files(tmp_path, 101)
+def test_other_bad_input_is_refused(tmp_path, printed):
+    refused("there is no file", table.map_files, tmp_path / "missing")
+    refused(r"unknown scanner 'x' \(there are: dare", table.reproduce_dare, tmp_path, scanner="x")
+    refused("episodes", table.map_files, tmp_path, 101)
     (tmp_path / "1.png").write_text("no picture")
-    with pytest.raises(InputError, match="must be a picture"):
-        rules.read_map(tmp_path / "1.png")
+    refused("must be a picture", rules.read_map, tmp_path / "1.png")
     for more, says in ((["--cell-m", "0.2"], "leave out --cell-m"), ([], "--maps DIR")):
-        assert main.main(["reproduce", "dare", *more, *["--maps", str(tmp_path)] * bool(more)]) == 2
-        assert says in capsys.readouterr().err
+        assert says in printed(["reproduce", "dare", *more, *["--maps", str(tmp_path)] * bool(more)], 2).err
 
 
-def test_the_command_writes_a_row_a_planner(tmp_path, capsys):
+def test_the_command_writes_a_row_a_planner(tmp_path, printed):
     picture(tmp_path / "1.png")
     command = ["reproduce", "dare", "--maps", str(tmp_path), "--episodes", "1", "--workers", "1"]
-    assert main.main([*command, "--out", str(tmp_path / "o")]) == 0
-    assert "# DARE, Table I" in capsys.readouterr().out
+    assert "# DARE, Table I" in printed([*command, "--out", str(tmp_path / "o")]).out
     found = pd.read_parquet(tmp_path / "o" / "dare.parquet")
     assert list(found["planner"]) == list(planners.PLANNERS)
 
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_own_rules_explore_the_same_map_from_the_same_start_above_the_bound(tmp_path, capsys, monkeypatch):
+def test_own_rules_explore_the_same_map_from_the_same_start_above_the_bound(tmp_path, printed, monkeypatch):
     picture(tmp_path / "1.png")
     monkeypatch.setattr(own, "STRATEGIES", ("closest+recheck", "closest"))
     (world,) = own.worlds_of(tmp_path, 1)
@@ -207,11 +201,9 @@ def test_own_rules_explore_the_same_map_from_the_same_start_above_the_bound(tmp_
     assert world.start == (249 - row, col, 0)
     assert np.array_equal(~world.occupied[::-1], free)
     command = ["reproduce", "dare", "--own-rules", "--maps", str(tmp_path), "--episodes", "1", "--workers", "1"]
-    assert main.main([*command, "--out", str(tmp_path / "o")]) == 0
-    assert "| closest+recheck |   1 of 1 |" in capsys.readouterr().out
+    assert "| closest+recheck |   1 of 1 |" in printed([*command, "--out", str(tmp_path / "o")]).out
     bound = pd.read_parquet(tmp_path / "o" / "bounds.parquet")["low_any_m"].item()
     paths = pd.read_parquet(tmp_path / "o" / "episodes.parquet").set_index("strategy")["path_m"]
     assert (paths >= bound).all()
     assert (tmp_path / "o" / "paths.png").is_file()
-    assert main.main(["reproduce", "--own-rules"]) == 2
-    assert "leave out --own-rules" in capsys.readouterr().err
+    assert "leave out --own-rules" in printed(["reproduce", "--own-rules"], 2).err

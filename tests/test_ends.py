@@ -9,7 +9,7 @@ from ref import fuzz, maps
 import jexplore as jx
 from jexplore.config import InputError, InputWarning
 from jexplore.rules import Lidar, Robot, Rules
-from jexplore.studies.replays import replay_of
+from jexplore.studies.explore import replay_of
 
 pytestmark = pytest.mark.jit
 POINT = Rules(clearance_m=0.0, near_m=0.0, frontier_connectivity=4)

@@ -13,6 +13,7 @@ import jax
 import numpy as np
 import pytest
 from ref.jobs import LIDAR, RULES, digest, few, some_jobs
+from ref.refusals import refused
 
 import jexplore as jx
 from jexplore.arrays import loops
@@ -277,8 +278,7 @@ def test_what_is_compiled_for_a_cpu_beside_an_accelerator_is_as_for_a_cpu(want, 
     ],
 )
 def test_engines_that_do_not_exist_are_refused(options, says):
-    with pytest.raises(InputError, match=says):
-        run_jobs(some_jobs(), LIDAR, RULES, **options)
+    refused(says, run_jobs, some_jobs(), LIDAR, RULES, **options)
 
 
 @pytest.mark.parametrize(
@@ -292,7 +292,5 @@ def test_engines_that_do_not_exist_are_refused(options, says):
 )
 def test_engines_are_checked_before_anything_is_read(ask):
     for name in ("serial", "lockstep", "native"):
-        with pytest.raises(InputError, match=rf"^engine must be one of auto, jax, got '{name}'$"):
-            ask({"engine": name})
-    with pytest.raises(InputError, match=r"^lanes are for the engine jax, got 4 for auto$"):
-        ask({"lanes": 4})
+        refused(rf"^engine must be one of auto, jax, got '{name}'$", ask, {"engine": name})
+    refused(r"^lanes are for the engine jax, got 4 for auto$", ask, {"lanes": 4})

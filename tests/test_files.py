@@ -7,20 +7,13 @@ import zipfile
 
 import numpy as np
 import pytest
+from ref.refusals import refused
 
 import jexplore as jx
 from jexplore.arrays.files import MOST_LEVELS, json_of, read_json, read_npz, read_text, read_yaml, yaml_of
-from jexplore.config import InputError
 from jexplore.policies.learned.model import load_model
 from jexplore.report.store import read_parquet
 from jexplore.studies.sweeps.spec import read_spec
-
-
-def refused(line, call, *args):
-    with pytest.raises(InputError, match=line) as caught:
-        call(*args)
-    assert "\n" not in str(caught.value)
-
 
 READERS = (
     (jx.btm.read_btm, "btm.json"),

@@ -5,9 +5,8 @@ import math
 
 import numpy as np
 import pytest
+from ref.refusals import refused
 
-from jexplore.cli import main
-from jexplore.config import InputError
 from jexplore.studies.geometry import GEOMETRY_COLUMNS, geometry, geometry_table, medians
 from jexplore.worlds import load_world
 from jexplore.worlds.world import World
@@ -134,8 +133,7 @@ def test_a_map_with_a_single_free_cell_has_no_figures_that_do_not_exist():
 
 def test_the_clearance_must_be_a_number():
     for wrong in (-1.0, math.nan, 1000.0):
-        with pytest.raises(InputError, match="clearance_m"):
-            geometry(two_rooms(), clearance_m=wrong)
+        refused("clearance_m", geometry, two_rooms(), clearance_m=wrong)
 
 
 def test_a_table_ends_with_the_medians_of_more_than_one():
@@ -147,15 +145,14 @@ def test_a_table_ends_with_the_medians_of_more_than_one():
     assert len(geometry_table(found[:1]).splitlines()) == 3
 
 
-def test_the_command_prints_and_records_it(tmp_path, capsys):
+def test_the_command_prints_and_records_it(tmp_path, printed):
     names = ["rooms:width_m=6,height_m=5", "rooms#1:width_m=6,height_m=5,furniture=1"]
-    assert main.main(["worlds", *names, "--geometry", "--clearance-m", "0.2", "--out", str(tmp_path)]) == 0
-    printed = capsys.readouterr().out
-    assert "islands/100 m²" in printed
-    assert "median" in printed
+    said = printed(["worlds", *names, "--geometry", "--clearance-m", "0.2", "--out", str(tmp_path)]).out
+    assert "islands/100 m²" in said
+    assert "median" in said
     worlds = json.loads((tmp_path / "run.json").read_text())["worlds"]
     assert [world["geometry"]["world"] for world in worlds] == names
     assert worlds[0]["geometry"]["islands_per_100_m2"] == 0 < worlds[1]["geometry"]["islands_per_100_m2"]
     assert worlds[0]["geometry"]["corridor_low_m"] is None
-    assert main.main(["worlds", names[0], "--geometry", "--clearance-m", "nan", "--out", str(tmp_path / "no")]) == 2
-    assert "clearance_m" in capsys.readouterr().err
+    command = ["worlds", names[0], "--geometry", "--clearance-m", "nan", "--out", str(tmp_path / "no")]
+    assert "clearance_m" in printed(command, 2).err

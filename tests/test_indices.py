@@ -7,9 +7,8 @@ import pytest
 import jexplore as jx
 from jexplore.rules import Lidar
 from jexplore.studies.bounds.scene import prepare_scene
-from jexplore.studies.explore import explore, frames
+from jexplore.studies.explore import explore, replay_of
 from jexplore.studies.geometry import geometry
-from jexplore.studies.replays import replay_of
 from jexplore.studies.room_variants import RoomSettings, divided
 from jexplore.worlds.world import occupancy_to_world
 
@@ -58,13 +57,13 @@ def test_an_episode_begins_where_it_was_told_to_and_keeps_its_cells(both):
     assert {name: one.measures[name] for name in same} == {name: other.measures[name] for name in same}
 
 
-def test_so_do_its_frames_and_its_page(both):
-    for one, other in zip(*(list(frames(made, max_frames=4)) for made in both)):
-        assert (one.row + 1, one.col + 1) == (other.row, other.col)
-        assert np.array_equal(one.frontier, other.frontier[1:-1, 1:-1])
-        assert np.array_equal(one.misses, other.misses[1:-1, 1:-1])
+def test_so_do_the_frames_of_its_page(both):
     pages = [replay_of(made, max_frames=4) for made in both]
     assert pages[0].truth.shape == plan().shape
+    for one, other in zip(*(page.maps() for page in pages), strict=True):
+        assert np.array_equal(one, other[1:-1, 1:-1])
+    assert np.array_equal(pages[0].rows + 1, pages[1].rows)
+    assert np.array_equal(pages[0].target[:-1] + 1, pages[1].target[:-1])
     assert np.array_equal(pages[0].heading_deg, pages[1].heading_deg)
     assert np.array_equal(pages[0].known_m2, pages[1].known_m2)
 

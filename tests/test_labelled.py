@@ -5,9 +5,9 @@ import sys
 
 import numpy as np
 import pytest
+from ref.refusals import refused
 from ref.worlds import two_rooms
 
-from jexplore.config import InputError
 from jexplore.exploration.results import to_occupancy
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.comparison import compare
@@ -102,8 +102,6 @@ def test_maps_are_ros_maps_to_the_cell(found, tmp_path):
 
 
 def test_no_maps_and_no_xarray(found, monkeypatch, tmp_path):
-    with pytest.raises(InputError, match="no maps were kept"):
-        dataclasses.replace(found, maps={}).save_maps(tmp_path)
+    refused("no maps were kept", dataclasses.replace(found, maps={}).save_maps, tmp_path)
     monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(InputError, match=r"pip install 'jexplore\[xarray\]'"):
-        found.to_xarray()
+    refused(r"pip install 'jexplore\[xarray\]'", found.to_xarray)

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+from ref.refusals import refused
 from scipy import stats as scipy_stats
 
 from jexplore.cli import main
-from jexplore.config import InputError
 from jexplore.policies import parse_strategy
 from jexplore.report.plots.standings import league_figure
 from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds, standings, standings_table
@@ -197,8 +197,7 @@ def test_the_league_has_eight_worlds_of_six_kinds_and_strategies_that_parse():
     assert league_worlds(0.25) == worlds[:40]
     assert len(league_worlds(seeds=40)) == 240
     assert set(worlds) < set(league_worlds(seeds=40))
-    with pytest.raises(InputError, match="league_seeds must be an integer from 1"):
-        league_worlds(seeds=0)
+    refused("league_seeds must be an integer from 1", league_worlds, seeds=0)
     for name in worlds[-3:]:
         load_world(name, 0.2)
     kinds = [kind_of(w) for w in worlds]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from ref.refusals import refused
 
 from jexplore.cli import main
 from jexplore.config import InputError
@@ -33,7 +34,7 @@ def _tiny(run, monkeypatch):
     monkeypatch.setitem(league.LEAGUES, "tiny", league.League("0.1.0", WORLDS, digest))
 
 
-def test_strategies_are_entered_once_and_ranked_as_in_their_run(run, tmp_path, capsys):
+def test_strategies_are_entered_once_and_ranked_as_in_their_run(run, tmp_path, capsys, printed):
     folder, found = tmp_path / "entries", load(run)
     assert league.submit(run, "tiny", folder) == {"closest+recheck": True, "closest": True}
     assert sorted(path.name for path in folder.iterdir()) == ["closest+recheck.json", "closest.json"]
@@ -48,8 +49,7 @@ def test_strategies_are_entered_once_and_ranked_as_in_their_run(run, tmp_path, c
             assert kept[column].tolist() == own.tolist()
     ours, theirs = standings(kept), standings(found.episodes)
     pd.testing.assert_frame_equal(ours, theirs, rtol=1e-3, check_exact=False)
-    assert main.main(["league", "--name", "tiny", "--entries", str(folder)]) == 0
-    shown = capsys.readouterr().out
+    shown = printed(["league", "--name", "tiny", "--entries", str(folder)]).out
     assert "closest+recheck" in shown
     assert "ratio to the reference" in shown
     assert main.main(["league", "submit", str(run), "--name", "tiny", "--entries", str(folder)]) == 0
@@ -111,38 +111,31 @@ def test_an_entry_with_other_episodes_is_kept(run, tmp_path):
     entry = json.loads(path.read_text())
     entry["episodes"][1][league.COLUMNS.index("path_m")] += 0.1
     path.write_text(json.dumps(entry))
-    with pytest.raises(InputError, match=f"closest is entered with another episode in {WORLDS[1]}"):
-        league.submit(run, "tiny", folder)
+    refused(f"closest is entered with another episode in {WORLDS[1]}", league.submit, run, "tiny", folder)
     assert json.loads(path.read_text()) == entry
 
 
 def test_files_that_are_no_entries_are_refused(run, tmp_path):
-    with pytest.raises(InputError, match=r"no entry of closest\+recheck there"):
-        league.entries_table(tmp_path / "nothing", "tiny")
+    refused(r"no entry of closest\+recheck there", league.entries_table, tmp_path / "nothing", "tiny")
     league.submit(run, "tiny", tmp_path)
     path = tmp_path / "closest.json"
     entry = json.loads(path.read_text())
     for text in ("[]", "{", json.dumps(entry | {"episodes": [[]]})):
         path.write_text(text)
-        with pytest.raises(InputError, match=r"closest\.json: not an entry of a league"):
-            league.read_entries(tmp_path, "tiny")
+        refused(r"closest\.json: not an entry of a league", league.read_entries, tmp_path, "tiny")
     for more in ({"version": "9"}, {"digest": ""}, {"episodes": entry["episodes"][:1]}):
         path.write_text(json.dumps(entry | more))
-        with pytest.raises(InputError, match=r"closest\.json: not an entry of tiny, version 0\.1\.0"):
-            league.read_entries(tmp_path, "tiny")
-    with pytest.raises(InputError, match="'tony'"):
-        league.read_entries(tmp_path, "tony")
+        refused(r"closest\.json: not an entry of tiny, version 0\.1\.0", league.read_entries, tmp_path, "tiny")
+    refused("'tony'", league.read_entries, tmp_path, "tony")
 
 
-def test_a_run_stands_with_submit_alone(capsys):
+def test_a_run_stands_with_submit_alone(printed):
     for words in (["submit"], ["show", "runs"]):
-        assert main.main(["league", *words]) == 2
-        assert "expected the folder of a run with submit" in capsys.readouterr().err
+        assert "expected the folder of a run with submit" in printed(["league", *words], 2).err
 
 
-def test_outside_a_checkout_one_line_says_where_entries_are(tmp_path, capsys):
-    assert main.main(["league", "--entries", str(tmp_path / "none")]) == 2
-    err = capsys.readouterr().err
+def test_outside_a_checkout_one_line_says_where_entries_are(tmp_path, printed):
+    err = printed(["league", "--entries", str(tmp_path / "none")], 2).err
     assert "of a checkout of the repository with --entries" in err
     assert err.count("\n") == 1
 

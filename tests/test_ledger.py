@@ -12,6 +12,7 @@ from pathlib import Path
 import pandas as pd
 import pyarrow.parquet
 import pytest
+from ref.refusals import refused
 
 from jexplore.config import InputError, InputWarning
 from jexplore.report import folders, ledger
@@ -20,7 +21,6 @@ from jexplore.report.ledger import open_ledger
 from jexplore.rules import Lidar
 
 ASKED = {"command": "compare", "worlds": ["cave"], "episodes": 3, "lidar": [Lidar()]}
-NOW = datetime.datetime(2026, 11, 21, 9, 30, 42)
 
 
 def texts(*names, text="new"):
@@ -59,8 +59,7 @@ def test_a_folder_is_its_holders_until_that_is_killed(tmp_path):
         assert process.stdout is not None
         assert process.stdout.readline() == "mine\n"
         for _ in range(2):  # being refused changes nothing
-            with pytest.raises(InputError, match=f"is being written by process {process.pid} on "):
-                write(tmp_path / "run", overwrite=True)
+            refused(f"is being written by process {process.pid} on ", write, tmp_path / "run", overwrite=True)
     finally:
         process.kill()
         process.communicate()
@@ -98,16 +97,14 @@ def test_only_files_of_a_run_are_replaced_and_only_when_allowed(tmp_path):
     (out / "paths.png").symlink_to(out / "photo.png")
     before = content(out)
     for name in ("run.json", "compare.png"):
-        with pytest.raises(InputError, match=rf"holds a run \({name}\): choose another folder or allow overwriting"):
-            write(out, "run.json")
+        refused(rf"holds a run \({name}\): choose another folder or allow overwriting", write, out, "run.json")
         assert content(out) == before
         (out / name).unlink()
         del before[name]
     write(str(out), "run.json", text="newer", overwrite=True)
     assert content(out) == {"run.json": "newer", "notes.txt": "mine", "photo.png": "mine"}
     (out / "worlds.png").mkdir()
-    with pytest.raises(InputError, match=r"worlds\.png must be a file"):
-        write(out, "run.json", overwrite=True)
+    refused(r"worlds\.png must be a file", write, out, "run.json", overwrite=True)
 
 
 def test_what_is_no_folder_is_refused(tmp_path, monkeypatch):
@@ -116,8 +113,7 @@ def test_what_is_no_folder_is_refused(tmp_path, monkeypatch):
     bad = ["file", "file/below", "dangling", "nul\0l", f"a/b/{'x' * 300}"]
     for path in [*(f"{tmp_path}/{name}" for name in bad), ""]:
         for overwrite in (False, True):
-            with pytest.raises(InputError, match=r"^[^\n]*$"):
-                write(path, "run.json", overwrite=overwrite)
+            refused(r"^[^\n]*$", write, path, "run.json", overwrite=overwrite)
     assert names(tmp_path) == ["dangling", "file"]
 
     def refuse(*_):
@@ -125,8 +121,7 @@ def test_what_is_no_folder_is_refused(tmp_path, monkeypatch):
 
     monkeypatch.setattr(folders.os, "open", refuse)
     for path in (tmp_path, tmp_path / "new" / "run"):
-        with pytest.raises(InputError, match="must be a folder that can be written: Permission denied"):
-            write(path, "run.json")
+        refused("must be a folder that can be written: Permission denied", write, path, "run.json")
     assert names(tmp_path) == ["dangling", "file"]
 
 
@@ -283,8 +278,7 @@ def test_what_is_finished_is_there_again(tmp_path):
     assert names(tmp_path) == [UNFINISHED]
     assert names(tmp_path / UNFINISHED) == ["000000.parquet", "000002.parquet", "asked.json"]
     assert begin(tmp_path) == {0: [0, 0.5], 2: [2, 2.5]}
-    with pytest.raises(InputError, match=r"holds a run that was not finished: .*--resume.*--overwrite"):
-        begin(tmp_path, resume=False)
+    refused(r"holds a run that was not finished: .*--resume.*--overwrite", begin, tmp_path, resume=False)
     assert begin(tmp_path, resume=False, overwrite=True) == {}  # thrown away when the new one begins
     assert names(tmp_path) == []  # what ends before any unit leaves nothing
     assert begin(tmp_path / "new") == {}
@@ -311,8 +305,7 @@ def test_units_without_their_page_are_nobodys(tmp_path):
 def test_another_run_is_not_gone_on_with(tmp_path, change, units, message):
     asked = {**ASKED, "own": {"strategy 'mine'": "a"}}
     leave(tmp_path, 0, asked=asked)
-    with pytest.raises(InputError, match=f"holds another run: {message}"):
-        begin(tmp_path, units=units, asked={**asked, **change})
+    refused(f"holds another run: {message}", begin, tmp_path, units=units, asked={**asked, **change})
     assert begin(tmp_path, asked=asked) == {0: [0, 0.5]}
 
 
@@ -333,19 +326,16 @@ def test_a_finished_run_is_known(tmp_path):
     finish(tmp_path, asked)
     assert reopened(tmp_path, asked) is None
     other = {**asked, "own": {"strategy 'mine'": "b"}}
-    with pytest.raises(InputError, match="its strategy 'mine' computes something else now"):
-        reopened(tmp_path, other)
+    refused("its strategy 'mine' computes something else now", reopened, tmp_path, other)
     assert reopened(tmp_path, other, trust=True) is None
     for page, message in (
         *((json.dumps(page), "does not say what") for page in ([1], {"asked": [1]})),
         ("{", r"is not valid JSON .*: it must say what the run is asked; use --overwrite"),
     ):
         (tmp_path / "run.json").write_text(page)
-        with pytest.raises(InputError, match=message):
-            reopened(tmp_path, ASKED)
+        refused(message, reopened, tmp_path, ASKED)
     (tmp_path / "run.json").unlink()
-    with pytest.raises(InputError, match=r"holds a run \(episodes.parquet\)"):
-        reopened(tmp_path, ASKED)
+    refused(r"holds a run \(episodes.parquet\)", reopened, tmp_path, ASKED)
 
 
 @pytest.mark.parametrize("damage", [0, 3, 100, -1, *((at, at + 8) for at in (4, 30, 55))])
@@ -389,12 +379,10 @@ def test_a_finished_run_goes_on_with_more_episodes(tmp_path):
         (8, {}, "holds a run of 10 episodes, more than 8: ask for 10 or more"),
         (10, {"seed": 1}, "its seed is null, not 1"),
     ):
-        with pytest.raises(InputError, match=says):
-            longer(tmp_path, episodes, **change)
+        refused(says, longer, tmp_path, episodes, **change)
     with claimed(tmp_path, resume=True) as run:
         run.forget()
-    with pytest.raises(InputError, match="its seed is null, not 1"):
-        longer(tmp_path, 12, seed=1)
+    refused("its seed is null, not 1", longer, tmp_path, 12, seed=1)
 
 
 def test_a_full_disk_leaves_what_was_finished(tmp_path, monkeypatch):
@@ -408,8 +396,7 @@ def test_a_full_disk_leaves_what_was_finished(tmp_path, monkeypatch):
         book = open_ledger(run, ASKED, 4, resume=True)
         assert book is not None
         patch.setattr(pyarrow.parquet, "write_table", full)
-        with pytest.raises(InputError, match="No space left on device"):
-            book.put(1, table(1))
+        refused("No space left on device", book.put, 1, table(1))
         assert book.done == {0}
     assert begin(tmp_path) == {0: [0, 0.5]}
 

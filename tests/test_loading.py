@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from ref.refusals import refused
 
 import jexplore as jx
-from jexplore.config import InputError, __version__
+from jexplore.config import __version__
 from jexplore.report import store
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.loading import load, merge
@@ -33,12 +34,6 @@ def folder(tmp_path):
         return tmp_path
 
     return write
-
-
-def refused(line, call, *args):
-    with pytest.raises(InputError, match=line) as caught:
-        call(*args)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_whole_folder_is_read(folder):

@@ -5,11 +5,10 @@ import itertools
 import jax
 import numpy as np
 import pytest
+from ref.refusals import refused
 
 import jexplore as jx
 from jexplore import worlds
-from jexplore.cli.main import main
-from jexplore.config import InputError
 
 CODE = """
 import numpy as np
@@ -49,20 +48,17 @@ def test_a_module_in_the_current_folder_names_a_world(desk):
         ("nowhere_of_tests:plan", "no module 'nowhere_of_tests'"),
         ("cave:plan", "parameters are written key=value"),
     ):
-        with pytest.raises(InputError, match=line) as caught:
-            jx.load_world(wrong)
-        assert "\n" not in str(caught.value)
+        refused(line, jx.load_world, wrong)
 
 
-def test_a_registered_world_is_one_like_the_others(desk, capsys):
+def test_a_registered_world_is_one_like_the_others(desk, printed):
     jx.register_world("hall", hall)
     world = jx.load_world("hall#4:length=50")
     assert (world.name, world.shape, world.cell_m) == ("hall#4:length=50", (30, 50), 0.2)
     assert world.occupied[15, 9]
     assert not world.occupied[15, 8]
     assert [row[2] for row in jx.worlds().rows if row[0].startswith("hall")] == ["length=40"]
-    assert main(["worlds", "hall", "mine_of_tests:plan#1"]) == 0
-    assert "hall" in capsys.readouterr().out
+    assert "hall" in printed(["worlds", "hall", "mine_of_tests:plan#1"]).out
     jx.register_world("hall", lambda seed: hall(seed, 60))
     assert jx.load_world("hall").shape == (30, 60)
 
@@ -79,8 +75,7 @@ def test_a_registered_world_is_one_like_the_others(desk, capsys):
     ],
 )
 def test_what_is_no_world_function_is_not_registered(desk, name, function, line):
-    with pytest.raises(InputError, match=line):
-        jx.register_world(name, function)
+    refused(line, jx.register_world, name, function)
     assert worlds._OWN == {}
 
 
@@ -108,10 +103,7 @@ CALLS = itertools.count()
 )
 def test_a_wrong_world_is_told_in_one_line_with_its_function(desk, function, line):
     jx.register_world("wrong", function)
-    with pytest.raises(InputError, match=line) as caught:
-        jx.compare("wrong#7", "closest", episodes=1)
-    assert "\n" not in str(caught.value)
-    assert "test_own_worlds.py:" in str(caught.value)
+    assert "test_own_worlds.py:" in refused(line, jx.compare, "wrong#7", "closest", episodes=1)
 
 
 @pytest.mark.jit

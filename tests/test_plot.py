@@ -6,6 +6,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from PIL import Image
 from ref.figures import check_texts, pixels
+from ref.refusals import refused
 
 from jexplore.config import InputError
 from jexplore.report import plot
@@ -198,8 +199,7 @@ def test_save_figure(tmp_path):
         assert np.asarray(image.convert("L")).min() < 50
     plot.save_figure(a_figure(), tmp_path / "bare")
     assert (tmp_path / "bare").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(InputError, match="missing"):
-        plot.save_figure(a_figure(), tmp_path / "missing" / "bars.png")
+    refused("missing", plot.save_figure, a_figure(), tmp_path / "missing" / "bars.png")
     with pytest.raises(InputError, match=r"bars\.gifx must end in \.png, \.svg or \.pdf, got \.gifx"):
         plot.save_figure(a_figure(), tmp_path / "bars.gifx")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bare", "bars.png"]

@@ -29,7 +29,6 @@ COURSE = BtmMap(
         Link(3, 2, 3, "searched", -90.0, 90.0),
     ),
 )
-CORNERS = np.array([[0.0, 0.0], [8.0, 0.0], [8.0, -4.0]])
 TRAIL = np.column_stack(
     [
         np.concatenate([np.linspace(0, 8, 81), np.full(40, 8.0)]),

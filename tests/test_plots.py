@@ -9,6 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from ref.figures import check_texts
+from ref.refusals import refused
 from test_aggregate import episodes, fail
 from test_response import CLEARANCE, RANGE, sweep
 
@@ -34,10 +35,6 @@ def drawn(worlds, strategies, n=4, seed=0):
 
 def shown(figure):
     return [ax for ax in figure.axes if ax.get_visible()]
-
-
-def lines_of(ax, label):
-    return [line for line in ax.lines if line.get_label() == label]
 
 
 def test_looks_differ_also_in_grey():
@@ -166,12 +163,9 @@ def test_compare_figure_of_odd_lengths_and_names(length):
 
 def test_nothing_to_draw_is_refused():
     table = drawn(["w"], ["a"])
-    with pytest.raises(InputError, match="episodes must be one or more"):
-        figures.compare_figure(table.iloc[:0])
-    with pytest.raises(InputError, match="one world or more"):
-        figures.coverage_figure({})
-    with pytest.raises(InputError, match="a start that every strategy has"):
-        figures.profile_figure(table.iloc[:0])
+    refused("episodes must be one or more", figures.compare_figure, table.iloc[:0])
+    refused("one world or more", figures.coverage_figure, {})
+    refused("a start that every strategy has", figures.profile_figure, table.iloc[:0])
 
 
 def test_quartiles_by_hand():
@@ -326,10 +320,8 @@ def test_heat_figure_of_many_values():
 
 def test_wrong_settings_are_refused():
     table = sweep()
-    with pytest.raises(InputError, match="two settings, got"):
-        figures.heat_figure(table, RANGE, RANGE)
-    with pytest.raises(InputError, match=r"setting must be a column .* such as lidar\.range_m"):
-        figures.response_figure(table, "lidar.rang_m")
+    refused("two settings, got", figures.heat_figure, table, RANGE, RANGE)
+    refused(r"setting must be a column .* such as lidar\.range_m", figures.response_figure, table, "lidar.rang_m")
     with pytest.raises(InputError, match="two strategies or more for ratios"):
         figures.heat_figure(sweep(strategies=("a",)), RANGE, CLEARANCE, ratio=True)
 

@@ -7,7 +7,6 @@ import struct
 import warnings
 import zlib
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
+from ref.refusals import refused
 from scipy import ndimage
 from skimage.measure import points_in_poly
 
@@ -29,9 +29,6 @@ from jexplore.worlds.readers.ros import load_ros, read_ros, write_ros
 from jexplore.worlds.starts import check_start, start_region
 from jexplore.worlds.world import occupancy_to_world
 
-MAPS = Path(__file__).resolve().parents[2] / "shared" / "maps"
-real_maps = pytest.mark.skipif(not MAPS.is_dir(), reason="the folder shared/maps is not beside the checkout")
-
 pictures = hnp.arrays(bool, st.tuples(st.integers(1, 9), st.integers(1, 9)))
 sizes = st.fractions(min_value=Fraction(1, 5), max_value=4, max_denominator=7)
 
@@ -40,13 +37,6 @@ def save(path, pixels, mode=None):
     """Write a picture; `pixels` has its row 0 at the top."""
     Image.fromarray(np.asarray(pixels, np.uint8 if mode is None else mode)).save(path)
     return path
-
-
-def refused(line, call, *args, **kwargs):
-    """The call is refused in one line that matches."""
-    with pytest.raises(InputError, match=line) as error:
-        call(*args, **kwargs)
-    assert "\n" not in str(error.value)
 
 
 # --- resampling
@@ -809,7 +799,6 @@ def test_bad_plans_are_refused(tmp_path, text, line):
 # --- real maps
 
 
-@real_maps
 @pytest.mark.parametrize(
     ("name", "shape", "component_m2"),
     [
@@ -819,9 +808,9 @@ def test_bad_plans_are_refused(tmp_path, text, line):
         ("radish/intel.png@0.05", (424, 444), 513),
     ],
 )
-def test_real_maps_have_their_size_and_nearly_their_free_area(name, shape, component_m2):
+def test_real_maps_have_their_size_and_nearly_their_free_area(maps, name, shape, component_m2):
     """Free areas are known at the maps' own resolutions; walls of whole cells make them smaller, by a fifth at most."""
-    world = load_world(f"{MAPS / name}")
+    world = load_world(f"{maps / name}")
     assert world.shape == shape
     labels, _ = ndimage.label(~world.occupied)
     free_m2 = np.bincount(labels.ravel())[1:].max() * world.cell_m**2
@@ -829,10 +818,9 @@ def test_real_maps_have_their_size_and_nearly_their_free_area(name, shape, compo
     assert start_region(world, 0.3).sum() * world.cell_m**2 > 0.5 * free_m2
 
 
-@real_maps
 @pytest.mark.parametrize("name", ["1", "easy_1"])
-def test_dungeons_have_their_start(name):
-    path = MAPS / "dungeon" / f"{name}.png"
+def test_dungeons_have_their_start(maps, name):
+    path = maps / "dungeon" / f"{name}.png"
     world = load_world(f"{path}@0.1:free=150")
     assert world.shape == (480, 640)
     row, col, _ = check_start(world, world.start, 0.3)
@@ -840,8 +828,7 @@ def test_dungeons_have_their_start(name):
     refused("the brightest opaque grey is 203", load_world, f"{path}@0.1")
 
 
-@real_maps
-def test_movingai_maps_keep_their_rooms():
-    world = load_world(MAPS / "movingai" / "maze512-32-0.map")
+def test_movingai_maps_keep_their_rooms(maps):
+    world = load_world(maps / "movingai" / "maze512-32-0.map")
     assert world.shape == (512, 512)
     assert ndimage.label(~world.occupied)[1] == 1

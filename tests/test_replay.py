@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 from PIL import Image
+from ref.refusals import refused
 from ref.worlds import two_rooms
 
-from jexplore.config import InputError
 from jexplore.exploration import replay
+from jexplore.exploration.results import map_state
 from jexplore.exploration.site import prepare_site
 from jexplore.policies import parse_strategy
 from jexplore.raycast import scans_all_round
@@ -83,27 +84,28 @@ def test_exhausted_targets_are_marked_in_the_replay():
 
 def test_an_episode_of_more_plans_than_are_kept_is_refused(made):
     lost = dataclasses.replace(made, final=made.final._replace(plans=None))
-    with pytest.raises(InputError, match="no replay, it made more plans than are kept"):
-        list(explore.frames(lost))
+    refused("no replay, it made more plans than are kept", explore.steps_of, lost)
 
 
-def test_frames(made):
-    frames = list(explore.frames(made, max_frames=10))
+def test_frames_of_an_animation(made):
+    frames = list(made._pictures(10, None))
     n = made.measures["steps"]
+    steps = [len(frame["rows"]) - 1 for frame in frames]
     assert len(frames) == 10
-    assert [frames[0].step, frames[-1].step] == [0, n]
-    assert (np.diff([frame.step for frame in frames]) > 0).all()
-    for frame in frames:
-        assert (frame.row, frame.col) == (made.final.rows[frame.step], made.final.cols[frame.step])
-        assert not frame.frontier[made.world.occupied].any()
-        assert ((frame.hits + frame.misses)[frame.frontier] > 0).all()
-    assert frames[0].frontier.any()
-    assert frames[0].frontier[frames[0].target]  # what it goes to is a frontier cell of the map that it sees
-    assert not frames[-1].frontier.any()
-    assert frames[-1].target is None
-    np.testing.assert_array_equal(frames[-1].hits, made.final.hits)
-    assert [frame.step for frame in explore.frames(made, max_frames=1)] == [n]
-    assert len(list(explore.frames(made, max_frames=10**6))) == n + 1
+    assert [steps[0], steps[-1]] == [0, n]
+    assert (np.diff(steps) > 0).all()
+    states, frontiers = (np.stack([frame[name] for frame in frames]) for name in ("state", "frontier"))
+    for frame, step in zip(frames, steps):
+        assert (frame["row"], frame["col"]) == (made.final.rows[step], made.final.cols[step])
+        assert f"{made.final.n_known[step] * 0.01:.0f} m² known" in frame["caption"]
+    assert not frontiers[:, made.world.occupied].any()
+    assert (states[frontiers] > 0).all()
+    assert frontiers[0][frames[0]["target"]]  # what it goes to is a frontier cell of the map that it sees
+    assert not frontiers[-1].any()
+    assert frames[-1]["target"] is None
+    np.testing.assert_array_equal(states[-1], map_state(made.final.hits, made.final.misses, Rules().p_free))
+    assert len(list(made._pictures(1, None))) == 1
+    assert len(list(made._pictures(10**6, None))) == n + 1
 
 
 def test_an_episode_is_that_number_of_a_comparison(made):
@@ -140,9 +142,6 @@ def test_a_start_given_by_hand_and_what_is_refused():
     job = explore.prepare_job(two_rooms(), "closest", start=(10, 10, 270), **options)
     assert job.starts.tolist() == [[10, 10, 270]]
     for start, message in [((0, 3, 0), "lies in a wall"), ((99, 3, 0), "outside"), ((10, 10, 7), "45"), ("w", "start")]:
-        with pytest.raises(InputError, match=message):
-            explore.explore(two_rooms(), "closest", start=start)
-    with pytest.raises(InputError, match="episode must be"):
-        explore.explore(two_rooms(), "closest", episode=-1)
-    with pytest.raises(InputError, match="seed must be"):
-        explore.explore(two_rooms(), "closest", seed=0.5)
+        refused(message, explore.explore, two_rooms(), "closest", start=start)
+    refused("episode must be", explore.explore, two_rooms(), "closest", episode=-1)
+    refused("seed must be", explore.explore, two_rooms(), "closest", seed=0.5)

@@ -4,18 +4,20 @@ import dataclasses
 
 import numpy as np
 import pytest
+from ref.refusals import refused
 from ref.worlds import two_rooms
 
-from jexplore.config import InputError
 from jexplore.exploration import batch
 from jexplore.exploration.replay import Moment
 from jexplore.exploration.results import map_state
+from jexplore.planning import field
 from jexplore.policies.room_wise import own_segment
 from jexplore.report.page.replay import FRONTIER, OWN_ROOM, STATE
 from jexplore.rules import Lidar, Rules
 from jexplore.studies import explore, replays
 from jexplore.studies.checks import prepare_jobs
-from jexplore.studies.replays import before_leaving, replay_of, replays_of
+from jexplore.studies.explore import replay_of
+from jexplore.studies.replays import before_leaving, replays_of
 
 pytestmark = pytest.mark.jit
 
@@ -37,15 +39,23 @@ def test_the_last_moment_at_each_place_is_shown():
 
 @pytest.mark.parametrize("max_frames", [1, 10**6])
 def test_frames_are_those_of_the_episode(max_frames):
-    """Against the frames of the animation, which are made scan by scan."""
+    """Against the episode made again scan by scan."""
     episode = ran("closest+recheck", episode=1)
-    replay, frames = replay_of(episode, max_frames=max_frames), list(explore.frames(episode, max_frames=max_frames))
-    assert replay.steps.tolist() == [frame.step for frame in frames]
-    assert replay.heading_deg.tolist() == [frame.heading_deg for frame in frames]
-    assert replay.target.tolist() == [list(frame.target or (-1, -1)) for frame in frames]
-    for codes, frame in zip(replay.maps(), frames, strict=True):
-        np.testing.assert_array_equal(codes & STATE, map_state(frame.hits, frame.misses, Rules().p_free))
-        np.testing.assert_array_equal((codes & FRONTIER) > 0, frame.frontier)
+    replay, made = replay_of(episode, max_frames=max_frames), {m.step: m for m in explore.steps_of(episode)}
+    n, (height, width) = episode.measures["steps"], episode.world.shape
+    assert replay.steps.tolist() == ([n] if max_frames == 1 else list(range(n + 1)))
+    for codes, step, heading_deg, target in zip(
+        replay.maps(), replay.steps.tolist(), replay.heading_deg.tolist(), replay.target.tolist(), strict=True
+    ):
+        plans = [plan for plan in episode.final.plans if plan.step <= step]
+        assert heading_deg == 45 * made[step].heading
+        assert target == list((plans[-1].target if plans else None) or (-1, -1))
+        belief = made[step].belief
+        hits, misses, frontier = (
+            np.asarray(own)[:height, :width] for own in (belief.grid.hits, belief.grid.misses, field(belief).frontier)
+        )
+        np.testing.assert_array_equal(codes & STATE, map_state(hits, misses, Rules().p_free))
+        np.testing.assert_array_equal((codes & FRONTIER) > 0, frontier)
         assert not (codes & OWN_ROOM).any()
     np.testing.assert_allclose(replay.known_m2, episode.final.n_known[replay.steps] * 0.01)
     assert (replay.world, replay.strategy, replay.which) == ("two rooms", "closest+recheck", "seed 3")
@@ -130,5 +140,4 @@ def test_what_is_missing_is_said(jobs, monkeypatch):
 def test_an_episode_of_more_plans_than_are_kept_is_refused():
     episode = ran("closest")
     lost = dataclasses.replace(episode, final=episode.final._replace(plans=None))
-    with pytest.raises(InputError, match="closest in two rooms: no replay, it made more plans than are kept"):
-        replay_of(lost)
+    refused("closest in two rooms: no replay, it made more plans than are kept", replay_of, lost)

@@ -9,15 +9,14 @@ import pandas as pd
 import pytest
 from PIL import Image
 from ref.figures import check_texts
+from ref.refusals import refused
 from scipy import stats
 
 import jexplore
-from jexplore.cli import main
-from jexplore.config import InputError
 from jexplore.exploration import batch
 from jexplore.rules import Lidar
 from jexplore.studies import papers
-from jexplore.studies.reproduction import ReproductionResult, prepare_paper, reproduce, verdict, welch_p, world_names
+from jexplore.studies.reproduction import ReproductionResult, prepare_paper, reproduce, verdict, world_names
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.comparison import ComparisonResult
 from jexplore.studies.statistics import paired
@@ -77,7 +76,7 @@ def test_of_sixteen_orderings_that_the_text_says_its_figures_bear_out_twelve():
     assert len(claimed) == 16
     assert claimed["paper_p"][claimed["paper_p"] > 0.05].round(2).sort_values().tolist() == [0.22, 0.63, 0.70, 0.80]
     want = stats.ttest_ind_from_stats(72.89, 5.77, 10, 70.45, 0.97, 10, equal_var=False).pvalue
-    assert welch_p((70.45, 0.97), (72.89, 5.77), 10) == pytest.approx(want)
+    assert table["paper_p"].iloc[0] == pytest.approx(want)
 
 
 def test_no_ordering_holds_where_everything_is_turned_round():
@@ -211,9 +210,7 @@ def folder_of_maps(path, but=None):
 def test_a_missing_map_is_named(tmp_path, no_run):
     missing = PAPER.environments["AVZ"].file
     folder_of_maps(tmp_path, but=missing)
-    with pytest.raises(InputError, match=f"there is no file {tmp_path / missing}$") as error:
-        reproduce(maps=tmp_path)
-    assert "\n" not in str(error.value)
+    refused(f"there is no file {tmp_path / missing}$", reproduce, maps=tmp_path)
 
 
 def test_maps_are_loaded_at_their_scale(tmp_path, monkeypatch):
@@ -271,11 +268,10 @@ def test_a_small_run(ran):
 
 
 @pytest.mark.jit
-def test_the_command_writes_a_whole_run(ran, small, tmp_path, capsys):
+def test_the_command_writes_a_whole_run(ran, small, tmp_path, printed):
     out = tmp_path / "run"
     command = ["reproduce", small, "--episodes", "3", "--seed", "1", "--out", str(out), *CLI_LIDAR]
-    assert main.main(command) == 0
-    said = capsys.readouterr().out
+    said = printed(command).out
     assert said.startswith(ran.to_markdown())
     assert said.splitlines()[-1] == f"wrote episodes.parquet, details.npz, run.json, reproduce.png to {out}/"
     pd.testing.assert_frame_equal(pd.read_parquet(out / "episodes.parquet"), ran.to_pandas())
@@ -286,13 +282,12 @@ def test_the_command_writes_a_whole_run(ran, small, tmp_path, capsys):
     assert record["interrupted"] == 0
     with Image.open(out / "reproduce.png") as image:
         image.verify()
-    assert main.main(command) == 2
-    assert "holds a run" in capsys.readouterr().err
+    assert "holds a run" in printed(command, 2).err
 
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_an_interruption_keeps_pairs(small, tmp_path, capsys, monkeypatch):
+def test_an_interruption_keeps_pairs(small, tmp_path, printed, monkeypatch):
     run = batch.run_jobs
 
     def interrupted(jobs, *rest, **options):
@@ -304,8 +299,7 @@ def test_an_interruption_keeps_pairs(small, tmp_path, capsys, monkeypatch):
         return report
 
     monkeypatch.setattr(batch, "run_jobs", interrupted)
-    assert main.main(["reproduce", small, "--episodes", "3", "--out", str(tmp_path), *CLI_LIDAR]) == 130
-    said = capsys.readouterr()
+    said = printed(["reproduce", small, "--episodes", "3", "--out", str(tmp_path), *CLI_LIDAR], 130)
     assert "Nothing has run here." in said.out
     assert said.err.endswith("jexplore: interrupted, what was finished was written\n")
     table = pd.read_parquet(tmp_path / "episodes.parquet")
@@ -321,10 +315,9 @@ def test_an_interruption_keeps_pairs(small, tmp_path, capsys, monkeypatch):
         ("tiny --maps nowhere", "there is no file nowhere/stage/cave_filled.png"),
     ],
 )
-def test_bad_input_is_one_line(command, message, small, no_run, capsys, tmp_path, monkeypatch):
+def test_bad_input_is_one_line(command, message, small, no_run, printed, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main.main(["reproduce", *command.split()]) == 2
-    said = capsys.readouterr()
+    said = printed(["reproduce", *command.split()], 2)
     assert (said.out, said.err.count("\n")) == ("", 1)
     assert message in said.err
     assert list(tmp_path.iterdir()) == []

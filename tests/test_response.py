@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+from ref.refusals import refused
 
 from jexplore.config import InputError
 from jexplore.studies.statistics.over_worlds import ALL_WORLDS, mean_over_worlds
@@ -127,13 +128,11 @@ def test_rows_without_a_value_are_left_out():
 )
 def test_wrong_columns_are_refused(settings, how, message):
     table = sweep().assign(**{"b.weight": math.nan})
-    with pytest.raises(InputError, match=message):
-        response(table, settings, **how)
+    refused(message, response, table, settings, **how)
 
 
 def test_an_episode_of_the_reference_that_occurs_twice_is_refused():
     table = sweep()
     with pytest.raises(InputError, match="a must have an episode once in each setting, got it more than once at world"):
         response(pd.concat([table, table]), RANGE, ratio=True)
-    with pytest.raises(InputError, match="got none"):
-        response(table.iloc[:0], RANGE)
+    refused("got none", response, table.iloc[:0], RANGE)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from ref import maps
+from ref.refusals import refused
 
 import jexplore as jx
 from jexplore.config import InputError
@@ -14,7 +15,7 @@ from jexplore.studies.results import provenance
 from jexplore.worlds.poses import read_polygon
 from jexplore.worlds.readers.ros import write_ros
 from jexplore.worlds.restrict import stay_within, with_known
-from jexplore.worlds.starts import check_start, draw_start, start_region
+from jexplore.worlds.starts import check_start, draw_starts, start_region
 
 ROOM = jx.occupancy_to_world(
     maps.walls("""
@@ -52,16 +53,14 @@ def test_corners_may_go_round_either_way(turned):
 def test_a_polygon_of_text():
     assert read_polygon(" 0,0 5,0.5  -5,4e0") == [(0, 0), (5, 0.5), (-5, 4)]
     for text in ("0,0 5", "0,0,0 1,1,1 2,2,2", "a,b", "0;0"):
-        with pytest.raises(InputError, match=r"^within must be three or more corners .* as '0,0 5,0 5,4', got"):
-            read_polygon(text)
+        refused(r"^within must be three or more corners .* as '0,0 5,0 5,4', got", read_polygon, text)
 
 
 @pytest.mark.parametrize(
     "corners", [[], [(0, 0), (1, 1)], [(0, 0), (1, 1), (2, np.nan)], 3, [(0, 0, 0)] * 3, "0,0 1,1"]
 )
 def test_what_is_no_polygon_is_refused(corners):
-    with pytest.raises(InputError, match=r"^within must be three or more corners \(x, y\) in metres"):
-        stay_within(ROOM, corners)
+    refused(r"^within must be three or more corners \(x, y\) in metres", stay_within, ROOM, corners)
 
 
 def test_a_region_without_floor_is_refused():
@@ -82,8 +81,7 @@ def test_starts_lie_within_and_where_the_map_is_known():
         ".###....",
         "........",
     ]
-    with pytest.raises(InputError, match=r"lies outside the region that the robot is to stay in$"):
-        check_start(left, (1, 6, 0), 0.0)
+    refused(r"lies outside the region that the robot is to stay in$", check_start, left, (1, 6, 0), 0.0)
 
 
 def test_a_partial_map_is_laid_over_the_world(tmp_path):
@@ -99,8 +97,7 @@ def test_a_partial_map_is_laid_over_the_world(tmp_path):
 
 def test_a_map_that_does_not_fit_is_refused(tmp_path):
     write_ros(np.zeros((4, 4), int), tmp_path / "fine.yaml", cell_m=0.5)
-    with pytest.raises(InputError, match=r"has cells of 0.5 m, 'room' of 1 m; make them equal$"):
-        with_known(ROOM, tmp_path / "fine.yaml")
+    refused(r"has cells of 0.5 m, 'room' of 1 m; make them equal$", with_known, ROOM, tmp_path / "fine.yaml")
     write_ros(np.zeros((4, 4), int), tmp_path / "far.yaml", cell_m=1.0, origin_m=(50.0, 50.0))
     with pytest.raises(InputError, match=r"none of its free cells is free in 'room'; is it a map of this building"):
         with_known(ROOM, tmp_path / "far.yaml")
@@ -112,8 +109,7 @@ def test_a_map_that_does_not_fit_is_refused(tmp_path):
     ("field", "array"), [("within", np.ones((2, 2), bool)), ("within", np.ones((5, 8))), ("known", np.ones((5, 8)))]
 )
 def test_arrays_of_a_world_are_checked(field, array):
-    with pytest.raises(InputError, match=f"^'room': {field} must be "):
-        jx.explore(ROOM.replace(**{field: array}), "closest")
+    refused(f"^'room': {field} must be ", jx.explore, ROOM.replace(**{field: array}), "closest")
 
 
 @pytest.mark.jit
@@ -166,7 +162,7 @@ def test_both_are_arguments_of_functions_and_part_of_what_is_asked(tmp_path, mon
 def test_an_environment_holds_restricted_worlds_beside_others():
     plain = jx.load_world(ROOMS).replace(name="plain")
     within = stay_within(plain, "0,0 3.2,0 3.2,5 0,5").replace(name="within")
-    key, start = jax.random.key(0), jnp.asarray(draw_start(within, 0, 0, 0.3), jnp.int32)
+    key, start = jax.random.key(0), jnp.asarray(draw_starts(within, 0, 1, 0.3)[0])
     both, alone = jx.Environment([plain, within], lidar=LIDAR), jx.Environment(within, lidar=LIDAR)
     (_, view), (_, own) = both.reset(key, start, jnp.int32(1)), alone.reset(key, start, jnp.int32(0))
     np.testing.assert_array_equal(view.frontier, own.frontier)

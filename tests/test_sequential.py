@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+from ref.refusals import refused
 
 import jexplore as jx
-from jexplore.cli.main import main
-from jexplore.config import InputError
 from jexplore.studies.statistics import sequential
 from jexplore.studies.statistics.paired import paired_ratio
 
@@ -101,19 +100,15 @@ def test_a_comparison_ends_when_it_is_decided(tmp_path):
 
 
 @pytest.mark.jit
-def test_the_command_says_what_was_spared(tmp_path, capsys):
+def test_the_command_says_what_was_spared(tmp_path, printed):
     command = ["compare", "--worlds", ROOMS.format(1), "--strategies", "closest", "random", "--episodes", "100"]
     command += ["--until", "decided", "--out", str(tmp_path / "run"), "--no-report"]
-    assert main(command) == 0
-    first = capsys.readouterr().out
+    first = printed(command).out
     assert "episodes, " in first
     assert "spared. Intervals (95 % for each world) hold although" in first
-    assert main([*command, "--resume"]) == 0
-    assert first.split("Decided after")[1].split("\n\n")[0] in capsys.readouterr().out
+    assert first.split("Decided after")[1].split("\n\n")[0] in printed([*command, "--resume"]).out
 
 
 def test_other_ends_are_refused():
-    with pytest.raises(InputError, match=r"^until must be None or 'decided', got 'bored'$"):
-        jx.compare("cave", "closest", until="bored")
-    with pytest.raises(InputError, match=r"^until must be None or 'decided'"):
-        sequential.require_until(np.array([1, 2]))
+    refused(r"^until must be None or 'decided', got 'bored'$", jx.compare, "cave", "closest", until="bored")
+    refused(r"^until must be None or 'decided'", sequential.require_until, np.array([1, 2]))

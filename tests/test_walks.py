@@ -4,9 +4,9 @@ import itertools
 
 import numpy as np
 import pytest
+from ref.refusals import refused
 
 import jexplore as jx
-from jexplore.config import InputError
 from jexplore.reach import FAR, STRAIGHT
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.bounds import bound as study
@@ -63,8 +63,7 @@ def test_sights_by_hand(monkeypatch):
     assert set(made.seen(flat(2), 0).tolist()) == {flat(c) for c in (1, 2, 3)}
     assert made.region(flat(3), free & (np.arange(len(free)) != flat(1))).tolist() == [flat(2), flat(3)]
     monkeypatch.setattr(scene, "TABLE_BYTES", 10)
-    with pytest.raises(InputError, match="too many cells to be bounded"):
-        Sights(padded, pad, rays)
+    refused("too many cells to be bounded", Sights, padded, pad, rays)
     must = np.zeros(len(free), bool)
     must[[flat(c) for c in (1, 3, 6)]] = True
     coverage = Coverage(made, must)

@@ -121,7 +121,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
         from jexplore.studies.checks import prepare_jobs
         from jexplore.studies.results.saving import figures_of
         from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
-        from jexplore.studies.statistics.sequential import decisions_text, require_until
+        from jexplore.studies.statistics.sequential import require_until
 
         worlds, strategies = (
             (league_worlds(self.cell_m, self.league_seeds), LEAGUE_STRATEGIES)
@@ -156,13 +156,12 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
             if found is None:
                 return show_finished(out, _tables, figures_of, reported)
             with note_if_slow(FINISHING):
-                record, text = functools.partial(out.record, arguments, self), found.to_markdown()
-                if self.league:
-                    text = found.league_text()
-                    record = functools.partial(record, standings=found.standings.to_dict("records"))
-                if self.until:
-                    text += decisions_text(found.episodes, len(found.episodes) + found.spared)
-            found, text, files, is_whole = self._beside(found, text, tasks, out)
+                entries = {"standings": found.standings.to_dict("records")} if self.league else {}
+                record = functools.partial(out.record, arguments, self, **entries)
+                asked = len(found.episodes) + found.spared
+                text = _text(found, self.league, asked if self.until else None)
+            found, files, is_whole = self._beside(found, tasks, out)
+            text += _more_tables(found.episodes, self.league)
             figures = figures_of(found, league=self.league)
             with note_if_slow(FINISHING):
                 return finish_comparison(out, found, text, figures, record, reported, files, is_whole=is_whole)
@@ -176,8 +175,8 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
         pairs = [(job.world, (int(r), int(c), int(h))) for job in jobs for r, c, h in job.starts]
         return bound_tasks(pairs, self.lidar, self.rules, self.bound_seconds)
 
-    def _beside(self, found, text, tasks, out):
-        """Complete a comparison, its tables and files by waste and bounds; the last is False after an interruption."""
+    def _beside(self, found, tasks, out):
+        """Complete a comparison and its files by waste and bounds; the last is False after an interruption."""
         from jexplore.report import store
         from jexplore.studies.bounds.bound import run_bounds
 
@@ -194,7 +193,15 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
                 files["bounds.parquet"] = lambda path: store.write_parquet(bounds.table, path)
             except KeyboardInterrupt:  # before the first: the comparison is there
                 is_whole = False
-        return found, text + _more_tables(found.episodes, self.league), files, is_whole
+        return found, files, is_whole
+
+
+def _text(found, league, asked):
+    """Format the tables of a comparison; `asked`: most episodes, None where none are spared."""
+    from jexplore.studies.statistics.sequential import decisions_text
+
+    text = found.league_text() if league else found.to_markdown()
+    return text if asked is None else text + decisions_text(found.episodes, asked)
 
 
 def _more_tables(episodes, league):
@@ -213,14 +220,10 @@ def _more_tables(episodes, league):
 
 def _tables(found, record):
     """Format the tables of a comparison that has been finished before."""
-    league = record["configuration"].get("league")
-    text = found.league_text() if league else found.to_markdown()
-    episodes = getattr(found, "comparison", found).episodes
-    if record["configuration"].get("until"):
-        from jexplore.studies.statistics.sequential import decisions_text
-
-        asked = record["configuration"]["episodes"] * len(set(episodes["world"])) * len(set(episodes["strategy"]))
-        text += decisions_text(episodes, asked)
+    configuration, episodes = record["configuration"], found.episodes
+    league = configuration.get("league")
+    asked = configuration["episodes"] * len(set(episodes["world"])) * len(set(episodes["strategy"]))
+    text = _text(found, league, asked if configuration.get("until") else None)
     return text + _more_tables(episodes, league)
 
 
@@ -233,15 +236,13 @@ def run_with_bar(
     """
     from jexplore.studies.results import comparison, provenance, units
 
-    keep = "paths" if getattr(options, "waste", False) else None
-    asked = provenance.asked(jobs) | ({"keep": keep} if keep else {})
-    asked |= {"until": until} if (until := getattr(options, "until", None)) else {}
+    how = {"keep": "paths" if getattr(options, "waste", False) else None, "until": getattr(options, "until", None)}
+    asked = provenance.asked(jobs, **how)
     asked |= {"bound_seconds": starts[0].seconds if starts else None} if hasattr(options, "bounds") else {}
     ledger = out.keep(asked, lambda n: len(units.cut_jobs(jobs, n)) + len(starts))
     if ledger is None:
         return None
-    how = {"keep": keep, "ledger": ledger, **fields_of(options, "engine lanes workers")}
-    how |= {"until": until}
+    how |= {"ledger": ledger, **fields_of(options, "engine lanes workers")}
     with working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
         return comparison.run_comparison(jobs, **how, on_progress=on_progress)
 

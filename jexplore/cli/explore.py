@@ -61,7 +61,8 @@ class Explore(ReportOptions, TimedOptions):
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
-        from jexplore.studies.explore import prepare_job, run_job, why_no_replay
+        from jexplore.studies.explore import prepare_job, run_job
+        from jexplore.studies.replays import why_no_replay
         from jexplore.studies.results.provenance import describe_world
 
         with Out(self, "explore") as out:
@@ -87,7 +88,6 @@ class Explore(ReportOptions, TimedOptions):
         from jexplore.report import plot
         from jexplore.report.page.report import write_report
         from jexplore.report.tables import aligned_table
-        from jexplore.studies.replays import replay_of
         from jexplore.worlds.readers.ros import write_ros
 
         def picture(path):
@@ -98,7 +98,7 @@ class Explore(ReportOptions, TimedOptions):
                 found.save_gif(path, max_frames=self.frames, on_progress=progress.step)
 
         def page(path):
-            replays = [replay_of(found)] if found.can_be_replayed else []
+            replays = [found.replay] if found.can_be_replayed else []
             rows = [[name, _text(value)] for name, value in record["result"].items()]
             table = aligned_table(["measure", "value"], rows, left=["measure"])
             write_report(path, record, [("What it measured", table)], ["episode.png"], replays)

@@ -145,6 +145,12 @@ def fields_of(options: Any, names: str) -> dict[str, Any]:
     return {name: getattr(options, name) for name in names.split()}
 
 
+def given_of(options: Any, names: Sequence[str]) -> list[str]:
+    """Return those of some fields of a record that are not at their defaults, as options of the command line."""
+    plain = type(options)()
+    return [f"--{name.replace('_', '-')}" for name in names if getattr(options, name) != getattr(plain, name)]
+
+
 def help_text(commands: Mapping[str, type]) -> str:
     """Return the text of `jexplore --help`. `commands`: name -> class of its options."""
     lines = ["usage: jexplore {" + ",".join(commands) + "} [options]", ""]

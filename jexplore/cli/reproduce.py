@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.compare import FINISHING, finish_comparison, run_with_bar, show_finished
-from jexplore.cli.options import EngineOptions, ResumeOptions, TimedOptions, fields_of, is_small
+from jexplore.cli.options import EngineOptions, ResumeOptions, TimedOptions, fields_of, given_of, is_small
 from jexplore.cli.output.console import Out, note_if_slow, progress_of, working
 from jexplore.config import InputError
 
@@ -69,9 +69,8 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
 
         if self.maps is None:
             raise InputError("dare has no built-in counterparts: name the folder of its maps with --maps DIR")
-        for name in ("cell_m", "lidar", "rules", "robot", "engine", "lanes", "resume"):
-            if getattr(self, name) != getattr(Reproduce(), name):
-                raise InputError(f"dare has rules of its own: leave out --{name.replace('_', '-')}")
+        for option in given_of(self, ("cell_m", "lidar", "rules", "robot", "engine", "lanes", "resume")):
+            raise InputError(f"dare has rules of its own: leave out {option}")
         if self.own_rules:
             return self._own_rules(arguments, self.maps)
         with Out(self, "reproduce") as out:

@@ -51,7 +51,6 @@ class Segment(OutOptions):
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
-        from jexplore.config import require_whole
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.report import plot, store
         from jexplore.report.plot_rooms import rooms_figure
@@ -61,7 +60,6 @@ class Segment(OutOptions):
         with Out(self, "segment") as out:
             if not self.maps:
                 raise InputError("expected a map: map.png@0.05 (metres a pixel), map.yaml, or a generator: office#3")
-            require_whole("seed", self.seed, 0, 2**32 - 1)
             use_compilation_cache()
             with working(len(self.maps) * (1 + len(SHARES) * self.partial), "maps") as on_progress:
                 how = fields_of(self, " ".join(("truth partial cell_m seed", *RoomSettings._fields)))

@@ -8,7 +8,7 @@ import tyro
 
 from jexplore.cli.options import OutOptions, fields_of
 from jexplore.cli.output.console import Out, working
-from jexplore.config import InputError, require_setting
+from jexplore.config import InputError
 from jexplore.slam2d.settings import SlamSettings
 
 
@@ -51,7 +51,6 @@ class Slam(OutOptions):
         if not self.log:
             raise InputError("expected a log: robot.log, robot.log.gz, run.bag")
         with Out(self, "slam") as out:
-            require_setting("cell_m", self.cell_m)
             log = read_log(self.log, **fields_of(self, "max_range_m topic odometry_topic"))
             use_compilation_cache()
             with working(len(log.ranges), "scans") as on_progress:

@@ -16,7 +16,7 @@ from jexplore.exploration import environment
 from jexplore.exploration.site import Site, line_of
 from jexplore.exploration.state import Setup, State
 from jexplore.exploration.trail import Plan
-from jexplore.planning import Belief, Choice, field
+from jexplore.planning import Belief, Choice
 from jexplore.policies.policy import Strategy
 from jexplore.reach import FAR, MOTIONS, NO_MOTION
 
@@ -43,14 +43,6 @@ def _commit(
 ) -> State:
     cost = jnp.where(is_bad, FAR, 0)  # what it cost is on no record; only whether a path led there matters
     return environment.commit(setup, given, state, Choice(row, col, cost, is_view=is_view), route)
-
-
-_frontier = jax.jit(lambda belief: field(belief).frontier)
-
-
-def frontier(belief: Belief) -> np.ndarray:
-    """Return frontier cells that can be reached and are not exhausted: `[H, W]` bool, numpy."""
-    return np.asarray(_frontier(belief))
 
 
 def moments(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: int, plans: Any) -> Iterator[Moment]:

@@ -99,11 +99,6 @@ class Final(NamedTuple):
         cols, rows = np.floor(self.poses[:, 3:]).astype(np.int32).T
         return rows, cols
 
-    def target_after(self, step: int) -> tuple[int, int] | None:
-        """Return row and column of the robot's next target after some steps; None in the end."""
-        later = [plan for plan in self.plans or () if plan.step <= step]
-        return later[-1].target if later else None
-
 
 def detail_of(state: State) -> tuple[Array, ...]:
     """Return the detailed record of an episode: map, trail, choices, the last refused motion, and maybe poses."""

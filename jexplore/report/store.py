@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jexplore.arrays.files import opened
-from jexplore.config import InputError, __version__
+from jexplore.config import GENERATOR, InputError, __version__
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -150,8 +150,6 @@ def _version(package):
 def environment() -> dict[str, Any]:
     """Describe hardware and software of a run, for its record. Starts jax's backend."""
     import jax
-
-    from jexplore.config import GENERATOR
 
     devices = jax.devices()
     return {

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
+from scipy import ndimage
 
 from jexplore.arrays.bits import WORD
 from jexplore.arrays.padding import bucket
@@ -31,7 +32,7 @@ from jexplore.worlds import load_world
 from jexplore.worlds.poses import Pose, cell_of, read_start
 from jexplore.worlds.regions import warn_of_floor
 from jexplore.worlds.restrict import KnownMap, Polygon, restricted
-from jexplore.worlds.starts import check_start, draw_start, draw_starts, reached_from, start_region
+from jexplore.worlds.starts import check_start, draw_starts, reached_from, start_region
 from jexplore.worlds.world import World, require_world, ring_of, ringed_shape, with_ring
 
 WorldLike: TypeAlias = str | os.PathLike[str] | World
@@ -149,9 +150,10 @@ def ready_starts(world: World, start: StartLike, n: int, *, seed: int, rules: Ru
     require_clearance(rules, world.cell_m, repr(world.name))
     start, clearance_m, near_m = read_start(start), rules.clearance_m, rules.near_m
     if start == "random":
-        check_start(world, draw_start(world, seed, 0, clearance_m), clearance_m, near_m)
+        starts = draw_starts(world, seed, n, clearance_m)
+        check_start(world, starts[0], clearance_m, near_m)
         warn_of_floor(world, start_region(world, clearance_m), clearance_m, drawn=True)
-        return draw_starts(world, seed, n, clearance_m)
+        return starts
     if start == "world" and world.start is None:
         raise InputError(f"{world.name!r}: has no start of its own; use start random")
     cell: Any = world.start if start == "world" else start
@@ -169,8 +171,6 @@ def warn_of_share(world: World, lidar: Lidar, rules: Rules) -> None:
     """Warn of a share of the cells to stop at of which more lies out of a scanner's reach than may stay unknown."""
     if rules.stop_at is None:
         return
-    from scipy import ndimage
-
     ring, free = ring_of(world.occupied), ~with_ring(world).occupied
     stands = np.pad(start_region(world, rules.clearance_m), ring)
     if world.within is not None:

@@ -101,8 +101,8 @@ def compare(
 def _run_in_folder(run, jobs, how, out, overwrite, resume, trust):
     """Run a comparison with a folder that keeps its units and finally holds it."""
     with saving.claimed_by_call(out, overwrite=overwrite, resume=resume) as folder:
-        asked = _asked(jobs, how["keep"], how["until"])
-        ledger = open_ledger(folder, asked, lambda after: len(cut_jobs(jobs, after)), resume=resume, trust=trust)
+        units = lambda after: len(cut_jobs(jobs, after))  # noqa: E731
+        ledger = open_ledger(folder, _asked(jobs, how), units, resume=resume, trust=trust)
         if ledger is None:
             found = loading.load(folder.path)
             return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
@@ -131,10 +131,9 @@ def _require_setup(
         raise InputError("overwrite and resume are for a folder: name it with out")
 
 
-def _asked(jobs: Sequence[Job], keep: str | None, until: str | None) -> dict[str, Any]:
+def _asked(jobs: Sequence[Job], how: Mapping[str, Any]) -> dict[str, Any]:
     """Return all that results depend on, for a ledger."""
-    more = {name: value for name, value in (("keep", keep), ("until", until)) if value}
-    return {"command": "compare", **provenance.asked(jobs), **more, "bound_seconds": None}
+    return {"command": "compare", **provenance.asked(jobs, how["keep"], how["until"]), "bound_seconds": None}
 
 
 def _run(
@@ -157,6 +156,6 @@ def _run(
         "wall_s": (datetime.datetime.now(datetime.UTC) - began).total_seconds(),
         "configuration": {**names, **settings, **how},
         **found.made.record,
-        **{"asked": _asked(jobs, how["keep"], how["until"]), "units": len(cut_jobs(jobs))},
+        **{"asked": _asked(jobs, how), "units": len(cut_jobs(jobs))},
     }
     return dataclasses.replace(found, made=found.made._replace(record=record))

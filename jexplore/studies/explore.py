@@ -4,27 +4,30 @@ import dataclasses
 import functools
 import os
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.transforms import Affine2D
 
 from jexplore.arrays.padding import within
 from jexplore.arrays.pictures import axes_of, html_of, or_text, png_of
 from jexplore.config import InputError, checked_names, require_setting
 from jexplore.engine.backend import use_compilation_cache
-from jexplore.exploration import batch, replay
+from jexplore.exploration import batch
 from jexplore.exploration.batch import Job
 from jexplore.exploration.motion import LENGTHS
+from jexplore.exploration.replay import Moment, moments
 from jexplore.exploration.results import columns, length_along_m, map_state
 from jexplore.exploration.site import prepare_site
 from jexplore.exploration.team.episode import team_columns
 from jexplore.exploration.team.jobs import Coordinate
-from jexplore.exploration.team.replay import last_clock, team_frames
+from jexplore.exploration.team.replay import last_clock
 from jexplore.exploration.team.team import Starts
 from jexplore.exploration.trail import Final
 from jexplore.policies import Strategy
 from jexplore.report import animate, plot
-from jexplore.report.page.replay import evenly
+from jexplore.report.page.replay import FRONTIER, STATE, ReplayData, evenly
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.checks import (
     LIDAR,
@@ -39,26 +42,9 @@ from jexplore.studies.checks import (
     WorldLike,
     prepare_jobs,
 )
+from jexplore.studies.replays import MAX_FRAMES, before_leaving, replay_data, why_no_replay
 from jexplore.worlds.restrict import KnownMap, Polygon
 from jexplore.worlds.world import World, ring_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-MAX_FRAMES = 300
-
-
-class Frame(NamedTuple):
-    """An episode after some of its steps."""
-
-    step: int  # steps made; 0 at the start
-    hits: np.ndarray  # [H, W] int32
-    misses: np.ndarray  # [H, W] int32
-    frontier: np.ndarray  # [H, W] bool, frontier cells that can be reached and are not exhausted
-    row: int  # the robot's cell
-    col: int
-    heading_deg: int
-    target: tuple[int, int] | None  # row, col of what it goes to next; None in the end
 
 
 @checked_names
@@ -96,7 +82,7 @@ class EpisodeResult:
         """Return the title of a picture."""
         return f"{self.strategy} in {self.world.name}: {self.measures['path_m']:.1f} m, {self.measures['outcome']}"
 
-    def figure(self) -> "Figure":
+    def figure(self) -> Figure:
         """Draw the last map with the path, and the growth of the known area: a matplotlib `Figure`."""
         final, cell_m = self.final, self.world.cell_m
         (rows, cols), estimate = self._ways
@@ -126,8 +112,6 @@ class EpisodeResult:
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the last map with the path, in metres of the map's frame, on `Axes`, by default new; return them."""
-        from matplotlib.transforms import Affine2D
-
         ax, final, world = axes_of(ax), self.final, self.world
         state = map_state(final.hits, final.misses, self.rules.p_free)
         true, estimate = self._ways
@@ -181,36 +165,33 @@ class EpisodeResult:
         """
         animate.save_animation(self._pictures(max_frames, on_progress), path, cell_m=self.world.cell_m, fps=fps)
 
-    def _team_pictures(self, max_frames):
-        final, world = self.final, self.world
-        site, clocks = prepare_site(world, self.lidar, self.rules), evenly(last_clock(final), max_frames)
-        for frame in team_frames(site, self.asked, final, self.start, clocks):
-            maps = frame.belief.grid.hits, frame.belief.grid.misses, replay.frontier(frame.belief)
-            hits, misses, frontier = (within(np.asarray(one), world.shape, site.ring) for one in maps)
-            first, *others = (
-                {**robot._asdict(), "rows": way[: robot.step + 1, 0], "cols": way[: robot.step + 1, 1]}
-                for way, robot in zip(final.ways or (), frame.robots)
-            )
-            known_m2 = frame.n_known * world.cell_m**2
-            caption = f"{frame.clock_m:.1f} m on the clock, {known_m2:.0f} m² known"
-            state = map_state(hits, misses, self.rules.p_free)
-            yield {**first, "others": others, "state": state, "frontier": frontier, "caption": caption}
+    @functools.cached_property
+    def replay(self) -> ReplayData:
+        """Return the frames of its page, `MAX_FRAMES` at most."""
+        return replay_of(self)
 
     def _pictures(self, max_frames, on_progress):
-        for picture in self._team_pictures(max_frames) if self.final.ways else self._own_pictures(max_frames):
-            yield picture
+        replay = self.replay if max_frames == MAX_FRAMES else replay_of(self, max_frames=max_frames)
+        length_m = length_along_m(replay.rows, replay.cols, self.world.cell_m)
+        for i, codes in enumerate(replay.maps()):
+            first, *others = (_robot_at(robot, i) for robot in (replay, *replay.others))
+            way = f"{length_m[replay.steps[i]]:.1f} m driven"
+            way = way if replay.clock_m is None else f"{replay.clock_m[i]:.1f} m on the clock"
+            caption = f"{way}, {replay.known_m2[i]:.0f} m² known"
+            maps = {"state": codes & STATE, "frontier": codes & FRONTIER > 0}
+            yield {**first, **maps, "others": others, "caption": caption}
             if on_progress is not None:
                 on_progress(1)
 
-    def _own_pictures(self, max_frames):
-        final, cell_m = self.final, self.world.cell_m
-        length_m = length_along_m(final.rows, final.cols, cell_m)
-        for frame in frames(self, max_frames=max_frames):
-            known_m2 = int(final.n_known[frame.step]) * cell_m**2
-            way = {"rows": final.rows[: frame.step + 1], "cols": final.cols[: frame.step + 1]}
-            caption = f"{length_m[frame.step]:.1f} m driven, {known_m2:.0f} m² known"
-            state = map_state(frame.hits, frame.misses, self.rules.p_free)
-            yield {**frame._asdict(), **way, "state": state, "caption": caption}
+
+def _robot_at(robot, frame):
+    """Return what an animation shows of a robot of a replay: see `animate.save_animation`."""
+    step, (row, col) = int(robot.steps[frame]), robot.target[frame].tolist()
+    return {
+        **{"rows": robot.rows[: step + 1], "cols": robot.cols[: step + 1], "row": robot.rows[step]},
+        **{"col": robot.cols[step], "heading_deg": int(robot.heading_deg[frame])},
+        "target": None if row < 0 else (row, col),
+    }
 
 
 @checked_names
@@ -229,20 +210,9 @@ def explore(
     It is that episode of a comparison with the same world, strategy, seed, start, scanner and rules.
 
     Args:
-      world: name (`worlds.load_world`) or `World`.
-      strategy: name, function of the view, constructor or `Policy` (`policies.strategy`).
-      seed: of the start and the draws.
+      world, strategy: one of each; see `compare`.
       episode: its number, from 0.
-      cell_m: edge of a cell of a world that is loaded by name, metres.
-      start: "random"; "world" for the world's own; `(row, col, heading_deg)`; or a text as `--start` takes it.
-      start_m: in metres of the map's frame instead: `(x_m, y_m, yaw_deg)`.
-      within: region that the robot stays in, corners in metres: see `restrict.stay_within`.
-      from_map: partial map that it has from the beginning: see `restrict.with_known`.
-      lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
-      rules: `Rules`, or such a mapping.
-      robot: `Robot`, or such a mapping: how long its motions take, and what energy.
-      pose: "true", "odometry", "icp" or "icp+closing": `rules.pose`, if given.
-      odometry: `Odometry`, or such a mapping: `rules.odometry`, if given.
+      seed, cell_m, start, start_m, within, from_map, lidar, rules, robot, pose, odometry: as in `compare`.
       robots, coordination, contact, team_starts, members: of a team, one of each, as in `compare`.
 
     Returns:
@@ -289,45 +259,22 @@ def run_job(job: Job) -> EpisodeResult:
     )
 
 
-def why_no_replay(rules: Rules) -> str:
-    """Return why an episode whose plans are not on record cannot be replayed."""
-    if rules.on_lattice:
-        return "no replay, it made more plans than are kept"
-    return "no replay, " + ("its pose was not given" if rules.motion == "lattice" else "it did not move cell by cell")
+def replay_of(episode: EpisodeResult, *, max_frames: int = MAX_FRAMES) -> ReplayData:
+    """Convert an episode to the frames of a page; see `replays.replay_data`."""
+    how = {name: getattr(episode, name) for name in ("start", "seed", "number", "lidar", "rules")}
+    how |= {"outcome": episode.measures["outcome"], "max_frames": max_frames}
+    return replay_data(episode.world, episode.asked, episode.final, **how)
 
 
-def steps_of(episode: EpisodeResult) -> Iterator[replay.Moment]:
-    """Yield the episode again: its last `replay.Moment` at every step."""
+def steps_of(episode: EpisodeResult) -> Iterator[Moment]:
+    """Return the episode again: its last `replay.Moment` at every step."""
     if episode.final.seen_at is not None:
         raise InputError(f"{episode.title}: a team's episode has no steps; save_gif and figure show it")
     if episode.final.plans is None:
         raise InputError(f"{episode.title}: {why_no_replay(episode.rules)}")
     site = prepare_site(episode.world, episode.lidar, episode.rules)
-    last: Any = None
-    for moment in replay.moments(site, episode.asked, episode.start, episode.seed, episode.number, episode.final.plans):
-        if last is not None and last.step != moment.step:
-            yield last
-        last = moment
-    yield last
-
-
-def frames(episode: EpisodeResult, *, max_frames: int = MAX_FRAMES) -> Iterator[Frame]:
-    """Play the episode again, step by step, `max_frames` at most, evenly spaced, the last one always."""
-    final, n = episode.final, len(episode.final.rows) - 1
-    chosen = set(evenly(n, max_frames))
-    shape, ring = episode.world.shape, ring_of(episode.world.occupied)
-    for moment in steps_of(episode):
-        if moment.step in chosen:
-            frontier = within(replay.frontier(moment.belief), shape, ring)
-            target = final.target_after(moment.step) if moment.step < n else None
-            robot = moment.row, moment.col, 45 * moment.heading
-            yield Frame(moment.step, *_map_of(episode, moment), frontier, *robot, target)
-
-
-def _map_of(episode, moment):
-    """Return hits and misses after a scan, in the world's cells."""
-    shape, ring, grid = episode.world.shape, ring_of(episode.world.occupied), moment.belief.grid
-    return within(np.asarray(grid.hits), shape, ring), within(np.asarray(grid.misses), shape, ring)
+    found = moments(site, episode.asked, episode.start, episode.seed, episode.number, episode.final.plans)
+    return before_leaving(found, range(len(episode.final.rows)))
 
 
 def maps_at(episode: EpisodeResult, shares: Sequence[float]) -> Iterator[tuple[float, float, np.ndarray]]:
@@ -341,7 +288,8 @@ def maps_at(episode: EpisodeResult, shares: Sequence[float]) -> Iterator[tuple[f
         reached = [share for share in left if share <= known[moment.step]]
         if reached:
             left = left[len(reached) :]
-            state = map_state(*_map_of(episode, moment), episode.rules.p_free)
-            yield reached[-1], float(known[moment.step]), state
+            grid, ring = moment.belief.grid, ring_of(episode.world.occupied)
+            state = map_state(np.asarray(grid.hits), np.asarray(grid.misses), episode.rules.p_free)
+            yield reached[-1], float(known[moment.step]), within(state, episode.world.shape, ring)
         if not left:
             return

@@ -32,6 +32,7 @@ RANDOM, CLOSEST, RECHECK = "random", "closest", "closest+recheck"
 SEGMENT = "closest+recheck+segment"
 DT100, DT500 = "decision-theoretic:samples=100", "decision-theoretic:samples=500"
 HOLZ_STRATEGIES = (RANDOM, CLOSEST, RECHECK, SEGMENT, DT100, DT500)
+CLAIMED = (RECHECK, CLOSEST), (RANDOM, CLOSEST), (DT500, CLOSEST), (DT500, RANDOM), (SEGMENT, RECHECK), (DT500, DT100)
 
 HOLZ2010 = Paper(
     title="Holz, Basilico, Amigoni, Behnke 2010: Evaluating the Efficiency of Frontier-based Exploration Strategies",
@@ -58,17 +59,7 @@ HOLZ2010 = Paper(
             ),
         )
     },
-    claimed=tuple(
-        frozenset(pair)
-        for pair in (
-            (RECHECK, CLOSEST),
-            (RANDOM, CLOSEST),
-            (DT500, CLOSEST),
-            (DT500, RANDOM),
-            (SEGMENT, RECHECK),
-            (DT500, DT100),
-        )
-    ),
+    claimed=tuple(map(frozenset, CLAIMED)),
     remark="The paper does not say where its runs start, nor how far its scanner sees. Here every episode has a start "
     "of its own, drawn at random, so that standard deviations are those between starts as well.",
 )

@@ -27,9 +27,9 @@ from jexplore.planning import field
 from jexplore.policies import Strategy, room_wise
 from jexplore.report.page.replay import FRONTIER, OWN_ROOM, OtherRobot, ReplayData, changes_of, evenly
 from jexplore.rules import Lidar, Rules
-from jexplore.studies.explore import MAX_FRAMES, EpisodeResult, why_no_replay
 from jexplore.worlds.world import World, ring_of
 
+MAX_FRAMES = 300  # of a replay
 MAX_PAIRS = 12  # of world and strategy that are replayed on one page
 EPISODES = 3  # of each pair
 FEWER_FRAMES = 100  # of a replay of a later episode: maps are what a replay costs
@@ -46,6 +46,13 @@ def _codes(belief):
 def _own_room(params, belief):  # of a strategy that keeps its segment, too: where the robot is
     mine, is_room, _ = room_wise.own_segment(params, belief)
     return mine & is_room
+
+
+def why_no_replay(rules: Rules) -> str:
+    """Return why an episode whose plans are not on record cannot be replayed."""
+    if rules.on_lattice:
+        return "no replay, it made more plans than are kept"
+    return "no replay, " + ("its pose was not given" if rules.motion == "lattice" else "it did not move cell by cell")
 
 
 def replay_data(
@@ -146,13 +153,6 @@ def _aims(final, shown):
         targets.append((final.plans[plan].target if plan >= 0 else None) or (-1, -1))
         until.append(max(ends[plan], step) if plan >= 0 else step)
     return np.array(targets), np.array(until)
-
-
-def replay_of(episode: EpisodeResult, *, max_frames: int = MAX_FRAMES) -> ReplayData:
-    """Convert an `EpisodeResult` to the frames of a page; see `replay_data`."""
-    how = {name: getattr(episode, name) for name in ("start", "seed", "number", "lidar", "rules")}
-    how |= {"outcome": episode.measures["outcome"], "max_frames": max_frames}
-    return replay_data(episode.world, episode.asked, episode.final, **how)
 
 
 def replays_of(

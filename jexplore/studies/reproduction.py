@@ -6,21 +6,21 @@ import itertools
 import math
 import os
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
+from matplotlib.figure import Figure
+from scipy.stats import ttest_ind_from_stats
 
 from jexplore.config import InputError, checked_names, require_engine, unknown
 from jexplore.exploration.batch import Job
 from jexplore.report import tables
+from jexplore.report.plots.standings import papers_figure
 from jexplore.studies.checks import LIDAR, ROBOT, RULES, LidarLike, RobotLike, RulesLike, prepare_jobs
 from jexplore.studies.papers import PAPERS, Paper
 from jexplore.studies.results.comparison import ComparisonResult, run_comparison
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.statistics import paired
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 COUNTERPARTS = (
     "The worlds are built-in counterparts, NOT the paper's maps: ratios and orderings compare, metres do not."
@@ -56,13 +56,6 @@ def verdict(ours: paired.PairedRatio) -> str:
     if ours.n < paired.MIN_PAIRS:
         return "undecided"
     return "holds" if ours.high < 1 else "does not hold" if ours.low > 1 else "undecided"
-
-
-def welch_p(one: tuple[float, float], other: tuple[float, float], n: int) -> float:
-    """Return p, two-sided, that two samples of n have one mean, by Welch's t on their `(mean, standard deviation)`."""
-    parts = one[1] ** 2 / n, other[1] ** 2 / n
-    freedom = (n - 1) * sum(parts) ** 2 / (parts[0] ** 2 + parts[1] ** 2)
-    return paired.t_interval(one[0] - other[0], math.sqrt(sum(parts)), freedom)[2]
 
 
 @checked_names
@@ -104,7 +97,7 @@ class ReproductionResult:
         says the order. `ratio` is our mean of a over that of b, paired, with its 95 % interval, p and verdict. Each
         interval stands alone: of twenty that are undecided in truth about one will seem decided.
         """
-        episodes = self.comparison.episodes
+        episodes, runs = self.comparison.episodes, self.paper.runs
         paths_m, outcomes = (
             episodes.pivot(index="episode", columns=["world", "strategy"], values=value)
             for value in ("path_m", "outcome")
@@ -118,10 +111,11 @@ class ReproductionResult:
                 if len(both):
                     ours = paired.paired_ratio(both[pair[0]], both[pair[1]])
                 paths = environment.paths[a], environment.paths[b]
+                welch = ttest_ind_from_stats(*paths[0], runs, *paths[1], runs, equal_var=False)
                 rows.append(
                     {
                         **{"environment": name, "a": a, "b": b, "claimed": {a, b} in self.paper.claimed},
-                        **{"paper_ratio": paths[0][0] / paths[1][0], "paper_p": welch_p(*paths, self.paper.runs)},
+                        **{"paper_ratio": paths[0][0] / paths[1][0], "paper_p": float(welch.pvalue)},
                         **{"ratio": ours.ratio, "ratio_low": ours.low, "ratio_high": ours.high, "p": ours.p},
                         **{"verdict": verdict(ours), "pairs": ours.n, "complete": int(complete.all(axis=1).sum())},
                     }
@@ -159,10 +153,8 @@ class ReproductionResult:
             text.append(_table_text(rows) if len(rows) else "Nothing has run here.\n")
         return "\n".join([*text, "## Orderings\n", f"{self.agreement}\n", _orderings_text(self.orderings)])
 
-    def figure(self) -> "Figure":
+    def figure(self) -> Figure:
         """Draw mean paths as bars, ours and the paper's, one panel an environment: a matplotlib `Figure`."""
-        from jexplore.report.plots.standings import papers_figure
-
         return papers_figure(self.tables, self.paper.short)
 
     def _repr_markdown_(self):

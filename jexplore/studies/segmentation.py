@@ -9,6 +9,7 @@ import pandas as pd
 
 from jexplore.config import InputError, checked_names, require_different, unknown
 from jexplore.exploration.results import FREE, UNKNOWN
+from jexplore.report.tables import aligned_table
 from jexplore.rooms.doors import Doors, compared
 from jexplore.rooms.scores import AGREEMENT, rooms_of, score, scored_regions
 from jexplore.studies.checks import LIDAR, RULES, list_of, ready_worlds
@@ -56,8 +57,6 @@ class SegmentationResult(NamedTuple):
 
     def to_markdown(self) -> str:
         """Format a table for every share of the map and every variant: all scores, their means and medians."""
-        from jexplore.report.tables import aligned_table
-
         text = []
         groups: Any = self.scores.groupby(["stage", "variant"], sort=False)
         for (stage, variant), rows in groups:

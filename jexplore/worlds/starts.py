@@ -73,19 +73,19 @@ def start_region(world: World, clearance_m: float) -> np.ndarray:
 
 
 def draw_starts(world: World, seed: int, n: int, clearance_m: float) -> np.ndarray:
-    """Draw starts 0 to n - 1 of a seed, as `draw_start`: `[n, 3]` int32, row, col, heading in degrees."""
-    cells = start_cells(world, clearance_m)
-    starts = [_draw(cells, world.name, seed, i) for i in range(n)]
-    return np.array(starts, np.int32).reshape(n, 3)
+    """Draw starts 0 to n - 1 of a seed: `[n, 3]` int32, row, col, heading in degrees.
 
-
-def draw_start(world: World, seed: int, i: int, clearance_m: float) -> tuple[int, int, int]:
-    """Draw start `i` of a seed: uniform over the start region, heading uniform over the multiples of 45 degrees.
-
-    It depends on the world and its name, the clearance, `seed` and `i` alone: neither on how many starts are drawn nor
-    on padding. Of a map file's name the folder does not count; a generator's name without a seed is that with seed 0.
+    Uniform over the start region and the multiples of 45 degrees. Start i depends on the world and its name, the
+    clearance, `seed` and i alone: neither on n nor on padding. Of a map file's name the folder does not count; a
+    generator's name without a seed is that with seed 0.
     """
-    return _draw(start_cells(world, clearance_m), world.name, seed, i)
+    if seed < 0:
+        raise InputError(f"the seed of starts must be at least 0, got {seed}")
+    cells, words, starts = start_cells(world, clearance_m), _words(world.name), []
+    for i in range(n):
+        generator = np.random.Generator(np.random.PCG64([seed, i, *words]))
+        starts.append((*cells[generator.integers(len(cells))], HEADINGS_DEG[generator.integers(len(HEADINGS_DEG))]))
+    return np.array(starts, np.int32).reshape(n, 3)
 
 
 def start_cells(world: World, clearance_m: float) -> np.ndarray:
@@ -103,14 +103,6 @@ def _words(name: str) -> list[int]:
     name = re.split(r"[/\\]", name)[-1]
     name = re.sub(r"^([A-Za-z_][\w-]*)(?=:|$)", r"\1#0", name)
     return np.frombuffer(hashlib.sha256(os.fsencode(name)).digest()[:16], "<u4").tolist()
-
-
-def _draw(cells: np.ndarray, name: str, seed: int, i: int) -> tuple[int, int, int]:
-    if seed < 0 or i < 0:
-        raise InputError(f"seed and number of a start must be at least 0, got seed {seed} and number {i}")
-    generator = np.random.Generator(np.random.PCG64([seed, i, *_words(name)]))
-    row, col = cells[generator.integers(len(cells))]
-    return int(row), int(col), HEADINGS_DEG[generator.integers(len(HEADINGS_DEG))]
 
 
 def check_start(

@@ -109,13 +109,8 @@ def tell(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
 
-@contextlib.contextmanager
-def progress_of(total: int, unit: str) -> Iterator[Progress]:
-    progress = Progress(total, unit)
-    try:
-        yield progress
-    finally:
-        progress.close()
+def progress_of(total: int, unit: str) -> contextlib.closing[Progress]:
+    return contextlib.closing(Progress(total, unit))
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from jexplore.cli.options import given_of
 from jexplore.cli.output.console import COMPILING, Out, note_if_slow
 from jexplore.cli.output.terminal import show_line, show_table
 from jexplore.config import InputError
@@ -58,8 +59,7 @@ class RouteCommand:
                 raise InputError(f"expected {name}: jexplore route --map btm.json --robot wheeled --from 0 --to 4")
         if self.overwrite and self.out is None:
             raise InputError("--overwrite goes with --out DIR")
-        plain = type(self)()
-        if self.drive is None and (self.noise_m, self.seed) != (plain.noise_m, plain.seed):
+        if self.drive is None and given_of(self, ("noise_m", "seed")):
             raise InputError("--noise-m and --seed go with --drive WORLD")
         if self.drive is not None:
             self._require_drive()
@@ -81,11 +81,9 @@ class RouteCommand:
 
     def _require_drive(self):
         """Refuse a building or numbers before anything is printed."""
-        from jexplore.config import MAX_SEED, require_whole
         from jexplore.driving.settings import Noise
         from jexplore.studies.checks import ready_worlds
 
-        require_whole("seed", self.seed, 0, MAX_SEED)
         Noise(range_m=self.noise_m)
         ready_worlds(self.drive or "", 0.1)
 

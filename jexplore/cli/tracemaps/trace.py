@@ -18,6 +18,7 @@ from jexplore.cli.options import (
     ResumeOptions,
     StartsText,
     fields_of,
+    given_of,
 )
 from jexplore.cli.output.console import COMPILING, Out, note_if_slow, say, working
 from jexplore.cli.tracemaps.files import exchanged
@@ -111,12 +112,11 @@ class Trace(ResumeOptions):
         from jexplore.studies.traces.job import prepare_trace
 
         for names, asked, option in (
-            ("strategy clutter_m", self.from_episode, "--from-episode"),
-            ("contact team_starts limits", self.robots is not None, "--robots"),
+            (("strategy", "clutter_m"), self.from_episode, "--from-episode"),
+            (("contact", "team_starts", "limits"), self.robots is not None, "--robots"),
         ):
-            for name, value in fields_of(self, names).items():
-                if not asked and value != getattr(type(self)(), name):
-                    raise InputError(f"--{name.replace('_', '-')} goes with {option}")
+            for given in [] if asked else given_of(self, names):
+                raise InputError(f"{given} goes with {option}")
         if self.noise_m is not None and self.noise.range_m not in (type(self)().noise.range_m, self.noise_m):
             raise InputError("--noise-m and --noise.range-m say the same: give one of them")
         with Out(self, "trace") as out:
@@ -214,9 +214,8 @@ def _draw(found, first, path):
 
 def _refuse(options, names, given, why):
     """Refuse options, by their fields, that do not go with a given one."""
-    for name in names:
-        if getattr(options, name) != getattr(type(options)(), name):
-            raise InputError(f"{given} takes no --{name.replace('_', '-')}: {why}")
+    for option in given_of(options, names):
+        raise InputError(f"{given} takes no {option}: {why}")
 
 
 def _trace_episode(out, options, arguments):

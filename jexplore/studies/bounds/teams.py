@@ -1,9 +1,10 @@
 """Lower bounds for teams: how early none can have seen everything."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from jexplore.exploration.batch import Job
@@ -13,9 +14,6 @@ from jexplore.studies.bounds.floor import Floor, low_metres
 from jexplore.studies.bounds.scene import Scene, prepare_scene
 from jexplore.studies.bounds.search import Budget
 from jexplore.studies.results.columns import RATIO_COLUMNS
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 def team_low(scene: Scene, witnesses: Sequence[int], starts: np.ndarray) -> int:
@@ -45,7 +43,7 @@ def team_low(scene: Scene, witnesses: Sequence[int], starts: np.ndarray) -> int:
     return max(int(apart[0].max()), -(-int(tree) // len(starts)))
 
 
-def with_team_ratios(episodes: "pd.DataFrame", bounds: Any, jobs: Sequence[Job]) -> "pd.DataFrame":
+def with_team_ratios(episodes: pd.DataFrame, bounds: Any, jobs: Sequence[Job]) -> pd.DataFrame:
     """Replace the ratios of `beside.with_bound_ratios` of teams of several robots: to the `team_low` of their starts.
 
     Their way is the time until all was known; no walk was looked for. `bounds` are a `BoundsResult` of the first

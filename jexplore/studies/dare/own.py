@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jexplore.report import tables
+from jexplore.report import plot, tables
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.bounds.beside import with_bound_ratios
 from jexplore.studies.bounds.bound import BoundsResult, bound_tasks, run_bounds
@@ -104,8 +104,6 @@ def own_text(found: ComparisonResult, bounds: BoundsResult) -> str:
 
 def paths_figure(found: ComparisonResult, n: int = 3) -> Any:
     """Draw the first maps as strategies saw them in the end, with their paths: a matplotlib `Figure`."""
-    from jexplore.report import plot
-
     shown = {STRATEGIES[0], "tour+recheck", "learned+recheck"}
     first = list(found.first.items())[:n]
     return plot.paths_figure([(world, [panel for panel in panels if panel[0] in shown]) for world, panels in first])

@@ -46,11 +46,11 @@ def utility(explorer: Explorer, rng: np.random.Generator, *, per_m: float = UTIL
     return rules.first_step(before, explorer.at, int(np.argmax(score)))
 
 
-def nbvp(*, per_m: float = NBVP_PER_M, n_draws: int = NBVP_DRAWS, most: int = NBVP_MOST) -> Plan:
+def nbvp() -> Plan:
     """Take the first edge of the best branch of a random tree, and keep the rest for the next (Bircher et al. 2016).
 
     The tree grows over linked nodes: towards a drawn node, from the node of the tree that is nearest to it. A branch's
-    gain is the sum of utilities times exp(-`per_m` length up to there).
+    gain is the sum of utilities times exp(-`NBVP_PER_M` length up to there).
     """
     rest: list[int] = []
 
@@ -61,13 +61,13 @@ def nbvp(*, per_m: float = NBVP_PER_M, n_draws: int = NBVP_DRAWS, most: int = NB
         def add(node, before):
             parent[node] = before
             length[node] = length[before] + rules.CELL_M * math.dist(cells[node], cells[before])
-            value[node] = value[before] + float(gains[node]) * math.exp(-per_m * length[node])
+            value[node] = value[before] + float(gains[node]) * math.exp(-NBVP_PER_M * length[node])
 
         for before, node in zip([explorer.at, *rest], rest):
             if node not in parent:
                 add(node, before)
         draws = 0
-        while draws < n_draws or (draws < most and max(value.values()) == 0):
+        while draws < NBVP_DRAWS or (draws < NBVP_MOST and max(value.values()) == 0):
             draws += 1
             drawn = cells[rng.integers(len(cells))]
             tree = np.array(list(parent))
@@ -175,7 +175,7 @@ def _shows(seen, reachable):
     return shows
 
 
-def tare_local(*, draws: int = DRAWS) -> Plan:
+def tare_local() -> Plan:
     """Drive the shortest open tour over view points that show all known frontiers, anew at every node.
 
     View points of the tour before are tried again together with new draws.
@@ -191,7 +191,7 @@ def tare_local(*, draws: int = DRAWS) -> Plan:
         length = rules.distances(explorer.links, explorer.cells, list(row))[0]
         shows = _shows(explorer.seen, gain > 0)
         far = lambda points: length[[row[p] for p in points]][:, points]  # noqa: E731
-        kept[:] = _best_tour(shows, far, explorer.at, rng, kept, draws)
+        kept[:] = _best_tour(shows, far, explorer.at, rng, kept, DRAWS)
         return rules.first_step(before, explorer.at, kept[0])
 
     return plan
@@ -215,7 +215,7 @@ class _Known:
             self.seen.append(set((near[rules.in_sight(free, cell, near)] @ (free.shape[1], 1)).tolist()))
 
 
-def tour(*, draws: int = TOUR_DRAWS) -> Plan:
+def tour() -> Plan:
     """Drive the tour of one that knows where it is free, over view points that show every cell next to a wall.
 
     Planned anew at every node with what the scan has shown; frontier cells of the belief count as well.
@@ -238,7 +238,7 @@ def tour(*, draws: int = TOUR_DRAWS) -> Plan:
                 known.seen[node] = seen if len(seen) >= rules.LEAST else set()
         known.seen[at] = set()
         shows = _shows(known.seen, np.isfinite(known.far[at]))
-        kept[:] = _best_tour(shows, lambda p: known.far[np.ix_(p, p)], at, rng, kept, draws)
+        kept[:] = _best_tour(shows, lambda p: known.far[np.ix_(p, p)], at, rng, kept, TOUR_DRAWS)
         if not kept:
             return nearest(explorer, rng)
         step = explorer.index.get(list(known.places)[rules.first_step(known.before[at], at, kept[0])])

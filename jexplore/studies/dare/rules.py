@@ -15,6 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+from scipy import ndimage
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from jexplore.config import InputError
 
@@ -57,8 +61,6 @@ def read_map(path: str | os.PathLike[str]) -> tuple[NDArray[np.bool_], tuple[int
     Raises:
       InputError: no picture, one of another size or without start pixels.
     """
-    from PIL import Image, UnidentifiedImageError
-
     try:
         with Image.open(path) as picture:
             grey = np.asarray(picture.convert("L"))
@@ -144,8 +146,6 @@ def thinned(cells: NDArray[np.int_], start: NDArray[np.int_]) -> NDArray[np.int_
 
 def lattice(free: NDArray[np.bool_], start: NDArray[np.int_], here: NDArray[np.int_]) -> list[tuple[int, int]]:
     """Return where nodes are, in steps of `STEP` from the start: free cells that are joined to `here`."""
-    from scipy import ndimage
-
     joined = ndimage.label(free, np.ones((3, 3)))[0]  # type: ignore[index]
     low, high = -(start // STEP), (np.array(free.shape) - 1 - start) // STEP
     places = np.array(list(itertools.product(*[range(a, b + 1) for a, b in zip(low, high)])))
@@ -259,9 +259,6 @@ def distances(
     links: list[set[int]], cells: NDArray[np.int_], sources: list[int]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Compute shortest distances from nodes to all nodes, metres, and the node before each (below 0: none)."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import dijkstra
-
     pairs = np.array([(a, b) for a, linked in enumerate(links) for b in linked], int).reshape(-1, 2)
     length = CELL_M * np.hypot(*(cells[pairs[:, 0]] - cells[pairs[:, 1]]).T)
     graph = csr_array((length, (pairs[:, 0], pairs[:, 1])), shape=(len(links), len(links)))

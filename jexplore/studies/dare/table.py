@@ -7,17 +7,16 @@ import math
 import multiprocessing
 import os
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
+from scipy import stats
 
 from jexplore.config import InputError, checked_names, require_whole, unknown
 from jexplore.report import tables
 from jexplore.studies.dare import planners, rules
 from jexplore.studies.statistics.paired import t_interval
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MAPS = 100
 DECISIONS = 128  # of an episode at most
@@ -74,15 +73,12 @@ def run_map(file: str, seed: int, most: int = DECISIONS, *, scanner: str = "dare
 class DareResult:
     """Table I of DARE and ours."""
 
-    episodes: "pd.DataFrame"
+    episodes: pd.DataFrame
     """One row a map and planner: path, decisions, whether no node counts anything at the end, explored share."""
 
     @functools.cached_property
-    def table(self) -> "pd.DataFrame":
+    def table(self) -> pd.DataFrame:
         """Tabulate one row a planner: the paper's mean and spread, ours with its 95 % interval, ratio, Welch's p."""
-        import pandas as pd
-        from scipy import stats
-
         rows = []
         for planner, (mean, sd) in PUBLISHED.items():
             row = {"planner": planner, "paper_mean": mean, "paper_sd": sd, "n": 0}
@@ -129,8 +125,6 @@ def reproduce_dare(
     Raises:
       InputError: a folder, map, number or scanner that cannot be used. All maps are read before any is run.
     """
-    import pandas as pd
-
     if scanner not in rules.SCANNERS:
         raise unknown("scanner", str(scanner), rules.SCANNERS)
     files = map_files(maps, episodes)

@@ -1,7 +1,4 @@
-"""A comparison: strategies in worlds, all from the same starts, as a table with statistics and warnings.
-
-matplotlib is imported by the functions that need it.
-"""
+"""A comparison: strategies in worlds, all from the same starts, as a table with statistics and warnings."""
 
 import collections
 import dataclasses
@@ -10,19 +7,22 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 from jexplore.arrays.pictures import MAX_TABLE_ROWS, axes_of, html_of, or_text, png_of
 from jexplore.config import InputError, checked_names, unknown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.state import Outcome
+from jexplore.report import plot
+from jexplore.report.plots.walks import waste_figure
 from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
 from jexplore.rules import Lidar, Rules
-from jexplore.studies.results import provenance
+from jexplore.studies.results import labelled, provenance, saving
 from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.studies.results.details import Seen
 from jexplore.studies.results.tables import ByStrategy
@@ -32,9 +32,6 @@ from jexplore.studies.statistics.coverage import at_coverage, coverage_text
 from jexplore.studies.statistics.league import over_worlds_text, standings, standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.worlds.world import World
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class Made(NamedTuple):
@@ -147,8 +144,6 @@ class ComparisonResult(ByStrategy):
 
     def to_xarray(self) -> Any:
         """Convert all results to an `xarray.Dataset` with labelled dimensions: see `labelled.of_comparison`."""
-        from jexplore.studies.results import labelled
-
         return labelled.of_comparison(self)
 
     def save_maps(self, folder: str | os.PathLike[str]) -> list[Path]:
@@ -159,8 +154,6 @@ class ComparisonResult(ByStrategy):
         """
         if not self.maps:
             raise InputError('no maps were kept: compare(..., keep="maps")')
-        from jexplore.studies.results import saving
-
         return saving.write_maps(self, Path(folder))
 
     def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> pd.DataFrame:
@@ -176,9 +169,10 @@ class ComparisonResult(ByStrategy):
         `jx.load` reads it, ways and maps included, and `jx.compare(..., out=folder, resume=True)` takes it for done.
         `overwrite` replaces a run that is there. The `report` of a comparison that was loaded has no replays.
         """
-        from jexplore.studies.results import saving
-
-        return saving.save(self, folder, overwrite=overwrite, report=report)
+        if "command" not in self.made.record:
+            raise InputError("only what jx.compare or jx.load returned can be saved; to_csv() writes the table alone")
+        with saving.claimed_by_call(folder, overwrite=overwrite) as run:
+            return saving.write_comparison(run, self, report=report)
 
     def plot(self, ax: Any = None, world: str | None = None) -> Any:
         """Draw path lengths in one world, by default the first: every episode, and the means with their 95 % intervals.
@@ -193,23 +187,21 @@ class ComparisonResult(ByStrategy):
         figures.draw_world(ax, self.episodes, self.summary, world)
         return ax
 
-    def compare_figure(self) -> "Figure":
+    def compare_figure(self) -> Figure:
         """Draw every episode's path, means, intervals and paired ratios: see `figures.compare_figure`."""
         table = self.standings if len(self.worlds) > 1 else None
         return figures.compare_figure(self.episodes, summary=self.summary, table=table)
 
-    def coverage_figure(self) -> "Figure":
+    def coverage_figure(self) -> Figure:
         """Draw the known part of the knowable share along the path, a panel a world: see `figures.coverage_figure`."""
         return figures.coverage_figure(self.progress)
 
-    def profile_figure(self, *, over: str = "best") -> "Figure":
+    def profile_figure(self, *, over: str = "best") -> Figure:
         """Draw performance profiles of the strategies: see `figures.profile_figure`."""
         return figures.profile_figure(self.episodes, over=over)
 
-    def waste_figure(self) -> "Figure":
+    def waste_figure(self) -> Figure:
         """Draw the first paths, coloured by their use, with `keep="paths"`: a matplotlib `Figure`."""
-        from jexplore.report.plots.walks import waste_figure
-
         worlds = {world.name: world for world in self.worlds}
         kinds = [(pair, ways[0], waste.waste_of(ways[0], worlds[pair[0]].cell_m)) for pair, ways in self.paths.items()]
         return waste_figure(
@@ -219,10 +211,8 @@ class ComparisonResult(ByStrategy):
             ]
         )
 
-    def paths_figure(self) -> "Figure":
+    def paths_figure(self) -> Figure:
         """Draw the map as each strategy saw it in episode 0, with its path: a matplotlib `Figure`."""
-        from jexplore.report import plot
-
         return plot.paths_figure(list(self.first.items()))
 
     def _repr_markdown_(self):

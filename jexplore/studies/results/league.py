@@ -15,8 +15,10 @@ import pandas as pd
 
 from jexplore.config import InputError, shown, unknown
 from jexplore.exploration.state import Outcome
+from jexplore.report.store import read_parquet
 from jexplore.rules import Lidar, Robot, Rules
-from jexplore.studies.statistics.league import league_worlds
+from jexplore.studies.statistics.coverage import at_coverage, coverage_text
+from jexplore.studies.statistics.league import league_worlds, standings, standings_table
 from jexplore.worlds.names import file_names
 
 REFERENCE = "closest+recheck"
@@ -69,7 +71,6 @@ def digest_of(asked: Mapping[str, Any], episodes: pd.DataFrame) -> str:
 
 def entries_of(run: Path, name: str) -> list[dict[str, Any]]:
     """Make the entries of all strategies of a comparison, from its folder, for the league of a name."""
-    from jexplore.report.store import read_parquet
     from jexplore.studies.results.loading import run_record
 
     league, asked = league_of(name), run_record(run).get("asked", {})
@@ -187,8 +188,5 @@ def entries_table(folder: Path, name: str) -> pd.DataFrame:
 
 def league_text(folder: Path, name: str) -> str:
     """Format the standings of all entries in a folder, and their ratios at equal coverage, as Markdown tables."""
-    from jexplore.studies.statistics.coverage import at_coverage, coverage_text
-    from jexplore.studies.statistics.league import standings, standings_table
-
     episodes = entries_table(folder, name)
     return f"{standings_table(standings(episodes))}\n{coverage_text(at_coverage(episodes))}"

@@ -120,10 +120,10 @@ def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
     return {name: None if None in own else hashlib.sha256(repr(own).encode()).hexdigest() for name, own in told.items()}
 
 
-def asked(jobs: Sequence[Job]) -> dict[str, Any]:
+def asked(jobs: Sequence[Job], keep: str | None = None, until: str | None = None) -> dict[str, Any]:
     """Return all that the results of some jobs depend on, as plain values: equal ones mean equal units.
 
-    The jobs have one number of episodes, one seed, one scanner and the same rules.
+    The jobs have one number of episodes, one seed, one scanner and the same rules. `keep` and `until` as of `compare`.
     """
     worlds, first = {os.fspath(job.world.name): job.world for job in jobs}, jobs[0]
     measured = {name: metric.reduce or "end" for name, metric in first.metrics.items()}
@@ -143,7 +143,7 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
         "digests": {name: world_digest(world) for name, world in worlds.items()},
         "own": own_digests(jobs),
         **({"metrics": measured} if measured else {}),
-        **({"teams": teams} if teams else {}),
+        **{name: own for name, own in (("teams", teams), ("keep", keep), ("until", until)) if own},
     }
 
 
@@ -166,10 +166,5 @@ def describe_world(world: World) -> dict[str, Any]:
 
 def engine_of(costs: Costs) -> dict[str, Any]:
     """Return what run.json says of the engine."""
-    return {
-        "engine": costs.engine,
-        "levels": costs.levels,
-        "why_not_native": costs.why_not,
-        "devices": costs.devices,
-        "lanes": costs.lanes,
-    }
+    own = {name: getattr(costs, name) for name in ("engine", "levels", "devices", "lanes")}
+    return own | {"why_not_native": costs.why_not}

@@ -151,11 +151,3 @@ def claimed_by_call(
     except InputError as error:
         text = str(error).replace("go on with it (--resume), ", "") if resume is None else str(error)
         raise InputError(re.sub(r"--(overwrite|resume|trust)\b", r"\1=True", text)) from None
-
-
-def save(found: Any, folder: str | os.PathLike[str], *, overwrite: bool, report: bool) -> Path:
-    """Save a comparison: `ComparisonResult.save`."""
-    if "command" not in found.made.record:
-        raise InputError("only what jx.compare or jx.load returned can be saved; to_csv() writes the table alone")
-    with claimed_by_call(folder, overwrite=overwrite) as run:
-        return write_comparison(run, found, report=report)

@@ -81,13 +81,7 @@ def columns_of(job: Job) -> tuple[str, ...]:
 
 def join_columns(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     """Join columns of several units, one below the other, as one table."""
-    joined = {
-        name: list(itertools.chain.from_iterable(one[name] for one in rows))
-        if isinstance(rows[0][name], list)
-        else np.concatenate([one[name] for one in rows])
-        for name in rows[0]
-    }
-    return pd.DataFrame(joined).astype({"room_entries": "Int64"})
+    return pd.concat([pd.DataFrame(one).astype({"room_entries": "Int64"}) for one in rows], ignore_index=True)
 
 
 def unit_table(job: Job, found: Outcomes) -> pd.DataFrame:

@@ -1,21 +1,21 @@
 """Pictures of tables of episodes: estimated here, drawn by `report.plots`."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 from jexplore.config import InputError
+from jexplore.report.plots import compare, curves, sweeps
+from jexplore.report.plots.compare import ComparisonPanel, Estimates
 from jexplore.studies.statistics.aggregate import profiles
 from jexplore.studies.statistics.by_world import DONE, summarise
 from jexplore.studies.statistics.league import paths_by_world, standings
 from jexplore.studies.statistics.over_worlds import ALL_WORLDS
 from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.studies.statistics.response import response, setting_columns
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 MOST_WORLDS = 12
 """With more worlds than this, a picture of a comparison shows all of them together only."""
@@ -25,14 +25,12 @@ MOST_CURVES = 7
 
 def compare_figure(
     episodes: pd.DataFrame, *, summary: pd.DataFrame | None = None, table: pd.DataFrame | None = None
-) -> "Figure":
+) -> Figure:
     """Draw every episode's path with means, intervals and paired ratios: a panel a world, and one for six or more.
 
     `summary` and `table` are those of `summarise` and `standings` if they are there already. With more than
     `MOST_WORLDS` worlds the picture has the panel of all of them only.
     """
-    from jexplore.report.plots import compare
-
     if not len(episodes):
         raise InputError("episodes must be one or more to be drawn, got none")
     strategies, worlds = (list(dict.fromkeys(episodes[key])) for key in ("strategy", "world"))
@@ -51,23 +49,17 @@ def draw_world(ax: Any, episodes: pd.DataFrame, summary: pd.DataFrame, world: st
 
     Returns one `ErrorbarContainer` a strategy.
     """
-    from jexplore.report.plots import compare
-
     strategies = list(dict.fromkeys(episodes["strategy"][episodes["world"] == world]))
     return compare.draw_panel(ax, _in_world(world, episodes, summary, strategies), strategies)
 
 
 def _estimates(table, strategies, *columns, scale=1.0):
     """Return three columns of a table as `Estimates` in the order of strategies, NaN for a missing one."""
-    from jexplore.report.plots.compare import Estimates
-
     rows = table.set_index("strategy").reindex(strategies)
     return Estimates(*(scale * rows[name].to_numpy(np.float64) for name in columns))
 
 
 def _in_world(world, episodes, summary, strategies):
-    from jexplore.report.plots.compare import ComparisonPanel
-
     own, rows = episodes[episodes["world"] == world], summary[summary["world"] == world]
     parts = [own[own["strategy"] == name] for name in strategies]
     return ComparisonPanel(
@@ -83,8 +75,6 @@ def _in_world(world, episodes, summary, strategies):
 
 
 def _over_worlds(episodes, table, strategies):
-    from jexplore.report.plots.compare import ComparisonPanel
-
     ratios: Any = paths_by_world(episodes)
     own = [np.exp(ratios["log_ratio"][ratios["strategy"] == name].to_numpy(np.float64)) for name in strategies]
     own[0] = own[0][:0]  # the reference relative to itself
@@ -101,13 +91,11 @@ def _over_worlds(episodes, table, strategies):
     )
 
 
-def coverage_figure(progress: Mapping[tuple[str, str], np.ndarray]) -> "Figure":
+def coverage_figure(progress: Mapping[tuple[str, str], np.ndarray]) -> Figure:
     """Draw the known part of the knowable share along the path, one panel a world: medians and quartile bands.
 
     `progress` is `ComparisonResult.progress`, metres; `MOST_WORLDS` worlds are shown.
     """
-    from jexplore.report.plots import curves
-
     worlds = list(dict.fromkeys(world for world, _ in progress))[:MOST_WORLDS]
     if not worlds:
         raise InputError("progress must be of one world or more to be drawn, got none")
@@ -117,14 +105,12 @@ def coverage_figure(progress: Mapping[tuple[str, str], np.ndarray]) -> "Figure":
 
 def league_coverage_figure(
     episodes: pd.DataFrame, progress: Mapping[tuple[str, str], np.ndarray], table: pd.DataFrame
-) -> "Figure":
+) -> Figure:
     """Draw the known share over all worlds, along paths as multiples of the first strategy's whole path there.
 
     `progress` as of `coverage_figure`, in the order of the rows of `episodes`; the `MOST_CURVES` best of `table`, from
     `league.standings`, are shown, and the first strategy.
     """
-    from jexplore.report.plots import curves
-
     reference = str(episodes["strategy"].iloc[0])
     whole_m = episodes[episodes["strategy"] == reference].set_index(["world", "episode"])["path_m"]
     best = list(dict.fromkeys([reference, *table["strategy"][:MOST_CURVES]]))
@@ -138,10 +124,8 @@ def league_coverage_figure(
     return curves.coverage_curves_figure([(title, found)], label=f"path length over the whole one of {reference}")
 
 
-def profile_figure(episodes: pd.DataFrame, *, over: str = "best") -> "Figure":
+def profile_figure(episodes: pd.DataFrame, *, over: str = "best") -> Figure:
     """Draw performance profiles of a comparison's strategies: see `aggregate.profiles`."""
-    from jexplore.report.plots import curves
-
     table = profiles(episodes, over=over)
     if not len(table):
         raise InputError("episodes must have a start that every strategy has, got none")
@@ -163,13 +147,11 @@ def _averaged(episodes, table, *own) -> str:
 
 def response_figure(
     episodes: pd.DataFrame, setting: str, *, value: str = "path_m", ratio: bool = False, **how: Any
-) -> "Figure":
+) -> Figure:
     """Draw curves of a mean or a paired ratio over one setting, one line a strategy, one panel a world.
 
     `how` (`over_worlds`, `bins`) and the other arguments are those of `response.response`.
     """
-    from jexplore.report.plots import sweeps
-
     table = response(episodes, setting, value=value, ratio=ratio, **how)
     averaged = f"{_averaged(episodes, table, setting)}, with 95 % intervals"
     label = _label(value, ratio, episodes)
@@ -178,13 +160,11 @@ def response_figure(
 
 def heat_figure(
     episodes: pd.DataFrame, x: str, y: str, *, value: str = "path_m", ratio: bool = False, **how: Any
-) -> "Figure":
+) -> Figure:
     """Draw colours of a mean or a paired ratio over two settings, one panel a strategy, a row a world.
 
     Arguments are those of `response.response`; `x` and `y` are two different settings.
     """
-    from jexplore.report.plots import sweeps
-
     if x == y:
         raise InputError(f"x and y must be two settings, got {x!r} twice")
     table = response(episodes, [x, y], value=value, ratio=ratio, **how)

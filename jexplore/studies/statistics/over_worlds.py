@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.special import stdtr, stdtrit
 
 from jexplore.config import InputError
 from jexplore.studies.statistics.by_world import DONE, EQUAL_FRACTION
@@ -80,8 +81,6 @@ def share_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, f
     Source:
       Wilson 1927; the effective number, and Student's t for the normal quantile, by Korn and Graubard 1998.
     """
-    from scipy.special import stdtr, stdtrit
-
     values = np.asarray(values, np.float64)
     if len(values) < 2:
         return (float(values[0]) if len(values) else math.nan), math.nan, math.nan, math.nan

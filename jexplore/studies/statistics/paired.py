@@ -1,13 +1,11 @@
-"""Paired samples: ratios of means with intervals, and p values corrected for their number.
-
-scipy is imported by the function that needs it (it takes half a second).
-"""
+"""Paired samples: ratios of means with intervals, and p values corrected for their number."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import stdtr, stdtrit
 
 UPPER = 0.5 + 0.95 / 2
 """Quantile at the upper end of all intervals, which are of 95 %."""
@@ -40,8 +38,6 @@ def t_interval(estimate: float, standard_error: float, freedom: float) -> tuple[
 
     NaN where the standard error is 0 or not finite, or there are no degrees of `freedom`.
     """
-    from scipy.special import stdtr, stdtrit
-
     if not (math.isfinite(estimate) and 0 < standard_error < math.inf and freedom > 0):
         return math.nan, math.nan, math.nan
     half = float(stdtrit(freedom, UPPER)) * standard_error

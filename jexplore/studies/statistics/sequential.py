@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.special import ndtr, stdtrit
 
 from jexplore.config import InputError, shown
 from jexplore.report.tables import aligned_table, ratio_text
@@ -45,8 +46,6 @@ def anytime_ratio(values: ArrayLike, reference: ArrayLike, alpha: float = ALPHA)
     The interval is `R exp(± b s)`, with s as there. b is the boundary in units of Student's t: the theorem is about
     many pairs, and t is to few what the normal distribution is to many.
     """
-    from scipy.special import ndtr, stdtrit
-
     found = paired_ratio(values, reference)
     error, freedom = spread_of(values, reference)
     if not (error > 0 < freedom):

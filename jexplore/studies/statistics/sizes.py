@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.special import fdtri, stdtrit
 
 from jexplore.config import InputError, require_number
 from jexplore.studies.statistics.by_world import summarise
@@ -25,7 +26,6 @@ def _smallest(spread, freedom, freedom_of, *, within, assurance):
 
     The spread of n new ones is that of the pilot times the root of an F of both degrees of freedom.
     """
-    from scipy.special import fdtri, stdtrit
 
     def is_enough(n):
         left = freedom_of(n)

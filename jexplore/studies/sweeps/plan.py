@@ -86,15 +86,10 @@ class SweepPlan:
         for record in self.records:
             lidar: Lidar = record[2]
             one = widest.get(lidar.n_beams, lidar)
+            most = {name: max(getattr(one, name), getattr(lidar, name)) for name in ("range_m", "sigma_m", "dropout")}
             farther = max(one, lidar, key=lambda each: each.mount_m)
-            widest[lidar.n_beams] = dataclasses.replace(
-                lidar,
-                range_m=max(one.range_m, lidar.range_m),
-                sigma_m=max(one.sigma_m, lidar.sigma_m),
-                dropout=max(one.dropout, lidar.dropout),
-                forward_m=farther.forward_m,
-                left_m=farther.left_m,
-            )
+            most |= {"forward_m": farther.forward_m, "left_m": farther.left_m}
+            widest[lidar.n_beams] = dataclasses.replace(lidar, **most)
         limits = {rules.max_steps for *_, rules in self.records}
         return [(lidar, Rules(max_steps=limit)) for lidar in widest.values() for limit in limits]
 
