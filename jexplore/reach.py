@@ -183,6 +183,22 @@ def nearest_source(words: Array, sources: Array, n: int) -> Array:
     return jnp.where(cost < FAR, cost % scale, -1)
 
 
+def _up_and_down(
+    cost: Array,
+    motions: Sequence[Array],
+    extent: tuple[Array, Array],
+    middle: Array | int,
+    far: Array | int,
+    steps: tuple[int, int],
+    extra: Array | None,
+) -> Array:
+    """Make two sweeps, of the rows of an extent no further than `far` from the middle one."""
+    rows = jnp.maximum(extent[0], middle - far), jnp.minimum(extent[1], middle + far)
+    ahead, (ne, nw, sw, se) = motions[0], motions[4:]
+    cost = _sweep(cost, (ahead, ne, nw), rows, steps, extra, reverse=False)
+    return _sweep(cost, (ahead, se, sw), rows, steps, extra, reverse=True)
+
+
 def _sweeps(
     words: Array,
     start: Array | None,
@@ -215,24 +231,10 @@ def _sweeps(
 
     motions, across, rows, cols = stored(words[0, 0] >= 0, prepare)
 
-    def up_and_down(
-        cost: Array,
-        motions: Sequence[Array],
-        extent: tuple[Array, Array],
-        middle: Array | int,
-        far: Array | int,
-        extra: Array | None,
-    ) -> Array:
-        """Make two sweeps, of the rows that hold traversable cells no further than `far`."""
-        rows = jnp.maximum(extent[0], middle - far), jnp.minimum(extent[1], middle + far)
-        ahead, (ne, nw, sw, se) = motions[0], motions[4:]
-        cost = _sweep(cost, (ahead, ne, nw), rows, steps, extra, reverse=False)
-        return _sweep(cost, (ahead, se, sw), rows, steps, extra, reverse=True)
-
     def sweep(state: Any) -> Any:
         cost, far, _, n = state
-        cost = up_and_down(cost.T, across, cols, at[1], far, None if extra is None else extra.T).T
-        cost = up_and_down(cost, motions, rows, at[0], far, extra)
+        cost = _up_and_down(cost.T, across, cols, at[1], far, steps, None if extra is None else extra.T).T
+        cost = _up_and_down(cost, motions, rows, at[0], far, steps, extra)
         # Costs depend on cheaper costs only: once one more motion makes no cost lower up to the horizon, all costs up
         # to there are final. Rows further away hold none of these, for the horizon never grows.
         first, last = jnp.maximum(rows[0], at[0] - far), jnp.minimum(rows[1], at[0] + far)

@@ -13,9 +13,10 @@ from ref import beliefs, plans
 from ref import gain as oracle
 
 from jexplore.planning import field, known_of
-from jexplore.policies import clusters, mutual_information
+from jexplore.policies import clusters
 from jexplore.policies.distance_advantage import advantage
 from jexplore.policies.mcdm import choquet, relative
+from jexplore.policies.peers import mutual_information
 from jexplore.policies.tour import inserted, two_opt
 from jexplore.reach import FAR, STRAIGHT, reach
 from jexplore.rules import Lidar

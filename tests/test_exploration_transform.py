@@ -9,7 +9,7 @@ import pytest
 from ref import beliefs
 
 from jexplore.planning import field
-from jexplore.policies.exploration_transform import STEPS, Params, descent, transform
+from jexplore.policies.peers.exploration_transform import STEPS, Params, descent, transform
 from jexplore.reach import FAR, MOTIONS
 
 pytestmark = pytest.mark.jit

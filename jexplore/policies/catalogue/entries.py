@@ -11,14 +11,14 @@ from typing import Any, TypeVar, overload
 from jexplore.arrays.files import first_line
 from jexplore.config import InputError, checked_names
 from jexplore.policies.closest import closest
-from jexplore.policies.consistent_tour import consistent_tour
 from jexplore.policies.distance_advantage import distance_advantage, small_first
-from jexplore.policies.exploration_transform import exploration_transform
 from jexplore.policies.learned.strategy import learned
 from jexplore.policies.mcdm import mcdm
-from jexplore.policies.mutual_information import mutual_information
+from jexplore.policies.peers.consistent_tour import consistent_tour
+from jexplore.policies.peers.exploration_transform import exploration_transform
+from jexplore.policies.peers.mutual_information import mutual_information
+from jexplore.policies.peers.revenue import revenue
 from jexplore.policies.policy import Entry, Policy
-from jexplore.policies.revenue import revenue
 from jexplore.policies.tour import tour
 from jexplore.policies.uniform import uniform
 from jexplore.policies.utility import utility
