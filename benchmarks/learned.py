@@ -61,7 +61,8 @@ def seeds(episodes):
         logs, kinds = table.to_numpy().T, [kind_of(world) for world in table.index]
         ratio = ratio_text(*np.exp(over_seeds_and_worlds(logs, kinds)))
         rows.append([share, len(kinds), ratio, *(f"{np.exp(one.mean()):.3f}" for one in logs)])
-    return markdown(["known", "worlds", f"over {first}", *models], rows)
+    names = [name.rpartition("/")[2] for name in models]
+    return markdown(["known", "worlds", f"over {first}", *names], rows)
 
 
 def main(arguments):
