@@ -53,7 +53,7 @@ def over_seeds_and_worlds(values, kinds):
 
 
 def seeds(episodes):
-    """Tabulate ratios of a strategy of several seeds to the first one, at shares of what is known in the end."""
+    """Tabulate ratios of a strategy of several seeds to the first one, by share of the cells known in the end."""
     first, *models = episodes["strategy"].unique()
     rows = []
     for column, share in SHARES.items():
