@@ -38,7 +38,12 @@ def source(shape: tuple[int, int], row: Array | int, col: Array | int) -> Array:
 
 
 def _sweep(
-    cost: Array, possible: Sequence[Array], rows: tuple[Array, Array], steps: tuple[int, int], reverse: bool
+    cost: Array,
+    possible: Sequence[Array],
+    rows: tuple[Array, Array],
+    steps: tuple[int, int],
+    extra: Array | None,
+    reverse: bool,
 ) -> Array:
     """Move from each row into the next (or the one before, if `reverse`), row after row.
 
@@ -50,6 +55,7 @@ def _sweep(
         columns, ahead and to lower columns. Packed, as a barrier of a whole map costs more to make than to use.
       rows: `(first, last)` int32, rows to be entered.
       steps: costs of a straight and a diagonal step. Static.
+      extra: `[H, W]` int32, what it costs to enter each cell besides; None for nothing.
       reverse: whether rows are taken from the last to the first. Static.
     """
     width = cost.shape[1] - 2
@@ -58,7 +64,9 @@ def _sweep(
         at = rows[0] + rows[1] - i if reverse else i
         before = lax.dynamic_slice(cost, (at + 2 if reverse else at, 0), (1, width + 2))
         best = lax.dynamic_slice(cost, (at + 1, 1), (1, width))
-        after = (before[:, 1:-1] + steps[0], before[:, :-2] + steps[1], before[:, 2:] + steps[1])
+        after = [before[:, 1:-1] + steps[0], before[:, :-2] + steps[1], before[:, 2:] + steps[1]]
+        if extra is not None:
+            after = [step + lax.dynamic_slice(extra, (at, 0), (1, width)) for step in after]
         for step, words in zip(after, possible):
             here = lax.dynamic_slice(words, (at // bits.WORD, 0), (1, width)) >> jnp.uint32(at % bits.WORD)
             best = jnp.minimum(best, jnp.where(here & 1 != 0, step, FAR))
@@ -68,11 +76,16 @@ def _sweep(
 
 
 def _lowest_change(
-    cost: Array, motions: Sequence[Array], goals: Array | None, rows: tuple[Array, Array], steps: tuple[int, int]
+    cost: Array,
+    motions: Sequence[Array],
+    goals: Array | None,
+    rows: tuple[Array, Array],
+    steps: tuple[int, int],
+    extra: Array | None,
 ) -> tuple[Array, Array]:
     """Return the least cost that one more motion lowers, and the cheapest goal, FAR for none: `(int32, int32)`.
 
-    Row by row, of motions only those that a sweep to lower rows has not made. `cost`, `steps` as for `_sweep`;
+    Row by row, of motions only those that a sweep to lower rows has not made. `cost`, `steps`, `extra` as for `_sweep`;
     `motions` from `motions_into`; `goals` `[H, W]` bool, or None; `rows` `(first, last)` int32, that are looked at.
     """
     width = cost.shape[1] - 2
@@ -87,6 +100,8 @@ def _lowest_change(
         after = jnp.where(straight, beside_it, FAR)
         after = jnp.minimum(after, jnp.where(ne, before[:, :-2] + steps[1], FAR))
         after = jnp.minimum(after, jnp.where(nw, before[:, 2:] + steps[1], FAR))
+        if extra is not None:
+            after = after + lax.dynamic_slice(extra, (i, 0), (1, width))
         here = own[:, 1:-1]
         found = [jnp.where(after < here, after, FAR)]
         if goals is not None:
@@ -168,6 +183,22 @@ def nearest_source(words: Array, sources: Array, n: int) -> Array:
     return jnp.where(cost < FAR, cost % scale, -1)
 
 
+def _up_and_down(
+    cost: Array,
+    motions: Sequence[Array],
+    extent: tuple[Array, Array],
+    middle: Array | int,
+    far: Array | int,
+    steps: tuple[int, int],
+    extra: Array | None,
+) -> Array:
+    """Make two sweeps, of the rows of an extent no further than `far` from the middle one."""
+    rows = jnp.maximum(extent[0], middle - far), jnp.minimum(extent[1], middle + far)
+    ahead, (ne, nw, sw, se) = motions[0], motions[4:]
+    cost = _sweep(cost, (ahead, ne, nw), rows, steps, extra, reverse=False)
+    return _sweep(cost, (ahead, se, sw), rows, steps, extra, reverse=True)
+
+
 def _sweeps(
     words: Array,
     start: Array | None,
@@ -175,6 +206,7 @@ def _sweeps(
     goals: Array | None,
     limit: Array | int,
     steps: tuple[int, int],
+    extra: Array | None = None,
 ) -> Array:
     """Compute costs of the cheapest paths, row by row in turn upwards, downwards, and across.
 
@@ -184,12 +216,14 @@ def _sweeps(
       at: `(row, col)` int32, that cell.
       goals, limit: as for `reach_packed`; None and FAR if `start` is given.
       steps: costs of a straight and a diagonal step. Static.
+      extra: `[32 K, W]` int32, what it costs to enter each cell besides, at most `FAR - 1`; None for nothing.
     """
     height, width = bits.WORD * words.shape[0], words.shape[1]
     if spare := -width % bits.WORD:
         goals = None if goals is None else jnp.pad(goals, ((0, 0), (0, spare)))
         start = None if start is None else jnp.pad(start, ((0, 0), (0, spare)), constant_values=FAR)
-        return _sweeps(jnp.pad(words, ((0, 0), (0, spare))), start, at, goals, limit, steps)[:, :width]
+        extra = None if extra is None else jnp.pad(extra, ((0, 0), (0, spare)))
+        return _sweeps(jnp.pad(words, ((0, 0), (0, spare))), start, at, goals, limit, steps, extra)[:, :width]
 
     def prepare() -> Any:
         across = bits.transposed(words)
@@ -197,24 +231,15 @@ def _sweeps(
 
     motions, across, rows, cols = stored(words[0, 0] >= 0, prepare)
 
-    def up_and_down(
-        cost: Array, motions: Sequence[Array], extent: tuple[Array, Array], middle: Array | int, far: Array | int
-    ) -> Array:
-        """Make two sweeps, of the rows that hold traversable cells no further than `far`."""
-        rows = jnp.maximum(extent[0], middle - far), jnp.minimum(extent[1], middle + far)
-        ahead, (ne, nw, sw, se) = motions[0], motions[4:]
-        cost = _sweep(cost, (ahead, ne, nw), rows, steps, reverse=False)
-        return _sweep(cost, (ahead, se, sw), rows, steps, reverse=True)
-
     def sweep(state: Any) -> Any:
         cost, far, _, n = state
-        cost = up_and_down(cost.T, across, cols, at[1], far).T
-        cost = up_and_down(cost, motions, rows, at[0], far)
+        cost = _up_and_down(cost.T, across, cols, at[1], far, steps, None if extra is None else extra.T).T
+        cost = _up_and_down(cost, motions, rows, at[0], far, steps, extra)
         # Costs depend on cheaper costs only: once one more motion makes no cost lower up to the horizon, all costs up
         # to there are final. Rows further away hold none of these, for the horizon never grows.
         first, last = jnp.maximum(rows[0], at[0] - far), jnp.minimum(rows[1], at[0] + far)
         seen = jnp.minimum(first, at[0]), jnp.maximum(last, at[0])
-        change, best = _lowest_change(cost, motions, goals, seen, steps)
+        change, best = _lowest_change(cost, motions, goals, seen, steps, extra)
         horizon = jnp.minimum(limit, best)
         # How far the horizon lies is known from a single start only.
         far = horizon // steps[0] if start is None else far
@@ -233,13 +258,14 @@ def spread(
     goals: Array | None,
     limit: Array | int,
     steps: tuple[int, int],
+    extra: Array | None = None,
 ) -> Array:
     """Run `_sweeps` as one piece of code: the rows are many small operations."""
 
-    def run(words: Array, start: Array | None, at: Any, goals: Array | None, limit: Array | int) -> Array:
-        return _sweeps(words, start, at, goals, limit, steps)
+    def run(words: Array, start: Array | None, at: Any, goals: Array | None, limit: Any, extra: Array | None) -> Array:
+        return _sweeps(words, start, at, goals, limit, steps, extra)
 
-    return one_kernel(run, words, start, at, goals, limit)
+    return one_kernel(run, words, start, at, goals, limit, extra)
 
 
 def flood(words: Array, row: Array | int, col: Array | int) -> Array:

@@ -12,10 +12,11 @@ from hypothesis.extra import numpy as hnp
 from ref import beliefs, plans
 from ref import gain as oracle
 
-from jexplore.planning import field
+from jexplore.planning import field, known_of
 from jexplore.policies import clusters
 from jexplore.policies.distance_advantage import advantage
 from jexplore.policies.mcdm import choquet, relative
+from jexplore.policies.peers import mutual_information
 from jexplore.policies.tour import inserted, two_opt
 from jexplore.reach import FAR, STRAIGHT, reach
 from jexplore.rules import Lidar
@@ -90,6 +91,52 @@ def test_revenue_counts_unknown_area_seen_or_not():
         assert beliefs.target_of(f"revenue:{text}".rstrip(":"), belief, CROSS) == want
         chosen.add(want)
     assert chosen == {NEAR, FAR_OFF}
+
+
+@pytest.mark.jit
+def test_mutual_information_for_a_metre_of_path():
+    """One unknown cell 1 m away tells half as much as a hit and a miss, three 6 m away 7/8: the same at 17/3 m."""
+    belief = beliefs.belief_of(CORRIDOR, **ONE_METRE)
+    for text, want in {"": NEAR, "plus_m=5.6": NEAR, "plus_m=5.7": FAR_OFF}.items():
+        assert beliefs.target_of(f"mutual-information:{text}".rstrip(":"), belief, CROSS) == want
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("seed", [0, 1])
+def test_mutual_information_is_the_expected_divergence_of_what_a_beam_tells(seed):
+    """Every end of every beam, its probability, and how far the cells that it tells of are then from before."""
+    belief = beliefs.after_scans(seed, (14, 17), mixed=0.3)
+    beams, delta = beliefs.table(Lidar(n_beams=12, fov_deg=360, range_m=0.5), belief).all_round, 2.5
+    hits, seen = np.asarray(belief.grid.hits), np.asarray(belief.grid.hits + belief.grid.misses)
+    prior = np.pad(np.where(seen > 0, hits / np.maximum(seen, 1), 0.5), 9, constant_values=0.5)
+
+    def divergence(p, odds):
+        after = p * odds / (p * odds + 1 - p)
+        return sum(a * np.log(a / b) for a, b in ((after, p), (1 - after, 1 - p)) if a > 0)
+
+    def expected(row, col):
+        total = 0.0
+        for beam, length in enumerate(np.asarray(beams.length[0])):
+            at = [(row + 9 + beams.drow[0, i, beam], col + 9 + beams.dcol[0, i, beam]) for i in range(length)]
+            chance, passed = 1.0, 0.0
+            for p in (prior[r, c] for r, c in at):
+                total += chance * p * (passed + divergence(p, delta))
+                chance, passed = chance * (1 - p), passed + divergence(p, 1 / delta)
+            total += chance * passed
+        return total
+
+    maps = mutual_information._maps(known_of(belief), beams, delta)
+    found = [float(mutual_information.look_around(maps, row, col, beams)) for row, col in ((3, 4), (0, 0), (13, 9))]
+    np.testing.assert_allclose(found, [expected(3, 4), expected(0, 0), expected(13, 9)], rtol=1e-4)
+
+
+@pytest.mark.jit
+def test_consistent_tour_begins_straight_ahead():
+    """Left first 1 + 7 m, right first 6 + 7 m; the robot faces right, so that left is pi turn_m farther off."""
+    belief = beliefs.belief_of(CORRIDOR, **ONE_METRE)
+    for text, want in {"turn_m=0": NEAR, "turn_m=1.5": NEAR, "turn_m=1.7": FAR_OFF, "": FAR_OFF}.items():
+        assert beliefs.target_of(f"consistent-tour:{text}".rstrip(":"), belief, CROSS) == want
+    assert beliefs.target_of("consistent-tour", belief.replace(heading=jnp.int32(4)), CROSS) == NEAR
 
 
 @pytest.mark.jit

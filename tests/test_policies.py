@@ -82,6 +82,7 @@ def test_modifiers_take_a_kind_and_numbers():
         ("gain-rate:plus_m=-1", "plus_m must be a number at least 0"),
         ("utility:beta=-0.1", "beta must be a number at least 0"),
         ("distance-advantage:weight=1000", "weight must be a number at least 0 and at most 100"),
+        ("mutual-information:delta=1", "delta must be greater than 1, got 1"),
         ("tour:min_gain=0.5", "min_gain must be an integer from 0"),
         ("mcdm:a=1.5", "a must be a number at least 0 and at most 1"),
         ("mcdm:ad=0.1", "ad must be at least a, got 0.1 and 0.5"),

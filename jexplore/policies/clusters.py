@@ -95,18 +95,21 @@ def _from_each(belief, at, beams, tell, n_told):
     """Evaluate a look-around, `tell(prospect, row, col, beams)`, at every target: `[n_told, M]` int32."""
     beams = beams.all_round
     ahead = prospect(known_of(belief), beams)
+    return at_each(at, lambda row, col: tell(ahead, row, col, beams), jnp.zeros((n_told, *at.row.shape), jnp.int32))
+
+
+def at_each(at: Targets, tell: Callable[[Array, Array], Array], blank: Array) -> Array:
+    """Write `tell(row, col)`, `[...]`, of every target into an array, `[..., M]`."""
     n = jnp.sum(at.used, dtype=jnp.int32)  # used slots come first
 
     def evaluate(state):
-        i, seen = state
-        i_ = jnp.minimum(i, at.row.shape[0] - 1)
-        where = jnp.maximum(at.row[i_], 0), jnp.maximum(at.col[i_], 0)
+        i, told = state
+        here = jnp.minimum(i, at.row.shape[0] - 1)
+        new = tell(jnp.maximum(at.row[here], 0), jnp.maximum(at.col[here], 0))
         on = i < n
-        new = tell(ahead, *where, beams)
-        return i + on, seen.at[:, jnp.where(on, i, seen.shape[1])].set(new, mode="drop")
+        return i + on, told.at[..., jnp.where(on, i, told.shape[-1])].set(new, mode="drop")
 
-    state = jnp.int32(0), jnp.zeros((n_told, *at.row.shape), jnp.int32)
-    return repeat(lambda state: state[0] < n, evaluate, state)[1]
+    return repeat(lambda state: state[0] < n, evaluate, (jnp.int32(0), blank))[1]
 
 
 def block_side(clearance_d2: int) -> int:

@@ -12,9 +12,10 @@ from jax import Array, lax
 
 from jexplore.arrays.loops import repeat
 from jexplore.config import require_whole
-from jexplore.planning import field
-from jexplore.policies.clusters import CLUSTERS, go_to, paths_apart, shown_from, targets
+from jexplore.planning import Belief, field
+from jexplore.policies.clusters import CLUSTERS, Targets, go_to, paths_apart, shown_from, targets
 from jexplore.policies.policy import MinGain, Policy, no_carry
+from jexplore.raycast import Beams
 
 NO_PATH_M = 1e6  # stands for "no path", so that sums stay finite
 AT_A_TIME = 8  # stops of a route at which it is tried to turn it, together
@@ -93,19 +94,33 @@ def two_opt(length: Array, route: Array, n: Array | int) -> Array:
     return repeat(lambda state: (state[2] > 1e-3) & (state[0] < size * size), turn, state)[1]
 
 
-def _select(key, params, carry, belief, beams, route):
-    reached = field(belief)
-    at = targets(belief, reached)
-    usable = at.used & (shown_from(belief, at, beams, params.min_gain) >= params.min_gain)
-    usable = jnp.where(jnp.any(usable), usable, at.used)
+def stops_of(belief: Belief, at: Targets, beams: Beams, min_gain: Array | int) -> Array:
+    """Return the clusters that a route visits, those that show enough, else all: `[M]` bool."""
+    usable = at.used & (shown_from(belief, at, beams, min_gain) >= min_gain)
+    return jnp.where(jnp.any(usable), usable, at.used)
+
+
+def first_stop(belief: Belief, at: Targets, usable: Array, begin_m: Array) -> Array:
+    """Return the slot of the first stop of a short route through some clusters: int32, -1 without any.
+
+    Args:
+      usable: `[M]` bool, which.
+      begin_m: `[M]` float32, what the way from the robot to each costs, metres.
+    """
     stops = jnp.argsort(~usable, stable=True)  # slots to be visited first, in their order
     n = jnp.sum(usable, dtype=jnp.int32)
     apart_m = jnp.minimum(paths_apart(belief, at), NO_PATH_M)[stops][:, stops]
-    path_m = jnp.minimum(at.path_m, NO_PATH_M)[stops]
+    path_m = jnp.minimum(begin_m, NO_PATH_M)[stops]
     length = jnp.zeros((CLUSTERS + 1, CLUSTERS + 1), jnp.float32)
     length = length.at[1:, 1:].set(apart_m).at[0, 1:].set(path_m).at[1:, 0].set(path_m)
     order = two_opt(length, inserted(length, n), n)
-    which = jnp.where(n > 0, stops[jnp.maximum(order[1] - 1, 0)], -1).astype(jnp.int32)
+    return jnp.where(n > 0, stops[jnp.maximum(order[1] - 1, 0)], -1).astype(jnp.int32)
+
+
+def _select(key, params, carry, belief, beams, route):
+    reached = field(belief)
+    at = targets(belief, reached)
+    which = first_stop(belief, at, stops_of(belief, at, beams, params.min_gain), at.path_m)
     return carry, *go_to(belief, route, reached, at, which)
 
 

@@ -14,8 +14,11 @@ from jexplore.policies.closest import closest
 from jexplore.policies.distance_advantage import distance_advantage, small_first
 from jexplore.policies.learned.strategy import learned
 from jexplore.policies.mcdm import mcdm
+from jexplore.policies.peers.consistent_tour import consistent_tour
+from jexplore.policies.peers.exploration_transform import exploration_transform
+from jexplore.policies.peers.mutual_information import mutual_information
+from jexplore.policies.peers.revenue import revenue
 from jexplore.policies.policy import Entry, Policy
-from jexplore.policies.revenue import revenue
 from jexplore.policies.tour import tour
 from jexplore.policies.uniform import uniform
 from jexplore.policies.utility import utility
@@ -50,6 +53,16 @@ STRATEGIES: dict[str, Entry] = {
         "the frontier cluster with the most unknown area round it, near ones counted twice, less the distance",
         "Umari and Mukhopadhyay 2017",
     ),
+    "exploration-transform": Entry(
+        exploration_transform,
+        "the frontier cell to which the way is the shortest and safest, along that way",
+        "Wirth and Pellenz 2007",
+    ),
+    "mutual-information": Entry(
+        mutual_information,
+        "the frontier cluster whose look-around tells most about the map for a metre of path",
+        "Zhang et al. 2020, FSMI; Charrow et al. 2015",
+    ),
     "distance-advantage": Entry(
         distance_advantage, "the frontier cluster near to the robot and far from the others", "Ericson et al. 2025"
     ),
@@ -60,6 +73,11 @@ STRATEGIES: dict[str, Entry] = {
     ),
     "tour": Entry(
         tour, "the first stop of a short route through all frontier clusters", "after Kulich et al. 2011; Croes 1958"
+    ),
+    "consistent-tour": Entry(
+        consistent_tour,
+        "the first stop of a short route through all frontier clusters that begins straight ahead",
+        "Zhou et al. 2021, FUEL",
     ),
     "learned": Entry(
         learned, "the frontier cluster that a trained network scores highest", "jexplore; Cao et al. 2023, ARiADNE"
@@ -84,7 +102,10 @@ SYNONYMS: dict[str, str] = {
     "cost-utility": "utility",
     "drl": "learned",
     "frontier": "closest",
+    "fsmi": "mutual-information",
+    "fuel": "consistent-tour",
     "greedy": "closest",
+    "hector": "exploration-transform",
     "information-gain": "decision-theoretic",
     "nbv": "decision-theoretic",
     "nearest": "closest",

@@ -33,8 +33,9 @@ STANDINGS = (
 LEAGUE_STRATEGIES = (
     *("closest+recheck", "closest", "closest+recheck+segment", "closest+recheck+segment=auto"),
     *("small-first+recheck", "small-first", "distance-advantage+recheck", "distance-advantage+recheck:weight=0.5"),
-    *("tour+recheck", "learned+recheck"),
-    *("utility+recheck", "gain-rate+recheck"),
+    *("tour+recheck", "consistent-tour+recheck", "learned+recheck"),
+    *("utility+recheck", "gain-rate+recheck", "revenue+recheck"),
+    *("mutual-information+recheck", "exploration-transform+recheck"),
     *("decision-theoretic+recheck", "decision-theoretic", "mcdm", "random+recheck", "random"),
 )
 """Every strategy, with re-checking except where its source has none; the first is what the others are compared with."""

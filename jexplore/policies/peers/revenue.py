@@ -11,11 +11,10 @@ from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
-from jexplore.arrays.loops import repeat
 from jexplore.config import require_number
 from jexplore.frontier import disc
 from jexplore.grid import is_known
-from jexplore.policies.clusters import Best
+from jexplore.policies.clusters import Best, at_each
 from jexplore.policies.policy import Policy, Span, no_carry
 
 
@@ -30,17 +29,12 @@ class Params(NamedTuple):
 
 def _known_near(belief, at, radius):
     """Count the known cells within a radius, cells, of every target: `[M]` int32."""
-    known, n = is_known(belief.grid), jnp.sum(at.used, dtype=jnp.int32)
-    d2 = jnp.floor(radius * radius + 1e-3).astype(jnp.int32)
+    known, d2 = is_known(belief.grid), jnp.floor(radius * radius + 1e-3).astype(jnp.int32)
 
-    def count(state):
-        i, found = state
-        here = jnp.minimum(i, len(found) - 1)
-        near = disc(known.shape, jnp.maximum(at.row[here], 0), jnp.maximum(at.col[here], 0), d2)
-        new = jnp.sum(known & near, dtype=jnp.int32)
-        return i + (i < n), found.at[jnp.where(i < n, i, len(found))].set(new, mode="drop")
+    def count(row, col):
+        return jnp.sum(known & disc(known.shape, row, col, d2), dtype=jnp.int32)
 
-    return repeat(lambda state: state[0] < n, count, (jnp.int32(0), jnp.zeros(at.row.shape, jnp.int32)))[1]
+    return at_each(at, count, jnp.zeros(at.row.shape, jnp.int32))
 
 
 def _judge(params, belief, at, beams):
