@@ -132,7 +132,7 @@ def slam(
       InputError: no such log, a bad number, or no relation of two scans.
 
     Warns:
-      InputWarning: no odometry, or times that tell no order.
+      InputWarning: no odometry, poses that may be corrected in its place, or scans out of order.
 
     Source:
       Holz et al. 2010, sections 2.1 and 2.3; Censi 2008; Olson 2009.
@@ -203,8 +203,8 @@ def read_log(
             raise InputError(f"{os.fspath(path)!r}: {name} is for rosbags, whose names end in .bag, .db3 or .mcap")
     log = read_carmen(path, max_range_m=max_range_m)
     if not _is_corrected(log):
-        told = "has one pose a scan and no ODOM steps besides: it counts as odometry, also if it was corrected"
-        warnings.warn(f"{os.fspath(path)!r}: {told}", InputWarning, stacklevel=3)
+        told = f"{os.fspath(path)!r}: has one pose a scan: it counts as odometry, also if it was corrected"
+        warnings.warn(told, InputWarning, stacklevel=3)
     return log
 
 
