@@ -27,7 +27,7 @@ _LONGEST = re.compile(r"(robot|laser)_(front_?)?laser_?1?_max(_?range)?")
 """Parameters that say how far the scanner reaches that looks forward, metres; CARMEN has robot_front_laser_max."""
 _SAME = 0.999  # of the largest reading: a SICK's nine codes, 8183 to 8191, lie closer together
 _PLACE_M = 0.1  # readings of one value that end in one square of this size count once: a robot may stand still
-_OWN = 0.9  # of the scans of a log of GMapping, at least, stand before the ODOM line of their pose; others are misplaced
+_OWN = 0.9  # of the scans of a log of GMapping, at least, stand before the ODOM line of their pose; others are lost
 _OFTEN = 5  # times the median count of a value; the largest echo of scans recorded in five buildings stays within it
 
 
