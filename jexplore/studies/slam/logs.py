@@ -132,7 +132,7 @@ def slam(
       InputError: no such log, a bad number, or no relation of two scans.
 
     Warns:
-      InputWarning: no odometry, or times that tell no order.
+      InputWarning: no odometry, poses that may be corrected in its place, or scans out of order.
 
     Source:
       Holz et al. 2010, sections 2.1 and 2.3; Censi 2008; Olson 2009.
@@ -201,20 +201,23 @@ def read_log(
     for name, value in (("topic", topic), ("odometry_topic", odometry_topic)):
         if value is not None:
             raise InputError(f"{os.fspath(path)!r}: {name} is for rosbags, whose names end in .bag, .db3 or .mcap")
-    return read_carmen(path, max_range_m=max_range_m)
+    log = read_carmen(path, max_range_m=max_range_m)
+    if not _is_corrected(log):
+        told = f"{os.fspath(path)!r}: has one pose a scan: it counts as odometry, also if it was corrected"
+        warnings.warn(told, InputWarning, stacklevel=3)
+    return log
 
 
 def in_order(log: ScanLog) -> ScanLog:
     """Return the scans in order of time, unless the times tell none."""
-    back = int((np.diff(log.times) < 0).sum())
+    back, n = int((np.diff(log.times) < 0).sum()), len(log.times)
     if not back:
         return log
-    if back > MOST_BACK * len(log.times):
-        warnings.warn(
-            f"{back} of {len(log.times)} scans are earlier than the one before: they are taken in the log's order",
-            InputWarning,
-            stacklevel=3,
-        )
+    is_kept = back > MOST_BACK * n
+    told = f"{back} of {n} scans {'is' if back == 1 else 'are'} earlier than the one before: "
+    told += "they are taken in the log's order" if is_kept else "all are sorted by time"
+    warnings.warn(told, InputWarning, stacklevel=3)
+    if is_kept:
         return log
     order = np.argsort(log.times, kind="stable")
     return dataclasses.replace(log, **{name: getattr(log, name)[order] for name in PER_SCAN})

@@ -27,6 +27,7 @@ _LONGEST = re.compile(r"(robot|laser)_(front_?)?laser_?1?_max(_?range)?")
 """Parameters that say how far the scanner reaches that looks forward, metres; CARMEN has robot_front_laser_max."""
 _SAME = 0.999  # of the largest reading: a SICK's nine codes, 8183 to 8191, lie closer together
 _PLACE_M = 0.1  # readings of one value that end in one square of this size count once: a robot may stand still
+_OWN = 0.9  # of the scans of a log of GMapping, at least, stand before the ODOM line of their pose; others are lost
 _OFTEN = 5  # times the median count of a value; the largest echo of scans recorded in five buildings stays within it
 
 
@@ -93,14 +94,15 @@ def _odom(line):
 def _joined(poses, told):
     """Join the steps of a log of GMapping, from the first pose on: `[N, 3]`; None for another log.
 
-    `told` are the poses of ODOM lines after every scan: in such a log every scan but the last is followed by its own.
+    `told` are the poses of ODOM lines after every scan: in such a log nearly every scan is followed by its own.
     """
-    joined, after = [poses[0]], list(zip(poses[:-1].tolist(), told))
-    for pose, lines in after:
-        further = [line for line in lines if line != pose]
+    joined, n_own = [poses[0]], 0
+    for pose, lines in zip(poses[:-1].tolist(), told):
+        further = [line for line in lines if line != pose] if pose in lines else []
         moved = between(np.array(pose), np.array(further[-1])) if further else np.zeros(3)
         joined.append(compose(joined[-1], moved))
-    return np.array(joined) if all(pose in lines for pose, lines in after) else None
+        n_own += pose in lines
+    return np.array(joined) if n_own >= _OWN * (len(poses) - 1) else None
 
 
 def load_carmen(
