@@ -5,7 +5,7 @@ The rules are those of an episode: `exploration.environment`, one decision at a 
 
 import copy
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Self
 
 import jax
@@ -16,7 +16,7 @@ from jax import Array
 
 from jexplore.arrays.loops import alone_on_cpu, run_if
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, checked_names, require_whole
+from jexplore.config import InputError, checked_names
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.program import Given
 from jexplore.engine.runner import find_resources, require_32_bits
@@ -25,9 +25,9 @@ from jexplore.exploration.metrics import values_of
 from jexplore.exploration.site import drive_for, prepare_site, unify_truths
 from jexplore.exploration.state import Numbers, Outcome, Truth, steps_m
 from jexplore.exploration.team import stepping
+from jexplore.exploration.team.episode import of_ranges
 from jexplore.exploration.team.state import TeamSetup, TeamState
 from jexplore.exploration.team.stepping import cell_inside
-from jexplore.exploration.team.team import MOST_ROBOTS
 from jexplore.exploration.trail import LOOKS, Trail
 from jexplore.planning import Field, View, choose, field, is_live, view_of
 from jexplore.policies.closest import closest
@@ -70,13 +70,14 @@ class EnvState:
 
 @struct.dataclass
 class _Bank:
-    """Shared data of all episodes of an environment, an argument of its programs: those of one shape share them."""
+    """Shared data of all episodes of an environment, an argument of its programs."""
 
     beams: Beams
     scenes: Truth  # [M, ...]
     numbers: Numbers  # [M, ...]
     recheck: Array  # bool
     ring: Array | None  # [M] int32, see `EnvState`
+    paces: Array  # [N] int32, of a team
 
 
 @checked_names
@@ -103,6 +104,7 @@ class Environment:
         self, worlds: Any, *, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
         pose: str | None = None, odometry: OdometryLike = None,
         recheck: bool = False, paths: bool = False, metrics: MetricsLike = None, robots: int = 1,
+        members: str | Sequence[str] = (),
     ) -> None:  # fmt: skip
         """Load the worlds.
 
@@ -119,6 +121,7 @@ class Environment:
           metrics: more entries of `info`: name -> function of an `EpisodeView`, see `metric`.
           robots: size of a team that hears each other everywhere, without recheck, paths, metrics. A view then has a
             leading axis N; an action is `[N, 2]`; a step goes on until a robot needs a target.
+          members: paces and ranges of a team's robots, see `team.read_members`.
 
         Raises:
           InputError: no world, one that cannot be loaded, or one without a clear cell; cells of different sizes.
@@ -128,7 +131,8 @@ class Environment:
             raise InputError(f"recheck must be True or False, got {recheck!r}")
         if rules.return_home:
             raise InputError("rules.return_home must be False: whoever steps through an Environment drives home itself")
-        self.robots = _require_robots(robots, alone=recheck or paths or metrics or not rules.on_lattice)
+        team = stepping.ready_team(robots, members, lidar, bool(recheck or paths or metrics) or not rules.on_lattice)
+        self.robots = len(team)
         use_compilation_cache()
         self._metrics = ready_metrics(metrics) | measures_of(rules)
         self.worlds = tuple(ready_worlds(worlds, cell_m))
@@ -155,7 +159,9 @@ class Environment:
         records = unify_truths([site.truth for site in sites]), [site.numbers for site in sites]
         scenes, numbers = (jax.tree.map(lambda *a: jnp.stack(a), *own) for own in records)
         ring = jnp.asarray([site.ring for site in sites], jnp.int32) if any(site.ring for site in sites) else None
-        self._bank = _Bank(jax.tree.map(jnp.asarray, sites[0].beams), scenes, numbers, jnp.bool_(recheck), ring)
+        beams = of_ranges(sites[0].beams, lidar.without_noise(), self.cell_m, [one.range_m for one in team])
+        paces = jnp.asarray([one.pace for one in team], jnp.int32)
+        self._bank = _Bank(jax.tree.map(jnp.asarray, beams), scenes, numbers, jnp.bool_(recheck), ring, paces)
         self._n_cells = jnp.asarray([len(own) for own in cells], jnp.int32)
         most = max(len(own) for own in cells)
         self._cells = jnp.asarray(np.stack([np.resize(own, (most, 2)) for own in cells]), jnp.int32)
@@ -279,15 +285,9 @@ class Environment:
         return f"<Environment of {names}; {self.shape[0]} x {self.shape[1]} cells of {self.cell_m:g} m>"
 
 
-def _require_robots(robots, alone):
-    """Check the size of a team; `alone`: something is asked for that only a robot alone has."""
-    if require_whole("robots", robots, 1, MOST_ROBOTS) > 1 and alone:
-        raise InputError("recheck, paths, metrics and a pose that is not given are of one robot: leave out robots")
-    return robots
-
-
 def _given(bank, key, world, start):
-    return Given(key, bank.beams, bank.scenes, world, jax.tree.map(lambda a: a[world], bank.numbers), start)
+    task = stepping.task_of(start, bank.paces) if start.ndim == 2 else start
+    return Given(key, bank.beams, bank.scenes, world, jax.tree.map(lambda a: a[world], bank.numbers), task)
 
 
 def _seen(setup, given, episode, ring):
