@@ -25,7 +25,6 @@ from jexplore.exploration.metrics import values_of
 from jexplore.exploration.site import drive_for, prepare_site, unify_truths
 from jexplore.exploration.state import Numbers, Outcome, Truth, steps_m
 from jexplore.exploration.team import stepping
-from jexplore.exploration.team.episode import of_ranges
 from jexplore.exploration.team.state import TeamSetup, TeamState
 from jexplore.exploration.team.stepping import cell_inside
 from jexplore.exploration.trail import LOOKS, Trail
@@ -102,9 +101,8 @@ class Environment:
 
     def __init__(
         self, worlds: Any, *, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
-        pose: str | None = None, odometry: OdometryLike = None,
-        recheck: bool = False, paths: bool = False, metrics: MetricsLike = None, robots: int = 1,
-        members: str | Sequence[str] = (),
+        pose: str | None = None, odometry: OdometryLike = None, recheck: bool = False, paths: bool = False,
+        metrics: MetricsLike = None, robots: int = 1, members: str | Sequence[str] = (),
     ) -> None:  # fmt: skip
         """Load the worlds.
 
@@ -119,9 +117,8 @@ class Environment:
           recheck: give up a frontier cell as soon as it is no longer live.
           paths: keep the whole way in the state, for `path`: 8 bytes for every cell of the map, at least 160 kB.
           metrics: more entries of `info`: name -> function of an `EpisodeView`, see `metric`.
-          robots: size of a team that hears each other everywhere, without recheck, paths, metrics. A view then has a
-            leading axis N; an action is `[N, 2]`; a step goes on until a robot needs a target.
-          members: paces and ranges of a team's robots, see `team.read_members`.
+          robots, members: a team that hears each other everywhere (`team.read_members`), without recheck, paths,
+            metrics. Views have a leading axis N, actions are `[N, 2]`, a step goes on until a robot needs a target.
 
         Raises:
           InputError: no world, one that cannot be loaded, or one without a clear cell; cells of different sizes.
@@ -132,16 +129,14 @@ class Environment:
         if rules.return_home:
             raise InputError("rules.return_home must be False: whoever steps through an Environment drives home itself")
         team = stepping.ready_team(robots, members, lidar, bool(recheck or paths or metrics) or not rules.on_lattice)
-        self.robots = len(team)
         use_compilation_cache()
         self._metrics = ready_metrics(metrics) | measures_of(rules)
         self.worlds = tuple(ready_worlds(worlds, cell_m))
         sizes = sorted({world.cell_m for world in self.worlds})
         if len(sizes) > 1:
             raise InputError(f"worlds must have cells of one size, got {sizes[0]:g} and {sizes[1]:g} m")
-        self.cell_m, self._rules = sizes[0], rules
-        sizes = zip(*(ringed_shape(world.occupied) for world in self.worlds))
-        rows, cols = (max(bucket(side) for side in sides) for sides in sizes)
+        self.cell_m, self._rules, self.robots = sizes[0], rules, len(team)
+        rows, cols = (max(map(bucket, sides)) for sides in zip(*(ringed_shape(w.occupied) for w in self.worlds)))
         self.shape = rows, cols
         find_resources()  # starts JAX
         native, own = drive_for(jax.local_devices()[0].platform).name, tuple(self._metrics.values())
@@ -159,12 +154,11 @@ class Environment:
         records = unify_truths([site.truth for site in sites]), [site.numbers for site in sites]
         scenes, numbers = (jax.tree.map(lambda *a: jnp.stack(a), *own) for own in records)
         ring = jnp.asarray([site.ring for site in sites], jnp.int32) if any(site.ring for site in sites) else None
-        beams = of_ranges(sites[0].beams, lidar.without_noise(), self.cell_m, [one.range_m for one in team])
-        paces = jnp.asarray([one.pace for one in team], jnp.int32)
-        self._bank = _Bank(jax.tree.map(jnp.asarray, beams), scenes, numbers, jnp.bool_(recheck), ring, paces)
+        beams, paces = stepping.equipped(team, sites[0].beams, lidar, self.cell_m)
+        self._bank = _Bank(beams, scenes, numbers, jnp.bool_(recheck), ring, paces)
         self._n_cells = jnp.asarray([len(own) for own in cells], jnp.int32)
-        most = max(len(own) for own in cells)
-        self._cells = jnp.asarray(np.stack([np.resize(own, (most, 2)) for own in cells]), jnp.int32)
+        size = max(map(len, cells)), 2
+        self._cells = jnp.asarray(np.stack([np.resize(own, size) for own in cells]), jnp.int32)
 
     def reset(self, key: Array, start: Any = None, world: Any = None) -> tuple[EnvState, View]:
         """Begin an episode and make its first scans.

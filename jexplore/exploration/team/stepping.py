@@ -15,6 +15,7 @@ from jexplore.exploration.motion import LENGTHS
 from jexplore.exploration.state import Outcome, Setup, steps_m
 from jexplore.exploration.team.contact import meet
 from jexplore.exploration.team.environment import act, advance, begin, is_held
+from jexplore.exploration.team.episode import of_ranges
 from jexplore.exploration.team.state import (
     TeamSetup,
     TeamState,
@@ -28,6 +29,7 @@ from jexplore.exploration.team.state import (
 )
 from jexplore.exploration.team.team import EVERYBODY, MOST_ROBOTS, Contact, Member, read_members
 from jexplore.planning import Field, choose, field, is_live
+from jexplore.raycast import Beams
 from jexplore.reach import FAR
 from jexplore.rules import Lidar
 
@@ -44,6 +46,12 @@ def ready_team(robots: int, members: str | Sequence[str], lidar: Lidar, is_of_on
     if own and (robots == 1 or len(own) != robots):
         raise InputError(f"members must be one for each of 2 or more robots, got {len(own)} for {robots}")
     return own or (Member(),) * robots
+
+
+def equipped(team: Sequence[Member], beams: Beams, lidar: Lidar, cell_m: float) -> tuple[Beams, Array]:
+    """Return the beams of a team's robots (`of_ranges`), and their paces: `[N]` int32."""
+    own = of_ranges(beams, lidar.without_noise(), cell_m, [one.range_m for one in team])
+    return jax.tree.map(jnp.asarray, own), jnp.asarray([one.pace for one in team], jnp.int32)
 
 
 def setup_of(robot: Setup, robots: int, cells: int) -> TeamSetup:
