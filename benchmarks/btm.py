@@ -2,7 +2,7 @@
 
     python benchmarks/btm.py [--runs 1000] [--parts repeat place robots]
     python benchmarks/btm.py [--runs 1000] [--parts buildings halls furniture sensors steps speed] [--seed 0]
-    python benchmarks/btm.py [--runs 1000] --parts buildings --worlds WORLD... [--perception map] [--starts 2]
+    python benchmarks/btm.py [--runs 1000] --parts buildings --worlds WORLD... [--perception triangles] [--starts 2]
     python benchmarks/btm.py [--runs 1000] --parts loops [--first 21]
     python benchmarks/btm.py --parts read-off --maps FOLDER
 
@@ -68,7 +68,7 @@ WORKERS = os.cpu_count() or 1
 
 def traced(world, **options):
     plan = job.prepare_trace(world, **options)
-    return tracing.execute(plan, workers=WORKERS if plan.perception == "triangles" else None)
+    return tracing.execute(plan, workers=WORKERS)
 
 
 def row(*cells):
@@ -156,13 +156,13 @@ def robots(runs):
                 row(world, sigma, width, share(right, runs), share(same, runs))
 
 
-def buildings(runs, seed=0, worlds=BUILDINGS, perception="triangles", n=None):
+def buildings(runs, seed=0, worlds=BUILDINGS, perception="auto", n=None):
     """Run in buildings, each from n starts, by default a twenty-fifth of `runs`, and compare with the true map.
 
     Truth: `extract` of the true map, as far as the robot gets; doors are those of the generator.
     """
     n = n or max(8, runs // 25)
-    columns = ["building", "starts", "EXHAUSTED", "with at most one help", "outcomes", "junctions", "doors"]
+    columns = ["building", "starts", "EXHAUSTED", "outcomes", "junctions", "doors"]
     more = [
         "false divergences",
         "took a place for another",
@@ -177,8 +177,7 @@ def buildings(runs, seed=0, worlds=BUILDINGS, perception="triangles", n=None):
         done = table["outcome"] == "EXHAUSTED"
         outcomes = ", ".join(f"{name} {count}" for name, count in table["outcome"].value_counts().items())
         near = [part(table, f"{name}_reached", name) for name in ("junctions", "doors")]
-        alone = done & (table["interventions"] <= 1)
-        cells = [share(int(done.sum()), n), share(int(alone.sum()), n), outcomes, *near]
+        cells = [share(int(done.sum()), n), outcomes, *near]
         contacts, steps, drift = (table[name].mean() for name in ("contacts", "steps", "drift_m"))
         false = part(table, "false_divergences", "divergences")
         mistaken = share(int((table["mistaken"] > 0).sum()), n)
@@ -207,40 +206,28 @@ def drawn_hall(seed, low_m, high_m):
 
 
 def halls(runs, seed=0):
-    """Run in drawn halls that are too wide to be places, a fiftieth of `runs` halls, two starts each.
+    """Run in drawn halls that are wider than a place, a fiftieth of `runs` halls, two starts each.
 
-    Counted are nodes of the robot's map with a single way next to passages, and all but those of a ring of gateways,
-    the passages' ends and the start.
+    A passage is searched if the robot has been at its far end.
     """
     n = max(4, runs // 50)
-    head(
-        "halls",
-        "runs",
-        "EXHAUSTED",
-        "without help",
-        "passages searched",
-        "nodes",
-        "of a ring",
-        "left un-searched links",
-        "took a place for another",
-    )
+    head("halls", "runs", "EXHAUSTED", "passages searched", "false divergences", "took a place for another")
     for low_m, high_m in ((10, 14), (14, 20)):
-        tables, searched, passages, ring, left = [], 0, 0, 0, 0
+        tables, searched, passages = [], 0, 0
         for number in range(seed * n, (seed + 1) * n):
             world, n_passages = drawn_hall(number, low_m, high_m)
             found = traced(world, starts=2, seed=number, noise=Noise(range_m=0.01))
             tables.append(found.table)
-            for i in range(2):
-                btm = found.maps[i]
-                searched += min(sum(len(btm.bearings_deg(node.id)) == 1 for node in btm.nodes[1:]), n_passages)
-                left += any(link.status == "un-searched" and link.start > 0 for link in btm.links)
-            passages, ring = passages + 2 * n_passages, ring + 2 * (2 * n_passages + 1)
+            ends = [
+                sum(len(found.maps[i].bearings_deg(node.id)) == 1 for node in found.maps[i].nodes[1:]) for i in (0, 1)
+            ]
+            searched += sum(min(end, n_passages) for end in ends)
+            passages += 2 * n_passages
         table = pd.concat(tables)
-        done, alone = table["outcome"] == "EXHAUSTED", table["interventions"] == 0
-        shares = [share(int(s.sum()), len(table)) for s in (done, done & alone)]
+        done = share(int((table["outcome"] == "EXHAUSTED").sum()), len(table))
         mistaken = share(int((table["mistaken"] > 0).sum()), len(table))
-        span = f"{low_m} to {high_m} m"
-        row(span, len(table), *shares, share(searched, passages), table["nodes"].sum(), ring, left, mistaken)
+        false = part(table, "false_divergences", "divergences")
+        row(f"{low_m} to {high_m} m", len(table), done, share(searched, passages), false, mistaken)
 
 
 def part(table, some, all_):
@@ -371,7 +358,7 @@ def main():
     parser.add_argument("--parts", nargs="*", default=PARTS, choices=(*PARTS, "read-off"))
     parser.add_argument("--seed", type=int, default=0, help="of the starts in buildings and their noise, and of halls")
     parser.add_argument("--worlds", nargs="+", default=BUILDINGS, help="of buildings")
-    parser.add_argument("--perception", default="triangles", help="in buildings")
+    parser.add_argument("--perception", default="auto", help="in buildings")
     parser.add_argument("--starts", type=int, help="in a building")
     parser.add_argument("--first", type=int, default=21, help="course of loops and equal junctions, of twenty")
     parser.add_argument("--maps", help="folder with the plans of read-off")

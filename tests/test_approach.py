@@ -58,7 +58,7 @@ def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None, looked=math.pi, 
         odometer_m=jnp.float32(100),
     )
     at = pose[:2] if track_x_m is None else jnp.array([track_x_m, Y_M])
-    track = Track(at, jnp.float32(RADIUS_M), jnp.uint32(seen), jnp.int32(age), jnp.float32(math.nan))
+    track = Track(at, jnp.float32(RADIUS_M), jnp.uint32(seen), jnp.int32(age))
     return selected(state, track, pose)
 
 

@@ -267,11 +267,11 @@ def test_a_dead_end_turns_to_the_larger_side_and_keeps_to_it(left_m, right_m, si
 AHEAD = (0.0, 0.0)
 
 
-def target(mode, left_m, right_m, drive=None, *, edge=AHEAD, coast=math.nan, robot=(1.0, 2.0)):
+def target(mode, left_m, right_m, drive=None, *, edge=AHEAD, robot=(1.0, 2.0)):
     drive = driving(left_m=0.8, right_m=1.1) if drive is None else drive
     sides, edge = ([jnp.float32(v) for v in pair] for pair in ((left_m, right_m), edge))
     found = behaviour.target_point(
-        jnp.int32(mode), drive, *sides, tuple(edge), coast, lambda xy: xy - jnp.asarray(robot), TUNING
+        jnp.int32(mode), drive, *sides, tuple(edge), lambda xy: xy - jnp.asarray(robot), TUNING
     )
     return found.tolist()
 
@@ -309,9 +309,6 @@ def test_the_target_lies_on_the_edge_of_a_passage_that_bends(along_deg, off_m, w
 )
 def test_the_nearer_wall_is_followed_at_the_distance_it_had(mode, left_m, right_m, aside):
     assert target(mode, left_m, right_m, edge=(0.0, -0.7)) == pytest.approx([1, aside])
-    along = target(mode, left_m, right_m, coast=0.5)  # in halls in the direction that is told
-    if mode == RunMode.WALL_FOLLOWING:
-        assert along == pytest.approx([TUNING.ahead_m * math.cos(0.5), TUNING.ahead_m * math.sin(0.5)], abs=1e-6)
 
 
 @pytest.mark.parametrize(

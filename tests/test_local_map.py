@@ -14,12 +14,15 @@ from jexplore.config import InputError
 from jexplore.driving.local.lattice import Lattice, outlines
 from jexplore.driving.local.nodes import TRIES, Exit, Node, TraceMap, direction_out
 from jexplore.driving.local.pilot import Pilot
+from jexplore.driving.local.run import LocalRun
 from jexplore.driving.local.sight import SeenPlace, SeenWay, look
 from jexplore.driving.local.window import CELL_M, SIDE, Fixed, Window
 from jexplore.driving.settings import ROBOTS
 from jexplore.engine.draws import random_key
+from jexplore.report.operator_view import page
 from jexplore.slam2d.settings import SlamSettings
 from jexplore.studies.traces.job import prepare_trace
+from jexplore.studies.traces.recording import record_run
 from jexplore.worlds.world import World
 
 CRAWLER = ROBOTS["kamui"]
@@ -76,6 +79,13 @@ def test_unknown_cells_are_not_passed():
     assert np.isfinite(Lattice(window_with(free), np.array([-1.95, 0.05, 0.0]), CRAWLER).cost[64, 90])
     across = window_with(free, unknown=[(50, 70, 28, 1)])
     assert np.isinf(Lattice(across, np.array([-1.95, 0.05, 0.0]), CRAWLER).cost[64, 90])
+
+
+def test_unknown_cells_may_be_hoped_for():
+    window = window_with((50, 30, 28, 30), (61, 60, 6, 20), (50, 80, 28, 30), unknown=[(61, 65, 6, 5)])
+    pose = np.array([-1.95, 0.05, 0.0])
+    reached = [np.isfinite(Lattice(window, pose, CRAWLER, through_unknown=hopes).cost[64, 95]) for hopes in (0, 1)]
+    assert reached == [False, True]
 
 
 def test_path_leads_from_the_robot_to_the_cell_by_single_motions():
@@ -267,6 +277,64 @@ def test_map_as_arrays_has_each_link_once_and_counts_what_does_not_fit():
     assert (int(small.n_nodes), int(small.n_links), int(small.overflow)) == (2, 1, 1 + 2)
 
 
+# Decisions
+
+
+class Standing:
+    """A pilot that stands in a window and counts how far it is told to go back."""
+
+    def __init__(self, window, way=()):
+        self.now = self
+        self.truth = self.pose = np.array([0.05, 0.05, 0.0])
+        self.way = [(np.array([x, y, 0.0]), None, None) for x, y in way]
+        self.odometer_m, self.target, self.backs = 0.0, None, []
+        self.window = lambda: window
+
+    def follow(self, path, window, most_m):
+        return False
+
+    def turn_to(self, heading):
+        return True
+
+    def retrace(self, most_m):
+        self.backs.append(round(most_m, 3))
+
+
+def standing(window, way=()):
+    """A run whose robot stands in the middle of a window, with a node there and one at (4, 0)."""
+    run = object.__new__(LocalRun)
+    run.pilot, run.robot, run._stops, run._target = Standing(window, way), CRAWLER, 0, None
+    run.map = TraceMap(np.array([0.05, 0.05]), np.array([0.05, 0.05]))
+    run.map.nodes.append(Node(np.array([4.05, 0.05]), "divergence", 0.5, np.array([4.05, 0.05])))
+    run._lattice = Lattice(window, run.pilot.pose, run.robot)
+    return run
+
+
+@pytest.mark.parametrize(("unknown", "is_shut"), [((), True), ([(61, 75, 6, 5)], False)])
+def test_place_behind_walls_is_doubted_and_one_behind_the_unknown_is_not(unknown, is_shut):
+    run = standing(
+        window_with((50, 50, 28, 25), (50, 80, 28, 35), (61, 75, 6, 5) if unknown else (0, 0, 0, 0), unknown=unknown)
+    )
+    assert run._doubt_shut({1}) == is_shut
+    assert run.map.nodes[1].tries == is_shut
+
+
+def test_robot_is_shut_in_where_it_cannot_drive_most_of_its_way_again():
+    room, whole = window_with((58, 58, 12, 12)), window_with((30, 30, 70, 70))
+    way = [(x / 10, 0.0) for x in range(-30, 1)]
+    assert [standing(window, way)._is_shut_in() for window in (room, whole)] == [True, False]
+    assert not standing(whole)._is_shut_in()  # it has not driven yet
+
+
+def test_robot_that_is_stopped_goes_back_farther_each_time_before_it_counts_a_try():
+    run = standing(window_with((30, 30, 70, 80)))
+    run.map.nodes[0].is_visited = True
+    for _ in range(5):
+        assert run._go_near()
+    assert run.pilot.backs == [0.7, 1.4, 2.8, 5.6, 11.2]
+    assert run.map.nodes[1].tries == TRIES
+
+
 # Runs
 
 
@@ -278,7 +346,7 @@ def cross(cells=120):
 
 
 def test_wrong_perception_is_told():
-    with pytest.raises(InputError, match="perception must be one of triangles, map, got 'eyes'"):
+    with pytest.raises(InputError, match="perception must be one of auto, triangles, map, got 'eyes'"):
         prepare_trace(cross(), perception="eyes")
 
 
@@ -297,7 +365,7 @@ def test_robot_maps_a_crossing_the_same_way_twice():
         crossing = [n for n in found.maps[i].nodes if math.dist((n.x_m, n.y_m), (6.0, 6.0)) < 0.5]
         assert [n.type for n in crossing] == ["divergence"]
         assert len(found.maps[i].bearings_deg(crossing[0].id)) == 4
-    again = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), runs=1, noise={"range_m": 0.01}, perception="map")
+    again = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), runs=1, noise={"range_m": 0.01}, workers=1)
     assert again.table["steps"][0] == found.table["steps"][0]
     assert np.array_equal(again.driven.truth, found.driven.truth)
 
@@ -349,6 +417,36 @@ def test_link_that_failed_from_either_end_is_blocked():
 
 @pytest.mark.jit
 @pytest.mark.slow
+def test_recorded_run_is_the_run_and_its_page_shows_it():
+    plan = prepare_trace(cross(), start=(1.5, 6.0, 0.0), noise={"range_m": 0.01})
+    seen, found = record_run(plan), jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), noise={"range_m": 0.01})
+    n = len(seen.pose)
+    assert n == found.table["steps"][0]
+    np.testing.assert_allclose(seen.pose, found.driven.truth + np.array([*plan.world.origin_m, 0]), atol=1e-5)
+    assert sorted((link.start, link.end) for link in seen.map.links) == sorted(
+        (link.start, link.end) for link in found.first.links
+    )
+    assert (np.diff(seen.n_links) >= 0).all()
+    assert (seen.n_links[-1], seen.n_nodes[-1]) == (len(seen.map.links), len(seen.map.nodes))
+    searched = [link.status == "searched" for link in seen.map.links]
+    assert [frame < n for frame in seen.link_searched_frame] == searched
+    assert "<html" in page(seen)
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+def test_team_merges_what_its_robots_have_at_contact():
+    found = jx.btm.trace_team(cross(), robots=2, noise={"range_m": 0.01})
+    alone = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), noise={"range_m": 0.01})
+    assert found.plan.perception == alone.plan.perception == "map"
+    for log in found.logs:
+        held = log.held(2)
+        assert int(held.map.n_nodes) == np.isfinite(held.node_at[:, 0]).sum() <= int(log.result.map.n_nodes)
+    assert len(found.maps) == 2
+
+
+@pytest.mark.jit
+@pytest.mark.slow
 def test_run_with_a_full_map_says_so():
     found = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), nodes=3, perception="map")
     assert found.table["outcome"].tolist() == ["MAP_FULL"]
@@ -357,9 +455,16 @@ def test_run_with_a_full_map_says_so():
 
 
 def test_what_does_not_count_with_a_local_map_is_told():
-    with pytest.raises(InputError, match="sweep: votes does not count with perception map"):
+    with pytest.raises(InputError, match="sweep: votes goes with perception triangles; with map width_m"):
         prepare_trace(cross(), sweep=["votes=1,2"], perception="map")
-    with pytest.raises(InputError, match=r"tuning\.votes does not count with perception map"):
+    with pytest.raises(InputError, match=r"tuning\.votes goes with perception triangles"):
         prepare_trace(cross(), tuning={"votes": 4}, perception="map")
-    with pytest.raises(InputError, match="leave engine, lanes and workers out"):
-        jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), workers=2, perception="map")
+    with pytest.raises(InputError, match="engine and lanes go with perception triangles"):
+        jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), engine="jax")
+
+
+def test_perception_depends_on_the_world():
+    level = prepare_trace(cross(), start=(1.5, 6.0, 0.0))
+    ramp = np.tile(np.linspace(0, 1, 120, dtype=np.float32), (120, 1))
+    uneven = prepare_trace(dataclasses.replace(cross(), elevation=ramp), start=(1.5, 6.0, 0.0))
+    assert [plan.perception for plan in (level, uneven, prepare_trace("course"))] == ["map", "triangles", "triangles"]

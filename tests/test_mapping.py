@@ -209,7 +209,6 @@ def event(kind, odometer, pose, centre=None, *, radius=0.0, posture=0.0, steepes
         pose=jnp.asarray(pose, jnp.float32),
         centre=jnp.asarray(pose[:2] if centre is None else centre, jnp.float32),
         radius=jnp.float32(radius),
-        out=jnp.float32(math.nan),
         posture=jnp.float32(math.radians(posture)),
         steepest=jnp.float32(math.radians(steepest)),
         step_m=jnp.float32(step_m),

@@ -36,7 +36,6 @@ BOUNDS = {
     "tuning.ahead_m": (0, LEAST, 1000, MOST),
     "tuning.region_m": (0, LEAST, 1000, MOST),
     "tuning.open_m": (0.39, 0.4, 1000, MOST),
-    "tuning.coast_m": (-ABOVE, 0, 1.25, 1.26),
     "tuning.dead_end_m": (0, LEAST, 1000, MOST),
     "tuning.arrive_m": (0, LEAST, 2.4, 2.5),
     "tuning.leave_m": (-ABOVE, 0, 1000, MOST),
@@ -101,10 +100,9 @@ def test_bounds(name):
 
 def test_what_0_stands_for_depends_on_the_world():
     course, building = (for_world(Tuning(), is_course=is_course) for is_course in (True, False))
-    assert (course.open_m, course.far_m, course.coast_m) == (2.5, 4.0, 0.0)
-    assert (building.open_m, building.far_m, building.coast_m) == (5.0, 8.0, 1.5)
+    assert (course.open_m, course.far_m) == (2.5, 4.0)
+    assert (building.open_m, building.far_m) == (5.0, 8.0)
     assert dataclasses.replace(course, open_m=0.0, far_m=0.0) == Tuning()
-    assert for_world(Tuning(open_m=1.0), is_course=False).coast_m == 0.5
     own = Tuning(open_m=3.0, votes=3)
     for is_course in (True, False):
         found = for_world(own, is_course=is_course)

@@ -163,7 +163,6 @@ TRUTH = TraceTruth(
     map=BtmMap((), ()),
     marks=np.array([[1.0, 2.0, 0.5], [5.0, 2.0, 1.5], [8.0, 2.0, 0.5]]),
     is_door=np.array([False, False, True]),
-    around_m=np.array([0.5, 1.5, 0.5]),
 )
 
 
@@ -191,7 +190,7 @@ def test_every_false_divergence_counts_and_nothing_else():
 
 
 def test_where_there_is_no_junction_every_divergence_is_false():
-    none = TRUTH._replace(marks=TRUTH.marks[2:], is_door=TRUTH.is_door[2:], around_m=TRUTH.around_m[2:])
+    none = TRUTH._replace(marks=TRUTH.marks[2:], is_door=TRUTH.is_door[2:])
     assert counted((8, 2), (1, 2), truth=none) == 2
 
 
@@ -201,18 +200,3 @@ def test_nodes_are_looked_up_by_their_numbers():
     node_at = np.array([(20.0, 20.0), (1.0, 2.0), (math.nan, math.nan)])  # unused slots do not matter
     assert false_divergences(BtmMap(nodes, ()), node_at, TRUTH) == 0
     assert false_divergences(BtmMap(nodes, ()), node_at[[1, 0, 2]], TRUTH) == 1
-
-
-@pytest.mark.parametrize(("off_m", "coast_m", "is_false"), [(1.4, 1.5, 0), (1.4, 0.0, 1), (2.6, 1.5, 1)])
-def test_a_divergence_before_a_gateway_of_a_hall_is_true(off_m, coast_m, is_false):
-    """A hall of 8 m x 4 m whose C1 is 1.4 m, and a passage 1 m wide: its mouth lies where it meets the hall."""
-    occupied = np.ones((40, 140), bool)
-    occupied[0:40, 10:90] = occupied[15:25, 90:130] = False
-    world = World(occupied=np.pad(occupied, 1, constant_values=True), cell_m=CELL_M)
-    found = truth_of(world, (20, 30), WIDTH_M, 1.4, coast_m)
-    (mouth,) = [node for node in found.map.nodes if node.type == "free_space"]
-    assert (mouth.x_m, mouth.y_m) == pytest.approx((9.1, 2.1), abs=0.6)
-    before = BtmMap((Node(id=0, x_m=0.0, y_m=0.0, type="divergence"),), ())
-    keep = [i for i, (x, y, _) in enumerate(found.marks) if (x, y) == pytest.approx((mouth.x_m, mouth.y_m))]
-    alone = found._replace(marks=found.marks[keep], is_door=found.is_door[keep], around_m=found.around_m[keep])
-    assert false_divergences(before, np.array([[mouth.x_m - off_m, mouth.y_m]]), alone) == is_false

@@ -18,7 +18,7 @@ from jexplore.driving.events import triangles
 from jexplore.driving.mapping import has_left
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Ahead, Building, Drive, Latch, RunMode, Senses, State, Surround, Track
-from jexplore.driving.sensing import gateways, surround
+from jexplore.driving.sensing import surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, SCAN_RANGE_M, to_robot, touches, towards
 
@@ -56,7 +56,7 @@ def select_branch(
 ) -> Latched:
     """Begin, continue and end a latch of branch selection."""
     drive, track = state.drive, ahead.track
-    begins = behaviour.is_believed(track, tuning.votes) & (~ahead.space.inside | jnp.isfinite(track.out))
+    begins = behaviour.is_believed(track, tuning.votes) & ~ahead.space.inside
     begins &= (drive.latch == Latch.FREE) | _is_on_way(state, track, tuning)
     following = (drive.latch == Latch.APPROACH) | begins
     target = jnp.where(following, track.centre, drive.target)
@@ -148,21 +148,11 @@ def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot)
     )
     kept = track.replace(centre=jnp.where(back, middle, track.centre))
     chosen = pick(ends & better, other, kept)
-    is_gateway = jnp.isfinite(track.out)
-    gateway, there = run_if(
-        ends & is_gateway,
-        lambda _: gateways.gateway_around(state, track, around, placed, tuning),
-        (track, jnp.bool_(False)),
-    )
-    chosen = pick(ends & is_gateway, gateway, chosen)
-    better, back = better & ~is_gateway, back & ~is_gateway
-    there_is = had & jnp.where(is_gateway, there, there_is | drive.known)
+    there_is = had & (there_is | drive.known)
     # One that looks round where the way is shut may see the place that it means from afar.
-    far = ends & there_is & ~is_gateway & (_away_m(state, chosen.centre) > P.motion.at_place_ratio * tuning.arrive_m)
+    far = ends & there_is & (_away_m(state, chosen.centre) > P.motion.at_place_ratio * tuning.arrive_m)
     goes_on = better | back | (far & may_go)
-    looks_on = (
-        (drive.looked < P.motion.look_rad + P.motion.look_on_rad) & (left >= P.motion.look_step_rad) & ~is_gateway
-    )
+    looks_on = (drive.looked < P.motion.look_rad + P.motion.look_on_rad) & (left >= P.motion.look_step_rad)
     looks_on &= (behaviour.votes(track) == behaviour.VOTING_SCANS) & ~there_is & ~goes_on
     return _Look(ends & ~looks_on, chosen, goes_on, back, there_is & (~far | may_go))
 
@@ -189,7 +179,7 @@ def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
     there_is = jnp.any(
         found.valid & (off < jnp.maximum(P.motion.same_place_m, P.motion.same_place_radii * track.radius))
     )
-    seen = Track(centre, found.radius[best], one, jnp.int32(1), jnp.float32(jnp.nan))
+    seen = Track(centre, found.radius[best], one, jnp.int32(1))
     return seen, better, there_is, _middle(in_map, placed(found.centre), found)
 
 

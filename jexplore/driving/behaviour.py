@@ -4,30 +4,23 @@ The modes, highest priority first (Mano et al., section IV.B and Fig. 8; a figur
 branch selection, dead end run, wall following, central run. All states have a fixed size; all functions are pure.
 """
 
-import math
 from collections.abc import Callable
 
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jexplore import btm
-from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import manoeuvre
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import (
     Divergence,
     Drive,
-    DueNode,
     FreeSpace,
     Latch,
     RunMode,
     ScanWalls,
-    State,
-    Surround,
     Track,
-    Writer,
 )
-from jexplore.driving.sensing import perception, surround
+from jexplore.driving.sensing import perception
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import DT_S, towards
 
@@ -36,13 +29,13 @@ VOTING_SCANS = 9  # scans that vote
 
 def empty_track() -> Track:
     """Return a `Track` with nothing ahead."""
-    return Track(jnp.zeros(2), jnp.float32(0), jnp.uint32(0), jnp.int32(0), jnp.float32(jnp.nan))
+    return Track(jnp.zeros(2), jnp.float32(0), jnp.uint32(0), jnp.int32(0))
 
 
-def certain_track(centre: Array, radius: Array | float, out: Array | float = jnp.nan) -> Track:
+def certain_track(centre: Array, radius: Array | float) -> Track:
     """Return a `Track` for a divergence as if every scan had shown it."""
     full = jnp.uint32(2**VOTING_SCANS - 1)
-    return Track(centre, jnp.float32(1) * radius, full, jnp.int32(1), jnp.float32(1) * out)
+    return Track(centre, jnp.float32(1) * radius, full, jnp.int32(1))
 
 
 def votes(track: Track) -> Array:
@@ -97,7 +90,6 @@ def update_track(
         radius=blended(track.radius, found.radius[which]),
         seen=jnp.where(going, seen, 0),
         age=jnp.where(going, jnp.where(followed, track.age + 1, 1), 0),
-        out=jnp.float32(jnp.nan),
     )
 
 
@@ -126,19 +118,17 @@ def watch_free_space(
     open_m: Array | float,
     looking: Array | bool,
     roomy: Array | bool = True,
-    coast_m: Array | float = 0.0,
 ) -> tuple[FreeSpace, Array, Array]:
     """Update the hysteresis of free space with the walls of one more scan.
 
     Args:
       looking: bool scalar; False: nothing changes.
       roomy: from `perception.is_roomy`; where it is False, no free space is entered.
-      coast_m: at which its walls are followed; above 0 it is left only where both are no farther apart than twice that.
 
     Returns:
       `(space, enters, leaves)`: bools, true in the step in which it is believed.
     """
-    limit = jnp.where(space.inside, jnp.where(coast_m > 0, coast_m, open_m - P.motion.hysteresis_m), open_m)
+    limit = jnp.where(space.inside, open_m - P.motion.hysteresis_m, open_m)
     free = is_free_space(left_m, right_m, limit) & (roomy | space.inside)
     other = looking & (free != space.inside)
     since = jnp.where(other & (space.streak > 0), space.since_m, odometer_m)
@@ -182,8 +172,6 @@ def initial_drive() -> Drive:
         aside=jnp.bool_(False),
         known=jnp.bool_(False),
         surveys=jnp.int32(0),
-        side=jnp.int32(0),
-        began=jnp.full(5, jnp.nan),
         turning=jnp.int32(0),
         left_m=jnp.float32(1),
         right_m=jnp.float32(1),
@@ -218,9 +206,7 @@ def choose_mode(
     turning = jnp.where(turns, jnp.where(drive.turning == 0, larger, drive.turning), 0)
     by_walls = ~free & ~closed & ~latched
     least_m = jnp.hypot(robot.length_m, robot.width_m) / 2 + P.sensing.outline_margin_m + P.motion.turn_room_m
-    side = jnp.where(drive.side == 0, jnp.where(left_m < right_m, 1, -1), drive.side)
     return mode, drive.replace(
-        side=jnp.where(free, side, 0).astype(jnp.int32),
         turning=turning.astype(jnp.int32),
         left_m=jnp.where(by_walls & (left_m < tuning.open_m), jnp.maximum(left_m, least_m), drive.left_m),
         right_m=jnp.where(by_walls & (right_m < tuning.open_m), jnp.maximum(right_m, least_m), drive.right_m),
@@ -233,15 +219,13 @@ def target_point(
     left_m: Array,
     right_m: Array,
     edge: tuple[Array, Array],
-    coast: Array,
     to_robot: Callable[[Array], Array],
     tuning: Tuning,
 ) -> Array:
     """Compute the target point in the robot's frame: `[2]` float32, metres.
 
-    In a passage it lies on the middle between the walls, in free space in the direction `coast`, from
-    `surround.wall_direction`; or, where that is NaN, at the distance from the followed wall that the passage before
-    had: the nearer wall, or where both sides are open the one that was nearer last.
+    In a passage it lies on the middle between the walls, in free space at the distance from the followed wall that the
+    passage before had: the nearer wall, or where both sides are open the one that was nearer last.
 
     Source:
       Mano et al., equations 3 and 4.
@@ -256,8 +240,6 @@ def target_point(
     cos, sin = jnp.cos(along), jnp.sin(along)
     middle = jnp.stack([tuning.ahead_m * cos + off_m * sin, tuning.ahead_m * sin - off_m * cos])
     ahead = jnp.where((mode == RunMode.WALL_FOLLOWING) | (open_left ^ open_right), wall, middle)
-    coasts = (mode == RunMode.WALL_FOLLOWING) & jnp.isfinite(coast)
-    ahead = jnp.where(coasts, tuning.ahead_m * towards(coast), ahead)
     return jnp.where(mode == RunMode.BRANCH_SELECTION, _selected(drive, to_robot, tuning), ahead)
 
 
@@ -282,101 +264,3 @@ def _selected(drive, to_robot, tuning):
     via_m = tuning.leave_m + P.motion.via_point_m
     first = drive.aside & (drive.latch == Latch.LEAVE) & (jnp.abs(beside_m) > P.motion.off_axis_m) & (before_m > via_m)
     return jnp.where(first, target - via_m * axis, target)
-
-
-def coast_direction(mode: Array, side: Array, around: Surround, tuning: Tuning, robot: Robot) -> Array:
-    """Return the direction in which the robot follows the wall of a hall: float32, radians.
-
-    NaN where it follows none.
-    """
-    follows = (mode == RunMode.WALL_FOLLOWING) & (tuning.coast_m > 0)
-    none = jnp.float32(jnp.nan)
-    return run_if(follows, lambda _: surround.wall_direction(around, side, tuning.coast_m, robot), none)
-
-
-def continue_in_hall(
-    state: State,
-    space: FreeSpace,
-    drive: Drive,
-    writer: Writer,
-    event: DueNode,
-    around: Surround,
-    estimate: Array,
-    tuning: Tuning,
-) -> tuple[FreeSpace, Drive, Writer]:
-    """Choose how the robot continues in a hall once a node has been made, or none was due.
-
-    Returns:
-      `(space, drive, writer)`: with the hall it stays in and the wall it follows; a hall without a gateway is exhausted
-        once the robot has been all round.
-    """
-    space, drive = leave_gateway(space, drive, event.out)
-    drive, is_round = go_round(state, drive, space, writer, around, estimate, event.kind != btm.NONE, tuning)
-    return space, drive, writer.replace(exhausted=writer.exhausted | is_round)
-
-
-def leave_gateway(space: FreeSpace, drive: Drive, out: Array) -> tuple[FreeSpace, Drive]:
-    """Decide at a gateway whether the robot stays in the hall, and which wall it follows.
-
-    Args:
-      out: float32, radians, direction of the gateway; NaN: the robot is at no gateway.
-    """
-    is_before, to_left = jnp.isfinite(out), jnp.sin(drive.out - out) > 0
-    stays = jnp.cos(drive.out - out) < P.graph.along_cos
-    after = no_free_space().replace(inside=stays)
-    space = pick(is_before, after, space)
-    side = jnp.where(stays, jnp.where(to_left, -1, 1), 0)  # going to the left, it has the gateway's wall to the right
-    return space, drive.replace(side=jnp.where(is_before, side, drive.side).astype(jnp.int32))
-
-
-def go_round(
-    state: State,
-    drive: Drive,
-    space: FreeSpace,
-    writer: Writer,
-    around: Surround,
-    estimate: Array,
-    at_node: Array,
-    tuning: Tuning,
-) -> tuple[Drive, Array]:
-    """Continue after a wall has been followed all round without making a node.
-
-    The robot leaves an island in the hall straight across, for another wall. If it knows no place but the hall where it
-    began, and follows no route, that hall is exhausted; otherwise it crosses as well.
-
-    Args:
-      at_node: bool, a node was made.
-
-    Returns:
-      `(drive, is_round)`: bool, the robot has been round the hall where it began and found no exit.
-    """
-    xy, known = surround.known_points(around)
-    beside = jnp.any(known & (jnp.hypot(*xy.T) < 2 * tuning.coast_m))
-    follows = space.inside & (state.mode == RunMode.WALL_FOLLOWING) & (drive.latch == Latch.FREE) & beside
-    began = jnp.where(at_node | ~space.inside, jnp.nan, drive.began)
-    turn = jnp.where(follows, estimate[2] - began[4], 0.0)
-    began = began.at[2].add(turn).at[4].set(estimate[2])
-    now = jnp.stack([*estimate[:2], 0.0, state.odometer_m, estimate[2]])
-    began = jnp.where(follows & jnp.isnan(began[0]) & (tuning.coast_m > 0), now, began)
-    gone = estimate[:2] - began[:2]
-    passes = gone[0] * jnp.cos(estimate[2]) + gone[1] * jnp.sin(estimate[2]) >= 0
-    is_back = (
-        follows & passes & (jnp.hypot(*gone) < P.motion.began_m) & (state.odometer_m - began[3] > P.motion.round_m)
-    )
-    turned = -drive.side * began[2]  # away from the wall, along the inside of a hall
-    alone = (writer.node == 0) & (writer.map.n_nodes == 1)
-    alone &= jnp.bool_(writer.guide is None)
-    is_round = is_back & (turned > P.motion.round_rad) & alone
-    leaves = is_back & (jnp.abs(turned) > P.motion.round_rad) & ~is_round
-    out = estimate[2] - drive.side * math.pi / 2
-    target = estimate[:2] + P.motion.leave_island_m * towards(out)
-    after = drive.replace(
-        latch=jnp.where(leaves, Latch.LEAVE, drive.latch).astype(jnp.int32),
-        target=jnp.where(leaves, target, drive.target),
-        out=jnp.where(leaves, out, drive.out),
-        since=jnp.where(leaves, latch_start(jnp.float32(P.motion.leave_island_m), tuning), drive.since),
-        aside=drive.aside & ~leaves,
-        side=jnp.where(leaves, 0, drive.side).astype(jnp.int32),
-        began=jnp.where(leaves, jnp.nan, began),
-    )
-    return after, is_round

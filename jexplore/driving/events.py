@@ -12,7 +12,7 @@ from jexplore.arrays.loops import pick, run_if
 from jexplore.driving import behaviour, links, mapping
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Ahead, Divergence, DueNode, Latch, ScanWalls, State, Surround, Writer
-from jexplore.driving.sensing import gateways, ground_profile, perception, surround
+from jexplore.driving.sensing import ground_profile, perception, surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_robot
 
@@ -57,9 +57,7 @@ def look_ahead(
     tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
     leans = tips | (rise > P.ground.stairs_rise_m)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
-    space, border_m, missed, track = _watch_free_space(
-        state, writer, walls, xy, known, track, is_free & ~jnp.asarray(is_blind), placed, tuning
-    )
+    space, border_m, missed = _watch_free_space(state, writer, walls, is_free & ~jnp.asarray(is_blind), tuning)
     level, changed, crease_m, steepest = mapping.update_slope(
         writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), P.ground.even_lengths * robot.length_m
     )
@@ -77,7 +75,6 @@ def look_ahead(
         space=space,
         border_m=border_m,
         missed=missed,
-        is_noted=jnp.asarray(tuning.coast_m == 0),
         level=level,
         changed=changed,
         crease_m=crease_m,
@@ -165,35 +162,19 @@ def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
         return behaviour.update_track(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
 
     # There are no divergences in free space; where the robot turns on a slope, it leans otherwise for a moment.
-    forgets = ((state.space.inside & jnp.isnan(state.track.out)) | leans) & ~turns
+    forgets = (state.space.inside | leans) & ~turns
     track = pick(forgets, behaviour.empty_track(), state.track)
-    looks = (state.step % P.graph.search_every_steps == 0) & ~is_in & ~turns & ~forgets & jnp.isnan(state.track.out)
+    looks = (state.step % P.graph.search_every_steps == 0) & ~is_in & ~turns & ~forgets
     return run_if(looks, looked, (track, jnp.int32(0)))
 
 
-def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, tuning):
-    """Update `FreeSpace`, the border ahead and whether it was missed (see `Ahead`), and the `Track` of a gateway."""
-    is_hall = tuning.coast_m > 0
-    # One that is still ahead is watched ahead.
-    within = is_hall & state.space.inside & ~jnp.isfinite(writer.border_m)
-    # A hall is left where both its walls are abeam of the robot: walls ahead may be those of a corner.
-    left_m, right_m = pick(within, tuple(walls.beside), walls.region_sides)
-    coast_m = jnp.where(within, tuning.coast_m, 0.0)
+def _watch_free_space(state, writer, walls, looking, tuning):
+    """Update `FreeSpace`, the border ahead, and whether it was missed: see `Ahead`."""
+    left_m, right_m = walls.region_sides
     space, enters, leaves = behaviour.watch_free_space(
-        state.space, left_m, right_m, state.odometer_m, tuning.open_m, looking, walls.roomy, coast_m
+        state.space, left_m, right_m, state.odometer_m, tuning.open_m, looking, walls.roomy
     )
-    region = walls.region[0], jnp.where(is_hall, 0.0, walls.region[1])
-    border_m, missed = behaviour.border_ahead(writer.border_m, space.since_m, enters, leaves, region)
-    crosses = is_hall & ~missed & looking & (state.odometer_m >= border_m)
-
-    def gateway(track):
-        found = gateways.gateway_crossed(writer, space.inside, border_m, tuning)
-        abeam = gateways.gateway_abeam(state, writer, xy, valid, track, placed, tuning)
-        return pick(crosses, found, abeam)
-
-    looks = looking & (crosses | (state.space.inside & (state.step % P.graph.search_every_steps == 0)))
-    track = run_if(is_hall & looks, gateway, track)
-    return space, jnp.where(crosses | (is_hall & missed), jnp.inf, border_m), missed & ~is_hall, track
+    return space, *behaviour.border_ahead(writer.border_m, space.since_m, enters, leaves, walls.region)
 
 
 def _recent_ground(way, state):
@@ -262,7 +243,7 @@ def due_node(state: State, writer: Writer, ahead: Ahead, at_goal: Array, is_open
     """
     returns = is_open & _passes_start(state)
     changed = ahead.changed
-    crosses = ahead.is_noted & (ahead.missed | (state.odometer_m >= writer.border_m))
+    crosses = ahead.missed | (state.odometer_m >= writer.border_m)
     stops = ahead.blocked >= P.motion.debounce_steps
     here = state.estimate
     crease = run_if(changed, lambda _: mapping.pose_at(writer.way, ahead.crease_m), here)
@@ -290,7 +271,6 @@ def due_node(state: State, writer: Writer, ahead: Ahead, at_goal: Array, is_open
         pose=pose,
         centre=centre,
         radius=jnp.where(kind == btm.DIVERGENCE, ahead.track.radius, 0.0),
-        out=jnp.where(kind == btm.DIVERGENCE, ahead.track.out, jnp.nan),
         posture=writer.way.posture[jnp.minimum(state.step, writer.way.posture.shape[0] - 1)],
         steepest=jnp.where(is_blocked, ahead.beyond[1], ahead.steepest),
         step_m=jnp.where(is_blocked, ahead.beyond[0], jnp.where(ahead.is_lone, step.height_m, 0.0)),

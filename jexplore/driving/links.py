@@ -1,39 +1,30 @@
 """The links of a node in a map that is being written, and which known node a place is by its ways."""
 
-import dataclasses
 import math
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
-from jexplore.arrays.loops import pick, run_if
+from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Openings, Writer
 from jexplore.driving.vehicle import rotate_by, to_odometry, to_robot
 
 
-def turn_to(map_: Btm, node: Array, found: Openings) -> tuple[Array, Array]:
-    """Return the turn of a known node's openings against its links, and how well they agree.
+def turn_to(map_: Btm, node: Array, found: Openings) -> Array:
+    """Return the mean turn of a known node's openings against its links, radians, to be added.
 
-    Returns:
-      `(turn, spread)`: radians, to be added; the farthest that a link lies from its opening once that is done, radians,
-        inf where an opening has no link, or a link that it must have no opening, within `turn_rad`.
+    Only openings with a link within `turn_rad` count.
     """
     own, bearing = ends_at(map_, node)
-    needed = _needed(map_, own)
     off = btm.wrapped(bearing[:, None] - found.bearing)  # [2M, K]
     off = jnp.where(own[:, None] & found.valid, off, jnp.inf)
     near = jnp.argmin(jnp.abs(off), axis=0)
     least = jnp.take_along_axis(off, near[None], axis=0)[0]
     counts = jnp.abs(least) < P.graph.turn_rad
-    n = jnp.sum(counts)
-    turn = jnp.sum(jnp.where(counts, least, 0)) / jnp.maximum(n, 1)
-    has_opening = jnp.any(jnp.abs(off) < P.graph.turn_rad, axis=1)
-    whole = (n >= 1) & jnp.all(counts == found.valid) & jnp.all(has_opening | ~needed)
-    return turn, jnp.where(whole, jnp.max(jnp.where(counts, jnp.abs(least - turn), 0)), jnp.inf)
+    return jnp.sum(jnp.where(counts, least, 0)) / jnp.maximum(jnp.sum(counts), 1)
 
 
 def withdraw_double(map_: Btm, node: Array, back: Array, when: Array) -> Btm:
@@ -174,119 +165,6 @@ def match_node(
         return first, is_alone & is_alike(map_, first, found, back, leads[first])
 
     return run_if(jnp.any(may), judged, (jnp.int32(0), jnp.bool_(False)))
-
-
-def find_hypotheses(writer: Writer, centre: Array, odometer_m: Array, found: Openings, when: Array) -> Array:
-    """Return loop-closure hypotheses for a place written as a new node: known divergences that it may be.
-
-    One more node decides among them.
-
-    Args:
-      when: bool, False: do nothing.
-
-    Returns:
-      `[N]` float32: turn of its frame if it is that node, radians; NaN: no hypothesis.
-    """
-    map_, n = writer.map, writer.map.kind.shape[0]
-    off_m = jnp.hypot(map_.x_m - centre[0], map_.y_m - centre[1])
-    may = (map_.kind == btm.DIVERGENCE) & (off_m < jnp.minimum(P.graph.drift_share * odometer_m, P.graph.hypothesis_m))
-    may &= when & (jnp.arange(n) != writer.node)
-
-    def turns(none):
-        turn, spread = jax.vmap(lambda node: turn_to(map_, node, found))(jnp.arange(n))
-        return jnp.where(may & jnp.isfinite(spread), turn, none)
-
-    return run_if(jnp.any(may), turns, jnp.full(n, jnp.nan))
-
-
-def resolve_hypotheses(writer: Writer, kind: Array, centre: Array, odometer_m: Array, found: Openings) -> Writer:
-    """Resolve the hypotheses about the last node by the way from there and the place at its end.
-
-    A hypothesis holds if a known link leaves its node in the direction in which the robot has left this one, has the
-    same length, and leads to a node of the same kind and exits as the robot's place. If exactly one holds, the last
-    node is that node and the robot has followed the known link: what it has written since is removed. All other
-    hypotheses are dropped and counted.
-
-    Source:
-      Choset and Nagatani 2001, Topological simultaneous localization and mapping.
-
-    Args:
-      kind, centre, odometer_m: of the robot's place: int32, `NONE` where it cannot be a known one; `[2]` float32,
-        odometry; float32.
-
-    Returns:
-      `Writer`, without doubts.
-    """
-    n, there = writer.map.kind.shape[0], jnp.isfinite(writer.doubts)
-    none = jnp.full(n, jnp.nan)
-
-    def judged(carry):
-        map_, _, _, origin, left, dropped, _ = carry
-        holds, onto = jax.vmap(lambda node, turn: _holds(writer, node, turn, kind, centre, odometer_m, found))(
-            jnp.arange(n), jnp.nan_to_num(writer.doubts)
-        )
-        holds &= there
-        node, is_it = jnp.argmax(holds).astype(jnp.int32), jnp.sum(holds) == 1
-        joined = _merge_last_node(map_, writer.node, node, writer.doubts[node])
-        map_ = pick(is_it, joined, map_)
-        origin = jnp.where(is_it, origin.at[2].set(writer.doubts[node]), origin)
-        left = jnp.where(is_it, btm.wrapped(left + writer.doubts[node]), left)
-        dropped += jnp.sum(there) - is_it
-        return (
-            map_,
-            jnp.where(is_it, node, writer.node),
-            jnp.where(is_it, onto[node], writer.link),
-            origin,
-            left,
-            dropped,
-            none,
-        )
-
-    names = "map", "node", "link", "origin", "left_bearing", "dropped", "doubts"
-    before = tuple(getattr(writer, name) for name in names)
-    return writer.replace(**dict(zip(names, run_if(jnp.any(there), judged, before))))
-
-
-def _holds(writer, node, turn, kind, centre, odometer_m, found):
-    """Return whether the last node may be another one, reached along a known link of that node: `(holds, link)`."""
-    map_, size = writer.map, writer.map.start.shape[0]
-    ends, bearings = ends_at(map_, node)
-    off = jnp.where(ends, jnp.abs(btm.wrapped(bearings - writer.left_bearing - turn)), jnp.inf)
-    best = jnp.argmin(off)
-    link, forward = (best % size).astype(jnp.int32), best < size
-    to = jnp.where(forward, map_.end[link], map_.start[link])
-    way = rotate_by(turn)(centre - writer.origin[:2])
-    apart_m = jnp.hypot(*(way - way_along(map_, link, forward)))
-    within_m = P.graph.same_way_m + P.graph.drift_share * (odometer_m - writer.node_m)
-    _, spread = turn_to(map_, to, dataclasses.replace(found, bearing=found.bearing + turn))
-    holds = (off[best] < P.places.same_exit_rad) & (map_.status[link] == btm.SEARCHED) & (apart_m < within_m)
-    holds &= (map_.kind[to] == kind) & ((kind != btm.DIVERGENCE) | jnp.isfinite(spread))
-    return holds, link
-
-
-def _merge_last_node(map_, last, node, turn):
-    """Replace the last node by a known one, at which its link then ends and whose frame differs by `turn`, radians."""
-    size = map_.start.shape[0]
-    comes = (map_.end == last) & (map_.status == btm.SEARCHED)
-    link = jnp.where(jnp.any(comes), jnp.argmax(comes), size)
-    at = jnp.minimum(link, size - 1)
-    back = btm.wrapped(map_.end_bearing[at] + turn)
-    known, is_known = link_from(map_, map_.start[at], node, back)
-    goes = (map_.start == last) | (is_known & (jnp.arange(size) == link) & (known != link))
-    none = jnp.int32(btm.NONE)
-    map_ = map_.replace(
-        start=jnp.where(goes, none, map_.start),
-        end=jnp.where(goes, none, map_.end).at[link].set(jnp.where(goes[at], none, node), mode="drop"),
-        status=jnp.where(goes, none, map_.status),
-        end_bearing=map_.end_bearing.at[link].set(back, mode="drop"),
-        turned=map_.turned.at[link].set(btm.wrapped(map_.turned[at] - turn), mode="drop"),
-        kind=map_.kind.at[last].set(none),
-        x_m=map_.x_m.at[last].set(jnp.nan),
-        y_m=map_.y_m.at[last].set(jnp.nan),
-        intervention=map_.intervention.at[node].add(map_.intervention[last]).at[last].set(0),
-        n_nodes=map_.n_nodes - 1,
-    )
-    return withdraw_double(map_, node, back, (link < size) & ~goes[at])
 
 
 def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array, Array]:

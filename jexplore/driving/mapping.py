@@ -72,8 +72,6 @@ def begin_map(
         last_chance=jnp.int32(-1),
         exhausted=jnp.bool_(False),
         full=jnp.bool_(False),
-        doubts=jnp.full(n_nodes, jnp.nan),
-        dropped=jnp.int32(0),
         origin=jnp.zeros(3).at[:2].set(pose[:2]),
         guide=guide,
     )

@@ -87,7 +87,6 @@ class RunResult(struct.PyTreeNode):
     help_at: Array
     node_at: Array
     mistaken: Array
-    dropped: Array  # int32, loop-closure hypotheses that did not hold
     met: Array
     scan_overflow: Array
     drift_m: Array  # float32, how far the odometry was off in the end
@@ -169,13 +168,11 @@ def make_step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, no
     xy, known = surround.known_points(around)
     seen = placed(xy), known
     writer, drive, track, estimate = nodes.make_due_node(state, writer, drive, ahead.track, event, seen, tuning, robot)
-    space, drive, writer = behaviour.continue_in_hall(
-        state, ahead.space, drive, writer, event, around, estimate, tuning
-    )
     if writer.guide is not None:
         writer, drive, track = steer_along_route(
             state, writer, drive, track, estimate, ways_m, event.blocked, tuning, robot
         )
+    space = ahead.space
     mode, drive, target, getting, speed = _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot)
     after = _moved(draws, building, robot, noise, state, estimate, senses, speed)
     turn = after.odometry[2] - looked_from
@@ -229,8 +226,8 @@ def _decided(state, writer, ahead, at, at_goal, is_open, tuning, robot):
 def _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot):
     """Run mode, target point and speed: `(mode, drive, target, manoeuvre, speed)`."""
     mode, drive = behaviour.choose_mode(drive, space, walls, ways_m, tuning, robot)
-    ways = surround.voronoi_edge(around), behaviour.coast_direction(mode, drive.side, around, tuning, robot)
-    target = behaviour.target_point(mode, drive, walls.left_m, walls.right_m, *ways, to_robot(estimate), tuning)
+    edge = surround.voronoi_edge(around)
+    target = behaviour.target_point(mode, drive, walls.left_m, walls.right_m, edge, to_robot(estimate), tuning)
     at_target = (drive.latch == Latch.LEAVE) & (jnp.hypot(*target) < tuning.arrive_m)
     bearing = jnp.where(at_target, btm.wrapped(drive.out - estimate[2]), jnp.arctan2(target[1], target[0]))
     turning = jnp.where(drive.latch == Latch.LOOK, 2, drive.turning)
@@ -324,7 +321,6 @@ def finish(setup: Setup, given: Given, state: State) -> RunResult:
         help_at=state.help_at,
         node_at=state.node_at.at[node].set(body.pose[:2], mode="drop"),
         mistaken=state.mistaken,
-        dropped=state.writer.dropped,
         met=state.met,
         scan_overflow=state.scan_overflow,
         drift_m=jnp.hypot(*(body.pose[:2] - state.estimate[:2])),

@@ -13,7 +13,7 @@ from jexplore.driving.guiding import leaving
 from jexplore.driving.mapping import came_from, came_through, has_left, pose_from_node, way_extremes
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Arrival, Drive, DueNode, Latch, State, Track, Writer
-from jexplore.driving.sensing import gateways, obstacles
+from jexplore.driving.sensing import obstacles
 from jexplore.driving.sensing.exits import find_exits
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import rotate_by, to_odometry, towards
@@ -76,8 +76,6 @@ def _find_openings(writer, event, points, tuning, is_divergence):
         seen_from=event.pose[:2],
         farther=writer.guide is None and ~links.is_any_open(writer.map, writer.tries),
     )
-    at_gateway = gateways.gateway_exits(event.out, event.radius, tuning.coast_m, MAX_OPENINGS)
-    found = pick(jnp.isfinite(event.out), at_gateway, found)
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - came)), jnp.inf)
     passed = came_through(writer, event.centre + found.middle, found.across, found.width_m)
     passed = _by_door(jnp.where(found.valid, passed, -1), found.width_m, writer.way.odometer_m)
@@ -134,9 +132,8 @@ def write_node(
         there, radians; `[3]`, correction of the odometry at a node met again: metres, and radians about the node.
     """
     is_divergence, is_terminal = event.kind == btm.DIVERGENCE, (event.kind == btm.TERMINAL) & ~event.returns
-    kind, size = jnp.where(is_terminal, btm.NONE, event.kind), writer.map.start.shape[0]  # a goal is no known node
+    size = writer.map.start.shape[0]
     found, others, back = _find_openings(writer, event, points, tuning, is_divergence)
-    before, writer = writer, links.resolve_hypotheses(writer, kind, event.centre, event.odometer_m, found)
     at = _arrive(writer, event, found, back, tuning, is_divergence, is_terminal)
     map_, step_m = obstacles.classify_obstacle(at.map, writer, event, tuning, robot, at.posture, at.node)
     at, event, turn, applied, turned = _turns(writer, event, at, found)
@@ -166,13 +163,10 @@ def write_node(
         border_m=_border_left(writer, event),
         tries=after.tries.at[taken].add(1, mode="drop"),
         exhausted=~is_terminal & (taken == size),
-        doubts=links.find_hypotheses(
-            writer, event.centre, event.odometer_m, found, is_divergence & ~at.again & at.fits
-        ),
         origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(turned) - applied]),
         guide=left.guide,
     )
-    unchanged = before.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
+    unchanged = writer.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
     return (
         pick(passes, unchanged, pick(at.fits, written, _full(writer))),
         jnp.where((~through & (taken < size)) | passes, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
@@ -197,7 +191,7 @@ def _turns(writer, event, at, found):
     """Compare the bearings of a node's openings with its links: `(at, event, turn, applied, turned)`: with its pose
     from the last node; turned; radians that correct the odometry, their applied share; turn of any node, NaN if
     unknown."""
-    turned, _ = links.turn_to(at.map, at.node, found)
+    turned = links.turn_to(at.map, at.node, found)
     turn = jnp.where(at.met, turned, 0.0)
     turned = jnp.where(at.again, jnp.where(event.kind == btm.DIVERGENCE, turned, jnp.nan), 0.0)
     at = at._replace(moved=pose_from_node(writer, event.centre, turned))
@@ -237,7 +231,7 @@ def make_due_node(
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
 
     names = ("node", "node_m", "link", "left_bearing", "border_m", "passed", "tries", "fails", "last_chance", "full")
-    names = (*names, "exhausted", "origin", "doubts", "dropped", "guide")
+    names = (*names, "exhausted", "origin", "guide")
     rest = {name: getattr(writer, name) for name in names}
     map_, rest, drive, track, estimate = run_if(
         event.kind != btm.NONE, written, (writer.map, rest, drive, track, state.estimate)
@@ -246,13 +240,13 @@ def make_due_node(
 
 
 def _add_openings(writer, map_, event, at, found, others, when):
-    """Add a divergence's links: `(writer, map)`: the openings of a new one but the way in; at one met again, not before
-    gateways nor on a route, those besides its links, for one try. A start in its circle is on no link."""
+    """Add a divergence's links: `(writer, map)`: the openings of a new one but the way in; at one met again, not on a
+    route, those besides its links, for one try. A start in its circle is on no link."""
     own, bearing = links.ends_at(map_, at.node)
     known = jnp.any(
         own[:, None] & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < P.graph.same_end_rad), axis=0
     )
-    more = at.met & ~known & jnp.isnan(event.out) if writer.guide is None else False
+    more = at.met & ~known if writer.guide is None else False
     goes = others & when & (~at.again | more)
     before = map_.n_links
     for i in range(MAX_OPENINGS):

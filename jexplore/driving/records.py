@@ -164,7 +164,6 @@ class Track(struct.PyTreeNode):
     radius: Array  # float32, metres
     seen: Array  # uint32, a bit a scan, the last one lowest: whether it showed the triangle
     age: Array  # int32, scans since it was first seen; 0: no divergence
-    out: Array  # float32, radians: of a place before a gateway of a hall, where that leads; NaN: of no other
 
 
 class FreeSpace(struct.PyTreeNode):
@@ -187,9 +186,6 @@ class Drive(struct.PyTreeNode):
     aside: Array  # bool, a wide place is left by an opening that is seen from the side
     known: Array  # bool, the place that is approached is a node, met again
     surveys: Array  # int32, places that it has gone to since the last node, each better than the one before
-    side: Array  # int32, where the wall is that is followed: 1 left, -1 right, 0 none
-    began: Array  # [5] float32, where it began to follow that since the last node: x, y, metres; how far it has turned
-    # as it followed it, radians; odometer there; heading at the step before; NaN: it does not
     turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
     left_m: Array  # float32, last distance of a left wall within C1, or of one next to which it can turn
     right_m: Array  # float32, as `left_m`, on the right
@@ -273,9 +269,6 @@ class Writer(struct.PyTreeNode):
     last_chance: Array  # int32, searched links when those that were given up last got another chance; -1: never
     exhausted: Array  # bool, nothing is left to follow
     full: Array  # bool, a node did not fit
-    doubts: Array  # [N] float32, loop-closure hypotheses: nodes that the last one may be: turn of its frame then,
-    # radians; NaN: it is not
-    dropped: Array  # int32, such hypotheses that did not hold
     origin: Array  # [3] float32, the last node: x, y, metres; turn of its frame, radians
     guide: Guide | None = None  # of a robot that follows a route
 
@@ -288,7 +281,6 @@ class DueNode(struct.PyTreeNode):
     pose: Array  # [3] float32, there
     centre: Array  # [2] float32, of the node
     radius: Array  # float32, of a divergence's circle
-    out: Array  # float32, radians, where the gateway of a hall leads before which a divergence lies; else NaN
     posture: Array  # float32, radians, inclination of the body
     steepest: Array  # float32, radians, of an obstacle
     step_m: Array  # float32, height of a step that it has gone over, or cannot climb; 0
@@ -334,7 +326,6 @@ class Ahead(NamedTuple):
     space: FreeSpace
     border_m: Array  # float32, odometer at which the free space will have been entered or left; inf: none
     missed: Array  # bool, where the free space begins was not reached before it ends
-    is_noted: Array  # bool, where it begins and ends there are nodes
     level: SlopeEstimate
     changed: Array  # bool, whether the robot stands on ground of another inclination now
     crease_m: Array  # float32, odometer where it changed

@@ -82,10 +82,6 @@ class Tuning(Settings):
     open_m: float = 0.0
     """A side without a wall within this [C1], in metres, is free space. 0: 2.5 on courses, whose hall is free space, 5
     in other worlds, whose rooms are places where ways part."""
-    coast_m: float = 0.0
-    """The walls of free space are followed at this distance, in metres, and each of its gateways is a place where ways
-    part. 0, the only other one on courses: there at the distance of the passage before, as in the paper, and gateways
-    are none; in other worlds 1.5, at most half of C1."""
     dead_end_m: float = 0.39
     """The way ahead is closed if both walls together are no farther than this [C2], in metres."""
     arrive_m: float = 0.3
@@ -115,11 +111,11 @@ class Tuning(Settings):
 
 MOST_NODES = int(NUMBER_BOUNDS["nodes"][1])
 """Of a map, at most; of links twice as many."""
-BY_WORLD = {"open_m": (2.5, 5.0), "far_m": (4.0, 8.0), "coast_m": (0.0, 1.5)}
+BY_WORLD = {"open_m": (2.5, 5.0), "far_m": (4.0, 8.0)}
 """Thresholds whose 0 stands for another number -> that on courses, and in other worlds."""
 LEVEL_SIGHT_M = 4.0
 """The scanner that looks ahead must see level ground no nearer than this, metres."""
-FROM_ZERO = "obtuse_tol_deg", "leave_m", "tread_wave_m2", "coast_m"
+FROM_ZERO = "obtuse_tol_deg", "leave_m", "tread_wave_m2"
 """Thresholds that may be 0."""
 WHOLE = {"votes": 9, "helps": 100}
 """Thresholds that are whole numbers -> their largest value."""
@@ -135,8 +131,6 @@ def for_world(tuning: Tuning, *, is_course: bool) -> Tuning:
     if not isinstance(tuning, Tuning):
         return tuning
     own = {name: found[0 if is_course else 1] for name, found in BY_WORLD.items() if getattr(tuning, name) == 0}
-    if "coast_m" in own:
-        own["coast_m"] = min(own["coast_m"], own.get("open_m", tuning.open_m) / 2)
     return dataclasses.replace(tuning, **own)
 
 
@@ -158,7 +152,6 @@ def require_tuning(tuning: Tuning) -> None:
         if getattr(tuning, low) >= getattr(tuning, high):
             got = f"{getattr(tuning, low):g} and {getattr(tuning, high):g}"
             raise InputError(f"tuning.{low} must be less than tuning.{high}, got {got}")
-    require_number("tuning.coast_m", tuning.coast_m, high=tuning.open_m / 2)
     require_number("tuning.circle", tuning.circle, low=1, low_open=True, high=3)
     require_number("tuning.obtuse_tol_deg", tuning.obtuse_tol_deg, high=90, high_open=True)
     require_number("tuning.inclination_deg", tuning.inclination_deg, low=1, high=45)

@@ -23,7 +23,7 @@ def trace_robots(out: Out, options: Any, arguments: Sequence[str]) -> int:
     from jexplore.tracemap import json_form
 
     read_reach(options.contact)
-    own = fields_of(options, "robot seed tuning start cell_m max_steps nodes links")
+    own = fields_of(options, "robot seed tuning start cell_m max_steps nodes links perception")
     starts = options.team_starts[0] if len(options.team_starts) == 1 else options.team_starts
     own |= {"noise": options.own_noise, "attributes": options.attribute}
     plan = prepare_team(options.world, options.robots, starts, **own)

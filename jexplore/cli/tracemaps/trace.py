@@ -72,8 +72,9 @@ class Trace(ResumeOptions):
     """Most nodes of the map; by default 32 for a course with a goal, else more than the true map has."""
     links: int | None = None
     """Most links of the map; by default two a node."""
-    perception: Literal["triangles", "map"] = "triangles"
-    """Perceive by triangles of single scans, as in the paper, or by a local map, on level ground."""
+    perception: Literal["auto", "triangles", "map"] = "auto"
+    """Perceive by triangles of single scans, as in the paper, or by a local map, on level ground (auto: triangles on
+    courses and uneven ground)."""
     attribute: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE@X,Y [...]", help_behavior_hint="")] = ()
     """Give the node that is nearest to a place in the building, in metres, an attribute: victim=true@12.5,4,
     radio_dbm=-61@3,8."""
@@ -116,9 +117,6 @@ class Trace(ResumeOptions):
             for name, value in fields_of(self, names).items():
                 if not asked and value != getattr(type(self)(), name):
                     raise InputError(f"--{name.replace('_', '-')} goes with {option}")
-        for name in ("animate", "corrected", "robots"):
-            if self.perception == "map" and getattr(self, name):
-                raise InputError(f"--{name} goes with --perception triangles")
         if self.noise_m is not None and self.noise.range_m not in (type(self)().noise.range_m, self.noise_m):
             raise InputError("--noise-m and --noise.range-m say the same: give one of them")
         with Out(self, "trace") as out:
@@ -132,6 +130,10 @@ class Trace(ResumeOptions):
                 self, "robot runs starts seed tuning start sweep settings cell_m max_steps nodes links perception"
             )
             plan = prepare_trace(self.world, **own, noise=self.own_noise, attributes=self.attribute)
+            if self.corrected and plan.perception == "map":
+                raise InputError(
+                    "--corrected goes with --perception triangles: a local map's pose has nothing to spread"
+                )
             if plan.size[0] < plan.places:
                 say(f"jexplore: note: the true map has {plan.places} nodes, this one has room for {plan.size[0]}", 0)
             ledger = out.keep(tracing.asked_of_runs(plan), len(tracing.run_blocks(plan)))

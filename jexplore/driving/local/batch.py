@@ -1,24 +1,106 @@
-"""Runs of robots with a local map, one after the other, with the results of `driving.batch.run_missions`."""
+"""Runs of robots with a local map, with the results of `driving.batch.run_missions`."""
 
 import dataclasses
+import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jexplore.config import InputError
 from jexplore.driving.approach import HELPS_KEPT
 from jexplore.driving.batch import Driven, MissionResults
+from jexplore.driving.local.pilot import RunEnded
 from jexplore.driving.local.run import LocalRun
 from jexplore.driving.local.window import Fixed
 from jexplore.driving.mission import MAP_SIZE, RunOutcome, RunResult
 from jexplore.driving.records import Building
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.draws import random_key
-from jexplore.engine.runner import Costs
+from jexplore.engine.runner import Costs, find_resources
 from jexplore.slam2d.settings import SlamSettings
+
+OnStep = Callable[[int, LocalRun], object]  # of the number of a run and the run
+
+
+class LocalTask(NamedTuple):
+    """All that a run needs."""
+
+    fixed: Fixed
+    tuning: Tuning
+    start: np.ndarray  # [3] float32
+
+
+def require_cpu(engine: str, lanes: int | None) -> None:
+    """Refuse settings of an engine that runs of robots with a local map do not have.
+
+    Raises:
+      InputError: naming them.
+    """
+    if (engine, lanes) != ("auto", None):
+        raise InputError("engine and lanes go with perception triangles: a local map runs on the CPU")
+
+
+def tasks_of(
+    building: Building,
+    robots: Robot,
+    tunings: Tuning,
+    noises: Noise,
+    starts: np.ndarray,
+    seed: int,
+    draws: np.ndarray,
+) -> list[LocalTask]:
+    """Return the runs; arguments as of `driving.batch.run_missions`."""
+    key, on_device = random_key(np.uint32(seed)), jax.device_put(building)
+    robots = dataclasses.replace(robots, name="")  # a name would make another program
+    found = []
+    for i, draw in enumerate(draws):
+        robot, tuning, noise = jax.tree.map(lambda a, i=i: a[i], (robots, tunings, noises))
+        fixed = Fixed(on_device, robot, noise, SlamSettings(), jax.random.fold_in(key, draw))
+        found.append(LocalTask(jax.tree.map(jnp.asarray, fixed), tuning, starts[i]))
+    return found
+
+
+def run_tasks(
+    tasks: Sequence[LocalTask],
+    max_steps: int,
+    size: tuple[int, int],
+    *,
+    workers: int | None = None,
+    on_run: Callable[[int, RunResult, Driven], object],
+    on_step: OnStep = lambda i, run: None,
+) -> None:
+    """Make runs, `workers` at a time, by default one a core; `on_run` is called with each in their order.
+
+    `on_step` is called after every step, from the run's thread.
+
+    Raises:
+      KeyboardInterrupt: after Ctrl-C, once the runs that have begun have been stopped.
+    """
+    halts = threading.Event()
+
+    def watched(i, run):
+        on_step(i, run)
+        if halts.is_set():
+            raise RunEnded(RunOutcome.RUNNING)
+
+    def run_one(i):
+        task = tasks[i]
+        run = LocalRun(task.fixed, task.start, task.tuning, max_steps, lambda run: watched(i, run))
+        return _results_of(run, run.drive(), task.fixed, size)
+
+    with ThreadPoolExecutor(find_resources(workers=workers).workers) as pool:
+        waiting = [pool.submit(run_one, i) for i in range(len(tasks))]
+        try:
+            for i, future in enumerate(waiting):
+                on_run(i, *future.result())
+        finally:
+            halts.set()
+            pool.shutdown(cancel_futures=True)
 
 
 def run_missions(
@@ -30,6 +112,7 @@ def run_missions(
     seed: int,
     draws: np.ndarray,
     *,
+    workers: int | None = None,
     max_steps: int,
     size: tuple[int, int] = MAP_SIZE,
     on_progress: Callable[[int], object] | None = None,
@@ -37,23 +120,25 @@ def run_missions(
     on_block: Callable[[int, RunResult, Driven | None], object] | None = None,
 ) -> MissionResults:
     """Make runs in a building on level ground; arguments and results as of `driving.batch.run_missions`."""
-    begin_s, results, ways = time.perf_counter(), dict[int, RunResult](), dict[int, Driven]()
-    key, on_device = random_key(np.uint32(seed)), jax.device_put(building)
-    robots = dataclasses.replace(robots, name="")  # a name would make another program
-    costs = Costs()
+    begin_s, results, ways, costs = time.perf_counter(), dict[int, RunResult](), dict[int, Driven](), Costs()
     blocks = [(0, len(draws))] if blocks is None else list(blocks)
+    order = [i for first, n in blocks for i in range(first, first + n)]
+    firsts, ends = {first for first, _ in blocks}, {first + n - 1: k for k, (first, n) in enumerate(blocks)}
+    tasks = tasks_of(building, robots, tunings, noises, starts, seed, draws)
+
+    def put(place, result, way):
+        i = order[place]
+        results[i] = result
+        if i in firsts:
+            ways[i] = way
+        if on_progress is not None:
+            on_progress(len(results))
+        if on_block is not None and i in ends:
+            first, n = blocks[ends[i]]
+            on_block(ends[i], _stacked([results[k] for k in range(first, first + n)]), ways[first])
+
     try:
-        for number, (first, n) in enumerate(blocks):
-            for i in range(first, first + n):
-                robot, tuning, noise = jax.tree.map(lambda a, i=i: a[i], (robots, tunings, noises))
-                fixed = Fixed(on_device, robot, noise, SlamSettings(), jax.random.fold_in(key, draws[i]))
-                results[i], way = _run(fixed, tuning, starts[i], max_steps, size)
-                if i == first:
-                    ways[i] = way
-                if on_progress is not None:
-                    on_progress(len(results))
-            if on_block is not None:
-                on_block(number, _stacked([results[i] for i in range(first, first + n)]), ways[first])
+        run_tasks([tasks[i] for i in order], max_steps, size, workers=workers, on_run=put)
     except KeyboardInterrupt:
         if not results:
             raise
@@ -68,14 +153,17 @@ def _stacked(results) -> Any:
     return jax.tree.map(lambda *a: np.stack(a), *results)
 
 
-def _run(fixed, tuning, start, max_steps, size):
-    """Make one run: `(result, way)`."""
-    run = LocalRun(jax.tree.map(jnp.asarray, fixed), start, tuning, max_steps)
-    outcome = run.drive()
-    now, nodes, found = run.pilot.now, run.map.nodes, run.map.to_btm(*size)
+def true_places(run: LocalRun, n: int) -> np.ndarray:
+    """Return where the nodes of a run truly are: `[n, 2]` float32, metres, building's frame; NaN beyond the last."""
+    places = np.full((n, 2), np.nan, np.float32)
+    places[: len(run.map.nodes)] = [node.truth for node in run.map.nodes[:n]]
+    return places
+
+
+def _results_of(run, outcome, fixed, size):
+    """Return the result and the way of a run that has ended."""
+    now, found = run.pilot.now, run.map.to_btm(*size)
     estimate, truth, mode = (np.array(a) for a in zip(*run.pilot.way, strict=True))
-    node_at = np.full((size[0], 2), np.nan, np.float32)
-    node_at[: min(len(nodes), size[0])] = [node.truth for node in nodes[: size[0]]]
     marks = np.asarray(fixed.building.marks)
     off2 = ((truth[None, ::2, :2] - marks[:, None, :2]) ** 2).sum(-1).min(1)
     fields: dict[str, Any] = {
@@ -87,9 +175,8 @@ def _run(fixed, tuning, start, max_steps, size):
         "refused": np.int32(now.refused),
         "interventions": np.int32(0),
         "help_at": np.full((HELPS_KEPT, 4), np.nan, np.float32),
-        "node_at": node_at,
+        "node_at": true_places(run, size[0]),
         "mistaken": np.int32(run.mistaken),
-        "dropped": np.int32(0),
         "met": off2 < marks[:, 2] ** 2,
         "scan_overflow": np.int32(run.pilot.points_left_out),
         "drift_m": np.float32(np.hypot(*(now.truth - now.pose)[:2])),

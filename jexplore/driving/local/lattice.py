@@ -56,10 +56,10 @@ def distance_m(mask: np.ndarray) -> np.ndarray:
 class Lattice:
     """Least costs from the robot to all states of a window."""
 
-    def __init__(self, window: Window, pose: np.ndarray, robot: Robot) -> None:
-        """Search from a pose `[3]`. Cells that are not known to be free are not passed."""
+    def __init__(self, window: Window, pose: np.ndarray, robot: Robot, *, through_unknown: bool = False) -> None:
+        """Search from a pose `[3]`. Unknown cells are passed only if `through_unknown`."""
         self.window = window
-        solid = (window.occupied | ~window.known).astype(np.float32)
+        solid = (window.occupied if through_unknown else window.occupied | ~window.known).astype(np.float32)
         masks = outlines(float(robot.length_m), float(robot.width_m))
         free = [fftconvolve(solid, mask.astype(np.float32), "same") < 0.5 for mask in masks]
         stands = [free[2 * (h % 4)] for h in range(HEADINGS)]

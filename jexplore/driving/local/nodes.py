@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -174,7 +174,7 @@ class TraceMap:
         for i, node in enumerate(self.nodes[:n_nodes]):
             fields["x_m"][i], fields["y_m"][i] = node.xy
             fields["kind"][i], fields["radius_m"][i] = NODE_TYPES.index(node.type), node.radius_m
-        found = list(self._links())
+        found = list(self.links())
         links = [link for link in found if link[0] < n_nodes and link[1].to < n_nodes]
         for n, (i, exit_, back) in enumerate(links[:n_links]):
             fields["start"][n], fields["start_bearing"][n] = i, wrapped(exit_.bearing)
@@ -189,7 +189,7 @@ class TraceMap:
         over = np.array(max(len(self.nodes) - n_nodes, 0) + len(found) - int(counts["n_links"]), np.int32)
         return blank.replace(**(fields | counts), overflow=over)
 
-    def _links(self):
+    def links(self) -> Iterator[tuple[int, Exit, Exit | None]]:
         """Yield node, exit and the exit that leads back, if the way has an end; every pair of exits once."""
         used = set()
         for i, node in enumerate(self.nodes):

@@ -1,7 +1,7 @@
 """Driving: turn, drive straight, follow a path, go back by its own commands."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -34,15 +34,22 @@ class RunEnded(Exception):
 class Pilot:
     """A robot in a building, its way and its local map."""
 
-    def __init__(self, fixed: Fixed, start: np.ndarray, speed_m_s: float, max_steps: int) -> None:
-        """Stand at a start `[3]`."""
-        self._fixed, self._speed, self._max_steps = fixed, speed_m_s, max_steps
+    def __init__(
+        self,
+        fixed: Fixed,
+        start: np.ndarray,
+        speed_m_s: float,
+        max_steps: int,
+        on_step: Callable[[], object] = lambda: None,
+    ) -> None:
+        """Stand at a start `[3]`; `on_step` is called after every step."""
+        self._fixed, self._speed, self._max_steps, self._on_step = fixed, speed_m_s, max_steps, on_step
         self._turn_rad_s = float(fixed.robot.max_turn_rad_s)
         self._state, report = begin_run(fixed, start)
         self.now: Report = read_report(report)
         self.way: list[tuple[np.ndarray, np.ndarray, RunMode]] = []
         """Pose, true pose and mode of every step, before it was made."""
-        self.mode = RunMode.CENTRAL
+        self.mode, self.target = RunMode.CENTRAL, np.asarray(start[:2], float)
         self.odometer_m, self._blind = 0.0, 0
         self._commands: list[tuple[float, float]] = []  # speeds, m/s, and rates of turning, rad/s
 
@@ -56,6 +63,11 @@ class Pilot:
         return window_of(self._state)
 
     @property
+    def ranges_m(self) -> np.ndarray:
+        """Return the last scan, `[181]` float32."""
+        return np.asarray(self._state.senses.ranges_m)
+
+    @property
     def points_left_out(self) -> int:
         """Return the most points that found no room in the map of points by which it finds its pose."""
         return int(max(self._state.slam.overflow, self._state.slam.points.overflow))
@@ -67,6 +79,7 @@ class Pilot:
         self._state, report = make_step(self._fixed, self._state, np.float32(speed_m_s), np.float32(turn_rad_s))
         self.now = read_report(report)
         self.odometer_m += math.dist(before.pose[:2], self.now.pose[:2])
+        self._on_step()
         self._blind = self._blind + 1 if self.now.is_blind else 0
         if self.now.beacon_m < GOAL_M:
             raise RunEnded(RunOutcome.GOAL)
@@ -91,6 +104,7 @@ class Pilot:
 
     def drive_to(self, xy: np.ndarray, back: bool) -> bool:
         """Drive straight to a point, metres, or past it; return whether nothing was in the way."""
+        self.target = np.asarray(xy, float)
         due = math.dist(xy, self.pose[:2]) / (self._speed * DT_S)
         for _ in range(round(due) + PATIENCE):
             off, heading = np.asarray(xy) - self.pose[:2], float(self.pose[2])

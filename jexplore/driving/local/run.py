@@ -5,6 +5,7 @@ the nearest node that has one. Where nothing can be reached it goes back the way
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from jexplore.driving.local.lattice import Lattice
 from jexplore.driving.local.nodes import TRIES, Exit, TraceMap, length_of
 from jexplore.driving.local.pilot import Pilot, RunEnded
 from jexplore.driving.local.sight import SeenPlace, look
-from jexplore.driving.local.window import Fixed
+from jexplore.driving.local.window import SIDE, Fixed
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.records import RunMode
 from jexplore.driving.settings import Tuning
@@ -35,17 +36,29 @@ MOST_IDLE = 30  # looks in a row without a step in between, after which the robo
 class LocalRun:
     """A robot that writes its trace map."""
 
-    def __init__(self, fixed: Fixed, start: np.ndarray, tuning: Tuning, max_steps: int) -> None:
-        """Begin at a start `[3]`; of `tuning` the width and clearance of passages and the speed count."""
+    def __init__(
+        self,
+        fixed: Fixed,
+        start: np.ndarray,
+        tuning: Tuning,
+        max_steps: int,
+        on_step: Callable[["LocalRun"], object] = lambda run: None,
+    ) -> None:
+        """Begin at a start `[3]`; of `tuning` the width and clearance of passages and the speed count.
+
+        `on_step` is called with the run after every step.
+        """
         self._tuning, self._start = tuning, np.asarray(start[:2], float)
-        self.pilot = Pilot(fixed, start, float(tuning.speed_m_s), max_steps)
+        self.pilot = Pilot(fixed, start, float(tuning.speed_m_s), max_steps, lambda: on_step(self))
         self.robot = fixed.robot
         self.map = TraceMap(self._start, self.pilot.now.truth[:2].astype(float))
         self.mistaken = 0
         self._at, self._since = 0, 0  # the node that the robot was at last, and the step then
         self._target: tuple[int, Exit | None] | None = None
+        self._stops = 0  # times that something stopped it where it set off, since it last came to a target
         self._node_of: dict[int, int] = {}
-        self._seen: list[SeenPlace] = []
+        self.seen: list[SeenPlace] = []
+        """Places of the last look."""
 
     def drive(self) -> RunOutcome:
         """Drive until the run ends; return its outcome."""
@@ -61,12 +74,18 @@ class LocalRun:
                     retraces = 0
                 elif not (goals := self._open_nodes()):
                     return RunOutcome.EXHAUSTED if np.isfinite(self._lattice.cost).any() else RunOutcome.STUCK
-                elif (here := self._here()) is not None and (route := self.map.route(here, goals)) is not None:
-                    retraces = 0
-                    self._go_along(route)
-                elif retraces < SURE_RETRACES or here is None:
+                elif (here := self._here()) is None or self._is_shut_in():
                     if retraces >= RETRACES:
                         return RunOutcome.STUCK
+                    self.pilot.retrace(LOOK_M * 2**retraces)
+                    retraces += 1
+                elif self._doubt_shut(goals):
+                    retraces = 0
+                    self.pilot.retrace(BACK_M)
+                elif (route := self.map.route(here, goals)) is not None:
+                    retraces = 0
+                    self._go_along(route)
+                elif retraces < SURE_RETRACES:
                     self.pilot.retrace(LOOK_M * 2**retraces)
                     retraces += 1
                 elif here in goals:
@@ -99,8 +118,8 @@ class LocalRun:
         window, pose = self.pilot.window(), self.pilot.pose
         self._lattice = Lattice(window, pose, self.robot)
         how = float(self._tuning.width_m), float(self._tuning.open_m)
-        self._seen = look(window, pose, self._start, *how)
-        self._node_of = self.map.note(self._seen, pose, self.pilot.now.truth)
+        self.seen = look(window, pose, self._start, *how)
+        self._node_of = self.map.note(self.seen, pose, self.pilot.now.truth)
         self._visit()
 
     def _visit(self):
@@ -140,7 +159,7 @@ class LocalRun:
             if math.dist(node.xy, self.pilot.pose[:2]) > 2 * SCAN_RANGE_M:
                 continue
             if not node.is_visited and node.tries < TRIES:
-                found = self._lattice.nearest(node.xy, min(max(NEAR_M, node.radius_m), PLACE_M))
+                found = self._lattice.nearest(node.xy, self._within(node))
                 targets += [(found[1], i, None, found[0])] if found else []
             for exit_ in node.exits:
                 if exit_.to < 0 and exit_.tries < TRIES:
@@ -155,22 +174,66 @@ class LocalRun:
         self.pilot.mode = RunMode.BRANCH_SELECTION
         follows = self.pilot.follow(self._lattice.path_to(cell), window, LOOK_M)
         is_there = math.dist(window.xy(cell), self.pilot.pose[:2]) < FACE_M
-        if is_there or self.pilot.odometer_m - begin_m < FACE_M:
+        if is_there:
+            self._stops = 0
             self._arrive(self.map.nodes[i], exit_)
-            if not follows:
-                self.pilot.retrace(BACK_M)
+        elif not follows and self.pilot.odometer_m - begin_m < FACE_M:
+            # What stops the robot here says nothing of a place elsewhere: it begins from farther back each time.
+            if self._stops >= SURE_RETRACES:
+                self._arrive(self.map.nodes[i], exit_)
+            self.pilot.retrace(BACK_M * 2**self._stops)
+            self._stops = min(self._stops + 1, RETRACES)
         return True
 
     def _arrive(self, node, exit_: Exit | None):
         """Look along the way whose end is reached, or where the robot does not get on; note that it has been there."""
         if exit_ is None:
             node.tries += 1
-            node.is_visited |= math.dist(node.xy, self.pilot.pose[:2]) < max(PLACE_M, node.radius_m)
             return
         off = exit_.path[-1] - self.pilot.pose[:2]
         if math.hypot(*off) > FACE_M:
             self.pilot.turn_to(math.atan2(off[1], off[0]))
         exit_.tries += 1
+
+    def _hopes(self):
+        """Return the least costs of the robot if all that is unknown is free."""
+        return Lattice(self._lattice.window, self.pilot.pose, self.robot, through_unknown=True)
+
+    def _is_shut_in(self):
+        """Return whether most of the way that it has driven in the local map cannot be driven again.
+
+        Then contacts or noise have shut it in, and what it cannot reach from here says nothing.
+        """
+        window = self._lattice.window
+        cells = window.cell(np.array([pose[:2] for pose, *_ in self.pilot.way[:: round(0.5 / DT_S)]]).reshape(-1, 2))
+        cells = cells[np.all((cells >= 0) & (cells < SIDE), axis=1)]
+        return bool(np.isinf(self._hopes().cost[tuple(cells.T)]).mean() > 0.5) if len(cells) else False
+
+    def _doubt_shut(self, goals):
+        """Count a try at all in the local map that no way leads to, not even through unknown cells; return if any is.
+
+        A contact or noise may have shut the way for a while only: the robot looks from several places.
+        """
+        window, hopes, found = self._lattice.window, self._hopes(), False
+
+        def is_shut(points, within_m):
+            cells = window.cell(points)
+            return bool(np.all((cells > 0) & (cells < SIDE - 1))) and not any(
+                hopes.nearest(xy, within_m) for xy in points
+            )
+
+        for node in (self.map.nodes[i] for i in goals):
+            if not node.is_visited and node.tries < TRIES and is_shut(node.xy[None], self._within(node)):
+                node.tries, found = node.tries + 1, True
+            for exit_ in node.exits:
+                if exit_.to < 0 and exit_.tries < TRIES and is_shut(exit_.path, NEAR_M):
+                    exit_.tries, found = exit_.tries + 1, True
+        return found
+
+    @staticmethod
+    def _within(node):
+        """Return the distance of a cell from which a place is looked at, at most."""
+        return min(max(NEAR_M, node.radius_m), PLACE_M)
 
     # Links
 

@@ -20,8 +20,6 @@ class Sensing(Settings):
     opposite_cos: float = 0.26  # cosine: what lies at least 75 degrees from the nearest point is on the other side
     outline_margin_m: float = 0.03  # between a wall and the robot's outline where it turns
     side_margin_m: float = 0.05  # m; margin to the sides of the driven way
-    coast_width_share: float = 0.85  # of the distance at which a wall is followed: half of the strip that must be free
-    coast_free_m: float = 2.0  # m; and free over this length
     steady_deg: float = 0.33  # standard deviation of a mean attitude
     max_mean_steps: int = 16  # readings of which it is the mean, at most
     steady_m: float = 0.015  # standard deviation of a mean range
@@ -76,7 +74,7 @@ class Ground(Settings):
 
 @dataclasses.dataclass(frozen=True)
 class Places(Settings):
-    """Triangles, openings and exits of places, gateways of halls, rejected candidates."""
+    """Triangles, openings and exits of places, rejected candidates."""
 
     # missing beams are bridged where the readings on both sides differ by less than this share
     bridge_share: float = 0.1
@@ -118,12 +116,6 @@ class Places(Settings):
     merged_rad: float = math.radians(60)
     # a passage that leads no farther off the direction of its middle is straight ahead, and its link bears as it does
     straight_rad: float = math.radians(30)
-    wall_reach_m: float = 3.5  # m; length of wall considered to each side
-    band_m: float = 0.1  # points so near to a line vote for it
-    wall_tolerance_m: float = 0.2  # m; tolerance before and behind the wall's line
-    max_gateway_m: float = 4.5  # and is no wider
-    mouth_m: float = 1.0  # before the border of a hall its gateway is narrowest within this
-    abeam_m: float = 0.4  # m; a gateway is abeam if its middle is no farther ahead or behind
     # of a circle's diameter: with only one opening, wider than this, it lies in a corner
     corner_width_ratio: float = 1.3
     in_line_rad: float = math.radians(45)  # two openings are in line if they are no farther from it
@@ -140,8 +132,6 @@ class Graph(Settings):
     # share of the way, and metres at most: how far off a known place may seem
     match_drift: tuple[float, float] = (0.025, 2.5)
     drift_share: float = 0.05  # of the way: how far off its other node may seem, and a node that a place perhaps is
-    hypothesis_m: float = 4.0  # but no node farther off than this is perhaps the place
-    same_way_m: float = 0.6  # a way whose length differs by no more than this, and the drift, is that one
     # an un-searched link on which the robot has set off so often in vain is given up, and a searched one is followed no
     # more that has led elsewhere so often in a row
     max_tries: int = 3
@@ -161,7 +151,7 @@ class Graph(Settings):
     near_points_m: float = 4.0  # m; a robot that looks farther than this searches near points once more
     min_centre_x_m: float = -0.2  # m; a divergence is searched from this far ahead of the robot's middle
     goal_m: float = 0.5  # a run ends where it hears its goal's beacon within this
-    along_cos: float = 0.7  # cosine of the angle, at least, between a way and a link, or a gateway's axis, along it
+    along_cos: float = 0.7  # cosine of the angle, at least, between a way and a link along it
     blind_steps: int = 20  # scans in a row, most of whose beams give no number, that end a run
 
 
@@ -200,10 +190,6 @@ class Motion(Settings):
     latch_time_ratio: float = 1.5  # or within this multiple of the steps at full speed, if larger
     via_point_m: float = 0.6  # m; a wide place is left via a point this far before the exit
     off_axis_m: float = 0.25  # m; unless the robot is within this of the exit's axis
-    round_m: float = 6.0  # a robot back at its starting point after this way has been round
-    round_rad: float = 4.5  # and this turn
-    began_m: float = 2.0  # within this: it may have begun in a corner
-    leave_island_m: float = 4.0  # m; distance driven away from an island
     # rad; the robot looks round by turning this far: the scanner covers half of the surroundings
     look_rad: float = math.pi - 0.05
     look_on_rad: float = 0.5  # rad; additional turn while it sees no place although every scan on the way has shown one

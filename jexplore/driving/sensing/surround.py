@@ -146,33 +146,3 @@ def free_lengths(around: Surround, robot: Robot) -> Array:
     along, aside = x * cos + y * sin, y * cos - x * sin
     meets = known & (along > 0) & (jnp.abs(aside) < robot.width_m / 2 + P.sensing.side_margin_m)
     return jnp.min(jnp.where(meets, along, jnp.inf), axis=1) - robot.length_m / 2
-
-
-def wall_direction(around: Surround, side: Array, coast_m: Array | float, robot: Robot) -> Array:
-    """Return the direction in which the robot follows a wall: float32, radians.
-
-    From where the nearest point is it is the first, away from the side of the wall, in which a strip is free that
-    widens from the robot's width to nearly twice its distance: along the wall, round its corners, and past gaps that
-    are narrower than that. Far from any wall it is straight on.
-
-    Args:
-      side: int32, where the wall is to be: 1 to the left, -1 to the right.
-      coast_m: how far from it the robot keeps, metres.
-    """
-    xy, known = known_points(around)
-    x, y = xy[:, 0], -side * xy[:, 1]  # the wall to the right
-    cos, sin = np.cos(DIRECTION)[:, None], np.sin(DIRECTION)[:, None]
-    along, aside = x * cos + y * sin, y * cos - x * sin
-    least_m = robot.width_m / 2 + P.sensing.side_margin_m
-    half_m = jnp.maximum(least_m, jnp.minimum(P.sensing.coast_width_share * coast_m, least_m + along / 2))
-    meets = known & (along > 0) & (jnp.abs(aside) < half_m)
-    free_m = jnp.min(jnp.where(meets, along, jnp.inf), axis=1)
-    free = free_m >= P.sensing.coast_free_m
-    range_m = jnp.where(known, jnp.hypot(x, y), jnp.inf)
-    nearest = jnp.argmin(range_m)
-    after = (DIRECTION - jnp.arctan2(y[nearest], x[nearest])) % (2 * math.pi)
-    first = jnp.argmin(jnp.where(free, after, jnp.inf))
-    straight = np.argmin(np.abs(DIRECTION))
-    goes_on = free[straight] & (range_m[nearest] > 2 * coast_m)
-    chosen = jnp.where(goes_on, straight, jnp.where(jnp.any(free), first, jnp.argmax(free_m)))
-    return -side * jnp.asarray(DIRECTION)[chosen]

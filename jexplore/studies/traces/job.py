@@ -12,6 +12,7 @@ import numpy as np
 from jexplore.config import MAX_RUNS, NUMBER_BOUNDS, InputError, as_record, checked_names, require_setting
 from jexplore.driving import batch
 from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start, settings_arrays
+from jexplore.driving.local.batch import LocalTask, tasks_of
 from jexplore.driving.local.batch import run_missions as run_by_map
 from jexplore.driving.mission import MAP_SIZE
 from jexplore.driving.params.groups import default_numbers
@@ -40,6 +41,8 @@ from jexplore.worlds.world import World, with_ring
 MAX_TRACE_STEPS = int(NUMBER_BOUNDS["max_steps"][1])
 STEPS_M2 = 100  # steps of 4 cm for each square metre of free area: four metres of way
 PERCEPTIONS = "triangles", "map"
+AUTO = "auto"
+"""Triangles on courses and uneven ground, the local map elsewhere."""
 OF_MAP = "width_m", "open_m", "speed_m_s"  # thresholds that count with the second
 START_CLEARANCE_M = 0.5  # of starts that are drawn
 MIN_NODES = 128  # most nodes of a map of a building, at least
@@ -104,6 +107,12 @@ class TraceJob:
             return run_by_map(*what, **how)
         return batch.run_missions(*what, params=self.params_of(setting), **how)
 
+    def local_tasks(self) -> list[LocalTask]:
+        """Return all runs as robots with a local map make them."""
+        setting, which = self.all_runs()
+        robots, tunings, noises = self.settings_of(setting)
+        return tasks_of(self.building, robots, tunings, noises, self.starts_of(which), self.seed, which)
+
     def starts_of(self, which: np.ndarray) -> np.ndarray:
         """Return the starts of runs by their numbers: `[n, 3]` float32."""
         return self.begins[which % len(self.begins)]
@@ -128,7 +137,7 @@ def prepare_trace(
     tuning: Tuning | Mapping[str, Any] | None = None, noise: Noise | Mapping[str, Any] | None = None,
     start: tuple[float, float, float] | None = None, sweep: Sequence[str] = (), settings: int = 100,
     cell_m: float = 0.1, max_steps: int | None = None, attributes: Sequence[str] = (),
-    nodes: int | None = None, links: int | None = None, perception: str = PERCEPTIONS[0],
+    nodes: int | None = None, links: int | None = None, perception: str = AUTO,
 ) -> TraceJob:  # fmt: skip
     """Check everything before anything is compiled.
 
@@ -146,12 +155,16 @@ def prepare_trace(
       max_steps: steps after which a run ends as STEP_LIMIT; by default `MAX_STEPS`, in buildings more by free area.
       attributes: see `attributes_of`.
       nodes, links: most of a map; a run that needs more ends as MAP_FULL. By default see `map_room`.
-      perception: `triangles` of single scans, as in the paper; `map`: a local map, on level ground.
+      perception: `triangles` of single scans, as in the paper; `map`: a local map, on level ground; `auto`: triangles
+        on courses and uneven ground, else the map.
     """
     (world,) = checks.ready_worlds([world], cell_m)
     if start is None and world.course is None and (starts or world.start is None):
         warn_of_outside(world, start_region(world, START_CLEARANCE_M))
     world = with_ring(world)
+    is_level = world.elevation is None or not np.any(world.elevation)
+    if perception == AUTO:
+        perception = "map" if world.course is None and is_level else "triangles"
     if starts is not None and start is not None:
         raise InputError("start and starts exclude each other: give one of them")
     starts = None if starts is None else require_setting("starts", starts)
@@ -174,7 +187,7 @@ def prepare_trace(
         own_values = {name: int(v[i]) if name in WHOLE else float(v[i]) for name, v in swept.items()}
         require_tuning(with_values(tuning, noise, own_values)[0])
     places = _placed(world, _ends(world, start, starts, seed), robot, tuning)
-    if perception == "map" and np.ptp(np.asarray(places[0].terrain.height_m)) > 0:
+    if perception == "map" and not is_level:
         raise InputError("perception map: the ground must be level; use --perception triangles")
     found = robot, tuning, noise, n_runs, seed, swept, count, most, map_room(world, places[1], nodes, links)
     return TraceJob(world, *places, *found, perception, attributes_of(attributes))
@@ -183,12 +196,12 @@ def prepare_trace(
 def _require_perception(perception, tuning, own, swept):
     """Refuse an unknown perception, and thresholds other than the world's `own` that do not count with it."""
     if perception not in PERCEPTIONS:
-        raise InputError(f"perception must be one of {', '.join(PERCEPTIONS)}, got {perception!r}")
+        raise InputError(f"perception must be one of {AUTO}, {', '.join(PERCEPTIONS)}, got {perception!r}")
     given = {f"tuning.{name}": name for name, value in vars(tuning).items() if value != getattr(own, name)}
     given |= {f"sweep: {name}": name for name in swept if not name.startswith(NOISE)}
     unused = [told for told, name in given.items() if name not in OF_MAP]
     if perception == "map" and unused:
-        raise InputError(f"{unused[0]} does not count with perception map; {', '.join(OF_MAP)} and noise do")
+        raise InputError(f"{unused[0]} goes with perception triangles; with map {', '.join(OF_MAP)} and noise count")
 
 
 def map_room(world: World, truth: TraceTruth, nodes: int | None = None, links: int | None = None) -> tuple[int, int]:
@@ -223,7 +236,7 @@ def _placed(world, poses, robot, tuning):
         require_start(world, building, robot, pose)
     x_m, y_m = begins[0, :2]
     at = int(y_m / world.cell_m), int(x_m / world.cell_m)
-    truth = truth_of(world, at, robot.width_m, tuning.open_m, tuning.coast_m)
+    truth = truth_of(world, at, robot.width_m, tuning.open_m)
     return building_of(world, goal, truth.marks), truth, begins
 
 

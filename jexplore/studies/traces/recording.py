@@ -1,5 +1,6 @@
 """Runs of a plan once more: the scans along their way, and run 0 step by step as the operator would have seen it."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -9,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jexplore import btm
-from jexplore.config import InputError
 from jexplore.driving import behaviour, events, mission, vehicle
 from jexplore.driving.batch import Driven, step_slots
 from jexplore.driving.building.walls import segments
+from jexplore.driving.local.run import LocalRun
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.params.tree import using
 from jexplore.driving.records import RunMode
@@ -118,13 +119,29 @@ def _frame(key, building, settings, state):
 
 
 def record_run(plan: TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> RunRecording:
-    """Record the operator's view of run 0; `on_progress` is called with the number of finished steps.
+    """Record the operator's view of run 0; `on_progress` is called with the number of finished steps."""
+    series, found = (_frames_by_map if plan.perception == "map" else _frames)(plan, on_progress)
+    origin, n = plan.world.origin_m, len(series["pose"])
+    goal = None if np.isnan(plan.building.goal).any() else tuple(np.asarray(plan.building.goal) + origin)
+    return RunRecording(
+        title=f"{plan.robot.name} in {plan.world.name}",
+        dt_s=vehicle.DT_S,
+        mode_names=MODE_NAMES,
+        walls_m=wall_lines(plan),
+        goal_m=goal,
+        angles_rad=vehicle.ANGLES_RAD,
+        time_s=vehicle.DT_S * np.arange(n),
+        target_m=series.pop("target") + np.asarray(origin),
+        pose=in_world_frame(series.pop("pose"), origin),
+        estimate=in_world_frame(series.pop("estimate"), origin),
+        map=found,
+        robot_m=(plan.robot.length_m, plan.robot.width_m),
+        **series,
+    )
 
-    Raises:
-      InputError: the robot perceives by a local map.
-    """
-    if plan.perception == "map":
-        raise InputError("the operator's view shows triangles: it goes with perception triangles")
+
+def _frames(plan, on_progress):
+    """Return the series of a run by triangles, step by step, and its map."""
     settings, building = _setting(plan, 0), jax.device_put(plan.building)
     setup = mission.Setup(step_slots(plan.max_steps), *plan.size)
     key = jax.random.fold_in(random_key(np.uint32(plan.seed)), 0)
@@ -142,22 +159,45 @@ def record_run(plan: TraceJob, on_progress: Callable[[int], Any] = lambda n: Non
     status = series.pop("status")
     used = np.flatnonzero(status[-1] != btm.NONE)
     there, searched = status[:, used] != btm.NONE, status[:, used] == btm.SEARCHED
-    origin = plan.world.origin_m
-    goal = None if np.isnan(plan.building.goal).any() else tuple(np.asarray(plan.building.goal) + origin)
-    return RunRecording(
-        title=f"{plan.robot.name} in {plan.world.name}",
-        dt_s=vehicle.DT_S,
-        mode_names=MODE_NAMES,
-        walls_m=wall_lines(plan),
-        goal_m=goal,
-        angles_rad=vehicle.ANGLES_RAD,
-        time_s=vehicle.DT_S * np.arange(steps),
-        target_m=series.pop("target") + np.asarray(origin),
-        pose=in_world_frame(series.pop("pose"), origin),
-        estimate=in_world_frame(series.pop("estimate"), origin),
-        n_links=there.sum(axis=1),
-        link_searched_frame=np.where(searched.any(axis=0), searched.argmax(axis=0), steps),
-        map=btm.to_map(jax.device_get(state.writer.map), origin_m=origin),
-        robot_m=(plan.robot.length_m, plan.robot.width_m),
-        **series,
-    )
+    series |= {"n_links": there.sum(axis=1)}
+    series["link_searched_frame"] = np.where(searched.any(axis=0), searched.argmax(axis=0), steps)
+    return series, btm.to_map(jax.device_get(state.writer.map), origin_m=plan.world.origin_m)
+
+
+def _frames_by_map(plan, on_progress):
+    """Return the series of a run by a local map, step by step, and its map with links in the order in which they came.
+
+    It has no triangles, votes and walls.
+    """
+    task = plan.local_tasks()[0]
+    frames, first, ended, seen = [], {}, {}, None
+
+    def on_step(run):
+        nonlocal seen, ranges
+        n, (estimate, truth, mode) = len(frames), run.pilot.way[-1]
+        if run.seen is not seen:
+            seen = run.seen
+            for exit_ in (e for node in run.map.nodes for e in node.exits):
+                first.setdefault(exit_, n)
+                if exit_.to >= 0:
+                    ended.setdefault(exit_, n)
+        view = {"pose": truth, "estimate": estimate, "mode": int(mode), "target": run.pilot.target}
+        frames.append({**view, "ranges_m": ranges, "n_nodes": len(run.map.nodes)})
+        ranges = run.pilot.ranges_m
+        on_progress(n + 1)
+
+    run = LocalRun(task.fixed, task.start, task.tuning, plan.max_steps, on_step)
+    ranges = run.pilot.ranges_m
+    run.drive()
+    series = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
+    n, found = len(frames), btm.to_map(run.map.to_btm(*plan.size), origin_m=plan.world.origin_m)
+    pairs = [(exit_, back or exit_) for i, exit_, back in run.map.links() if max(i, exit_.to) < plan.size[0]]
+    pairs = pairs[: len(found.links)]
+    came, end = (np.array([min(of.get(e, n) for e in pair) for pair in pairs], int) for of in (first, ended))
+    order = np.argsort(came, kind="stable")
+    links = tuple(dataclasses.replace(found.links[i], id=k) for k, i in enumerate(order))
+    none = np.zeros(n)
+    series |= {"triangles_m": np.zeros((n, 0, 3, 2)), "chosen": np.full(n, -1), "votes": none.astype(int)}
+    series |= {"pitch_deg": none, "roll_deg": none, "left_m": none + np.inf, "right_m": none + np.inf}
+    series |= {"n_links": np.searchsorted(came[order], np.arange(n), side="right"), "link_searched_frame": end[order]}
+    return series, dataclasses.replace(found, links=links)

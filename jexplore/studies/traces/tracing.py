@@ -12,9 +12,10 @@ import numpy as np
 import pandas as pd
 
 from jexplore import btm
-from jexplore.config import InputError, __version__, checked_names, require_engine
+from jexplore.config import __version__, checked_names, require_engine
 from jexplore.driving import vehicle
 from jexplore.driving.batch import Driven, outcome_names
+from jexplore.driving.local.batch import require_cpu
 from jexplore.driving.records import RunMode
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.runner import Costs
@@ -23,7 +24,7 @@ from jexplore.report.ledger import Ledger, Work
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import world_digest
 from jexplore.studies.results.units import MAX_UNITS_OF_JOB, MIN_UNIT_EPISODES
-from jexplore.studies.traces.job import PERCEPTIONS, TraceJob, prepare_trace
+from jexplore.studies.traces.job import AUTO, TraceJob, prepare_trace
 from jexplore.studies.traces.recording import scans_of
 from jexplore.studies.traces.truth import false_divergences
 from jexplore.tracemap import json_form
@@ -98,8 +99,8 @@ def execute(
     Raises:
       KeyboardInterrupt: the first unit has not been finished.
     """
-    if plan.perception == "map" and (engine, lanes, workers) != ("auto", None, None):
-        raise InputError("perception map makes runs one after the other: leave engine, lanes and workers out")
+    if plan.perception == "map":
+        require_cpu(engine, lanes)
     blocks, (setting, which) = run_blocks(plan), plan.all_runs()
     work: Work[pd.DataFrame] = Work(range(len(blocks)), ledger)
     resumed, costs, maps = sum(map(len, work.done.values())), Costs(), {}
@@ -117,7 +118,7 @@ def execute(
         moved = None if on_progress is None else (lambda done: on_progress(done + resumed))
         how = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": moved}
         if plan.perception == "map":
-            how = {"on_progress": moved}
+            how = {"workers": workers, "on_progress": moved}
         try:
             costs = plan.run(setting, which, blocks=[blocks[i] for i in work.left], on_block=put, **how).costs
         except KeyboardInterrupt:
@@ -149,7 +150,7 @@ def trace(
     tuning: Tuning | Mapping[str, Any] | None = None, noise: Noise | Mapping[str, Any] | None = None,
     start: tuple[float, float, float] | None = None, sweep: Sequence[str] = (), settings: int = 100,
     cell_m: float = 0.1, max_steps: int | None = None, attributes: Sequence[str] = (),
-    nodes: int | None = None, links: int | None = None, perception: str = PERCEPTIONS[0],
+    nodes: int | None = None, links: int | None = None, perception: str = AUTO,
     engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None, progress: bool | None = None,
 ) -> TraceResult:  # fmt: skip
@@ -243,7 +244,7 @@ def trace_table(
             "inclination_deg": largest("inclination_deg"),
             "step_m": largest("step_m"),
             "closings": [of_run.closings for of_run in found],
-            **{name: getattr(result, name) for name in ("mistaken", "dropped")},
+            "mistaken": result.mistaken,
             "contradicted": [of_run.contradicted for of_run in found],
             "overflow": result.map.overflow,
             "scan_overflow": result.scan_overflow,

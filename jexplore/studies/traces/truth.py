@@ -23,16 +23,13 @@ class TraceTruth(NamedTuple):
     map: BtmMap  # of a course its topology, else what `extract` makes of the true map
     marks: np.ndarray  # [K, 3] float, x, y, metres, in the world's frame; radius within which the place is reached
     is_door: np.ndarray  # [K] bool; the others are junctions
-    around_m: np.ndarray  # [K] float, metres: a divergence no farther away is no false one
 
 
-def truth_of(
-    world: World, start_rc: tuple[int, int], width_m: float, open_m: float, coast_m: float = 0.0
-) -> TraceTruth:
+def truth_of(world: World, start_rc: tuple[int, int], width_m: float, open_m: float) -> TraceTruth:
     """Find the places of a world that a robot, who can reach the cell `start_rc`, should map.
 
-    `coast_m` is the distance of its divergence before the mouth of a passage into free space; `open_m` as of `extract`.
-    Junctions are nodes of type divergence and free space. Without true rooms there are no doors.
+    `open_m` is as of `extract`. Junctions are nodes of type divergence and free space. Without true rooms there are no
+    doors.
     """
     free = ~world.occupied
     clear = clear_of_walls(world.occupied, width_m / 2, world.cell_m)
@@ -45,7 +42,6 @@ def truth_of(
     else:
         found = world.course.topology
     junctions = [node for node in found.nodes if node.type in ("divergence", "free_space")]
-    is_mouth = np.array([node.type == "free_space" for node in junctions], bool)
     places = np.array([(node.x_m, node.y_m) for node in junctions]).reshape(-1, 2)
     cells = np.floor((places - np.asarray(world.origin_m)) / world.cell_m).astype(int)
     radius = np.maximum(distance[cells[:, 1], cells[:, 0]], REACHED_M) if len(cells) else np.zeros(0)
@@ -56,8 +52,7 @@ def truth_of(
         doors = np.stack(centre_of(*cells.T, cell_m=world.cell_m, origin_m=world.origin_m), axis=1)
     at = np.concatenate([places, doors])
     marks = np.column_stack([at, np.concatenate([radius, np.full(len(doors), REACHED_M)])])
-    around_m = marks[:, 2] + coast_m * np.append(is_mouth, np.zeros(len(doors), bool))
-    return TraceTruth(found, marks, np.arange(len(marks)) >= len(places), around_m)
+    return TraceTruth(found, marks, np.arange(len(marks)) >= len(places))
 
 
 def maps_from(world: World, truth: TraceTruth, pose: tuple[float, float, float]) -> tuple[BtmMap, ...]:
@@ -93,6 +88,6 @@ def _around(clear, cell):
 
 def false_divergences(found: BtmMap, node_at: np.ndarray, truth: TraceTruth) -> int:
     """Count a map's divergences that match no place; `node_at` is `[N, 2]`, where the robot truly made each node."""
-    places, around_m = truth.marks[~truth.is_door, :2], truth.around_m[~truth.is_door]
+    x_m, y_m, within_m = truth.marks[~truth.is_door].T
     made_at = [node_at[node.id] for node in found.nodes if node.type == "divergence"]
-    return sum(not np.any(np.hypot(*(places - at).T) <= around_m) for at in made_at)
+    return sum(not np.any(np.hypot(x_m - at[0], y_m - at[1]) <= within_m) for at in made_at)

@@ -4,6 +4,7 @@ The robots neither see nor steer by each other: each makes the run that it would
 """
 
 import dataclasses
+import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -15,6 +16,7 @@ from jax import Array, lax
 from jexplore.btm import Btm
 from jexplore.driving import mission
 from jexplore.driving.batch import COMPILER_OPTIONS, step_slots
+from jexplore.driving.local.batch import require_cpu, run_tasks, true_places
 from jexplore.driving.mission import MissionTask, RunOutcome, RunResult, Setup
 from jexplore.driving.records import State
 from jexplore.engine.program import Given, Line, Program
@@ -111,6 +113,9 @@ def run_robots(
     Raises:
       KeyboardInterrupt: after Ctrl-C; the others' maps of that time are missing.
     """
+    if plan.perception == "map":
+        require_cpu(engine, lanes)
+        return _run_by_map(plan, workers, on_progress)
     resources = find_resources(engine=engine, lanes=lanes, workers=workers)
     setting, which = plan.all_runs()
     robots, tunings, noises = plan.settings_of(setting)
@@ -132,6 +137,28 @@ def run_robots(
     if costs.interrupted:
         raise KeyboardInterrupt
     return [_log(line) for line in lines], costs
+
+
+def _run_by_map(plan, workers, on_progress):
+    """Make the runs of robots with a local map: `run_robots`."""
+    begin_s, tasks, logs = time.perf_counter(), plan.local_tasks(), []
+    rows = [[] for _ in tasks]
+
+    def on_step(i, run):
+        if len(run.pilot.way) % EXCHANGE_STEPS == 0:
+            held = Held(run.map.to_btm(*plan.size), true_places(run, plan.size[0]))
+            words = [np.asarray(a) for a in jax.tree.leaves(held)]
+            rows[i].append(
+                np.concatenate([(a.astype(np.int32) if a.dtype == bool else a.view(np.int32)).ravel() for a in words])
+            )
+
+    def on_run(i, result, way):
+        logs.append(RobotLog(result, way.truth, np.array(rows[i])))
+        if on_progress is not None:
+            on_progress(len(logs))
+
+    run_tasks(tasks, plan.max_steps, plan.size, workers=workers, on_run=on_run, on_step=on_step)
+    return logs, Costs(run_s=time.perf_counter() - begin_s)
 
 
 def _log(line):

@@ -12,7 +12,7 @@ from jexplore.studies.traces.teams.clock import EXCHANGE_STEPS, RobotLog
 from jexplore.tracemap.merging.merge import MergeResult
 from jexplore.tracemap.record import NODE_TYPES, BtmMap
 
-WRONG_M = 2.0  # distance of two true places that are not one: robots tell gateways 1.5 m from each other apart
+WRONG_M = 2.0  # m; nodes of one place truly lie no farther apart: both robots were in its circle
 SHARE = 0.9  # of the junctions, whose time is told
 MERGED_TYPES = NODE_TYPES[DIVERGENCE], NODE_TYPES[FREE_SPACE]
 
@@ -28,7 +28,7 @@ def junctions_at(plan: TraceJob, places: np.ndarray) -> np.ndarray:
     `places` are `[n, 2]`, metres, in the building's frame.
     """
     truth = plan.truth
-    at, around_m = truth.marks[~truth.is_door, :2] - plan.world.origin_m, truth.around_m[~truth.is_door]
+    at, around_m = truth.marks[~truth.is_door, :2] - plan.world.origin_m, truth.marks[~truth.is_door, 2]
     if not len(at) or not len(places):
         return np.full(len(places), -1)
     off_m = np.hypot(*(places[:, None] - at).transpose(2, 0, 1))

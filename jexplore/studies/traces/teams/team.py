@@ -22,7 +22,7 @@ from jexplore.exploration.team.team import MOST_ROBOTS, STARTS
 from jexplore.report.page.station import MapPanel
 from jexplore.report.plot_traces import team_figure
 from jexplore.studies.results.progress import progress_bar
-from jexplore.studies.traces.job import START_CLEARANCE_M, TraceJob, prepare_trace
+from jexplore.studies.traces.job import AUTO, START_CLEARANCE_M, TraceJob, prepare_trace
 from jexplore.studies.traces.options import require_start_pose
 from jexplore.studies.traces.recording import wall_lines
 from jexplore.studies.traces.station import GLOBAL_MAP, WHY, page_from
@@ -147,7 +147,7 @@ def trace_team(
     robot: str | Robot = "kamui", seed: int = 0, start: tuple[float, float, float] | None = None,
     tuning: Tuning | Mapping[str, Any] | None = None, noise: Noise | Mapping[str, Any] | None = None,
     cell_m: float = 0.1, max_steps: int | None = None, attributes: Sequence[str] = (),
-    nodes: int | None = None, links: int | None = None,
+    nodes: int | None = None, links: int | None = None, perception: str = AUTO,
     engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None, progress: bool | None = None,
 ) -> TraceTeamResult:  # fmt: skip
@@ -164,7 +164,8 @@ def trace_team(
       team_starts: see `place_robots`.
       limits: of merging, `TeamLimits` or others.
       start: of the first robot, without given `team_starts`.
-      world, robot, seed, tuning, noise, cell_m, max_steps, attributes, nodes, links: see `prepare_trace`.
+      world, robot, seed, tuning, noise, cell_m, max_steps, attributes, nodes, links, perception: see
+        `prepare_trace`.
       engine, lanes, workers, on_progress, progress: see `trace`.
 
     Returns:
@@ -178,7 +179,7 @@ def trace_team(
     limits = limits if isinstance(limits, Limits) else as_record("limits", limits or {}, TeamLimits)
     plan = prepare_team(
         world, robots, team_starts, robot=robot, seed=seed, tuning=tuning, noise=noise, start=start, cell_m=cell_m,
-        max_steps=max_steps, attributes=attributes, nodes=nodes, links=links,
+        max_steps=max_steps, attributes=attributes, nodes=nodes, links=links, perception=perception,
     )  # fmt: skip
     with progress_bar(progress, plan.runs, "robots", on_progress) as moved:
         logs, costs = run_robots(plan, engine=engine, lanes=lanes, workers=workers, on_progress=moved)
@@ -195,8 +196,6 @@ def prepare_team(
     )
     if is_given and how.get("start") is not None:
         raise InputError("start and given team_starts exclude each other: give one of them")
-    if how.get("perception", "triangles") != "triangles":
-        raise InputError("teams go with perception triangles")
     plan = prepare_trace(world, runs=n, **how)
     plan = dataclasses.replace(plan, begins=place_robots(plan, n, team_starts))
     for pose in plan.begins:
