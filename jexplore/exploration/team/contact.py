@@ -57,8 +57,9 @@ def _hears(given: Given, team: TeamState, i: Array) -> tuple[Array, Array]:
     return heard[i], since
 
 
-def _exchange(robots: State, own: Array, before: Array, heard: Array) -> tuple[State, Array, Array]:
+def _exchange(maps: tuple[State, Array, Array], heard: Array) -> tuple[State, Array, Array]:
     """Return robots of which those heard have exchanged maps, `TeamState.own` and `shared`."""
+    robots, own, before = maps
     own = own_cells(robots, own, before)
 
     def shared(maps: Array) -> Array:
@@ -80,7 +81,7 @@ def meet(given: Given, team: TeamState, i: Array, *, plans: bool) -> tuple[TeamS
     heard, since = _hears(given, team, i)
     is_due = (plans & jnp.any(heard.at[i].set(False))) | jnp.any(heard & ~team.heard[i])
     maps = team.robots, team.own, team.shared
-    robots, own, shared = run_if(is_due, lambda maps: _exchange(*maps, heard), maps)
+    robots, own, shared = run_if(is_due, lambda maps: _exchange(maps, heard), maps)
     team = team.replace(robots=robots, own=own, shared=shared)
     team = team.replace(since=since, acts=team.acts + 1, heard=team.heard.at[i].set(heard))
     return _note_meeting(team, i, jnp.all(heard | ~is_exploring(team))), heard
