@@ -10,9 +10,9 @@ line for every case that was not equal; exit status 1 if there was any. With --c
 robot, in rooms of 10 x 8 m, to that in the smallest team.
 
 With --study teams explore worlds of five kinds, 20 x 20 m (hospitals 32 x 20 m) in cells of 0.2 m, from one start
-each: all coordinations with 4 robots, started together and apart, and in half of the worlds three with 2 and 8, and two
-with 4 robots and every contact. Parts that are in the folder are not computed again. Prints ratios of the times until
-all is known; intervals are over worlds.
+each, together and apart: all coordinations with 1 and 4 robots, and in parts of the worlds with 2 and 8 robots, with
+`learned` as each robot's strategy, and with every contact (`PARTS`). Parts that are in the folder are not computed
+again. Prints ratios of the times until all is known; intervals are over worlds.
 """
 
 import argparse
@@ -40,12 +40,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from ref import team
 
 KINDS = "cave", "office", "hospital", "maze", "rooms"
-ALL = "independent", "greedy", "hungarian", "minpos", "voronoi", "segments"
-EACH, TWO = ("independent", "greedy", "minpos"), ("independent", "minpos")
+JOINT = "independent", "greedy", "hungarian", "minpos", "voronoi", "segments"
+ALONE = {"learned": "learned+recheck"}  # strategies of each robot, without coordination
+ALL, TWO = (*JOINT, *ALONE), ("independent", "minpos")
 PARTS = [  # sizes, coordinations, contact, starts, part of the worlds
-    *(([1, 4], ALL, "all", starts, 1) for starts in ("together", "apart")),
+    *(([1, 4], JOINT, "all", starts, 1) for starts in ("together", "apart")),
     *(([4], TWO, contact, "together", 2) for contact in ("none", "range:5", "range:10", "line-of-sight")),
-    *(([2, 8], EACH, "all", starts, 2) for starts in ("together", "apart")),
+    *(([2, 8], ("independent", "greedy", "minpos"), "all", starts, 2) for starts in ("together", "apart")),
+    ([2, 8], ("hungarian", "voronoi", "segments"), "all", "together", 4),
+    ([2, 8], ("hungarian", "voronoi", "segments"), "all", "apart", 10),
+    *(([1, 2, 4, 8], ("learned",), "all", starts, 10) for starts in ("together", "apart")),
 ]
 
 
@@ -53,15 +57,19 @@ def study(folder, worlds):
     """Run what the folder lacks, and return all episodes."""
     folder.mkdir(parents=True, exist_ok=True)
     parts = []
-    for (sizes, coordinations, contact, starts, part), kind in itertools.product(PARTS, KINDS):
-        path = folder / f"{kind}-{'-'.join(map(str, sizes))}-{contact.replace(':', '')}-{starts}.parquet"
+    for (sizes, names, contact, starts, part), kind in itertools.product(PARTS, KINDS):
+        told = *map(str, sizes), contact.replace(":", ""), starts
+        path = folder / f"{kind}-{names[-1]}-{'-'.join(told)}.parquet"
         if not path.exists():
             width_m = 32 if kind == "hospital" else 20  # the least of a hospital
-            names = [f"{kind}#{number}:width_m={width_m},height_m=20" for number in range(worlds // part)]
-            how = {"robots": sizes, "coordination": list(coordinations), "contact": contact, "team_starts": starts}
-            began = time.monotonic()
-            found = jx.compare(names, "closest+recheck", episodes=1, cell_m=0.2, workers=1, progress=False, **how)
-            found.episodes.assign(kind=kind, starts=starts).to_parquet(path)
+            buildings = [f"{kind}#{number}:width_m={width_m},height_m=20" for number in range(worlds // part)]
+            own = names[0] if names[0] in ALONE else None
+            joint = [] if own else list(names)
+            how = {"robots": sizes, "coordination": joint or "independent", "contact": contact, "team_starts": starts}
+            began, strategy = time.monotonic(), ALONE.get(own, "closest+recheck")
+            found = jx.compare(buildings, strategy, episodes=1, cell_m=0.2, workers=1, progress=False, **how)
+            more = {"kind": kind, "starts": starts, **({"coordination": own} if own else {})}
+            found.episodes.assign(**more).to_parquet(path)
             print(f"{path.stem}: {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
         parts.append(pd.read_parquet(path))
     return pd.concat(parts, ignore_index=True)
@@ -93,7 +101,7 @@ def team_of(robots, coordination="independent", contact="all", starts="together"
 
 def study_tables(episodes):
     """Return the tables of a study, as Markdown."""
-    teams = [(name, n) for n in (4, 2, 8) for name in (ALL if n == 4 else EACH)]
+    teams = [(name, n) for n in (4, 2, 8) for name in ALL]
     tables, contacts = {}, ("range:10", "range:5", "line-of-sight", "none")
     for starts in ("together", "apart"):
         own = {(name, n): team_of(n, name, starts=starts) for name, n in teams}

@@ -3,7 +3,7 @@
     python benchmarks/trace_teams.py [--worlds rooms office] [--teams 5] [--robots 4] [--contacts all range:8 range:4]
 
 Team i has seed i, 1 cm of range noise, and starts apart. Of one team of four also its first one and two robots count.
-Limits of merging are the defaults, and tight ones.
+Limits of merging are those of `jexplore merge-maps`, and those of teams.
 """
 
 import argparse
@@ -13,9 +13,9 @@ import pandas as pd
 from jexplore.driving.settings import Noise
 from jexplore.report.tables import aligned_table, number_text
 from jexplore.studies.traces.teams.team import merge_team, trace_team
-from jexplore.tracemap.merging.limits import Limits
+from jexplore.tracemap.merging.limits import Limits, TeamLimits
 
-LIMITS = {"default": Limits(), "tight": Limits(heading_deg=0.5, length_share=0.02)}
+LIMITS = {"merge-maps": Limits(), "teams": TeamLimits()}
 MEANS = {
     "steps_reached_90": 0, "steps_mapped_90": 0, "junctions": 0, "reached": 1, "one": 1, "all": 1, "merged": 1,
     "apart": 2, "doubled": 2, "wrong": 2,

@@ -20,6 +20,7 @@ from jexplore.studies.traces.tracing import trace as trace
 from jexplore.tracemap.corrected import correct_map as correct_map
 from jexplore.tracemap.json_form import read_btm as read_btm
 from jexplore.tracemap.merging.limits import Limits as Limits
+from jexplore.tracemap.merging.limits import TeamLimits as TeamLimits
 from jexplore.tracemap.merging.match import Merging as Merging
 from jexplore.tracemap.merging.merge import MergeResult as MergeResult
 from jexplore.tracemap.merging.merge import merge_maps as merge_maps

@@ -11,6 +11,7 @@ from ref.refusals import refused
 from ref.worlds import two_rooms
 
 import jexplore as jx
+from jexplore.exploration.motion import LENGTHS
 from jexplore.exploration.state import Outcome
 from jexplore.rules import Lidar, Rules
 from jexplore.studies import environment
@@ -39,9 +40,9 @@ def starts_of(comparison):
 
 @pytest.mark.slow
 def test_a_team_that_goes_to_the_nearest_frontier_is_closest():
-    """Two robots from given cells: ways and known area of `compare`; one that gets no target waits."""
+    """Two robots that differ and do not meet: ways and known area of `compare`; one that gets no target waits."""
     world, starts = two_rooms(), [(5, 5, 0), (9, 12, 90)]
-    given = {"lidar": LIDAR, "rules": Rules(clearance_m=0.0)}
+    given = {"lidar": LIDAR, "rules": Rules(clearance_m=0.0), "members": ["pace=1", "pace=2,range=0.7"]}
     found = jx.compare(world, "closest", episodes=1, seed=SEED, robots=2, team_starts=starts, **given).episodes.iloc[0]
     env = jx.Environment(world, robots=2, **given)
     state, view = env.reset(keys(1)[0], jnp.array(starts))
@@ -57,11 +58,14 @@ def test_a_team_that_goes_to_the_nearest_frontier_is_closest():
     assert not done
     assert not info["valid"].any()
     assert after.episode.waits.tolist() == [1, 1]
+    assert after.episode.clock.tolist() == [LENGTHS[0], 2 * LENGTHS[0]]
     state, _ = env.reset(keys(1)[0], jnp.array(starts[:1] * 2))
     _, _, _, done, info = env.step(keys(1)[0], state, jnp.zeros((2, 2), jnp.int32))
     assert done
     assert int(info["outcome"]) == Outcome.BAD_START
     refused("of one robot", jx.Environment, world, robots=2, paths=True)
+    for n, text in ((1, "2 or more robots, got 2 for 1"), (3, "got 2 for 3")):
+        refused(text, jx.Environment, world, robots=n, **given)
 
 
 def test_the_nearest_frontier_at_every_step_is_closest_to_the_bit():

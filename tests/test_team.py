@@ -387,8 +387,12 @@ def test_teams_are_compared(tmp_path):
     again = jx.load(tmp_path / "run")
     assert again.teams.equals(found.teams)
     spec = {"worlds": ["maze:width_m=3,height_m=3"], "strategies": ["closest"], "episodes": 1, "robots": [2]}
-    swept = jx.sweep({**spec, "rules": {"clearance_m": 0.1}})
-    assert swept.summary["path_m_at_100"].iloc[0] > 0
+    given = {"rules": {"clearance_m": 0.1}, "lidar": {"range_m": 0.6}, "members": ["", "pace=2 pace=8,range=.3"]}
+    swept = jx.sweep({**spec, **given})
+    own = jx.compare(spec["worlds"], "closest", robots=2, episodes=1, **{**given, "members": given["members"][1]})
+    times = swept.episodes["path_m_at_100"].tolist()
+    assert own.episodes["path_m_at_100"].tolist() == times[1:]
+    assert times[0] < times[1]
     job = found.made.jobs[1]
     (replay,), _ = replays_of([job], {0: found.made.firsts[1]}, episodes=1)
     *_, last = replay.maps()
@@ -414,7 +418,15 @@ def test_axes_of_a_sweep_are_teams():
     assert plan.programs == 4
     team = plan.job(SweepBlock(3, 0, 0, 0, 2), 0).team
     assert team == Team(2, read_coordination("minpos"))
-    for more, text in (({"coordination": "minpos"}, "give robots"), ({"robots": 17}, "from 1 to 16")):
+    plan = prepare_sweep(sweep_from({**spec, "robots": [1, 2], "members": ["pace=1 range=2", "pace=1 pace=2"]}))
+    assert plan.programs == 4
+    assert plan.job(SweepBlock(1, 0, 0, 0, 2), 0).team.members == (Member(),)
+    assert plan.job(SweepBlock(3, 0, 0, 0, 2), 0).team.members == (Member(), Member(2))
+    for more, text in (
+        *(({"coordination": "minpos"}, "give robots"), ({"robots": 17}, "from 1 to 16")),
+        *(({"robots": 2, "members": "pace=9"}, "from 1 to 8"), ({"robots": 2, "members": "pace=2"}, "got 1")),
+        ({"robots": 2, "members": 3}, "members must be a list of texts"),
+    ):
         with pytest.raises(InputError, match=text):
             prepare_sweep(sweep_from({**spec, **more}))
 

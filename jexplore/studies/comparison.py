@@ -44,7 +44,7 @@ def compare(
     lidar: LidarLike = LIDAR, rules: RulesLike = RULES, robot: RobotLike = ROBOT,
     pose: str | None = None, odometry: OdometryLike = None,
     robots: int | Sequence[int] | None = None, coordination: CoordinationLike = "independent", contact: str = "all",
-    team_starts: Starts = "together", members: Sequence[str] = (),
+    team_starts: Starts = "together", members: str | Sequence[str] = (),
     engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
     keep: str | None = None, metrics: MetricsLike = None, until: str | None = None,

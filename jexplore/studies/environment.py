@@ -5,7 +5,7 @@ The rules are those of an episode: `exploration.environment`, one decision at a 
 
 import copy
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Self
 
 import jax
@@ -16,7 +16,7 @@ from jax import Array
 
 from jexplore.arrays.loops import alone_on_cpu, run_if
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, checked_names, require_whole
+from jexplore.config import InputError, checked_names
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.program import Given
 from jexplore.engine.runner import find_resources, require_32_bits
@@ -27,7 +27,6 @@ from jexplore.exploration.state import Numbers, Outcome, Truth, steps_m
 from jexplore.exploration.team import stepping
 from jexplore.exploration.team.state import TeamSetup, TeamState
 from jexplore.exploration.team.stepping import cell_inside
-from jexplore.exploration.team.team import MOST_ROBOTS
 from jexplore.exploration.trail import LOOKS, Trail
 from jexplore.planning import Field, View, choose, field, is_live, view_of
 from jexplore.policies.closest import closest
@@ -70,13 +69,14 @@ class EnvState:
 
 @struct.dataclass
 class _Bank:
-    """Shared data of all episodes of an environment, an argument of its programs: those of one shape share them."""
+    """Shared data of all episodes of an environment, an argument of its programs."""
 
     beams: Beams
     scenes: Truth  # [M, ...]
     numbers: Numbers  # [M, ...]
     recheck: Array  # bool
     ring: Array | None  # [M] int32, see `EnvState`
+    paces: Array  # [N] int32, of a team
 
 
 @checked_names
@@ -101,8 +101,8 @@ class Environment:
 
     def __init__(
         self, worlds: Any, *, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
-        pose: str | None = None, odometry: OdometryLike = None,
-        recheck: bool = False, paths: bool = False, metrics: MetricsLike = None, robots: int = 1,
+        pose: str | None = None, odometry: OdometryLike = None, recheck: bool = False, paths: bool = False,
+        metrics: MetricsLike = None, robots: int = 1, members: str | Sequence[str] = (),
     ) -> None:  # fmt: skip
         """Load the worlds.
 
@@ -117,8 +117,8 @@ class Environment:
           recheck: give up a frontier cell as soon as it is no longer live.
           paths: keep the whole way in the state, for `path`: 8 bytes for every cell of the map, at least 160 kB.
           metrics: more entries of `info`: name -> function of an `EpisodeView`, see `metric`.
-          robots: size of a team that hears each other everywhere, without recheck, paths, metrics. A view then has a
-            leading axis N; an action is `[N, 2]`; a step goes on until a robot needs a target.
+          robots, members: a team that hears each other everywhere (`team.read_members`), without recheck, paths,
+            metrics. Views have a leading axis N, actions are `[N, 2]`, a step goes on until a robot needs a target.
 
         Raises:
           InputError: no world, one that cannot be loaded, or one without a clear cell; cells of different sizes.
@@ -128,16 +128,15 @@ class Environment:
             raise InputError(f"recheck must be True or False, got {recheck!r}")
         if rules.return_home:
             raise InputError("rules.return_home must be False: whoever steps through an Environment drives home itself")
-        self.robots = _require_robots(robots, alone=recheck or paths or metrics or not rules.on_lattice)
+        team = stepping.ready_team(robots, members, lidar, bool(recheck or paths or metrics) or not rules.on_lattice)
         use_compilation_cache()
         self._metrics = ready_metrics(metrics) | measures_of(rules)
         self.worlds = tuple(ready_worlds(worlds, cell_m))
         sizes = sorted({world.cell_m for world in self.worlds})
         if len(sizes) > 1:
             raise InputError(f"worlds must have cells of one size, got {sizes[0]:g} and {sizes[1]:g} m")
-        self.cell_m, self._rules = sizes[0], rules
-        sizes = zip(*(ringed_shape(world.occupied) for world in self.worlds))
-        rows, cols = (max(bucket(side) for side in sides) for sides in sizes)
+        self.cell_m, self._rules, self.robots = sizes[0], rules, len(team)
+        rows, cols = (max(map(bucket, sides)) for sides in zip(*(ringed_shape(w.occupied) for w in self.worlds)))
         self.shape = rows, cols
         find_resources()  # starts JAX
         native, own = drive_for(jax.local_devices()[0].platform).name, tuple(self._metrics.values())
@@ -155,10 +154,11 @@ class Environment:
         records = unify_truths([site.truth for site in sites]), [site.numbers for site in sites]
         scenes, numbers = (jax.tree.map(lambda *a: jnp.stack(a), *own) for own in records)
         ring = jnp.asarray([site.ring for site in sites], jnp.int32) if any(site.ring for site in sites) else None
-        self._bank = _Bank(jax.tree.map(jnp.asarray, sites[0].beams), scenes, numbers, jnp.bool_(recheck), ring)
+        beams, paces = stepping.equipped(team, sites[0].beams, lidar, self.cell_m)
+        self._bank = _Bank(beams, scenes, numbers, jnp.bool_(recheck), ring, paces)
         self._n_cells = jnp.asarray([len(own) for own in cells], jnp.int32)
-        most = max(len(own) for own in cells)
-        self._cells = jnp.asarray(np.stack([np.resize(own, (most, 2)) for own in cells]), jnp.int32)
+        size = max(map(len, cells)), 2
+        self._cells = jnp.asarray(np.stack([np.resize(own, size) for own in cells]), jnp.int32)
 
     def reset(self, key: Array, start: Any = None, world: Any = None) -> tuple[EnvState, View]:
         """Begin an episode and make its first scans.
@@ -279,15 +279,9 @@ class Environment:
         return f"<Environment of {names}; {self.shape[0]} x {self.shape[1]} cells of {self.cell_m:g} m>"
 
 
-def _require_robots(robots, alone):
-    """Check the size of a team; `alone`: something is asked for that only a robot alone has."""
-    if require_whole("robots", robots, 1, MOST_ROBOTS) > 1 and alone:
-        raise InputError("recheck, paths, metrics and a pose that is not given are of one robot: leave out robots")
-    return robots
-
-
 def _given(bank, key, world, start):
-    return Given(key, bank.beams, bank.scenes, world, jax.tree.map(lambda a: a[world], bank.numbers), start)
+    task = stepping.task_of(start, bank.paces) if start.ndim == 2 else start
+    return Given(key, bank.beams, bank.scenes, world, jax.tree.map(lambda a: a[world], bank.numbers), task)
 
 
 def _seen(setup, given, episode, ring):

@@ -203,7 +203,7 @@ def explore(
     lidar: LidarLike = LIDAR, rules: RulesLike = RULES, robot: RobotLike = ROBOT,
     pose: str | None = None, odometry: OdometryLike = None,
     robots: int | None = None, coordination: Coordinate = "independent", contact: str = "all",
-    team_starts: Starts = "together", members: Sequence[str] = (),
+    team_starts: Starts = "together", members: str | Sequence[str] = (),
 ) -> EpisodeResult:  # fmt: skip
     """Run one episode and keep its map and way.
 

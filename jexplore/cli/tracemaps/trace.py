@@ -25,7 +25,7 @@ from jexplore.cli.tracemaps.files import exchanged
 from jexplore.cli.tracemaps.team import trace_robots
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
-from jexplore.tracemap.merging.limits import Limits
+from jexplore.tracemap.merging.limits import TeamLimits
 
 SAME_WAY_M = 0.01  # two ways no farther apart than this are one
 
@@ -97,7 +97,7 @@ class Trace(ResumeOptions):
     """With --robots: which of them exchange maps: all, none or, within M metres, range:M."""
     team_starts: StartsText = ("apart",)
     """With --robots: begin far from each other (apart), next to the first (together), or at X,Y,HEADING_DEG each."""
-    limits: Limits = dataclasses.field(default_factory=Limits)
+    limits: TeamLimits = dataclasses.field(default_factory=TeamLimits)
     tuning: Tuning = dataclasses.field(default_factory=Tuning)
     noise: Noise = dataclasses.field(default_factory=Noise)
 

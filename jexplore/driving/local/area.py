@@ -44,12 +44,14 @@ class SeenArea:
         """
         window, known = lattice.window, self.of(lattice.window)
         edge = window.known & ndimage.binary_dilation(~known, EVERY_WAY) & (distance_m(window.occupied) > open_m)
-        parts, n = ndimage.label(edge, EVERY_WAY)
-        return [parts == i for i in range(1, n + 1)]
+        parts = np.empty(edge.shape, np.int32)
+        ndimage.label(edge, EVERY_WAY, output=parts)
+        return [parts == i for i in range(1, parts.max() + 1)]
 
     def give_up(self, window: Window, frontier: np.ndarray) -> None:
         """Count what lies next to a frontier as known: the robot has been there, or something stops it."""
-        self.of(window)[ndimage.binary_dilation(frontier, EVERY_WAY)] = True
+        known = self.of(window)
+        known |= ndimage.binary_dilation(frontier, EVERY_WAY)
 
 
 def nearest_to(frontier: np.ndarray, lattice: Lattice, within_m: float) -> tuple[np.ndarray, float] | None:

@@ -10,7 +10,7 @@ from jexplore.engine.program import Given
 from jexplore.exploration.motion import LENGTHS, STEP, tick
 from jexplore.exploration.sensing import known_cells, stacked
 from jexplore.exploration.state import State, Stream
-from jexplore.exploration.team.state import TeamState, is_exploring, put, take
+from jexplore.exploration.team.state import TeamState, counts, is_exploring, own_cells, put, take
 from jexplore.grid import Grid
 from jexplore.planning import Belief, Choice, choose, field
 from jexplore.reach import FAR
@@ -57,8 +57,10 @@ def _hears(given: Given, team: TeamState, i: Array) -> tuple[Array, Array]:
     return heard[i], since
 
 
-def _exchange(robots: State, heard: Array) -> State:
-    """Return robots of which those heard have exchanged maps."""
+def _exchange(maps: tuple[State, Array, Array], heard: Array) -> tuple[State, Array, Array]:
+    """Return robots of which those heard have exchanged maps, `TeamState.own` and `shared`."""
+    robots, own, before = maps
+    own = own_cells(robots, own, before)
 
     def shared(maps: Array) -> Array:
         most = jnp.max(jnp.where(heard[:, None, None], maps, jnp.zeros_like(maps)), axis=0)
@@ -69,7 +71,7 @@ def _exchange(robots: State, heard: Array) -> State:
     first = jnp.argmax(heard)
     n_known = known_cells(take(grid, first), None if belief.within is None else belief.within[0])
     belief = belief.replace(grid=grid, exhausted=shared(belief.exhausted))
-    return robots.replace(belief=belief, n_known=jnp.where(heard, n_known, robots.n_known))
+    return robots.replace(belief=belief, n_known=jnp.where(heard, n_known, robots.n_known)), own, counts(grid)
 
 
 def meet(given: Given, team: TeamState, i: Array, *, plans: bool) -> tuple[TeamState, Array]:
@@ -78,8 +80,10 @@ def meet(given: Given, team: TeamState, i: Array, *, plans: bool) -> tuple[TeamS
         return team, jnp.ones(1, bool)
     heard, since = _hears(given, team, i)
     is_due = (plans & jnp.any(heard.at[i].set(False))) | jnp.any(heard & ~team.heard[i])
-    robots = run_if(is_due, lambda robots: _exchange(robots, heard), team.robots)
-    team = team.replace(robots=robots, since=since, acts=team.acts + 1, heard=team.heard.at[i].set(heard))
+    maps = team.robots, team.own, team.shared
+    robots, own, shared = run_if(is_due, lambda maps: _exchange(maps, heard), maps)
+    team = team.replace(robots=robots, own=own, shared=shared)
+    team = team.replace(since=since, acts=team.acts + 1, heard=team.heard.at[i].set(heard))
     return _note_meeting(team, i, jnp.all(heard | ~is_exploring(team))), heard
 
 

@@ -18,7 +18,8 @@ When a robot plans, or first hears another, it and all that it hears exchange ma
 most hits and the most misses that one of them has. Nothing is counted twice, in whatever order robots meet.
 Rendezvous: a robot that has not heard all that explore for some time goes, when it plans, to where the first robot
 started. There, or where others keep it from there, it waits until it hears them, at most for that time. After Hollinger
-and Singh 2012 (periodic connectivity); changed: the place is fixed, and no robot plans for others.
+and Singh 2012 (periodic connectivity, IEEE Transactions on Robotics 28 (4)); changed: the place is fixed, and no robot
+plans for others.
 """
 
 import math
@@ -40,6 +41,7 @@ from jexplore.exploration.team.state import (
     ENDED,
     TeamSetup,
     TeamState,
+    counts,
     given_of_robot,
     is_exploring,
     next_robot,
@@ -59,10 +61,9 @@ def begin(setup: TeamSetup, given: Given) -> TeamState:
     """Return a team of which each robot has made its first scans; the task is a `TeamTask`."""
     n = setup.n
     robots = lax.map(lambda i: environment.begin(setup.robot, given_of_robot(given, i)), lax.iota(jnp.int32, n))
-    grid, before = robots.belief.grid, blank_grid(given)
-    own = (grid.hits != before.hits) | (grid.misses != before.misses)
-    known = jnp.any(own, axis=0) | is_known(before)
+    known, before = jnp.any(is_known(robots.belief.grid), axis=0), counts(blank_grid(given))
     zeros, zero, shape = jnp.zeros(n, jnp.int32), jnp.int32(0), known.shape
+    none = jnp.zeros((n, *shape), bool)
     way = jnp.zeros((n, setup.capacity + 1, 3), jnp.int32).at[:, :, 2].set(-1)
     team = TeamState(
         robots=robots,
@@ -71,13 +72,14 @@ def begin(setup: TeamSetup, given: Given) -> TeamState:
         in_a_row=zeros,
         hemmed=jnp.zeros(n, bool),
         fled=jnp.full((n, 2), -1, jnp.int32),
-        shunned=jnp.zeros_like(own),
+        shunned=none,
         since=jnp.full((n, n), -1, jnp.int32),
         acts=zero,
         heard=jnp.eye(n, dtype=bool),
         met=zeros,
         came=jnp.full(n, -1, jnp.int32),
-        own=own,
+        own=none,
+        shared=jnp.broadcast_to(before, none.shape),
         seen_at=jnp.where(known, 0, ENDED),
         n_known=count(known if robots.belief.within is None else known & robots.belief.within[0]),
         log=jnp.zeros((math.prod(shape) + 1, 4), jnp.int32),
@@ -197,12 +199,10 @@ def advance(setup: TeamSetup, given: Given, team: TeamState) -> TeamState:
     own, state = given_of_robot(given, i), take(team.robots, i)
     held = is_held(team, i, state.route[state.belief.row, state.belief.col])
     after = environment.advance(setup.robot, own, state, held)
-    old, grid = state.belief.grid, after.belief.grid
-    seen = (grid.hits != old.hits) | (grid.misses != old.misses)
-    new = seen & (team.seen_at == ENDED)
+    # What a robot knew before is in `seen_at`.
+    new = is_known(after.belief.grid) & (team.seen_at == ENDED)
     grew = count(new if state.belief.within is None else new & state.belief.within)
-    mine = lax.dynamic_update_index_in_dim(team.own, take(team.own, i) | seen, i, 0)
-    team = team.replace(own=mine, seen_at=jnp.where(new, team.clock[i], team.seen_at), n_known=team.n_known + grew)
+    team = team.replace(seen_at=jnp.where(new, team.clock[i], team.seen_at), n_known=team.n_known + grew)
     return act(given, _note(given, team, i, state, grew > 0), i, state, after, heard, held)
 
 

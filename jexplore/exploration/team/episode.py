@@ -26,6 +26,7 @@ from jexplore.exploration.team.state import (
     given_of_robot,
     is_done,
     must_decide,
+    own_cells,
     paced_ms,
     take,
 )
@@ -74,7 +75,8 @@ def finish(setup: TeamSetup, given: Given, team: TeamState) -> Result:
     end = jax.vmap(lambda state: tick(given.numbers.clock, state, state.heading, jnp.bool_(False), jnp.bool_(True), 0))
     times, paces = end(robots), given.task.paces
     times["time_ms"] = paced_ms(times["time_ms"], paces)
-    own = team.own if area is None else team.own & area
+    own = own_cells(robots, team.own, team.shared)
+    own = own if area is None else own & area
     each, seen = jnp.sum(own, axis=(1, 2), dtype=jnp.int32), jnp.sum(jnp.any(own, axis=0), dtype=jnp.int32)
     names = ("turns", "scans", "plans", "exhausted", "room_entries", "saturated", "refused", "overflow")
     return Result(

@@ -32,7 +32,7 @@ def team_jobs(
     coordination: CoordinationLike = INDEPENDENT,
     contact: str = "all",
     team_starts: Starts | Sequence[str] = "together",
-    members: Sequence[str] = (),
+    members: str | Sequence[str] = (),
     start: Any = "random",
 ) -> list[Job]:
     """Return the jobs of teams made of those of one robot, each of them for every team; these where `robots` is None.
@@ -45,7 +45,7 @@ def team_jobs(
     """
     starts = _read_starts(team_starts)
     if robots is None:
-        if (coordination, contact, starts) != (INDEPENDENT, "all", "together") or members != ():
+        if (coordination, contact, starts) != (INDEPENDENT, "all", "together") or members not in ((), [], ""):
             raise InputError("coordination, contact, team_starts and members are for teams: give robots, such as 1 2 4")
         return list(jobs)
     teams = _teams(robots, coordination, contact, starts)

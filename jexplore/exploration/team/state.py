@@ -13,6 +13,7 @@ from jexplore.exploration.motion import MOST_MS
 from jexplore.exploration.state import Outcome, Setup, State, Stream
 from jexplore.exploration.team.coordination import Coordination
 from jexplore.exploration.team.team import Contact
+from jexplore.grid import Grid
 
 ENDED = 2**31 - 1  # clock of a robot that has ended, and of a cell that nobody has seen
 
@@ -51,7 +52,8 @@ class TeamState:
     heard: Array  # [N, N] bool, whom each heard when it last acted
     met: Array  # [N] int32, clock when each last heard all that explore, or had waited for them for long enough
     came: Array  # [N] int32, clock since which each waits for others at the rendezvous; -1 for none
-    own: Array  # [N, H, W] bool, cells that each has seen itself
+    own: Array  # [N, H, W] bool, cells that each had seen itself when it last exchanged maps
+    shared: Array  # [N, H, W] int32, its counts of each cell then
     seen_at: Array  # [H, W] int32, clock when any of them first knew each cell; `ENDED`: not yet
     n_known: Array  # int32, those among them that are to be known
     log: Array  # [H * W + 1, 4] int32: n_known, straight steps and waits, diagonal steps, ms; when it last grew
@@ -60,6 +62,11 @@ class TeamState:
     links: Array  # int32, sum over steps of the others that the robot heard
     way: Array  # [N, T + 1, 3] int32, at the start and after each step: index of the cell, clock, index of the target
     replace: ClassVar[Callable[..., Self]]
+
+
+def counts(grid: Grid) -> Array:
+    """Return how often a cell was hit or passed: int32."""
+    return grid.hits + grid.misses
 
 
 def take(tree: Any, i: Array | int) -> Any:
@@ -85,6 +92,11 @@ def given_of_robot(given: Given, i: Array | int) -> Given:
     numbers = numbers.replace(max_ms=-(-numbers.max_ms // given.task.paces[i]))
     key = jnp.where(i == 0, given.key, others)
     return given.replace(key=key, task=take(given.task.starts, i), shared=beams, numbers=numbers)
+
+
+def own_cells(robots: State, own: Array, shared: Array) -> Array:
+    """Return the cells that each robot has seen itself, `[N, H, W]` bool: only its scans change counts in between."""
+    return own | (counts(robots.belief.grid) != shared)
 
 
 def is_exploring(team: TeamState) -> Array:

@@ -1,5 +1,6 @@
 """A team step by step, for whoever chooses all targets itself; rules as in `team.environment`."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -7,13 +8,14 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.arrays.loops import run_if
-from jexplore.config import InputError
+from jexplore.config import InputError, require_whole
 from jexplore.engine.program import Given
 from jexplore.exploration import environment
 from jexplore.exploration.motion import LENGTHS
 from jexplore.exploration.state import Outcome, Setup, steps_m
 from jexplore.exploration.team.contact import meet
 from jexplore.exploration.team.environment import act, advance, begin, is_held
+from jexplore.exploration.team.episode import of_ranges
 from jexplore.exploration.team.state import (
     TeamSetup,
     TeamState,
@@ -25,9 +27,31 @@ from jexplore.exploration.team.state import (
     next_robot,
     take,
 )
-from jexplore.exploration.team.team import EVERYBODY, Contact
+from jexplore.exploration.team.team import EVERYBODY, MOST_ROBOTS, Contact, Member, read_members
 from jexplore.planning import Field, choose, field, is_live
+from jexplore.raycast import Beams
 from jexplore.reach import FAR
+from jexplore.rules import Lidar
+
+
+def ready_team(robots: int, members: str | Sequence[str], lidar: Lidar, is_of_one: bool) -> tuple[Member, ...]:
+    """Return the robots of a team, all alike where no members are given; `is_of_one`: see the message.
+
+    Raises:
+      InputError: a size that cannot be, members of another number.
+    """
+    if require_whole("robots", robots, 1, MOST_ROBOTS) > 1 and is_of_one:
+        raise InputError("recheck, paths, metrics and a pose that is not given are of one robot: leave out robots")
+    own = read_members(members, lidar)
+    if own and (robots == 1 or len(own) != robots):
+        raise InputError(f"members must be one for each of 2 or more robots, got {len(own)} for {robots}")
+    return own or (Member(),) * robots
+
+
+def equipped(team: Sequence[Member], beams: Beams, lidar: Lidar, cell_m: float) -> tuple[Beams, Array]:
+    """Return the beams of a team's robots (`of_ranges`), and their paces: `[N]` int32."""
+    own = of_ranges(beams, lidar.without_noise(), cell_m, [one.range_m for one in team])
+    return jax.tree.map(jnp.asarray, own), jnp.asarray([one.pace for one in team], jnp.int32)
 
 
 def setup_of(robot: Setup, robots: int, cells: int) -> TeamSetup:
@@ -70,7 +94,8 @@ def _take_target(setup: TeamSetup, given: Given, team: TeamState, cell: Array) -
         return act(given, team, i, state, after, heard, held)
 
     def wait(team: TeamState) -> TeamState:
-        return team.replace(waits=team.waits.at[i].add(1), clock=team.clock.at[i].add(LENGTHS[0]))
+        clock = team.clock.at[i].add(LENGTHS[0] * given.task.paces[i])
+        return team.replace(waits=team.waits.at[i].add(1), clock=clock)
 
     return run_if(~(goes | ends), wait, run_if(goes | ends, commit, team)), goes
 
@@ -107,20 +132,21 @@ def step(setup: TeamSetup, given: Given, team: TeamState, cells: Array) -> tuple
 
 
 def begun(setup: TeamSetup, given: Given, is_bad: Array) -> TeamState:
-    """Return a team that hears each other everywhere; the task is where robots start, `[N, 3]` int32.
+    """Return a team; the task is a `task_of`.
 
     Where `is_bad`, or two start in one cell, it is over at once, as BAD_START.
     """
-    starts, given = given.task, given.replace(task=_team_task(given.task))
+    starts = given.task.starts
     team, _ = meet(given, begin(setup, given), jnp.int32(0), plans=True)
     same = jnp.any(jnp.triu(jnp.all(starts[:, None, :2] == starts[:, :2], axis=-1), 1))
     outcome = jnp.where(is_bad | same, Outcome.BAD_START, team.robots.outcome)
     return team.replace(robots=team.robots.replace(outcome=outcome))
 
 
-def _team_task(starts: Array) -> TeamTask:
+def task_of(starts: Array, paces: Array) -> TeamTask:
+    """Return the task of a team that hears each other everywhere: `[N, 3]` int32 and `[N]` int32, as its fields."""
     contact = Contact(jnp.int32(EVERYBODY), jnp.bool_(False), jnp.int32(0), jnp.float32(0), jnp.int32(0))
-    return TeamTask(starts, contact, jnp.ones(starts.shape[0], jnp.int32))
+    return TeamTask(starts, contact, paces)
 
 
 def drawn(key: Array, most: int, n: Array, robots: int) -> Array:
@@ -131,7 +157,7 @@ def drawn(key: Array, most: int, n: Array, robots: int) -> Array:
 
 def play(setup: TeamSetup, given: Given, team: TeamState, cells: Array) -> tuple[TeamState, Array, dict[str, Array]]:
     """Make a `step`: the team, the reward and the entries of `info`, as in `studies.environment`."""
-    now, valid = step(setup, given.replace(task=_team_task(given.task)), team, cells)
+    now, valid = step(setup, given, team, cells)
     cell_m = given.numbers.model.cell_m
     before, after = (steps_m(jnp.sum(one.robots.straight), jnp.sum(one.robots.diagonal), cell_m) for one in (team, now))
     outcome = jnp.max(jax.vmap(environment.outcome_of)(now.robots))

@@ -88,13 +88,13 @@ def read_contact(contact: str, cell_m: float) -> Contact:
     return Contact(d2, word == SIGHT, delay * LENGTHS[0], loss, meets * LENGTHS[0] * ("rendezvous" in given))
 
 
-def read_members(given: Sequence[str], lidar: Lidar) -> tuple[Member, ...]:
-    """Return robots of texts such as pace=2, range=3, pace=2,range=3.
+def read_members(given: str | Sequence[str], lidar: Lidar) -> tuple[Member, ...]:
+    """Return robots of texts such as pace=2, range=3, pace=2,range=3, or of one text that holds them all.
 
     Raises:
       InputError: a text says something else; a pace or range that cannot be, a range longer than the scanner's.
     """
-    given = (given,) if isinstance(given, str) else given
+    given = given.split() if isinstance(given, str) else given
     if not isinstance(given, list | tuple):
         raise InputError(f"members must be a list of texts such as pace=2,range=3, got {shown(given)}")
     made = []

@@ -259,7 +259,9 @@ def _cut(spec, settings, records, shapes, n_strategies, total, after=0):
     loaded = {(world, cell_m): _loaded(os.fspath(spec.worlds[world]), cell_m) for world, cell_m in shapes}
     for i, (_, cell_m, lidar, rules) in enumerate(records):
         for world in range(len(spec.worlds)):
-            team = *map(settings[i].get, ("robots", "coordination")), "rendezvous" in str(settings[i].get("contact"))
+            own = settings[i]
+            team = *map(own.get, ("robots", "coordination")), "rendezvous" in str(own.get("contact"))
+            team = *team, "range" in str(own.get("members"))
             by_key[*_program_key(loaded[world, cell_m], lidar, rules), *team].append((i, world))
     units = []
     for (padded, *_), pairs in by_key.items():

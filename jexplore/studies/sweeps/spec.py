@@ -30,7 +30,7 @@ MAX_TOTAL = 100_000_000  # episodes
 DRAW_METHODS = ("random", "sobol")
 RANGE = ("low", "high", "log")
 SETTING_PARTS = {"lidar": Lidar, "rules": Rules, "odometry": Odometry, "robot": Robot}
-TEAM = {"robots": 1, "coordination": "independent", "contact": "all", "team_starts": "together"}
+TEAM = {"robots": 1, "coordination": "independent", "contact": "all", "team_starts": "together", "members": ""}
 SINGLE = {"seed": 0, "cell_m": 0.1, "pose": "true", **TEAM}
 """Settings that are no part of a record -> their defaults."""
 _FIELDS_OF = {
@@ -83,6 +83,8 @@ class Sweep:
     """With `robots`: "all", "none", "range:4", "line-of-sight", ..."""
     team_starts: Any = None
     """With `robots`: "together" or "apart"."""
+    members: Any = None
+    """With `robots`: a text such as "pace=1 pace=2,range=3", a word for each robot; smaller teams take the first."""
     metrics: Any = dataclasses.field(default_factory=dict)
     """Columns of your own: name -> function or "module:function", as in `jx.compare`."""
     settings: tuple[Mapping[str, Any], ...] = ()
@@ -236,7 +238,10 @@ def robot_of(setting: Mapping[str, Any]) -> Robot:
 
 def team_of(setting: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments of `team_jobs` in a setting of `Sweep.expanded`; none where no team is asked for."""
-    return {key: value for key, value in setting.items() if key in TEAM}
+    team = {key: value for key, value in setting.items() if key in TEAM}
+    if isinstance(members := team.get("members"), str) and isinstance(n := team.get("robots"), int):
+        team["members"] = tuple(members.split()[:n])
+    return team
 
 
 def _part(setting, kind):

@@ -40,3 +40,14 @@ class Limits(Settings):
         """Return the tolerance, metres, of places at a distance from their middle: 3 sigma of both heading walks."""
         walk = 3 * math.sqrt(2 * away_m / 3) * math.radians(self.heading_deg)
         return 2 * self.length_m + (2 * self.length_share + walk) * away_m
+
+
+@checked_names
+@dataclasses.dataclass(frozen=True)
+class TeamLimits(Limits):
+    """Tolerances for maps of robots in one building at the same time: wider ones take a room for its neighbour."""
+
+    length_share: float = 0.02
+    """Share of a length, in each map: a constant scale error of the encoders."""
+    heading_deg: float = 0.5
+    """Standard deviation of the heading after 1 m, degrees; it grows with the root of the way."""

@@ -29,7 +29,7 @@ from jexplore.studies.traces.station import GLOBAL_MAP, WHY, page_from
 from jexplore.studies.traces.teams.clock import EXCHANGE_STEPS, RobotLog, run_robots
 from jexplore.studies.traces.teams.counts import first_found, sizes_of, team_row, wrong_matches
 from jexplore.studies.traces.tracing import map_of
-from jexplore.tracemap.merging.limits import Limits
+from jexplore.tracemap.merging.limits import Limits, TeamLimits
 from jexplore.tracemap.merging.match import Merging
 from jexplore.tracemap.merging.merge import MergeResult, merge_maps
 from jexplore.tracemap.merging.rigid import Move
@@ -162,7 +162,7 @@ def trace_team(
       robots: 1 to 16.
       contact: "all", "none", or "range:M", within M metres, also through walls.
       team_starts: see `place_robots`.
-      limits: of merging: see `merge_maps`.
+      limits: of merging, `TeamLimits` or others.
       start: of the first robot, without given `team_starts`.
       world, robot, seed, tuning, noise, cell_m, max_steps, attributes, nodes, links, perception: see
         `prepare_trace`.
@@ -176,7 +176,7 @@ def trace_team(
     """
     require_engine(engine, lanes)
     read_reach(contact)
-    limits = as_record("limits", limits or {}, Limits)
+    limits = limits if isinstance(limits, Limits) else as_record("limits", limits or {}, TeamLimits)
     plan = prepare_team(
         world, robots, team_starts, robot=robot, seed=seed, tuning=tuning, noise=noise, start=start, cell_m=cell_m,
         max_steps=max_steps, attributes=attributes, nodes=nodes, links=links, perception=perception,
@@ -207,6 +207,7 @@ def merge_team(
     plan: TraceJob, logs: Sequence[RobotLog], contact: str, limits: Limits | None = None, costs: Costs | None = None
 ) -> TraceTeamResult:
     """Merge the maps of finished runs as robots in contact do: see `trace_team`."""
+    limits = limits or TeamLimits()
     last = max(len(log.truth) for log in logs) // EXCHANGE_STEPS
     maps = {NAME.format(i): _map_at(plan, log, last) for i, log in enumerate(logs)}
     near = _contacts(logs, read_reach(contact), last)
