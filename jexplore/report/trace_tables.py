@@ -12,7 +12,6 @@ NOTED = {
     "contacts": "steps refused because of a wall",
     "refused": "steps refused because of the ground",
     "interventions": "interventions of the operator",
-    "contradicted": "links and nodes that the finished map contradicted, mended",
     "mistaken": "places taken for a node that truly lies elsewhere",
     "overflow": "warning: nodes and links that did not fit",
     "scan_overflow": "ends of walls beyond the 16 that the robot makes use of in one scan, no fault",

@@ -71,6 +71,12 @@ def length_of(link: Link, nodes: Mapping[int, Node]) -> float:
     return math.dist((one.x_m, one.y_m), (other.x_m, other.y_m))
 
 
+def closings_of(btm: "BtmMap") -> int:
+    """Count the cycles of a map: searched links beyond those of a spanning tree."""
+    parts = set(connected_parts((node.id for node in btm.nodes), btm.links).values())
+    return sum(link.end != NOWHERE for link in btm.links) - len(btm.nodes) + len(parts)
+
+
 def connected_parts(nodes: Iterable[int], links: Iterable[Link]) -> dict[int, int]:
     """Return the connected parts of a map: node -> the first node of its part."""
     around, part = {own: [] for own in nodes}, {}

@@ -47,6 +47,7 @@ OF_MAP = "width_m", "open_m", "speed_m_s"  # thresholds that count with the seco
 START_CLEARANCE_M = 0.5  # of starts that are drawn
 MIN_NODES = 128  # most nodes of a map of a building, at least
 SPARE = 2  # default room for nodes, for each node of the true map
+LOCAL_SPARE = 4  # the same with a local map: drift doubles nodes, and room costs nothing
 
 
 @dataclasses.dataclass(frozen=True)
@@ -189,7 +190,8 @@ def prepare_trace(
     places = _placed(world, _ends(world, start, starts, seed), robot, tuning)
     if perception == "map" and not is_level:
         raise InputError("perception map: the ground must be level; use --perception triangles")
-    found = robot, tuning, noise, n_runs, seed, swept, count, most, map_room(world, places[1], nodes, links)
+    room = map_room(world, places[1], nodes, links, LOCAL_SPARE if perception == "map" else SPARE)
+    found = robot, tuning, noise, n_runs, seed, swept, count, most, room
     return TraceJob(world, *places, *found, perception, attributes_of(attributes))
 
 
@@ -204,14 +206,16 @@ def _require_perception(perception, tuning, own, swept):
         raise InputError(f"{unused[0]} goes with perception triangles; with map {', '.join(OF_MAP)} and noise count")
 
 
-def map_room(world: World, truth: TraceTruth, nodes: int | None = None, links: int | None = None) -> tuple[int, int]:
+def map_room(
+    world: World, truth: TraceTruth, nodes: int | None = None, links: int | None = None, spare: int = SPARE
+) -> tuple[int, int]:
     """Return the most nodes and links of a map.
 
-    By default `MAP_SIZE` of a course; where there is no goal `SPARE` nodes for each one of the true map, on a course
+    By default `MAP_SIZE` of a course; where there is no goal `spare` nodes for each one of the true map, on a course
     that many at least, elsewhere `MIN_NODES`, in doublings, so that similar buildings share a program. Two links a
     node.
     """
-    wanted = max(SPARE * len(truth.map.nodes), MIN_NODES if world.course is None else MAP_SIZE[0])
+    wanted = max(spare * len(truth.map.nodes), MIN_NODES if world.course is None else MAP_SIZE[0])
     room = MAP_SIZE[0] if _has_goal(world) else 1 << (min(wanted, MOST_NODES) - 1).bit_length()
     room = require_setting("nodes", room if nodes is None else nodes)
     return room, require_setting("links", 2 * room if links is None else links)

@@ -17,8 +17,7 @@ from jexplore.report.store import jsonable
 from jexplore.studies import checks
 from jexplore.tracemap.json_form import to_json
 from jexplore.tracemap.passable import blockages_of
-from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLE_SHAPES, STATUS, BtmMap
-from jexplore.tracemap.repairing.repaired import closings_of
+from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLE_SHAPES, STATUS, BtmMap, closings_of
 from jexplore.worlds.readers.scans import ScanMap
 from jexplore.worlds.world import World, with_ring
 

@@ -29,8 +29,7 @@ from jexplore.studies.traces.recording import scans_of
 from jexplore.studies.traces.truth import false_divergences
 from jexplore.tracemap import json_form
 from jexplore.tracemap.passable import BLOCKED, blocked_for
-from jexplore.tracemap.record import BtmMap
-from jexplore.tracemap.repairing.repaired import repaired
+from jexplore.tracemap.record import BtmMap, closings_of
 from jexplore.tracemap.similarity import code
 from jexplore.worlds.readers.scans import ScanLog
 from jexplore.worlds.world import World
@@ -204,12 +203,11 @@ def _helps(help_at, origin_m):
 def trace_table(
     plan: TraceJob, result: Any, setting: np.ndarray, which: np.ndarray, chosen: Mapping[str, Any]
 ) -> tuple[Any, list[BtmMap]]:
-    """Return the table of finished runs, and all their maps, repaired.
+    """Return the table of finished runs, and all their maps.
 
     `setting` and `which` are `[n]` int, numbers of setting and run; `chosen` are further columns, name -> `[n]`.
     """
-    found = [repaired(map_of(plan, result, i)) for i in range(len(which))]
-    maps = [of_run.map for of_run in found]
+    maps = [map_of(plan, result, i) for i in range(len(which))]
     codes, truths = list(map(code, maps)), [set(map(code, own)) for own in plan.truths]
     own_truths = [truths[run % len(truths)] for run in which]
     marks, is_door = result.met[:, : len(plan.truth.marks)], plan.truth.is_door
@@ -243,9 +241,8 @@ def trace_table(
             "unsearched": [sum(link.status == "un-searched" for link in m.links) for m in maps],
             "inclination_deg": largest("inclination_deg"),
             "step_m": largest("step_m"),
-            "closings": [of_run.closings for of_run in found],
+            "closings": list(map(closings_of, maps)),
             "mistaken": result.mistaken,
-            "contradicted": [of_run.contradicted for of_run in found],
             "overflow": result.map.overflow,
             "scan_overflow": result.scan_overflow,
             "code": codes,

@@ -44,7 +44,7 @@ class RobotLog:
     rows: np.ndarray
     """`[K, W]` int32, map and true places at every exchange: see `_row`."""
     maps: dict[int, BtmMap] = dataclasses.field(default_factory=dict[int, BtmMap])
-    """Exchange -> map there, repaired; of those that were needed."""
+    """Exchange -> map there; of those that were needed."""
 
     def held(self, exchange: int) -> Held:
         """Return the map that the robot has when an exchange begins, from 0; after its run that of its end."""

@@ -34,7 +34,6 @@ from jexplore.tracemap.merging.match import Merging
 from jexplore.tracemap.merging.merge import MergeResult, merge_maps
 from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.record import BtmMap
-from jexplore.tracemap.repairing.repaired import repaired
 from jexplore.worlds.world import World
 
 NEW_NODES = 3  # nodes that one of two maps must have more than at the last attempt: what a merge must have in common
@@ -222,10 +221,10 @@ def merge_team(
 
 
 def _map_at(plan, log, exchange):
-    """Return the map that a robot has at an exchange, repaired."""
+    """Return the map that a robot has at an exchange."""
     if exchange not in log.maps:
         held = jax.tree.map(lambda a: np.asarray(a)[None], log.held(exchange))
-        log.maps[exchange] = repaired(map_of(plan, held, 0)).map
+        log.maps[exchange] = map_of(plan, held, 0)
     return log.maps[exchange]
 
 
