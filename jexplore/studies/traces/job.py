@@ -163,9 +163,7 @@ def prepare_trace(
     if start is None and world.course is None and (starts or world.start is None):
         warn_of_outside(world, start_region(world, START_CLEARANCE_M))
     world = with_ring(world)
-    is_level = world.elevation is None or not np.any(world.elevation)
-    if perception == AUTO:
-        perception = "map" if world.course is None and is_level else "triangles"
+    perception = _perception_of(world, perception)
     if starts is not None and start is not None:
         raise InputError("start and starts exclude each other: give one of them")
     starts = None if starts is None else require_setting("starts", starts)
@@ -188,11 +186,19 @@ def prepare_trace(
         own_values = {name: int(v[i]) if name in WHOLE else float(v[i]) for name, v in swept.items()}
         require_tuning(with_values(tuning, noise, own_values)[0])
     places = _placed(world, _ends(world, start, starts, seed), robot, tuning)
+    size = map_room(world, places[1], nodes, links, LOCAL_SPARE if perception == "map" else SPARE)
+    found = robot, tuning, noise, n_runs, seed, swept, count, most, size
+    return TraceJob(world, *places, *found, perception, attributes_of(attributes))
+
+
+def _perception_of(world, perception):
+    """Return what `AUTO` stands for in a world; refuse a local map on uneven ground."""
+    is_level = world.elevation is None or not np.any(world.elevation)
     if perception == "map" and not is_level:
         raise InputError("perception map: the ground must be level; use --perception triangles")
-    room = map_room(world, places[1], nodes, links, LOCAL_SPARE if perception == "map" else SPARE)
-    found = robot, tuning, noise, n_runs, seed, swept, count, most, room
-    return TraceJob(world, *places, *found, perception, attributes_of(attributes))
+    if perception == AUTO:
+        return "map" if world.course is None and is_level else "triangles"
+    return perception
 
 
 def _require_perception(perception, tuning, own, swept):
