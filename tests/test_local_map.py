@@ -436,7 +436,7 @@ def test_recorded_run_is_the_run_and_its_page_shows_it():
 @pytest.mark.jit
 @pytest.mark.slow
 def test_team_merges_what_its_robots_have_at_contact():
-    found = jx.btm.trace_team(cross(), robots=2, noise={"range_m": 0.01})
+    found = jx.btm.trace_team(cross(), robots=2, noise={"range_m": 0.01}, perception="map")
     alone = jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), noise={"range_m": 0.01})
     assert found.plan.perception == alone.plan.perception == "map"
     for log in found.logs:

@@ -163,8 +163,8 @@ def trace_team(
       team_starts: see `place_robots`.
       limits: of merging, `TeamLimits` or others.
       start: of the first robot, without given `team_starts`.
-      world, robot, seed, tuning, noise, cell_m, max_steps, attributes, nodes, links, perception: see
-        `prepare_trace`.
+      world, robot, seed, tuning, noise, cell_m, max_steps, attributes, nodes, links: see `prepare_trace`.
+      perception: see `prepare_team`.
       engine, lanes, workers, on_progress, progress: see `trace`.
 
     Returns:
@@ -188,7 +188,12 @@ def trace_team(
 def prepare_team(
     world: str | os.PathLike[str] | World, robots: int, team_starts: TeamStarts = "apart", **how: Any
 ) -> TraceJob:
-    """Check all that a team needs, and return its runs, one a robot; `how` as of `prepare_trace`."""
+    """Check all that a team needs, and return its runs, one a robot; `how` as of `prepare_trace`.
+
+    By default its robots perceive by triangles: their maps are merged more often than those of local maps.
+    """
+    if how.get("perception", AUTO) == AUTO:
+        how["perception"] = "triangles"
     n, is_given = (
         require_whole("robots", robots, 1, MOST_ROBOTS),
         not (isinstance(team_starts, str) and team_starts in STARTS),
