@@ -95,7 +95,13 @@ def paths(given):
             shortest = bound(here, starts=1, start="world", seconds=5.0).table["high_m"].iloc[0]
             known.append(shortest)
             x_m, y_m = centre_of(start[0], start[1], cell_m=world.cell_m, origin_m=world.origin_m)
-            run = trace(here, start=(x_m, y_m, float(start[2])), noise=Noise(range_m=0.01), seed=given.seed).table
+            run = trace(
+                here,
+                start=(x_m, y_m, float(start[2])),
+                noise=Noise(range_m=0.01),
+                seed=given.seed,
+                perception="triangles",
+            ).table
             ways["robot that traces"].append((run["path_m"].iloc[0], run["outcome"].iloc[0] == "EXHAUSTED"))
             episodes = compare(here, STRATEGIES, episodes=1, start="world", seed=given.seed).episodes
             for episode in episodes.to_dict("records"):

@@ -106,7 +106,8 @@ def driven(worlds, runs, errors=(1.0, 5.0)):
     from jexplore.studies.traces.tracing import trace
 
     for world in worlds:
-        maps = list(trace(world, runs=runs, starts=runs, noise=Noise(range_m=0.01)).maps.values())
+        ran = trace(world, runs=runs, starts=runs, noise=Noise(range_m=0.01), perception="triangles")
+        maps = list(ran.maps.values())
         counts = collections.Counter()
         for one, other in itertools.combinations(maps, 2):
             merged = merge_maps([one, other])

@@ -89,7 +89,8 @@ def planning(seed: int, repeat: int) -> str:
 
 def driven(world: str, n: int, seed: int):
     """The table of n routes in a world, and how many of them begin where the robot does not fit."""
-    found = tracing.execute(job.prepare_trace(world, noise=NOISE, seed=seed), workers=WORKERS).first
+    plan = job.prepare_trace(world, noise=NOISE, seed=seed, perception="triangles")
+    found = tracing.execute(plan, workers=WORKERS).first
     ids = [node.id for node in found.nodes]
     rng = np.random.default_rng(seed)
     pairs = [(a, b) for a in ids for b in ids if a != b]

@@ -121,9 +121,3 @@ def test_where_a_known_link_leads_is_told_from_the_last_node():
     back = writer.replace(node=jnp.int32(1), origin=jnp.zeros(3))
     np.testing.assert_allclose(links.led_to(back)[2], (-50, 0), atol=1e-4)
     assert not links.led_to(a_writer(T))[0]
-
-
-# Hypotheses, until one more node decides
-
-
-OFF, TURN = (2.5, 1.0), math.radians(8)

@@ -327,7 +327,7 @@ def test_a_room_without_a_passage():
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_a_room_with_four_gateways_is_a_place_with_four_links():
+def test_a_room_with_four_doors_is_a_place_with_four_links():
     """8 m x 7 m, doors of 1 m off the middle of every wall, and a passage behind each: none is missed."""
     world = box()
     occupied = np.ones(world.shape, bool)

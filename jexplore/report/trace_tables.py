@@ -14,7 +14,7 @@ NOTED = {
     "interventions": "interventions of the operator",
     "mistaken": "places taken for a node that truly lies elsewhere",
     "overflow": "warning: nodes and links that did not fit",
-    "scan_overflow": "ends of walls beyond the 16 that the robot makes use of in one scan, no fault",
+    "scan_overflow": "ends of walls beyond 16 in one scan, no fault; with a local map points without room, a fault",
 }
 LEFT = ("angles deg", "type", "obstacle", "status")  # columns of text
 

@@ -1,5 +1,6 @@
 """Runs of robots with a local map, with the results of `driving.batch.run_missions`."""
 
+import collections
 import dataclasses
 import threading
 import time
@@ -21,7 +22,7 @@ from jexplore.driving.mission import MAP_SIZE, RunOutcome, RunResult
 from jexplore.driving.records import Building
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.draws import random_key
-from jexplore.engine.runner import Costs, find_resources
+from jexplore.engine.runner import Costs, cpu_devices, find_resources
 from jexplore.slam2d.settings import SlamSettings
 
 OnStep = Callable[[int, LocalRun], object]  # of the number of a run and the run
@@ -55,7 +56,7 @@ def tasks_of(
     draws: np.ndarray,
 ) -> list[LocalTask]:
     """Return the runs; arguments as of `driving.batch.run_missions`."""
-    key, on_device = random_key(np.uint32(seed)), jax.device_put(building)
+    key, on_device = random_key(np.uint32(seed)), jax.device_put(building, (cpu_devices() or jax.devices())[0])
     robots = dataclasses.replace(robots, name="")  # a name would make another program
     found = []
     for i, draw in enumerate(draws):
@@ -94,10 +95,10 @@ def run_tasks(
         return _results_of(run, run.drive(), task.fixed, size)
 
     with ThreadPoolExecutor(find_resources(workers=workers).workers) as pool:
-        waiting = [pool.submit(run_one, i) for i in range(len(tasks))]
+        waiting = collections.deque(pool.submit(run_one, i) for i in range(len(tasks)))
         try:
-            for i, future in enumerate(waiting):
-                on_run(i, *future.result())
+            for i in range(len(tasks)):
+                on_run(i, *waiting.popleft().result())
         finally:
             halts.set()
             pool.shutdown(cancel_futures=True)

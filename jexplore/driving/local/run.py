@@ -61,6 +61,7 @@ class LocalRun:
         self._node_of: dict[int, int] = {}
         self._area = SeenArea()
         self._frontiers: list[np.ndarray] = []  # of free space, in the local map
+        self._in_view: list[np.ndarray] = []  # a point of each, metres
         self._onward: list[np.ndarray] = []  # where free space leads on elsewhere, metres
         self.seen: list[SeenPlace] = []
         """Places of the last look."""
@@ -126,9 +127,9 @@ class LocalRun:
         self._lattice = Lattice(window, pose, self.robot)
         self._area.add(window)
         self._frontiers = self._area.frontiers(self._lattice, float(self._tuning.open_m))
-        off = [np.abs(window.cell(xy) - SIDE // 2).max() for xy in self._onward]
-        self._onward = [xy for xy, cells in zip(self._onward, off) if cells >= SIDE // 2]
-        self._onward += [window.xy(np.argwhere(some)[0]) for some in self._frontiers]
+        seen_before, self._in_view = self._in_view, [window.xy(np.argwhere(some)[0]) for some in self._frontiers]
+        behind = [xy for xy in self._onward + seen_before if np.abs(window.cell(xy) - SIDE // 2).max() >= SIDE // 2]
+        self._onward = behind
         how = float(self._tuning.width_m), float(self._tuning.open_m)
         self.seen = look(window, pose, self._start, *how)
         self._node_of = self.map.note(self.seen, pose, self.pilot.now.truth)
@@ -225,13 +226,18 @@ class LocalRun:
         return True
 
     def _go_back_to_the_open(self):
-        """Go to the node that is nearest to a frontier of free space seen before; return False without one."""
-        while self._onward:
+        """Go to the node that is nearest to a frontier of free space seen before; return False without one.
+
+        Those in the local map are given up: the robot does not reach them.
+        """
+        for some in self._frontiers:
+            self._area.give_up(self._lattice.window, some)
+        self._in_view = []
+        here = self._here()
+        while self._onward and here is not None:
             xy = self._onward.pop()
-            goal = min(range(len(self.map.nodes)), key=lambda i: math.dist(self.map.nodes[i].xy, xy))
-            here = self._here()
-            route = None if here is None else self.map.route(here, {goal})
-            if route is not None:
+            goal = min(range(len(self.map.nodes)), key=lambda i, xy=xy: math.dist(self.map.nodes[i].xy, xy))
+            if (route := self.map.route(here, {goal})) is not None:
                 self._go_along(route)
                 return True
         return False

@@ -113,7 +113,8 @@ def drift(
       InputError: no such error, no value, or one out of range; else as `prepare_trace`.
     """
     noise = as_record("noise", noise or Noise(range_m=RANGE_NOISE_M), Noise)
-    plan = prepare_trace(world, noise=noise, tuning=tuning, robot=robot, runs=runs, seed=seed, max_steps=max_steps)
+    how = {"robot": robot, "runs": runs, "seed": seed, "max_steps": max_steps, "perception": "triangles"}
+    plan = prepare_trace(world, noise=noise, tuning=tuning, **how)
     values, swept = _settings(AXES if axes is None else axes, noise)
     plan = dataclasses.replace(plan, swept=swept, settings=len(next(iter(swept.values()))))
     use_compilation_cache()
