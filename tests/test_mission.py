@@ -308,7 +308,9 @@ def test_a_robot_that_drives_up_and_down_is_helped(course):
 def test_room_for_the_maps_of_buildings():
     plan = job.prepare_trace("rooms", sweep=["open_m=0,3"])
     assert plan.swept["open_m"].tolist() == [5, 3]  # 0 stands for another number, swept or not
-    assert plan.size == (job.MIN_NODES, 2 * job.MIN_NODES)
+    assert plan.size == (256, 512)
+    triangles = job.prepare_trace("rooms", perception="triangles")
+    assert triangles.size == (job.MIN_NODES, 2 * job.MIN_NODES)
     assert plan.size[0] >= plan.places
     many = plan.truth._replace(map=dataclasses.replace(plan.truth.map, nodes=plan.truth.map.nodes[:1] * 70))
     assert job.map_room(plan.world, many) == (256, 512)
