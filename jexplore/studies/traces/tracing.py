@@ -70,7 +70,8 @@ class TraceResult:
 def run_blocks(plan: TraceJob) -> list[tuple[int, int]]:
     """Return the units of a plan: `(first run, number of runs)`."""
     n = plan.runs * plan.settings
-    size = max(MIN_UNIT_EPISODES, -(-n // MAX_UNITS_OF_JOB))
+    # With a local map a run takes tens of seconds: after Ctrl-C each is kept.
+    size = max(1 if plan.perception == "map" else MIN_UNIT_EPISODES, -(-n // MAX_UNITS_OF_JOB))
     return [(first, min(size, n - first)) for first in range(0, n, size)]
 
 
