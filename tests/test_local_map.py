@@ -306,7 +306,7 @@ def standing(window, way=()):
     run.pilot, run.robot, run._stops, run._target = Standing(window, way), CRAWLER, 0, None
     run.map = TraceMap(np.array([0.05, 0.05]), np.array([0.05, 0.05]))
     run.map.nodes.append(Node(np.array([4.05, 0.05]), "divergence", 0.5, np.array([4.05, 0.05])))
-    run._lattice = Lattice(window, run.pilot.pose, run.robot)
+    run._lattice, run._hoped = Lattice(window, run.pilot.pose, run.robot), None
     return run
 
 

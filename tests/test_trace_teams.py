@@ -61,7 +61,7 @@ def test_what_is_written_in_one_row_is_read_again():
     ]
     map_ = jax.tree.unflatten(jax.tree.structure(blank), map(jnp.asarray, values)).replace(n_links=jnp.int32(-1))
     node_at = jnp.array([[1.5, -2.0], [jnp.nan, jnp.inf], [0.0, -0.0]])
-    row = clock._row(types.SimpleNamespace(writer=types.SimpleNamespace(map=map_), node_at=node_at))
+    row = clock._row(clock.Held(map_, node_at))
     last = jax.device_get(clock.Held(btm.empty(3, 5), jnp.zeros((3, 2))))
     log = clock.RobotLog(types.SimpleNamespace(**last._asdict()), np.zeros((150, 3)), np.asarray(row)[None])  # type: ignore[arg-type]
     for one, other in zip(jax.tree.leaves(log.held(0)), jax.tree.leaves((map_, node_at))):

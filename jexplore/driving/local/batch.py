@@ -105,13 +105,7 @@ def run_tasks(
 
 
 def run_missions(
-    building: Building,
-    robots: Robot,
-    tunings: Tuning,
-    noises: Noise,
-    starts: np.ndarray,
-    seed: int,
-    draws: np.ndarray,
+    tasks: Sequence[LocalTask],
     *,
     workers: int | None = None,
     max_steps: int,
@@ -120,12 +114,11 @@ def run_missions(
     blocks: Sequence[tuple[int, int]] | None = None,
     on_block: Callable[[int, RunResult, Driven | None], object] | None = None,
 ) -> MissionResults:
-    """Make runs in a building on level ground; arguments and results as of `driving.batch.run_missions`."""
+    """Make runs in a building on level ground; other arguments and results as of `driving.batch.run_missions`."""
     begin_s, results, ways, costs = time.perf_counter(), dict[int, RunResult](), dict[int, Driven](), Costs()
-    blocks = [(0, len(draws))] if blocks is None else list(blocks)
+    blocks = [(0, len(tasks))] if blocks is None else list(blocks)
     order = [i for first, n in blocks for i in range(first, first + n)]
     firsts, ends = {first for first, _ in blocks}, {first + n - 1: k for k, (first, n) in enumerate(blocks)}
-    tasks = tasks_of(building, robots, tunings, noises, starts, seed, draws)
 
     def put(place, result, way):
         i = order[place]
@@ -146,7 +139,7 @@ def run_missions(
         costs.interrupted = True
     blank = jax.tree.map(np.zeros_like, next(iter(results.values())))
     costs.run_s = time.perf_counter() - begin_s
-    stacked = _stacked([results.get(i, blank) for i in range(len(draws))])
+    stacked = _stacked([results.get(i, blank) for i in range(len(tasks))])
     return MissionResults(stacked, ways.get(blocks[0][0]), costs)
 
 

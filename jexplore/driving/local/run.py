@@ -59,6 +59,7 @@ class LocalRun:
         self._target: tuple[int, Exit | None] | None = None
         self._stops = 0  # times that something stopped it where it set off, since it last came to a target
         self._node_of: dict[int, int] = {}
+        self._hoped: Lattice | None = None
         self._area = SeenArea()
         self._frontiers: list[np.ndarray] = []  # of free space, in the local map
         self._in_view: list[np.ndarray] = []  # a point of each, metres
@@ -124,7 +125,7 @@ class LocalRun:
 
     def _look(self):
         window, pose = self.pilot.window(), self.pilot.pose
-        self._lattice = Lattice(window, pose, self.robot)
+        self._lattice, self._hoped = Lattice(window, pose, self.robot), None
         self._area.add(window)
         self._frontiers = self._area.frontiers(self._lattice, float(self._tuning.open_m))
         seen_before, self._in_view = self._in_view, [window.xy(np.argwhere(some)[0]) for some in self._frontiers]
@@ -243,8 +244,10 @@ class LocalRun:
         return False
 
     def _hopes(self):
-        """Return the least costs of the robot if all that is unknown is free."""
-        return Lattice(self._lattice.window, self.pilot.pose, self.robot, through_unknown=True)
+        """Return the least costs of the robot at the last look if all that is unknown is free."""
+        if self._hoped is None:
+            self._hoped = Lattice(self._lattice.window, self.pilot.pose, self.robot, through_unknown=True)
+        return self._hoped
 
     def _is_shut_in(self):
         """Return whether most of the way that it has driven in the local map cannot be driven again.

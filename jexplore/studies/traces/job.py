@@ -102,15 +102,14 @@ class TraceJob:
 
     def run(self, setting: np.ndarray, which: np.ndarray, **how: Any) -> batch.MissionResults:
         """Make runs `[n]`, by numbers of settings and of runs; `how` as of `batch.run_missions`."""
-        what = self.building, *self.settings_of(setting), self.starts_of(which), self.seed, which
         how = {"max_steps": self.max_steps, "size": self.size, **how}
         if self.perception == "map":
-            return run_by_map(*what, **how)
+            return run_by_map(self.local_tasks(setting, which), **how)
+        what = self.building, *self.settings_of(setting), self.starts_of(which), self.seed, which
         return batch.run_missions(*what, params=self.params_of(setting), **how)
 
-    def local_tasks(self) -> list[LocalTask]:
-        """Return all runs as robots with a local map make them."""
-        setting, which = self.all_runs()
+    def local_tasks(self, setting: np.ndarray, which: np.ndarray) -> list[LocalTask]:
+        """Return runs `[n]` of robots with a local map, by numbers of settings and of runs."""
         robots, tunings, noises = self.settings_of(setting)
         return tasks_of(self.building, robots, tunings, noises, self.starts_of(which), self.seed, which)
 

@@ -169,7 +169,7 @@ def _frames_by_map(plan, on_progress):
 
     It has no triangles, votes and walls.
     """
-    task = plan.local_tasks()[0]
+    (task,) = plan.local_tasks(*(numbers[:1] for numbers in plan.all_runs()))
     frames, first, ended, seen = [], {}, {}, None
 
     def on_step(run):

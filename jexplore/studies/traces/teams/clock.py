@@ -72,16 +72,20 @@ class _State(NamedTuple):
     rows: Array
 
 
-def _row(state):
-    """Return map and true places of nodes as one row of words: one write a step in place of dozens."""
-    leaves = jax.tree.leaves(Held(state.writer.map, state.node_at))
+def _row(held):
+    """Return a `Held` as one row of words: one write a step in place of dozens."""
+    leaves = jax.tree.leaves(held)
     words = [a.astype(jnp.int32) if a.dtype == bool else lax.bitcast_convert_type(a, jnp.int32) for a in leaves]
     return jnp.concatenate([a.ravel() for a in words])
 
 
+def _row_of(robot):
+    return _row(Held(robot.writer.map, robot.node_at))
+
+
 def _begin(setup: _Setup, given: Given) -> _State:
     robot = mission.begin(setup.mission, given)
-    width = jax.eval_shape(_row, robot).size
+    width = jax.eval_shape(_row_of, robot).size
     return _State(robot, jnp.zeros((setup.mission.room // setup.every, width), jnp.int32))
 
 
@@ -89,7 +93,7 @@ def _advance(setup: _Setup, given: Given, state: _State) -> _State:
     robot = mission.advance(setup.mission, given, state.robot)
     n = state.rows.shape[0]
     at = jnp.where(robot.step % setup.every == 0, robot.step // setup.every - 1, n)
-    return _State(robot, state.rows.at[at].set(_row(robot), mode="drop"))
+    return _State(robot, state.rows.at[at].set(_row_of(robot), mode="drop"))
 
 
 def _is_done(state: _State) -> Array:
@@ -141,16 +145,12 @@ def run_robots(
 
 def _run_by_map(plan, workers, on_progress):
     """Make the runs of robots with a local map: `run_robots`."""
-    begin_s, tasks, logs = time.perf_counter(), plan.local_tasks(), []
+    begin_s, tasks, logs = time.perf_counter(), plan.local_tasks(*plan.all_runs()), []
     rows = [[] for _ in tasks]
 
     def on_step(i, run):
         if len(run.pilot.way) % EXCHANGE_STEPS == 0:
-            held = Held(run.map.to_btm(*plan.size), true_places(run, plan.size[0]))
-            words = [np.asarray(a) for a in jax.tree.leaves(held)]
-            rows[i].append(
-                np.concatenate([(a.astype(np.int32) if a.dtype == bool else a.view(np.int32)).ravel() for a in words])
-            )
+            rows[i].append(np.asarray(_row(Held(run.map.to_btm(*plan.size), true_places(run, plan.size[0])))))
 
     def on_run(i, result, way):
         logs.append(RobotLog(result, way.truth, np.array(rows[i])))
