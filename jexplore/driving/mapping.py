@@ -171,8 +171,7 @@ def way_extremes(way: Trajectory, from_m: Array | float, to_m: Array | float) ->
     """
     within = (way.odometer_m >= from_m) & (way.odometer_m <= to_m)
     known = within & jnp.isfinite(way.width_m)
-    place = jnp.where(known, way.odometer_m, jnp.inf)
-    meant = smoothing.mean_near(way.width_m, place, way.odometer_m, smoothing.MEAN_STEPS, P.sensing.mean_m)
+    meant = smoothing.mean_of_known(jnp.where(known, way.width_m, jnp.inf), smoothing.MEAN_STEPS)
     width = jnp.min(jnp.where(known, meant, jnp.inf))
     rolls = jnp.abs(smoothing.running_mean(way.roll, smoothing.MEAN_STEPS))
     posture, roll = (jnp.degrees(jnp.max(jnp.where(within, a, 0))) for a in (way.posture, rolls))

@@ -16,14 +16,10 @@ class Sensing(Settings):
 
     floor_m: float = 0.1  # a point no higher than this above the level on which the robot stands is ground
     behind_deg: int = 88  # degrees from straight ahead from which on the last scan is not all there is
-    memory_m: float = 0.5  # m; points this much farther than those of triangles are forgotten
-    opposite_cos: float = 0.26  # cosine: what lies at least 75 degrees from the nearest point is on the other side
     outline_margin_m: float = 0.03  # between a wall and the robot's outline where it turns
-    side_margin_m: float = 0.05  # m; margin to the sides of the driven way
     steady_deg: float = 0.33  # standard deviation of a mean attitude
     max_mean_steps: int = 16  # readings of which it is the mean, at most
     steady_m: float = 0.015  # standard deviation of a mean range
-    mean_m: float = 0.1  # widths and attitudes are averaged over steps as far as they are this near
     agree_deviations: float = 3.7  # standard deviations within which two beams and the one between them agree
     every_m: float = 0.2  # scans are matched after this way
     every_rad: float = 0.25  # or this turn
@@ -38,8 +34,6 @@ class Sensing(Settings):
     encoder_share: float = 0.1  # standard deviation of the encoders, as a share of way and turn
     encoder_m: float = 0.01  # added to that of the way
     encoder_rad: float = math.radians(0.5)  # added to that of the turn
-    min_points: int = 30  # points that must lie on lines
-    max_deviations: float = 4.0  # standard deviations; a match that is farther off is discarded
     plane_rad: float = math.radians(6)  # scans are of one plane if the robot leans no more otherwise
     tilt_rad: float = math.radians(12)  # one of a robot that leans more is bent
     key_share: float = 0.6  # of the points; with fewer the next scan is matched with this one
@@ -54,19 +48,13 @@ class Ground(Settings):
     min_step_m: float = 0.015  # no lower step is told of
     noise_deviations: float = 4.5  # standard deviations of a point; a lower one may be noise
     together_m: float = 1.2  # steps no farther apart are one, as high as those seen before the robot is on the first
-    # m; distance of the robot's end beyond the riser: before, its own tipping shows in the profile
-    passed_m: float = 0.30
-    # share of the angle at which a robot stands with one end on the riser that counts as tipping
-    tip_share: float = 0.5
-    # shares that a point has of the variance besides, and of that of noise
-    noise_shares: tuple[float, float] = (10.0, 8.0)
+    # share that a point has of the variance besides: of noise alone, such as 5 cm of range noise leave on a slope, the
+    # best wave has more once in 200
+    rest_share: float = 10.0
     sure_wave_ratio: float = 5.0  # thresholds; a larger wave is stairs however large the rest
-    # ground counts that a robot sees which heads no farther off than when it is there
-    along_rad: float = math.radians(45)
     profile_margin_m: float = 0.1  # m; margin of an obstacle's profile from the nodes at its ends
     even_deg: float = 1.0  # the robot stands evenly once its lean has varied by less than this
     even_lengths: float = 0.25  # over this way, in lengths of the robot: on a long robot a gentle slope comes slowly
-    stairs_rise_m: float = 0.1  # where the profile ahead rises by more, what looks like a wall may be stairs
     step_slack_m: float = 0.03  # a step ahead may be lower than it looks by this
     look_m: float = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
     level_rad: float = math.radians(4)  # ground that leans less is level, where a single step is looked for
@@ -76,10 +64,6 @@ class Ground(Settings):
 class Places(Settings):
     """Triangles, openings and exits of places, rejected candidates."""
 
-    # missing beams are bridged where the readings on both sides differ by less than this share
-    bridge_share: float = 0.1
-    clearance_step_m: float = 0.15  # the width of a passage is the mean of beams that are nearer than this
-    front_guard_m: float = 0.1  # a wall this near to the robot's sides is in its way
     # least openings between points along a wall: both neighbours of one lie nearer than an opening
     spacing_widths: float = 0.49
     roomy_share: float = 0.9  # of the radius of the circle that free space has room for

@@ -88,11 +88,10 @@ def match_scans(before_m: Array, ranges_m: Array, moved: Array, since: Array) ->
         vector = -(rows * weight) @ off + prior * (moved - found)
         step = _solved(matrix, vector)
         n = jnp.sum(counts)
-        return jnp.where(n >= P.sensing.min_points, found + step, found), n
+        return found + step, n
 
     found, n = lax.fori_loop(0, P.sensing.match_rounds, nearer, (moved, jnp.int32(0)))
-    sure = (n >= P.sensing.min_points) & jnp.all(jnp.abs(found - moved) < P.sensing.max_deviations * sd)
-    return jnp.where(sure, found, moved), jnp.where(sure, n / jnp.maximum(jnp.sum(valid), 1), 0.0)
+    return found, n / jnp.maximum(jnp.sum(valid), 1)
 
 
 def _solved(a, b):

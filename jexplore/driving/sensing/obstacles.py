@@ -11,9 +11,6 @@ from jexplore.driving.sensing import ground_profile
 from jexplore.driving.sensing.ground_profile import Profile
 from jexplore.driving.settings import Robot, Tuning
 
-# Shares that a point has of the variance besides, and of that of noise: of noise alone, such as 5 cm of range noise
-# leave on a slope, the best wave has more once in 200.
-
 
 def is_stairs(found: Profile, tuning: Tuning) -> Array:
     """Return whether an inclined profile is that of stairs: bool.
@@ -21,21 +18,17 @@ def is_stairs(found: Profile, tuning: Tuning) -> Array:
     Its wave is large enough and stands out of the rest, which is noise or a tipping body.
     """
     rest = found.variance_m2 - found.tread_wave_m2
-    noise = jnp.minimum(found.noise_m**2, rest)  # of points far apart neighbours differ by risers
-    share = (P.ground.noise_shares[0] * rest + P.ground.noise_shares[1] * noise) / jnp.maximum(found.count, 1)
+    share = P.ground.rest_share * rest / jnp.maximum(found.count, 1)
     doubt = jnp.minimum(share, P.ground.sure_wave_ratio * tuning.tread_wave_m2)
     return found.tread_wave_m2 > jnp.maximum(tuning.tread_wave_m2, doubt)
 
 
 def _gone_over(writer, event):
-    """Return the `Profile` of the ground between the last node and the one that is due. Points that the robot has seen
-    while it was turned away from its way are left out."""
+    """Return the `Profile` of the ground between the last node and the one that is due."""
     way = writer.way
     within = (way.ground_x_m > writer.node_m + P.ground.profile_margin_m) & (
         way.ground_x_m < event.odometer_m - P.ground.profile_margin_m
     )
-    there = jnp.minimum(jnp.searchsorted(way.odometer_m, way.ground_x_m), len(way.odometer_m) - 1)
-    within &= jnp.abs(btm.wrapped(way.pose[:, 2] - way.pose[there, 2])) < P.ground.along_rad
     return ground_profile.profile(way.ground_x_m, way.ground_z_m, within & jnp.isfinite(way.ground_x_m))
 
 

@@ -35,11 +35,7 @@ def beam_points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
         missed = missed + jnp.isnan(before) + jnp.isnan(after)
         before = jnp.where(jnp.isnan(before), jnp.pad(ranges_m, (k, 0), constant_values=jnp.nan)[:-k], before)
         after = jnp.where(jnp.isnan(after), jnp.pad(ranges_m, (0, k), constant_values=jnp.nan)[k:], after)
-    bridged = (
-        jnp.isnan(ranges_m)
-        & (missed <= BRIDGED_BEAMS)
-        & (jnp.abs(after - before) < P.places.bridge_share * jnp.minimum(after, before))
-    )
+    bridged = jnp.isnan(ranges_m) & (missed <= BRIDGED_BEAMS)
     ranges_m = jnp.where(bridged, (before + after) / 2, ranges_m)
     valid = jnp.isfinite(ranges_m)
     r = jnp.where(valid, ranges_m, 0)
@@ -115,7 +111,7 @@ def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Arr
 
     def added(k, sums):
         other = lax.dynamic_slice(padded, (k,), (n,))
-        near = (jnp.abs(other - y) < P.places.clearance_step_m) & (other * y > 0)
+        near = jnp.isfinite(other) & (other * y > 0)
         return sums[0] + jnp.where(near, other, 0), sums[1] + near
 
     total, count = lax.fori_loop(0, 2 * CLEARANCE_BEAMS + 1, added, (jnp.zeros(n), jnp.zeros(n)))
@@ -127,7 +123,7 @@ def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Arr
 
 def front(xy: Array, valid: Array, width_m: Array | float) -> tuple[Array, Array]:
     """Return distances of the nearest points ahead of the left and right halves: float32, metres; inf for none."""
-    ahead = valid & (jnp.abs(xy[:, 1]) <= width_m / 2 + P.places.front_guard_m / 2) & (xy[:, 0] > 0)
+    ahead = valid & (jnp.abs(xy[:, 1]) <= width_m / 2) & (xy[:, 0] > 0)
     left = jnp.min(jnp.where(ahead & (xy[:, 1] >= 0), xy[:, 0], jnp.inf))
     right = jnp.min(jnp.where(ahead & (xy[:, 1] <= 0), xy[:, 0], jnp.inf))
     return left, right

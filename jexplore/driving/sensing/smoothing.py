@@ -37,21 +37,11 @@ def running_mean(values: Array, n: int) -> Array:
     return jnp.convolve(jnp.pad(values, n // 2), jnp.full(n, 1 / n), mode="valid")
 
 
-def mean_near(values: Array, place_m: Array, here_m: Array, n: int, within_m: float) -> Array:
-    """Compute the mean of every value and its near neighbours, n in all (odd, static): `[S]` float32.
-
-    Args:
-      values: `[S]` float32.
-      place_m: `[S]` float32, where they are; inf: they do not count.
-      here_m: `[S]` float32, where the means are taken.
-      n, within_m: neighbours farther away do not count.
-    """
-    half, total, count = n // 2, 0, 0
-    place_m, values = (jnp.pad(a, half, constant_values=jnp.inf) for a in (place_m, values))
-    for k in range(n):
-        near = jnp.abs(place_m[k : k + len(here_m)] - here_m) <= within_m
-        total, count = total + jnp.where(near, values[k : k + len(here_m)], 0), count + near
-    return total / jnp.maximum(count, 1)
+def mean_of_known(values: Array, n: int) -> Array:
+    """Compute the mean of every value and its neighbours, n in all (odd, static), without those that are inf: `[S]`."""
+    known = jnp.isfinite(values).astype(jnp.float32)
+    total, share = (running_mean(a, n) for a in (jnp.where(known > 0, values, 0), known))
+    return total / jnp.maximum(share, 1 / n)
 
 
 def mean_weights(angle: Array, age: Array) -> Array:

@@ -45,11 +45,11 @@ def move_surround(
     Args:
       ahead_m, aside_m: how far, in its old frame.
       turn: counter-clockwise, radians.
-      far_m: points farther away by `memory_m` are forgotten, metres; inf: none.
+      far_m: points farther away are forgotten, metres; inf: none.
     """
     xy, known = known_points(around)
     x, y = to_robot(jnp.stack([ahead_m, aside_m, turn]))(xy).T
-    known &= x * x + y * y < (far_m + P.sensing.memory_m) ** 2
+    known &= x * x + y * y < far_m**2
     return Surround(jnp.where(known, x, jnp.inf), jnp.where(known, y, jnp.inf))
 
 
@@ -106,7 +106,7 @@ def voronoi_edge(around: Surround) -> tuple[Array, Array]:
 
     one_m, one = nearest(True)
     # The nearest of another wall lies in quite another direction.
-    other_m, other = nearest(xy[:, 0] * jnp.cos(one) + xy[:, 1] * jnp.sin(one) < P.sensing.opposite_cos * range_m)
+    other_m, other = nearest(xy[:, 0] * jnp.cos(one) + xy[:, 1] * jnp.sin(one) < 0)
     both = jnp.isfinite(one_m) & jnp.isfinite(other_m)
     along = (one + other) / 2  # square to the difference of both directions
     along = wrapped(jnp.where(jnp.cos(along) < 0, along + math.pi, along))
@@ -144,5 +144,5 @@ def free_lengths(around: Surround, robot: Robot) -> Array:
     x, y = xy[:, 0], xy[:, 1]
     cos, sin = np.cos(DIRECTION)[:, None], np.sin(DIRECTION)[:, None]
     along, aside = x * cos + y * sin, y * cos - x * sin
-    meets = known & (along > 0) & (jnp.abs(aside) < robot.width_m / 2 + P.sensing.side_margin_m)
+    meets = known & (along > 0) & (jnp.abs(aside) < robot.width_m / 2 + P.sensing.outline_margin_m)
     return jnp.min(jnp.where(meets, along, jnp.inf), axis=1) - robot.length_m / 2
