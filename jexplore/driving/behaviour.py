@@ -14,7 +14,6 @@ from jexplore.driving.params.tree import P
 from jexplore.driving.records import (
     Divergence,
     Drive,
-    FreeSpace,
     Latch,
     RunMode,
     ScanWalls,
@@ -22,7 +21,6 @@ from jexplore.driving.records import (
 )
 from jexplore.driving.sensing import perception
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import DT_S, towards
 
 VOTING_SCANS = 9  # scans that vote
 
@@ -58,8 +56,8 @@ def update_track(
     """Update a track with one more scan.
 
     The largest triangle that is near enough to the one followed goes on with it; else the triangle nearest to the
-    robot begins a new one, but not while one is being followed that more than `replaceable_votes` scans have shown. One
-    that `VOTING_SCANS` scans have not shown is given up.
+    robot begins a new one, but not while one is being followed. One that `VOTING_SCANS` scans have not shown is given
+    up.
 
     Args:
       found: `perception.Divergence`, in the robot's frame, without triangles that are to be ignored.
@@ -74,8 +72,7 @@ def update_track(
     again = jnp.argmax(jnp.where(near, placed.radius, -1)).astype(jnp.int32)
     hit = followed & near[again]
     first, distance = perception.nearest(found, jnp.zeros(2))
-    begins = may_begin & ~hit & (~followed | (votes(track) <= P.motion.replaceable_votes)) & (distance < jnp.inf)
-    followed &= ~begins
+    begins = may_begin & ~followed & (distance < jnp.inf)
     which = jnp.where(hit, again, first)
     share = jnp.where(hit, 1 / jnp.minimum(track.age + 1.0, VOTING_SCANS), 1.0)
     taken = hit | begins
@@ -93,11 +90,6 @@ def update_track(
     )
 
 
-def no_free_space() -> FreeSpace:
-    """Return the `FreeSpace` of a robot outside free space."""
-    return FreeSpace(inside=jnp.bool_(False), streak=jnp.int32(0), since_m=jnp.float32(0))
-
-
 def is_free_space(left_m: Array | float, right_m: Array | float, open_m: Array | float) -> Array:
     """Return whether walls at these distances to the left and right are those of free space: bool.
 
@@ -111,35 +103,30 @@ def is_free_space(left_m: Array | float, right_m: Array | float, open_m: Array |
 
 
 def watch_free_space(
-    space: FreeSpace,
+    inside: Array,
     left_m: Array | float,
     right_m: Array | float,
-    odometer_m: Array | float,
     open_m: Array | float,
     looking: Array | bool,
     roomy: Array | bool = True,
-) -> tuple[FreeSpace, Array, Array]:
-    """Update the hysteresis of free space with the walls of one more scan.
+) -> tuple[Array, Array, Array]:
+    """Judge by the walls of one more scan whether the robot is in free space.
 
     Args:
-      looking: bool scalar; False: nothing changes.
+      inside: bool, whether it was.
+      looking: bool; False: nothing changes.
       roomy: from `perception.is_roomy`; where it is False, no free space is entered.
 
     Returns:
-      `(space, enters, leaves)`: bools, true in the step in which it is believed.
+      `(inside, enters, leaves)`: bools, the last two true in the step in which it changes.
     """
-    limit = jnp.where(space.inside, open_m - P.motion.hysteresis_m, open_m)
-    free = is_free_space(left_m, right_m, limit) & (roomy | space.inside)
-    other = looking & (free != space.inside)
-    since = jnp.where(other & (space.streak > 0), space.since_m, odometer_m)
-    streak = jnp.where(other, space.streak + 1, 0)
-    turns = streak >= P.motion.debounce_steps
-    after = FreeSpace(inside=space.inside ^ turns, streak=jnp.where(turns, 0, streak), since_m=since)
-    return after, turns & ~space.inside, turns & space.inside
+    free = is_free_space(left_m, right_m, open_m) & (roomy | inside)
+    changes = looking & (free != inside)
+    return inside ^ changes, changes & ~inside, changes & inside
 
 
 def border_ahead(
-    border_m: Array, since_m: Array, enters: Array, leaves: Array, region: tuple[Array | float, Array | float]
+    border_m: Array, odometer_m: Array, enters: Array, leaves: Array, region: tuple[Array | float, Array | float]
 ) -> tuple[Array, Array]:
     """Track the border of a free space that the robot sees ahead.
 
@@ -148,7 +135,7 @@ def border_ahead(
 
     Args:
       border_m: float32, odometer at the border seen before, inf without one.
-      since_m: float32, odometer at which the walls changed, `FreeSpace.since_m`.
+      odometer_m: float32, now.
       enters, leaves: bools, from `watch_free_space`.
       region: begin and end of the observed region, metres ahead.
 
@@ -156,8 +143,8 @@ def border_ahead(
       `(border_m, missed)`: updated; bool, the free space ended before the robot reached its beginning.
     """
     waits = jnp.isfinite(border_m)
-    after_m = jnp.where(enters, jnp.where(waits, jnp.inf, since_m + region[0]), border_m)
-    return jnp.where(leaves, since_m + region[1], after_m), waits & leaves
+    after_m = jnp.where(enters, jnp.where(waits, jnp.inf, odometer_m + region[0]), border_m)
+    return jnp.where(leaves, odometer_m + region[1], after_m), waits & leaves
 
 
 def initial_drive() -> Drive:
@@ -169,9 +156,6 @@ def initial_drive() -> Drive:
         out=jnp.float32(0),
         looked=jnp.float32(0),
         looked_m=jnp.float32(-jnp.inf),
-        aside=jnp.bool_(False),
-        known=jnp.bool_(False),
-        surveys=jnp.int32(0),
         turning=jnp.int32(0),
         left_m=jnp.float32(1),
         right_m=jnp.float32(1),
@@ -179,7 +163,7 @@ def initial_drive() -> Drive:
 
 
 def choose_mode(
-    drive: Drive, space: FreeSpace, walls: ScanWalls, ways_m: Array, tuning: Tuning, robot: Robot
+    drive: Drive, inside: Array, walls: ScanWalls, ways_m: Array, tuning: Tuning, robot: Robot
 ) -> tuple[Array, Drive]:
     """Choose the run mode of this step.
 
@@ -188,24 +172,21 @@ def choose_mode(
         to the larger side, from a wall near one half of its front to the other.
     """
     left_m, right_m, fronts_m = walls.left_m, walls.right_m, walls.fronts_m
-    guarded = (jnp.minimum(*fronts_m) < robot.length_m / 2 + P.motion.contact_guard_m) & ~manoeuvre.has_free_way(
-        ways_m, P.motion.way_past_wall_rad, P.motion.go_m
-    )
-    closed = walls.closed & ~manoeuvre.has_free_way(ways_m, *P.motion.way_past_end)
+    guarded = (jnp.minimum(*fronts_m) < robot.length_m / 2) & ~manoeuvre.is_free_ahead(ways_m, P.motion.go_m)
+    closed = walls.closed & ~manoeuvre.is_free_ahead(ways_m, P.motion.past_end_m)
     latched = drive.latch != Latch.FREE
     # One scan suffices to drive by, several in a row make a node.
-    free = space.inside | (is_free_space(walls.region_sides[0], walls.region_sides[1], tuning.open_m) & walls.roomy)
+    free = inside | (is_free_space(walls.region_sides[0], walls.region_sides[1], tuning.open_m) & walls.roomy)
     mode = jnp.where(free, RunMode.WALL_FOLLOWING, RunMode.CENTRAL)
     mode = jnp.where(closed, RunMode.DEAD_END, mode)
     mode = jnp.where(latched, RunMode.BRANCH_SELECTION, mode)
     mode = jnp.where(guarded & (drive.latch != Latch.LOOK), RunMode.CONTACT_GUARD, mode).astype(jnp.int32)
     larger = jnp.where(drive.left_m >= drive.right_m, 1, -1)
-    one_side = jnp.maximum(*fronts_m) > jnp.minimum(*fronts_m) + P.motion.contact_guard_m
-    larger = jnp.where(one_side, jnp.where(fronts_m[0] > fronts_m[1], 1, -1), larger)
+    larger = jnp.where(fronts_m[0] != fronts_m[1], jnp.where(fronts_m[0] > fronts_m[1], 1, -1), larger)
     turns = (mode == RunMode.DEAD_END) | (mode == RunMode.CONTACT_GUARD)
     turning = jnp.where(turns, jnp.where(drive.turning == 0, larger, drive.turning), 0)
     by_walls = ~free & ~closed & ~latched
-    least_m = jnp.hypot(robot.length_m, robot.width_m) / 2 + P.sensing.outline_margin_m + P.motion.turn_room_m
+    least_m = jnp.hypot(robot.length_m, robot.width_m) / 2 + P.sensing.outline_margin_m
     return mode, drive.replace(
         turning=turning.astype(jnp.int32),
         left_m=jnp.where(by_walls & (left_m < tuning.open_m), jnp.maximum(left_m, least_m), drive.left_m),
@@ -240,27 +221,4 @@ def target_point(
     cos, sin = jnp.cos(along), jnp.sin(along)
     middle = jnp.stack([tuning.ahead_m * cos + off_m * sin, tuning.ahead_m * sin - off_m * cos])
     ahead = jnp.where((mode == RunMode.WALL_FOLLOWING) | (open_left ^ open_right), wall, middle)
-    return jnp.where(mode == RunMode.BRANCH_SELECTION, _selected(drive, to_robot, tuning), ahead)
-
-
-def latch_start(away_m: Array, tuning: Tuning) -> Array:
-    """Return the initial value of `Drive.since` for a target at this distance, metres: int32."""
-    steps = P.motion.latch_time_ratio * away_m / (tuning.speed_m_s * DT_S)
-    return jnp.minimum(P.motion.latch_steps - steps, 0).astype(jnp.int32)
-
-
-def is_aside(target: Array, out: Array, radius_m: Array) -> Array:
-    """Return whether a target beyond an exit is seen obliquely from the middle of a wide place: bool."""
-    beside_m = target[1] * jnp.cos(out) - target[0] * jnp.sin(out)
-    return (radius_m > P.places.wide_place_m) & (jnp.abs(beside_m) > P.motion.off_axis_m)
-
-
-def _selected(drive, to_robot, tuning):
-    """Return the target point of branch selection, robot's frame. On the way to one beyond an opening seen obliquely,
-    the robot first drives to a point before it, clear of the jamb."""
-    target = to_robot(drive.target)
-    axis = to_robot(drive.target + towards(drive.out)) - target
-    before_m, beside_m = target @ axis, target[1] * axis[0] - target[0] * axis[1]
-    via_m = tuning.leave_m + P.motion.via_point_m
-    first = drive.aside & (drive.latch == Latch.LEAVE) & (jnp.abs(beside_m) > P.motion.off_axis_m) & (before_m > via_m)
-    return jnp.where(first, target - via_m * axis, target)
+    return jnp.where(mode == RunMode.BRANCH_SELECTION, to_robot(drive.target), ahead)

@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -28,9 +27,7 @@ def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> ScanWalls:
     closed = sum(perception.sides(xy, valid, 0, tuning.ahead_m)) <= tuning.dead_end_m
     fronts_m = perception.front(xy, valid, robot.width_m)
     # Walls are steered by as far as the way is free: one that crosses it lies on both sides.
-    until_m = jnp.clip(
-        jnp.maximum(*fronts_m) - P.graph.crossing_m, robot.length_m / 2, P.graph.steered_lengths * tuning.ahead_m
-    )
+    until_m = jnp.clip(jnp.maximum(*fronts_m), robot.length_m / 2, tuning.ahead_m)
     left_m, right_m = perception.sides(xy, valid, 0, until_m)
     beside = jnp.stack(perception.clearances(xy, valid, robot.length_m / 2))
     roomy = perception.is_roomy(xy, valid, region[0], *region_sides, tuning.open_m)
@@ -56,12 +53,12 @@ def look_ahead(
     # Points seen from ground of another inclination may be ground.
     leans = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
-    space, border_m, missed = _watch_free_space(state, writer, walls, is_free & ~jnp.asarray(is_blind), tuning)
+    inside, border_m, missed = _watch_free_space(state, writer, walls, is_free & ~jnp.asarray(is_blind), tuning)
     level, changed, crease_m, steepest = mapping.update_slope(
         writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), P.ground.even_lengths * robot.length_m
     )
     heeds = is_free if writer.guide is None else is_free | writer.guide.steers
-    blocked = jnp.where(stops & (heeds | state.halts), state.blocked + 1, 0)
+    blocked = stops & (heeds | state.halts)
     ground = ground_x, ground_z, posture
     lone_step, is_lone, after = _lone_step(state, writer, ground, leans, level, changed, crease_m, blocked, robot)
     return Ahead(
@@ -71,7 +68,7 @@ def look_ahead(
         lone_step_after=after,
         track=track,
         scan_overflow=overflow,
-        space=space,
+        inside=inside,
         border_m=border_m,
         missed=missed,
         level=level,
@@ -104,47 +101,23 @@ def _lone_step(state, writer, ground, leans, level, changed, crease_m, blocked, 
     )
     passed = ground_profile.has_passed(now, state.odometer_m, robot.length_m) & ~leans & is_level
     is_lone = passed & ((now.from_m + now.to_m) / 2 > writer.node_m)
-    gone = (
-        passed
-        | state.manoeuvre.backing
-        | (changed & (crease_m > now.from_m - P.ground.together_m / 2))
-        | (blocked >= P.motion.debounce_steps)
-    )
+    gone = passed | state.manoeuvre.backing | (changed & (crease_m > now.from_m - P.ground.together_m / 2)) | blocked
     after = pick(gone, ground_profile.no_step(), now)
     return now, is_lone & ~changed, after
 
 
 def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) -> Divergence:
-    """Find the triangles of a scan, `wall_m` from the nearer wall: `perception.Divergence`.
-
-    If the robot looks far, near points are searched once more on their own: among all points, those of a door would lie
-    too far apart.
-    """
+    """Find the triangles of a scan, `wall_m` from the nearer wall: `perception.Divergence`."""
     far_m = perception.far_bound(tuning.far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m)
-    views = jnp.stack([far_m, jnp.minimum(far_m, P.graph.near_points_m)])
-
-    def look(far_m):
-        return perception.find_divergences(
-            xy,
-            valid,
-            far_m=far_m,
-            width_m=tuning.width_m,
-            obtuse_tol_deg=tuning.obtuse_tol_deg,
-            open_m=tuning.open_m,
-            size=SCAN_POINTS,
-        )
-
-    def put(i, found):
-        return jax.tree.map(
-            lambda both, new: lax.dynamic_update_index_in_dim(both, new, i, 0, allow_negative_indices=False),
-            found,
-            look(views[i]),
-        )
-
-    blank = jax.tree.map(lambda a: jnp.zeros((2, *a.shape), a.dtype), jax.eval_shape(look, views[0]))
-    found = lax.fori_loop(0, jnp.where(far_m > P.graph.near_points_m, 2, 1), put, blank)
-    found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), found)
-    return found.replace(overflow=jnp.max(found.overflow))
+    return perception.find_divergences(
+        xy,
+        valid,
+        far_m=far_m,
+        width_m=tuning.width_m,
+        obtuse_tol_deg=tuning.obtuse_tol_deg,
+        open_m=tuning.open_m,
+        size=SCAN_POINTS,
+    )
 
 
 def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
@@ -156,23 +129,23 @@ def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
     def looked(carry):
         found = triangles(xy, valid, wall_m, tuning)
         known = mapping.is_near_known(writer, placed(found.centre), state.odometer_m, tuning.leave_m)
-        found = dataclasses.replace(found, valid=found.valid & ~known & (found.centre[:, 0] > P.graph.min_centre_x_m))
+        found = dataclasses.replace(found, valid=found.valid & ~known & (found.centre[:, 0] > 0))
         return behaviour.update_track(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
 
     # There are no divergences in free space; where the robot turns on a slope, it leans otherwise for a moment.
-    forgets = (state.space.inside | leans) & ~turns
+    forgets = (state.inside | leans) & ~turns
     track = pick(forgets, behaviour.empty_track(), state.track)
     looks = (state.step % P.graph.search_every_steps == 0) & ~is_in & ~turns & ~forgets
     return run_if(looks, looked, (track, jnp.int32(0)))
 
 
 def _watch_free_space(state, writer, walls, looking, tuning):
-    """Update `FreeSpace`, the border ahead, and whether it was missed: see `Ahead`."""
+    """Update whether the robot is in free space, the border ahead, and whether it was missed: see `Ahead`."""
     left_m, right_m = walls.region_sides
-    space, enters, leaves = behaviour.watch_free_space(
-        state.space, left_m, right_m, state.odometer_m, tuning.open_m, looking, walls.roomy
+    inside, enters, leaves = behaviour.watch_free_space(
+        state.inside, left_m, right_m, tuning.open_m, looking, walls.roomy
     )
-    return space, *behaviour.border_ahead(writer.border_m, space.since_m, enters, leaves, walls.region)
+    return inside, *behaviour.border_ahead(writer.border_m, state.odometer_m, enters, leaves, walls.region)
 
 
 def _recent_ground(way, state):
@@ -217,13 +190,11 @@ def _passes_start(state):
     is_led, gone_m = followed & (to == 0), state.odometer_m - state.writer.node_m
     place = to_robot(state.estimate)(jnp.where(is_led, there, jnp.stack([map_.x_m[0], map_.y_m[0]])))
     within_m = P.graph.same_node_m + jnp.where(is_led, P.graph.drift_share * gone_m, 0.0)
-    along = jnp.abs(jnp.cos(state.estimate[2] - map_.start_bearing[0])) > P.graph.along_cos
     within = jnp.hypot(map_.x_m - map_.x_m[0], map_.y_m - map_.y_m[0]) < map_.radius_m
     on_link = ~jnp.any(within & (map_.kind == btm.DIVERGENCE)) & (state.drive.latch != Latch.LOOK)
     on_link &= (state.drive.latch != Latch.LEAVE) | (state.writer.passed[3] <= state.writer.node_m)
     return (
         on_link
-        & along
         & (state.writer.node != 0)
         & (place[0] <= 0)
         & (jnp.hypot(*place) < within_m)
@@ -242,7 +213,7 @@ def due_node(state: State, writer: Writer, ahead: Ahead, at_goal: Array, is_open
     returns = is_open & _passes_start(state)
     changed = ahead.changed
     crosses = ahead.missed | (state.odometer_m >= writer.border_m)
-    stops = ahead.blocked >= P.motion.debounce_steps
+    stops = ahead.blocked
     here = state.estimate
     crease = run_if(changed, lambda _: mapping.pose_at(writer.way, ahead.crease_m), here)
     crease_m = jnp.maximum(ahead.crease_m, writer.node_m)

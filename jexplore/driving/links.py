@@ -124,13 +124,13 @@ def led_to(writer: Writer) -> tuple[Array, Array, Array]:
     return followed, to, writer.origin[:2] + to_odometry(jnp.stack([0.0, 0.0, -writer.origin[2]]))(way)
 
 
-def is_led_to(writer: Writer, centre: Array, odometer_m: Array, reach: Array | float) -> tuple[Array, Array]:
+def is_led_to(writer: Writer, centre: Array, odometer_m: Array) -> tuple[Array, Array]:
     """Decide whether a place is the end of the followed link, judged by the length of the way: `(node, bool)`.
 
-    The node must lie within `reach`, metres, plus a share of the way along the link.
+    The node must lie within a share of the way along the link.
     """
     followed, to, place = led_to(writer)
-    limit_m = reach + P.graph.drift_share * (odometer_m - writer.node_m)
+    limit_m = P.graph.drift_share * (odometer_m - writer.node_m)
     return to, followed & (jnp.hypot(*(place - centre)) < limit_m)
 
 
@@ -153,9 +153,7 @@ def match_node(
     leads = followed & (jnp.arange(n) == to)
     seen = jnp.where(followed, jnp.stack([map_.x_m[to], map_.y_m[to]]) + centre - expected, centre)
     off_m = jnp.hypot(map_.x_m - seen[0], map_.y_m - seen[1])
-    drift_m = jnp.minimum(P.graph.match_drift[0] * odometer_m, P.graph.match_drift[1])
-    gone_m = odometer_m - writer.node_m
-    limit_m = reach + jnp.where(leads, P.graph.drift_share * gone_m, jnp.where(followed, 0.0, drift_m))
+    limit_m = reach + jnp.where(leads, P.graph.drift_share * (odometer_m - writer.node_m), 0.0)
     may = when & (map_.kind == btm.DIVERGENCE) & (off_m < limit_m) & (jnp.arange(n) != writer.node)
 
     def judged(_):
@@ -178,7 +176,7 @@ def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array,
 
 def is_any_open(map_: Btm, tries: Array) -> Array:
     """Return whether any link is un-searched and not given up, such as the one the robot arrives on: bool."""
-    return jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (tries < P.graph.max_tries))
+    return jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (tries == 0))
 
 
 def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Writer, Btm, Array, Array]:
@@ -191,12 +189,12 @@ def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Wr
     Returns:
       `(writer, map, link, bearing)`: with what was given up; int32, `NONE` where nothing is left; radians.
     """
-    fails, vain = _failed(writer, node), (writer.tries >= P.graph.max_tries) & (map_.status == btm.UNSEARCHED)
+    fails, vain = _failed(writer, node), (writer.tries > 0) & (map_.status == btm.UNSEARCHED)
     writer, map_ = writer.replace(fails=fails), map_.replace(blocked=map_.blocked | vain)
 
     def chosen(map_, fails):
         open_link = btm.first_open(map_, node, back)
-        usable = map_.replace(length_m=jnp.where(fails >= P.graph.max_tries, btm.NO_WAY_M, map_.length_m))
+        usable = map_.replace(length_m=jnp.where(fails > 0, btm.NO_WAY_M, map_.length_m))
         hop, hop_bearing, _ = btm.next_hop(usable, node)
         bearing = map_.start_bearing[jnp.minimum(open_link, map_.start.shape[0] - 1)]
         return tuple(
@@ -207,9 +205,9 @@ def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Wr
 
     def again(_):
         retried = vain & is_first
-        tries, blocked = jnp.where(retried, P.graph.max_tries - 1, writer.tries), map_.blocked & ~retried
-        one_less = jnp.minimum(fails, P.graph.max_tries - 1)
-        return blocked, tries, one_less, *chosen(map_.replace(blocked=blocked), one_less)
+        tries, blocked = jnp.where(retried, 0, writer.tries), map_.blocked & ~retried
+        none = jnp.zeros_like(fails)
+        return blocked, tries, none, *chosen(map_.replace(blocked=blocked), none)
 
     link, bearing = chosen(map_, fails)
     more = (link == btm.NONE) & (is_first | (is_any_open(map_, writer.tries) & (n_searched > writer.last_chance)))

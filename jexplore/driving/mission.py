@@ -115,13 +115,12 @@ def initial_state(setup: Setup, building: Building, robot: Robot, start: Array, 
         odometer_m=zero,
         climbed_m=zero,
         track=behaviour.empty_track(),
-        space=behaviour.no_free_space(),
+        inside=jnp.bool_(False),
         drive=behaviour.initial_drive(),
         writer=mapping.begin_map(setup.room, setup.n_nodes, setup.n_links, start, _is_open(building), guide),
         scan_overflow=none,
         mode=none,
         target=jnp.zeros(2),
-        blocked=none,
         halts=jnp.bool_(False),
         blind=none,
         moved_m=zero,
@@ -172,8 +171,9 @@ def make_step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, no
         writer, drive, track = steer_along_route(
             state, writer, drive, track, estimate, ways_m, event.blocked, tuning, robot
         )
-    space = ahead.space
-    mode, drive, target, getting, speed = _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot)
+    mode, drive, target, getting, speed = _driven(
+        state, drive, ahead.inside, walls, around, ways_m, estimate, tuning, robot
+    )
     after = _moved(draws, building, robot, noise, state, estimate, senses, speed)
     turn = after.odometry[2] - looked_from
     node_at, is_elsewhere = mapping.record_truth(state.node_at, state.writer, writer, state.body.pose[:2])
@@ -181,13 +181,12 @@ def make_step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, no
         manoeuvre=manoeuvre.extend_trail(getting, after.odometry),
         climbed_m=state.climbed_m - (after.odometer_m - state.odometer_m) * jnp.sign(speed[0]) * jnp.tan(senses.pitch),
         track=track,
-        space=space,
+        inside=ahead.inside,
         drive=drive.replace(looked=jnp.where(drive.latch == Latch.LOOK, drive.looked + jnp.abs(turn), 0.0)),
         writer=writer.replace(way=writer.way.replace(mode=writer.way.mode.at[state.step].set(mode, mode="drop"))),
         scan_overflow=state.scan_overflow + ahead.scan_overflow,
         mode=mode,
         target=target,
-        blocked=jnp.where(event.blocked, 0, ahead.blocked),
         blind=blind,
         node_at=node_at,
         mistaken=state.mistaken + is_elsewhere,
@@ -223,9 +222,9 @@ def _decided(state, writer, ahead, at, at_goal, is_open, tuning, robot):
     return writer, drive, ahead, due_node(state, writer, ahead, at_goal, is_open, arrives)
 
 
-def _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot):
+def _driven(state, drive, inside, walls, around, ways_m, estimate, tuning, robot):
     """Run mode, target point and speed: `(mode, drive, target, manoeuvre, speed)`."""
-    mode, drive = behaviour.choose_mode(drive, space, walls, ways_m, tuning, robot)
+    mode, drive = behaviour.choose_mode(drive, inside, walls, ways_m, tuning, robot)
     edge = surround.voronoi_edge(around)
     target = behaviour.target_point(mode, drive, walls.left_m, walls.right_m, edge, to_robot(estimate), tuning)
     at_target = (drive.latch == Latch.LEAVE) & (jnp.hypot(*target) < tuning.arrive_m)

@@ -14,9 +14,9 @@ from jexplore.driving.mapping import came_from, came_through, has_left, pose_fro
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Arrival, Drive, DueNode, Latch, State, Track, Writer
 from jexplore.driving.sensing import obstacles
-from jexplore.driving.sensing.exits import find_exits
+from jexplore.driving.sensing.openings import find_openings
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import rotate_by, to_odometry, towards
+from jexplore.driving.vehicle import rotate_by, towards
 
 MAX_OPENINGS = 8  # of a divergence
 
@@ -33,7 +33,7 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
     alike, is_alike = links.match_node(
         writer, (event.centre, event.odometer_m), found, back, reach, is_divergence & ~again
     )
-    to, is_led = links.is_led_to(writer, event.centre, event.odometer_m, P.graph.led_node_m)
+    to, is_led = links.is_led_to(writer, event.centre, event.odometer_m)
     is_led &= ~is_divergence & ~is_terminal & (writer.map.kind[to] == event.kind)
     near = jnp.where(event.returns, 0, jnp.where(is_alike, alike, jnp.where(is_led, to, near)))
     again = again | is_alike | is_led | event.returns
@@ -51,10 +51,10 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
     )
     map_ = pick(again, writer.map, added)
     fits = again | (writer.map.n_nodes < map_.kind.shape[0])
-    met = again & is_divergence & ((distance < P.graph.shift_m) | is_alike)
-    share = jnp.where(is_alike, 1.0, P.graph.shift_share)
-    shift = jnp.where(met, share * (jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre), 0.0)
-    return Arrival(map_, jnp.where(again, near, new), again, near, met, fits, shift, width, posture, roll, jnp.zeros(3))
+    shift = jnp.where(is_alike, jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre, 0.0)
+    return Arrival(
+        map_, jnp.where(again, near, new), again, near, is_alike, fits, shift, width, posture, roll, jnp.zeros(3)
+    )
 
 
 def _find_openings(writer, event, points, tuning, is_divergence):
@@ -65,7 +65,7 @@ def _find_openings(writer, event, points, tuning, is_divergence):
         is_divergence, came_from(writer, event.centre, event.radius) - event.centre, -towards(event.pose[2])
     )
     came = jnp.arctan2(came[1], came[0])
-    found = find_exits(
+    found = find_openings(
         points[0],
         points[1],
         event.centre,
@@ -74,23 +74,14 @@ def _find_openings(writer, event, points, tuning, is_divergence):
         circle=tuning.circle,
         size=MAX_OPENINGS,
         seen_from=event.pose[:2],
-        farther=writer.guide is None and ~links.is_any_open(writer.map, writer.tries),
     )
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - came)), jnp.inf)
     passed = came_through(writer, event.centre + found.middle, found.across, found.width_m)
-    passed = _by_door(jnp.where(found.valid, passed, -1), found.width_m, writer.way.odometer_m)
+    passed = jnp.where(found.valid, passed, -1)
     entry = jnp.where(jnp.any(passed >= 0), jnp.argmax(passed), jnp.argmin(off))
     entry_seen = ((passed[entry] >= 0) | (off[entry] < math.pi / 3)) & ~_holds_start(writer, event)
     back = jnp.where(is_divergence & entry_seen, found.bearing[entry], came)
     return found, found.valid & ~((jnp.arange(MAX_OPENINGS) == entry) & entry_seen), back
-
-
-def _by_door(passed, width_m, odometer_m):
-    """Return the steps at which openings were passed, -1 for none: of doors alone, if the robot has just passed one. A
-    robot that comes by a door passes a wider opening before it as well."""
-    gone_m = odometer_m[jnp.max(passed)] - odometer_m[passed]
-    door = (passed >= 0) & (gone_m < P.graph.door_before_m) & (width_m <= P.places.door_m)
-    return jnp.where(jnp.any(door) & ~door, -1, passed)
 
 
 def _holds_start(writer, event):
@@ -128,30 +119,30 @@ def write_node(
       points: around the robot: `[P, 2]` float32, odometry; `[P]` bool, valid.
 
     Returns:
-      `(writer, latch, target, out, correction)`: `Latch` and target point of branch selection, direction of the link
-        there, radians; `[3]`, correction of the odometry at a node met again: metres, and radians about the node.
+      `(writer, latch, target, out, shift)`: `Latch` and target point of branch selection, direction of the link there,
+        radians; `[2]`, correction of the odometry at a node met again, metres.
     """
     is_divergence, is_terminal = event.kind == btm.DIVERGENCE, (event.kind == btm.TERMINAL) & ~event.returns
     size = writer.map.start.shape[0]
     found, others, back = _find_openings(writer, event, points, tuning, is_divergence)
     at = _arrive(writer, event, found, back, tuning, is_divergence, is_terminal)
     map_, step_m = obstacles.classify_obstacle(at.map, writer, event, tuning, robot, at.posture, at.node)
-    at, event, turn, applied, turned = _turns(writer, event, at, found)
+    at, event, turn, turned = _turns(writer, event, at, found)
     measured = back, found  # by the odometry; from here on as the map has them
     back, found = back + turn, dataclasses.replace(found, bearing=found.bearing + turn)
     map_, link = _end_way_here(map_, writer, event, at, back, step_m)
-    writer, map_ = _add_openings(writer, map_, event, at, found, others, is_divergence)
+    map_ = _add_openings(writer, map_, event, at, found, others, is_divergence)
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, new = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
     passes, which = leaving.is_rejected(writer, event, measured, others, at, is_divergence, points, tuning)
-    correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, applied]))
+    shift = jnp.where(passes, 0.0, at.shift)
     after, map_, onto, bearing = links.choose_link(writer, map_, at.node, back)
     through = ~is_divergence & ~event.blocked & ~event.returns
     onto = jnp.where(through, jnp.where(goes_on, new, links.other_link(map_, at.node, link)), onto)
     usual, is_place = (onto, bearing), is_divergence & ~passes
-    left = leaving.leave_place(map_, writer, event, at.node, found, is_place, points, usual, (turn, correction))
+    left = leaving.leave_place(map_, writer, event, at.node, found, is_place, points, usual, (turn, shift))
     ways = _way_out(event, found, left, turn, tuning.leave_m, is_divergence)
-    ways = rotate_by(applied - turn)(ways[0]), ways[1] + applied - turn
+    ways = rotate_by(-turn)(ways[0]), ways[1] - turn
     target, out = pick(passes, leaving.beyond_candidate(event, measured, which, others, points, tuning), ways)
     taken = jnp.where(left.link == btm.NONE, size, left.link)
     written = after.replace(
@@ -163,16 +154,16 @@ def write_node(
         border_m=_border_left(writer, event),
         tries=after.tries.at[taken].add(1, mode="drop"),
         exhausted=~is_terminal & (taken == size),
-        origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(turned) - applied]),
+        origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(turned)]),
         guide=left.guide,
     )
     unchanged = writer.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
     return (
         pick(passes, unchanged, pick(at.fits, written, _full(writer))),
         jnp.where((~through & (taken < size)) | passes, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
-        event.centre + correction[:2] + target,
+        event.centre + shift + target,
         out,
-        correction,
+        shift,
     )
 
 
@@ -188,14 +179,13 @@ def _way_out(event, found, left, turn, leave_m, is_divergence):
 
 
 def _turns(writer, event, at, found):
-    """Compare the bearings of a node's openings with its links: `(at, event, turn, applied, turned)`: with its pose
-    from the last node; turned; radians that correct the odometry, their applied share; turn of any node, NaN if
-    unknown."""
+    """Compare the bearings of a node's openings with its links: `(at, event, turn, turned)`: with its pose from the
+    last node; turned; radians by which bearings are turned; turn of any node, NaN if unknown."""
     turned = links.turn_to(at.map, at.node, found)
     turn = jnp.where(at.met, turned, 0.0)
     turned = jnp.where(at.again, jnp.where(event.kind == btm.DIVERGENCE, turned, jnp.nan), 0.0)
     at = at._replace(moved=pose_from_node(writer, event.centre, turned))
-    return at, dataclasses.replace(event, pose=event.pose.at[2].add(turn)), turn, P.graph.turn_share * turn, turned
+    return at, dataclasses.replace(event, pose=event.pose.at[2].add(turn)), turn, turned
 
 
 def make_due_node(
@@ -213,19 +203,14 @@ def make_due_node(
     def written(carry):
         map_part, rest, drive, track, estimate = carry
         whole = writer.replace(map=map_part, **rest)
-        whole, latch, target, out, correction = write_node(whole, event, points, tuning, robot)
-        about = to_odometry(jnp.append(event.centre, correction[2]))
-        estimate = jnp.append(about(estimate[:2] - event.centre), estimate[2]) + correction
+        whole, latch, target, out, shift = write_node(whole, event, points, tuning, robot)
+        estimate = estimate + jnp.append(shift, 0.0)
         latches = (event.kind == btm.DIVERGENCE) | event.blocked | event.returns
-        centre = event.centre + correction[:2]
         drive = drive.replace(
             latch=jnp.where(latches, latch, drive.latch),
             target=jnp.where(latches, target, drive.target),
-            since=jnp.where(latches, behaviour.latch_start(jnp.hypot(*(target - estimate[:2])), tuning), drive.since),
-            surveys=jnp.int32(0),
-            known=jnp.bool_(False),
+            since=jnp.where(latches, 0, drive.since),
             out=jnp.where(latches, out, drive.out),
-            aside=jnp.where(latches, behaviour.is_aside(target - centre, out, event.radius), drive.aside),
         )
         track = pick(latches, behaviour.empty_track(), track)
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
@@ -240,25 +225,21 @@ def make_due_node(
 
 
 def _add_openings(writer, map_, event, at, found, others, when):
-    """Add a divergence's links: `(writer, map)`: the openings of a new one but the way in; at one met again, not on a
-    route, those besides its links, for one try. A start in its circle is on no link."""
+    """Add a divergence's links: the openings of a new one but the way in; at one met again, not on a route, those
+    besides its links. A start in its circle is on no link."""
     own, bearing = links.ends_at(map_, at.node)
     known = jnp.any(
         own[:, None] & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < P.graph.same_end_rad), axis=0
     )
     more = at.met & ~known if writer.guide is None else False
     goes = others & when & (~at.again | more)
-    before = map_.n_links
     for i in range(MAX_OPENINGS):
         map_, _ = btm.add_link(map_, at.node, found.bearing[i], when=goes[i], opening_m=found.width_m[i])
-    number = jnp.arange(map_.start.shape[0])
-    once = at.again & (number >= before) & (number < map_.n_links)
-    writer = writer.replace(tries=jnp.where(once, P.graph.max_tries - 1, writer.tries))
     is_new = when & ~at.again
     map_ = map_.replace(overflow=map_.overflow + jnp.where(is_new, found.overflow, 0))
     off = jnp.hypot(event.centre[0] - map_.x_m[0], event.centre[1] - map_.y_m[0])
     holds = is_new & (off < event.radius) & (map_.start == 0) & (map_.status == btm.UNSEARCHED)
-    return writer, map_.replace(blocked=map_.blocked | holds)
+    return map_.replace(blocked=map_.blocked | holds)
 
 
 def _full(writer):

@@ -88,7 +88,6 @@ class KeyScan(struct.PyTreeNode):
     """The scan with which the next ones are matched. Poses are odometry without corrections at nodes."""
 
     ranges_m: Array  # [B] float32
-    lean: Array  # [2] float32, radians, of the ground where it was taken, see `mapping.slope_under`
     pose: Array  # [3] float32, where it was taken
     last: Array  # [3] float32, where a scan was matched with it last
 
@@ -101,12 +100,6 @@ class Manoeuvre(struct.PyTreeNode):
     kept: Array  # int32, poses that it holds
     backing: Array  # bool, it is going back
     backed_m: Array  # float32, how far
-    away_m: Array  # float32, distance still to drive ahead because there is no room behind; 0: none
-    tried: Array  # int32, which recovery it tries to get away from what it has touched
-    frees: Array  # int32, steps left: above `motion.touch_again_steps` it still goes that way, below, a touch makes it
-    # try the next one
-    avoiding: Array  # bool, it goes round something
-    side: Array  # float32, radians, direction in which
 
 
 class Divergence(struct.PyTreeNode):
@@ -166,26 +159,15 @@ class Track(struct.PyTreeNode):
     age: Array  # int32, scans since it was first seen; 0: no divergence
 
 
-class FreeSpace(struct.PyTreeNode):
-    """Free space, seen with hysteresis."""
-
-    inside: Array  # bool
-    streak: Array  # int32, steps in a row that say otherwise
-    since_m: Array  # float32, odometer at the first of them
-
-
 class Drive(struct.PyTreeNode):
     """Memory of driving between steps."""
 
     latch: Array  # int32, `Latch`
     target: Array  # [2] float32, of the latch, metres
-    since: Array  # int32, steps of the latch; begins below 0 where the target is far away
+    since: Array  # int32, steps of the latch
     out: Array  # float32, radians, direction of the link that is taken
     looked: Array  # float32, radians turned while looking round
     looked_m: Array  # float32, odometer when the robot last did
-    aside: Array  # bool, a wide place is left by an opening that is seen from the side
-    known: Array  # bool, the place that is approached is a node, met again
-    surveys: Array  # int32, places that it has gone to since the last node, each better than the one before
     turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
     left_m: Array  # float32, last distance of a left wall within C1, or of one next to which it can turn
     right_m: Array  # float32, as `left_m`, on the right
@@ -320,17 +302,17 @@ class ScanWalls(NamedTuple):
 class Ahead(NamedTuple):
     """Divergences, free space and ground ahead, and the nodes just passed."""
 
-    leans: Array  # bool, the robot stands otherwise than where it last stood evenly, or the ground rises before it
+    leans: Array  # bool, the robot stands otherwise than where it last stood evenly
     track: Track
     scan_overflow: Array  # int32, ends of walls that did not fit into the scan's points
-    space: FreeSpace
+    inside: Array  # bool, the robot is in free space
     border_m: Array  # float32, odometer at which the free space will have been entered or left; inf: none
     missed: Array  # bool, where the free space begins was not reached before it ends
     level: SlopeEstimate
     changed: Array  # bool, whether the robot stands on ground of another inclination now
     crease_m: Array  # float32, odometer where it changed
     steepest: Array  # float32, the larger inclination, radians
-    blocked: Array  # int32, steps in a row with ground ahead that the robot cannot climb
+    blocked: Array  # bool, there is ground ahead that the robot cannot climb
     lone_step: LoneStep  # that is ahead, under the robot or just passed
     is_lone: Array  # bool, whether it has just passed it
     lone_step_after: LoneStep  # remaining state once the node is made
@@ -351,13 +333,12 @@ class State(struct.PyTreeNode):
     odometer_m: Array  # float32
     climbed_m: Array  # float32, height above the start as the attitude has it
     track: Track
-    space: FreeSpace
+    inside: Array  # bool, the robot is in free space
     drive: Drive
     writer: Writer
     scan_overflow: Array  # int32, ends of walls that a scan had more than there is room for
     mode: Array  # int32
     target: Array  # [2] float32, target point in the robot's frame
-    blocked: Array  # int32, steps in a row with ground ahead that the robot cannot climb
     halts: Array  # bool, the ground has just refused a step
     blind: Array  # int32, scans in a row without numbers
     moved_m: Array  # float32, odometer when it last got on

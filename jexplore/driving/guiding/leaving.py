@@ -28,12 +28,6 @@ class Left(NamedTuple):
     onward: Onward | None  # what the route says: radians and metres, turned as the map's node has them
 
 
-def correct_guide(guide: Guide, centre: Array, correction: Array) -> Guide:
-    """Apply a correction of the odometry to a guide."""
-    from_xy = to_odometry(jnp.append(centre, correction[2]))(guide.from_xy - centre) + correction[:2]
-    return guide.replace(from_xy=from_xy, turned=guide.turned - correction[2])
-
-
 def leave_place(
     map_: Btm,
     writer: Writer,
@@ -61,7 +55,7 @@ def leave_place(
       `Left`; without a route, the given values. `onward` is the guide's, turned by `turn` about `event.centre`;
         `is_free`: the new link starts at no opening.
     """
-    (onto, bearing), (turn, correction) = usual, turned
+    (onto, bearing), (turn, shift) = usual, turned
     if writer.guide is None:
         return Left(None, map_, onto, bearing, None)
     free_m = functools.partial(links.reach_m, points, width_m=P.route.strip_m)
@@ -69,7 +63,7 @@ def leave_place(
     ahead, way = match_place(writer.guide, event.odometer_m, event.centre, measured, is_place, free_m)
     to_node = to_odometry(jnp.append(event.centre, turn))
     way = way._replace(bearing=way.bearing + turn, middle=to_node(way.middle - event.centre))
-    ahead = correct_guide(ahead, event.centre, correction)
+    ahead = ahead.replace(from_xy=ahead.from_xy + shift)
     link, out, off = links.link_toward(map_, node, way.bearing)
     is_open = jnp.any(found.valid & (jnp.abs(btm.wrapped(found.bearing - way.bearing)) < P.places.same_exit_rad))
     there = jnp.isfinite(off)
@@ -89,7 +83,7 @@ def is_rejected(writer: Writer, event: DueNode, measured: tuple[Array, Openings]
 
     A candidate with two openings in line is a stretch of a passage, unless the link leads to a node there. So is a
     candidate whose only opening lies in line with the way in, if the passage is closed beyond its circle only. A
-    candidate with a single opening much wider than its circle lies in the corner of a room.
+    candidate with a single opening that lies behind its centre is in the corner of a room.
 
     Args:
       measured: bearing of the way in, radians, and `Openings` of the place, in the odometry frame.
@@ -101,8 +95,7 @@ def is_rejected(writer: Writer, event: DueNode, measured: tuple[Array, Openings]
     in_line = (jnp.sum(others) == 1) & straight & ~(at.again & followed & (at.near == to))
     free_m = links.reach_m(points, event.centre, back, event.radius)
     in_line &= (n == 2) | ((n == 1) & (free_m > tuning.circle * event.radius))
-    wide = (found.width_m > P.places.corner_width_ratio * 2 * event.radius) | is_behind(found)
-    corner = (n == 1) & jnp.any(found.valid & wide) & ~at.again
+    corner = (n == 1) & jnp.any(found.valid & is_behind(found)) & ~at.again
     passes = is_divergence & (in_line | corner)
     if writer.guide is not None:  # never where the route has the next place
         passes &= ~is_next(writer.guide, event.centre)

@@ -86,8 +86,8 @@ def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot
     limit_m = P.route.steer_bound[0] * jnp.where(is_straight, length_m, leg_m) + P.route.steer_bound[1]
     may = is_free & ~is_believed & ~guide.arrived & (gone_m < limit_m)
     has_looked = jnp.any(jnp.hypot(*(places[1] - place).T) < P.route.at_mapped_m)
-    looks = may & ~is_end & sees & (off_m < P.route.next_place_m) & ~has_looked & ~state.space.inside
-    meets = may & ~is_end & sees & (off_m < P.route.at_mapped_unseen_m) & state.space.inside
+    looks = may & ~is_end & sees & (off_m < P.route.next_place_m) & ~has_looked & ~state.inside
+    meets = may & ~is_end & sees & (off_m < P.route.at_mapped_unseen_m) & state.inside
     is_open = ways_m > jnp.minimum(P.route.hop_m, off_m)
     off = jnp.abs(btm.wrapped(surround.DIRECTION - bearing))
     before = jnp.where(guide.steers & leaves, btm.wrapped(drive.out - estimate[2]), 0.0)
@@ -110,8 +110,6 @@ def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot
         target=jnp.where(steers, hop, jnp.where(looks, place, jnp.where(meets, beyond, drive.target))),
         since=jnp.where(looks | frees | meets | (steers & ~guide.steers), 0, drive.since),
         out=jnp.where(steers, best, jnp.where(looks, estimate[2], jnp.where(meets, out, drive.out))),
-        aside=drive.aside & ~steers & ~meets,
-        known=drive.known | looks,
     )
     track = pick(looks, there, track)
     after = guide.replace(

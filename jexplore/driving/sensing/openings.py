@@ -1,4 +1,4 @@
-"""The openings of a search circle: gaps between the walls in it, and doors in the walls of pockets beyond these."""
+"""The openings of a search circle: gaps between the walls in it."""
 
 import math
 
@@ -75,50 +75,6 @@ def polar_points(offset: Array, distance: Array, inside: Array, most_m: Array | 
     return point, last, here
 
 
-def _leads_out(distance, here, whole):
-    """Return directions after which a gap leads on, other than a corner outside the circle: `[BEARINGS]` bool."""
-    order, following = jnp.arange(BEARINGS), _next(here)
-    reach_m = jnp.where(whole[2], jnp.hypot(*whole[0].T), jnp.inf)
-    later = (order - order[:, None]) % BEARINGS
-    between = (later > 0) & (later < ((following - order) % BEARINGS)[:, None])
-    ends_m = jnp.maximum(distance, distance[following])
-    return jnp.any(between & (reach_m > ends_m[:, None] + P.places.leads_on_m), axis=1)
-
-
-def _pockets(point, whole, first, last, valid, width_m):
-    """Classify the area beyond gaps of a circle: a passage that leads on, or a pocket whose walls are all in sight.
-    Returns `(stays, door, following)`: `[K]` bool, gaps that are exits themselves; `[BEARINGS]` bool, directions after
-    which a door opens in the wall of a pocket; `[BEARINGS]` int32, its end."""
-    one, other = point[first], point[last]
-    along = other - one
-    chord = jnp.maximum(jnp.hypot(*along.T), 1e-6)
-    outward = jnp.stack([along[:, 1], -along[:, 0]], axis=1) / chord[:, None]
-    place, far, here = whole
-    between = (jnp.arange(BEARINGS) - first[:, None]) % BEARINGS < ((last - first) % BEARINGS)[:, None]  # [K, BEARINGS]
-    depth = jnp.einsum("bd,kd->kb", place, outward) - jnp.sum(one * outward, axis=1)[:, None]
-    known = between & here
-    ordered = jnp.sort(jnp.where(known, depth, jnp.inf), axis=1)
-    n = jnp.sum(known, axis=1)
-    seen = n > P.places.seen * jnp.sum(between, axis=1)
-    deep = ordered[jnp.arange(len(first)), jnp.minimum((P.places.deep * n).astype(jnp.int32), BEARINGS - 1)]
-    pocket = valid & seen & (deep < P.places.pocket * chord)
-    # A piece of wall all of which lies beyond is seen through a door.
-    ends = find_gaps(place, place, here, width_m)[2]
-    piece = (running_sum(ends.astype(jnp.float32)) - ends) % jnp.maximum(jnp.sum(ends), 1)
-    least = jnp.min(jnp.where((piece[:, None] == piece) & known[:, None, :], depth[:, None, :], jnp.inf), axis=2)
-    beyond = known & (least > deep[:, None] + P.places.beyond_pocket_m) & pocket[:, None]
-    ring = here & ~jnp.any(beyond, axis=0)
-    open_, after = find_gaps(place, far, ring, width_m)[2], _next(ring)
-    # Where a wall is seen from the side its points lie far apart, in directions next to each other: no door.
-    open_ &= (after - jnp.arange(BEARINGS)) % BEARINGS >= P.places.door
-    # Nor where a passage is not known farther: its ends lie beyond the points taken for its wall.
-    flat = depth <= deep[:, None] + P.places.beyond_pocket_m
-    inside = between & pocket[:, None] & flat & flat[:, after]
-    door = open_ & jnp.any(inside, axis=0)
-    has_door = jnp.any(inside & open_, axis=1)
-    return valid & ~(pocket & (has_door | (deep < P.places.corner_depth * chord))), door, after
-
-
 def find_openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
              circle: Array | float, size: int, seen_from: Array | None = None) -> Openings:  # fmt: skip
     """Find gaps between neighbouring points in a circle, seen from its centre, that a robot fits through.
@@ -134,48 +90,24 @@ def find_openings(xy: Array, valid: Array, centre: Array, radius_m: Array | floa
 
     Source:
       Mano et al., section III.B and Fig. 2(f). Changed: points in polar order about the centre; the paper takes those
-      of one scan, in polar order about the robot, which does not see behind it. A wall no nearer to the centre than
-      `near_wall_radii` radii (or as many distances of the nearest wall, if larger) does not divide an opening, unless
-      that leaves a gap as narrow as a door which leads on. Where a gap leads into a pocket whose walls are all in
-      sight, the doors in these count instead; a corner does not, unless there is no other exit.
+      of one scan, in polar order about the robot, which does not see behind it.
     """
     offset = xy - centre
     search_m = circle * radius_m
     distance = jnp.hypot(*offset.T)
     point, last, here = polar_points(offset, distance, valid & (distance <= search_m), search_m)
-    whole = polar_points(offset, distance, valid, P.places.max_point_m)
-    # A wall is what lies between two gaps.
-    after, gap_m, gap_here = find_gaps(point, last, here, width_m)
-    gap_here &= ~_grazes(point, after, here, centre, seen_from)
-    wall = (running_sum(gap_here.astype(jnp.float32)) - gap_here) % jnp.maximum(jnp.sum(gap_here), 1)
-    distance = jnp.where(here, jnp.hypot(*point.T), jnp.inf)
-    nearest_m = jnp.min(jnp.where(wall[:, None] == wall, distance[:, None], jnp.inf), axis=0)
-    door = (
-        gap_here
-        & (gap_m < jnp.maximum(P.places.narrow * radius_m, P.places.door_m))
-        & _leads_out(distance, here, whole)
-    )
-    beside = jnp.any(door & ((wall[:, None] == wall) | (wall[:, None] == wall[_next(here)])), axis=1)
-    here &= (nearest_m <= P.places.near_wall_radii * jnp.maximum(radius_m, jnp.min(distance))) | beside
     after, width, gap_here = find_gaps(point, last, here, width_m)
     gap_here &= ~_grazes(point, after, here, centre, seen_from)
     only = jnp.sum(here) == 1
     chosen = first_true(gap_here, size)
     valid = jnp.any(chosen, axis=1)
     begins = jnp.argmax(chosen, axis=1)
-    order = (begins[:, None] + 1 + jnp.arange(BEARINGS)) % BEARINGS
-    ends = order[jnp.arange(size), jnp.argmax(here[order], axis=1)]
-    stays, door, door_end = _pockets(point, whole, begins, ends, valid & ~only, width_m)
+    ends = _next(here)[begins]
     middle, across, narrowest = _narrowest(point, here, gap_here, begins, ends, radius_m)
     middle = jnp.where(only, -point[jnp.argmax(here)], middle)
     across = jnp.where(only, jnp.arctan2(middle[:, 1], middle[:, 0]), across)
     wide = jnp.where(only, jnp.sum(jnp.where(gap_here, width, 0)), narrowest)
-    doors = _pocket_doors(whole[0], door, door_end, size)
-    stays |= valid & only
-    own = jnp.where(jnp.any(stays) | jnp.any(doors[0]), stays, valid), middle, across, wide
-    more = jnp.sum(gap_here, dtype=jnp.int32) - size, jnp.sum(door, dtype=jnp.int32) - size
-    together = [jnp.concatenate(pair) for pair in zip(own, doors)]
-    return sort_openings(together, jnp.maximum(more[0], 0) + jnp.maximum(more[1], 0), size)
+    return _sorted(valid, middle, across, wide, jnp.maximum(jnp.sum(gap_here, dtype=jnp.int32) - size, 0))
 
 
 def first_true(mask: Array, size: int) -> Array:
@@ -184,27 +116,12 @@ def first_true(mask: Array, size: int) -> Array:
     return mask & (number == jnp.arange(size)[:, None])
 
 
-def _pocket_doors(place, door, door_end, size):
-    """Find doors in the walls of pockets: `(valid, middle, across, width)` of as many."""
-    chosen = first_true(door, size)
-    at = jnp.argmax(chosen, axis=1)
-    one, other = place[at], place[door_end[at]]
-    along = other - one
-    return jnp.any(chosen, axis=1), (one + other) / 2, jnp.arctan2(-along[:, 0], along[:, 1]), jnp.hypot(*along.T)
-
-
-def sort_openings(together, more, size):
-    """Sort `Openings` counter-clockwise, of which some did not fit before."""
-    valid, middle, across, wide = together
-    # The direction of its passage, if from the centre it looks much like that and no other opening does.
+def _sorted(valid, middle, across, wide, more):
+    """Return `Openings` counter-clockwise, of which `more` did not fit."""
     towards = jnp.arctan2(middle[:, 1], middle[:, 0])
-    off = jnp.abs(wrapped(across[:, None] - across))
-    alone = jnp.sum(valid & (off < P.places.same_exit_rad), axis=1) == 1
-    away = jnp.abs(wrapped(across - towards))
     # Of a gap wider than half a turn the narrowest place lies on the other side of the centre.
-    bearing = jnp.where((alone & (away < P.places.straight_rad)) | (away > math.pi / 2), across, towards)
-    order = jnp.argsort(jnp.where(valid, towards, jnp.inf))[:size]
-    more += jnp.maximum(jnp.sum(valid, dtype=jnp.int32) - size, 0)
+    bearing = jnp.where(jnp.abs(wrapped(across - towards)) > math.pi / 2, across, towards)
+    order = jnp.argsort(jnp.where(valid, towards, jnp.inf))
     there = valid[order]
     return Openings(
         bearing=jnp.where(there, bearing[order], 0),
@@ -234,10 +151,7 @@ def _narrowest(point, here, gap_here, first, last, radius_m):
     outward = jnp.stack([along[:, 1], -along[:, 0]], axis=1) / jnp.maximum(jnp.hypot(*along.T), 1e-6)[:, None]
     out = jnp.einsum("kid,kd->ki", left, outward)[:, :, None] + jnp.einsum("kjd,kd->kj", right, outward)[:, None, :]
     beside = out / 2 >= P.places.ahead_radii * radius_m
-    # With one wall only, both its ends are meant, not two places in its middle.
-    steps = jnp.arange(WALL)[:, None] + jnp.arange(WALL)
-    apart = steps < P.places.both_ends * ((first - last) % BEARINGS)[:, None, None]
-    meant = is_before[:, :, None] & is_after[:, None, :] & beside & apart
+    meant = is_before[:, :, None] & is_after[:, None, :] & beside
     length = jnp.where(meant, length, jnp.inf)
     least = jnp.min(length, axis=(1, 2), keepdims=True)
     chord = (ends[0] + ends[1]) / 2, jnp.arctan2(outward[:, 1], outward[:, 0]), jnp.hypot(*along.T)

@@ -94,7 +94,7 @@ def is_roomy(
     aside = jnp.where(at_left, 1, -1) * (open_m - wall)
     ahead = from_m + open_m * (1 - jnp.asarray(ROOMY_BACK_RADII))  # [K]
     off2 = (xy[:, 0] - ahead[:, None]) ** 2 + (xy[:, 1] - aside) ** 2
-    return jnp.any(~jnp.any(valid & (off2 < (P.places.roomy_share * open_m) ** 2), axis=1))
+    return jnp.any(~jnp.any(valid & (off2 < open_m**2), axis=1))
 
 
 def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Array]:
@@ -227,14 +227,13 @@ def find_divergences(
     side = jnp.maximum(width_m, spacing / P.places.spacing_widths)
     keep = triangles.valid & (jnp.min(side2, axis=1) > side**2) & (radius < open_m)
     keep &= cosine >= -jnp.sin(jnp.radians(obtuse_tol_deg))
-    keep &= ~_on_one_wall(chosen, there, centre, triangles.corner, spacing, P.places.recess_widths * width_m)
+    keep &= ~_on_one_wall(chosen, there, centre, triangles.corner, spacing)
     corners = chosen[jnp.minimum(triangles.corner, size - 1)]
     return Divergence(corners=corners, centre=centre, radius=radius, valid=keep, overflow=overflow + triangles.overflow)
 
 
-def _on_one_wall(xy, valid, centre, corner, spacing_m, recess_m):
-    """Return which circles touch one wall twice: `[T]` bool. Between two corners the points follow the chord
-    closely."""
+def _on_one_wall(xy, valid, centre, corner, spacing_m):
+    """Return which circles touch one wall twice: `[T]` bool. Between two corners no point lies beyond the chord."""
     n = xy.shape[0]
     corner = jnp.minimum(corner, n - 1)
 
@@ -255,12 +254,9 @@ def _on_one_wall(xy, valid, centre, corner, spacing_m, recess_m):
     for side in range(3):
         (from_x, from_y), (to_x, to_y) = place[side], place[(side + 1) % 3]
         chord_x, chord_y = to_x - from_x, to_y - from_y
-        chord_m = jnp.maximum(jnp.hypot(chord_x, chord_y), 1e-9)
-        is_beyond = (x - from_x) * chord_y - (y - from_y) * chord_x > recess_m * chord_m
+        is_beyond = (x - from_x) * chord_y - (y - from_y) * chord_x > 0
         between = is_other & (_turned_left(from_x, from_y, x, y) < _turned_left(from_x, from_y, to_x, to_y))
-        # Points between, and whether one of them lies beyond, in one sum.
-        total = jnp.sum(jnp.where(between, jnp.where(is_beyond, n + 1, 1), 0), axis=0)
-        one_wall |= (total <= n) & ((total + 1) * spacing_m > P.places.wall_fill_share * chord_m)
+        one_wall |= ~jnp.any(between & is_beyond, axis=0)
     return one_wall
 
 

@@ -72,16 +72,13 @@ def add_scan(around: Surround, ranges_m: Array) -> Surround:
     code = jnp.full(SECTORS, NO_POINT, jnp.int32).at[sector].min(millimetres * 512 + jnp.arange(SECTORS), mode="drop")
     there = code != NO_POINT
     at = jnp.where(there, code % 512, 0)
-    nearer = fresh & jnp.isfinite(scan) & (~there | (1000 * scan < code // 512))
-    is_behind = np.abs(np.arange(SECTORS) - SECTORS // 2) > P.sensing.behind_deg
-    replaces = jnp.where(is_behind, nearer, fresh)
     angle = jnp.asarray(np.pad(ANGLES_RAD, (first, SECTORS - first - len(ANGLES_RAD))))
     returns = jnp.isfinite(scan)
     r = jnp.where(returns, scan, 0)
 
     def either(function, axis):
         old = jnp.where(there, xy[at, axis], jnp.inf)
-        return jnp.where(replaces, jnp.where(returns, r * function(angle), jnp.inf), old)
+        return jnp.where(fresh, jnp.where(returns, r * function(angle), jnp.inf), old)
 
     return Surround(either(jnp.cos, 0), either(jnp.sin, 1))
 
