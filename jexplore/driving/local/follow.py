@@ -127,27 +127,14 @@ class Follower:
             for place in look(self._window, self.pilot.pose, self._start, *self._how)
             if place.is_sure and place.type in ("divergence", "terminal")
         ]
-        self._place: SeenPlace | None = None
-        own = [place for place in self._seen if self._is_map_s(place)]
-        if self._stop.is_place and own:
-            self._place = min(own, key=self._off)
+        self._place = recognised(self._seen, self._stop, self._places, self._shift) if self._stop.is_place else None
+        if self._place is not None:
             self._shift = self._place.xy - self._stop.xy
         for place in self._seen:
             is_there = math.dist(place.xy, self.pilot.pose[:2]) < max(PASS_M, place.radius_m)
             known = [*(self._places + self._shift), *self.extra]
             if is_there and min(math.dist(place.xy, xy) for xy in known) > MATCH_M:
                 self.extra.append(place.xy)
-
-    def _off(self, place):
-        """Return how far a place is from being the next stop, metres."""
-        seen = [way.bearing for way in place.ways]
-        only = [a for one, two in ((seen, self._stop.exits), (self._stop.exits, seen)) for a in one if _is_new(a, two)]
-        return math.dist(place.xy, self._stop.xy + self._shift) + EXIT_COST_M * len(only)
-
-    def _is_map_s(self, place):
-        """Return whether a place may be the next stop, and lies no nearer to another of the map."""
-        nearest = self._places[np.hypot(*(self._places + self._shift - place.xy).T).argmin()]
-        return self._off(place) < MATCH_M and math.dist(nearest, self._stop.xy) < MOVED_M
 
     def _clearance(self, xy):
         cell = self._window.cell(xy)
@@ -217,6 +204,24 @@ class Follower:
         off_m = math.dist(self._window.xy(path[-1].cell), self.pilot.pose[:2])
         self._is_there = self._is_in_reach and off_m < AT_M / 2
         return goes
+
+
+def recognised(seen: Sequence[SeenPlace], stop: Stop, places: np.ndarray, shift: np.ndarray) -> SeenPlace | None:
+    """Return which of the places seen is a stop of the map; None without one.
+
+    It lies near where the map, moved by `shift` `[2]`, has the stop, and no nearer to another of its `places` `[n, 2]`.
+    """
+
+    def off_m(place):
+        ways = [way.bearing for way in place.ways]
+        only = sum(_is_new(a, two) for one, two in ((ways, stop.exits), (stop.exits, ways)) for a in one)
+        return math.dist(place.xy, stop.xy + shift) + EXIT_COST_M * only
+
+    def is_nearest(place):
+        nearest = places[np.hypot(*(places + shift - place.xy).T).argmin()]
+        return math.dist(nearest, stop.xy) < MOVED_M
+
+    return min((place for place in seen if off_m(place) < MATCH_M and is_nearest(place)), key=off_m, default=None)
 
 
 def _is_new(bearing, others):

@@ -22,6 +22,7 @@ from jexplore.driving.vehicle import (
     SCAN_RANGE_M,
     draw_one,
     initial_body,
+    level_scan,
     move,
     read_sensors,
 )
@@ -79,7 +80,9 @@ class Fixed(NamedTuple):
 
 def _sensed(fixed, body, step):
     draws = draw_one(jax.random.fold_in(fixed.key, step), fixed.noise)
-    return draws, read_sensors(draws, fixed.building, fixed.robot, fixed.noise, body)
+    senses = read_sensors(draws, fixed.building, fixed.robot, fixed.noise, body)
+    is_uneven = fixed.building.terrain.peak_m > 0
+    return draws, run_if(is_uneven, lambda senses: level_scan(senses, fixed.robot)[0], senses)
 
 
 def _scanner():

@@ -44,7 +44,7 @@ class FollowResult:
     table: Any
     """pandas DataFrame, a row a route: from, to, outcome (ARRIVED, LOST, BLOCKED, ...), length_m by the map, path_m,
     off_m from where the map has its end, places on it, missed and extra ones, refused_links: on how many straight links
-    that the map refuses to the robot it has been, steps, contacts, refused steps, help by the operator."""
+    that the map refuses to the robot it has been, steps, contacts, refused steps, drift_m of its pose."""
     map: BtmMap
     """The map with what was found otherwise: ways that it did not have, as un-searched links; links that could not be
     passed, with the attributes `blocked` and `blocked_for`; each with `found_by`."""
@@ -61,10 +61,9 @@ def follow(
 ) -> FollowResult:  # fmt: skip
     """Let a robot follow routes in the true building.
 
-    It starts on the first link of a route, a little beyond the node. From there on it knows of the map only the
-    positions of the next divergences relative to the last recognised one, the bearings of their exits, the exit to
-    take, and the places nearby. It drives like an exploring robot; where no passage leads it, it steers for the next
-    place. A route ends where the map has its last node, seen from the last divergence before it.
+    It starts on the first link of a route, a little beyond the node. By its local map it plans to the next node of the
+    route, seen from the last divergence that it has recognised, and leaves every node by the exit of the route. See
+    `driving.local.follow`.
 
     Args:
       world: name or `World`: the building of the map, in whose frame this must be.
@@ -89,8 +88,10 @@ def follow(
     building = building_of(world, marks_m=_refused_places(btm, found))
     begun = [start_of(world, building, body, btm, route) for route in found]
     n, longest = len(found), max(route.length_m for route in found)
-    arrays = (settings_arrays(record, n) for record in (body, tuning, noise))
-    tasks = tasks_of(building, *arrays, np.stack([pose for pose, *_ in begun]), seed, np.arange(n))
+    tasks = tasks_of(
+        *(building, settings_arrays(body, n), settings_arrays(tuning, n), settings_arrays(noise, n)),
+        *(np.stack([pose for pose, *_ in begun]), seed, np.arange(n)),
+    )
     max_steps = int(min(max(MAX_STEPS, STEPS_M * longest), MAX_TRACE_STEPS))
     runs: list[tuple[str, Follower]] = []
 
@@ -202,16 +203,17 @@ def _is_free(world, pose):
 
 
 def _table(world, btm, found, runs, building):
-    ends = {node.id: (node.x_m, node.y_m) for node in btm.nodes}
+    nodes = {node.id: node for node in btm.nodes}
     marks = building.marks[: len(_refused_places(btm, found))]
     rows = []
     for route, (outcome, run) in zip(found, runs):
         now, way = run.pilot.now, np.array([truth[:2] for _, truth, _ in run.pilot.way])
-        near = np.hypot(*(way[:, None] - marks[:, :2]).T).T < marks[:, 2]
-        off_m = math.dist(now.truth[:2] + np.asarray(world.origin_m), ends[route.end])
+        near = (marks[:, 2] > np.hypot(*(way[:, None] - marks[:, :2]).T).T).any(0)
+        end, places = nodes[route.end], sum(nodes[i].type == "divergence" for i in route.nodes[1:])
+        off_m = math.dist(now.truth[:2] + np.asarray(world.origin_m), (end.x_m, end.y_m))
         row = {"from": route.start, "to": route.end, "outcome": outcome, "length_m": route.length_m}
-        row |= {"path_m": now.path_m, "off_m": off_m, "places": len(_places(btm, route)), "missed": run.missed}
-        row |= {"extra": len(run.extra), "refused_links": int(near.any(0).sum()), "steps": len(way)}
+        row |= {"path_m": now.path_m, "off_m": off_m, "places": places, "missed": run.missed}
+        row |= {"extra": len(run.extra), "refused_links": int(near.sum()), "steps": len(way)}
         row |= {"contacts": now.contacts, "refused": now.refused, "drift_m": math.dist(now.truth[:2], now.pose[:2])}
         rows.append(row)
     return pd.DataFrame(rows)
@@ -236,12 +238,6 @@ def _changed(btm, found, runs, robot):
                 told.append(f"node {node} has a way at {bearing:.0f} degrees that the map did not have")
                 count += 1
     return dataclasses.replace(btm, links=tuple(links.values())), told
-
-
-def _places(btm, route):
-    """Return the divergences on a route, with the step that leads to each: a list."""
-    types = {node.id: node.type for node in btm.nodes}
-    return [step for step in route.steps if types[step.end] == "divergence"]
 
 
 def _blocked(link, robot, *, walled):
