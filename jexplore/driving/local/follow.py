@@ -12,26 +12,25 @@ import numpy as np
 
 from jexplore.arrays.poses import wrapped
 from jexplore.driving.local.lattice import Lattice, State, distance_m
-from jexplore.driving.local.nodes import length_of
+from jexplore.driving.local.nodes import TRIES, length_of
 from jexplore.driving.local.pilot import Pilot, RunEnded
 from jexplore.driving.local.sight import SeenPlace, look
-from jexplore.driving.local.window import SIDE, Fixed, Window
+from jexplore.driving.local.window import CELL_M, SIDE, Fixed, Window
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.settings import Tuning
 
 LOOK_M = 1.0  # the robot looks anew after this way
 MATCH_M = 1.5  # a place no farther than this from where the map has it is the map's: half of two junctions' distance,
 SAME_RAD = math.radians(40)  # its exits are the map's that are less apart than this,
-EXIT_COST_M = 0.7  # and each that only one of them has counts as so far off
+EXIT_COST_M = 0.7  # and each exit that one of them lacks counts as this way off
 WITHIN_M = 1.0  # a node is gone to as near as its surroundings allow, no farther off than this: half a passage,
 OFF_COST = 4.0  # where a metre off costs as much as this way
 AT_M = 0.3  # from the end of the route
 PASS_M = 0.7  # from another node: there its exits are seen
 EXIT_M = 1.5  # the robot leaves a node by the route's exit for as far as this
-MOVED_M = 0.1  # less way than this is none
+MOVED_M = 0.1  # a robot that has gone no farther than this stands
 SHUT_M = 2.0  # a node of no more clearance than this is shut behind the robot: a passage, not free space
-BACK_M = 0.7  # where something is in the way the robot goes back this far, its own length, to plan anew,
-TRIES = 3  # this many times in a row
+BACK_M = 0.7  # where something is in the way the robot goes back this far, its own length, to plan anew
 MOST = 1.5, 10.0  # the robot is lost after this many times the length of its route, and metres: a passage's detour
 
 
@@ -76,7 +75,7 @@ class Follower:
         self.next = 0
         """Stop that the robot goes to."""
         self.walled = False
-        """Whether what blocks its way is a wall."""
+        """True where a wall blocks its way, not the ground."""
         self.missed, self.extra = 0, list[np.ndarray]()
         self.found: dict[int, list[float]] = {}
         """Stop -> bearings of the exits that were seen at it, radians."""
@@ -127,14 +126,17 @@ class Follower:
             for place in look(self._window, self.pilot.pose, self._start, *self._how)
             if place.is_sure and place.type in ("divergence", "terminal")
         ]
-        self._place = recognised(self._seen, self._stop, self._places, self._shift) if self._stop.is_place else None
-        if self._place is not None:
-            self._shift = self._place.xy - self._stop.xy
+        self._recognise()
         for place in self._seen:
             is_there = math.dist(place.xy, self.pilot.pose[:2]) < max(PASS_M, place.radius_m)
             known = [*(self._places + self._shift), *self.extra]
-            if is_there and min(math.dist(place.xy, xy) for xy in known) > MATCH_M:
+            if is_there and all(math.dist(place.xy, xy) > MATCH_M for xy in known):
                 self.extra.append(place.xy)
+
+    def _recognise(self):
+        self._place = recognised(self._seen, self._stop, self._places, self._shift) if self._stop.is_place else None
+        if self._place is not None:
+            self._shift = self._place.xy - self._stop.xy
 
     def _clearance(self, xy):
         cell = self._window.cell(xy)
@@ -166,7 +168,8 @@ class Follower:
                 path = min(ways, key=lambda way: abs(wrapped(way.bearing - stop.out))).path
                 near = np.hypot(*(path - place.xy).T) < EXIT_M
                 ahead = path[-1] if near.all() else path[int((~near).argmax())]
-        self.next, self._place, self._is_there = self.next + 1, None, False
+        self.next, self._is_there = self.next + 1, False
+        self._recognise()
         self._exit = ahead if math.dist(self._left, self._stop.xy + self._shift) > 2 * EXIT_M else None
 
     # Ways
@@ -174,8 +177,8 @@ class Follower:
     def _plan(self) -> list[State] | None:
         """Return a path towards the goal; None without one."""
         window, pose, xy = self._window, self.pilot.pose, self._goal_xy
-        radius = self._clearance(self._left) + 0.1
-        room = radius + math.hypot(float(self._robot.length_m), float(self._robot.width_m)) / 2 + 0.2
+        radius = self._clearance(self._left) + CELL_M
+        room = radius + math.hypot(float(self._robot.length_m), float(self._robot.width_m)) / 2 + 2 * CELL_M
         if self._exit is None and radius < SHUT_M and all(math.dist(self._left, at) > room for at in (pose[:2], xy)):
             near = np.hypot(*(window.xy(np.argwhere(np.ones((SIDE, SIDE), bool))) - self._left).T) < radius
             window = Window(window.corner, window.occupied | near.reshape(SIDE, SIDE), window.known)
@@ -185,17 +188,16 @@ class Follower:
         cost = np.where(off < WITHIN_M, lattice.cost + OFF_COST * off, math.inf)
         self._is_in_reach = bool(np.isfinite(cost).any())
         if not self._is_in_reach:
-            inner = np.all((window.cell(xy) > 1) & (window.cell(xy) < SIDE - 2))
             edge = (np.minimum(row, col) == 1) | (np.maximum(row, col) == SIDE - 2)
-            cost = np.where(edge & ~inner, lattice.cost + off, math.inf)
+            cost = np.where(edge, lattice.cost + off, math.inf)
         cell = np.array(np.unravel_index(cost.argmin(), cost.shape))
         return lattice.path_to(cell) if np.isfinite(cost[tuple(cell)]) else None
 
     def _go(self, path):
-        """Follow a path for a look's way, as far as it is known, and turn to what is not; return whether it could."""
+        """Follow a path to the next look, through known cells, and turn to the first other; return if it could."""
         gone_m, n = 0.0, 1
         while n < len(path) and gone_m < LOOK_M and self._window.known[tuple(path[n].cell)]:
-            gone_m += math.dist(path[n].cell, path[n - 1].cell) * 0.1
+            gone_m += math.dist(path[n].cell, path[n - 1].cell) * CELL_M
             n += 1
         goes = self.pilot.follow(path[:n], self._window, LOOK_M)
         if n < len(path) and gone_m < LOOK_M:
