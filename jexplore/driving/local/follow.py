@@ -148,7 +148,7 @@ class Follower:
         """Return whether the robot is at the stop, or as near as it gets; leave the exit where it is at that."""
         is_last, off_m = self.next == len(self._stops) - 1, math.dist(self._goal_xy, self.pilot.pose[:2])
         if self._exit is not None:
-            if off_m < PASS_M or self._is_there:
+            if off_m < AT_M or self._is_there:
                 self._exit, self._is_there = None, False
             return False
         return self._is_there or off_m < (AT_M if is_last else max(PASS_M, self._clearance(self._goal_xy) / 2))
@@ -156,7 +156,9 @@ class Follower:
     def _pass(self):
         """Note the exits of the stop, and go on to the next one."""
         stop, place, self._left = self._stop, self._place, self._goal_xy
-        ahead = self._left + EXIT_M * np.array([math.cos(stop.out), math.sin(stop.out)])
+        radius, room = self._shut()
+        out_m = max(EXIT_M, room + AT_M) if radius < SHUT_M else EXIT_M
+        ahead = self._left + out_m * np.array([math.cos(stop.out), math.sin(stop.out)])
         if stop.is_place:
             self._is_sure = place is not None
             self.missed += place is None
@@ -166,25 +168,30 @@ class Follower:
             ways = [way for way in place.ways if abs(wrapped(way.bearing - stop.out)) < SAME_RAD]
             if ways:
                 path = min(ways, key=lambda way: abs(wrapped(way.bearing - stop.out))).path
-                near = np.hypot(*(path - place.xy).T) < EXIT_M
+                near = np.hypot(*(path - place.xy).T) < out_m
                 ahead = path[-1] if near.all() else path[int((~near).argmax())]
         self.next, self._is_there = self.next + 1, False
         self._recognise()
-        self._exit = ahead if math.dist(self._left, self._stop.xy + self._shift) > 2 * EXIT_M else None
+        self._exit = ahead if math.dist(self._left, self._stop.xy + self._shift) > 2 * out_m else None
 
     # Ways
+
+    def _shut(self):
+        """Return the radius in which the node that it has left is shut, and the distance from where it fits."""
+        radius = self._clearance(self._left) + CELL_M
+        return radius, radius + math.hypot(float(self._robot.length_m), float(self._robot.width_m)) / 2 + 2 * CELL_M
 
     def _plan(self) -> list[State] | None:
         """Return a path towards the goal; None without one."""
         window, pose, xy = self._window, self.pilot.pose, self._goal_xy
-        radius = self._clearance(self._left) + CELL_M
-        room = radius + math.hypot(float(self._robot.length_m), float(self._robot.width_m)) / 2 + 2 * CELL_M
-        if self._exit is None and radius < SHUT_M and all(math.dist(self._left, at) > room for at in (pose[:2], xy)):
-            near = np.hypot(*(window.xy(np.argwhere(np.ones((SIDE, SIDE), bool))) - self._left).T) < radius
-            window = Window(window.corner, window.occupied | near.reshape(SIDE, SIDE), window.known)
-        lattice = Lattice(window, pose, self._robot, through_unknown=True)
         row, col = np.mgrid[:SIDE, :SIDE]
-        off = np.hypot(*np.moveaxis(window.xy(np.stack([row, col], -1)) - xy, -1, 0))
+        cells = window.xy(np.stack([row, col], -1))
+        radius, room = self._shut()
+        if self._exit is None and radius < SHUT_M and all(math.dist(self._left, at) > room for at in (pose[:2], xy)):
+            behind = np.hypot(*np.moveaxis(cells - self._left, -1, 0)) < radius
+            window = Window(window.corner, window.occupied | behind, window.known)
+        lattice = Lattice(window, pose, self._robot, through_unknown=True)
+        off = np.hypot(*np.moveaxis(cells - xy, -1, 0))
         cost = np.where(off < WITHIN_M, lattice.cost + OFF_COST * off, math.inf)
         self._is_in_reach = bool(np.isfinite(cost).any())
         if not self._is_in_reach:
