@@ -124,7 +124,7 @@ class Follower:
         self._seen = [
             place
             for place in look(self._window, self.pilot.pose, self._start, *self._how)
-            if place.is_sure and place.type in ("divergence", "terminal")
+            if place.is_sure and place.type == "divergence"
         ]
         self._recognise()
         for place in self._seen:
