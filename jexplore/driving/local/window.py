@@ -14,6 +14,7 @@ from jax import Array, lax
 
 from jexplore.arrays.loops import run_if
 from jexplore.arrays.poses import between
+from jexplore.driving.building.terrain import is_level
 from jexplore.driving.records import Building, Draws, RobotBody, Senses
 from jexplore.driving.settings import Noise, Robot
 from jexplore.driving.vehicle import (
@@ -81,8 +82,7 @@ class Fixed(NamedTuple):
 def _sensed(fixed, body, step):
     draws = draw_one(jax.random.fold_in(fixed.key, step), fixed.noise)
     senses = read_sensors(draws, fixed.building, fixed.robot, fixed.noise, body)
-    is_uneven = fixed.building.terrain.peak_m > 0
-    return draws, run_if(is_uneven, lambda senses: level_scan(senses, fixed.robot)[0], senses)
+    return draws, senses if is_level(fixed.building.terrain) else level_scan(senses, fixed.robot)[0]
 
 
 def _scanner():
