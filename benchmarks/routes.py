@@ -8,9 +8,9 @@ nodes. Lengths are held against networkx, for the narrowest and the widest.
 
 Driven: a crawler writes the map, a wheeled robot follows routes over it in the building. Half of the routes lie on
 courses without an obstacle (#0 to #9), half in the office; each seed has maps of its own. The crawler's own run, 1 cm
-of range noise, gives the map; routes are drawn among all that the wheeled robot may use between its nodes. Arrived: the
-robot says so and truly stands within 1.5 m of where the map has the end. Where it does not fit at the start, for the
-map has drifted, it has not arrived. Printed as Markdown.
+of range noise, gives the map, by triangles on courses, by a local map in the office; routes are drawn among all that
+the wheeled robot may use between its nodes. Arrived: the robot says so and truly stands within 1.5 m of where the map
+has the end. Where it does not fit at the start, for the map has drifted, it has not arrived. Printed as Markdown.
 """
 
 import argparse
@@ -39,7 +39,7 @@ WORLDS = {"courses": [f"course#{i}:obstacle=none" for i in range(10)], "office":
 NEAR_M = 1.5
 NOISE = Noise(range_m=0.01)
 WORKERS = os.cpu_count() or 1
-SUMS = "places", "missed", "extra", "refused_links", "refused", "interventions"
+SUMS = "places", "missed", "extra", "refused_links", "refused", "contacts"
 SIDE, NODES, ROBOTS, PAIRS = 32, 1000, 16, 625
 
 
@@ -89,7 +89,7 @@ def planning(seed: int, repeat: int) -> str:
 
 def driven(world: str, n: int, seed: int):
     """The table of n routes in a world, and how many of them begin where the robot does not fit."""
-    plan = job.prepare_trace(world, noise=NOISE, seed=seed, perception="triangles")
+    plan = job.prepare_trace(world, noise=NOISE, seed=seed)
     found = tracing.execute(plan, workers=WORKERS).first
     ids = [node.id for node in found.nodes]
     rng = np.random.default_rng(seed)
@@ -130,7 +130,7 @@ def drives(n_routes: int, seeds: list[int], buildings: list[str]) -> str:
         row += [f"{off_m.median():.2f}, {off_m.quantile(0.95):.2f}, {off_m.max():.2f}", f"{found['path_m'].mean():.1f}"]
         rows.append([*row, *(int(found[column].sum()) for column in SUMS)])
     columns = ["building", "routes", "arrived", "says so", "outcomes", "off then: median, 95 %, most, m", "m a route"]
-    return markdown([*columns, "places", "missed", "extra", "refused links driven", "steps refused", "helps"], rows)
+    return markdown([*columns, "places", "missed", "extra", "refused links driven", "steps refused", "contacts"], rows)
 
 
 def main():

@@ -66,6 +66,35 @@ def tasks_of(
     return found
 
 
+def in_threads(
+    n: int,
+    run_one: Callable[[int, Callable[[], None]], Any],
+    workers: int | None,
+    on_run: Callable[[int, Any], object],
+) -> None:
+    """Make runs, `workers` at a time, by default one a core; `on_run` is called with what each returns, in order.
+
+    `run_one` is called with the number of a run and a function that it must call after every step.
+
+    Raises:
+      KeyboardInterrupt: after Ctrl-C, once the runs that have begun have been stopped.
+    """
+    halts = threading.Event()
+
+    def watch():
+        if halts.is_set():
+            raise RunEnded(RunOutcome.RUNNING)
+
+    with ThreadPoolExecutor(find_resources(workers=workers).workers) as pool:
+        waiting = collections.deque(pool.submit(run_one, i, watch) for i in range(n))
+        try:
+            for i in range(n):
+                on_run(i, waiting.popleft().result())
+        finally:
+            halts.set()
+            pool.shutdown(cancel_futures=True)
+
+
 def run_tasks(
     tasks: Sequence[LocalTask],
     max_steps: int,
@@ -75,33 +104,21 @@ def run_tasks(
     on_run: Callable[[int, RunResult, Driven], object],
     on_step: OnStep = lambda i, run: None,
 ) -> None:
-    """Make runs, `workers` at a time, by default one a core; `on_run` is called with each in their order.
+    """Make runs as `in_threads` does; `on_run` is called with each in their order.
 
     `on_step` is called after every step, from the run's thread.
-
-    Raises:
-      KeyboardInterrupt: after Ctrl-C, once the runs that have begun have been stopped.
     """
-    halts = threading.Event()
 
-    def watched(i, run):
-        on_step(i, run)
-        if halts.is_set():
-            raise RunEnded(RunOutcome.RUNNING)
+    def run_one(i, watch):
+        def stepped(run):
+            on_step(i, run)
+            watch()
 
-    def run_one(i):
         task = tasks[i]
-        run = LocalRun(task.fixed, task.start, task.tuning, max_steps, lambda run: watched(i, run))
+        run = LocalRun(task.fixed, task.start, task.tuning, max_steps, stepped)
         return _results_of(run, run.drive(), task.fixed, size)
 
-    with ThreadPoolExecutor(find_resources(workers=workers).workers) as pool:
-        waiting = collections.deque(pool.submit(run_one, i) for i in range(len(tasks)))
-        try:
-            for i in range(len(tasks)):
-                on_run(i, *waiting.popleft().result())
-        finally:
-            halts.set()
-            pool.shutdown(cancel_futures=True)
+    in_threads(len(tasks), run_one, workers, lambda i, found: on_run(i, *found))
 
 
 def run_missions(

@@ -14,6 +14,7 @@ from jax import Array, lax
 
 from jexplore.arrays.loops import run_if
 from jexplore.arrays.poses import between
+from jexplore.driving.building.terrain import is_level
 from jexplore.driving.records import Building, Draws, RobotBody, Senses
 from jexplore.driving.settings import Noise, Robot
 from jexplore.driving.vehicle import (
@@ -22,6 +23,7 @@ from jexplore.driving.vehicle import (
     SCAN_RANGE_M,
     draw_one,
     initial_body,
+    level_scan,
     move,
     read_sensors,
 )
@@ -79,7 +81,8 @@ class Fixed(NamedTuple):
 
 def _sensed(fixed, body, step):
     draws = draw_one(jax.random.fold_in(fixed.key, step), fixed.noise)
-    return draws, read_sensors(draws, fixed.building, fixed.robot, fixed.noise, body)
+    senses = read_sensors(draws, fixed.building, fixed.robot, fixed.noise, body)
+    return draws, senses if is_level(fixed.building.terrain) else level_scan(senses, fixed.robot)[0]
 
 
 def _scanner():

@@ -13,10 +13,10 @@ import pandas as pd
 
 from jexplore.config import MAX_SEED, InputError, as_record, checked_names, require_whole
 from jexplore.driving import vehicle
-from jexplore.driving.batch import MAX_STEPS, building_of, outcome_names, pose_in, run_missions, settings_arrays
-from jexplore.driving.guiding.guide import OFF_ROUTE_PLACES, guide_of
-from jexplore.driving.params.tree import P
-from jexplore.driving.records import Building, Guide
+from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, settings_arrays
+from jexplore.driving.local.batch import in_threads, tasks_of
+from jexplore.driving.local.follow import Follower, Stop
+from jexplore.driving.records import Building
 from jexplore.driving.settings import Noise, Robot, Tuning, for_world, require_tuning
 from jexplore.studies import checks
 from jexplore.studies.traces import routes
@@ -27,13 +27,10 @@ from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link
 from jexplore.tracemap.route import MapIndex, Route
 from jexplore.worlds.world import World, with_ring
 
-FOLLOWER_SIZE = 32, 64  # most nodes and links of the map that a robot writes on its way
-PLACES = 8  # a guide has room for places in multiples of this
 CLEAR_M = 1.5, 1.0, 2.0, 0.6, 3.0, 0.3  # m; starts along a link: the first where the robot can turn, or that is free
 START_OFFSETS_M = 0.0, 0.3, -0.3, 0.6, -0.6  # m; offsets from the link where the robot cannot turn anywhere on it
 TURNING_MARGIN_M = 0.05  # m; margin of a robot that turns at its start
 SAME_EXIT_DEG = 40.0  # ways that lie no farther apart are one
-ONE_DEG = 20.0  # links of a node that leave it no farther apart are one way: two nodes of a passage
 STEPS_M = 60  # steps that a robot has for each metre of its route
 STRAIGHT_SHARE = 0.8  # of its length lie the ends of a link apart at least, if its middle is known
 ON_IT_M = 1.0  # a robot so near to the middle of a link is on it
@@ -47,7 +44,7 @@ class FollowResult:
     table: Any
     """pandas DataFrame, a row a route: from, to, outcome (ARRIVED, LOST, BLOCKED, ...), length_m by the map, path_m,
     off_m from where the map has its end, places on it, missed and extra ones, refused_links: on how many straight links
-    that the map refuses to the robot it has been, steps, contacts, refused steps, help by the operator."""
+    that the map refuses to the robot it has been, steps, contacts, refused steps, drift_m of its pose."""
     map: BtmMap
     """The map with what was found otherwise: ways that it did not have, as un-searched links; links that could not be
     passed, with the attributes `blocked` and `blocked_for`; each with `found_by`."""
@@ -64,10 +61,9 @@ def follow(
 ) -> FollowResult:  # fmt: skip
     """Let a robot follow routes in the true building.
 
-    It starts on the first link of a route, a little beyond the node. From there on it knows of the map only the
-    positions of the next divergences relative to the last recognised one, the bearings of their exits, the exit to
-    take, and the places nearby. It drives like an exploring robot; where no passage leads it, it steers for the next
-    place. A route ends where the map has its last node, seen from the last divergence before it.
+    It starts on the first link of a route, a little beyond the node. By its local map it plans to the next node of the
+    route, seen from the last divergence that it has recognised, and leaves every node by the exit of the route. See
+    `driving.local.follow`.
 
     Args:
       world: name or `World`: the building of the map, in whose frame this must be.
@@ -92,17 +88,46 @@ def follow(
     building = building_of(world, marks_m=_refused_places(btm, found))
     begun = [start_of(world, building, body, btm, route) for route in found]
     n, longest = len(found), max(route.length_m for route in found)
-    result = run_missions(
+    tasks = tasks_of(
         *(building, settings_arrays(body, n), settings_arrays(tuning, n), settings_arrays(noise, n)),
         *(np.stack([pose for pose, *_ in begun]), seed, np.arange(n)),
-        _guides(world, btm, found, [start[1:] for start in begun]),
-        max_steps=int(min(max(MAX_STEPS, STEPS_M * longest), MAX_TRACE_STEPS)),
-        size=FOLLOWER_SIZE,
-        workers=workers,
-        on_progress=on_progress,
-    ).result
-    changed, told = _changed(btm, found, result, body)
-    return FollowResult(_table(world, btm, found, result), changed, tuple(told))
+    )
+    max_steps = int(min(max(MAX_STEPS, STEPS_M * longest), MAX_TRACE_STEPS))
+    runs: list[tuple[str, Follower]] = []
+
+    def run_one(i, watch):
+        follower = _follower(world, btm, found[i], tasks[i], begun[i][2], max_steps, watch)
+        return follower.drive(), follower
+
+    def on_run(i, run):
+        runs.append(run)
+        if on_progress is not None:
+            on_progress(i + 1)
+
+    in_threads(n, run_one, workers, on_run)
+    changed, told = _changed(btm, found, runs, body)
+    return FollowResult(_table(world, btm, found, runs, building), changed, tuple(told))
+
+
+def _follower(world, btm, route, task, beside, max_steps, watch):
+    """Make the follower of a route; `beside` is its start's offset from the link."""
+    nodes, origin = {node.id: node for node in btm.nodes}, np.asarray(world.origin_m)
+
+    def at(node):
+        return np.array([node.x_m, node.y_m]) - origin
+
+    stops = []
+    for step, on in zip(route.steps, [*route.steps[1:], None]):
+        out = math.radians(on.bearing_deg) if on else math.nan
+        exits = [math.radians(bearing) for bearing in btm.bearings_deg(step.end)]
+        stops.append(Stop(at(nodes[step.end]), nodes[step.end].type == "divergence", exits, out))
+    return Follower(
+        *(task.fixed, task.start, task.tuning, max_steps, stops),
+        begin=at(nodes[route.start]) + beside,
+        length_m=route.length_m,
+        places=np.reshape([at(node) for node in btm.nodes if node.type == "divergence"], (-1, 2)),
+        on_step=lambda follower: watch(),
+    )
 
 
 def _refused_places(btm, found):
@@ -177,80 +202,34 @@ def _is_free(world, pose):
     return 0 <= row < rows and 0 <= col < cols and not world.occupied[row, col]
 
 
-def _guides(world, btm, found, begun):
-    """Make `Guide`s, arrays with one a route; `begun` holds distances from the node and offsets, see `start_of`."""
+def _table(world, btm, found, runs, building):
     nodes = {node.id: node for node in btm.nodes}
-    made = []
-    for route, (start_m, beside) in zip(found, begun):
-        at = nodes[route.nodes[0]]
-        node_xy = at.x_m + beside[0] - world.origin_m[0], at.y_m + beside[1] - world.origin_m[1]
-        out, ways, leg, length_m, others, gone = [], [], [], [], [], 0.0
-        elsewhere = [node for node in btm.nodes if node.type == "divergence" and node.id not in route.nodes]
-        for step, on in zip(route.steps, [*route.steps[1:], None]):
-            gone += step.length_m
-            node = nodes[step.end]
-            if node.type == "divergence":
-                out.append(math.radians(on.bearing_deg if on else 0.0))
-                ways.append(_ways(btm, step.end))
-                leg.append((node.x_m - at.x_m, node.y_m - at.y_m))
-                length_m.append(gone)
-                others.append(_nearest(node, elsewhere))
-                at, gone = node, 0.0
-        end = nodes[route.nodes[-1]]
-        ends = {"tail_m": gone, "end_leg": (end.x_m - at.x_m, end.y_m - at.y_m), "others": others}
-        made.append((out, ways, leg, length_m, {**ends, "node_xy": node_xy, "start_m": start_m}))
-    size = max(-(-max(len(out) for out, *_ in made) // PLACES), 1) * PLACES
-    return jax.tree.map(lambda *a: np.stack(a), *(guide_of(*of, **more, size=size) for *of, more in made))
+    marks = building.marks[: len(_refused_places(btm, found))]
+    rows = []
+    for route, (outcome, run) in zip(found, runs):
+        now, way = run.pilot.now, np.array([truth[:2] for _, truth, _ in run.pilot.way])
+        near = (marks[:, 2] > np.hypot(*(way[:, None] - marks[:, :2]).T).T).any(0)
+        end, places = nodes[route.end], sum(nodes[i].type == "divergence" for i in route.nodes[1:])
+        off_m = math.dist(now.truth[:2] + np.asarray(world.origin_m), (end.x_m, end.y_m))
+        row = {"from": route.start, "to": route.end, "outcome": outcome, "length_m": route.length_m}
+        row |= {"path_m": now.path_m, "off_m": off_m, "places": places, "missed": run.missed}
+        row |= {"extra": len(run.extra), "refused_links": int(near.sum()), "steps": len(way)}
+        row |= {"contacts": now.contacts, "refused": now.refused, "drift_m": math.dist(now.truth[:2], now.pose[:2])}
+        rows.append(row)
+    return pd.DataFrame(rows)
 
 
-def _nearest(node, others):
-    """Return the nearest of other nodes relative to one: pairs of metres."""
-    legs = ((other.x_m - node.x_m, other.y_m - node.y_m) for other in others)
-    return sorted(legs, key=lambda leg: math.hypot(*leg))[:OFF_ROUTE_PLACES]
-
-
-def _ways(btm, node):
-    """Return bearings of the exits of a node, radians."""
-    found = []
-    for bearing in btm.bearings_deg(node):
-        if all(abs(apart_deg(bearing, other)) > ONE_DEG for other in found):
-            found.append(bearing)
-    return [math.radians(bearing) for bearing in found]
-
-
-def _table(world, btm, found, result):
-    places = {node.id: (node.x_m, node.y_m) for node in btm.nodes}
-    ends = np.array([places[route.end] for route in found])
-    off_m = np.hypot(*(result.end[:, :2] + np.asarray(world.origin_m) - ends).T)
-    guide: Guide = result.guide
-    outcomes = zip(outcome_names(result), guide.blocked | guide.walled)
-    return pd.DataFrame(
-        {
-            "from": [route.start for route in found],
-            "to": [route.end for route in found],
-            "outcome": ["BLOCKED" if shut else name for name, shut in outcomes],
-            "length_m": [route.length_m for route in found],
-            "path_m": result.path_m,
-            "off_m": off_m,
-            "places": guide.count,
-            "missed": guide.missed,
-            "extra": guide.extra,
-            "refused_links": result.met[:, : len(_refused_places(btm, found))].sum(axis=1),
-            **{name: getattr(result, name) for name in ("steps", "contacts", "refused", "interventions", "drift_m")},
-        }
-    )
-
-
-def _changed(btm, found, result, robot):
+def _changed(btm, found, runs, robot):
     """Return the map with the differences found, and sentences."""
     links = {link.id: link for link in btm.links}
     told, count = [], max(links, default=-1) + 1
-    for i, route in enumerate(found):
-        if link := _blocked_link(btm, route, jax.tree.map(lambda a, i=i: a[i], result), robot):
-            links[link.id] = _blocked(links[link.id], robot, walled=bool(result.guide.walled[i]))
+    for route, (outcome, run) in zip(found, runs):
+        if outcome == "BLOCKED":
+            link = links[route.links[run.next]]
+            links[link.id] = _blocked(link, robot, walled=run.walled)
             told.append(f"link {link.id} could not be passed by {robot.name}")
-        ways = zip(_places(btm, route), result.guide.seen[i])
-        for node, bearing in [(step.end, math.degrees(b) % 360.0) for step, own in ways for b in own[np.isfinite(own)]]:
+        ways = ((route.steps[i].end, math.degrees(bearing) % 360.0) for i, own in run.found.items() for bearing in own)
+        for node, bearing in ways:
             ends = [(link.start, link.start_bearing_deg) for link in links.values()]
             ends += [(link.end, link.end_bearing_deg) for link in links.values() if link.start != link.end]
             there = [own for end, own in ends if end == node and own is not None]
@@ -259,26 +238,6 @@ def _changed(btm, found, result, robot):
                 told.append(f"node {node} has a way at {bearing:.0f} degrees that the map did not have")
                 count += 1
     return dataclasses.replace(btm, links=tuple(links.values())), told
-
-
-def _places(btm, route):
-    """Return the divergences on a route, with the step that leads to each: a list."""
-    types = {node.id: node.type for node in btm.nodes}
-    return [step for step in route.steps if types[step.end] == "divergence"]
-
-
-def _blocked_link(btm, route, result, robot):
-    """Return the link on which a robot's front met an obstacle; None if none, or its last place is not on the map."""
-    guide = result.guide
-    if not (guide.blocked | guide.walled) or (guide.strays and not guide.walled):
-        return None
-    places, at = [*_places(btm, route), route.steps[-1]], int(guide.at)
-    first = route.steps.index(places[at - 1]) + 1 if at else 0
-    steps = route.steps[first : route.steps.index(places[at]) + 1] or route.steps[-1:]
-    ends_m = np.cumsum([step.length_m for step in steps])
-    gone_m = result.path_m - guide.from_m + robot.length_m / 2 + P.ground.look_m
-    step = steps[min(int(np.searchsorted(ends_m, gone_m)), len(steps) - 1)]
-    return next(link for link in btm.links if link.id == step.link)
 
 
 def _blocked(link, robot, *, walled):
