@@ -18,7 +18,7 @@ from jexplore.driving.building.terrain import terrain_of
 from jexplore.driving.building.walls import walls_of
 from jexplore.driving.mission import MAP_SIZE, MissionTask, RunOutcome, RunResult, Setup, mission_program
 from jexplore.driving.params.tree import Params
-from jexplore.driving.records import Building, Guide
+from jexplore.driving.records import Building
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.program import Line
 from jexplore.engine.runner import Costs, find_resources, level_of, run_all
@@ -131,7 +131,6 @@ def run_missions(
     starts: np.ndarray,
     seed: int,
     draws: np.ndarray,
-    guides: Guide | None = None,
     *,
     params: Params | None = None,
     engine: str = "auto",
@@ -150,7 +149,6 @@ def run_missions(
       robots, tunings, noises: `Robot`, `Tuning`, `Noise` of arrays `[n]`, from `settings_arrays`.
       starts: `[n, 3]` float32, from `pose_in`.
       draws: `[n]` int32: with the seed they make the runs' keys. Runs of one number draw alike.
-      guides: `Guide` of arrays `[n, ...]`.
       params: `Params` of arrays `[n]`; None: the defaults, compiled in as constants.
       engine, lanes, workers: see `runner.find_resources`.
       max_steps: steps after which a run ends as STEP_LIMIT.
@@ -172,7 +170,7 @@ def run_missions(
     draws = np.asarray(draws, np.int32)
     resources = find_resources(engine=engine, lanes=lanes, workers=workers)
     unnamed = dataclasses.replace(robots, name="")  # a name would make another program
-    settings = MissionTask(unnamed, tunings, noises, np.asarray(starts, np.float32), params, guides)  # type: ignore[arg-type]
+    settings = MissionTask(unnamed, tunings, noises, np.asarray(starts, np.float32), params)  # type: ignore[arg-type]
     program = mission_program(Setup(step_slots(max_steps), *size))._replace(cpu_options=COMPILER_OPTIONS)
     limit, lines = np.int32(max_steps), []
     for phase, (first, n) in enumerate([(0, len(draws))] if blocks is None else blocks):

@@ -30,12 +30,6 @@ def empty_track() -> Track:
     return Track(jnp.zeros(2), jnp.float32(0), jnp.uint32(0), jnp.int32(0))
 
 
-def certain_track(centre: Array, radius: Array | float) -> Track:
-    """Return a `Track` for a divergence as if every scan had shown it."""
-    full = jnp.uint32(2**VOTING_SCANS - 1)
-    return Track(centre, jnp.float32(1) * radius, full, jnp.int32(1))
-
-
 def votes(track: Track) -> Array:
     """Count the scans among the last `VOTING_SCANS` that showed the divergence: int32."""
     return lax.population_count(track.seen).astype(jnp.int32)

@@ -57,8 +57,7 @@ def look_ahead(
     level, changed, crease_m, steepest = mapping.update_slope(
         writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), P.ground.even_lengths * robot.length_m
     )
-    heeds = is_free if writer.guide is None else is_free | writer.guide.steers
-    blocked = stops & (heeds | state.halts)
+    blocked = stops & (is_free | state.halts)
     ground = ground_x, ground_z, posture
     lone_step, is_lone, after = _lone_step(state, writer, ground, leans, level, changed, crease_m, blocked, robot)
     return Ahead(

@@ -45,18 +45,6 @@ def other_link(map_: Btm, node: Array, link: Array) -> Array:
     return jnp.where(jnp.any(others), jnp.argmax(others).astype(jnp.int32), link)
 
 
-def link_toward(map_: Btm, node: Array, bearing: Array) -> tuple[Array, Array, Array]:
-    """Return the link of a node whose bearing is nearest to a direction.
-
-    Returns:
-      `(link, bearing, off)`: int32; its bearing at the node and the difference, radians; inf without a link.
-    """
-    n, (ends, bearings) = map_.start.shape[0], ends_at(map_, node)
-    off = jnp.where(ends, jnp.abs(btm.wrapped(bearings - bearing)), jnp.inf)
-    best = jnp.argmin(off)
-    return (best % n).astype(jnp.int32), bearings[best], off[best]
-
-
 def reach_m(points: tuple[Array, Array], place: Array, bearing: Array, width_m: Array | float) -> Array:
     """Compute the free length of a strip from a place in a direction: metres; inf: unlimited."""
     x, y = to_robot(jnp.append(place, bearing))(points[0]).T

@@ -14,7 +14,7 @@ from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving.params.tree import P
-from jexplore.driving.records import Guide, Latch, RunMode, Senses, SlopeEstimate, State, Trajectory, Writer
+from jexplore.driving.records import Latch, RunMode, Senses, SlopeEstimate, State, Trajectory, Writer
 from jexplore.driving.sensing import ground_profile, smoothing
 from jexplore.driving.settings import Robot
 from jexplore.driving.vehicle import down_directions
@@ -37,9 +37,7 @@ def no_way(size: int) -> Trajectory:
     )
 
 
-def begin_map(
-    n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array | bool, guide: Guide | None = None
-) -> Writer:
+def begin_map(n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array | bool) -> Writer:
     """Return a map with the start node, the link on which the robot sets off and, if it exists, the one behind.
 
     Sizes static.
@@ -73,7 +71,6 @@ def begin_map(
         exhausted=jnp.bool_(False),
         full=jnp.bool_(False),
         origin=jnp.zeros(3).at[:2].set(pose[:2]),
-        guide=guide,
     )
 
 

@@ -18,9 +18,8 @@ from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving import approach, behaviour, manoeuvre, mapping, nodes
 from jexplore.driving.events import due_node, look_ahead, walls_of_scan
-from jexplore.driving.guiding.steering import steer_along_route
 from jexplore.driving.params.tree import P, Params, using
-from jexplore.driving.records import Building, Draws, Guide, Latch, Senses, State
+from jexplore.driving.records import Building, Draws, Latch, Senses, State
 from jexplore.driving.sensing import matching, smoothing, surround
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.driving.vehicle import BEAMS, draw, initial_body, level_scan, move, read_sensors, to_odometry, to_robot
@@ -71,7 +70,6 @@ class MissionTask(NamedTuple):
     noise: Noise
     start: Array  # [3] float32, building's frame
     params: Params | None  # None: the defaults, as constants
-    guide: Guide | None
 
 
 class RunResult(struct.PyTreeNode):
@@ -91,7 +89,6 @@ class RunResult(struct.PyTreeNode):
     scan_overflow: Array
     drift_m: Array  # float32, how far the odometry was off in the end
     end: Array  # [3] float32, where the robot truly was in the end
-    guide: Guide | None  # of a robot that follows a route
 
 
 def _is_open(building):
@@ -99,7 +96,7 @@ def _is_open(building):
     return jnp.isnan(building.goal[0])
 
 
-def initial_state(setup: Setup, building: Building, robot: Robot, start: Array, guide: Guide | None = None) -> State:
+def initial_state(setup: Setup, building: Building, robot: Robot, start: Array) -> State:
     """Return the state before the first step, without random numbers. `setup` static; `start` from `batch.pose_in`."""
     zero, none = jnp.float32(0), jnp.int32(0)
     start = jnp.asarray(start, jnp.float32)
@@ -117,7 +114,7 @@ def initial_state(setup: Setup, building: Building, robot: Robot, start: Array, 
         track=behaviour.empty_track(),
         inside=jnp.bool_(False),
         drive=behaviour.initial_drive(),
-        writer=mapping.begin_map(setup.room, setup.n_nodes, setup.n_links, start, _is_open(building), guide),
+        writer=mapping.begin_map(setup.room, setup.n_nodes, setup.n_links, start, _is_open(building)),
         scan_overflow=none,
         mode=none,
         target=jnp.zeros(2),
@@ -167,10 +164,6 @@ def make_step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, no
     xy, known = surround.known_points(around)
     seen = placed(xy), known
     writer, drive, track, estimate = nodes.make_due_node(state, writer, drive, ahead.track, event, seen, tuning, robot)
-    if writer.guide is not None:
-        writer, drive, track = steer_along_route(
-            state, writer, drive, track, estimate, ways_m, event.blocked, tuning, robot
-        )
     mode, drive, target, getting, speed = _driven(
         state, drive, ahead.inside, walls, around, ways_m, estimate, tuning, robot
     )
@@ -260,8 +253,6 @@ def _end(state, at_end, tuning):
         (state.writer.full, RunOutcome.MAP_FULL),
         (at_end, RunOutcome.GOAL),
     ]
-    if state.writer.guide is not None:
-        ends += [(state.writer.guide.lost, RunOutcome.LOST), (state.writer.guide.arrived, RunOutcome.ARRIVED)]
     outcome = state.outcome
     for ended, name in ends:
         outcome = jnp.where(ended, jnp.int32(name), outcome)
@@ -283,7 +274,7 @@ def begin(setup: Setup, given: Given) -> State:
     """
     task: MissionTask = given.task
     block = jax.eval_shape(_draws_from, given.key, 0, task.noise)
-    state = initial_state(setup, given.own_scene, task.robot, task.start, task.guide)
+    state = initial_state(setup, given.own_scene, task.robot, task.start)
     return dataclasses.replace(state, draws=jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), block))
 
 
@@ -324,7 +315,6 @@ def finish(setup: Setup, given: Given, state: State) -> RunResult:
         scan_overflow=state.scan_overflow,
         drift_m=jnp.hypot(*(body.pose[:2] - state.estimate[:2])),
         end=body.pose,
-        guide=state.writer.guide,
     )
 
 

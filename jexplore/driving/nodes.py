@@ -8,8 +8,7 @@ from jax import Array
 
 from jexplore import btm
 from jexplore.arrays.loops import pick, run_if
-from jexplore.driving import behaviour, links
-from jexplore.driving.guiding import leaving
+from jexplore.driving import behaviour, leaving, links
 from jexplore.driving.mapping import came_from, came_through, has_left, pose_from_node, way_extremes
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import Arrival, Drive, DueNode, Latch, State, Track, Writer
@@ -139,23 +138,21 @@ def write_node(
     after, map_, onto, bearing = links.choose_link(writer, map_, at.node, back)
     through = ~is_divergence & ~event.blocked & ~event.returns
     onto = jnp.where(through, jnp.where(goes_on, new, links.other_link(map_, at.node, link)), onto)
-    usual, is_place = (onto, bearing), is_divergence & ~passes
-    left = leaving.leave_place(map_, writer, event, at.node, found, is_place, points, usual, (turn, shift))
-    ways = _way_out(event, found, left, turn, tuning.leave_m, is_divergence)
+    ways = tuning.leave_m * towards(bearing), bearing
+    ways = pick(is_divergence, leaving.beyond_opening(event, found, bearing, turn, tuning.leave_m), ways)
     ways = rotate_by(-turn)(ways[0]), ways[1] - turn
     target, out = pick(passes, leaving.beyond_candidate(event, measured, which, others, points, tuning), ways)
-    taken = jnp.where(left.link == btm.NONE, size, left.link)
+    taken = jnp.where(onto == btm.NONE, size, onto)
     written = after.replace(
-        map=left.map,
+        map=map_,
         node=at.node,
         node_m=event.odometer_m,
         link=taken,
-        left_bearing=jnp.where(through, event.pose[2], left.bearing),
+        left_bearing=jnp.where(through, event.pose[2], bearing),
         border_m=_border_left(writer, event),
         tries=after.tries.at[taken].add(1, mode="drop"),
         exhausted=~is_terminal & (taken == size),
         origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(turned)]),
-        guide=left.guide,
     )
     unchanged = writer.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
     return (
@@ -165,17 +162,6 @@ def write_node(
         out,
         shift,
     )
-
-
-def _way_out(event, found, left, turn, leave_m, is_divergence):
-    """Return the vector from the centre to a point on the link taken: `[2]`; and its direction there, radians."""
-    bearing = left.bearing
-    ways = leave_m * towards(bearing), bearing
-    ways = pick(is_divergence, leaving.beyond_opening(event, found, bearing, turn, leave_m), ways)
-    if left.onward is None:
-        return ways
-    beyond = left.onward.middle - event.centre + (event.radius + leave_m) * towards(bearing)
-    return pick(left.onward.is_free, (beyond, bearing), ways)
 
 
 def _turns(writer, event, at, found):
@@ -216,7 +202,7 @@ def make_due_node(
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
 
     names = ("node", "node_m", "link", "left_bearing", "border_m", "passed", "tries", "fails", "last_chance", "full")
-    names = (*names, "exhausted", "origin", "guide")
+    names = (*names, "exhausted", "origin")
     rest = {name: getattr(writer, name) for name in names}
     map_, rest, drive, track, estimate = run_if(
         event.kind != btm.NONE, written, (writer.map, rest, drive, track, state.estimate)
@@ -225,14 +211,13 @@ def make_due_node(
 
 
 def _add_openings(writer, map_, event, at, found, others, when):
-    """Add a divergence's links: the openings of a new one but the way in; at one met again, not on a route, those
-    besides its links. A start in its circle is on no link."""
+    """Add a divergence's links: the openings of a new one but the way in; at one met again those besides
+    its links. A start in its circle is on no link."""
     own, bearing = links.ends_at(map_, at.node)
     known = jnp.any(
         own[:, None] & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < P.graph.same_end_rad), axis=0
     )
-    more = at.met & ~known if writer.guide is None else False
-    goes = others & when & (~at.again | more)
+    goes = others & when & (~at.again | (at.met & ~known))
     for i in range(MAX_OPENINGS):
         map_, _ = btm.add_link(map_, at.node, found.bearing[i], when=goes[i], opening_m=found.width_m[i])
     is_new = when & ~at.again

@@ -173,40 +173,6 @@ class Drive(struct.PyTreeNode):
     right_m: Array  # float32, as `left_m`, on the right
 
 
-class Onward(NamedTuple):
-    """The way on from a place."""
-
-    bearing: Array  # float32, radians
-    middle: Array  # [2] float32, from where it leaves
-    is_free: Array  # bool, it is no opening, but free
-
-
-class Guide(struct.PyTreeNode):
-    """A route of at most K places, and how far the robot has come on it. Bearings are the map's."""
-
-    out: Array  # [K] float32, radians, bearing of the way on
-    ways: Array  # [K, PLACE_EXITS] float32, radians, of all exits of the place; NaN: none
-    leg: Array  # [K, 2] float32, metres, from the place before
-    length_m: Array  # [K] float32, of the way from the place before
-    count: Array  # int32, places
-    others: Array  # [K, OFF_ROUTE_PLACES, 2] float32, metres, from the place to places off the route; NaN: none
-    tail_m: Array  # float32, way from the last place to the end; 0: the route ends there
-    end_leg: Array  # [2] float32, metres, from the last place to the end
-    at: Array  # int32, the place ahead
-    from_xy: Array  # [2] float32, of the place before
-    from_m: Array  # float32, odometer there
-    turned: Array  # float32, radians, the map's bearings less those of the odometry
-    seen: Array  # [K, PLACE_EXITS] float32, radians, bearings of the exits that were found; NaN: none
-    missed: Array  # int32, places that were not found
-    extra: Array  # int32, places that the map does not have
-    strays: Array  # bool, the last place was not on the route
-    arrived: Array  # bool
-    lost: Array  # bool, it is where the map does not help it on
-    blocked: Array  # bool, because it cannot pass what lies before it
-    walled: Array  # bool, because there is a wall
-    steers: Array  # bool, it steers for the next place or the end
-
-
 class Trajectory(struct.PyTreeNode):
     """Every step of the run. T slots."""
 
@@ -252,7 +218,6 @@ class Writer(struct.PyTreeNode):
     exhausted: Array  # bool, nothing is left to follow
     full: Array  # bool, a node did not fit
     origin: Array  # [3] float32, the last node: x, y, metres; turn of its frame, radians
-    guide: Guide | None = None  # of a robot that follows a route
 
 
 class DueNode(struct.PyTreeNode):

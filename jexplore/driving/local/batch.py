@@ -192,7 +192,6 @@ def _results_of(run, outcome, fixed, size):
         "scan_overflow": np.int32(run.pilot.points_left_out),
         "drift_m": np.float32(np.hypot(*(now.truth - now.pose)[:2])),
         "end": now.truth,
-        "guide": None,
     }
     result = RunResult(**fields)
     pitch = np.zeros(len(mode), np.float32)

@@ -115,49 +115,6 @@ class Motion(Settings):
     stray_m: float = 3.0  # within this
 
 
-@dataclasses.dataclass(frozen=True)
-class Route(Settings):
-    """Following a route."""
-
-    # a match lies within this share of the way plus this many metres of its mapped position
-    match_tolerance: tuple[float, float] = (0.1, 1.0)
-    exact_match_tolerance: tuple[float, float] = (0.2, 1.5)  # within these if its exits are exactly those of the map
-    at_mapped_m: float = 0.7  # one that is so near is it, if only the way on is there
-    # and one that is as near as this is it, whatever is seen there, also in free space: the robot steers on
-    at_mapped_unseen_m: float = 0.4
-    misfit_m: float = 0.3  # m; a missing or additional exit adds this to the distance from the mapped position
-    back_rad: float = math.radians(120)  # an exit that bears farther from the expected direction does not count
-    # at a place that the map does not have, the robot turns to the next if that is farther than this; at one so near
-    # that has not been seen yet, it looks round
-    next_place_m: float = 1.5
-    heading_share: float = 0.5  # of what the ways of a place say of the heading, by their median
-    # and no more than this: the middle of one seen elsewhere turns its ways
-    max_heading_turn_rad: float = math.radians(10)
-    # of what a place says of where the map lies: it may be another, and its middle is seen differently
-    anchor_share: float = 0.3
-    other_place_share: float = 0.5  # a place is not on the route if another of the map lies nearer than this share
-    # m; without an opening, an exit exists if a strip from the place's middle is free this far
-    open_strip_m: float = 2.0
-    strip_m: float = 0.6  # so wide
-    straight_leg_ratio: float = 1.15  # a way longer than this multiple of the distance of its ends is not straight
-    straight_leg_m: float = 2.0  # nor is a leg shorter than this
-    # ratio and m of the way: without any next place within these the robot is lost
-    lost_bound: tuple[float, float] = (1.5, 5.0)
-    # m; tolerance of the end, increase per metre of excess way, and maximum
-    end_m: tuple[float, float, float] = (0.4, 0.2, 0.8)
-    # ratio and m: a link not longer than the distance of its ends by more is straight
-    straight_link: tuple[float, float] = (1.25, 1.0)
-    # ratio and m of the way along which the robot steers for the next place
-    steer_bound: tuple[float, float] = (1.5, 3.0)
-    sight_m: float = 2.5  # a place that is so near, with a free way to it, is steered for anywhere
-    known_way_m: float = 4.0  # the robot knows of no free way farther than this
-    sight_slack_m: float = 0.3  # m; a way to a place may fall short by this
-    hop_m: float = 1.0  # m; free length required of a way to steer along
-    # of a direction's distance from that taken before, against that from where the place lies
-    keep_course_weight: float = 0.5
-    towards_rad: float = math.radians(110)  # no way farther off leads towards a place
-
-
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Params(Settings):
@@ -168,7 +125,6 @@ class Params(Settings):
     places: Places = dataclasses.field(default_factory=Places)
     graph: Graph = dataclasses.field(default_factory=Graph)
     motion: Motion = dataclasses.field(default_factory=Motion)
-    route: Route = dataclasses.field(default_factory=Route)
 
 
 def default_numbers() -> dict[str, float]:

@@ -1,80 +1,16 @@
-"""Candidates that a robot rejects, and the links and points by which it leaves a place."""
+"""Candidates that a robot rejects, and the points by which it leaves a place."""
 
-import dataclasses
-import functools
 import math
-from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
 from jexplore import btm
-from jexplore.btm import Btm
 from jexplore.driving import links
-from jexplore.driving.guiding.guide import is_next, match_place
 from jexplore.driving.params.tree import P
-from jexplore.driving.records import Arrival, DueNode, Guide, Onward, Openings, Writer
+from jexplore.driving.records import Arrival, DueNode, Openings, Writer
 from jexplore.driving.settings import Tuning
-from jexplore.driving.vehicle import rotate_by, to_odometry, towards
-
-
-class Left(NamedTuple):
-    """Direction and link by which a robot leaves a place."""
-
-    guide: Guide | None
-    map: Btm
-    link: Array  # int32
-    bearing: Array  # float32, radians, of the link there
-    onward: Onward | None  # what the route says: radians and metres, turned as the map's node has them
-
-
-def leave_place(
-    map_: Btm,
-    writer: Writer,
-    event: DueNode,
-    node: Array,
-    found: Openings,
-    is_place: Array,
-    points: tuple[Array, Array],
-    usual: tuple[Array, Array],
-    turned: tuple[Array, Array],
-) -> Left:
-    """Choose where a robot that follows a route goes on.
-
-    If no link leads there, a new one is made if the way is open or free; if no exit at all leads that way, the robot
-    steers for the next place.
-
-    Args:
-      is_place: bool, whether it is a divergence.
-      usual: `(link, bearing)`: int32, link chosen without a route; float32, its bearing in the node's frame, radians.
-      turned: `(turn, correction)`: float32, rotation of the node's bearings (also of `found` and `usual`) against the
-        odometry in which they were measured, radians; `[3]` float32, correction of the odometry by a share of that
-        turn, metres and radians, see `correct_guide`.
-
-    Returns:
-      `Left`; without a route, the given values. `onward` is the guide's, turned by `turn` about `event.centre`;
-        `is_free`: the new link starts at no opening.
-    """
-    (onto, bearing), (turn, shift) = usual, turned
-    if writer.guide is None:
-        return Left(None, map_, onto, bearing, None)
-    free_m = functools.partial(links.reach_m, points, width_m=P.route.strip_m)
-    measured = dataclasses.replace(found, bearing=found.bearing - turn)
-    ahead, way = match_place(writer.guide, event.odometer_m, event.centre, measured, is_place, free_m)
-    to_node = to_odometry(jnp.append(event.centre, turn))
-    way = way._replace(bearing=way.bearing + turn, middle=to_node(way.middle - event.centre))
-    ahead = ahead.replace(from_xy=ahead.from_xy + shift)
-    link, out, off = links.link_toward(map_, node, way.bearing)
-    is_open = jnp.any(found.valid & (jnp.abs(btm.wrapped(found.bearing - way.bearing)) < P.places.same_exit_rad))
-    there = jnp.isfinite(off)
-    link, out = jnp.where(there, link, onto), jnp.where(there, out, bearing)
-    wanted = is_place & (off > P.places.same_exit_rad) & (way.is_free | is_open)
-    map_, new = btm.add_link(map_, node, way.bearing, when=wanted)
-    is_new = wanted & (new < map_.start.shape[0])
-    link, out = jnp.where(is_new, new, link), jnp.where(is_new, way.bearing, out)
-    ahead = ahead.replace(steers=ahead.steers | (is_place & (off > P.route.back_rad) & ~is_new))
-    way = way._replace(is_free=is_new & way.is_free)
-    return Left(ahead, map_, jnp.where(is_place, link, onto), jnp.where(is_place, out, bearing), way)
+from jexplore.driving.vehicle import rotate_by, towards
 
 
 def is_rejected(writer: Writer, event: DueNode, measured: tuple[Array, Openings], others: Array, at: Arrival,
@@ -97,8 +33,6 @@ def is_rejected(writer: Writer, event: DueNode, measured: tuple[Array, Openings]
     in_line &= (n == 2) | ((n == 1) & (free_m > tuning.circle * event.radius))
     corner = (n == 1) & jnp.any(found.valid & is_behind(found)) & ~at.again
     passes = is_divergence & (in_line | corner)
-    if writer.guide is not None:  # never where the route has the next place
-        passes &= ~is_next(writer.guide, event.centre)
     return passes, jnp.where(corner, jnp.argmax(found.valid), other)
 
 
