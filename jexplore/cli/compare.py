@@ -50,7 +50,7 @@ def default_episodes() -> int:
 class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOptions):
     """Compare strategies in worlds, all from the same starts.
 
-    Prints a table and writes episodes.parquet, details.npz, run.json, compare.png, coverage.png, paths.png and
+    Prints a table and writes episodes.parquet, details.parquet, run.json, compare.png, coverage.png, paths.png and
     report.html. Finished episodes are stored on the way: --resume continues a run that was ended in any way.
     """
 

@@ -18,7 +18,7 @@ from jexplore.config import InputError
 from jexplore.report.store import reason, sync_folder
 
 OUR_FILES = (
-    *("run.json", "episodes.parquet", "details.npz", "report.html"),
+    *("run.json", "episodes.parquet", "details.parquet", "report.html"),
     *("compare.png", "coverage.png", "paths.png", "waste.png", "league.png"),  # compare
     *("compare.svg", "coverage.svg", "league.svg"),
     *("episode.png", "episode.gif", "explored.yaml", "explored.pgm", "worlds.png"),  # explore, worlds
