@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from jexplore.report.plot import PALETTE, wrapped_text
-from jexplore.report.plots.looks import legend_below
+from jexplore.report.plots.looks import legend_below, plain_axes
 from jexplore.tracemap.picture import STUB_M, draw_btm, link_lines
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.route import Route
@@ -94,10 +94,8 @@ def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2
         style = {"ha": "center", "va": "bottom", "fontsize": 7, "transform": above}
         ax.text(driven[now], 1.03 + 0.14 * row, str(node.id), **style)
     ax.set_xlim(0, max(driven[-1], 1e-9))
-    ax.set_xlabel("way driven (m), nodes above", fontsize=8)
-    ax.set_ylabel("pitch (°)", fontsize=8)
-    ax.tick_params(labelsize=8)
-    ax.spines[["top", "right"]].set_visible(False)
+    ax.set(xlabel="way driven (m), nodes above", ylabel="pitch (°)")
+    plain_axes(ax)
     return line
 
 
