@@ -37,7 +37,7 @@ FOUND = ComparisonResult(
 def folder(tmp_path):
     """Of a comparison of one episode, whose record is changed and written by `write`."""
     store.write_parquet(EPISODES, tmp_path / "episodes.parquet")
-    details.write_details(FOUND, tmp_path / details.DETAILS)
+    store.write_parquet(details.details_of(FOUND), tmp_path / details.DETAILS)
 
     def write(record):
         (tmp_path / "run.json").write_text(json.dumps(record))

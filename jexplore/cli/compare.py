@@ -177,7 +177,6 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
 
     def _beside(self, found, tasks, out):
         """Complete a comparison and its files by waste and bounds; the last is False after an interruption."""
-        from jexplore.report import store
         from jexplore.studies.bounds.bound import run_bounds
 
         files, is_whole = {}, not found.interrupted
@@ -190,7 +189,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
                     bounds = run_bounds(tasks, **how, on_progress=on_progress)
                 is_whole = not bounds.interrupted
                 found = dataclasses.replace(found, episodes=bounds.beside(found))
-                files["bounds.parquet"] = lambda path: store.write_parquet(bounds.table, path)
+                files["bounds.parquet"] = bounds.table
             except KeyboardInterrupt:  # before the first: the comparison is there
                 is_whole = False
         return found, files, is_whole
@@ -274,13 +273,13 @@ def finish_comparison(
     figures: "Mapping[str, Callable[[], Figure]]",
     record: Callable[..., Any],
     jobs: "Sequence[Job] | None" = None,
-    more: Mapping[str, Callable[..., Any]] = MappingProxyType({}),
+    more: Mapping[str, Any] = MappingProxyType({}),
     *,
     is_whole: bool = True,
 ) -> int:
     """Write, print and draw the common output of comparisons and reproductions; return the exit status.
 
-    `record` gets more entries of run.json and returns all; `more` are files besides: name -> writer.
+    `record` gets more entries of run.json and returns all; `more` are files besides: name -> content.
     """
     from jexplore.studies.results import saving
 

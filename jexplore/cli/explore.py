@@ -83,15 +83,11 @@ class Explore(ReportOptions, TimedOptions):
             return out.finish(record, {}, "\n".join(lines), self._pictures(found, record))
 
     def _pictures(self, found, record):
-        """Return pictures, animation and page: name -> writer."""
+        """Return pictures, animation and page: name -> content."""
         from jexplore.exploration.results import map_state, to_occupancy
-        from jexplore.report import plot
         from jexplore.report.page.report import write_report
         from jexplore.report.tables import aligned_table
         from jexplore.worlds.readers.ros import write_ros
-
-        def picture(path):
-            plot.save_figure(found.figure(), path)
 
         def animation(path):
             with progress_of(min(found.measures["steps"] + 1, self.frames), "frames") as progress:
@@ -108,7 +104,7 @@ class Explore(ReportOptions, TimedOptions):
             state = map_state(final.hits, final.misses, self.rules.p_free)
             write_ros(to_occupancy(state), path, cell_m=world.cell_m, origin_m=world.origin_m)
 
-        writers = {"episode.png": picture, "explored.yaml": explored}
+        writers = {"episode.png": found.figure, "explored.yaml": explored}
         if found.can_be_replayed:
             writers["episode.gif"] = animation
         return writers | ({"report.html": page} if self.report else {})

@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -194,19 +193,18 @@ class Out:
     def finish(
         self,
         record: Mapping[str, Any],
-        files: Mapping[str, Callable[[Path], Any]],
+        files: Mapping[str, Any],
         text: str,
-        pictures: Mapping[str, Callable[[Path], Any]] = MappingProxyType({}),
+        pictures: Mapping[str, Any] = MappingProxyType({}),
         *,
         interrupted: bool = False,
     ) -> int:
         """Write the files and run.json, all or none; print the text and add the pictures; return the exit status.
 
-        A reader of the output who goes away costs neither results nor pictures.
+        Files and pictures are name -> content, see `store.write_content`. A reader of the output who goes away costs
+        neither results nor pictures.
         """
-        from jexplore.report import store
-
-        files = {**files, "run.json": lambda path: store.write_json(record, path)}
+        files = {**files, "run.json": record}
         self.run.write(files, is_finished=not interrupted)
         try:
             if text:
@@ -220,15 +218,15 @@ class Out:
             return say("jexplore: interrupted, what was finished was written", INTERRUPTED)
         return 0
 
-    def draw(self, writers: Mapping[str, Callable[[Path], Any]]) -> list[str]:
+    def draw(self, pictures: Mapping[str, Any]) -> list[str]:
         """Add pictures to the output; return the names of those written.
 
         A failing one costs a warning; an interruption skips the rest.
         """
         drawn = []
-        for name, write in writers.items():
+        for name, content in pictures.items():
             try:
-                self.run.add(name, write)
+                self.run.add(name, content)
                 drawn.append(name)
             except KeyboardInterrupt:
                 print(f"warning: interrupted, {name} was left out", file=sys.stderr)
@@ -237,9 +235,9 @@ class Out:
                 print(f"warning: {name} could not be drawn: {first_line(error)}", file=sys.stderr)
         return drawn
 
-    def draw_missing(self, writers: Mapping[str, Callable[[Path], Any]] = MappingProxyType({})) -> int:
+    def draw_missing(self, pictures: Mapping[str, Any] = MappingProxyType({})) -> int:
         """Add the pictures that a finished run lacks, tell so and return the exit status."""
-        drawn = self.draw({name: write for name, write in writers.items() if not (self.run.path / name).is_file()})
+        drawn = self.draw({name: own for name, own in pictures.items() if not (self.run.path / name).is_file()})
         what = f"drew {', '.join(drawn)}" if drawn else "nothing was left to do"
         print(f"{self.run.path}{os.sep} holds all of it: {what}")
         return 0

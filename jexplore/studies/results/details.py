@@ -12,7 +12,7 @@ import pandas as pd
 
 from jexplore.config import InputError
 from jexplore.exploration.state import MARKS
-from jexplore.report.store import read_parquet, write_parquet
+from jexplore.report.store import read_parquet
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.worlds.world import World
 
@@ -81,8 +81,8 @@ def parts_of(table: Any) -> dict[str, Any]:
     return {"first": first, "progress": progress, "paths": paths, "maps": maps}
 
 
-def write_details(found: Any, path: Path) -> None:
-    """Write worlds and `EXTRAS` of a `ComparisonResult`, a row an episode of its table."""
+def details_of(found: Any) -> pd.DataFrame:
+    """Return the worlds and `EXTRAS` of a `ComparisonResult` as bytes, a row an episode of its table, for its file."""
     episodes, worlds = found.episodes, {os.fspath(world.name): world for world in found.worlds}
     seen = {(world, one.strategy, 0): one for world, own in found.first.items() for one in own}
     keys = zip(episodes["world"], episodes["strategy"], episodes["episode"])
@@ -93,7 +93,7 @@ def write_details(found: Any, path: Path) -> None:
     own = [worlds.pop(name, None) for name in episodes["world"]]
     kept = "occupied", "cell_m", "origin_m", "rooms", "start", "name"
     extras[WORLD] = [world and _packed(**{name: getattr(world, name) for name in kept}) for world in own]
-    write_parquet(to_file(pd.DataFrame(extras)), path)
+    return to_file(pd.DataFrame(extras))
 
 
 def read_details(folder: Path) -> tuple[pd.DataFrame, tuple[World, ...]]:
