@@ -8,19 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from jexplore.cli.options import (
     DEFAULT_STRATEGIES,
-    ContactText,
     EngineOptions,
     IntegerList,
-    MapFile,
-    MemberTexts,
     MetricNames,
     OwnNames,
-    PolygonText,
     ReportOptions,
     ResumeOptions,
-    StartsText,
-    StartText,
-    TimedOptions,
+    SceneOptions,
     TrustOptions,
     TunedFile,
     UntilText,
@@ -47,7 +41,7 @@ def default_episodes() -> int:
 
 
 @dataclasses.dataclass(frozen=True)
-class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOptions):
+class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOptions):
     """Compare strategies in worlds, all from the same starts.
 
     Prints a table and writes episodes.parquet, details.parquet, run.json, compare.png, coverage.png, paths.png and
@@ -67,34 +61,12 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
     (decided): --episodes is then the most. Intervals that hold although one looks again and again."""
     seed: int = 0
     """Draw starts and all that is random from this seed."""
-    cell_m: float = 0.1
-    """Make the edge of a cell this long, in metres."""
-    start: StartText = "random"
-    """Draw the starts from the seed (random), or start all episodes at every world's own start (world), in one cell
-    (12,30,90: row, column, heading in degrees) or at one point of the map's frame in metres (2.0m,1.5m,90: x, y, yaw in
-    degrees; 1.57rad: in radians)."""
-    within: PolygonText = None
-    """Have robots stay within a polygon, corners x,y in metres of the map's frame ('0,0 5,0 5,4'). Beams pass its
-    edge; what lies outside is not to be explored."""
-    from_map: MapFile = None
-    """Go on from a partial map of the same cells, such as explored.yaml of `jexplore explore`: what it shows is known
-    from the beginning, and drawn starts lie where it shows free floor."""
     robots: IntegerList = None
     """Explore with teams of these sizes, up to 16 robots; the others are compared with the first. Paths are then times
     on the team's clock."""
     coordination: OwnNames = None
     """Have teams choose targets in these ways: independent, greedy, hungarian, minpos, voronoi, segments, or a function
     of yours such as mine:apart (default: independent)."""
-    contact: ContactText = "all"
-    """Whom a robot hears: all, none, those within a distance (range:4, in metres) or in sight (line-of-sight, or within
-    a distance line-of-sight:4), and whom they hear; with ,delay=10 a link must have held for ten steps, with ,loss=0.2
-    it fails a fifth of the time."""
-    team_starts: StartsText = ("together",)
-    """Start all robots next to the first (together), far from each other (apart), or in these cells (12,30,90 12,31,90:
-    row, column, heading in degrees)."""
-    members: MemberTexts = ()
-    """Give the robots different paces and scanners: a text for each robot of the largest team, such as pace=2 (a step
-    takes twice the time), range=3 (its scanner reaches 3 m) or pace=2,range=3."""
     metric: MetricNames = None
     """Add columns of your own: functions of an episode in a module here or installed, such as mine:crowding;
     name=mine:crowding names the column."""
