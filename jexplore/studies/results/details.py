@@ -37,23 +37,24 @@ class Seen(NamedTuple):
     path_m: float
 
 
-def _packed(**arrays):
+def packed(**arrays: Any) -> bytes:
+    """Pack arrays, numbers and texts by name, without those that are None, as the value of a column."""
     file = io.BytesIO()
     np.savez(file, **{name: value for name, value in arrays.items() if value is not None})
     return zlib.compress(file.getvalue(), 1)
 
 
-def _unpacked(data):
-    """Return what `_packed` got, single values as Python's."""
+def unpacked(data: bytes) -> dict[str, Any]:
+    """Return what `packed` got, single values as Python's."""
     with np.load(io.BytesIO(zlib.decompressobj().decompress(data, MAX_VALUE_BYTES))) as arrays:
         return {name: value if value.ndim else value.item() for name, value in arrays.items()}
 
 
 _CODECS = {
     PROGRESS: (np.ndarray.tobytes, lambda data: np.frombuffer(data, np.float64, MARKS)),
-    SEEN: (lambda seen: seen and _packed(**seen._asdict()), lambda data: data and Seen(**_unpacked(data))),
-    WAY: (lambda way: _packed(way=way), lambda data: _unpacked(data)["way"]),
-    MAP: (lambda state: _packed(map=state), lambda data: _unpacked(data)["map"]),
+    SEEN: (lambda seen: seen and packed(**seen._asdict()), lambda data: data and Seen(**unpacked(data))),
+    WAY: (lambda way: packed(way=way), lambda data: unpacked(data)["way"]),
+    MAP: (lambda state: packed(map=state), lambda data: unpacked(data)["map"]),
 }
 
 
@@ -92,7 +93,7 @@ def details_of(found: Any) -> pd.DataFrame:
             extras[name] = list(itertools.chain.from_iterable(of_pair.values()))
     own = [worlds.pop(name, None) for name in episodes["world"]]
     kept = "occupied", "cell_m", "origin_m", "rooms", "start", "name"
-    extras[WORLD] = [world and _packed(**{name: getattr(world, name) for name in kept}) for world in own]
+    extras[WORLD] = [world and packed(**{name: getattr(world, name) for name in kept}) for world in own]
     return to_file(pd.DataFrame(extras))
 
 
@@ -101,7 +102,7 @@ def read_details(folder: Path) -> tuple[pd.DataFrame, tuple[World, ...]]:
     episodes, details = read_parquet(folder / "episodes.parquet", required=COLUMNS), read_parquet(folder / DETAILS)
     if len(details) != len(episodes):
         raise InputError(f"{folder / DETAILS} must have a row for each of {len(episodes)} episodes")
-    worlds = [_unpacked(data) for data in details[WORLD] if data is not None]
+    worlds = [unpacked(data) for data in details[WORLD] if data is not None]
     for world in worlds:
         world |= {name: tuple(world[name].tolist()) for name in ("start", "origin_m") if name in world}
     return episodes.join(of_file(details.drop(columns=WORLD))), tuple(World(**world) for world in worlds)
