@@ -32,7 +32,7 @@ PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f
 """Okabe and Ito's colours, told apart by colour-blind readers; a ninth strategy starts over with a hatch."""
 MAP_RGB = np.array([[184, 184, 184], [255, 255, 255], [0, 0, 0]], dtype=np.uint8)
 """Colours of the map states unknown, free, occupied."""
-TARGET = "#0072b2"
+FRONTIER, TARGET = "#e01010", "#0072b2"
 PROGRESS = ListedColormap(matplotlib.colormaps["plasma"](np.linspace(0.0, 0.85, 256)), name="progress")
 """Start to end of a path; without the pale end, which white floor would swallow."""
 ARROW = Outline([(1.0, 0.0), (-0.6, 0.6), (-0.3, 0.0), (-0.6, -0.6), (1.0, 0.0)], closed=True)
