@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from jexplore.config import InputError
-from jexplore.report.store import reason, sync_folder, write_content
+from jexplore.report.store import atomic, reason, sync_folder, write_json, write_parquet
 
 OUR_FILES = (
     *("run.json", "episodes.parquet", "details.parquet", "report.html"),
@@ -37,11 +37,38 @@ OUR_FILES = (
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
 
+VECTORS = ("compare.png", "coverage.png", "league.png", "reproduce.png", "sweep.png", "sweep-map.png")
+"""Pictures that are written as SVG as well."""
 UNFINISHED = ".unfinished"  # folder for the finished units of a run, in its own
 LOCK = ".lock"  # file that is locked while a process has the folder to itself
 STAGED = ".part"  # ending of hidden folders in which files are written before they count
 READY = ".ready"  # folder of a run that is written and counts; the old one goes
 MOVING = ".moving"  # the same, once the old one has gone
+
+
+def write_content(content: Any, path: Path) -> None:
+    """Write a file of a run, whole or not at all.
+
+    Args:
+      content: a table, plain values or text; a function that makes a figure for a picture (.png), for any other file
+        one that writes it.
+      path: the file. Its ending decides how a table is written; a picture of `VECTORS` is written as SVG as well.
+    """
+    if path.suffix == ".png":
+        from jexplore.report import plot
+
+        figure = content()
+        for ending in (".png", ".svg") if path.name in VECTORS else (".png",):
+            plot.save_figure(figure, path.with_suffix(ending))
+    elif callable(content):
+        content(path)
+    elif isinstance(content, Mapping):
+        write_json(content, path)
+    elif path.suffix == ".parquet":
+        write_parquet(content, path)
+    else:
+        with atomic(path) as part:
+            part.write_text(content if isinstance(content, str) else content.to_csv(index=False), encoding="utf-8")
 
 
 class RunFolder:

@@ -13,7 +13,7 @@ import math
 import os
 import platform
 import secrets
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,10 +32,6 @@ MAX_RECORD_BYTES = 2**26
 """Of a run.json that is read: starts and settings of a hundred thousand runs."""
 MAX_TABLE_VALUES = 2**28
 """Of a table that is read: 2 GiB of numbers. A few bytes of a Parquet file may stand for as many equal ones."""
-
-
-VECTORS = ("compare.png", "coverage.png", "league.png", "reproduce.png", "sweep.png", "sweep-map.png")
-"""Pictures that are written as SVG as well."""
 
 
 def reason(error):
@@ -142,31 +138,6 @@ def write_json(obj: Any, path: str | os.PathLike[str]) -> None:
     text = json.dumps(jsonable(obj), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic(path) as part:
         part.write_text(text, encoding="utf-8", errors="backslashreplace")  # arguments may be no UTF-8
-
-
-def write_content(content: Any, path: Path) -> None:
-    """Write a file of a run, whole or not at all.
-
-    Args:
-      content: a table, plain values or text; a function that makes a figure for a picture (.png), for any other file
-        one that writes it.
-      path: the file. Its ending decides how a table is written; a picture of `VECTORS` is written as SVG as well.
-    """
-    if path.suffix == ".png":
-        from jexplore.report import plot
-
-        figure = content()
-        for ending in (".png", ".svg") if path.name in VECTORS else (".png",):
-            plot.save_figure(figure, path.with_suffix(ending))
-    elif callable(content):
-        content(path)
-    elif isinstance(content, Mapping):
-        write_json(content, path)
-    elif path.suffix == ".parquet":
-        write_parquet(content, path)
-    else:
-        with atomic(path) as part:
-            part.write_text(content if isinstance(content, str) else content.to_csv(index=False), encoding="utf-8")
 
 
 def _version(package):

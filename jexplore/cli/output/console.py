@@ -201,7 +201,7 @@ class Out:
     ) -> int:
         """Write the files and run.json, all or none; print the text and add the pictures; return the exit status.
 
-        Files and pictures are name -> content, see `store.write_content`. A reader of the output who goes away costs
+        Files and pictures are name -> content, see `folders.write_content`. A reader of the output who goes away costs
         neither results nor pictures.
         """
         files = {**files, "run.json": record}
