@@ -9,6 +9,7 @@ from PIL import Image
 from ref.refusals import refused
 
 from jexplore.report import animate, plot
+from jexplore.worlds.world import ROBOT
 
 STATE = np.array([[2, 2, 2, 2], [2, 1, 1, 0], [2, 2, 0, 0]], dtype=np.uint8)
 
@@ -45,7 +46,7 @@ def test_gif_pixels_by_hand(tmp_path):
     colours = np.array([[184] * 3, [255] * 3, [0] * 3, [224, 16, 16]])[np.where(frontier, 3, STATE)]
     corner = picture[: 3 * 160][8::160, 8::160][::-1]  # the upper left corner of each cell
     np.testing.assert_array_equal(corner, colours)
-    assert (picture[3 * 160 - 80, 80] == to_bytes(plot.ROBOT)).all()  # in the middle of cell (0, 0)
+    assert (picture[3 * 160 - 80, 80] == to_bytes(ROBOT)).all()  # in the middle of cell (0, 0)
     ring = (picture[: 3 * 160] == to_bytes(plot.TARGET)).all(axis=-1)
     rows, cols = np.nonzero(ring)
     assert abs(rows.mean() - 80) < 1

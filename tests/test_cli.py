@@ -74,7 +74,7 @@ def refused(capsys, arguments, message):
 
 def test_compare_writes_a_whole_run(ran, world):
     assert files(ran) == [
-        *("compare.png", "compare.svg", "coverage.png", "coverage.svg", "details.npz", "episodes.parquet"),
+        *("compare.png", "compare.svg", "coverage.png", "coverage.svg", "details.parquet", "episodes.parquet"),
         *("paths.png", "report.html", "run.json"),
     ]
     table = pd.read_parquet(ran / "episodes.parquet")
@@ -122,7 +122,7 @@ def test_compare_again_is_the_same_and_prints_the_table(ran, world, tmp_path, pr
     assert "| random " in said
     (folder,) = (tmp_path / "runs").iterdir()
     assert folder.name.endswith("Z-compare")
-    wrote = "episodes.parquet, details.npz, run.json, coverage.png, compare.png, paths.png, report.html"
+    wrote = "episodes.parquet, details.parquet, run.json, coverage.png, compare.png, paths.png, report.html"
     assert said.splitlines()[-1] == f"wrote {wrote} to runs/{folder.name}/"
     again, whole = (pd.read_parquet(at / "episodes.parquet") for at in (folder, ran))
     pd.testing.assert_frame_equal(again, whole[(whole["episode"] < 2)][:4].reset_index(drop=True))

@@ -163,7 +163,8 @@ def test_the_league_with_worlds_and_strategies_of_ones_own(tmp_path, capsys):
     more = ["--worlds", *worlds, "--strategies", *strategies, "--episodes", "2", "--out", str(out)]
     assert main.main(["compare", "--league", *more]) == 0
     pictures = {f"{name}.{kind}" for name in ("coverage", "league") for kind in ("png", "svg")}
-    assert {p.name for p in out.iterdir()} == pictures | {"details.npz", "episodes.parquet", "report.html", "run.json"}
+    tables = {"details.parquet", "episodes.parquet"}
+    assert {p.name for p in out.iterdir()} == pictures | tables | {"report.html", "run.json"}
     record = json.loads((out / "run.json").read_text())
     assert record["configuration"]["worlds"] == worlds
     assert record["standings"][0]["strategy"] in strategies

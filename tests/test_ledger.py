@@ -91,12 +91,12 @@ def test_a_claim_that_keeps_nothing_leaves_nothing(tmp_path):
 
 def test_only_files_of_a_run_are_replaced_and_only_when_allowed(tmp_path):
     out = tmp_path / "a" / "b"
-    assert write(out, "run.json", "compare.png") == out
+    assert write(out, "run.json", "compare.svg") == out
     (out / "notes.txt").write_text("mine")
     (out / "photo.png").write_text("mine")
-    (out / "paths.png").symlink_to(out / "photo.png")
+    (out / "episode.gif").symlink_to(out / "photo.png")
     before = content(out)
-    for name in ("run.json", "compare.png"):
+    for name in ("run.json", "compare.svg"):
         refused(rf"holds a run \({name}\): choose another folder or allow overwriting", write, out, "run.json")
         assert content(out) == before
         (out / name).unlink()
@@ -132,7 +132,7 @@ def test_a_file_that_fails_leaves_everything_as_it_was(tmp_path, error):
         raise error
 
     expected = pytest.raises(InputError, match="No space") if isinstance(error, OSError) else pytest.raises(error)
-    writers = {**texts("run.json"), "paths.png": fails}
+    writers = {**texts("run.json"), "episode.gif": fails}
     with expected, claimed(tmp_path / "new" / "run") as run:
         run.write(writers)
     assert names(tmp_path) == []
@@ -140,11 +140,11 @@ def test_a_file_that_fails_leaves_everything_as_it_was(tmp_path, error):
     with expected, claimed(tmp_path, overwrite=True) as run:
         run.write(writers)
     with expected, claimed(tmp_path, overwrite=True) as run:
-        run.add("paths.png", fails)
+        run.add("episode.gif", fails)
     assert content(tmp_path) == {"run.json": "old"}
     with claimed(tmp_path, overwrite=True) as run:
-        run.add("paths.png", lambda path: path.write_text("picture"))
-    assert content(tmp_path) == {"run.json": "old", "paths.png": "picture"}
+        run.add("episode.gif", lambda path: path.write_text("picture"))
+    assert content(tmp_path) == {"run.json": "old", "episode.gif": "picture"}
 
 
 KILLED = """
@@ -165,7 +165,7 @@ def begin(folder, last):
     with folders.claimed(folder, overwrite=True) as run:
         folders.os.replace = counted(os.replace)
         Path.unlink, Path.rmdir = counted(Path.unlink), counted(Path.rmdir)
-        run.write(dict.fromkeys(("run.json", "compare.png", "episodes.parquet"), lambda path: path.write_text("new")))
+        run.write(dict.fromkeys(("run.json", "compare.svg", "episodes.parquet"), lambda path: path.write_text("new")))
 
 for folder in sorted(Path(sys.argv[1]).iterdir()):
     pid = os.fork()
@@ -184,7 +184,7 @@ for folder in sorted(Path(sys.argv[1]).iterdir()):
 def test_one_whole_run_is_there_whenever_the_writer_is_ended(tmp_path, how):
     """Nine steps: the new run counts, three old files go, it is moved, three files come, their folder goes."""
     for step in range(1, 12):
-        write(tmp_path / f"{step:02d}", "run.json", "episodes.parquet", "paths.png", text="old")
+        write(tmp_path / f"{step:02d}", "run.json", "episodes.parquet", "episode.gif", text="old")
     said, _ = python(KILLED, tmp_path, int(getattr(signal, how))).communicate(timeout=300)
     ended = {int(step): int(failed) for step, failed in map(str.split, said.splitlines())}
     assert ended == {step: int(step <= 10) for step in range(1, 12)}  # the tenth is of what follows
@@ -195,9 +195,9 @@ def test_one_whole_run_is_there_whenever_the_writer_is_ended(tmp_path, how):
             with claimed(folder, overwrite=True):
                 pass
         assert content(folder) == (
-            dict.fromkeys(("run.json", "episodes.parquet", "paths.png"), "old")
+            dict.fromkeys(("run.json", "episodes.parquet", "episode.gif"), "old")
             if step == 1
-            else dict.fromkeys(("run.json", "episodes.parquet", "compare.png"), "new")
+            else dict.fromkeys(("run.json", "episodes.parquet", "compare.svg"), "new")
         ), step
 
 

@@ -10,7 +10,9 @@ from ref.refusals import refused
 import jexplore as jx
 from jexplore.config import __version__
 from jexplore.report import store
+from jexplore.studies.results import details
 from jexplore.studies.results.columns import COLUMNS
+from jexplore.studies.results.comparison import ComparisonResult
 from jexplore.studies.results.loading import load, merge
 
 RECORD = {
@@ -19,15 +21,23 @@ RECORD = {
     "environment": {"jexplore": __version__},
     **{"compile_s": 1.0, "run_s": 1.0, "interrupted": False, "resumed": 0},
 }
-WORLD = {"occupied": np.ones((3, 3), bool), "cell_m": 0.1, "origin_m": np.zeros(2), "name": np.str_("w")}
-DETAILS = {f"world/0/{name}": value for name, value in WORLD.items()}
+EPISODES = pd.DataFrame({name: [0] for name in COLUMNS} | {"world": ["w"], "strategy": ["s"]})
+SEEN = details.Seen("s", np.zeros((3, 3), np.uint8), np.arange(2), np.arange(2), 0.1, 1.5)
+FOUND = ComparisonResult(
+    EPISODES,
+    (jx.World(np.ones((3, 3), bool), name="w", start=(1, 1, 45)),),
+    {"w": [SEEN]},
+    1.0,
+    1.0,
+    progress={("w", "s"): np.arange(100.0)[None]},
+)
 
 
 @pytest.fixture
 def folder(tmp_path):
-    """Of a comparison without an episode, whose record is changed and written by `write`."""
-    store.write_parquet(pd.DataFrame({name: [] for name in COLUMNS}), tmp_path / "episodes.parquet")
-    np.savez(tmp_path / "details.npz", **DETAILS)
+    """Of a comparison of one episode, whose record is changed and written by `write`."""
+    store.write_parquet(EPISODES, tmp_path / "episodes.parquet")
+    store.write_parquet(details.details_of(FOUND), tmp_path / details.DETAILS)
 
     def write(record):
         (tmp_path / "run.json").write_text(json.dumps(record))
@@ -38,7 +48,9 @@ def folder(tmp_path):
 
 def test_a_whole_folder_is_read(folder):
     found = load(folder(RECORD))
-    assert (found.lidar, [world.name for world in found.worlds]) == (jx.Lidar(range_m=4.0), ["w"])
+    assert (found.lidar, [world.start for world in found.worlds]) == (jx.Lidar(range_m=4.0), [(1, 1, 45)])
+    assert repr(found.first) == repr(FOUND.first)
+    np.testing.assert_array_equal(found.progress["w", "s"], FOUND.progress["w", "s"])
 
 
 @pytest.mark.parametrize("name", sorted(RECORD))
@@ -68,17 +80,18 @@ def test_a_field_of_a_later_version_is_told_with_both_versions(folder):
     refused(f"colour.*; jexplore '99.0' wrote it, this is {__version__}$", load, folder(later))
 
 
-@pytest.mark.parametrize("missing", ["world/0/cell_m", "world/0/name", "first/0/0/cols"])
-def test_incomplete_details_are_refused(folder, missing):
-    first = {"strategy": np.str_("s"), "state": np.zeros((3, 3), int), "rows": [1], "cols": [1], "path_m": 0.0}
-    whole = DETAILS | {f"first/0/0/{name}": value for name, value in first.items()}
+def test_incomplete_details_are_refused(folder):
     path = folder(RECORD)
-    np.savez(path / "details.npz", **{name: value for name, value in whole.items() if name != missing})
-    refused(f"must hold a whole run of this version: there is no '{missing}'", load, path)
-    np.savez(path / "details.npz", **whole, progress=np.zeros((2, 100)))
-    refused("details.npz must have the progress of 0 episodes", load, path)
-    (path / "details.npz").unlink()
-    refused("details.npz': there is no such file", load, path)
+    whole = pd.read_parquet(path / details.DETAILS)
+    for name in (details.WORLD, details.PROGRESS, details.SEEN):
+        store.write_parquet(whole.drop(columns=name), path / details.DETAILS)
+        refused(f"must hold a whole run of this version: there is no '{name}'", load, path)
+    store.write_parquet(whole.assign(_world=[b"x"]), path / details.DETAILS)
+    refused("must hold a whole run of this version: No data left", load, path)
+    store.write_parquet(pd.concat([whole, whole]), path / details.DETAILS)
+    refused("details.parquet must have a row for each of 1 episodes", load, path)
+    (path / details.DETAILS).unlink()
+    refused("details.parquet': there is no such file", load, path)
 
 
 @pytest.mark.parametrize("text", ["{", "[" * 600 + "]" * 600, "[]", "3", '"a"', ""])

@@ -81,32 +81,6 @@ def test_path_of_one_cell_and_of_none_and_one_that_stays(ax):
         plot.draw_path(ax, [], [], 0.5)
 
 
-@pytest.mark.parametrize(("heading_deg", "toward"), [(0, (1, 0)), (90, (0, 1)), (225, (-1, -1))])
-def test_robot_points_where_it_heads(ax, heading_deg, toward):
-    plot.draw_map(ax, np.ones((3, 4), dtype=np.uint8), 0.5)
-    ax.axis("off")
-    robot = plot.draw_robot(ax, 1, 2, heading_deg, 0.5, size=40)
-    np.testing.assert_allclose(robot.get_xydata(), [[1.25, 0.75]])
-    rows, cols = np.nonzero((pixels(ax.figure) < 250).any(axis=-1))
-    points = np.stack([cols - 249.5, 149.5 - rows], axis=-1)  # relative to the robot's cell centre, y up
-    tip = points[np.argmax((points**2).sum(axis=1))]
-    unit = np.array(toward) / np.hypot(*toward)
-    assert tip @ unit > 0.97 * np.hypot(*tip)
-
-
-def test_rooms_by_hand(ax):
-    rooms = np.full((5, 7), -1, dtype=np.int32)
-    rooms[1:4, 1:3], rooms[1:4, 4:6] = 0, 1
-    plan = World(occupied=rooms < 0, rooms=rooms, cell_m=1.0)
-    plan.occupied[2, 3] = False  # the door belongs to no room
-    image = plot.draw_rooms(ax, plan)
-    colours = np.asarray(image.get_array())
-    assert np.array_equal(colours[0, 0], [0, 0, 0])
-    assert np.array_equal(colours[2, 3], [1, 1, 1])
-    assert len(np.unique(colours[rooms == 0], axis=0)) == 1
-    assert not np.array_equal(colours[1, 1], colours[1, 4])
-
-
 def entries():
     tall, wide = np.ones((40, 20), np.uint8), np.ones((15, 60), np.uint8)
     cells = np.arange(2, 12)

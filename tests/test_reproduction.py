@@ -273,7 +273,7 @@ def test_the_command_writes_a_whole_run(ran, small, tmp_path, printed):
     command = ["reproduce", small, "--episodes", "3", "--seed", "1", "--out", str(out), *CLI_LIDAR]
     said = printed(command).out
     assert said.startswith(ran.to_markdown())
-    assert said.splitlines()[-1] == f"wrote episodes.parquet, details.npz, run.json, reproduce.png to {out}/"
+    assert said.splitlines()[-1] == f"wrote episodes.parquet, details.parquet, run.json, reproduce.png to {out}/"
     pd.testing.assert_frame_equal(pd.read_parquet(out / "episodes.parquet"), ran.to_pandas())
     record = json.loads((out / "run.json").read_text())
     assert [row["paper_mean"] for row in record["tables"]] == ran.tables["paper_mean"].tolist()

@@ -122,7 +122,7 @@ def test_a_run_that_is_killed_again_and_again_comes_out_the_same(want, tmp_path,
     assert main.main([*COMMAND, "--out", str(folder), "--episodes", "240", "--resume"]) == 0
     assert sorted(made) == [unit for unit in range(60) if f"{unit:06d}.parquet" not in kept]  # none is made twice
     assert files(folder) == [
-        *("compare.png", "compare.svg", "coverage.png", "coverage.svg", "details.npz", "episodes.parquet"),
+        *("compare.png", "compare.svg", "coverage.png", "coverage.svg", "details.parquet", "episodes.parquet"),
         *("paths.png", "report.html", "run.json"),
     ]
     pd.testing.assert_frame_equal(pd.read_parquet(folder / "episodes.parquet"), want.episodes)
@@ -315,7 +315,7 @@ def test_a_picture_that_fails_costs_no_data(tmp_path, printed, monkeypatch):
     said = printed([*COMMAND, "--episodes", "3", "--out", str(tmp_path)])
     assert "warning: compare.png could not be drawn: no ink\n" in said.err
     assert said.out.splitlines()[-1].startswith(
-        "wrote episodes.parquet, details.npz, run.json, coverage.png, paths.png, report"
+        "wrote episodes.parquet, details.parquet, run.json, coverage.png, paths.png, report"
     )
     assert "compare.png" not in files(tmp_path)
 

@@ -1,14 +1,13 @@
 """A benchmark's report as pictures: how cost grows with batch size and with map size."""
 
-import itertools
 from collections.abc import Mapping
 from typing import Any
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from jexplore.report.plot import PALETTE, wrapped_text
-from jexplore.report.plots.looks import LINE_MARKERS
+from jexplore.report.plot import wrapped_text
+from jexplore.report.plots.looks import looks_of, plain_axes
 
 
 def _points_by_line(rows, x_name, y_of, names):
@@ -22,21 +21,18 @@ def _points_by_line(rows, x_name, y_of, names):
 
 
 def _draw_lines(ax, lines, title, x_label, y_label):
-    looks = zip(itertools.cycle(PALETTE), itertools.cycle(LINE_MARKERS))
-    for (name, (xs, ys)), (colour, marker) in zip(lines.items(), looks):
-        label = ax.plot(xs, ys, color=colour, marker=marker, markersize=4, linewidth=1.2)[0]
-        label.set_label(wrapped_text(name, 34, max_lines=2).replace("$", r"\$"))
+    looks = looks_of(lines)
+    for name, (xs, ys) in lines.items():
+        label = wrapped_text(name, 34, max_lines=2).replace("$", r"\$")
+        ax.plot(xs, ys, label=label, markersize=4, linewidth=1.2, **looks[name])
     ax.set_xscale("log", base=2)
     ax.set_yscale("log")
     ticks = sorted({x for xs, _ in lines.values() for x in xs})
     ax.set_xticks(ticks)
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.set_title(title, fontsize=10)
-    ax.set_xlabel(x_label)
-    ax.set_ylabel(y_label)
-    ax.grid(True, which="major", linewidth=0.4, alpha=0.6)
-    ax.spines[["top", "right"]].set_visible(False)
+    ax.set(title=title, xlabel=x_label, ylabel=y_label)
+    plain_axes(ax, grid="both")
     if lines:
         ax.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 

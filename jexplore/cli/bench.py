@@ -39,7 +39,6 @@ class Bench(OutOptions):
         """Run the command and return the exit status, None for 0."""
         from jexplore import bench
         from jexplore.bench import plots, tables
-        from jexplore.report import plot, store
 
         with Out(self, "bench") as out:
             plan = bench.prepare_bench(
@@ -48,10 +47,6 @@ class Bench(OutOptions):
             with progress_of(plan.total, "measurements") as progress:
                 progress.update(0)
                 report = bench.run_bench(plan, cache=self.cache, on_progress=progress.update)
-            figure = plots.bench_figure(report)
             record = out.record(arguments, self, measured=report["settings"])
-            files = {
-                "bench.json": lambda path: store.write_json(report, path),
-                "bench.png": lambda path: plot.save_figure(figure, path),
-            }
+            files = {"bench.json": report, "bench.png": lambda: plots.bench_figure(report)}
             return out.finish(record, files, tables.bench_tables(report))

@@ -41,7 +41,7 @@ class Bound(ResumeOptions, RobotOptions):
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
-        from jexplore.report import plot, store
+        from jexplore.report import store
         from jexplore.studies.bounds import bound
         from jexplore.studies.results.provenance import describe_world
 
@@ -61,9 +61,6 @@ class Bound(ResumeOptions, RobotOptions):
                 found = bound.run_bounds(tasks, ledger=ledger, workers=self.workers, on_progress=on_progress)
             entries = {"interrupted": found.interrupted, "settings": found.settings}
             record = out.record(arguments, self, **entries, worlds=[describe_world(world) for world in found.worlds])
-            files = {
-                "bounds.parquet": lambda path: store.write_parquet(found.table, path),
-                "walks.parquet": lambda path: store.write_parquet(found.walks, path),
-            }
-            pictures = {"bounds.png": lambda path: plot.save_figure(found.figure(), path)}
+            files = {"bounds.parquet": found.table, "walks.parquet": found.walks}
+            pictures = {"bounds.png": found.figure}
             return out.finish(record, files, found.to_markdown(), pictures, interrupted=found.interrupted > 0)

@@ -8,19 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from jexplore.cli.options import (
     DEFAULT_STRATEGIES,
-    ContactText,
     EngineOptions,
     IntegerList,
-    MapFile,
-    MemberTexts,
     MetricNames,
     OwnNames,
-    PolygonText,
     ReportOptions,
     ResumeOptions,
-    StartsText,
-    StartText,
-    TimedOptions,
+    SceneOptions,
     TrustOptions,
     TunedFile,
     UntilText,
@@ -47,10 +41,10 @@ def default_episodes() -> int:
 
 
 @dataclasses.dataclass(frozen=True)
-class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOptions):
+class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOptions):
     """Compare strategies in worlds, all from the same starts.
 
-    Prints a table and writes episodes.parquet, details.npz, run.json, compare.png, coverage.png, paths.png and
+    Prints a table and writes episodes.parquet, details.parquet, run.json, compare.png, coverage.png, paths.png and
     report.html. Finished episodes are stored on the way: --resume continues a run that was ended in any way.
     """
 
@@ -67,34 +61,12 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
     (decided): --episodes is then the most. Intervals that hold although one looks again and again."""
     seed: int = 0
     """Draw starts and all that is random from this seed."""
-    cell_m: float = 0.1
-    """Make the edge of a cell this long, in metres."""
-    start: StartText = "random"
-    """Draw the starts from the seed (random), or start all episodes at every world's own start (world), in one cell
-    (12,30,90: row, column, heading in degrees) or at one point of the map's frame in metres (2.0m,1.5m,90: x, y, yaw in
-    degrees; 1.57rad: in radians)."""
-    within: PolygonText = None
-    """Have robots stay within a polygon, corners x,y in metres of the map's frame ('0,0 5,0 5,4'). Beams pass its
-    edge; what lies outside is not to be explored."""
-    from_map: MapFile = None
-    """Go on from a partial map of the same cells, such as explored.yaml of `jexplore explore`: what it shows is known
-    from the beginning, and drawn starts lie where it shows free floor."""
     robots: IntegerList = None
     """Explore with teams of these sizes, up to 16 robots; the others are compared with the first. Paths are then times
     on the team's clock."""
     coordination: OwnNames = None
     """Have teams choose targets in these ways: independent, greedy, hungarian, minpos, voronoi, segments, or a function
     of yours such as mine:apart (default: independent)."""
-    contact: ContactText = "all"
-    """Whom a robot hears: all, none, those within a distance (range:4, in metres) or in sight (line-of-sight, or within
-    a distance line-of-sight:4), and whom they hear; with ,delay=10 a link must have held for ten steps, with ,loss=0.2
-    it fails a fifth of the time."""
-    team_starts: StartsText = ("together",)
-    """Start all robots next to the first (together), far from each other (apart), or in these cells (12,30,90 12,31,90:
-    row, column, heading in degrees)."""
-    members: MemberTexts = ()
-    """Give the robots different paces and scanners: a text for each robot of the largest team, such as pace=2 (a step
-    takes twice the time), range=3 (its scanner reaches 3 m) or pace=2,range=3."""
     metric: MetricNames = None
     """Add columns of your own: functions of an episode in a module here or installed, such as mine:crowding;
     name=mine:crowding names the column."""
@@ -177,7 +149,6 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
 
     def _beside(self, found, tasks, out):
         """Complete a comparison and its files by waste and bounds; the last is False after an interruption."""
-        from jexplore.report import store
         from jexplore.studies.bounds.bound import run_bounds
 
         files, is_whole = {}, not found.interrupted
@@ -190,7 +161,7 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, TimedOp
                     bounds = run_bounds(tasks, **how, on_progress=on_progress)
                 is_whole = not bounds.interrupted
                 found = dataclasses.replace(found, episodes=bounds.beside(found))
-                files["bounds.parquet"] = lambda path: store.write_parquet(bounds.table, path)
+                files["bounds.parquet"] = bounds.table
             except KeyboardInterrupt:  # before the first: the comparison is there
                 is_whole = False
         return found, files, is_whole
@@ -274,13 +245,13 @@ def finish_comparison(
     figures: "Mapping[str, Callable[[], Figure]]",
     record: Callable[..., Any],
     jobs: "Sequence[Job] | None" = None,
-    more: Mapping[str, Callable[..., Any]] = MappingProxyType({}),
+    more: Mapping[str, Any] = MappingProxyType({}),
     *,
     is_whole: bool = True,
 ) -> int:
     """Write, print and draw the common output of comparisons and reproductions; return the exit status.
 
-    `record` gets more entries of run.json and returns all; `more` are files besides: name -> writer.
+    `record` gets more entries of run.json and returns all; `more` are files besides: name -> content.
     """
     from jexplore.studies.results import saving
 

@@ -3,24 +3,12 @@
 import dataclasses
 from collections.abc import Sequence
 
-from jexplore.cli.options import (
-    ContactText,
-    MapFile,
-    MemberTexts,
-    OneStrategy,
-    OneWorld,
-    PolygonText,
-    ReportOptions,
-    StartsText,
-    StartText,
-    TimedOptions,
-    fields_of,
-)
+from jexplore.cli.options import OneStrategy, OneWorld, ReportOptions, SceneOptions, fields_of
 from jexplore.cli.output.console import COMPILING, Out, note_if_slow, progress_of
 
 
 @dataclasses.dataclass(frozen=True)
-class Explore(ReportOptions, TimedOptions):
+class Explore(ReportOptions, SceneOptions):
     """Run one episode and draw it.
 
     Writes episode.png, episode.gif (known map, frontiers, target, path), explored.yaml and explored.pgm (the map at the
@@ -35,27 +23,10 @@ class Explore(ReportOptions, TimedOptions):
     """Draw the start and all that is random from this seed."""
     episode: int = 0
     """Run the episode of this number, from 0, of a comparison with the same options."""
-    cell_m: float = 0.1
-    """Make the edge of a cell this long, in metres."""
-    start: StartText = "random"
-    """Start where the seed says (random), at the world's own start (world), in a cell (12,30,90: row, column, heading
-    in degrees) or at a point of the map's frame in metres (2.0m,1.5m,90: x, y, yaw in degrees; 1.57rad: in radians)."""
-    within: PolygonText = None
-    """Have the robot stay within a polygon, corners x,y in metres of the map's frame ('0,0 5,0 5,4'). Beams pass its
-    edge; what lies outside is not to be explored."""
-    from_map: MapFile = None
-    """Go on from a partial map of the same cells, such as explored.yaml of `jexplore explore`: what it shows is known
-    from the beginning, and drawn starts lie where it shows free floor."""
     robots: int | None = None
     """Explore with a team of this size, up to 16 robots."""
     coordination: OneStrategy = "independent"
     """Have the team choose targets in this way: see compare."""
-    contact: ContactText = "all"
-    """Whom a robot hears: see compare."""
-    team_starts: StartsText = ("together",)
-    """Start the robots together, apart, or in these cells: see compare."""
-    members: MemberTexts = ()
-    """Give the robots different paces and scanners: see compare."""
     frames: int = 300
     """Most frames of the animation, evenly spaced."""
 
@@ -83,15 +54,11 @@ class Explore(ReportOptions, TimedOptions):
             return out.finish(record, {}, "\n".join(lines), self._pictures(found, record))
 
     def _pictures(self, found, record):
-        """Return pictures, animation and page: name -> writer."""
+        """Return pictures, animation and page: name -> content."""
         from jexplore.exploration.results import map_state, to_occupancy
-        from jexplore.report import plot
         from jexplore.report.page.report import write_report
         from jexplore.report.tables import aligned_table
         from jexplore.worlds.readers.ros import write_ros
-
-        def picture(path):
-            plot.save_figure(found.figure(), path)
 
         def animation(path):
             with progress_of(min(found.measures["steps"] + 1, self.frames), "frames") as progress:
@@ -108,7 +75,7 @@ class Explore(ReportOptions, TimedOptions):
             state = map_state(final.hits, final.misses, self.rules.p_free)
             write_ros(to_occupancy(state), path, cell_m=world.cell_m, origin_m=world.origin_m)
 
-        writers = {"episode.png": picture, "explored.yaml": explored}
+        writers = {"episode.png": found.figure, "explored.yaml": explored}
         if found.can_be_replayed:
             writers["episode.gif"] = animation
         return writers | ({"report.html": page} if self.report else {})

@@ -1,6 +1,7 @@
 """The commands `jexplore worlds`, `jexplore strategies` and `jexplore league`."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -80,11 +81,11 @@ class Worlds(OutOptions):
                         about["geometry"] = dataclasses.asdict(measured[-1])
                         on_progress(len(measured))
             record = out.record(arguments, self, worlds=described)
-            figure = plot.worlds_figure([(world.name, world) for world in worlds])
+            figure = functools.partial(plot.worlds_figure, [(world.name, world) for world in worlds])
             left = ["world", "cells", "metres", "free m²", "rooms", "start"]
             text = aligned_table(left, rows, left=left)
             text += f"\n{geometry_table(measured)}" if measured else ""
-            return out.finish(record, {"worlds.png": lambda path: plot.save_figure(figure, path)}, text)
+            return out.finish(record, {"worlds.png": figure}, text)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -133,6 +133,33 @@ class TimedOptions(RobotOptions):
     robot: Robot = dataclasses.field(default_factory=Robot)
 
 
+@dataclasses.dataclass(frozen=True)
+class SceneOptions(TimedOptions):
+    """Options of where episodes happen, and of teams."""
+
+    cell_m: float = 0.1
+    """Make the edge of a cell this long, in metres."""
+    start: StartText = "random"
+    """Start where the seed says (random), at the world's own start (world), in a cell (12,30,90: row, column, heading
+    in degrees) or at a point of the map's frame in metres (2.0m,1.5m,90: x, y, yaw in degrees; 1.57rad: in radians)."""
+    within: PolygonText = None
+    """Have robots stay within a polygon, corners x,y in metres of the map's frame ('0,0 5,0 5,4'). Beams pass its
+    edge; what lies outside is not to be explored."""
+    from_map: MapFile = None
+    """Go on from a partial map of the same cells, such as explored.yaml of `jexplore explore`: what it shows is known
+    from the beginning, and drawn starts lie where it shows free floor."""
+    contact: ContactText = "all"
+    """Whom a robot hears: all, none, those within a distance (range:4, in metres) or in sight (line-of-sight, or within
+    a distance line-of-sight:4), and whom they hear; with ,delay=10 a link must have held for ten steps, with ,loss=0.2
+    it fails a fifth of the time."""
+    team_starts: StartsText = ("together",)
+    """Start all robots next to the first (together), far from each other (apart), or in these cells (12,30,90 12,31,90:
+    row, column, heading in degrees)."""
+    members: MemberTexts = ()
+    """Give the robots different paces and scanners: a text for each robot of the largest team, such as pace=2 (a step
+    takes twice the time), range=3 (its scanner reaches 3 m) or pace=2,range=3."""
+
+
 def fields_in_order(kind: type) -> list[Any]:
     """Return the fields of a record as they are shown: its own, then those of its bases."""
     names = dict.fromkeys(name for one in kind.__mro__ for name in vars(one).get("__annotations__", {}))

@@ -64,7 +64,6 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
 
     def _dare(self, arguments):
         """Run the planners of DARE's Table I on its maps."""
-        from jexplore.report import store
         from jexplore.studies.dare.table import reproduce_dare
 
         if self.maps is None:
@@ -78,12 +77,10 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
             with progress_of(self.episodes, "maps") as progress:
                 found = reproduce_dare(self.maps, **how, on_progress=progress.update)
             record = out.record(arguments, self, tables=found.table.to_dict("records"))
-            files = {"dare.parquet": lambda path: store.write_parquet(found.episodes, path)}
-            return out.finish(record, files, found.to_markdown())
+            return out.finish(record, {"dare.parquet": found.episodes}, found.to_markdown())
 
     def _own_rules(self, arguments, maps):
         """Explore DARE's maps by this package's rules."""
-        from jexplore.report import plot, store
         from jexplore.studies.dare import own
         from jexplore.studies.results import saving
 
@@ -91,8 +88,7 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
             how = fields_of(self, "episodes seed workers")
             with working(self.episodes * (len(own.STRATEGIES) + 1), "episodes and bounds") as on_progress:
                 found, bounds = own.explore_dare(maps, **how, on_progress=on_progress)
-            files = {**saving.comparison_files(found)}
-            files["bounds.parquet"] = lambda path: store.write_parquet(bounds.table, path)
-            drawn = {"paths.png": lambda path: plot.save_figure(own.paths_figure(found), path)}
+            files = {**saving.comparison_files(found), "bounds.parquet": bounds.table}
+            drawn = {"paths.png": functools.partial(own.paths_figure, found)}
             record = out.record(arguments, self, interrupted=bounds.interrupted)
             return out.finish(record, files, own.own_text(found, bounds), drawn, interrupted=bounds.interrupted > 0)

@@ -1,6 +1,7 @@
 """The command `jexplore segment`."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -52,7 +53,6 @@ class Segment(OutOptions):
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
         from jexplore.engine.backend import use_compilation_cache
-        from jexplore.report import plot, store
         from jexplore.report.plot_rooms import rooms_figure
         from jexplore.studies.room_variants import RoomSettings
         from jexplore.studies.segmentation import SHARES, segment_maps
@@ -65,10 +65,8 @@ class Segment(OutOptions):
                 how = fields_of(self, " ".join(("truth partial cell_m seed", *RoomSettings._fields)))
                 found = segment_maps(self.maps, variants=self.variant, **how, on_progress=on_progress)
             record = out.record(arguments, self, scores=found.scores.to_dict("records"))
-            files = {
-                "scores.parquet": lambda path: store.write_parquet(found.scores, path),
-                "segments.png": lambda path: plot.save_figure(rooms_figure(found.pictures, found.scores), path),
-            }
+            figure = functools.partial(rooms_figure, found.pictures, found.scores)
+            files = {"scores.parquet": found.scores, "segments.png": figure}
             text = found.to_markdown()
             for _, row in found.scores[found.scores["overflow"] > 0].iterrows():
                 what = f"{row['overflow']} edges, nodes, peaks or passes did not fit"

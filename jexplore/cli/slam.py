@@ -44,7 +44,6 @@ class Slam(OutOptions):
 
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.grid import is_free, is_known
-        from jexplore.report import plot, store
         from jexplore.studies.slam.logs import read_log, slam
         from jexplore.worlds.readers.ros import write_ros
 
@@ -65,9 +64,9 @@ class Slam(OutOptions):
             errors = found.errors.to_dict("records")
             record = out.record(arguments, self, errors=errors, ate_m=found.ate_m, loops=len(found.loops))
             files = {
-                "trajectory.txt": lambda path: path.write_text(found.trajectory(), encoding="utf-8"),
+                "trajectory.txt": found.trajectory(),
                 "map.yaml": lambda path: write_ros(occupancy, path, cell_m=drawn.cell_m, origin_m=drawn.origin_m),
-                "errors.parquet": lambda path: store.write_parquet(found.errors, path),
+                "errors.parquet": found.errors,
             }
-            pictures = {"slam.png": lambda path: plot.save_figure(found.figure(), path)}
+            pictures = {"slam.png": found.figure}
             return out.finish(record, files, found.to_markdown(), pictures, interrupted=found.interrupted)

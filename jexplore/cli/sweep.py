@@ -88,7 +88,7 @@ def _show_finished(out, plan):
 
 
 def _pictures(found, record, plan):
-    """Return pictures of a sweep and, with a plan, its page: name -> writer."""
+    """Return pictures of a sweep and, with a plan, its page: name -> content."""
     from jexplore.studies.results.saving import pictures_of
     from jexplore.studies.sweeps.run import labels_of
 
@@ -104,7 +104,6 @@ def _pictures(found, record, plan):
 def _finish(out: Out, found: "SweepResult", arguments: Sequence[str], options: Any, plan: Any, **entries: Any) -> int:
     """Write, print and draw; return the exit status."""
     from jexplore.arrays.plain_yaml import dump
-    from jexplore.report import store
     from jexplore.studies.results.provenance import describe_world, engine_of
     from jexplore.studies.sweeps.spec import plain_spec
 
@@ -123,11 +122,8 @@ def _finish(out: Out, found: "SweepResult", arguments: Sequence[str], options: A
         worlds=[describe_world(plan.world(*key)) for key in plan.shapes],
         **entries,
     )
-    files = {
-        "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
-        "summary.csv": lambda path: found.summary.to_csv(path, index=False),
-        "asked.yaml": lambda path: path.write_text(dump(plain_spec(found.spec))),
-    }
+    spec = dump(plain_spec(found.spec))
+    files = {"episodes.parquet": found.episodes, "summary.csv": found.summary, "asked.yaml": spec}
     text = found.to_markdown(PRINTED_ROWS)
     text += f"warning: {found.missing} episodes are missing\n" if found.missing else ""
     pictures = _pictures(found, record, plan if options.report else None)

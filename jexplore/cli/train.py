@@ -81,7 +81,6 @@ class Train(ResumeOptions, RobotOptions):
 
     def _finish(self, out, found, plan, arguments):
         from jexplore.policies.learned.model import write_page, write_weights
-        from jexplore.report import plot, store
         from jexplore.studies.results.provenance import describe_world
 
         interrupted = found.ended == "interrupted"
@@ -93,7 +92,7 @@ class Train(ResumeOptions, RobotOptions):
         files = {
             "model.msgpack": lambda path: write_weights(path, model),
             "model.json": lambda path: write_page(path, model),
-            "curve.parquet": lambda path: store.write_parquet(found.curve, path),
+            "curve.parquet": found.curve,
         }
         lines = [
             f"round {row['round']:>5}: {row['validation']:.3f} of closest+recheck on the validation worlds"
@@ -102,8 +101,7 @@ class Train(ResumeOptions, RobotOptions):
         ]
         if found.ended == "not finite":
             lines.append("warning: the weights became no finite numbers; the best ones before are written")
-        pictures = {"curve.png": lambda path: plot.save_figure(found.figure(), path)}
-        return out.finish(record, files, "\n".join(lines), pictures, interrupted=interrupted)
+        return out.finish(record, files, "\n".join(lines), {"curve.png": found.figure}, interrupted=interrupted)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,7 +132,6 @@ class Tune(OutOptions, RobotOptions):
         """Run the command and return the exit status, None for 0."""
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.learn import bank, tuning
-        from jexplore.report import store
         from jexplore.studies.statistics.league import league_worlds
 
         with Out(self, "tune") as out:
@@ -148,8 +145,5 @@ class Tune(OutOptions, RobotOptions):
                 how |= fields_of(self, "seed workers")
                 searches = tuning.search(names, own, **how, on_progress=on_progress)
             page = {"command": ["jexplore", *arguments], "settings": tuning.chosen_settings(searches)}
-            files = {
-                "tuned.json": lambda path: store.write_json(page, path),
-                "trials.parquet": lambda path: store.write_parquet(tuning.trials_table(searches), path),
-            }
+            files = {"tuned.json": page, "trials.parquet": tuning.trials_table(searches)}
             return out.finish(out.record(arguments, self, worlds=worlds), files, tuning.tuning_table(searches, worlds))

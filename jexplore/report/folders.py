@@ -10,15 +10,15 @@ import os
 import secrets
 import shutil
 import socket
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from jexplore.config import InputError
-from jexplore.report.store import reason, sync_folder
+from jexplore.report.store import atomic, reason, sync_folder, write_json, write_parquet
 
 OUR_FILES = (
-    *("run.json", "episodes.parquet", "details.npz", "report.html"),
+    *("run.json", "episodes.parquet", "details.parquet", "report.html"),
     *("compare.png", "coverage.png", "paths.png", "waste.png", "league.png"),  # compare
     *("compare.svg", "coverage.svg", "league.svg"),
     *("episode.png", "episode.gif", "explored.yaml", "explored.pgm", "worlds.png"),  # explore, worlds
@@ -37,11 +37,38 @@ OUR_FILES = (
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
 
+VECTORS = ("compare.png", "coverage.png", "league.png", "reproduce.png", "sweep.png", "sweep-map.png")
+"""Pictures that are written as SVG as well."""
 UNFINISHED = ".unfinished"  # folder for the finished units of a run, in its own
 LOCK = ".lock"  # file that is locked while a process has the folder to itself
 STAGED = ".part"  # ending of hidden folders in which files are written before they count
 READY = ".ready"  # folder of a run that is written and counts; the old one goes
 MOVING = ".moving"  # the same, once the old one has gone
+
+
+def write_content(content: Any, path: Path) -> None:
+    """Write a file of a run, whole or not at all.
+
+    Args:
+      content: a table, plain values or text; a function that makes a figure for a picture (.png), for any other file
+        one that writes it.
+      path: the file. Its ending decides how a table is written; a picture of `VECTORS` is written as SVG as well.
+    """
+    if path.suffix == ".png":
+        from jexplore.report import plot
+
+        figure = content()
+        for ending in (".png", ".svg") if path.name in VECTORS else (".png",):
+            plot.save_figure(figure, path.with_suffix(ending))
+    elif callable(content):
+        content(path)
+    elif isinstance(content, Mapping):
+        write_json(content, path)
+    elif path.suffix == ".parquet":
+        write_parquet(content, path)
+    else:
+        with atomic(path) as part:
+            part.write_text(content if isinstance(content, str) else content.to_csv(index=False), encoding="utf-8")
 
 
 class RunFolder:
@@ -57,14 +84,14 @@ class RunFolder:
         """Return the folder for the finished units of a run."""
         return self.path / UNFINISHED
 
-    def write(self, writers: Mapping[str, Callable[[Path], Any]], *, is_finished: bool = True) -> Path:
-        """Write the files of a run, name -> writer, in place of the old one's: all or none. Return the folder.
+    def write(self, contents: Mapping[str, Any], *, is_finished: bool = True) -> Path:
+        """Write the files of a run in place of the old one's: all or none. Return the folder.
 
-        They are written into a hidden folder, which one renaming makes the run of this folder. If a writer fails or the
-        user interrupts before that, the folder stays as before; whatever comes after, the new run is there. The units
-        of a finished run are removed.
+        `contents` are name -> content for `write_content`. Files are written into a hidden folder, which one renaming
+        makes the run of this folder. If that fails or the user interrupts before, the folder stays as it was; whatever
+        comes after, the new run is there. The units of a finished run are removed.
         """
-        with _staged(self.path, writers) as stage:
+        with _staged(self.path, contents) as stage:
             _taken(self.path, True)
             self._keeps = True
             try:
@@ -84,9 +111,9 @@ class RunFolder:
             os.replace(self.unfinished, gone)
         shutil.rmtree(gone, ignore_errors=True)
 
-    def add(self, name: str, write: Callable[[Path], Any]) -> None:
-        """Add a file to a finished run, whole or not at all; `write` may add others next to it."""
-        with _staged(self.path, {name: write}) as stage:
+    def add(self, name: str, content: Any) -> None:
+        """Add a file to a finished run, whole or not at all; one that writes itself may add others next to it."""
+        with _staged(self.path, {name: content}) as stage:
             for file in stage.iterdir():
                 os.replace(file, self.path / file.name)
 
@@ -281,13 +308,13 @@ def _hidden(folder):
 
 
 @contextlib.contextmanager
-def _staged(folder, writers):
+def _staged(folder, contents):
     """Write files into a hidden folder inside `folder` that is removed afterwards."""
     stage = _hidden(folder)
     try:
         stage.mkdir()
-        for name, write in writers.items():
-            write(stage / name)
+        for name, content in contents.items():
+            write_content(content, stage / name)
         yield stage
     except OSError as error:
         raise _unwritable(folder, error) from error

@@ -18,11 +18,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import ListedColormap, hsv_to_rgb
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
-from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path as Outline
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
@@ -33,7 +32,7 @@ PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f
 """Okabe and Ito's colours, told apart by colour-blind readers; a ninth strategy starts over with a hatch."""
 MAP_RGB = np.array([[184, 184, 184], [255, 255, 255], [0, 0, 0]], dtype=np.uint8)
 """Colours of the map states unknown, free, occupied."""
-FRONTIER, TARGET, ROBOT = "#e01010", "#0072b2", "#e69f00"
+FRONTIER, TARGET = "#e01010", "#0072b2"
 PROGRESS = ListedColormap(matplotlib.colormaps["plasma"](np.linspace(0.0, 0.85, 256)), name="progress")
 """Start to end of a path; without the pale end, which white floor would swallow."""
 ARROW = Outline([(1.0, 0.0), (-0.6, 0.6), (-0.3, 0.0), (-0.6, -0.6), (1.0, 0.0)], closed=True)
@@ -159,31 +158,6 @@ def draw_estimate(ax: Axes, rows: Any, cols: Any, cell_m: float) -> Line2D:
     return line
 
 
-def draw_robot(ax: Axes, row: int, col: int, heading_deg: float, cell_m: float, *, size: float = 12) -> Line2D:
-    """Draw the robot as an arrow head, 0 along x, counter-clockwise, degrees; return the `Line2D`."""
-    marker = MarkerStyle(ARROW).rotated(deg=heading_deg)
-    place = _centres_m([col], cell_m), _centres_m([row], cell_m)
-    style = {"ms": size, "mfc": ROBOT, "mec": "black", "mew": 1.0, "ls": "none", "zorder": 6}
-    (robot,) = ax.plot(*place, marker=marker, label="robot", **style)
-    return robot
-
-
-def room_colours(count: int) -> np.ndarray:
-    """Return `[count, 3]` floats: soft colours, neighbours in number far apart in hue."""
-    number = np.arange(count)
-    hue, tone = number * 0.618034 % 1.0, np.where(number % 2, 0.18, 0.32)
-    return hsv_to_rgb(np.stack([hue, tone, np.full(count, 0.96)], axis=-1))
-
-
-def draw_rooms(ax: Axes, world: Any) -> Any:
-    """Draw the true floor plan, its rooms in soft colours; return the image."""
-    rooms = np.full(world.shape, -1) if world.rooms is None else np.asarray(world.rooms)
-    colours = np.ones((*world.shape, 3))
-    colours[rooms >= 0] = room_colours(int(rooms.max(initial=-1)) + 1)[rooms[rooms >= 0]]
-    colours[np.asarray(world.occupied)] = 0.0
-    return _image(ax, colours, world.cell_m)
-
-
 def _panel_in(shapes, *, long_in):
     """Return width and height, inches, of a panel that holds maps of all `shapes` (rows, cols)."""
     widths = [min(long_in, 1.25 * long_in * cols / rows) for rows, cols in shapes]
@@ -281,10 +255,7 @@ def worlds_figure(worlds: Sequence[tuple[str, Any]]) -> Figure:
             ax.set_visible(False)
             continue
         name, world = entry
-        draw_rooms(ax, world)
-        if world.start is not None:
-            row, col, heading_deg = world.start
-            draw_robot(ax, row, col, heading_deg, world.cell_m, size=10)
+        world.plot(ax).set(xlabel="", ylabel="")
         scale_bar(ax)
         n_rooms = 0 if world.rooms is None else len(np.unique(world.rooms[world.rooms >= 0]))
         rooms = f", {n_rooms} room{'s' if n_rooms > 1 else ''}" if n_rooms else ""

@@ -12,7 +12,8 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from jexplore.report.plot import room_colours, scale_bar, wrapped_text
+from jexplore.arrays.pictures import soft_colours
+from jexplore.report.plot import scale_bar, wrapped_text
 from jexplore.report.plots.looks import legend_below
 
 SIDE_IN = 4.2  # of a panel, the longer side
@@ -34,7 +35,7 @@ def draw_segments(ax: Axes, picture: Any) -> AxesImage:
     count = int(picture.label.max()) + 1
     rgb = np.where(picture.free[..., None], _bytes(FLOOR), _bytes(WALL))
     if count:
-        colours = (255 * np.asarray(room_colours(count))[:, :3]).astype(np.uint8)
+        colours = np.array(soft_colours(count), np.uint8)
         rooms = picture.label >= 0
         rgb[rooms] = colours[picture.label[rooms]]
     rgb.reshape(-1, 3)[picture.lines] = _bytes(GRAPH)

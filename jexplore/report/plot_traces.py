@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from jexplore.report.plot import PALETTE, wrapped_text
-from jexplore.report.plots.looks import legend_below
+from jexplore.report.plots.looks import legend_below, plain_axes
 from jexplore.tracemap.picture import STUB_M, draw_btm, link_lines
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.route import Route
@@ -94,10 +94,8 @@ def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2
         style = {"ha": "center", "va": "bottom", "fontsize": 7, "transform": above}
         ax.text(driven[now], 1.03 + 0.14 * row, str(node.id), **style)
     ax.set_xlim(0, max(driven[-1], 1e-9))
-    ax.set_xlabel("way driven (m), nodes above", fontsize=8)
-    ax.set_ylabel("pitch (°)", fontsize=8)
-    ax.tick_params(labelsize=8)
-    ax.spines[["top", "right"]].set_visible(False)
+    ax.set(xlabel="way driven (m), nodes above", ylabel="pitch (°)")
+    plain_axes(ax)
     return line
 
 
@@ -126,7 +124,7 @@ def team_figure(
             (handles[name],) = above.plot(*np.transpose(at), **style, color=colour, markeredgecolor="black")
     handles |= {mark.get_label(): mark for mark in draw_btm(below, btm)}
     for ax, name in ((above, title), (below, f"map of most robots: {len(btm.nodes)} nodes, {len(btm.links)} links")):
-        handles |= {mark.get_label(): mark for mark in _draw_building(ax, walls, ())}
+        handles |= {mark.get_label(): mark for mark in draw_building(ax, walls, ())}
         ax.set(aspect="equal", ylabel="y (m)")
         ax.set_title(wrapped_text(name, int(11 * wide), max_lines=2), fontsize=10, parse_math=False)
     below.set_xlabel("x (m)")
@@ -134,7 +132,7 @@ def team_figure(
     return page
 
 
-def _draw_building(ax, walls, points):
+def draw_building(ax: Axes, walls: Any, points: Any) -> list[Line2D]:
     """Draw walls and scan points; return entries of a legend."""
     handles, dot = [], {"color": POINT, "marker": ".", "linestyle": "none", "markeredgewidth": 0}
     if len(walls):
@@ -191,7 +189,7 @@ def trace_figure(
     page = Figure(figsize=(width + LEGEND_IN + 0.7, height + lower + 0.9), layout="constrained")
     axes = page.subplots(1 + pitched, 1, squeeze=False, height_ratios=[height, lower][: 1 + pitched])[:, 0]
     ax = axes[0]
-    handles = _draw_building(ax, walls, points)
+    handles = draw_building(ax, walls, points)
     handles += draw_trail(ax, trail, modes, mode_names)
     handles = draw_btm(ax, btm) + ([] if route is None else draw_route(ax, btm, route)) + handles
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")

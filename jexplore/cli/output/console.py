@@ -2,12 +2,12 @@
 
 import contextlib
 import datetime
+import io
 import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -24,8 +24,7 @@ under_way: "list[Out]" = []
 """Outputs being written by this process."""
 MAX_MESSAGE_CHARS = 400  # a name or a file may be quoted in it
 PATIENCE_S = 2.0  # work that lasts longer shows how far it is
-TENTH = 0.1  # of all work, and
-SILENCE_S = 30.0  # the time after which a log gets another line
+SILENCE_S = 30.0  # between two lines of a log
 INTERRUPTED = 130  # exit status of a run that was ended by Ctrl-C
 
 
@@ -36,11 +35,7 @@ def say(line: str, status: int) -> int:
 
 
 class Progress:
-    """Progress, speed and remaining time on stderr, once work has lasted two seconds.
-
-    A bar on a terminal; elsewhere (a log, a pipe) a line of its own, at first and then whenever another tenth is done
-    or half a minute has gone by.
-    """
+    """Progress, speed and remaining time on stderr: a bar on a terminal, elsewhere (a log, a pipe) a line at times."""
 
     bar: Any = None
 
@@ -49,8 +44,7 @@ class Progress:
 
     def update(self, done: int) -> None:
         if self.bar is None:  # the clock starts when work does, not when compiling does
-            on_terminal = sys.stderr is not None and sys.stderr.isatty()
-            self.bar = (_bar if on_terminal else _Lines)(self.total, done, self.unit)
+            self.bar = _bar(self.total, done, self.unit)
         self.bar.update(done - self.bar.n)
 
     def step(self, n: int = 1) -> None:
@@ -64,43 +58,16 @@ class Progress:
 def _bar(total, done, unit):
     from tqdm import tqdm
 
-    return tqdm(
-        total=total,
-        initial=done,
-        unit=f" {unit}",
-        bar_format="{l_bar}{bar}| {n_fmt}/{total_fmt}{unit} [{elapsed}<{remaining}, {rate_noinv_fmt}]",
-        delay=PATIENCE_S,
-        mininterval=0.5,
-        leave=False,
-        dynamic_ncols=True,
-    )
+    class Lines(tqdm):
+        def display(self, msg=None, pos=None):
+            if msg is None:  # else there is a bar to be cleared
+                tell(f"jexplore: {self}")
 
-
-class _Lines:
-    """Lines of a log in place of a bar."""
-
-    def __init__(self, total, done, unit):
-        self.total, self.n, self.unit = total, done, unit
-        self.first, self.began = done, time.monotonic()
-        self.said, self.said_at = None, 0.0  # done and when at the last line
-
-    def update(self, n):
-        self.n += n
-        now = time.monotonic()
-        spent = now - self.began
-        if spent < PATIENCE_S or self.n <= self.first:
-            return
-        new = self.n if self.said is None else self.n - self.said
-        if self.said is None or new >= TENTH * self.total or (new > 0 and now - self.said_at >= SILENCE_S):
-            self.said, self.said_at = self.n, now
-            rate = (self.n - self.first) / spent
-            left = datetime.timedelta(seconds=round((self.total - self.n) / rate))
-            speed = f"{rate:.0f}" if rate >= 10 else f"{rate:.2g}"
-            share = f"{self.n} of {self.total} {self.unit} ({100 * self.n // max(self.total, 1)} %)"
-            tell(f"jexplore: {share}, {speed} {self.unit}/s, {left} left")
-
-    def close(self):
-        pass
+    form = "{n_fmt}/{total_fmt}{unit} [{elapsed}<{remaining}, {rate_noinv_fmt}]"
+    how: dict[str, Any] = {"total": total, "initial": done, "unit": f" {unit}", "delay": PATIENCE_S, "leave": False}
+    if sys.stderr is not None and sys.stderr.isatty():
+        return tqdm(**how, bar_format="{l_bar}{bar}| " + form, mininterval=0.5, dynamic_ncols=True)
+    return Lines(**how, bar_format="{l_bar} " + form, mininterval=SILENCE_S, miniters=1, file=io.StringIO())
 
 
 def tell(line: str) -> None:
@@ -226,19 +193,18 @@ class Out:
     def finish(
         self,
         record: Mapping[str, Any],
-        files: Mapping[str, Callable[[Path], Any]],
+        files: Mapping[str, Any],
         text: str,
-        pictures: Mapping[str, Callable[[Path], Any]] = MappingProxyType({}),
+        pictures: Mapping[str, Any] = MappingProxyType({}),
         *,
         interrupted: bool = False,
     ) -> int:
         """Write the files and run.json, all or none; print the text and add the pictures; return the exit status.
 
-        A reader of the output who goes away costs neither results nor pictures.
+        Files and pictures are name -> content, see `folders.write_content`. A reader of the output who goes away costs
+        neither results nor pictures.
         """
-        from jexplore.report import store
-
-        files = {**files, "run.json": lambda path: store.write_json(record, path)}
+        files = {**files, "run.json": record}
         self.run.write(files, is_finished=not interrupted)
         try:
             if text:
@@ -252,15 +218,15 @@ class Out:
             return say("jexplore: interrupted, what was finished was written", INTERRUPTED)
         return 0
 
-    def draw(self, writers: Mapping[str, Callable[[Path], Any]]) -> list[str]:
+    def draw(self, pictures: Mapping[str, Any]) -> list[str]:
         """Add pictures to the output; return the names of those written.
 
         A failing one costs a warning; an interruption skips the rest.
         """
         drawn = []
-        for name, write in writers.items():
+        for name, content in pictures.items():
             try:
-                self.run.add(name, write)
+                self.run.add(name, content)
                 drawn.append(name)
             except KeyboardInterrupt:
                 print(f"warning: interrupted, {name} was left out", file=sys.stderr)
@@ -269,9 +235,9 @@ class Out:
                 print(f"warning: {name} could not be drawn: {first_line(error)}", file=sys.stderr)
         return drawn
 
-    def draw_missing(self, writers: Mapping[str, Callable[[Path], Any]] = MappingProxyType({})) -> int:
+    def draw_missing(self, pictures: Mapping[str, Any] = MappingProxyType({})) -> int:
         """Add the pictures that a finished run lacks, tell so and return the exit status."""
-        drawn = self.draw({name: write for name, write in writers.items() if not (self.run.path / name).is_file()})
+        drawn = self.draw({name: own for name, own in pictures.items() if not (self.run.path / name).is_file()})
         what = f"drew {', '.join(drawn)}" if drawn else "nothing was left to do"
         print(f"{self.run.path}{os.sep} holds all of it: {what}")
         return 0

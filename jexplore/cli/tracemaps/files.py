@@ -4,7 +4,7 @@ import contextlib
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -65,14 +65,10 @@ def _are_one(path, other):
         return os.path.abspath(path) == os.path.abspath(other)
 
 
-def exchanged(found: BtmMap) -> dict[str, Callable[[Path], object]]:
-    """Return the files of a trace map for other programs: `{name: writer}`."""
-    from jexplore.report import store
+def exchanged(found: BtmMap) -> dict[str, Any]:
+    """Return the files of a trace map for other programs: `{name: content}`."""
     from jexplore.tracemap import export, json_form
 
-    files = {"btm.json": lambda path: store.write_json(json_form.to_json(found), path)}
-    if any(link.end >= 0 for link in found.links):  # a route needs an edge
-        route = export.geojson(found)
-        files["btm.geojson"] = lambda path: store.write_json(route, path)
-    graph = export.graphml(found)
-    return {**files, "btm.graphml": lambda path: path.write_text(graph, encoding="utf-8")}
+    is_route = any(link.end >= 0 for link in found.links)  # which needs an edge
+    route = {"btm.geojson": export.geojson(found)} if is_route else {}
+    return {"btm.json": json_form.to_json(found), **route, "btm.graphml": export.graphml(found)}

@@ -1,6 +1,7 @@
 """The command `jexplore route`."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -132,19 +133,16 @@ def _tell(btm, route) -> int:
 
 def _write(out, options, arguments, btm, route, changed):
     """Write the findings and draw them."""
-    from jexplore.report import plot, plot_traces, store
+    from jexplore.report import plot_traces, store
     from jexplore.tracemap import json_form
 
     record = out.record(arguments, options, map=btm.attributes)
     found = {**store.jsonable(route), "is_found": route.is_found}
     for name in ("refused", "barriers"):
         found[name] = [{"id": own, "reasons": list(why)} for own, why in getattr(route, name)]
-    files = {"route.json": lambda path: store.write_json(found, path)}
+    files = {"route.json": found}
     if options.drive is not None:
-        files["btm.json"] = lambda path: store.write_json(json_form.to_json(changed), path)
-
-    def draw(path):
-        title = route.trouble or f"{route.robot}, node {route.start} to {route.end}, {route.length_m:.2f} m"
-        plot.save_figure(plot_traces.trace_figure(btm, None, title=title, route=route), path)
-
-    out.finish(record, files, "", {"route.png": draw})
+        files["btm.json"] = json_form.to_json(changed)
+    title = route.trouble or f"{route.robot}, node {route.start} to {route.end}, {route.length_m:.2f} m"
+    figure = functools.partial(plot_traces.trace_figure, btm, None, title=title, route=route)
+    out.finish(record, files, "", {"route.png": figure})

@@ -16,7 +16,6 @@ def trace_robots(out: Out, options: Any, arguments: Sequence[str]) -> int:
     `options` are those of `jexplore trace`.
     """
     from jexplore.engine.backend import use_compilation_cache
-    from jexplore.report import plot, store
     from jexplore.studies.results.provenance import describe_world, engine_of
     from jexplore.studies.traces.teams.clock import run_robots
     from jexplore.studies.traces.teams.team import merge_team, prepare_team, read_reach
@@ -32,14 +31,8 @@ def trace_robots(out: Out, options: Any, arguments: Sequence[str]) -> int:
         logs, costs = run_robots(plan, **fields_of(options, "engine lanes workers"), on_progress=on_progress)
     with note_if_slow("jexplore: merging maps"):
         found = merge_team(plan, logs, options.contact, options.limits, costs)
-    page, files = found.page(), exchanged(found.map)
-    for name, btm in found.maps.items():
-        files[f"{name}.json"] = lambda path, btm=btm: store.write_json(json_form.to_json(btm), path)
-    files |= {
-        "station.html": lambda path: path.write_text(page, encoding="ascii"),
-        "teams.parquet": lambda path: store.write_parquet(found.table, path),
-        "contacts.parquet": lambda path: store.write_parquet(found.contacts, path),
-    }
+    files = exchanged(found.map) | {f"{name}.json": json_form.to_json(btm) for name, btm in found.maps.items()}
+    files |= {"station.html": found.page(), "teams.parquet": found.table, "contacts.parquet": found.contacts}
     record = out.record(
         *(arguments, options),
         groups=[
@@ -50,8 +43,7 @@ def trace_robots(out: Out, options: Any, arguments: Sequence[str]) -> int:
         **{"compile_s": costs.compile_s, "run_s": costs.run_s},
         **engine_of(costs),
     )
-    pictures = {"team.png": lambda path: plot.save_figure(found.figure(), path)}
-    return out.finish(record, files, summary(found), pictures)
+    return out.finish(record, files, summary(found), {"team.png": found.figure})
 
 
 def summary(found: Any) -> str:

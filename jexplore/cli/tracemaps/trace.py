@@ -5,7 +5,7 @@ import functools
 import math
 import sys
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -143,7 +143,7 @@ class Trace(ResumeOptions):
 
     def _run(self, out, plan, ledger, arguments):
         from jexplore.engine.backend import use_compilation_cache
-        from jexplore.report import store, trace_tables
+        from jexplore.report import trace_tables
         from jexplore.studies.results.provenance import describe_world, engine_of
         from jexplore.studies.traces import tracing
         from jexplore.tracemap.corrected import correct_map
@@ -162,9 +162,9 @@ class Trace(ResumeOptions):
             **engine_of(costs),
         )
         first = correct_map(found.first) if self.corrected else found.first
-        files = {**exchanged(first), "runs.parquet": lambda path: store.write_parquet(found.table, path)}
+        files = {**exchanged(first), "runs.parquet": found.table}
         text = trace_tables.map_tables(first) + "\n" + "\n".join(trace_tables.summary(found))
-        pictures = {"btm.png": functools.partial(_draw, found, first)}
+        pictures: dict[str, Any] = {"btm.png": functools.partial(_draw, found, first)}
         if self.animate and not costs.interrupted:
             pictures["btm.html"] = functools.partial(_write_view, found)
         return out.finish(record, files, text, pictures, interrupted=costs.interrupted)
@@ -192,14 +192,14 @@ def _write_view(found, path):
     path.write_text(operator_view.page(seen), encoding="utf-8")
 
 
-def _draw(found, first, path):
+def _draw(found, first):
     """Draw a `TraceResult`, with the map of run 0 as it is written."""
-    from jexplore.report import plot, plot_traces
+    from jexplore.report import plot_traces
     from jexplore.studies.traces import recording
     from jexplore.studies.traces.odometry_map import beam_ends
 
     plan, track, log = found.plan, found.driven, found.scans()
-    figure = plot_traces.trace_figure(
+    return plot_traces.trace_figure(
         first,
         recording.wall_lines(plan),
         recording.in_world_frame(track.estimate, plan.world.origin_m),
@@ -209,7 +209,6 @@ def _draw(found, first, path):
         f"{plan.robot.name} in {plan.world.name}",
         pitch_deg=track.pitch * (180 / math.pi),
     )
-    plot.save_figure(figure, path)
 
 
 def _refuse(options, names, given, why):
@@ -220,7 +219,7 @@ def _refuse(options, names, given, why):
 
 def _trace_episode(out, options, arguments):
     """Extract a map from the grid of an exploration episode."""
-    from jexplore.report import plot, trace_tables
+    from jexplore.report import trace_tables
     from jexplore.studies.traces import extraction
 
     own = {"world", "strategy", "seed", "cell_m", "clutter_m", "tuning", "out", "overwrite", "from_episode"}
@@ -229,7 +228,6 @@ def _trace_episode(out, options, arguments):
     with note_if_slow(COMPILING):
         own = fields_of(options, "seed cell_m clutter_m tuning")
         found = extraction.extracted(options.world, options.strategy, **own)
-    pictures = {"btm.png": lambda path: plot.save_figure(found.figure(), path)}
     text = trace_tables.map_tables(found.map) + "\n" + "\n".join(found.agreement())
     record = out.record(arguments, options, result=found.measures, agreement=found.agreement())
-    return out.finish(record, exchanged(found.map), text, pictures)
+    return out.finish(record, exchanged(found.map), text, {"btm.png": found.figure})

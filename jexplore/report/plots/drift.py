@@ -4,13 +4,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from jexplore.report.plot import PALETTE, wrapped_text
-from jexplore.report.plot_traces import WALL
+from jexplore.report.plot_traces import draw_building
 from jexplore.report.plots.looks import FONT, plain_axes
 from jexplore.tracemap.picture import draw_btm
 from jexplore.tracemap.record import BtmMap
@@ -103,10 +102,7 @@ def _draw_pair(page, pictures):
     low, high = _limits(pictures)
     axes = page.subplots(1, 2)
     draw_cells(axes[0], pictures.cells, pictures.cell_m)
-    lines = pictures.walls.reshape(-1, 2, 2)
-    axes[1].add_collection(LineCollection(list(lines), colors=WALL, linewidths=3, zorder=1))
-    building = Line2D([], [], color=WALL, linewidth=3, label="building")
-    handles = [*draw_btm(axes[1], pictures.placed), building]
+    handles = [*draw_btm(axes[1], pictures.placed), *draw_building(axes[1], pictures.walls, ())]
     axes[1].legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=7, frameon=False)
     titles = "grid map, drawn by odometry", "trace map, nodes where they truly lie"
     for ax, title in zip(axes, titles):

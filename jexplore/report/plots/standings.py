@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from jexplore.report.plot import PALETTE, wrapped_text
-from jexplore.report.plots.looks import plain_axes
+from jexplore.report.plots.looks import plain_axes, ratio_range, ratio_scale
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,25 +35,13 @@ def league_figure(table: "pd.DataFrame") -> Figure:
         table["ratio"], at, xerr=np.nan_to_num(np.stack([low, high])), fmt="D", color="black", markersize=5, capsize=3,
         label="all worlds, 95 %",
     )  # fmt: skip
-    ax.set_yticks(at, [str(name).replace("$", r"\$") for name in table["strategy"]], fontsize=8)
+    ax.set_yticks(at, table["strategy"])
     ax.invert_yaxis()
-    ax.set_xscale("log")
-    ticks = [t for t in (0.5, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0) if _spans(table, kinds, t)]
-    ax.set_xticks(ticks, [f"{t:g}" for t in ticks], fontsize=8)
-    ax.minorticks_off()
-    ax.set_xlabel("path length over the reference's (log scale)", fontsize=8)
-    ax.grid(axis="x", color="#e0e0e0")
-    ax.set_axisbelow(True)
-    ax.spines[["top", "right"]].set_visible(False)
+    ratio_scale(ax, "x", *ratio_range(table[["ratio", *kinds]]))
+    ax.set_xlabel("path length over the reference's (log scale)")
+    plain_axes(ax, grid="x")
     page.legend(loc="outside lower center", ncols=6, frameon=False, fontsize=8)
     return page
-
-
-def _spans(table, kinds, tick):
-    values = table[["ratio", *kinds]].to_numpy()
-    if not np.isfinite(values).any():
-        return False
-    return 0.93 * np.nanmin(values) <= tick <= 1.08 * np.nanmax(values)
 
 
 def draw_bars(ax: Axes, at: Any, means: Any, sds: Any, styles: Iterable[Any]) -> Any:

@@ -24,9 +24,9 @@ from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.results import labelled, provenance, saving
 from jexplore.studies.results.columns import TEAM_MEASURES
-from jexplore.studies.results.details import Seen
+from jexplore.studies.results.details import EXTRAS, Seen, parts_of
 from jexplore.studies.results.tables import ByStrategy
-from jexplore.studies.results.units import EXTRAS, MAP, PROGRESS, SEEN, WAY, Ran, run_units
+from jexplore.studies.results.units import Ran, run_units
 from jexplore.studies.statistics import by_world, figures, sequential, sizes, teams, waste
 from jexplore.studies.statistics.coverage import at_coverage, coverage_text
 from jexplore.studies.statistics.league import over_worlds_text, standings, standings_table
@@ -293,15 +293,6 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
     table = table.iloc[order[whole.to_numpy()[order]]]
     if not len(table):
         raise KeyboardInterrupt
-    first, progress, paths, maps = {}, {}, {}, {}
-    for pair, rows in table.groupby(["world", "strategy"], sort=False):
-        progress[pair] = np.stack(rows[PROGRESS])
-        if WAY in rows:
-            paths[pair] = list(rows[WAY])
-        if MAP in rows:
-            maps[pair] = np.stack(rows[MAP])
-        if rows["episode"].iloc[0] == 0 and rows[SEEN].iloc[0] is not None:
-            first.setdefault(pair[0], []).append(rows[SEEN].iloc[0])
     worlds = {os.fspath(job.world.name): job.world for job in jobs}
     costs = ran.costs
     missing = sum(len(job.starts) for job in jobs) - len(table)
@@ -309,12 +300,12 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
     return ComparisonResult(
         table.drop(columns=[name for name in EXTRAS if name in table]).reset_index(drop=True),
         tuple(worlds[name] for name in dict.fromkeys(table["world"])),
-        first,
-        *(costs.compile_s, costs.run_s, missing - spared, ran.resumed),
+        compile_s=costs.compile_s,
+        run_s=costs.run_s,
+        interrupted=missing - spared,
+        resumed=ran.resumed,
         spared=spared,
-        progress=progress,
-        paths=paths,
-        maps=maps,
+        **parts_of(table),
         lidar=jobs[0].lidar,
         rules=jobs[0].rules,
         metrics=(*jobs[0].metrics, *(() if jobs[0].team is None else TEAM_MEASURES)),

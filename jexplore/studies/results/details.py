@@ -1,19 +1,29 @@
-"""Parts of a comparison outside its table of episodes, in a file of their own: details.npz."""
+"""Parts of a comparison outside its table of episodes: columns that are kept as bytes, in files of their own."""
 
+import io
+import itertools
 import os
+import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from jexplore.arrays.files import read_npz
 from jexplore.config import InputError
 from jexplore.exploration.state import MARKS
+from jexplore.report.store import read_parquet
+from jexplore.studies.results.columns import COLUMNS
 from jexplore.worlds.world import World
 
-DETAILS = "details.npz"
-MAX_DETAILS_BYTES = 2**32  # unpacked; the progress of a million episodes takes a fifth
+DETAILS = "details.parquet"
+MAX_VALUE_BYTES = 2**32  # of a value once unpacked: the longest way and a map are far smaller
+PROGRESS, SEEN, WAY, MAP = "_progress_m", "_seen", "_way", "_map"
+EXTRAS = (PROGRESS, SEEN, WAY, MAP)
+"""Columns of a comparison's episodes besides `COLUMNS` and metrics: `[MARKS]` float64, metres; of episode 0 a `Seen`;
+if they are kept, the way and the last map."""
+WORLD = "_world"
+"""Column of the file alone: in the first row of each world the world, without elevation, areas and known cells."""
 
 
 class Seen(NamedTuple):
@@ -27,57 +37,72 @@ class Seen(NamedTuple):
     path_m: float
 
 
-def write_details(found: Any, path: Path) -> None:
-    """Write worlds, first episodes, progress, ways, maps: parts of a result outside its table of episodes."""
-    arrays: dict[str, Any] = {}
-    for i, world in enumerate(found.worlds):
-        kept = {name: getattr(world, name) for name in ("occupied", "cell_m", "origin_m", "rooms", "start")}
-        kept["name"] = os.fspath(world.name)
-        arrays |= {f"world/{i}/{name}": np.asarray(value) for name, value in kept.items() if value is not None}
-        for k, seen in enumerate(found.first.get(world.name, [])):
-            arrays |= {f"first/{i}/{k}/{name}": np.asarray(value) for name, value in seen._asdict().items()}
-    if found.progress:
-        arrays["progress"] = np.concatenate(list(found.progress.values()))
-    for k, pair in enumerate(found.progress):
-        if pair in found.paths:
-            ways = found.paths[pair]
-            arrays[f"ways/{k}"], arrays[f"ways/{k}/length"] = np.concatenate(ways), [len(way) for way in ways]
-        if pair in found.maps:
-            arrays[f"maps/{k}"] = found.maps[pair]
-    np.savez_compressed(path, **arrays)
+def packed(**arrays: Any) -> bytes:
+    """Pack arrays, numbers and texts by name, without those that are None, as the value of a column."""
+    file = io.BytesIO()
+    np.savez(file, **{name: value for name, value in arrays.items() if value is not None})
+    return zlib.compress(file.getvalue(), 1)
 
 
-def read_details(path: Path, episodes: pd.DataFrame) -> dict[str, Any]:
-    """Load worlds, first episodes, progress, ways and maps, as fields of a `ComparisonResult` of these episodes."""
-    arrays = read_npz(path, MAX_DETAILS_BYTES)
-    worlds, first = [], {}
-    while (at := f"world/{len(worlds)}") + "/occupied" in arrays:
-        start = arrays.get(f"{at}/start")
-        world = World(
-            occupied=arrays[f"{at}/occupied"],
-            rooms=arrays.get(f"{at}/rooms"),
-            start=None if start is None else tuple(start.tolist()),
-            cell_m=float(arrays[f"{at}/cell_m"]),
-            name=str(arrays[f"{at}/name"]),
-            origin_m=tuple(arrays[f"{at}/origin_m"].tolist()),
-        )
-        own, i = [], len(worlds)
-        while (at := f"first/{i}/{len(own)}") + "/state" in arrays:
-            state, rows, cols = (arrays[f"{at}/{name}"] for name in ("state", "rows", "cols"))
-            strategy, path_m = str(arrays[f"{at}/strategy"]), float(arrays[f"{at}/path_m"])
-            own.append(Seen(strategy, state, rows, cols, world.cell_m, path_m))
-        worlds.append(world)
-        if own:
-            first[world.name] = own
-    progress, paths, maps, at = {}, {}, {}, 0
-    if "progress" in arrays:
-        if arrays["progress"].shape != (len(episodes), MARKS):
-            raise InputError(f"{path} must have the progress of {len(episodes)} episodes")
-        for k, (pair, rows) in enumerate(episodes.groupby(["world", "strategy"], sort=False)):
-            progress[pair] = arrays["progress"][at : at + len(rows)]
-            at += len(rows)
-            if f"ways/{k}" in arrays:
-                paths[pair] = np.split(arrays[f"ways/{k}"], np.cumsum(arrays[f"ways/{k}/length"])[:-1])
-            if f"maps/{k}" in arrays:
-                maps[pair] = arrays[f"maps/{k}"]
-    return {"worlds": tuple(worlds), "first": first, "progress": progress, "paths": paths, "maps": maps}
+def unpacked(data: bytes) -> dict[str, Any]:
+    """Return what `packed` got, single values as Python's."""
+    with np.load(io.BytesIO(zlib.decompressobj().decompress(data, MAX_VALUE_BYTES))) as arrays:
+        return {name: value if value.ndim else value.item() for name, value in arrays.items()}
+
+
+_CODECS = {
+    PROGRESS: (np.ndarray.tobytes, lambda data: np.frombuffer(data, np.float64, MARKS)),
+    SEEN: (lambda seen: seen and packed(**seen._asdict()), lambda data: data and Seen(**unpacked(data))),
+    WAY: (lambda way: packed(way=way), lambda data: unpacked(data)["way"]),
+    MAP: (lambda state: packed(map=state), lambda data: unpacked(data)["map"]),
+}
+
+
+def to_file(table: pd.DataFrame) -> pd.DataFrame:
+    """Encode the `EXTRAS` of a table as bytes, for its file, from which `of_file` makes it again."""
+    return table.assign(**{name: [_CODECS[name][0](one) for one in table[name]] for name in EXTRAS if name in table})
+
+
+def of_file(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the table that `to_file` encoded."""
+    return table.assign(**{name: [_CODECS[name][1](one) for one in table[name]] for name in EXTRAS if name in table})
+
+
+def parts_of(table: Any) -> dict[str, Any]:
+    """Collect the `EXTRAS` of whole strategies, as the fields of a `ComparisonResult`."""
+    first, progress, paths, maps = {}, {}, {}, {}
+    for pair, rows in table.groupby(["world", "strategy"], sort=False):
+        progress[pair] = np.stack(rows[PROGRESS])
+        if WAY in rows:
+            paths[pair] = list(rows[WAY])
+        if MAP in rows:
+            maps[pair] = np.stack(rows[MAP])
+        if rows["episode"].iloc[0] == 0 and rows[SEEN].iloc[0] is not None:
+            first.setdefault(pair[0], []).append(rows[SEEN].iloc[0])
+    return {"first": first, "progress": progress, "paths": paths, "maps": maps}
+
+
+def details_of(found: Any) -> pd.DataFrame:
+    """Return the worlds and `EXTRAS` of a `ComparisonResult` as bytes, a row an episode of its table, for its file."""
+    episodes, worlds = found.episodes, {os.fspath(world.name): world for world in found.worlds}
+    seen = {(world, one.strategy, 0): one for world, own in found.first.items() for one in own}
+    keys = zip(episodes["world"], episodes["strategy"], episodes["episode"])
+    extras: dict[str, list[Any]] = {SEEN: [seen.get(key) for key in keys]}
+    for name, of_pair in ((PROGRESS, found.progress), (WAY, found.paths), (MAP, found.maps)):
+        if of_pair:
+            extras[name] = list(itertools.chain.from_iterable(of_pair.values()))
+    own = [worlds.pop(name, None) for name in episodes["world"]]
+    kept = "occupied", "cell_m", "origin_m", "rooms", "start", "name"
+    extras[WORLD] = [world and packed(**{name: getattr(world, name) for name in kept}) for world in own]
+    return to_file(pd.DataFrame(extras))
+
+
+def read_details(folder: Path) -> tuple[pd.DataFrame, tuple[World, ...]]:
+    """Load the episodes of a comparison's folder, with `EXTRAS`, and its worlds."""
+    episodes, details = read_parquet(folder / "episodes.parquet", required=COLUMNS), read_parquet(folder / DETAILS)
+    if len(details) != len(episodes):
+        raise InputError(f"{folder / DETAILS} must have a row for each of {len(episodes)} episodes")
+    worlds = [unpacked(data) for data in details[WORLD] if data is not None]
+    for world in worlds:
+        world |= {name: tuple(world[name].tolist()) for name in ("start", "origin_m") if name in world}
+    return episodes.join(of_file(details.drop(columns=WORLD))), tuple(World(**world) for world in worlds)

@@ -18,9 +18,8 @@ from jexplore.report.folders import UNFINISHED
 from jexplore.report.ledger import require_same
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.reproduction import reproduction_of
-from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.comparison import ComparisonResult, Made
-from jexplore.studies.results.details import DETAILS, read_details
+from jexplore.studies.results.details import EXTRAS, parts_of, read_details
 from jexplore.studies.sweeps.plan import SweepPlan, prepare_sweep
 from jexplore.studies.sweeps.run import SweepResult, whole_table
 from jexplore.studies.sweeps.spec import read_spec
@@ -99,11 +98,12 @@ def _as_written(folder, record):
 
 
 def _comparison(folder, record, command):
-    episodes = store.read_parquet(folder / "episodes.parquet", required=COLUMNS)
+    table, worlds = read_details(folder)
     found = ComparisonResult(
-        episodes,
+        table.drop(columns=[name for name in EXTRAS if name in table]),
+        worlds,
         **{name: record[name] for name in ("compile_s", "run_s", "interrupted", "resumed")},
-        **read_details(folder / DETAILS, episodes),
+        **parts_of(table),
         made=Made(record=record),
         metrics=tuple(record.get("asked", {}).get("metrics", ())),
         lidar=Lidar(**record["configuration"]["lidar"]),

@@ -14,12 +14,12 @@ from jexplore.arrays.files import first_line
 from jexplore.config import InputError, InputWarning
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.results import to_occupancy
-from jexplore.report import folders, plot, store
+from jexplore.report import folders, store
 from jexplore.report.page.report import write_report
 from jexplore.report.plots.standings import league_figure
 from jexplore.studies.replays import replays_of
 from jexplore.studies.results import provenance
-from jexplore.studies.results.details import DETAILS, write_details
+from jexplore.studies.results.details import DETAILS, details_of
 from jexplore.studies.statistics import figures
 from jexplore.studies.statistics.by_world import markdown_table
 from jexplore.studies.statistics.coverage import coverage_tables
@@ -27,9 +27,6 @@ from jexplore.studies.statistics.league import standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.worlds.names import file_names, short_names
 from jexplore.worlds.readers.ros import write_ros
-
-VECTORS = ("compare.png", "coverage.png", "league.png", "reproduce.png", "sweep.png", "sweep-map.png")
-"""Pictures that are written as SVG as well."""
 
 
 def write_maps(found: Any, folder: Path) -> list[Path]:
@@ -60,19 +57,9 @@ def figures_of(found: Any, *, league: bool = False) -> dict[str, Callable[[], An
     return drawn | ({"paths.png": found.paths_figure} if found.first else {})
 
 
-def comparison_files(found: Any) -> dict[str, Callable[[Path], Any]]:
-    """Return files of a `ComparisonResult`, without run.json: name -> writer."""
-    return {
-        "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
-        DETAILS: lambda path: write_details(found, path),
-    }
-
-
-def _picture(make, path):
-    figure = make()
-    plot.save_figure(figure, path)
-    if path.name in VECTORS:
-        plot.save_figure(figure, path.with_suffix(".svg"))
+def comparison_files(found: Any) -> dict[str, Any]:
+    """Return files of a `ComparisonResult`, without run.json: name -> content."""
+    return {"episodes.parquet": found.episodes, DETAILS: details_of(found)}
 
 
 def pictures_of(
@@ -82,8 +69,8 @@ def pictures_of(
     jobs: Sequence[Job] | None,
     firsts: Mapping[int, Outcomes] = MappingProxyType({}),
     labels: Sequence[str] = (),
-) -> dict[str, Callable[[Path], Any]]:
-    """Return pictures, `VECTORS` as SVG as well, and the page of a run: name -> writer.
+) -> dict[str, Any]:
+    """Return pictures and the page of a run: name -> content.
 
     `figures` are name -> function that draws it, `record` the content of run.json, `tables` a function that returns the
     tables of the page, each with its heading. The page replays the first episodes of `jobs`; None for no page. `firsts`
@@ -95,10 +82,7 @@ def pictures_of(
         replays, notes = replays_of(jobs, firsts, labels=labels, engine=engine) if jobs else ([], [])
         write_report(path, record, tables(), list(figures), replays, notes)
 
-    drawn: dict[str, Callable[[Path], Any]] = {
-        name: functools.partial(_picture, make) for name, make in figures.items()
-    }
-    return drawn if jobs is None else {**drawn, "report.html": page}
+    return dict(figures) if jobs is None else {**figures, "report.html": page}
 
 
 def tables_of(found: Any) -> list[tuple[str, str]]:
@@ -128,8 +112,7 @@ def write_comparison(run: folders.RunFolder, found: Any, *, report: bool = True)
     """
     how = {"environment": {**store.environment(), "commit": provenance.package_commit()}}
     record = how | dict(found.made.record) | entries_of(found)
-    files = {**comparison_files(found), "run.json": lambda path: store.write_json(record, path)}
-    run.write(files, is_finished=not found.interrupted)
+    run.write({**comparison_files(found), "run.json": record}, is_finished=not found.interrupted)
     jobs = (() if found.interrupted else found.made.jobs) if report else None
     tables = functools.partial(tables_of, found)
     for name, draw in pictures_of(figures_of(found), record, tables, jobs, found.made.firsts).items():

@@ -1,11 +1,9 @@
 """Units of work: some episodes, run and kept together; and the tables that are made of them."""
 
 import collections
-import io
 import itertools
 import os
 import warnings
-import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -18,23 +16,17 @@ from jexplore.exploration import batch
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.metrics import reached_limit
 from jexplore.exploration.results import columns, map_state, progress_m
-from jexplore.exploration.state import MARKS
 from jexplore.exploration.team.episode import team_columns
 from jexplore.report.ledger import Ledger, Work
-from jexplore.report.store import read_parquet
 from jexplore.rules import Lidar, Rules
+from jexplore.studies.results import details
 from jexplore.studies.results.columns import COLUMNS, TEAM_COLUMNS
-from jexplore.studies.results.details import DETAILS, Seen, read_details
 
 MIN_UNIT_EPISODES = 8  # least number of episodes of a unit
 UNIT_S = 1.0  # seconds that a unit should take, about: writing it takes a hundredth of that
 CELL_S = 1.3e-6  # seconds of an episode of closest+recheck, for every cell of its world (benchmarks/RESULTS.md)
 FIRSTS = 12  # jobs of which what the first episode left is kept, for a report
 MAX_UNITS_OF_JOB = 256  # of one strategy in one world
-PROGRESS, SEEN, WAY, MAP = "_progress_m", "_seen", "_way", "_map"
-EXTRAS = (PROGRESS, SEEN, WAY, MAP)
-"""Columns of a comparison's unit besides `COLUMNS` and metrics: `[MARKS]` float64, metres; of episode 0 a `Seen`; if
-they are kept, the way and the last map."""
 
 
 class Unit(NamedTuple):
@@ -85,56 +77,22 @@ def join_columns(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def unit_table(job: Job, found: Outcomes) -> pd.DataFrame:
-    """Return a comparison's unit: the episodes of a job, with its scanner and rules; columns with `EXTRAS`."""
+    """Return a comparison's unit: the episodes of a job, with its scanner and rules; columns with `details.EXTRAS`."""
     assert job.rules is not None
     table, n = join_columns([rows_of(job, found)]), len(job.starts)
-    extras: dict[str, list[Any]] = {PROGRESS: list(progress_m(found.result, job.world.cell_m)), SEEN: [None] * n}
+    extras: dict[str, list[Any]] = {
+        details.PROGRESS: list(progress_m(found.result, job.world.cell_m)),
+        details.SEEN: [None] * n,
+    }
     if job.first == 0 and (final := found.first) is not None:
         state = map_state(final.hits, final.misses, job.rules.p_free)
         path_m = float(table["path_m"].iloc[0])
-        extras[SEEN][0] = Seen(job.strategy.name, state, *final.own_cells, job.world.cell_m, path_m)
+        extras[details.SEEN][0] = details.Seen(job.strategy.name, state, *final.own_cells, job.world.cell_m, path_m)
     if found.records:
         records = [found.records[i] for i in range(n)]
-        extras[WAY] = [record.path for record in records]
-        extras |= {} if records[0].state is None else {MAP: [record.state for record in records]}
+        extras[details.WAY] = [record.path for record in records]
+        extras |= {} if records[0].state is None else {details.MAP: [record.state for record in records]}
     return table.assign(**extras)
-
-
-def to_file(table: pd.DataFrame) -> pd.DataFrame:
-    """Encode the `EXTRAS` of a unit as bytes, for its file, from which `of_file` makes it again."""
-
-    def packed(**arrays):
-        file = io.BytesIO()
-        np.savez(file, **arrays)
-        return zlib.compress(file.getvalue(), 1)
-
-    encode: dict[str, Callable[[Any], bytes | None]] = {
-        PROGRESS: np.ndarray.tobytes,
-        SEEN: lambda seen: seen and packed(**seen._asdict()),
-        WAY: lambda way: packed(way=way),
-        MAP: lambda state: packed(map=state),
-    }
-    return table.assign(**{name: [encode[name](one) for one in table[name]] for name in EXTRAS if name in table})
-
-
-def of_file(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the unit that `to_file` encoded."""
-
-    def unpacked(data):
-        return np.load(io.BytesIO(zlib.decompress(data)))
-
-    def seen(data):
-        with unpacked(data) as found:
-            of = {name: found[name] for name in Seen._fields}
-        return Seen(**of | {name: of[name].item() for name in ("strategy", "cell_m", "path_m")})
-
-    decode: dict[str, Callable[[Any], Any]] = {
-        PROGRESS: lambda data: np.frombuffer(data, np.float64, MARKS),
-        SEEN: lambda data: data and seen(data),
-        WAY: lambda data: unpacked(data)["way"],
-        MAP: lambda data: unpacked(data)["map"],
-    }
-    return table.assign(**{name: [decode[name](one) for one in table[name]] for name in EXTRAS if name in table})
 
 
 def make_units(
@@ -213,7 +171,7 @@ def run_units(
     """
     units, firsts = cut_jobs(jobs, 0 if ledger is None else ledger.after), {}
     earlier = [] if ledger is None or not ledger.after else [_earlier(ledger, jobs)]
-    work: Work[pd.DataFrame] = Work(range(len(units)), ledger, to_file, of_file)
+    work: Work[pd.DataFrame] = Work(range(len(units)), ledger, details.to_file, details.of_file)
     resumed = sum(map(len, (*earlier, *work.done.values())))
 
     def jobs_of(number):
@@ -244,14 +202,6 @@ def run_units(
 
 def _earlier(ledger, jobs):
     """Return the episodes of the finished comparison that the run of a ledger continues, as `unit_table` does."""
-    folder = ledger.folder.parent
-    episodes = read_parquet(folder / "episodes.parquet", required=COLUMNS)
-    found = read_details(folder / DETAILS, episodes)
-    seen = {(world, one.strategy): one for world, own in found["first"].items() for one in own}
-    pairs = zip(episodes["world"], episodes["strategy"], episodes["episode"])
-    extras = {SEEN: [None if number else seen.get((world, strategy)) for world, strategy, number in pairs]}
-    for name, of_pair in ((PROGRESS, found["progress"]), (WAY, found["paths"]), (MAP, found["maps"])):
-        if of_pair:
-            extras[name] = list(itertools.chain.from_iterable(of_pair.values()))
-    table: Any = episodes[[*columns_of(jobs[0])]].assign(**extras)
-    return table[table["episode"] < ledger.after]
+    table = details.read_details(ledger.folder.parent)[0]
+    kept = [name for name in details.EXTRAS if name in table]
+    return table.loc[table["episode"] < ledger.after, [*columns_of(jobs[0]), *kept]]

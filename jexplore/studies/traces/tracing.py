@@ -1,7 +1,6 @@
 """Runs that write Behavioral Trace Maps: how many alike, how near to the truth, over which settings."""
 
 import dataclasses
-import io
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +20,7 @@ from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.runner import Costs
 from jexplore.report import store
 from jexplore.report.ledger import Ledger, Work
+from jexplore.studies.results.details import packed, unpacked
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import world_digest
 from jexplore.studies.results.units import MAX_UNITS_OF_JOB, MIN_UNIT_EPISODES
@@ -111,7 +111,8 @@ def execute(
         table, found = trace_table(plan, result, own, runs, plan.chosen(own))
         maps.update(enumerate(found, first))
         if first == 0:
-            table = table.assign(**{FIRST: [_written_first(found[0], driven), *[None] * (n - 1)]})
+            page = json.dumps(store.jsonable(json_form.to_json(found[0])))
+            table = table.assign(**{FIRST: [packed(map=page, **driven._asdict()), *[None] * (n - 1)]})
         work.put(work.left[place], table)
 
     if work.left:
@@ -126,21 +127,9 @@ def execute(
     if 0 not in work.done:
         raise KeyboardInterrupt
     table = pd.concat(work.results, ignore_index=True)
-    return TraceResult(plan, table, *_read_first(table.pop(FIRST).iloc[0]), costs, maps, resumed)
-
-
-def _written_first(found, driven):
-    """Encode map and way of run 0 as bytes, from which `_read_first` makes them again."""
-    file = io.BytesIO()
-    page = json.dumps(store.jsonable(json_form.to_json(found)))
-    np.savez_compressed(file, map=np.str_(page), **{f"way/{name}": a for name, a in driven._asdict().items()})
-    return file.getvalue()
-
-
-def _read_first(data):
-    with np.load(io.BytesIO(data)) as file:
-        found = json_form.parse_map(str(file["map"]), "the map of run 0")
-        return found, Driven(*(file[f"way/{name}"] for name in Driven._fields))
+    way = unpacked(table.pop(FIRST).iloc[0])
+    first = json_form.parse_map(way.pop("map"), "the map of run 0")
+    return TraceResult(plan, table, first, Driven(**way), costs, maps, resumed)
 
 
 @checked_names

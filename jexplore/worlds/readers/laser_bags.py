@@ -6,6 +6,7 @@ import os
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jexplore.config import InputError, checked_names
 from jexplore.worlds.names import METADATA, SUFFIXES
@@ -146,16 +147,10 @@ def _seconds(header: Any) -> float:
 
 def _matrix(place: Any, turn: Any) -> np.ndarray:
     """Return a place and a quaternion as a transform `[4, 4]`; a quaternion of zeros is no turn."""
-    q = np.array([turn.w, turn.x, turn.y, turn.z], float)
-    w, x, y, z = q / np.linalg.norm(q) if q.any() else (1.0, 0.0, 0.0, 0.0)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), place.x],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x), place.y],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y), place.z],
-            [0, 0, 0, 1],
-        ]
-    )
+    matrix, q = np.eye(4), np.array([turn.x, turn.y, turn.z, turn.w], float)
+    matrix[:3, :3] = Rotation.from_quat(q if q.any() else (0, 0, 0, 1)).as_matrix()
+    matrix[:3, 3] = place.x, place.y, place.z
+    return matrix
 
 
 def _flat(matrix: np.ndarray) -> tuple[float, float, float]:

@@ -194,11 +194,8 @@ def prepare_team(
     """
     if how.get("perception", AUTO) == AUTO:
         how["perception"] = "triangles"
-    n, is_given = (
-        require_whole("robots", robots, 1, MOST_ROBOTS),
-        not (isinstance(team_starts, str) and team_starts in STARTS),
-    )
-    if is_given and how.get("start") is not None:
+    n = require_whole("robots", robots, 1, MOST_ROBOTS)
+    if team_starts not in STARTS and how.get("start") is not None:
         raise InputError("start and given team_starts exclude each other: give one of them")
     plan = prepare_trace(world, runs=n, **how)
     plan = dataclasses.replace(plan, begins=place_robots(plan, n, team_starts))
