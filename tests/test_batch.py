@@ -266,19 +266,3 @@ def test_no_key_is_used_twice():
     with jax.debug_key_reuse(True):
         state = jax.jit(run)(jax.random.key(3))
     assert int(state.plans) > 0
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_what_is_kept_of_every_episode_is_the_same_in_lanes(jobs):
-    few = [job._replace(starts=job.starts[:2]) for job in jobs[:2]]
-    one, other = (
-        run_jobs(few, LIDAR, RULES, engine="jax", in_lanes=in_lanes, keep="maps").outcomes for in_lanes in (False, True)
-    )
-    for job, ours, theirs in zip(few, one, other):
-        assert sorted(ours.records) == sorted(theirs.records) == [0, 1]
-        jax.tree.map(np.testing.assert_array_equal, ours.records[1], theirs.records[1])
-        first, final = ours.records[0], ours.first
-        np.testing.assert_array_equal(first.path, np.stack([final.rows, final.cols, final.n_known], axis=1))
-        assert first.state.shape == job.world.shape
-        np.testing.assert_array_equal(first.state > 0, final.hits + final.misses > 0)

@@ -136,26 +136,6 @@ def test_made_by_name_and_wrapped():
 
 
 @pytest.mark.slow
-def test_closest_by_actions_is_closest_to_the_bit(env, compared):
-    """The scanner's noise included, by the episode's number."""
-    table, starts = compared
-    for i, start in enumerate(starts):
-        seen, info = env.reset(seed=SEED if i == 0 else None, options={"start": start})
-        decisions, total, terminated = 0, 0.0, False
-        assert info["path_m"] == 0
-        while not terminated:
-            assert info["action_mask"][nearest(seen)] == 1
-            seen, reward, terminated, truncated, info = env.step(nearest(seen))
-            decisions, total = decisions + 1, total + reward
-            assert not truncated
-        row = table.iloc[i]
-        assert info["path_m"] == pytest.approx(row["path_m"], abs=1e-12)
-        assert total == pytest.approx(-row["path_m"])
-        assert (jx.Outcome(info["outcome"]).name, decisions + 1) == (row["outcome"], row["plans"])
-        assert (int(env.state.episode.scans), int(env.state.episode.plans)) == (row["scans"], row["plans"])
-
-
-@pytest.mark.slow
 def test_closest_in_lanes_is_closest_to_the_bit(envs, compared):
     table, starts = compared
     seen, info = envs.reset(seed=[SEED] * 4, options={"start": starts, "world": [0] * 4, "episode": range(4)})
@@ -324,16 +304,6 @@ def test_seeds(env, envs):
     assert len({tuple(robot) for robot in lanes["robot"].tolist()}) == 4
     unseeded = [GymEnv(two_rooms(), lidar=LIDAR).reset()[0]["robot"].tolist() for _ in range(3)]
     assert len(set(map(tuple, unseeded))) > 1
-
-
-@pytest.mark.slow
-def test_starts_and_worlds(envs):
-    start = [[5, 5, 0], [6, 5, 45], [7, 5, 90], [8, 5, 315]]
-    seen, _ = envs.reset(seed=0, options={"start": start, "world": [0, 1, 0, 1]})
-    np.testing.assert_array_equal(seen["robot"], np.array(start) // [1, 1, 45])
-    assert envs.states.world.tolist() == [0, 1, 0, 1]
-    envs.reset(options={"world": [1, 1, 1, 0]})
-    assert envs.states.world.tolist() == [1, 1, 1, 0]
 
 
 @pytest.mark.slow

@@ -55,20 +55,6 @@ def assert_equal(one, other):
 
 @needs_compiler
 @pytest.mark.jit
-def test_an_episode_by_hand():
-    """A corridor one cell wide: the robot sees along and across, and drives until it has seen both walls everywhere."""
-    occupied = np.ones((3, 7), bool)
-    occupied[1, 1:6] = False
-    job = Job(World(occupied=occupied, cell_m=1.0, name="corridor"), parse_strategy("closest"), np.array([[1, 2, 0]]))
-    rules = Rules(clearance_m=0, near_m=1.0)
-    found = run_jobs([job], Lidar(n_beams=4, fov_deg=360, range_m=9), rules).outcomes[0]
-    assert found.result.outcome.tolist() == [1]
-    assert found.result.n_known.tolist() == [5 + 2 + 10]  # the floor, both ends, and the walls at its sides
-    assert maps.picture(found.first.hits, found.first.misses) == ["?#####?", "#.....#", "?#####?"]
-
-
-@needs_compiler
-@pytest.mark.jit
 @pytest.mark.parametrize("name", ["closest", "closest+recheck", "random", "random+recheck"])
 def test_episodes_have_the_bits_of_jax(name):
     job = job_of(name)
