@@ -220,14 +220,6 @@ def test_headings_count_modulo_a_full_turn(jobs, one_worker):
 
 
 @pytest.mark.jit
-def test_progress_counts_every_episode(jobs):
-    seen = []
-    run_jobs(jobs[:2], LIDAR, RULES, workers=2, on_progress=seen.append)
-    assert seen == sorted(seen)
-    assert seen[-1] == 8
-
-
-@pytest.mark.jit
 def test_an_interrupt_leaves_no_thread_behind(jobs):
     def interrupt(done):
         raise KeyboardInterrupt

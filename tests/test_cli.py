@@ -62,16 +62,6 @@ def files(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def refused(capsys, arguments, message):
-    """Runs a command that must end with one line and status 2."""
-    assert main.main([str(argument) for argument in arguments]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith("jexplore: error: ")
-    assert said.err.count("\n") == 1
-    assert message in said.err
-
-
 def test_compare_writes_a_whole_run(ran, world):
     assert files(ran) == [
         *("compare.png", "compare.svg", "coverage.png", "coverage.svg", "details.npz", "episodes.parquet"),
@@ -116,12 +106,12 @@ def test_compare_again_is_the_same_and_prints_the_table(ran, world, tmp_path, pr
     pd.testing.assert_frame_equal(again, whole[(whole["episode"] < 2)][:4].reset_index(drop=True))
 
 
-def test_a_run_is_not_overwritten(ran, world, capsys, monkeypatch):
+def test_a_run_is_not_overwritten(ran, world, refuses, monkeypatch):
     monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: pytest.fail("ran"))
     before = (ran / "run.json").read_bytes()
-    refused(capsys, ["compare", "--worlds", world, "--out", ran], "holds a run")
-    refused(capsys, ["explore", "--world", world, "--out", ran], "holds a run")
-    refused(capsys, ["worlds", world, "--out", ran], "holds a run")
+    refuses(["compare", "--worlds", world, "--out", ran], "holds a run")
+    refuses(["explore", "--world", world, "--out", ran], "holds a run")
+    refuses(["worlds", world, "--out", ran], "holds a run")
     assert (ran / "run.json").read_bytes() == before
 
 
@@ -263,11 +253,11 @@ BAD_INPUT = [
 
 
 @pytest.mark.parametrize(("command", "message"), BAD_INPUT)
-def test_bad_input_is_one_line(command, message, capsys, tmp_path, monkeypatch):
+def test_bad_input_is_one_line(command, message, refuses, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: pytest.fail("ran"))
     (tmp_path / "spec.yaml").write_text("worlds: [maze, kave]\nstrategies: [closest]\n")
-    refused(capsys, command.split(" ") if command else [], message)
+    refuses(command.split(" ") if command else [], message)
     assert files(tmp_path) == ["spec.yaml"]
 
 
@@ -277,12 +267,12 @@ def test_tables_of_names_agree():
     assert list(TRAINERS) == list(TRAINER_SETTINGS)
 
 
-def test_a_message_stays_on_one_line(capsys, monkeypatch):
+def test_a_message_stays_on_one_line(refuses, monkeypatch):
     def fails(*_):
         raise InputError("first\nsecond")
 
     monkeypatch.setattr(main, "_dispatch", fails)
-    refused(capsys, ["worlds"], "first second")
+    refuses(["worlds"], "first second")
 
 
 @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 8 bytes")])

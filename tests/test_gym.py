@@ -16,7 +16,6 @@ from jexplore.worlds.world import occupancy_to_world, with_ring
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed (the extra gym)")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
-from gymnasium.utils.passive_env_checker import check_action_space, check_observation_space  # noqa: E402
 from gymnasium.vector import AutoresetMode, SyncVectorEnv  # noqa: E402
 from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 from ref.refusals import refused  # noqa: E402
@@ -71,23 +70,6 @@ def test_gymnasiums_checker_has_nothing_to_say():
     made = gymnasium.make(ID, worlds=two_rooms(), lidar=LIDAR)
     check_env(made.unwrapped)
     made.close()
-
-
-@pytest.mark.slow
-def test_the_spaces_of_many_are_those_of_one(env, envs):
-    check_action_space(envs.single_action_space)
-    check_observation_space(envs.single_observation_space)
-    assert envs.single_action_space == env.action_space == gymnasium.spaces.Discrete(64 * 64)
-    assert envs.single_observation_space == env.observation_space
-    assert envs.action_space.shape == (4,)
-    assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    seen, info = envs.reset(seed=1)
-    assert seen in envs.observation_space
-    for _ in range(4):
-        seen, reward, terminated, truncated, info = envs.step(envs.action_space.sample(tuple(info["action_mask"])))
-        assert seen in envs.observation_space
-        assert (reward.dtype, terminated.dtype, truncated.dtype) == (np.float64, bool, bool)
-        assert {f"_{name}" for name in info if name[0] != "_"} == {name for name in info if name[0] == "_"}
 
 
 @pytest.mark.slow

@@ -28,6 +28,7 @@ from . import clock, plans, simulator
 
 CAPACITY = 20_000
 ROBOT = Robot()
+RULES = "clearance_m", "near_m", "p_free", "max_steps", "max_plans", "look_around", "scan_every_m", "arrival_m"
 ENDS = "frontier_connectivity", "min_frontier_cells", "stop_at", "return_home", "max_path_m", "max_time_s"
 COUNTS = ("straight", "diagonal", "turns", "scans", "plans", "exhausted", "refused")
 
@@ -236,24 +237,13 @@ def replay(
         recheck="recheck" in strategy,
         choose=choose,
         cell_m=cell_m,
-        n_beams=lidar.n_beams,
-        fov_deg=lidar.fov_deg,
-        range_m=lidar.range_m,
-        clearance_m=rules.clearance_m,
-        near_m=rules.near_m,
-        p_free=rules.p_free,
-        max_steps=rules.max_steps,
-        max_plans=rules.max_plans,
         rooms=rooms,
-        look_around=rules.look_around,
-        scan_every_m=rules.scan_every_m,
-        arrival_m=rules.arrival_m,
-        no_echo=lidar.no_echo,
         within=within,
         known=known,
         sense=sense,
         robot_times=robot,
-        **{name: getattr(rules, name) for name in ENDS},
+        **{name: getattr(lidar, name) for name in ("n_beams", "fov_deg", "range_m", "no_echo")},
+        **{name: getattr(rules, name) for name in (*RULES, *ENDS)},
     )
 
 
