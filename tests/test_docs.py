@@ -117,7 +117,7 @@ def made_small(words):
         words = [SMALL.get(word, word) for word in words if not re.match(r"office#[02]", word)]
     numbers = {"--episodes": "1", "--starts": "1", "--seconds": "1", "--frames": "5"}
     words = [numbers.get(before, word) for before, word in itertools.pairwise(["", *words])]
-    words += ["--no-report"] if words[0] in ("compare", "explore") else []
+    words += ["--no-report"] if words[0] in ("compare", "explore", "merge") or "--shard" in words else []
     return words + (["--frames", "5"] if words[0] == "explore" and "--frames" not in words else [])
 
 

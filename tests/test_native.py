@@ -35,13 +35,6 @@ needs_compiler = pytest.mark.skipif(not build.find_compiler(), reason="no C++ co
 needs_nvcc = pytest.mark.skipif(not gpu.find_nvcc(), reason="no nvcc")
 LIDAR, RULES = Lidar(n_beams=37, range_m=2.0), Rules()
 ROOMS = "rooms:width_m=6,height_m=5"
-ROOM = """
-    #######
-    #.....#
-    #..#..#
-    #.....#
-    #######
-"""
 
 
 def job_of(name, n=4, world=ROOMS, seed=3):
@@ -198,7 +191,7 @@ def test_sanitizers_find_nothing():
 @pytest.mark.parametrize("cell_m", [0.01, 1e-6])
 def test_radii_and_ranges_beyond_the_world(cell_m):
     """Their squares in cells would not fit."""
-    world = World(occupied=maps.walls(ROOM), cell_m=cell_m, name="tiny")
+    world = World(occupied=maps.walls(maps.ROOM), cell_m=cell_m, name="tiny")
     rules = dataclasses.replace(RULES, clearance_m=0, near_m=10, arrival_m=1000, scan_every_m=1000)
     job = Job(world, parse_strategy("closest+recheck"), np.array([[1, 2, 0]]))
     lidar = Lidar(n_beams=4, fov_deg=360, range_m=5 * cell_m)
