@@ -244,3 +244,18 @@ def printed(capsys):
         return capsys.readouterr()
 
     return run
+
+
+@pytest.fixture
+def refuses(printed):
+    """A function that runs a command, which must end with status 2 and say why in one line, besides what it loads."""
+
+    def run(arguments, message):
+        said = printed([str(argument) for argument in arguments], 2)
+        line = said.err.replace("jexplore: loading worlds\n", "")
+        assert said.out == ""
+        assert line.startswith("jexplore: error: ")
+        assert line.count("\n") == 1
+        assert message in line
+
+    return run

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from ref import maps, simulator
+from ref import episodes, maps, simulator
 from ref.refusals import refused
 from ref.worlds import with_walls
 from scipy import ndimage
@@ -15,13 +15,11 @@ from jexplore.arrays.padding import bucket
 from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import Given
 from jexplore.exploration.batch import Job, run_jobs
-from jexplore.exploration.environment import NEVER
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.results import length_along_m, progress_m
 from jexplore.exploration.site import prepare_site
-from jexplore.exploration.state import Numbers, Outcome, Setup, Truth
+from jexplore.exploration.state import Outcome, Setup
 from jexplore.native.build import find_compiler
-from jexplore.planning import MapModel
 from jexplore.policies import parse_strategy
 from jexplore.raycast import beam_table
 from jexplore.rules import Lidar, Rules
@@ -220,14 +218,6 @@ def test_headings_count_modulo_a_full_turn(jobs, one_worker):
 
 
 @pytest.mark.jit
-def test_progress_counts_every_episode(jobs):
-    seen = []
-    run_jobs(jobs[:2], LIDAR, RULES, workers=2, on_progress=seen.append)
-    assert seen == sorted(seen)
-    assert seen[-1] == 8
-
-
-@pytest.mark.jit
 def test_an_interrupt_leaves_no_thread_behind(jobs):
     def interrupt(done):
         raise KeyboardInterrupt
@@ -241,44 +231,18 @@ def test_an_interrupt_leaves_no_thread_behind(jobs):
 @pytest.mark.jit
 def test_no_key_is_used_twice():
     """A random strategy with a noisy scanner in a tiny world, every use of a key checked."""
-    occupied = maps.walls("###### #....# #....# ######")
+    occupied, strategy = maps.walls("###### #....# #....# ######"), parse_strategy("random+recheck")
     lidar = Lidar(n_beams=5, range_m=2.0, sigma_m=0.2, dropout=0.1)
-    strategy = parse_strategy("random+recheck")
-    truth = Truth(
-        occupied=occupied[None],
-        rooms=np.full((1, *occupied.shape), -1, np.int32),
-        region=np.asarray(~occupied, np.int32)[None],
-        extent=np.asarray([occupied.shape], np.int32),
-    )
-    numbers = Numbers(
-        model=MapModel(jnp.float32(0.25), jnp.int32(1), jnp.float32(1), 0), look_around=jnp.bool_(True),
-        recheck=jnp.bool_(True), max_steps=jnp.int32(3), max_plans=jnp.int32(3), sigma_cells=jnp.float32(0.2),
-        dropout=jnp.float32(0.1), no_echo_is_free=jnp.bool_(True), scan_every=jnp.int32(0),
-        arrival_d2=jnp.int32(0), clock=jnp.zeros(100, jnp.int32), params=(), stop_at=jnp.int32(0),
-        return_home=jnp.bool_(False), max_path=jnp.int32(NEVER), max_ms=jnp.int32(NEVER),
-    )  # fmt: skip
-    program = program_of(Setup(strategy.policy, 2, True, 3, window=4))
-    beams, start = jax.device_put((beam_table(lidar, 1.0, 6), np.asarray([1, 1, 0], np.int32)))
+    rules = Rules(clearance_m=0.0, near_m=1.0, max_steps=3, max_plans=3)
+    truth, beams, numbers = jax.device_put((
+        episodes.truth_of(occupied, None, occupied.shape), beam_table(lidar, 1.0, 6),
+        episodes.numbers_of(strategy, lidar, rules, 1.0, 6, episodes.ROBOT),
+    ))  # fmt: skip
+    program = program_of(Setup(strategy.policy._replace(params=()), 2, True, 3, window=4))
 
     def run(key):
-        return run_one(program, Given(key, beams, jax.device_put(truth), jnp.int32(0), numbers, start))
+        return run_one(program, Given(key, beams, truth, jnp.int32(0), numbers, jnp.int32([1, 1, 0])))
 
     with jax.debug_key_reuse(True):
         state = jax.jit(run)(jax.random.key(3))
     assert int(state.plans) > 0
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_what_is_kept_of_every_episode_is_the_same_in_lanes(jobs):
-    few = [job._replace(starts=job.starts[:2]) for job in jobs[:2]]
-    one, other = (
-        run_jobs(few, LIDAR, RULES, engine="jax", in_lanes=in_lanes, keep="maps").outcomes for in_lanes in (False, True)
-    )
-    for job, ours, theirs in zip(few, one, other):
-        assert sorted(ours.records) == sorted(theirs.records) == [0, 1]
-        jax.tree.map(np.testing.assert_array_equal, ours.records[1], theirs.records[1])
-        first, final = ours.records[0], ours.first
-        np.testing.assert_array_equal(first.path, np.stack([final.rows, final.cols, final.n_known], axis=1))
-        assert first.state.shape == job.world.shape
-        np.testing.assert_array_equal(first.state > 0, final.hits + final.misses > 0)

@@ -351,21 +351,6 @@ def test_beams_are_counted_alike_however_many_at_a_time(drive, monkeypatch):
     assert counts(fold_scans(drive, no_echo_m=1)) == expected
 
 
-def test_a_drive_moved_by_whole_cells_makes_the_same_map(drive):
-    made = fold_scans(drive)
-    moved = fold_scans(dataclasses.replace(drive, poses=np.add(drive.poses, [1.7, -40, 0])))
-    assert counts(moved) == counts(made)
-    np.testing.assert_allclose(np.subtract(moved.origin_m, made.origin_m), [1.7, -40])
-
-
-def test_a_drive_turned_by_a_quarter_makes_the_map_turned(drive):
-    x, y, heading = drive.poses.T
-    made = fold_scans(drive)
-    turned = fold_scans(dataclasses.replace(drive, poses=np.column_stack([-y, x, heading + math.pi / 2])))
-    for one, other in ((made.grid.hits, turned.grid.hits), (made.grid.misses, turned.grid.misses)):
-        np.testing.assert_array_equal(np.rot90(one, -1), other)  # row 0 is the bottom
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

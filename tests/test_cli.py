@@ -62,16 +62,6 @@ def files(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def refused(capsys, arguments, message):
-    """Runs a command that must end with one line and status 2."""
-    assert main.main([str(argument) for argument in arguments]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith("jexplore: error: ")
-    assert said.err.count("\n") == 1
-    assert message in said.err
-
-
 def test_compare_writes_a_whole_run(ran, world):
     assert files(ran) == [
         *("compare.png", "compare.svg", "coverage.png", "coverage.svg", "details.parquet", "episodes.parquet"),
@@ -104,20 +94,8 @@ def test_run_json(ran, world):
 @pytest.mark.jit
 def test_compare_again_is_the_same_and_prints_the_table(ran, world, tmp_path, printed, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    command = [
-        "compare",
-        "--worlds",
-        world,
-        "--strategies",
-        "closest",
-        "random",
-        "--episodes",
-        "2",
-        "--seed",
-        "3",
-        *LIDAR,
-    ]
-    said = printed(command).out
+    command = ["compare", "--worlds", world, "--strategies", "closest", "random", "--episodes", "2", "--seed", "3"]
+    said = printed([*command, *LIDAR]).out
     assert said.startswith("| world ")
     assert "| random " in said
     (folder,) = (tmp_path / "runs").iterdir()
@@ -128,12 +106,12 @@ def test_compare_again_is_the_same_and_prints_the_table(ran, world, tmp_path, pr
     pd.testing.assert_frame_equal(again, whole[(whole["episode"] < 2)][:4].reset_index(drop=True))
 
 
-def test_a_run_is_not_overwritten(ran, world, capsys, monkeypatch):
+def test_a_run_is_not_overwritten(ran, world, refuses, monkeypatch):
     monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: pytest.fail("ran"))
     before = (ran / "run.json").read_bytes()
-    refused(capsys, ["compare", "--worlds", world, "--out", ran], "holds a run")
-    refused(capsys, ["explore", "--world", world, "--out", ran], "holds a run")
-    refused(capsys, ["worlds", world, "--out", ran], "holds a run")
+    refuses(["compare", "--worlds", world, "--out", ran], "holds a run")
+    refuses(["explore", "--world", world, "--out", ran], "holds a run")
+    refuses(["worlds", world, "--out", ran], "holds a run")
     assert (ran / "run.json").read_bytes() == before
 
 
@@ -232,9 +210,6 @@ BAD_INPUT = [
     ("explore --lidar.range_m 3 --lidar.range-m 4", "--lidar.range-m is given twice"),
     # numbers
     ("compare --episodes 0", "episodes must be an integer from 1 to 1000000, got 0"),
-    ("compare --cell-m nan", "cell_m must be a number"),
-    ("compare --workers 99999999", "workers must be an integer from 1 to 1024"),
-    ("compare --lanes 4", "lanes are for the engine jax, got 4 for auto"),
     ("explore --frames 0", "frames must be an integer from 1 to 10000, got 0"),
     ("bench --sides 64 8", "sides must be an integer from 32 to 2048, got 8"),
     ("compare --lidar.n-beams 0", "lidar.n_beams must be an integer from 1 to 4096"),
@@ -244,18 +219,14 @@ BAD_INPUT = [
     ("trace --tuning.votes 99", "tuning.votes must be an integer from 1 to 9, got 99"),
     # names and files
     ("compare --worlds", "worlds must name at least one"),
-    ("compare --worlds cavern", "did you mean 'cave'"),
     ("compare --worlds cave cave", "worlds must differ, got 'cave' more than once"),
-    ("compare --worlds cave:widht_m=3", "there is no parameter 'widht_m'"),
-    ("compare --worlds cave --cell-m 0.5", "cave: cell_m must be a number at least 0.001"),
+    ("compare --worlds cavern", "did you mean 'cave'"),
     ("compare --worlds missing.png@0.1", "'missing.png': there is no such file (looked in "),
-    ("compare --worlds map.png@0.1:free=abc", "free must be a number at least 0 and at most 255, got 'abc'"),
     ("compare --worlds caf\udce9.png@0.1", "must be UTF-8"),
     ("compare --strategies Next_Best_View", "did you mean 'decision-theoretic'?"),
     ("compare --strategies random random", "strategies must differ, got 'random' more than once"),
     ("explore --strategy utility:betta=1", "unknown parameter of 'utility': 'betta'; did you mean 'beta'?"),
     ("explore --strategy no_such_module:f", "no_such_module"),
-    ("compare --metric steps=json:loads", "its name must be new, and 'steps' is in the tables"),
     (
         "explore --start 1,2 --world maze",
         "start must be random, world, cells such as 12,30,90 (row, column, degrees) or",
@@ -271,7 +242,6 @@ BAD_INPUT = [
     ("tune --strategies utility:beta=1,min_gain=1", "has no setting with bounds to be tuned"),
     ("compare --tuned nope.json", "there is no such file"),
     ("train --model nope.msgpack", "there is no such file"),
-    ("trace --robot kamuy", "robot must be one of kamui, wheeled, got 'kamuy'"),
     ("route --map nope.json --to 3", "there is no such file"),
     ("merge nope", "nope must be the folder of a run, with a run.json"),
     ("sweep nope.yaml", "'nope.yaml': there is no such file"),
@@ -283,11 +253,11 @@ BAD_INPUT = [
 
 
 @pytest.mark.parametrize(("command", "message"), BAD_INPUT)
-def test_bad_input_is_one_line(command, message, capsys, tmp_path, monkeypatch):
+def test_bad_input_is_one_line(command, message, refuses, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: pytest.fail("ran"))
     (tmp_path / "spec.yaml").write_text("worlds: [maze, kave]\nstrategies: [closest]\n")
-    refused(capsys, command.split(" ") if command else [], message)
+    refuses(command.split(" ") if command else [], message)
     assert files(tmp_path) == ["spec.yaml"]
 
 
@@ -297,33 +267,12 @@ def test_tables_of_names_agree():
     assert list(TRAINERS) == list(TRAINER_SETTINGS)
 
 
-def test_places_that_cannot_be_written(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: pytest.fail("ran"))
-    file = tmp_path / "file"
-    file.write_text("")
-    refused(capsys, ["compare", "--out", file], "must be a folder, got a file")
-    refused(capsys, ["compare", "--out", file / "below"], "file")
-    refused(capsys, ["compare", "--out", ""], "must have a name")
-    refused(capsys, ["compare", "--out", "/proc/1/new"], "must be a folder that can be written")
-    assert files(tmp_path) == ["file"]
-
-
-def test_unreadable_maps(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "empty.png").write_bytes(b"")
-    (tmp_path / "text.png").write_text("no image")
-    (tmp_path / "no_image.yaml").write_text("image: gone.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n")
-    Image.new("L", (1, 1), 0).save(tmp_path / "black.png")
-    for name in ("empty.png@0.1", "text.png@0.1", "no_image.yaml", "black.png@0.1", "black.png@0x0", str(tmp_path)):
-        refused(capsys, ["worlds", name], "")
-
-
-def test_a_message_stays_on_one_line(capsys, monkeypatch):
+def test_a_message_stays_on_one_line(refuses, monkeypatch):
     def fails(*_):
         raise InputError("first\nsecond")
 
     monkeypatch.setattr(main, "_dispatch", fails)
-    refused(capsys, ["worlds"], "first second")
+    refuses(["worlds"], "first second")
 
 
 @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 8 bytes")])
@@ -392,13 +341,3 @@ raise SystemExit(main.main())
     assert found.stdout.strip() == "went on"  # the first was dropped; the second may come before the line ends
     assert found.stderr == "jexplore: interrupted, no results were written\n"
     assert found.returncode == 130
-
-
-def test_a_map_that_hardly_means_what_it_says_is_told_in_one_line(tmp_path, printed):
-    Image.fromarray(np.array([[205, 254, 0]], np.uint8)).save(tmp_path / "m.pgm")
-    text = "image: m.pgm\nresolution: 0.5\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
-    (tmp_path / "m.yaml").write_text(text)
-    said = printed(["worlds", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "run")]).err
-    assert said.startswith("warning: ")
-    assert said.count("\n") == 1
-    assert "33% of its pixels are grey 205" in said

@@ -25,7 +25,7 @@ from jexplore.studies.results.comparison import ComparisonResult, assemble
 from jexplore.studies.results.units import Ran, unit_table
 from jexplore.studies.statistics import by_world, coverage, league, sizes
 from jexplore.worlds.readers.ros import read_ros
-from jexplore.worlds.world import World, occupancy_to_world
+from jexplore.worlds.world import World
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
 
@@ -146,13 +146,6 @@ def test_the_picture_of_a_path_is_that_of_episode_0(found):
 
 
 @pytest.mark.jit
-def test_fewer_episodes_worlds_and_workers_change_no_row(found):
-    alone = compare(room_world(start=(5, 5, 90)), "random", episodes=2, seed=3, lidar=LIDAR, workers=1)
-    rows = found.to_pandas().query("world == 'with rooms/two rooms' and strategy == 'random' and episode < 2")
-    assert alone.to_pandas().equals(rows.reset_index(drop=True))
-
-
-@pytest.mark.jit
 def test_start_of_the_world(found):
     table = compare(room_world(start=(5, 5, 90)), "random", episodes=2, start="world", lidar=LIDAR).to_pandas()
     assert table[["start_row", "start_col", "start_heading_deg"]].to_numpy().tolist() == [[5, 5, 90]] * 2
@@ -248,14 +241,6 @@ def test_maps_of_worlds_called_alike_are_files_of_their_own(tmp_path):
     files = ComparisonResult(episodes, tuple(worlds), {}, 0.0, 0.0, maps=maps).save_maps(tmp_path)
     assert [file.name for file in files] == ["floor1_map.yaml-closest-0.yaml", "floor2_map.yaml-closest-0.yaml"]
     assert [read_ros(file)[0].shape for file in files] == list(shapes.values())
-
-
-def test_an_enclosed_start_is_refused():
-    occupied = np.zeros((30, 30), bool)
-    occupied[13:18, 13:18] = True
-    occupied[15, 15] = False
-    world = occupancy_to_world(occupied, name="cell").replace(start=(15, 15, 0))
-    refused("is enclosed", compare, world, "closest", start="world")
 
 
 def test_what_does_not_fit_into_memory_is_refused(monkeypatch):

@@ -144,51 +144,6 @@ def test_triangles_are_scipys(kind):
     assert unlike <= 0.002 * total
 
 
-def test_every_circle_is_empty_and_the_triangles_cover_the_hull():
-    rng = np.random.default_rng(2)
-    for _ in range(20):
-        points = clouds(rng).astype(np.float32)
-        found = triangles(points)
-        exact, area = points.astype(np.float64), 0
-        for triangle in found:
-            if thin(exact, triangle):
-                continue
-            centre, radius = circle(exact, triangle)
-            assert np.hypot(*(exact - centre).T).min() > radius * (1 - 1e-4)
-            (ax, ay), (bx, by), (cx, cy) = exact[list(triangle)]
-            area += abs((bx - ax) * (cy - ay) - (by - ay) * (cx - ax)) / 2
-        assert area == pytest.approx(spatial.ConvexHull(exact).volume, rel=1e-3)
-
-
-@pytest.mark.parametrize("kind", [clouds, passage])
-def test_the_order_of_the_points_does_not_matter(kind):
-    rng = np.random.default_rng(3)
-    for _ in range(15):
-        points = kind(rng).astype(np.float32)
-        valid = rng.random(N) < 0.9
-        order = rng.permutation(N)
-        renumbered = {tuple(sorted(order[list(t)].tolist())) for t in triangles(points[order], valid[order])}
-        different = renumbered ^ set(triangles(points, valid))
-        assert all(thin(points, t) or is_close_call(points[valid], np.searchsorted(np.flatnonzero(valid), t))
-                   for t in different)  # fmt: skip
-
-
-def test_turned_moved_mirrored_and_scaled_points_have_the_same_triangles():
-    rng = np.random.default_rng(4)
-    for _ in range(20):
-        points = clouds(rng)
-        before = triangles(points)
-        turn = rng.uniform(-3, 3)
-        cos, sin = math.cos(turn), math.sin(turn)
-        for after in (
-            points @ np.array([[cos, sin], [-sin, cos]]),
-            points + np.array([3, -2]),
-            points * [1, -1],
-            0.1 * points,
-        ):
-            assert all(thin(points, t) or is_close_call(points, t) for t in set(before) ^ set(triangles(after)))
-
-
 def test_rows_of_a_batch_are_independent():
     rng = np.random.default_rng(5)
     points = np.stack([clouds(rng), passage(rng), clusters(rng)]).astype(np.float32)

@@ -117,7 +117,7 @@ def made_small(words):
         words = [SMALL.get(word, word) for word in words if not re.match(r"office#[02]", word)]
     numbers = {"--episodes": "1", "--starts": "1", "--seconds": "1", "--frames": "5"}
     words = [numbers.get(before, word) for before, word in itertools.pairwise(["", *words])]
-    words += ["--no-report"] if words[0] in ("compare", "explore") else []
+    words += ["--no-report"] if words[0] in ("compare", "explore", "merge") else []
     return words + (["--frames", "5"] if words[0] == "explore" and "--frames" not in words else [])
 
 
@@ -162,6 +162,7 @@ def run_line(page, line):
         return
     words = shlex.split(line)
     assert words[0] == "jexplore", f"{page}: {line}"
+    words += ["--no-report"] if words[1] == "sweep" else []  # the tutorial's has one
     assert main(made_small(words[1:])) in (0, None), f"{page}: {line}"
 
 

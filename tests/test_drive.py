@@ -31,13 +31,7 @@ from jexplore.worlds.world import World
 RIGHT_ANGLES = Lidar(n_beams=4, fov_deg=360, range_m=3)  # looks back, right, ahead, left
 LIDAR = Lidar(n_beams=37, range_m=2.0)
 
-ROOM = maps.walls("""
-    #######
-    #.....#
-    #..#..#
-    #.....#
-    #######
-""")
+ROOM = maps.walls(maps.ROOM)
 
 needs_compiler = pytest.mark.skipif(not build.find_compiler(), reason="no C++ compiler")
 
@@ -75,45 +69,21 @@ def begun(setup, given):
 
 @needs_compiler
 @pytest.mark.jit
-def test_the_first_scan_by_hand(target):
-    state = begun(*setting(target))
-    assert maps.picture(np.asarray(state.belief.grid.hits), np.asarray(state.belief.grid.misses)) == [
-        "??#????",
-        "??.????",
-        "??.????",
-        "#.....?",  # ahead the range of 3 cells ends the beam after 3 cells entered
-        "??#????",
-    ]
-    assert (int(state.n_known), int(state.scans)) == (10, 1)
-    assert state.trail[0].tolist() == [8 * (1 * 7 + 2), 10, 0]
-
-
-@needs_compiler
-@pytest.mark.jit
-def test_without_an_echo_a_beam_may_say_nothing(target):
-    setup, given = setting(target, lidar=dataclasses.replace(RIGHT_ANGLES, no_echo="unknown"))
-    grid = begun(setup, given).belief.grid
-    assert maps.picture(np.asarray(grid.hits), np.asarray(grid.misses)) == [
-        "??#????",
-        "??.????",
-        "??.????",
-        "#..????",  # ahead nothing is seen within 3 cells
-        "??#????",
-    ]
-
-
-@needs_compiler
-@pytest.mark.jit
-def test_a_beam_that_is_stopped_too_near_says_nothing(target):
-    setup, given = setting(target, lidar=dataclasses.replace(RIGHT_ANGLES, min_range_m=1))
-    grid = begun(setup, given).belief.grid
-    assert maps.picture(np.asarray(grid.hits), np.asarray(grid.misses)) == [
-        "??#????",
-        "??.????",
-        "??.????",
-        "#.....?",
-        "???????",  # the wall to the right is half a cell away
-    ]
+@pytest.mark.parametrize(
+    ("own", "row_1", "row_0"),
+    [
+        ({}, "#.....?", "??#????"),  # ahead the range of 3 cells ends the beam after 3 cells entered
+        ({"no_echo": "unknown"}, "#..????", "??#????"),  # ahead nothing is seen within 3 cells
+        ({"min_range_m": 1}, "#.....?", "???????"),  # the wall to the right is half a cell away
+    ],
+)
+def test_the_first_scan_by_hand(target, own, row_1, row_0):
+    state = begun(*setting(target, lidar=dataclasses.replace(RIGHT_ANGLES, **own)))
+    found = maps.picture(np.asarray(state.belief.grid.hits), np.asarray(state.belief.grid.misses))
+    assert found == ["??#????", "??.????", "??.????", row_1, row_0]
+    if not own:
+        assert (int(state.n_known), int(state.scans)) == (10, 1)
+        assert state.trail[0].tolist() == [8 * (1 * 7 + 2), 10, 0]
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from ref import fuzz, maps
+from ref.refusals import refused
 
 import jexplore as jx
 from jexplore.config import InputError, InputWarning
@@ -123,8 +124,7 @@ def test_all_engines_and_the_oracle_agree(number):
     ],
 )
 def test_wrong_rules_are_refused(change, message):
-    with pytest.raises(InputError, match=f"^{message}"):
-        Rules(**change)
+    refused(f"^{message}", Rules, **change)
 
 
 def test_an_environment_does_not_drive_home():

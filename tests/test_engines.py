@@ -37,9 +37,9 @@ def assert_equal(got, want):
 
 @pytest.fixture(scope="module")
 def want(jit_on):
-    """The jobs, one after the other."""
+    """The jobs, one after the other, with the record of every episode."""
     with jit_on():
-        return run_jobs(some_jobs(), LIDAR, RULES, engine="jax", workers=1)
+        return run_jobs(some_jobs(), LIDAR, RULES, engine="jax", workers=1, keep="maps")
 
 
 @pytest.mark.slow
@@ -53,8 +53,15 @@ def test_what_is_compared_says_something(want):
 @pytest.mark.jit
 @pytest.mark.slow
 def test_lanes_give_what_one_after_the_other_does(want):
-    report = run_jobs(some_jobs(), LIDAR, RULES, engine="jax", in_lanes=True, lanes=7)
+    report = run_jobs(some_jobs(), LIDAR, RULES, engine="jax", in_lanes=True, lanes=7, keep="maps")
     assert_equal(report, want)
+    for job, ours, theirs in zip(some_jobs(), report.outcomes, want.outcomes):
+        assert sorted(ours.records) == list(range(5))
+        jax.tree.map(np.testing.assert_array_equal, ours.records, theirs.records)
+        first, final = ours.records[0], ours.first
+        np.testing.assert_array_equal(first.path, np.stack([final.rows, final.cols, final.n_known], axis=1))
+        assert first.state.shape == job.world.shape
+        np.testing.assert_array_equal(first.state > 0, final.hits + final.misses > 0)
     costs = report.costs
     assert (costs.engine, costs.devices, costs.lanes) == ("jax", 1, 7)
     assert costs.levels == {"closest": ["JAX in lanes"], "closest+recheck": ["JAX in lanes"]}

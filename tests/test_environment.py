@@ -115,22 +115,6 @@ def same(one, other):
 
 
 @pytest.mark.slow
-def test_a_step_alone_is_a_step_among_many(env):
-    key = jax.random.key(1)
-    state, view = env.reset(key)
-    out = env.step(key, state, nearest(view))
-    many = jax.vmap(env.step, in_axes=(None, None, 0))(key, state, jnp.stack([nearest(view), jnp.int32([0, 0])]))
-    same(jax.tree.map(lambda a: a[0], many), out)
-    same(jax.tree.map(lambda a: a[1], many[0]), state)
-    assert isinstance(out[2], jax.Array)
-    assert out[2].dtype == jnp.float32
-    assert out[3].dtype == bool
-    assert out[4]["outcome"].dtype == jnp.int32
-    assert (view.cost.shape, view.cost.dtype, view.path_m.dtype) == (env.shape, np.int32, np.float32)
-    assert view.frontier.dtype == bool
-
-
-@pytest.mark.slow
 def test_the_draws_of_a_reset(env):
     world = two_rooms()
     many, view = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 200))

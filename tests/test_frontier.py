@@ -118,23 +118,6 @@ def test_all_three_are_the_oracles(case, clearance_d2, near_d2, seed):
     np.testing.assert_array_equal(frontier, np.asarray(clear) & plans.beside_unknown(known))
 
 
-@pytest.mark.jit
-@given(counts, st.integers(1, 3))
-@settings(max_examples=40, deadline=None)
-def test_a_frontier_turns_with_the_map_and_padding_adds_nothing(case, quarters):
-    def found(hits, misses, inside):
-        return np.asarray(
-            everything(Grid(jnp.asarray(hits), jnp.asarray(misses)), inside & False, 0, 0, 0, inside, 1)[2]
-        )
-
-    inside = np.ones(case[0].shape, bool)
-    frontier = found(*case, inside)
-    turned = found(*(np.rot90(a, quarters) for a in case), np.rot90(inside, quarters))
-    np.testing.assert_array_equal(turned, np.rot90(frontier, quarters))
-    padded = found(*(np.pad(a, ((0, 2), (0, 3))) for a in (*case, inside)))
-    np.testing.assert_array_equal(padded, np.pad(frontier, ((0, 2), (0, 3))))
-
-
 # ---------------------------------------------------------------- clusters
 
 

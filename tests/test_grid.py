@@ -106,6 +106,7 @@ def test_metres_and_cells():
     np.testing.assert_allclose(x, -0.65 + 0.1 * cols)
     np.testing.assert_allclose(y, 3.05 + 0.1 * rows)
     assert [G.in_cells(0.3, 0.1), G.in_cells(8.0, 0.1), G.in_cells(0.25, 0.1)] == [3.0, 80.0, 2.5]
+    assert [G.in_cells(1.05, 0.3), G.in_cells(1.5, 0.3), G.in_cells(1.0, 0.07)] == [3.5, 5, 14.285714286]
 
 
 @pytest.mark.jit

@@ -16,7 +16,6 @@ from jexplore.worlds.world import occupancy_to_world, with_ring
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed (the extra gym)")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
-from gymnasium.utils.passive_env_checker import check_action_space, check_observation_space  # noqa: E402
 from gymnasium.vector import AutoresetMode, SyncVectorEnv  # noqa: E402
 from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
 from ref.refusals import refused  # noqa: E402
@@ -74,23 +73,6 @@ def test_gymnasiums_checker_has_nothing_to_say():
 
 
 @pytest.mark.slow
-def test_the_spaces_of_many_are_those_of_one(env, envs):
-    check_action_space(envs.single_action_space)
-    check_observation_space(envs.single_observation_space)
-    assert envs.single_action_space == env.action_space == gymnasium.spaces.Discrete(64 * 64)
-    assert envs.single_observation_space == env.observation_space
-    assert envs.action_space.shape == (4,)
-    assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    seen, info = envs.reset(seed=1)
-    assert seen in envs.observation_space
-    for _ in range(4):
-        seen, reward, terminated, truncated, info = envs.step(envs.action_space.sample(tuple(info["action_mask"])))
-        assert seen in envs.observation_space
-        assert (reward.dtype, terminated.dtype, truncated.dtype) == (np.float64, bool, bool)
-        assert {f"_{name}" for name in info if name[0] != "_"} == {name for name in info if name[0] == "_"}
-
-
-@pytest.mark.slow
 def test_many_in_step_are_what_gymnasium_makes_of_single_ones(envs):
     """The observations, rewards, ends and infos of `SyncVectorEnv`, over several episodes a lane."""
     worlds = [two_rooms(), two_rooms("low", rows=20)]
@@ -133,26 +115,6 @@ def test_made_by_name_and_wrapped():
 
 
 # --- as they are without it
-
-
-@pytest.mark.slow
-def test_closest_by_actions_is_closest_to_the_bit(env, compared):
-    """The scanner's noise included, by the episode's number."""
-    table, starts = compared
-    for i, start in enumerate(starts):
-        seen, info = env.reset(seed=SEED if i == 0 else None, options={"start": start})
-        decisions, total, terminated = 0, 0.0, False
-        assert info["path_m"] == 0
-        while not terminated:
-            assert info["action_mask"][nearest(seen)] == 1
-            seen, reward, terminated, truncated, info = env.step(nearest(seen))
-            decisions, total = decisions + 1, total + reward
-            assert not truncated
-        row = table.iloc[i]
-        assert info["path_m"] == pytest.approx(row["path_m"], abs=1e-12)
-        assert total == pytest.approx(-row["path_m"])
-        assert (jx.Outcome(info["outcome"]).name, decisions + 1) == (row["outcome"], row["plans"])
-        assert (int(env.state.episode.scans), int(env.state.episode.plans)) == (row["scans"], row["plans"])
 
 
 @pytest.mark.slow
@@ -324,16 +286,6 @@ def test_seeds(env, envs):
     assert len({tuple(robot) for robot in lanes["robot"].tolist()}) == 4
     unseeded = [GymEnv(two_rooms(), lidar=LIDAR).reset()[0]["robot"].tolist() for _ in range(3)]
     assert len(set(map(tuple, unseeded))) > 1
-
-
-@pytest.mark.slow
-def test_starts_and_worlds(envs):
-    start = [[5, 5, 0], [6, 5, 45], [7, 5, 90], [8, 5, 315]]
-    seen, _ = envs.reset(seed=0, options={"start": start, "world": [0, 1, 0, 1]})
-    np.testing.assert_array_equal(seen["robot"], np.array(start) // [1, 1, 45])
-    assert envs.states.world.tolist() == [0, 1, 0, 1]
-    envs.reset(options={"world": [1, 1, 1, 0]})
-    assert envs.states.world.tolist() == [1, 1, 1, 0]
 
 
 @pytest.mark.slow

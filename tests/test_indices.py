@@ -108,17 +108,6 @@ def test_worlds_of_an_environment_may_differ_in_their_edges():
         assert float(view.cost[start[0], start[1]]) == 0
 
 
-@pytest.mark.slow
-def test_a_learner_sees_the_cells_of_the_array():
-    gym = pytest.importorskip("gymnasium", reason="needs gymnasium: pip install 'jexplore[gym]'")
-    del gym
-    env = jx.GymEnv(PLAIN, lidar=LIDAR)
-    seen, info = env.reset(seed=0, options={"start": START})
-    assert seen["robot"].tolist() == [START[0], START[1], START[2] // 45]
-    assert seen["map"][START[:2]] == 1
-    assert np.array_equal(np.flatnonzero(info["action_mask"]), np.flatnonzero(seen["frontier"]))
-
-
 @pytest.mark.parametrize("variant", ["voronoi", "distance", "wurm"])
 def test_rooms_are_those_of_the_same_plan_in_walls(variant):
     made = [

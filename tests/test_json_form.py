@@ -5,6 +5,7 @@ import re
 
 import pytest
 from hypothesis import given, settings
+from ref.refusals import refused
 from ref.traces import CRAWLER, T_LEFT, changed, maps, node, stub, way
 
 from jexplore.config import InputError
@@ -111,8 +112,7 @@ def test_wrong_items_are_refused_by_name(old, new, message):
     text = text_of(T_LEFT)
     bad = text.replace(old, new, 1)
     assert bad != text
-    with pytest.raises(InputError, match=rf'^"b\.json": {message}$'):
-        json_form.parse_map(bad, "b.json")
+    refused(rf'^"b\.json": {message}$', json_form.parse_map, bad, "b.json")
 
 
 def test_a_cut_file_is_refused_wherever_it_is_cut():
@@ -121,8 +121,7 @@ def test_a_cut_file_is_refused_wherever_it_is_cut():
         with pytest.raises(InputError, match=r'^"b": is not valid JSON \(line \d+: ') as caught:
             json_form.parse_map(text[:length], "b")
         assert int(re.findall(r"line (\d+)", str(caught.value))[0]) <= text[:length].count("\n") + 1
-    with pytest.raises(InputError, match=r'^"b": is not valid JSON \(line 5: '):
-        json_form.parse_map("\n".join(text.split("\n")[:4]) + "\n", "b")
+    refused(r'^"b": is not valid JSON \(line 5: ', json_form.parse_map, "\n".join(text.split("\n")[:4]) + "\n", "b")
 
 
 @pytest.mark.parametrize(
@@ -159,15 +158,13 @@ def test_attributes_nest_so_deep_and_no_deeper(levels):
         assert json_form.to_json(json_form.parse_map(bad, "b"))
     own = []
     own.append(own)  # no end of levels
-    with pytest.raises(InputError, match=r"^attributes: lists and objects lie in each other more than 100 deep$"):
-        T_LEFT.with_attributes({"a": own})
+    refused(r"^attributes: lists and objects lie in each other more than 100 deep$", T_LEFT.with_attributes, {"a": own})
 
 
 def test_a_map_that_is_none_is_not_written():
     with pytest.raises(InputError, match=r'^"map": link 0 ends at node 1, which is not there$'):
         json_form.to_json(BtmMap((node(0),), (way(0, 0, 1, 0),)))
-    with pytest.raises(InputError, match=r'^"map": attributes must be what JSON can hold, .*, got '):
-        json_form.to_json(BtmMap((), (), {"a": {1}}))
+    refused(r'^"map": attributes must be what JSON can hold, .*, got ', json_form.to_json, BtmMap((), (), {"a": {1}}))
 
 
 def test_files(tmp_path):
@@ -176,9 +173,6 @@ def test_files(tmp_path):
     assert json_form.read_btm(path) == CRAWLER
     path.write_text(path.read_text()[:300])
     lines = path.read_text().count("\n") + 1
-    with pytest.raises(InputError, match=rf"is not valid JSON \(line {lines}: "):
-        json_form.read_btm(path)
-    with pytest.raises(InputError, match=r"none.json': there is no such file"):
-        json_form.read_btm(tmp_path / "none.json")
-    with pytest.raises(InputError, match=f"is a directory; {WANTED} in it"):
-        json_form.read_btm(tmp_path)
+    refused(rf"is not valid JSON \(line {lines}: ", json_form.read_btm, path)
+    refused(r"none.json': there is no such file", json_form.read_btm, tmp_path / "none.json")
+    refused(f"is a directory; {WANTED} in it", json_form.read_btm, tmp_path)

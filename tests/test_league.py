@@ -4,10 +4,10 @@ import json
 import math
 
 import numpy as np
-import pandas as pd
 import pytest
 from ref.refusals import refused
 from scipy import stats as scipy_stats
+from test_aggregate import episodes
 
 from jexplore.cli import main
 from jexplore.policies import parse_strategy
@@ -16,18 +16,6 @@ from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds,
 from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
 from jexplore.studies.statistics.paired import holm
 from jexplore.worlds import load_world
-
-ENDED = {"outcome": "COMPLETE", "explored_fraction": 1.0}
-
-
-def episodes(paths):
-    """A table of episodes: `{(world, strategy): path lengths}`."""
-    rows = [
-        {"world": world, "strategy": strategy, "episode": i, "path_m": path, **ENDED}
-        for (world, strategy), all_ in paths.items()
-        for i, path in enumerate(all_)
-    ]
-    return pd.DataFrame(rows)
 
 
 def test_ratios_and_ranks_by_hand():

@@ -7,13 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from ref import beliefs
+from ref.refusals import refused
 
-import jexplore as jx
-from jexplore.config import InputError
 from jexplore.planning import field
 from jexplore.policies import clusters, parse_strategy
 from jexplore.policies.learned import features, model, networks
-from jexplore.policies.learned.strategy import is_forced, policy_of
+from jexplore.policies.learned.strategy import is_forced
 from jexplore.raycast import beam_table
 from jexplore.rules import Lidar
 
@@ -92,16 +91,6 @@ def test_networks_do_not_mind_the_order_nor_unused_slots(name):
     assert np.all(np.isfinite(SCORES(name, weights, x, jnp.zeros(32, bool))))
 
 
-@pytest.mark.slow
-@pytest.mark.jit
-def test_training_begins_at_closest():
-    weights = jax.tree.map(np.asarray, networks.initial_weights("linear", jax.random.key(0), len(features.FEATURES)))
-    begun = jx.strategy(policy_of(model.Model("linear", weights)), name="begun", recheck=True)
-    table = jx.compare("rooms:width_m=8,height_m=8", ["closest+recheck", begun], episodes=3).to_pandas()
-    paths = table.pivot(index="episode", columns="strategy", values="path_m")
-    np.testing.assert_allclose(paths["begun"], paths["closest+recheck"])
-
-
 def saved_as(path, made):
     """A model as files: the path of its weights."""
     file = path.with_suffix(".msgpack")
@@ -146,17 +135,14 @@ def test_models_that_cannot_be_used(saved, change, message):
     else:
         text = change if isinstance(change, str) else json.dumps(page | change)
         saved.with_suffix(".json").write_text(text)
-    with pytest.raises(InputError, match=message):
-        parse_strategy(f"learned:path={saved}")
+    refused(message, parse_strategy, f"learned:path={saved}")
 
 
 def test_a_model_that_is_not_there(tmp_path):
-    with pytest.raises(InputError, match=r"cannot be read: '.*': there is no such file"):
-        parse_strategy(f"learned:path={tmp_path / 'none'}")
+    refused(r"cannot be read: '.*': there is no such file", parse_strategy, f"learned:path={tmp_path / 'none'}")
     weights = {"weights": np.full(len(features.FEATURES), np.nan, np.float32)}
     file = saved_as(tmp_path / "nan", model.Model("linear", weights))
-    with pytest.raises(InputError, match="no finite numbers"):
-        model.load_model(file)
+    refused("no finite numbers", model.load_model, file)
 
 
 def test_the_model_that_comes_with_the_package_says_how_it_was_made():
@@ -166,5 +152,4 @@ def test_the_model_that_comes_with_the_package_says_how_it_was_made():
     assert {name.partition("#")[2] for name in found.made["training"]} <= {str(seed) for seed in range(1000, 60000)}
     assert found.made["validation"]["ratio"] < 1
     assert parse_strategy("learned+recheck").policy.params.keys() == found.weights.keys()
-    with pytest.raises(InputError, match="unknown parameter"):
-        parse_strategy("learned:file=x")
+    refused("unknown parameter", parse_strategy, "learned:file=x")

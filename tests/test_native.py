@@ -35,13 +35,6 @@ needs_compiler = pytest.mark.skipif(not build.find_compiler(), reason="no C++ co
 needs_nvcc = pytest.mark.skipif(not gpu.find_nvcc(), reason="no nvcc")
 LIDAR, RULES = Lidar(n_beams=37, range_m=2.0), Rules()
 ROOMS = "rooms:width_m=6,height_m=5"
-ROOM = """
-    #######
-    #.....#
-    #..#..#
-    #.....#
-    #######
-"""
 
 
 def job_of(name, n=4, world=ROOMS, seed=3):
@@ -51,20 +44,6 @@ def job_of(name, n=4, world=ROOMS, seed=3):
 
 def assert_equal(one, other):
     jax.tree.map(np.testing.assert_array_equal, one, other)
-
-
-@needs_compiler
-@pytest.mark.jit
-def test_an_episode_by_hand():
-    """A corridor one cell wide: the robot sees along and across, and drives until it has seen both walls everywhere."""
-    occupied = np.ones((3, 7), bool)
-    occupied[1, 1:6] = False
-    job = Job(World(occupied=occupied, cell_m=1.0, name="corridor"), parse_strategy("closest"), np.array([[1, 2, 0]]))
-    rules = Rules(clearance_m=0, near_m=1.0)
-    found = run_jobs([job], Lidar(n_beams=4, fov_deg=360, range_m=9), rules).outcomes[0]
-    assert found.result.outcome.tolist() == [1]
-    assert found.result.n_known.tolist() == [5 + 2 + 10]  # the floor, both ends, and the walls at its sides
-    assert maps.picture(found.first.hits, found.first.misses) == ["?#####?", "#.....#", "?#####?"]
 
 
 @needs_compiler
@@ -212,7 +191,7 @@ def test_sanitizers_find_nothing():
 @pytest.mark.parametrize("cell_m", [0.01, 1e-6])
 def test_radii_and_ranges_beyond_the_world(cell_m):
     """Their squares in cells would not fit."""
-    world = World(occupied=maps.walls(ROOM), cell_m=cell_m, name="tiny")
+    world = World(occupied=maps.walls(maps.ROOM), cell_m=cell_m, name="tiny")
     rules = dataclasses.replace(RULES, clearance_m=0, near_m=10, arrival_m=1000, scan_every_m=1000)
     job = Job(world, parse_strategy("closest+recheck"), np.array([[1, 2, 0]]))
     lidar = Lidar(n_beams=4, fov_deg=360, range_m=5 * cell_m)

@@ -146,15 +146,6 @@ def test_the_plainest_strategy_is_closest_to_the_bit():
 
 
 @pytest.mark.jit
-@pytest.mark.slow
-def test_the_plainest_strategy_is_closest_to_the_bit_with_noise_and_recheck():
-    table = compare(["closest", nearest, "closest+recheck", strategy(nearest, recheck=True)], lidar=NOISY)
-    assert equal(table, "closest", "nearest")
-    assert equal(table, "closest+recheck", "nearest+recheck")
-    assert not equal(table, "closest", "closest+recheck")
-
-
-@pytest.mark.jit
 def test_a_score_is_rounded_once():
     """Computed a second time to be compared with its maximum, it might not equal it, and nothing would be chosen."""
 
@@ -605,26 +596,16 @@ def test_an_episode_with_bad_targets_is_played_again_as_it_was():
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda choice, belief: choice.replace(row=jnp.int32(63), col=jnp.int32(63)),  # the way leads elsewhere
-        pytest.param(
-            lambda choice, belief: choice.replace(row=jnp.int32(900)), marks=pytest.mark.slow
-        ),  # not on the map
-        pytest.param(lambda choice, belief: choice.replace(cost=jnp.int32(2**30)), marks=pytest.mark.slow),
-    ],
-)
-def test_a_way_must_lead_to_its_target(change):
+def test_a_way_must_lead_to_its_target():
     def select(key, params, carry, belief, beams, route):
         choice, route = jx.nearest_frontier(belief, route)
-        return carry, change(choice, belief), route
+        return carry, choice.replace(row=jnp.int32(63), col=jnp.int32(63)), route  # the way leads elsewhere
 
-    table = compare([strategy(policy(select), name="astray")], episodes=2)
-    assert table["outcome"].tolist() == ["BAD_TARGET"] * 2
-    assert table["plans"].tolist() == [3] * 2
-    assert jx.compare(two_rooms(), strategy(policy(select), name="astray"), episodes=1, lidar=LIDAR).warnings[-1] == (
-        "two rooms: astray: 1 of 1 episodes ended because the strategy chose a target that no path leads to, "
+    found = jx.compare(two_rooms(), strategy(policy(select), name="astray"), episodes=2, seed=2, lidar=LIDAR)
+    assert found.episodes["outcome"].tolist() == ["BAD_TARGET"] * 2
+    assert found.episodes["plans"].tolist() == [3] * 2
+    assert found.warnings[-1] == (
+        "two rooms: astray: 2 of 2 episodes ended because the strategy chose a target that no path leads to, "
         "three times in a row"
     )
 
@@ -638,6 +619,7 @@ def test_a_way_is_followed_cell_by_cell():
 
     assert [leads(col) for col in range(4)] == [True, True, True, False]  # a wall is not stepped into
     assert not leads(-1, -1)
+    assert not leads(2, row=900)  # not on the map
     assert not leads(2, way=jnp.array([[0, -1, 0, 0]], jnp.int8))
     assert not leads(2, way=jnp.array([[0, 2, 0, 0]], jnp.int8))  # to and fro
     assert not leads(2, way=jnp.array([[2, 0, 0, 0]], jnp.int8))  # over the edge

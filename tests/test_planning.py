@@ -7,52 +7,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ref import maps, plans
+from ref.beliefs import belief_from, belief_of
 
 from jexplore import planning
-from jexplore.grid import Grid
-from jexplore.planning import Belief, MapModel, choose, field, nearest_frontier, windows
-from jexplore.reach import DIAGONAL, FAR, MOTIONS, STRAIGHT
+from jexplore.planning import choose, field, nearest_frontier, windows
+from jexplore.reach import DIAGONAL, FAR, STRAIGHT
 
 S, D = STRAIGHT, DIAGONAL
 
 
-def believe(hits, misses, row, col, *, driven=None, exhausted=None, extent=None, clearance_d2=0, near_d2=0):
-    shape = np.shape(hits)
-    at = np.zeros(shape, bool)
-    at[row, col] = True
-    return Belief(
-        grid=Grid(jnp.asarray(hits, jnp.int32), jnp.asarray(misses, jnp.int32)),
-        driven=jnp.asarray(at if driven is None else driven | at),
-        exhausted=jnp.zeros(shape, bool) if exhausted is None else jnp.asarray(exhausted),
-        row=jnp.int32(row),
-        col=jnp.int32(col),
-        heading=jnp.int32(0),
-        start=jnp.asarray([row, col, 0], jnp.int32),
-        extent=jnp.asarray(shape if extent is None else extent, jnp.int32),
-        model=MapModel(jnp.float32(0.25), jnp.int32(near_d2), jnp.float32(0.1), clearance_d2),
-    )
-
-
-def drawn(text, **more):
-    """A drawn belief: `?` unknown, `#` one hit, `.` one miss, `R` the robot, in a free cell."""
-    cells = maps.drawn(text)
-    return believe(cells == "#", (cells == ".") | (cells == "R"), *maps.one(text, "R"), **more)
+def believe(hits, misses, row, col, *, driven=None, exhausted=None, near_d2=0, **how):
+    """The shared belief, of a robot that may have driven and been at some targets."""
+    belief = belief_from(np.asarray(hits), np.asarray(misses), (row, col), **how)
+    driven = belief.driven if driven is None else belief.driven | driven
+    exhausted = belief.exhausted if exhausted is None else jnp.asarray(exhausted)
+    return belief.replace(driven=driven, exhausted=exhausted, model=belief.model.replace(near_d2=jnp.int32(near_d2)))
 
 
 def no_route(belief):
     return jnp.full(belief.driven.shape, -1, jnp.int8)
-
-
-def follow(route, start, target):
-    """Cells of a route after its start, and what they cost."""
-    cells, cost, (row, col) = [], 0, start
-    while (row, col) != target:
-        assert route[row, col] >= 0
-        drow, dcol = MOTIONS[route[row, col]]
-        row, col, cost = row + drow, col + dcol, cost + (D if drow and dcol else S)
-        cells.append((row, col))
-        assert len(cells) <= route.size
-    return cells, cost
 
 
 def oracle(belief):
@@ -77,7 +50,7 @@ ROOM = """
 
 
 def test_a_field_by_hand():
-    reached = field(drawn(ROOM))
+    reached = field(belief_of(ROOM))
     by_hand = [[FAR] * 6, [FAR, D, S, D, FAR, FAR], [FAR, S, 0, S, 2 * S, FAR], [FAR, D, S, D, S + D, FAR], [FAR] * 6]
     np.testing.assert_array_equal(reached.cost[::-1], by_hand)
     np.testing.assert_array_equal(reached.frontier, maps.walls("...... ...#.. ...##. ...##. ......"))
@@ -85,7 +58,7 @@ def test_a_field_by_hand():
 
 
 def test_the_nearest_frontier_by_hand():
-    belief = drawn(ROOM)
+    belief = belief_of(ROOM)
     choice, route = nearest_frontier(belief, no_route(belief))
     assert (int(choice.row), int(choice.col), int(choice.cost), int(choice.saturated)) == (2, 3, S, 0)
     assert np.argwhere(np.asarray(route) >= 0).tolist() == [[2, 2]]
@@ -93,16 +66,16 @@ def test_the_nearest_frontier_by_hand():
 
 
 def test_equal_costs_go_to_the_lowest_index():
-    belief = drawn("?.R.?")
+    belief = belief_of("?.R.?")
     choice, _ = nearest_frontier(belief, no_route(belief))
     assert (int(choice.row), int(choice.col)) == (0, 1)
-    belief = drawn("? . R . ?")
+    belief = belief_of("? . R . ?")
     choice, _ = nearest_frontier(belief, no_route(belief))
     assert (int(choice.row), int(choice.col)) == (1, 0)
 
 
 def test_exhausted_cells_and_unreachable_ones_are_no_candidates():
-    belief = drawn("?.R#.?")
+    belief = belief_of("?.R#.?")
     belief = belief.replace(exhausted=jnp.zeros((1, 6), bool).at[0, 1].set(True))
     assert not field(belief).frontier.any()
     old = jnp.full((1, 6), 3, jnp.int8)
@@ -113,20 +86,20 @@ def test_exhausted_cells_and_unreachable_ones_are_no_candidates():
 
 @pytest.mark.parametrize("text", ["R", ".R..", "#### #R.# ####"])
 def test_a_map_without_unknown_cells_has_no_frontier(text):
-    belief = drawn(text)
+    belief = belief_of(text)
     choice, _ = nearest_frontier(belief, no_route(belief))
     assert (int(choice.row), int(choice.col), int(choice.cost)) == (-1, -1, FAR)
 
 
 def test_the_robots_own_cell_can_be_the_nearest_frontier():
-    belief = drawn("?R.?")
+    belief = belief_of("?R.?")
     choice, route = nearest_frontier(belief, no_route(belief))
     assert (int(choice.row), int(choice.col), int(choice.cost)) == (0, 1, 0)
     assert (np.asarray(route) == -1).all()
 
 
 def test_choosing_nothing_leaves_the_route():
-    belief = drawn(ROOM)
+    belief = belief_of(ROOM)
     choice, route = choose(belief, no_route(belief), field(belief), jnp.int32(-1), jnp.int32(-1))
     assert (int(choice.row), int(choice.col), int(choice.cost), int(choice.saturated)) == (-1, -1, FAR, 0)
     assert (np.asarray(route) == -1).all()
@@ -165,7 +138,7 @@ def test_fields_and_nearest_frontiers_are_the_oracles(shape, seed, unknown, occu
     assert (int(choice.row), int(choice.col)) == (divmod(best, width) if best >= 0 else (-1, -1))
     if best >= 0:
         start, target = (int(belief.row), int(belief.col)), divmod(best, width)
-        assert follow(np.asarray(route), start, target) == (plans.path(pred, start, target), int(choice.cost))
+        assert plans.follow(np.asarray(route), start, target) == (plans.path(pred, start, target), int(choice.cost))
 
 
 @pytest.mark.jit

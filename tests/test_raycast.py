@@ -20,13 +20,7 @@ from jexplore.rules import Lidar
 RIGHT_ANGLES = Lidar(n_beams=4, fov_deg=360, range_m=3)  # looks back, right, ahead, left
 SHAPES = ((3, 3), (3, 9), (8, 7))
 
-ROOM = maps.walls("""
-    #######
-    #.....#
-    #..#..#
-    #.....#
-    #######
-""")
+ROOM = maps.walls(maps.ROOM)
 
 
 def sense(occupied, row, col, heading, lidar, cell_m=1.0):

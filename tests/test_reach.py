@@ -53,17 +53,6 @@ def flat_predecessors(came):
     return np.where(came < 0, -1, (rows - step[..., 0]) * came.shape[1] + cols - step[..., 1])
 
 
-def follow(route, start, target):
-    """Cells of a route after its start, and what they cost."""
-    cells, cost, (row, col) = [], 0, start
-    while (row, col) != tuple(target):
-        drow, dcol = MOTIONS[route[row, col]]
-        row, col, cost = row + drow, col + dcol, cost + (D if drow and dcol else S)
-        cells.append((row, col))
-        assert len(cells) <= route.size
-    return cells, cost
-
-
 def test_constants_are_the_oracles():
     assert (STRAIGHT, DIAGONAL, FAR, MOTIONS) == (plans.STRAIGHT, plans.DIAGONAL, plans.FAR, plans.MOTIONS)
     for (drow, dcol), heading in zip(MOTIONS, HEADING):
@@ -203,7 +192,7 @@ def test_every_route_leads_from_the_start_to_its_target_at_the_exact_cost(place)
     for target in np.argwhere(np.asarray(cost) < FAR)[::5]:
         args = blank, cost, jnp.asarray(passable), (row, col), tuple(target), (0, 0)
         route = np.asarray(LAY(*args))
-        cells, total = follow(route, (row, col), target)
+        cells, total = plans.follow(route, (row, col), tuple(target))
         assert total == cost[tuple(target)]
         assert cells == plans.path(pred, (row, col), target)
         assert (route >= 0).sum() == len(cells)  # nothing else was written

@@ -82,11 +82,6 @@ def test_exhausted_targets_are_marked_in_the_replay():
     assert int(last.belief.exhausted.sum()) == episode.measures["exhausted"]
 
 
-def test_an_episode_of_more_plans_than_are_kept_is_refused(made):
-    lost = dataclasses.replace(made, final=made.final._replace(plans=None))
-    refused("no replay, it made more plans than are kept", explore.steps_of, lost)
-
-
 def test_frames_of_an_animation(made):
     frames = list(made._pictures(10, None))
     n = made.measures["steps"]

@@ -2,8 +2,6 @@
 
 import json
 import os
-import re
-import shlex
 import signal
 import subprocess
 import sys
@@ -225,34 +223,6 @@ def test_what_cannot_be_interrupted_is_ended(name, status, tmp_path):
     assert files(tmp_path) == []  # the folders that were made for it are gone
 
 
-@pytest.mark.slow
-def test_a_full_disk_costs_what_comes_after(tmp_path):
-    """Files may grow to 8 KiB only: that of episode 0, with its map, does not fit."""
-    folder = tmp_path / "run"
-    command = shlex.join([sys.executable, "-m", "jexplore", *COMMAND, "--out", str(folder), "--episodes", "40"])
-    limited = ["bash", "-c", f"ulimit -f 8; exec {command}"]
-    process = subprocess.Popen(limited, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    _, said = process.communicate(timeout=300)
-    assert process.returncode == 2, said
-    assert re.search(r"00000[01].parquet must be a file that can be written: .*File too large", said)
-    assert "Traceback" not in said
-    assert main.main([*COMMAND, "--out", str(folder), "--episodes", "40", "--resume"]) == 0
-
-
-@pytest.mark.slow
-def test_two_processes_on_one_folder(tmp_path, capsys):
-    folder = tmp_path / "run"
-    process = begin(folder, 1, "--episodes", "2000")
-    try:
-        wait_for(process, folder, 1)
-        for more in ([], ["--overwrite"], ["--resume"]):
-            assert main.main([*COMMAND, "--episodes", "2000", "--out", str(folder), *more]) == 2
-            assert f"is being written by process {process.pid}" in capsys.readouterr().err
-    finally:
-        process.kill()
-        process.communicate()
-
-
 def test_a_finished_run_is_not_run_again(tmp_path, printed, monkeypatch):
     command = [*COMMAND, "--episodes", "3", "--out", str(tmp_path / "run"), "--resume"]
     table = printed(command).out.split("\n\n")[0]
@@ -282,29 +252,6 @@ def test_a_strategy_that_was_written_anew_is_another_run(tmp_path, capsys, monke
         in capsys.readouterr().err
     )
     assert main.main([*command, "--trust"]) == 0
-
-
-@pytest.mark.slow
-def test_a_finished_run_goes_on_with_more_episodes(want, tmp_path, printed):
-    folder = tmp_path / "run"
-    command = [*COMMAND, "--out", str(folder), "--no-report", "--resume", "--episodes"]
-    assert main.main([*command, "20"]) == 0
-    process = begin(folder, 8, "--no-report", "--resume", "--episodes", "240")
-    wait_for(process, folder, 8)
-    process.kill()
-    process.communicate()
-    for episodes, message in (("239", "holds a run of 240 episodes, more than 239"), ("241", "finish these")):
-        assert message in printed([*command, episodes], 2).err
-    assert load(folder).episodes.groupby("strategy").size().tolist() == [20, 20]  # until the longer one is there
-    assert main.main([*command, "240"]) == 0
-    record = json.loads((folder / "run.json").read_text())
-    assert record["asked"]["episodes"] == 240
-    assert record["resumed"] >= 40 + 8 * 8
-    pd.testing.assert_frame_equal(pd.read_parquet(folder / "episodes.parquet"), want.episodes)
-    found = load(folder)
-    for key, rows in want.progress.items():
-        np.testing.assert_array_equal(found.progress[key], rows)
-    assert [one.path_m for one in found.first[WORLD]] == [one.path_m for one in want.first[WORLD]]
 
 
 def test_a_picture_that_fails_costs_no_data(tmp_path, printed, monkeypatch):

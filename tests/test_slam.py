@@ -288,9 +288,9 @@ def test_a_step_with_bad_odometry_is_searched_for(room, off):
 @pytest.mark.jit
 def test_a_start_2_m_off_is_found_by_a_wide_window_and_not_believed_by_a_narrow_one(room):
     start, prior = HERE + np.float32([1.9, 0.6, 0.0]), np.diag(np.float32([1, 1, 0.1]) ** 2)
-    narrow = LOCATE(room, scan_of(HERE), start, prior, window=Window(1, 1))
+    narrow = LOCATE(room, scan_of(HERE), start, prior, window=Window(3, 12))
     assert narrow.fitness < 0.8
-    wide = LOCATE(room, scan_of(HERE), start, prior, window=Window(11, 2))
+    wide = LOCATE(room, scan_of(HERE), start, prior, window=WIDE)
     np.testing.assert_allclose(wide.pose, HERE, atol=0.02)
 
 

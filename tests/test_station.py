@@ -534,10 +534,7 @@ def test_the_command_writes_a_page(files, capsys):
         (["a.json", "--out", "b.json"], "is there already: name another file, or replace it with --overwrite"),
     ],
 )
-def test_the_command_refuses(files, capsys, words, said):
+def test_the_command_refuses(files, refuses, words, said):
     before = sorted(file.name for file in files.iterdir())
-    assert main(["station", *words]) == 2
-    err = capsys.readouterr().err
-    assert said in err
-    assert err.count("\n") == 1
+    refuses(["station", *words], said)
     assert sorted(file.name for file in files.iterdir()) == before

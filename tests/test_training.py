@@ -7,10 +7,10 @@ import jax
 import numpy as np
 import pandas as pd
 import pytest
+from ref.refusals import refused
 
 import jexplore as jx
 from jexplore.cli import main
-from jexplore.config import InputError
 from jexplore.learn import bank, es, ppo, training
 from jexplore.learn.settings import TRAINER_SETTINGS
 from jexplore.policies import parse_strategy
@@ -108,8 +108,7 @@ def test_weights_that_are_no_numbers_end_training_with_the_best_before(monkeypat
     found = training.run_training(quick_plan())
     assert found.ended == "not finite"
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found.model.weights))
-    with pytest.raises(InputError, match="before the first check"):
-        training.run_training(quick_plan(check_every=4))
+    refused("before the first check", training.run_training, quick_plan(check_every=4))
 
 
 def test_patience():
@@ -158,8 +157,7 @@ def test_a_reference_may_fail_in_some_worlds(monkeypatch):
 @pytest.mark.jit
 def test_a_reference_that_finishes_nothing_is_refused():
     own = bank.prepare_bank(SMALL[0], lidar=NEAR, rules=Rules(max_steps=5))
-    with pytest.raises(InputError, match="finishes no episode in rooms#1000"):
-        own.log_ratios([parse_strategy("closest")], [0, 0], 0)
+    refused("finishes no episode in rooms#1000", own.log_ratios, [parse_strategy("closest")], [0, 0], 0)
 
 
 def test_episodes_that_saw_as_much_as_they_were_to_count():
@@ -197,26 +195,21 @@ def test_training_as_a_function(tmp_path):
     again = jx.train(model=file, **options | {"rounds": 2, "check_every": 2})
     assert again.curve["validation"].iloc[0] == found.curve["validation"].min()
     wide = found.model._replace(network="attention", weights=plan.begins.weights)
-    with pytest.raises(InputError, match="training of 'linear' cannot begin at a model of 'attention'"):
-        jx.train(model=wide, **options)
+    refused("training of 'linear' cannot begin at a model of 'attention'", jx.train, model=wide, **options)
 
 
 def test_models_that_training_cannot_begin_at(tmp_path):
     banks = [bank.prepare_bank(worlds, lidar=NEAR) for worlds in (SMALL, WATCHED)]
     options = {"rounds": 1, "check_every": 1, "patience": 0, "starts": 1, "seed": 0}
     bad = model.Model("linear", {"weights": np.zeros(3, np.float32)})
-    with pytest.raises(InputError, match="have other names or shapes"):
-        training.prepare_training("es", "linear", *banks, {}, model=bad, **options)
-    with pytest.raises(InputError, match="model must be a Model or the path of one, got int"):
-        jx.train(model=3, worlds=SMALL, validation=WATCHED)
+    refused("have other names or shapes", training.prepare_training, "es", "linear", *banks, {}, model=bad, **options)
+    refused("model must be a Model or the path of one, got int", jx.train, model=3, worlds=SMALL, validation=WATCHED)
     one = training.TrainingResult(model.load_model(model.SHIPPED), pd.DataFrame(), 0, "rounds")
     assert one.save(tmp_path / "linear-0.15").name == "linear-0.15.msgpack"
-    with pytest.raises(InputError, match="there is no folder"):
-        one.save(tmp_path / "none" / "linear")
+    refused("there is no folder", one.save, tmp_path / "none" / "linear")
 
 
 def test_lanes_and_worlds_that_ppo_cannot_have():
     mixed = bank.prepare_bank([jx.load_world(SMALL[0]), jx.load_world(SMALL[1], cell_m=0.2)])
     settings = TRAINER_SETTINGS["ppo"]()
-    with pytest.raises(InputError, match=r"cells of one size, got 0\.1 and 0\.2 m"):
-        ppo.require_trainable(mixed, settings)
+    refused(r"cells of one size, got 0\.1 and 0\.2 m", ppo.require_trainable, mixed, settings)

@@ -8,6 +8,7 @@ from typing import Annotated
 import numpy as np
 import pandas as pd
 import pytest
+from ref.refusals import refused
 
 import jexplore as jx
 from jexplore.cli import main
@@ -108,12 +109,10 @@ def test_settings_of_a_file(tmp_path):
     with pytest.warns(InputWarning, match="has no settings of tour, which keep their defaults"):
         assert tuning.with_settings(names, file) == ["closest", "tour", "tour+recheck:min_gain=4", "mcdm"]
     file.write_text('{"settings": {"tour": {"min_gain": [1, 2]}}}')
-    with pytest.raises(InputError, match="settings must be numbers"):
-        tuning.with_settings(names, file)
+    refused("settings must be numbers", tuning.with_settings, names, file)
     for text in ("{}", "[]", '{"settings": {"tour": 3}}'):
         file.write_text(text)
-        with pytest.raises(InputError, match="must be a file of settings as `jexplore tune` writes"):
-            tuning.with_settings(names, file)
+        refused("must be a file of settings as `jexplore tune` writes", tuning.with_settings, names, file)
 
 
 def test_shipped_settings_are_of_strategies_of_the_league():

@@ -72,11 +72,6 @@ def beam_entries(c, s, max_range_cells, x0=0.5, y0=0.5):
         entries.append((min(next_x, next_y), step_y * crossed_y, step_x * crossed_x))
 
 
-def beam_cells(c, s, max_range_cells, x0=0.5, y0=0.5):
-    """Cells that a beam enters at a distance < range, as `(drow, dcol)` in order; the start cell is not among them."""
-    return [(drow, dcol) for _, drow, dcol in beam_entries(c, s, max_range_cells, x0, y0)]
-
-
 _entries_again = functools.lru_cache(maxsize=4096)(beam_entries)  # an episode asks for the same few hundred
 
 

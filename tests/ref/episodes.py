@@ -9,25 +9,27 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
+from jexplore.arrays.padding import number
 from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import Given
 from jexplore.exploration.episode import program_of
-from jexplore.exploration.motion import LENGTHS, clock_table
+from jexplore.exploration.motion import clock_table
 from jexplore.exploration.results import progress_m
-from jexplore.exploration.site import cost_of, limited
-from jexplore.exploration.state import WHOLE, Numbers, Outcome, Setup, Stream, Truth
+from jexplore.exploration.site import rule_numbers
+from jexplore.exploration.state import Numbers, Outcome, Setup, Stream, Truth
 from jexplore.exploration.trail import decode, detail_of
-from jexplore.grid import radius_d2
 from jexplore.native.drive import find_target
 from jexplore.planning import MapModel
 from jexplore.policies import parse_strategy
 from jexplore.raycast import Beams, beam_table, by_beam, disturb, scan, scans_all_round
 from jexplore.rules import Robot
+from jexplore.worlds.world import World
 
 from . import clock, plans, simulator
 
 CAPACITY = 20_000
 ROBOT = Robot()
+RULES = "clearance_m", "near_m", "p_free", "max_steps", "max_plans", "look_around", "scan_every_m", "arrival_m"
 ENDS = "frontier_connectivity", "min_frontier_cells", "stop_at", "return_home", "max_path_m", "max_time_s"
 COUNTS = ("straight", "diagonal", "turns", "scans", "plans", "exhausted", "refused")
 
@@ -59,33 +61,20 @@ def truth_of(occupied, rooms, shape, within=None, known=None):
 
 
 def numbers_of(strategy, lidar, rules, cell_m, longest, robot):
-    """`Numbers`."""
-    return Numbers(
-        model=MapModel(
-            p_free=np.float32(rules.p_free),
-            near_d2=np.int32(radius_d2(rules.near_m, cell_m)),
-            cell_m=np.float32(cell_m),
-            known_outline=np.bool_(rules.known_outline),
-            clearance_d2=radius_d2(rules.clearance_m, cell_m),
-            connectivity=rules.frontier_connectivity,
-            least=rules.min_frontier_cells,
-        ),
-        look_around=np.bool_(rules.look_around),
-        recheck=np.bool_(strategy.recheck),
-        scan_every=np.int32(cost_of(rules.scan_every_m, cell_m)),
-        arrival_d2=np.int32(radius_d2(rules.arrival_m, cell_m)),
-        max_steps=np.int32(rules.max_steps or CAPACITY),
-        max_plans=np.int32(rules.max_plans or CAPACITY),
-        sigma_cells=np.float32(lidar.sigma_m / cell_m),
-        dropout=np.float32(lidar.dropout),
-        no_echo_is_free=np.bool_(lidar.no_echo == "free"),
-        stop_at=np.int32(round((rules.stop_at or 0) * WHOLE)),
-        return_home=np.bool_(rules.return_home),
-        max_path=np.int32(limited(rules.max_path_m, LENGTHS[0] / cell_m, math.floor)),
-        max_ms=np.int32(limited(rules.max_time_s, 1000.0, math.ceil)),
+    """`Numbers` of an episode in a world of at most `longest` cells a side, as the engine makes them."""
+    limits = {name: getattr(rules, name) or CAPACITY for name in ("max_steps", "max_plans")}
+    own = rule_numbers(World(np.ones((longest, longest), bool), cell_m=cell_m), lidar, rules.replace(**limits))
+    model = {name: own.pop(name) for name in ("p_free", "near_d2", "clearance_d2", "connectivity", "least")}
+    numbers = Numbers(
+        model=MapModel(cell_m=cell_m, known_outline=rules.known_outline, **model),
+        sigma_cells=lidar.sigma_m / cell_m,
+        dropout=lidar.dropout,
+        recheck=strategy.recheck,
         clock=clock_table(robot, cell_m, longest),
-        params=strategy.policy.params,
+        params=(),
+        **own,
     )
+    return jax.tree.map(number, numbers).replace(params=strategy.policy.params)
 
 
 def key_of(seed):
@@ -236,24 +225,13 @@ def replay(
         recheck="recheck" in strategy,
         choose=choose,
         cell_m=cell_m,
-        n_beams=lidar.n_beams,
-        fov_deg=lidar.fov_deg,
-        range_m=lidar.range_m,
-        clearance_m=rules.clearance_m,
-        near_m=rules.near_m,
-        p_free=rules.p_free,
-        max_steps=rules.max_steps,
-        max_plans=rules.max_plans,
         rooms=rooms,
-        look_around=rules.look_around,
-        scan_every_m=rules.scan_every_m,
-        arrival_m=rules.arrival_m,
-        no_echo=lidar.no_echo,
         within=within,
         known=known,
         sense=sense,
         robot_times=robot,
-        **{name: getattr(rules, name) for name in ENDS},
+        **{name: getattr(lidar, name) for name in ("n_beams", "fov_deg", "range_m", "no_echo")},
+        **{name: getattr(rules, name) for name in (*RULES, *ENDS)},
     )
 
 

@@ -2,6 +2,15 @@
 
 import numpy as np
 
+ROOM = """
+    #######
+    #.....#
+    #..#..#
+    #.....#
+    #######
+"""
+"""A room with a pillar in its middle."""
+
 
 def drawn(text):
     """Characters of a drawn map, `[H, W]`."""

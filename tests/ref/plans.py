@@ -127,6 +127,18 @@ def dijkstra(passable, start):
     return cost, pred
 
 
+def follow(route, start, target):
+    """Cells of a route after its start, and what they cost; `route` has the motion out of each of its cells."""
+    cells, cost, (row, col) = [], 0, start
+    while (row, col) != target:
+        assert route[row, col] >= 0
+        motion = MOTIONS[route[row, col]]
+        row, col, cost = row + motion[0], col + motion[1], cost + step_cost(motion)
+        cells.append((row, col))
+        assert len(cells) <= route.size
+    return cells, cost
+
+
 def path(pred, start, target):
     """Cells of the way from `start` (left out) to `target`, as `(row, col)`; empty if they are the same cell."""
     cells = []
