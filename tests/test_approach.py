@@ -1,4 +1,4 @@
-"""The middle of a known place, found by a robot that has looked round, at a junction to check with a pencil."""
+"""A robot that has looked round, at a junction to check with a pencil."""
 
 import math
 
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from ref.runs import a_state
 
-from jexplore import btm
 from jexplore.driving import approach, behaviour
 from jexplore.driving.building.walls import cast
 from jexplore.driving.params.tree import P
@@ -34,81 +33,44 @@ def selected(state, track, pose):
     ranges = cast(T, pose, angles, SCAN_RANGE_M)
     around = Surround(ranges * np.cos(angles), ranges * np.sin(angles))
     ahead = Ahead(**dict.fromkeys(Ahead._fields))._replace(  # type: ignore[arg-type]
-        track=track, space=behaviour.no_free_space(), leans=jnp.bool_(False)
+        track=track, inside=jnp.bool_(False), leans=jnp.bool_(False)
     )
     ways_m = surround.free_lengths(around, KAMUI)
     return approach.select_branch(state, ahead, around, ways_m, to_odometry(pose), TUNING, KAMUI)
 
 
-def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None, looked=math.pi, seen=511, age=20):
+def looked_round(robot_x_m=0.0, track_x_m=None, looked=math.pi, age=20):
     """Return `Latched` of a robot that has looked round.
 
-    It stands at `(robot_x_m, Y_M)`, has turned by `looked` radians, has seen a circle of `RADIUS_M` there, and its map
-    has a divergence `node` with a circle of `radius_m`.
+    It stands at `(robot_x_m, Y_M)`, has turned by `looked` radians, and takes a circle of `RADIUS_M` to be there, or at
+    `track_x_m`.
     """
     pose = jnp.array([robot_x_m, Y_M, 0.0])
-    writer = a_state().writer
-    map_, _ = btm.add_node(writer.map, btm.DIVERGENCE, *node, radius_m=radius_m)
     drive = behaviour.initial_drive().replace(latch=jnp.int32(Latch.LOOK), looked=jnp.float32(looked))
-    state = a_state(
-        drive=drive.replace(target=pose[:2]),
-        writer=writer.replace(map=map_),
-        estimate=pose,
-        mode=jnp.int32(RunMode.BRANCH_SELECTION),
-        odometer_m=jnp.float32(100),
-    )
+    mode, odometer_m = jnp.int32(RunMode.BRANCH_SELECTION), jnp.float32(100)
+    state = a_state(drive=drive.replace(target=pose[:2]), estimate=pose, mode=mode, odometer_m=odometer_m)
     at = pose[:2] if track_x_m is None else jnp.array([track_x_m, Y_M])
-    track = Track(at, jnp.float32(RADIUS_M), jnp.uint32(seen), jnp.int32(age))
-    return selected(state, track, pose)
+    return selected(state, Track(at, jnp.float32(RADIUS_M), jnp.uint32(511), jnp.int32(age)), pose)
 
 
 @pytest.mark.jit
 @pytest.mark.parametrize(
-    ("node", "radius_m", "robot_x_m", "track_x_m", "arrives", "goes_to"),
+    ("robot_x_m", "track_x_m", "looked", "latch", "arrives"),
     [
-        # A known place is where a circle as large is seen.
-        ((0.0, Y_M), RADIUS_M - 0.05, 0.0, None, True, (0, Y_M)),
-        ((0.7, -0.3), RADIUS_M - 0.05, 0.0, None, True, (0, Y_M)),
-        ((-0.5, 0.9), RADIUS_M - 0.05, 0.0, None, True, (0, Y_M)),
-        ((1.2, Y_M), RADIUS_M, 0.0, None, True, (0, Y_M)),  # beyond the circle: another one
-        ((0.9, Y_M), RADIUS_M, 0.42, None, False, (0, Y_M)),  # from aside the robot goes there
-        # Where none as large is seen, it goes to where the map has the place.
-        ((0.7, -0.3), RADIUS_M / 1.3, 0.0, None, False, (0.7, -0.3)),
-        ((0.7, -0.3), RADIUS_M * 1.3, 0.0, None, False, (0.7, -0.3)),
-        ((0.0, -5.0), RADIUS_M, -1.5, 0.0, False, (0, Y_M)),  # a place seen from afar
+        (0.0, None, P.motion.look_rad + 0.01, Latch.FREE, True),
+        (0.42, 0.0, P.motion.look_rad + 0.01, Latch.FREE, True),
+        (4.0, None, P.motion.look_rad - 0.01, Latch.LOOK, False),
+        (4.0, None, P.motion.look_rad + 0.01, Latch.LEAVE, False),  # in the passage: what it has seen was noise
     ],
 )
-def test_where_a_robot_that_has_looked_round_goes(node, radius_m, robot_x_m, track_x_m, arrives, goes_to):
-    found = looked_round(node, radius_m, robot_x_m, track_x_m)
-    assert bool(found.arrives) == arrives
-    if arrives:
-        assert found.track.centre.tolist() == pytest.approx(goes_to)
-    else:
-        assert int(found.drive.latch) == Latch.APPROACH
-        assert bool(found.drive.known) == (track_x_m is None)
-        assert found.drive.target.tolist() == pytest.approx(goes_to, abs=0.1)  # beams are a degree apart
+def test_a_robot_that_has_looked_round_is_at_a_place_if_it_sees_one_there(robot_x_m, track_x_m, looked, latch, arrives):
+    found = looked_round(robot_x_m, track_x_m, looked)
+    assert (int(found.drive.latch), bool(found.arrives)) == (latch, arrives)
+    assert bool(found.gives_up) == (latch == Latch.LEAVE)
 
 
 @pytest.mark.jit
 def test_without_a_place_it_takes_the_one_that_it_sees():
-    assert int(looked_round((0.0, 50.0), RADIUS_M, age=0).track.age) == 1
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize(
-    ("robot_x_m", "looked", "seen", "goes_on"),
-    [
-        (4.0, P.motion.look_rad - 0.01, 511, True),
-        (4.0, P.motion.look_rad + 0.01, 511, True),
-        (4.0, P.motion.look_rad + 0.01, 510, False),  # one scan has not shown it
-        (4.0, P.motion.look_rad + P.motion.look_on_rad + 0.01, 511, False),
-        (0.0, P.motion.look_rad + 0.01, 511, False),  # there is a place
-    ],
-)
-def test_where_it_sees_no_place_that_all_scans_have_shown_it_looks_a_little_longer(robot_x_m, looked, seen, goes_on):
-    """In the passage no place exists: the one seen was noise, or noise hides it now."""
-    found = looked_round((0.0, 50.0), RADIUS_M, robot_x_m, looked=looked, seen=seen)
-    assert (int(found.drive.latch) == Latch.LOOK) == goes_on
-    assert bool(found.gives_up) == (not goes_on and robot_x_m > 0)
-    assert bool(found.arrives) == (not goes_on and robot_x_m == 0)
-    assert int(found.track.age) == (0 if found.gives_up else 20)
+    found = looked_round(age=0)
+    assert (int(found.track.age), int(found.drive.latch)) == (1, Latch.APPROACH)
+    assert found.drive.target.tolist() == pytest.approx([0, Y_M], abs=0.1)  # beams are a degree apart

@@ -79,8 +79,8 @@ def test_how_a_node_lies_is_said_in_the_frame_of_the_last_one():
     ],
 )
 def test_it_has_the_very_ways(found, expected):
-    assert recognised(a_writer(T), (2.0, 0.0), place(*found), EAST) == expected
-    assert recognised(a_writer(T), (2.0, 0.0), place(*found), EAST, when=False) is None
+    assert recognised(a_writer(T), (0.9, 0.0), place(*found), EAST) == expected
+    assert recognised(a_writer(T), (0.9, 0.0), place(*found), EAST, when=False) is None
 
 
 def test_the_way_by_which_the_robot_comes_must_wait_there():
@@ -90,12 +90,12 @@ def test_the_way_by_which_the_robot_comes_must_wait_there():
 
 
 def test_where_another_node_is_nearly_as_near_it_is_neither():
-    far, near = ((4.0, 0.0), *T[1:]), ((3.0, 0.0), *T[1:])
+    far, near = ((4.0, 0.0), *T[1:]), ((2.5, 0.0), *T[1:])
     ways = place(NORTH, SOUTH, EAST)
-    assert recognised(a_writer(T, far), (1.2, 0.0), ways, EAST) == 1  # 1.2 and 2.8 m
-    assert recognised(a_writer(T, near), (1.4, 0.0), ways, EAST) is None  # 1.4 and 1.6 m
+    assert recognised(a_writer(T, far), (0.9, 0.0), ways, EAST) == 1  # 0.9 and 3.1 m
+    assert recognised(a_writer(T, near), (0.9, 0.0), ways, EAST) is None  # 0.9 and 1.6 m
     other = ((1.5, 0.0), (NORTH, WEST), (SOUTH,))  # another place, but in the way
-    assert recognised(a_writer(T, other), (2.0, 0.0), ways, EAST) is None
+    assert recognised(a_writer(T, other), (0.9, 0.0), ways, EAST) is None
 
 
 def test_where_a_known_link_leads_nothing_needs_to_wait():
@@ -115,8 +115,8 @@ def test_where_a_known_link_leads_is_told_from_the_last_node():
     followed, to, at = links.led_to(writer)
     assert (bool(followed), int(to)) == (True, 1)
     np.testing.assert_allclose(at, (-48, 53), atol=1e-4)
-    for off_m, there in ((2.4, True), (2.6, False)):  # 1.5 m, and 5 % of 20 m
-        node, is_led = links.is_led_to(writer, jnp.array([-48 + off_m, 53]), jnp.float32(100.0), 1.5)
+    for off_m, there in ((0.9, True), (1.1, False)):  # 5 % of 20 m
+        node, is_led = links.is_led_to(writer, jnp.array([-48 + off_m, 53]), jnp.float32(100.0))
         assert (int(node), bool(is_led)) == (1, there)
     back = writer.replace(node=jnp.int32(1), origin=jnp.zeros(3))
     np.testing.assert_allclose(links.led_to(back)[2], (-50, 0), atol=1e-4)

@@ -461,14 +461,14 @@ def test_when_nothing_else_is_left_links_that_were_given_up_are_tried_again():
     t, *_ = at_the_t()
     south, north = int(t.link), 3 - int(t.link)
     writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
-    lost = writer.replace(fails=writer.fails.at[south].set(P.graph.max_tries - 1))
+    lost = writer.replace(fails=writer.fails.at[south].set(P.sensing.reach_m - 1))
     after, *_ = at_a_dead_end(lost, (4.1, -6.1), SOUTH, 20)
     assert (int(after.link), bool(after.exhausted), int(after.last_chance)) == (south, False, 2)
-    assert int(after.fails[south]) == P.graph.max_tries - 1  # once more
-    vain = writer.replace(tries=writer.tries.at[north].set(P.graph.max_tries))
+    assert int(after.fails[south]) == P.sensing.reach_m - 1  # once more
+    vain = writer.replace(tries=writer.tries.at[north].set(P.sensing.reach_m))
     after, *_ = at_a_dead_end(vain, (4.1, -6.1), SOUTH, 20)
     assert (int(after.link), bool(after.exhausted), int(after.last_chance)) == (south, False, 2)  # on the way there
-    assert (int(after.tries[north]), bool(after.map.blocked[north])) == (P.graph.max_tries - 1, False)
+    assert (int(after.tries[north]), bool(after.map.blocked[north])) == (P.sensing.reach_m - 1, False)
     after, *_ = at_a_dead_end(vain.replace(last_chance=jnp.int32(1)), (4.1, -6.1), SOUTH, 20)
     assert (bool(after.exhausted), bool(after.map.blocked[north])) == (True, True)
     # A searched one beyond which others are left gets more chances, while some are made use of: two are searched now.

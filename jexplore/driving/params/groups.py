@@ -128,7 +128,7 @@ class Params(Settings):
 
 
 def default_numbers() -> dict[str, float]:
-    """Return the default of every number by its name: `graph.max_tries`, or `graph.match_drift.0` in a tuple."""
+    """Return the default of every number by its name: `sensing.reach_m`, or `graph.beyond_opening_m.0` in a tuple."""
     found: dict[str, float] = {}
     for part, group in vars(Params()).items():
         for name, value in vars(group).items():
