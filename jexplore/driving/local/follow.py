@@ -84,13 +84,17 @@ class Follower:
         """Drive until the run ends; return the outcome."""
         fails = 0
         try:
-            while self.pilot.odometer_m < self._most_m:
+            while self.pilot.odometer_m < self._most_m and fails <= TRIES:
                 self._look()
                 while self._is_passed():
                     if self.next == len(self._stops) - 1:
                         return "ARRIVED"
                     self._pass()
                 path = self._plan()
+                if path is None and not self._is_free:
+                    fails += 1
+                    self.pilot.retrace(BACK_M)
+                    continue
                 if path is None and self._exit is not None:
                     self._exit = None
                     continue
@@ -100,8 +104,6 @@ class Follower:
                     self.walled = path is None
                     return "BLOCKED" if self._is_sure else "LOST"
                 fails = fails + 1 if self.pilot.odometer_m - begin_m < MOVED_M else 0
-                if fails > TRIES:
-                    return "LOST"
                 if not goes:
                     self.pilot.retrace(BACK_M)
         except RunEnded as end:
@@ -191,6 +193,7 @@ class Follower:
             behind = np.hypot(*np.moveaxis(cells - self._left, -1, 0)) < radius
             window = Window(window.corner, window.occupied | behind, window.known)
         lattice = Lattice(window, pose, self._robot, through_unknown=True)
+        self._is_free = bool(np.isfinite(lattice.cost).any())
         off = np.hypot(*np.moveaxis(cells - xy, -1, 0))
         cost = np.where(off < WITHIN_M, lattice.cost + OFF_COST * off, math.inf)
         self._is_in_reach = bool(np.isfinite(cost).any())
