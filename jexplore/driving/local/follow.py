@@ -207,7 +207,10 @@ class Follower:
         return lattice.path_to(cell) if np.isfinite(cost[tuple(cell)]) else None
 
     def _go(self, path):
-        """Follow a path to the next look in known cells, turn to the first other; return if it could, and is at the end."""
+        """Follow a path to the next look in known cells, and turn to the first unknown one.
+
+        Return whether it could, and whether it is at the end.
+        """
         gone_m, n = 0.0, 1
         while n < len(path) and gone_m < LOOK_M and self._window.known[tuple(path[n].cell)]:
             gone_m += math.dist(path[n].cell, path[n - 1].cell) * CELL_M
