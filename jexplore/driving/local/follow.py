@@ -84,24 +84,27 @@ class Follower:
         """Drive until the run ends; return the outcome."""
         fails = 0
         try:
-            while self.pilot.odometer_m < self._most_m:
+            while self.pilot.odometer_m < self._most_m and fails <= TRIES:
                 self._look()
                 while self._is_passed():
                     if self.next == len(self._stops) - 1:
                         return "ARRIVED"
                     self._pass()
                 path = self._plan()
-                if path is None and self._exit is not None:
+                if path is None:
+                    fails += 1
+                    self.pilot.retrace(BACK_M)
+                    continue
+                if self._is_shut and self._exit is not None:
                     self._exit = None
                     continue
                 begin_m, refused = self.pilot.odometer_m, self.pilot.now.refused
-                goes = path is not None and self._go(path)
-                if path is None or self.pilot.now.refused > refused:
-                    self.walled = path is None
+                goes, is_at_end = self._go(path)
+                self._is_there = self._is_in_reach and is_at_end
+                self.walled = self._is_shut and is_at_end
+                if self.walled or self.pilot.now.refused > refused:
                     return "BLOCKED" if self._is_sure else "LOST"
                 fails = fails + 1 if self.pilot.odometer_m - begin_m < MOVED_M else 0
-                if fails > TRIES:
-                    return "LOST"
                 if not goes:
                     self.pilot.retrace(BACK_M)
         except RunEnded as end:
@@ -182,7 +185,7 @@ class Follower:
         return radius, radius + math.hypot(float(self._robot.length_m), float(self._robot.width_m)) / 2 + 2 * CELL_M
 
     def _plan(self) -> list[State] | None:
-        """Return a path towards the goal; None without one."""
+        """Return a path to the goal, towards it, or to where its way is shut; None where the robot cannot move."""
         window, pose, xy = self._window, self.pilot.pose, self._goal_xy
         row, col = np.mgrid[:SIDE, :SIDE]
         cells = window.xy(np.stack([row, col], -1))
@@ -197,11 +200,17 @@ class Follower:
         if not self._is_in_reach:
             edge = (np.minimum(row, col) == 1) | (np.maximum(row, col) == SIDE - 2)
             cost = np.where(edge, lattice.cost + off, math.inf)
+        self._is_shut = bool(np.isinf(cost).all())
+        if self._is_shut:  # a wall, or high ground: the robot goes there to see
+            cost = np.where(np.isfinite(lattice.cost), off, math.inf)
         cell = np.array(np.unravel_index(cost.argmin(), cost.shape))
         return lattice.path_to(cell) if np.isfinite(cost[tuple(cell)]) else None
 
     def _go(self, path):
-        """Follow a path to the next look, through known cells, and turn to the first other; return if it could."""
+        """Follow a path to the next look in known cells, and turn to the first unknown one.
+
+        Return whether it could, and whether it is at the end.
+        """
         gone_m, n = 0.0, 1
         while n < len(path) and gone_m < LOOK_M and self._window.known[tuple(path[n].cell)]:
             gone_m += math.dist(path[n].cell, path[n - 1].cell) * CELL_M
@@ -211,8 +220,7 @@ class Follower:
             off = self._window.xy(path[n].cell) - self.pilot.pose[:2]
             goes = self.pilot.turn_to(math.atan2(off[1], off[0])) and goes
         off_m = math.dist(self._window.xy(path[-1].cell), self.pilot.pose[:2])
-        self._is_there = self._is_in_reach and off_m < AT_M / 2
-        return goes
+        return goes, off_m < AT_M / 2
 
 
 def recognised(seen: Sequence[SeenPlace], stop: Stop, places: np.ndarray, shift: np.ndarray) -> SeenPlace | None:
