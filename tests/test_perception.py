@@ -14,7 +14,6 @@ from jexplore.driving import vehicle
 from jexplore.driving.building import terrain, walls
 from jexplore.driving.events import SCAN_POINTS
 from jexplore.driving.events import triangles as look
-from jexplore.driving.params.tree import P
 from jexplore.driving.sensing import ground_profile, obstacles, perception
 from jexplore.driving.sensing.ground_profile import RISE_M
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
@@ -294,18 +293,16 @@ def test_the_way_the_robot_looks_along_does_not_matter():
     np.testing.assert_allclose(np.stack([-one[:, 1], one[:, 0]], 1), other, atol=0.02)
 
 
-def one_wall_by_angles(xy, valid, centre, corner, spacing_m, recess_m):
+def one_wall_by_angles(xy, valid, centre, corner):
     """Return whether a circle touches one wall twice, a triangle at a time, by angles in double precision."""
     xy = xy.astype(float)
     angle = np.arctan2(*(xy - centre)[:, ::-1].T)
     corner = sorted(corner, key=lambda k: angle[k])
     for one, other in zip(corner, np.roll(corner, -1)):
         chord = xy[other] - xy[one]
-        chord_m = np.hypot(*chord)
         within = (angle - angle[one]) % (2 * np.pi) < (angle[other] - angle[one]) % (2 * np.pi)
         within &= valid & ~np.isin(np.arange(len(xy)), corner)
-        beyond_m = (xy - xy[one]) @ [chord[1], -chord[0]] / chord_m
-        if np.all(beyond_m[within] <= recess_m) and (within.sum() + 1) * spacing_m > P.places.wall_fill_share * chord_m:
+        if np.all((xy - xy[one])[within] @ [chord[1], -chord[0]] <= 0):
             return True
     return False
 

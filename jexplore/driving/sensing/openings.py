@@ -119,12 +119,10 @@ def first_true(mask: Array, size: int) -> Array:
 def _sorted(valid, middle, across, wide, more):
     """Return `Openings` counter-clockwise, of which `more` did not fit."""
     towards = jnp.arctan2(middle[:, 1], middle[:, 0])
-    # Of a gap wider than half a turn the narrowest place lies on the other side of the centre.
-    bearing = jnp.where(jnp.abs(wrapped(across - towards)) > math.pi / 2, across, towards)
     order = jnp.argsort(jnp.where(valid, towards, jnp.inf))
     there = valid[order]
     return Openings(
-        bearing=jnp.where(there, bearing[order], 0),
+        bearing=jnp.where(there, across[order], 0),
         middle=jnp.where(there[:, None], middle[order], 0),
         across=jnp.where(there, across[order], 0),
         width_m=jnp.where(there, wide[order], 0),
