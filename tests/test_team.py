@@ -98,11 +98,12 @@ def test_robots_that_can_never_meet_do_not_wait_for_ever():
 @pytest.mark.jit
 @pytest.mark.parametrize(("coordination", "n"), [("independent", 2), ("minpos", 3), ("voronoi", 3)])
 def test_teams_are_the_oracles(coordination, n):
-    """Fifty cases of each, with robots that wait for each other; with `voronoi` they differ."""
+    """Fifty cases of each, with robots that wait for each other; with `voronoi` they differ, and JAX drives."""
     waits = 0
     for number in range(50):
         case = oracle.draw_case(2, number, coordination, n)
-        told, robots = oracle.differences(oracle.mixed(case, number) if coordination == "voronoi" else case)
+        is_mixed = coordination == "voronoi"
+        told, robots = oracle.differences(oracle.mixed(case, number) if is_mixed else case, native=not is_mixed)
         assert told == []
         waits += sum(robot.waits for robot in robots)
     assert waits > 0
