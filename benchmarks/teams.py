@@ -11,8 +11,8 @@ robot, in rooms of 10 x 8 m, to that in the smallest team.
 
 With --study teams explore worlds of five kinds, 20 x 20 m (hospitals 32 x 20 m) in cells of 0.2 m, from one start
 each, together and apart: all coordinations with 1 and 4 robots, and in parts of the worlds with 2 and 8 robots, with
-`learned` as each robot's strategy, and with every contact (`PARTS`). Parts that are in the folder are not computed
-again. Prints ratios of the times until all is known; intervals are over worlds.
+`learned` or `small-first` as each robot's strategy, and with every contact (`PARTS`). Worlds that are in the folder are
+not computed again. Prints ratios of the times until all is known; intervals are over worlds.
 """
 
 import argparse
@@ -41,7 +41,9 @@ from ref import team
 
 KINDS = "cave", "office", "hospital", "maze", "rooms"
 JOINT = "independent", "greedy", "hungarian", "minpos", "voronoi", "segments"
-ALONE = {"learned": "learned+recheck"}  # strategies of each robot, without coordination
+ALONE = {
+    name: f"{name}+recheck" for name in ("learned", "small-first")
+}  # strategies of each robot, without coordination
 ALL, TWO = (*JOINT, *ALONE), ("independent", "minpos")
 PARTS = [  # sizes, coordinations, contact, starts, part of the worlds
     *(([1, 4], JOINT, "all", starts, 1) for starts in ("together", "apart")),
@@ -49,6 +51,7 @@ PARTS = [  # sizes, coordinations, contact, starts, part of the worlds
     *(([2, 8], ("independent", "greedy", "minpos"), "all", starts, 2) for starts in ("together", "apart")),
     ([2, 8], ("hungarian", "voronoi", "segments"), "all", "together", 4),
     ([2, 8], ("hungarian", "voronoi", "segments"), "all", "apart", 10),
+    *(([1, 2, 4, 8], ("small-first",), "all", starts, 4) for starts in ("together", "apart")),
     *(([1, 2, 4, 8], ("learned",), "all", starts, 10) for starts in ("together", "apart")),
 ]
 
@@ -60,18 +63,21 @@ def study(folder, worlds):
     for (sizes, names, contact, starts, part), kind in itertools.product(PARTS, KINDS):
         told = *map(str, sizes), contact.replace(":", ""), starts
         path = folder / f"{kind}-{names[-1]}-{'-'.join(told)}.parquet"
-        if not path.exists():
-            width_m = 32 if kind == "hospital" else 20  # the least of a hospital
-            buildings = [f"{kind}#{number}:width_m={width_m},height_m=20" for number in range(worlds // part)]
+        width_m = 32 if kind == "hospital" else 20  # the least of a hospital
+        made = [pd.read_parquet(path)] if path.exists() else []
+        done = {world for table in made for world in table["world"]}
+        buildings = [f"{kind}#{number}:width_m={width_m},height_m=20" for number in range(worlds // part)]
+        if buildings := [world for world in buildings if world not in done]:
             own = names[0] if names[0] in ALONE else None
             joint = [] if own else list(names)
             how = {"robots": sizes, "coordination": joint or "independent", "contact": contact, "team_starts": starts}
             began, strategy = time.monotonic(), ALONE.get(own, "closest+recheck")
             found = jx.compare(buildings, strategy, episodes=1, cell_m=0.2, workers=1, progress=False, **how)
             more = {"kind": kind, "starts": starts, **({"coordination": own} if own else {})}
-            found.episodes.assign(**more).to_parquet(path)
+            made.append(found.episodes.assign(**more))
+            pd.concat(made, ignore_index=True).to_parquet(path)
             print(f"{path.stem}: {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
-        parts.append(pd.read_parquet(path))
+        parts += made
     return pd.concat(parts, ignore_index=True)
 
 

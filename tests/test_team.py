@@ -98,11 +98,12 @@ def test_robots_that_can_never_meet_do_not_wait_for_ever():
 @pytest.mark.jit
 @pytest.mark.parametrize(("coordination", "n"), [("independent", 2), ("minpos", 3), ("voronoi", 3)])
 def test_teams_are_the_oracles(coordination, n):
-    """Fifty cases of each, with robots that wait for each other; with `voronoi` they differ."""
+    """Fifty cases of each, with robots that wait for each other; with `voronoi` they differ, and JAX drives."""
     waits = 0
     for number in range(50):
         case = oracle.draw_case(2, number, coordination, n)
-        told, robots = oracle.differences(oracle.mixed(case, number) if coordination == "voronoi" else case)
+        is_mixed = coordination == "voronoi"
+        told, robots = oracle.differences(oracle.mixed(case, number) if is_mixed else case, native=not is_mixed)
         assert told == []
         waits += sum(robot.waits for robot in robots)
     assert waits > 0
@@ -120,14 +121,15 @@ def test_robots_that_cannot_pass_end(number):
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_a_team_of_one_is_a_robot_alone():
+@pytest.mark.parametrize(("engine", "noise"), [("jax", {"sigma_m": 0.05, "dropout": 0.05}), ("auto", {})])
+def test_a_team_of_one_is_a_robot_alone(engine, noise):
     """Every measure is equal to the bit, noise and draws of the strategy included; with a shorter range as well."""
     world, starts = jx.load_world("maze:width_m=3,height_m=3"), np.array([[5, 5, 0], [5, 5, 90]])
-    lidar = Lidar(range_m=1.0, sigma_m=0.05, dropout=0.05)
+    lidar = Lidar(range_m=1.0, **noise)
     rules = Rules(clearance_m=0.1, look_around=True)
     job, long = Job(world, strategy("random+recheck"), starts, 3), lidar.replace(range_m=2.0)
     teams = [job._replace(team=Team(1)), job._replace(team=Team(1, members=(Member(1, 1.0),)), lidar=long)]
-    alone, *teams = (run_jobs([one], lidar, rules, engine="jax").outcomes[0].result for one in (job, *teams))
+    alone, *teams = (run_jobs([one], lidar, rules, engine=engine).outcomes[0].result for one in (job, *teams))
     for name, team in itertools.product(alone.__dataclass_fields__, teams):
         if name not in ("metrics", "replace"):
             jax.tree.map(np.testing.assert_array_equal, getattr(alone, name), getattr(team, name))

@@ -191,7 +191,8 @@ def _lines(
         f"JAX makes episodes with metrics: {at_end}" * bool(at_end),
         "JAX drives differential drives, and robots whose pose is not given" * (len(given) < len(wanted)),
         f"JAX drives, for metrics after every motion: {moving}" * bool(moving),
-        "JAX drives teams" * any(own.job.team is not None for own in wanted.values()),
+        "JAX drives teams with strategies of view points"
+        * any(own.job.team is not None and own.job.strategy.policy.live is not None for own in wanted.values()),
     ])  # fmt: skip
     everyone = [*shared_with, *dict.fromkeys((own.lidar, own.rules) for own in wanted.values())]
     sites: dict[Any, Site] = {}

@@ -9,7 +9,7 @@
 
 namespace jexplore {
 
-constexpr int kNothing = INT32_MIN;
+constexpr int kNothing = INT32_MIN, kNotSeen = INT32_MAX;  // the second: `team.state.ENDED`
 
 // Calls `pass(offset)` for the cells that a beam passes: the offset of the one that stops it, or `kNothing`. Its cells
 // stand in blocks, `next` apart.
@@ -41,6 +41,8 @@ struct CountMaps {
   int connectivity;            // of frontier and unknown cells
   float p_free;                // largest reflection probability of a free cell
   int n_known = 0;             // known cells within
+  int32_t* seen_at = nullptr;  // [H, W], clock when any robot of a team first knew each cell; null: no team
+  int now = 0, grown = 0;      // the clock; cells within that no robot knew before
 
   bool IsWithin(int i) const { return !within || within[i]; }
   int Row(int i) const { return i / width; }
@@ -52,6 +54,12 @@ struct CountMaps {
   int known() const { return n_known; }
   void Drive(int i) { driven[i] = true; }
   void Exhaust(int i) { exhausted[i] = true; }
+
+  void See(int i) {
+    if (seen_at[i] != kNotSeen) return;
+    seen_at[i] = now;
+    grown += IsWithin(i);
+  }
 
   bool IsWalled() const {
     const int last = (height - 1) * width;
@@ -90,7 +98,9 @@ struct CountMaps {
     const bool may_be_silent = !no_echo_is_free;
     int fresh = 0;
     auto count = [&](int32_t* counts, const int32_t* others, int i) {
-      if (counts[i]++ == 0 && others[i] == 0) fresh += IsWithin(from + i);
+      if (counts[i]++ != 0 || others[i] != 0) return;
+      fresh += IsWithin(from + i);
+      if (seen_at) See(from + i);
     };
     auto is_wall = [&](int i) { return walls[i]; };
     auto miss = [&](int i) { count(missed, hit, i); };

@@ -1,5 +1,6 @@
-"""Driving until the strategy must be asked, as one call of native code inside a program of JAX's: for one robot on a
-CPU whose scanner is without noise. What it does is what `exploration.environment.advance` does, bit by bit.
+"""Driving until the strategy must be asked, as one call of native code inside a program of JAX's: for one robot, or the
+robots of a team, on a CPU whose scanners are without noise. What it does is what `exploration.environment.advance` and
+`team.environment.advance` do, bit by bit.
 """
 
 import enum
@@ -22,6 +23,10 @@ CHANGED = (
     "time_ms", "run", "starts", "homing",
 )  # fmt: skip
 """Numbers of a state that driving changes, in the order of `Changed` in drive.cc."""
+
+MEMBER = ("clock", "waits", "in_a_row", "hemmed")
+TALLY = ("n_known", "n_log", "last", "links")
+"""Numbers of a team that driving changes: of each robot, and of all; in the order of `Member` and `Tally`."""
 
 
 class Stage(enum.IntEnum):
@@ -110,3 +115,34 @@ def _terms(setup, given, state, stage, live):
             *state.belief.start[:2], state.enough, rules.return_home, rules.max_path, rules.max_ms,
         ]
     )  # fmt: skip
+
+
+def take_turns(setup: Any, given: Any, own: Any, team: Any, *turn: Array | bool) -> Any:
+    """Have a robot of a `TeamState` make its scan and the next motion.
+
+    Args:
+      own: given the number of a robot, returns its run context.
+      turn: the robot's number; how many it hears, itself included; whether others act after it, until one must plan,
+        which is right where all always hear each other.
+    """
+    robots, truth, beams = team.robots, given.scenes, given.shared
+    belief, grid = robots.belief, robots.belief.grid
+    own_numbers = [getattr(robots, name) for name in CHANGED] + [*robots.came_from.T, jnp.zeros_like(robots.row)]
+    members = numbers([*own_numbers, *(getattr(team, name) for name in MEMBER)]).T
+    tally = numbers([*(getattr(team, name) for name in TALLY), *turn])
+    terms = jax.vmap(lambda i, state: _terms(setup.robot, own(i), state, Stage.NEXT_SCAN, False))
+    within = jnp.zeros((1, 1, 1), bool) if belief.within is None else belief.within
+    length = beams.length.reshape(-1, *beams.length.shape[-2:])
+    given_up = grid.hits, grid.misses, belief.driven, belief.exhausted, members, team.seen_at, team.log, team.way, tally
+    hits, misses, driven, exhausted, members, seen_at, log, way, tally = call(
+        setup.native, "turns", [(a.shape, a.dtype) for a in given_up], *given_up, robots.route, truth.occupied,
+        truth.rooms, within, beams.by_beam, length, beams.blind, terms(jnp.arange(setup.n), robots), given.task.paces,
+        jnp.asarray(given.numbers.model.p_free, jnp.float32), given.numbers.clock, in_place=len(given_up),
+    )  # fmt: skip
+    n, grid = len(CHANGED), grid.replace(hits=hits, misses=misses)
+    changed, kept = (dict(zip(names, part.T)) for names, part in ((CHANGED, members), (MEMBER, members[:, n + 3 :])))
+    where = {name: changed[name] for name in ("row", "col", "heading")}
+    belief = belief.replace(grid=grid, driven=driven, exhausted=exhausted, **where)
+    changed |= {"plan_active": changed["plan_active"] != 0, "came_from": members[:, n : n + 2], "belief": belief}
+    kept |= {"hemmed": kept["hemmed"] != 0, "robots": robots.replace(**changed)}
+    return team.replace(**kept, **dict(zip(TALLY, jnp.unstack(tally))), seen_at=seen_at, log=log, way=way)

@@ -14,7 +14,7 @@ from jexplore.grid import Grid
 from jexplore.raycast import Beams, square_side
 
 EVERY = 2**30  # more unknown cells than any look shows
-KERNELS = ("drive", "field", "clusters", "lay", "look", "apart", "cast", "fold", "enter", "coarse", "fine")
+KERNELS = ("drive", "turns", "field", "clusters", "lay", "look", "apart", "cast", "fold", "enter", "coarse", "fine")
 """The kernels of the library, `jexplore_NAME`."""
 
 

@@ -18,7 +18,7 @@
 namespace jexplore {
 
 constexpr int kStraight = 1 << 16, kDiagonal = 92682, kFar = 1 << 30;  // `reach.STRAIGHT` and so on
-constexpr int kScanMs = 0, kPlanMs = 1, kTurnMs = 2, kRunMs = 7, kMostMs = 1 << 30;  // `motion.SCAN` and so on
+constexpr int kScanMs = 0, kPlanMs = 1, kTurnMs = 2, kRunMs = 7, kStepMs = 14, kMostMs = 1 << 30;  // `motion.SCAN` and so on
 constexpr int kStraightLength = 408, kDiagonalLength = 577;  // `motion.LENGTHS`
 constexpr int kWhole = 10000, kNever = INT32_MAX;            // `state.WHOLE` and `NEVER`
 constexpr int kNone = -1, kMarks = 100, kPercentiles = 4, kLooks = 8, kLookAround = 4;
@@ -128,7 +128,7 @@ struct Episode {
   Result& out;
   int at, came, target = kNone, left = 0;  // cells; motions of the way that are still to be made
   int heading, looking = 0, looked = 0, bumped = kNone, since_scan = 0, room = kNone;
-  bool plan_active = false;
+  bool plan_active = false, held = false;  // held: another robot is in the way of the next step
   int straight = 0, diagonal = 0, turns = 0, scans = 0, plans = 0, exhausted = 0, refused = 0, entries = 0;
   int outcome = kRunning, saturated = 0;
   int home = kNone, homing = kRunning, enough = kNever;  // start; outcome of a robot on its way there; known cells
@@ -215,6 +215,9 @@ struct Episode {
       --looking;
       ++looked;
       bumped = kNone;
+    } else if (plan_active && held) {
+      Wait(p.clock[kStepMs]);
+      bumped = kNone;
     } else if (plan_active) {
       Step(maps.Motion(at, left - 1));
     }
@@ -288,9 +291,10 @@ struct Episode {
   // The other half: what it means for the plan, and the next motion.
   DEVICE void Judge(bool live) {
     const bool here = at == target, hit = Stops() || bumped != kNone;
+    const bool is_last = homing != kRunning && p.return_home;  // a team's rendezvous is not the end
     plan_active = !hit && !((p.recheck || IsNear()) && !live && !here && homing == kRunning);
-    if (plan_active && here && homing != kRunning) outcome = homing;
-    Arrive(here && !hit && looking == 0, live && homing == kRunning);
+    if (plan_active && here && is_last) outcome = homing;
+    Arrive(here && !hit && looking == 0, live && !is_last);
     Move();
   }
 

@@ -20,6 +20,7 @@ from jexplore.exploration.state import Outcome, Setup, Stream
 from jexplore.exploration.team.episode import decode, detail_of, program_of
 from jexplore.exploration.team.state import TeamSetup, TeamTask
 from jexplore.exploration.team.team import EVERYBODY, NOBODY, Contact, read_coordination
+from jexplore.native.drive import find_target
 from jexplore.policies import parse_strategy
 from jexplore.raycast import scans_all_round
 from jexplore.rules import Lidar, Robot, Rules
@@ -342,12 +343,13 @@ def beams_of(case):
     return found.replace(length=np.stack([one.length for one in own]), reach=np.stack([one.reach for one in own]))
 
 
-def play(case):
-    """Explore by the engine: `(Result, Final, outcomes)`."""
+def play(case, native=True):
+    """Explore by the engine, driven by native code or not: `(Result, Final, outcomes)`."""
     name = "closest+recheck" if case.recheck else "closest"
     strategy = parse_strategy(name)
     robot = Setup(strategy.policy._replace(params=()), 0, False, 1)
     setup = TeamSetup(robot, len(case.starts), read_coordination(case.coordination), CAPACITY, bool(case.paces))
+    setup = setup._replace(native=find_target().name if native else None)
     rules = case.rules.replace(max_steps=case.rules.max_steps or CAPACITY, max_plans=case.rules.max_plans or CAPACITY)
     starts = np.array([(row, col, heading // 45) for row, col, heading in case.starts], np.int32)
     found = compiled(
@@ -435,9 +437,9 @@ def lengths(straight, diagonal):
     return np.where(np.asarray(straight) < 0, -1, STRAIGHT * np.asarray(straight) + DIAGONAL * np.asarray(diagonal))
 
 
-def differences(case):
+def differences(case, native=True):
     """Everything in which the engine and the oracle differ, as texts, and the outcomes and waits of the robots."""
-    (result, final, outcomes), (team, log) = play(case), simulate(case)
+    (result, final, outcomes), (team, log) = play(case, native), simulate(case)
     ways = [[tuple(row[:3]) for row in way.tolist()] for way in final.ways]
     end_ms = [clock.play(robot.result.events, ROBOT, case.cell_m)[1] * robot.pace for robot in team]
     whole = simulator.knowable(simulator.connected(~case.occupied, case.starts[0][:2]), np.ones_like(case.occupied))

@@ -22,6 +22,7 @@ and Singh 2012 (periodic connectivity, IEEE Transactions on Robotics 28 (4)); ch
 plans for others.
 """
 
+import functools
 import math
 from typing import Any
 
@@ -50,6 +51,8 @@ from jexplore.exploration.team.state import (
     take,
 )
 from jexplore.grid import Grid, count, is_known
+from jexplore.native.drive import take_turns
+from jexplore.native.kernels import target_of
 from jexplore.planning import Belief, Choice, choose, field, first_at
 from jexplore.raycast import Beams
 from jexplore.reach import FAR
@@ -193,9 +196,16 @@ def _plan(setup: TeamSetup, given: Given, team: TeamState, i: Array, heard: Arra
 
 
 def advance(setup: TeamSetup, given: Given, team: TeamState) -> TeamState:
-    """Have the robot whose turn it is make its scan and the next motion of its plan."""
+    """Have the robot whose turn it is make its scan and the next motion of its plan.
+
+    In native code the others do so as well, until one must plan, where all always hear each other.
+    """
     i = next_robot(team)
     team, heard = meet(given, team, i, plans=False)
+    if target_of(setup.native):
+        goes_on = False if setup.meets else (setup.n == 1) | given.task.contact.is_always
+        own, n_heard = functools.partial(given_of_robot, given), jnp.sum(heard)
+        return take_turns(setup, given, own, team, i, n_heard, goes_on)
     own, state = given_of_robot(given, i), take(team.robots, i)
     held = is_held(team, i, state.route[state.belief.row, state.belief.col])
     after = environment.advance(setup.robot, own, state, held)

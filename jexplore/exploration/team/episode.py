@@ -101,6 +101,12 @@ def finish(setup: TeamSetup, given: Given, team: TeamState) -> Result:
     )
 
 
+def _drive(setup: TeamSetup, given: Given, team: TeamState) -> TeamState:
+    """Let robots act until one must plan."""
+    is_under_way = program_of(setup).is_under_way
+    return lax.while_loop(is_under_way, lambda team: advance(setup, given, team), team)
+
+
 def detail_of(team: TeamState) -> tuple[Array, ...]:
     """Return the detailed record of a team: the map that all robots' maps make, when; their ways and steps."""
     grid = team.robots.belief.grid
@@ -118,6 +124,7 @@ def program_of(setup: TeamSetup) -> Program:
         detail=detail_of,
         decide=decide,
         must_decide=must_decide,
+        drive=_drive if setup.native else None,
         cpu_options=CPU_OPTIONS,
     )
 
@@ -131,7 +138,8 @@ def team_line(
     kinds, n, cell_m = (np.int32, np.bool_, np.int32, np.float32, np.int32), len(starts), float(numbers.model.cell_m)
     contact = read_contact(team.contact, cell_m)
     robot = setup._replace(native=None, capacity=1, ends=setup.ends and not contact.rendezvous)
-    own = TeamSetup(robot, team.robots, team.coordination, setup.capacity, contact.rendezvous > 0)
+    native = None if setup.policy.live is not None else setup.native
+    own = TeamSetup(robot, team.robots, team.coordination, setup.capacity, contact.rendezvous > 0, native)
     paces = np.tile(np.array([one.pace for one in team.members] or [1] * team.robots, np.int32), (n, 1))
     beams = of_ranges(site.beams, lidar.without_noise(), cell_m, [one.range_m for one in team.members])
     tasks = tasks_of(starts.reshape(-1, 3), site.ring).reshape(starts.shape)

@@ -26,6 +26,7 @@ class TeamSetup(NamedTuple):
     coordination: Coordination | None  # None: each robot asks its strategy
     capacity: int  # T, steps that the way of each has room for
     meets: bool = False  # whether robots have a rendezvous
+    native: str | None = None  # as in `Setup`; the robot has none
 
 
 class TeamTask(NamedTuple):
@@ -48,7 +49,7 @@ class TeamState:
     fled: Array  # [N, 2] int32, the target from which each has fled last; -1 for none
     shunned: Array  # [N, H, W] bool, targets that each has given up because others were always in the way
     since: Array  # [N, N] int32, clock since which each two have a link; -1 for none
-    acts: Array  # int32, times that a robot has acted
+    acts: Array  # int32, times that a robot has acted, where links may fail
     heard: Array  # [N, N] bool, whom each heard when it last acted
     met: Array  # [N] int32, clock when each last heard all that explore, or had waited for them for long enough
     came: Array  # [N] int32, clock since which each waits for others at the rendezvous; -1 for none

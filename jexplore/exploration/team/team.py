@@ -58,6 +58,11 @@ class Contact(NamedTuple):
     loss: Any  # float32, probability that a link fails, each time that a robot acts
     rendezvous: Any = 0  # int32, how long a robot explores without having heard all others, as `delay`; 0: for ever
 
+    @property
+    def is_always(self) -> Any:
+        """Return whether all robots always hear each other: bool."""
+        return (self.d2 >= EVERYBODY) & ~self.in_sight & (self.delay <= 0) & (self.loss <= 0)
+
 
 def read_contact(contact: str, cell_m: float) -> Contact:
     """Return the `Contact` of a text such as all, none, range:4, line-of-sight, range:4,delay=10,loss=0.2.
