@@ -1,4 +1,4 @@
-"""The area that the robot has seen, beyond the local map: where free space leads on."""
+"""The area that the robot has seen, beyond the local map: where the unknown begins."""
 
 import math
 
@@ -6,52 +6,61 @@ import numpy as np
 from scipy import ndimage
 
 from jexplore.driving.local.lattice import Lattice, distance_m
+from jexplore.driving.local.sight import EVERY_WAY, frontier
 from jexplore.driving.local.window import Window
 
 GROWTH = 256  # cells by which the area grows at least: two local maps
-EVERY_WAY = np.ones((3, 3), bool)  # a cell's neighbours
 
 
 class SeenArea:
-    """Cells that were known in any local map."""
+    """Cells that were known in any local map, and the frontiers of all of them."""
 
     def __init__(self) -> None:
         """Begin with none."""
-        self._corner, self._known = np.zeros(2, int), np.zeros((0, 0), bool)
+        self._corner, self._cells = np.zeros(2, int), np.zeros((2, 0, 0), bool)
 
-    def add(self, window: Window) -> None:
-        """Add the known cells of a local map."""
-        self.of(window)[...] |= window.known
+    def add(self, window: Window, width_m: float) -> None:
+        """Add the known cells of a local map, and its frontiers for a robot of a width in place of those there."""
+        known, left = self._of(window)
+        known |= window.known
+        left[1:-1, 1:-1] = frontier(window, known, width_m)[1:-1, 1:-1]
 
-    def of(self, window: Window) -> np.ndarray:
-        """Return the cells of a local map that were known in any: `[SIDE, SIDE]` bool, a view."""
+    def _of(self, window):
+        """Return the cells of a local map that were known in any, and frontiers: `[2, SIDE, SIDE]` bool, a view."""
         side = np.array(window.known.shape)
-        if not self._known.size:
+        if not self._cells.size:
             self._corner = window.corner.copy()
         before = np.maximum(self._corner - window.corner, 0)
-        after = np.maximum(window.corner + side - self._corner - self._known.shape, 0)
+        after = np.maximum(window.corner + side - self._corner - self._cells.shape[1:], 0)
         if before.any() or after.any():
             before, after = (np.where(n > 0, np.maximum(n, GROWTH), 0).astype(int) for n in (before, after))
-            self._known = np.pad(self._known, np.stack([before, after], axis=1).tolist())
+            self._cells = np.pad(self._cells, [(0, 0), *zip(before, after, strict=True)])
             self._corner = self._corner - before
         row, col = window.corner - self._corner
-        return self._known[row : row + side[0], col : col + side[1]]
+        return self._cells[:, row : row + side[0], col : col + side[1]]
 
-    def frontiers(self, lattice: Lattice, open_m: float) -> list[np.ndarray]:
-        """Return the frontiers in free space, where a circle of radius `open_m` fits: `[SIDE, SIDE]` bool each.
-
-        Across every frontier between walls the graph of a local map has a way; in free space it has none.
-        """
-        window, known = lattice.window, self.of(lattice.window)
-        edge = window.known & ndimage.binary_dilation(~known, EVERY_WAY) & (distance_m(window.occupied) > open_m)
-        parts = np.empty(edge.shape, np.int32)
-        ndimage.label(edge, EVERY_WAY, output=parts)
+    def frontiers(self, window: Window) -> list[np.ndarray]:
+        """Return the frontiers in a local map that was added: `[SIDE, SIDE]` bool each."""
+        parts = np.empty(window.known.shape, np.int32)
+        ndimage.label(self._of(window)[1], EVERY_WAY, output=parts)
         return [parts == i for i in range(1, parts.max() + 1)]
 
-    def give_up(self, window: Window, frontier: np.ndarray) -> None:
-        """Count what lies next to a frontier as known: the robot has been there, or something stops it."""
-        known = self.of(window)
-        known |= ndimage.binary_dilation(frontier, EVERY_WAY)
+    def elsewhere(self, window: Window) -> np.ndarray:
+        """Return the frontier cells out of a local map: `[n, 2]`, metres."""
+        inside = self._of(window)[1]
+        kept = inside.copy()
+        inside[...] = False
+        found = np.argwhere(self._cells[1]) + self._corner - window.corner
+        inside[...] = kept
+        return window.xy(found)
+
+    def give_up(self, window: Window, xy: np.ndarray) -> None:
+        """Count frontier cells `[n, 2]`, metres, as none: the robot has been there, or something stops it."""
+        row, col = (window.cell(xy) + window.corner - self._corner).T
+        self._cells[1, row, col] = False
+        near = np.zeros_like(self._cells[0])
+        near[row, col] = True
+        self._cells[0] |= ndimage.binary_dilation(near, EVERY_WAY)
 
 
 def nearest_to(frontier: np.ndarray, lattice: Lattice, within_m: float) -> tuple[np.ndarray, float] | None:

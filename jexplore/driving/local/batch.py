@@ -25,6 +25,10 @@ from jexplore.engine.draws import random_key
 from jexplore.engine.runner import Costs, cpu_devices, find_resources
 from jexplore.slam2d.settings import SlamSettings
 
+# The constants of a step of the odometry are for a step of 0.1 s, not for those of logs: 4 mm, a tenth of the way, and
+# 0.15 degrees, one and a half times the heading's walk. Larger ones let matches slide along walls, 0.7 m in 70 m. The
+# gate stays at 0.3 m: in the open the pose may err by as much before walls are in sight again.
+MATCHING = SlamSettings(way_m=0.004, turn_deg=0.15, max_deviations=40.0)
 OnStep = Callable[[int, LocalRun], object]  # of the number of a run and the run
 
 
@@ -61,7 +65,7 @@ def tasks_of(
     found = []
     for i, draw in enumerate(draws):
         robot, tuning, noise = jax.tree.map(lambda a, i=i: a[i], (robots, tunings, noises))
-        fixed = Fixed(on_device, robot, noise, SlamSettings(), jax.random.fold_in(key, draw))
+        fixed = Fixed(on_device, robot, noise, MATCHING, jax.random.fold_in(key, draw))
         found.append(LocalTask(jax.tree.map(jnp.asarray, fixed), tuning, starts[i]))
     return found
 

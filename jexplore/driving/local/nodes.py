@@ -98,7 +98,20 @@ class TraceMap:
                 self.nodes.append(Node(place.xy, place.type, place.radius_m, place.xy + (truth - pose)[:2]))
         for i, at in node_of.items():
             self._note_exits(self.nodes[at], seen[i], node_of, math.dist(self.nodes[at].xy, pose[:2]) < NEAR_M)
+        self._join_meeting(set(node_of.values()))
         return node_of
+
+    def _join_meeting(self, in_view):
+        """Link a node out of view to one in view where the exit of one passes the end of the other's."""
+        for i, node in enumerate(self.nodes):
+            for exit_ in node.exits if i not in in_view else []:
+                for at in in_view if exit_.to < 0 else []:
+                    for other in self.nodes[at].exits:
+                        off = np.hypot(*(other.path - exit_.path[-1]).T)
+                        k = int(off.argmin())
+                        if exit_.to < 0 and other.to < 0 and off[k] < SAME_M and length_of(other.path[k:]) > SAME_M:
+                            path = np.concatenate([other.path[: k + 1], exit_.path[::-1]])
+                            other.to, other.path, exit_.to, exit_.path = i, path, at, path[::-1]
 
     def _same(self, place, taken):
         """Return the node that a place is, None if it is new."""

@@ -29,7 +29,7 @@ KEEP_M = 2.0  # another target must be nearer by this than the last one: twice t
 BACK_M = 0.7  # where something is in the way the robot goes back this far, its own length, to plan anew
 DETOUR = 3.0  # a point of a link is gone to where that costs no more than this many times the link
 DETOUR_M = 2.0  # and this
-EDGE_M = 1.0  # where free space leads on the robot goes as near to the unknown as this: its length, and a look
+EDGE_M = 1.0  # at a frontier the robot goes as near to the unknown as this: its length, and a look
 RETRACES = 6  # times in a row that the robot goes back before it is STUCK, twice as far each time
 SURE_RETRACES = 2  # and before it gives up what no route leads to
 MOST_IDLE = 30  # looks in a row without a step in between, after which the robot is STUCK
@@ -61,9 +61,7 @@ class LocalRun:
         self._node_of: dict[int, int] = {}
         self._hoped: Lattice | None = None
         self._area = SeenArea()
-        self._frontiers: list[np.ndarray] = []  # of free space, in the local map
-        self._in_view: list[np.ndarray] = []  # a point of each, metres
-        self._onward: list[np.ndarray] = []  # where free space leads on elsewhere, metres
+        self._frontiers: list[np.ndarray] = []  # in the local map
         self.seen: list[SeenPlace] = []
         """Places of the last look."""
 
@@ -77,11 +75,9 @@ class LocalRun:
             while idle < MOST_IDLE:
                 idle, steps = (idle + 1 if steps == len(self.pilot.way) else 0), len(self.pilot.way)
                 self._look()
-                if self._go_near() or self._go_on_in_the_open():
+                if self._go_near() or self._go_to_frontier():
                     retraces = 0
-                elif not (goals := self._open_nodes()):
-                    if self._go_back_to_the_open():
-                        continue
+                elif not (goals := self._open_nodes() or self._near_frontiers()):
                     return RunOutcome.EXHAUSTED if np.isfinite(self._lattice.cost).any() else RunOutcome.STUCK
                 elif (here := self._here()) is None or self._is_shut_in():
                     if retraces >= RETRACES:
@@ -91,14 +87,14 @@ class LocalRun:
                 elif self._doubt_shut(goals):
                     retraces = 0
                     self.pilot.retrace(BACK_M)
-                elif (route := self.map.route(here, goals)) is not None:
+                elif route := self.map.route(here, goals) or self.map.route(here, self._near_frontiers()):
                     retraces = 0
                     self._go_along(route)
                 elif retraces < SURE_RETRACES:
                     self.pilot.retrace(LOOK_M * 2**retraces)
                     retraces += 1
                 elif here in goals:
-                    self._give_up(self.map.nodes[here])
+                    self._give_up(here)
                 elif len(self.map.nodes) > known and self._is_cut_off(here, goals) and self.map.forget_failures():
                     retraces, known = 0, len(self.map.nodes)  # once for all that is new
                 else:
@@ -114,23 +110,20 @@ class LocalRun:
         """Return whether no link leads on to a node where the robot has been."""
         return not self._is_free(here) or any(self.map.nodes[i].is_visited for i in goals)
 
-    @staticmethod
-    def _give_up(node):
-        """Give up the exits of a node that the robot is at, since it cannot reach their ends."""
-        node.is_visited = True
-        for exit_ in node.exits:
+    def _give_up(self, at):
+        """Give up the exits of a node that the robot is at, and the frontiers near it: it cannot reach them."""
+        self.map.nodes[at].is_visited = True
+        for exit_ in self.map.nodes[at].exits:
             exit_.tries = TRIES
+        self._leave_frontiers(at)
 
     # Perception
 
     def _look(self):
         window, pose = self.pilot.window(), self.pilot.pose
         self._lattice, self._hoped = Lattice(window, pose, self.robot), None
-        self._area.add(window)
-        self._frontiers = self._area.frontiers(self._lattice, float(self._tuning.open_m))
-        seen_before, self._in_view = self._in_view, [window.xy(np.argwhere(some)[0]) for some in self._frontiers]
-        behind = [xy for xy in self._onward + seen_before if np.abs(window.cell(xy) - SIDE // 2).max() >= SIDE // 2]
-        self._onward = behind
+        self._area.add(window, float(self._tuning.width_m))
+        self._frontiers = self._area.frontiers(window)
         how = float(self._tuning.width_m), float(self._tuning.open_m)
         self.seen = look(window, pose, self._start, *how)
         self._node_of = self.map.note(self.seen, pose, self.pilot.now.truth)
@@ -209,10 +202,10 @@ class LocalRun:
             self.pilot.turn_to(math.atan2(off[1], off[0]))
         exit_.tries += 1
 
-    # Free space
+    # Frontiers
 
-    def _go_on_in_the_open(self):
-        """Go to the nearest frontier of free space in the local map; return False without one."""
+    def _go_to_frontier(self):
+        """Go to the nearest frontier in the local map; return False without one."""
         window = self._lattice.window
         found = [(nearest_to(some, self._lattice, EDGE_M), some) for some in self._frontiers]
         found = [(*there, some) for there, some in found if there]
@@ -223,25 +216,26 @@ class LocalRun:
         self.pilot.follow(self._lattice.path_to(cell), window, LOOK_M)
         is_there = math.dist(window.xy(cell), self.pilot.pose[:2]) < FACE_M
         if is_there or self.pilot.odometer_m - begin_m < FACE_M:
-            self._area.give_up(window, some)
+            self._area.give_up(window, window.xy(np.argwhere(some)))
         return True
 
-    def _go_back_to_the_open(self):
-        """Go to the node that is nearest to a frontier of free space seen before; return False without one.
+    def _frontiers_of(self, cells):
+        """Return the node nearest to each of some points `[n, 2]`."""
+        nodes = np.array([node.xy for node in self.map.nodes])
+        return np.hypot(*(cells[:, None] - nodes).transpose(2, 0, 1)).argmin(1)
 
-        Those in the local map are given up: the robot does not reach them.
-        """
+    def _near_frontiers(self):
+        """Return the nodes nearest to frontiers out of the local map; give up those in it, which are not reached."""
+        window = self._lattice.window
         for some in self._frontiers:
-            self._area.give_up(self._lattice.window, some)
-        self._in_view = []
-        here = self._here()
-        while self._onward and here is not None:
-            xy = self._onward.pop()
-            goal = min(range(len(self.map.nodes)), key=lambda i, xy=xy: math.dist(self.map.nodes[i].xy, xy))
-            if (route := self.map.route(here, {goal})) is not None:
-                self._go_along(route)
-                return True
-        return False
+            self._area.give_up(window, window.xy(np.argwhere(some)))
+        return set(self._frontiers_of(self._area.elsewhere(window)).tolist())
+
+    def _leave_frontiers(self, at):
+        """Give up the frontiers out of the local map to which a node, where the robot is, is the nearest."""
+        window = self._lattice.window
+        left = self._area.elsewhere(window)
+        self._area.give_up(window, left[self._frontiers_of(left) == at])
 
     def _hopes(self):
         """Return the least costs of the robot at the last look if all that is unknown is free."""
@@ -308,7 +302,8 @@ class LocalRun:
             if found is not None:
                 self.pilot.follow(self._lattice.path_to(found), self._lattice.window, LINK_M)
             if self.pilot.odometer_m - begin_m < FACE_M:
-                if to >= len(path) - 1 and found is not None:
+                off_m = math.inf if found is None else math.dist(self._lattice.window.xy(found), self.pilot.pose[:2])
+                if to == len(path) - 1 and off_m < FACE_M:
                     break
                 exit_ = min((e for e, _ in route), key=lambda e: np.hypot(*(e.path - self.pilot.pose[:2]).T).min())
                 exit_.fails += 1
@@ -318,8 +313,9 @@ class LocalRun:
             at += int(near.argmin())
             self._look()
         goal.is_visited = True
+        self._leave_frontiers(route[-1][1])
         if steps == len(self.pilot.way):  # it is there, and nothing that is left there can be reached
-            self._give_up(goal)
+            self._give_up(route[-1][1])
 
     def _farthest(self, path, at):
         """Return the cell from which the robot reaches the farthest point of a path, and the number of that point."""

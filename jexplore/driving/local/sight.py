@@ -13,8 +13,18 @@ from jexplore.extraction.extract import attached, leaves, open_cells
 from jexplore.extraction.lines import connected_cells, lines_of, take_corners
 from jexplore.extraction.passages import PlaceDraft, places_and_passages
 
-CONFIRM_M = 0.1  # a place is confirmed where all is known within its clearance and this: a cell
 EVERY = 2  # of the cells along a way one in this many is kept
+EVERY_WAY = np.ones((3, 3), bool)  # a cell's neighbours
+
+
+def frontier(window: Window, known: np.ndarray, width_m: float) -> np.ndarray:
+    """Return the cells next to the unknown where a robot of a width could pass on: `[SIDE, SIDE]` bool.
+
+    `known` are the cells that count as known, those of the local map or more.
+    """
+    free, _ = open_cells(window.occupied, known, width_m / CELL_M)
+    edge = window.known & ndimage.binary_dilation(~known & ~free, EVERY_WAY)
+    return edge & (distance_m(window.occupied) > width_m / 2)
 
 
 class SeenWay(NamedTuple):
@@ -31,7 +41,7 @@ class SeenPlace(NamedTuple):
     xy: np.ndarray  # [2] float, metres
     type: str  # one of `NODE_TYPES`
     radius_m: float  # clearance
-    is_sure: bool  # all around it is known, or the robot is there
+    is_sure: bool  # no frontier lies within its clearance, or the robot is there
     ways: list[SeenWay]
 
 
@@ -56,16 +66,15 @@ def look(window: Window, pose: np.ndarray, start: np.ndarray, width_m: float, op
         if at in alive:
             terminals = {at: PlaceDraft(float(began[0]), float(began[1]), "terminal", float(lines.radius[at]))}
     places, ways = places_and_passages(lines, corners, alive, terminals, open_cells=open_m / CELL_M)
-    edge = free & ndimage.binary_dilation(~window.known & ~free)
-    edge_m = distance_m(edge)
+    edge_m = distance_m(frontier(window, window.known, width_m))
     number = {key: i for i, key in enumerate(places)}
 
     def seen(place):
-        sure_m = place.radius * CELL_M + CONFIRM_M
+        radius_m = place.radius * CELL_M
         xy = window.xy(np.array([place.row, place.col]))
-        is_there = place.type == "terminal" or math.dist(xy, pose[:2]) < sure_m
-        is_sure = is_there or edge_m[round(place.row), round(place.col)] > sure_m
-        return SeenPlace(xy, place.type, place.radius * CELL_M, bool(is_sure), [])
+        is_there = place.type == "terminal" or math.dist(xy, pose[:2]) < radius_m
+        is_sure = is_there or edge_m[round(place.row), round(place.col)] > radius_m
+        return SeenPlace(xy, place.type, radius_m, bool(is_sure), [])
 
     found = [seen(place) for place in places.values()]
     for way in ways:
