@@ -103,13 +103,16 @@ def test_the_largest_of_the_near_triangles_goes_on_and_the_nearest_begins():
         assert followed([three], placed=placed).centre.tolist() == centre
 
 
-def test_another_begins_once_the_one_that_is_followed_is_given_up():
+def test_a_doubtful_one_gives_way_to_another():
     far = [(5.0, 0.0, 0.7)]
-    track = followed([SEEN, far])
-    assert (int(track.age), bits(track), track.centre.tolist()) == (2, "10", [3, 0])
-    track = followed([SEEN] + [UNSEEN] * 9 + [far])
+    track = followed([SEEN, SEEN, far])
     assert (int(track.age), bits(track), track.centre.tolist()) == (1, "1", [5, 0])
     assert float(track.radius) == pytest.approx(0.7)
+    track = followed([SEEN, SEEN, SEEN, far])
+    assert (int(track.age), bits(track), track.centre.tolist()) == (4, "1110", [3, 0])
+    # Votes count, not age.
+    track = followed([SEEN] * 3 + [UNSEEN] * 7 + [far])
+    assert (int(track.age), track.centre.tolist()) == (1, [5, 0])
 
 
 def test_one_that_may_not_begin_does_not():

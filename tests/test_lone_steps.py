@@ -1,6 +1,7 @@
 """Single steps and sills in level ground, told from the profile that a robot drives over."""
 
 import functools
+import math
 
 import jax
 import jax.numpy as jnp
@@ -94,3 +95,21 @@ def test_it_has_been_passed_once_the_robots_end_has():
     first = passed.argmax() * STEP_M
     assert passed[passed.argmax() :].all()
     assert 4.01 + LENGTH_M / 2 - 0.1 < first < 4.01 + LENGTH_M / 2 + 0.15
+
+
+@pytest.mark.parametrize(
+    ("degrees", "noise_deg", "tipped"), [(9.0, 0, True), (1.0, 0, False), (9.0, 1, True), (0.0, 1, False)]
+)
+@pytest.mark.parametrize("axis", ["pitch", "roll"])
+def test_a_robot_that_did_not_tip_has_turned_away(degrees, noise_deg, tipped, axis):
+    """Noise of a degree does not look like a step of 6 cm, of which 2.5 degrees would be seen."""
+    step = LoneStep(jnp.float32(4.0), jnp.float32(4.1), jnp.float32(0.06))
+    odometer = np.arange(256) * STEP_M
+    angle = np.where(np.abs(odometer - 4) < 0.3, math.radians(degrees), 0.0)
+    angle = np.where(odometer > 8, 1.0, angle)  # elsewhere it may lean as it likes
+    rng = np.random.default_rng(5)
+    for _ in range(20 if noise_deg else 1):
+        angles = {name: rng.normal(scale=math.radians(noise_deg), size=256) for name in ("pitch", "roll")}
+        angles[axis] = angles[axis] + angle
+        way = mapping.no_way(256).replace(odometer_m=jnp.asarray(odometer), **jax.tree.map(jnp.asarray, angles))
+        assert bool(ground_profile.has_tipped(step, way, LENGTH_M)) == tipped

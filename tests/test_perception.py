@@ -293,7 +293,7 @@ def test_the_way_the_robot_looks_along_does_not_matter():
     np.testing.assert_allclose(np.stack([-one[:, 1], one[:, 0]], 1), other, atol=0.02)
 
 
-def one_wall_by_angles(xy, valid, centre, corner):
+def one_wall_by_angles(xy, valid, centre, corner, recess_m):
     """Return whether a circle touches one wall twice, a triangle at a time, by angles in double precision."""
     xy = xy.astype(float)
     angle = np.arctan2(*(xy - centre)[:, ::-1].T)
@@ -302,7 +302,7 @@ def one_wall_by_angles(xy, valid, centre, corner):
         chord = xy[other] - xy[one]
         within = (angle - angle[one]) % (2 * np.pi) < (angle[other] - angle[one]) % (2 * np.pi)
         within &= valid & ~np.isin(np.arange(len(xy)), corner)
-        if np.all((xy - xy[one])[within] @ [chord[1], -chord[0]] <= 0):
+        if np.all((xy - xy[one])[within] @ [chord[1], -chord[0]] <= recess_m * np.hypot(*chord)):
             return True
     return False
 
@@ -314,7 +314,7 @@ def test_circles_that_touch_one_wall_twice_are_those_of_an_oracle_by_angles():
     def judged(xy, valid):
         triangles = delaunay(xy, valid)
         centre, _, _ = circumcircles(xy, triangles.corner)
-        found = perception._on_one_wall(xy, valid, centre, triangles.corner, jnp.float32(0.19), jnp.float32(0.1))
+        found = perception._on_one_wall(xy, valid, centre, triangles.corner, jnp.float32(0.1))
         return triangles, centre, found
 
     counts = np.zeros(2, int)
@@ -326,7 +326,7 @@ def test_circles_that_touch_one_wall_twice_are_those_of_an_oracle_by_angles():
         valid = rng.random(len(xy)) < 0.9
         triangles, centre, found = jax.tree.map(np.asarray, judged(xy, valid))
         for t in np.flatnonzero(triangles.valid):
-            expected = one_wall_by_angles(xy, valid, centre[t], triangles.corner[t], 0.19, 0.1)
+            expected = one_wall_by_angles(xy, valid, centre[t], triangles.corner[t], 0.1)
             assert found[t] == expected
             counts[int(expected)] += 1
     assert counts.min() > 60
@@ -340,7 +340,7 @@ def test_every_triangle_keeps_to_its_bounds():
         pose = np.array([*(middle + rng.uniform([-3, -0.4], [-1, 0.4])), rng.uniform(-0.4, 0.4)], np.float32)
         noise_m = rng.normal(scale=0.03, size=BEAMS).astype(np.float32)
         found, *_ = look_from(walls_, pose, TUNING, noise_m)
-        assert found.corners.shape == (4 * SCAN_POINTS, 3, 2)  # of two views
+        assert found.corners.shape == (2 * SCAN_POINTS, 3, 2)
         corners = np.asarray(found.corners)[np.asarray(found.valid)].astype(float)
         for triangle, centre, radius in zip(
             corners, *(np.asarray(a)[found.valid] for a in (found.centre, found.radius))

@@ -50,8 +50,8 @@ def update_track(
     """Update a track with one more scan.
 
     The largest triangle that is near enough to the one followed goes on with it; else the triangle nearest to the
-    robot begins a new one, but not while one is being followed. One that `VOTING_SCANS` scans have not shown is given
-    up.
+    robot begins a new one, but not while one is being followed that more than `replaceable_votes` scans have shown. One
+    that `VOTING_SCANS` scans have not shown is given up.
 
     Args:
       found: `perception.Divergence`, in the robot's frame, without triangles that are to be ignored.
@@ -66,7 +66,8 @@ def update_track(
     again = jnp.argmax(jnp.where(near, placed.radius, -1)).astype(jnp.int32)
     hit = followed & near[again]
     first, distance = perception.nearest(found, jnp.zeros(2))
-    begins = may_begin & ~followed & (distance < jnp.inf)
+    begins = may_begin & ~hit & (~followed | (votes(track) <= P.motion.replaceable_votes)) & (distance < jnp.inf)
+    followed &= ~begins
     which = jnp.where(hit, again, first)
     share = jnp.where(hit, 1 / jnp.minimum(track.age + 1.0, VOTING_SCANS), 1.0)
     taken = hit | begins

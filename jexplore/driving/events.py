@@ -99,7 +99,8 @@ def _lone_step(state, writer, ground, leans, level, changed, crease_m, blocked, 
         writer.lone_step,
     )
     passed = ground_profile.has_passed(now, state.odometer_m, robot.length_m) & ~leans & is_level
-    is_lone = passed & ((now.from_m + now.to_m) / 2 > writer.node_m)
+    is_lone = run_if(passed, lambda _: ground_profile.has_tipped(now, writer.way, robot.length_m), jnp.bool_(False))
+    is_lone &= (now.from_m + now.to_m) / 2 > writer.node_m
     gone = passed | state.manoeuvre.backing | (changed & (crease_m > now.from_m - P.ground.together_m / 2)) | blocked
     after = pick(gone, ground_profile.no_step(), now)
     return now, is_lone & ~changed, after

@@ -141,7 +141,9 @@ def match_node(
     leads = followed & (jnp.arange(n) == to)
     seen = jnp.where(followed, jnp.stack([map_.x_m[to], map_.y_m[to]]) + centre - expected, centre)
     off_m = jnp.hypot(map_.x_m - seen[0], map_.y_m - seen[1])
-    limit_m = reach + jnp.where(leads, P.graph.drift_share * (odometer_m - writer.node_m), 0.0)
+    drift_m = jnp.minimum(P.graph.match_drift[0] * odometer_m, P.graph.match_drift[1])
+    gone_m = odometer_m - writer.node_m
+    limit_m = reach + jnp.where(leads, P.graph.drift_share * gone_m, jnp.where(followed, 0.0, drift_m))
     may = when & (map_.kind == btm.DIVERGENCE) & (off_m < limit_m) & (jnp.arange(n) != writer.node)
 
     def judged(_):

@@ -15,7 +15,7 @@ from jexplore.driving.records import Arrival, Drive, DueNode, Latch, State, Trac
 from jexplore.driving.sensing import obstacles
 from jexplore.driving.sensing.openings import find_openings
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import rotate_by, towards
+from jexplore.driving.vehicle import rotate_by, to_odometry, towards
 
 MAX_OPENINGS = 8  # of a divergence
 
@@ -50,10 +50,10 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
     )
     map_ = pick(again, writer.map, added)
     fits = again | (writer.map.n_nodes < map_.kind.shape[0])
-    shift = jnp.where(is_alike, jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre, 0.0)
-    return Arrival(
-        map_, jnp.where(again, near, new), again, near, is_alike, fits, shift, width, posture, roll, jnp.zeros(3)
-    )
+    met = again & is_divergence & ((distance < P.graph.shift_m) | is_alike)
+    share = jnp.where(is_alike, 1.0, P.graph.shift_share)
+    shift = jnp.where(met, share * (jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre), 0.0)
+    return Arrival(map_, jnp.where(again, near, new), again, near, met, fits, shift, width, posture, roll, jnp.zeros(3))
 
 
 def _find_openings(writer, event, points, tuning, is_divergence):
@@ -118,15 +118,15 @@ def write_node(
       points: around the robot: `[P, 2]` float32, odometry; `[P]` bool, valid.
 
     Returns:
-      `(writer, latch, target, out, shift)`: `Latch` and target point of branch selection, direction of the link there,
-        radians; `[2]`, correction of the odometry at a node met again, metres.
+      `(writer, latch, target, out, correction)`: `Latch` and target point of branch selection, direction of the link
+        there, radians; `[3]`, correction of the odometry at a node met again: metres, and radians about the node.
     """
     is_divergence, is_terminal = event.kind == btm.DIVERGENCE, (event.kind == btm.TERMINAL) & ~event.returns
     size = writer.map.start.shape[0]
     found, others, back = _find_openings(writer, event, points, tuning, is_divergence)
     at = _arrive(writer, event, found, back, tuning, is_divergence, is_terminal)
     map_, step_m = obstacles.classify_obstacle(at.map, writer, event, tuning, robot, at.posture, at.node)
-    at, event, turn, turned = _turns(writer, event, at, found)
+    at, event, turn, applied, turned = _turns(writer, event, at, found)
     measured = back, found  # by the odometry; from here on as the map has them
     back, found = back + turn, dataclasses.replace(found, bearing=found.bearing + turn)
     map_, link = _end_way_here(map_, writer, event, at, back, step_m)
@@ -134,13 +134,13 @@ def write_node(
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, new = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
     passes, which = leaving.is_rejected(writer, event, measured, others, at, is_divergence, points, tuning)
-    shift = jnp.where(passes, 0.0, at.shift)
+    correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, applied]))
     after, map_, onto, bearing = links.choose_link(writer, map_, at.node, back)
     through = ~is_divergence & ~event.blocked & ~event.returns
     onto = jnp.where(through, jnp.where(goes_on, new, links.other_link(map_, at.node, link)), onto)
     ways = tuning.leave_m * towards(bearing), bearing
     ways = pick(is_divergence, leaving.beyond_opening(event, found, bearing, turn, tuning.leave_m), ways)
-    ways = rotate_by(-turn)(ways[0]), ways[1] - turn
+    ways = rotate_by(applied - turn)(ways[0]), ways[1] + applied - turn
     target, out = pick(passes, leaving.beyond_candidate(event, measured, which, others, points, tuning), ways)
     taken = jnp.where(onto == btm.NONE, size, onto)
     written = after.replace(
@@ -152,26 +152,27 @@ def write_node(
         border_m=_border_left(writer, event),
         tries=after.tries.at[taken].add(1, mode="drop"),
         exhausted=~is_terminal & (taken == size),
-        origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(turned)]),
+        origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(turned) - applied]),
     )
     unchanged = writer.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
     return (
         pick(passes, unchanged, pick(at.fits, written, _full(writer))),
         jnp.where((~through & (taken < size)) | passes, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
-        event.centre + shift + target,
+        event.centre + correction[:2] + target,
         out,
-        shift,
+        correction,
     )
 
 
 def _turns(writer, event, at, found):
-    """Compare the bearings of a node's openings with its links: `(at, event, turn, turned)`: with its pose from the
-    last node; turned; radians by which bearings are turned; turn of any node, NaN if unknown."""
+    """Compare the bearings of a node's openings with its links: `(at, event, turn, applied, turned)`: with its pose
+    from the last node; turned; radians that correct the odometry, their applied share; turn of any node, NaN if
+    unknown."""
     turned = links.turn_to(at.map, at.node, found)
     turn = jnp.where(at.met, turned, 0.0)
     turned = jnp.where(at.again, jnp.where(event.kind == btm.DIVERGENCE, turned, jnp.nan), 0.0)
     at = at._replace(moved=pose_from_node(writer, event.centre, turned))
-    return at, dataclasses.replace(event, pose=event.pose.at[2].add(turn)), turn, turned
+    return at, dataclasses.replace(event, pose=event.pose.at[2].add(turn)), turn, P.graph.turn_share * turn, turned
 
 
 def make_due_node(
@@ -189,8 +190,9 @@ def make_due_node(
     def written(carry):
         map_part, rest, drive, track, estimate = carry
         whole = writer.replace(map=map_part, **rest)
-        whole, latch, target, out, shift = write_node(whole, event, points, tuning, robot)
-        estimate = estimate + jnp.append(shift, 0.0)
+        whole, latch, target, out, correction = write_node(whole, event, points, tuning, robot)
+        about = to_odometry(jnp.append(event.centre, correction[2]))
+        estimate = jnp.append(about(estimate[:2] - event.centre), estimate[2]) + correction
         latches = (event.kind == btm.DIVERGENCE) | event.blocked | event.returns
         drive = drive.replace(
             latch=jnp.where(latches, latch, drive.latch),

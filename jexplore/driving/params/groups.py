@@ -46,9 +46,11 @@ class Ground(Settings):
     min_step_m: float = 0.015  # no lower step is told of
     noise_deviations: float = 4.5  # standard deviations of a point; a lower one may be noise
     together_m: float = 1.2  # steps no farther apart are one, as high as those seen before the robot is on the first
-    # share that a point has of the variance besides: of noise alone, such as 5 cm of range noise leave on a slope, the
-    # best wave has more once in 200
-    rest_share: float = 10.0
+    # share of the angle at which a robot stands with one end on the riser that counts as tipping
+    tip_share: float = 0.5
+    # shares that a point has of the variance besides, and of that of noise: of noise alone, such as 5 cm of range noise
+    # leave on a slope, the best wave has more once in 200
+    noise_shares: tuple[float, float] = (10.0, 8.0)
     sure_wave_ratio: float = 5.0  # thresholds; a larger wave is stairs however large the rest
     profile_margin_m: float = 0.1  # m; margin of an obstacle's profile from the nodes at its ends
     even_deg: float = 1.0  # the robot stands evenly once its lean has varied by less than this
@@ -64,6 +66,8 @@ class Places(Settings):
 
     # least openings between points along a wall: both neighbours of one lie nearer than an opening
     spacing_widths: float = 0.49
+    # least openings; points no farther beyond the chord of two corners of a triangle are one wall
+    recess_widths: float = 0.25
     graze_rad: float = math.radians(4)  # a narrower gap, with beams a degree apart, is a wall seen at a grazing angle
     ahead_radii: float = 0.6  # radii from the centre from which on they are
     alike_m: float = 0.02  # m; longer connections of the walls on both sides of a gap weigh less by this scale
@@ -79,11 +83,17 @@ class Graph(Settings):
     elsewhere_m: float = 2.0
     # a robot beyond an opening is no farther before it and behind it
     beyond_opening_m: tuple[float, float] = (0.05, 1.0)
+    # share of the way, and metres at most: how far off a known place may seem
+    match_drift: tuple[float, float] = (0.025, 2.5)
     drift_share: float = 0.05  # of the way: how far off its other node may seem, and a node that a place perhaps is
     # the way in, or an opening of a known place, that bears no farther from a known link is that link
     same_end_rad: float = math.radians(25)
     turn_rad: float = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
+    # the odometry's place is corrected by half at a node met again no farther than this away, metres
+    shift_m: float = 0.7
     same_node_m: float = 1.0  # free space and obstacles nearer than this to one that is known are that one
+    turn_share: float = 0.2  # applied share of the correction of the heading: scan matching is more certain
+    shift_share: float = 0.5  # and of the place
     search_every_steps: int = 3  # steps between two looks for triangles
     goal_m: float = 0.5  # a run ends where it hears its goal's beacon within this
     blind_steps: int = 20  # scans in a row, most of whose beams give no number, that end a run
@@ -101,6 +111,7 @@ class Motion(Settings):
     ahead_s: float = 0.2  # s; look-ahead of a step
     outline_slack_m: float = 0.01  # between a wall and the robot's outline after a step
     past_end_m: float = 0.8  # m; what looks like the end of a passage is none where the way ahead is free this far
+    replaceable_votes: int = 2  # votes up to which another triangle takes the place of one that a scan does not show
     latch_steps: int = 200  # steps; a target not reached within these is given up
     # rad; the robot looks round by turning this far: the scanner covers half of the surroundings
     look_rad: float = math.pi - 0.05

@@ -9,7 +9,7 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore.driving.params.tree import P
-from jexplore.driving.records import LoneStep
+from jexplore.driving.records import LoneStep, Trajectory
 from jexplore.driving.sensing import smoothing
 from jexplore.driving.sensing.perception import running_sum
 
@@ -62,6 +62,7 @@ class Profile(struct.PyTreeNode):
 
     variance_m2: Array  # float32, residual variance about the least-squares line, n - 2 in the denominator
     tread_wave_m2: Array  # float32, amplitude of the sine with the best tread period
+    noise_m: Array  # float32, standard deviation of a point, told by how its neighbours differ
     slope: Array  # float32, of that line, signed
     step_m: Array  # float32, height of a step, the median of all
     riser_m: Array  # float32, height of a step of stairs between level treads
@@ -102,6 +103,7 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
     return Profile(
         variance_m2=variance,
         tread_wave_m2=jnp.where(enough, _tread_wave(x, residual, valid), 0),
+        noise_m=noise,
         slope=jnp.where(enough, slope, 0),
         step_m=jnp.where(enough, _median(rises, steps), 0),
         riser_m=jnp.where(enough, _riser(steps, rises, *heights), 0),
@@ -225,3 +227,14 @@ def update_step(step: LoneStep, x_m: Array, z_m: Array) -> LoneStep:
 def has_passed(step: LoneStep, odometer_m: Array, length_m: Array | float) -> Array:
     """Return whether a robot of a length, metres, has passed the riser: bool."""
     return odometer_m - step.to_m > length_m / 2
+
+
+def has_tipped(step: LoneStep, way: Trajectory, length_m: Array | float) -> Array:
+    """Return whether the robot has tipped as on a riser of this height: bool.
+
+    Otherwise it has turned away before it.
+    """
+    near = (way.odometer_m > step.from_m - length_m) & (way.odometer_m < step.to_m + length_m)
+    # Of both angles, whose noise goes either way: that of the inclination never goes below 0.
+    leant = jnp.hypot(*(smoothing.running_mean(a, smoothing.MEAN_STEPS) for a in (way.pitch, way.roll)))
+    return jnp.max(jnp.where(near, leant, 0)) > P.ground.tip_share * jnp.arctan(step.height_m / length_m)

@@ -18,7 +18,8 @@ def is_stairs(found: Profile, tuning: Tuning) -> Array:
     Its wave is large enough and stands out of the rest, which is noise or a tipping body.
     """
     rest = found.variance_m2 - found.tread_wave_m2
-    share = P.ground.rest_share * rest / jnp.maximum(found.count, 1)
+    noise = jnp.minimum(found.noise_m**2, rest)  # of points far apart neighbours differ by risers
+    share = (P.ground.noise_shares[0] * rest + P.ground.noise_shares[1] * noise) / jnp.maximum(found.count, 1)
     doubt = jnp.minimum(share, P.ground.sure_wave_ratio * tuning.tread_wave_m2)
     return found.tread_wave_m2 > jnp.maximum(tuning.tread_wave_m2, doubt)
 

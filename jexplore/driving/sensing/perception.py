@@ -227,13 +227,14 @@ def find_divergences(
     side = jnp.maximum(width_m, spacing / P.places.spacing_widths)
     keep = triangles.valid & (jnp.min(side2, axis=1) > side**2) & (radius < open_m)
     keep &= cosine >= -jnp.sin(jnp.radians(obtuse_tol_deg))
-    keep &= ~_on_one_wall(chosen, there, centre, triangles.corner, spacing)
+    keep &= ~_on_one_wall(chosen, there, centre, triangles.corner, P.places.recess_widths * width_m)
     corners = chosen[jnp.minimum(triangles.corner, size - 1)]
     return Divergence(corners=corners, centre=centre, radius=radius, valid=keep, overflow=overflow + triangles.overflow)
 
 
-def _on_one_wall(xy, valid, centre, corner, spacing_m):
-    """Return which circles touch one wall twice: `[T]` bool. Between two corners no point lies beyond the chord."""
+def _on_one_wall(xy, valid, centre, corner, recess_m):
+    """Return which circles touch one wall twice: `[T]` bool. Between two corners the points follow the chord
+    closely."""
     n = xy.shape[0]
     corner = jnp.minimum(corner, n - 1)
 
@@ -244,7 +245,7 @@ def _on_one_wall(xy, valid, centre, corner, spacing_m):
         return ((ax, ay), second, (third, jnp.where(is_left, cy, by))), (centre[:, 0], centre[:, 1]), corner
 
     # Stored, so that no corner is looked up anew for every point.
-    place, (mid_x, mid_y), corner = stored(spacing_m > 0, corners)
+    place, (mid_x, mid_y), corner = stored(recess_m >= 0, corners)
     place = [(x - mid_x, y - mid_y) for x, y in place]
     # [n, T], so that sums over the points run along rows, which a CPU does many at a time.
     x, y = xy[:, 0, None] - mid_x, xy[:, 1, None] - mid_y
@@ -254,7 +255,8 @@ def _on_one_wall(xy, valid, centre, corner, spacing_m):
     for side in range(3):
         (from_x, from_y), (to_x, to_y) = place[side], place[(side + 1) % 3]
         chord_x, chord_y = to_x - from_x, to_y - from_y
-        is_beyond = (x - from_x) * chord_y - (y - from_y) * chord_x > 0
+        chord_m = jnp.maximum(jnp.hypot(chord_x, chord_y), 1e-9)
+        is_beyond = (x - from_x) * chord_y - (y - from_y) * chord_x > recess_m * chord_m
         between = is_other & (_turned_left(from_x, from_y, x, y) < _turned_left(from_x, from_y, to_x, to_y))
         one_wall |= ~jnp.any(between & is_beyond, axis=0)
     return one_wall
