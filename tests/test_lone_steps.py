@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jexplore.driving import mapping
+from jexplore.driving.records import LoneStep
 from jexplore.driving.sensing import ground_profile
 
 pytestmark = pytest.mark.jit
