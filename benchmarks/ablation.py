@@ -29,46 +29,24 @@ WORLDS = ("course#101", "course#102", "course#103", "course#104", "office", "hos
 FACTORS = (0.5, 2.0)
 NEVER, ALWAYS = 0.0, 1e4
 OFF = {
-    "sensing.behind_deg": 180, "sensing.memory_m": NEVER, "sensing.opposite_cos": NEVER, "sensing.side_margin_m": 0.03,
-    "sensing.mean_m": ALWAYS, "sensing.agree_deviations": ALWAYS,
-    "sensing.line_flatness": ALWAYS, "sensing.gate_m.0": 0.1, "sensing.encoder_m": 1e-4, "sensing.encoder_rad": 1e-4,
-    "sensing.max_deviations": ALWAYS, "sensing.plane_rad": ALWAYS, "sensing.tilt_rad": ALWAYS,
-    "sensing.key_share": NEVER, "sensing.key_rad": ALWAYS, "sensing.every_rad": ALWAYS, "sensing.min_points": 1,
-    "ground.tip_share": NEVER, "ground.along_rad": ALWAYS, "ground.level_rad": ALWAYS, "ground.passed_m": NEVER,
-    "ground.stairs_rise_m": ALWAYS, "ground.noise_shares.1": NEVER, "ground.face_m": NEVER,
-    "places.bridge_share": ALWAYS, "places.clearance_step_m": ALWAYS, "places.front_guard_m": NEVER,
-    "places.roomy_share": 1, "places.recess_widths": NEVER, "places.wall_fill_share": NEVER, "places.graze_rad": NEVER,
-    "places.narrow": NEVER, "places.max_point_m": 100, "places.corner_depth": NEVER, "places.pocket": NEVER,
-    "places.seen": NEVER, "places.door": 0, "places.beyond_pocket_m": NEVER, "places.both_ends": ALWAYS,
-    "places.ahead_radii": -ALWAYS, "places.alike_m": 1e-6, "places.wider_circle": 1, "places.somewhat_wider": 1,
-    "places.same_opening_m": NEVER, "places.wide_place_m": ALWAYS, "places.last_resort_m": ALWAYS,
-    "places.behind_rad": NEVER, "places.through_m": ALWAYS, "places.merged_rad": ALWAYS, "places.straight_rad": NEVER,
-    "places.near_wall_radii": ALWAYS,     "places.corner_width_ratio": ALWAYS, "places.in_line_rad": NEVER,
-    "graph.door_before_m": NEVER, "graph.shift_m": NEVER, "graph.led_node_m": NEVER, "graph.turn_share": NEVER,
-    "graph.shift_share": NEVER, "graph.crossing_m": NEVER, "graph.near_points_m": ALWAYS, "graph.min_centre_x_m": NEVER,
-    "graph.along_cos": NEVER, "graph.match_drift.1": ALWAYS,
-    "graph.match_drift.0": NEVER, "graph.max_tries": 1, "graph.search_every_steps": 1, "graph.steered_lengths": 1,
-    "motion.off_trail_rad": ALWAYS, "motion.max_back_m": ALWAYS, "motion.drive_away_m": NEVER,
-    "motion.min_back_step_m": NEVER, "motion.lean_rad_s": NEVER, "motion.keep_direction_weight": NEVER,
-    "motion.replaceable_votes": 0, "motion.debounce_steps": 1, "motion.hysteresis_m": NEVER,
-    "motion.contact_guard_m": NEVER, "motion.turn_room_m": NEVER, "motion.way_past_wall_rad": NEVER,
-    "motion.way_past_end.0": NEVER, "motion.latch_time_ratio": NEVER, "motion.off_axis_m": ALWAYS,
-    "motion.look_on_rad": NEVER, "motion.survey_m": ALWAYS,
-    "motion.unturned_stop_m": ALWAYS, "motion.at_place_ratio": ALWAYS, "motion.max_surveys": 0,
-    "motion.same_place_m": NEVER, "motion.same_place_radii": NEVER, "motion.better_radius_ratio": 1,
-    "motion.same_radius_share": NEVER, "motion.stray_steps": 100000, "motion.heed_on_way_m": ALWAYS,
-    "motion.lost_place_m": NEVER, "motion.stuck_steps": 100000, "motion.latch_steps": 100000,
-    "motion.steer_rad_m": NEVER, "motion.stop_m": 0.4, "motion.recovery_steps": 0, "motion.touch_again_steps": 0,
-    "motion.taken_rad": ALWAYS,
+    "sensing.agree_deviations": ALWAYS, "sensing.line_flatness": ALWAYS, "sensing.gate_m.0": 0.1,
+    "sensing.encoder_m": 1e-4, "sensing.encoder_rad": 1e-4, "sensing.tilt_rad": ALWAYS, "sensing.key_share": NEVER,
+    "sensing.key_rad": ALWAYS, "sensing.every_rad": ALWAYS, "ground.tip_share": NEVER, "ground.level_rad": ALWAYS,
+    "ground.noise_shares.1": NEVER, "ground.face_m": NEVER, "places.recess_widths": NEVER, "places.graze_rad": NEVER,
+    "places.ahead_radii": -ALWAYS, "places.alike_m": 1e-6, "places.in_line_rad": NEVER, "graph.shift_m": NEVER,
+    "graph.turn_share": NEVER, "graph.shift_share": NEVER, "graph.match_drift.1": ALWAYS,
+    "graph.match_drift.0": NEVER, "graph.search_every_steps": 1, "motion.replaceable_votes": 0,
+    "motion.survey_m": ALWAYS, "motion.same_place_radii": NEVER, "motion.stray_steps": 100000,
+    "motion.stuck_steps": 100000, "motion.latch_steps": 100000, "motion.taken_rad": ALWAYS,
 }  # fmt: skip
 """Number -> its value at which the rule that it steers does nothing, or does without a number of its own."""
 PART = 40  # changes whose runs are written together
 
 
 def numbers_of(plan):
-    """Return the robot's numbers that are not 0, but for those of robots that follow a route: `{name: default}`."""
+    """Return the robot's numbers that are not 0: `{name: default}`."""
     own = {field.name: getattr(plan.tuning, field.name) for field in dataclasses.fields(plan.tuning)}
-    return {name: v for name, v in {**own, **default_numbers()}.items() if v and not name.startswith("route.")}
+    return {name: v for name, v in {**own, **default_numbers()}.items() if v}
 
 
 def changed(value, factor):

@@ -100,7 +100,6 @@ def paths(given):
                 start=(x_m, y_m, float(start[2])),
                 noise=Noise(range_m=0.01),
                 seed=given.seed,
-                perception="triangles",
             ).table
             ways["robot that traces"].append((run["path_m"].iloc[0], run["outcome"].iloc[0] == "EXHAUSTED"))
             episodes = compare(here, STRATEGIES, episodes=1, start="world", seed=given.seed).episodes

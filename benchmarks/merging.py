@@ -106,7 +106,7 @@ def driven(worlds, runs, errors=(1.0, 5.0)):
     from jexplore.studies.traces.tracing import trace
 
     for world in worlds:
-        ran = trace(world, runs=runs, starts=runs, noise=Noise(range_m=0.01), perception="triangles")
+        ran = trace(world, runs=runs, starts=runs, noise=Noise(range_m=0.01))
         maps = list(ran.maps.values())
         counts = collections.Counter()
         for one, other in itertools.combinations(maps, 2):

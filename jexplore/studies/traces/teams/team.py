@@ -188,12 +188,7 @@ def trace_team(
 def prepare_team(
     world: str | os.PathLike[str] | World, robots: int, team_starts: TeamStarts = "apart", **how: Any
 ) -> TraceJob:
-    """Check all that a team needs, and return its runs, one a robot; `how` as of `prepare_trace`.
-
-    By default its robots perceive by triangles: their maps are merged more often than those of local maps.
-    """
-    if how.get("perception", AUTO) == AUTO:
-        how["perception"] = "triangles"
+    """Check all that a team needs, and return its runs, one a robot; `how` as of `prepare_trace`."""
     n = require_whole("robots", robots, 1, MOST_ROBOTS)
     if team_starts not in STARTS and how.get("start") is not None:
         raise InputError("start and given team_starts exclude each other: give one of them")
