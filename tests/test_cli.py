@@ -19,7 +19,7 @@ from jexplore.learn.settings import TRAINER_SETTINGS
 from jexplore.learn.training import TRAINERS
 from jexplore.policies import STRATEGIES
 from jexplore.policies.catalogue.entries import SYNONYMS
-from jexplore.report import store
+from jexplore.report import folders, store
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.worlds import GENERATORS
 
@@ -138,9 +138,9 @@ def test_an_interruption_is_one_line_and_leaves_the_old_run(ran, world, tmp_path
 
     command = ["explore", "--world", world, "--strategy", "closest", "--seed", "3", *LIDAR, "--out", str(tmp_path)]
     (tmp_path / "run.json").write_text("old")
-    for where in ("write_json", "environment"):
+    for module, where in ((folders, "write_json"), (store, "environment")):
         with monkeypatch.context() as patch:
-            patch.setattr(store, where, interrupted)
+            patch.setattr(module, where, interrupted)
             assert main.main([*command, "--overwrite"]) == 130
         said = capsys.readouterr()
         assert said.err.endswith("jexplore: interrupted, no results were written\n")

@@ -114,17 +114,6 @@ def test_a_beam_without_a_reading_changes_nothing():
     np.testing.assert_array_equal([after.x_m, after.y_m], [before.x_m, before.y_m])
 
 
-@pytest.mark.parametrize("degrees", [P.sensing.behind_deg + 1, 90])
-def test_behind_the_nearer_of_memory_and_scan_counts(degrees):
-    angle = math.radians(degrees)
-    before = of((math.cos(angle), math.sin(angle)))
-    for range_m, kept_m in ((0.8, 0.8), (1.2, 1.0), (INF, 1.0), (NAN, 1.0)):
-        after = ADD_SCAN(before, scan(**{f"left_{degrees}": range_m}))
-        assert math.hypot(*at(after, degrees)) == pytest.approx(kept_m)
-    after = ADD_SCAN(surround.empty_surround(), scan(**{f"right_{degrees}": 1.2}))
-    assert math.hypot(*at(after, -degrees)) == pytest.approx(1.2)
-
-
 def test_of_two_points_in_one_direction_the_nearer_is_kept():
     both = Surround(*jnp.full((2, SECTORS), INF).at[:, 10].set([-2, -0.004]).at[:, 20].set([-1, 0.002]))
     np.testing.assert_allclose(known_of(ADD_SCAN(both, jnp.full(BEAMS, NAN))), [[-1, 0.002]], atol=1e-6)
@@ -144,7 +133,7 @@ def test_seen_is_what_a_loop_over_all_directions_finds(seed):
         if len(old):
             want[sector] = xy[old[0]]
         range_m = ranges[angle + 90] if abs(angle) <= 90 else NAN
-        if not np.isnan(range_m) and (abs(angle) <= P.sensing.behind_deg or range_m < np.hypot(*want[sector])):
+        if not np.isnan(range_m):
             way = np.array([math.cos(math.radians(angle)), math.sin(math.radians(angle))])
             want[sector] = way * range_m if np.isfinite(range_m) else INF
     # The points of memory lie in any order: where in the arrays they are does not count.

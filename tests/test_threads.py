@@ -73,11 +73,12 @@ def test_of_very_many_works_the_first_end_before_the_last_begin(workers):
 
 def test_what_fails_in_a_thread_is_raised_and_the_rest_is_kept():
     fails, whole = squares(8, 1, fails_at=3), squares(8, 1, seconds=0.01)
+    before = threading.active_count()  # other tests leave idle pools
     with pytest.raises(ValueError, match="out of order"):
         share_out([fails[0], whole[0]], 2, lambda done: None)
     assert set(fails[1]) <= {0, 1, 2}
     assert len(whole[1]) == whole[0].next  # what had begun was waited for
-    assert threading.active_count() < 10
+    assert threading.active_count() <= before
 
 
 def test_an_interruption_keeps_what_is_under_way():

@@ -1,4 +1,4 @@
-"""Making a node: its identity, the links that end and begin there, and the choice of the next link."""
+"""Making a node: its identity, the links that end and begin there, the choice of the next link, and the way to it."""
 
 import dataclasses
 import math
@@ -8,10 +8,10 @@ from jax import Array
 
 from jexplore import btm
 from jexplore.arrays.loops import pick, run_if
-from jexplore.driving import behaviour, leaving, links
+from jexplore.driving import behaviour, links
 from jexplore.driving.mapping import came_from, came_through, has_left, pose_from_node, way_extremes
 from jexplore.driving.params.tree import P
-from jexplore.driving.records import Arrival, Drive, DueNode, Latch, State, Track, Writer
+from jexplore.driving.records import Arrival, Drive, DueNode, Latch, Openings, State, Track, Writer
 from jexplore.driving.sensing import obstacles
 from jexplore.driving.sensing.openings import find_openings
 from jexplore.driving.settings import Robot, Tuning
@@ -133,15 +133,16 @@ def write_node(
     map_ = _add_openings(writer, map_, event, at, found, others, is_divergence)
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, new = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
-    passes, which = leaving.is_rejected(writer, event, measured, others, at, is_divergence, points, tuning)
+    passes, which = _is_rejected(writer, event, measured, others, at, is_divergence, points, tuning)
     correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, applied]))
     after, map_, onto, bearing = links.choose_link(writer, map_, at.node, back)
     through = ~is_divergence & ~event.blocked & ~event.returns
     onto = jnp.where(through, jnp.where(goes_on, new, links.other_link(map_, at.node, link)), onto)
     ways = tuning.leave_m * towards(bearing), bearing
-    ways = pick(is_divergence, leaving.beyond_opening(event, found, bearing, turn, tuning.leave_m), ways)
+    ways = pick(is_divergence, _beyond_opening(event, found, bearing, turn, tuning.leave_m), ways)
     ways = rotate_by(applied - turn)(ways[0]), ways[1] + applied - turn
-    target, out = pick(passes, leaving.beyond_candidate(event, measured, which, others, points, tuning), ways)
+    beyond = _beyond_opening(event, measured[1], measured[1].bearing[which], 0.0, tuning.leave_m)
+    target, out = pick(passes, beyond, ways)
     taken = jnp.where(onto == btm.NONE, size, onto)
     written = after.replace(
         map=map_,
@@ -250,3 +251,49 @@ def _end_link(map_, writer, event, at_node, back, step_m, link, when):
         **dict(zip(("moved_x_m", "moved_y_m", "turned"), at_node.moved)),
     }
     return btm.end_link(map_, link, at_node.node, back, when=when, **found)
+
+
+def _is_rejected(writer: Writer, event: DueNode, measured: tuple[Array, Openings], others: Array, at: Arrival,
+              is_divergence: Array, points: tuple[Array, Array], tuning: Tuning) -> tuple[Array, Array]:  # fmt: skip
+    """Decide whether to reject a candidate, and which of its openings the robot takes: `(passes, which)`.
+
+    A candidate with two openings in line is a stretch of a passage, unless the link leads to a node there. So is a
+    candidate whose only opening lies in line with the way in, if the passage is closed beyond its circle only. A
+    candidate with a single opening that lies behind its centre is in the corner of a room.
+
+    Args:
+      measured: bearing of the way in, radians, and `Openings` of the place, in the odometry frame.
+    """
+    back, found = measured
+    n, other = jnp.sum(found.valid), jnp.argmax(others)
+    straight = jnp.abs(btm.wrapped(found.bearing[other] - back)) > math.pi - P.places.in_line_rad
+    followed, to = links.leads_to(writer)
+    in_line = (jnp.sum(others) == 1) & straight & ~(at.again & followed & (at.near == to))
+    free_m = links.reach_m(points, event.centre, back, event.radius)
+    in_line &= (n == 2) | ((n == 1) & (free_m > tuning.circle * event.radius))
+    corner = (n == 1) & jnp.any(found.valid & _is_behind(found)) & ~at.again
+    passes = is_divergence & (in_line | corner)
+    return passes, jnp.where(corner, jnp.argmax(found.valid), other)
+
+
+def _beyond_opening(
+    event: DueNode, found: Openings, bearing: Array, turn: Array | float, leave_m: Array | float
+) -> tuple[Array, Array]:
+    """Return a point beyond the opening in a direction, relative to the centre; straight on where no opening exists.
+
+    Returns:
+      `(point, out)`: `[2]`, metres; direction of the opening's passage, radians. `turn` is that of the bearings against
+        the odometry, radians; `leave_m` metres.
+    """
+    off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - bearing)), jnp.inf)
+    which = jnp.argmin(off)
+    middle, across = found.middle[which], found.across[which] + turn
+    middle = rotate_by(turn)(middle)
+    plain = (event.radius + leave_m) * towards(bearing)
+    near = (off[which] < math.pi / 4) & ~_is_behind(found)[which]
+    return jnp.where(near, middle + leave_m * towards(across), plain), jnp.where(near, across, bearing)
+
+
+def _is_behind(found: Openings) -> Array:
+    """Return openings whose narrowest place lies behind the centre, so that they have one wall only: `[K]` bool."""
+    return found.middle[:, 0] * jnp.cos(found.across) + found.middle[:, 1] * jnp.sin(found.across) < 0

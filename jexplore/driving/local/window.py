@@ -129,7 +129,8 @@ def _report(fixed, state):
     body, blind = state.body, jnp.sum(jnp.isnan(state.senses.ranges_m)) > BEAMS / 2
     ahead, left = _in_frame(state)
     inside = is_occupied(state.grid, P_FREE) & (jnp.abs(left) < fixed.robot.width_m / 2)
-    rooms = [jnp.min(jnp.where(inside & (way > 0), way, jnp.inf)) - fixed.robot.length_m / 2 for way in (ahead, -ahead)]
+    outline_m = (fixed.robot.length_m + CELL_M) / 2  # a wall begins up to half a cell before the centre of its cell
+    rooms = [jnp.min(jnp.where(inside & (way > 0), way, jnp.inf)) - outline_m for way in (ahead, -ahead)]
     told = [body.path_m, body.contacts, body.refused, state.senses.beacon_m, blind, *rooms]
     return jnp.concatenate([state.slam.pose, body.pose, jnp.stack([jnp.float32(a) for a in told])])
 

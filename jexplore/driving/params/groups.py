@@ -110,7 +110,7 @@ class Motion(Settings):
     min_back_m: float = 0.15  # m; least distance of backing up
     ahead_s: float = 0.2  # s; look-ahead of a step
     outline_slack_m: float = 0.01  # between a wall and the robot's outline after a step
-    past_end_m: float = 0.8  # m; what looks like the end of a passage is none where the way ahead is free this far
+    past_end_m: float = 0.8  # m; a passage whose way ahead is free this far does not end here
     replaceable_votes: int = 2  # votes up to which another triangle takes the place of one that a scan does not show
     latch_steps: int = 200  # steps; a target not reached within these is given up
     # rad; the robot looks round by turning this far: the scanner covers half of the surroundings
