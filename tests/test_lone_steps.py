@@ -96,7 +96,7 @@ def test_it_has_been_passed_once_the_robots_end_has():
     passed = np.asarray(ground_profile.has_passed(step, at, LENGTH_M))
     first = passed.argmax() * STEP_M
     assert passed[passed.argmax() :].all()
-    assert 4.01 + LENGTH_M / 2 - 0.1 < first < 4.01 + LENGTH_M / 2 + 0.15
+    assert 4.01 + LENGTH_M / 2 + 0.2 < first < 4.01 + LENGTH_M / 2 + 0.45
 
 
 @pytest.mark.parametrize(

@@ -286,7 +286,7 @@ def test_what_is_written_of_a_t():
     written = record.check_map(btm.to_map(at_the_t()[0].map))
     assert written.nodes[1] == record.Node(1, 3.75, 0.0, "divergence", posture_deg=pytest.approx(1.5))
     link = written.links[0]
-    assert (link.length_m, link.min_width_m, link.posture_deg) == pytest.approx((3.5, 1.9, 2))
+    assert (link.length_m, link.min_width_m, link.posture_deg) == pytest.approx((3.5, 2, 2))
     assert (apart_deg(link.start_bearing_deg, 0), link.end_bearing_deg) == pytest.approx((0, 180), abs=1)
     assert written.links[1].opening_m == pytest.approx(2, abs=0.1)  # 2.03 m askew
     assert written.angles_deg(1) == pytest.approx([90, 90, 180], abs=6)  # between bearings within 3 degrees each

@@ -165,12 +165,23 @@ def test_encoders_that_measure_too_much_are_put_right_on_the_way():
     assert np.hypot(*np.subtract(said[-1][:2], poses[-1][:2])) > 0.2
 
 
-def test_where_the_robot_leans_much_nothing_is_matched():
+def test_a_match_far_from_what_the_encoders_say_is_none():
+    """Ten degrees off after no turn at all: the walls are others."""
+    before, after = scans(ROOM, POSES[0], (0.0, 0.0, math.radians(10)))
+    guess = jnp.asarray([0.2, 0, 0], jnp.float32)
+    found, share = match(jnp.asarray(before, jnp.float32), jnp.asarray(after, jnp.float32), guess, guess)
+    assert found.tolist() == guess.tolist()
+    assert float(share) == 0
+
+
+def test_scans_of_two_planes_are_not_matched():
+    """The robot leans by 10 degrees more: what it sees is not laid over what it saw."""
     key = matching.no_key(jnp.zeros(3))
     seen = [SEEN(ROOM, jnp.array([x, 0.0, 0.0])) for x in (-1.5, -1.3)]
     key, now, _ = PUT_RIGHT(key, jnp.zeros(3), jnp.zeros(3), seen[0], LEVEL)
     said = now + jnp.array([0.22, 0, 0])  # 2 cm too much
-    for lean_deg, found_m in ((0.0, 0.2), (11.0, 0.2), (13.0, 0.22)):
+    for lean_deg, found_m in ((0.0, 0.2), (5.0, 0.2), (10.0, 0.22)):
         lean = jnp.asarray([math.radians(lean_deg), 0.0])
-        _, after, _ = PUT_RIGHT(key, said, said, seen[1], lean)
+        fresh, after, _ = PUT_RIGHT(key, said, said, seen[1], lean)
         assert float(after[0]) == pytest.approx(found_m, abs=5e-3)
+        assert (fresh.lean.tolist() == lean.tolist()) == (lean_deg in (0.0, 10.0))

@@ -49,9 +49,10 @@ def look_ahead(
     xy, known = surround.known_points(around)
     lean, lean_m = mapping.slope_at(writer.way, state.step)
     ground_x, ground_z, posture = _recent_ground(writer.way, state)
-    stops, beyond = _ground_ahead(ground_x, ground_z, robot, state)
-    # Points seen from ground of another inclination may be ground.
-    leans = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
+    rise, stops, beyond = _ground_ahead(ground_x, ground_z, robot, state)
+    # Points seen from ground of another inclination, or where the ground rises, may be ground.
+    tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
+    leans = tips | (rise > P.ground.stairs_rise_m)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
     inside, border_m, missed = _watch_free_space(state, writer, walls, is_free & ~jnp.asarray(is_blind), tuning)
     level, changed, crease_m, steepest = mapping.update_slope(
@@ -59,7 +60,7 @@ def look_ahead(
     )
     blocked = stops & (is_free | state.halts)
     ground = ground_x, ground_z, posture
-    lone_step, is_lone, after = _lone_step(state, writer, ground, leans, level, changed, crease_m, blocked, robot)
+    lone_step, is_lone, after = _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot)
     return Ahead(
         leans=leans,
         lone_step=lone_step,
@@ -79,7 +80,7 @@ def look_ahead(
     )
 
 
-def _lone_step(state, writer, ground, leans, level, changed, crease_m, blocked, robot):
+def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot):
     """Return `(lone_step, is_lone, after)`, see `Ahead`; a change of the ground's inclination makes the node itself."""
     # What it saw as it tipped over the last step is off.
     map_ = writer.map
@@ -90,7 +91,7 @@ def _lone_step(state, writer, ground, leans, level, changed, crease_m, blocked, 
     ground = jnp.where((posture < P.ground.level_rad) & (x_m > beyond_m), x_m, jnp.inf), z_m
     is_level = jnp.hypot(*level.even) < P.ground.level_rad
     is_on = state.odometer_m + robot.length_m / 2 > writer.lone_step.from_m
-    looks = is_level & ~leans & ~is_on & (state.drive.latch != Latch.LOOK) & ~state.manoeuvre.backing
+    looks = is_level & ~tips & ~is_on & (state.drive.latch != Latch.LOOK) & ~state.manoeuvre.backing
     near = jnp.isfinite(ground[0]) & (ground[0] > state.odometer_m)
     span_m = jnp.max(jnp.where(near, ground[1], -jnp.inf)) - jnp.min(jnp.where(near, ground[1], jnp.inf))
     now = run_if(
@@ -98,7 +99,7 @@ def _lone_step(state, writer, ground, leans, level, changed, crease_m, blocked, 
         lambda _: ground_profile.update_step(writer.lone_step, *ground),
         writer.lone_step,
     )
-    passed = ground_profile.has_passed(now, state.odometer_m, robot.length_m) & ~leans & is_level
+    passed = ground_profile.has_passed(now, state.odometer_m, robot.length_m) & ~tips & is_level
     is_lone = run_if(passed, lambda _: ground_profile.has_tipped(now, writer.way, robot.length_m), jnp.bool_(False))
     is_lone &= (now.from_m + now.to_m) / 2 > writer.node_m
     gone = passed | state.manoeuvre.backing | (changed & (crease_m > now.from_m - P.ground.together_m / 2)) | blocked
@@ -158,8 +159,8 @@ def _recent_ground(way, state):
 
 
 def _ground_ahead(x, z, robot, state):
-    """Return whether the ground ahead stops the robot, as seen or just experienced, and `beyond`: the height of the
-    step that does, 0 for none, and the inclination of the slope, radians, 0 for none, NaN if unseen."""
+    """Return the rise of the ground ahead, whether it stops the robot, as seen or just experienced, and `beyond`: the
+    height of the step that does, 0 for none, and the inclination of the slope, radians, 0 for none, NaN if unseen."""
     nose = state.odometer_m + robot.length_m / 2
     ahead = (x > nose) & (x < nose + P.ground.look_m)
     behind = (x <= nose) & (x > nose - P.ground.look_m)
@@ -179,7 +180,7 @@ def _ground_ahead(x, z, robot, state):
         return stops, (jnp.where(is_step, step_m, 0.0), jnp.where(stops & ~is_step, slope, 0.0))
 
     high = (rise > jnp.minimum(slope_m, robot.max_step_m)) | state.halts
-    return run_if(high, judged, (jnp.bool_(False), (jnp.float32(0), jnp.float32(0))))
+    return rise, *run_if(high, judged, (jnp.bool_(False), (jnp.float32(0), jnp.float32(0))))
 
 
 def _passes_start(state):

@@ -164,11 +164,6 @@ def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array,
     return best, (off[best] < P.graph.same_end_rad) & (start != node)
 
 
-def is_any_open(map_: Btm, tries: Array) -> Array:
-    """Return whether any link is un-searched and not given up, such as the one the robot arrives on: bool."""
-    return jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (tries == 0))
-
-
 def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Writer, Btm, Array, Array]:
     """Choose the link by which the robot goes on from a place.
 
@@ -200,7 +195,8 @@ def choose_link(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Wr
         return blocked, tries, none, *chosen(map_.replace(blocked=blocked), none)
 
     link, bearing = chosen(map_, fails)
-    more = (link == btm.NONE) & (is_first | (is_any_open(map_, writer.tries) & (n_searched > writer.last_chance)))
+    is_any_open = jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (writer.tries == 0))
+    more = (link == btm.NONE) & (is_first | (is_any_open & (n_searched > writer.last_chance)))
     blocked, tries, fails, link, bearing = run_if(more, again, (map_.blocked, writer.tries, fails, link, bearing))
     last_chance = jnp.where(more, n_searched, writer.last_chance)
     writer = writer.replace(tries=tries, fails=fails, last_chance=last_chance)

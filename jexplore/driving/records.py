@@ -88,6 +88,7 @@ class KeyScan(struct.PyTreeNode):
     """The scan with which the next ones are matched. Poses are odometry without corrections at nodes."""
 
     ranges_m: Array  # [B] float32
+    lean: Array  # [2] float32, radians, of the ground where it was taken, see `mapping.slope_under`
     pose: Array  # [3] float32, where it was taken
     last: Array  # [3] float32, where a scan was matched with it last
 
@@ -267,7 +268,7 @@ class ScanWalls(NamedTuple):
 class Ahead(NamedTuple):
     """Divergences, free space and ground ahead, and the nodes just passed."""
 
-    leans: Array  # bool, the robot stands otherwise than where it last stood evenly
+    leans: Array  # bool, the robot stands otherwise than where it last stood evenly, or the ground rises before it
     track: Track
     scan_overflow: Array  # int32, ends of walls that did not fit into the scan's points
     inside: Array  # bool, the robot is in free space

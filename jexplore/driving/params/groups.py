@@ -33,6 +33,9 @@ class Sensing(Settings):
     encoder_share: float = 0.1  # standard deviation of the encoders, as a share of way and turn
     encoder_m: float = 0.01  # added to that of the way
     encoder_rad: float = math.radians(0.5)  # added to that of the turn
+    min_points: int = 30  # points that must lie on lines
+    max_deviations: float = 4.0  # standard deviations; a match that is farther off is discarded
+    plane_rad: float = math.radians(6)  # scans are of one plane if the robot leans no more otherwise
     tilt_rad: float = math.radians(12)  # one of a robot that leans more is bent
     key_share: float = 0.6  # of the points; with fewer the next scan is matched with this one
 
@@ -46,6 +49,8 @@ class Ground(Settings):
     min_step_m: float = 0.015  # no lower step is told of
     noise_deviations: float = 4.5  # standard deviations of a point; a lower one may be noise
     together_m: float = 1.2  # steps no farther apart are one, as high as those seen before the robot is on the first
+    # m; distance of the robot's end beyond the riser: before, its own tipping shows in the profile
+    passed_m: float = 0.30
     # share of the angle at which a robot stands with one end on the riser that counts as tipping
     tip_share: float = 0.5
     # shares that a point has of the variance besides, and of that of noise: of noise alone, such as 5 cm of range noise
@@ -55,6 +60,7 @@ class Ground(Settings):
     profile_margin_m: float = 0.1  # m; margin of an obstacle's profile from the nodes at its ends
     even_deg: float = 1.0  # the robot stands evenly once its lean has varied by less than this
     even_lengths: float = 0.25  # over this way, in lengths of the robot: on a long robot a gentle slope comes slowly
+    stairs_rise_m: float = 0.1  # where the profile ahead rises by more, what looks like a wall may be stairs
     step_slack_m: float = 0.03  # a step ahead may be lower than it looks by this
     look_m: float = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
     level_rad: float = math.radians(4)  # ground that leans less is level, where a single step is looked for

@@ -226,7 +226,7 @@ def update_step(step: LoneStep, x_m: Array, z_m: Array) -> LoneStep:
 
 def has_passed(step: LoneStep, odometer_m: Array, length_m: Array | float) -> Array:
     """Return whether a robot of a length, metres, has passed the riser: bool."""
-    return odometer_m - step.to_m > length_m / 2
+    return odometer_m - step.to_m > length_m / 2 + P.ground.passed_m
 
 
 def has_tipped(step: LoneStep, way: Trajectory, length_m: Array | float) -> Array:

@@ -88,10 +88,11 @@ def match_scans(before_m: Array, ranges_m: Array, moved: Array, since: Array) ->
         vector = -(rows * weight) @ off + prior * (moved - found)
         step = _solved(matrix, vector)
         n = jnp.sum(counts)
-        return found + step, n
+        return jnp.where(n >= P.sensing.min_points, found + step, found), n
 
     found, n = lax.fori_loop(0, P.sensing.match_rounds, nearer, (moved, jnp.int32(0)))
-    return found, n / jnp.maximum(jnp.sum(valid), 1)
+    sure = (n >= P.sensing.min_points) & jnp.all(jnp.abs(found - moved) < P.sensing.max_deviations * sd)
+    return jnp.where(sure, found, moved), jnp.where(sure, n / jnp.maximum(jnp.sum(valid), 1), 0.0)
 
 
 def _solved(a, b):
@@ -109,7 +110,7 @@ def _solved(a, b):
 def no_key(pose: Array) -> KeyScan:
     """Return a state without a scan; the first one becomes it. `pose`: `[3]`."""
     far = pose + jnp.array([0.0, 0.0, 10.0])
-    return KeyScan(jnp.full(BEAMS, jnp.nan), far, far)
+    return KeyScan(jnp.full(BEAMS, jnp.nan), jnp.zeros(2), far, far)
 
 
 def relative_pose(one: Array, other: Array) -> Array:
@@ -125,8 +126,8 @@ def correct_odometry(
     A scan serves for as long as the robot sees much of the same: every change to another adds an error.
 
     Args:
-      lean: `[2]` float32, radians, of the ground, see `mapping.slope_under`; no scan is matched where the robot leans
-        much.
+      lean: `[2]` float32, radians, of the ground, see `mapping.slope_under`; a scan is not matched with one of another
+        plane, nor where the robot leans much.
 
     Returns:
       `(key, odometry, estimate)`: both poses are moved alike.
@@ -138,7 +139,7 @@ def correct_odometry(
         key, odometry, estimate = carry
         moved = relative_pose(key.pose, odometry)
         found, share = match_scans(key.ranges_m, ranges_m, moved, since)
-        in_plane = jnp.hypot(*lean) < P.sensing.tilt_rad
+        in_plane = (jnp.hypot(*(lean - key.lean)) < P.sensing.plane_rad) & (jnp.hypot(*lean) < P.sensing.tilt_rad)
         found, share = jnp.where(in_plane, found, moved), jnp.where(in_plane, share, 0.0)
         after = jnp.concatenate([to_odometry(key.pose)(found[:2]), key.pose[2:] + found[2:]])
         step, turn = to_robot(odometry)(after[:2]), after[2] - odometry[2]
@@ -148,7 +149,7 @@ def correct_odometry(
             | (jnp.abs(found[2]) >= P.sensing.key_rad)
             | (share < P.sensing.key_share)
         )
-        fresh = KeyScan(ranges_m, after, after)
+        fresh = KeyScan(ranges_m, lean, after, after)
         old = key.replace(last=after)
         return pick(is_far, fresh, old), after, estimate
 
