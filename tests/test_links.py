@@ -115,8 +115,8 @@ def test_where_a_known_link_leads_is_told_from_the_last_node():
     followed, to, at = links.led_to(writer)
     assert (bool(followed), int(to)) == (True, 1)
     np.testing.assert_allclose(at, (-48, 53), atol=1e-4)
-    for off_m, there in ((0.9, True), (1.1, False)):  # 5 % of 20 m
-        node, is_led = links.is_led_to(writer, jnp.array([-48 + off_m, 53]), jnp.float32(100.0))
+    for off_m, there in ((2.4, True), (2.6, False)):  # 1.5 m, and 5 % of 20 m
+        node, is_led = links.is_led_to(writer, jnp.array([-48 + off_m, 53]), jnp.float32(100.0), 1.5)
         assert (int(node), bool(is_led)) == (1, there)
     back = writer.replace(node=jnp.int32(1), origin=jnp.zeros(3))
     np.testing.assert_allclose(links.led_to(back)[2], (-50, 0), atol=1e-4)

@@ -214,3 +214,11 @@ def test_a_team_in_rooms(tmp_path, capsys):
     assert_alone(page)
     assert [panel["name"] for panel in data_of(page)["panels"]] == ["global map", "robot-0", "robot-1"]
     assert (out / "team.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_a_team_on_a_course_perceives_by_triangles():
+    found = team.trace_team("course", robots=2, noise={"range_m": 0.01}, max_steps=300)
+    assert (found.plan.perception, len(found.logs)) == ("triangles", 2)
+    assert len(found.table) == 2

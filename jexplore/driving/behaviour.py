@@ -54,7 +54,7 @@ def update_track(
     that `VOTING_SCANS` scans have not shown is given up.
 
     Args:
-      found: `perception.Divergence`, in the robot's frame, without triangles that are to be ignored.
+      found: `records.Divergence`, in the robot's frame, without triangles that are to be ignored.
       to_odometry: function from points `[..., 2]` in the robot's frame to the odometry's.
       same_m: how near, metres.
       may_begin: bool; False: only the one that is followed goes on.

@@ -16,11 +16,11 @@ from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_robot
 
 SCAN_POINTS = 64  # of a scan that are made into triangles
-PROFILE_STEPS = 64  # steps whose profile is looked at for that
+PROFILE_STEPS = 64  # steps whose profile of the ground is looked at
 
 
 def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> ScanWalls:
-    """Find the `Walls` of a scan: `[B]` float32 ranges, NaN for none."""
+    """Find the `ScanWalls` of a scan: `[B]` float32 ranges, NaN for none."""
     xy, valid = perception.beam_points(ranges_m, ANGLES_RAD)
     region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
     region_sides = perception.sides(xy, valid, *region)
@@ -108,7 +108,7 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
 
 
 def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) -> Divergence:
-    """Find the triangles of a scan, `wall_m` from the nearer wall: `perception.Divergence`."""
+    """Find the triangles of a scan, `wall_m` from the nearer wall: `records.Divergence`."""
     far_m = perception.far_bound(tuning.far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m)
     return perception.find_divergences(
         xy,
@@ -151,7 +151,7 @@ def _watch_free_space(state, writer, walls, looking, tuning):
 
 def _recent_ground(way, state):
     """Return the last points of the height profile and the robot's attitude there. Returns `(x_m, z_m, posture)`,
-    `[RECENT]` each, metres and radians; x is inf where no point exists."""
+    `[PROFILE_STEPS]` each, metres and radians; x is inf where no point exists."""
     first = jnp.clip(state.step + 1 - PROFILE_STEPS, 0, way.ground_x_m.shape[0] - PROFILE_STEPS)
     arrays = way.ground_x_m, way.ground_z_m, way.posture
     x, *others = (lax.dynamic_slice(array, (first,), (PROFILE_STEPS,)) for array in arrays)

@@ -112,13 +112,13 @@ def led_to(writer: Writer) -> tuple[Array, Array, Array]:
     return followed, to, writer.origin[:2] + to_odometry(jnp.stack([0.0, 0.0, -writer.origin[2]]))(way)
 
 
-def is_led_to(writer: Writer, centre: Array, odometer_m: Array) -> tuple[Array, Array]:
+def is_led_to(writer: Writer, centre: Array, odometer_m: Array, reach: Array | float) -> tuple[Array, Array]:
     """Decide whether a place is the end of the followed link, judged by the length of the way: `(node, bool)`.
 
-    The node must lie within a share of the way along the link.
+    The node must lie within `reach`, metres, plus a share of the way along the link.
     """
     followed, to, place = led_to(writer)
-    limit_m = P.graph.drift_share * (odometer_m - writer.node_m)
+    limit_m = reach + P.graph.drift_share * (odometer_m - writer.node_m)
     return to, followed & (jnp.hypot(*(place - centre)) < limit_m)
 
 

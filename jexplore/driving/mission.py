@@ -44,10 +44,6 @@ class RunOutcome(enum.IntEnum):
     STEP_LIMIT = 5
     MAP_FULL = 6
     """A node did not fit into the map."""
-    ARRIVED = 7
-    """The end of the route that the robot follows is reached."""
-    LOST = 8
-    """The observations contradict the route, or the robot cannot pass there."""
 
 
 BROKEN_OFF = (RunOutcome.STUCK, RunOutcome.BLIND, RunOutcome.STEP_LIMIT)
@@ -63,7 +59,7 @@ class Setup(NamedTuple):
 
 
 class MissionTask(NamedTuple):
-    """Settings, start and route of one run; numbers are arrays."""
+    """Settings and start of one run; numbers are arrays."""
 
     robot: Robot
     tuning: Tuning

@@ -32,7 +32,7 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
     alike, is_alike = links.match_node(
         writer, (event.centre, event.odometer_m), found, back, reach, is_divergence & ~again
     )
-    to, is_led = links.is_led_to(writer, event.centre, event.odometer_m)
+    to, is_led = links.is_led_to(writer, event.centre, event.odometer_m, P.graph.led_node_m)
     is_led &= ~is_divergence & ~is_terminal & (writer.map.kind[to] == event.kind)
     near = jnp.where(event.returns, 0, jnp.where(is_alike, alike, jnp.where(is_led, to, near)))
     again = again | is_alike | is_led | event.returns
@@ -130,7 +130,7 @@ def write_node(
     measured = back, found  # by the odometry; from here on as the map has them
     back, found = back + turn, dataclasses.replace(found, bearing=found.bearing + turn)
     map_, link = _end_way_here(map_, writer, event, at, back, step_m)
-    map_ = _add_openings(writer, map_, event, at, found, others, is_divergence)
+    map_ = _add_openings(map_, event, at, found, others, is_divergence)
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, new = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
     passes, which = _is_rejected(writer, event, measured, others, at, is_divergence, points, tuning)
@@ -213,7 +213,7 @@ def make_due_node(
     return writer.replace(map=map_, **rest), drive, track, estimate
 
 
-def _add_openings(writer, map_, event, at, found, others, when):
+def _add_openings(map_, event, at, found, others, when):
     """Add a divergence's links: the openings of a new one but the way in; at one met again those besides
     its links. A start in its circle is on no link."""
     own, bearing = links.ends_at(map_, at.node)

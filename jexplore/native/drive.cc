@@ -177,8 +177,8 @@ struct Team {
   void Note(int i, const Changed& before, int pace, bool grew) {
     const int32_t entry[4] = {tally.known, pace * (before.straight + members[i].waits), pace * before.diagonal,
                               std::min(before.time, kMostMs / pace) * pace};
-    const int32_t* newest = log + 4 * (tally.n_log - 1);
-    const bool again = tally.n_log > 0 && tally.last == i && newest[1] == entry[1] && newest[2] == entry[2];
+    const int32_t* next = log + 4 * tally.n_log;
+    const bool again = tally.n_log > 0 && tally.last == i && next[-3] == entry[1] && next[-2] == entry[2];
     if (!again && !grew) return;
     if (!again) ++tally.n_log, tally.last = i;
     std::memcpy(log + 4 * (tally.n_log - 1), entry, sizeof entry);

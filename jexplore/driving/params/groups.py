@@ -91,13 +91,14 @@ class Graph(Settings):
     beyond_opening_m: tuple[float, float] = (0.05, 1.0)
     # share of the way, and metres at most: how far off a known place may seem
     match_drift: tuple[float, float] = (0.025, 2.5)
-    drift_share: float = 0.05  # of the way: how far off its other node may seem, and a node that a place perhaps is
+    drift_share: float = 0.05  # of the way: how far off its other node may seem
     # the way in, or an opening of a known place, that bears no farther from a known link is that link
     same_end_rad: float = math.radians(25)
     turn_rad: float = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
     # the odometry's place is corrected by half at a node met again no farther than this away, metres
     shift_m: float = 0.7
     same_node_m: float = 1.0  # free space and obstacles nearer than this to one that is known are that one
+    led_node_m: float = 1.5  # and so near to where a known link leads to one
     turn_share: float = 0.2  # applied share of the correction of the heading: scan matching is more certain
     shift_share: float = 0.5  # and of the place
     search_every_steps: int = 3  # steps between two looks for triangles
@@ -107,7 +108,7 @@ class Graph(Settings):
 
 @dataclasses.dataclass(frozen=True)
 class Motion(Settings):
-    """Run modes, going to places, obstacle avoidance, recovery."""
+    """Run modes, going to places, obstacle avoidance."""
 
     trail_m: float = 0.04  # way between two poses of the trail
     trail_rad: float = 0.05  # a pose is reached within this and half of that
@@ -122,9 +123,9 @@ class Motion(Settings):
     # rad; the robot looks round by turning this far: the scanner covers half of the surroundings
     look_rad: float = math.pi - 0.05
     look_step_rad: float = 0.2  # rad; it stops looking where it cannot turn this much further
-    # a place so near may be the one that is meant; and way between two looks round where the way is shut
+    # m; way between two looks round where the way is shut
     survey_m: float = 1.0
-    same_place_radii: float = 0.4  # or nearer than this share of its radius
+    same_place_radii: float = 0.4  # of its radius: a place nearer than this is the intended one
     taken_rad: float = math.radians(60)  # a link has been taken when the robot's heading is so near to its direction
     stuck_steps: int = 150  # steps without going on or finding a node after which the operator helps
     stuck_m: float = 0.3  # way that counts as going on

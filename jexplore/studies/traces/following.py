@@ -227,7 +227,8 @@ def _changed(btm, found, runs, robot):
         if outcome == "BLOCKED":
             link = links[route.links[run.next]]
             links[link.id] = _blocked(link, robot, walled=run.walled)
-            told.append(f"link {link.id} could not be passed by {robot.name}")
+            if links[link.id] != link:
+                told.append(f"link {link.id} could not be passed by {robot.name}")
         ways = ((route.steps[i].end, math.degrees(bearing) % 360.0) for i, own in run.found.items() for bearing in own)
         for node, bearing in ways:
             ends = [(link.start, link.start_bearing_deg) for link in links.values()]
@@ -241,7 +242,12 @@ def _changed(btm, found, runs, robot):
 
 
 def _blocked(link, robot, *, walled):
-    """Mark the link as blocked, for all robots if by a wall, and drop earlier statements about that."""
+    """Mark the link as blocked, for all robots if by a wall, and drop earlier statements about that.
+
+    What a wall blocks stays blocked for all.
+    """
+    if link.attributes.get(BLOCKED) is True and BLOCKED_FOR not in link.attributes:
+        return link
     own = {name: value for name, value in link.attributes.items() if name != BLOCKED_FOR}
     if isinstance(own.get(CONFLICTS), Mapping):
         own[CONFLICTS] = {name: told for name, told in own[CONFLICTS].items() if name not in (BLOCKED, BLOCKED_FOR)}

@@ -124,7 +124,7 @@ def run_robots(
     setting, which = plan.all_runs()
     robots, tunings, noises = plan.settings_of(setting)
     unnamed = dataclasses.replace(robots, name="")  # a name would make another program
-    tasks = MissionTask(unnamed, tunings, noises, plan.starts_of(which), None, None)  # type: ignore[arg-type]
+    tasks = MissionTask(unnamed, tunings, noises, plan.starts_of(which), None)  # type: ignore[arg-type]
     setup = _Setup(Setup(step_slots(plan.max_steps), *plan.size), EXCHANGE_STEPS)
     program = Program(setup, _begin, _advance, _is_done, _finish, _detail, cpu_options=COMPILER_OPTIONS)
     lines = [

@@ -114,7 +114,7 @@ def place_robots(plan: TraceJob, n: int, starts: TeamStarts) -> np.ndarray:
     of each robot.
     """
     world, (x, y, heading) = plan.world, plan.begins[0]
-    if starts in STARTS:
+    if isinstance(starts, str) and starts in STARTS:
         cell = int(y / world.cell_m), int(x / world.cell_m), 0
         cells = place_team(world, cell, n, starts, clearance_m=START_CLEARANCE_M, near_m=START_CLEARANCE_M)
         places = (cells[:, 1::-1] + 0.5) * world.cell_m
@@ -164,7 +164,7 @@ def trace_team(
       limits: of merging, `TeamLimits` or others.
       start: of the first robot, without given `team_starts`.
       world, robot, seed, tuning, noise, cell_m, max_steps, attributes, nodes, links: see `prepare_trace`.
-      perception: see `prepare_team`.
+      perception: see `prepare_trace`.
       engine, lanes, workers, on_progress, progress: see `trace`.
 
     Returns:
@@ -190,7 +190,7 @@ def prepare_team(
 ) -> TraceJob:
     """Check all that a team needs, and return its runs, one a robot; `how` as of `prepare_trace`."""
     n = require_whole("robots", robots, 1, MOST_ROBOTS)
-    if team_starts not in STARTS and how.get("start") is not None:
+    if not (isinstance(team_starts, str) and team_starts in STARTS) and how.get("start") is not None:
         raise InputError("start and given team_starts exclude each other: give one of them")
     plan = prepare_trace(world, runs=n, **how)
     plan = dataclasses.replace(plan, begins=place_robots(plan, n, team_starts))
