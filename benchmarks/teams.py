@@ -48,9 +48,10 @@ ALL, TWO = (*JOINT, *ALONE), ("independent", "minpos")
 PARTS = [  # sizes, coordinations, contact, starts, part of the worlds
     *(([1, 4], JOINT, "all", starts, 1) for starts in ("together", "apart")),
     *(([4], TWO, contact, "together", 2) for contact in ("none", "range:5", "range:10", "line-of-sight")),
-    *(([2, 8], ("independent", "greedy", "minpos"), "all", starts, 1) for starts in ("together", "apart")),
-    *(([2, 8], ("hungarian", "voronoi", "segments"), "all", starts, 1) for starts in ("together", "apart")),
-    *(([1, 2, 4, 8], ("small-first",), "all", starts, 1) for starts in ("together", "apart")),
+    *(([2, 8], ("independent", "greedy", "minpos"), "all", starts, 2) for starts in ("together", "apart")),
+    ([2, 8], ("hungarian", "voronoi", "segments"), "all", "together", 4),
+    ([2, 8], ("hungarian", "voronoi", "segments"), "all", "apart", 10),
+    *(([1, 2, 4, 8], ("small-first",), "all", starts, 4) for starts in ("together", "apart")),
     *(([1, 2, 4, 8], ("learned",), "all", starts, 10) for starts in ("together", "apart")),
 ]
 
