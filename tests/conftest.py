@@ -248,7 +248,7 @@ def printed(capsys):
 
 @pytest.fixture
 def refuses(printed):
-    """A function that runs a command, which must end with status 2 and say why in one line, besides what it loads."""
+    """A function that runs a command, which must end with status 2 and one line that says why, and returns the line."""
 
     def run(arguments, message):
         said = printed([str(argument) for argument in arguments], 2)
@@ -257,5 +257,6 @@ def refuses(printed):
         assert line.startswith("jexplore: error: ")
         assert line.count("\n") == 1
         assert message in line
+        return line
 
     return run

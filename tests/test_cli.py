@@ -272,7 +272,7 @@ def test_a_message_stays_on_one_line(refuses, monkeypatch):
         raise InputError("first\nsecond")
 
     monkeypatch.setattr(main, "_dispatch", fails)
-    refuses(["worlds"], "first second")
+    assert refuses(["worlds"], "first second").endswith("first second\n")
 
 
 @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 8 bytes")])
