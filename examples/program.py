@@ -4,7 +4,7 @@
 
 A `Program` is `begin(setup, given)`, `advance(setup, given, state)`, `is_done(state)`, `finish(setup, given, state)`
 and `detail(state)`. `setup` is hashable and fixed before compiling; `given` holds the run's key, task, shared arrays,
-scene and numbers. The engine gives it threads, lanes, devices, progress, Ctrl-C and equal bits.
+scene and numbers. The engine gives it threads, lanes, progress, Ctrl-C and equal bits.
 """
 
 import jax

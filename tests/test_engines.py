@@ -1,18 +1,12 @@
-"""One result, whichever way episodes run: one by one or in lanes, batch sizes, devices, processes; early ends."""
+"""One result, whichever way episodes run: one by one or in lanes, batch sizes; early ends."""
 
 import dataclasses
-import json
-import os
-import socket
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
-from ref.jobs import LIDAR, RULES, digest, few, some_jobs
+from ref.jobs import LIDAR, RULES, some_jobs
 from ref.refusals import refused
 
 import jexplore as jx
@@ -24,7 +18,6 @@ from jexplore.exploration.site import line_of, prepare_site
 from jexplore.exploration.state import Outcome
 
 WAYS: dict[str, dict[str, Any]] = {"one by one": {}, "lanes": {"in_lanes": True, "lanes": 7}}
-TESTS = Path(__file__).resolve().parent
 
 
 def assert_equal(got, want):
@@ -63,7 +56,7 @@ def test_lanes_give_what_one_after_the_other_does(want):
         assert first.state.shape == job.world.shape
         np.testing.assert_array_equal(first.state > 0, final.hits + final.misses > 0)
     costs = report.costs
-    assert (costs.engine, costs.devices, costs.lanes) == ("jax", 1, 7)
+    assert (costs.engine, costs.lanes) == ("jax", 7)
     assert costs.levels == {"closest": ["JAX in lanes"], "closest+recheck": ["JAX in lanes"]}
 
 
@@ -72,65 +65,6 @@ def test_lanes_give_what_one_after_the_other_does(want):
 def test_calls_of_any_size_give_the_same(want, monkeypatch):
     monkeypatch.setattr(one_by_one, "CHUNK", 7)
     assert_equal(run_jobs(some_jobs(), LIDAR, RULES, engine="jax", workers=2), want)
-
-
-# ---------------------------------------------------------------- devices and processes
-
-CHILD = """
-import sys
-import jax
-setting = sys.argv[2]
-if setting.startswith("devices"):
-    jax.config.update("jax_num_cpu_devices", int(setting[7:]))
-else:
-    port, process = setting.split(",")
-    jax.distributed.initialize(f"127.0.0.1:{port}", 2, int(process))
-sys.path.insert(0, sys.argv[1])
-import json
-from jexplore.exploration.batch import run_jobs
-from ref import jobs as t
-found = []
-for way in sys.argv[3:]:
-    how = {"in_lanes": True, "lanes": 3} if way == "lanes" else {}
-    report = run_jobs(t.some_jobs(), t.LIDAR, t.RULES, engine="jax", **how)
-    found.append([way, report.costs.devices, t.digest(report)])
-    if not setting.startswith("devices"):
-        found.append(t.few(run_jobs))
-print(json.dumps(found))
-"""
-
-
-def child(setting, *ways):
-    return subprocess.Popen(
-        [sys.executable, "-c", CHILD, str(TESTS), setting, *ways],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "JAX_PLATFORMS": "cpu"},
-    )  # fmt: skip
-
-
-def answer(process):
-    out, err = process.communicate(timeout=600)
-    assert process.returncode == 0, err
-    return json.loads(out.splitlines()[-1])
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-@pytest.mark.parametrize("n", [4])
-def test_devices_share_the_work_and_change_nothing(want, n):
-    found = answer(child(f"devices{n}", "one by one", "lanes"))
-    assert found == [["one by one", n, digest(want)], ["lanes", n, digest(want)]]
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_processes_share_the_work_and_all_have_all_of_it(want):
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    both = [child(f"{port},{i}", "one by one") for i in range(2)]
-    alone = few(run_jobs)
-    assert len(set(alone)) == 4
-    assert [answer(process) for process in both] == [[["one by one", 2, digest(want)], alone]] * 2
 
 
 @pytest.mark.slow
@@ -204,7 +138,7 @@ def test_lanes_fit_the_memory(monkeypatch):
     job = some_jobs()[0]
     site = prepare_site(job.world, LIDAR, RULES)
     line = line_of(site, site.with_strategy(job.strategy), np.zeros((9999, 3)), 0, np.arange(9999))
-    group = lanes.Group([line], jax.local_devices()[:1])
+    group = lanes.Group([line], jax.local_devices()[0])
 
     class Device:
         platform = "gpu"
@@ -216,7 +150,7 @@ def test_lanes_fit_the_memory(monkeypatch):
             return {"bytes_limit": self.free + 5, "bytes_in_use": 5}
 
     def fitting(free):
-        group.devices = [Device(free)]
+        group.device = Device(free)
         return group.fitting_lanes()
 
     few, many = fitting(2**30), fitting(2**40)
@@ -224,7 +158,7 @@ def test_lanes_fit_the_memory(monkeypatch):
     assert 100 < few < many
     assert few & (few - 1) == 0
     line.which = line.which[:20]
-    group = lanes.Group([line], jax.local_devices()[:1])
+    group = lanes.Group([line], jax.local_devices()[0])
     assert fitting(2**40) == 20
 
 
@@ -239,10 +173,10 @@ def test_beside_an_accelerator_auto_has_the_cpu_and_jax_has_lanes(monkeypatch):
     for how in ({"engine": "jax"}, {"engine": "jax", "lanes": 1}, {"in_lanes": True}):
         resources = runner.find_resources(**how)
         assert resources.in_lanes
-        assert isinstance(resources.devices[0], Accelerator)
+        assert isinstance(resources.device, Accelerator)
     for how in ({}, {"workers": 2}, {"in_lanes": False}, {"engine": "jax", "in_lanes": False}):
         resources = runner.find_resources(**how)
-        assert (resources.in_lanes, resources.devices) == (False, found(backend="cpu"))
+        assert (resources.in_lanes, resources.device) == (False, found(backend="cpu")[0])
 
 
 def test_where_jax_has_no_cpu_all_runs_are_in_lanes(monkeypatch):

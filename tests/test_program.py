@@ -153,7 +153,7 @@ def test_one_run_of_many_can_be_made_alone():
 def test_what_lanes_share_is_not_gathered():
     lines = some_lines()[:2]
     with jax.disable_jit(False):
-        group = Group(lines, jax.local_devices()[:1])
+        group = Group(lines, jax.local_devices()[0])
         lanes = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), group._shapes(8))
         runs = jax.tree.map(lambda a: a[:1], group.runs)
         text = str(

@@ -9,7 +9,7 @@ import pytest
 from jexplore.engine.threads import IN_ROTATION, Pieces, share_out
 
 
-def squares(total, most, *, seconds=0.0, fails_at=-1, n_devices=1):
+def squares(total, most, *, seconds=0.0, fails_at=-1):
     """`Pieces` that find the squares of the first numbers, `seconds` each; with what they found and the calls made."""
     found, calls = {}, []
 
@@ -24,7 +24,7 @@ def squares(total, most, *, seconds=0.0, fails_at=-1, n_devices=1):
         calls.append((first, n))
         found.update(zip(range(first, first + n), values, strict=True))
 
-    return Pieces(total=total, most=most, call=call, keep=keep, n_devices=n_devices), found, calls
+    return Pieces(total=total, most=most, call=call, keep=keep), found, calls
 
 
 @pytest.mark.parametrize("workers", [1, 3])
@@ -40,13 +40,13 @@ def test_every_piece_is_done_once(workers):
 
 
 def test_a_call_takes_about_a_second():
-    work, *_ = squares(1000, 64, n_devices=2)
-    assert work.take(2) == (0, 2)  # one a device, to begin with
-    for piece_s, n in ((0.1, 20), (2.0, 2), (1e-9, 128)):
+    work, *_ = squares(1000, 64)
+    assert work.take(2) == (0, 1)  # one, to begin with
+    for piece_s, n in ((0.1, 10), (2.0, 1), (1e-9, 64)):
         work.pace.piece_s = piece_s
         assert work.take(2)[1] == n
     work.next = 990
-    assert [work.take(2), work.take(2), work.take(2)] == [(990, 6), (996, 2), (998, 2)]  # shared to the end
+    assert [work.take(2), work.take(2), work.take(2)] == [(990, 5), (995, 3), (998, 1)]  # shared to the end
 
 
 def test_works_take_turns():

@@ -175,7 +175,7 @@ def run_missions(
     limit, lines = np.int32(max_steps), []
     for phase, (first, n) in enumerate([(0, len(draws))] if blocks is None else blocks):
         own = jax.tree.map(lambda a, at=slice(first, first + n): a[at], (settings, draws))
-        what = program, (), building, limit, seed, own[0], resources.own(n)
+        what = program, (), building, limit, seed, own[0], np.arange(n)
         lines.append(Line(*what, detailed=0 if ways or first == 0 else -1, draws=own[1], phase=phase))
     tell = None if on_block is None else (lambda i: on_block(i, lines[i].results, _driven(lines[i])))
     costs = run_all(lines, resources, on_progress, tell)

@@ -1,17 +1,15 @@
-"""Several devices, each of which works on its own part without a word to the others; programs compiled for them."""
+"""Programs compiled for a device."""
 
 import contextlib
 import functools
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable
 from typing import Any, Protocol
 
 import jax
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jexplore.engine.draws import pinned_draws
 
-AXIS = "device"
 PROGRAMS = 32  # compiled programs that are kept in a process
 CONFIGURATION = ("jax_default_device", "jax_enable_x64")
 
@@ -24,51 +22,6 @@ class Device(Protocol):
     def memory_stats(self) -> dict[str, int] | None:
         """Return bytes in use and at most; None where a device does not say."""
         ...
-
-
-def _sharding(devices: Sequence[Device], spec: PartitionSpec) -> Device | NamedSharding:
-    return devices[0] if len(devices) == 1 else NamedSharding(_mesh(devices), spec)
-
-
-def _mesh(devices: Sequence[Device]) -> Mesh:
-    return Mesh(np.array(devices), (AXIS,))
-
-
-def part_sharding(devices: Sequence[Device]) -> Device | NamedSharding:
-    """Return where arrays with a leading axis of the devices lie, each part on its device."""
-    return _sharding(devices, PartitionSpec(AXIS))
-
-
-def on_devices(function: Callable[..., Any], devices: Sequence[Device], n_own: int) -> Callable[..., Any]:
-    """Turn a function into one whose first `n_own` arguments, and results, have a leading axis of the devices.
-
-    Nothing is exchanged: automatically split loops would put an exchange into every iteration.
-    """
-
-    def local(*args: Any) -> Any:
-        own = [jax.tree.map(lambda a: a[0], arg) for arg in args[:n_own]]
-        return jax.tree.map(lambda a: a[None], function(*own, *args[n_own:]))
-
-    if len(devices) == 1:
-        return local
-
-    def call(*args: Any) -> Any:
-        specs = tuple(PartitionSpec(AXIS) if i < n_own else PartitionSpec() for i in range(len(args)))
-        return jax.shard_map(
-            local, mesh=_mesh(devices), in_specs=specs, out_specs=PartitionSpec(AXIS), check_vma=False
-        )(*args)
-
-    return call
-
-
-def whole(tree: Any, devices: Sequence[Device]) -> Any:
-    """Put a pytree of arrays on every device, unsplit."""
-    return jax.device_put(tree, _sharding(devices, PartitionSpec()))
-
-
-def parted(tree: Any, devices: Sequence[Device]) -> Any:
-    """Put a pytree of arrays with a leading axis of the devices on them, each part on its device."""
-    return jax.device_put(tree, part_sharding(devices))
 
 
 class _Function:
@@ -88,7 +41,7 @@ def compiled(
     function: Callable[..., Any],
     name: Hashable,
     arguments: tuple[Any, ...],
-    devices: Sequence[Device],
+    device: Device,
     *,
     donate: tuple[int, ...] = (),
     cpu_options: tuple[tuple[str, Any], ...] = (),
@@ -103,9 +56,9 @@ def compiled(
     """
     leaves, tree = jax.tree.flatten(arguments)
     leaves = tuple(jax.ShapeDtypeStruct(np.shape(a), a.dtype, sharding=getattr(a, "sharding", None)) for a in leaves)
-    options = tuple(filter(_is_option, cpu_options)) if devices[0].platform == "cpu" else ()
+    options = tuple(filter(_is_option, cpu_options)) if device.platform == "cpu" else ()
     configuration = tuple(str(jax.config.values[option]) for option in CONFIGURATION)
-    return _compiled(_Function(function, name), tree, leaves, tuple(devices), donate, options, configuration)
+    return _compiled(_Function(function, name), tree, leaves, device, donate, options, configuration)
 
 
 @functools.cache
@@ -126,13 +79,13 @@ def _compiled(
     made: _Function,
     tree: Any,
     leaves: tuple[jax.ShapeDtypeStruct, ...],
-    devices: tuple[Device, ...],
+    device: Device,
     donate: tuple[int, ...],
     options: tuple[tuple[str, Any], ...],
     configuration: tuple[str, ...],
 ) -> tuple[Callable[..., Any], Any]:
     del configuration  # it only tells programs apart
-    other = devices[0].platform != jax.default_backend()  # a CPU in addition to an accelerator
-    with pinned_draws(), jax.default_device(devices[0]) if other else contextlib.nullcontext():
+    other = device.platform != jax.default_backend()  # a CPU in addition to an accelerator
+    with pinned_draws(), jax.default_device(device) if other else contextlib.nullcontext():
         lowered = jax.jit(made.function, donate_argnums=donate).lower(*jax.tree.unflatten(tree, leaves))
     return lowered.compile(compiler_options=dict(options)), lowered.out_info

@@ -16,11 +16,11 @@ import numpy as np
 from jax import Array, lax
 
 from jexplore.arrays.loops import SHARE, put, run_if, take
-from jexplore.engine.devices import Device, compiled, on_devices, part_sharding, parted, whole
+from jexplore.engine.devices import Device, compiled
 from jexplore.engine.draws import random_key
 from jexplore.engine.program import Given, Line, split
 
-LANES = 4096  # most lanes on a device
+LANES = 4096  # most lanes
 CPU_LANES = 64  # on a CPU, which lanes are not made for
 FILLED = 16  # one lane of this number is measured and filled at a time
 MEMORY_SHARE = 0.8  # of the device's free memory that lanes may take
@@ -49,15 +49,15 @@ class Lanes(NamedTuple):
 
 
 class Group:
-    """Lines of one kind on some devices: of one program, with equal `shared` and arrays."""
+    """Lines of one kind: of one program, with equal `shared` and arrays."""
 
-    def __init__(self, lines: Sequence[Line], devices: Sequence[Device]) -> None:
-        self.lines, self.devices, self.program = lines, devices, lines[0].program
+    def __init__(self, lines: Sequence[Line], device: Device) -> None:
+        self.lines, self.device, self.program = lines, device, lines[0].program
         scenes = {id(line.scene): line.scene for line in lines}
         place = {key: i for i, key in enumerate(scenes)}
         _, arrays, self._join = split(lines[0].numbers)
         stacked = jax.tree.map(lambda *a: np.stack(a), *scenes.values())
-        self.common: Any = whole((lines[0].shared, stacked, arrays), devices)
+        self.common: Any = jax.device_put((lines[0].shared, stacked, arrays), device)
         # The queue, sorted by draws, so that an interrupted comparison has pairs: of each run its line and number.
         draw = np.concatenate([line.draws[line.which] for line in lines])
         order = np.argsort(draw, kind="stable")
@@ -142,44 +142,45 @@ class Group:
         return jax.tree.map(lambda a: jax.ShapeDtypeStruct((n, *a.shape[1:]), a.dtype), Lanes(*shapes))
 
     def fitting_lanes(self) -> int:
-        """Return the number of lanes that a device's memory holds: a power of two; fewer for fewer runs."""
-        most = LANES if self.devices[0].platform != "cpu" else CPU_LANES
-        memory = [device.memory_stats() for device in self.devices]
-        if all(memory):
-            free = min(m["bytes_limit"] - m["bytes_in_use"] for m in memory if m)
+        """Return the number of lanes that the device's memory holds: a power of two; fewer for fewer runs."""
+        most = LANES if self.device.platform != "cpu" else CPU_LANES
+        if memory := self.device.memory_stats():
+            free = memory["bytes_limit"] - memory["bytes_in_use"]
             bytes_each = sum(math.prod(a.shape) * a.dtype.itemsize for a in jax.tree.leaves(self._shapes(1)))
             most = min(most, int(MEMORY_SHARE * max(free, 0)) // (COPIES * bytes_each))
-        return min(2 ** max(0, most.bit_length() - 1), -(-len(self.line) // len(self.devices)))
+        return min(2 ** max(0, most.bit_length() - 1), len(self.line))
 
     def run(self, n_lanes: int, costs: Any, tell: Callable[[], object]) -> None:
-        """Make the runs in `n_lanes` lanes on each device; `costs` are added to, `tell` is called after every call."""
+        """Make the runs in `n_lanes` lanes; `costs` are added to, `tell` is called after every call."""
         began = time.perf_counter()
-        d, m, total = len(self.devices), -(-n_lanes // FILLED), len(self.line)
-        sharding = part_sharding(self.devices)
-        lanes: Any = jax.tree.map(lambda a: jnp.zeros((d, *a.shape), a.dtype, device=sharding), self._shapes(n_lanes))
+        total = len(self.line)
+        lanes: Any = jax.tree.map(
+            lambda a: jnp.zeros(a.shape, a.dtype, device=self.device),  # type: ignore[arg-type]
+            self._shapes(n_lanes),
+        )
 
         def inputs(which: np.ndarray, new: np.ndarray, iterations: int) -> Any:
-            own, counts = jax.tree.map(lambda a: a[new], self.runs), np.full(d, iterations, np.int32)
-            return parted((np.where(which < 0, n_lanes, which), own, new >= 0, counts), self.devices)
+            own = jax.tree.map(lambda a: a[new], self.runs)
+            return jax.device_put(
+                (np.where(which < 0, n_lanes, which), own, new >= 0, np.int32(iterations)), self.device
+            )
 
-        none = np.full((d, m), -1)
+        none = np.full(-(-n_lanes // FILLED), -1)
         arguments, name = (lanes, *inputs(none, none, 0), self.common), ("lanes", self.lines[0].kind)
         options: dict[str, Any] = {"donate": (0,), "cpu_options": self.program.cpu_options}
-        call, shapes = compiled(on_devices(self.step, self.devices, 5), name, arguments, self.devices, **options)
-        results = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[2:], a.dtype), shapes[1][0])
+        call, shapes = compiled(self.step, name, arguments, self.device, **options)
+        results = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[1:], a.dtype), shapes[1][0])
         for line in self.lines:
             line.make_room(results)
         costs.compile_s += time.perf_counter() - began
         costs.lanes, began = max(costs.lanes, n_lanes), time.perf_counter()
-        at = np.full((d, n_lanes), -1)  # place in the queue of each lane's run; -1: none
+        at = np.full(n_lanes, -1)  # place in the queue of each lane's run; -1: none
         done, iterations, first, finished = np.zeros(at.shape, bool), FIRST_ITERATIONS, 0, 0
         try:
             while finished < total:
                 which, new = _to_fill(at, done, first, total)
-                device, slot = np.nonzero(which >= 0)
-                lane = device, which[device, slot]
-                place = np.where(which < 0, -1, np.take_along_axis(at, which, 1))
-                at[lane], done[lane] = new[device, slot], False
+                lane, place = which[which >= 0], np.where(which < 0, -1, at[which])
+                at[lane], done[lane] = new[which >= 0], False
                 first = max(first, int(new.max()) + 1)
                 is_full = (_to_fill(at, done, first, total)[0] < 0).all()  # else others are measured and begun first
                 called = time.perf_counter()
@@ -187,38 +188,35 @@ class Group:
                 self._collect(place, *found)
                 done, finished = np.array(done), finished + int((place >= 0).sum())
                 if is_full:
-                    rate = int(np.max(n)) / max(time.perf_counter() - called, 1e-3)
+                    rate = int(n) / max(time.perf_counter() - called, 1e-3)
                     iterations = max(1, int(min(GROWTH * iterations, CALL_S * rate)))
                 tell()
         finally:
             costs.run_s += time.perf_counter() - began
 
     def _collect(self, place: np.ndarray, found: Any, detail: Any) -> None:
-        """Hand results to their lines: of runs with these places in the queue, `[D, m]`, -1 where there was none."""
+        """Hand results to their lines: of runs with these places in the queue, `[m]`, -1 where there was none."""
         found = jax.tree.map(np.asarray, found)
-        device, slot = np.nonzero(place >= 0)
-        runs = place[device, slot]
+        slot = np.flatnonzero(place >= 0)
+        runs = place[slot]
         for i in np.unique(self.line[runs]):
             own, line = self.line[runs] == i, self.lines[i]
-            where, numbers = (device[own], slot[own]), self.number[runs[own]]
-            for d, lane in zip(*(index[numbers == line.detailed] for index in where)):
-                line.detail = jax.tree.map(lambda a, d=d, lane=lane: np.asarray(a[d, lane]), detail)
+            where, numbers = slot[own], self.number[runs[own]]
+            for lane in where[numbers == line.detailed]:
+                line.detail = jax.tree.map(lambda a, lane=lane: np.asarray(a[lane]), detail)
             line.put(numbers, jax.tree.map(lambda a, where=where: a[where], found))
 
 
 def _to_fill(at: np.ndarray, done: np.ndarray, first: int, total: int) -> tuple[np.ndarray, np.ndarray]:
     """Choose the lanes to be measured or filled next, those with finished runs first, and the runs to begin there.
 
-    `at`, `done`: `[D, L]`, of each lane the place of its run in the queue, -1 for none, and whether that is done;
-    `first`: place of the next run to begin, of `total`. Returns `[D, m]` int each, -1 for no lane, and for no run.
+    `at`, `done`: `[L]`, of each lane the place of its run in the queue, -1 for none, and whether that is done;
+    `first`: place of the next run to begin, of `total`. Returns `[m]` int each, -1 for no lane, and for no run.
     """
-    which, new = np.full((2, len(at), -(-at.shape[1] // FILLED)), -1)
-    for d in range(len(at)):
-        idle = np.flatnonzero(at[d] < 0)[: total - first]
-        lanes = np.concatenate([np.flatnonzero(done[d]), idle])[: which.shape[1]]
-        n = min(len(lanes), total - first)
-        which[d, : len(lanes)], new[d, :n] = lanes, first + np.arange(n)
-        first += n
+    which, new = np.full((2, -(-len(at) // FILLED)), -1)
+    lanes = np.concatenate([np.flatnonzero(done), np.flatnonzero(at < 0)[: total - first]])[: len(which)]
+    n = min(len(lanes), total - first)
+    which[: len(lanes)], new[:n] = lanes, first + np.arange(n)
     return which, new
 
 
@@ -227,9 +225,9 @@ def _count(mask: Array) -> Array:
 
 
 def run_in_lanes(
-    lines: Sequence[Line], devices: Sequence[Device], n_lanes: int | None, costs: Any, tell: Callable[[], object]
+    lines: Sequence[Line], device: Device, n_lanes: int | None, costs: Any, tell: Callable[[], object]
 ) -> None:
-    """Make every run of some lines, `n_lanes` at a time on every device, by default as many as its memory holds.
+    """Make every run of some lines, `n_lanes` at a time, by default as many as the device's memory holds.
 
     `tell` is called, from the calling thread, when some have come. Ctrl-C keeps the results of earlier calls.
     """
@@ -239,5 +237,5 @@ def run_in_lanes(
             arrays = [(a.shape, np.asarray(a).tobytes()) for a in split(line.numbers)[1]]
             groups.setdefault((line.kind, id(line.shared), tuple(arrays)), []).append(line)
     for own in groups.values():
-        group = Group(own, devices)
-        group.run(min(n_lanes or group.fitting_lanes(), -(-len(group.line) // len(devices))), costs, tell)
+        group = Group(own, device)
+        group.run(min(n_lanes or group.fitting_lanes(), len(group.line)), costs, tell)

@@ -1,6 +1,6 @@
 """One run after the other on each core of a CPU, with true control flow.
 
-Threads share one compiled program; several devices each run a part of every call.
+Threads share one compiled program.
 """
 
 import functools
@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jexplore.engine.devices import Device, compiled, on_devices, whole
+from jexplore.engine.devices import Device, compiled
 from jexplore.engine.draws import random_key
 from jexplore.engine.program import Given, Line, Program
 from jexplore.engine.threads import Pace, Pieces
 
-CHUNK = 64  # most runs in one call of the compiled program on one device
+CHUNK = 64  # most runs in one call of the compiled program
 
 
 def run_one(program: Program, given: Given) -> Any:
@@ -67,70 +67,60 @@ def chunk(
     return lax.fori_loop(0, count, add, (room, jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), last)))
 
 
-def compile_chunk(line: Line, devices: Sequence[Device]) -> tuple[Callable[..., Any], Any]:
+def compile_chunk(line: Line, device: Device) -> tuple[Callable[..., Any], Any]:
     """Compile the program of a line's kind: `(call, shapes of a result)`.
 
-    `call(draws, tasks, count, seed, scenes, shared, numbers)`, the first three with a leading axis of the devices.
+    `call(draws, tasks, count, seed, scenes, shared, numbers)`.
     """
-    d, size = len(devices), CHUNK
-    task = jax.tree.map(lambda a: np.zeros((d, size, *a.shape[1:]), a.dtype), line.tasks)
-    function = on_devices(functools.partial(chunk, line.program), devices, 3)
-    blank = np.zeros((d, size), np.int32), task, np.zeros(d, np.int32)
-    arguments, options = (*blank, np.uint32(0), *_place(line, devices), line.numbers), line.program.cpu_options
-    call, shapes = compiled(function, (chunk, line.program), arguments, devices, cpu_options=options)
-    return call, jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[2:], a.dtype), shapes[0])
+    task = jax.tree.map(lambda a: np.zeros((CHUNK, *a.shape[1:]), a.dtype), line.tasks)
+    blank = np.zeros(CHUNK, np.int32), task, np.int32(0), np.uint32(0)
+    arguments, options = (*blank, *_place(line, device), line.numbers), line.program.cpu_options
+    function = functools.partial(chunk, line.program)
+    call, shapes = compiled(function, (chunk, line.program), arguments, device, cpu_options=options)
+    return call, jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[1:], a.dtype), shapes[0])
 
 
-def _place(line: Line, devices: Sequence[Device]) -> Any:
-    return whole((jax.tree.map(lambda a: a[None], line.scene), line.shared), devices)
+def _place(line: Line, device: Device) -> Any:
+    return jax.device_put((jax.tree.map(lambda a: a[None], line.scene), line.shared), device)
 
 
-def _pieces(line: Line, call: Callable[..., Any], place: Any, d: int, pace: Pace) -> Pieces:
-    """Divide the runs of a line into `Pieces`: device i takes runs i, i + d, ...; the first comes alone on device 0."""
+def _pieces(line: Line, call: Callable[..., Any], place: Any, pace: Pace) -> Pieces:
+    """Divide the runs of a line into `Pieces`; the first comes alone."""
     arguments, size = (np.uint32(line.seed), *place, line.numbers), CHUNK
 
-    def parts(first: int, n: int) -> list[np.ndarray]:
-        some = line.which[first : first + n]
-        return [some[i::d] for i in range(d)]
-
     def make(first: int, n: int) -> tuple[Any, float]:
-        mine = parts(first, n)
-        which = np.stack([np.pad(some, (0, size - len(some))) for some in mine])
+        which = np.pad(line.which[first : first + n], (0, size - n))
         tasks = jax.tree.map(lambda a: a[which], line.tasks)
-        count = np.array([len(some) for some in mine], np.int32)
         began = time.perf_counter()
-        found = jax.block_until_ready(call(line.draws[which], tasks, count, *arguments))
+        found = jax.block_until_ready(call(line.draws[which], tasks, np.int32(n), *arguments))
         return found, time.perf_counter() - began
 
     def keep(first: int, n: int, found: tuple[Any, Any]) -> None:
-        mine, (results, last) = parts(first, n), found
-        if mine[0][0] == line.detailed:
-            line.detail = jax.tree.map(lambda a: np.asarray(a)[0], last)
-        results = jax.tree.map(np.asarray, results)
-        for i, some in enumerate(mine):
-            line.put(some, jax.tree.map(lambda a, i=i, some=some: a[i, : len(some)], results))
+        some, (results, last) = line.which[first : first + n], found
+        if some[0] == line.detailed:
+            line.detail = jax.tree.map(np.asarray, last)
+        line.put(some, jax.tree.map(lambda a: np.asarray(a)[:n], results))
 
-    total, first_alone = len(line.which), line.detailed >= 0
-    return Pieces(total, size, make, keep, n_devices=d, phase=line.phase, pace=pace, first_alone=first_alone)
+    return Pieces(len(line.which), size, make, keep, phase=line.phase, pace=pace, first_alone=line.detailed >= 0)
 
 
-def pieces_of(lines: Sequence[Line], devices: Sequence[Device], workers: int) -> list[Pieces]:
+def pieces_of(lines: Sequence[Line], device: Device, workers: int) -> list[Pieces]:
     """Compile the programs of some lines, and return the `Pieces` of each: their results are put there as they come.
 
     `workers`: threads, of which each compiles a program at a time.
     """
     kinds = {line.kind: line for line in lines}
     with ThreadPoolExecutor(workers) as pool:
-        programs = dict(zip(kinds, pool.map(lambda line: compile_chunk(line, devices), kinds.values())))
+        programs = dict(zip(kinds, pool.map(lambda line: compile_chunk(line, device), kinds.values())))
     places: dict[tuple[int, int], Any] = {}
     paces: dict[Hashable, Pace] = {}
     found: list[Pieces] = []
     for line in lines:
         key = id(line.scene), id(line.shared)
         if key not in places:
-            places[key] = _place(line, devices)
+            places[key] = _place(line, device)
         call, shapes = programs[line.kind]
         line.make_room(shapes)
         pace = paces.setdefault((line.kind, id(line.scene), id(line.numbers)), Pace())
-        found.append(_pieces(line, call, places[key], len(devices), pace))
+        found.append(_pieces(line, call, places[key], pace))
     return found

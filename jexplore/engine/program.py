@@ -128,15 +128,11 @@ class Line:
         leaves, tree = jax.tree.flatten((self.scene, self.shared, self.numbers, task))
         return self.program, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
 
-    def shapes(self) -> tuple[tuple[Any, Any], Any]:
-        """Return the shapes of `measure` and `detail`: `((result, record), detail)`, pytrees."""
+    def shapes(self) -> tuple[Any, Any]:
+        """Return the shapes of `Program.measure`, `(result, record)`: pytrees."""
         given = given_of(self)
 
-        def one() -> tuple[Any, Any]:
-            state = self.program.begin(self.program.setup, given)
-            return self.program.measure(given, state), self.program.detail(state)
-
-        return jax.eval_shape(one)
+        return jax.eval_shape(lambda: self.program.measure(given, self.program.begin(self.program.setup, given)))
 
 
 def given_of(line: Line, number: int = 0) -> Given:

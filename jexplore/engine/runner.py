@@ -2,8 +2,7 @@
 
 A run is sequential and full of decisions. A CPU core makes runs one at a time with true control flow (`one_by_one`):
 threads share one compiled program, and XLA releases the interpreter lock. An accelerator needs thousands of runs at
-once (`lanes`). Several devices share the work through `shard_map`, each with its own part and no word between them;
-several processes (`jax.distributed`) do as well.
+once (`lanes`).
 """
 
 import dataclasses
@@ -14,7 +13,6 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import jax
-import numpy as np
 
 from jexplore.config import InputError, require_engine, require_setting
 from jexplore.engine.backend import start_backend
@@ -37,8 +35,7 @@ class Costs:
     engine: str = "auto"  # that was asked for
     levels: dict[str, list[str]] = dataclasses.field(default_factory=dict[str, list[str]])  # strategy -> what ran it
     why_not: list[str] = dataclasses.field(default_factory=list[str])  # lines: why there was no native code
-    devices: int = 1
-    lanes: int = 1  # most runs at a time on one device; one a worker where they come one after the other
+    lanes: int = 1  # most runs at a time; one a worker where they come one after the other
     interrupted: bool = False  # whether Ctrl-C ended it early; what was finished then is there
 
     def plus(self, later: "Costs") -> "Costs":
@@ -84,23 +81,17 @@ class OwnRuns(Protocol):
 class Resources(NamedTuple):
     """Resources for making runs."""
 
-    devices: list[Device]
+    device: Device | None  # None: native code alone
     in_lanes: bool  # whether runs advance together in lanes; else they come one after the other
     workers: int  # threads that make one run after the other
-    lanes: int | None  # on each device; None: as many as its memory holds
-    process: int
-    processes: int
-
-    def own(self, n: int) -> np.ndarray:
-        """Return numbers of the runs, of n, that this process makes: int array."""
-        return np.arange(self.process, n, self.processes)
+    lanes: int | None  # None: as many as the device's memory holds
 
 
 def on_cores(workers: int | None = None) -> Resources:
     """Return resources for runs in native code alone: threads, by default one a core. JAX is not started."""
     if workers is not None:
         require_setting("workers", workers)
-    return Resources([], False, workers or own_cores(), None, 0, 1)
+    return Resources(None, False, workers or own_cores(), None)
 
 
 def own_cores() -> int:
@@ -125,15 +116,14 @@ def require_32_bits() -> None:
 def find_resources(
     *, engine: str = "auto", lanes: int | None = None, workers: int | None = None, in_lanes: bool | None = None
 ) -> Resources:
-    """Find the devices, lanes and workers to run with. Starts JAX.
+    """Find the device, lanes and workers to run with. Starts JAX.
 
     Args:
-      engine: one of `config.ENGINES`: "auto" takes the CPU where JAX has it, "jax" the devices that JAX puts first.
-      lanes: lanes on each device; by default as many as its memory holds, at most 4096.
-      workers: threads that make one run after the other on one device; by default the CPU cores that this process may
-        use.
-      in_lanes: True: lanes on the devices that JAX puts first, whatever they are; False: one run after the other on
-        the CPU; None: lanes where the engine's devices are no CPU.
+      engine: one of `config.ENGINES`: "auto" takes the CPU where JAX has it, "jax" the device that JAX puts first.
+      lanes: by default as many as the device's memory holds, at most 4096.
+      workers: threads that make one run after the other; by default the CPU cores that this process may use.
+      in_lanes: True: lanes on the device that JAX puts first, whatever it is; False: one run after the other on the
+        CPU; None: lanes where the engine's device is no CPU.
 
     Returns:
       `Resources`.
@@ -148,10 +138,10 @@ def find_resources(
         require_setting("workers", workers)
     cores = own_cores()
     start_backend(workers or cores)  # before anything else asks JAX for its devices
-    devices, processes = jax.local_devices(), jax.process_count()
+    devices = jax.local_devices()
     if not in_lanes and (engine == "auto" or in_lanes is False):
         devices = cpu_devices() or devices
-    on_cpu = devices[0].platform == "cpu"
+    device, on_cpu = devices[0], devices[0].platform == "cpu"
     if in_lanes is None:
         in_lanes = not on_cpu
     if not in_lanes and not on_cpu:
@@ -159,8 +149,7 @@ def find_resources(
         raise InputError(f"JAX_PLATFORMS must list cpu, where runs are made one after the other, got {asked!r}")
     if lanes is not None and not in_lanes:
         raise InputError(f"lanes are for a GPU, got {lanes} on a CPU")
-    workers = (workers or cores) if len(devices) == 1 else 1
-    return Resources(devices, in_lanes, workers, lanes, jax.process_index(), processes)
+    return Resources(device, in_lanes, workers or cores, lanes)
 
 
 def level_of(line: Line, resources: Resources) -> str:
@@ -180,19 +169,17 @@ def run_all(
     """Make every run of every line.
 
     A run's result depends on its scene, program, numbers, task and key, not on what else runs, nor on the number
-    of lanes, cores, devices or processes.
+    of lanes or cores.
 
     Where runs come one after the other, all of `work` is made in the order given, and `threads.share_out` cuts it into
-    calls. In lanes the lines come last: they have the devices for themselves.
+    calls. In lanes the lines come last: they have the device for themselves.
 
     Ctrl-C ends it early: `work` then holds the finished runs; without any, the interruption is raised.
 
     Args:
-      work: `Line`s, each with at least one run, and `OwnRuns`, in one process only. In every process the same, but for
-        `which`.
+      work: `Line`s, each with at least one run, and `OwnRuns`.
       on_progress: called regularly with the number of finished runs, from the calling thread.
-      on_finished: called from the calling thread with the number of a line once all its runs have come back: soon
-        after, or, if several processes share the work, at the end.
+      on_finished: called from the calling thread with the number of a line soon after all its runs have come back.
       first: called before all else with a function to be called when runs have come back.
 
     Raises:
@@ -209,23 +196,20 @@ def run_all(
     def tell(_: int = 0) -> None:
         if on_progress is not None:
             on_progress(sum(own.n_finished for own in work))
-        if resources.processes == 1:
-            announce()
+        announce()
 
     lines = [own for own in work if isinstance(own, Line)]
-    costs = Costs(devices=max(1, len(resources.devices) * resources.processes))
+    costs = Costs()
     try:
         first(tell)
         _run(work, lines, resources, costs, tell)
     except KeyboardInterrupt:
-        if resources.processes > 1 or not any(own.n_finished for own in work):
+        if not any(own.n_finished for own in work):
             raise
         costs.interrupted = True
     except jax.errors.JaxRuntimeError as error:
         raise _plainly(error) from error
-    _make_room(lines, resources.processes > 1)
-    if resources.processes > 1:
-        _across_processes(lines)
+    _make_room(lines)
     announce()
     return costs
 
@@ -246,8 +230,8 @@ def _run(
     """Run `run_all` without what comes after an interruption."""
     began, own = time.perf_counter(), [each for each in work if not isinstance(each, Line)]
     pieces: dict[int, Pieces] = {}
-    if lines and not resources.in_lanes:
-        compiled = pieces_of(lines, resources.devices, resources.workers)
+    if resources.device and not resources.in_lanes:
+        compiled = pieces_of(lines, resources.device, resources.workers)
         pieces = {id(line): each for line, each in zip(lines, compiled)}
         costs.compile_s += time.perf_counter() - began
         began = time.perf_counter()
@@ -261,34 +245,17 @@ def _run(
         share_out([pieces[id(each)] for each in work if id(each) in pieces], resources.workers, tell, give_up)
     finally:
         costs.run_s += time.perf_counter() - began
-    if lines and resources.in_lanes:
-        run_in_lanes(lines, resources.devices, resources.lanes, costs, tell)
+    if resources.device and resources.in_lanes:
+        run_in_lanes(lines, resources.device, resources.lanes, costs, tell)
     else:
         costs.lanes = resources.workers
 
 
-def _make_room(lines: Sequence[Line], with_detail: bool) -> None:
-    """Allocate results of untouched lines, and their detailed records."""
+def _make_room(lines: Sequence[Line]) -> None:
+    """Allocate results of untouched lines."""
     shapes: dict[Any, Any] = {}
     for line in lines:
-        if line.results is None or (with_detail and line.detail is None):
+        if line.results is None:
             if line.kind not in shapes:
                 shapes[line.kind] = line.shapes()
-            found, detail = shapes[line.kind]
-            line.make_room(found)
-            if with_detail:
-                line.detail = jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), detail)
-
-
-def _across_processes(lines: Sequence[Line]) -> None:
-    """Gather the results of all processes in every process."""
-    from jax.experimental import multihost_utils
-
-    def total(parts: Any) -> np.ndarray:  # every run was made in one process, zeros elsewhere
-        return np.asarray(parts).sum(axis=0, dtype=parts.dtype)
-
-    for line in lines:
-        line.results, line.finished = jax.tree.map(
-            total, multihost_utils.process_allgather((line.results, line.finished))
-        )
-        line.detail = multihost_utils.broadcast_one_to_all(line.detail)  # made in the first process
+            line.make_room(shapes[line.kind])

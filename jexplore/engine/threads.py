@@ -41,7 +41,7 @@ interruption = Interruption()
 class Pace:
     """Duration of a piece; shared by work of one sort."""
 
-    piece_s: float | None = None  # seconds a piece and device, once known
+    piece_s: float | None = None  # seconds a piece, once known
 
 
 @dataclasses.dataclass
@@ -49,25 +49,23 @@ class Pieces:
     """Pieces of work of one kind, of which a call does several."""
 
     total: int
-    most: int  # in one call on one device
+    most: int  # in one call
     call: Callable[[int, int], tuple[Any, float]]  # (first, n) -> (found, seconds): does n pieces; threads call it
     keep: Callable[[int, int, Any], object]  # (first, n, found): keeps it; the thread of `share_out` calls this
-    n_devices: int = 1
     phase: int = 0  # nothing of a later phase is begun before all of this one is
     pace: Pace = dataclasses.field(default_factory=Pace)
-    first_alone: bool = False  # whether the first call does one piece a device, whatever the pace
+    first_alone: bool = False  # whether the first call does one piece, whatever the pace
     next: int = dataclasses.field(default=0, init=False)
 
     def take(self, workers: int) -> tuple[int, int]:
-        """Cut off the next call, `(first, number)`: one piece a device at first, then as many as take about a second.
+        """Cut off the next call, `(first, number)`: one piece at first, then as many as take about a second.
 
         Only whole pieces: an episode is never cut.
         """
-        left, d = self.total - self.next, self.n_devices
-        piece_s = self.pace.piece_s
+        left, piece_s = self.total - self.next, self.pace.piece_s
         is_alone = piece_s is None or (self.first_alone and self.next == 0)
         n = 1 if is_alone or piece_s is None else int(CALL_S / max(piece_s, 1e-6))
-        n = min(left, d * max(1, min(n, self.most, -(-left // (workers * d)))))
+        n = min(left, max(1, min(n, self.most, -(-left // workers))))
         first = self.next
         self.next += n
         return first, n
@@ -96,7 +94,7 @@ def share_out(
         pieces, first, n = running.pop(future)
         found, seconds = future.result()
         pieces.keep(first, n, found)
-        pieces.pace.piece_s = seconds * pieces.n_devices / n
+        pieces.pace.piece_s = seconds / n
         return n
 
     try:

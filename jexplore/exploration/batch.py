@@ -73,12 +73,12 @@ def run_jobs(
     Jobs are made in the order given, in native code or not; `runner.run_all` says where it is not so, and
     `threads.share_out` cuts them into calls. A study makes its units (`studies/results/units.py`) jobs before.
     An episode's result depends on its world, start, strategy, seed and number, not on others, nor on the engine, or the
-    number of lanes, cores, devices or processes. Between kinds of devices that holds for a scanner without noise and
+    number of lanes or cores. Between kinds of devices that holds for a scanner without noise and
     strategies that compare whole numbers (`closest`, `random`): noise is drawn, and the others choose, in floating
     point, which devices may round differently. Ctrl-C ends the run early, see `runner.run_all`.
 
     Args:
-      jobs: list of `Job`, each with at least one start. In every process the same.
+      jobs: list of `Job`, each with at least one start.
       engine: "auto": whole episodes in native code where it can; for the rest JAX, with native driving on a CPU.
         "jax": no native code; on the devices that JAX puts first.
       lanes, workers, in_lanes: of what runs in JAX, see `runner.find_resources`; native code has `workers` threads.
@@ -91,7 +91,7 @@ def run_jobs(
     Raises:
       InputError: a start that is no cell of its world or no multiple of 45 degrees, a seed outside 0 to `MAX_SEED`; an
         engine that does not exist, lanes or workers out of range, lanes where there are none to set; a strategy of a
-        user's that does not return what it should; `keep` where several processes share the work.
+        user's that does not return what it should.
       InputWarning: robots are driven by JAX, because native code cannot be built; once in a process.
       MemoryError: see `runner.run_all`.
     """
@@ -152,7 +152,7 @@ def _native_runs(wanted: Sequence[_Wanted], keep: str | None, why_not: list[str]
         for own in wanted
     ]
     can = [i for i, is_ready in enumerate(ready) if is_ready]
-    if not can or jax.config.values["jax_disable_jit"] or jax.process_count() > 1:
+    if not can or jax.config.values["jax_disable_jit"]:
         return {}
     found = load_episodes()
     if found.loaded is None:
@@ -179,10 +179,8 @@ def _lines(
     why_not: list[str],
 ) -> dict[int, Line]:
     """Return a `Line` for every job, by its number; adds why JAX has to drive as well."""
-    if keep is not None and resources.processes > 1:
-        raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
     is_driven = engine == "auto" and not resources.in_lanes
-    native = drive_for(resources.devices[0].platform) if is_driven else Library(None)
+    native = drive_for(resources.device.platform) if resources.device and is_driven else Library(None)
     given = [own for own in wanted.values() if own.rules.on_lattice]
     measured = {name: metric.reduce for own in given for name, metric in own.job.metrics.items()}
     at_end, moving = (", ".join(name for name in measured if bool(measured[name]) == moves) for moves in (False, True))
@@ -208,12 +206,11 @@ def _lines(
         key = place, id(job.strategy)
         if key not in fitted:
             fitted[key] = sites[place].with_strategy(strategy)
-        own = which[resources.process :: resources.processes]
         if job.team is None:
-            line = line_of(sites[place], fitted[key], job.starts, job.seed, own, detailed=detailed, keep=keep)
+            line = line_of(sites[place], fitted[key], job.starts, job.seed, which, detailed=detailed, keep=keep)
         else:
             starts = _team_starts(job, rules)
-            line = team_line(sites[place], fitted[key], job.team, lidar, starts, job.seed, own, detailed)
+            line = team_line(sites[place], fitted[key], job.team, lidar, starts, job.seed, which, detailed)
         line.draws, line.phase = line.draws + np.int32(job.first), job.phase
         lines[i] = line
     return lines

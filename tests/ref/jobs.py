@@ -1,4 +1,4 @@
-"""Episodes that the tests of engines run, here and in processes of their own."""
+"""Episodes that the tests of engines run."""
 
 import hashlib
 
@@ -32,11 +32,3 @@ def digest(report):
     """A number that differs if any bit of any result, last map or way does."""
     arrays = [a for o in report.outcomes for a in (*jax.tree.leaves(o.result), *o.first) if isinstance(a, np.ndarray)]
     return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()
-
-
-def few(run_jobs):
-    """Digests of runs of one to three episodes, and of one episode alone: as many processes may have none or one."""
-    (job, *_), found = some_jobs(), []
-    for n, only in ((1, None), (2, None), (3, None), (3, 1)):
-        found.append(digest(run_jobs([job._replace(starts=job.starts[:n])], LIDAR, RULES, engine="jax", only=only)))
-    return found

@@ -166,5 +166,5 @@ def describe_world(world: World) -> dict[str, Any]:
 
 def engine_of(costs: Costs) -> dict[str, Any]:
     """Return what run.json says of the engine."""
-    own = {name: getattr(costs, name) for name in ("engine", "levels", "devices", "lanes")}
+    own = {name: getattr(costs, name) for name in ("engine", "levels", "lanes")}
     return own | {"why_not_native": costs.why_not}

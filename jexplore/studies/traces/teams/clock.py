@@ -131,7 +131,7 @@ def run_robots(
         Line(
             *(program, (), plan.building, np.int32(plan.max_steps), plan.seed),
             jax.tree.map(lambda a, i=i: a[i : i + 1], tasks),
-            resources.own(1),
+            np.zeros(1),
             draws=which[i : i + 1],
         )
         for i in range(plan.runs)
