@@ -8,12 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from ref import team as oracle
-from scipy.optimize import linear_sum_assignment
 
 import jexplore as jx
 from jexplore.config import InputError
 from jexplore.exploration.batch import Job, run_jobs
-from jexplore.exploration.team.assignment import MOST_COST, assign
 from jexplore.exploration.team.coordination import COORDINATIONS, JointView
 from jexplore.exploration.team.jobs import team_jobs
 from jexplore.exploration.team.starts import place_team, steps_from
@@ -133,30 +131,6 @@ def test_a_team_of_one_is_a_robot_alone(engine, noise):
     for name, team in itertools.product(alone.__dataclass_fields__, teams):
         if name not in ("metrics", "replace"):
             jax.tree.map(np.testing.assert_array_equal, getattr(alone, name), getattr(team, name))
-
-
-@pytest.mark.jit
-def test_assignment_costs_as_much_as_scipys():
-    draw = np.random.default_rng(0)
-    for _ in range(40):
-        n = int(draw.integers(1, 5))
-        cost = draw.integers(0, draw.choice([3, 50, MOST_COST]), (4, 7))
-        cost[n:] = 0
-        column = np.asarray(assign(jnp.asarray(cost, jnp.int32)))
-        rows, columns = linear_sum_assignment(cost)
-        assert len(set(column)) == 4
-        assert cost[np.arange(4), column].sum() == cost[rows, columns].sum()
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_assignments_of_many_sizes_cost_as_much_as_scipys():
-    draw = np.random.default_rng(1)
-    for n, m in itertools.product((1, 2, 5, 16), (16, 40, 144)):
-        for _ in range(100):
-            cost = draw.integers(0, draw.choice([2, 10, MOST_COST]) + 1, (n, m))
-            column = np.asarray(assign(jnp.asarray(cost, jnp.int32)))
-            assert cost[np.arange(n), column].sum() == cost[linear_sum_assignment(cost)].sum()
 
 
 def joint(robot, positions, aims=(), frontier=(0, 10)):

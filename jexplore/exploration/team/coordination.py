@@ -12,10 +12,10 @@ from typing import Any, ClassVar, Self
 import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
+from optax.assignment import hungarian_algorithm
 
 from jexplore.arrays.loops import run_if, stored
 from jexplore.config import checked_names
-from jexplore.exploration.team.assignment import MOST_COST, assign
 from jexplore.frontier import frontier_clusters
 from jexplore.grid import is_free
 from jexplore.planning import Belief, Choice, Field, choose, field
@@ -27,7 +27,8 @@ from jexplore.segment import PROMINENCE_M, criteria, form_for, segment
 from jexplore.users import call_user, described
 
 ASSIGNED = STRAIGHT // 8
-"""Unit of costs in an assignment: an eighth of a straight step, so that a sum of 16 fits int32."""
+"""Unit of costs in an assignment: an eighth of a straight step, so that a float32 holds sums of them exactly."""
+MOST_COST = 2**22  # in an assignment, of a label that a robot does not reach
 
 
 @checked_names
@@ -113,7 +114,8 @@ def _assigned(view: JointView, costs: Array) -> Array:
     costs = jnp.where((costs < FAR) & view.there[:, None], jnp.minimum(costs // ASSIGNED, MOST_COST // 2), MOST_COST)
     # A robot that is not there takes a column of no label for nothing.
     spare = jnp.where(view.there[:, None], MOST_COST - 1, 0) + jnp.zeros((1, n), jnp.int32)
-    return assign(jnp.concatenate([costs, spare], axis=1))
+    robot, chosen = hungarian_algorithm(jnp.concatenate([costs, spare], axis=1).astype(jnp.float32))
+    return jnp.zeros(n, jnp.int32).at[robot].set(chosen.astype(jnp.int32))
 
 
 def _nearest_of(view: JointView, mine: Array) -> Array:
