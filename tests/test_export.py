@@ -7,7 +7,6 @@ import json
 import math
 from pathlib import Path
 
-import networkx
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,7 +17,7 @@ from ref.traces import ATTRIBUTES
 import jexplore as jx
 from jexplore.config import InputError
 from jexplore.report import store
-from jexplore.tracemap.export import geojson, graphml
+from jexplore.tracemap.export import geojson
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
 
 TRACED = Path(__file__).parent / "ref" / "course_run.json"  # by `jexplore trace --world course --robot kamui`
@@ -166,7 +165,6 @@ def test_the_frame_is_that_of_the_map():
     assert {f["properties"].get("frame") for f in geojson(HALL)["features"]} == {"map", None}
     raw = HALL.with_attributes({"frame": "odom"})
     assert {f["properties"].get("frame") for f in geojson(raw)["features"]} == {"odom", None}
-    assert {f["properties"].get("frame") for f in geojson(raw, frame="site")["features"]} == {"site", None}
     told = {"frame": [{"from": ["a"], "value": "map"}, {"from": ["b"], "value": "odom"}]}
     disputed = HALL.with_attributes({"conflicts": told})
     assert {f["properties"].get("frame") for f in geojson(disputed)["features"]} == {"odom", None}
@@ -175,7 +173,7 @@ def test_the_frame_is_that_of_the_map():
 @settings(max_examples=25)
 @given(maps())
 def test_geojson_is_loaded(btm):
-    nodes, edges = loaded(json.dumps(store.jsonable(geojson(btm, frame="odom"))))
+    nodes, edges = loaded(json.dumps(store.jsonable(geojson(btm.with_attributes({"frame": "odom"})))))
     assert list(nodes) == [node.id for node in btm.nodes]
     assert {node["frame"] for node in nodes.values()} == {"odom"}
     searched = [link for link in btm.links if link.end != NOWHERE]
@@ -230,8 +228,7 @@ def test_what_the_route_server_would_refuse_is_refused():
     with pytest.raises(InputError, match=r"must lie below 65536, those of this map would reach 65536$"):
         geojson(BtmMap((Node(65534, 0, 0, "terminal"),), loop))
     broken = dataclasses.replace(HALL, nodes=HALL.nodes[:2])
-    for write in (geojson, graphml):
-        refused(r"link 4 starts at node 8, which is not there$", write, broken)
+    refused(r"link 4 starts at node 8, which is not there$", geojson, broken)
 
 
 # The planner of the Route Server, restated: single precision, Dijkstra, an edge costs what the scorers add up to.
@@ -320,49 +317,3 @@ def test_the_map_of_a_run_is_planned_over_alike():
         assert [int(edge["metadata"]["link"]) for edge in way] == list(route.links)
         if cost_of is own_cost:
             assert cost == pytest.approx(route.length_m, rel=1e-5)
-
-
-# GraphML
-
-
-def test_graphml_by_hand():
-    graph = networkx.parse_graphml(graphml(HALL))
-    assert not graph.is_directed()
-    extra = {"attribute_victim": '{"heat": 37, "seen": null}'}
-    assert dict(graph.nodes(data=True)) == {
-        "3": {"x_m": 0.0, "y_m": 0.0, "type": "terminal"} | {"angles_deg": "360.0"},
-        "1": {"x_m": 3.0, "y_m": 4.0, "type": "divergence", "posture_deg": 2.0, **extra}
-        | {"angles_deg": "233.0 37.0 60.0 30.0", "unsearched_bearings_deg": "0.0 -30.0"},
-        "8": {"x_m": 3.0, "y_m": 0.0, "type": "obstacle", "obstacle": "stairs", "step_m": 0.125}
-        | {"angles_deg": "360.0"},
-    }
-    first = {"start": "3", "start_bearing_deg": 53.0, "end_bearing_deg": 233.0, "length_m": 7.5, "min_width_m": 0.75}
-    second = {"start": "8", "start_bearing_deg": 90.0, "end_bearing_deg": 270.0, "attribute_run": "2"}
-    assert sorted(graph.edges(data=True)) == [("1", "8", {"id": "4", **second}), ("3", "1", {"id": "0", **first})]
-
-
-@settings(max_examples=25)
-@given(maps())
-def test_graphml_is_read(btm):
-    graph = networkx.parse_graphml(graphml(btm), force_multigraph=True)
-    assert list(graph.nodes) == [str(node.id) for node in btm.nodes]
-    searched = [link for link in btm.links if link.end != NOWHERE]
-    ends = {str(key): {a, b} for a, b, key in graph.edges(keys=True)}
-    assert ends == {str(link.id): {str(link.start), str(link.end)} for link in searched}
-    for node in btm.nodes:
-        found = graph.nodes[str(node.id)]
-        assert (found["x_m"], found["y_m"], found["type"]) == (node.x_m, node.y_m, node.type)
-        assert found.get("inclination_deg") == node.inclination_deg
-        bearings = found.get("unsearched_bearings_deg", "")
-        want = [link.start_bearing_deg for link in btm.links if link.end == NOWHERE and link.start == node.id]
-        assert [float(text) for text in bearings.split()] == want
-
-
-def test_graphml_keeps_what_xml_can_hold():
-    attributes = {"<&\x00>": 'a\x01<b>&\ud800"ü😀', "n": {"\x02": 1}}
-    btm = BtmMap((Node(0, 0, 0, "terminal", attributes=attributes),), ())
-    found = networkx.parse_graphml(graphml(btm)).nodes["0"]
-    assert found["attribute_<&�>"] == 'a�<b>&�"ü😀'
-    assert json.loads(found["attribute_n"]) == {"\x02": 1}
-    graphml(btm).encode("utf-8")
-    assert len(networkx.parse_graphml(graphml(BtmMap((), ())))) == 0

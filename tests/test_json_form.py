@@ -131,7 +131,6 @@ def test_a_cut_file_is_refused_wherever_it_is_cut():
         ("{}", f'"b": format must be "behavioral-trace-map", got None; {WANTED}'),
         ('{\n"format": "x"}', f'"b": format must be "behavioral-trace-map", got \'x\'; {WANTED}'),
         (json.dumps(export.geojson(CRAWLER)), f'"b": is GeoJSON, such as the route graph for Nav2; {WANTED}'),
-        (export.graphml(CRAWLER), f'"b": is XML, such as GraphML; {WANTED}'),
         ('{"command": ["jexplore", "trace"]}', f'"b": is the record of a run; {WANTED}'),
         ('{"is_found": true, "links": []}', f'"b": is a route, the result of `jexplore route`; {WANTED}'),
         (text_of(T_LEFT, nodes={}), '"b": nodes must be a list, got {}'),

@@ -48,7 +48,7 @@ def ran(made):
 
 
 def test_files(ran):
-    names = ["btm.geojson", "btm.graphml", "btm.json", "btm.png", "run.json", "runs.parquet"]
+    names = ["btm.geojson", "btm.json", "btm.png", "run.json", "runs.parquet"]
     assert sorted(path.name for path in ran.iterdir()) == names
     found = json_form.read_btm(ran / "btm.json")
     assert [node.type[0] for node in found.nodes] == list("tooodffdt")

@@ -8,7 +8,6 @@ import contextlib
 import gzip
 import json
 import os
-import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from typing import Any, BinaryIO
@@ -152,26 +151,6 @@ def yaml_of(text: str, told: str) -> Any:
 def read_yaml(path: str | os.PathLike[str], max_bytes: int = MOST_SPEC_BYTES) -> Any:
     """Read a YAML file: `read_text` and `yaml_of`."""
     return yaml_of(read_text(path, max_bytes), repr(os.fspath(path)))
-
-
-def read_npz(path: str | os.PathLike[str], max_bytes: int) -> dict[str, Any]:
-    """Read the arrays of a file in numpy's format NPZ, `max_bytes` unpacked at most; Python objects are refused."""
-    import numpy as np
-
-    told = repr(os.fspath(path))
-    with opened(path) as file:
-        try:
-            with zipfile.ZipFile(file) as members:
-                size = sum(member.file_size for member in members.infolist())
-            if size > max_bytes:
-                raise InputError(f"{told}: unpacks to {size} bytes; at most {max_bytes} are read")
-            file.seek(0)
-            with np.load(file) as arrays:
-                return dict(arrays)
-        except InputError:
-            raise
-        except Exception as error:  # zipfile, zlib and numpy raise many kinds of errors for a damaged file
-            raise InputError(f"{told}: is damaged or no NPZ file ({first_line(error)})") from None
 
 
 def missing(path: str) -> InputError:

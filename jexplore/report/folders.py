@@ -30,7 +30,7 @@ OUR_FILES = (
     *("trajectory.txt", "map.yaml", "map.pgm", "slam.png", "errors.parquet"),  # slam
     *("reproduce.png", "reproduce.svg", "dare.parquet"),  # reproduce
     *("asked.yaml", "summary.csv", "sweep.png", "sweep-map.png", "sweep.svg", "sweep-map.svg"),  # sweep
-    *("btm.json", "btm.geojson", "btm.graphml", "btm.png", "btm.html", "runs.parquet"),  # trace
+    *("btm.json", "btm.geojson", "btm.png", "btm.html", "runs.parquet"),  # trace
     *("station.html", "teams.parquet", "contacts.parquet", "team.png"),  # trace --robots
     *(f"robot-{i}.json" for i in range(16)),
     *("route.json", "route.png"),  # route

@@ -1,13 +1,8 @@
-"""Behavioral Trace Maps in the words of other programs: route graphs of Nav2, and GraphML.
-
-Both leave something out; `json_form.to_json` is the form that keeps everything.
-"""
+"""Behavioral Trace Maps as route graphs of Nav2, which leave something out; `json_form.to_json` keeps everything."""
 
 import collections
 import json
 import math
-import re
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,10 +15,9 @@ SHORTEST_M = 0.001  # least cost of an edge: the planner of the Route Server giv
 
 _NODE_MEASURES = ("inclination_deg", "step_m", "posture_deg")
 _LINK_MEASURES = ("length_m", "min_width_m", "posture_deg", "max_roll_deg", "max_step_m", "opening_m")
-_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
-def geojson(btm: BtmMap, *, frame: str | None = None) -> dict[str, Any]:
+def geojson(btm: BtmMap) -> dict[str, Any]:
     """Convert the map to a GeoJSON route graph for the Nav2 Route Server, for `store.write_json`.
 
     A node becomes a Point under its own id, a searched link two LineStrings, one each way, under ids that follow the
@@ -38,8 +32,6 @@ def geojson(btm: BtmMap, *, frame: str | None = None) -> dict[str, Any]:
 
     Args:
       btm: the map, with one searched link or more.
-      frame: the frame of the coordinates; by default the map's attribute `frame`, `odom` where the maps that it was
-        made of differ in that, or `map` where it has none.
 
     Returns:
       A dict, a FeatureCollection.
@@ -54,7 +46,8 @@ def geojson(btm: BtmMap, *, frame: str | None = None) -> dict[str, Any]:
     btm = check_map(btm)
     conflicts = btm.attributes.get(CONFLICTS)
     is_disputed = isinstance(conflicts, Mapping) and "frame" in conflicts
-    frame = frame or str(btm.attributes.get("frame", "odom" if is_disputed else "map"))
+    # That of the map; `odom` where the maps that it was made of differ in that, `map` where it has none.
+    frame = str(btm.attributes.get("frame", "odom" if is_disputed else "map"))
     searched = [link for link in btm.links if link.end != NOWHERE]
     if not searched:
         raise InputError("a route graph must have an edge: the map has no searched link")
@@ -124,67 +117,3 @@ def _metadata(value, depth=0):
     if isinstance(value, (int, float)) and abs(value) < 2**127:  # single precision
         return float(value)
     return json.dumps(value, ensure_ascii=False)
-
-
-def graphml(btm: BtmMap) -> str:
-    """Convert the map to undirected GraphML text.
-
-    Nodes and edges have the ids of the map, edges the searched links only: an un-searched link would need a node that
-    is not there, so its bearing stands in `unsearched_bearings_deg` of its node, as text, blanks between numbers.
-    Unknown measures and empty lists are left out. Extensions get `attribute_` before their names; those that are no
-    text are JSON. A character that XML cannot hold becomes U+FFFD.
-
-    Raises:
-      InputError: not a proper map; see `record.check_map`.
-    """
-    btm = check_map(btm)
-    bearings = _both_bearings(btm)
-    nodes = [(str(node.id), {}, _graphml_node(node, bearings(node))) for node in btm.nodes]
-    edges = [
-        (str(link.id), {"source": str(link.start), "target": str(link.end)}, _graphml_edge(link))
-        for link in btm.links
-        if link.end != NOWHERE
-    ]
-    root = ET.Element("graphml", xmlns="http://graphml.graphdrawing.org/xmlns")
-    keys = {}
-    for kind, items in (("node", nodes), ("edge", edges)):
-        for _, _, values in items:
-            for name, value in values.items():
-                if (kind, name) not in keys:
-                    keys[kind, name] = f"d{len(keys)}"
-                    value_type = "string" if isinstance(value, str) else "double"
-                    named = {"attr.name": _xml(name), "attr.type": value_type}
-                    ET.SubElement(root, "key", {"id": keys[kind, name], "for": kind, **named})
-    graph = ET.SubElement(root, "graph", edgedefault="undirected")
-    for kind, items in (("node", nodes), ("edge", edges)):
-        for own, ends, values in items:
-            element = ET.SubElement(graph, kind, {"id": own, **ends})
-            for name, value in values.items():
-                text = _xml(value) if isinstance(value, str) else repr(value)
-                ET.SubElement(element, "data", key=keys[kind, name]).text = text
-    ET.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
-
-
-def _graphml_node(node, bearings):
-    values = {"x_m": node.x_m, "y_m": node.y_m, "type": node.type}
-    if node.obstacle:
-        values["obstacle"] = node.obstacle
-    values |= _measures(node, _NODE_MEASURES)
-    texts = {name: " ".join(map(repr, numbers)) for name, numbers in bearings.items() if numbers}
-    return values | texts | _texts(node.attributes)
-
-
-def _graphml_edge(link):
-    bearings = {"start": str(link.start), "start_bearing_deg": link.start_bearing_deg}
-    bearings["end_bearing_deg"] = link.end_bearing_deg
-    return bearings | _measures(link, _LINK_MEASURES) | _texts(link.attributes)
-
-
-def _texts(attributes):
-    texts = {key: item if isinstance(item, str) else json.dumps(item) for key, item in attributes.items()}
-    return {f"attribute_{key}": text for key, text in texts.items()}
-
-
-def _xml(text):
-    return _NOT_XML.sub("�", text)

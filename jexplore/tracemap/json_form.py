@@ -66,8 +66,6 @@ def read_btm(path: str | os.PathLike[str]) -> BtmMap:
 
 def parse_map(text: str, name: str) -> BtmMap:
     """Parse the text of a JSON file. As `from_json`."""
-    if text.lstrip().startswith("<"):
-        raise InputError(f"{_quoted(name)}: is XML, such as GraphML; {WANTED}")
     return from_json(json_of(text, _quoted(name)), name)
 
 

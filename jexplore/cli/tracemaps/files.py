@@ -71,4 +71,4 @@ def exchanged(found: BtmMap) -> dict[str, Any]:
 
     is_route = any(link.end >= 0 for link in found.links)  # which needs an edge
     route = {"btm.geojson": export.geojson(found)} if is_route else {}
-    return {"btm.json": json_form.to_json(found), **route, "btm.graphml": export.graphml(found)}
+    return {"btm.json": json_form.to_json(found), **route}

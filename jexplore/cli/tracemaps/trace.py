@@ -35,7 +35,7 @@ class Trace(ResumeOptions):
     """Let a robot drive through a building and write its Behavioral Trace Map.
 
     Prints the node and link tables of run 0 and how many runs made the same map. Writes btm.json, btm.geojson (nav2
-    Route Server), btm.graphml, btm.png, runs.parquet and run.json.
+    Route Server), btm.png, runs.parquet and run.json.
     """
 
     world: OneWorld = "course"
