@@ -352,7 +352,7 @@ def test_files_of_a_world_are_hashed_whatever_follows_their_names(tmp_path):
         ("scans.log:range_m=20", ["scans.log"]),
         ("map.png@0.05", ["map.png"]),
         ("map.png@0.05:free=150", ["map.png"]),
-        ("run.mcap:topic=/map,message=0", ["run.mcap"]),
+        ("run.mcap:topic=/map,free_max=0", ["run.mcap"]),
         ("plan.yaml", ["plan.yaml", "map.png"]),
         ("recording:topic=/map", ["recording/metadata.yaml", "recording/part.db3"]),
         ("absent.log", []),

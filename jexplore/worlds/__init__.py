@@ -47,14 +47,7 @@ _READERS: dict[str, tuple[str, dict[str, Callable[[str, Any], object]]]] = {
         },
     ),
     "ROS": ("ros:load_ros", _GRID),
-    "ROS bag": (
-        "bags:load_bag",
-        {
-            "topic": lambda *_: None,
-            "message": functools.partial(require_whole, low=-(10**9), high=10**9),
-            **_GRID,
-        },
-    ),
+    "ROS bag": ("bags:load_bag", {"topic": lambda *_: None, **_GRID}),
 }
 """Kind of file -> its reader, the parameters that it takes in a world name, and the function that checks a value."""
 _FILES = {

@@ -3,7 +3,7 @@
     generator[#seed][:key=value,...]        cave   cave#3   hospital#2:width_m=60,height_m=25
     module:function[#seed][:key=value,...]  mine:plan   mine:plan#3:doors=2
     file[@scale][:key=value,...]            map.yaml   map.png@16x16   map.png@0.05:free=150   map.map@0.1   plan.json
-                                            scans.log   scans.log:range_m=20   run.mcap   run.bag:topic=/map,message=0
+                                            scans.log   scans.log:range_m=20   run.mcap   run.bag:topic=/map,free_max=49
 
 A name is a file if one of the known suffixes ends it or is followed by `@` or `:`; it is then cut there. A path may
 itself contain `#`, `@` and `:`. Where there are several places to cut, the longest path that exists as a file is

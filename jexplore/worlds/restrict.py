@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from jexplore.config import InputError
 from jexplore.grid import Grid
 from jexplore.worlds.poses import Polygon, read_polygon
-from jexplore.worlds.readers.grids import FREE_MAX, OCCUPIED_MIN, inside_polygon, upright
+from jexplore.worlds.readers.grids import FREE_MAX, OCCUPIED_MIN, inside_polygon, require_upright
 from jexplore.worlds.readers.ros import read_ros
 from jexplore.worlds.readers.scans import ScanMap
 from jexplore.worlds.world import World
@@ -51,8 +51,8 @@ def with_known(world: World, map_: KnownMap) -> World:
     """
     if isinstance(map_, (str, os.PathLike)):
         occupancy, info = read_ros(map_)
-        name, cell_m = os.fspath(map_), info.resolution_m
-        occupancy, origin_m = upright(repr(name), occupancy, info.yaw_rad, cell_m, info.origin_m)
+        name, cell_m, origin_m = os.fspath(map_), info.resolution_m, info.origin_m
+        require_upright(repr(name), occupancy.shape, info.yaw_rad)
     elif isinstance(map_, ScanMap):
         name, occupancy, cell_m, origin_m = "the map", _occupancy_of(map_.grid), map_.cell_m, map_.origin_m
     else:

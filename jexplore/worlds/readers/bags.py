@@ -6,7 +6,6 @@ rosbags, which reads both without a ROS, is an extra, imported by the function t
 import collections
 import contextlib
 import dataclasses
-import itertools
 import math
 import os
 from collections.abc import Iterable, Iterator
@@ -16,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jexplore.arrays.files import first_line, opened, told_kind
-from jexplore.config import InputError, checked_names, require_number, require_whole
+from jexplore.config import InputError, checked_names, require_number
 from jexplore.worlds.names import METADATA
-from jexplore.worlds.readers.grids import free_cells, resample, upright
+from jexplore.worlds.readers.grids import free_cells, require_upright, resample
 from jexplore.worlds.readers.images import MAX_PIXELS
 from jexplore.worlds.world import World, require_hundred
 
@@ -36,22 +35,22 @@ class RecordedGrid:
 
 
 @checked_names
-def read_bag(path: str | os.PathLike[str], *, topic: str | None = None, message: int = -1) -> RecordedGrid:
-    """Read a map that was published while a recording was made; one that lies turned is laid along x and y.
+def read_bag(path: str | os.PathLike[str], *, topic: str | None = None) -> RecordedGrid:
+    """Read the last map that was published while a recording was made.
 
     Args:
       path: `.bag` of ROS 1; `.db3` or `.mcap` of ROS 2, or the folder, or the `metadata.yaml` in it, of such files.
       topic: by default the only one with maps; of several, `/map`.
-      message: which of its messages, counted from 0; a negative one counts from the last, -1.
     """
     path = os.fspath(path)
-    message = require_whole(f"{path!r}: message", message, -(10**9), 10**9)
     if topic is not None and not isinstance(topic, str):
         raise InputError(f"{path!r}: topic must be the name of one, as /map, got {topic!r}")
     with opened_bag(path) as reader:
         topic, connections = connections_of(path, reader.connections, topic, _MAPS)
-        raw = _pick(path, topic, (raw for _, _, raw in reader.messages(connections)), message)
-        grid = reader.deserialize(raw, _MAPS.type)
+        last = collections.deque((raw for _, _, raw in reader.messages(connections)), maxlen=1)
+        if not last:
+            raise InputError(f"{path!r}: has no message on the topic {topic}")
+        grid = reader.deserialize(last[0], _MAPS.type)
     return _recorded(f"{path!r}: the map on {topic}", topic, grid)
 
 
@@ -87,17 +86,16 @@ def load_bag(
     *,
     cell_m: float = 0.1,
     topic: str | None = None,
-    message: int = -1,
     free_max: int | None = None,
     occupied_min: int | None = None,
 ) -> World:
     """Load a world from a map in a recording, with its origin. Unknown cells count as occupied.
 
     `load_world("run.bag:topic=/map,free_max=49")` is the same; topics that a name cannot hold are given here. `topic`
-    and `message` are as of `read_bag`, `free_max` and `occupied_min` as of `grids.free_cells`.
+    is as of `read_bag`, `free_max` and `occupied_min` as of `grids.free_cells`.
     """
     path = os.fspath(path)
-    grid = read_bag(path, topic=topic, message=message)
+    grid = read_bag(path, topic=topic)
     where = f"{path!r}: the map on {grid.topic}"
     require_hundred(path, grid.occupancy)
     free = free_cells(where, grid.occupancy, free_max=free_max, occupied_min=occupied_min)
@@ -137,18 +135,6 @@ def connections_of(path: str, connections: Iterable[Any], topic: str | None, kin
 _MAPS = Kind("nav_msgs/msg/OccupancyGrid", "/map", "maps", "append :topic=")
 
 
-def _pick(path: str, topic: str, raws: Iterable[bytes], message: int) -> bytes:
-    """Read the serialised message of a number; only the last ones are kept in memory."""
-    if message >= 0:
-        found = next(itertools.islice(raws, message, None), None)
-    else:
-        last = collections.deque(raws, maxlen=-message)
-        found = last[0] if len(last) == -message else None
-    if found is None:
-        raise InputError(f"{path!r}: has no message {message} on the topic {topic}; -1 is the last, 0 the first")
-    return found
-
-
 def _recorded(where: str, topic: str, grid: Any) -> RecordedGrid:
     """Convert a message of rosbags to `RecordedGrid`."""
     info, place = grid.info, grid.info.origin.position
@@ -167,8 +153,8 @@ def _recorded(where: str, topic: str, grid: Any) -> RecordedGrid:
     low, high = int(occupancy.min()), int(occupancy.max())
     if low < -1 or high > 100:
         raise InputError(f"{where}: occupancy must lie from -1 (unknown) to 100, got {low} to {high}")
-    occupancy, origin_m = upright(where, occupancy, yaw_rad, resolution_m, (x_m, y_m))
-    return RecordedGrid(topic, occupancy, resolution_m, origin_m)
+    require_upright(where, occupancy.shape, yaw_rad)
+    return RecordedGrid(topic, occupancy, resolution_m, (x_m, y_m))
 
 
 def _yaw(where: str, turn: Any) -> float:

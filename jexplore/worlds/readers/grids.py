@@ -53,34 +53,16 @@ def free_cells(
     return free
 
 
-def upright(
-    where: str, occupancy: np.ndarray, yaw_rad: float, resolution_m: float, origin_m: tuple[float, float]
-) -> tuple[np.ndarray, tuple[float, float]]:
-    """Lay a grid that is turned in its frame along x and y, cell for cell, with a warning that names `where`.
+def require_upright(where: str, shape: tuple[int, ...], yaw_rad: float) -> None:
+    """Refuse a grid turned about the lower left corner of its cell (0, 0), if a cell moves by half its edge.
 
-    `yaw_rad` turns it about the lower left corner of cell (0, 0), `origin_m`, counter-clockwise: by a multiple of 90
-    degrees, or by so little more that no cell moves by half its edge. Returns the new grid, and its own `origin_m`.
+    `where` names it in messages.
     """
     yaw_rad = math.remainder(yaw_rad, 2 * math.pi)
-    quarters = round(yaw_rad / (math.pi / 2))
-    rest_rad = yaw_rad - quarters * (math.pi / 2)
-    rows, cols = occupancy.shape
-    quarters %= 4
-    if abs(rest_rad) * math.hypot(rows, cols) >= 0.5:
+    if abs(yaw_rad) * math.hypot(*shape) >= 0.5:
         raise InputError(
-            f"{where}: is turned by {math.degrees(yaw_rad):.4g} degrees, and right angles are read; with a yaw of "
-            "0 it is the same building"
+            f"{where}: is turned by {math.degrees(yaw_rad):.4g} degrees; with a yaw of 0 it is the same building"
         )
-    if not quarters:
-        return occupancy, origin_m
-    low = ((0, 0), (-rows, 0), (-cols, -rows), (0, -cols))[quarters]
-    warnings.warn(
-        f"{where}: is turned by {(0, 90, 180, -90)[quarters]} degrees; its cells have been laid along x and y",
-        InputWarning,
-        stacklevel=4,
-    )
-    x_m, y_m = (at + n * resolution_m for at, n in zip(origin_m, low))
-    return np.ascontiguousarray(np.rot90(occupancy, -quarters)), (x_m, y_m)
 
 
 def resample(occupied: np.ndarray, pixel_m: tuple[float, float], cell_m: float, *, name: str) -> np.ndarray:

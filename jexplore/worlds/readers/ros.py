@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from jexplore.arrays.files import first_line, read_yaml
 from jexplore.config import InputError, InputWarning, require_number, shown
-from jexplore.worlds.readers.grids import LEAST_PIXEL_M, MOST_PIXEL_M, free_cells, resample, upright
+from jexplore.worlds.readers.grids import LEAST_PIXEL_M, MOST_PIXEL_M, free_cells, require_upright, resample
 from jexplore.worlds.readers.images import grey, read_pixels, transparency
 from jexplore.worlds.world import World, require_hundred, require_occupancy
 
@@ -98,10 +98,9 @@ def load_ros(
             f"{path!r}: no pixel is free at free_thresh {info.free_thresh:g}, negate {info.negate:d}{hint}"
         )
     _warn_of_unknown(path, levels, info, free)
-    pixel_m, occupied = info.resolution_m, np.where(free, np.int8(0), np.int8(100))
-    occupied, origin_m = upright(repr(path), occupied, info.yaw_rad, pixel_m, info.origin_m)
-    cells = resample(occupied != 0, (pixel_m, pixel_m), cell_m, name=path)
-    return World(occupied=cells, cell_m=cell_m, name=path, origin_m=origin_m)
+    require_upright(repr(path), free.shape, info.yaw_rad)
+    cells = resample(~free, (info.resolution_m, info.resolution_m), cell_m, name=path)
+    return World(occupied=cells, cell_m=cell_m, name=path, origin_m=info.origin_m)
 
 
 def write_ros(
