@@ -24,7 +24,7 @@ from jexplore.arrays import bits
 from jexplore.bench import LIDAR, RULES, SEED
 from jexplore.bench.tables import markdown
 from jexplore.bench.timing import interleaved, ratio, timed
-from jexplore.distance import nearest_site
+from jexplore.distance import nearest_offset
 from jexplore.engine.backend import start_backend
 from jexplore.exploration.site import prepare_site
 from jexplore.frontier import frontier_clusters, plan_masks
@@ -160,7 +160,7 @@ def kernels_of(world):
                      lambda: clusters(frontier), lambda out: out.label),
         "reach": (lambda out, a: reach(*a), (clear, *at), costs, lambda out: out),
         "flood": (lambda out, a: flood(*a), (words, *at), flooded, unpacked),
-        "nearest site": (lambda out, a: nearest_site(a[0]), (world.occupied,), walls_d2, lambda out: out[0]),
+        "nearest site": (lambda out, a: nearest_offset(a[0]), (world.occupied,), walls_d2, lambda out: out[0]),
     }  # fmt: skip
 
     def blank(step, arguments):

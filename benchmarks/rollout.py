@@ -22,7 +22,7 @@ import jexplore as jx
 from jexplore.arrays.loops import repeat, run_if
 from jexplore.arrays.padding import bucket
 from jexplore.bench.tables import markdown
-from jexplore.distance import nearest_site
+from jexplore.distance import nearest_offset
 from jexplore.exploration.motion import motion_step
 from jexplore.grid import is_known, is_occupied
 from jexplore.planning import field, is_live, nearest_frontier
@@ -65,7 +65,7 @@ def completed(key, belief, at, params):
     free = known & ~walls
     rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
     inner = (rows > 0) & (cols > 0) & (rows < belief.extent[0] - 1) & (cols < belief.extent[1] - 1)
-    deep = nearest_site(free)[0] > (params.depth_m / belief.model.cell_m) ** 2
+    deep = nearest_offset(free)[0] > (params.depth_m / belief.model.cell_m) ** 2
     which, where, turn = jax.random.split(key, 3)
     cell = jnp.argmax(jnp.where(free.reshape(-1), jax.random.uniform(which, (free.size,)), -1))
     slot = jnp.argmax(jnp.where(at.used, jax.random.uniform(where, at.used.shape), -1))

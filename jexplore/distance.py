@@ -1,9 +1,8 @@
-"""Distances on the grid: exact squared Euclidean distance, nearest site, and the clearance test."""
+"""Distances on the grid: exact squared Euclidean distance to the nearest site, and the clearance test."""
 
 import math
 
 import chex
-import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -58,25 +57,6 @@ def nearest_offset(sites: Array) -> tuple[Array, Array, Array]:
     dcol = jnp.where(found, (best % CODES).astype(jnp.int32) - (REACH + 1), 0)
     drow = jnp.take_along_axis(off, lax.broadcasted_iota(jnp.int32, (height, width), 1) + dcol, axis=1)
     return jnp.where(found, (best // CODES).astype(jnp.int32), FAR), jnp.where(found, drow, 0), dcol
-
-
-@jax.jit
-def nearest_site(sites: Array) -> tuple[Array, Array]:
-    """Compute the squared distance to the nearest site of every cell, and which site it is.
-
-    Args:
-      sites: `[H, W]` bool, True at a site. H * W below 2**31.
-
-    Returns:
-      `d2`: `[H, W]` int32, as for `nearest_offset`.
-      `site`: `[H, W]` int32, flat index (row * W + col) of the nearest site; -1 without any.
-
-    Raises:
-      AssertionError: while tracing, if `sites` is not a bool matrix.
-    """
-    d2, drow, dcol = nearest_offset(sites)
-    rows, cols = (lax.broadcasted_iota(jnp.int32, sites.shape, axis) for axis in (0, 1))
-    return d2, jnp.where(d2 < FAR, (rows + drow) * sites.shape[1] + cols + dcol, -1)
 
 
 def within(mask: Array, d2: int) -> Array:

@@ -9,7 +9,7 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore.arrays import bits, groups, sparse
-from jexplore.arrays.loops import settled, stored
+from jexplore.arrays.loops import stored
 from jexplore.config import checked_names
 from jexplore.distance import within, within_packed
 from jexplore.grid import Grid, any_within_one_packed, is_free, is_known, is_occupied
@@ -121,27 +121,6 @@ class Clusters:
     count: Array  # int32, clusters on the map, whether they fit or not
     overflow: Array  # int32, clusters that did not fit into M slots
     left_out: Array  # int32, frontier cells that were not looked at, because there were too many
-
-
-def label_clusters(cells: sparse.Cells) -> Array:
-    """Return for every cell of a list the lowest slot of its 8-connected group: `[K]` int32; its own in an unused slot.
-
-    Args:
-      cells: `sparse.Cells`.
-
-    Source:
-      Zhang, Azad and Buluc 2020 (FastSV): rounds that grow with the logarithm of a group's longest way, not with it.
-    """
-    size = cells.cell.shape[0]
-
-    def hook(label: Array) -> Array:
-        above = label[label]
-        low = jnp.min(above.at[cells.near].get(mode="fill", fill_value=size), axis=1)
-        low = jnp.minimum(low, above)
-        # What a cell has learnt, the cell that it points at learns too.
-        return jnp.minimum(above.at[label].min(low), low)
-
-    return settled(hook, lax.iota(jnp.int32, size))
 
 
 def most_cells(shape: tuple[int, ...]) -> int:

@@ -5,11 +5,10 @@ import runpy
 from pathlib import Path
 
 import pytest
-from PIL import Image
 from ref.results import result
 
 from jexplore import bench
-from jexplore.bench import plots, tables, timing
+from jexplore.bench import tables, timing
 from jexplore.cli import main
 from jexplore.engine.runner import Costs
 from jexplore.exploration.batch import Outcomes
@@ -27,9 +26,7 @@ def test_both_engines_are_measured_and_give_the_same(tmp_path, capsys):
     options = ("--worlds", SMALL, "--sides", 64, "--batch-sizes", 2, "--episodes", 3, "--repeat", 1, "--cache")
     assert not main.main(["bench", *map(str, options), "--out", str(out)])
     said = capsys.readouterr().out
-    assert sorted(path.name for path in out.iterdir()) == ["bench.json", "bench.png", "run.json"]
-    with Image.open(out / "bench.png") as image:
-        image.verify()
+    assert sorted(path.name for path in out.iterdir()) == ["bench.json", "run.json"]
     assert "Episodes by batch size:" in said
     assert "Episodes by map size:" in said
     assert "| NO |" not in said
@@ -46,8 +43,6 @@ def test_both_engines_are_measured_and_give_the_same(tmp_path, capsys):
             assert row["quality"]["complete"] == 1
             assert row["episodes_per_s"] > 0
     assert [row["compile_s"] > 0 for row in report["batches"]] == [False, True]
-    axes = plots.bench_figure(report).axes
-    assert [(ax.get_xscale(), ax.get_yscale(), len(ax.lines)) for ax in axes] == [("log", "log", 2)] * 2
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,18 @@ from hypothesis.extra import numpy as hnp
 from ref import maps, plans
 from scipy import ndimage
 
-from jexplore.distance import FAR, nearest_site, within
+from jexplore.distance import FAR, nearest_offset, within
 
 SHAPES = ((1, 1), (1, 7), (6, 1), (6, 9))
 WITHIN = jax.jit(within, static_argnums=1)
+
+
+@jax.jit
+def nearest_site(sites):
+    """Squared distance to the nearest site, and its flat index; -1 without any."""
+    d2, drow, dcol = nearest_offset(sites)
+    rows, cols = jnp.indices(sites.shape, jnp.int32)
+    return d2, jnp.where(d2 < FAR, (rows + drow) * sites.shape[1] + cols + dcol, -1)
 
 
 def masks(share=None):

@@ -1,6 +1,6 @@
 """Measurements of whole episodes: by engine, by batch size, by map size.
 
-`prepare_bench` refuses invalid requests, `run_bench` measures, `tables.bench_tables` and `plots.bench_figure` show it.
+`prepare_bench` refuses invalid requests, `run_bench` measures, `tables.bench_tables` shows it.
 """
 
 import contextlib

@@ -12,7 +12,7 @@ class Bench(OutOptions):
     """Measure episodes on this machine.
 
     Whole episodes by engine, batch size and map size, and compiling. Runs on one core, or on the first accelerator.
-    Prints Markdown tables and writes bench.json, bench.png and run.json. A quiet machine gives good figures.
+    Prints Markdown tables and writes bench.json and run.json. A quiet machine gives good figures.
     """
 
     worlds: OwnNames = None
@@ -38,7 +38,7 @@ class Bench(OutOptions):
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Run the command and return the exit status, None for 0."""
         from jexplore import bench
-        from jexplore.bench import plots, tables
+        from jexplore.bench import tables
 
         with Out(self, "bench") as out:
             plan = bench.prepare_bench(
@@ -48,5 +48,4 @@ class Bench(OutOptions):
                 progress.update(0)
                 report = bench.run_bench(plan, cache=self.cache, on_progress=progress.update)
             record = out.record(arguments, self, measured=report["settings"])
-            files = {"bench.json": report, "bench.png": lambda: plots.bench_figure(report)}
-            return out.finish(record, files, tables.bench_tables(report))
+            return out.finish(record, {"bench.json": report}, tables.bench_tables(report))

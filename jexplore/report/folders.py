@@ -25,7 +25,7 @@ OUR_FILES = (
     *("bounds.parquet", "walks.parquet", "bounds.png"),  # bound
     *("model.msgpack", "model.json", "curve.parquet", "curve.png"),  # train
     *("tuned.json", "trials.parquet"),  # tune
-    *("bench.json", "bench.png"),  # bench
+    "bench.json",  # bench
     *("scores.parquet", "segments.png"),  # segment
     *("trajectory.txt", "map.yaml", "map.pgm", "slam.png", "errors.parquet"),  # slam
     *("reproduce.png", "reproduce.svg", "dare.parquet"),  # reproduce

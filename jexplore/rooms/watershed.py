@@ -14,10 +14,9 @@ import numpy as np
 from flax import struct
 from jax import Array, lax
 
-from jexplore.arrays import bits, sparse
+from jexplore.arrays import bits, groups, sparse
 from jexplore.arrays.loops import settled
 from jexplore.distance import nearest_offset
-from jexplore.frontier import label_clusters
 from jexplore.grid import any_within_one, any_within_one_packed, beside, bordered, count
 
 RATIO = 0.65
@@ -92,12 +91,12 @@ def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Arr
     """
     height, width = free.shape
     edge = ~free & any_within_one(free)
-    cells = sparse.list_cells(edge, edges)
-    group = label_clusters(cells)  # all round an obstacle, or all round a hole in one
+    cells = groups.grouped(edge, edges)
+    group = cells.lowest  # all round an obstacle, or all round a hole in one
     row, col = cells.cell // width, cells.cell % width
     used = cells.cell < height * width
     bottom, top, left, right = (
-        jax.ops.segment_max(jnp.where(used, end, -HIGHEST), group, edges + 1) for end in (-row, row, -col, col)
+        jax.ops.segment_max(jnp.where(used, end, -HIGHEST), group, group.shape[0]) for end in (-row, row, -col, col)
     )
     is_small = (top + bottom) ** 2 + (left + right) ** 2 < size**2
     at = jnp.where(used & is_small[group], cells.cell, height * width)
