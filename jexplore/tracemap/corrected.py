@@ -2,12 +2,13 @@
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
-import jax
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
 
-from jexplore.arrays.padding import bucket
-from jexplore.arrays.pose_graph import settle
+from jexplore.arrays.poses import compose, wrapped
 from jexplore.config import InputError, checked_names
 from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check_map, direction_deg
@@ -38,7 +39,7 @@ def correct_map(btm: BtmMap) -> BtmMap:
       InputError: not a proper map, or no searched link has the attribute, as in a merged map, or it is malformed.
     """
     btm = check_map(btm)
-    place, _ = laid_out(btm, moves(btm))
+    place = laid_out(btm, moves(btm))
     turn_deg = {node.id: math.degrees(place[i][2]) for i, node in enumerate(btm.nodes)}
     nodes = (dataclasses.replace(node, x_m=float(x_m), y_m=float(y_m)) for node, (x_m, y_m, _) in zip(btm.nodes, place))
     links = (_turned(link, turn_deg) for link in btm.links)
@@ -59,23 +60,39 @@ def moves(btm: BtmMap) -> list[tuple[int, int, list[float]]]:
     return found
 
 
-def laid_out(btm: BtmMap, moves: list[tuple[int, int, list[float]]]) -> tuple[np.ndarray, np.ndarray]:
+def laid_out(btm: BtmMap, moves: list[tuple[int, int, list[float]]]) -> np.ndarray:
     """Fit places to moves between nodes, `(id, id, [x_m, y_m])` or `[x_m, y_m, turn_deg]`.
 
     Returns:
-      `(pose, misfit)`: `[n, 3]` float32, x, y, metres, and how far the frame of every node is turned, radians;
-        `[m, 3]` float32, of every move, in standard deviations.
+      `[n, 3]` float64: x, y, metres, and how far the frame of every node is turned, radians.
     """
-    n, m, row = len(btm.nodes), len(moves), {node.id: i for i, node in enumerate(btm.nodes)}
-    pose = np.zeros((bucket(n), 3), np.float32)
-    pose[:n, :2] = np.reshape([(node.x_m, node.y_m) for node in btm.nodes], (n, 2))
-    ends, moved = np.full((bucket(m), 2), -1, np.int32), np.zeros((bucket(m), 3), np.float32)
-    spread = np.full((bucket(m), 2), np.inf, np.float32)
-    for i, (start, end, (x_m, y_m, *turn_deg)) in enumerate(moves):
-        ends[i], moved[i] = (row[start], row[end]), (x_m, y_m, math.radians(sum(turn_deg)))
-        spread[i] = PLACE[0] + PLACE[1] * math.hypot(x_m, y_m), math.radians(TURN_DEG) if turn_deg else np.inf
-    found = jax.jit(settle)(pose, ends, moved, spread)
-    return np.asarray(found.pose)[:n], np.asarray(found.misfit)[:m]
+    row = {node.id: i for i, node in enumerate(btm.nodes)}
+    ends = [(row[start], row[end]) for start, end, _ in moves]
+    moved = [(x_m, y_m, math.radians(sum(turn_deg))) for *_, (x_m, y_m, *turn_deg) in moves]
+    place = [PLACE[0] + PLACE[1] * math.hypot(*move[:2]) for move in moved]
+    spread = [(own, math.radians(TURN_DEG) if len(move[2]) > 2 else math.inf) for own, move in zip(place, moves)]
+    return fitted(np.array([(node.x_m, node.y_m, 0.0) for node in btm.nodes]), ends, moved, spread)
+
+
+def fitted(pose: np.ndarray, ends: Sequence[tuple[int, int]], moved: ArrayLike, spread: ArrayLike) -> np.ndarray:
+    """Fit poses, `[n, 3]`, x, y, metres, heading, radians, to moves between them; pose 0 stays.
+
+    Args:
+      pose: first guess.
+      ends: `[m, 2]` int, first and second pose of a move.
+      moved: `[m, 3]`, the second pose in the frame of the first.
+      spread: `[m, 2]`, standard deviations of a place and of a turn; inf: says nothing.
+    """
+    if len(pose) < 2 or not len(ends):
+        return pose
+    (start, end), moved, spread = np.array(ends).T, np.array(moved), np.array(spread)[:, [0, 0, 1]]
+
+    def misfit(rest: np.ndarray) -> np.ndarray:
+        poses = np.concatenate([pose[:1], rest.reshape(-1, 3)])
+        off = compose(poses[start], moved) - poses[end]
+        return (np.concatenate([off[:, :2], wrapped(off[:, 2:])], axis=1) / spread).ravel()
+
+    return np.concatenate([pose[:1], least_squares(misfit, pose[1:].ravel()).x.reshape(-1, 3)])
 
 
 def _moved(link):
