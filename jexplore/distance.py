@@ -60,14 +60,9 @@ def nearest_offset(sites: Array) -> tuple[Array, Array, Array]:
 
 
 def within(mask: Array, d2: int) -> Array:
-    """Return cells that have a True cell within a distance: the test behind clearance.
+    """Return cells that have a True cell within a distance, `[H, W]` bool; outside the map counts as False.
 
-    Args:
-      mask: `[H, W]` bool.
-      d2: largest squared distance that counts, cells^2 (see `grid.radius_d2`). Static.
-
-    Returns:
-      `[H, W]` bool. Outside the map counts as False.
+    The test behind clearance. `d2` is the largest squared distance that counts, cells^2 (see `grid.radius_d2`), static.
     """
     chex.assert_rank(mask, 2)
     chex.assert_type(mask, bool)

@@ -16,15 +16,10 @@ from jexplore.grid import Grid, any_within_one_packed, is_free, is_known, is_occ
 
 
 def clear_cells(grid: Grid, *, p_free: Array | float, clearance_d2: int) -> Array:
-    """Return free cells with no occupied cell within the clearance.
+    """Return free cells with no occupied cell within the clearance: `[H, W]` bool.
 
-    Args:
-      grid: `Grid`, `[H, W]`.
-      p_free: largest reflection probability of a free cell; scalar.
-      clearance_d2: squared distance, cells^2 (`grid.radius_d2`). Static.
-
-    Returns:
-      `[H, W]` bool.
+    `p_free` is the largest reflection probability of a free cell; `clearance_d2`, cells^2 (`grid.radius_d2`), is
+    static.
 
     Source:
       Holz et al. 2010, section 2.2, with d_max as the clearance.
@@ -33,15 +28,9 @@ def clear_cells(grid: Grid, *, p_free: Array | float, clearance_d2: int) -> Arra
 
 
 def disc(shape: tuple[int, ...], row: Array | int, col: Array | int, d2: Array | float) -> Array:
-    """Return cells within a distance of a cell.
+    """Return cells within a distance of a cell, which may lie outside: `[H, W]` bool.
 
-    Args:
-      shape: `(H, W)`. Static.
-      row, col: int32; may lie outside.
-      d2: largest squared distance that counts, cells^2; scalar.
-
-    Returns:
-      `[H, W]` bool.
+    `shape` is static; `d2` is the largest squared distance that counts, cells^2.
     """
     rows = lax.broadcasted_iota(jnp.int32, shape, 0)
     cols = lax.broadcasted_iota(jnp.int32, shape, 1)
@@ -135,7 +124,6 @@ def frontier_clusters(
     *,
     max_clusters: int,
     max_cells: int | None = None,
-    part: int = groups.PART,
 ) -> Clusters:
     """Group frontier cells that touch each other along edges or corners.
 
@@ -145,7 +133,6 @@ def frontier_clusters(
         distance from the cluster's centroid.
       max_clusters: M, slots. Static. Clusters beyond it are counted in `overflow`, not kept.
       max_cells: frontier cells that are looked at, the first in (row, col) order; by default `most_cells`. Static.
-      part: frontier cells that are worked on at a time; the clusters are the same. Static.
 
     Returns:
       `Clusters`. Among members that are equally good, the one with the lowest flat index stands for all.
@@ -157,9 +144,7 @@ def frontier_clusters(
     chex.assert_type(frontier, bool)
     height, width = frontier.shape
     none = height * width
-    cells = groups.grouped(
-        frontier, most_cells(frontier.shape) if max_cells is None else min(none, max_cells), part=part
-    )
+    cells = groups.grouped(frontier, most_cells(frontier.shape) if max_cells is None else min(none, max_cells))
     number, count, total = _sizes(cells, width, max_clusters)
     chosen, label = _members(cells, number, total, cost, frontier.shape)
     used = total[0] > 0

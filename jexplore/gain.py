@@ -52,14 +52,8 @@ class ViewGain(NamedTuple):
 def stops_and_unknown(known: Known, beams: Beams) -> tuple[Array, Array]:
     """Return cells that stop a simulated beam, and cells that it would observe, with a margin beyond the map.
 
-    What lies beyond the map is unknown: a robot does not know where its world ends.
-
-    Args:
-      known: `Known`.
-      beams: `Beams.all_round`, which reach R cells.
-
-    Returns:
-      two of `[H + 2 R, W + 2 R]` bool.
+    What lies beyond the map is unknown: a robot does not know where its world ends. `beams` are `Beams.all_round`,
+    which reach R cells. Returns two of `[H + 2 R, W + 2 R]` bool.
     """
     grid, p_free, within, (height, width) = known
     rows, cols = (lax.broadcasted_iota(jnp.int32, grid.hits.shape, axis) for axis in (0, 1))
@@ -87,15 +81,9 @@ def prospect(known: Known, beams: Beams) -> Prospect:
 
 
 def most(prospect: Prospect, row: Array, col: Array, beams: Beams) -> Array:
-    """Bound the gain of look-arounds at some cells: the entropy of all cells in reach, walls or not.
+    """Bound the gain of look-arounds at some cells, `[n]` int32 each: `[n]` float32, bits; no gain is larger.
 
-    Args:
-      prospect: `Prospect`.
-      row, col: `[n]` int32.
-      beams: `Beams.all_round`.
-
-    Returns:
-      `[n]` float32, bits; no gain is larger.
+    It is the entropy of all cells in reach, walls or not. `beams` are `Beams.all_round`.
     """
     side = square_side(beams)
     entropy_of = prospect.unknown.astype(jnp.float32).reshape(-1).at[prospect.mixed].add(prospect.before, mode="drop")
@@ -116,13 +104,9 @@ def _passed(prospect: Prospect, row: Array | int, col: Array | int, beams: Beams
 def look(
     prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, *, native: str | None = None
 ) -> ViewGain:
-    """Compute the expected gain of a look-around at a cell.
+    """Compute the expected gain of a look-around at a cell; `beams` are `Beams.all_round`.
 
-    Args:
-      prospect: `Prospect`.
-      row, col: int32, the cell.
-      beams: `Beams.all_round`.
-      native: target of native code that counts cells, where beams have disagreed nowhere; None: JAX does. Static.
+    `native` is the target of native code that counts cells, where beams have disagreed nowhere; None: JAX does. Static.
 
     Source:
       Holz et al. 2010, section 3.2, where the sign of the difference is a misprint.
@@ -154,9 +138,7 @@ def look(
 def unknown_within(prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, d2: Array) -> Array:
     """Count the unknown cells that a look-around at a cell would show within some distances: `[R]` int32.
 
-    Args:
-      prospect, row, col, beams: as for `look`.
-      d2: `[R]` float32, squared distances, cells^2.
+    `d2` is `[R]` float32, squared distances, cells^2; the others are as for `look`.
     """
     counted, unknown = _passed(prospect, row, col, beams)
     rows, cols = (lax.broadcasted_iota(jnp.int32, unknown.shape, axis) - unknown.shape[0] // 2 for axis in (0, 1))

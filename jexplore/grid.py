@@ -26,14 +26,7 @@ class Grid:
 
 
 def empty_grid(shape: tuple[int, ...]) -> Grid:
-    """Return a map without observations.
-
-    Args:
-      shape: `(H, W)`. Static.
-
-    Returns:
-      `Grid` of zeros.
-    """
+    """Return a map without observations; `shape`, `(H, W)`, is static."""
     return Grid(hits=jnp.zeros(shape, jnp.int32), misses=jnp.zeros(shape, jnp.int32))
 
 
@@ -45,13 +38,9 @@ def _observations(grid: Grid) -> Array:
 
 
 def probability(grid: Grid) -> Array:
-    """Compute the reflection probability of every cell.
+    """Compute the reflection probability of every cell, hits / (hits + misses): `[H, W]` float32.
 
-    Args:
-      grid: `Grid`, `[H, W]`.
-
-    Returns:
-      `[H, W]` float32, hits / (hits + misses); 0.5, the prior, where nothing was observed.
+    It is 0.5, the prior, where nothing was observed.
     """
     n = _observations(grid)
     return jnp.where(n > 0, grid.hits.astype(jnp.float32) / jnp.maximum(n, 1).astype(jnp.float32), jnp.float32(0.5))
@@ -75,13 +64,7 @@ def is_occupied(grid: Grid, p_free: Array | float) -> Array:
 
 
 def entropy(grid: Grid) -> Array:
-    """Compute the entropy of every cell, bits.
-
-    Args:
-      grid: `Grid`, `[H, W]`.
-
-    Returns:
-      `[H, W]` float32 in [0, 1]: 1 where nothing was observed, 0 where every beam agreed.
+    """Compute the entropy of every cell, bits: `[H, W]` float32, 1 where nothing was observed, 0 where beams agreed.
 
     Source:
       Holz et al. 2010, section 3.2. Changed: logarithm to base 2, so that an unknown cell holds one bit.
@@ -100,28 +83,16 @@ def bordered(array: Array, fill: float) -> Array:
 
 
 def beside(bordered_array: Array, drow: int, dcol: int) -> Array:
-    """Return the neighbours at `(row + drow, col + dcol)` of every cell.
+    """Return the neighbours at `(row + drow, col + dcol)` of every cell: `[H, W]`; -1, 0 or 1, static.
 
-    Args:
-      bordered_array: `[H + 2, W + 2]`, from `bordered`.
-      drow, dcol: -1, 0 or 1. Static.
-
-    Returns:
-      `[H, W]`, the same dtype.
+    `bordered_array` is `[H + 2, W + 2]`, from `bordered`.
     """
     height, width = bordered_array.shape[0] - 2, bordered_array.shape[1] - 2
     return bordered_array[1 + drow : 1 + drow + height, 1 + dcol : 1 + dcol + width]
 
 
 def any_within_one(mask: Array) -> Array:
-    """Return cells that are True or have a True cell among their 8 neighbours; outside the map counts as False.
-
-    Args:
-      mask: `[H, W]` bool.
-
-    Returns:
-      `[H, W]` bool.
-    """
+    """Return cells that are True or have one among their 8 neighbours; outside counts as False: `[H, W]` bool."""
     return bits.unpack(any_within_one_packed(bits.pack(mask)), mask.shape[0])
 
 
@@ -146,14 +117,9 @@ def lowest(values: Array) -> Array:
 
 
 def radius_d2(radius_m: float, cell_m: float) -> int:
-    """Return the largest squared distance in cells that counts as within `radius_m`.
+    """Return the largest squared distance in cells that counts as within a radius; Python numbers.
 
-    Args:
-      radius_m: radius, metres. A Python number.
-      cell_m: edge of a cell, metres. A Python number.
-
-    Returns:
-      int, floor((radius_m / cell_m)^2 + 1e-3): a cell whose centre lies on the circle is within it.
+    It is floor((radius_m / cell_m)^2 + 1e-3): a cell whose centre lies on the circle is within it.
     """
     return math.floor((radius_m / cell_m) ** 2 + TOLERANCE)
 

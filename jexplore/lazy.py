@@ -23,13 +23,9 @@ class Lazy(NamedTuple):
 
 
 def read_stub(module: str, stub: str) -> Lazy:
-    """Read a stub.
+    """Read a stub; `module` is the name of the module that is given the names, such as `jexplore`.
 
-    Args:
-      module: name of the module that is given the names, such as `jexplore`.
-
-    Returns:
-      `Lazy`. Its `get` raises `AttributeError` for other names, and for those of extras that cannot be loaded.
+    `Lazy.get` raises `AttributeError` for other names, and for those of extras that cannot be loaded.
     """
     with open(os.path.join(os.path.dirname(__file__), stub), encoding="utf-8") as file:
         words = [line.split() for line in file if line.startswith("from jexplore")]

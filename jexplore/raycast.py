@@ -53,13 +53,9 @@ class Scan:
 
 
 def exact_direction(deg: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unit vector of an angle, exact where the sine or cosine is 0, 1/2, 1 or sqrt(1/2).
+    """Return the unit vector of angles in degrees, exact where sine or cosine is 0, 1/2, 1 or sqrt(1/2). Host.
 
-    Args:
-      deg: `[...]` float, degrees. Host.
-
-    Returns:
-      `(dx, dy)`, each `[...]` float64.
+    `(dx, dy)`, float64, of the shape of the angles.
     """
     deg = np.asarray(deg, np.float64) % 360.0
     dx, dy = np.cos(np.radians(deg)), np.sin(np.radians(deg))
@@ -71,11 +67,9 @@ def exact_direction(deg: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def beam_angles_deg(lidar: Lidar) -> np.ndarray:
-    """Compute the angles of a scanner's beams relative to the robot's heading.
+    """Compute the angles of beams relative to the robot's heading: `[B]` float64, degrees, from right to left.
 
-    Returns:
-      `[B]` float64, degrees, from right to left. At a field of view of 360 degrees the last beam stops one step short
-      of the first.
+    At a field of view of 360 degrees the last beam stops one step short of the first.
     """
     if lidar.n_beams == 1:
         return np.full(1, float(lidar.yaw_deg))
@@ -139,8 +133,7 @@ def _numbered(drow: np.ndarray, dcol: np.ndarray, width: int) -> dict[str, Any]:
 def scans_all_round(lidar: Lidar) -> int:
     """Return the number of evenly turned scans of a look-around: 1, 2, 4 or 8, so that every heading is on the lattice.
 
-    Returns:
-      int. ceil(360 / field of view) where that divides 8; below 45 degrees 8 scans leave gaps.
+    ceil(360 / field of view) where that divides 8; below 45 degrees 8 scans leave gaps.
     """
     return next((n for n in (1, 2, 4) if n * lidar.fov_deg >= 360), HEADINGS)
 
@@ -220,16 +213,11 @@ def beam_table(lidar: Lidar, cell_m: float, width: int, longest: float = 0.0) ->
 
 @jax.jit
 def scan(occupied: Array, row: Array | int, col: Array | int, heading: Array | int, beams: Beams) -> Scan:
-    """Cast the beams of one scan in a true map.
+    """Cast the beams of one scan in a true map. The first occupied cell entered stops a beam, not the robot's own.
 
     Args:
       occupied: `[H, W]` bool. Its outermost rows and columns must be occupied: beams are not tested against the edge.
-      row, col: int32, the robot's cell.
-      heading: int32, which of the K headings of `beams`.
-      beams: `Beams`.
-
-    Returns:
-      `Scan`. The first occupied cell that a beam enters stops it; the robot's own cell stops none.
+      row, col, heading: int32, the robot's cell, and which of the K headings of `beams`.
     """
     chex.assert_rank(occupied, 2)
     chex.assert_type(occupied, bool)
@@ -270,17 +258,10 @@ def fold(
     *,
     when: Array | bool = True,
 ) -> Grid:
-    """Count one scan into the map: a miss for every cell passed, a hit where a beam was stopped.
+    """Count one scan, which stays inside the map: a miss for every cell passed, a hit where a beam was stopped.
 
-    Args:
-      grid: `Grid`, `[H, W]`.
-      row, col, heading: int32, where the scan was made.
-      seen: `Scan`, which stays inside the map.
-      beams: `Beams`.
-      when: bool scalar; if False, nothing is counted.
-
-    Returns:
-      `Grid`. The robot's own cell gets one miss, whatever the number of beams.
+    The robot's own cell gets one miss, whatever the number of beams. Arguments as for `scan`; nothing is counted if not
+    `when`.
 
     Source:
       Holz et al. 2010, section 2.1.
@@ -316,14 +297,9 @@ def steps_inside(
     heading: Array | int,
     extent: Array | tuple[Array | int, Array | int],
 ) -> Array:
-    """Count the steps that each beam can make before it leaves the map.
+    """Count the steps that each beam can make before it leaves the map: `[B]` int32.
 
-    Args:
-      row, col, heading: int32, start of the beams.
-      extent: `(height, width)` of the map without padding, int32 scalars.
-
-    Returns:
-      `[B]` int32.
+    Beams start at `row`, `col` with a `heading`; `extent` is `(height, width)` of the map without padding.
     """
     r = row + lax.dynamic_index_in_dim(beams.drow, heading, keepdims=False)
     c = col + lax.dynamic_index_in_dim(beams.dcol, heading, keepdims=False)
@@ -344,7 +320,7 @@ def disturb(
     sigma_cells: Array | float,
     dropout: Array | float,
 ) -> Scan:
-    """Add noise to a scan.
+    """Add noise to a scan, made at `row`, `col` with a `heading`.
 
     A beam that was stopped reports its distance plus Gaussian noise; it is read as a hit in the cell at that distance,
     or as passing everything where that lies beyond the range. A beam that was not stopped is not disturbed. A beam that
@@ -353,15 +329,9 @@ def disturb(
 
     Args:
       key: consumed.
-      seen: `Scan`, `[B]`.
-      row, col, heading: int32, where the scan was made.
-      beams: `Beams`.
       extent: `(height, width)` of the map without padding, int32 scalars.
       sigma_cells: standard deviation of the range, cells; scalar.
       dropout: probability that a beam drops out; scalar.
-
-    Returns:
-      `Scan`, `[B]`.
     """
     key_range, key_drop = jax.random.split(key)
     n_beams = seen.end.shape[0]

@@ -149,16 +149,9 @@ def reach_packed(
     *,
     limit: Array | int = FAR,
 ) -> Array:
-    """Compute `reach` with packed traversable cells.
+    """Compute `reach` with packed traversable cells, `[K, W]` uint32: `[32 K, W]` int32.
 
-    Args:
-      words: `[K, W]` uint32.
-      row, col: int32, start.
-      goals: `[32 K, W]` bool, or None.
-      limit: int32, costs above it may not be final either.
-
-    Returns:
-      `[32 K, W]` int32.
+    `goals` is `[32 K, W]` bool, or None; costs above `limit` may not be final either.
     """
     return spread(words, None, (row, col), goals, jnp.int32(limit), STEPS)
 
@@ -269,14 +262,9 @@ def spread(
 
 
 def flood(words: Array, row: Array | int, col: Array | int) -> Array:
-    """Return the cells that a path reaches, however long.
+    """Return the cells that a path reaches, however long, the start among them: `[K, W]` uint32, packed.
 
-    Args:
-      words: `[K, W]` uint32, packed traversable cells; the start need not be one.
-      row, col: int32, start.
-
-    Returns:
-      `[K, W]` uint32, packed; the start is among them.
+    `words` are packed traversable cells; the start need not be one.
     """
     at = jnp.stack([lax.broadcasted_iota(jnp.int32, words.shape, axis) for axis in (0, 1)])
     here = (at[0] == row // bits.WORD) & (at[1] == col)
@@ -293,14 +281,10 @@ def _extent(words: Array) -> tuple[Array, Array]:
 
 
 def saturated(cost: Array, traversable: Array) -> Array:
-    """Return cells one motion beyond those with a cost that hold FAR, because their cost would not fit.
+    """Count cells one motion beyond those with a cost that hold FAR, because their cost would not fit: int32.
 
-    Args:
-      cost: `[H, W]` int32, from `reach`.
-      traversable: `[H, W]` bool.
-
-    Returns:
-      int32. 0 unless some path has 16,384 straight steps or more; what lies beyond is then out of reach.
+    It is 0 unless some path has 16,384 straight steps or more; what lies beyond is then out of reach. `cost` is from
+    `reach`.
     """
     reached, left, can = (bits.pack(mask) for mask in (cost < FAR, cost == FAR, traversable))
     entered = jnp.zeros_like(left)

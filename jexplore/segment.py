@@ -251,8 +251,7 @@ def segment(free: Array, criteria: Criteria, *, form: Form) -> Segments:
       free: `[H, W]` bool, cells known to be free; all others count as obstacles. What lies outside the map is no
         obstacle: it should have a wall all round, as worlds have. A passage needs three free cells across to have an
         axis that can be split.
-      criteria: `Criteria`.
-      form: `Form`. Static.
+      form: static.
 
     Returns:
       `Segments`. Free cells that no seed reaches have the label -1; without any critical point all have.

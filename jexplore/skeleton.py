@@ -28,14 +28,10 @@ class Graph:
 
 
 def medial_axis(d2: Array, drow: Array, dcol: Array, gamma2: Array | float) -> Array:
-    """Return cells on a boundary between the regions of two obstacles: up to two cells wide.
+    """Return cells on a boundary between the regions of two obstacles, up to two cells wide: `[H, W]` bool.
 
-    Args:
-      d2, drow, dcol: `[H, W]` int32, from `nearest_offset` of the obstacles.
-      gamma2: how far apart two obstacle cells must be to count as different obstacles, cells^2, exclusive; scalar.
-
-    Returns:
-      `[H, W]` bool. False at obstacles.
+    `d2`, `drow`, `dcol` are from `nearest_offset` of the obstacles; `gamma2` is how far apart two obstacle cells must
+    be to count as different obstacles, cells^2, exclusive.
 
     Source:
       Hesselink and Roerdink 2008, integer medial axis, with constant pruning.
@@ -57,11 +53,7 @@ def medial_axis(d2: Array, drow: Array, dcol: Array, gamma2: Array | float) -> A
 def thin(words: Array) -> Array:
     """Thin to lines one cell wide with the same connections: cells are taken from both sides until none can go.
 
-    Args:
-      words: `[K, W]` uint32, packed mask.
-
-    Returns:
-      `[K, W]` uint32.
+    `words` is a packed mask, `[K, W]` uint32, as is the result.
 
     Source:
       Guo and Hall 1989, algorithm A1.
@@ -99,15 +91,9 @@ def _two_and_four(masks: tuple[Array, ...]) -> tuple[Array, Array]:
 
 
 def graph(skeleton: Array, d2: Array, *, size: int) -> Graph:
-    """Link the cells of a thin skeleton.
+    """Link the cells of a thin skeleton, `[H, W]` bool.
 
-    Args:
-      skeleton: `[H, W]` bool.
-      d2: `[H, W]` int32, squared distance to the nearest obstacle.
-      size: K. Static.
-
-    Returns:
-      `Graph`.
+    `d2` is the squared distance to the nearest obstacle; `size` is K, static.
     """
     cells = sparse.list_cells(skeleton, size)
     east, north, west, south, *diagonal = (cells.near[:, i] for i in range(len(EIGHT_NEIGHBOURS)))
@@ -124,15 +110,10 @@ def graph(skeleton: Array, d2: Array, *, size: int) -> Graph:
 
 
 def voronoi_graph(obstacle: Array, gamma2: Array | float, *, size: int) -> tuple[Graph, Array, Array]:
-    """Compute the Voronoi graph of the space between obstacles.
+    """Compute the Voronoi graph of the space between obstacles, `[H, W]` bool.
 
-    Args:
-      obstacle: `[H, W]` bool.
-      gamma2: see `medial_axis`.
-      size: slots of the graph. Static.
-
-    Returns:
-      `(graph, drow, dcol)`: `Graph`, and for every cell how far away its nearest obstacle is, see `nearest_offset`.
+    `gamma2` is as of `medial_axis`; `size`, slots of the graph, is static. Returns `(graph, drow, dcol)`: `Graph`, and
+    for every cell how far away its nearest obstacle is, see `nearest_offset`.
 
     Source:
       Holz et al. 2010, Figure 7, step 1. Changed: the integer medial axis, thinned, instead of Fortune's sweep.

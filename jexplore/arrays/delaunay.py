@@ -37,9 +37,6 @@ def delaunay(points: Array, valid: Array) -> Triangles:
       points: `[n, 2]` float32, n from 2 to 256.
       valid: `[n]` bool, points that are there. Those that are must differ.
 
-    Returns:
-      `Triangles`.
-
     Raises:
       ValueError: while tracing, if n is out of bounds.
 

@@ -125,9 +125,6 @@ def find_resources(
       in_lanes: True: lanes on the device that JAX puts first, whatever it is; False: one run after the other on the
         CPU; None: lanes where the engine's device is no CPU.
 
-    Returns:
-      `Resources`.
-
     Raises:
       InputError: an engine that does not exist, lanes or workers out of range, lanes where there are none to set, no
         CPU where it is needed because `JAX_PLATFORMS` leaves it out, 64-bit mode.

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, require_engine, require_whole
+from jexplore.config import require_engine
 from jexplore.engine.program import Line
 from jexplore.engine.runner import Costs, Resources, find_resources, level_of, on_cores, require_32_bits, run_all
 from jexplore.exploration.metrics import Metric
@@ -34,7 +34,7 @@ class Job(NamedTuple):
 
     world: World
     strategy: Strategy
-    starts: np.ndarray  # [N, 3] int, row, col, heading_deg (multiples of 45)
+    starts: np.ndarray  # [N, 3] int, row, col, heading_deg (multiples of 45), clear cells of the world
     seed: int = 0  # with the number of the episode (its place in `starts`, plus `first`) it fixes every draw
     first: int = 0  # number of the first of these episodes
     lidar: Lidar | None = None  # None: that of the run
@@ -89,9 +89,8 @@ def run_jobs(
       shared_with: scanners and rules of other runs that are to share this one's programs, see `site.prepare_site`.
 
     Raises:
-      InputError: a start that is no cell of its world or no multiple of 45 degrees, a seed outside 0 to `MAX_SEED`; an
-        engine that does not exist, lanes or workers out of range, lanes where there are none to set; a strategy of a
-        user's that does not return what it should.
+      InputError: an engine that does not exist, lanes or workers out of range, lanes where there are none to set; a
+        strategy of a user's that does not return what it should.
       InputWarning: robots are driven by JAX, because native code cannot be built; once in a process.
       MemoryError: see `runner.run_all`.
     """
@@ -133,7 +132,9 @@ class _Wanted(NamedTuple):
 
 
 def _want(job: Job, lidar: Lidar, rules: Rules, only: int | None) -> _Wanted:
-    job = _checked(job)
+    starts = np.array(job.starts, np.int32)
+    starts[:, 2] %= 360
+    job = job._replace(starts=starts)
     which = np.arange(len(job.starts)) if only is None else np.array([only])
     return _Wanted(job, job.lidar or lidar, job.rules or rules, which, only or (0 if job.first == 0 else NO_RUN))
 
@@ -214,24 +215,6 @@ def _lines(
         line.draws, line.phase = line.draws + np.int32(job.first), job.phase
         lines[i] = line
     return lines
-
-
-def _checked(job: Job) -> Job:
-    """Check the job's starts and seed; headings become 0 to 315 degrees."""
-    seed, starts = require_whole("seed", job.seed, 0, MAX_SEED), np.asarray(job.starts)
-    if starts.ndim != 2 or starts.shape[1] != 3 or not len(starts) or starts.dtype.kind not in "iu":
-        form = "[N, 3] integers (row, col, heading_deg), N >= 1"
-        raise InputError(f"starts must be {form}, got {starts.dtype} of shape {starts.shape}")
-    height, width = job.world.shape
-    row, col, heading = starts.T.astype(np.int64)
-    for bad, what in (
-        ((row < 0) | (row >= height) | (col < 0) | (col >= width), f"lies outside {height} x {width} cells"),
-        (heading % 45 != 0, "has a heading that is no multiple of 45 degrees"),
-    ):
-        if bad.any():
-            number = int(bad.argmax())
-            raise InputError(f"start {number} of {job.world.name!r}, {starts[number].tolist()}, {what}")
-    return job._replace(starts=np.stack([row, col, heading % 360], axis=1).astype(np.int32), seed=seed)
 
 
 def _team_starts(job: Job, rules: Rules) -> np.ndarray:

@@ -181,12 +181,7 @@ def cells_of(belief: Belief) -> Array:
 def field(belief: Belief, *, nearest_only: bool = False) -> Field:
     """Compute costs of the whole map and the reachable frontier cells.
 
-    Args:
-      belief: `Belief`.
-      nearest_only: only the cheapest candidates are wanted; costs above theirs may not be final. Static.
-
-    Returns:
-      `Field`.
+    With `nearest_only`, static, only the cheapest candidates are wanted; costs above theirs may not be final.
 
     Source:
       Holz et al. 2010, Figure 3, steps 1 to 4.
@@ -213,16 +208,11 @@ def first_at(mask: Array) -> tuple[Array, Array]:
 
 @checked_names
 def choose(belief: Belief, route: Array, reached: Field, row: Array, col: Array) -> tuple[Choice, Array]:
-    """Make a cell of a `Field` the target and lay the route to it.
+    """Make a cell of a `Field` of the belief the target and lay the route to it: `(choice, route)`.
 
     Args:
-      belief: `Belief`.
       route: `[H, W]` int8, see `readout`.
-      reached: `Field` of the belief.
       row, col: int32, a cell with a finite cost; -1 for none.
-
-    Returns:
-      `(choice, route)`.
     """
     none = row < 0
     start = (belief.row, belief.col)
@@ -320,14 +310,10 @@ def nearest_in_window(belief: Belief, route: Array, side: int) -> tuple[Array, C
 
 @checked_names
 def nearest_frontier(belief: Belief, route: Array) -> tuple[Choice, Array]:
-    """Find the frontier cell with the shortest path, and the route to it.
+    """Find the frontier cell with the shortest path, and the route to it: `(choice, route)`.
 
-    Args:
-      belief: `Belief`.
-      route: `[H, W]` int8, see `readout`.
-
-    Returns:
-      `(choice, route)`. Equal costs go to the lowest flat index; `choice.row` is -1 if no frontier can be reached.
+    Equal costs go to the lowest flat index; `choice.row` is -1 if no frontier can be reached. `route` is `[H, W]` int8,
+    see `readout`.
 
     Source:
       Holz et al. 2010, equation 3. Changed: windows first.

@@ -36,10 +36,8 @@ def _same_size(name, array, name_of_other, other):
 def rooms_of(free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
     """Label the rooms of a map in which walls and lines across doorways separate them.
 
-    A room is a 4-connected component of more than `min_px` free pixels, by default 0.25 m2 at 0.05 m a pixel.
-
-    Returns:
-      `[H, W]` int32: rooms 0..n-1, in the order of their first pixels by row and column; -1 elsewhere.
+    A room is a 4-connected component of more than `min_px` free pixels, by default 0.25 m2 at 0.05 m a pixel. `[H, W]`
+    int32: rooms 0..n-1, in the order of their first pixels by row and column; -1 elsewhere.
     """
     return _numbered(components(np.asarray(free, dtype=bool)), min_px=min_px)
 
@@ -117,9 +115,7 @@ def score(truth: ArrayLike, predicted: ArrayLike) -> dict[str, float]:
     If one side has no regions, all agreement is 0; if neither has, it is 1. Where no pixel has both labels the
     variation of information is 0. Nothing is NaN.
 
-    Args:
-      truth: `[H, W]` int, rooms; negative for none. As from `rooms_of`.
-      predicted: `[H, W]` int, regions; negative for none. As from `scored_regions`.
+    Both are `[H, W]` int, negative for none, as from `rooms_of` and `scored_regions`.
 
     Returns:
       A dictionary of floats and whole numbers:

@@ -122,9 +122,8 @@ def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Arr
 def cleared(free: Array, unknown: Array, size: Array | float, *, edges: int) -> tuple[Array, Array, Array]:
     """Return free space without clutter, and the distances of its walls. Arguments as of `watershed` and `clutter`.
 
-    Returns:
-      `(inside, d2, overflow)`: `[H, W]` bool, free cells and clutter; `[H, W]` int32, squared distance to the nearest
-        wall, cells^2, at most `HIGHEST`; int32, edges that did not fit.
+    `(inside, d2, overflow)`: `[H, W]` bool, free cells and clutter; `[H, W]` int32, squared distance to the nearest
+    wall, cells^2, at most `HIGHEST`; int32, edges that did not fit.
     """
     small, overflow = clutter(free, size, edges=edges)
     return free | small, jnp.minimum(nearest_offset(~free & ~small & ~unknown)[0], HIGHEST), overflow
@@ -288,11 +287,7 @@ def watershed(free: Array, unknown: Array, criteria: RoomCriteria, *, form: Room
     Args:
       free: `[H, W]` bool, cells known to be free. What lies outside the map is no obstacle.
       unknown: `[H, W]` bool, cells that are neither free nor obstacles: no walls, and no way through.
-      criteria: `RoomCriteria`.
-      form: `RoomForm`. Static.
-
-    Returns:
-      `Rooms`.
+      form: static.
 
     Raises:
       ValueError: while tracing, if `free` and `unknown` are not bool matrices of one shape.

@@ -22,6 +22,8 @@ TURN_DEG = 2.0  # of how far the frame of one end is turned against that of the 
 def correct_map(btm: BtmMap) -> BtmMap:
     """Correct places and bearings of a map so that they fit the odometry along all links in the least-squares sense.
 
+    Its attribute `frame` is `map` then.
+
     The odometry is turned with the frames of the nodes: correcting a corrected map changes nothing.
 
     A driving robot takes a known place for where it was; the drift gathered until then stays in the last links. Here
@@ -31,9 +33,6 @@ def correct_map(btm: BtmMap) -> BtmMap:
     Args:
       btm: a map whose searched links have the attribute `moved`, as those of runs do: x, y, metres, from the first node
         to the other in the first's frame; turn of the other's frame, degrees, if known.
-
-    Returns:
-      `BtmMap`, its attribute `frame` is `map`.
 
     Raises:
       InputError: not a proper map, or no searched link has the attribute, as in a merged map, or it is malformed.

@@ -30,12 +30,6 @@ def geojson(btm: BtmMap) -> dict[str, Any]:
     left out, extensions lie below `attributes` with integers as floats, and an attribute that is null, nested deeper in
     lists or too large for a float is JSON text there.
 
-    Args:
-      btm: the map, with one searched link or more.
-
-    Returns:
-      A dict, a FeatureCollection.
-
     Raises:
       InputError: not a proper map, no searched link (the server refuses a graph without edges), or ids of 65536 and
         above.

@@ -49,12 +49,6 @@ def to_json(btm: BtmMap) -> dict[str, Any]:
 def read_btm(path: str | os.PathLike[str]) -> BtmMap:
     """Read the map in a JSON file, such as `btm.json`.
 
-    Args:
-      path: the file.
-
-    Returns:
-      `BtmMap`.
-
     Raises:
       InputError: the file cannot be read, is no JSON or no map.
     """
