@@ -15,6 +15,8 @@ from jexplore.grid import is_known
 # A tenth of the time of compiling, and nothing gained by it: loops here store what they would compute anew.
 CPU_OPTIONS = (("xla_disable_hlo_passes", "while-loop-invariant-code-motion"),)
 
+KEPT = "straight diagonal turns scans plans exhausted n_known room_entries saturated refused"  # of a state, in a result
+
 
 def plan(setup: Setup, given: Given, state: State) -> State:
     """Run `environment.decide` and `commit`: a `State` with the next plan under way, or the episode's end."""
@@ -50,23 +52,14 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
     # In the end the robot brakes.
     end = tick(given.numbers.clock, state, state.heading, jnp.bool_(False), jnp.bool_(True), 0)
     return Result(
-        straight=state.straight,
-        diagonal=state.diagonal,
-        turns=state.turns,
-        scans=state.scans,
-        plans=state.plans,
-        exhausted=state.exhausted,
+        **{name: getattr(state, name) for name in KEPT.split()},
         outcome=outcome,
-        n_known=state.n_known,
         explored=jnp.sum(explorable & known, dtype=jnp.int32),
         explorable=jnp.sum(explorable, dtype=jnp.int32),
-        room_entries=state.room_entries,
         straight_at=at - diagonal_at,
         diagonal_at=diagonal_at,
         straight_along=jnp.where(reached, along - n_diagonal[along], -1),
         diagonal_along=jnp.where(reached, n_diagonal[along], -1),
-        saturated=state.saturated,
-        refused=state.refused,
         time_ms=end["time_ms"],
         starts=end["starts"],
         time_at=state.trail[at, Trail.TIME],

@@ -156,7 +156,9 @@ def prepare_site(
     if rules.motion != "lattice":
         own["scan_every"] = round(1000 * robot.scan_period_s)
     numbers = jax.tree.map(number, Numbers(model=model, params=(), unsure=unsure, **more, **own))
-    site = Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
+    # The beam table is the same for all rules and noise: megabytes.
+    longest = max(farthest(one, world.cell_m) for one, _ in everyone)
+    site = Site(truth, beam_table(lidar.without_noise(), world.cell_m, shape[1], longest), setup, numbers, ring)
     own = traced_metrics(metrics, *_example(site, numbers)) if metrics else ()
     return site._replace(setup=setup._replace(metrics=own))
 
@@ -295,12 +297,6 @@ def _setup(
         native=None if noisy else native,
         ends=any(rules.stop_at is not None or rules.return_home for _, rules in everyone),
     )
-
-
-def _beams(everyone: Sequence[tuple[Lidar, Rules]], cell_m: float, shape: tuple[int, int]) -> Beams:
-    """Return the beam table, the same for all rules and noise: megabytes."""
-    lidar, _ = everyone[0]
-    return beam_table(lidar.without_noise(), cell_m, shape[1], max(farthest(one, cell_m) for one, _ in everyone))
 
 
 def tasks_of(starts: ArrayLike, ring: int) -> np.ndarray:

@@ -41,13 +41,15 @@ def load_driving() -> Library:
     """Return the library, built if need be; its name is a target of JAX's FFI."""
     flags = f"-I{jax.ffi.include_dir()}", f'-DJAXLIB="{version("jaxlib")}"'
     found = load_library(SOURCES, flags, _check)
-    if found.loaded is None:
+    if found.loaded is None or found.name in _registered:
         return found
     try:
         for kernel in KERNELS:
-            _register(f"{found.name}_{kernel}", getattr(found.loaded, f"jexplore_{kernel}"))
+            handler = jax.ffi.pycapsule(getattr(found.loaded, f"jexplore_{kernel}"))
+            jax.ffi.register_ffi_target(f"{found.name}_{kernel}", handler, platform="cpu")
     except AttributeError as error:
         return Library(None, f"{SOURCES[0].name} could not be loaded: {error}")
+    _registered.add(found.name)
     return found
 
 
@@ -56,13 +58,7 @@ def _check(loaded):
     return f"it has no jexplore_{missing[0]}" if missing else ""
 
 
-_registered: set[str] = set()
-
-
-def _register(name, handler):
-    if name not in _registered:
-        jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(handler), platform="cpu")
-        _registered.add(name)
+_registered: set[str | None] = set()  # names of libraries
 
 
 def find_target() -> Library:

@@ -124,9 +124,8 @@ def known_of(belief: Belief) -> Known:
 
 def is_open(belief: Belief, row: Array | int, col: Array | int) -> Array:
     """Return whether a robot would step into a cell inside the map: it is free by the map, or was driven on: bool."""
-    hits, misses = (a[row, col] for a in (belief.grid.hits, belief.grid.misses))
-    free = (hits + misses > 0) & (hits.astype(jnp.float32) <= belief.model.p_free * (hits + misses).astype(jnp.float32))
-    is_open = free | belief.driven[row, col]
+    here = Grid(belief.grid.hits[row, col], belief.grid.misses[row, col])
+    is_open = is_free(here, belief.model.p_free) | belief.driven[row, col]
     return is_open if belief.within is None else is_open & belief.within[row, col]
 
 
@@ -253,14 +252,6 @@ def windows(shape: Sequence[int], clearance_d2: int) -> list[int]:
     return [side for side in sides if 4 * math.isqrt(clearance_d2) < side <= max(shape) // 2]
 
 
-def bound_of(side: int, clearance_d2: int) -> int:
-    """Return the cost up to which a window decides: every path that leaves it costs more.
-
-    What decides about a cell of the window may lie outside it, as far as an occupied cell counts, and one more.
-    """
-    return (side // 2 - math.isqrt(clearance_d2) - 2) * STRAIGHT
-
-
 def corner_of(belief: Belief, side: int) -> tuple[tuple[Array, Array], tuple[int, int]]:
     """Return begin, `(row, col)` int32, and shape of the window with a side round the robot."""
     full = belief.driven.shape
@@ -288,8 +279,10 @@ def nearest_in_window(belief: Belief, route: Array, side: int) -> tuple[Array, C
 
     Windows are as wide as a power of two, because flat indices are then cheap to take apart.
     """
-    bound = bound_of(side, belief.model.clearance_d2)
-    radius = bound // STRAIGHT
+    # What decides about a cell of the window may lie outside it, as far as an occupied cell counts, and one more: up to
+    # this cost a window decides, for every path that leaves it costs more.
+    radius = side // 2 - math.isqrt(belief.model.clearance_d2) - 2
+    bound = radius * STRAIGHT
     origin, shape = corner_of(belief, side)
     window = cut_out(belief, origin, shape)
     row, col = belief.row - origin[0], belief.col - origin[1]

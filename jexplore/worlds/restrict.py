@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jexplore.config import InputError
-from jexplore.grid import Grid
 from jexplore.worlds.poses import Polygon, read_polygon
 from jexplore.worlds.readers.grids import FREE_MAX, OCCUPIED_MIN, inside_polygon, require_upright
 from jexplore.worlds.readers.ros import read_ros
@@ -54,7 +53,9 @@ def with_known(world: World, map_: KnownMap) -> World:
         name, cell_m, origin_m = os.fspath(map_), info.resolution_m, info.origin_m
         require_upright(repr(name), occupancy.shape, info.yaw_rad)
     elif isinstance(map_, ScanMap):
-        name, occupancy, cell_m, origin_m = "the map", _occupancy_of(map_.grid), map_.cell_m, map_.origin_m
+        hits, seen = np.asarray(map_.grid.hits), np.asarray(map_.grid.hits) + np.asarray(map_.grid.misses)
+        occupancy = np.where(seen > 0, 100 * hits // np.maximum(seen, 1), -1)
+        name, cell_m, origin_m = "the map", map_.cell_m, map_.origin_m
     else:
         name, occupancy, cell_m, origin_m = "the map", np.asarray(map_), world.cell_m, world.origin_m
         if occupancy.shape != world.shape or occupancy.dtype.kind not in "iu":
@@ -78,9 +79,3 @@ def with_known(world: World, map_: KnownMap) -> World:
 def _centres(world: World) -> Iterator[np.ndarray]:
     """Return x of the columns' centres and y of the rows', metres."""
     return (low + (np.arange(n) + 0.5) * world.cell_m for low, n in zip(world.origin_m, world.shape[::-1]))
-
-
-def _occupancy_of(grid: Grid) -> np.ndarray:
-    hits, misses = np.asarray(grid.hits), np.asarray(grid.misses)
-    seen = hits + misses
-    return np.where(seen > 0, 100 * hits // np.maximum(seen, 1), -1)

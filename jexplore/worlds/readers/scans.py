@@ -124,7 +124,11 @@ def fold_scans(
     beyond = np.select([log.echo, log.ranges >= log.max_range_m], [longest_m, no_echo_m], 0.0)
     limit = np.round(np.where(ends, log.ranges, beyond) / cell_m, 9)
     tips = at[:, None] + limit[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=2)
-    first, shape = _spanned(np.concatenate([at, tips[ends]]), name)
+    points = np.concatenate([at, tips[ends]])
+    first = np.floor(points.min(axis=0)) - 1  # with a spare cell on every side
+    shape = np.floor(points.max(axis=0)) + 2 - first
+    require_side(name, *shape[::-1])
+    shape = tuple(shape[::-1].astype(int))
     hits, misses = np.zeros(shape, np.int32), np.zeros(shape, np.int32)
     at -= first
     own = np.floor(at).astype(np.int64)
@@ -141,14 +145,6 @@ def fold_scans(
         origin_m=(x_m, y_m),
         start=(int(own[0, 1]), int(own[0, 0]), int(np.rint(np.degrees(log.poses[0, 2]) / 45)) % 8 * 45),
     )
-
-
-def _spanned(points: np.ndarray, name: str) -> tuple[np.ndarray, tuple[int, int]]:
-    """Return lower left cell, x and y, and shape of a map of points, `[n, 2]`, with a spare cell on every side."""
-    first = np.floor(points.min(axis=0)) - 1
-    cols, rows = np.floor(points.max(axis=0)) + 2 - first
-    require_side(name, rows, cols)
-    return first, (int(rows), int(cols))
 
 
 def _count_beams(
