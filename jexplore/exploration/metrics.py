@@ -113,29 +113,23 @@ def _digest(metric: Metric, tree: Any, shapes: tuple[Any, ...]) -> str | None:
 
 
 @checked_names
-def metric(function: Any = None, *, every: str = "motion", reduce: str = "mean") -> Any:
+def metric(function: Any = None, *, reduce: str = "mean") -> Any:
     """Make a metric that is taken after every motion; a bare function is taken at the end.
 
     It is taken after the scans at the start, and after every motion with the scan that belongs to it.
 
     Args:
       function: of an `EpisodeView`, pure; returns one bool, int32 or float32. Without it, a decorator.
-      every: when it is taken: "motion".
       reduce: how the values become one, of `REDUCTIONS`: "mean", "sum", "max", "min" or "last". Sums are int32 or
         float32; one that would leave int32 stays at its limit, with a warning in tables.
 
-    Returns:
-      What `metrics` of `jx.compare`, `jx.Sweep` and `jx.Environment` take.
-
     Raises:
-      InputError: no function, or a word that does not exist.
+      InputError: no function, or a reduction that does not exist.
     """
-    if every != "motion":
-        raise unknown("value of every:", str(every), ["motion"])
     if reduce not in list(REDUCTIONS):  # a list: no hash is needed
         raise unknown("reduction", str(reduce), list(REDUCTIONS))
     if function is None:
-        return functools.partial(metric, every=every, reduce=reduce)
+        return functools.partial(metric, reduce=reduce)
     return Metric(function, reduce)
 
 
