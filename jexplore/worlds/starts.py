@@ -1,7 +1,6 @@
 """Starts of episodes in a world: the cells where a robot has room, and starts drawn from them."""
 
 import hashlib
-import math
 import operator
 import os
 import re
@@ -21,18 +20,10 @@ HEADINGS_DEG = (0, 45, 90, 135, 180, 225, 270, 315)
 
 def clear_of_walls(occupied: np.ndarray, clearance_m: float, cell_m: float) -> np.ndarray:
     """Return the clear cells `[H, W]` bool: free, and no occupied cell within the clearance, centre to centre."""
-    d2 = radius_d2(clearance_m, cell_m)
-    rows, cols = occupied.shape
-    before = np.zeros((rows, cols + 1), np.int32)  # occupied cells of the row to the left of a column edge
-    np.cumsum(occupied, axis=1, out=before[:, 1:])
-    col = np.arange(cols)
-    near = np.zeros_like(occupied)
-    for dy in range(min(math.isqrt(d2), rows - 1) + 1):
-        half = math.isqrt(d2 - dy * dy)
-        hit = before[:, np.minimum(col + half + 1, cols)] > before[:, np.maximum(col - half, 0)]
-        near[dy:] |= hit[: rows - dy]
-        near[: rows - dy] |= hit[dy:]
-    return ~near
+    if not occupied.any():
+        return ~occupied
+    d2 = np.rint(np.asarray(ndimage.distance_transform_edt(~occupied)) ** 2)
+    return d2 > radius_d2(clearance_m, cell_m)
 
 
 def label_components(mask: np.ndarray) -> np.ndarray:
