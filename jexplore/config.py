@@ -9,6 +9,7 @@ import numbers
 import operator
 import re
 import reprlib
+import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -59,6 +60,11 @@ class InputError(ValueError):
 
 class InputWarning(UserWarning):
     """Usable input that hardly means what its author thinks. The message says the remedy in one line."""
+
+
+def warn_of_input(text: str, stacklevel: int = 3) -> None:
+    """Warn of input by an `InputWarning`; `stacklevel` as of `warnings.warn` where this is called."""
+    warnings.warn(text, InputWarning, stacklevel=stacklevel + 1)
 
 
 def shown(value: Any) -> str:

@@ -4,11 +4,10 @@ import dataclasses
 import itertools
 import math
 import re
-import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from jexplore.config import InputError, InputWarning, require_number, shown
+from jexplore.config import InputError, require_number, shown, warn_of_input
 
 if TYPE_CHECKING:
     from jexplore.worlds.world import World
@@ -112,10 +111,9 @@ def cell_of(world: "World", pose: Pose) -> tuple[int, int, int]:
     row, col = cell_at(world, pose.x_m, pose.y_m, f"start {pose} of {world.name or 'world'!r}")
     heading = round(pose.yaw_deg / 45) * 45
     if abs(pose.yaw_deg - heading) >= ROUNDING_DEG:
-        warnings.warn(
+        warn_of_input(
             f"start {pose}: its yaw of {pose.yaw_deg:g} degrees becomes {heading % 360}, for headings are multiples of "
             "45 degrees",
-            InputWarning,
             stacklevel=2,
         )
     return row, col, heading % 360

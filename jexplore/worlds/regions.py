@@ -3,11 +3,9 @@
 A region is a 4-connected component of the cells that are clear for some robot, with the adjacent free cells.
 """
 
-import warnings
-
 import numpy as np
 
-from jexplore.config import InputError, InputWarning, checked_names
+from jexplore.config import InputError, checked_names, warn_of_input
 from jexplore.rooms.doors import with_doorways
 from jexplore.rules import Rules
 from jexplore.worlds.poses import cell_at
@@ -74,12 +72,10 @@ def warn_of_outside(world: World, reached: np.ndarray) -> bool:
     enclosed_m2 = m2[~own & ~at_edge & (m2 >= max(SIZEABLE_M2, SIZEABLE_SHARE * own_m2))].sum()
     if along < ALONG_EDGE or not enclosed_m2:
         return False
-    warnings.warn(
+    warn_of_input(
         f"{world.name or 'world'}: robots start outside, on {own_m2:.0f} m2 along the edge of the map, and "
         f"{enclosed_m2:.0f} m2 are enclosed; for the inside give the name of a map file the parameter inside=true, or "
         "the point inside_x_m=X,inside_y_m=Y; of an array take jexplore.worlds.regions.inside(world)",
-        InputWarning,
-        stacklevel=3,
     )
     return True
 
@@ -115,4 +111,4 @@ def warn_of_floor(world: World, reached: np.ndarray, clearance_m: float, *, draw
     if len(large):
         row, col = np.argwhere(labels == large[np.argmax(m2[large])])[0]
         text += f"; no way leads to {m2[large].sum():.0f} m2 where it could stand, such as row {row}, col {col}"
-    warnings.warn(text, InputWarning, stacklevel=3)
+    warn_of_input(text)

@@ -8,13 +8,12 @@ import dataclasses
 import math
 import os
 import re
-import warnings
 
 import numpy as np
 
 from jexplore.arrays.files import read_text
 from jexplore.arrays.poses import between, compose
-from jexplore.config import InputError, InputWarning, checked_names, require_number, shown
+from jexplore.config import InputError, checked_names, require_number, shown, warn_of_input
 from jexplore.worlds.readers.scans import ScanLog, fold_scans
 from jexplore.worlds.world import World
 
@@ -135,10 +134,8 @@ def _parameter(where, line):
         value = math.nan
     if 0 < value <= 1000:
         return value
-    warnings.warn(
+    warn_of_input(
         f"{where}: {words[1]} must be a number above 0 and at most 1000, got {shown(text)}; it is passed over",
-        InputWarning,
-        stacklevel=3,
     )
     return None
 
@@ -164,12 +161,10 @@ def _found(path, log):
     if not often.size:
         return log.max_range_m
     found_m = float(often[0])
-    warnings.warn(
+    warn_of_input(
         f"{path!r}: {(log.ranges[echo] >= found_m).sum()} of its {echo.sum()} readings are {found_m:g} m or little "
         "more, the largest and far more than are equal elsewhere, and count as no echo; if they are walls, append "
         f":max_range_m={log.max_range_m:g}",
-        InputWarning,
-        stacklevel=3,
     )
     return found_m
 

@@ -6,11 +6,10 @@ for a robot and for a beam, both of which go from cell to cell across edges.
 """
 
 import math
-import warnings
 
 import numpy as np
 
-from jexplore.config import InputError, InputWarning, require_whole
+from jexplore.config import InputError, require_whole, warn_of_input
 from jexplore.worlds.bounds import count_cells, require_side
 
 FREE_MAX, OCCUPIED_MIN = 25, 65  # per cent, as map_saver has them
@@ -49,7 +48,7 @@ def free_cells(
         )
         if not now:
             raise InputError(text)
-        warnings.warn(text, InputWarning, stacklevel=3)
+        warn_of_input(text)
     return free
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from jexplore.arrays.files import first_line, read_bytes, told_kind
-from jexplore.config import InputError, InputWarning, require_number
+from jexplore.config import InputError, require_number, warn_of_input
 from jexplore.worlds.readers.grids import resample
 from jexplore.worlds.world import World
 
@@ -72,7 +72,7 @@ def _occupied(path: str, levels: np.ndarray, free: float) -> np.ndarray:
         )
     if clear.mean() > 0.5:
         text = "of its pixels are transparent, which counts as occupied; if they are floor, flatten it onto white"
-        warnings.warn(f"{path!r}: {clear.mean():.0%} {text}", InputWarning, stacklevel=3)
+        warn_of_input(f"{path!r}: {clear.mean():.0%} {text}")
     return occupied
 
 
@@ -113,15 +113,13 @@ def read_pixels(path: str | os.PathLike[str], *, as_stored: bool = False) -> np.
     except Exception as error:  # Pillow's decoders raise OSError, SyntaxError, ValueError, struct.error and more
         raise InputError(f"{path!r}: is damaged or cut short ({first_line(error)})") from None
     if is_animated:
-        warnings.warn(f"{path!r}: has several frames or pages, and the first is read", InputWarning, stacklevel=3)
+        warn_of_input(f"{path!r}: has several frames or pages, and the first is read")
     count = np.bincount(grey(levels).ravel(), minlength=256)
     if form == "JPEG" and np.count_nonzero(count) > _JPEG_GREYS:
-        warnings.warn(
+        warn_of_input(
             f"{path!r}: is a JPEG, and blurred round its walls: {count[_BLACK + 1 : _WHITE].sum() / count.sum():.1%} "
             "of its pixels are neither black nor white, and openings may be narrower than drawn; save the drawing as "
             "PNG (in a world's name, :free=230 helps)",
-            InputWarning,
-            stacklevel=3,
         )
     return levels
 

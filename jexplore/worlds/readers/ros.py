@@ -10,7 +10,6 @@ Source:
 import dataclasses
 import json
 import os
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jexplore.arrays.files import first_line, read_yaml
-from jexplore.config import InputError, InputWarning, require_number, shown
+from jexplore.config import InputError, require_number, shown, warn_of_input
 from jexplore.worlds.readers.grids import LEAST_PIXEL_M, MOST_PIXEL_M, free_cells, require_upright, resample
 from jexplore.worlds.readers.images import grey, read_pixels, transparency
 from jexplore.worlds.world import World, require_hundred, require_occupancy
@@ -79,11 +78,9 @@ def load_ros(
     if info.mode == "raw":
         require_hundred(path, occupancy)
         if np.array_equal(np.unique(grey(levels)), [0, 255]):
-            warnings.warn(
+            warn_of_input(
                 f"{path!r}: in mode raw black is free and white unknown, and its picture has nothing else; if black is "
                 "a wall, write mode: trinary",
-                InputWarning,
-                stacklevel=3,
             )
     if info.mode == "trinary" and not free_max is occupied_min is None:
         raise InputError(
@@ -190,11 +187,9 @@ def _warn_of_unknown(path: str, levels: np.ndarray, info: RosInfo, free: np.ndar
         cures.append("write mode: trinary")
     if info.mode == "trinary" or info.free_thresh >= (255 - _UNKNOWN) / 255:
         cures.append("write free_thresh: 0.196")
-    warnings.warn(
+    warn_of_input(
         f"{path!r}: {share:.0%} of its pixels are grey {_UNKNOWN}, which stands for unknown, and yet free, as in the "
         f"map server; to have them unknown {' and '.join(cures)}",
-        InputWarning,
-        stacklevel=3,
     )
 
 
