@@ -29,9 +29,7 @@ WORLDS = ("course#101", "course#102", "course#103", "course#104", "office", "hos
 FACTORS = (0.5, 2.0)
 NEVER, ALWAYS = 0.0, 1e4
 OFF = {
-    "sensing.agree_deviations": ALWAYS, "sensing.line_flatness": ALWAYS, "sensing.gate_m.0": 0.1,
-    "sensing.max_deviations": ALWAYS, "sensing.min_points": 1, "sensing.plane_rad": ALWAYS, "sensing.encoder_m": 1e-4,
-    "sensing.encoder_rad": 1e-4, "sensing.tilt_rad": ALWAYS, "sensing.key_share": NEVER, "sensing.key_rad": ALWAYS,
+    "sensing.agree_deviations": ALWAYS, "sensing.plane_rad": ALWAYS, "sensing.tilt_rad": ALWAYS,
     "sensing.every_rad": ALWAYS, "ground.tip_share": NEVER, "ground.level_rad": ALWAYS,
     "ground.noise_shares.1": NEVER, "ground.passed_m": NEVER, "ground.stairs_rise_m": ALWAYS, "ground.face_m": NEVER,
     "places.recess_widths": NEVER, "places.graze_rad": NEVER, "places.ahead_radii": -ALWAYS, "places.alike_m": 1e-6,
