@@ -373,15 +373,6 @@ def test_links_of_the_site():
     assert rewritten(fenced, "CONTRIBUTING.md") == fenced
 
 
-def test_subjects_of_a_file():
-    found = script("generate").subjects("# Top\n\nAll.\n\n## Holz et al. 2010\n\n### A\n\nx\n\n## B\n\ny\n")
-    assert found == {
-        "": "# Top\n\nAll.\n\n- [Holz et al. 2010](measured/holz-et-al-2010.md)\n- [B](measured/b.md)\n",
-        "holz-et-al-2010": "# Holz et al. 2010\n\n## A\n\nx\n\n",
-        "b": "# B\n\ny\n",
-    }
-
-
 def test_page_of_a_notebook(tmp_path):
     """The richest form of an output is shown; an HTML block has no blank line, which would end it."""
     outputs = [
@@ -402,47 +393,10 @@ def test_page_of_a_notebook(tmp_path):
     )
 
 
-def test_a_commands_page_from_two_options():
-    import dataclasses
-    from typing import Literal
-
-    @dataclasses.dataclass(frozen=True)
-    class Bake:
-        """Bake bread.
-
-        Until it is <brown>.
-        """
-
-        kind: Literal["rye", "wheat"] = "rye"
-        """Of this flour, a|b."""
-        crust: bool = dataclasses.field(default=True, metadata={"off": "Without."})
-        """With."""
-
-    page = script("generate").commands_text({"bake": Bake})
-    assert page.endswith(
-        "## jexplore bake\n\nBake bread.\n\nUntil it is &lt;brown>.\n\n"
-        "| option | default | meaning |\n| --- | --- | --- |\n"
-        "| `--kind {rye,wheat}` | `rye` | Of this flour, a\\|b. |\n| `--no-crust` |  | Without. |\n"
-    )
-
-
 def test_the_citation_is_of_this_version():
     page = yaml.safe_load(text_of("CITATION.cff"))
     assert page["version"] == jx.__version__
     assert {"cff-version", "message", "title", "authors"} <= page.keys()
-
-
-def test_comments_of_fields_are_told():
-    pytest.importorskip("griffe", reason="of the extra docs")
-    sys.path.insert(0, str(ROOT / "docs"))
-    try:
-        from comments import comment_of
-    finally:
-        sys.path.remove(str(ROOT / "docs"))
-    lines = ["a: int  # metres", "# row, col", "# and heading", "b: int = 3  # noqa: F1", "c: int"]
-    assert comment_of(lines, 1, 1) == "metres"
-    assert comment_of(lines, 4, 4) == "row, col and heading"
-    assert comment_of(lines, 5, 5) == ""
 
 
 def test_every_picture_is_drawn_by_the_script_and_shown():

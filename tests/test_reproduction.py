@@ -154,15 +154,6 @@ def test_tables_by_hand():
     assert "| Cave        | closest+recheck                | closest " in text
 
 
-def test_the_first_ten_are_the_first_ten():
-    found = made({"Cave": {"closest": 100.0, "random": 150.0}}, spread=0.3, n=25)
-    episodes = found.to_pandas()
-    for row in found.tables.itertuples():
-        path_m = episodes[(episodes["strategy"] == row.strategy) & (episodes["episode"] < 10)]["path_m"]
-        assert (row.first_mean, row.first_sd) == pytest.approx((path_m.mean(), path_m.std(ddof=1)))
-        assert row.mean != row.first_mean
-
-
 def test_what_is_left_of_an_interrupted_run_is_told():
     found = made({"Cave": {"closest": 100.0, "random": 150.0}}, n=12)
     late = found.comparison.episodes[found.comparison.episodes["episode"] >= 10]
@@ -283,28 +274,6 @@ def test_the_command_writes_a_whole_run(ran, small, tmp_path, printed):
     with Image.open(out / "reproduce.png") as image:
         image.verify()
     assert "holds a run" in printed(command, 2).err
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_an_interruption_keeps_pairs(small, tmp_path, printed, monkeypatch):
-    run = batch.run_jobs
-
-    def interrupted(jobs, *rest, **options):
-        told = options.pop("on_job")
-        report = run(jobs, *rest, **options, on_job=None)
-        for place, found in enumerate(report.outcomes[:3]):  # of the second world nothing has finished
-            told(place, found)
-        report.costs.interrupted = True
-        return report
-
-    monkeypatch.setattr(batch, "run_jobs", interrupted)
-    said = printed(["reproduce", small, "--episodes", "3", "--out", str(tmp_path), *CLI_LIDAR], 130)
-    assert "Nothing has run here." in said.out
-    assert said.err.endswith("jexplore: interrupted, what was finished was written\n")
-    table = pd.read_parquet(tmp_path / "episodes.parquet")
-    assert table["episode"].tolist() == [0, 1, 2] * 3
-    assert json.loads((tmp_path / "run.json").read_text())["interrupted"] == 9
 
 
 @pytest.mark.parametrize(
