@@ -320,10 +320,7 @@ def length_of(lengths, route):
 
 
 def test_a_route_by_hand():
-    """B is the nearest stop. A and C are as near to the route then; A comes first, at the end, because that is 6 more
-    and before B 8. C is 8 more in either gap and 10 at the end; the first gap is taken. Turned round as a whole it is
-    the shortest.
-    """
+    """B is the nearest stop."""
     first, better = both(table_of(NICHE_LENGTHS), jnp.int32(3))
     assert first[:4].tolist() == [0, 3, 2, 1]
     assert better[:4].tolist() == [0, 1, 2, 3]

@@ -73,10 +73,7 @@ def width_at(world, x, y, bearing_deg):
 
 
 def touched(world, node):
-    """Radius of the largest empty circle about a node and directions of its contacts, degrees, one a wall.
-
-    Cells within 3 m count.
-    """
+    """Radius of the largest empty circle about a node and directions of its contacts, degrees, one a wall."""
     row, col = (max(int((at - 3.0) / world.cell_m), 0) for at in (node.y_m, node.x_m))
     n, half = int(6.0 / world.cell_m), world.cell_m / 2
     rows, cols = np.nonzero(world.occupied[row : row + n, col : col + n])
@@ -409,41 +406,6 @@ def test_codes_by_pencil(name, expected):
 
 
 # And their laws
-
-
-def test_rings_are_20_m_round_at_least(networks):
-    n = 0
-    for world in networks.values():
-        for link in world.course.topology.links:
-            graph = as_graph(world.course.topology)
-            graph.remove_edge(link.start, link.end, link.id)
-            if nx.has_path(graph, link.start, link.end):
-                assert link.length_m + nx.shortest_path_length(graph, link.start, link.end, "length_m") > 20
-                n += 1
-    assert n > 200
-
-
-def test_equal_junctions_are_equal(networks):
-    for (loops, repeat, _), world in networks.items():
-        if not repeat:
-            continue
-        topology = world.course.topology
-        nodes, lines = topology.nodes, {}
-        for stub in topology.links:
-            at = nodes[stub.start]
-            across = [(b - stub.start_bearing_deg) % 360 for b in topology.bearings_deg(at.id)]
-            is_end = len(topology.bearings_deg(stub.end)) == 1
-            if is_end and sorted(across) == [0, 90, 270] and stub.length_m > 5.5:
-                line = round(at.x_m if stub.start_bearing_deg % 180 == 0 else at.y_m, 6)
-                lines.setdefault((line, stub.start_bearing_deg), []).append((at, stub))
-        most = max(lines.values(), key=len)
-        assert len(most) == repeat
-        steps = np.diff(sorted((round(at.x_m, 6), round(at.y_m, 6)) for at, _ in most), axis=0)
-        np.testing.assert_allclose(np.abs(steps).sum(1), np.abs(steps[0]).sum(), atol=1e-6)
-        assert np.abs(steps[0]).sum() >= 6
-        assert len({round(stub.length_m, 6) for _, stub in most}) == 1
-        assert len({stub.min_width_m for _, stub in most}) == 1
-        assert loops or len(nodes) == 2 * repeat + 6  # start, its end, three of the slope, the end of the row
 
 
 @pytest.mark.parametrize(("obstacle", "letters"), [("stairs", "TOOOOD"), ("cross-slope", "TOOD"), ("none", "TD")])

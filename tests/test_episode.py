@@ -202,10 +202,7 @@ VIEWS = "decision-theoretic{}:samples=40,lam=0,spread_m=0,min_gain=2"
 @pytest.mark.slow
 @pytest.mark.jit
 def test_a_view_point_is_given_up_when_it_shows_too_little_only_with_rechecking():
-    """Three cells ahead are seen at the start, up to column 4, from where three more would be. Two steps on the view
-    point in column 4 still shows two new cells, three steps on only one: with rechecking the next one is chosen there,
-    in column 6, and so on; without, the robot drives on to every view point. It knows the passage's walls.
-    """
+    """Three cells ahead are seen at the start, up to column 4, from where three more would be."""
     occupied, lidar = maps.walls(PASSAGE), Lidar(n_beams=4, fov_deg=360, range_m=3.0)
     how = {"lidar": lidar, "rules": ONE_CELL.replace(known_outline=True), "cell_m": 1.0}
     targets = {}

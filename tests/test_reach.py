@@ -202,20 +202,6 @@ def test_costs_saturate_below_far_and_are_counted():
     assert SATURATED(reach(row, 0, 20000), row) == 2
 
 
-@given(places(), st.integers(0, 2**30))
-@settings(max_examples=100, deadline=None)
-def test_with_goals_costs_are_final_up_to_the_cheapest_goals(place, seed):
-    passable, row, col = place
-    goals = np.random.default_rng(seed).random(passable.shape) < 0.1
-    cost = np.asarray(reach(jnp.asarray(passable), row, col, jnp.asarray(goals)))
-    exact = np.asarray(reach(jnp.asarray(passable), row, col))
-    best = exact[goals].min(initial=FAR)
-    assert cost[goals].min(initial=FAR) == best
-    assert (cost >= exact).all()
-    np.testing.assert_array_equal(cost <= best, exact <= best)
-    np.testing.assert_array_equal(cost[exact <= best], exact[exact <= best])
-
-
 # ---------------------------------------------------------------- limits, goals, floods
 
 

@@ -427,8 +427,7 @@ def test_a_mask_of_0_and_1_in_mode_raw_has_no_wall_and_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("key", "text", "value"),
     [
-        *(("resolution_m", text, value) for text, value in (("010", 10), ("0x10", 16), ("1e-1", 0.1), ("'0.5'", 0.5))),
-        *(("resolution_m", text, None) for text in ("4:30", "1_0", "0b1")),
+        *(("resolution_m", text, value) for text, value in (("1e-1", 0.1), ("'0.5'", 0.5), ("4:30", None))),
         *(("negate", word, value) for word, value in (("yes", 1), ("On", 1), ("no", 0), ("n", 0), ("true", 1))),
     ],
 )
@@ -507,9 +506,6 @@ def test_bad_ros_maps_are_refused(tmp_path, changes, line):
         ("", "is empty"),
         ("- 1\n", "is not a ROS map; expected the keys"),
         ("image: [", "is not valid YAML"),
-        ("[" * 2000, "more than 100 deep"),
-        ("resolution: !!bool 5\n", "is not valid YAML"),
-        ("a: &a [1]\nimage: *a\n", "aliases are not read: write out what it stands for"),
     ],
 )
 def test_bad_yaml_is_refused(tmp_path, text, line):
