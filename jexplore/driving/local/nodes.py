@@ -101,6 +101,12 @@ class TraceMap:
         self._join_meeting(set(node_of.values()))
         return node_of
 
+    def drop(self, i: int) -> None:
+        """Remove a node; exits that led there lead into the unknown."""
+        del self.nodes[i]
+        for exit_ in (exit_ for node in self.nodes for exit_ in node.exits):
+            exit_.to = -1 if exit_.to == i else exit_.to - (exit_.to > i)
+
     def _join_meeting(self, in_view):
         """Link a node out of view to one in view where the exit of one passes the end of the other's."""
         for i, node in enumerate(self.nodes):
