@@ -330,12 +330,12 @@ def test_frontiers_out_of_the_local_map_are_remembered_until_given_up():
 def test_walls_out_of_the_local_map_are_remembered():
     here, area = window_with((50, 30, 28, 70)), SeenArea()
     area.add(here, 0.39)
-    away = here._replace(corner=here.corner + [0, 40], occupied=here.known & False, known=here.known & False)
+    away = here._replace(corner=np.add(here.corner, (0, 40)), occupied=here.known & False, known=here.known & False)
     area.add(away, 0.39)
     wide = area.around(away)
-    row, col = here.corner + [40, 10] - wide.corner
+    row, col = np.add(here.corner, (40, 10)) - wide.corner
     assert (wide.occupied[row, col], wide.known[row, col]) == (True, True)
-    row, col = here.corner + [60, 40] - wide.corner
+    row, col = np.add(here.corner, (60, 40)) - wide.corner
     assert (wide.occupied[row, col], wide.known[row, col]) == (False, True)
 
 

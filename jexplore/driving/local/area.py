@@ -10,7 +10,7 @@ from jexplore.driving.local.sight import EVERY_WAY, frontier
 from jexplore.driving.local.window import Window
 
 GROWTH = 256  # cells by which the area grows at least: two local maps
-AROUND = 64  # cells about the local map in which places are looked for: halls have walls out of it
+AROUND = 64  # cells about the local map in which places are looked for: halls are wider than the map
 
 
 class SeenArea:

@@ -82,7 +82,9 @@ class LocalRun:
                 elif (here := self._here()) is None or self._is_shut_in():
                     if retraces >= RETRACES:
                         return RunOutcome.STUCK
-                    if retraces or here is not None or not self._go_straight():
+                    if here is None and not retraces:
+                        self._go_straight()
+                    else:
                         self.pilot.retrace(LOOK_M * 2**retraces)
                     retraces += 1
                 elif self._doubt_shut(goals):
@@ -307,15 +309,11 @@ class LocalRun:
         return min(costs, key=lambda i: costs[i], default=None)
 
     def _go_straight(self):
-        """Go straight to the nearest place in view, out of the local map; return False without one."""
-        near = min(
-            self._node_of.values(), key=lambda i: math.dist(self.map.nodes[i].xy, self.pilot.pose[:2]), default=None
-        )
-        if near is None:
-            return False
-        ends = self.pilot.pose[:2], self.map.nodes[near].xy
-        self._go_along([(Exit(0.0, np.linspace(*ends, int(math.dist(*ends) / POINT_M) + 2)), near)])
-        return True
+        """Go straight to the nearest node: in a hall it may be out of the local map."""
+        xy = self.pilot.pose[:2]
+        near = min(range(len(self.map.nodes)), key=lambda i: math.dist(self.map.nodes[i].xy, xy))
+        to = self.map.nodes[near].xy
+        self._go_along([(Exit(0.0, np.linspace(xy, to, int(math.dist(xy, to) / POINT_M) + 2)), near)])
 
     def _go_along(self, route):
         """Follow links; count a failure of the one along which the robot does not get on, and go back a little."""
