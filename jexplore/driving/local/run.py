@@ -137,7 +137,8 @@ class LocalRun:
         """Drop nodes where the robot has not been that it would see now if they were places."""
         edge_m, found = distance_m(np.any(self._frontiers or [np.zeros((SIDE, SIDE), bool)], axis=0)), []
         for i, node in enumerate(self.map.nodes):
-            if node.is_visited or i in self._node_of.values() or math.dist(node.xy, self.pilot.pose[:2]) > NEAR_M:
+            is_kept = node.is_visited or i == self._at or i in self._node_of.values()
+            if is_kept or math.dist(node.xy, self.pilot.pose[:2]) > NEAR_M:
                 continue
             near = self._lattice.nearest(node.xy, node.reached_m)
             if near and near[1] < 2 * NEAR_M and edge_m[tuple(self._lattice.window.cell(node.xy))] > node.radius_m:

@@ -177,12 +177,16 @@ def _frames_by_map(plan, on_progress):
         n, (estimate, truth, mode) = len(frames), run.pilot.way[-1]
         if run.seen is not seen:
             seen = run.seen
+            for node in run.map.nodes:
+                first.setdefault(node, n)
             for exit_ in (e for node in run.map.nodes for e in node.exits):
                 first.setdefault(exit_, n)
                 if exit_.to >= 0:
                     ended.setdefault(exit_, n)
+                else:
+                    ended.pop(exit_, None)  # its end was no place
         view = {"pose": truth, "estimate": estimate, "mode": int(mode), "target": run.pilot.target}
-        frames.append({**view, "ranges_m": ranges, "n_nodes": len(run.map.nodes)})
+        frames.append({**view, "ranges_m": ranges})
         ranges = run.pilot.ranges_m
         on_progress(n + 1)
 
@@ -199,5 +203,8 @@ def _frames_by_map(plan, on_progress):
     none = np.zeros(n)
     series |= {"triangles_m": np.zeros((n, 0, 3, 2)), "chosen": np.full(n, -1), "votes": none.astype(int)}
     series |= {"pitch_deg": none, "roll_deg": none, "left_m": none + np.inf, "right_m": none + np.inf}
-    series |= {"n_links": np.searchsorted(came[order], np.arange(n), side="right"), "link_searched_frame": end[order]}
+    nodes = [first.get(node, n) for node in run.map.nodes[: len(found.nodes)]]
+    counts = {"n_nodes": nodes, "n_links": came[order]}
+    series |= {name: np.searchsorted(at, np.arange(n), side="right") for name, at in counts.items()}
+    series |= {"link_searched_frame": end[order]}
     return series, dataclasses.replace(found, links=links)
