@@ -276,6 +276,7 @@ def test_driven_way_links_nodes_that_no_route_joins():
 
 def test_map_as_arrays_has_each_link_once_and_counts_what_does_not_fit():
     trace = linked((0, 1, 2), (1, 0, 2), (1, 2, 3), n=3)
+    trace.nodes[1].exits[1].path = np.array([[1.0, 0.5], [1.0, 1.0], [1.5, 1.0]])
     trace.nodes[2].exits.append(Exit(1.0, np.zeros((1, 2))))
     found = jx.btm.to_map(trace.to_btm(8, 8))
     assert [(link.start, link.end, link.status) for link in found.links] == [
@@ -283,9 +284,19 @@ def test_map_as_arrays_has_each_link_once_and_counts_what_does_not_fit():
         (1, 2, "searched"),
         (2, -1, "un-searched"),
     ]
-    assert found.links[1].length_m == pytest.approx(3.0)
+    assert found.links[1].length_m == pytest.approx(1 + math.sqrt(2))  # from node to node
     small = trace.to_btm(2, 1)
     assert (int(small.n_nodes), int(small.n_links), int(small.overflow)) == (2, 1, 1 + 2)
+
+
+def test_way_through_another_node_and_one_told_twice_are_no_links():
+    trace = linked((0, 1, 1), (1, 2, 1), n=3)
+    around = [np.array([[0.0, 0.0], [1.0, aside], [2.0, 0.0]]) for aside in (0.2, 3.0, 3.3)]
+    trace.nodes[0].exits += [Exit(0.0, path, 2) for path in around]
+    assert [(i, e.to, e.path[len(e.path) // 2].tolist()) for i, e, _ in trace.links() if e.to == 2] == [
+        (0, 2, [1.0, 3.0]),
+        (1, 2, [1.0, 0.0]),
+    ]
 
 
 def test_exit_of_a_node_out_of_view_is_one_link_with_the_exit_that_passes_its_end():

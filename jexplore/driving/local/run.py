@@ -12,7 +12,7 @@ import numpy as np
 from jexplore.driving.local.area import SeenArea, nearest_to
 from jexplore.driving.local.lattice import Lattice, distance_m
 from jexplore.driving.local.nodes import NEAR_M, TRIES, Exit, TraceMap, length_of
-from jexplore.driving.local.pilot import Pilot, RunEnded
+from jexplore.driving.local.pilot import LOOK_M, Pilot, RunEnded
 from jexplore.driving.local.sight import SeenPlace, look
 from jexplore.driving.local.window import SIDE, Fixed
 from jexplore.driving.mission import RunOutcome
@@ -20,13 +20,11 @@ from jexplore.driving.records import RunMode
 from jexplore.driving.settings import Tuning
 from jexplore.driving.vehicle import DT_S, SCAN_RANGE_M
 
-LOOK_M = 1.0  # the robot looks anew at the end of the straight piece on which it has come this far
-LINK_M = 1.5  # the same on a link
+LINK_M = 1.5  # the robot looks anew at the end of the straight piece of a link on which it has come this far
 POINT_M = 0.3  # a point of a path is reached from a cell no farther away
 PLACE_M = 1.5  # a place is gone to as near as its clearance, and no farther off than this
 FACE_M = 0.15  # the robot turns towards the end of what it knows of a way if that lies farther away
 KEEP_M = 2.0  # another target must be nearer by this than the last one: twice the way between two looks
-BACK_M = 0.7  # where something is in the way the robot goes back this far, its own length, to plan anew
 DETOUR = 3.0  # a point of a link is gone to where that costs no more than this many times the link
 DETOUR_M = 2.0  # and this
 EDGE_M = 1.0  # at a frontier the robot goes as near to the unknown as this: its length, and a look
@@ -89,7 +87,7 @@ class LocalRun:
                     retraces += 1
                 elif self._doubt_shut(goals):
                     retraces = 0
-                    self.pilot.retrace(BACK_M)
+                    self.pilot.retrace(float(self.robot.length_m))
                 elif route := self.map.route(here, goals) or self.map.route(here, self._near_frontiers()):
                     retraces = 0
                     self._go_along(route)
@@ -207,7 +205,7 @@ class LocalRun:
             # What stops the robot here says nothing of a place elsewhere: it begins from farther back each time.
             if self._stops >= SURE_RETRACES:
                 self._arrive(self.map.nodes[i], exit_)
-            self.pilot.retrace(BACK_M * 2**self._stops)
+            self.pilot.retrace(float(self.robot.length_m) * 2**self._stops)
             self._stops = min(self._stops + 1, RETRACES)
         return True
 
@@ -335,7 +333,7 @@ class LocalRun:
                     break
                 exit_ = min((e for e, _ in route), key=lambda e: np.hypot(*(e.path - self.pilot.pose[:2]).T).min())
                 exit_.fails += 1
-                self.pilot.retrace(BACK_M)
+                self.pilot.retrace(float(self.robot.length_m))
                 return
             near = np.hypot(*(path[at : to + 1] - self.pilot.pose[:2]).T)
             at += int(near.argmin())
