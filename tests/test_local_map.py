@@ -293,9 +293,10 @@ def test_way_through_another_node_and_one_told_twice_are_no_links():
     trace = linked((0, 1, 1), (1, 2, 1), n=3)
     around = [np.array([[0.0, 0.0], [1.0, aside], [2.0, 0.0]]) for aside in (0.2, 3.0, 3.3)]
     trace.nodes[0].exits += [Exit(0.0, path, 2) for path in around]
+    trace.nodes[1].exits[0].path = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
     assert [(i, e.to, e.path[len(e.path) // 2].tolist()) for i, e, _ in trace.links() if e.to == 2] == [
         (0, 2, [1.0, 3.0]),
-        (1, 2, [1.0, 0.0]),
+        (1, 2, [1.5, 0.0]),
     ]
 
 

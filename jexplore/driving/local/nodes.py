@@ -222,15 +222,16 @@ class TraceMap:
         joined = {frozenset((i, e.to)) for i, node in enumerate(self.nodes) for e in node.exits if e.to >= 0}
 
         def is_told(i, exit_):
-            k, same = exit_.to, kept.setdefault(frozenset((i, exit_.to)), [])
-            if k < 0 or k == i:
-                return False
+            k, pair, path = exit_.to, frozenset((i, exit_.to)), exit_.path
             between = [j for j in range(len(self.nodes)) if {frozenset((i, j)), frozenset((j, k))} <= joined]
-            middle = exit_.path[len(exit_.path) // 2]
-            told = any(_off_m(exit_.path, self.nodes[j].xy) < SAME_M for j in between if j not in (i, k))
-            told = told or any(_off_m(path, middle) < 2 * SAME_M for path in same)
-            same.append(exit_.path)
-            return told
+            is_through = any(_off_m(path, self.nodes[j].xy) < SAME_M for j in between if j not in (i, k))
+            same = kept.setdefault(pair, [])
+            if is_through and not same:
+                joined.discard(pair)
+            is_double = any(_off_m(other, path[len(path) // 2]) < 2 * SAME_M for other in same)
+            if not (is_through or is_double):
+                same.append(path)
+            return is_through or is_double
 
         for i, node in enumerate(self.nodes):
             for exit_ in node.exits:
@@ -241,5 +242,5 @@ class TraceMap:
                     path = exit_.path
                     back = min(others, key=lambda e, p=path: math.dist(e.path[0], p[-1]), default=None)
                     used.add(id(back))
-                    if not is_told(i, exit_):
+                    if exit_.to in (-1, i) or not is_told(i, exit_):
                         yield i, exit_, back
