@@ -210,7 +210,7 @@ def halls(runs, seed=0):
 
     A passage is searched if a node of the map lies within a metre of its far end, a dead end of the true map.
     """
-    n = max(4, runs // 50)
+    n = max(1, runs // 50)
     head("halls", "runs", "EXHAUSTED", "passages searched", "false divergences", "took a place for another")
     for low_m, high_m in ((10, 14), (14, 20)):
         tables, searched, passages = [], 0, 0
