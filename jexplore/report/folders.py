@@ -28,7 +28,7 @@ OUR_FILES = (
     *("bench.json", "bench.png"),  # bench
     *("scores.parquet", "segments.png"),  # segment
     *("trajectory.txt", "map.yaml", "map.pgm", "slam.png", "errors.parquet"),  # slam
-    *("reproduce.png", "reproduce.svg", "dare.parquet"),  # reproduce
+    *("reproduce.png", "reproduce.svg"),  # reproduce
     *("asked.yaml", "summary.csv", "sweep.png", "sweep-map.png", "sweep.svg", "sweep-map.svg"),  # sweep
     *("btm.json", "btm.geojson", "btm.graphml", "btm.png", "btm.html", "runs.parquet"),  # trace
     *("station.html", "teams.parquet", "contacts.parquet", "team.png"),  # trace --robots
