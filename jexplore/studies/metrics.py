@@ -17,7 +17,7 @@ TAKEN = {
     *("setting", "cell_m", "complete", "percent", "progress_m", "step", "way_row", "way_col", "way_known"),
     *("map", "row", "col", "valid", "known_m2"),
 }
-"""Names in tables of episodes and their summaries, in labelled arrays, and in the info of `Environment.step`."""
+"""Names in tables of episodes and their summaries, and in the info of `Environment.step`."""
 
 
 def named_metrics(metrics: MetricsLike) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from jexplore.report import plot
 from jexplore.report.plots.walks import waste_figure
 from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
 from jexplore.rules import Lidar, Rules
-from jexplore.studies.results import labelled, provenance, saving
+from jexplore.studies.results import provenance, saving
 from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.studies.results.details import EXTRAS, Seen, parts_of
 from jexplore.studies.results.tables import ByStrategy
@@ -142,10 +142,6 @@ class ComparisonResult(ByStrategy):
         """Format the statistics over all worlds, and ratios at equal coverage, as Markdown tables."""
         return f"{standings_table(self.standings)}\n{coverage_text(self.at_coverage)}"
 
-    def to_xarray(self) -> Any:
-        """Convert all results to an `xarray.Dataset` with labelled dimensions: see `labelled.of_comparison`."""
-        return labelled.of_comparison(self)
-
     def save_maps(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write the last map of every episode as files of ROS's map_server, with `keep="maps"`; return the yaml files.
 
@@ -159,9 +155,6 @@ class ComparisonResult(ByStrategy):
     def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> pd.DataFrame:
         """Compute the episodes and worlds needed to know every ratio `± within`: see `sizes.sample_sizes`."""
         return sizes.sample_sizes(self.episodes, within=within, assurance=assurance)
-
-    def _summary_text(self, as_text):
-        return by_world.markdown_table(self.summary, as_text=as_text)
 
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False, report: bool = True) -> Path:
         """Write the folder that `jexplore compare` writes: tables, pictures, run.json, report.html; return its path.

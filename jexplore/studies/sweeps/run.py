@@ -68,9 +68,6 @@ class SweepResult(ByStrategy):
         measures = (name for name in (*MEASURES, *TEAM_MEASURES[1:]) if name in self.episodes)
         return summarise(self.episodes, self.columns, self.reference, (*self.spec.metrics, *measures))
 
-    def _summary_text(self, as_text):
-        return summary_table(self.summary, self.varied, as_text)
-
     def plot(self) -> "Figure":
         """Draw the first of `figures`, as a matplotlib `Figure`: mean paths along the first number that is varied.
 
@@ -80,12 +77,6 @@ class SweepResult(ByStrategy):
         for make in self.figures().values():
             return shown_figure(make())
         raise InputError("a sweep is drawn along a number that is varied, and this one has none: see to_pandas()")
-
-    def to_xarray(self) -> Any:
-        """Convert the table to an `xarray.Dataset` with labelled dimensions: see `labelled.of_sweep`."""
-        from jexplore.studies.results import labelled
-
-        return labelled.of_sweep(self)
 
     def to_markdown(self, rows: int | None = None) -> str:
         """Format the summary as a Markdown table, at most `rows` rows and a line with the number of rows left out."""
@@ -151,8 +142,8 @@ def summarise(episodes: pd.DataFrame, columns: Sequence[str], first: str, metric
     return pd.DataFrame(rows)
 
 
-def summary_table(summary: Any, varied: Sequence[str], as_text: Callable[..., str] = aligned_table) -> str:
-    """Format rows of `SweepResult.summary` as Markdown, or by `as_text` from names of columns and texts of rows."""
+def summary_table(summary: Any, varied: Sequence[str]) -> str:
+    """Format rows of `SweepResult.summary` as Markdown."""
     head = ["world", *varied, "strategy", "n", "path m", "ratio to the first", "explored", "COMPLETE"]
     metrics = list(summary)[list(summary).index("complete") + 1 :]
     lines = []
@@ -161,7 +152,7 @@ def summary_table(summary: Any, varied: Sequence[str], as_text: Callable[..., st
         line += [spread_text(row["mean"], row["sd"]), ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"])]
         line += [number_text(row["explored_fraction"], 3), f"{100 * row['complete']:.0f}%"]
         lines.append([*line, *(_value_text(row[name]) for name in metrics)])
-    return as_text([*head, *metrics], lines, left=("world", "strategy"))
+    return aligned_table([*head, *metrics], lines, left=("world", "strategy"))
 
 
 def _value_text(value):
