@@ -80,7 +80,6 @@ def compare(
       trust: when continuing, take your own strategies and metrics as unchanged even if that cannot be checked.
 
     Raises:
-      InputError: what cannot be used. Raised before anything is compiled.
       InputWarning: as `batch.run_jobs`.
     """
     require_engine(engine, lanes)

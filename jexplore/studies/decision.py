@@ -83,10 +83,6 @@ def next_target(
       lidar: the scanner by which strategies estimate gains.
       rules: of these `clearance_m`, `near_m`, `p_free`, `frontier_connectivity`, `min_frontier_cells` and
         `known_outline` count. By default all beyond the grid is unknown.
-
-    Raises:
-      InputError: a grid of another dtype or shape, with other values, or without a free cell; a pose that is not
-        finite, outside, or in a wall; settings that cannot be; a strategy that chooses a cell to which no path leads.
     """
     scanner, own = ready_settings(lidar, rules)
     asked, grid = _ready(strategy), _checked(occupancy, own.p_free)

@@ -119,9 +119,6 @@ class Environment:
           metrics: more entries of `info`: name -> function of an `EpisodeView`, see `metric`.
           robots, members: a team that hears each other everywhere (`team.read_members`), without recheck, paths,
             metrics. Views have a leading axis N, actions are `[N, 2]`, a step goes on until a robot needs a target.
-
-        Raises:
-          InputError: no world, one that cannot be loaded, or one without a clear cell; cells of different sizes.
         """
         lidar, rules = ready_settings(lidar, rules, pose, odometry)
         if not isinstance(recheck, bool):
@@ -176,9 +173,6 @@ class Environment:
 
         Returns:
           `(state, view)`.
-
-        Raises:
-          InputError: a key, start or world that cannot be one; 64-bit mode.
         """
         require_32_bits()
         require_key(key)
@@ -224,9 +218,6 @@ class Environment:
           done: bool, the episode is over: with the step that leaves no frontier, or at a limit of the rules.
           info: dict of `valid`, bool; `outcome`, int32, an `Outcome`; `path_m`, float32, metres driven since the start;
             `known_m2`, float32, known area; the present values of the metrics.
-
-        Raises:
-          InputError: a key, state or action of a wrong shape or dtype; 64-bit mode.
         """
         require_32_bits()
         require_key(key)
@@ -236,11 +227,7 @@ class Environment:
         return (*seen, info | dict(zip(self._metrics, values)))
 
     def path(self, state: EnvState) -> np.ndarray:
-        """Return the driven way, of an environment with `paths=True`: `[n + 1, 2]` int32, row and col; on the host.
-
-        Raises:
-          InputError: an environment that does not keep it.
-        """
+        """Return the driven way, of an environment with `paths=True`: `[n + 1, 2]` int32, row and col; on the host."""
         self._require_one(state, "path")
         if self._setup.capacity == 1:
             raise InputError("this environment keeps no paths: jx.Environment(..., paths=True)")

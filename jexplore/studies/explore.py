@@ -214,12 +214,6 @@ def explore(
       episode: its number, from 0.
       seed, cell_m, start, start_m, within, from_map, lidar, rules, robot, pose, odometry: as in `compare`.
       robots, coordination, contact, team_starts, members: of a team, one of each, as in `compare`.
-
-    Returns:
-      `EpisodeResult`.
-
-    Raises:
-      InputError: a name, number, map or start that cannot be used. Raised before anything is compiled.
     """
     where = {"cell_m": cell_m, "start": start, "start_m": start_m, "within": within, "from_map": from_map}
     where |= {"robot": robot, "pose": pose, "odometry": odometry}

@@ -21,11 +21,7 @@ TAKEN = {
 
 
 def named_metrics(metrics: MetricsLike) -> dict[str, Any]:
-    """Return metrics by name, without importing those that are texts.
-
-    Raises:
-      InputError: something else; a name that is given twice, taken, or no identifier.
-    """
+    """Return metrics by name, without importing those that are texts."""
     if isinstance(metrics, Mapping):
         pairs = list(metrics.items())
     else:
@@ -56,11 +52,7 @@ def _function(thing):
 
 
 def ready_metrics(metrics: MetricsLike) -> dict[str, Metric]:
-    """Make metrics of functions and names, in order.
-
-    Raises:
-      InputError: as `named_metrics`; a module that does not import, something that is no function.
-    """
+    """Make metrics of functions and names, in order."""
     ready = {}
     for name, thing in named_metrics(metrics).items():
         if isinstance(thing, str):

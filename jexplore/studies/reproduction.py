@@ -233,12 +233,6 @@ def reproduce(
       maps: folder of the paper's maps (`Environment.file`); by default built-in counterparts stand in.
       episodes: of each strategy in each environment.
       seed, cell_m, lidar, rules, robot, engine, lanes, workers, on_progress, progress: as in `comparison.compare`.
-
-    Returns:
-      `ReproductionResult`.
-
-    Raises:
-      InputError: a paper, folder, map or number that cannot be used. Raised before anything is compiled.
     """
     require_engine(engine, lanes)
     how = {"cell_m": cell_m, "lidar": lidar, "rules": rules, "robot": robot}

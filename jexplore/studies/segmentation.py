@@ -105,11 +105,7 @@ def segment_maps(
         `room_variants.RoomSettings`.
       prominence_m, gamma: of thrun, wurm, holz.
 
-    Returns:
-      `SegmentationResult`.
-
     Raises:
-      InputError: a name, number, picture or setting that cannot be used. Raised before anything is compiled.
       InputWarning: the largest region of a map lies outside a building: its rooms are not those of the building.
     """
     chosen: Any = list_of("variants", variants)

@@ -138,9 +138,6 @@ class BoundsResult:
         """Compare the episodes of a `ComparisonResult` with the bounds: see `beside.with_bound_ratios`.
 
         Those of teams are compared with bounds of the whole team: see `teams.with_team_ratios`.
-
-        Raises:
-          InputError: no comparison; one with another scanner, another clearance, or noise.
         """
         if not hasattr(comparison, "episodes") or not hasattr(comparison, "worlds"):
             raise InputError(f"expected a comparison, got {type(comparison).__name__}")
@@ -201,12 +198,6 @@ def bound(
       workers: processes that work at a time. With more than one a script needs `if __name__ == "__main__":`.
       on_progress: called with the number of starts finished.
       progress: show a bar; by default in notebooks.
-
-    Returns:
-      `BoundsResult`.
-
-    Raises:
-      InputError: a name, number, map or start that cannot be used; noise; no time.
     """
     places = {"starts": starts, "seed": seed, "cell_m": cell_m, "start": start}
     tasks = prepare_bounds(worlds, **places, seconds=seconds, max_floods=max_floods, lidar=lidar, rules=rules)

@@ -56,9 +56,6 @@ class GymEnv(gymnasium.Env):
             cell that a path leads to.
           max_decisions: decisions, those that moved nothing included, after which an episode is truncated.
           render_mode: None, or "rgb_array": `render` then returns a picture of the map.
-
-        Raises:
-          InputError: as `Environment`, or an argument that cannot be one.
         """
         settings = {"cell_m": cell_m, "lidar": lidar, "rules": rules, "recheck": recheck}
         self._game = Game(worlds, targets=targets, max_decisions=max_decisions, render_mode=render_mode, **settings)
@@ -81,11 +78,7 @@ class GymEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode: `(observation, info)`. The class describes the `options`.
-
-        Raises:
-          InputError: a seed or an option that cannot be one.
-        """
+        """Begin an episode: `(observation, info)`. The class describes the `options`."""
         if seed is not None:
             seed = require_whole("seed", seed, 0, MAX_SEED)
         given = self._game.options({name: [value] for name, value in require_options(options).items()}, 1)
@@ -99,11 +92,7 @@ class GymEnv(gymnasium.Env):
         return self._told(True)
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Drive to a cell: `(observation, reward, terminated, truncated, info)`.
-
-        Raises:
-          InputError: no cell of the map, or no episode to make it in.
-        """
+        """Drive to a cell: `(observation, reward, terminated, truncated, info)`."""
         if self._state is None:
             raise InputError("there is no episode yet; call reset first")
         action = int(whole_numbers("action", action, (), 0, self._game.n_cells - 1))
@@ -178,11 +167,7 @@ class GymVectorEnv(VectorEnv):
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode in every lane: `(observations, infos)`. The class describes seeds and options.
-
-        Raises:
-          InputError: a seed or an option that cannot be one.
-        """
+        """Begin an episode in every lane: `(observations, infos)`. The class describes seeds and options."""
         seeds = None if seed is None else self._seeds(seed)
         start, world, episode = self._game.options(options, self.num_envs)
         if seeds is not None:
@@ -198,11 +183,7 @@ class GymVectorEnv(VectorEnv):
         return self._told(seen, info | {"valid": jnp.ones(self.num_envs, bool)})
 
     def step(self, actions: Any) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Drive to a cell in every lane: `(observations, rewards, terminations, truncations, infos)`.
-
-        Raises:
-          InputError: actions that are no cells of the map, or no episodes to make them in.
-        """
+        """Drive to a cell in every lane: `(observations, rewards, terminations, truncations, infos)`."""
         if self._states is None:
             raise InputError("there are no episodes yet; call reset first")
         actions, over = whole_numbers("actions", actions, (self.num_envs,), 0, self._game.n_cells - 1), self._over

@@ -205,11 +205,7 @@ def column_type(values: Sequence[Any]) -> str:
 
 
 def prepare_sweep(spec: Sweep) -> SweepPlan:
-    """Check a sweep and cut its work, before anything is compiled.
-
-    Raises:
-      InputError: what cannot be run, in one line.
-    """
+    """Check a sweep and cut its work, before anything is compiled."""
     names = [os.fspath(world) for world in spec.worlds]
     require_different("worlds", names)
     _loaded.cache_clear()  # a file may have changed since

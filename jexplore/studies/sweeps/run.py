@@ -69,11 +69,7 @@ class SweepResult(ByStrategy):
         return summarise(self.episodes, self.columns, self.reference, (*self.spec.metrics, *measures))
 
     def plot(self) -> "Figure":
-        """Draw the first of `figures`, as a matplotlib `Figure`: mean paths along the first number that is varied.
-
-        Raises:
-          InputError: no number is varied.
-        """
+        """Draw the first of `figures`, as a matplotlib `Figure`: mean paths along the first number that is varied."""
         for make in self.figures().values():
             return shown_figure(make())
         raise InputError("a sweep is drawn along a number that is varied, and this one has none: see to_pandas()")
@@ -269,12 +265,6 @@ def sweep(
       spec: a `Sweep`, a mapping of its fields, or a YAML file. `jexplore sweep` keeps what it finishes; this does not.
       engine, lanes, workers, on_progress: as in `run_sweep`.
       progress: whether a bar shows how much is finished; by default in notebooks.
-
-    Returns:
-      `SweepResult`.
-
-    Raises:
-      InputError: what cannot be run, in one line. Raised before anything is compiled.
     """
     require_engine(engine, lanes)
     if isinstance(spec, (str, os.PathLike)):

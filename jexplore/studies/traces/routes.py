@@ -45,9 +45,6 @@ def route(
 
     Returns:
       `Route`; of equal lengths, in whole millimetres, the one with the fewest links, then with the lowest ids in order.
-
-    Raises:
-      InputError: not a proper map, no such robot or node, no node near the place.
     """
     return routes(btm, [robot], [(start, end)], known_only=known_only, within_m=within_m)[0][0]
 

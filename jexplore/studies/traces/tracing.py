@@ -151,12 +151,6 @@ def trace(
       engine, lanes, workers: see `runner.find_resources`; results are equal but for rounding.
       on_progress: called with the number of finished runs.
       progress: show a bar; by default in notebooks.
-
-    Returns:
-      `TraceResult`.
-
-    Raises:
-      InputError: the reason why it cannot run, in one line.
     """
     require_engine(engine, lanes)
     plan = prepare_trace(
