@@ -21,11 +21,9 @@ PICTURES = {
     "compare.png": "Path lengths of all episodes, means with their intervals, and ratios to the first strategy",
     "coverage.png": "Share of what can be known along the path",
     "paths.png": "The map as each strategy saw it in episode 0, with its path",
-    "waste.png": "Where path was wasted in episode 0",
     "league.png": "Path lengths as ratios to those of the first strategy, over all worlds",
     "reproduce.png": "Path lengths next to the paper's",
     "sweep.png": "Path lengths along the first setting that is varied",
-    "sweep-map.png": "Path lengths over the first two settings that are varied",
     "episode.png": "The known map and the path at the end",
 }
 """Captions of a run's pictures."""

@@ -19,7 +19,6 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.state import Outcome
 from jexplore.report import plot
-from jexplore.report.plots.walks import waste_figure
 from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.results import provenance, saving
@@ -192,17 +191,6 @@ class ComparisonResult(ByStrategy):
     def profile_figure(self, *, over: str = "best") -> Figure:
         """Draw performance profiles of the strategies: see `figures.profile_figure`."""
         return figures.profile_figure(self.episodes, over=over)
-
-    def waste_figure(self) -> Figure:
-        """Draw the first paths, coloured by their use, with `keep="paths"`: a matplotlib `Figure`."""
-        worlds = {world.name: world for world in self.worlds}
-        kinds = [(pair, ways[0], waste.waste_of(ways[0], worlds[pair[0]].cell_m)) for pair, ways in self.paths.items()]
-        return waste_figure(
-            [
-                (f"{strategy} in {world}", worlds[world].occupied, way[:, :2], found.kinds, worlds[world].cell_m)
-                for (world, strategy), way, found in kinds
-            ]
-        )
 
     def paths_figure(self) -> Figure:
         """Draw the map as each strategy saw it in episode 0, with its path: a matplotlib `Figure`."""

@@ -52,7 +52,6 @@ def figures_of(found: Any, *, league: bool = False) -> dict[str, Callable[[], An
             "league.png": lambda: league_figure(found.standings),
         }
     drawn = {"coverage.png": found.coverage_figure, "compare.png": found.compare_figure}
-    drawn |= {"waste.png": found.waste_figure} if found.paths else {}
     # Without any episode 0, as after an early interruption, there is no path to draw.
     return drawn | ({"paths.png": found.paths_figure} if found.first else {})
 

@@ -2,10 +2,9 @@
 
 import dataclasses
 import functools
-import itertools
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -92,17 +91,11 @@ class SweepResult(ByStrategy):
         return [name for name in some if len(self.episodes[name].drop_duplicates()) > 1]
 
     def figures(self) -> dict[str, Callable[[], Any]]:
-        """Return pictures of the sweep, of the first varied numbers: name of a file -> function that draws it."""
+        """Return pictures of the sweep, of the first varied number: name of a file -> function that draws it."""
         from jexplore.studies.statistics import figures
 
-        numbers = [name for name in self.varied if self.episodes[name].dtype.kind in "iuf"]
-        there, drawn = cast(Any, self.episodes.notna()), {}
-        for name in numbers[:1]:
-            drawn["sweep.png"] = functools.partial(figures.response_figure, self.episodes, name)
-        pairs = (pair for pair in itertools.combinations(numbers, 2) if there[[*pair]].all(axis=1).any())
-        for pair in itertools.islice(pairs, 1):  # that some strategy has both of
-            drawn["sweep-map.png"] = functools.partial(figures.heat_figure, self.episodes, *pair)
-        return drawn
+        first = next((name for name in self.varied if self.episodes[name].dtype.kind in "iuf"), None)
+        return {} if first is None else {"sweep.png": lambda: figures.response_figure(self.episodes, first)}
 
     def _repr_markdown_(self):
         return self.to_markdown(SHOWN_ROWS)
