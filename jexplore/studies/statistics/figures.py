@@ -135,8 +135,7 @@ def profile_figure(episodes: pd.DataFrame, *, over: str = "best") -> Figure:
 def response_figure(episodes: pd.DataFrame, setting: str, *, value: str = "path_m", **how: Any) -> Figure:
     """Draw a mean over one setting, a line a strategy and a panel a world; arguments of `response.response`."""
     table = response(episodes, setting, value=value, **how)
-    others = (name for name in setting_columns(episodes) if name != setting)
-    varied = [name for name in others if episodes[name].nunique(dropna=False) > 1]
+    varied = [name for name in setting_columns(episodes) if name != setting and len(set(episodes[name])) > 1]
     what = "worlds" if ALL_WORLDS in set(table["world"]) else "starts"
     averaged = f"means over {table['n'].max()} {what}" + (f" and all values of {', '.join(varied)}" if varied else "")
     label = {"path_m": "path length (m)", "explored_fraction": "explored share"}.get(value) or value
