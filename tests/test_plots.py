@@ -13,7 +13,7 @@ from ref.refusals import refused
 from test_aggregate import episodes, fail
 from test_response import RANGE, sweep
 
-from jexplore.report.plots import compare, curves, looks, standings, walks
+from jexplore.report.plots import compare, curves, looks, walks
 from jexplore.studies.statistics import by_world, figures, league, response
 from jexplore.studies.statistics.aggregate import profiles
 from jexplore.worlds.world import World
@@ -266,15 +266,6 @@ def test_response_figure_of_words_and_of_many():
 def test_wrong_settings_are_refused():
     table = sweep()
     refused(r"setting must be a column .* such as lidar\.range_m", figures.response_figure, table, "lidar.rang_m")
-
-
-def test_bars_by_hand(ax):
-    """A number without a deviation, a gap, and a whisker that never goes below 0 m."""
-    container = standings.draw_bars(ax, [0, 1, 2], [5.0, math.nan, 3.0], [math.nan, math.nan, 4.0], [{}] * 3)
-    assert [bar.get_width() for bar in container] == [5.0, 0.0, 3.0]
-    assert [text.get_text() for text in ax.texts] == ["5.0", "no data", "3.0 ± 4.0"]
-    (whiskers,) = ax.collections
-    assert [segment[:, 0].tolist() for segment in whiskers.get_segments()] == [[0.0, 7.0]]
 
 
 def test_maps_have_a_legend_and_a_scale():

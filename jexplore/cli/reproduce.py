@@ -16,8 +16,8 @@ from jexplore.cli.output.console import Out, note_if_slow
 class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
     """Reproduce a paper's tables: its strategies in its environments, next to its own figures.
 
-    Prints a Markdown table an environment, and which orderings of the paper's means hold here. Writes episodes.parquet,
-    run.json and reproduce.png.
+    Prints a Markdown table an environment, and which orderings of the paper's means hold here. Writes episodes.parquet
+    and run.json.
     """
 
     paper: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[PAPER]")] = "holz2010"
@@ -42,12 +42,10 @@ class Reproduce(EngineOptions, ResumeOptions, TimedOptions):
             jobs = reproduction.prepare_paper(self.paper, **settings)
             made = run_with_bar(self, jobs, out)
             if made is None:
-                return show_finished(
-                    out, lambda found, _: found.to_markdown(), lambda found, league: {"reproduce.png": found.figure}
-                )
+                return show_finished(out, lambda found, _: found.to_markdown(), lambda found, league: {})
             with note_if_slow(FINISHING):
                 found = reproduction.reproduction_of(self.paper, self.maps, made)
                 tables, orderings = (table.to_dict("records") for table in (found.tables, found.orderings))
                 entries = {"notes": found.notes, "tables": tables, "orderings": orderings}
                 record = functools.partial(out.record, arguments, self, **entries)
-                return finish_comparison(out, made, found.to_markdown(), {"reproduce.png": found.figure}, record)
+                return finish_comparison(out, made, found.to_markdown(), {}, record)

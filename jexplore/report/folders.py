@@ -28,7 +28,6 @@ OUR_FILES = (
     *("bench.json", "bench.png"),  # bench
     *("scores.parquet", "segments.png"),  # segment
     *("trajectory.txt", "map.yaml", "map.pgm", "slam.png", "errors.parquet"),  # slam
-    *("reproduce.png", "reproduce.svg"),  # reproduce
     *("asked.yaml", "summary.csv", "sweep.png", "sweep.svg"),  # sweep
     *("btm.json", "btm.geojson", "btm.graphml", "btm.png", "btm.html", "runs.parquet"),  # trace
     *("station.html", "teams.parquet", "contacts.parquet", "team.png"),  # trace --robots
@@ -37,7 +36,7 @@ OUR_FILES = (
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
 
-VECTORS = ("compare.png", "coverage.png", "league.png", "reproduce.png", "sweep.png")
+VECTORS = ("compare.png", "coverage.png", "league.png", "sweep.png")
 """Pictures that are written as SVG as well."""
 UNFINISHED = ".unfinished"  # folder for the finished units of a run, in its own
 LOCK = ".lock"  # file that is locked while a process has the folder to itself

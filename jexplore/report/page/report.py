@@ -22,7 +22,6 @@ PICTURES = {
     "coverage.png": "Share of what can be known along the path",
     "paths.png": "The map as each strategy saw it in episode 0, with its path",
     "league.png": "Path lengths as ratios to those of the first strategy, over all worlds",
-    "reproduce.png": "Path lengths next to the paper's",
     "sweep.png": "Path lengths along the first setting that is varied",
     "episode.png": "The known map and the path at the end",
 }
