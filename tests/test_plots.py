@@ -265,7 +265,7 @@ def test_response_figure_of_words_and_of_many():
 
 def test_wrong_settings_are_refused():
     table = sweep()
-    refused(r"setting must be a column .* such as lidar\.range_m", figures.response_figure, table, "lidar.rang_m")
+    refused(r"unknown column of the episodes: .*lidar\.range_m", figures.response_figure, table, "lidar.rang_m")
 
 
 def test_maps_have_a_legend_and_a_scale():

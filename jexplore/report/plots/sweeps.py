@@ -44,7 +44,7 @@ def draw_response(ax: Axes, x: Any, estimate: Any, low: Any, high: Any, look: Ma
     return container
 
 
-def response_curves_figure(table: Any, setting: str, *, label: str, averaged: str) -> Figure:
+def response_curves_figure(table: Any, setting: str, *, averaged: str) -> Figure:
     """Draw curves over a setting, a column of a table from `response.response`: a panel a world, a line a strategy.
 
     Text or truth values stand side by side in order of first appearance. `averaged` names the averaged settings: a line
@@ -74,7 +74,7 @@ def response_curves_figure(table: Any, setting: str, *, label: str, averaged: st
         ax.set_xlim(min(place.values()) - 0.09 * span, max(place.values()) + 0.09 * span)
         ax.set_title(wrapped_text(worlds[number], 44, max_lines=2), fontsize=9)
         ax.set_xlabel(setting if lowest else "")
-        ax.set_ylabel(wrapped_text(label, 40, max_lines=2) if number % n_cols == 0 else "")
+        ax.set_ylabel("path length (m)" if number % n_cols == 0 else "")
         plain_axes(ax, grid="both")
     legend_below(page, [lines[name] for name in lines], list(lines))
     text = wrapped_text(averaged, int(12 * page.get_figwidth()), max_lines=3)

@@ -132,11 +132,10 @@ def profile_figure(episodes: pd.DataFrame, *, over: str = "best") -> Figure:
     return curves.profile_curves_figure(table, over=over)
 
 
-def response_figure(episodes: pd.DataFrame, setting: str, *, value: str = "path_m", **how: Any) -> Figure:
-    """Draw a mean over one setting, a line a strategy and a panel a world; arguments of `response.response`."""
-    table = response(episodes, setting, value=value, **how)
+def response_figure(episodes: pd.DataFrame, setting: str, *, over_worlds: bool | None = None) -> Figure:
+    """Draw the mean path over one setting, a line a strategy and a panel a world; arguments of `response.response`."""
+    table = response(episodes, setting, over_worlds=over_worlds)
     varied = [name for name in setting_columns(episodes) if name != setting and len(set(episodes[name])) > 1]
     what = "worlds" if ALL_WORLDS in set(table["world"]) else "starts"
     averaged = f"means over {table['n'].max()} {what}" + (f" and all values of {', '.join(varied)}" if varied else "")
-    label = {"path_m": "path length (m)", "explored_fraction": "explored share"}.get(value) or value
-    return sweeps.response_curves_figure(table, setting, label=label, averaged=f"{averaged}, with 95 % intervals")
+    return sweeps.response_curves_figure(table, setting, averaged=f"{averaged}, with 95 % intervals")

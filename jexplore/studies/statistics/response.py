@@ -1,13 +1,12 @@
 """Paths as functions of settings: means at every value of a setting."""
 
-import difflib
 import math
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from jexplore.config import InputError
+from jexplore.config import InputError, unknown
 from jexplore.studies.statistics.over_worlds import ALL_WORLDS, kind_of, mean_over_worlds
 from jexplore.studies.statistics.paired import mean_interval
 
@@ -22,24 +21,6 @@ MOST_PANELS = 6
 def setting_columns(episodes: pd.DataFrame) -> list[str]:
     """Return the setting columns of a table of episodes: those with a dot in their name, `seed` and `cell_m`."""
     return [name for name in map(str, episodes.columns) if "." in name or name in SHARED]
-
-
-def require_column(episodes: pd.DataFrame, name: str, what: str) -> None:
-    """Refuse a column that a table does not have; say which is near."""
-    if name not in episodes.columns:
-        near = difflib.get_close_matches(str(name), map(str, episodes.columns), 1)
-        raise InputError(
-            f"{what} must be a column of the episodes{f', such as {near[0]}' if near else ''}, got {name!r}"
-        )
-
-
-def _numbers(episodes, name):
-    """Return a column of measured numbers as float64, NaN where missing."""
-    require_column(episodes, name, "value")
-    try:
-        return episodes[name].astype("Float64").to_numpy(dtype=np.float64, na_value=np.nan)
-    except (TypeError, ValueError):
-        raise InputError(f"value must be a column of numbers, got {name!r}") from None
 
 
 def _cut(table, name):
@@ -62,10 +43,8 @@ def _rounded(means):
     return means
 
 
-def response(
-    episodes: pd.DataFrame, setting: str, *, value: str = "path_m", over_worlds: bool | None = None
-) -> pd.DataFrame:
-    """Estimate a mean with its interval at every value of a setting.
+def response(episodes: pd.DataFrame, setting: str, *, over_worlds: bool | None = None) -> pd.DataFrame:
+    """Estimate the mean path with its interval at every value of a setting.
 
     In one world the sample are its starts, episodes of one number and seed, each with its mean over all other settings:
     intervals by `mean_interval`. Over worlds it is the worlds' means, by `mean_over_worlds`.
@@ -74,18 +53,18 @@ def response(
       episodes: a table of episodes with settings as columns, such as `lidar.range_m`.
       setting: one of the columns, of more than 24 numbers in `BINS` parts. Rows without it (another strategy's
         parameter) are left out.
-      value: the column that is averaged; rows without it are left out.
       over_worlds: give the mean over worlds instead of every world; by default with more than `MOST_PANELS`.
 
     Returns:
       A DataFrame: `world` (`over_worlds.ALL_WORLDS` for the mean over them), `strategy`, the setting under its name,
         `n` starts or worlds, `estimate`, `low`, `high`; in order of first appearance, the setting rising.
     """
-    require_column(episodes, setting, "setting")
-    table: Any = episodes.assign(value=_numbers(episodes, value))
-    table = _cut(table[np.isfinite(table["value"]) & table[setting].notna()], setting)
+    if setting not in episodes.columns:
+        raise unknown("column of the episodes:", str(setting), list(map(str, episodes.columns)))
+    table: Any = episodes[episodes[setting].notna()]
     if not len(table):
-        raise InputError(f"{setting} must be set in some episodes that have a {value}, got none")
+        raise InputError(f"{setting} must be set in some episodes, got none")
+    table = _cut(table, setting)
     worlds, strategies = list(dict.fromkeys(table["world"])), list(dict.fromkeys(episodes["strategy"]))
     over_worlds = len(worlds) > MOST_PANELS if over_worlds is None else over_worlds
     rows = []
@@ -98,12 +77,12 @@ def response(
 
 def _in_world(rows):
     """Return `(n, estimate, low, high)` of the starts of one world, strategy and setting."""
-    values = rows.groupby(["episode", *(["seed"] if "seed" in rows else [])])["value"].mean().to_numpy()
+    values = rows.groupby(["episode", *(["seed"] if "seed" in rows else [])])["path_m"].mean().to_numpy()
     return len(values), float(values.mean()), *mean_interval(values)
 
 
 def _over_worlds(rows):
     """Return `(n, estimate, low, high)` of the worlds of one strategy and setting."""
-    means = rows.groupby("world", sort=False)["value"].mean()
+    means = rows.groupby("world", sort=False)["path_m"].mean()
     mean, low, high, _ = mean_over_worlds(means, [kind_of(world) for world in means.index])
     return len(means), mean, max(low, 0.0) if math.isfinite(low) else low, high
