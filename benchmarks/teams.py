@@ -10,9 +10,9 @@ line for every case that was not equal; exit status 1 if there was any. With --c
 robot, in rooms of 10 x 8 m, to that in the smallest team.
 
 With --study teams explore worlds of five kinds, 20 x 20 m (hospitals 32 x 20 m) in cells of 0.2 m, from one start
-each, together and apart: all coordinations with 1 and 4 robots, and in parts of the worlds with 2 and 8 robots, with
-`learned` or `small-first` as each robot's strategy, and with every contact (`PARTS`). Worlds that are in the folder are
-not computed again. Prints ratios of the times until all is known; intervals are over worlds.
+each, together and apart: all coordinations, and `learned` or `small-first` as each robot's strategy, with 1, 2, 4 and 8
+robots, and two coordinations of four robots with every contact (`PARTS`). Worlds that are in the folder are not
+computed again. Prints ratios of the times until all is known; intervals are over worlds.
 """
 
 import argparse
@@ -44,15 +44,13 @@ JOINT = "independent", "greedy", "hungarian", "minpos", "voronoi", "segments"
 ALONE = {
     name: f"{name}+recheck" for name in ("learned", "small-first")
 }  # strategies of each robot, without coordination
-ALL, TWO = (*JOINT, *ALONE), ("independent", "minpos")
-PARTS = [  # sizes, coordinations, contact, starts, part of the worlds
-    *(([1, 4], JOINT, "all", starts, 1) for starts in ("together", "apart")),
-    *(([4], TWO, contact, "together", 2) for contact in ("none", "range:5", "range:10", "line-of-sight")),
-    *(([2, 8], ("independent", "greedy", "minpos"), "all", starts, 2) for starts in ("together", "apart")),
-    ([2, 8], ("hungarian", "voronoi", "segments"), "all", "together", 4),
-    ([2, 8], ("hungarian", "voronoi", "segments"), "all", "apart", 10),
-    *(([1, 2, 4, 8], ("small-first",), "all", starts, 4) for starts in ("together", "apart")),
-    *(([1, 2, 4, 8], ("learned",), "all", starts, 10) for starts in ("together", "apart")),
+ALL, TWO, STARTS = (*JOINT, *ALONE), ("independent", "minpos"), ("together", "apart")
+PARTS = [  # sizes, coordinations, contact, starts
+    *(([1, 4], JOINT, "all", starts) for starts in STARTS),
+    *(([4], TWO, contact, "together") for contact in ("none", "range:5", "range:10", "line-of-sight")),
+    *(([2, 8], ("independent", "greedy", "minpos"), "all", starts) for starts in STARTS),
+    *(([2, 8], ("hungarian", "voronoi", "segments"), "all", starts) for starts in STARTS),
+    *(([1, 2, 4, 8], (name,), "all", starts) for name in ("small-first", "learned") for starts in STARTS),
 ]
 
 
@@ -60,13 +58,13 @@ def study(folder, worlds):
     """Run what the folder lacks, and return all episodes."""
     folder.mkdir(parents=True, exist_ok=True)
     parts = []
-    for (sizes, names, contact, starts, part), kind in itertools.product(PARTS, KINDS):
+    for (sizes, names, contact, starts), kind in itertools.product(PARTS, KINDS):
         told = *map(str, sizes), contact.replace(":", ""), starts
         path = folder / f"{kind}-{names[-1]}-{'-'.join(told)}.parquet"
         width_m = 32 if kind == "hospital" else 20  # the least of a hospital
         made = [pd.read_parquet(path)] if path.exists() else []
         done = {world for table in made for world in table["world"]}
-        buildings = [f"{kind}#{number}:width_m={width_m},height_m=20" for number in range(worlds // part)]
+        buildings = [f"{kind}#{number}:width_m={width_m},height_m=20" for number in range(worlds)]
         if buildings := [world for world in buildings if world not in done]:
             own = names[0] if names[0] in ALONE else None
             joint = [] if own else list(names)
@@ -119,6 +117,9 @@ def study_tables(episodes):
     tables["contact to all"] = {
         f"{name}, {contact}": (team_of(4, name, contact), team_of(4, name)) for name in TWO for contact in contacts
     }
+    alone = team_of(1)
+    others = {f"{name}, 1": {**alone, "coordination": name} for name in ALONE} | {"4, none": team_of(4, contact="none")}
+    tables["to one robot, closest+recheck"] = {label: (who, alone) for label, who in others.items()}
     told = []
     for title, pairs in tables.items():
         rows = [[label, *ratio_row(episodes, *pair)] for label, pair in pairs.items() if pair[0] != pair[1]]
