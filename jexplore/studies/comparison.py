@@ -123,12 +123,9 @@ def _asked(jobs: Sequence[Job], how: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _run(
-    jobs: Sequence[Job],
-    settings: Mapping[str, Any],
-    how: Mapping[str, Any],
-    on_progress: Callable[[int], object] | None,
-    ledger: Ledger | None = None,
-) -> ComparisonResult:
+    jobs: Sequence[Job], settings: Mapping[str, Any], how: Mapping[str, Any],
+    on_progress: Callable[[int], object] | None, ledger: Ledger | None = None,
+) -> ComparisonResult:  # fmt: skip
     """Run a comparison whose units a ledger keeps, and record how it was run."""
     began = datetime.datetime.now(datetime.UTC)
     found = run_comparison(jobs, ledger=ledger, on_progress=on_progress, **how)

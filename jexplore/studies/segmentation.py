@@ -139,12 +139,9 @@ def _stages(world, job):
 
 
 def prepare_maps(
-    maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World],
-    truth: Any,
-    variants: Any,
-    cell_m: float,
-    settings: RoomSettings,
-) -> list[World]:
+    maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World], truth: Any, variants: Any,
+    cell_m: float, settings: RoomSettings,
+) -> list[World]:  # fmt: skip
     """Check and load everything before `segment_maps` runs: worlds with their true rooms. Arguments as there."""
     variants = list_of("variants", variants)
     require_different("variants", variants)

@@ -47,16 +47,10 @@ def write_report(
 
 
 def report_page(
-    title: str,
-    asked: Mapping[str, Any],
-    tables: Iterable[tuple[str, str]] = (),
-    figures: Iterable[tuple[str, bytes, str]] = (),
-    replays: Sequence[ReplayData] = (),
-    warnings: Iterable[str] = (),
-    *,
-    notes: Iterable[str] = (),
-    max_bytes: int = MAX_REPORT_BYTES,
-) -> str:
+    title: str, asked: Mapping[str, Any], tables: Iterable[tuple[str, str]] = (),
+    figures: Iterable[tuple[str, bytes, str]] = (), replays: Sequence[ReplayData] = (), warnings: Iterable[str] = (),
+    *, notes: Iterable[str] = (), max_bytes: int = MAX_REPORT_BYTES,
+) -> str:  # fmt: skip
     """Return the report of a run, one HTML file: no network, no server, no other file; replays need JavaScript.
 
     Figures take up to half of the page; the largest are left out where they would take more. Where the page would be

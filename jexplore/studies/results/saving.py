@@ -62,13 +62,10 @@ def comparison_files(found: Any) -> dict[str, Any]:
 
 
 def pictures_of(
-    figures: Mapping[str, Callable[[], Any]],
-    record: Mapping[str, Any],
-    tables: Callable[[], Sequence[tuple[str, str]]],
-    jobs: Sequence[Job] | None,
-    firsts: Mapping[int, Outcomes] = MappingProxyType({}),
-    labels: Sequence[str] = (),
-) -> dict[str, Any]:
+    figures: Mapping[str, Callable[[], Any]], record: Mapping[str, Any],
+    tables: Callable[[], Sequence[tuple[str, str]]], jobs: Sequence[Job] | None,
+    firsts: Mapping[int, Outcomes] = MappingProxyType({}), labels: Sequence[str] = (),
+) -> dict[str, Any]:  # fmt: skip
     """Return pictures and the page of a run: name -> content.
 
     `figures` are name -> function that draws it, `record` the content of run.json, `tables` a function that returns the

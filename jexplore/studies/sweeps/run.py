@@ -177,13 +177,9 @@ def _unit_table(plan, number, made):
 
 
 def run_sweep(
-    plan: SweepPlan,
-    *,
-    ledger: Ledger | None = None,
-    shard: tuple[int, int] | None = None,
-    on_progress: Callable[[int], object] | None = None,
-    **how: Any,
-) -> SweepResult:
+    plan: SweepPlan, *, ledger: Ledger | None = None, shard: tuple[int, int] | None = None,
+    on_progress: Callable[[int], object] | None = None, **how: Any,
+) -> SweepResult:  # fmt: skip
     """Run the units of a sweep that the ledger, which stores them as they are finished, does not have.
 
     With a shard `(i, n)` only every n-th unit, from the i-th on. After Ctrl-C the result holds the units that were
@@ -244,14 +240,9 @@ def whole_table(tables: Sequence[pd.DataFrame], plan: SweepPlan) -> pd.DataFrame
 
 @checked_names
 def sweep(
-    spec: Sweep | Mapping[str, Any] | str | os.PathLike[str],
-    *,
-    engine: str = "auto",
-    lanes: int | None = None,
-    workers: int | None = None,
-    on_progress: Callable[[int], object] | None = None,
-    progress: bool | None = None,
-) -> SweepResult:
+    spec: Sweep | Mapping[str, Any] | str | os.PathLike[str], *, engine: str = "auto", lanes: int | None = None,
+    workers: int | None = None, on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
+) -> SweepResult:  # fmt: skip
     """Compare strategies over many settings.
 
     Args:

@@ -25,14 +25,9 @@ MAX_LISTED_IDS = 12  # ids of nodes that a message lists
 
 @checked_names
 def route(
-    btm: BtmMap,
-    robot: str | Robot,
-    start: RoutePlace,
-    end: RoutePlace,
-    *,
-    known_only: bool = False,
+    btm: BtmMap, robot: str | Robot, start: RoutePlace, end: RoutePlace, *, known_only: bool = False,
     within_m: float = WITHIN_M,
-) -> Route:
+) -> Route:  # fmt: skip
     """Find the shortest way over links that a robot may use.
 
     Args:
