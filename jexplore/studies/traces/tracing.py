@@ -15,7 +15,6 @@ from jexplore.config import __version__, checked_names, require_engine
 from jexplore.driving import vehicle
 from jexplore.driving.batch import Driven, outcome_names
 from jexplore.driving.local.batch import require_cpu
-from jexplore.driving.records import RunMode
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.runner import Costs
 from jexplore.report import store
@@ -176,14 +175,6 @@ def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
     return found
 
 
-def _helps(help_at, origin_m):
-    """Describe the first operator helps: text."""
-    return "; ".join(
-        f"({x + origin_m[0]:.2f}, {y + origin_m[1]:.2f}) m at {step * vehicle.DT_S:.0f} s, {RunMode(int(mode)).name}"
-        for x, y, step, mode in help_at[np.isfinite(help_at[:, 0])]
-    )
-
-
 def trace_table(
     plan: TraceJob, result: Any, setting: np.ndarray, which: np.ndarray, chosen: Mapping[str, Any]
 ) -> tuple[Any, list[BtmMap]]:
@@ -212,7 +203,6 @@ def trace_table(
             "steps": result.steps,
             "time_s": result.steps * vehicle.DT_S,
             **{name: getattr(result, name) for name in ("path_m", "contacts", "refused", "interventions")},
-            "helped_at": [_helps(of_run, plan.world.origin_m) for of_run in result.help_at],
             "junctions": int((~is_door).sum()),
             "junctions_reached": marks[:, ~is_door].sum(axis=1),
             "doors": int(is_door.sum()),
