@@ -62,23 +62,6 @@ def to_bytes(colour):
     return np.array([round(255 * value) for value in to_rgb(colour)])
 
 
-def test_gif_scale_bar_is_true(tmp_path):
-    animate.save_animation([frame(state=np.ones((30, 40), np.uint8), caption="")], tmp_path / "a.gif", cell_m=0.25)
-    ((picture, _),) = gif_frames(tmp_path / "a.gif")
-    dark = np.nonzero((picture[30 * 16 + 12] == 0).all(axis=-1))[0]
-    assert dark[-1] - dark[dark > 500][0] == pytest.approx(2.0 / 0.25 * 16, abs=1)  # "2 m" at 16 pixels a cell
-
-
-def test_gif_path_is_drawn_between_cell_centres(tmp_path):
-    state = np.ones((10, 10), np.uint8)
-    animate.save_animation([frame(state=state, rows=[2, 2], cols=[1, 8], row=9, col=9)], tmp_path / "a.gif", cell_m=0.1)
-    ((picture, _),) = gif_frames(tmp_path / "a.gif")
-    violet = (picture[:640] == (123, 44, 160)).all(axis=-1)
-    rows, cols = np.nonzero(violet)
-    assert rows.mean() == pytest.approx(640 - 2.5 * 64, abs=1)
-    assert (cols.min(), cols.max()) == (pytest.approx(1.5 * 64, abs=2), pytest.approx(8.5 * 64, abs=2))
-
-
 @pytest.mark.parametrize(("heading_deg", "toward"), [(0, (1, 0)), (90, (0, 1)), (225, (-1, -1))])
 def test_gif_robot_points_where_it_heads(heading_deg, toward):
     image = animate.frame_image(
@@ -88,17 +71,6 @@ def test_gif_robot_points_where_it_heads(heading_deg, toward):
     points = np.stack([cols - 4.5 * 71, 4.5 * 71 - rows], axis=-1)
     tip = points[np.argmax((points**2).sum(axis=1))]
     assert tip @ np.array(toward) > 0.95 * np.hypot(*tip) * np.hypot(*toward)
-
-
-def test_gif_colours_do_not_flicker(tmp_path):
-    states = [np.where(np.arange(12).reshape(3, 4) < n, STATE, 0).astype(np.uint8) for n in range(1, 12)]
-    animate.save_animation([frame(n, state) for n, state in enumerate(states)], tmp_path / "a.gif", cell_m=0.1, fps=10)
-    found = gif_frames(tmp_path / "a.gif")
-    assert len(found) == 11
-    assert [duration for _, duration in found] == [100] * 10 + [2000]
-    code = np.array([65536, 256, 1])
-    for picture, _ in found:
-        assert np.isin(np.unique(picture @ code), np.array(animate._GIF_PALETTE) @ code).all()
 
 
 def test_gif_frames_may_share_one_buffer(tmp_path):

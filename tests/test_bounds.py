@@ -1,7 +1,6 @@
 """Bounds: the exact search is brute force's, no episode is shorter than a lower bound, walks see everything."""
 
 import math
-import time
 
 import numpy as np
 import pandas as pd
@@ -14,7 +13,7 @@ import jexplore as jx
 from jexplore.cli import main
 from jexplore.reach import FAR, STRAIGHT
 from jexplore.rules import Lidar, Rules
-from jexplore.studies.bounds import beside, pieces, scene, search, subsets
+from jexplore.studies.bounds import beside, scene, search
 from jexplore.studies.bounds import bound as study
 from jexplore.studies.bounds.floor import Floor, edge_of, walk_cost
 from jexplore.studies.bounds.scene import Coverage
@@ -144,37 +143,6 @@ def test_no_episode_is_shorter_than_the_bound_of_any_robot(kind, floods):
     assert (table["low_any_m"] > 0.3 * table["high_m"]).all()
 
 
-@pytest.mark.slow
-def test_low_never_falls_as_witnesses_are_added_and_pieces_are_no_better_than_the_truth():
-    world = jx.load_world(ROOMS, cell_m=0.1)
-    start = tuple(int(v) for v in ready_starts(world, "random", 1, seed=0, rules=Rules())[0])
-    made = scene.prepare_scene(world, start, NEAR, Rules(), 2)
-    budget = search.Budget(None, 10**6)
-    own = search.Search(made, made.clear, budget, Coverage(made.sights, made.must_see), {})
-    exact, rng = subsets.Subsets(own.floor, FAR), np.random.default_rng(0)
-    cells = rng.choice(np.flatnonzero(made.must_see), 7, replace=False).tolist()
-    lows = []
-    for cell in cells:
-        if own.from_start[own.region(cell)].min() == 0:
-            continue
-        for _ in exact.add(cell, own.region(cell)):
-            pass
-        lows.append(exact.low)
-        regions = [own.region(other) for other in exact.witnesses]
-        for most in (8, 60):
-            until = time.monotonic() + 0.3
-            how = {"left_s": lambda: 0.2, "over": lambda until=until: time.monotonic() > until}
-            bound = pieces.bound_by_pieces(own.floor, regions, own.from_start, FAR, most=most, **how)
-            assert 0 <= bound <= exact.low
-    assert len(lows) > 4
-    assert lows == sorted(lows)
-    walk = exact.walk()
-    assert walk_cost(walk, made.width) == exact.low
-    assert sorted(exact.order) == sorted(exact.witnesses)
-    for cell in exact.witnesses:
-        assert seen_from(made, walk)[cell]
-
-
 def test_a_corridor_by_hand():
     """A dead-end corridor of 3 x 30 cells: the cells at its ends must be approached."""
     occupied = np.ones((5, 32), bool)
@@ -259,28 +227,6 @@ def test_the_command(tmp_path, printed):
     assert "nothing was left to do" in printed([*command, "--resume"]).out
     assert "holds another run" in printed([*command, "--resume", "--seed", "1"], 2).err
     assert "expected worlds" in printed(["bound", "--out", str(out)], 2).err
-
-
-@pytest.mark.slow
-def test_a_comparison_interrupted_while_it_bounds_goes_on_with_the_bounds_that_are_left(tmp_path, monkeypatch, printed):
-    out, solved = tmp_path / "run", []
-    command = ["compare", "--worlds", ROOMS, "--strategies", "closest", "--episodes", "3", "--no-report", "--bounds"]
-    command += ["--bound-seconds", "0.5", "--workers", "1", "--lidar.range-m", "1.5", "--out", str(out)]
-    solve = study.solve
-
-    def until_the_second(task):
-        solved.append(task)
-        if len(solved) == 2:
-            raise KeyboardInterrupt
-        return solve(task)
-
-    monkeypatch.setattr(study, "solve", until_the_second)
-    assert "units are kept" in printed(command, 130).err
-    monkeypatch.setattr(study, "solve", lambda task: solved.append(task) or solve(task))
-    assert main.main([*command, "--resume"]) == 0
-    assert len(solved) == 4  # one was there, one was cut short, two are made now
-    assert len(pd.read_parquet(out / "bounds.parquet")) == 3
-    assert jx.load(out).to_pandas()["path_over_low_any"].notna().all()
 
 
 @pytest.mark.slow

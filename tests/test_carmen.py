@@ -4,21 +4,14 @@ import dataclasses
 import itertools
 import math
 from fractions import Fraction
-from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from PIL import Image
 from ref.refusals import refused
-from scipy import ndimage
 
-from jexplore import raycast
 from jexplore.config import InputWarning
-from jexplore.grid import empty_grid, is_occupied
-from jexplore.rules import Lidar
 from jexplore.worlds import load_world
 from jexplore.worlds.readers import carmen, scans
 from jexplore.worlds.readers.carmen import read_carmen
@@ -26,15 +19,6 @@ from jexplore.worlds.readers.scans import ScanLog, fold_scans
 
 LINE = "FLASER 3 1.5 2 81.83 0.35 -0.25 {heading} 1 2 3 10.5 pippo 10.6"
 GOOD = LINE.format(heading=0)
-INTEL = "intel.gfs.log"
-
-
-@pytest.fixture(scope="module")
-def logs():
-    folder = Path(__file__).resolve().parents[2] / "shared" / "logs"
-    if not (folder / INTEL).is_file():
-        pytest.skip(f"the recorded scans are not there: no file {folder / INTEL}")
-    return folder
 
 
 def write(tmp_path, *lines, name="scans.log"):
@@ -253,13 +237,6 @@ def test_an_echo_from_beyond_the_range_is_free_up_to_there():
     assert (hits[1], misses[1]) == ([0, 0, 0, 0, 0, 1, 0], [0, 2, 2, 2, 2, 1, 0])
 
 
-def test_what_ends_in_the_robots_own_cell_counts_nothing():
-    hits, misses = counts(fold_scans(log_of([[0.3, 0, 0.5, 0.49]], angles_rad=[0, 1, 0, 0]), cell_m=1))
-    assert hits == [[0, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0]]  # 0.5 m is the edge of the next cell, which it enters
-    assert misses == [[0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 0]]
-    assert counts(fold_scans(log_of([[0.0]]), cell_m=1)) == ([[0] * 3] * 3, [[0, 0, 0], [0, 1, 0], [0, 0, 0]])
-
-
 def cells_of(x, y, angle, length):
     """The cells that a beam passes, in order, from the crossings' exact order: a plain loop over sorted crossings."""
     x, y, dx, dy = (Fraction(float(v)) for v in (x, y, math.cos(angle), math.sin(angle)))
@@ -312,30 +289,6 @@ def test_any_pose_as_a_slow_plain_loop(seed, cell_m, no_echo_m):
                 array[row, col] = n
         np.testing.assert_array_equal(found, array)
     assert sum(expected[0].values()) == int(made.grid.hits.sum())  # every end lies on the map
-
-
-def test_on_the_lattice_it_counts_as_the_robots_own_kernel():
-    """Ranges that a simulated scanner measures, folded in here and by `raycast.fold`."""
-    lidar, cell_m = Lidar(n_beams=60, fov_deg=170, range_m=1.55), 0.1  # no beam through the corners of cells
-    occupied = np.random.default_rng(3).random((40, 44)) < 0.04
-    occupied[[0, -1]] = occupied[:, [0, -1]] = True
-    occupied[20, 20] = False
-    beams = raycast.beam_table(lidar, cell_m, occupied.shape[1])
-    grid, ranges, poses = empty_grid(occupied.shape), [], []
-    for heading in range(8):
-        seen = raycast.scan(jnp.asarray(occupied), 20, 20, heading, beams)
-        grid = raycast.fold(grid, 20, 20, heading, seen, beams)
-        end, hit = np.asarray(seen.end), np.asarray(seen.hit)
-        entry = np.asarray(beams.entry)[heading, np.minimum(end, beams.entry.shape[1] - 1), np.arange(60)]
-        ranges.append(np.where(hit, entry * cell_m + 1e-6, 9))
-        poses.append((2.05, 2.05, heading * math.pi / 4))
-    log = log_of(ranges, poses, np.radians(raycast.beam_angles_deg(lidar)), max_range_m=8.0)
-    made = fold_scans(log, cell_m=cell_m, no_echo_m=lidar.range_m)
-    col, row = (round(v / cell_m) for v in made.origin_m)
-    rows, cols = made.grid.hits.shape
-    for found, expected in ((made.grid.hits, grid.hits), (made.grid.misses, grid.misses)):
-        np.testing.assert_array_equal(found, np.asarray(expected)[row : row + rows, col : col + cols])
-    assert int(made.grid.hits.sum()) == int(grid.hits.sum()) > 100
 
 
 @pytest.fixture
@@ -398,32 +351,3 @@ def test_a_world_by_its_name(tmp_path):
     assert (short.start, short.origin_m) == ((1, 1, 90), (1, -1))
     far = load_world(path + ":max_range_m=3,no_echo_m=2", cell_m=1)
     assert far.occupied.astype(int).tolist()[1] == [1, 0, 0, 1, 1]
-
-
-@pytest.mark.slow
-def test_the_intel_lab(logs, maps):
-    """The walls of a map that others made of the same building, after a turn and a shift."""
-    log = read_carmen(logs / INTEL)
-    assert log.ranges.shape == (910, 180)
-    made = fold_scans(log)
-    world = load_world(str(logs / INTEL))
-    assert 480 < world.free_m2 < 560
-    assert world.start == made.start
-    theirs = np.asarray(Image.open(maps / "radish" / "intel.png").convert("L"))[::-1] < 128
-    away_m = ndimage.distance_transform_edt(~theirs) * 0.05
-    rows, cols = np.nonzero(is_occupied(made.grid, 0.25))
-    points = (np.column_stack([cols, rows]) + 0.5) * made.cell_m + made.origin_m
-
-    def near(deg, mirror=1):
-        """Share of our walls that lie within 0.3 m of theirs, turned about their middle."""
-        middle = points.mean(axis=0)
-        angle = math.radians(12.634)
-        home = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
-        more = math.radians(deg)
-        turn = np.array([[math.cos(more), math.sin(more)], [-math.sin(more), math.cos(more)]])
-        there = (((points - middle) * [mirror, 1]) @ turn + middle) @ home + [15.929, 28.388]
-        at = np.clip((there / 0.05).astype(int), 0, np.array(theirs.shape[::-1]) - 1)
-        return np.mean(away_m[at[:, 1], at[:, 0]] <= 0.3)
-
-    assert near(0) > 0.9
-    assert max(near(90), near(180), near(270), near(0, mirror=-1)) < 0.5

@@ -313,31 +313,3 @@ def test_python_m_and_exit_status():
     assert (done.returncode, done.stdout) == (0, f"jexplore {jexplore.__version__}\n")
     done = subprocess.run([*command, "compare", "--episodes", "x"], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_an_interruption_that_falls_into_a_callback_of_the_garbage_collector_is_not_lost():
-    program = """
-import gc, os, signal, time
-from jexplore.cli import main
-from jexplore.cli.output import signals
-signals.SOON_S = 900  # no line in between, however slow this machine is
-gc.disable()
-def interrupted(phase, _):
-    if phase == "start":
-        os.kill(os.getpid(), signal.SIGINT)
-gc.callbacks.append(interrupted)
-def command(_, signals):
-    signals.listen()
-    gc.collect()
-    gc.callbacks.clear()
-    print("went on", flush=True)
-    time.sleep(900)
-main._dispatch = command
-raise SystemExit(main.main())
-"""
-    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
-    assert found.stdout.strip() == "went on"  # the first was dropped; the second may come before the line ends
-    assert found.stderr == "jexplore: interrupted, no results were written\n"
-    assert found.returncode == 130

@@ -4,11 +4,9 @@ import types
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from ref.refusals import refused
 
-from jexplore.config import InputError, as_record, require_kind, require_number, require_whole, shown
+from jexplore.config import as_record, require_kind, require_whole, shown
 from jexplore.rules import Lidar, Rules
 
 
@@ -38,29 +36,6 @@ def test_a_value_of_many_copies_of_itself_is_shown_at_once():
     for _ in range(60):
         value = [value] * 9
     assert len(shown(value)) == 200
-
-
-values = st.recursive(
-    st.none() | st.booleans() | st.integers(-(10**500), 10**500) | st.floats() | st.text() | st.builds(lambda: 10**400),
-    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
-)
-
-
-@settings(max_examples=15)
-@given(values)
-def test_any_value_is_taken_or_refused_in_one_short_line(value):
-    for check in (
-        lambda: require_number("n", value, high=10),
-        lambda: require_number("n", value, low=-(10.0**300)),
-        lambda: require_whole("n", value, 0, 10),
-        lambda: require_kind("lidar", value, Lidar),
-    ):
-        try:
-            said = ("taken", check())
-        except InputError as error:
-            said = (str(error), None)
-        assert len(said[0]) < 600
-        assert len(said[0].splitlines()) == 1
 
 
 def test_a_dict_of_fields_shows_how_the_record_is_written():

@@ -2,7 +2,6 @@
 
 import importlib.util
 import itertools
-import json
 import os
 import re
 import shlex
@@ -357,92 +356,10 @@ def test_files_and_columns_are_explained():
     assert [name for name in names if f"`{name}`" not in page] == []
 
 
-def test_links_of_the_site():
-    """Files of the repository that are pages of the site are linked as such, from wherever."""
-    rewritten = script("generate").rewritten
-    text = (
-        "[a](../../benchmarks/RESULTS.md#rooms) [b](own-map.md) ![c](../images/x.png) [d](https://x.y/CONTRIBUTING.md)"
-    )
-    assert rewritten(text, "docs/how-to/rooms.md") == (
-        "[a](../results/measured/rooms.md#rooms) [b](own-map.md) ![c](../images/x.png) [d](https://x.y/CONTRIBUTING.md)"
-    )
-    assert rewritten("[a](RESULTS.md)", "benchmarks/README.md") == "[a](measured.md)"
-    assert rewritten("[a](docs/tutorial.md) [b](#here)", "CONTRIBUTING.md") == "[a](tutorial.md) [b](#here)"
-    assert rewritten("[a](../../notebooks/05_rooms.ipynb)", "docs/how-to/rooms.md") == "[a](../notebooks/05_rooms.md)"
-    fenced = "```\n[a](docs/tutorial.md)\n```"
-    assert rewritten(fenced, "CONTRIBUTING.md") == fenced
-
-
-def test_subjects_of_a_file():
-    found = script("generate").subjects("# Top\n\nAll.\n\n## Holz et al. 2010\n\n### A\n\nx\n\n## B\n\ny\n")
-    assert found == {
-        "": "# Top\n\nAll.\n\n- [Holz et al. 2010](measured/holz-et-al-2010.md)\n- [B](measured/b.md)\n",
-        "holz-et-al-2010": "# Holz et al. 2010\n\n## A\n\nx\n\n",
-        "b": "# B\n\ny\n",
-    }
-
-
-def test_page_of_a_notebook(tmp_path):
-    """The richest form of an output is shown; an HTML block has no blank line, which would end it."""
-    outputs = [
-        {"text": ["said\n"]},
-        {"data": {"image/png": "AAEC\n", "text/plain": "a picture"}},
-        {"data": {"text/html": "<style>b{}</style><b>\n\n</b><table border='1'>", "text/plain": "bold"}},
-    ]
-    cells = [
-        {"cell_type": "markdown", "source": ["# Title"]},
-        {"cell_type": "code", "source": ["1 +\n", "1"], "outputs": outputs},
-    ]
-    (tmp_path / "one.ipynb").write_text(json.dumps({"cells": cells}))
-    text, pictures = script("generate").notebook_page(tmp_path / "one.ipynb")
-    assert pictures == {"one-1.png": b"\x00\x01\x02"}
-    assert text == (
-        "# Title\n\n```python\n1 +\n1\n```\n\n```text\nsaid\n```\n\n"
-        "![Output of the cell above](one-1.png)\n\n<div><b>\n</b><table></div>\n"
-    )
-
-
-def test_a_commands_page_from_two_options():
-    import dataclasses
-    from typing import Literal
-
-    @dataclasses.dataclass(frozen=True)
-    class Bake:
-        """Bake bread.
-
-        Until it is <brown>.
-        """
-
-        kind: Literal["rye", "wheat"] = "rye"
-        """Of this flour, a|b."""
-        crust: bool = dataclasses.field(default=True, metadata={"off": "Without."})
-        """With."""
-
-    page = script("generate").commands_text({"bake": Bake})
-    assert page.endswith(
-        "## jexplore bake\n\nBake bread.\n\nUntil it is &lt;brown>.\n\n"
-        "| option | default | meaning |\n| --- | --- | --- |\n"
-        "| `--kind {rye,wheat}` | `rye` | Of this flour, a\\|b. |\n| `--no-crust` |  | Without. |\n"
-    )
-
-
 def test_the_citation_is_of_this_version():
     page = yaml.safe_load(text_of("CITATION.cff"))
     assert page["version"] == jx.__version__
     assert {"cff-version", "message", "title", "authors"} <= page.keys()
-
-
-def test_comments_of_fields_are_told():
-    pytest.importorskip("griffe", reason="of the extra docs")
-    sys.path.insert(0, str(ROOT / "docs"))
-    try:
-        from comments import comment_of
-    finally:
-        sys.path.remove(str(ROOT / "docs"))
-    lines = ["a: int  # metres", "# row, col", "# and heading", "b: int = 3  # noqa: F1", "c: int"]
-    assert comment_of(lines, 1, 1) == "metres"
-    assert comment_of(lines, 4, 4) == "row, col and heading"
-    assert comment_of(lines, 5, 5) == ""
 
 
 def test_every_picture_is_drawn_by_the_script_and_shown():
@@ -462,26 +379,6 @@ def test_what_draws_a_picture_is_told(name):
     assert any(command in text for text in told), command
     if command.startswith("jexplore "):
         parse_options(shlex.split(command)[1:], COMMANDS)
-
-
-def test_a_stale_picture_is_found(tmp_path):
-    """Another panel, another curve; not a shift by a pixel, nor a little more room, as other releases draw."""
-    from matplotlib.figure import Figure
-
-    def drawn(name, panels=2, curve=2.0, dpi=150, tall=3.0):
-        figure = Figure(figsize=(4, tall), layout="constrained")
-        for ax in figure.subplots(panels, 1, squeeze=False).flat:
-            ax.fill_between(range(10), np.arange(10) ** curve)
-            ax.set_title("a title")
-        figure.savefig(tmp_path / name, dpi=dpi)
-        return tmp_path / name
-
-    difference, old = script("pictures").difference, drawn("old.png")
-    assert difference(old, drawn("same.png")) is None
-    assert difference(old, drawn("larger.png", dpi=152)) is None
-    assert "differs by" in difference(old, drawn("panel.png", panels=3))
-    assert "differs by" in difference(old, drawn("curve.png", curve=0.5))
-    assert "drawn now 600 x 600" in difference(old, drawn("tall.png", tall=4.0))
 
 
 @pytest.mark.slow

@@ -16,9 +16,8 @@ from ref.jobs import LIDAR, RULES, digest, few, some_jobs
 from ref.refusals import refused
 
 import jexplore as jx
-from jexplore.arrays import loops
 from jexplore.config import InputError
-from jexplore.engine import devices, lanes, one_by_one, runner
+from jexplore.engine import lanes, one_by_one, runner
 from jexplore.exploration.batch import run_jobs
 from jexplore.exploration.site import line_of, prepare_site
 from jexplore.exploration.state import Outcome
@@ -65,13 +64,6 @@ def test_lanes_give_what_one_after_the_other_does(want):
     costs = report.costs
     assert (costs.engine, costs.devices, costs.lanes) == ("jax", 1, 7)
     assert costs.levels == {"closest": ["JAX in lanes"], "closest+recheck": ["JAX in lanes"]}
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_calls_of_any_size_give_the_same(want, monkeypatch):
-    monkeypatch.setattr(one_by_one, "CHUNK", 7)
-    assert_equal(run_jobs(some_jobs(), LIDAR, RULES, engine="jax", workers=2), want)
 
 
 # ---------------------------------------------------------------- devices and processes
@@ -260,17 +252,6 @@ def test_where_jax_has_no_cpu_all_runs_are_in_lanes(monkeypatch):
         InputError, match=r"^JAX_PLATFORMS must list cpu, where runs are made one after the other, got "
     ):
         runner.find_resources(in_lanes=False)
-
-
-@pytest.mark.jit
-def test_what_is_compiled_for_a_cpu_beside_an_accelerator_is_as_for_a_cpu(want, monkeypatch):
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    devices._compiled.cache_clear()
-    traced = []
-    monkeypatch.setattr(loops, "_on_cpu", lambda own=loops._on_cpu: traced.append(own()) or traced[-1])
-    report = run_jobs(some_jobs()[:1], LIDAR, RULES, engine="jax", workers=2)
-    assert set(traced) == {True}
-    assert_equal(report, want._replace(outcomes=want.outcomes[:1]))
 
 
 @pytest.mark.parametrize(

@@ -114,19 +114,6 @@ def same(one, other):
     jax.tree.map(np.testing.assert_array_equal, one, other)
 
 
-@pytest.mark.slow
-def test_the_draws_of_a_reset(env):
-    world = two_rooms()
-    many, view = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 200))
-    start = np.asarray(view.belief.start)
-    clear = {tuple(cell) for cell in draw_starts(world, 0, 3000, Rules().clearance_m)[:, :2].tolist()}
-    assert {tuple(cell) for cell in start[:, :2].tolist()} <= clear
-    assert len({tuple(cell) for cell in start[:, :2].tolist()}) > 100
-    assert set(start[:, 2].tolist()) == set(range(8))
-    again, _ = env.reset(jax.random.split(jax.random.key(0), 200)[7])
-    same(jax.tree.map(lambda a: a[7], many), again)
-
-
 def test_what_cannot_be_reached_moves_nothing(env):
     key = jax.random.key(3)
     state, view = env.reset(key)
@@ -240,17 +227,6 @@ def test_64_bits_are_refused(env):
     with jax.enable_x64(True):
         for call in calls:
             refused("jexplore computes in 32 bits", call)
-
-
-@pytest.mark.slow
-def test_keys_may_be_used_again_and_old_ones_do_as_well(env):
-    key = jax.random.key(5)
-    with jax.debug_key_reuse(True):
-        state, view = env.reset(key)
-        new, *_ = env.step(key, state, nearest(view))
-    again, view = env.reset(jax.random.PRNGKey(5))
-    same(again, state)
-    same(env.step(jax.random.PRNGKey(5), state, nearest(view))[0], new)
 
 
 def test_environments_of_one_shape_share_their_programs(env):

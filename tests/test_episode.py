@@ -133,17 +133,6 @@ def test_random_worlds_replay(seed, shape, strategy, lidar, rules):
         assert Outcome(int(result.outcome)) == limits[seed]
 
 
-@pytest.mark.slow
-@pytest.mark.jit
-@pytest.mark.parametrize("seed", [20, 21, 22])
-def test_worlds_of_single_cell_clearance_replay(seed):
-    """Cells of 0.3 m, clearance of one cell, and the window that such a scanner needs: much smaller than the map."""
-    lidar, rules = Lidar(range_m=2.4, n_beams=37), Rules()
-    occupied, rooms = maps.cluttered(seed, 60, 60)
-    start = a_start(seed, occupied, rules, 0.3)
-    assert_same(occupied, start, "closest+recheck", lidar, rules, cell_m=0.3, rooms=rooms, shape=SHAPE)
-
-
 @pytest.mark.jit
 def test_known_cells_are_counted_in_every_corner_of_the_map():
     """The count follows the square that a scan can change; here the square is small and cut off by the map's edge."""
@@ -213,10 +202,7 @@ VIEWS = "decision-theoretic{}:samples=40,lam=0,spread_m=0,min_gain=2"
 @pytest.mark.slow
 @pytest.mark.jit
 def test_a_view_point_is_given_up_when_it_shows_too_little_only_with_rechecking():
-    """Three cells ahead are seen at the start, up to column 4, from where three more would be. Two steps on the view
-    point in column 4 still shows two new cells, three steps on only one: with rechecking the next one is chosen there,
-    in column 6, and so on; without, the robot drives on to every view point. It knows the passage's walls.
-    """
+    """Three cells ahead are seen at the start, up to column 4, from where three more would be."""
     occupied, lidar = maps.walls(PASSAGE), Lidar(n_beams=4, fov_deg=360, range_m=3.0)
     how = {"lidar": lidar, "rules": ONE_CELL.replace(known_outline=True), "cell_m": 1.0}
     targets = {}
@@ -230,23 +216,6 @@ def test_a_view_point_is_given_up_when_it_shows_too_little_only_with_rechecking(
     assert targets[""][:3] == [(2, 4), (3, 4), (4, 4)]
     assert targets["+recheck"][:2] == [(2, 4), (3, 4)]
     assert targets["+recheck"][2] == (4, 6)
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-@pytest.mark.parametrize("seed", range(3))
-def test_a_robot_looks_round_as_far_as_it_expects_to_see(seed):
-    """With a narrow view eight looks are counted as gain, and eight are made: no view point is given up as exhausted.
-    Whether another strategy looks round at a live frontier cell is the oracle's to say."""
-    occupied, _ = maps.cluttered(50 + seed, 40, 44)
-    lidar, rules = Lidar(range_m=2.0, n_beams=31, fov_deg=60), Rules()
-    start = a_start(seed, occupied, rules)
-    strategy = "decision-theoretic:samples=60,min_gain=4"
-    result, state = play(occupied, start, strategy, lidar, rules, cell_m=0.1, shape=SHAPE)
-    final = decode(detail_of(state), result, occupied.shape)
-    assert max(final.looked) == 7
-    assert any(plan.is_view for plan in final.plans)
-    assert int(result.exhausted) == 0
 
 
 # ---------------------------------------------------------------- noise
@@ -281,17 +250,6 @@ def test_padding_changes_nothing_and_neither_does_the_window():
     large, large_state = play(occupied, start, "closest+recheck", lidar, rules, shape=(72, 96), window=20, **how)
     jax.tree.map(np.testing.assert_array_equal, small, large)
     np.testing.assert_array_equal(small_state.belief.grid.hits[:60, :60], large_state.belief.grid.hits[:60, :60])
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_jit_changes_nothing():
-    text, lidar, rules = PENCIL["bend"]
-    start, how = (*maps.one(text, "S"), 90), {"cell_m": 1.0, "shape": PENCIL_SHAPE}
-    fast = play(maps.walls(text), start, "closest+recheck", lidar, rules, **how)
-    with jax.disable_jit():
-        slow = play(maps.walls(text), start, "closest+recheck", lidar, rules, **how)
-    jax.tree.map(np.testing.assert_array_equal, fast, slow)
 
 
 def test_outcomes_and_streams_keep_their_numbers():

@@ -1,27 +1,21 @@
 """Maps for other programs: against the rules of their readers, restated here, and by hand."""
 
 import dataclasses
-import heapq
-import itertools
 import json
 import math
-from pathlib import Path
 
 import networkx
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ref.refusals import refused
 from ref.traces import ATTRIBUTES
 
-import jexplore as jx
 from jexplore.config import InputError
 from jexplore.report import store
 from jexplore.tracemap.export import geojson, graphml
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
 
-TRACED = Path(__file__).parent / "ref" / "course_run.json"  # by `jexplore trace --world course --robot kamui`
 FINITE = st.floats(-1e6, 1e6)
 HALL = BtmMap(
     (
@@ -235,91 +229,6 @@ def test_what_the_route_server_would_refuse_is_refused():
 
 
 # The planner of the Route Server, restated: single precision, Dijkstra, an edge costs what the scorers add up to.
-
-
-def scored(nodes, edge):
-    """Return the scores of an edge by the distance and the penalty scorer, both of weight 1."""
-    a, b = (nodes[edge[end]] for end in ("startid", "endid"))
-    chord = np.hypot(np.float32(b["x"]) - np.float32(a["x"]), np.float32(b["y"]) - np.float32(a["y"]))
-    return chord + np.float32(edge["metadata"].get("penalty", 0.0))
-
-
-def own_cost(nodes, edge):
-    """Return the cost of an edge without scorers; the planner gives up over one without cost."""
-    assert edge["cost"] > 0
-    return np.float32(edge["cost"])
-
-
-def planned(nodes, edges, start, goal, cost_of):
-    """Return the cost of the cheapest way and its edges; None without one, as the planner reports."""
-    cost, parent, queue = {start: np.float32(0)}, {}, [(np.float32(0), start)]
-    while queue:
-        here_cost, here = heapq.heappop(queue)
-        if here == goal:
-            break
-        for edge in edges.values():
-            if here_cost == cost[here] and edge["startid"] == here:
-                found = here_cost + cost_of(nodes, edge)
-                if found < cost.get(edge["endid"], np.float32(np.finfo(np.float32).max)):
-                    cost[edge["endid"]], parent[edge["endid"]] = found, edge
-                    heapq.heappush(queue, (found, edge["endid"]))
-    if goal not in parent:
-        return None
-    way, at = [], goal
-    while at != start:
-        way.append(parent[at])
-        at = parent[at]["startid"]
-    return float(cost[goal]), way[::-1]
-
-
-def agrees(btm, cost_of):
-    """Every route between two nodes costs on the Route Server what its links are long."""
-    nodes, edges = loaded(json.dumps(store.jsonable(geojson(btm))))
-    pairs = list(itertools.permutations(nodes, 2))
-    (routes,) = jx.btm.routes(btm, ["kamui"], pairs)
-    for (start, goal), route in zip(pairs, routes):
-        found = planned(nodes, edges, start, goal, cost_of)
-        assert route.is_found == (found is not None)
-        if found is not None:
-            assert found[0] == pytest.approx(route.length_m, rel=1e-5, abs=2e-3 * len(edges))
-            places = [start, *(edge["endid"] for edge in found[1])]
-            links = {link.id: {link.start, link.end} for link in btm.links}
-            for edge, ends in zip(found[1], itertools.pairwise(places)):
-                assert links[int(edge["metadata"]["link"])] == set(ends)
-
-
-@st.composite
-def walked(draw):
-    """Maps whose links no robot is refused, and are as long as the straight line or longer."""
-    ids = draw(st.lists(st.integers(0, 60_000), min_size=2, max_size=6, unique=True))
-    side = st.integers(-400, 400).map(lambda tenth: tenth / 10)
-    nodes = {i: Node(i, draw(side), draw(side), "divergence") for i in ids}
-    links, one = [], st.sampled_from(ids)
-    for number in range(draw(st.integers(1, 9))):
-        start, end, more_m = draw(one), draw(one), draw(st.none() | st.integers(0, 90))
-        a, b = nodes[start], nodes[end]
-        length_m = None if more_m is None else math.hypot(a.x_m - b.x_m, a.y_m - b.y_m) + more_m
-        links.append(Link(number, start, end, "searched", 0.0, 90.0, length_m))
-    return BtmMap(tuple(nodes.values()), tuple(links))
-
-
-@settings(max_examples=20)
-@given(walked(), st.sampled_from([scored, own_cost]))
-def test_the_route_server_finds_routes_of_the_same_length(btm, cost_of):
-    agrees(btm, cost_of)
-
-
-def test_the_map_of_a_run_is_planned_over_alike():
-    btm = jx.btm.read_btm(TRACED)
-    nodes, edges = loaded(json.dumps(geojson(btm)))
-    assert {node["frame"] for node in nodes.values()} == {"odom"}  # places of the odometry
-    assert len(edges) == 2 * sum(link.end != NOWHERE for link in btm.links)
-    route = jx.btm.route(btm, "kamui", 0, 8)
-    for cost_of in (scored, own_cost):
-        cost, way = planned(nodes, edges, 0, 8, cost_of)
-        assert [int(edge["metadata"]["link"]) for edge in way] == list(route.links)
-        if cost_of is own_cost:
-            assert cost == pytest.approx(route.length_m, rel=1e-5)
 
 
 # GraphML

@@ -147,12 +147,6 @@ def test_a_smaller_room_behind_a_door_is_a_dead_end():
     assert near_deg(bearings(found, room), [180])
 
 
-def test_a_corner_that_is_cut_off_is_no_room():
-    row, col = np.indices(CORNER.shape)
-    cut = CORNER & (col - row < 60)  # the outer corner, 45 degrees
-    assert types(mapped(cut, start=(60, 12))) == types(mapped(CORNER, start=(60, 12)))
-
-
 @pytest.mark.parametrize(("first_row", "first_col"), [(50, 60), (60, 66)])
 def test_a_room_with_doors_in_two_walls_is_a_corner_that_leads_on(first_row, first_col):
     doors = (first_row, 50, first_row + 9, 52), (70, first_col, 72, first_col + 9)
@@ -199,14 +193,6 @@ def test_gaps_in_a_wall_seen_from_far_are_no_ways():
     found = mapped(STRAIGHT, known)
     assert types(found) == ["terminal", "divergence"]
     assert [link.end for link in found.links] == [1]
-
-
-def test_free_space_may_begin_below_one_cell():
-    known = np.ones_like(STRAIGHT)
-    known[:, 60:80] = False
-    found = mapped(STRAIGHT, known, open_m=0.5 * CELL_M)
-    assert types(found) == ["terminal"]
-    assert [link.end for link in found.links] == [NOWHERE]
 
 
 @pytest.mark.parametrize("cells", [3, 5])
@@ -279,29 +265,6 @@ def test_roughness_of_one_cell_makes_no_nodes(shape):
     for one, two in zip(smooth.nodes, found.nodes):
         tolerance_m = 2 * TOLERANCE_M if one.type == "free_space" else TOLERANCE_M
         assert math.hypot(one.x_m - two.x_m, one.y_m - two.y_m) <= tolerance_m
-
-
-@pytest.mark.parametrize(
-    ("shape", "turns"), [("straight", 1), ("corner", 2), ("tee", 3), ("crossing", 1), ("hall", 2), ("tee", 1)]
-)
-def test_the_map_turned_is_the_answer_turned(shape, turns):
-    """Rows count upwards: counter-clockwise is from columns to rows."""
-    free, at = SHAPES[shape], np.zeros((SIDE, SIDE), bool)
-    at[START] = True
-    ((row, col),) = np.argwhere(np.rot90(at, turns, (1, 0)))
-    found, turned = mapped(free), mapped(np.rot90(free, turns, (1, 0)).copy(), start=(int(row), int(col)))
-    middle = SIDE * CELL_M / 2
-    cos, sin = round(math.cos(math.pi / 2 * turns)), round(math.sin(math.pi / 2 * turns))
-    twin = {}
-    for node in found.nodes:
-        x, y = node.x_m - middle, node.y_m - middle
-        other = node_at(turned, middle + cos * x - sin * y, middle + sin * x + cos * y)
-        assert other.type == node.type
-        assert near_deg(bearings(turned, other), [bearing + 90 * turns for bearing in bearings(found, node)], 8)
-        twin[node.id] = other.id
-    assert len(turned.nodes) == len(found.nodes)
-    links = {frozenset((link.start, link.end)) for link in turned.links}
-    assert links == {frozenset((twin[link.start], twin[link.end])) for link in found.links}
 
 
 def test_the_origin_moves_all_and_the_cell_scales_all():

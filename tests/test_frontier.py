@@ -86,20 +86,6 @@ def everything(grid, driven, row, col, near_d2, inside, clearance_d2):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("shape", SHAPES)
-def test_edge_cases(shape):
-    nothing, ones, inside = np.zeros(shape, np.int32), np.ones(shape, np.int32), np.ones(shape, bool)
-    for grid in (Grid(nothing, nothing), Grid(ones, nothing)):  # all unknown, all wall
-        clear, _, frontier = everything(grid, ~inside, 0, 0, 0, inside, 4)
-        assert not clear.any()
-        assert not frontier.any()
-    # All free: what lies outside is neither occupied nor unknown.
-    clear, _, frontier = everything(Grid(nothing, ones), ~inside, 0, 0, 0, inside, 4)
-    assert clear.all()
-    assert not frontier.any()
-
-
-@pytest.mark.jit
 @given(counts, st.sampled_from((0, 1, 4)), st.integers(0, 5), st.integers(0, 99))
 @settings(max_examples=120, deadline=None)
 def test_all_three_are_the_oracles(case, clearance_d2, near_d2, seed):
@@ -162,12 +148,6 @@ def test_frontier_cells_that_are_not_looked_at_are_counted():
     clusters = frontier_clusters(framed("#.#.###"), max_clusters=4, max_cells=3)
     assert clusters.label[0].tolist() == [0, -1, 1, -1, 2, -1, -1]
     assert (int(clusters.count), int(clusters.left_out)) == (3, 2)
-
-
-def test_equally_central_members_give_the_lowest_index():
-    for text in ("####", ".#. #.# .#."):
-        clusters = frontier_clusters(framed(text), max_clusters=2)
-        assert (int(clusters.row[0]), int(clusters.col[0])) == (0, 1)
 
 
 def test_no_clusters():

@@ -189,19 +189,6 @@ def test_by_pencil():
     assert info["outcome"] == jx.Outcome.COMPLETE
 
 
-def test_what_is_got_can_be_written_to(env):
-    seen, info = env.reset(seed=0)
-    kept = {name: array.copy() for name, array in seen.items()}
-    action = nearest(seen)
-    for array in (*seen.values(), info["action_mask"]):
-        array[:] = 0
-    again, _, _, _, info = env.step(action)
-    assert info["valid"]
-    fresh, _ = env.reset(seed=0)
-    same(fresh, kept)
-    assert not np.array_equal(again["map"], fresh["map"])
-
-
 # --- ends
 
 
@@ -226,23 +213,6 @@ def test_limits_truncate(settings, outcome):
     assert info["outcome"] == outcome
     assert int(one.state.episode.plans) == 2 or outcome == jx.Outcome.STEP_LIMIT
     assert bool(info["action_mask"].any()) == (outcome == jx.Outcome.RUNNING)
-
-
-@pytest.mark.slow
-def test_a_truncated_lane_begins_anew_as_a_single_one_does():
-    settings = {"lidar": LIDAR, "max_decisions": 2}
-    one, many = GymEnv(two_rooms(), **settings), GymVectorEnv(two_rooms(), 2, **settings)
-    seen, _ = one.reset(seed=4)
-    both, _ = many.reset(seed=4)
-    for last in (False, True):
-        seen, _, *ended, info = one.step(nearest(seen))
-        both, _, dead, cut, infos = many.step(nearest(both))
-        assert ended == [False, last] == [dead[0], cut[0]]
-        assert info["outcome"] == infos["outcome"][0] == jx.Outcome.RUNNING
-    both, reward, dead, cut, infos = many.step(nearest(both))  # whatever the action
-    assert (infos["path_m"][0], reward[0], dead[0], cut[0]) == (0, 0, False, False)
-    seen, _ = one.reset()
-    np.testing.assert_array_equal(seen["map"], both["map"][0])
 
 
 def test_wrong_actions_move_nothing_and_count(env):

@@ -99,15 +99,6 @@ def test_so_do_views_actions_and_paths_of_an_environment():
     assert np.array_equal(envs[0].path(state) + 1, envs[1].path(other))
 
 
-def test_worlds_of_an_environment_may_differ_in_their_edges():
-    env = jx.Environment([PLAIN, WALLED.replace(name="walled")], lidar=LIDAR)
-    for world, ring in enumerate((0, 1)):
-        start = np.array([START[0] + ring, START[1] + ring, START[2]], np.int32)
-        _, view = env.reset(jax.random.key(0), start, world)
-        assert [int(view.belief.row), int(view.belief.col)] == start[:2].tolist()
-        assert float(view.cost[start[0], start[1]]) == 0
-
-
 @pytest.mark.parametrize("variant", ["voronoi", "distance", "wurm"])
 def test_rooms_are_those_of_the_same_plan_in_walls(variant):
     made = [

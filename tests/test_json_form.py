@@ -148,19 +148,6 @@ def test_foreign_files_are_refused(text, message):
     assert message is None or str(caught.value) == message
 
 
-@pytest.mark.parametrize("levels", [98, 99, 500, 10_000])
-def test_attributes_nest_so_deep_and_no_deeper(levels):
-    bad = text_of(T_LEFT).replace('"attributes": {}', '"attributes": {"a": ' + "[" * levels + "]" * levels + "}", 1)
-    if levels > 98:  # within the file's object and its attributes
-        with pytest.raises(InputError, match=r'^"b": (lists and objects lie in each other more than 100 deep|is not )'):
-            json_form.parse_map(bad, "b")
-    else:
-        assert json_form.to_json(json_form.parse_map(bad, "b"))
-    own = []
-    own.append(own)  # no end of levels
-    refused(r"^attributes: lists and objects lie in each other more than 100 deep$", T_LEFT.with_attributes, {"a": own})
-
-
 def test_a_map_that_is_none_is_not_written():
     with pytest.raises(InputError, match=r'^"map": link 0 ends at node 1, which is not there$'):
         json_form.to_json(BtmMap((node(0),), (way(0, 0, 1, 0),)))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from jexplore.driving.building.walls import UNUSED_SLOT_M, cast
-from jexplore.driving.params.tree import P
 from jexplore.driving.records import Walls
 from jexplore.driving.sensing import matching
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, SCAN_RANGE_M
@@ -58,7 +57,7 @@ def off(found, motion):
 @pytest.mark.parametrize(("within", "there"), [(2.5, True), (1.5, False)])
 def test_a_line_is_laid_through_five_points_within_reach(within, there):
     apart = float(ANGLES_RAD[1] - ANGLES_RAD[0])
-    ranges = jnp.full(BEAMS, P.sensing.reach_m / within / apart)  # a wall around the scanner
+    ranges = jnp.full(BEAMS, matching.MATCH.line_reach_m / within / apart)  # a wall around the scanner
     assert matching._fit_lines(ranges)[2][BEAMS // 2] == there
 
 
@@ -123,9 +122,9 @@ def test_walls_and_encoders_are_weighed_by_their_variances():
     beams = np.arange(BEAMS // 2 - 20, BEAMS // 2 + 21)
     before[beams] = 2 / np.cos(ANGLES_RAD[beams])
     guess = 0.04  # of more the match would be none
-    doubt = P.sensing.encoder_m + P.sensing.encoder_share * guess
+    doubt = matching.MATCH.way_m + matching.MATCH.way_share * guess
     # The points are symmetric about the axis: those ahead do not mix with the turn.
-    walls = len(beams) / P.sensing.range_sd_m**2
+    walls = len(beams) / matching.MATCH.noise_m**2
     want = guess * doubt**-2 / (doubt**-2 + walls)
     found = matched(before, before, (guess, 0, 0))
     assert found[0] == pytest.approx(want, rel=0.1)
@@ -149,10 +148,11 @@ def driven(walls, poses, odometry, key=None):
     return keys, np.asarray(now)
 
 
-def test_one_scan_serves_for_a_metre():
+def test_one_scan_serves_for_half_a_metre():
     poses = [(0.21 * i - 1.5, 0.0, 0.0) for i in range(13)]
     keys, _ = driven(ROOM, poses, poses)
-    assert sorted({round(key[0], 1) for key in keys}) == pytest.approx([-1.5, -0.45, 0.6], abs=0.1)  # every 1.05 m
+    every_m = [-1.5, -0.87, -0.24, 0.39, 1.02]  # 0.63 m apart: the third look is the first one beyond 0.5 m
+    assert sorted({round(key[0], 2) for key in keys}) == pytest.approx(every_m, abs=0.05)
 
 
 def test_encoders_that_measure_too_much_are_put_right_on_the_way():

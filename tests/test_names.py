@@ -5,14 +5,11 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from ref.refusals import refused
 
 from jexplore import worlds
-from jexplore.config import InputError
 from jexplore.worlds import GENERATORS, generator_parameters, load_world
-from jexplore.worlds.names import SUFFIXES, file_names, parse_name, short_names
+from jexplore.worlds.names import file_names, parse_name, short_names
 from jexplore.worlds.world import World
 
 KNOWN = ("cave", "office", "hospital")
@@ -72,35 +69,6 @@ def test_of_two_cuts_the_longest_file_that_exists_counts(tmp_path):
     assert parsed(name)[1] == name
 
 
-@settings(max_examples=20)
-@given(
-    st.sampled_from(KNOWN),
-    st.none() | st.integers(0, 2**32 - 1),
-    st.dictionaries(
-        st.from_regex(r"[a-z][a-z_0-9]{0,8}", fullmatch=True),
-        st.integers(-(10**9), 10**9) | st.floats(allow_nan=False, allow_infinity=False) | st.booleans(),
-        max_size=3,
-    ),
-)
-def test_what_is_written_is_read(base, seed, parameters):
-    written = {key: str(value).lower() if isinstance(value, bool) else repr(value) for key, value in parameters.items()}
-    name = base + ("" if seed is None else f"#{seed}")
-    name += ":" * bool(written) + ",".join(f"{key}={value}" for key, value in written.items())
-    found = parsed(name)
-    assert found == ("generator", base, seed or 0, None, parameters)
-    assert [type(value) for value in found[4].values()] == [type(value) for value in parameters.values()]
-
-
-@settings(max_examples=20)
-@given(st.text(max_size=20))
-def test_any_text_is_parsed_or_refused_in_one_line(text):
-    try:
-        line = str(parsed(text))
-    except InputError as error:
-        line = str(error)
-    assert "\n" not in line
-
-
 @pytest.mark.parametrize(
     ("name", "line"),
     [
@@ -141,14 +109,6 @@ def test_a_directory_and_a_file_of_no_known_kind_are_refused(tmp_path, monkeypat
     for name in ("folder", str(tmp_path)):
         refused("is a directory; name a map file in it", parsed, name)
     refused("'floor': is neither", parsed, "floor")
-
-
-def test_suffixes_are_told_apart():
-    suffixes = [suffix for kind in SUFFIXES.values() for suffix in kind]
-    assert len(suffixes) == len(set(suffixes))
-    for kind, of_kind in SUFFIXES.items():
-        for suffix in of_kind:
-            assert parsed(f"a.{suffix}")[0] == kind
 
 
 # --- load_world and generators

@@ -12,7 +12,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from ref import fuzz, maps, native
+from ref import fuzz, native
 
 import jexplore as jx
 from jexplore.config import InputWarning
@@ -20,8 +20,6 @@ from jexplore.engine.backend import cache_folder
 from jexplore.engine.runner import on_cores, run_all
 from jexplore.exploration import native as runs
 from jexplore.exploration.batch import Job, run_jobs
-from jexplore.exploration.site import tasks_of
-from jexplore.exploration.state import Outcome
 from jexplore.native import build, episodes, gpu
 from jexplore.native.beams import trace_beams
 from jexplore.policies import parse_strategy
@@ -29,10 +27,9 @@ from jexplore.raycast import beam_table
 from jexplore.rules import Lidar, Rules
 from jexplore.studies import replays
 from jexplore.worlds.starts import draw_starts
-from jexplore.worlds.world import World, ring_of
+from jexplore.worlds.world import World
 
 needs_compiler = pytest.mark.skipif(not build.find_compiler(), reason="no C++ compiler")
-needs_nvcc = pytest.mark.skipif(not gpu.find_nvcc(), reason="no nvcc")
 LIDAR, RULES = Lidar(n_beams=37, range_m=2.0), Rules()
 ROOMS = "rooms:width_m=6,height_m=5"
 
@@ -136,15 +133,6 @@ def test_a_gpu_that_jax_is_not_to_use_is_not_used(monkeypatch):
         assert found == n
 
 
-@pytest.mark.slow
-@needs_nvcc
-@pytest.mark.parametrize("arch", ["sm_80", "sm_100"])
-def test_the_cuda_library_is_built(arch):
-    found = gpu.load_gpu(arch)
-    assert found.loaded is not None, found.why_not
-    assert found.loaded.jexplore_gpus() >= 0
-
-
 def test_beams_enter_the_cells_of_the_table():
     for lidar, cell_m in (
         (Lidar(), 0.1),
@@ -183,24 +171,6 @@ def test_sanitizers_find_nothing():
 
 
 # ---------------------------------------------------------------- numbers at their ends
-
-
-@pytest.mark.slow
-@needs_compiler
-@pytest.mark.jit
-@pytest.mark.parametrize("cell_m", [0.01, 1e-6])
-def test_radii_and_ranges_beyond_the_world(cell_m):
-    """Their squares in cells would not fit."""
-    world = World(occupied=maps.walls(maps.ROOM), cell_m=cell_m, name="tiny")
-    rules = dataclasses.replace(RULES, clearance_m=0, near_m=10, arrival_m=1000, scan_every_m=1000)
-    job = Job(world, parse_strategy("closest+recheck"), np.array([[1, 2, 0]]))
-    lidar = Lidar(n_beams=4, fov_deg=360, range_m=5 * cell_m)
-    ours, theirs = (run_jobs([job], lidar, rules, engine=engine).outcomes[0].result for engine in ("auto", "jax"))
-    assert_equal(dataclasses.asdict(ours), dataclasses.asdict(theirs))
-    narrow = dataclasses.replace(rules, clearance_m=10)
-    assert run_jobs([job], lidar, narrow).outcomes[0].result.outcome.tolist() == [Outcome.STUCK]
-    far = dataclasses.replace(lidar, range_m=1000)
-    assert run_jobs([job], far, rules).outcomes[0].result.outcome.tolist() == [Outcome.COMPLETE]
 
 
 # ---------------------------------------------------------------- replays
@@ -274,26 +244,6 @@ def test_an_interruption_keeps_what_has_ended(monkeypatch):
     assert 3 < ended.sum() < 2000
     again = run_jobs([job._replace(starts=job.starts[:1])], Lidar(), RULES).outcomes[0].result
     assert again.n_known[0] == found.outcomes[0].result.n_known[0]
-
-
-@needs_compiler
-def test_a_call_that_is_given_up_keeps_what_has_ended():
-    job, stop = job_of("random", 2000, world="office"), np.zeros(1, np.int32)
-    place = runs.native_place(episodes.load_episodes().loaded, job.world, job.strategy, Lidar(), RULES).inner
-    tasks = place.tasks(tasks_of(job.starts, ring_of(job.world.occupied)), 3, np.arange(2000, dtype=np.int32))
-    for seconds in (0.2, 1, 5, 25):  # until an episode ends within this time on this machine
-        stop.fill(0)
-        timer = threading.Timer(seconds, lambda: stop.fill(1))
-        timer.start()
-        found = place.play(tasks, stop, paths=True)
-        timer.join()
-        result = runs.result_of(found.results)
-        n = np.count_nonzero(result.outcome)
-        if n:
-            break
-    assert 0 < n < 2000
-    assert result.outcome[:n].all()
-    assert [len(path) - 1 for path in found.paths] == (result.straight + result.diagonal)[:n].tolist()
 
 
 def test_a_strategy_or_scanner_of_which_there_is_none():

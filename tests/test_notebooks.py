@@ -84,17 +84,6 @@ def test_they_need_only_what_is_installed_with_the_package(path):
     assert roots <= {"os", "jax", "jexplore", "matplotlib", "numpy", "pandas"}
 
 
-def test_faults_are_found():
-    notebook = {
-        "cells": [
-            {"outputs": [{"output_type": "stream", "name": "stdout", "text": ["fine"]}]},
-            {"outputs": [{"output_type": "stream", "name": "stderr", "text": ["a ", "warning"]}]},
-            {"outputs": [{"output_type": "error", "ename": "ValueError", "evalue": "no"}]},
-        ]
-    }
-    assert list(faults(notebook)) == ["a warning", "ValueError: no"]
-
-
 @pytest.mark.slow
 @each
 def test_it_runs(path, tmp_path):

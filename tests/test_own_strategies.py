@@ -8,7 +8,6 @@ import math
 import os
 import re
 import sys
-import types
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +27,6 @@ from jexplore.policies import STRATEGIES, Strategy, parse_strategy, strategy
 from jexplore.policies.catalogue import adapt, entries
 from jexplore.policies.catalogue.grammar import strategies
 from jexplore.rules import Lidar
-from jexplore.studies.explore import steps_of
 from jexplore.studies.sweeps.spec import sweep_from
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
@@ -143,17 +141,6 @@ def test_the_view():
 @pytest.mark.jit
 def test_the_plainest_strategy_is_closest_to_the_bit():
     assert equal(compare(["closest", nearest]), "closest", "nearest")
-
-
-@pytest.mark.jit
-def test_a_score_is_rounded_once():
-    """Computed a second time to be compared with its maximum, it might not equal it, and nothing would be chosen."""
-
-    def pockets(view, weight=1.0):
-        around = jax.lax.reduce_window(view.frontier.astype(jnp.float32), 0.0, jax.lax.add, (3, 3), (1, 1), "same")
-        return -(view.path_m + weight * around * view.belief.model.cell_m)
-
-    assert (compare([strategy(pockets)])["outcome"] == "COMPLETE").all()
 
 
 @pytest.mark.slow
@@ -288,19 +275,6 @@ def test_modules_are_read_from_their_source(module):
     assert number_of("package_of_tests.top:both") == (2, 1)
     (package / "inner/far.py").write_text("FAR = 2\n")
     assert number_of("package_of_tests.top:both") == (2, 2)
-
-
-def test_what_a_user_has_imported_does_not_stand_for_what_is_written(module, monkeypatch):
-    monkeypatch.syspath_prepend(module)
-    (module / "used_of_tests.py").write_text("W = 1\n")
-    (module / "drawing_of_tests.py").write_text("")
-    (module / "used_by_of_tests.py").write_text("import used_of_tests\ndef weight(): return used_of_tests.W\n")
-    importlib.invalidate_caches()
-    mine, drawing = importlib.import_module("used_of_tests"), importlib.import_module("drawing_of_tests")
-    (module / "used_of_tests.py").write_text("W = 2\n")
-    assert number_of("used_by_of_tests:weight") == 2
-    assert mine.W == 1
-    assert sys.modules["drawing_of_tests"] is drawing  # what nobody asked for stays
 
 
 def test_a_module_that_registers_may_be_written_anew(module, monkeypatch):
@@ -441,34 +415,6 @@ def test_what_calls_back_into_python_is_compiled_anew():
     assert adapt.digest_of(first) is None
 
 
-class Weighed:
-    def __init__(self, weight):
-        self.weight = weight
-
-    def score(self, view):
-        return view.path_m * self.weight
-
-    __call__ = score
-
-
-@pytest.mark.slow
-def test_what_has_changed_since_is_another():
-    """Wherever a number stands, a function is looked at as it is when it is used."""
-    thing, config, module = Weighed(-1), {"w": -1}, types.ModuleType("helper_of_tests")
-    exec("def helper(view):\n    return -view.path_m", vars(module))
-    named = {
-        "by an object": thing.score,
-        "by a dict and a partial": functools.partial(lambda config, view: view.path_m * config["w"], config),
-        "by a module": lambda view: module.helper(view),
-    }
-    kept = {name: strategy(function, name=name, segment="module" in name) for name, function in named.items()}
-    before = {name: program(one) for name, one in kept.items()}
-    assert program(kept["by an object"]) == before["by an object"]
-    thing.weight, config["w"] = 1, 1
-    exec("def helper(view):\n    return view.path_m", vars(module))
-    assert [name for name, one in kept.items() if program(one) == before[name]] == []
-
-
 def test_numbers_that_would_become_others_are_refused():
     def weighed(view, weight=1.0):
         return view.path_m * weight
@@ -583,16 +529,6 @@ def test_a_target_that_no_path_leads_to_ends_the_episode_at_the_third():
     assert table["outcome"].tolist() == ["BAD_TARGET"] * 3
     assert table["plans"].tolist() == [9] * 3
     assert (table["steps"] > 0).all()
-
-
-@pytest.mark.jit
-@pytest.mark.slow
-def test_an_episode_with_bad_targets_is_played_again_as_it_was():
-    found = jx.explore(two_rooms(), strategy(policy(wall, lambda *_: 0), name="wall"), seed=2, lidar=LIDAR)
-    assert [plan.is_bad for plan in found.final.plans] == [True, True, False] * 2 + [True] * 3
-    *_, last = steps_of(found)
-    (height, width), hits = found.world.shape, np.asarray(last.belief.grid.hits)
-    np.testing.assert_array_equal(hits[:height, :width], found.final.hits)
 
 
 @pytest.mark.jit

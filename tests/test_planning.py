@@ -84,13 +84,6 @@ def test_exhausted_cells_and_unreachable_ones_are_no_candidates():
     np.testing.assert_array_equal(route, old)
 
 
-@pytest.mark.parametrize("text", ["R", ".R..", "#### #R.# ####"])
-def test_a_map_without_unknown_cells_has_no_frontier(text):
-    belief = belief_of(text)
-    choice, _ = nearest_frontier(belief, no_route(belief))
-    assert (int(choice.row), int(choice.col), int(choice.cost)) == (-1, -1, FAR)
-
-
 def test_the_robots_own_cell_can_be_the_nearest_frontier():
     belief = belief_of("?R.?")
     choice, route = nearest_frontier(belief, no_route(belief))
@@ -139,20 +132,6 @@ def test_fields_and_nearest_frontiers_are_the_oracles(shape, seed, unknown, occu
     if best >= 0:
         start, target = (int(belief.row), int(belief.col)), divmod(best, width)
         assert plans.follow(np.asarray(route), start, target) == (plans.path(pred, start, target), int(choice.cost))
-
-
-@pytest.mark.jit
-@given(st.integers(0, 2**20))
-@settings(max_examples=15, deadline=None)
-def test_padding_changes_nothing(seed):
-    belief = random_belief(seed, (8, 7), 0.1, 0.2, 1)
-    wide = jax.tree.map(lambda a: jnp.pad(a, ((0, 3), (0, 5))) if a.ndim == 2 else a, belief)
-    reached, reached_wide = FIELD(belief), FIELD(wide)
-    np.testing.assert_array_equal(reached_wide.cost[:8, :7], reached.cost)
-    np.testing.assert_array_equal(reached_wide.frontier, np.pad(reached.frontier, ((0, 3), (0, 5))))
-    got, want = NEAREST(wide, no_route(wide)), NEAREST(belief, no_route(belief))
-    jax.tree.map(np.testing.assert_array_equal, got[0], want[0])
-    np.testing.assert_array_equal(got[1][:8, :7], want[1])
 
 
 # ---------------------------------------------------------------- windows
@@ -209,17 +188,6 @@ def test_larger_maps_have_larger_windows():
         2048: large,
         4096: large,
     }
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-@pytest.mark.parametrize("shape", [(1024, 40), (40, 2048)])
-def test_windows_of_large_maps_never_change_the_answer(shape):
-    distances = [1, 26, 29, 60, 120, 121, 122, 123, 124, 125, 180, 249, 250, 251, 252, 253, 300, 4000]
-    costs = [int(both(large_belief(seed, shape, 9, distances)).cost) for seed in range(40)]
-    for low, high in ((0, 26), (28, 120), (124, 10_000)):
-        assert any(low * S <= cost <= high * S for cost in costs)
-    assert FAR in costs
 
 
 @pytest.mark.jit

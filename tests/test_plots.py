@@ -36,13 +36,6 @@ def shown(figure):
     return [ax for ax in figure.axes if ax.get_visible()]
 
 
-def test_looks_differ_also_in_grey():
-    found = looks.looks_of([f"s{i}" for i in range(28)])
-    assert len({(look["color"], str(look["linestyle"])) for look in found.values()}) == 28
-    assert len({(look["marker"], str(look["linestyle"])) for look in found.values()}) == 28
-    assert list(looks.looks_of(["s0", "s1"]).values()) == [found["s0"], found["s1"]]
-
-
 @pytest.mark.parametrize(
     ("low", "high", "expected"),
     [
@@ -54,22 +47,6 @@ def test_looks_differ_also_in_grey():
 )
 def test_ticks_of_ratios(low, high, expected):
     assert looks.ratio_ticks(low, high) == pytest.approx(expected)
-
-
-def test_ticks_are_few_and_within_any_range():
-    rng = np.random.default_rng(0)
-    for low, span in zip(10 ** rng.uniform(-4, 3, 100), 1 + 10 ** rng.uniform(-1.5, 5, 100)):
-        ticks = looks.ratio_ticks(low, low * span)
-        assert len(ticks) <= 8
-        assert all(low * 0.998 <= tick <= low * span * 1.002 for tick in ticks)
-
-
-def test_the_range_of_ratios_holds_all_and_1_but_no_end_that_is_far():
-    low, high = looks.ratio_range([1.3, math.nan], [1.2, 1.5])
-    assert 0.9 < low < 1 < 1.5 < high < 1.6
-    low, high = looks.ratio_range([0.8], [1e-9, 1e9])
-    assert 0.3 < low < 0.4
-    assert 2 < high < 3
 
 
 def test_points_by_hand(ax):
@@ -144,13 +121,6 @@ def test_a_strategy_that_did_not_run_in_a_world_leaves_its_row_empty():
     assert len(left.containers) == len(right.containers) == 2
 
 
-def test_compare_figure_of_long_names():
-    worlds = [f"hospital#{i}:rooms=30,corridor=2.4,door=0.9,width=40" for i in range(3)]
-    figure = figures.compare_figure(drawn(worlds, FOURTEEN, n=2))
-    assert len(shown(figure)) == 2 * 3
-    check_texts(figure)
-
-
 @pytest.mark.parametrize("length", [0.0, 1e5])
 def test_compare_figure_of_odd_lengths_and_names(length):
     odd = "maps/$a_b$/an_extremely_long_folder_name_without_any_break/avz5floor_closed.yaml"
@@ -204,14 +174,6 @@ def test_coverage_figure():
     check_texts(figure)
 
 
-@pytest.mark.parametrize(("n_worlds", "names"), [(1, FOURTEEN), (4, ["a", LONG])])
-def test_coverage_figure_of_any_size(n_worlds, names):
-    worlds = [f"hospital#{i}:rooms=30,corridor=2.4,door=0.9" for i in range(n_worlds)]
-    figure = figures.coverage_figure({(w, name): rows for w in worlds for name, rows in steps(names).items()})
-    assert len(shown(figure)) == n_worlds
-    check_texts(figure)
-
-
 def test_coverage_of_what_was_known_at_the_start_and_of_nothing():
     known = {("v", "a"): np.zeros((3, 100)), ("w", "a"): np.full((3, 100), np.nan)}
     figure = figures.coverage_figure(known)
@@ -248,19 +210,6 @@ def test_response_figure():
     check_texts(figure)
     many = figures.response_figure(sweep(worlds=("v", "w", "x")), RANGE, over_worlds=True)
     assert many._suptitle.get_text() == "means over 3 worlds, with 95 % intervals"
-
-
-def test_response_figure_of_words_and_of_many():
-    table = sweep(strategies=FOURTEEN, ranges=np.linspace(1, 9, 9), n=2)
-    check_texts(figures.response_figure(table, RANGE))
-    table["rules.kind"] = np.where(table[RANGE] > 4, "those that see far", "near")
-    figure = figures.response_figure(table, "rules.kind")
-    (ax,) = shown(figure)
-    assert [label.get_text() for label in ax.get_xticklabels()] == ["near", "those that see far"]
-    assert ax.containers[0].lines[0].get_linestyle() == "None"
-    one = figures.response_figure(sweep(ranges=(3.0,)), RANGE)
-    assert shown(one)[0].get_xlim()[0] < 3 < shown(one)[0].get_xlim()[1]
-    check_texts(one)
 
 
 def test_wrong_settings_are_refused():

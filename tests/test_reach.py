@@ -88,14 +88,6 @@ def test_a_diagonal_needs_both_cells_beside_it():
         assert int(reach(jnp.asarray(~maps.walls(text)), 0, 0)[1, 1]) == cost
 
 
-def test_ties_go_to_the_first_motion_in_the_order():
-    """From the middle of an open field every cell off the axes and diagonals has several predecessors."""
-    came = np.asarray(predecessors(reach(jnp.ones((5, 5), bool), 2, 2), jnp.ones((5, 5), bool)))
-    e, n, w, s, ne, nw, sw, se = range(8)
-    by_hand = [[nw, n, n, n, ne], [w, nw, n, ne, e], [w, w, -1, e, e], [w, sw, s, se, e], [sw, s, s, s, se]]
-    np.testing.assert_array_equal(came[::-1], by_hand)
-
-
 def test_the_nearest_source_of_a_long_map():
     """Rows that lie further from the first one than any path may be long."""
     free = np.zeros((3968, 32), bool)
@@ -153,35 +145,6 @@ def test_a_labyrinth_of_one_long_way_is_dijkstras(seed):
         np.testing.assert_array_equal(cost, plans.dijkstra(passable, (row, col))[0])
 
 
-@given(places(), st.integers(0, 3), st.booleans())
-@settings(max_examples=40, deadline=None)
-def test_costs_turn_and_mirror_with_the_map(place, quarters, mirror):
-    """Predecessors do not: their ties are pinned to the compass."""
-    passable, row, col = place
-    here = np.zeros(passable.shape, bool)
-    here[row, col] = True
-
-    def turn(array):
-        return np.rot90(np.asarray(array)[:, ::-1] if mirror else array, quarters)
-
-    (turned_row, turned_col), *_ = np.argwhere(turn(here))
-    np.testing.assert_array_equal(
-        reach(jnp.asarray(turn(passable)), turned_row, turned_col), turn(reach(jnp.asarray(passable), row, col))
-    )
-
-
-@given(places())
-@settings(max_examples=60, deadline=None)
-def test_no_neighbour_offers_a_cheaper_way(place):
-    passable, row, col = place
-    cost = np.asarray(reach(jnp.asarray(passable), row, col)).astype(np.int64)
-    for r, c in np.argwhere(cost < FAR):
-        for motion in MOTIONS:
-            if plans.may_step(passable, r, c, motion):
-                assert cost[r + motion[0], c + motion[1]] <= cost[r, c] + plans.step_cost(motion)
-    assert (cost[~passable] == FAR).all()
-
-
 @given(places())
 @settings(max_examples=60, deadline=None)
 def test_every_route_leads_from_the_start_to_its_target_at_the_exact_cost(place):
@@ -203,18 +166,6 @@ def test_a_route_from_a_window_by_hand():
     old = jnp.full((3, 6), 5, jnp.int8)
     route = lay_route(old, jnp.asarray([[0, S, 2 * S]]), jnp.ones((1, 3), bool), (1, 2), (1, 4), (1, 2))
     np.testing.assert_array_equal(route, [[5] * 6, [5, 5, 0, 0, 5, 5], [5] * 6])
-
-
-def test_empty_space_around_changes_nothing():
-    passable = np.random.default_rng(2).random((7, 9)) < 0.75
-    passable[3, 4] = True
-    cost = np.asarray(reach(jnp.asarray(passable), 3, 4))
-    wide = np.pad(passable, ((0, 4), (0, 3)))
-    cost_wide = reach(jnp.asarray(wide), 3, 4)
-    np.testing.assert_array_equal(cost_wide[:7, :9], cost)
-    assert (np.asarray(cost_wide)[~wide] == FAR).all()
-    came = predecessors(jnp.asarray(cost), jnp.asarray(passable))
-    np.testing.assert_array_equal(predecessors(cost_wide, jnp.asarray(wide))[:7, :9], came)
 
 
 def test_rows_of_a_batch_are_independent():
@@ -249,20 +200,6 @@ def test_costs_saturate_below_far_and_are_counted():
     assert (int(cost[0, 16383]), int(SATURATED(cost, row.at[0, 16384].set(False)))) == (FAR - S, 0)
     row = jnp.ones((1, 40000), bool)
     assert SATURATED(reach(row, 0, 20000), row) == 2
-
-
-@given(places(), st.integers(0, 2**30))
-@settings(max_examples=100, deadline=None)
-def test_with_goals_costs_are_final_up_to_the_cheapest_goals(place, seed):
-    passable, row, col = place
-    goals = np.random.default_rng(seed).random(passable.shape) < 0.1
-    cost = np.asarray(reach(jnp.asarray(passable), row, col, jnp.asarray(goals)))
-    exact = np.asarray(reach(jnp.asarray(passable), row, col))
-    best = exact[goals].min(initial=FAR)
-    assert cost[goals].min(initial=FAR) == best
-    assert (cost >= exact).all()
-    np.testing.assert_array_equal(cost <= best, exact <= best)
-    np.testing.assert_array_equal(cost[exact <= best], exact[exact <= best])
 
 
 # ---------------------------------------------------------------- limits, goals, floods
@@ -357,14 +294,6 @@ def test_a_flood_over_several_words_is_scipys_group(seed, share, shape):
     np.testing.assert_array_equal(flooded(jnp.asarray(passable), row, col), groups == groups[row, col])
 
 
-def test_a_flood_by_hand():
-    """Past a corner that no robot squeezes through, from one word into the next."""
-    passable = np.zeros((2, 40), bool)
-    passable[0, 30:35] = passable[1, 35:] = passable[1, 2] = True
-    found = bits.unpack(flood(bits.pack(jnp.asarray(passable)), 0, 33), 2)
-    assert np.argwhere(found).tolist() == [[0, 30], [0, 31], [0, 32], [0, 33], [0, 34]]
-
-
 def test_a_flood_has_no_limit_of_cost_and_keeps_its_start():
     winding = np.ones((183, 183), bool)  # one corridor that turns back and forth
     winding[1::4, :-1], winding[3::4, 1:] = False, False
@@ -392,20 +321,6 @@ def test_the_nearest_source_by_hand():
     np.testing.assert_array_equal(nearest(passable, sources, 3)[::-1], by_hand)
 
 
-def test_a_diagonal_motion_counts_99_and_a_straight_one_70():
-    """Five diagonal motions are longer than seven straight ones, and shorter than that and one diagonal one."""
-    passable = np.zeros((7, 9), bool)
-    passable[[0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5], [0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]] = True
-    passable[1:6, :6] |= np.tri(5, 6, 0, bool)
-    passable[0, 1] = passable[5, 6:9] = True
-    sources = np.full((7, 9), -1, np.int32)
-    sources[0, 0] = 1
-    length = rooms.distances(passable, [(0, 0)])[0]
-    assert length[5, 5] == 5 * 99
-    found = np.asarray(nearest(passable, sources, 3))
-    np.testing.assert_array_equal(found == 1, length < np.inf)
-
-
 @given(place=places(((1, 8), (7, 9))), seed=st.integers(0, 2**30))
 @settings(max_examples=80, deadline=None)
 def test_the_nearest_source_is_dijkstras_from_every_source(place, seed):
@@ -422,14 +337,6 @@ def test_the_nearest_source_is_dijkstras_from_every_source(place, seed):
         least = np.array([length[numbers == i].min(0, initial=np.inf) for i in range(3)])
         expected = np.where(least.min(0) < np.inf, least.argmin(0), -1)
     np.testing.assert_array_equal(nearest(passable, sources, 3), expected)
-
-
-def test_sources_of_a_batch_are_independent():
-    draw = np.random.default_rng(7)
-    passable, sources = draw.random((3, 7, 9)) < 0.8, draw.integers(-40, 3, (3, 7, 9)).astype(np.int32).clip(-1)
-    batch = jax.vmap(functools.partial(nearest, n=3))(passable, sources)
-    for i in range(3):
-        np.testing.assert_array_equal(batch[i], nearest(passable[i], sources[i], 3))
 
 
 # ---------------------------------------------------------------- bad input

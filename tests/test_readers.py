@@ -11,7 +11,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
@@ -19,7 +19,7 @@ from ref.refusals import refused
 from scipy import ndimage
 from skimage.measure import points_in_poly
 
-from jexplore.config import InputError, InputWarning
+from jexplore.config import InputWarning
 from jexplore.worlds import load_world
 from jexplore.worlds.bounds import MAX_SIDE
 from jexplore.worlds.readers import houseexpo
@@ -27,7 +27,6 @@ from jexplore.worlds.readers.grids import inside_polygon, resample, upright
 from jexplore.worlds.readers.images import grey, load_image, read_pixels, transparency
 from jexplore.worlds.readers.ros import load_ros, read_ros, write_ros
 from jexplore.worlds.starts import check_start, start_region
-from jexplore.worlds.world import occupancy_to_world
 
 pictures = hnp.arrays(bool, st.tuples(st.integers(1, 9), st.integers(1, 9)))
 sizes = st.fractions(min_value=Fraction(1, 5), max_value=4, max_denominator=7)
@@ -74,31 +73,6 @@ def test_resample_is_occupied_where_any_occupied_pixel_overlaps(occupied, x, y):
             if r * y < row + 1 and (r + 1) * y > row and c * x < col + 1 and (c + 1) * x > col
         ]
         assert cells[row, col] == any(overlapping)
-
-
-@settings(deadline=None, max_examples=20)
-@given(pictures, st.floats(0.1, 4), st.floats(0.1, 4))
-def test_resample_never_opens_a_wall(occupied, x, y):
-    """Free cells that are connected lie over free pixels that are connected: for robots and beams, 4-connected."""
-    cells = resample(occupied, (x, y), 1.0, name="")
-    regions, _ = ndimage.label(~occupied)
-    components, n = ndimage.label(~cells)
-    for component in range(1, n + 1):
-        centres = np.argwhere(components == component) + 0.5
-        rows, cols = (np.minimum((centres / (y, x)).astype(int), np.array(occupied.shape) - 1)).T
-        under = set(regions[rows, cols].tolist())
-        assert len(under) == 1
-        assert under != {0}
-
-
-@pytest.mark.parametrize("wall", ["column", "diagonal"])
-def test_a_wall_of_one_pixel_parts_the_world_at_any_cell_size(wall):
-    occupied = np.zeros((40, 40), bool)
-    occupied[(slice(None), 20) if wall == "column" else (np.arange(40), np.arange(40))] = True
-    for cell_m in (0.37, 0.5, 1.0, 1.3, 2.0, 3.7):
-        labels, _ = ndimage.label(~resample(occupied, (1, 1), cell_m, name=""))
-        assert labels[0, -1] != labels[-1, 0]
-        assert min(labels[0, -1], labels[-1, 0]) > 0
 
 
 def test_too_large_a_world_is_refused_before_allocating_and_says_which_cell_would_do():
@@ -375,12 +349,6 @@ def test_a_ros_pixel_on_a_threshold_is_free_or_occupied(tmp_path, negate):
     assert read_ros(path)[0].tolist() == [[100, 100, -1, -1, 0, 0]]
 
 
-def test_ros_negate_turns_black_and_white(tmp_path):
-    occupancy, _ = read_ros(ros_map(tmp_path, [[0, 255, 128, 49, 50]], negate=1))
-    assert occupancy.tolist() == [[0, 100, -1, 0, -1]]
-    assert read_ros(ros_map(tmp_path, [[0, 255]], negate=True))[0].tolist() == [[0, 100]]
-
-
 def test_ros_scale_is_linear_between_the_bounds(tmp_path):
     levels = np.full((1, 6, 4), 255, np.uint8)
     levels[0, :, :3] = np.array([[0, 51, 102, 153, 204, 255]]).T  # p = 1, 0.8, 0.6, 0.4, 0.2, 0
@@ -459,8 +427,7 @@ def test_a_mask_of_0_and_1_in_mode_raw_has_no_wall_and_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("key", "text", "value"),
     [
-        *(("resolution_m", text, value) for text, value in (("010", 10), ("0x10", 16), ("1e-1", 0.1), ("'0.5'", 0.5))),
-        *(("resolution_m", text, None) for text in ("4:30", "1_0", "0b1")),
+        *(("resolution_m", text, value) for text, value in (("1e-1", 0.1), ("'0.5'", 0.5), ("4:30", None))),
         *(("negate", word, value) for word, value in (("yes", 1), ("On", 1), ("no", 0), ("n", 0), ("true", 1))),
     ],
 )
@@ -471,36 +438,6 @@ def test_values_are_those_of_yaml_1_2_and_the_map_server(tmp_path, key, text, va
         refused(f"resolution must be a number .* got '{text}'", read_ros, path)
     else:
         assert getattr(read_ros(path)[1], key) == value
-
-
-NUMBERS = ("1e308", "-1e308", "1e-300", "5e-324", "1e999", ".inf", "-.inf", ".nan", "0", "-0.0", "1e-4", "1:1:1", "1_0")
-DIGITS = ("{}", "-{}", "0x{}", "0b{}", "0.{}", "{}.5", "1:{}")
-WORDS = ("", "~", "true", "m.pgm", "trinary", "2020-01-01", "!!bool 5", "!!int ''", "&a [*a]", "\x00", "'")
-YAML_KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")
-yaml_values = st.recursive(
-    st.sampled_from([*NUMBERS, *WORDS, *(text.format("1" * n) for text in DIGITS for n in (1, 400, 5000))]),
-    lambda inner: (
-        st.lists(inner, max_size=3).map(lambda parts: f"[{', '.join(parts)}]")
-        | inner.map(lambda text: f"{{<<: {text}}}")
-    ),
-    max_leaves=4,
-)
-
-
-@settings(deadline=None, max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.sampled_from(YAML_KEYS), yaml_values)
-def test_any_value_in_a_yaml_is_read_or_refused_in_one_short_line(tmp_path, key, value):
-    path = ros_map(tmp_path, [[254, 0], [254, 254]], **{key: "HERE"})
-    path.write_text(path.read_text().replace("HERE", value))
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", InputWarning)  # of a map that is turned
-            world, said = load_world(path), ""
-    except InputError as error:
-        world, said = None, str(error)
-    assert "\n" not in said
-    assert len(said) < 600
-    assert world is None or (max(world.shape) <= MAX_SIDE and np.isfinite(world.origin_m).all())
 
 
 # A map of 4 x 3 cells of 0.5 m at (-2, 1), turned, and its new lower left corner.
@@ -525,14 +462,6 @@ def test_a_ros_map_turned_by_right_angles_moves_cell_for_cell(tmp_path, yaw, qua
     assert np.array_equal(world.occupied, np.rot90(~free, -quarters))
     assert world.origin_m == pytest.approx(corner)
     refused("is turned by 17.19 degrees, and right angles are read", upright, "m", free, 0.3, 1.0, (0, 0))
-
-
-def test_ros_resamples_to_the_cell(tmp_path):
-    pixels = np.full((4, 4), 254, np.uint8)
-    pixels[0, 0] = 0
-    path = ros_map(tmp_path, pixels, resolution=0.05)
-    assert load_world(path).occupied.tolist() == [[0, 0], [1, 0]]
-    assert load_world(path, cell_m=0.025).shape == (8, 8)
 
 
 def test_ros_yaml_is_read_as_written_by_people(tmp_path):
@@ -577,9 +506,6 @@ def test_bad_ros_maps_are_refused(tmp_path, changes, line):
         ("", "is empty"),
         ("- 1\n", "is not a ROS map; expected the keys"),
         ("image: [", "is not valid YAML"),
-        ("[" * 2000, "more than 100 deep"),
-        ("resolution: !!bool 5\n", "is not valid YAML"),
-        ("a: &a [1]\nimage: *a\n", "aliases are not read: write out what it stands for"),
     ],
 )
 def test_bad_yaml_is_refused(tmp_path, text, line):
@@ -616,15 +542,6 @@ def test_write_ros_is_read_back_unchanged(tmp_path, values):
     again, info = read_ros(tmp_path / "odd: #1@2.yaml")
     assert np.array_equal(again, occupancy)
     assert (info.resolution_m, *info.origin_m) == pytest.approx((0.3, -1 / 3, 1e9), rel=1e-12)
-
-
-def test_write_ros_of_a_world_loads_as_that_world(tmp_path):
-    world = occupancy_to_world(np.random.default_rng(2).random((20, 31)) < 0.3, cell_m=0.07, origin_m=(3.3, -1.1))
-    write_ros(world, tmp_path / "w.yml")
-    again = load_world(tmp_path / "w.yml", cell_m=0.07)
-    assert np.array_equal(again.occupied, world.occupied)
-    assert again.origin_m == pytest.approx(world.origin_m, abs=1e-12)
-    assert again.cell_m == world.cell_m
 
 
 def test_bad_things_to_write_are_refused(tmp_path):
@@ -736,16 +653,6 @@ def test_houseexpo_rooms_are_the_boxes(tmp_path):
     assert world.rooms.dtype == np.int32
 
 
-def test_houseexpo_keeps_a_wall_that_is_thinner_than_a_cell(tmp_path):
-    """Two rooms side by side, joined round the end of a slit of 1 cm."""
-    verts = [[0, 0], [2, 0], [2, 2], [1.01, 2], [1.01, 0.5], [1, 0.5], [1, 2], [0, 2]]
-    world = load_world(plan(tmp_path / "p.json", verts), cell_m=0.1)
-    assert world.occupied[5:, 10].all()
-    assert not world.occupied[1:5, 10].any()
-    assert ndimage.label(~world.occupied)[1] == 1
-    assert ndimage.label(~world.occupied[6:])[1] == 2
-
-
 @settings(deadline=None, max_examples=30)
 @given(st.integers(3, 9), st.integers(0, 10**6), st.sampled_from([0.05, 0.1, 0.23]))
 def test_houseexpo_inside_and_outline_agree_with_oracles(n, seed, cell_m):
@@ -826,9 +733,3 @@ def test_dungeons_have_their_start(maps, name):
     row, col, _ = check_start(world, world.start, 0.3)
     assert np.asarray(Image.open(path))[479 - row, col].tolist() == [255, 216, 0, 255]
     refused("the brightest opaque grey is 203", load_world, f"{path}@0.1")
-
-
-def test_movingai_maps_keep_their_rooms(maps):
-    world = load_world(maps / "movingai" / "maze512-32-0.map")
-    assert world.shape == (512, 512)
-    assert ndimage.label(~world.occupied)[1] == 1

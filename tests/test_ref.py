@@ -1,12 +1,9 @@
 """The oracle of episodes: maps that one can check with a pencil, laws, bad input. Kernels hold the other oracles."""
 
-import itertools
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from ref import beams, maps, plans, simulator
 
 S, D, FAR = plans.STRAIGHT, plans.DIAGONAL, plans.FAR
@@ -131,27 +128,6 @@ def test_bounds_end_the_episode():
     assert simulate(walled, 2, 2, max_plans=2).outcome == "PLAN_LIMIT"
 
 
-def test_diagonal_steps_drive_the_cells_beside_them():
-    robot = simulator.Robot(ringed((5, 5)), (1, 1), 0, lambda *pose: [], 0.25, 0)
-    robot.result.misses[2, 2] = 1
-    assert robot.step((2, 2))
-    assert robot.driven.astype(int).tolist() == [
-        [0, 0, 0, 0, 0],
-        [0, 1, 1, 0, 0],
-        [0, 1, 1, 0, 0],
-        [0, 0, 0, 0, 0],
-        [0, 0, 0, 0, 0],
-    ]
-    assert (robot.result.straight, robot.result.diagonal, robot.result.turns) == (0, 1, 1)
-    assert robot.result.headings == [45]
-    assert not robot.step((3, 3))  # unknown and not driven
-    assert robot.cell == (2, 2)
-    assert robot.step((2, 1))  # unknown, but driven
-    assert (robot.result.straight, robot.result.turns) == (1, 1 + 0 + 3)  # to 45, stays, to 180
-    simulator.measure(robot, (1, 1), 0.5, None)
-    assert robot.result.path_m == pytest.approx(0.5 * (1 + math.sqrt(2)))
-
-
 def test_a_step_into_a_wall_that_the_scanner_misses_is_refused():
     truth, believed = maps.walls("####### #...#.# #######"), maps.walls("####### #.....# #######")
 
@@ -183,52 +159,3 @@ def test_room_entries_count_changes_of_room_not_doorways():
     assert simulator.count_room_entries([(0, 2)], rooms) == 0
     halves = np.repeat([[0] * 6 + [1] * 6], 5, axis=0)
     assert simulate(maps.walls(CORRIDOR), 2, 2, rooms=halves).room_entries == 2
-
-
-def test_goal_cells_start_in_a_narrow_place():
-    occupied = maps.walls("""
-        #########
-        ####....#
-        #.......#
-        ####....#
-        #########""")
-    clear_cells = [[2, 4], [2, 5], [2, 6]]
-    for start in ((2, 5), (2, 3), (2, 2)):  # from (2, 2) the free cell (2, 3) is near, and (2, 4) is clear
-        assert np.argwhere(simulator.goal_cells(occupied, start, clear_r2=1, near_r2=1)).tolist() == clear_cells
-    assert not simulator.goal_cells(occupied, (2, 1), clear_r2=1, near_r2=1).any()
-    assert simulator.goal_cells(occupied, (2, 1), clear_r2=1, near_r2=4).any()
-    walled = occupied.copy()
-    walled[2, 3] = True  # near, but no way through
-    assert np.argwhere(simulator.goal_cells(walled, (2, 2), clear_r2=0, near_r2=1)).tolist() == [[2, 1], [2, 2]]
-
-
-@settings(max_examples=6, deadline=None)
-@given(st.integers(0, 1000), st.booleans())
-def test_laws_of_an_episode_in_a_random_cave(seed, recheck):
-    rng = np.random.default_rng(seed)
-    occupied = ringed((20, 24)) | (rng.random((20, 24)) < 0.04)
-    occupied[8:13, 8:13] = False
-    result = simulate(occupied, 10, 10, recheck=recheck, range_m=6.0)
-    assert result.outcome in ("COMPLETE", "BLOCKED")
-    assert result.plans == len(result.log)
-    assert result.scans == len(result.headings) == len(result.known_after_scan)
-    assert result.steps == len(result.visited) - 1 == len(result.known_after_step) - 1
-    assert not any(occupied[cell] for cell in result.visited)
-    assert result.refused == 0
-    assert np.diff(result.known_after_step).min(initial=0) >= 0
-    assert not result.hits[~occupied].any()
-    assert not result.misses[occupied].any()
-    for a, b in itertools.pairwise(result.visited):
-        motion = b[0] - a[0], b[1] - a[1]
-        assert plans.may_step(~occupied, *a, motion)
-    shares = [result.path_m_at[q] for q in simulator.SHARES]
-    assert shares == sorted(shares)
-    assert shares[-1] <= result.path_m
-    assert all(result.path_m_at_any_scan[q] <= result.path_m_at[q] for q in simulator.SHARES)
-    assert all(p.cost == sum(costs_of(p)) for p in result.log)
-
-
-def costs_of(plan):
-    """Cost of every step of a plan."""
-    cells = [plan.robot, *plan.path]
-    return [D if a[0] != b[0] and a[1] != b[1] else S for a, b in itertools.pairwise(cells)]

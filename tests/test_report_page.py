@@ -1,7 +1,6 @@
 """The report: what the page holds, read by another decoder and by a browser."""
 
 import base64
-import dataclasses
 import html.parser
 import io
 import json
@@ -17,7 +16,7 @@ from ref.browser import TIMERS, assert_alone, data_of, unpacked
 from jexplore.report.page.assemble import html_text, script_data
 from jexplore.report.page.packing import change, runs
 from jexplore.report.page.replay import ReplayData, changes_of, evenly
-from jexplore.report.page.report import MAX_REPORT_BYTES, report_page
+from jexplore.report.page.report import report_page
 from jexplore.report.tables import aligned_table
 
 NASTY = "</script><script>window.ran = 1</script><img src=x onerror=boom()> \"T\" & 'q' {{data}} <!-- ü 通路 \u2028"
@@ -67,19 +66,6 @@ def many(how_many, **settings):
 
 
 # ---- packing
-
-
-def test_runs_by_hand():
-    before, after = np.zeros((2, 5), np.uint8), np.array([[0, 0, 1, 1, 2], [2, 0, 0, 0, 3]], np.uint8)
-    # two cells passed, two of code 1; none passed, two of code 2, into the next row; three passed, one of code 3
-    assert list(runs(before, after)) == [2, 0x21, 0, 0x22, 3, 0x13]
-    assert runs(after, after) == b""
-    # a gap of 200 = 72 + 128 takes two bytes; twenty cells are a run of fifteen and one of five
-    long = np.zeros(300, np.uint8)
-    long[200:220] = 9
-    assert list(runs(np.zeros_like(long), long)) == [128 + 72, 1, 0xF9, 0, 0x59]
-    # a cell that becomes 0 again is a change like others; what stays is passed over
-    assert list(runs(np.array([4, 4, 4], np.uint8), np.array([4, 0, 4], np.uint8))) == [1, 0x10]
 
 
 @settings(max_examples=20)
@@ -296,26 +282,6 @@ def test_what_is_no_picture_is_refused():
         report_page("r", {}, figures=[("a.gif", b"GIF89a", "")])
 
 
-@pytest.mark.slow
-def test_a_large_run_fits():
-    """Twelve replays of 20,000 steps in 512 x 512 cells of rubble, all of them seen, with a ring of frontier cells."""
-    side, frames = 512, 300
-    blank = replay(n=20_000, side=side, frames=frames, changes=(b"",) * frames)
-    row, col = np.ogrid[:side, :side]
-    state, maps = np.where(blank.truth, 2, 1), np.zeros((frames, side, side), np.uint8)
-    for i in range(1, frames):
-        turn, at = divmod(i * 10, side)  # up and down, a lane to the right each time
-        d2 = (row - (at if turn % 2 else side - at)) ** 2 + (col - 90 * turn) ** 2
-        maps[i] = np.where(d2 < 70**2, state, maps[i - 1] & 3)
-        maps[i][(maps[i] == 1) & (d2 >= 68**2) & (d2 < 70**2)] = 5
-    one = dataclasses.replace(blank, changes=tuple(changes_of(maps)))
-    assert (maps[-1] > 0).mean() > 0.9
-    text = report_page("large", {}, replays=[dataclasses.replace(one, strategy=f"s{i}") for i in range(12)])
-    assert len(text) <= MAX_REPORT_BYTES
-    assert len(data_of(text)["replays"]) == 12
-    assert "li" not in Reader(text).text
-
-
 def test_the_page_keeps_to_its_size_and_says_how():
     replays = many(4, n=200, side=40)
     whole = report_page("r", {}, replays=replays)
@@ -450,91 +416,6 @@ def test_a_reader_chooses_the_episode(body):
     found = body(text.replace("</body>", EPISODES + "</body>"))
     assert "error" not in found, found["error"]
     assert json.loads(found["test"]) == [2, "0,4", [0, 0], 6, 0, 1, 2, False]
-
-
-STROKES = """
-<script>
-const drawn = new Set(), real = CanvasRenderingContext2D.prototype.stroke;
-CanvasRenderingContext2D.prototype.stroke = function (...values) {
-  const tile = [...document.querySelectorAll("#tiles canvas")].indexOf(this.canvas);
-  if (tile >= 0) drawn.add(`${tile} ${this.strokeStyle}`);
-  return real.apply(this, values);
-};
-</script>
-"""
-
-
-@pytest.mark.slow
-def test_paths_have_the_colours_of_their_strategies(body):
-    text = report_page("r", {}, replays=many(3, truth=replay().truth)).replace("<style>", STROKES + "<style>")
-    script = "<script>replay.seek(20); document.body.dataset.test = JSON.stringify([...drawn]);</script>"
-    found = body(text.replace("</body>", script + "</body>"))
-    assert {"0 #0072b2", "1 #e69f00", "2 #009e73"} <= set(json.loads(found["test"]))
-    assert {"0 #e69f00", "0 #009e73", "1 #009e73"}.isdisjoint(json.loads(found["test"]))
-
-
-LOG = """
-<script>
-const drawn = {};
-for (const name of ["arc", "rotate", "translate", "moveTo", "lineTo"]) {
-  const real = CanvasRenderingContext2D.prototype[name];
-  CanvasRenderingContext2D.prototype[name] = function (...values) {
-    if (this.canvas.tabIndex === 0) (drawn[name] ??= []).push(values);
-    return real.apply(this, values);
-  };
-}
-</script>
-"""
-LOGGED = """
-<script>
-const canvas = document.querySelector("#tiles canvas"), size = [canvas.width, canvas.height];
-const layer = (name) => document.querySelector(`[name=${name}]`).click();
-if (document.documentElement.dataset.theme === "dark") document.getElementById("theme").click();
-for (const name in drawn) drawn[name].length = 0;
-replay.seek(3);
-const seen = JSON.parse(JSON.stringify(drawn));
-const scale = replay.state().tiles[0].view.scale;
-for (const name of ["truth", "path", "ahead", "target", "robot", "own"]) layer(name);
-replay.seek(3);
-const at = (row, col) => {
-  const place = [(col + 0.5) / 20 * size[0], (19.5 - row) / 20 * size[1]];
-  return [...canvas.getContext("2d").getImageData(...place, 1, 1).data].slice(0, 3);
-};
-const cells = [at(17, 2), at(17, 12), at(2, 12), at(2, 2)];
-layer("map"); replay.seek(3);
-document.body.dataset.test = JSON.stringify({seen, size, scale, cells, bare: [at(17, 2), at(17, 12)]});
-</script>
-"""
-
-
-@pytest.mark.slow
-def test_things_are_drawn_where_they_are(body):
-    codes = np.zeros((20, 20), np.uint8)
-    codes[17, 2], codes[17, 12], codes[2, 12] = 2, 5, 1
-    run = replay(n=8, changes=(*changes_of([codes] * 9),), rooms=None, target=np.tile([[4, 6]], (9, 1)))
-    text = report_page("r", {}, replays=[run])
-    found = body(text.replace("<style>", LOG + "<style>").replace("</body>", LOGGED + "</body>"))
-    assert "error" not in found, found["error"]
-    seen = json.loads(found["test"])
-    drawn, scale = seen["seen"], seen["scale"]
-    assert scale == pytest.approx(seen["size"][0] / 10, rel=0.01)  # 20 cells of half a metre
-    assert seen["size"][0] == seen["size"][1]
-
-    def pixel(row, col):
-        return [(col + 0.5) * 0.5 * scale, (20 - row - 0.5) * 0.5 * scale]
-
-    rings = [values[:2] for values in drawn["arc"]]
-    np.testing.assert_allclose(rings[0], pixel(run.rows[0], run.cols[0]), atol=1)  # the start
-    np.testing.assert_allclose(rings[1], pixel(4, 6), atol=1)  # the target
-    assert drawn["rotate"] == [[pytest.approx(-np.pi * 3 / 4)]]  # up and to the left, as a canvas has it
-    np.testing.assert_allclose(drawn["translate"][-1], pixel(run.rows[3], run.cols[3]), atol=1)  # the robot
-    ends = np.array(drawn["lineTo"])
-    for step in (1, 3, 6):  # driven, and, as `until` is 3 steps on, ahead
-        assert np.abs(ends - pixel(run.rows[step], run.cols[step])).max(axis=1).min() < 1
-    assert np.abs(ends - pixel(run.rows[7], run.cols[7])).max(axis=1).min() > 1
-    wall, frontier, floor, unknown = [48, 54, 61], [213, 94, 0], [250, 251, 252], [195, 201, 207]
-    assert seen["cells"] == [wall, frontier, floor, unknown]
-    assert seen["bare"] == [floor, frontier]
 
 
 @pytest.mark.slow

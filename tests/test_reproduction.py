@@ -78,27 +78,6 @@ def test_of_sixteen_orderings_that_the_text_says_its_figures_bear_out_twelve():
     assert table["paper_p"].iloc[0] == pytest.approx(want)
 
 
-def test_no_ordering_holds_where_everything_is_turned_round():
-    means = {
-        place: {key: 1e4 / path for key, path in paths.items() if "decision" not in key}
-        for place, paths in as_published().items()
-    }
-    found = made(means)
-    told = found.orderings["a"] + found.orderings["b"]
-    ran = found.orderings[~told.str.contains("decision")]
-    assert set(ran["verdict"]) == {"does not hold"}
-    rest = found.orderings[told.str.contains("decision")]  # did not run
-    assert set(rest["verdict"]) == {"undecided"}
-    assert set(rest["pairs"]) == {0}
-    assert rest["ratio"].isna().all()
-    assert "- AVZ: 0 of 6 pairs of means in the paper's order, Kendall's tau -1.00." in found.agreement
-    n = int((ran["paper_p"] < 0.05).sum())
-    assert (
-        f"Of {n} orderings significant in the paper (Welch's t, p < 0.05) 0 hold, 0 are undecided, {n} do"
-        in found.agreement
-    )
-
-
 def test_where_nothing_differs_or_all_is_noise_nothing_is_decided():
     equal = {place: dict.fromkeys(paths, 100.0) for place, paths in as_published().items()}
     found = made(equal, spread=0.0).orderings
@@ -151,15 +130,6 @@ def test_tables_by_hand():
     assert "ours m, first 10 episodes" in text
     assert "## Hospital (Table 3, Figure 8c): hospital\n\nNothing has run here." in text
     assert "| Cave        | closest+recheck                | closest " in text
-
-
-def test_the_first_ten_are_the_first_ten():
-    found = made({"Cave": {"closest": 100.0, "random": 150.0}}, spread=0.3, n=25)
-    episodes = found.to_pandas()
-    for row in found.tables.itertuples():
-        path_m = episodes[(episodes["strategy"] == row.strategy) & (episodes["episode"] < 10)]["path_m"]
-        assert (row.first_mean, row.first_sd) == pytest.approx((path_m.mean(), path_m.std(ddof=1)))
-        assert row.mean != row.first_mean
 
 
 def test_what_is_left_of_an_interrupted_run_is_told():
@@ -265,28 +235,6 @@ def test_the_command_writes_a_whole_run(ran, small, tmp_path, printed):
     assert record["notes"] == list(ran.notes)
     assert record["interrupted"] == 0
     assert "holds a run" in printed(command, 2).err
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_an_interruption_keeps_pairs(small, tmp_path, printed, monkeypatch):
-    run = batch.run_jobs
-
-    def interrupted(jobs, *rest, **options):
-        told = options.pop("on_job")
-        report = run(jobs, *rest, **options, on_job=None)
-        for place, found in enumerate(report.outcomes[:3]):  # of the second world nothing has finished
-            told(place, found)
-        report.costs.interrupted = True
-        return report
-
-    monkeypatch.setattr(batch, "run_jobs", interrupted)
-    said = printed(["reproduce", small, "--episodes", "3", "--out", str(tmp_path), *CLI_LIDAR], 130)
-    assert "Nothing has run here." in said.out
-    assert said.err.endswith("jexplore: interrupted, what was finished was written\n")
-    table = pd.read_parquet(tmp_path / "episodes.parquet")
-    assert table["episode"].tolist() == [0, 1, 2] * 3
-    assert json.loads((tmp_path / "run.json").read_text())["interrupted"] == 9
 
 
 @pytest.mark.parametrize(

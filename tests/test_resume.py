@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from jexplore.cli import main
-from jexplore.cli.output import console, signals
+from jexplore.cli.output import signals
 from jexplore.report.ledger import Ledger
 from jexplore.rules import Lidar
 from jexplore.studies import comparison
@@ -265,25 +265,3 @@ def test_a_picture_that_fails_costs_no_data(tmp_path, printed, monkeypatch):
         "wrote episodes.parquet, details.parquet, run.json, coverage.png, paths.png, report"
     )
     assert "compare.png" not in files(tmp_path)
-
-
-def interrupt(_, done):
-    if done:
-        raise KeyboardInterrupt
-
-
-@pytest.mark.slow
-def test_an_interruption_without_a_whole_unit_leaves_the_shorter_run(want, tmp_path, capsys, monkeypatch):
-    """A finished run of 4 episodes, and units of 32, of which none is whole."""
-    monkeypatch.setattr(units, "MIN_UNIT_EPISODES", 32)
-    run, command = tmp_path / "run", [*COMMAND, "--workers", "1", "--no-report", "--resume", "--episodes"]
-    assert main.main([*command, "4", "--out", str(run)]) == 0
-    with monkeypatch.context() as patch:
-        patch.setattr(console.Progress, "update", interrupt)
-        assert main.main([*command, "36", "--out", str(run)]) == 130
-    assert "no unit of work was finished: nothing is kept to go on with" in capsys.readouterr().err
-    assert len(load(run).episodes) == 8
-    assert main.main([*command, "36", "--out", str(run)]) == 0
-    rows = want.episodes[want.episodes["episode"] < 36].reset_index(drop=True)
-    pd.testing.assert_frame_equal(pd.read_parquet(run / "episodes.parquet"), rows)
-    assert json.loads((run / "run.json").read_text())["resumed"] == 8

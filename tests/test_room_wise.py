@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from ref import beliefs
 
-from jexplore.planning import field
 from jexplore.policies import parse_strategy
 from jexplore.policies.room_wise import own_segment
 
@@ -138,20 +137,6 @@ def test_the_own_segment_is_the_room():
             assert is_room
             # The door itself may go to either side.
             np.testing.assert_array_equal(mine & (np.arange(40) != 21), free & (rooms == room) & (np.arange(40) != 21))
-
-
-@pytest.mark.slow
-def test_views_are_taken_from_the_own_room():
-    """Although paths weigh enough to favour the other room."""
-    belief = belief_of()
-    mine = own(parse_strategy("closest+segment").policy.params, belief)[0]
-    policy = parse_strategy("decision-theoretic+segment:min_gain=1,lam=5").policy
-    beams = beliefs.table(beliefs.LIDAR, belief)
-    for seed in range(6):
-        choice = beliefs.selected(policy.select, jax.random.key(seed), policy.params, belief, beams)
-        assert choice.is_view
-        assert mine[choice.row, choice.col]
-        assert choice.cost == field(belief).cost[choice.row, choice.col]
 
 
 @pytest.mark.slow

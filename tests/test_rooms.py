@@ -150,18 +150,6 @@ PLANS = {
         #dddddddddddddddddddddd#
         ########################
         """,
-    "a corridor that begins at a room, without a door": """
-        #########################
-        #aaaaaaaaa###############
-        #aaaaaaaaa###############
-        #aaaaaaaaa+bbbbbbbbbbbbb#
-        #aaaaaaaaa+bbbbbbbbbbbbb#
-        #aaaaaaaaa+bbbbbbbbbbbbb#
-        #aaaaaaaaa###############
-        #aaaaaaaaa###############
-        #aaaaaaaaa###############
-        #########################
-        """,
     "of like width, no door between": """
         ###############
         #aaaaaaaaaaaaa#
@@ -214,20 +202,6 @@ PLANS = {
         #aaaaaaaaa####
         #aaaaaaaaa####
         ##############
-        """,
-    "round a corner": """
-        #################
-        #aaaaa###########
-        #aaaaa###########
-        #aaaaa###########
-        #aaaaa###########
-        #aaaaa###########
-        #aaaaaaaaaaaaaaa#
-        #aaaaaaaaaaaaaaa#
-        #aaaaaaaaaaaaaaa#
-        #aaaaaaaaaaaaaaa#
-        #aaaaaaaaaaaaaaa#
-        #################
         """,
 }
 

@@ -190,12 +190,6 @@ def test_several_robots_that_could_not_pass_are_several_blocks():
     assert jx.btm.route(nobody, robot, 0, 1).refused == ((0, (f"blocked: {LIFTED}",)),)
 
 
-@pytest.mark.parametrize("told", [3, {"blocked": [3]}, {"blocked": [{"value": True}]}])
-def test_conflicts_that_nobody_could_have_written_block_nothing(told):
-    btm = changed(line(None, None), 0, attributes={"conflicts": told})
-    assert jx.btm.route(btm, "kamui", 0, 1).unknown == ()
-
-
 @pytest.mark.parametrize(
     "who",
     [
@@ -314,12 +308,6 @@ def test_of_equal_ways_the_fewest_links_then_the_lowest_ids_count():
     assert chosen((0, 1), (1, 2), (2, 3), (0, 0), lengths=(0.0003, 0.0003, 0.0003, 0)) == (9, 5, 7)  # below the unit
 
 
-def test_places_may_be_given_by_coordinates():
-    assert jx.btm.route(SQUARE, "kamui", "0.4,-0.3", (4.9, 5.2)).nodes == (0, 2)
-    assert jx.btm.route(SQUARE, "kamui", np.int64(0), " 2").nodes == (0, 2)
-    assert jx.btm.route(SQUARE, "kamui", (-30, 40), 3, within_m=50).nodes == (3,)
-
-
 # Compared with networkx, and laws
 
 
@@ -390,19 +378,6 @@ def test_the_unsearched_link_is_the_nearest(btm, data):
     assert route.is_found == bool(ends)
     if ends:
         assert (route.length_m, len(route.links), route.links, route.onward.link) == min(ends.values())
-
-
-@settings(max_examples=15)
-@given(graphs())
-def test_a_way_back_is_as_long_and_a_better_robot_goes_no_farther(btm):
-    ids = [node.id for node in btm.nodes]
-    pairs = list(itertools.product(ids, ids))
-    kamui, wheeled = (
-        {pair: r.length_m for pair, r in zip(pairs, of)} for of in jx.btm.routes(btm, ["kamui", "wheeled"], pairs)
-    )
-    for start, end in pairs:
-        assert wheeled[start, end] == wheeled[end, start]
-        assert kamui[start, end] <= wheeled[start, end]
 
 
 def test_many_are_what_each_is_alone():

@@ -13,7 +13,6 @@ from skimage import morphology
 
 from jexplore.segment import MAX_HOPS, Form, borders, criteria, critical_points, form_for, merged, segment
 from jexplore.skeleton import graph
-from jexplore.worlds import load_world
 
 pytestmark = pytest.mark.jit
 
@@ -214,14 +213,6 @@ def test_critical_points_are_the_oracles(case, max_hops):
 # ---------------------------------------------------------------- borders and merging
 
 
-def test_borders_by_hand():
-    label = np.array([[0, 0, 1], [2, 2, 1], [-1, 1, 1]])
-    shared = np.asarray(borders(jnp.asarray(label, jnp.int32), 4))
-    expected = np.zeros((4, 4), int)
-    expected[0, 1], expected[0, 2], expected[1, 2] = 1, 2, 2
-    np.testing.assert_array_equal(shared, expected)
-
-
 @pytest.mark.parametrize(
     ("shared", "group"),
     [
@@ -306,23 +297,6 @@ def test_segments_are_the_oracles(free, chosen):
 # ---------------------------------------------------------------- laws
 
 
-def test_a_turned_map_has_the_same_segments_but_for_ties():
-    """In general it has not: of two equally near obstacles the one in the lower column is named, and thinning takes
-    cells from one side first, so that the graph itself shifts by a cell. Here it cannot; equally near seeds remain.
-    """
-    free = np.zeros(SHAPES[1], bool)
-    free[4:19, 2:11] = free[6:17, 12:22] = free[10:13, 11] = True
-    tie = rooms.distances(free, [(11, 10), (11, 12)])
-    tie = free & (tie[0] == tie[1])
-    assert tie.sum() == 3
-    for quarters in range(4):
-        turned = jnp.asarray(np.rot90(free, quarters))
-        label = np.rot90(segment(turned, criteria(), form=FORM).label, -quarters)
-        expected = np.where(np.arange(24) < 11, 1, 2) * free - 1 * ~free
-        assert rooms.same_partition(np.where(tie, -1, label), np.where(tie, -1, expected))
-        assert (label[tie] >= 0).all()
-
-
 @pytest.mark.slow
 def test_rows_of_a_batch_are_independent():
     """Maps and criteria at once: numbers may be swept without compiling anew."""
@@ -344,16 +318,6 @@ def test_rows_of_a_batch_are_independent():
 
 
 TINY = Form(nodes=14, splits=2)
-
-
-@pytest.mark.slow
-def test_jit_changes_nothing():
-    free = jnp.asarray(maps.walls("......... .###.###. .###.###. .#######. .###.###. .###.###. ........."))
-    jitted = segment(free, criteria("thrun", gamma=1.0, prominence=0.0), form=TINY)
-    assert int(jitted.overflow) == 0
-    with jax.disable_jit():
-        plain = segment(free, criteria("thrun", gamma=1.0, prominence=0.0), form=TINY)
-    jax.tree.map(np.testing.assert_array_equal, jitted, plain)
 
 
 @pytest.mark.slow
@@ -383,24 +347,6 @@ def test_a_form_for_a_map():
     assert form_for((160, 160)) == Form(3328, 64)
     assert form_for((160, 160), coarse=True) == Form(6400, 266)
     assert form_for((1000, 1100)) == Form(137728, 1024)
-
-
-SMALL = (64, 64)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["cave", "maze", "rooms"])
-def test_small_worlds_fit(name):
-    """On maps of 6.2 m graphs of 256 nodes were too small."""
-    form, most = form_for(SMALL), 0
-    for seed in range(6):
-        world = load_world(f"{name}#{seed}:width_m=6.2,height_m=6.2")
-        free = np.zeros(SMALL, bool)
-        free[: world.shape[0], : world.shape[1]] = ~world.occupied
-        found = segment(jnp.asarray(free), criteria(prominence=1.5), form=form)
-        most = max(most, int((found.graph.cell < free.size).sum()))
-        assert int(found.overflow) == 0
-    assert most > {"cave": 256, "maze": 128, "rooms": 128}[name]
 
 
 # ---------------------------------------------------------------- bad input

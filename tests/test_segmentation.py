@@ -7,11 +7,10 @@ from PIL import Image
 from ref.figures import check_texts
 from ref.refusals import refused
 
-from jexplore import segment
 from jexplore.cli import main
 from jexplore.config import InputError
 from jexplore.report.plot_rooms import rooms_figure
-from jexplore.studies.room_variants import ROOM_VARIANTS, segmented
+from jexplore.studies.room_variants import ROOM_VARIANTS
 from jexplore.studies.segmentation import SCORE_COLUMNS, segment_maps
 from jexplore.worlds.world import occupancy_to_world
 
@@ -73,18 +72,6 @@ def test_without_truth_rooms_are_only_counted():
     assert np.isnan(scores["mcc"].iloc[0])
 
 
-def test_one_room_and_no_free_space():
-    free = np.zeros((40, 40), bool)
-    free[2:38, 2:38] = True
-    one = segmented(free, segment.criteria())
-    assert (one.label[free] >= -1).all()
-    assert int(one.count) == 0
-    assert (one.label == -1).all()
-    scores = segment_maps(occupancy_to_world(~free, name="one", cell_m=0.1), variants=["holz"]).scores
-    assert scores["rooms"].iloc[0] == 1
-    assert (segmented(np.zeros((40, 40), bool), segment.criteria()).label == -1).all()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", ["voronoi", "holz"])
 def test_partial_maps_are_those_of_an_episode(variant):
@@ -96,20 +83,6 @@ def test_partial_maps_are_those_of_an_episode(variant):
     assert scores["explored"].is_monotonic_increasing
     assert scores["rooms_truth"].is_monotonic_increasing
     assert scores["mcc"].notna().all()
-
-
-def test_flat_indices_count_in_the_map():
-    free = np.zeros((40, 60), bool)
-    free[1:39, 1:29] = free[1:39, 31:59] = free[17:24, 29:31] = True
-    made = segmented(free, segment.criteria())
-    critical = np.divmod(made.graph.cell[made.critical], 60)
-    seeds = np.divmod(made.seed[:2], 60)
-    assert int(made.count) == 1
-    assert abs(critical[0] - 20) <= 1
-    assert abs(critical[1] - 30) <= 2
-    assert (np.abs(seeds[0] - critical[0]) <= 1).all()
-    assert (np.abs(seeds[1] - critical[1]) <= 1).all()
-    assert made.seed[-1] == free.size
 
 
 @pytest.mark.parametrize("open_in", ["map", "truth", "both"])
@@ -171,20 +144,6 @@ def test_truth_of_another_size_is_refused(pictures, tmp_path):
     refused("ground truth is for maps such as", segment_maps, SMALL, truth=[pictures[1]], cell_m=0.1)
 
 
-def test_truth_without_rooms_or_with_too_many_is_refused(pictures, tmp_path):
-    speck = np.zeros((42, 84), bool)
-    speck[10, 10] = True
-    with pytest.raises(InputError, match=r"must have 1 to 10000 rooms .* got 0"):
-        segment_maps(pictures[0], truth=[picture(tmp_path / "none.png", speck)])
-    free = np.zeros((420, 420), bool)
-    free[:, 1::4] = free[:, 2::4] = free[:, 3::4] = True
-    cells = free.copy()
-    cells[3::4] = False  # 105 x 105 rooms of 3 x 3 pixels of 0.2 m
-    name = f"{picture(tmp_path / 'map.png', free)}@0.2"
-    with pytest.raises(InputError, match=r"must have 1 to 10000 rooms .* got 11025"):
-        segment_maps(name, truth=[picture(tmp_path / "many.png", cells)], cell_m=0.2)
-
-
 @pytest.mark.parametrize("variant", ROOM_VARIANTS)
 def test_a_hall_is_one_room(variant):
     free = np.zeros((40, 40), bool)
@@ -197,15 +156,3 @@ def test_a_hall_is_one_room(variant):
 def test_the_command_refuses(printed, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     assert "expected a map" in printed(["segment"], 2).err
-
-
-@pytest.mark.slow
-def test_a_real_map(maps):
-    name = "Freiburg52_scan"
-    folder = maps / "ipa"
-    pair = [f"{folder / name}{more}.png@0.05" for more in ("", "_furnitures")]
-    truth = [f"{folder / name}_gt_segmentation.png"] * 2
-    found = segment_maps(pair, truth=truth, variants=["voronoi", "holz"]).scores.set_index(["map", "variant"])["mcc"]
-    assert found[pair[0], "voronoi"] > 0.95
-    assert found[pair[1], "voronoi"] > 0.85
-    assert found[pair[0], "holz"] > 0.9

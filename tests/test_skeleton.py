@@ -1,7 +1,5 @@
 """The Voronoi graph of free space: pencil cases, brute force, scikit-image and networkx, laws."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -195,13 +193,3 @@ def test_one_row_between_two_walls_has_its_axis_in_the_middle():
     found = VORONOI(jnp.asarray(maps.walls("#.....#")), jnp.float32(4), size=16)
     assert found.cell.tolist()[:2] == [3, 7]
     assert found.d2.tolist()[:2] == [9, 0]
-
-
-@pytest.mark.slow
-def test_rows_of_a_batch_are_independent():
-    obstacle = jnp.asarray(np.random.default_rng(5).random((3, 12, 12)) < [[[0.0]], [[0.05]], [[0.2]]])
-    batch = jax.jit(jax.vmap(functools.partial(graph_of, size=40), (0, None)))(obstacle, jnp.float32(4))
-    assert (np.asarray(batch.degree).max(1) >= [0, 2, 2]).all()
-    for i in range(3):
-        alone = VORONOI(obstacle[i], jnp.float32(4), size=40)
-        jax.tree.map(lambda many, one, i=i: np.testing.assert_array_equal(many[i], one), batch, alone)

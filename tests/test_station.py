@@ -117,24 +117,6 @@ def test_maps_that_fit_are_one_and_others_stand_apart():
     assert [one["from"] for one in data["panels"][1]["nodes"]] == [{"c": i} for i in range(5)]
 
 
-def test_ways_that_contradict_are_told_as_well():
-    # The first has a way of 9 m north of node 1, to stairs; the second one of 5 m.
-    base, other = first(), second()
-    stairs = (node(9, "O", 4, 9, obstacle="stairs"), way(9, 1, 9, 90, length_m=9.0, opening_m=1.2))
-    one = BtmMap((*base.nodes, stairs[0]), (*(link for link in base.links if link.id != 2), stairs[1]))
-    other = dataclasses.replace(
-        other, nodes=tuple(dataclasses.replace(x, type="free_space") if x.id == 4 else x for x in other.nodes)
-    )
-    panels, said = panels_of([one, other], ["a", "b"])
-    assert [panel.name for panel in panels] == [GLOBAL_MAP]
-    assert said == list(merge_maps([one, other], ["a", "b"]).notes)
-    assert said == [
-        "node 3: victim is True in a and False in b",
-        "node 1: 1 way leads elsewhere in b than in a; the map has both",
-    ]
-    assert data_of(jx.btm.station([one, other], ["a", "b"]))["notes"] == said
-
-
 def test_maps_none_of_which_fits_stand_each_alone():
     panels, said = panels_of([chain("TDT"), first()], ["a", "b"])
     assert [(panel.name, panel.map) for panel in panels] == [("a", check_map(chain("TDT"))), ("b", check_map(first()))]

@@ -115,15 +115,6 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, monkeypatch):
     assert files(tmp_path) == []
 
 
-def test_the_data_are_synced_before_the_replacement(tmp_path, monkeypatch):
-    calls = []
-    for name in ("fsync", "replace"):
-        real = getattr(os, name)
-        monkeypatch.setattr(store.os, name, lambda *args, name=name, real=real: (calls.append(name), real(*args)))
-    store.write_json({}, tmp_path / "run.json")
-    assert calls[:2] == ["fsync", "replace"]
-
-
 @pytest.mark.parametrize(
     "write", [lambda path: store.write_json({}, path), lambda path: store.write_parquet(episodes(), path)]
 )

@@ -379,52 +379,6 @@ def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, prin
     assert jx.load("merged").episodes["episode"].tolist() == list(range(20))
 
 
-@pytest.mark.slow
-@pytest.mark.jit
-def test_a_part_without_the_first_strategy_has_no_ratios(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(plans, "MAX_UNIT_EPISODES", 3)
-    asked = {"worlds": WORLDS[:1], "strategies": ["closest", "random"], "episodes": 3, "lidar": {**SMALL, "range_m": 2}}
-    (tmp_path / "s.yaml").write_text(yaml.safe_dump(asked))
-    for i in (1, 2):
-        assert main.main(["sweep", "s.yaml", "--shard", f"{i}/2", "--out", f"part{i}", "--no-report"]) == 0
-    parts = [jx.load(f"part{i}") for i in (1, 2)]
-    assert [part.reference for part in parts] == ["closest", "closest"]
-    assert [part.episodes["strategy"].unique().tolist() for part in parts] == [["closest"], ["random"]]
-    assert parts[0].summary["ratio"].tolist() == [1.0]
-    assert np.isnan(parts[1].summary[["ratio", "ratio_low", "ratio_high"]].to_numpy()).all()
-    assert main.main(["merge", "part1", "part2", "--out", "whole", "--no-report"]) == 0
-    assert jx.load("whole").summary["ratio"].tolist() == sweep(asked).summary["ratio"].tolist()
-    record = json.loads((tmp_path / "part2" / "run.json").read_text())
-    assert record["asked"]["shard"] == "2/2"
-    assert len(record["worlds"][0]["sha256"]) == 64
-    assert main.main(["sweep", "s.yaml", "--shard", "1/2", "--out", "part2", "--resume"]) == 2
-    assert 'its shard is "2/2", not "1/2"' in capsys.readouterr().err
-
-
-def test_parameters_of_ones_own_are_settings_too(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "own_swept.py").write_text("def far(view, weight=1.0):\n    return weight * view.cost\n")
-    given = ("closest", {"name": "own_swept:far", "weight": [1, 2]}, {"name": "own_swept:far+recheck", "weight": 3})
-    names = [name for name, _ in Sweep(WORLDS[:1], given).strategy_list()]
-    assert names[1:] == ["own_swept:far:weight=1", "own_swept:far:weight=2", "own_swept:far+recheck:weight=3"]
-    assert [one.name for one in plans.prepare_sweep(Sweep(WORLDS[:1], given)).strategies] == names
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_seeds_are_an_axis_and_types_are_the_plans():
-    asked = {"worlds": WORLDS[:1], "strategies": ["closest", {"name": "tour"}], "episodes": 20}
-    asked["lidar"] = {**SMALL, "range_m": 2}
-    found = sweep({**asked, "seed": [0, 1], "rules": {"max_steps": [None, 100]}}, workers=1)
-    assert found.varied == ["rules.max_steps", "seed"]
-    assert found.episodes["rules.max_steps"].dtype == np.float64
-    assert found.summary["seed"].tolist() == [0] * 4 + [1] * 4
-    alone = jx.compare(WORLDS[:1], ["closest", "tour"], episodes=20, seed=1, lidar=Lidar(n_beams=31, range_m=2))
-    own = found.episodes[(found.episodes["seed"] == 1) & found.episodes["rules.max_steps"].isna()]
-    pd.testing.assert_frame_equal(own[list(COLUMNS)].reset_index(drop=True), alone.to_pandas())
-
-
 def test_what_settings_leave_out_is_the_sweeps_own():
     spec = Sweep(["a"], seed=7, cell_m=0.2, settings=[{"seed": 1, "cell_m": 0.1}, {"lidar.range_m": 4}])
     assert spec.expanded() == [

@@ -2,17 +2,11 @@
 
 import dataclasses
 import io
-import os
 import re
-import struct
-import subprocess
 import sys
 import warnings
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from rich.cells import cell_len
 
 from jexplore.cli import main, options
 from jexplore.cli.output import console, terminal
@@ -89,90 +83,9 @@ def test_lines_between_tables_stay_and_headings_lose_their_hashes(shown):
     assert shown(30, text) == ["Orderings", "", *folded, "", "a", "─", "1", "", "end"]
 
 
-@pytest.mark.parametrize("width", [0, 1])
-def test_a_terminal_that_says_it_has_no_width_shows_tables(shown, width):
-    assert shown(width, TABLE) == shown(20, TABLE)
-    assert "6.81" in "".join(shown(width, TABLE))
-
-
 def test_elsewhere_it_is_the_markdown_itself(capsys):
     terminal.show_table(TABLE)
     assert capsys.readouterr().out == TABLE + "\n"
-
-
-cells = st.text(st.sampled_from("ab 1+,:=[]/|-_é漢#*"), max_size=30)
-
-
-@settings(deadline=None, max_examples=25)
-@given(st.data(), st.integers(20, 90))
-def test_no_table_is_wider_than_the_terminal_or_loses_a_character(data, width):
-    n = data.draw(st.integers(1, 6))
-    head = [data.draw(cells.filter(str.strip)) for _ in range(n)]
-    rows = data.draw(st.lists(st.lists(cells, min_size=n, max_size=n), min_size=1, max_size=4))
-    text = aligned_table(head, rows, left=data.draw(st.sets(st.sampled_from(head))))
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in (("COLUMNS", str(width)), ("TERM", "xterm"), ("NO_COLOR", "1")):
-            patch.setenv(name, value)
-        screen = Screen()
-        terminal.show_table(text, file=screen)
-    seen = re.sub(r"\x1b\[\d*m", "", screen.getvalue())
-    assert max(cell_len(line) for line in seen.splitlines()) <= width
-    expected = "".join([*head, *("".join(row) for row in rows)])
-    for character in set(expected) - set(" "):
-        assert seen.count(character) >= expected.count(character)
-
-
-def on_terminal(columns, *command, **environment):
-    """Run a command on a terminal with a number of columns: its status, and all lines."""
-    pty, fcntl, termios = (pytest.importorskip(name) for name in ("pty", "fcntl", "termios"))
-    ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 50, columns, 0, 0))
-    own = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR")}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "jexplore", *command],
-        stdin=theirs,
-        stdout=theirs,
-        stderr=theirs,
-        env=own | {"TERM": "xterm-256color"} | environment,
-    )
-    os.close(theirs)
-    said = b""
-    while True:
-        try:
-            piece = os.read(ours, 65536)
-        except OSError:  # the other end is closed
-            piece = b""
-        if not piece:
-            break
-        said += piece
-    os.close(ours)
-    return process.wait(), said.decode().replace("\r\n", "\n")
-
-
-def visible(text):
-    return re.sub(r"\x1b\[[\d;]*m", "", text)
-
-
-@pytest.mark.slow
-def test_a_command_fits_a_real_terminal():
-    columns = 80
-    status, said = on_terminal(columns, "strategies")
-    assert status == 0
-    lines = visible(said).splitlines()
-    assert max(map(len, lines)) <= columns
-    assert any(set(line) == {"─"} for line in lines)
-    assert "|" not in said
-    assert "\x1b[" in said
-
-
-@pytest.mark.slow
-def test_no_color_is_honoured_in_help():
-    _, plain = on_terminal(80, "explore", "--help", NO_COLOR="1")
-    _, coloured = on_terminal(80, "explore", "--help")
-    colours = re.compile(r"\x1b\[(?:[\d;]*;)?3[0-7]")
-    assert not colours.search(plain)
-    assert visible(plain) == visible(coloured)
-    assert colours.search(coloured)
 
 
 # --- progress

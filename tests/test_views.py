@@ -118,18 +118,6 @@ def test_draws_depend_neither_on_padding_nor_on_how_many_there_are():
             np.testing.assert_array_equal(a, c)
 
 
-def test_samples_fill_a_disc_evenly():
-    """Round one unknown cell in the open, 12 cells far: a quarter of them within half the radius, or nearly."""
-    misses = np.ones(SHAPE, int)
-    misses[15, 17] = 0
-    belief = beliefs.belief_from(0 * misses, misses, (15, 10))
-    row, col, _ = jax.tree.map(np.asarray, drawn(jax.random.key(0), belief, numbers(spread_m=1.2)))
-    near = np.hypot(row - 15, col - 17) <= 6
-    assert 0.18 < near.mean() < 0.32
-    for side in (row < 15, row > 15, col < 17, col > 17):
-        assert 0.4 < side.mean() < 0.52
-
-
 def test_without_a_frontier_there_are_no_samples():
     belief = beliefs.after_scans(1, SHAPE)
     row, _, _ = drawn(jax.random.key(0), belief.replace(exhausted=~belief.exhausted), numbers())

@@ -50,7 +50,7 @@ class Trace(ResumeOptions):
     """Give the scanners' ranges this standard deviation, in metres, as --noise.range-m does."""
     sweep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUES [...]", help_behavior_hint="")] = ()
     """Vary these thresholds, all in one batch: votes=1,3,5 (a list), circle=1.1:2.0 (a range), noise.range_m=0,0.03, or
-    other numbers of the robot, sensing.reach_m=0.2,0.3. Lists make every combination; with a range, --settings are
+    other numbers of the robot, sensing.every_m=0.1,0.2. Lists make every combination; with a range, --settings are
     drawn by Latin hypercube."""
     settings: int = 100
     """Number of settings drawn in a sweep over ranges."""

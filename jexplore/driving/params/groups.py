@@ -22,22 +22,8 @@ class Sensing(Settings):
     agree_deviations: float = 3.7  # standard deviations within which two beams and the one between them agree
     every_m: float = 0.2  # scans are matched after this way
     every_rad: float = 0.25  # or this turn
-    key_m: float = 1.0  # the reference scan is replaced after this way
-    key_rad: float = 0.6  # or this turn
-    reach_m: float = 0.3  # a line is laid through the points of neighbouring beams as far as they are this near
-    line_flatness: float = 0.04  # a line is even across which its points vary by no more than this share of along it
-    match_rounds: int = 6  # rounds of the fit
-    # a point farther from its line than this counts not, in the first round and from the third on
-    gate_m: tuple[float, float] = (0.3, 0.1)
-    range_sd_m: float = 0.03  # of a point from its line
-    encoder_share: float = 0.1  # standard deviation of the encoders, as a share of way and turn
-    encoder_m: float = 0.01  # added to that of the way
-    encoder_rad: float = math.radians(0.5)  # added to that of the turn
-    min_points: int = 30  # points that must lie on lines
-    max_deviations: float = 4.0  # standard deviations; a match that is farther off is discarded
     plane_rad: float = math.radians(6)  # scans are of one plane if the robot leans no more otherwise
     tilt_rad: float = math.radians(12)  # one of a robot that leans more is bent
-    key_share: float = 0.6  # of the points; with fewer the next scan is matched with this one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,7 +132,7 @@ class Params(Settings):
 
 
 def default_numbers() -> dict[str, float]:
-    """Return the default of every number by its name: `sensing.reach_m`, or `graph.beyond_opening_m.0` in a tuple."""
+    """Return the default of every number by its name: `sensing.every_m`, or `graph.beyond_opening_m.0` in a tuple."""
     found: dict[str, float] = {}
     for part, group in vars(Params()).items():
         for name, value in vars(group).items():

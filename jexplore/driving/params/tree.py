@@ -1,6 +1,6 @@
 """The robot's numbers as one tree, and the tree that code reads while a program is traced.
 
-Code reads `P.sensing.reach_m`. Outside `using` that is a number of Python, a constant of whatever is compiled; inside
+Code reads `P.sensing.every_m`. Outside `using` that is a number of Python, a constant of whatever is compiled; inside
 it is a leaf of the tree given there: runs that differ in any numbers then share one program.
 """
 

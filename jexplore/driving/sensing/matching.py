@@ -12,7 +12,10 @@ from jexplore.arrays.loops import pick, run_if
 from jexplore.driving.params.tree import P
 from jexplore.driving.records import KeyScan
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, to_odometry, to_robot
+from jexplore.slam2d.settings import SlamSettings
 
+MATCH = SlamSettings()
+ROUNDS = 6  # of a match
 LINE_BEAMS = 5  # beams on either side through whose points a line is laid
 
 
@@ -28,7 +31,7 @@ def _fit_lines(ranges_m):
     def added(k, moments):
         there, other_x, other_y = (lax.dynamic_slice(a, (k,), (n,)) for a in (known, *wide))
         dx, dy = other_x - x, other_y - y
-        weight = (there & valid & (dx * dx + dy * dy < P.sensing.reach_m**2)).astype(jnp.float32)
+        weight = (there & valid & (dx * dx + dy * dy < MATCH.line_reach_m**2)).astype(jnp.float32)
         terms = weight, weight * dx, weight * dy, weight * dx * dx, weight * dx * dy, weight * dy * dy
         return [total + term for total, term in zip(moments, terms)]
 
@@ -38,7 +41,7 @@ def _fit_lines(ranges_m):
     cxx, cxy, cyy = sxx * per - mx * mx, sxy * per - mx * my, syy * per - my * my
     half, root = (cxx + cyy) / 2, jnp.hypot((cxx - cyy) / 2, cxy)
     along = 0.5 * jnp.arctan2(2 * cxy, cxx - cyy)
-    there = valid & (count >= LINE_BEAMS) & (half - root < P.sensing.line_flatness * (half + root))
+    there = valid & (count >= LINE_BEAMS) & (half - root < MATCH.line_flatness * (half + root))
     return (x + mx, y + my), (-jnp.sin(along), jnp.cos(along)), there
 
 
@@ -63,13 +66,9 @@ def match_scans(before_m: Array, ranges_m: Array, moved: Array, since: Array) ->
     r = jnp.where(valid, ranges_m, 0)
     x, y = r * jnp.cos(ANGLES_RAD), r * jnp.sin(ANGLES_RAD)
     way, turn = jnp.hypot(since[0], since[1]), jnp.abs(since[2])
-    sd = jnp.stack(
-        [
-            P.sensing.encoder_m + P.sensing.encoder_share * way,
-            P.sensing.encoder_m + P.sensing.encoder_share * way,
-            P.sensing.encoder_rad + P.sensing.encoder_share * turn,
-        ]
-    )
+    place_sd = MATCH.way_m + MATCH.way_share * way
+    turn_sd = MATCH.turn_share * turn + math.radians(1) * (MATCH.turn_deg + MATCH.turn_deg_m * way)
+    sd = jnp.stack([place_sd, place_sd, turn_sd])
     prior = 1 / sd**2
 
     def nearer(i, carry):
@@ -80,18 +79,18 @@ def match_scans(before_m: Array, ranges_m: Array, moved: Array, since: Array) ->
         at = jnp.clip(beam, 0, BEAMS - 1)
         nx, ny = normal_x[at], normal_y[at]
         off = nx * (px - mean_x[at]) + ny * (py - mean_y[at])
-        counts = valid & there[at] & (beam == at) & (jnp.abs(off) < jnp.where(i < 2, *P.sensing.gate_m))
-        weight = jnp.where(counts, 1 / P.sensing.range_sd_m**2, 0)
+        counts = valid & there[at] & (beam == at) & (jnp.abs(off) < jnp.where(i < 2, MATCH.gate_m, MATCH.fine_gate_m))
+        weight = jnp.where(counts, 1 / MATCH.noise_m**2, 0)
         by_turn = nx * (-sin * x - cos * y) + ny * (cos * x - sin * y)
         rows = jnp.stack([nx, ny, by_turn])
         matrix = (rows * weight) @ rows.T + jnp.diag(prior)
         vector = -(rows * weight) @ off + prior * (moved - found)
         step = _solved(matrix, vector)
         n = jnp.sum(counts)
-        return jnp.where(n >= P.sensing.min_points, found + step, found), n
+        return jnp.where(n >= MATCH.min_points, found + step, found), n
 
-    found, n = lax.fori_loop(0, P.sensing.match_rounds, nearer, (moved, jnp.int32(0)))
-    sure = (n >= P.sensing.min_points) & jnp.all(jnp.abs(found - moved) < P.sensing.max_deviations * sd)
+    found, n = lax.fori_loop(0, ROUNDS, nearer, (moved, jnp.int32(0)))
+    sure = (n >= MATCH.min_points) & jnp.all(jnp.abs(found - moved) < MATCH.max_deviations * sd)
     return jnp.where(sure, found, moved), jnp.where(sure, n / jnp.maximum(jnp.sum(valid), 1), 0.0)
 
 
@@ -145,9 +144,9 @@ def correct_odometry(
         step, turn = to_robot(odometry)(after[:2]), after[2] - odometry[2]
         estimate = jnp.concatenate([to_odometry(estimate)(step), estimate[2:] + turn])
         is_far = (
-            (jnp.hypot(found[0], found[1]) >= P.sensing.key_m)
-            | (jnp.abs(found[2]) >= P.sensing.key_rad)
-            | (share < P.sensing.key_share)
+            (jnp.hypot(found[0], found[1]) >= MATCH.key_m)
+            | (jnp.abs(found[2]) >= math.radians(MATCH.key_deg))
+            | (share < MATCH.min_share)
         )
         fresh = KeyScan(ranges_m, lean, after, after)
         old = key.replace(last=after)

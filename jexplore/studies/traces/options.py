@@ -40,7 +40,7 @@ def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np
         if name in axes:
             raise InputError(f"sweep names {name} more than once")
         if name not in (*known, *own) or not equals:
-            names = ", ".join((*known, "the numbers of jx.btm.Params, as in sensing.reach_m"))
+            names = ", ".join((*known, "the numbers of jx.btm.Params, as in sensing.every_m"))
             raise InputError(f"sweep must be NAME=A,B,... or NAME=LOW:HIGH, got {text!r}; there are {names}")
         is_range = ":" in values
         try:
