@@ -14,6 +14,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from parts.drift.storage import storage
+from parts.drift.study import drift
 
 from jexplore.driving.settings import Noise
 from jexplore.engine.backend import start_backend, use_compilation_cache
@@ -22,9 +24,7 @@ from jexplore.report.plot import save_figure
 from jexplore.report.trace_tables import share
 from jexplore.studies.bounds.bound import bound
 from jexplore.studies.comparison import compare
-from jexplore.studies.traces.drift import drift
 from jexplore.studies.traces.job import START_CLEARANCE_M
-from jexplore.studies.traces.storage import storage
 from jexplore.studies.traces.tracing import trace
 from jexplore.worlds import load_world
 from jexplore.worlds.starts import draw_starts

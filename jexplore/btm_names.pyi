@@ -3,16 +3,11 @@ from jexplore.driving.params.groups import Params as Params
 from jexplore.driving.settings import Noise as Noise
 from jexplore.driving.settings import Robot as Robot
 from jexplore.driving.settings import Tuning as Tuning
-from jexplore.studies.traces.drift import DriftResult as DriftResult
-from jexplore.studies.traces.drift import drift as drift
 from jexplore.studies.traces.following import FollowResult as FollowResult
 from jexplore.studies.traces.following import follow as follow
-from jexplore.studies.traces.odometry_map import OdometryMap as OdometryMap
-from jexplore.studies.traces.odometry_map import odometry_map as odometry_map
 from jexplore.studies.traces.routes import route as route
 from jexplore.studies.traces.routes import routes as routes
 from jexplore.studies.traces.station import station as station
-from jexplore.studies.traces.storage import storage as storage
 from jexplore.studies.traces.teams.team import TraceTeamResult as TraceTeamResult
 from jexplore.studies.traces.teams.team import trace_team as trace_team
 from jexplore.studies.traces.tracing import TraceResult as TraceResult

@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+from parts.dare import own, planners, rules, table
 from PIL import Image
 from ref.refusals import refused
-
-from jexplore.studies.dare import own, planners, rules, table
 
 HALL = np.zeros((13, 93), bool)
 HALL[1:12, 1:92] = True  # 36.4 m long: the far end is seen from the third node on
@@ -161,43 +160,27 @@ def test_the_table_sets_ours_beside_the_papers():
         ({"n_start": 10}, "must show its start by more than 10 cells of grey 208, not 10"),
     ],
 )
-def test_maps_that_are_none_are_refused(tmp_path, refuses, given, says):
+def test_maps_that_are_none_are_refused(tmp_path, given, says):
     picture(tmp_path / "1.png", **given)
-    refuses(["reproduce", "dare", "--maps", tmp_path, "--episodes", "1", "--out", tmp_path / "o"], says)
-    assert not (tmp_path / "o").exists()
+    refused(says, rules.read_map, tmp_path / "1.png")
 
 
-def test_other_bad_input_is_refused(tmp_path, printed):
-    refused("there is no file", table.map_files, tmp_path / "missing")
-    refused(r"unknown scanner 'x' \(there are: dare", table.reproduce_dare, tmp_path, scanner="x")
-    refused("episodes", table.map_files, tmp_path, 101)
-    (tmp_path / "1.png").write_text("no picture")
-    refused("must be a picture", rules.read_map, tmp_path / "1.png")
-    for more, says in ((["--cell-m", "0.2"], "leave out --cell-m"), ([], "--maps DIR")):
-        assert says in printed(["reproduce", "dare", *more, *["--maps", str(tmp_path)] * bool(more)], 2).err
-
-
-def test_the_command_writes_a_row_a_planner(tmp_path, printed):
+def test_every_planner_makes_a_row_of_a_map(tmp_path):
     picture(tmp_path / "1.png")
-    command = ["reproduce", "dare", "--maps", str(tmp_path), "--episodes", "1", "--workers", "1"]
-    assert "# DARE, Table I" in printed([*command, "--out", str(tmp_path / "o")]).out
-    found = pd.read_parquet(tmp_path / "o" / "dare.parquet")
+    found = table.reproduce_dare(tmp_path, episodes=1, workers=1).episodes
     assert list(found["planner"]) == list(planners.PLANNERS)
+    assert found["complete"].all()
 
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_own_rules_explore_the_same_map_from_the_same_start_above_the_bound(tmp_path, printed, monkeypatch):
+def test_own_rules_explore_the_same_map_from_the_same_start_above_the_bound(tmp_path, monkeypatch):
     picture(tmp_path / "1.png")
     monkeypatch.setattr(own, "STRATEGIES", ("closest+recheck", "closest"))
     (world,) = own.worlds_of(tmp_path, 1)
     free, (row, col) = rules.read_map(tmp_path / "1.png")
     assert world.start == (249 - row, col, 0)
     assert np.array_equal(~world.occupied[::-1], free)
-    command = ["reproduce", "dare", "--own-rules", "--maps", str(tmp_path), "--episodes", "1", "--workers", "1"]
-    assert "| closest+recheck |   1 of 1 |" in printed([*command, "--out", str(tmp_path / "o")]).out
-    bound = pd.read_parquet(tmp_path / "o" / "bounds.parquet")["low_any_m"].item()
-    paths = pd.read_parquet(tmp_path / "o" / "episodes.parquet").set_index("strategy")["path_m"]
-    assert (paths >= bound).all()
-    assert (tmp_path / "o" / "paths.png").is_file()
-    assert "leave out --own-rules" in printed(["reproduce", "--own-rules"], 2).err
+    found, bounds = own.explore_dare(tmp_path, episodes=1, workers=1)
+    assert "| closest+recheck |   1 of 1 |" in own.own_text(found, bounds)
+    assert (found.episodes["path_m"] >= bounds.table["low_any_m"].item()).all()

@@ -6,14 +6,15 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+from parts.drift import figure as plots
+from parts.drift.odometry_map import odometry_map
+from parts.drift.storage import packed_map, storage
+from parts.drift.study import drift, placed_truly, summarised
 
 import jexplore as jx
 from jexplore.config import InputError
 from jexplore.driving.batch import Driven
 from jexplore.driving.settings import Noise
-from jexplore.report.plots import drift as plots
-from jexplore.studies.traces.drift import drift, placed_truly, summarised
-from jexplore.studies.traces.storage import packed_map, storage
 from jexplore.tracemap.record import BtmMap, Link, Node
 from jexplore.worlds.world import World
 
@@ -126,7 +127,7 @@ def test_a_study_is_runs_of_traces(tmp_path):
     assert (found.runs["on_wall"] > 0.9).all()
     assert found.example is None
     assert len(found.figure().axes) == 3
-    assert jx.btm.odometry_map(alone.scans(), found.plan.world).on_wall > 0.9
+    assert odometry_map(alone.scans(), found.plan.world).on_wall > 0.9
 
 
 def test_bytes_of_a_packed_map():

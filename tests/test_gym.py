@@ -39,13 +39,13 @@ def compared(jit_on):
 @pytest.fixture(scope="module")
 def env(jit_on):
     with jit_on():
-        return GymEnv(two_rooms(), lidar=LIDAR, render_mode="rgb_array")
+        return GymEnv(two_rooms(), lidar=LIDAR)
 
 
 @pytest.fixture(scope="module")
 def envs(jit_on):
     with jit_on():
-        return GymVectorEnv([two_rooms(), two_rooms("low", rows=20)], 4, lidar=LIDAR, render_mode="rgb_array")
+        return GymVectorEnv([two_rooms(), two_rooms("low", rows=20)], 4, lidar=LIDAR)
 
 
 def nearest(seen):
@@ -258,18 +258,6 @@ def test_seeds(env, envs):
     assert len(set(map(tuple, unseeded))) > 1
 
 
-@pytest.mark.slow
-def test_a_picture(env, envs):
-    env.reset(seed=0)
-    picture = env.render()
-    assert (picture.shape, picture.dtype) == ((24 * 8, 36 * 8, 3), np.uint8)
-    row, col, _ = env.unwrapped._seen["robot"]
-    assert picture[(23 - row) * 8, col * 8].tolist() == [0, 114, 178]
-    envs.reset(seed=0, options={"world": [0, 1, 0, 1]})
-    assert [one.shape[0] for one in envs.render()] == [24 * 8, 22 * 8] * 2
-    assert GymEnv(two_rooms(), lidar=LIDAR).render() is None
-
-
 # --- wrong input
 
 
@@ -278,7 +266,6 @@ def test_a_picture(env, envs):
     [
         ({"targets": "all"}, "targets must be frontier or reachable, got 'all'"),
         ({"max_decisions": 0}, "max_decisions must be an integer from 1"),
-        ({"render_mode": "human"}, "render_mode must be None or 'rgb_array', got 'human'"),
         ({"num_envs": 0}, "num_envs must be an integer from 1"),
     ],
 )

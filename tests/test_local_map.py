@@ -132,15 +132,19 @@ def test_way_into_the_unknown_has_no_end_and_stops_there():
     assert 3.0 < way.path[-1, 0] < 3.7
 
 
-def test_place_next_to_the_unknown_is_not_sure_until_the_robot_is_there():
-    window, start = tee(unknown=[(74, 54, 50, 20)]), np.array([99.0, 99.0])
-
-    def sure(x_m):
-        seen = look(window, np.array([x_m, 0.0, 0.0]), start, 0.39, 5.0)
+def test_place_next_to_the_unknown_is_not_sure():
+    def sure(unknown):
+        seen = look(tee(unknown=[unknown]), np.zeros(3), np.array([99.0, 99.0]), 0.39, 5.0)
         return [place.is_sure for place in seen if math.dist(place.xy, (0.0, 0.0)) < 1]
 
-    assert sure(-4.0) == [False]
-    assert sure(0.0) == [True]
+    assert sure((74, 54, 50, 20)) == [False]
+    assert sure((94, 54, 30, 20)) == [True]
+
+
+def test_corner_of_a_hall_of_which_two_walls_are_in_view_is_no_place():
+    """The line between the two walls leads into the unknown: no junction shows that it is a corner's."""
+    window = window_with((10, 10, 117, 117))
+    assert look(window, np.array([-1.0, -1.0, 0.0]), np.array([99.0, 99.0]), 0.39, 5.0) == []
 
 
 def test_start_in_the_window_is_a_terminal():
@@ -212,6 +216,12 @@ def test_tries_begin_anew_where_more_of_a_way_is_known():
     assert trace.nodes[1].exits[0].tries == 0
 
 
+def test_dropped_node_leaves_exits_into_the_unknown():
+    trace = linked((0, 1, 1), (1, 2, 1), (0, 2, 5), n=3)
+    trace.drop(1)
+    assert [[e.to for e in node.exits] for node in trace.nodes] == [[-1, 1], []]
+
+
 def ends(trace, begin, goals):
     """Return the nodes of a route; None: no way leads there."""
     found = trace.route(begin, goals)
@@ -266,6 +276,7 @@ def test_driven_way_links_nodes_that_no_route_joins():
 
 def test_map_as_arrays_has_each_link_once_and_counts_what_does_not_fit():
     trace = linked((0, 1, 2), (1, 0, 2), (1, 2, 3), n=3)
+    trace.nodes[1].exits[1].path = np.array([[1.0, 0.5], [1.0, 1.0], [1.5, 1.0]])
     trace.nodes[2].exits.append(Exit(1.0, np.zeros((1, 2))))
     found = jx.btm.to_map(trace.to_btm(8, 8))
     assert [(link.start, link.end, link.status) for link in found.links] == [
@@ -273,9 +284,20 @@ def test_map_as_arrays_has_each_link_once_and_counts_what_does_not_fit():
         (1, 2, "searched"),
         (2, -1, "un-searched"),
     ]
-    assert found.links[1].length_m == pytest.approx(3.0)
+    assert found.links[1].length_m == pytest.approx(1 + math.sqrt(2))  # from node to node
     small = trace.to_btm(2, 1)
     assert (int(small.n_nodes), int(small.n_links), int(small.overflow)) == (2, 1, 1 + 2)
+
+
+def test_way_through_another_node_and_one_told_twice_are_no_links():
+    trace = linked((0, 1, 1), (1, 2, 1), n=3)
+    around = [np.array([[0.0, 0.0], [1.0, aside], [2.0, 0.0]]) for aside in (0.2, 3.0, 3.3)]
+    trace.nodes[0].exits += [Exit(0.0, path, 2) for path in around]
+    trace.nodes[1].exits[0].path = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
+    assert [(i, e.to, e.path[len(e.path) // 2].tolist()) for i, e, _ in trace.links() if e.to == 2] == [
+        (0, 2, [1.0, 3.0]),
+        (1, 2, [1.5, 0.0]),
+    ]
 
 
 def test_exit_of_a_node_out_of_view_is_one_link_with_the_exit_that_passes_its_end():
@@ -315,6 +337,18 @@ def test_frontiers_out_of_the_local_map_are_remembered_until_given_up():
     assert len(area.elsewhere(away)) == 6
     area.add(here, 0.39)
     assert sum(int(some.sum()) for some in area.frontiers(here)) <= 6
+
+
+def test_walls_out_of_the_local_map_are_remembered():
+    here, area = window_with((50, 30, 28, 70)), SeenArea()
+    area.add(here, 0.39)
+    away = here._replace(corner=np.add(here.corner, (0, 40)), occupied=here.known & False, known=here.known & False)
+    area.add(away, 0.39)
+    wide = area.around(away)
+    row, col = np.add(here.corner, (40, 10)) - wide.corner
+    assert (wide.occupied[row, col], wide.known[row, col]) == (True, True)
+    row, col = np.add(here.corner, (60, 40)) - wide.corner
+    assert (wide.occupied[row, col], wide.known[row, col]) == (False, True)
 
 
 # Decisions

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from parts.drift.odometry_map import occupied_centres, odometry_map
 
-from jexplore.config import InputError
 from jexplore.driving.batch import Driven
 from jexplore.driving.settings import Noise
 from jexplore.studies.traces.job import prepare_trace
-from jexplore.studies.traces.odometry_map import occupied_centres, odometry_map
 from jexplore.studies.traces.recording import scans_of
 from jexplore.worlds.readers.scans import ScanLog
 from jexplore.worlds.world import World
@@ -109,12 +108,6 @@ def test_nothing_seen():
     found = odometry_map(dataclasses.replace(log, ranges=np.full_like(log.ranges, 8.0)), room())
     assert math.isnan(found.on_wall)
     assert math.isnan(found.doubled)
-
-
-@pytest.mark.parametrize("p_free", [-0.1, 1.0, math.nan])
-def test_a_bad_share(p_free):
-    with pytest.raises(InputError, match="p_free"):
-        odometry_map(log_of(), room(), p_free=p_free)
 
 
 @pytest.mark.jit

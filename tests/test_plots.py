@@ -11,10 +11,9 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from ref.figures import check_texts
 from ref.refusals import refused
 from test_aggregate import episodes, fail
-from test_response import CLEARANCE, RANGE, sweep
+from test_response import RANGE, sweep
 
-from jexplore.config import InputError
-from jexplore.report.plots import compare, curves, looks, standings, sweeps, walks
+from jexplore.report.plots import compare, curves, looks, walks
 from jexplore.studies.statistics import by_world, figures, league, response
 from jexplore.studies.statistics.aggregate import profiles
 from jexplore.worlds.world import World
@@ -211,65 +210,15 @@ def test_response_figure():
     check_texts(figure)
     many = figures.response_figure(sweep(worlds=("v", "w", "x")), RANGE, over_worlds=True)
     assert many._suptitle.get_text() == "means over 3 worlds, with 95 % intervals"
-    ratios = figures.response_figure(table, RANGE, ratio=True)
-    assert shown(ratios)[0].get_yscale() == "log"
-    assert shown(ratios)[0].get_ylabel() == "path length over that of a"
-    check_texts(ratios)
-
-
-def test_heat_by_hand(ax):
-    from matplotlib.colors import Normalize
-
-    image = sweeps.draw_heat(ax, [[1.0, 9.0], [np.nan, 5.0]], Normalize(1, 9), ratio=False, decimals=0)
-    np.testing.assert_array_equal(np.ma.filled(image.get_array(), np.nan), [[1, 9], [np.nan, 5]])
-    texts = {text.get_position(): (text.get_text(), text.get_color()) for text in ax.texts}
-    assert texts == {(0, 0): ("1", "white"), (1, 0): ("9", "black"), (1, 1): ("5", "white")}
-
-
-def test_heat_figure():
-    table = sweep(ranges=(2.0, 4.0, 8.0), clearances=(0.2, 0.3))
-    figure = figures.heat_figure(table, RANGE, CLEARANCE)
-    first, second, bar = shown(figure)
-    assert (first.get_title(), second.get_title(), bar.get_ylabel()) == ("a", "b", "path length (m)")
-    found = response.response(table, [RANGE, CLEARANCE])
-    own = found[found["strategy"] == "b"].pivot(index=CLEARANCE, columns=RANGE, values="estimate")
-    np.testing.assert_allclose(second.images[0].get_array(), own)
-    assert [label.get_text() for label in first.get_xticklabels()] == ["2", "4", "8"]
-    assert [label.get_text() for label in first.get_yticklabels()] == ["0.2", "0.3"]
-    assert first.images[0].get_clim() == second.images[0].get_clim()
-    assert figure._suptitle.get_text() == "means over 4 starts"
-    check_texts(figure)
-
-
-def test_heat_figure_of_ratios_is_even_about_1_and_leaves_out_the_reference():
-    figure = figures.heat_figure(sweep(clearances=(0.2, 0.3)), RANGE, CLEARANCE, ratio=True)
-    ax, bar = shown(figure)
-    low, high = ax.images[0].get_clim()
-    assert low * high == pytest.approx(1)
-    assert ax.get_title() == "b"
-    assert bar.get_ylabel() == "path length over that of a"
-    check_texts(figure)
 
 
 def test_wrong_settings_are_refused():
     table = sweep()
-    refused("two settings, got", figures.heat_figure, table, RANGE, RANGE)
-    refused(r"setting must be a column .* such as lidar\.range_m", figures.response_figure, table, "lidar.rang_m")
-    with pytest.raises(InputError, match="two strategies or more for ratios"):
-        figures.heat_figure(sweep(strategies=("a",)), RANGE, CLEARANCE, ratio=True)
-
-
-def test_bars_by_hand(ax):
-    """A number without a deviation, a gap, and a whisker that never goes below 0 m."""
-    container = standings.draw_bars(ax, [0, 1, 2], [5.0, math.nan, 3.0], [math.nan, math.nan, 4.0], [{}] * 3)
-    assert [bar.get_width() for bar in container] == [5.0, 0.0, 3.0]
-    assert [text.get_text() for text in ax.texts] == ["5.0", "no data", "3.0 ± 4.0"]
-    (whiskers,) = ax.collections
-    assert [segment[:, 0].tolist() for segment in whiskers.get_segments()] == [[0.0, 7.0]]
+    refused(r"unknown column of the episodes: .*lidar\.range_m", figures.response_figure, table, "lidar.rang_m")
 
 
 def test_maps_have_a_legend_and_a_scale():
-    """Of bounds and of waste: everything that is drawn is named, and metres can be read off."""
+    """Everything that is drawn is named, and metres can be read off."""
     plan = World(np.pad(np.zeros((8, 30), bool), 1, constant_values=True), 0.1, name="hall")
     row = {"world": "hall", "start": 0, "start_row": 2, "start_col": 2, "low_m": 1.0, "high_m": 1.2, "status": "OPEN"}
     found = SimpleNamespace(
@@ -278,15 +227,8 @@ def test_maps_have_a_legend_and_a_scale():
         walks=pd.DataFrame({"start": [0, 0, 0], "row": [2, 2, 2], "col": [2, 3, 4]}),
         witnesses=[np.array([[5, 20]])],
     )
-    way = np.array([[2, 2], [2, 3], [2, 4]])
-    for figure, said in (
-        (walks.bounds_figure(found), list(walks.BOUNDS_LABELS)),
-        (
-            walks.waste_figure([("hall", plan.occupied, way, np.array([0, 2]), 0.1)]),
-            [*(what for _, what in walks.STEP_LOOKS), "start"],
-        ),
-    ):
-        assert [text.get_text().replace("\n", " ") for text in figure.legends[0].get_texts()] == said
-        (bar,) = figure.findobj(AnchoredSizeBar)
-        assert bar.txt_label.get_text() == "1 m"
-        check_texts(figure)
+    figure = walks.bounds_figure(found)
+    assert [text.get_text().replace("\n", " ") for text in figure.legends[0].get_texts()] == list(walks.BOUNDS_LABELS)
+    (bar,) = figure.findobj(AnchoredSizeBar)
+    assert bar.txt_label.get_text() == "1 m"
+    check_texts(figure)

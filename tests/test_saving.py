@@ -12,7 +12,6 @@ from ref.refusals import refused
 import jexplore as jx
 from jexplore.cli import main
 from jexplore.config import InputError
-from jexplore.report.tables import latex_table
 from jexplore.studies import comparison
 from jexplore.studies.results import progress, units
 
@@ -157,19 +156,7 @@ def test_tables_as_files(found, tmp_path):
     assert (tmp_path / "a.csv").read_text() == made.to_csv()
     read = pd.read_csv(tmp_path / "a.csv")
     assert read["path_m"].tolist() == pytest.approx(made.episodes["path_m"].tolist())
-    made.to_latex(tmp_path / "a.tex")
-    text = (tmp_path / "a.tex").read_text()
-    assert text == made.to_latex()
-    assert text.count(r"\\") == 1 + len(made.summary)
     refused("must be a file that can be written", made.to_csv, tmp_path / "none" / "a.csv")
-
-
-def test_latex_by_pencil():
-    text = latex_table(["strategy", "path_m"], [["a_b & 5 %", "1 ± 2"], [r"c\d", "<0.001"]], left=("strategy",))
-    assert text == (
-        "\\begin{tabular}{lr}\n\\toprule\nstrategy & path\\_m \\\\\n\\midrule\na\\_b \\& 5 \\% & 1 $\\pm$ 2 \\\\\n"
-        "c\\textbackslash{}d & $<$0.001 \\\\\n\\bottomrule\n\\end{tabular}\n"
-    )
 
 
 def test_a_bar_shows_what_is_done(capsys):

@@ -242,7 +242,7 @@ def test_summary(found):
     text = result.to_markdown(5)
     assert text.count("\n| ") == 6
     assert "... and 123 more rows" in text
-    assert set(result.figures()) == {"sweep.png", "sweep-map.png"}
+    assert set(result.figures()) == {"sweep.png"}
 
 
 NATIVE = {
@@ -306,9 +306,9 @@ def test_the_command_and_its_parts(tmp_path, capsys, printed, monkeypatch):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s.yaml"]
     said = printed(["sweep", "s.yaml", "--out", "whole"]).out
     assert "| rooms:width_m=5,height_m=5 |" in said
-    names = "episodes.parquet, summary.csv, asked.yaml, run.json, sweep.png, sweep-map.png, report.html"
+    names = "episodes.parquet, summary.csv, asked.yaml, run.json, sweep.png, report.html"
     assert said.splitlines()[-1] == f"wrote {names} to whole/"
-    files = [*names.split(", "), "sweep.svg", "sweep-map.svg"]
+    files = [*names.split(", "), "sweep.svg"]
     assert sorted(path.name for path in (tmp_path / "whole").iterdir()) == sorted(files)
     whole = jx.load("whole")
     assert whole.spec == read_spec("s.yaml")

@@ -275,7 +275,7 @@ def summed(true):
     n = len(true)
     table = pd.DataFrame({name: np.zeros(n, int) for name in trace_tables.NOTED} | {
         "run": range(n), "outcome": "EXHAUSTED", "code": "T", "setting": np.arange(n) % 2, "nodes": 1,
-        "helped_at": "", "true": pd.array(true, dtype="boolean"),
+        "true": pd.array(true, dtype="boolean"),
     })  # fmt: skip
     return trace_tables.summary(result_of(table, settings=2))
 

@@ -59,7 +59,6 @@ def test_of_a_comparison(tmp_path, printed):
     assert "to leftovers" in printed([*command, "--episodes", "3"]).out
     again = jx.load(tmp_path / "run").to_pandas()
     np.testing.assert_allclose(again[list(WASTE_COLUMNS)], table[list(WASTE_COLUMNS)])
-    assert (tmp_path / "run" / "waste.png").stat().st_size > 1000
     assert main.main([*command, "--episodes", "5", "--resume"]) == 0  # the ways of the first three are there
     longer = jx.load(tmp_path / "run")
     assert (longer.resumed, len(longer.episodes)) == (6, 10)

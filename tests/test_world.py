@@ -14,10 +14,8 @@ from ref.refusals import refused
 from ref.worlds import with_walls
 from scipy import ndimage
 
-import jexplore as jx
 from jexplore.arrays.pictures import soft_colours
 from jexplore.config import InputError
-from jexplore.studies.results.provenance import map_files_of
 from jexplore.worlds import load_world
 from jexplore.worlds.bounds import MAX_SIDE
 from jexplore.worlds.starts import check_start, clear_of_walls, draw_starts, label_components, start_region
@@ -316,30 +314,6 @@ def test_a_start_behind_a_wall_is_enclosed_however_near_clear_cells_are():
     assert check_start(world, (2, 1, 0), 0) == (2, 1, 0)  # the other cell of the closet is clear at radius 0
     for place, clearance_m in ((world, 0.1), (picture("####", "####", "#.##", "####"), 0)):  # no clear cell but its own
         refused("is enclosed", check_start, place, (2, 1, 0) if place is world else (1, 1, 0), clearance_m)
-
-
-def test_files_of_a_world_are_hashed_whatever_follows_their_names(tmp_path):
-    for name in ("scans.log", "map.png", "run.mcap", "plan.yaml"):
-        (tmp_path / name).write_text("image: map.png\n")
-    recording = tmp_path / "recording"
-    recording.mkdir()
-    (recording / "metadata.yaml").write_text("{}")
-    (recording / "part.db3").write_text("")
-    world = jx.occupancy_to_world(np.zeros((4, 4), bool), name="w")
-    for name, files in (
-        ("scans.log", ["scans.log"]),
-        ("scans.log:range_m=20", ["scans.log"]),
-        ("map.png@0.05", ["map.png"]),
-        ("map.png@0.05:free=150", ["map.png"]),
-        ("run.mcap:topic=/map,free_max=0", ["run.mcap"]),
-        ("plan.yaml", ["plan.yaml", "map.png"]),
-        ("recording:topic=/map", ["recording/metadata.yaml", "recording/part.db3"]),
-        ("absent.log", []),
-    ):
-        found = map_files_of(world.replace(name=str(tmp_path / name)))
-        assert list(found) == [str(tmp_path / file) for file in files]
-        assert all(len(digest) == 64 for digest in found.values())
-    assert map_files_of(world.replace(name="cave#3:width_m=6")) == {}
 
 
 def _pencil_world():

@@ -239,16 +239,10 @@ def show_finished(
 
 
 def finish_comparison(
-    out: Out,
-    found: "ComparisonResult",
-    text: str,
-    figures: "Mapping[str, Callable[[], Figure]]",
-    record: Callable[..., Any],
-    jobs: "Sequence[Job] | None" = None,
-    more: Mapping[str, Any] = MappingProxyType({}),
-    *,
+    out: Out, found: "ComparisonResult", text: str, figures: "Mapping[str, Callable[[], Figure]]",
+    record: Callable[..., Any], jobs: "Sequence[Job] | None" = None, more: Mapping[str, Any] = MappingProxyType({}), *,
     is_whole: bool = True,
-) -> int:
+) -> int:  # fmt: skip
     """Write, print and draw the common output of comparisons and reproductions; return the exit status.
 
     `record` gets more entries of run.json and returns all; `more` are files besides: name -> content.

@@ -214,7 +214,6 @@ def parse_options(arguments: Sequence[str], commands: Mapping[str, type]) -> Any
     """Parse the command line into a command's record and its options.
 
     Raises:
-      InputError: an unknown command or option, one that is repeated, a value of the wrong kind or out of bounds.
       SystemExit: with status 0, once help has been printed.
     """
     name, *rest = arguments

@@ -138,15 +138,22 @@ def connected_cells(near: list[set[int]] | dict[int, set[int]], cells: Collectio
 def take_corners(lines: Lines) -> dict[int, int]:
     """Take the branches that end at a wall off `lines.near`; return how many corners each junction had, by cell.
 
-    A branch whose far end has lost its own branches is looked at in turn: a corner may be cut off.
+    A branch whose far end has lost its own branches is looked at in turn: a corner may be cut off. A line from a wall
+    into the unknown is such a branch too: its junction has not been seen.
     """
     near, corners = lines.near, {}
+
+    def begins_unseen(path):
+        loose = all(len(near[end]) == 1 and end not in corners for end in (path[0], path[-1]))
+        return loose and lines.known[path[-1]] and not lines.known[path[0]]
+
     while True:
         loose = {"rough": [], "corner": [], "passage": []}
         for path in chains(near, range(len(near)), corners):
-            if len(near[path[-1]]) > 1:
+            if len(near[path[-1]]) > 1 or begins_unseen(path[::-1]):
                 path = path[::-1]
-            if len(near[path[-1]]) == 1 and len(near[path[0]]) + corners.get(path[0], 0) > 2:
+            is_branch = len(near[path[-1]]) == 1 and len(near[path[0]]) + corners.get(path[0], 0) > 2
+            if is_branch or begins_unseen(path):
                 loose[_branch(lines, path, path[-1] in corners)].append(path)
         # A junction keeps a way out until its roughness has gone.
         taken = loose["rough"] or loose["corner"]
@@ -161,7 +168,7 @@ def take_corners(lines: Lines) -> dict[int, int]:
                 own = 1
             elif not _is_one_place(lines, path):
                 own = 0
-            if own:
+            if own and near[path[0]]:
                 corners[path[0]] = corners.get(path[0], 0) + own
 
 

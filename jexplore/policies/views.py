@@ -157,8 +157,8 @@ SELECT = functools.partial(select, gain_for_path)
 """The `select` of strategies that weigh gain and path by `gain_for_path`."""
 
 
-def live(params: Views, belief: Belief, beams: Beams, row: Array, col: Array) -> Array:
-    """Return the `live` of such a strategy: a look-around at the view point would still show enough."""
+def live(params: Any, belief: Belief, beams: Beams, row: Array, col: Array) -> Array:
+    """Return the `live` of such a strategy: a look-around at the view point would still show `params.min_gain`."""
     known, beams = known_of(belief), beams.all_round
     if native := kernels.target_of(belief.model.native):
         maps, at = stops_and_unknown(known, beams), jnp.stack([row, col])[:, None]

@@ -138,7 +138,6 @@ def save_animation(
       fps: frames a second, above 0 and at most 50.
 
     Raises:
-      InputError: there is no such format, ffmpeg is not there, or the file cannot be written.
       ValueError: no frames, or a rate out of bounds.
     """
     if not 0 < fps <= 50:

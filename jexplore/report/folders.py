@@ -19,7 +19,7 @@ from jexplore.report.store import atomic, reason, sync_folder, write_json, write
 
 OUR_FILES = (
     *("run.json", "episodes.parquet", "details.parquet", "report.html"),
-    *("compare.png", "coverage.png", "paths.png", "waste.png", "league.png"),  # compare
+    *("compare.png", "coverage.png", "paths.png", "league.png"),  # compare
     *("compare.svg", "coverage.svg", "league.svg"),
     *("episode.png", "episode.gif", "explored.yaml", "explored.pgm", "worlds.png"),  # explore, worlds
     *("bounds.parquet", "walks.parquet", "bounds.png"),  # bound
@@ -28,8 +28,7 @@ OUR_FILES = (
     "bench.json",  # bench
     *("scores.parquet", "segments.png"),  # segment
     *("trajectory.txt", "map.yaml", "map.pgm", "slam.png", "errors.parquet"),  # slam
-    *("reproduce.png", "reproduce.svg", "dare.parquet"),  # reproduce
-    *("asked.yaml", "summary.csv", "sweep.png", "sweep-map.png", "sweep.svg", "sweep-map.svg"),  # sweep
+    *("asked.yaml", "summary.csv", "sweep.png", "sweep.svg"),  # sweep
     *("btm.json", "btm.geojson", "btm.png", "btm.html", "runs.parquet"),  # trace
     *("station.html", "teams.parquet", "contacts.parquet", "team.png"),  # trace --robots
     *(f"robot-{i}.json" for i in range(16)),
@@ -37,7 +36,7 @@ OUR_FILES = (
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
 
-VECTORS = ("compare.png", "coverage.png", "league.png", "reproduce.png", "sweep.png", "sweep-map.png")
+VECTORS = ("compare.png", "coverage.png", "league.png", "sweep.png")
 """Pictures that are written as SVG as well."""
 UNFINISHED = ".unfinished"  # folder for the finished units of a run, in its own
 LOCK = ".lock"  # file that is locked while a process has the folder to itself

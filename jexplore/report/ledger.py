@@ -95,12 +95,10 @@ class Work(Generic[UnitResult]):
     left: list[int]
 
     def __init__(
-        self,
-        numbers: Iterable[int],
-        ledger: Ledger | None = None,
+        self, numbers: Iterable[int], ledger: Ledger | None = None,
         to_table: Callable[[UnitResult], "pd.DataFrame"] = _unchanged,
         of_table: Callable[["pd.DataFrame"], UnitResult] = _unchanged,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Read the finished units, of these numbers, of a ledger; `of_table` reverses `to_table`."""
         self._ledger, self._to_table, numbers = ledger, to_table, list(numbers)
         self.done = {} if ledger is None else {i: of_table(ledger.get(i)) for i in numbers if i in ledger.done}
@@ -119,13 +117,9 @@ class Work(Generic[UnitResult]):
 
 
 def open_ledger(
-    run: RunFolder,
-    asked: Mapping[str, Any],
-    units: int | Callable[[int], int],
-    *,
-    resume: bool = False,
+    run: RunFolder, asked: Mapping[str, Any], units: int | Callable[[int], int], *, resume: bool = False,
     trust: bool = False,
-) -> Ledger | None:
+) -> Ledger | None:  # fmt: skip
     """Open the ledger of a run, new or to be continued; None if the folder holds the finished run.
 
     Args:

@@ -153,17 +153,10 @@ def _limits(btm, walls, trail, points):
 
 
 def trace_figure(
-    btm: BtmMap,
-    walls: ArrayLike | None,
-    trail: ArrayLike | None = None,
-    points: ArrayLike | None = None,
-    modes: ArrayLike = (),
-    mode_names: Sequence[str] = (),
-    title: str = "",
-    *,
-    pitch_deg: ArrayLike | None = None,
+    btm: BtmMap, walls: ArrayLike | None, trail: ArrayLike | None = None, points: ArrayLike | None = None,
+    modes: ArrayLike = (), mode_names: Sequence[str] = (), title: str = "", *, pitch_deg: ArrayLike | None = None,
     route: Route | None = None,
-) -> Figure:
+) -> Figure:  # fmt: skip
     """Draw a page with the building, the run through it and the resulting map.
 
     Args:

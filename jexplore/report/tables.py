@@ -52,28 +52,3 @@ def table_cells(text: str) -> tuple[list[str], list[list[str]], list[bool]]:
     head, rule, *lines = (re.split(r"(?<!\\)\|", line.strip())[1:-1] for line in text.strip().splitlines())
     head, *lines = ([cell.strip().replace("\\|", "|") for cell in line] for line in [head, *lines])
     return head, lines, [cell.strip().endswith(":") for cell in rule]
-
-
-_LATEX = str.maketrans(
-    {
-        **{sign: f"\\{sign}" for sign in "&%$#_{}"},
-        **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
-        **{"<": "$<$", ">": "$>$", "±": r"$\pm$", "²": "$^2$", "|": "$|$"},
-    }
-)
-
-
-def latex_table(head: Sequence[str], lines: Iterable[Sequence[str]], *, left: Collection[str]) -> str:
-    """Format texts as a LaTeX table with the rules of the package booktabs. Arguments as for `aligned_table`."""
-    columns = "".join("l" if name in left else "r" for name in head)
-    first, *rows = (" & ".join(cell.translate(_LATEX) for cell in line) + r" \\" for line in [head, *lines])
-    rows = [
-        rf"\begin{{tabular}}{{{columns}}}",
-        r"\toprule",
-        first,
-        r"\midrule",
-        *rows,
-        r"\bottomrule",
-        r"\end{tabular}",
-    ]
-    return "\n".join([*rows, ""])

@@ -46,8 +46,6 @@ def summary(traced: Any, most: int = 10) -> list[str]:
     for name, what in NOTED.items():
         if table[name].sum():
             lines.append(f"{what}: {table[name].sum()} in {(table[name] > 0).sum()} of the runs")
-    if table["run"].iloc[0] == 0 and table["helped_at"].iloc[0]:
-        lines.append(f"the operator helped run 0 at {table['helped_at'].iloc[0]}")
     if traced.plan.settings > 1:
         lines += ["", *_settings_table(traced, most)]
     return lines

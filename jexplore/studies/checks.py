@@ -231,24 +231,12 @@ def require_memory(world: World, lidar: Lidar, rules: Rules) -> None:
 
 
 def prepare_jobs(
-    worlds: WorldLike | Iterable[WorldLike],
-    strategies: StrategyLike | Iterable[StrategyLike],
-    *,
-    episodes: int,
-    seed: int,
-    cell_m: float,
-    start: StartLike,
-    start_m: Sequence[float] | None = None,
-    lidar: LidarLike,
-    rules: RulesLike,
-    within: str | Polygon | None = None,
-    from_map: KnownMap | None = None,
-    metrics: MetricsLike = None,
-    robot: RobotLike = ROBOT,
-    pose: str | None = None,
-    odometry: OdometryLike = None,
+    worlds: WorldLike | Iterable[WorldLike], strategies: StrategyLike | Iterable[StrategyLike], *, episodes: int,
+    seed: int, cell_m: float, start: StartLike, start_m: Sequence[float] | None = None, lidar: LidarLike,
+    rules: RulesLike, within: str | Polygon | None = None, from_map: KnownMap | None = None,
+    metrics: MetricsLike = None, robot: RobotLike = ROBOT, pose: str | None = None, odometry: OdometryLike = None,
     **team: Any,
-) -> list[Job]:
+) -> list[Job]:  # fmt: skip
     """Check and load everything before `compare` runs: a list of `Job`. Arguments as there; `team` of `teams_of`."""
     lidar, rules = ready_settings(lidar, rules, pose, odometry)
     robot = as_record("robot", robot, Robot)

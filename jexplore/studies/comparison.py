@@ -13,19 +13,7 @@ from jexplore.exploration.team.jobs import CoordinationLike
 from jexplore.exploration.team.team import Starts
 from jexplore.exploration.trail import RECORDS
 from jexplore.report.ledger import Ledger, open_ledger
-from jexplore.studies.checks import (
-    LIDAR,
-    ROBOT,
-    RULES,
-    LidarLike,
-    OdometryLike,
-    RobotLike,
-    RulesLike,
-    StartLike,
-    StrategyLike,
-    WorldLike,
-    prepare_jobs,
-)
+from jexplore.studies import checks
 from jexplore.studies.metrics import MetricsLike
 from jexplore.studies.results import loading, provenance, saving
 from jexplore.studies.results.comparison import ComparisonResult, run_comparison
@@ -37,18 +25,17 @@ from jexplore.worlds.restrict import KnownMap, Polygon
 
 @checked_names
 def compare(
-    worlds: WorldLike | Iterable[WorldLike], strategies: StrategyLike | Iterable[StrategyLike], *,
-    episodes: int = 20, seed: int = 0, cell_m: float = 0.1,
-    start: StartLike = "random", start_m: Sequence[float] | None = None,
-    within: str | Polygon | None = None, from_map: KnownMap | None = None,
-    lidar: LidarLike = LIDAR, rules: RulesLike = RULES, robot: RobotLike = ROBOT,
-    pose: str | None = None, odometry: OdometryLike = None,
-    robots: int | Sequence[int] | None = None, coordination: CoordinationLike = "independent", contact: str = "all",
-    team_starts: Starts = "together", members: str | Sequence[str] = (),
-    engine: str = "auto", lanes: int | None = None, workers: int | None = None,
-    on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
-    keep: str | None = None, metrics: MetricsLike = None, until: str | None = None,
-    out: str | os.PathLike[str] | None = None, overwrite: bool = False, resume: bool = False, trust: bool = False,
+    worlds: checks.WorldLike | Iterable[checks.WorldLike],
+    strategies: checks.StrategyLike | Iterable[checks.StrategyLike], *, episodes: int = 20, seed: int = 0,
+    cell_m: float = 0.1, start: checks.StartLike = "random", start_m: Sequence[float] | None = None,
+    within: str | Polygon | None = None, from_map: KnownMap | None = None, lidar: checks.LidarLike = checks.LIDAR,
+    rules: checks.RulesLike = checks.RULES, robot: checks.RobotLike = checks.ROBOT, pose: str | None = None,
+    odometry: checks.OdometryLike = None, robots: int | Sequence[int] | None = None,
+    coordination: CoordinationLike = "independent", contact: str = "all", team_starts: Starts = "together",
+    members: str | Sequence[str] = (), engine: str = "auto", lanes: int | None = None, workers: int | None = None,
+    on_progress: Callable[[int], object] | None = None, progress: bool | None = None, keep: str | None = None,
+    metrics: MetricsLike = None, until: str | None = None, out: str | os.PathLike[str] | None = None,
+    overwrite: bool = False, resume: bool = False, trust: bool = False,
 ) -> ComparisonResult:  # fmt: skip
     """Run every strategy in every world, from the same starts. An interruption keeps finished units.
 
@@ -80,7 +67,6 @@ def compare(
       trust: when continuing, take your own strategies and metrics as unchanged even if that cannot be checked.
 
     Raises:
-      InputError: what cannot be used. Raised before anything is compiled.
       InputWarning: as `batch.run_jobs`.
     """
     require_engine(engine, lanes)
@@ -89,7 +75,7 @@ def compare(
     own = {"lidar": lidar, "rules": rules, "robot": robot}
     team = {"robots": robots, "coordination": coordination, "contact": contact, "team_starts": team_starts}
     more = {"metrics": metrics, "pose": pose, "odometry": odometry, "members": members}
-    jobs = prepare_jobs(worlds, strategies, **settings, **limits, **own, **team, **more)
+    jobs = checks.prepare_jobs(worlds, strategies, **settings, **limits, **own, **team, **more)
     settings |= limits | {"from_map": _plainly(from_map)} | {name: getattr(jobs[0], name) for name in own}
     _require_setup(keep, until, out, overwrite, resume, robots)
     how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "until": until}
@@ -137,12 +123,9 @@ def _asked(jobs: Sequence[Job], how: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _run(
-    jobs: Sequence[Job],
-    settings: Mapping[str, Any],
-    how: Mapping[str, Any],
-    on_progress: Callable[[int], object] | None,
-    ledger: Ledger | None = None,
-) -> ComparisonResult:
+    jobs: Sequence[Job], settings: Mapping[str, Any], how: Mapping[str, Any],
+    on_progress: Callable[[int], object] | None, ledger: Ledger | None = None,
+) -> ComparisonResult:  # fmt: skip
     """Run a comparison whose units a ledger keeps, and record how it was run."""
     began = datetime.datetime.now(datetime.UTC)
     found = run_comparison(jobs, ledger=ledger, on_progress=on_progress, **how)

@@ -24,15 +24,7 @@ from jexplore.policies.closest import is_nearest, nearest_scored
 from jexplore.raycast import Beams, beam_table
 from jexplore.reach import FAR, HEADING, MOTIONS, NO_MOTION
 from jexplore.rules import Lidar, Rules
-from jexplore.studies.checks import (
-    LIDAR,
-    RULES,
-    LidarLike,
-    RulesLike,
-    StrategyLike,
-    ready_settings,
-    require_clearance,
-)
+from jexplore.studies import checks
 from jexplore.worlds.poses import SNAP
 
 
@@ -59,8 +51,9 @@ class TargetResult:
 @checked_names
 def next_target(
     occupancy: np.ndarray, pose: Sequence[float], *, cell_m: float, origin_m: Sequence[float] = (0.0, 0.0),
-    strategy: StrategyLike = "closest", driven_m: Any = (), exhausted_m: Any = (), memory: Any = None,
-    key: Array | None = None, scores: bool = False, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
+    strategy: checks.StrategyLike = "closest", driven_m: Any = (), exhausted_m: Any = (), memory: Any = None,
+    key: Array | None = None, scores: bool = False, lidar: checks.LidarLike = checks.LIDAR,
+    rules: checks.RulesLike = checks.RULES,
 ) -> TargetResult:  # fmt: skip
     """Choose the next target of a robot from its map, as an episode's robot would.
 
@@ -83,12 +76,8 @@ def next_target(
       lidar: the scanner by which strategies estimate gains.
       rules: of these `clearance_m`, `near_m`, `p_free`, `frontier_connectivity`, `min_frontier_cells` and
         `known_outline` count. By default all beyond the grid is unknown.
-
-    Raises:
-      InputError: a grid of another dtype or shape, with other values, or without a free cell; a pose that is not
-        finite, outside, or in a wall; settings that cannot be; a strategy that chooses a cell to which no path leads.
     """
-    scanner, own = ready_settings(lidar, rules)
+    scanner, own = checks.ready_settings(lidar, rules)
     asked, grid = _ready(strategy), _checked(occupancy, own.p_free)
     place = _place(grid, pose, cell_m, origin_m, own)
     maps, at = _padded(grid, place, driven_m, exhausted_m)
@@ -123,7 +112,7 @@ class _Place(NamedTuple):
 def _place(grid: np.ndarray, pose: Any, cell_m: float, origin_m: Any, rules: Rules) -> _Place:
     """Find the robot; refuse a pose outside the grid, or in a cell that is known not to be free."""
     require_number("cell_m", cell_m, low=1e-3, high=100)
-    require_clearance(rules, cell_m, "the grid")
+    checks.require_clearance(rules, cell_m, "the grid")
     x_m, y_m, heading_rad = _numbers("pose", pose, 3, "x_m, y_m, heading_rad")
     left_m, bottom_m = _numbers("origin_m", origin_m, 2, "x_m, y_m")
     ring = 0 if rules.known_outline else 1

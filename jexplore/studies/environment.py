@@ -32,21 +32,7 @@ from jexplore.planning import Field, View, choose, field, is_live, view_of
 from jexplore.policies.closest import closest
 from jexplore.raycast import Beams
 from jexplore.reach import FAR
-from jexplore.studies.checks import (
-    LIDAR,
-    RULES,
-    LidarLike,
-    OdometryLike,
-    RulesLike,
-    concrete,
-    measures_of,
-    ready_settings,
-    ready_worlds,
-    require_clearance,
-    require_key,
-    require_memory,
-    whole_array,
-)
+from jexplore.studies import checks
 from jexplore.studies.metrics import MetricsLike, ready_metrics
 from jexplore.worlds.regions import warn_of_floor
 from jexplore.worlds.starts import check_start, start_cells, start_region
@@ -100,9 +86,10 @@ class Environment:
     """Edge of a cell, metres."""
 
     def __init__(
-        self, worlds: Any, *, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
-        pose: str | None = None, odometry: OdometryLike = None, recheck: bool = False, paths: bool = False,
-        metrics: MetricsLike = None, robots: int = 1, members: str | Sequence[str] = (),
+        self, worlds: Any, *, cell_m: float = 0.1, lidar: checks.LidarLike = checks.LIDAR,
+        rules: checks.RulesLike = checks.RULES, pose: str | None = None, odometry: checks.OdometryLike = None,
+        recheck: bool = False, paths: bool = False, metrics: MetricsLike = None, robots: int = 1,
+        members: str | Sequence[str] = (),
     ) -> None:  # fmt: skip
         """Load the worlds.
 
@@ -119,19 +106,16 @@ class Environment:
           metrics: more entries of `info`: name -> function of an `EpisodeView`, see `metric`.
           robots, members: a team that hears each other everywhere (`team.read_members`), without recheck, paths,
             metrics. Views have a leading axis N, actions are `[N, 2]`, a step goes on until a robot needs a target.
-
-        Raises:
-          InputError: no world, one that cannot be loaded, or one without a clear cell; cells of different sizes.
         """
-        lidar, rules = ready_settings(lidar, rules, pose, odometry)
+        lidar, rules = checks.ready_settings(lidar, rules, pose, odometry)
         if not isinstance(recheck, bool):
             raise InputError(f"recheck must be True or False, got {recheck!r}")
         if rules.return_home:
             raise InputError("rules.return_home must be False: whoever steps through an Environment drives home itself")
         team = stepping.ready_team(robots, members, lidar, bool(recheck or paths or metrics) or not rules.on_lattice)
         use_compilation_cache()
-        self._metrics = ready_metrics(metrics) | measures_of(rules)
-        self.worlds = tuple(ready_worlds(worlds, cell_m))
+        self._metrics = ready_metrics(metrics) | checks.measures_of(rules)
+        self.worlds = tuple(checks.ready_worlds(worlds, cell_m))
         sizes = sorted({world.cell_m for world in self.worlds})
         if len(sizes) > 1:
             raise InputError(f"worlds must have cells of one size, got {sizes[0]:g} and {sizes[1]:g} m")
@@ -142,8 +126,8 @@ class Environment:
         native, own = drive_for(jax.local_devices()[0].platform).name, tuple(self._metrics.values())
         sites, cells = [], []
         for world in self.worlds:
-            require_clearance(rules, world.cell_m, repr(world.name))
-            require_memory(world, lidar, rules)
+            checks.require_clearance(rules, world.cell_m, repr(world.name))
+            checks.require_memory(world, lidar, rules)
             cells.append(start_cells(world, rules.clearance_m))
             warn_of_floor(world, start_region(world, rules.clearance_m), rules.clearance_m, drawn=True)
             sites.append(prepare_site(world, lidar, rules, self.shape, native=native, metrics=own))
@@ -176,23 +160,20 @@ class Environment:
 
         Returns:
           `(state, view)`.
-
-        Raises:
-          InputError: a key, start or world that cannot be one; 64-bit mode.
         """
         require_32_bits()
-        require_key(key)
+        checks.require_key(key)
         drawn = world is None and len(self.worlds) > 1  # a start may then lie in a wall of the one and not of the other
         if world is not None:
-            world = whole_array("world", world, ())
-            known = concrete(world)
+            world = checks.whole_array("world", world, ())
+            known = checks.concrete(world)
             if known is not None and not 0 <= known < len(self.worlds):
                 raise InputError(f"world must be from 0 to {len(self.worlds) - 1}, got {known}")
         else:
             world = jax.random.randint(jax.random.fold_in(key, WORLD), (), 0, len(self.worlds), jnp.int32)
         if start is not None:
-            start = whole_array("start", start, (self.robots, 3)[self.robots == 1 :], "row, col, heading_deg")
-            given, where = concrete(start), concrete(world)
+            start = checks.whole_array("start", start, (self.robots, 3)[self.robots == 1 :], "row, col, heading_deg")
+            given, where = checks.concrete(start), checks.concrete(world)
             if given is not None and where is not None and not drawn:
                 for one in given.reshape(-1, 3):
                     check_start(self.worlds[int(where)], one, self._rules.clearance_m, self._rules.near_m)
@@ -224,23 +205,16 @@ class Environment:
           done: bool, the episode is over: with the step that leaves no frontier, or at a limit of the rules.
           info: dict of `valid`, bool; `outcome`, int32, an `Outcome`; `path_m`, float32, metres driven since the start;
             `known_m2`, float32, known area; the present values of the metrics.
-
-        Raises:
-          InputError: a key, state or action of a wrong shape or dtype; 64-bit mode.
         """
         require_32_bits()
-        require_key(key)
+        checks.require_key(key)
         self._require_one(state, "step")
-        action = whole_array("action", action, (self.robots, 2)[self.robots == 1 :], "row, col")
+        action = checks.whole_array("action", action, (self.robots, 2)[self.robots == 1 :], "row, col")
         *seen, info, values = _step(self._setup, self._bank, jax.random.clone(key), state, action)
         return (*seen, info | dict(zip(self._metrics, values)))
 
     def path(self, state: EnvState) -> np.ndarray:
-        """Return the driven way, of an environment with `paths=True`: `[n + 1, 2]` int32, row and col; on the host.
-
-        Raises:
-          InputError: an environment that does not keep it.
-        """
+        """Return the driven way, of an environment with `paths=True`: `[n + 1, 2]` int32, row and col; on the host."""
         self._require_one(state, "path")
         if self._setup.capacity == 1:
             raise InputError("this environment keeps no paths: jx.Environment(..., paths=True)")

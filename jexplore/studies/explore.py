@@ -29,19 +29,7 @@ from jexplore.policies import Strategy
 from jexplore.report import animate, plot
 from jexplore.report.page.replay import FRONTIER, STATE, ReplayData, evenly
 from jexplore.rules import Lidar, Rules
-from jexplore.studies.checks import (
-    LIDAR,
-    ROBOT,
-    RULES,
-    LidarLike,
-    OdometryLike,
-    RobotLike,
-    RulesLike,
-    StartLike,
-    StrategyLike,
-    WorldLike,
-    prepare_jobs,
-)
+from jexplore.studies import checks
 from jexplore.studies.replays import MAX_FRAMES, before_leaving, replay_data, why_no_replay
 from jexplore.worlds.restrict import KnownMap, Polygon
 from jexplore.worlds.world import World, ring_of
@@ -196,12 +184,10 @@ def _robot_at(robot, frame):
 
 @checked_names
 def explore(
-    world: WorldLike, strategy: StrategyLike, *,
-    seed: int = 0, episode: int = 0, cell_m: float = 0.1,
-    start: StartLike = "random", start_m: Sequence[float] | None = None,
-    within: str | Polygon | None = None, from_map: KnownMap | None = None,
-    lidar: LidarLike = LIDAR, rules: RulesLike = RULES, robot: RobotLike = ROBOT,
-    pose: str | None = None, odometry: OdometryLike = None,
+    world: checks.WorldLike, strategy: checks.StrategyLike, *, seed: int = 0, episode: int = 0, cell_m: float = 0.1,
+    start: checks.StartLike = "random", start_m: Sequence[float] | None = None, within: str | Polygon | None = None,
+    from_map: KnownMap | None = None, lidar: checks.LidarLike = checks.LIDAR, rules: checks.RulesLike = checks.RULES,
+    robot: checks.RobotLike = checks.ROBOT, pose: str | None = None, odometry: checks.OdometryLike = None,
     robots: int | None = None, coordination: Coordinate = "independent", contact: str = "all",
     team_starts: Starts = "together", members: str | Sequence[str] = (),
 ) -> EpisodeResult:  # fmt: skip
@@ -214,12 +200,6 @@ def explore(
       episode: its number, from 0.
       seed, cell_m, start, start_m, within, from_map, lidar, rules, robot, pose, odometry: as in `compare`.
       robots, coordination, contact, team_starts, members: of a team, one of each, as in `compare`.
-
-    Returns:
-      `EpisodeResult`.
-
-    Raises:
-      InputError: a name, number, map or start that cannot be used. Raised before anything is compiled.
     """
     where = {"cell_m": cell_m, "start": start, "start_m": start_m, "within": within, "from_map": from_map}
     where |= {"robot": robot, "pose": pose, "odometry": odometry}
@@ -228,9 +208,9 @@ def explore(
     return run_job(prepare_job(world, strategy, seed=seed, episode=episode, lidar=lidar, rules=rules, **where))
 
 
-def prepare_job(world: WorldLike, strategy: StrategyLike, *, episode: int = 0, **settings: Any) -> Job:
+def prepare_job(world: checks.WorldLike, strategy: checks.StrategyLike, *, episode: int = 0, **settings: Any) -> Job:
     """Check and load everything before `explore` runs: a `Job` of episodes up to its own. `settings` as there."""
-    jobs = prepare_jobs(world, strategy, episodes=require_setting("episode", episode) + 1, **settings)
+    jobs = checks.prepare_jobs(world, strategy, episodes=require_setting("episode", episode) + 1, **settings)
     if len(jobs) > 1:
         raise InputError("an episode has one number of robots and one coordination")
     return jobs[0]
@@ -240,7 +220,7 @@ def run_job(job: Job) -> EpisodeResult:
     """Run the last episode of a job."""
     use_compilation_cache()
     number = len(job.starts) - 1
-    lidar, rules = job.lidar or LIDAR, job.rules or RULES
+    lidar, rules = job.lidar or checks.LIDAR, job.rules or checks.RULES
     report = batch.run_jobs([job], lidar, rules, only=number)
     ((result, final, _),) = report.outcomes
     assert final is not None  # a run that was interrupted has raised

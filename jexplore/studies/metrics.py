@@ -17,15 +17,11 @@ TAKEN = {
     *("setting", "cell_m", "complete", "percent", "progress_m", "step", "way_row", "way_col", "way_known"),
     *("map", "row", "col", "valid", "known_m2"),
 }
-"""Names in tables of episodes and their summaries, in labelled arrays, and in the info of `Environment.step`."""
+"""Names in tables of episodes and their summaries, and in the info of `Environment.step`."""
 
 
 def named_metrics(metrics: MetricsLike) -> dict[str, Any]:
-    """Return metrics by name, without importing those that are texts.
-
-    Raises:
-      InputError: something else; a name that is given twice, taken, or no identifier.
-    """
+    """Return metrics by name, without importing those that are texts."""
     if isinstance(metrics, Mapping):
         pairs = list(metrics.items())
     else:
@@ -56,11 +52,7 @@ def _function(thing):
 
 
 def ready_metrics(metrics: MetricsLike) -> dict[str, Metric]:
-    """Make metrics of functions and names, in order.
-
-    Raises:
-      InputError: as `named_metrics`; a module that does not import, something that is no function.
-    """
+    """Make metrics of functions and names, in order."""
     ready = {}
     for name, thing in named_metrics(metrics).items():
         if isinstance(thing, str):

@@ -22,7 +22,6 @@ class Paper(NamedTuple):
     title: str
     runs: int  # the paper's, of each strategy in each environment
     reference: str  # the strategy that ratios are taken to
-    short: dict[str, str]  # strategy -> the paper's abbreviation
     environments: dict[str, PaperEnvironment]
     claimed: tuple[frozenset[str], ...]  # pairs of strategies that its text says an order of
     remark: str  # what it leaves open
@@ -38,7 +37,6 @@ HOLZ2010 = Paper(
     title="Holz, Basilico, Amigoni, Behnke 2010: Evaluating the Efficiency of Frontier-based Exploration Strategies",
     runs=10,
     reference=CLOSEST,
-    short=dict(zip(HOLZ_STRATEGIES, ("RF", "CF", "CF+RR", "CF+RR+Seg.", "DT n=100", "DT n=500"))),
     environments={
         name: PaperEnvironment(*where, {strategy: path for strategy, path in zip(HOLZ_STRATEGIES, paths) if path})
         for name, where, paths in (

@@ -9,13 +9,11 @@ from collections.abc import Callable
 from typing import Any
 
 import pandas as pd
-from matplotlib.figure import Figure
 from scipy.stats import ttest_ind_from_stats
 
 from jexplore.config import InputError, checked_names, require_engine, unknown
 from jexplore.exploration.batch import Job
 from jexplore.report import tables
-from jexplore.report.plots.standings import papers_figure
 from jexplore.studies.checks import LIDAR, ROBOT, RULES, LidarLike, RobotLike, RulesLike, prepare_jobs
 from jexplore.studies.papers import PAPERS, Paper
 from jexplore.studies.results.comparison import ComparisonResult, run_comparison
@@ -153,10 +151,6 @@ class ReproductionResult:
             text.append(_table_text(rows) if len(rows) else "Nothing has run here.\n")
         return "\n".join([*text, "## Orderings\n", f"{self.agreement}\n", _orderings_text(self.orderings)])
 
-    def figure(self) -> Figure:
-        """Draw mean paths as bars, ours and the paper's, one panel an environment: a matplotlib `Figure`."""
-        return papers_figure(self.tables, self.paper.short)
-
     def _repr_markdown_(self):
         return self.to_markdown()
 
@@ -233,12 +227,6 @@ def reproduce(
       maps: folder of the paper's maps (`Environment.file`); by default built-in counterparts stand in.
       episodes: of each strategy in each environment.
       seed, cell_m, lidar, rules, robot, engine, lanes, workers, on_progress, progress: as in `comparison.compare`.
-
-    Returns:
-      `ReproductionResult`.
-
-    Raises:
-      InputError: a paper, folder, map or number that cannot be used. Raised before anything is compiled.
     """
     require_engine(engine, lanes)
     how = {"cell_m": cell_m, "lidar": lidar, "rules": rules, "robot": robot}

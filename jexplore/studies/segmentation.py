@@ -105,11 +105,7 @@ def segment_maps(
         `room_variants.RoomSettings`.
       prominence_m, gamma: of thrun, wurm, holz.
 
-    Returns:
-      `SegmentationResult`.
-
     Raises:
-      InputError: a name, number, picture or setting that cannot be used. Raised before anything is compiled.
       InputWarning: the largest region of a map lies outside a building: its rooms are not those of the building.
     """
     chosen: Any = list_of("variants", variants)
@@ -143,12 +139,9 @@ def _stages(world, job):
 
 
 def prepare_maps(
-    maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World],
-    truth: Any,
-    variants: Any,
-    cell_m: float,
-    settings: RoomSettings,
-) -> list[World]:
+    maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World], truth: Any, variants: Any,
+    cell_m: float, settings: RoomSettings,
+) -> list[World]:  # fmt: skip
     """Check and load everything before `segment_maps` runs: worlds with their true rooms. Arguments as there."""
     variants = list_of("variants", variants)
     require_different("variants", variants)

@@ -191,14 +191,9 @@ class Out:
         } | ({} if self.asked is None else {"asked": self.asked, "units": self.units})
 
     def finish(
-        self,
-        record: Mapping[str, Any],
-        files: Mapping[str, Any],
-        text: str,
-        pictures: Mapping[str, Any] = MappingProxyType({}),
-        *,
-        interrupted: bool = False,
-    ) -> int:
+        self, record: Mapping[str, Any], files: Mapping[str, Any], text: str,
+        pictures: Mapping[str, Any] = MappingProxyType({}), *, interrupted: bool = False,
+    ) -> int:  # fmt: skip
         """Write the files and run.json, all or none; print the text and add the pictures; return the exit status.
 
         Files and pictures are name -> content, see `folders.write_content`. A reader of the output who goes away costs

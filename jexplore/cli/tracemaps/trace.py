@@ -196,14 +196,13 @@ def _draw(found, first):
     """Draw a `TraceResult`, with the map of run 0 as it is written."""
     from jexplore.report import plot_traces
     from jexplore.studies.traces import recording
-    from jexplore.studies.traces.odometry_map import beam_ends
 
     plan, track, log = found.plan, found.driven, found.scans()
     return plot_traces.trace_figure(
         first,
         recording.wall_lines(plan),
         recording.in_world_frame(track.estimate, plan.world.origin_m),
-        beam_ends(log, log.odometry)[log.echo],
+        recording.beam_ends(log, log.odometry)[log.echo],
         track.mode,
         recording.MODE_NAMES,
         f"{plan.robot.name} in {plan.world.name}",

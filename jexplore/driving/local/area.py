@@ -1,4 +1,4 @@
-"""The area that the robot has seen, beyond the local map: where the unknown begins."""
+"""The area that the robot has seen, beyond the local map: its walls, and where the unknown begins."""
 
 import math
 
@@ -10,23 +10,33 @@ from jexplore.driving.local.sight import EVERY_WAY, frontier
 from jexplore.driving.local.window import Window
 
 GROWTH = 256  # cells by which the area grows at least: two local maps
+AROUND = 64  # cells about the local map in which places are looked for: halls are wider than the map
 
 
 class SeenArea:
-    """Cells that were known in any local map, and the frontiers of all of them."""
+    """Cells that were known in any local map, the frontiers of all of them, and walls."""
 
     def __init__(self) -> None:
         """Begin with none."""
-        self._corner, self._cells = np.zeros(2, int), np.zeros((2, 0, 0), bool)
+        self._corner, self._cells = np.zeros(2, int), np.zeros((3, 0, 0), bool)
 
     def add(self, window: Window, width_m: float) -> None:
         """Add the known cells of a local map, and its frontiers for a robot of a width in place of those there."""
-        known, left = self._of(window)
+        known, left, walls = self._of(window)
         known |= window.known
+        walls[window.known] = window.occupied[window.known]
         left[1:-1, 1:-1] = frontier(window, known, width_m)[1:-1, 1:-1]
 
+    def around(self, window: Window) -> Window:
+        """Return a local map that was added, and `AROUND` cells more on each side as they were seen last."""
+        side = np.array(window.known.shape) + 2 * AROUND
+        wide = window._replace(corner=window.corner - AROUND, known=np.broadcast_to(False, side))
+        known, _, walls = self._of(wide).copy()
+        known[[0, -1]] = known[:, [0, -1]] = False
+        return Window(wide.corner, walls & known, known)
+
     def _of(self, window):
-        """Return the cells of a local map that were known in any, and frontiers: `[2, SIDE, SIDE]` bool, a view."""
+        """Return the cells of a map that were known in any, frontiers and walls: `[3, H, W]` bool, a view."""
         side = np.array(window.known.shape)
         if not self._cells.size:
             self._corner = window.corner.copy()

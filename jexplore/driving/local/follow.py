@@ -13,13 +13,12 @@ import numpy as np
 from jexplore.arrays.poses import wrapped
 from jexplore.driving.local.lattice import Lattice, State, distance_m
 from jexplore.driving.local.nodes import TRIES, length_of
-from jexplore.driving.local.pilot import Pilot, RunEnded
+from jexplore.driving.local.pilot import LOOK_M, Pilot, RunEnded
 from jexplore.driving.local.sight import SeenPlace, look
 from jexplore.driving.local.window import CELL_M, SIDE, Fixed, Window
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.settings import Tuning
 
-LOOK_M = 1.0  # the robot looks anew after this way
 MATCH_M = 1.5  # a place no farther than this from where the map has it is the map's: half of two junctions' distance,
 SAME_RAD = math.radians(40)  # its exits are the map's that are less apart than this,
 EXIT_COST_M = 0.7  # and each exit that one of them lacks counts as this way off
@@ -30,7 +29,6 @@ PASS_M = 0.7  # from another node: there its exits are seen
 EXIT_M = 1.5  # the robot leaves a node by the route's exit for as far as this
 MOVED_M = 0.1  # a robot that has gone no farther than this stands
 SHUT_M = 2.0  # a node of no more clearance than this is shut behind the robot: a passage, not free space
-BACK_M = 0.7  # where something is in the way the robot goes back this far, its own length, to plan anew
 MOST = 1.5, 10.0  # the robot is lost after this many times the length of its route, and metres: a passage's detour
 
 
@@ -93,7 +91,7 @@ class Follower:
                 path = self._plan()
                 if path is None:
                     fails += 1
-                    self.pilot.retrace(BACK_M)
+                    self.pilot.retrace(float(self._robot.length_m))
                     continue
                 if self._is_shut and self._exit is not None:
                     self._exit = None
@@ -106,7 +104,7 @@ class Follower:
                     return "BLOCKED" if self._is_sure else "LOST"
                 fails = fails + 1 if self.pilot.odometer_m - begin_m < MOVED_M else 0
                 if not goes:
-                    self.pilot.retrace(BACK_M)
+                    self.pilot.retrace(float(self._robot.length_m))
         except RunEnded as end:
             return "LOST" if end.outcome == RunOutcome.STEP_LIMIT else end.outcome.name
         return "LOST"

@@ -18,7 +18,7 @@ SAME_M = 0.5  # two places of a type no farther apart than this are one node,
 SAME_RADII = 0.6  # or than this share of the smaller clearance
 SAME_RAD = math.radians(35)  # two exits of a node less apart than this are one
 SAME_END_RAD = math.radians(70)  # the same where both lead to one node
-NEAR_M = 4.0  # a robot no farther than this from a node sees which exits it does not have
+NEAR_M = 4.0  # a robot no farther than this from a node sees which exits it has
 MOVED_M = 0.25  # the tries at a way begin anew where its seen part is longer by this than before
 
 
@@ -35,6 +35,10 @@ def direction_out(path: np.ndarray) -> float:
     """Return the direction in which a path leaves its begin, radians."""
     away = np.hypot(*(path - path[0]).T) > SAME_M
     return math.atan2(*(path[int(away.argmax()) if away.any() else -1] - path[0])[::-1])
+
+
+def _off_m(path, xy):
+    return float(np.hypot(*(path - xy).T).min())
 
 
 @dataclasses.dataclass(eq=False)
@@ -101,6 +105,12 @@ class TraceMap:
         self._join_meeting(set(node_of.values()))
         return node_of
 
+    def drop(self, i: int) -> None:
+        """Remove a node; exits that led there lead into the unknown."""
+        del self.nodes[i]
+        for exit_ in (exit_ for node in self.nodes for exit_ in node.exits):
+            exit_.to = -1 if exit_.to == i else exit_.to - (exit_.to > i)
+
     def _join_meeting(self, in_view):
         """Link a node out of view to one in view where the exit of one passes the end of the other's."""
         for i, node in enumerate(self.nodes):
@@ -140,7 +150,7 @@ class TraceMap:
                     if to >= 0 or length_of(way.path) > length_of(best.path) + MOVED_M:
                         best.tries = 0
                     best.bearing, best.path, best.to = way.bearing, way.path, to
-            elif place.is_sure or not node.exits:
+            elif (place.is_sure and is_near) or not node.exits:
                 node.exits.append(Exit(way.bearing, way.path, to))
                 met.add(id(node.exits[-1]))
         if place.is_sure and is_near:
@@ -196,15 +206,33 @@ class TraceMap:
             if exit_.to >= 0:
                 fields["end"][n], fields["status"][n] = exit_.to, btm.SEARCHED
                 fields["end_bearing"][n] = wrapped(direction_out(exit_.path[::-1]) if back is None else back.bearing)
-                fields["length_m"][n] = length_of(exit_.path)
+                ends = self.nodes[i].xy, self.nodes[exit_.to].xy
+                fields["length_m"][n] = length_of(np.array([ends[0], *exit_.path[1:-1], ends[1]]))
         room = {"n_nodes": (n_nodes, self.nodes), "n_links": (n_links, links)}
         counts = {name: np.array(min(most, len(items)), np.int32) for name, (most, items) in room.items()}
         over = np.array(max(len(self.nodes) - n_nodes, 0) + len(found) - int(counts["n_links"]), np.int32)
         return blank.replace(**(fields | counts), overflow=over)
 
     def links(self) -> Iterator[tuple[int, Exit, Exit | None]]:
-        """Yield node, exit and the exit that leads back, if the way has an end; every pair of exits once."""
-        used = set()
+        """Yield node, exit and the exit that leads back, if the way has an end; every pair of exits once.
+
+        Ways that were seen before a node on them and those told by others are left out.
+        """
+        used, kept = set(), {}
+        joined = {frozenset((i, e.to)) for i, node in enumerate(self.nodes) for e in node.exits if e.to >= 0}
+
+        def is_told(i, exit_):
+            k, pair, path = exit_.to, frozenset((i, exit_.to)), exit_.path
+            between = [j for j in range(len(self.nodes)) if {frozenset((i, j)), frozenset((j, k))} <= joined]
+            is_through = any(_off_m(path, self.nodes[j].xy) < SAME_M for j in between if j not in (i, k))
+            same = kept.setdefault(pair, [])
+            if is_through and not same:
+                joined.discard(pair)
+            is_double = any(_off_m(other, path[len(path) // 2]) < 2 * SAME_M for other in same)
+            if not (is_through or is_double):
+                same.append(path)
+            return is_through or is_double
+
         for i, node in enumerate(self.nodes):
             for exit_ in node.exits:
                 if id(exit_) not in used:
@@ -214,4 +242,5 @@ class TraceMap:
                     path = exit_.path
                     back = min(others, key=lambda e, p=path: math.dist(e.path[0], p[-1]), default=None)
                     used.add(id(back))
-                    yield i, exit_, back
+                    if exit_.to in (-1, i) or not is_told(i, exit_):
+                        yield i, exit_, back

@@ -19,6 +19,7 @@ STEER = 1.5  # rate of turning for each radian off a straight way, 1/s
 STOP_M = 0.08  # room ahead at which it stops: two steps' way
 GOAL_M = 0.5  # the goal is reached within this distance of its beacon
 BLIND_STEPS = 30  # steps without a scan after which a run ends: three seconds, less than one turn in place
+LOOK_M = 1.0  # a robot looks anew at the end of the straight piece on which it has come this far
 PATIENCE = 100  # steps more than a motion should take, after which it counts as prevented
 
 

@@ -10,9 +10,9 @@ from collections.abc import Callable
 import numpy as np
 
 from jexplore.driving.local.area import SeenArea, nearest_to
-from jexplore.driving.local.lattice import Lattice
-from jexplore.driving.local.nodes import TRIES, Exit, TraceMap, length_of
-from jexplore.driving.local.pilot import Pilot, RunEnded
+from jexplore.driving.local.lattice import Lattice, distance_m
+from jexplore.driving.local.nodes import NEAR_M, TRIES, Exit, TraceMap, length_of
+from jexplore.driving.local.pilot import LOOK_M, Pilot, RunEnded
 from jexplore.driving.local.sight import SeenPlace, look
 from jexplore.driving.local.window import SIDE, Fixed
 from jexplore.driving.mission import RunOutcome
@@ -20,13 +20,11 @@ from jexplore.driving.records import RunMode
 from jexplore.driving.settings import Tuning
 from jexplore.driving.vehicle import DT_S, SCAN_RANGE_M
 
-LOOK_M = 1.0  # the robot looks anew at the end of the straight piece on which it has come this far
-LINK_M = 1.5  # the same on a link
-NEAR_M = 0.3  # a point of a path is reached from a cell no farther away
+LINK_M = 1.5  # the robot looks anew at the end of the straight piece of a link on which it has come this far
+POINT_M = 0.3  # a point of a path is reached from a cell no farther away
 PLACE_M = 1.5  # a place is gone to as near as its clearance, and no farther off than this
 FACE_M = 0.15  # the robot turns towards the end of what it knows of a way if that lies farther away
 KEEP_M = 2.0  # another target must be nearer by this than the last one: twice the way between two looks
-BACK_M = 0.7  # where something is in the way the robot goes back this far, its own length, to plan anew
 DETOUR = 3.0  # a point of a link is gone to where that costs no more than this many times the link
 DETOUR_M = 2.0  # and this
 EDGE_M = 1.0  # at a frontier the robot goes as near to the unknown as this: its length, and a look
@@ -82,11 +80,14 @@ class LocalRun:
                 elif (here := self._here()) is None or self._is_shut_in():
                     if retraces >= RETRACES:
                         return RunOutcome.STUCK
-                    self.pilot.retrace(LOOK_M * 2**retraces)
+                    if here is None and not retraces:
+                        self._go_straight()
+                    else:
+                        self.pilot.retrace(LOOK_M * 2**retraces)
                     retraces += 1
                 elif self._doubt_shut(goals):
                     retraces = 0
-                    self.pilot.retrace(BACK_M)
+                    self.pilot.retrace(float(self.robot.length_m))
                 elif route := self.map.route(here, goals) or self.map.route(here, self._near_frontiers()):
                     retraces = 0
                     self._go_along(route)
@@ -125,9 +126,25 @@ class LocalRun:
         self._area.add(window, float(self._tuning.width_m))
         self._frontiers = self._area.frontiers(window)
         how = float(self._tuning.width_m), float(self._tuning.open_m)
-        self.seen = look(window, pose, self._start, *how)
+        self.seen = look(self._area.around(window), pose, self._start, *how)
         self._node_of = self.map.note(self.seen, pose, self.pilot.now.truth)
+        self._drop_disproved()
         self._visit()
+
+    def _drop_disproved(self):
+        """Drop nodes where the robot has not been that it would see now if they were places."""
+        edge_m, found = distance_m(np.any(self._frontiers or [np.zeros((SIDE, SIDE), bool)], axis=0)), []
+        for i, node in enumerate(self.map.nodes):
+            is_kept = node.is_visited or i == self._at or i in self._node_of.values()
+            if is_kept or math.dist(node.xy, self.pilot.pose[:2]) > NEAR_M:
+                continue
+            near = self._lattice.nearest(node.xy, node.reached_m)
+            if near and near[1] < 2 * NEAR_M and edge_m[tuple(self._lattice.window.cell(node.xy))] > node.radius_m:
+                found.append(i)
+        for i in found[::-1]:
+            self.map.drop(i)
+            self._at, self._target = self._at - (self._at > i), None
+            self._node_of = {place: at - (at > i) for place, at in self._node_of.items()}
 
     def _visit(self):
         """Note which nodes the robot is at, and the link that it has driven from the last one."""
@@ -170,7 +187,7 @@ class LocalRun:
                 targets += [(found[1], i, None, found[0])] if found else []
             for exit_ in node.exits:
                 if exit_.to < 0 and exit_.tries < TRIES:
-                    ends = (self._lattice.nearest(xy, NEAR_M) for xy in exit_.path[::-1])
+                    ends = (self._lattice.nearest(xy, POINT_M) for xy in exit_.path[::-1])
                     found = next(filter(None, ends), None)
                     targets += [(found[1], i, exit_, found[0])] if found else []
         if not targets:
@@ -188,7 +205,7 @@ class LocalRun:
             # What stops the robot here says nothing of a place elsewhere: it begins from farther back each time.
             if self._stops >= SURE_RETRACES:
                 self._arrive(self.map.nodes[i], exit_)
-            self.pilot.retrace(BACK_M * 2**self._stops)
+            self.pilot.retrace(float(self.robot.length_m) * 2**self._stops)
             self._stops = min(self._stops + 1, RETRACES)
         return True
 
@@ -270,14 +287,14 @@ class LocalRun:
             if not node.is_visited and node.tries < TRIES and is_shut(node.xy[None], self._within(node)):
                 node.tries, found = node.tries + 1, True
             for exit_ in node.exits:
-                if exit_.to < 0 and exit_.tries < TRIES and is_shut(exit_.path, NEAR_M):
+                if exit_.to < 0 and exit_.tries < TRIES and is_shut(exit_.path, POINT_M):
                     exit_.tries, found = exit_.tries + 1, True
         return found
 
     @staticmethod
     def _within(node):
         """Return the distance of a cell from which a place is looked at, at most."""
-        return min(max(NEAR_M, node.radius_m), PLACE_M)
+        return min(max(POINT_M, node.radius_m), PLACE_M)
 
     # Links
 
@@ -290,13 +307,22 @@ class LocalRun:
             costs |= {i: found[1]} if found else {}
         return min(costs, key=lambda i: costs[i], default=None)
 
+    def _go_straight(self):
+        """Go straight to the nearest node: in a hall it may be out of the local map."""
+        xy = self.pilot.pose[:2]
+        near = min(range(len(self.map.nodes)), key=lambda i: math.dist(self.map.nodes[i].xy, xy))
+        to = self.map.nodes[near].xy
+        self._go_along([(Exit(0.0, np.linspace(xy, to, int(math.dist(xy, to) / POINT_M) + 2)), near)])
+
     def _go_along(self, route):
         """Follow links; count a failure of the one along which the robot does not get on, and go back a little."""
         self.pilot.mode = RunMode.CENTRAL
         goal = self.map.nodes[route[-1][1]]
         path = np.concatenate([exit_.path for exit_, _ in route])
         at, steps = 0, len(self.pilot.way)
-        while math.dist(goal.xy, self.pilot.pose[:2]) > goal.reached_m and at < len(path) - 1:
+        while (
+            goal in self.map.nodes and math.dist(goal.xy, self.pilot.pose[:2]) > goal.reached_m and at < len(path) - 1
+        ):
             found, to = self._farthest(path, at)
             begin_m = self.pilot.odometer_m
             if found is not None:
@@ -307,20 +333,22 @@ class LocalRun:
                     break
                 exit_ = min((e for e, _ in route), key=lambda e: np.hypot(*(e.path - self.pilot.pose[:2]).T).min())
                 exit_.fails += 1
-                self.pilot.retrace(BACK_M)
+                self.pilot.retrace(float(self.robot.length_m))
                 return
             near = np.hypot(*(path[at : to + 1] - self.pilot.pose[:2]).T)
             at += int(near.argmin())
             self._look()
-        goal.is_visited = True
-        self._leave_frontiers(route[-1][1])
+        if goal not in self.map.nodes:
+            return
+        goal.is_visited, i = True, self.map.nodes.index(goal)
+        self._leave_frontiers(i)
         if steps == len(self.pilot.way):  # it is there, and nothing that is left there can be reached
-            self._give_up(route[-1][1])
+            self._give_up(i)
 
     def _farthest(self, path, at):
         """Return the cell from which the robot reaches the farthest point of a path, and the number of that point."""
         for i in range(len(path) - 1, at - 1, -1):
-            found = self._lattice.nearest(path[i], NEAR_M)
+            found = self._lattice.nearest(path[i], POINT_M)
             if found:
                 on_path_m = math.dist(path[at], self.pilot.pose[:2]) + length_of(path[at : i + 1])
                 if found[1] < DETOUR * on_path_m + DETOUR_M:

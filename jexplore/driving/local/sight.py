@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from jexplore.driving.local.lattice import distance_m
-from jexplore.driving.local.window import CELL_M, SIDE, Window
+from jexplore.driving.local.window import CELL_M, Window
 from jexplore.extraction.extract import attached, leaves, open_cells
 from jexplore.extraction.lines import connected_cells, lines_of, take_corners
 from jexplore.extraction.passages import PlaceDraft, places_and_passages
@@ -41,7 +41,7 @@ class SeenPlace(NamedTuple):
     xy: np.ndarray  # [2] float, metres
     type: str  # one of `NODE_TYPES`
     radius_m: float  # clearance
-    is_sure: bool  # no frontier lies within its clearance, or the robot is there
+    is_sure: bool  # no frontier lies within its clearance
     ways: list[SeenWay]
 
 
@@ -61,7 +61,7 @@ def look(window: Window, pose: np.ndarray, start: np.ndarray, width_m: float, op
     if here is None:
         return []
     alive, terminals = connected_cells(lines.near, [here])[0], {}
-    if all(0 < i < SIDE - 1 for i in began) and free[began]:
+    if all(0 < i < n - 1 for i, n in zip(began, free.shape, strict=True)) and free[began]:
         at = attached(lines, corners, {"start": began}, free).get("start")
         if at in alive:
             terminals = {at: PlaceDraft(float(began[0]), float(began[1]), "terminal", float(lines.radius[at]))}
@@ -72,8 +72,7 @@ def look(window: Window, pose: np.ndarray, start: np.ndarray, width_m: float, op
     def seen(place):
         radius_m = place.radius * CELL_M
         xy = window.xy(np.array([place.row, place.col]))
-        is_there = place.type == "terminal" or math.dist(xy, pose[:2]) < radius_m
-        is_sure = is_there or edge_m[round(place.row), round(place.col)] > radius_m
+        is_sure = place.type == "terminal" or edge_m[round(place.row), round(place.col)] > radius_m
         return SeenPlace(xy, place.type, radius_m, bool(is_sure), [])
 
     found = [seen(place) for place in places.values()]

@@ -17,6 +17,7 @@ from jexplore.policies.mcdm import mcdm
 from jexplore.policies.peers.consistent_tour import consistent_tour
 from jexplore.policies.peers.exploration_transform import exploration_transform
 from jexplore.policies.peers.mutual_information import mutual_information
+from jexplore.policies.peers.random_tree import random_tree
 from jexplore.policies.peers.revenue import revenue
 from jexplore.policies.policy import Entry, Policy
 from jexplore.policies.tour import tour
@@ -42,6 +43,11 @@ STRATEGIES: dict[str, Entry] = {
     ),
     "gain-rate": Entry(
         gain_rate, "the sampled view point with the most information for a metre of path", "Schmid et al. 2020"
+    ),
+    "random-tree": Entry(
+        random_tree,
+        "the first node of the branch of a random tree with the most unknown area in sight, discounted by the path",
+        "Bircher et al. 2016, NBVP",
     ),
     "utility": Entry(
         utility,
@@ -108,6 +114,7 @@ SYNONYMS: dict[str, str] = {
     "hector": "exploration-transform",
     "information-gain": "decision-theoretic",
     "nbv": "decision-theoretic",
+    "nbvp": "random-tree",
     "nearest": "closest",
     "nearest-frontier": "closest",
     "next-best-view": "decision-theoretic",

@@ -3,9 +3,9 @@
 The global tour of Zhou, Zhang, Chen, Shen, "FUEL: Fast UAV Exploration Using Incremental Frontier Structure and
 Hierarchical Planning", RA-L 6(2), 2021, an asymmetric travelling salesman's: from the robot to cluster k it costs the
 way and `w_c arccos((p_k - p_0) . v_0 / (|p_k - p_0| |v_0|))`, v_0 the robot's motion, between clusters the way, back to
-the robot nothing. Changed: metres in place of seconds, so that w_c, 1.5 s/rad in their group's packages, is multiplied
-by their 1.5 m/s; solved as `tour` is, not by LKH. Left out: turning towards view points (a scan is all round on
-arrival), the choice among view points of the next clusters, and trajectories.
+the robot nothing. Changed: metres in place of seconds, so that w_c, 1.5 s/rad in their package, is multiplied by its
+speed, 2 m/s; solved as `tour` is, not by LKH. Left out: turning towards view points (a scan is all round on arrival),
+the choice among view points of the next clusters, and trajectories.
 """
 
 from typing import Annotated, NamedTuple
@@ -36,7 +36,7 @@ def _select(key, params, carry, belief, beams, route):
     return carry, *go_to(belief, route, reached, at, which)
 
 
-def consistent_tour(min_gain: MinGain = 1, turn_m: Annotated[float, Span(0.1, 10.0, is_log=True)] = 2.25) -> Policy:
+def consistent_tour(min_gain: MinGain = 1, turn_m: Annotated[float, Span(0.1, 10.0, is_log=True)] = 3.0) -> Policy:
     """Return the policy. Carry: `()`. Parameters: `Params`."""
     gain = require_whole("min_gain", min_gain, low=0, high=2**20)
     return Policy(no_carry, _select, Params(gain, require_number("turn_m", turn_m, high=1e4)))

@@ -21,11 +21,8 @@ PICTURES = {
     "compare.png": "Path lengths of all episodes, means with their intervals, and ratios to the first strategy",
     "coverage.png": "Share of what can be known along the path",
     "paths.png": "The map as each strategy saw it in episode 0, with its path",
-    "waste.png": "Where path was wasted in episode 0",
     "league.png": "Path lengths as ratios to those of the first strategy, over all worlds",
-    "reproduce.png": "Path lengths next to the paper's",
     "sweep.png": "Path lengths along the first setting that is varied",
-    "sweep-map.png": "Path lengths over the first two settings that are varied",
     "episode.png": "The known map and the path at the end",
 }
 """Captions of a run's pictures."""
@@ -50,16 +47,10 @@ def write_report(
 
 
 def report_page(
-    title: str,
-    asked: Mapping[str, Any],
-    tables: Iterable[tuple[str, str]] = (),
-    figures: Iterable[tuple[str, bytes, str]] = (),
-    replays: Sequence[ReplayData] = (),
-    warnings: Iterable[str] = (),
-    *,
-    notes: Iterable[str] = (),
-    max_bytes: int = MAX_REPORT_BYTES,
-) -> str:
+    title: str, asked: Mapping[str, Any], tables: Iterable[tuple[str, str]] = (),
+    figures: Iterable[tuple[str, bytes, str]] = (), replays: Sequence[ReplayData] = (), warnings: Iterable[str] = (),
+    *, notes: Iterable[str] = (), max_bytes: int = MAX_REPORT_BYTES,
+) -> str:  # fmt: skip
     """Return the report of a run, one HTML file: no network, no server, no other file; replays need JavaScript.
 
     Figures take up to half of the page; the largest are left out where they would take more. Where the page would be

@@ -5,20 +5,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jexplore.report.page.assemble import map_page
+from jexplore.tracemap import passable
 from jexplore.tracemap.merging.join import FROM
 from jexplore.tracemap.merging.notes import MERGED_FROM, sources_of
-from jexplore.tracemap.passable import (
-    CONFLICTS,
-    RobotBody,
-    blockages_of,
-    hindrances,
-    inclination_of,
-    link_name,
-    refusals,
-    step_of,
-    unknowns,
-    unknowns_at,
-)
 from jexplore.tracemap.record import BtmMap, Link, Node
 from jexplore.tracemap.route import LENGTH_UNIT_M, MapIndex
 
@@ -38,7 +27,9 @@ class MapPanel:
     """Reason for standing apart, or a note about its frame: a sentence."""
 
 
-def station_page(title: str, panels: Sequence[MapPanel], robots: Sequence[RobotBody], notes: Sequence[str] = ()) -> str:
+def station_page(
+    title: str, panels: Sequence[MapPanel], robots: Sequence[passable.RobotBody], notes: Sequence[str] = ()
+) -> str:
     """Return maps as one HTML file: no network, no server, no other file. It is plain ASCII.
 
     What the given robots may not use is found here; for a robot that is typed in the page repeats the comparisons.
@@ -56,23 +47,23 @@ def station_page(title: str, panels: Sequence[MapPanel], robots: Sequence[RobotB
     return map_page("station", title, data, ("routes.js", "station.js", "station_side.js"))
 
 
-def _panel(panel: MapPanel, robots: Sequence[RobotBody]) -> dict[str, Any]:
+def _panel(panel: MapPanel, robots: Sequence[passable.RobotBody]) -> dict[str, Any]:
     """Return a map's data for the page, plain JSON types; ids as keys become text."""
     btm, index = panel.map, MapIndex(panel.map)
     nodes = index.nodes
-    about = {key: value for key, value in btm.attributes.items() if key not in (MERGED_FROM, CONFLICTS)}
+    about = {key: value for key, value in btm.attributes.items() if key not in (MERGED_FROM, passable.CONFLICTS)}
     return {
         "name": panel.name,
         "maps": list(panel.maps),
         "note": panel.note,
         "attributes": about,
-        "conflicts": btm.attributes.get(CONFLICTS, {}),
+        "conflicts": btm.attributes.get(passable.CONFLICTS, {}),
         "nodes": [_node(node, panel) for node in btm.nodes],
         "links": [_link(link, panel, index) for link in btm.links],
         "uses": [
             {
-                "refused": _reasons({link.id: refusals(link, nodes, robot) for link in btm.links}),
-                "barriers": _reasons({node.id: hindrances(node, robot) for node in btm.nodes}),
+                "refused": _reasons({link.id: passable.refusals(link, nodes, robot) for link in btm.links}),
+                "barriers": _reasons({node.id: passable.hindrances(node, robot) for node in btm.nodes}),
             }
             for robot in robots
         ],
@@ -87,25 +78,30 @@ def _item(item: Node | Link, panel: MapPanel) -> dict[str, Any]:
     """Return fields of a node or link; its sources and their differences, apart from the other attributes."""
     own = dict(item.attributes)
     told = own.pop(FROM, {panel.name: item.id}) if MERGED_FROM in panel.map.attributes else {panel.name: item.id}
-    return {**vars(item), "from": told, "conflicts": own.pop(CONFLICTS, {}), "attributes": own}
+    return {**vars(item), "from": told, "conflicts": own.pop(passable.CONFLICTS, {}), "attributes": own}
 
 
 def _node(node: Node, panel: MapPanel) -> dict[str, Any]:
     bearings, angles = panel.map.bearings_deg(node.id), panel.map.angles_deg(node.id)
-    return {**_item(node, panel), "bearings_deg": bearings, "angles_deg": angles, "unknown": list(unknowns_at(node))}
+    return {
+        **_item(node, panel),
+        "bearings_deg": bearings,
+        "angles_deg": angles,
+        "unknown": list(passable.unknowns_at(node)),
+    }
 
 
 def _link(link: Link, panel: MapPanel, index: MapIndex) -> dict[str, Any]:
     metres, nodes = index.length_m.get(link.id), index.nodes
-    blocks = blockages_of(link)
+    blocks = passable.blockages_of(link)
     return {
         **_item(link, panel),
-        "step_m": step_of(link, nodes),
-        "inclination_deg": inclination_of(link, nodes),
+        "step_m": passable.step_of(link, nodes),
+        "inclination_deg": passable.inclination_of(link, nodes),
         "blocked": bool(blocks),
         "blocks": [vars(block) for block in blocks],
-        "called": link_name(link),
-        "unknown": list(unknowns(link, nodes)),
+        "called": passable.link_name(link),
+        "unknown": list(passable.unknowns(link, nodes)),
         "doubts": list(index.doubts(link.id)),
         "metres": metres,
         "length_mm": None if metres is None else round(metres / LENGTH_UNIT_M),

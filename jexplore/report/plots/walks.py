@@ -1,12 +1,9 @@
-"""Walks on floor plans: with the witnesses of their lower bounds, and coloured by what they were worth."""
+"""Walks on floor plans, with the witnesses of their lower bounds."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from jexplore.report.plot import draw_map, draw_path, scale_bar, wrapped_text
 from jexplore.report.plots.looks import legend_below, panels, panels_page
@@ -14,12 +11,6 @@ from jexplore.report.plots.looks import legend_below, panels, panels_page
 MAX_PANELS = 12
 WITNESS_COLOUR = "#d55e00"
 BOUNDS_LABELS = ("shortest walk found, dark to bright", "start", "end", "cell that the lower bound is made of")
-STEP_LOOKS = (
-    ("#0072b2", "shows something new, or short of a transit"),
-    ("#999999", "on the way to something"),
-    ("#d55e00", "to a leftover"),
-)
-"""Colour and meaning of each kind of step, see `statistics.waste`."""
 
 
 def bounds_figure(found: Any) -> Figure:
@@ -48,25 +39,3 @@ def _between(row):
     if not np.isfinite(row["high_m"]):
         return f"{row['status']}, at least {row['low_m']:.1f} m" if row["low_m"] else row["status"]
     return f"{row['low_m']:.1f} to {row['high_m']:.1f} m, {row['status']}"
-
-
-def waste_figure(entries: Sequence[tuple[str, Any, Any, Any, float]]) -> Figure:
-    """Draw ways on their maps, one panel each; ways are `[n + 1, 2]` cells, with kinds of their steps, `[n]`."""
-    entries = list(entries)[:MAX_PANELS]
-    page, n_cols = panels_page(len(entries))
-    start = []
-    for number, ax, _ in panels(page, len(entries), n_cols):
-        title, occupied, way, kinds, cell_m = entries[number]
-        draw_map(ax, np.where(occupied, 2, 1), cell_m)
-        at = (np.asarray(way)[:, ::-1] + 0.5) * cell_m
-        pieces = np.stack([at[:-1], at[1:]], axis=1)
-        for kind, (colour, _) in enumerate(STEP_LOOKS):
-            ax.add_collection(
-                LineCollection(list(pieces[kinds == kind]), colors=colour, linewidths=1.5, zorder=3 + kind)
-            )
-        start = ax.plot(*at[0], "o", ms=6, mfc="white", mec="black", mew=1.4, ls="none", zorder=7)
-        scale_bar(ax)
-        ax.set_title(wrapped_text(title, 44, max_lines=2), fontsize=8, parse_math=False)
-    lines = [Line2D([], [], color=colour, linewidth=2) for colour, _ in STEP_LOOKS]
-    legend_below(page, [*lines, *start], [*(what for _, what in STEP_LOOKS), "start"][: len(lines) + len(start)])
-    return page

@@ -26,22 +26,12 @@ from jexplore.reach import FAR
 from jexplore.report.ledger import Ledger, Work
 from jexplore.report.tables import aligned_table, number_text
 from jexplore.rules import Lidar, Rules
+from jexplore.studies import checks
 from jexplore.studies.bounds.beside import START, with_bound_ratios
 from jexplore.studies.bounds.floor import low_metres
 from jexplore.studies.bounds.scene import prepare_scene
 from jexplore.studies.bounds.search import Budget, SearchResult, search
 from jexplore.studies.bounds.teams import with_team_ratios
-from jexplore.studies.checks import (
-    LIDAR,
-    RULES,
-    LidarLike,
-    RulesLike,
-    StartLike,
-    WorldLike,
-    ready_settings,
-    ready_starts,
-    ready_worlds,
-)
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import world_digest
 from jexplore.worlds.world import World
@@ -138,9 +128,6 @@ class BoundsResult:
         """Compare the episodes of a `ComparisonResult` with the bounds: see `beside.with_bound_ratios`.
 
         Those of teams are compared with bounds of the whole team: see `teams.with_team_ratios`.
-
-        Raises:
-          InputError: no comparison; one with another scanner, another clearance, or noise.
         """
         if not hasattr(comparison, "episodes") or not hasattr(comparison, "worlds"):
             raise InputError(f"expected a comparison, got {type(comparison).__name__}")
@@ -181,10 +168,10 @@ def bounds_table(table: pd.DataFrame) -> str:
 
 @checked_names
 def bound(
-    worlds: WorldLike | Iterable[WorldLike], *,
-    starts: int = 5, seed: int = 0, cell_m: float = 0.1, start: StartLike = "random",
-    seconds: float = 10.0, max_floods: int | None = None, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
-    workers: int = 1, on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
+    worlds: checks.WorldLike | Iterable[checks.WorldLike], *, starts: int = 5, seed: int = 0, cell_m: float = 0.1,
+    start: checks.StartLike = "random", seconds: float = 10.0, max_floods: int | None = None,
+    lidar: checks.LidarLike = checks.LIDAR, rules: checks.RulesLike = checks.RULES, workers: int = 1,
+    on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
 ) -> BoundsResult:  # fmt: skip
     """Bound the shortest walks that a robot with the map could drive, from the starts of `compare`.
 
@@ -201,12 +188,6 @@ def bound(
       workers: processes that work at a time. With more than one a script needs `if __name__ == "__main__":`.
       on_progress: called with the number of starts finished.
       progress: show a bar; by default in notebooks.
-
-    Returns:
-      `BoundsResult`.
-
-    Raises:
-      InputError: a name, number, map or start that cannot be used; noise; no time.
     """
     places = {"starts": starts, "seed": seed, "cell_m": cell_m, "start": start}
     tasks = prepare_bounds(worlds, **places, seconds=seconds, max_floods=max_floods, lidar=lidar, rules=rules)
@@ -215,17 +196,17 @@ def bound(
 
 
 def prepare_bounds(
-    worlds: WorldLike | Iterable[WorldLike], *, starts: int, seed: int, cell_m: float, start: StartLike,
-    seconds: float, max_floods: int | None, lidar: LidarLike, rules: RulesLike,
+    worlds: checks.WorldLike | Iterable[checks.WorldLike], *, starts: int, seed: int, cell_m: float,
+    start: checks.StartLike, seconds: float, max_floods: int | None, lidar: checks.LidarLike, rules: checks.RulesLike,
 ) -> list[BoundTask]:  # fmt: skip
     """Check and load everything before `bound` runs: the tasks. Arguments as there."""
-    lidar, rules = ready_settings(lidar, rules)
+    lidar, rules = checks.ready_settings(lidar, rules)
     starts, seed = require_setting("starts", starts), require_setting("seed", seed)
     seconds, pairs = require_setting("seconds", seconds), []
     if max_floods is not None:
         require_whole("max_floods", max_floods, 1, 10**9)
-    for world in ready_worlds(worlds, cell_m):
-        places = ready_starts(world, start, starts if start == "random" else 1, seed=seed, rules=rules)
+    for world in checks.ready_worlds(worlds, cell_m):
+        places = checks.ready_starts(world, start, starts if start == "random" else 1, seed=seed, rules=rules)
         pairs += [(world, (int(r), int(c), int(h))) for r, c, h in places]
     return _tasks(pairs, lidar, rules, None if max_floods else seconds, max_floods)
 

@@ -41,12 +41,9 @@ class GymEnv(gymnasium.Env):
     of a world; `episode`, another number than the next. Other values are drawn.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012
-
     def __init__(
         self, worlds: Any, *, cell_m: float = 0.1, lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
         recheck: bool = False, targets: str = "frontier", max_decisions: int = MAX_DECISIONS,
-        render_mode: str | None = None,
     ) -> None:  # fmt: skip
         """Load the worlds.
 
@@ -55,15 +52,10 @@ class GymEnv(gymnasium.Env):
           targets: what an action may name: "frontier", the frontier cells that can be reached, or "reachable", every
             cell that a path leads to.
           max_decisions: decisions, those that moved nothing included, after which an episode is truncated.
-          render_mode: None, or "rgb_array": `render` then returns a picture of the map.
-
-        Raises:
-          InputError: as `Environment`, or an argument that cannot be one.
         """
         settings = {"cell_m": cell_m, "lidar": lidar, "rules": rules, "recheck": recheck}
-        self._game = Game(worlds, targets=targets, max_decisions=max_decisions, render_mode=render_mode, **settings)
+        self._game = Game(worlds, targets=targets, max_decisions=max_decisions, **settings)
         self.action_space, self.observation_space = self._game.action_space, self._game.observation_space
-        self.render_mode = render_mode
         self._base: Any = None  # the seed's key
         self._number, self._decisions = -1, 0
         self._state: EnvState | None = None
@@ -81,11 +73,7 @@ class GymEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode: `(observation, info)`. The class describes the `options`.
-
-        Raises:
-          InputError: a seed or an option that cannot be one.
-        """
+        """Begin an episode: `(observation, info)`. The class describes the `options`."""
         if seed is not None:
             seed = require_whole("seed", seed, 0, MAX_SEED)
         given = self._game.options({name: [value] for name, value in require_options(options).items()}, 1)
@@ -99,11 +87,7 @@ class GymEnv(gymnasium.Env):
         return self._told(True)
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Drive to a cell: `(observation, reward, terminated, truncated, info)`.
-
-        Raises:
-          InputError: no cell of the map, or no episode to make it in.
-        """
+        """Drive to a cell: `(observation, reward, terminated, truncated, info)`."""
         if self._state is None:
             raise InputError("there is no episode yet; call reset first")
         action = int(whole_numbers("action", action, (), 0, self._game.n_cells - 1))
@@ -114,21 +98,15 @@ class GymEnv(gymnasium.Env):
         terminated, truncated = self._game.ends(info["outcome"], self._decisions)
         return seen, float(reward) + 0.0, bool(terminated), bool(truncated), info
 
-    def render(self) -> Any:
-        """Draw the map as the robot knows it, `[h, w, 3]` uint8, in the mode "rgb_array"; else None."""
-        if self.render_mode is None or self._state is None:
-            return None
-        return self._game.picture(self._seen, int(self._state.world))
-
     def _key(self):
         return jax.random.fold_in(self._base, self._number)
 
     def _told(self, valid):
         """Return observation and info of the state, numbers as Python has them."""
-        self._seen, info = self._game.fetched(*observe(self._state, targets=self._game.targets))
+        seen, info = self._game.fetched(*observe(self._state, targets=self._game.targets))
         self._mask = info["action_mask"]
         plain = {name: value.item() for name, value in info.items() if not np.ndim(value)}
-        return copied(self._seen), plain | {"action_mask": self._mask.copy(), "valid": valid}
+        return copied(seen), plain | {"action_mask": self._mask.copy(), "valid": valid}
 
 
 @checked_names
@@ -142,22 +120,21 @@ class GymVectorEnv(VectorEnv):
     All lanes are one compiled program: on a CPU they run one after the other, on an accelerator together.
     """
 
-    metadata = {**GymEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(
         self, worlds: Any, num_envs: int = 1, *, cell_m: float = 0.1, lidar: LidarLike = LIDAR,
         rules: RulesLike = RULES, recheck: bool = False, targets: str = "frontier",
-        max_decisions: int = MAX_DECISIONS, render_mode: str | None = None,
+        max_decisions: int = MAX_DECISIONS,
     ) -> None:  # fmt: skip
         """Load the worlds. Arguments and errors as of `GymEnv`, and `num_envs`, the number of lanes."""
         self.num_envs = require_whole("num_envs", num_envs, 1, 2**20)
         settings = {"cell_m": cell_m, "lidar": lidar, "rules": rules, "recheck": recheck}
-        self._game = Game(worlds, targets=targets, max_decisions=max_decisions, render_mode=render_mode, **settings)
+        self._game = Game(worlds, targets=targets, max_decisions=max_decisions, **settings)
         self.single_action_space = self._game.action_space
         self.single_observation_space = self._game.observation_space
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.render_mode = render_mode
         self._bases: Any = None  # the keys of the lanes' seeds
         self._numbers, self._decisions = np.full(num_envs, -1, np.int32), np.zeros(num_envs, np.int32)
         self._over = np.zeros(num_envs, bool)
@@ -178,11 +155,7 @@ class GymVectorEnv(VectorEnv):
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode in every lane: `(observations, infos)`. The class describes seeds and options.
-
-        Raises:
-          InputError: a seed or an option that cannot be one.
-        """
+        """Begin an episode in every lane: `(observations, infos)`. The class describes seeds and options."""
         seeds = None if seed is None else self._seeds(seed)
         start, world, episode = self._game.options(options, self.num_envs)
         if seeds is not None:
@@ -198,11 +171,7 @@ class GymVectorEnv(VectorEnv):
         return self._told(seen, info | {"valid": jnp.ones(self.num_envs, bool)})
 
     def step(self, actions: Any) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Drive to a cell in every lane: `(observations, rewards, terminations, truncations, infos)`.
-
-        Raises:
-          InputError: actions that are no cells of the map, or no episodes to make them in.
-        """
+        """Drive to a cell in every lane: `(observations, rewards, terminations, truncations, infos)`."""
         if self._states is None:
             raise InputError("there are no episodes yet; call reset first")
         actions, over = whole_numbers("actions", actions, (self.num_envs,), 0, self._game.n_cells - 1), self._over
@@ -217,14 +186,6 @@ class GymVectorEnv(VectorEnv):
         self._over = terminated | truncated
         return seen, np.array(rewards, np.float64) + 0.0, terminated, truncated, info
 
-    def render(self) -> Any:
-        """Draw the maps as the robots know them, a tuple of `[h, w, 3]` uint8, in the mode "rgb_array"; else None."""
-        if self.render_mode is None or self._states is None:
-            return None
-        worlds = np.asarray(self._states.world).tolist()
-        lanes = [{name: a[i] for name, a in self._seen.items()} for i in range(self.num_envs)]
-        return tuple(self._game.picture(seen, world) for seen, world in zip(lanes, worlds))
-
     def _seeds(self, seed):
         """Return one seed for each lane."""
         try:
@@ -238,9 +199,9 @@ class GymVectorEnv(VectorEnv):
 
     def _told(self, seen, info):
         """Return observations and infos; each info has a mask of the lanes that have it, as in gymnasium."""
-        self._seen, info = self._game.fetched(seen, info)
+        seen, info = self._game.fetched(seen, info)
         masks = {f"_{name}": np.ones(self.num_envs, bool) for name in info}
-        return copied(self._seen), copied(info) | masks
+        return copied(seen), copied(info) | masks
 
 
 def _begun(game, arrays, bases, numbers, starts, worlds):

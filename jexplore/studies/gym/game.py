@@ -29,23 +29,16 @@ TERMINAL = (
 )  # fmt: skip
 """Outcomes that terminate an episode; limits of the rules truncate it."""
 _OPTIONS = ("start", "world", "episode")
-_SIDE = 256  # pixels that the longer side of a rendered map has at least
-_GREYS = np.array([160, 255, 0], np.uint8)  # of unknown, free, occupied
-_FRONTIER, _ROBOT = (230, 159, 0), (0, 114, 178)
 _INTS = -(2**31), 2**31 - 1
 
 
 class Game:
     """Worlds that may be explored, and the spaces of gymnasium that they have."""
 
-    def __init__(
-        self, worlds: Any, *, rules: Rules, targets: str, max_decisions: int, render_mode: str | None, **settings: Any
-    ) -> None:
+    def __init__(self, worlds: Any, *, rules: Rules, targets: str, max_decisions: int, **settings: Any) -> None:
         """Load the worlds. Arguments and errors as of `GymEnv`."""
         if targets not in TARGETS:
             raise InputError(f"targets must be {' or '.join(TARGETS)}, got {targets!r}")
-        if render_mode not in (None, "rgb_array"):
-            raise InputError(f"render_mode must be None or 'rgb_array', got {render_mode!r}")
         self.max_decisions = require_whole("max_decisions", max_decisions, 1, _INTS[1])
         self.env, self.rules, self.targets = Environment(worlds, rules=rules, **settings), rules, targets
         height, width = self.env.shape
@@ -95,16 +88,6 @@ class Game:
         seen, info = jax.device_get((seen, info))
         driven_m = path_m(info.pop("straight"), info.pop("diagonal"), self.env.cell_m)
         return seen, {"path_m": driven_m} | info
-
-    def picture(self, seen: dict[str, np.ndarray], world: int) -> np.ndarray:
-        """Draw the map of an observation: `[h, w, 3]` uint8, row 0 at the top, a square of pixels for every cell."""
-        height, width = self.env.worlds[world].shape
-        image = np.repeat(_GREYS[seen["map"][:height, :width], None], 3, axis=2)
-        image[seen["frontier"][:height, :width] > 0] = _FRONTIER
-        row, col, _ = seen["robot"]
-        image[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2] = _ROBOT
-        scale = -(-_SIDE // max(height, width))
-        return image[::-1].repeat(scale, axis=0).repeat(scale, axis=1)
 
 
 def mask_of(state: EnvState, targets: str) -> Array:

@@ -19,10 +19,9 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.state import Outcome
 from jexplore.report import plot
-from jexplore.report.plots.walks import waste_figure
 from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
 from jexplore.rules import Lidar, Rules
-from jexplore.studies.results import labelled, provenance, saving
+from jexplore.studies.results import provenance, saving
 from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.studies.results.details import EXTRAS, Seen, parts_of
 from jexplore.studies.results.tables import ByStrategy
@@ -142,10 +141,6 @@ class ComparisonResult(ByStrategy):
         """Format the statistics over all worlds, and ratios at equal coverage, as Markdown tables."""
         return f"{standings_table(self.standings)}\n{coverage_text(self.at_coverage)}"
 
-    def to_xarray(self) -> Any:
-        """Convert all results to an `xarray.Dataset` with labelled dimensions: see `labelled.of_comparison`."""
-        return labelled.of_comparison(self)
-
     def save_maps(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write the last map of every episode as files of ROS's map_server, with `keep="maps"`; return the yaml files.
 
@@ -159,9 +154,6 @@ class ComparisonResult(ByStrategy):
     def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> pd.DataFrame:
         """Compute the episodes and worlds needed to know every ratio `± within`: see `sizes.sample_sizes`."""
         return sizes.sample_sizes(self.episodes, within=within, assurance=assurance)
-
-    def _summary_text(self, as_text):
-        return by_world.markdown_table(self.summary, as_text=as_text)
 
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False, report: bool = True) -> Path:
         """Write the folder that `jexplore compare` writes: tables, pictures, run.json, report.html; return its path.
@@ -199,17 +191,6 @@ class ComparisonResult(ByStrategy):
     def profile_figure(self, *, over: str = "best") -> Figure:
         """Draw performance profiles of the strategies: see `figures.profile_figure`."""
         return figures.profile_figure(self.episodes, over=over)
-
-    def waste_figure(self) -> Figure:
-        """Draw the first paths, coloured by their use, with `keep="paths"`: a matplotlib `Figure`."""
-        worlds = {world.name: world for world in self.worlds}
-        kinds = [(pair, ways[0], waste.waste_of(ways[0], worlds[pair[0]].cell_m)) for pair, ways in self.paths.items()]
-        return waste_figure(
-            [
-                (f"{strategy} in {world}", worlds[world].occupied, way[:, :2], found.kinds, worlds[world].cell_m)
-                for (world, strategy), way, found in kinds
-            ]
-        )
 
     def paths_figure(self) -> Figure:
         """Draw the map as each strategy saw it in episode 0, with its path: a matplotlib `Figure`."""

@@ -1,4 +1,4 @@
-"""Provenance of results: the worlds to the bit, the files of maps, the commit of this package."""
+"""Provenance of results: the worlds to the bit, the commit of this package."""
 
 import functools
 import hashlib
@@ -13,16 +13,14 @@ from typing import Any
 import jax
 import numpy as np
 
-from jexplore.arrays.files import read_yaml
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, __version__
+from jexplore.config import __version__
 from jexplore.engine.runner import Costs
 from jexplore.exploration.batch import Job
 from jexplore.exploration.site import prepare_site
 from jexplore.exploration.team.coordination import COORDINATIONS
 from jexplore.policies.catalogue import adapt
 from jexplore.studies.results.columns import TEAM_MEASURES
-from jexplore.worlds import names
 from jexplore.worlds.world import World, ringed_shape
 
 GIT_S = 5.0  # seconds that git may take
@@ -37,32 +35,6 @@ def world_digest(world: World) -> str:
         found.update(f"{some.dtype.str}{some.shape}".encode())
         found.update(some.tobytes())
     return found.hexdigest()
-
-
-def map_files_of(world: World) -> dict[str, str]:
-    """Return the files that a world was read from, and those that they name: path -> SHA-256 in hexadecimal digits."""
-    try:
-        path = Path(names.parse_name(os.path.expanduser(world.name), generators=()).base)
-    except InputError:
-        return {}
-    found = (path, *_named_in(path)) if path.is_file() else ()
-    return {os.fspath(file): _file_hash(file) for file in found if file.is_file()}
-
-
-def _named_in(path):
-    """Return the picture of a ROS map, or the files of a recording; nothing for other files."""
-    if path.name == names.METADATA:
-        suffixes = tuple(f".{suffix}" for suffix in names.SUFFIXES["ROS bag"])
-        yield from sorted(file for file in path.parent.iterdir() if file.name.lower().endswith(suffixes))
-    elif path.suffix.lower() in (".yaml", ".yml"):
-        page = read_yaml(path)
-        if isinstance(page, dict) and isinstance(page.get("image"), str):
-            yield path.parent / page["image"]
-
-
-def _file_hash(path):
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @functools.cache
@@ -160,7 +132,6 @@ def describe_world(world: World) -> dict[str, Any]:
         "rooms": rooms,
         "start": world.start,
         "sha256": world_digest(world),
-        "files": map_files_of(world),
     }
 
 

@@ -52,7 +52,6 @@ def figures_of(found: Any, *, league: bool = False) -> dict[str, Callable[[], An
             "league.png": lambda: league_figure(found.standings),
         }
     drawn = {"coverage.png": found.coverage_figure, "compare.png": found.compare_figure}
-    drawn |= {"waste.png": found.waste_figure} if found.paths else {}
     # Without any episode 0, as after an early interruption, there is no path to draw.
     return drawn | ({"paths.png": found.paths_figure} if found.first else {})
 
@@ -63,13 +62,10 @@ def comparison_files(found: Any) -> dict[str, Any]:
 
 
 def pictures_of(
-    figures: Mapping[str, Callable[[], Any]],
-    record: Mapping[str, Any],
-    tables: Callable[[], Sequence[tuple[str, str]]],
-    jobs: Sequence[Job] | None,
-    firsts: Mapping[int, Outcomes] = MappingProxyType({}),
-    labels: Sequence[str] = (),
-) -> dict[str, Any]:
+    figures: Mapping[str, Callable[[], Any]], record: Mapping[str, Any],
+    tables: Callable[[], Sequence[tuple[str, str]]], jobs: Sequence[Job] | None,
+    firsts: Mapping[int, Outcomes] = MappingProxyType({}), labels: Sequence[str] = (),
+) -> dict[str, Any]:  # fmt: skip
     """Return pictures and the page of a run: name -> content.
 
     `figures` are name -> function that draws it, `record` the content of run.json, `tables` a function that returns the

@@ -1,6 +1,5 @@
 """Common code of results of several strategies: their episodes by strategy, and tables as text and files."""
 
-import abc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,11 +9,10 @@ import pandas as pd
 
 from jexplore.config import checked_names, unknown
 from jexplore.report import store
-from jexplore.report.tables import latex_table
 
 
 @checked_names
-class ByStrategy(abc.ABC):
+class ByStrategy:
     """Results that are iterated over by the names of their strategies, each with its own table of episodes.
 
     for name in results:
@@ -47,20 +45,9 @@ class ByStrategy(abc.ABC):
 
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str | None:
         """Format the table of episodes as comma-separated values: the text, or None if it is written to a path."""
-        return _written(self.episodes.to_csv(index=False), path)
-
-    def to_latex(self, path: str | os.PathLike[str] | None = None) -> str | None:
-        r"""Format the summary as a LaTeX table, for `\usepackage{booktabs}`: text, or None if written to a path."""
-        return _written(self._summary_text(latex_table), path)
-
-    @abc.abstractmethod
-    def _summary_text(self, as_text) -> str:
-        """Return the table of the summary, as `as_text` writes it."""
-
-
-def _written(text, path):
-    if path is None:
-        return text
-    with store.atomic(Path(os.path.expanduser(path))) as part:
-        part.write_text(text, encoding="utf-8")
-    return None
+        text = self.episodes.to_csv(index=False)
+        if path is None:
+            return text
+        with store.atomic(Path(os.path.expanduser(path))) as part:
+            part.write_text(text, encoding="utf-8")
+        return None

@@ -96,15 +96,11 @@ def unit_table(job: Job, found: Outcomes) -> pd.DataFrame:
 
 
 def make_units(
-    work: Work[Any],
-    jobs_of: Callable[[int], Sequence[Job]],
-    table_of: Callable[[int, Sequence[tuple[Job, Outcomes]]], Any],
-    *,
-    windows: Callable[[Sequence[int]], Iterable[Sequence[int]]] = lambda left: [left],
-    resumed: int = 0,
-    on_progress: Callable[[int], object] | None = None,
-    **how: Any,
-) -> Costs:
+    work: Work[Any], jobs_of: Callable[[int], Sequence[Job]],
+    table_of: Callable[[int, Sequence[tuple[Job, Outcomes]]], Any], *,
+    windows: Callable[[Sequence[int]], Iterable[Sequence[int]]] = lambda left: [left], resumed: int = 0,
+    on_progress: Callable[[int], object] | None = None, **how: Any,
+) -> Costs:  # fmt: skip
     """Make the units that are left, of one run or of one after the other; return the costs.
 
     Args:
@@ -154,13 +150,9 @@ class Ran(NamedTuple):
 
 
 def run_units(
-    jobs: Sequence[Job],
-    *,
-    ledger: Ledger | None = None,
-    on_progress: Callable[[int], object] | None = None,
-    settled: Callable[[list[pd.DataFrame]], set[str]] | None = None,
-    **how: Any,
-) -> Ran:
+    jobs: Sequence[Job], *, ledger: Ledger | None = None, on_progress: Callable[[int], object] | None = None,
+    settled: Callable[[list[pd.DataFrame]], set[str]] | None = None, **how: Any,
+) -> Ran:  # fmt: skip
     """Run every episode of every job, with its scanner and rules, that the ledger does not have.
 
     `settled` is asked after each phase with all units made: it names the worlds that need no more episodes.

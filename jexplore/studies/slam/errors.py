@@ -44,9 +44,6 @@ def read_relations(path: str | os.PathLike[str], times: np.ndarray, offset_s: fl
       times: `[N]` float64, of the scans, seconds.
       offset_s: what the file's times have more than these.
 
-    Raises:
-      InputError: the file cannot be read, a line is no relation, or no line belongs to two scans.
-
     Source:
       Kümmerle et al., On measuring the accuracy of SLAM algorithms (2009).
     """

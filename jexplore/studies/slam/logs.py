@@ -128,9 +128,6 @@ def slam(
     Returns:
       `SlamResult`. After Ctrl-C it holds the scans taken in.
 
-    Raises:
-      InputError: no such log, a bad number, or no relation of two scans.
-
     Warns:
       InputWarning: no odometry, poses that may be corrected in its place, or scans out of order.
 

@@ -1,7 +1,7 @@
 """Episodes of a comparison as a table: means, paired ratios, and warnings about unequal coverage."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -95,8 +95,8 @@ def summarise(episodes: pd.DataFrame, metrics: Sequence[str] = ()) -> pd.DataFra
     return found
 
 
-def markdown_table(summary: Any, *, as_text: Callable[..., str] = aligned_table) -> str:
-    """Format a summary from `summarise` as one Markdown table, or what `as_text` makes; missing values are `-`."""
+def markdown_table(summary: Any) -> str:
+    """Format a summary from `summarise` as one Markdown table; missing values are `-`."""
     widths_m = [high - low for low, high in zip(summary["ci_low"], summary["ci_high"]) if math.isfinite(high - low)]
     decimals = 1 if widths_m and min(widths_m) >= 1 else 2
     head = ["world", "strategy", "n", "path m", "95 % interval", "ratio to the first", "p (Holm)"]
@@ -112,7 +112,7 @@ def markdown_table(summary: Any, *, as_text: Callable[..., str] = aligned_table)
         line += [number_text(row.explored_fraction, 3), number_text(row.exhausted, 1), number_text(row.room_entries, 1)]
         line += [f"{getattr(row, name):.4g}".replace("nan", "-") for name in metrics]
         lines.append([*line, row.outcomes])
-    return as_text([*head, *metrics, "outcomes"], lines, left=("world", "strategy", "outcomes"))
+    return aligned_table([*head, *metrics, "outcomes"], lines, left=("world", "strategy", "outcomes"))
 
 
 def path_at_equal_coverage(progress: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -132,45 +132,10 @@ def profile_figure(episodes: pd.DataFrame, *, over: str = "best") -> Figure:
     return curves.profile_curves_figure(table, over=over)
 
 
-def _label(value, ratio, episodes) -> str:
-    name = {"path_m": "path length (m)", "explored_fraction": "explored share"}.get(value) or str(value)
-    return f"{name.removesuffix(' (m)')} over that of {episodes['strategy'].iloc[0]}" if ratio else name
-
-
-def _averaged(episodes, table, *own) -> str:
-    """Return a line that names the settings over which a table from `response` averages."""
-    others = (name for name in setting_columns(episodes) if name not in own)
-    varied = [name for name in others if episodes[name].nunique(dropna=False) > 1]
+def response_figure(episodes: pd.DataFrame, setting: str, *, over_worlds: bool | None = None) -> Figure:
+    """Draw the mean path over one setting, a line a strategy and a panel a world; arguments of `response.response`."""
+    table = response(episodes, setting, over_worlds=over_worlds)
+    varied = [name for name in setting_columns(episodes) if name != setting and len(set(episodes[name])) > 1]
     what = "worlds" if ALL_WORLDS in set(table["world"]) else "starts"
-    return f"means over {table['n'].max()} {what}" + (f" and all values of {', '.join(varied)}" if varied else "")
-
-
-def response_figure(
-    episodes: pd.DataFrame, setting: str, *, value: str = "path_m", ratio: bool = False, **how: Any
-) -> Figure:
-    """Draw curves of a mean or a paired ratio over one setting, one line a strategy, one panel a world.
-
-    `how` (`over_worlds`, `bins`) and the other arguments are those of `response.response`.
-    """
-    table = response(episodes, setting, value=value, ratio=ratio, **how)
-    averaged = f"{_averaged(episodes, table, setting)}, with 95 % intervals"
-    label = _label(value, ratio, episodes)
-    return sweeps.response_curves_figure(table, setting, label=label, ratio=ratio, averaged=averaged)
-
-
-def heat_figure(
-    episodes: pd.DataFrame, x: str, y: str, *, value: str = "path_m", ratio: bool = False, **how: Any
-) -> Figure:
-    """Draw colours of a mean or a paired ratio over two settings, one panel a strategy, a row a world.
-
-    Arguments are those of `response.response`; `x` and `y` are two different settings.
-    """
-    if x == y:
-        raise InputError(f"x and y must be two settings, got {x!r} twice")
-    table = response(episodes, [x, y], value=value, ratio=ratio, **how)
-    if ratio:
-        table = table[(table["strategy"] != episodes["strategy"].iloc[0]).to_numpy()]
-    if not len(table):
-        raise InputError("episodes must be of two strategies or more for ratios, got one")
-    averaged = _averaged(episodes, table, x, y)
-    return sweeps.heat_maps_figure(table, x, y, label=_label(value, ratio, episodes), ratio=ratio, averaged=averaged)
+    averaged = f"means over {table['n'].max()} {what}" + (f" and all values of {', '.join(varied)}" if varied else "")
+    return sweeps.response_curves_figure(table, setting, averaged=f"{averaged}, with 95 % intervals")

@@ -20,14 +20,7 @@ from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import join_strategies
 from jexplore.raycast import scans_all_round
 from jexplore.rules import Lidar, Rules
-from jexplore.studies.checks import (
-    measures_of,
-    ready_starts,
-    ready_strategies,
-    ready_worlds,
-    require_different_buildings,
-    require_memory,
-)
+from jexplore.studies import checks
 from jexplore.studies.metrics import ready_metrics
 from jexplore.studies.results.provenance import own_digests, world_digest
 from jexplore.studies.results.units import CELL_S, MIN_UNIT_EPISODES, UNIT_S
@@ -107,7 +100,7 @@ class SweepPlan:
     @functools.cached_property
     def measures(self) -> list[str]:
         """Return columns of measures that some of its episodes have."""
-        return list(dict.fromkeys(name for *_, rules in self.records for name in measures_of(rules)))
+        return list(dict.fromkeys(name for *_, rules in self.records for name in checks.measures_of(rules)))
 
     @functools.cached_property
     def kinds(self) -> dict[str, str]:
@@ -144,7 +137,7 @@ class SweepPlan:
                 kinds.setdefault(key, (world, cell_m, lidar, rules))
         for world, cell_m, lidar, rules in kinds.values():
             for strategy in self.strategies:
-                own = {"lidar": lidar, "rules": rules, "metrics": self.metrics | measures_of(rules)}
+                own = {"lidar": lidar, "rules": rules, "metrics": self.metrics | checks.measures_of(rules)}
                 yield Job(self.world(world, cell_m), strategy, np.zeros((0, 3), int), **own)
 
     def size(self, unit: int) -> int:
@@ -173,20 +166,20 @@ class SweepPlan:
         team = team_of(self.settings[block.setting])
         strategy = (self.strategies if team else self.together)[block.strategy]
         robot = robot_of(self.settings[block.setting])
-        metrics = self.metrics | measures_of(rules)
+        metrics = self.metrics | checks.measures_of(rules)
         job = Job(world, strategy, starts, seed, block.first, lidar, rules, phase, metrics, robot)
         return team_jobs([job], **team)[0]
 
 
 @functools.lru_cache(maxsize=256)
 def _loaded(name, cell_m):
-    return ready_worlds([name], cell_m)[0]
+    return checks.ready_worlds([name], cell_m)[0]
 
 
 @functools.lru_cache(maxsize=4096)
 def _starts(name, cell_m, seed, clearance_m, near_m, n, start):
     rules = Rules(clearance_m=clearance_m, near_m=near_m)
-    return ready_starts(_loaded(name, cell_m), start, n, seed=seed, rules=rules)
+    return checks.ready_starts(_loaded(name, cell_m), start, n, seed=seed, rules=rules)
 
 
 def _start_of(spec):
@@ -205,17 +198,13 @@ def column_type(values: Sequence[Any]) -> str:
 
 
 def prepare_sweep(spec: Sweep) -> SweepPlan:
-    """Check a sweep and cut its work, before anything is compiled.
-
-    Raises:
-      InputError: what cannot be run, in one line.
-    """
+    """Check a sweep and cut its work, before anything is compiled."""
     names = [os.fspath(world) for world in spec.worlds]
     require_different("worlds", names)
     _loaded.cache_clear()  # a file may have changed since
     _starts.cache_clear()
     settings, records, listed = spec.expanded(), spec.records(), spec.strategy_list()
-    strategies = ready_strategies([name for name, _ in listed])
+    strategies = checks.ready_strategies([name for name, _ in listed])
     total = spec.episodes * len(settings) * len(spec.worlds) * len(strategies)
     if total > MAX_TOTAL:
         raise InputError(f"a sweep may have {MAX_TOTAL:,} episodes, got {total:,}; use fewer settings or episodes")
@@ -225,14 +214,14 @@ def prepare_sweep(spec: Sweep) -> SweepPlan:
             loaded = _loaded(name, cell_m)
             shapes[world, cell_m] = ringed_shape(loaded.occupied)
             digests.append(world_digest(loaded))
-    require_different_buildings(_loaded(names[world], cell_m) for world, cell_m in shapes)
+    checks.require_different_buildings(_loaded(names[world], cell_m) for world, cell_m in shapes)
     checked = set()
     for seed, cell_m, lidar, rules in records:
         for name in names:
             _starts(name, cell_m, seed, rules.clearance_m, rules.near_m, 1, _start_of(spec))
             if (name, cell_m, lidar, rules.max_steps) not in checked:
                 checked.add((name, cell_m, lidar, rules.max_steps))
-                require_memory(_loaded(name, cell_m), lidar, rules)
+                checks.require_memory(_loaded(name, cell_m), lidar, rules)
     units, programs = _cut(spec, settings, records, shapes, len(strategies), total)
     parameters, metrics = [own for _, own in listed], ready_metrics(spec.metrics)
     plan = SweepPlan(spec, settings, records, strategies, parameters, shapes, digests, units, programs, metrics)

@@ -2,10 +2,9 @@
 
 import dataclasses
 import functools
-import itertools
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -68,24 +67,11 @@ class SweepResult(ByStrategy):
         measures = (name for name in (*MEASURES, *TEAM_MEASURES[1:]) if name in self.episodes)
         return summarise(self.episodes, self.columns, self.reference, (*self.spec.metrics, *measures))
 
-    def _summary_text(self, as_text):
-        return summary_table(self.summary, self.varied, as_text)
-
     def plot(self) -> "Figure":
-        """Draw the first of `figures`, as a matplotlib `Figure`: mean paths along the first number that is varied.
-
-        Raises:
-          InputError: no number is varied.
-        """
+        """Draw the first of `figures`, as a matplotlib `Figure`: mean paths along the first number that is varied."""
         for make in self.figures().values():
             return shown_figure(make())
         raise InputError("a sweep is drawn along a number that is varied, and this one has none: see to_pandas()")
-
-    def to_xarray(self) -> Any:
-        """Convert the table to an `xarray.Dataset` with labelled dimensions: see `labelled.of_sweep`."""
-        from jexplore.studies.results import labelled
-
-        return labelled.of_sweep(self)
 
     def to_markdown(self, rows: int | None = None) -> str:
         """Format the summary as a Markdown table, at most `rows` rows and a line with the number of rows left out."""
@@ -105,17 +91,11 @@ class SweepResult(ByStrategy):
         return [name for name in some if len(self.episodes[name].drop_duplicates()) > 1]
 
     def figures(self) -> dict[str, Callable[[], Any]]:
-        """Return pictures of the sweep, of the first varied numbers: name of a file -> function that draws it."""
+        """Return pictures of the sweep, of the first varied number: name of a file -> function that draws it."""
         from jexplore.studies.statistics import figures
 
-        numbers = [name for name in self.varied if self.episodes[name].dtype.kind in "iuf"]
-        there, drawn = cast(Any, self.episodes.notna()), {}
-        for name in numbers[:1]:
-            drawn["sweep.png"] = functools.partial(figures.response_figure, self.episodes, name)
-        pairs = (pair for pair in itertools.combinations(numbers, 2) if there[[*pair]].all(axis=1).any())
-        for pair in itertools.islice(pairs, 1):  # that some strategy has both of
-            drawn["sweep-map.png"] = functools.partial(figures.heat_figure, self.episodes, *pair)
-        return drawn
+        first = next((name for name in self.varied if self.episodes[name].dtype.kind in "iuf"), None)
+        return {} if first is None else {"sweep.png": lambda: figures.response_figure(self.episodes, first)}
 
     def _repr_markdown_(self):
         return self.to_markdown(SHOWN_ROWS)
@@ -151,8 +131,8 @@ def summarise(episodes: pd.DataFrame, columns: Sequence[str], first: str, metric
     return pd.DataFrame(rows)
 
 
-def summary_table(summary: Any, varied: Sequence[str], as_text: Callable[..., str] = aligned_table) -> str:
-    """Format rows of `SweepResult.summary` as Markdown, or by `as_text` from names of columns and texts of rows."""
+def summary_table(summary: Any, varied: Sequence[str]) -> str:
+    """Format rows of `SweepResult.summary` as Markdown."""
     head = ["world", *varied, "strategy", "n", "path m", "ratio to the first", "explored", "COMPLETE"]
     metrics = list(summary)[list(summary).index("complete") + 1 :]
     lines = []
@@ -161,7 +141,7 @@ def summary_table(summary: Any, varied: Sequence[str], as_text: Callable[..., st
         line += [spread_text(row["mean"], row["sd"]), ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"])]
         line += [number_text(row["explored_fraction"], 3), f"{100 * row['complete']:.0f}%"]
         lines.append([*line, *(_value_text(row[name]) for name in metrics)])
-    return as_text([*head, *metrics], lines, left=("world", "strategy"))
+    return aligned_table([*head, *metrics], lines, left=("world", "strategy"))
 
 
 def _value_text(value):
@@ -197,13 +177,9 @@ def _unit_table(plan, number, made):
 
 
 def run_sweep(
-    plan: SweepPlan,
-    *,
-    ledger: Ledger | None = None,
-    shard: tuple[int, int] | None = None,
-    on_progress: Callable[[int], object] | None = None,
-    **how: Any,
-) -> SweepResult:
+    plan: SweepPlan, *, ledger: Ledger | None = None, shard: tuple[int, int] | None = None,
+    on_progress: Callable[[int], object] | None = None, **how: Any,
+) -> SweepResult:  # fmt: skip
     """Run the units of a sweep that the ledger, which stores them as they are finished, does not have.
 
     With a shard `(i, n)` only every n-th unit, from the i-th on. After Ctrl-C the result holds the units that were
@@ -264,26 +240,15 @@ def whole_table(tables: Sequence[pd.DataFrame], plan: SweepPlan) -> pd.DataFrame
 
 @checked_names
 def sweep(
-    spec: Sweep | Mapping[str, Any] | str | os.PathLike[str],
-    *,
-    engine: str = "auto",
-    lanes: int | None = None,
-    workers: int | None = None,
-    on_progress: Callable[[int], object] | None = None,
-    progress: bool | None = None,
-) -> SweepResult:
+    spec: Sweep | Mapping[str, Any] | str | os.PathLike[str], *, engine: str = "auto", lanes: int | None = None,
+    workers: int | None = None, on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
+) -> SweepResult:  # fmt: skip
     """Compare strategies over many settings.
 
     Args:
       spec: a `Sweep`, a mapping of its fields, or a YAML file. `jexplore sweep` keeps what it finishes; this does not.
       engine, lanes, workers, on_progress: as in `run_sweep`.
       progress: whether a bar shows how much is finished; by default in notebooks.
-
-    Returns:
-      `SweepResult`.
-
-    Raises:
-      InputError: what cannot be run, in one line. Raised before anything is compiled.
     """
     require_engine(engine, lanes)
     if isinstance(spec, (str, os.PathLike)):

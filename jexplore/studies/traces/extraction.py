@@ -14,7 +14,7 @@ from jexplore.report import plot_traces
 from jexplore.rooms.watershed import CLUTTER_M
 from jexplore.studies import explore
 from jexplore.studies.explore import EpisodeResult
-from jexplore.studies.traces.odometry_map import walls_in_frame
+from jexplore.studies.traces.recording import walls_in_frame
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.world import World, ring_of, with_ring
 

@@ -75,12 +75,6 @@ def follow(
       cell_m: edge of a cell of the world, metres.
       workers: see `runner.find_resources`.
       on_progress: called with the number of finished routes.
-
-    Returns:
-      `FollowResult`.
-
-    Raises:
-      InputError: no route, one without a link or of another map, or a start where the robot does not fit.
     """
     world = with_ring(*checks.ready_worlds([world], cell_m))
     body, tuning, noise = _checked(world, btm, found, robot, tuning, noise)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from jexplore import btm
 from jexplore.driving import behaviour, events, mission, vehicle
 from jexplore.driving.batch import Driven, step_slots
-from jexplore.driving.building.walls import segments
+from jexplore.driving.building.walls import segments, walls_of
 from jexplore.driving.local.run import LocalRun
 from jexplore.driving.mission import RunOutcome
 from jexplore.driving.params.tree import using
@@ -22,6 +22,7 @@ from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.report.operator_view import RunRecording
 from jexplore.studies.traces.job import TraceJob
 from jexplore.worlds.readers.scans import ScanLog
+from jexplore.worlds.world import World
 
 TRIANGLES = 8  # most that are shown of a scan
 MODE_NAMES = tuple(mode.name.lower().replace("_", " ") for mode in RunMode)
@@ -81,9 +82,21 @@ def in_world_frame(poses: ArrayLike, origin_m: tuple[float, float]) -> np.ndarra
     return np.asarray(poses) + np.array([*origin_m, 0.0], np.float32)
 
 
+def walls_in_frame(world: World) -> np.ndarray:
+    """Return the true walls in the world's frame: `[S, 4]`, metres."""
+    return segments(walls_of(world.occupied, world.cell_m)) + np.tile(np.asarray(world.origin_m), 2)
+
+
 def wall_lines(plan: TraceJob) -> np.ndarray:
     """Return the building's walls in the world's frame: `[S, 4]`, metres."""
     return segments(plan.building.walls) + np.tile(np.asarray(plan.world.origin_m), 2)
+
+
+def beam_ends(log: ScanLog, poses: np.ndarray) -> np.ndarray:
+    """Return the ends of beams, seen from poses: `[N, B, 2]`, metres; the poses themselves for a beam without echo."""
+    angle = poses[:, 2:] + log.angles_rad
+    length = np.where(log.echo, log.ranges, 0)
+    return poses[:, None, :2] + length[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 @pinned_draws()
@@ -177,12 +190,16 @@ def _frames_by_map(plan, on_progress):
         n, (estimate, truth, mode) = len(frames), run.pilot.way[-1]
         if run.seen is not seen:
             seen = run.seen
+            for node in run.map.nodes:
+                first.setdefault(node, n)
             for exit_ in (e for node in run.map.nodes for e in node.exits):
                 first.setdefault(exit_, n)
                 if exit_.to >= 0:
                     ended.setdefault(exit_, n)
+                else:
+                    ended.pop(exit_, None)  # its end was no place
         view = {"pose": truth, "estimate": estimate, "mode": int(mode), "target": run.pilot.target}
-        frames.append({**view, "ranges_m": ranges, "n_nodes": len(run.map.nodes)})
+        frames.append({**view, "ranges_m": ranges})
         ranges = run.pilot.ranges_m
         on_progress(n + 1)
 
@@ -199,5 +216,8 @@ def _frames_by_map(plan, on_progress):
     none = np.zeros(n)
     series |= {"triangles_m": np.zeros((n, 0, 3, 2)), "chosen": np.full(n, -1), "votes": none.astype(int)}
     series |= {"pitch_deg": none, "roll_deg": none, "left_m": none + np.inf, "right_m": none + np.inf}
-    series |= {"n_links": np.searchsorted(came[order], np.arange(n), side="right"), "link_searched_frame": end[order]}
+    nodes = [first.get(node, n) for node in run.map.nodes[: len(found.nodes)]]
+    counts = {"n_nodes": nodes, "n_links": came[order]}
+    series |= {name: np.searchsorted(at, np.arange(n), side="right") for name, at in counts.items()}
+    series |= {"link_searched_frame": end[order]}
     return series, dataclasses.replace(found, links=links)

@@ -25,14 +25,9 @@ MAX_LISTED_IDS = 12  # ids of nodes that a message lists
 
 @checked_names
 def route(
-    btm: BtmMap,
-    robot: str | Robot,
-    start: RoutePlace,
-    end: RoutePlace,
-    *,
-    known_only: bool = False,
+    btm: BtmMap, robot: str | Robot, start: RoutePlace, end: RoutePlace, *, known_only: bool = False,
     within_m: float = WITHIN_M,
-) -> Route:
+) -> Route:  # fmt: skip
     """Find the shortest way over links that a robot may use.
 
     Args:
@@ -45,9 +40,6 @@ def route(
 
     Returns:
       `Route`; of equal lengths, in whole millimetres, the one with the fewest links, then with the lowest ids in order.
-
-    Raises:
-      InputError: not a proper map, no such robot or node, no node near the place.
     """
     return routes(btm, [robot], [(start, end)], known_only=known_only, within_m=within_m)[0][0]
 

@@ -41,9 +41,6 @@ def station(maps: Sequence[BtmMap], names: Sequence[str] | None = None, *, title
 
     Returns:
       The page, text, plain ASCII.
-
-    Raises:
-      InputError: no map, names that are not as many or not different, or an improper map.
     """
     return page_from(*panels_of(maps, names), title)
 

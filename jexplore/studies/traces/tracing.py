@@ -15,7 +15,6 @@ from jexplore.config import __version__, checked_names, require_engine
 from jexplore.driving import vehicle
 from jexplore.driving.batch import Driven, outcome_names
 from jexplore.driving.local.batch import require_cpu
-from jexplore.driving.records import RunMode
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.runner import Costs
 from jexplore.report import store
@@ -151,12 +150,6 @@ def trace(
       engine, lanes, workers: see `runner.find_resources`; results are equal but for rounding.
       on_progress: called with the number of finished runs.
       progress: show a bar; by default in notebooks.
-
-    Returns:
-      `TraceResult`.
-
-    Raises:
-      InputError: the reason why it cannot run, in one line.
     """
     require_engine(engine, lanes)
     plan = prepare_trace(
@@ -180,14 +173,6 @@ def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
         node = int(np.nanargmin(np.hypot(*(at - place).T)))
         found = found.with_attributes({name: value}, node=node)
     return found
-
-
-def _helps(help_at, origin_m):
-    """Describe the first operator helps: text."""
-    return "; ".join(
-        f"({x + origin_m[0]:.2f}, {y + origin_m[1]:.2f}) m at {step * vehicle.DT_S:.0f} s, {RunMode(int(mode)).name}"
-        for x, y, step, mode in help_at[np.isfinite(help_at[:, 0])]
-    )
 
 
 def trace_table(
@@ -218,7 +203,6 @@ def trace_table(
             "steps": result.steps,
             "time_s": result.steps * vehicle.DT_S,
             **{name: getattr(result, name) for name in ("path_m", "contacts", "refused", "interventions")},
-            "helped_at": [_helps(of_run, plan.world.origin_m) for of_run in result.help_at],
             "junctions": int((~is_door).sum()),
             "junctions_reached": marks[:, ~is_door].sum(axis=1),
             "doors": int(is_door.sum()),

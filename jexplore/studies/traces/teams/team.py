@@ -166,12 +166,6 @@ def trace_team(
       world, robot, seed, tuning, noise, cell_m, max_steps, attributes, nodes, links: see `prepare_trace`.
       perception: see `prepare_trace`.
       engine, lanes, workers, on_progress, progress: see `trace`.
-
-    Returns:
-      `TraceTeamResult`.
-
-    Raises:
-      InputError: the reason why it cannot run, in one line.
     """
     require_engine(engine, lanes)
     read_reach(contact)

@@ -6,16 +6,15 @@ import functools
 import math
 import multiprocessing
 import os
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from parts.dare import planners, rules
 from scipy import stats
 
-from jexplore.config import InputError, checked_names, require_whole, unknown
+from jexplore.config import InputError, require_whole
 from jexplore.report import tables
-from jexplore.studies.dare import planners, rules
 from jexplore.studies.statistics.paired import t_interval
 
 MAPS = 100
@@ -68,7 +67,6 @@ def run_map(file: str, seed: int, most: int = DECISIONS, *, scanner: str = "dare
     return rows
 
 
-@checked_names
 @dataclasses.dataclass(frozen=True)
 class DareResult:
     """Table I of DARE and ours."""
@@ -110,31 +108,22 @@ class DareResult:
 
 def reproduce_dare(
     maps: str | os.PathLike[str], *, episodes: int = MAPS, seed: int = 0, scanner: str = "dare",
-    workers: int | None = None, on_progress: Callable[[int], Any] | None = None,
+    workers: int | None = None,
 ) -> DareResult:  # fmt: skip
     """Run the planners of Table I on DARE's test maps.
 
     Args:
-      maps: folder of the maps, `1.png` to `100.png`, of the repository marmotlab/DARE.
+      maps: folder of the maps.
       episodes: number of maps, from the first.
       seed: all draws come from it and from the number of the map.
       scanner: one of `rules.SCANNERS`.
       workers: processes; by default one a core that this process may use.
-      on_progress: called with the number of maps that are done.
-
-    Raises:
-      InputError: a folder, map, number or scanner that cannot be used. All maps are read before any is run.
     """
-    if scanner not in rules.SCANNERS:
-        raise unknown("scanner", str(scanner), rules.SCANNERS)
     files = map_files(maps, episodes)
     for file in files:
         rules.read_map(file)
-    workers = len(os.sched_getaffinity(0)) if workers is None else require_whole("workers", workers, 1, 1024)
-    run, rows = functools.partial(run_map, seed=seed, scanner=scanner), []
+    workers = workers or len(os.sched_getaffinity(0))
+    run = functools.partial(run_map, seed=seed, scanner=scanner)
     with concurrent.futures.ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-        for i, found in enumerate(map(run, files) if workers == 1 else pool.map(run, files), 1):
-            rows += found
-            if on_progress is not None:
-                on_progress(i)
-    return DareResult(pd.DataFrame(rows))
+        found = list(map(run, files) if workers == 1 else pool.map(run, files))
+    return DareResult(pd.DataFrame([row for rows in found for row in rows]))

@@ -6,8 +6,7 @@ import math
 import numpy as np
 from scipy.spatial import KDTree
 
-from jexplore.config import checked_names, require_number
-from jexplore.driving.building.walls import segments, walls_of
+from jexplore.studies.traces.recording import beam_ends, walls_in_frame
 from jexplore.tracemap.merging.rigid import Move, fit
 from jexplore.worlds.readers.scans import ScanLog, ScanMap, fold_scans
 from jexplore.worlds.world import World
@@ -22,7 +21,6 @@ BEGINNINGS = 8  # scans from whose places an alignment begins, besides that of t
 SPACING_M = 0.02  # of the points by which walls are found
 
 
-@checked_names
 @dataclasses.dataclass(frozen=True)
 class OdometryMap:
     """A grid map drawn by odometry, held against the true building."""
@@ -39,7 +37,6 @@ class OdometryMap:
     """That turn and shift."""
 
 
-@checked_names
 def odometry_map(log: ScanLog, world: World, *, cell_m: float = 0.1, p_free: float = 0.25) -> OdometryMap:
     """Draw the grid map of a log by its odometry, as the reflection map, and compare it with the truth.
 
@@ -56,14 +53,10 @@ def odometry_map(log: ScanLog, world: World, *, cell_m: float = 0.1, p_free: flo
     Returns:
       `OdometryMap`.
 
-    Raises:
-      InputError: a bad number, or a map too large for `fold_scans`.
-
     Source:
       Holz et al. 2010, section 2.1, for the map; Besl and McKay 1992, A method for registration of 3-D shapes, for
       the alignment. Changed: in the plane, and far cells do not pull.
     """
-    require_number("p_free", p_free, high=1, high_open=True)
     drawn = fold_scans(dataclasses.replace(log, poses=log.odometry), cell_m=cell_m, no_echo_m=log.max_range_m)
     centres = occupied_centres(drawn, p_free)
     points, normals, piece = _wall_points(world)
@@ -93,11 +86,6 @@ def _beginnings(log):
         at = turned.place(own_x_m, own_y_m)
         found.append(Move(float(x_m - at[0]), float(y_m - at[1]), turned.turn_deg))
     return found
-
-
-def walls_in_frame(world: World) -> np.ndarray:
-    """Return the true walls in the world's frame: `[S, 4]`, metres."""
-    return segments(walls_of(world.occupied, world.cell_m)) + np.tile(np.asarray(world.origin_m), 2)
 
 
 def _wall_points(world):
@@ -150,10 +138,3 @@ def _doubled(log, tree, normals, piece):
     some = [own for own in np.split(across, groups[1:]) if len(own) >= MIN_BEAMS]
     spans = [np.ptp(np.percentile(own, MIDDLE)) for own in some]
     return float(np.mean(np.array(spans) > DOUBLED_M)) if spans else math.nan
-
-
-def beam_ends(log: ScanLog, poses: np.ndarray) -> np.ndarray:
-    """Return the ends of beams, seen from poses: `[N, B, 2]`, metres; the poses themselves for a beam without echo."""
-    angle = poses[:, 2:] + log.angles_rad
-    length = np.where(log.echo, log.ranges, 0)
-    return poses[:, None, :2] + length[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)

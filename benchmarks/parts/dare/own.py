@@ -4,17 +4,16 @@ The scanner's range and the cells are DARE's; a robot is a point there, and fron
 """
 
 import os
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from parts.dare import rules, table
 
-from jexplore.report import plot, tables
+from jexplore.report import tables
 from jexplore.rules import Lidar, Rules
 from jexplore.studies.bounds.beside import with_bound_ratios
 from jexplore.studies.bounds.bound import BoundsResult, bound_tasks, run_bounds
 from jexplore.studies.comparison import compare
-from jexplore.studies.dare import rules, table
 from jexplore.studies.results.columns import RATIO_COLUMNS
 from jexplore.studies.results.comparison import ComparisonResult
 from jexplore.studies.results.provenance import world_digest
@@ -46,34 +45,14 @@ def worlds_of(maps: str | os.PathLike[str], n: int) -> list[World]:
 
 
 def explore_dare(
-    maps: str | os.PathLike[str], *, episodes: int = table.MAPS, seed: int = 0, workers: int | None = None,
-    seconds: float = SECONDS, on_progress: Callable[[int], Any] | None = None,
-) -> tuple[ComparisonResult, BoundsResult]:  # fmt: skip
-    """Run `STRATEGIES` on DARE's test maps and bound the shortest walks that show all.
-
-    Args:
-      maps, episodes, seed, workers: as of `table.reproduce_dare`.
-      seconds: for the bounds of a map.
-      on_progress: called with the number of episodes and bounds that are done.
-
-    Returns:
-      The comparison, its episodes with the columns of bounds, and the bounds.
-
-    Raises:
-      KeyboardInterrupt: not all episodes were made, or no bound.
-    """
-    worlds = worlds_of(maps, episodes)
-    how: Any = {"workers": workers, "on_progress": on_progress}
+    maps: str | os.PathLike[str], *, episodes: int, seed: int = 0, workers: int | None = None
+) -> tuple[ComparisonResult, BoundsResult]:
+    """Run `STRATEGIES` on the first maps and bound the shortest walks that show all."""
     own: Any = {"start": "world", "lidar": LIDAR, "rules": RULES}
-    found = compare(worlds, STRATEGIES, episodes=1, seed=seed, cell_m=rules.CELL_M, **own, **how)
-    if found.interrupted:
-        raise KeyboardInterrupt
-    n_episodes = len(found.episodes)
-    if on_progress is not None:
-        how["on_progress"] = lambda done: on_progress(n_episodes + done)
+    worlds = worlds_of(maps, episodes)
+    found = compare(worlds, STRATEGIES, episodes=1, seed=seed, cell_m=rules.CELL_M, workers=workers, **own)
     starts: Any = [(world, world.start) for world in found.worlds]
-    bounds = run_bounds(bound_tasks(starts, LIDAR, RULES, seconds), **how)
-    return found, bounds
+    return found, run_bounds(bound_tasks(starts, LIDAR, RULES, SECONDS), workers=workers)
 
 
 def own_text(found: ComparisonResult, bounds: BoundsResult) -> str:
@@ -100,10 +79,3 @@ def own_text(found: ComparisonResult, bounds: BoundsResult) -> str:
     exact = (known["status"] == "OPTIMAL").sum()
     note = f"Lower bounds: {known['low_any_m'].mean():.1f} m in the mean, {exact} of {len(known)} exact."
     return f"# DARE's maps by our own rules\n\n{tables.aligned_table(head, rows, left=('strategy',))}\n{note}\n"
-
-
-def paths_figure(found: ComparisonResult, n: int = 3) -> Any:
-    """Draw the first maps as strategies saw them in the end, with their paths: a matplotlib `Figure`."""
-    shown = {STRATEGIES[0], "tour+recheck", "learned+recheck"}
-    first = list(found.first.items())[:n]
-    return plot.paths_figure([(world, [panel for panel in panels if panel[0] in shown]) for world, panels in first])

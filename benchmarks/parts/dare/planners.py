@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from jexplore.studies.dare import rules
-from jexplore.studies.dare.rules import Explorer
+from parts.dare import rules
+from parts.dare.rules import Explorer
 
 Plan = Callable[[Explorer, np.random.Generator], int | None]
 UTILITY_PER_M = 0.2  # decay of gain with distance; González-Baños and Latombe 2002, as Holz et al. 2010 cite it

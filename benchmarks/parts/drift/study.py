@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from parts.drift import figure as plots
+from parts.drift.odometry_map import OdometryMap, occupied_centres, odometry_map
 
-from jexplore.config import InputError, as_record, checked_names
+from jexplore.config import InputError, as_record
 from jexplore.driving.batch import Driven
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.studies.traces.job import NOISE, TraceJob, prepare_trace
-from jexplore.studies.traces.odometry_map import OdometryMap, occupied_centres, odometry_map
 from jexplore.studies.traces.recording import scans_of, wall_lines
 from jexplore.studies.traces.tracing import trace_table
 from jexplore.tracemap.record import BtmMap
@@ -48,7 +49,6 @@ class Example:
     drawn: OdometryMap
 
 
-@checked_names
 @dataclasses.dataclass(frozen=True)
 class DriftResult:
     """Result of `drift`."""
@@ -68,8 +68,6 @@ class DriftResult:
 
     def figure(self) -> "Figure":
         """Draw the three measures over every error; below the example: its grid map, and its map on the true plan."""
-        from jexplore.report.plots import drift as plots
-
         if (one := self.example) is None:
             return plots.drift_figure(self.summary, None)
         errors = [f"{plots.ERROR_NAMES.get(name, name)} {value:g}" for name, value in one.errors.items()]
@@ -84,7 +82,6 @@ class DriftResult:
         return plots.drift_figure(self.summary, pictures)
 
 
-@checked_names
 def drift(
     world: str | os.PathLike[str] | World = "course", *,
     axes: Mapping[str, Sequence[float]] | None = None, runs: int = 8, seed: int = 0,

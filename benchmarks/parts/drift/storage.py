@@ -8,7 +8,6 @@ import zlib
 import numpy as np
 from scipy import ndimage
 
-from jexplore.config import checked_names
 from jexplore.driving.settings import Tuning, for_world
 from jexplore.driving.vehicle import BEAMS
 from jexplore.extraction.extract import extract
@@ -36,7 +35,6 @@ _LINK = {"start": ("<u2", 1), "end": ("<i2", 1), "status": ("i1", 1), "start_bea
 """Fields of packed records -> type, and steps a metre or degree."""
 
 
-@checked_names
 def storage(
     world: str | os.PathLike[str] | World, btm: BtmMap | None = None, *,
     drawn: ScanMap | None = None, cell_m: float = 0.1,

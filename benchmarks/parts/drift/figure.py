@@ -59,7 +59,7 @@ def draw_cells(ax: Axes, centres: Any, cell_m: float) -> PatchCollection:
 def drift_figure(summary: Any, pictures: Pictures | None = None) -> Figure:
     """Draw a column of panels for every error: structure, coordinates, grid map; below two pictures of one run.
 
-    `summary` is from `studies.traces.drift.summarised`.
+    `summary` is from `study.summarised`.
     """
     errors = list(dict.fromkeys(summary["error"]))
     width, below = max(PANEL_IN[0] * len(errors) + 0.6, 6.4), 0.0
