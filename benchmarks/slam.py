@@ -290,7 +290,7 @@ def main(argv=None):
     levels = {name: LEVELS[name] for name in options.levels}
     if options.off is not None:
         lie_aside(options.off)
-        levels = {"exact": jx.Odometry(length=0, turn=0, heading_deg_sqrt_m=0, slip=0)}
+        levels = {f"exact, {options.off:g}": jx.Odometry(length=0, turn=0, heading_deg_sqrt_m=0, slip=0)}
     if options.episodes:
         episodes(options.worlds, options.poses, options.episodes, options.seed)
     if options.study:

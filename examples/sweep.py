@@ -29,7 +29,7 @@ def main(picture: str | None = None) -> None:
     print(f"{len(found.episodes):,} episodes; means over {len(SPEC['worlds'])} worlds:\n\n{shown.mean().round(3)}")
     if picture is not None:
         one_line = found.episodes.assign(strategy=found.episodes["strategy"].str.partition(":")[0])
-        response_figure(one_line, "strategy.weight", ratio=True, over_worlds=True).savefig(picture)
+        response_figure(one_line, "strategy.weight", over_worlds=True).savefig(picture)
 
 
 if __name__ == "__main__":

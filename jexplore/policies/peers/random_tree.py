@@ -145,7 +145,7 @@ def random_tree(
     params = Params(
         require_whole("nodes", nodes, low=1, high=MOST - 1),
         require_number("lam", lam, high=1e6),
-        require_number("edge_m", edge_m, high=100),
+        require_number("edge_m", edge_m, low_open=True, high=100),
         require_whole("min_gain", min_gain, low=1, high=2**20),
     )
     return Policy(init, _select, params, live)
