@@ -4,6 +4,7 @@ Importing this loads neither jax nor an image library; `load_world` imports what
 """
 
 import dataclasses
+import functools
 import importlib
 import inspect
 import math
@@ -15,7 +16,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from jexplore.arrays.pictures import Listing
-from jexplore.config import InputError, checked_names, require_number, require_setting
+from jexplore.config import InputError, checked_names, require_number, require_setting, require_whole
 from jexplore.users import import_object
 from jexplore.worlds import names
 from jexplore.worlds.bounds import PARAMETERS
@@ -27,16 +28,28 @@ GENERATORS = {name: f"jexplore.worlds.generators.{name}:{name}" for name in PARA
 """World name -> "module:function". The function takes a seed and keyword parameters, `cell_m` among them."""
 _OWN: dict[str, Callable[..., Any]] = {}  # name -> function of a user's, see `register_world`
 _NAME = re.compile(r"[A-Za-z_][\w-]*")
-_GRID = ("free_max", "occupied_min")
-_READERS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "image": ("images:load_image", ("free",)),
-    "movingai": ("movingai:load_movingai", ()),
-    "HouseExpo": ("houseexpo:load_houseexpo", ()),
-    "CARMEN": ("carmen:load_carmen", ("p_free", "range_m", "no_echo_m", "max_range_m")),
-    "ROS": ("ros:load_ros", _GRID),
-    "ROS bag": ("bags:load_bag", ("topic", *_GRID)),
+_GRID: dict[str, Callable[[str, Any], object]] = {
+    "free_max": functools.partial(require_whole, low=0, high=99),
+    "occupied_min": functools.partial(require_whole, low=1, high=100),
 }
-"""Kind of file -> its reader, and the parameters that it takes in a world name."""
+_FAR = functools.partial(require_number, low_open=True, high=1000)
+_READERS: dict[str, tuple[str, dict[str, Callable[[str, Any], object]]]] = {
+    "image": ("images:load_image", {"free": functools.partial(require_number, high=255)}),
+    "movingai": ("movingai:load_movingai", {}),
+    "HouseExpo": ("houseexpo:load_houseexpo", {}),
+    "CARMEN": (
+        "carmen:load_carmen",
+        {
+            "p_free": functools.partial(require_number, high=1, high_open=True),
+            "range_m": _FAR,
+            "no_echo_m": functools.partial(require_number, high=1000),
+            "max_range_m": _FAR,
+        },
+    ),
+    "ROS": ("ros:load_ros", _GRID),
+    "ROS bag": ("bags:load_bag", {"topic": lambda *_: None, **_GRID}),
+}
+"""Kind of file -> its reader, the parameters that it takes in a world name, and the function that checks a value."""
 _FILES = {
     "map.yaml": "a ROS map",
     "map.png@16x16, map.png@0.05": "a picture, with its sides in metres or its metres a pixel",
@@ -137,7 +150,7 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
 
 
 def read_name(name: str) -> tuple[names.WorldName, tuple[Any, ...] | None]:
-    """Take a world's name apart, and refuse a parameter that its generator or reader does not take.
+    """Take a world's name apart, and refuse a parameter that its generator or reader does not take or cannot use.
 
     Returns the parsed name, its parameters of the kinds that they need, and what comes after the world in the arguments
     of `regions.inside`; None where no region is chosen.
@@ -149,7 +162,10 @@ def read_name(name: str) -> tuple[names.WorldName, tuple[Any, ...] | None]:
         given = {key: _as_default(parsed, key, value, defaults[key]) for key, value in parsed.parameters.items()}
         return dataclasses.replace(parsed, parameters=given), None
     parsed, chosen = _take_inside(parsed)
-    names.require_parameters(parsed, _READERS[parsed.kind][1])
+    _, checks = _READERS[parsed.kind]
+    names.require_parameters(parsed, checks)
+    for key, value in parsed.parameters.items():
+        checks[key](f"{parsed.name!r}: {key}", value)
     if parsed.kind == "image" and parsed.scale is None:
         scale = "append @16x16 for its size in metres or @0.05 for metres a pixel"
         raise InputError(f"{parsed.name!r}: a picture needs a scale; {scale}")
