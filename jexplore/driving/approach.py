@@ -21,8 +21,6 @@ from jexplore.driving.sensing import surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, SCAN_RANGE_M, touches, towards
 
-HELPS_KEPT = 16  # helps of which place, time and run mode are kept
-
 
 class Latched(NamedTuple):
     """Outcome of one step of branch selection."""
@@ -138,7 +136,6 @@ def help_robot(state: State, senses: Senses, makes_node: Array, building: Buildi
     stray_from = jnp.where(strays, state.estimate[:2], state.stray_from)
     stray_step = jnp.where(strays, state.step, state.stray_step)
     helps = (state.step - moved_step >= P.motion.stuck_steps) | (state.step - stray_step >= P.motion.stray_steps)
-    told = jnp.stack([*state.estimate[:2], state.step.astype(jnp.float32), state.mode.astype(jnp.float32)])
     ranges = jnp.where(jnp.isnan(senses.ranges_m), 0, jnp.minimum(senses.ranges_m, SCAN_RANGE_M))
 
     def fitting(_):  # a robot that does not fit when it is turned stays as it is
@@ -161,5 +158,4 @@ def help_robot(state: State, senses: Senses, makes_node: Array, building: Buildi
         stray_step=jnp.where(helps, state.step, stray_step),
         helps=state.helps + helps,
         since_node=jnp.where(makes_node, 0, state.since_node + helps),
-        help_at=state.help_at.at[jnp.where(helps, state.helps, HELPS_KEPT)].set(told, mode="drop"),
     )

@@ -78,7 +78,6 @@ class RunResult(struct.PyTreeNode):
     contacts: Array  # int32, steps refused because of a wall
     refused: Array  # int32, steps refused because of the ground
     interventions: Array  # int32, of the operator
-    help_at: Array
     node_at: Array
     mistaken: Array
     met: Array
@@ -122,7 +121,6 @@ def initial_state(setup: Setup, building: Building, robot: Robot, start: Array) 
         stray_step=none,
         helps=none,
         since_node=none,
-        help_at=jnp.full((approach.HELPS_KEPT, 4), jnp.nan),
         node_at=jnp.full((setup.n_nodes, 2), jnp.nan).at[0].set(start[:2]),
         mistaken=none,
         met=jnp.zeros(building.marks.shape[0], bool),
@@ -304,7 +302,6 @@ def finish(setup: Setup, given: Given, state: State) -> RunResult:
         contacts=body.contacts,
         refused=body.refused,
         interventions=state.helps,
-        help_at=state.help_at,
         node_at=state.node_at.at[node].set(body.pose[:2], mode="drop"),
         mistaken=state.mistaken,
         met=state.met,

@@ -313,7 +313,6 @@ class State(struct.PyTreeNode):
     stray_step: Array  # int32, since which step
     helps: Array  # int32
     since_node: Array  # int32, of them, since the last node
-    help_at: Array  # [HELPS_KEPT, 4] float32, x, y of the first of them; step; run mode
     node_at: Array  # [N, 2] float32, where the robot truly was when it made a node
     mistaken: Array  # int32, times that it took a place for a node that truly lies elsewhere
     met: Array  # [K] bool, which of the building's marks it has been at

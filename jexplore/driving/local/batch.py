@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jexplore.config import InputError
-from jexplore.driving.approach import HELPS_KEPT
 from jexplore.driving.batch import Driven, MissionResults
 from jexplore.driving.local.pilot import RunEnded
 from jexplore.driving.local.run import LocalRun
@@ -189,7 +188,6 @@ def _results_of(run, outcome, fixed, size):
         "contacts": np.int32(now.contacts),
         "refused": np.int32(now.refused),
         "interventions": np.int32(0),
-        "help_at": np.full((HELPS_KEPT, 4), np.nan, np.float32),
         "node_at": true_places(run, size[0]),
         "mistaken": np.int32(run.mistaken),
         "met": off2 < marks[:, 2] ** 2,
