@@ -3,10 +3,10 @@
 Bircher, Kamel, Alexis, Oleynikova, Siegwart, "Receding Horizon 'Next-Best-View' Planner for 3D Exploration", ICRA 2016,
 Algorithm 1, as in their package nbvplanner, rrt.cpp, whose values are the defaults: `Gain(n_k) = Gain(n_{k-1}) +
 Visible(M, xi_k) exp(-lambda c)`, c the length of the branch up to the node. A tree grows from its node nearest to a
-drawn point, up to `edge_m` towards that, where the way is free; on beyond `nodes` nodes while none shows anything. Of
-the best branch only the first edge is driven; the others are tried first in the next tree. Changed: points are drawn
-from the cells that can be reached, not from a given box; without gain in a full tree the robot does not stop but goes
-to the nearest frontier. Left out: yaw (a scan is all round on arrival).
+drawn point, up to `edge_m` (and `LONGEST` cells) towards that, where the way is free; on beyond `nodes` nodes while
+none shows anything. Of the best branch only the first edge is driven; the others are tried first in the next tree.
+Changed: points are drawn from the cells that can be reached, not from a given box; without gain in a full tree the
+robot does not stop but goes to the nearest frontier. Left out: yaw (a scan is all round on arrival).
 """
 
 import dataclasses
