@@ -192,6 +192,19 @@ def test_by_pencil():
 # --- ends
 
 
+def test_what_is_got_can_be_written_to(env):
+    seen, info = env.reset(seed=0)
+    kept = {name: array.copy() for name, array in seen.items()}
+    action = nearest(seen)
+    for array in (*seen.values(), info["action_mask"]):
+        array[:] = 0
+    again, _, _, _, info = env.step(action)
+    assert info["valid"]
+    fresh, _ = env.reset(seed=0)
+    same(fresh, kept)
+    assert not np.array_equal(again["map"], fresh["map"])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "outcome"),

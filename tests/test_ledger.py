@@ -201,6 +201,47 @@ def test_one_whole_run_is_there_whenever_the_writer_is_ended(tmp_path, how):
         ), step
 
 
+OVERWRITES = """
+import sys
+from jexplore.config import InputError
+from jexplore.report import folders
+done = 0
+while done < 15:
+    writers = dict.fromkeys(("run.json", "episodes.parquet"), lambda path: path.write_text(f"{sys.argv[2]} {done}"))
+    try:
+        with folders.claimed(sys.argv[1], overwrite=True) as run:
+            run.write(writers)
+        done += 1
+    except InputError as error:
+        assert "is being written by" in str(error), error
+"""
+TAKES_NEW_NAMES = """
+import datetime, os, sys
+from jexplore.report import folders
+os.chdir(sys.argv[1])
+for i in range(8):
+    writers = {"run.json": lambda path: path.write_text(f"{sys.argv[2]} {i}")}
+    with folders.claimed_new("x", datetime.datetime(2026, 1, 1)) as run:
+        run.write(writers)
+"""
+
+
+@pytest.mark.slow
+def test_processes_that_write_at_once_lose_no_run(tmp_path):
+    """Two overwrite what the other has written, and are refused while the other does; three take new names."""
+    one, many = tmp_path / "one", tmp_path / "runs"
+    all_of_them = [python(OVERWRITES, one, k) for k in range(2)] + [
+        python(TAKES_NEW_NAMES, tmp_path, k) for k in range(3)
+    ]
+    for process in all_of_them:
+        process.communicate(timeout=300)
+        assert process.returncode == 0
+    assert len(set(content(one).values())) == 1
+    assert names(one) == ["episodes.parquet", "run.json"]
+    runs = sorted((folder / "run.json").read_text() for folder in many.iterdir())
+    assert runs == sorted(f"{k} {i}" for k in range(3) for i in range(8))
+
+
 def test_new_folders_are_unused_and_named_in_utc(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     early = datetime.datetime(2026, 1, 1, 1, 0, 0, tzinfo=datetime.timezone(datetime.timedelta(hours=2)))

@@ -368,6 +368,8 @@ def test_parts_that_were_not_continued_alike_do_not_merge(tmp_path, capsys, prin
     for part in (1, 2):
         sweep_part(11, "--shard", f"{part}/2", "--out", f"short{part}")
     sweep_part(20, "--shard", "2/2", "--out", "short2", "--resume")
+    assert main.main(["sweep", "s.yaml", "--shard", "1/2", "--out", "short2", "--resume"]) == 2
+    assert 'its shard is "2/2", not "1/2"' in capsys.readouterr().err
     sweep_part(20, "--shard", "1/2", "--out", "part1")
     capsys.readouterr()
     said = printed(["merge", "part1", "short2", "--out", "merged"], 2).err
