@@ -68,6 +68,18 @@ def test_a_beam_by_pencil():
     assert int(beams.fold(empty_grid((5, 8)), xy, east, silent, jnp.float32(20), extent).misses.sum()) == 1
 
 
+def test_a_beam_does_not_free_the_cell_in_which_another_one_ends():
+    """The second beam passes through the first one's last cell; of a cell that a beam ends in it tells nothing."""
+    east, xy = jnp.float32([[1, 0], [1, 0]]), jnp.float32([1.5, 2.5])
+    reading = beams.Reading(jnp.float32([2.5, 3.5]), jnp.ones(2, bool), jnp.ones(2, bool))
+    for ends_first, misses in ((False, [0, 1, 2, 2, 1, 0, 0, 0]), (True, [0, 1, 2, 2, 0, 0, 0, 0])):
+        grid = beams.fold(
+            empty_grid((5, 8)), xy, east, reading, jnp.float32(20), jnp.int32([5, 8]), ends_first=ends_first
+        )
+        np.testing.assert_array_equal(grid.hits[2], [0, 0, 0, 0, 1, 1, 0, 0])
+        np.testing.assert_array_equal(grid.misses[2], misses)
+
+
 def test_what_lies_outside_the_map_is_not_counted():
     reading = beams.Reading(jnp.float32([3.0, 9.0]), jnp.array([True, False]), jnp.ones(2, bool))
     directions = jnp.float32([[-1, 0], [0, 1]])

@@ -119,7 +119,7 @@ def cast(
 
 def fold(
     native: str, grid: Grid, xy: Array, direction: Array, reading: Any, reach: Array, extent: Array,
-    within: Array | None = None,
+    within: Array | None = None, *, ends_first: bool = False,
 ) -> tuple[Grid, Array]:  # fmt: skip
     """Return a map with readings, changed in place, and how many cells within have become known, int32; see
     `slam2d.beams.fold`.
@@ -129,7 +129,7 @@ def fold(
     within = jnp.zeros((1, 1), bool) if within is None else within
     hits, misses, fresh = call(
         native, "fold", results, *maps, xy, direction, *reading, jnp.float32(reach), within,
-        numbers(jnp.unstack(extent)), in_place=2,
+        numbers([*jnp.unstack(extent), int(ends_first)]), in_place=2,
     )  # fmt: skip
     return Grid(hits, misses), fresh[0]
 

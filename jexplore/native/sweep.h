@@ -93,7 +93,7 @@ ffi::Error Cast(Flags occupied, Reals xy, Vectors direction, Scalar reach_, Numb
   return ffi::Error::Success();
 }
 
-// `beams.fold`; also how many cells within have become known. Terms: `extent`.
+// `beams.fold`; also how many cells within have become known. Terms: `extent`, `ends_first`.
 ffi::Error Fold(Counts hits, Counts misses, Reals xy, Vectors direction, Reals distance, Bits hit, Bits speaks,
                 Scalar reach_, Flags within_, Numbers terms, ffi::Result<Counts> hits_out,
                 ffi::Result<Counts> misses_out, ffi::Result<Numbers> fresh) {
@@ -101,7 +101,10 @@ ffi::Error Fold(Counts hits, Counts misses, Reals xy, Vectors direction, Reals d
   const int width = static_cast<int>(hits.dimensions()[1]), rows = terms.typed_data()[0], cols = terms.typed_data()[1];
   const bool* within = within_.element_count() == hits.element_count() ? within_.typed_data() : nullptr;
   const float reach = *reach_.typed_data();
+  const bool ends_first = terms.typed_data()[2];
+  constexpr int kEnd = 1 << 30;  // of hits, while a scan is counted: a beam ends in the cell
   int n_fresh = 0;
+  std::vector<int> ends, passed;
   auto count = [&](int32_t* counts, const int32_t* others, int i) {
     if (counts[i]++ == 0 && others[i] == 0) n_fresh += !within || within[i];
   };
@@ -109,7 +112,7 @@ ffi::Error Fold(Counts hits, Counts misses, Reals xy, Vectors direction, Reals d
     return (beams.row >= 0) & (beams.row < rows) & (beams.col >= 0) & (beams.col < cols);
   };
   ForBeams(xy, direction, width, [&](int first, int n, Beams beams) {
-    if (first == 0 && is_inside(beams)[0]) count(missed_at, hit_at, beams.cell[0]);
+    if (first == 0 && is_inside(beams)[0]) passed.push_back(beams.cell[0]);
     Floats limit{};
     Ints going{};
     for (int j = 0; j < n; ++j) {
@@ -123,10 +126,15 @@ ffi::Error Fold(Counts hits, Counts misses, Reals xy, Vectors direction, Reals d
       beams.Go();
       const Ints passes = 0.5f * (entry + beams.entry) < limit;
       for (int j = 0; j < n; ++j)
-        if (counted[j]) passes[j] ? count(missed_at, hit_at, cell[j]) : count(hit_at, missed_at, cell[j]);
+        if (counted[j]) (passes[j] ? passed : ends).push_back(cell[j]);
       going &= passes & (beams.entry < reach);
     }
   });
+  for (int i : ends) hit_at[i] |= ends_first ? kEnd : 0;
+  for (int i : passed)
+    if (hit_at[i] < kEnd) count(missed_at, hit_at, i);
+  for (int i : ends) hit_at[i] &= ~kEnd;
+  for (int i : ends) count(hit_at, missed_at, i);
   fresh->typed_data()[0] = n_fresh;
   return ffi::Error::Success();
 }

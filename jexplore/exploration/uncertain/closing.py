@@ -86,7 +86,8 @@ def _map_of(given: Given, belief: Belief, mapping: Mapping) -> Grid:
         pose = jnp.stack([x / cell_m, y / cell_m, angle - heading * EIGHTH])
         reading = Reading(distance, jnp.isfinite(distance), ~jnp.isnan(distance))
         direction = beams_of(own, heading % 8, pose)
-        return fold(grid, pose[:2], direction, reading, own.reach, belief.extent, belief.model.native)
+        terms = direction, reading, own.reach, belief.extent, belief.model.native
+        return fold(grid, pose[:2], *terms, ends_first=True)
 
     last = jnp.minimum(mapping.n_keys, len(mapping.pose_of)) - 1
     return lax.fori_loop(0, last, put, blank_grid(given))

@@ -57,8 +57,9 @@ def look(setup: Setup, given: Given, state: State, when: Array) -> State:
             belief = belief.replace(row=row, col=col, heading=heading)
         direction = beams_of(own, heading, poses.estimate)
         grid = beams.fold(
-            belief.grid, poses.estimate[:2], direction, reading, own.reach, belief.extent, belief.model.native
-        )
+            belief.grid, poses.estimate[:2], direction, reading, own.reach, belief.extent, belief.model.native,
+            ends_first=True,
+        )  # fmt: skip
         return belief.replace(grid=grid), poses, n_known, heading
 
     belief, poses, n_known, heading = run_if(when, scanned, parts)
