@@ -79,8 +79,6 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
     tuned: TunedFile = None
     """Give strategies the settings that `jexplore tune` wrote into this file; shipped: the file that comes with the
     package."""
-    waste: bool = False
-    """Also say where path is wasted: what shows nothing new, and visits to leftovers; keeps every way."""
     bounds: bool = False
     """Also find the shortest path of a robot that knows the map from each start, as `jexplore bound` does, and compare
     every path with it; writes bounds.parquet."""
@@ -110,10 +108,6 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
         require_until(self.until)
         if self.until and self.bounds:
             raise InputError("bounds are of all starts: leave out --until or --bounds")
-        if self.robots and self.waste:
-            raise InputError("--waste is of one robot: leave out --robots")
-        if self.waste:
-            self.rules.require_lattice("waste is")
         with Out(self, "compare") as out:
             jobs = prepare_jobs(
                 worlds,
@@ -148,12 +142,10 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
         return bound_tasks(pairs, self.lidar, self.rules, self.bound_seconds)
 
     def _beside(self, found, tasks, out):
-        """Complete a comparison and its files by waste and bounds; the last is False after an interruption."""
+        """Complete a comparison and its files by bounds; the last is False after an interruption."""
         from jexplore.studies.bounds.bound import run_bounds
 
         files, is_whole = {}, not found.interrupted
-        if self.waste:
-            found = dataclasses.replace(found, episodes=found.wasted)
         if tasks and is_whole:
             try:
                 with working(len(tasks), "starts") as on_progress:
@@ -176,17 +168,14 @@ def _text(found, league, asked):
 
 
 def _more_tables(episodes, league):
-    """Format tables of waste or bounds, if episodes have their columns: text; a league's by strategy."""
+    """Format the table of bounds, if episodes have their columns: text; a league's by strategy."""
     from jexplore.studies.bounds import beside
-    from jexplore.studies.results.columns import RATIO_COLUMNS, WASTE_COLUMNS
-    from jexplore.studies.statistics import waste
+    from jexplore.studies.results.columns import RATIO_COLUMNS
 
-    text, by = "", ["strategy"] if league else ["world", "strategy"]
-    if WASTE_COLUMNS[0] in episodes:
-        text += f"\nWhere path is wasted:\n\n{waste.waste_table(episodes, by)}"
-    if RATIO_COLUMNS[0] in episodes:
-        text += f"\nCompared with the shortest walks of one that knows the map:\n\n{beside.beside_table(episodes, by)}"
-    return text
+    if RATIO_COLUMNS[0] not in episodes:
+        return ""
+    table = beside.beside_table(episodes, ["strategy"] if league else ["world", "strategy"])
+    return f"\nCompared with the shortest walks of one that knows the map:\n\n{table}"
 
 
 def _tables(found, record):
@@ -207,7 +196,7 @@ def run_with_bar(
     """
     from jexplore.studies.results import comparison, provenance, units
 
-    how = {"keep": "paths" if getattr(options, "waste", False) else None, "until": getattr(options, "until", None)}
+    how = {"until": getattr(options, "until", None)}
     asked = provenance.asked(jobs, **how)
     asked |= {"bound_seconds": starts[0].seconds if starts else None} if hasattr(options, "bounds") else {}
     ledger = out.keep(asked, lambda n: len(units.cut_jobs(jobs, n)) + len(starts))

@@ -26,7 +26,7 @@ from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.studies.results.details import EXTRAS, Seen, parts_of
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import Ran, run_units
-from jexplore.studies.statistics import by_world, figures, sequential, sizes, teams, waste
+from jexplore.studies.statistics import by_world, figures, sequential, sizes, teams
 from jexplore.studies.statistics.coverage import at_coverage, coverage_text
 from jexplore.studies.statistics.league import over_worlds_text, standings, standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
@@ -111,11 +111,6 @@ class ComparisonResult(ByStrategy):
     def at_coverage(self) -> pd.DataFrame:
         """Tabulate ratios of paths and times to shares of a world: see `coverage.at_coverage`."""
         return at_coverage(self.episodes)
-
-    @functools.cached_property
-    def wasted(self) -> pd.DataFrame:
-        """Add the wasted part of each path to the table of episodes, with `keep="paths"`: see `waste.wasted`."""
-        return waste.wasted(self.episodes, self.paths, {world.name: world.cell_m for world in self.worlds})
 
     @functools.cached_property
     def warnings(self) -> list[str]:
