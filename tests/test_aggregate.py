@@ -1,4 +1,4 @@
-"""Chances of a shorter path, interquartile means, profiles, sizes of samples: by hand, against scipy, by laws."""
+"""Chances of a shorter path, interquartile means, sizes of samples: by hand, against scipy, by laws."""
 
 import math
 
@@ -11,7 +11,7 @@ from ref.refusals import refused
 from scipy import stats as scipy_stats
 
 from jexplore.studies.statistics import aggregate, league, sizes
-from jexplore.studies.statistics.aggregate import improvement, interquartile_mean, profiles, scores_of
+from jexplore.studies.statistics.aggregate import improvement, interquartile_mean, scores_of
 from jexplore.studies.statistics.over_worlds import comparable_paths, share_over_worlds
 from jexplore.studies.statistics.paired import paired_ratio
 from jexplore.studies.statistics.sizes import sample_size, worlds_needed
@@ -98,7 +98,6 @@ def test_one_world_or_none_has_no_interval():
     assert np.isnan(share_over_worlds([0.7], ["x"])[1:]).all()
     assert np.isnan(share_over_worlds([], [])).all()
     assert interquartile_mean([]).n == 0
-    assert profiles(episodes({("w", "a"): [0.0], ("w", "b"): [0.0]}))["share"].eq(1).all()
     one = improvement([1.0], [2.0])
     assert (one.value, one.n) == (1.0, 1)
     assert np.isnan([one.low, one.high, one.p]).all()
@@ -160,20 +159,16 @@ def test_wrong_values_are_refused(values, worlds, message):
 def test_other_wrong_input_is_refused():
     refused("reference must be as many as the values, 2, got 1", improvement, [1.0, 2.0], [1.0])
     table = episodes({("w", "a"): [1.0], ("w", "b"): [2.0]})
-    refused("over must be first or best, got 'worst'", scores_of, table, over="worst")
     refused("w, a: episode 0 must occur once", comparable_paths, pd.concat([table, table]))
-    for ratios in ([], [1.0, 1.0], [0.0, 1.0], [1.0, math.nan]):
-        refused("ratios must be positive numbers that rise", profiles, table, ratios=ratios)
 
 
 def test_scores_by_hand():
     table = episodes({("w", "a"): [10, 0, 0, 10, 10], ("w", "b"): [5, 0, 2, 10, 10], ("w", "c"): [20, 0, 0, 10, 10]})
     fail(fail(table, "c", 3), "a", 4)
     fail(table, "b", 4)
-    first, best = scores_of(table), scores_of(table, over="best")
+    first = scores_of(table)
     assert first.columns.tolist() == ["a", "b", "c"]
     np.testing.assert_array_equal(first.T, [[1, 1, 1, 1, np.nan], [0.5, 1, np.inf, 1, np.nan], [2, 1, 1, np.inf, 0]])
-    np.testing.assert_array_equal(best.T, [[2, 1, 1, 1, np.inf], [1, 1, np.inf, 1, np.inf], [4, 1, 1, np.inf, 1]])
 
 
 def test_paths_keep_the_order_of_worlds_and_leave_out_what_one_lacks():
@@ -183,7 +178,6 @@ def test_paths_keep_the_order_of_worlds_and_leave_out_what_one_lacks():
     np.testing.assert_array_equal(paths, [[1, 3], [4, 5]])
     assert comparable_paths(table.iloc[:0]).shape == (0, 0)
     assert len(aggregate.aggregates(table.iloc[:0])) == 0
-    assert len(profiles(table.iloc[:0])) == 0
 
 
 def test_strategies_without_a_common_start():
@@ -194,7 +188,6 @@ def test_strategies_without_a_common_start():
     assert found["worlds"].tolist() == [0, 0]
     assert found[["ratio", "shorter", "iqm", "rank"]].isna().all(axis=None)
     assert "nan" not in league.over_worlds_text(found)
-    assert profiles(table)["share"].isna().all()
 
 
 def test_aggregates_by_hand():
@@ -205,19 +198,6 @@ def test_aggregates_by_hand():
     assert (second.shorter, second.iqm) == (0.625, 0.75)  # 3/4 and 1/2; 1/2 1/2 1 2
     one = aggregate.aggregates(episodes({key: value for key, value in paths.items() if key[0] == "cave#0"}))
     assert one["units"].tolist() == [2, 2]
-
-
-def test_profiles_by_hand():
-    """b is 1, 2 and 4 times as long as the best in one world, and fails once in another of one start."""
-    paths = {("cave#0", "a"): [10, 10, 10], ("cave#0", "b"): [10, 20, 40], ("maze#0", "a"): [7], ("maze#0", "b"): [7]}
-    table = fail(episodes(paths), "b", 0, world="maze#0")
-    found = profiles(table, ratios=[1.0, 1.99, 2.0, 4.0])
-    assert list(found.columns) == list(aggregate.PROFILE_COLUMNS)
-    share = found.groupby("strategy")["share"].apply(list)
-    assert share["a"] == [1.0] * 4
-    assert share["b"] == pytest.approx([1 / 6, 1 / 6, 1 / 3, 1 / 2])
-    assert (found["low"] <= found["share"]).all()
-    assert (found["share"] <= found["high"]).all()
 
 
 def test_standings_hold_the_aggregates():

@@ -126,7 +126,6 @@ def test_figures(found):
     assert found.plot().containers[0].lines[0].get_xdata().item() == found.summary["mean"][0]
     assert len(found.compare_figure().axes) == 4  # of each world paths and ratios
     assert len(found.coverage_figure().axes) == 2
-    assert len(found.profile_figure().axes[0].lines) == 3
     assert len(found.paths_figure().axes) == 7  # two worlds of three strategies, and the colour bar
     refused(r"unknown world of this comparison: 'x' \(there are: two rooms, with", found.plot, ax, "x")
 

@@ -183,10 +183,6 @@ class ComparisonResult(ByStrategy):
         """Draw the known part of the knowable share along the path, a panel a world: see `figures.coverage_figure`."""
         return figures.coverage_figure(self.progress)
 
-    def profile_figure(self, *, over: str = "best") -> Figure:
-        """Draw performance profiles of the strategies: see `figures.profile_figure`."""
-        return figures.profile_figure(self.episodes, over=over)
-
     def paths_figure(self) -> Figure:
         """Draw the map as each strategy saw it in episode 0, with its path: a matplotlib `Figure`."""
         return plot.paths_figure(list(self.first.items()))

@@ -1,4 +1,4 @@
-"""Summaries of many episodes in one number: chances of a shorter path, interquartile means, performance profiles.
+"""Summaries of many episodes in one number: chances of a shorter path, interquartile means.
 
 With two worlds or more, worlds are the sample: all count the same, however many episodes they have, and intervals, of
 95 %, are for other worlds of the same kinds in the same shares. In a single world the starts are.
@@ -15,13 +15,6 @@ from numpy.typing import ArrayLike
 from jexplore.config import InputError
 from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds, share_over_worlds
 from jexplore.studies.statistics.paired import NO_RATIO, safe_exp
-
-OVER = ("first", "best")
-"""Denominator of a path's score: the path of the first strategy from the same start, or the shortest of all."""
-
-PROFILE_COLUMNS = ("strategy", "ratio", "share", "low", "high")
-MOST_RATIO = 10.0
-"""Profiles end here at the latest."""
 
 
 class Estimate(NamedTuple):
@@ -105,8 +98,8 @@ def interquartile_mean(scores: ArrayLike, worlds: Iterable[object] | None = None
     return Estimate(mean, safe_exp(low), safe_exp(high), p, len(kinds))
 
 
-def scores_of(episodes: pd.DataFrame, *, over: str = "first") -> pd.DataFrame:
-    """Compute path lengths over those of the first strategy, or of the `best`: of the starts that every strategy has.
+def scores_of(episodes: pd.DataFrame) -> pd.DataFrame:
+    """Compute path lengths over those of the first strategy, of the starts that every strategy has.
 
     Two paths of no length have the ratio 1. The ratio of an episode that has failed (see `comparable_paths`) is
     infinite; where the one that it is divided by has failed, it is 0, or NaN if both have.
@@ -114,12 +107,10 @@ def scores_of(episodes: pd.DataFrame, *, over: str = "first") -> pd.DataFrame:
     Returns:
       A DataFrame of ratios: a row a start, indexed by `world` and `episode`, and a column a strategy.
     """
-    if over not in OVER:
-        raise InputError(f"over must be {' or '.join(OVER)}, got {over!r}")
     paths = comparable_paths(episodes)
     if not len(paths.columns):
         return paths
-    by = paths.iloc[:, 0] if over == "first" else paths.min(axis=1)
+    by = paths.iloc[:, 0]
     nothing = (paths == 0).mul(by == 0, axis=0)
     return paths.div(by, axis=0).mask(nothing.astype(bool), 1.0)
 
@@ -144,37 +135,3 @@ def aggregates(episodes: pd.DataFrame) -> pd.DataFrame:
         rows.append((name, units, *better, middle.value, middle.low, middle.high))
     columns = ["strategy", "units", "shorter", "shorter_low", "shorter_high", "shorter_p", "iqm", "iqm_low", "iqm_high"]
     return pd.DataFrame(rows, columns=columns)
-
-
-def _ratios(scores):
-    """Return the ratios at which profiles are read: from the least finite one (1 at most) to the 99th percentile."""
-    finite = scores[np.isfinite(scores) & (scores > 0)]
-    if not finite.size:
-        return np.array([1.0])
-    high = min(max(float(np.quantile(finite, 0.99)), 1.05), MOST_RATIO)
-    low = min(max(float(finite.min()), 1 / MOST_RATIO), 1.0)
-    return np.geomspace(low, high, 101) if low < 1 else np.concatenate([[1.0], np.geomspace(1.0, high, 101)[1:]])
-
-
-def profiles(episodes: pd.DataFrame, *, over: str = "best", ratios: ArrayLike | None = None) -> pd.DataFrame:
-    """Compute performance profiles: the share of starts whose path is at most a multiple of the reference's.
-
-    `over` is the denominator of the ratios, one of `OVER`; `ratios` rise, by default 101 up to the 99th percentile,
-    `MOST_RATIO` at most. Returns `PROFILE_COLUMNS`, a row a strategy and ratio. Episodes that have failed are in no
-    share; worlds count the same.
-
-    Source:
-      Dolan and More 2002; with bands as by Agarwal et al. 2021. Changed: the bands are over worlds.
-    """
-    scores = scores_of(episodes, over=over).fillna(np.inf)
-    at: Any = _ratios(scores.to_numpy()) if ratios is None else np.asarray(ratios, np.float64)
-    if at.ndim != 1 or not len(at) or not (np.isfinite(at) & (at > 0)).all() or (np.diff(at) <= 0).any():
-        raise InputError(f"ratios must be positive numbers that rise, got {ratios}")
-    rows = []
-    for name in scores.columns:
-        values, unit, kinds = _checked(scores[name], scores.index.get_level_values("world"), "scores")
-        shares = _unit_means((values[:, None] <= at * (1 + 1e-12)).astype(np.float64), unit, kinds)
-        for ratio, share in zip(at.tolist(), shares.T):
-            value, low, high, _ = share_over_worlds(share, kinds)
-            rows.append((name, ratio, value, low, high))
-    return pd.DataFrame(rows, columns=list(PROFILE_COLUMNS))
