@@ -3,7 +3,6 @@
     python benchmarks/intervals.py [--world cave] [--episodes 1000] [--repetitions 2000] [--seed 0]
     python benchmarks/intervals.py --over worlds [--worlds 150] [--repetitions 1000]
     python benchmarks/intervals.py --over sizes [--world cave] [--episodes 1000]
-    python benchmarks/intervals.py --over stops [--world cave] [--episodes 1000] [--repetitions 2000]
 
 Over pairs: the 95 % interval of a paired ratio. The pairs are drawn, with replacement, from a large comparison, whose
 own ratio of means is the truth:
@@ -20,26 +19,18 @@ replacement, from many, whose own numbers are the truth.
 
 Over sizes: from pilots of few pairs of the same populations, how many pairs are asked for to tell the ratio within 5 %,
 with an assurance of 80 %, and in how many new samples of as many pairs the interval is as narrow.
-
-Over stops: from the same populations, the confidence sequence of `--until decided`, looked at after every 8 pairs: how
-often it covers at every look up to 400 pairs, and where it stops; how many pairs that takes, and what share of 200.
-Over league, in a checkout: the same, a pair being a world of the league's entries, compared with its reference.
 """
 
 import argparse
-import json
-from pathlib import Path
 
 import numpy as np
 from scipy import stats as scipy_stats
 
 import jexplore as jx
 from jexplore.bench.tables import markdown
-from jexplore.studies.results.league import LEAGUES, REFERENCE
 from jexplore.studies.statistics.aggregate import Estimate, improvement, interquartile_mean
 from jexplore.studies.statistics.over_worlds import share_over_worlds
 from jexplore.studies.statistics.paired import paired_ratio
-from jexplore.studies.statistics.sequential import OPEN, anytime_ratio, verdict_of
 from jexplore.studies.statistics.sizes import sample_size
 
 PAIRS = (5, 10, 20, 50, 100)
@@ -52,7 +43,6 @@ EPISODES = 4  # in each of the small worlds
 WORLDS = (6, 12, 24, 48)
 PILOTS = (6, 10, 20, 50)
 WITHIN = 0.05
-LOOKS, MOST = 400, 200  # pairs up to which coverage is checked; pairs at most
 
 
 def populations(values, reference, rng):
@@ -212,45 +202,7 @@ def over_sizes(given):
     print(f"{given.world}; per cent of new samples of as many pairs whose 95 % interval is within {100 * WITHIN:g} %.")
 
 
-def stopped(populations, most, given, rng):
-    """The table of comparisons that are looked at after every 8 pairs until they are decided, `most` at the latest."""
-    rows, looks = [], range(8, max(most, LOOKS) + 1, 8)
-    for name, (values, reference) in populations.items():
-        truth, always, covered, ends = values.mean() / reference.mean(), 0, 0, []
-        for _ in range(given.repetitions):
-            chosen = rng.integers(len(values), size=looks[-1])
-            found = [anytime_ratio(values[chosen[:n]], reference[chosen[:n]]) for n in looks]
-            covers = [not (one.low > truth or one.high < truth) for one in found]
-            end = next((i for i, one in enumerate(found) if verdict_of(one) != OPEN), len(found) - 1)
-            always, covered = always + all(covers), covered + covers[end]
-            ends.append(min(looks[end], most))
-        shares = (f"{100 * hits / given.repetitions:.1f}" for hits in (always, covered))
-        spared = f"{100 - 100 * np.mean(ends) / most:.0f}"
-        rows.append([name, f"{truth:.3f}", *shares, f"{np.median(ends):.0f}", spared])
-    mean = f"{np.mean([float(row[-1]) for row in rows]):.0f}"
-    print(markdown(["pairs", "true ratio", "covers always", "where it stops", "pairs, median", "spared, %"], rows))
-    print(f"{given.repetitions} samples; spared: of {most} pairs, {mean} % in the mean of the rows.")
-
-
-def over_stops(given):
-    """The table of stopped comparisons in one world."""
-    rng = np.random.default_rng(given.seed)
-    stopped(populations(*paths_of(given), rng), MOST, given, rng)
-
-
-def over_league(given):
-    """The table of stopped comparisons over worlds: a pair is a world of the league, as its entries have it."""
-    paths = {}
-    for file in sorted(Path("leagues", next(iter(LEAGUES))).glob("*.json")):
-        entry = json.loads(file.read_text())
-        column = entry["columns"].index("path_m")
-        paths[entry["strategy"]] = np.array([row[column] for row in entry["episodes"]])
-    reference = paths.pop(REFERENCE)
-    pairs = {name: (values, reference) for name, values in paths.items()}
-    stopped(pairs, len(reference), given, np.random.default_rng(given.seed))
-
-
-OVER = {"stops": over_stops, "league": over_league, "pairs": over_pairs, "worlds": over_worlds, "sizes": over_sizes}
+OVER = {"pairs": over_pairs, "worlds": over_worlds, "sizes": over_sizes}
 
 
 def main():

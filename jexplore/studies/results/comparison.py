@@ -26,7 +26,7 @@ from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.studies.results.details import EXTRAS, Seen, parts_of
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import Ran, run_units
-from jexplore.studies.statistics import by_world, figures, sequential, sizes, teams
+from jexplore.studies.statistics import by_world, figures, sizes, teams
 from jexplore.studies.statistics.coverage import at_coverage, coverage_text
 from jexplore.studies.statistics.league import over_worlds_text, standings, standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
@@ -66,8 +66,6 @@ class ComparisonResult(ByStrategy):
     """Episodes that are missing because the run was interrupted; of the others, those that every strategy finished."""
     resumed: int = 0
     """Episodes that an earlier run had finished, with which this one went on."""
-    spared: int = 0
-    """Episodes that were not needed, with `until="decided"`."""
     progress: dict[tuple[str, str], np.ndarray] = dataclasses.field(default_factory=dict)
     """(world, strategy) -> `[N, 100]` float64: metres driven when each episode in the table first knew 1, 2, ... 100 %
     of the cells that can be known in its world; NaN where it never did."""
@@ -95,12 +93,6 @@ class ComparisonResult(ByStrategy):
     def standings(self) -> pd.DataFrame:
         """Tabulate standings, one row a strategy, over all worlds: see `league.standings`."""
         return standings(self.episodes)
-
-    @functools.cached_property
-    def decisions(self) -> pd.DataFrame:
-        """Tabulate ratios with intervals that hold whenever one stops, one row a world and strategy: see
-        `sequential.decisions`."""
-        return sequential.decisions(self.episodes)
 
     @functools.cached_property
     def teams(self) -> pd.DataFrame:
@@ -267,16 +259,13 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
         raise KeyboardInterrupt
     worlds = {os.fspath(job.world.name): job.world for job in jobs}
     costs = ran.costs
-    missing = sum(len(job.starts) for job in jobs) - len(table)
-    spared = 0 if ran.costs.interrupted or not ran.settled else missing
     return ComparisonResult(
         table.drop(columns=[name for name in EXTRAS if name in table]).reset_index(drop=True),
         tuple(worlds[name] for name in dict.fromkeys(table["world"])),
         compile_s=costs.compile_s,
         run_s=costs.run_s,
-        interrupted=missing - spared,
+        interrupted=sum(len(job.starts) for job in jobs) - len(table),
         resumed=ran.resumed,
-        spared=spared,
         **parts_of(table),
         lidar=jobs[0].lidar,
         rules=jobs[0].rules,
@@ -285,12 +274,11 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> ComparisonResult:
     )
 
 
-def run_comparison(jobs: Sequence[Job], *, until: str | None = None, **how: Any) -> ComparisonResult:
-    """Run jobs; `how` as of `run_units`. `until`: "decided", see `compare`.
+def run_comparison(jobs: Sequence[Job], **how: Any) -> ComparisonResult:
+    """Run jobs; `how` as of `run_units`.
 
     Raises:
       KeyboardInterrupt: no episode has been finished by every strategy.
     """
     use_compilation_cache()
-    names = list(dict.fromkeys(job.strategy.name for job in jobs))
-    return assemble(jobs, run_units(jobs, settled=sequential.decided_worlds(names) if until else None, **how))
+    return assemble(jobs, run_units(jobs, **how))
