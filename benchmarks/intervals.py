@@ -2,7 +2,6 @@
 
     python benchmarks/intervals.py [--world cave] [--episodes 1000] [--repetitions 2000] [--seed 0]
     python benchmarks/intervals.py --over worlds [--worlds 150] [--repetitions 1000]
-    python benchmarks/intervals.py --over sizes [--world cave] [--episodes 1000]
 
 Over pairs: the 95 % interval of a paired ratio. The pairs are drawn, with replacement, from a large comparison, whose
 own ratio of means is the truth:
@@ -16,9 +15,6 @@ A sample without an interval (pairs that are all equal) counts as not covered; h
 
 Over worlds: the intervals of statistics over many worlds: n small ones, of three kinds or of one, are drawn, with
 replacement, from many, whose own numbers are the truth.
-
-Over sizes: from pilots of few pairs of the same populations, how many pairs are asked for to tell the ratio within 5 %,
-with an assurance of 80 %, and in how many new samples of as many pairs the interval is as narrow.
 """
 
 import argparse
@@ -31,7 +27,6 @@ from jexplore.bench.tables import markdown
 from jexplore.studies.statistics.aggregate import Estimate, improvement, interquartile_mean
 from jexplore.studies.statistics.over_worlds import share_over_worlds
 from jexplore.studies.statistics.paired import paired_ratio
-from jexplore.studies.statistics.sizes import sample_size
 
 PAIRS = (5, 10, 20, 50, 100)
 KINDS = {
@@ -41,8 +36,6 @@ KINDS = {
 }
 EPISODES = 4  # in each of the small worlds
 WORLDS = (6, 12, 24, 48)
-PILOTS = (6, 10, 20, 50)
-WITHIN = 0.05
 
 
 def populations(values, reference, rng):
@@ -180,29 +173,7 @@ def over_worlds(given):
     print("95 % interval covers (in brackets: without one), and, of a twentieth of them, a percentile bootstrap's.")
 
 
-def over_sizes(given):
-    """The table of sizes asked for by pilots, and how often they are enough."""
-    rng, rows, paths = np.random.default_rng(given.seed), [], paths_of(given)
-    for name, (values, reference) in populations(*paths, rng).items():
-        for pilot in PILOTS:
-            needed, enough = [], 0
-            for _ in range(given.repetitions):
-                first = rng.integers(len(values), size=pilot)
-                try:
-                    n = sample_size(values[first], reference[first], within=WITHIN)
-                except jx.InputError:  # all pairs of the pilot are identical
-                    continue
-                again = rng.integers(len(values), size=n)
-                found = paired_ratio(values[again], reference[again])
-                needed.append(n)
-                enough += bool(found.high <= found.ratio * (1 + WITHIN) * (1 + 1e-9)) or bool(np.isnan(found.high))
-            quarters = ", ".join(f"{q:.0f}" for q in np.quantile(needed, [0.25, 0.5, 0.75]))
-            rows.append([name, str(pilot), quarters, f"{100 * enough / len(needed):.1f}", str(len(needed))])
-    print(markdown(["pairs", "pilot", "needed: quartiles", "narrow enough", "pilots"], rows))
-    print(f"{given.world}; per cent of new samples of as many pairs whose 95 % interval is within {100 * WITHIN:g} %.")
-
-
-OVER = {"pairs": over_pairs, "worlds": over_worlds, "sizes": over_sizes}
+OVER = {"pairs": over_pairs, "worlds": over_worlds}
 
 
 def main():

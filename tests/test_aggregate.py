@@ -1,4 +1,4 @@
-"""Chances of a shorter path, interquartile means, sizes of samples: by hand, against scipy, by laws."""
+"""Chances of a shorter path, interquartile means: by hand, against scipy, by laws."""
 
 import math
 
@@ -10,11 +10,9 @@ from hypothesis import strategies as st
 from ref.refusals import refused
 from scipy import stats as scipy_stats
 
-from jexplore.studies.statistics import aggregate, league, sizes
+from jexplore.studies.statistics import aggregate, league
 from jexplore.studies.statistics.aggregate import improvement, interquartile_mean, scores_of
 from jexplore.studies.statistics.over_worlds import comparable_paths, share_over_worlds
-from jexplore.studies.statistics.paired import paired_ratio
-from jexplore.studies.statistics.sizes import sample_size, worlds_needed
 
 START = {"start_row": 3, "start_col": 4, "start_heading_deg": 90}
 REST = {"turning_rad": 1.0, "time_s": 2.0, "energy_j": 5.0, "scans": 9, "plans": 3, "exhausted": 0}
@@ -211,77 +209,3 @@ def test_standings_hold_the_aggregates():
     assert text.startswith("Over 6 worlds, which count the same")
     assert league.standings_table(league.standings(table)) in text
     assert "nan" not in text
-
-
-def pairs(n, rng, spread=0.15):
-    reference = np.exp(rng.normal(3, 0.4, n))
-    return reference * np.exp(rng.normal(-0.1, spread, n)), reference
-
-
-def test_size_by_hand():
-    """With a spread s the interval of n pairs is `exp(± t s / sqrt(n))`; at even odds the pilot's spread is taken."""
-    rng = np.random.default_rng(0)
-    values, reference = pairs(40, rng)
-    n = sample_size(values, reference, within=0.03, assurance=0.5)
-    spread = (values / values.mean() - reference / reference.mean()).std(ddof=1)
-
-    def half(n):
-        middle = scipy_stats.f(n - 1, 39).ppf(0.5)
-        return math.exp(scipy_stats.t(n - 1).ppf(0.975) * spread * math.sqrt(middle / n)) - 1
-
-    assert half(n) <= 0.03 < half(n - 1)
-
-
-@pytest.mark.parametrize(
-    ("values", "reference", "message"),
-    [
-        ([1.0], [2.0], "vectors of one length, 2 or more"),
-        ([1.0, 2.0], [1.0], "vectors of one length"),
-        ([1.0, math.nan], [1.0, 2.0], "finite numbers from 0"),
-        ([-1.0, 2.0], [1.0, 2.0], "finite numbers from 0"),
-        ([2.0, 4.0], [1.0, 2.0], "without any spread"),
-        ([0.0, 0.0], [1.0, 2.0], "longer than 0"),
-    ],
-)
-def test_pilots_that_tell_nothing_are_refused(values, reference, message):
-    refused(message, sample_size, values, reference)
-
-
-@pytest.mark.parametrize("how", [{"within": 0}, {"within": math.nan}, {"assurance": 1}])
-def test_shares_out_of_range_are_refused(how):
-    refused(next(iter(how)), sample_size, [1.0, 2.0, 4.0], [1.0, 3.0, 3.0], **how)
-    refused(next(iter(how)), worlds_needed, [0.1, 0.2], ["x", "x"], **how)
-
-
-def test_worlds_by_hand():
-    """Two kinds that differ do not ask for more worlds; what worlds of a kind differ in does."""
-    logs, kinds = [0.1, 0.12, 0.1, 0.4, 0.42, 0.4], ["a"] * 3 + ["b"] * 3
-    assert worlds_needed(logs, kinds) < worlds_needed(logs, ["a"] * 6)
-    n = worlds_needed([0.1, 0.2, 0.3, 0.2], ["a"] * 4, within=0.05, assurance=0.5)
-    spread, middle = np.std([0.1, 0.2, 0.3, 0.2], ddof=1), scipy_stats.f(n - 1, 3).ppf(0.5)
-    assert scipy_stats.t(n - 1).ppf(0.975) * spread * math.sqrt(middle / n) <= math.log(1.05)
-    for bad in ([0.1], [0.1, math.nan], [0.1, 0.1]):
-        refused(None, worlds_needed, bad, ["a"] * len(bad))
-
-
-def test_table_of_sizes():
-    rng = np.random.default_rng(3)
-    paths = {}
-    for i in range(3):
-        values, reference = pairs(8, rng)
-        paths |= {(f"cave#{i}", "a"): reference, (f"cave#{i}", "b"): values, (f"cave#{i}", "c"): reference}
-    table = sizes.sample_sizes(episodes(paths), within=0.05)
-    assert list(table.columns) == list(sizes.SIZES_COLUMNS)
-    assert table["strategy"].tolist() == ["b", "c"] * 4
-    assert table["unit"].tolist() == ["episodes"] * 6 + ["worlds"] * 2
-    assert table["n"].tolist() == [8] * 6 + [3] * 2
-    assert table["needed"].isna().tolist() == [False, True] * 4  # c is the reference again: no spread
-    assert table["needed"][0] == sample_size(paths["cave#0", "b"], paths["cave#0", "a"], within=0.05)
-    first = paired_ratio(paths["cave#0", "b"], paths["cave#0", "a"])
-    assert table["within"][0] == pytest.approx(first.high / first.ratio - 1)
-    one = sizes.sample_sizes(episodes({key: value for key, value in paths.items() if key[0] == "cave#0"}))
-    assert one["unit"].tolist() == ["episodes"] * 2
-    assert len(sizes.sample_sizes(episodes(paths).iloc[:0])) == 0
-    still = sizes.sample_sizes(episodes(paths | {("cave#0", "b"): np.zeros(8)}))
-    assert np.isnan(still["within"][0])  # a ratio of zero, which no interval is a share of
-    assert still["needed"].isna().tolist()[:3] == [True, True, False]

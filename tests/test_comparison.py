@@ -23,7 +23,7 @@ from jexplore.studies.results import comparison
 from jexplore.studies.results.columns import COLUMNS
 from jexplore.studies.results.comparison import ComparisonResult, assemble
 from jexplore.studies.results.units import Ran, unit_table
-from jexplore.studies.statistics import by_world, coverage, league, sizes
+from jexplore.studies.statistics import by_world, coverage, league
 from jexplore.worlds.readers.ros import read_ros
 from jexplore.worlds.world import World
 
@@ -110,12 +110,6 @@ def test_summary_markdown_and_warnings(found):
     assert found.warnings == by_world.warnings_of(found.episodes, found.progress)
     assert found.episodes_per_s == pytest.approx(24 / found.run_s)
     assert "3 strategies in 2 worlds, 24 episodes" in repr(found)
-
-
-def test_sizes(found):
-    table = found.sample_sizes(within=0.1)
-    pd.testing.assert_frame_equal(table, sizes.sample_sizes(found.episodes, within=0.1))
-    assert table["world"].tolist() == [*found.summary["world"][[1, 2, 4, 5]], "all worlds", "all worlds"]
 
 
 def test_figures(found):

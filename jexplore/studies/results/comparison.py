@@ -26,7 +26,7 @@ from jexplore.studies.results.columns import TEAM_MEASURES
 from jexplore.studies.results.details import EXTRAS, Seen, parts_of
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import Ran, run_units
-from jexplore.studies.statistics import by_world, figures, sizes, teams
+from jexplore.studies.statistics import by_world, figures, teams
 from jexplore.studies.statistics.coverage import at_coverage, coverage_text
 from jexplore.studies.statistics.league import over_worlds_text, standings, standings_table
 from jexplore.studies.statistics.paired import MIN_PAIRS
@@ -137,10 +137,6 @@ class ComparisonResult(ByStrategy):
         if not self.maps:
             raise InputError('no maps were kept: compare(..., keep="maps")')
         return saving.write_maps(self, Path(folder))
-
-    def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> pd.DataFrame:
-        """Compute the episodes and worlds needed to know every ratio `± within`: see `sizes.sample_sizes`."""
-        return sizes.sample_sizes(self.episodes, within=within, assurance=assurance)
 
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False, report: bool = True) -> Path:
         """Write the folder that `jexplore compare` writes: tables, pictures, run.json, report.html; return its path.
