@@ -1,11 +1,11 @@
-"""Environments of gymnasium over `Environment`: a single one, and many in step.
+"""`jx.GymEnv`: an environment of gymnasium over `Environment`.
 
 An action is the cell to drive to, as a flat index row * W + col; a step is the drive there. gymnasium is an extra:
 `pip install 'jexplore[gym]'`.
 
-    envs = jx.GymVectorEnv(["rooms#1", "rooms#2"], num_envs=8)
-    seen, info = envs.reset(seed=0)
-    seen, reward, terminated, truncated, info = envs.step(envs.action_space.sample(tuple(info["action_mask"])))
+    env = jx.GymEnv(["rooms#1", "rooms#2"])
+    seen, info = env.reset(seed=0)
+    seen, reward, terminated, truncated, info = env.step(env.action_space.sample(info["action_mask"]))
 
 An observation is a dict of arrays; H x W is `Environment.shape`, that of the largest world, padded:
 
@@ -20,19 +20,15 @@ last action was one of them; `outcome`, an `Outcome`; `path_m`, metres driven; `
 
 try:
     # Ignored type, in this folder: an extra that need not be installed.
-    import gymnasium.vector  # type: ignore[import-not-found]
+    import gymnasium  # type: ignore[import-not-found]
 
-    _NEEDED = gymnasium.vector.AutoresetMode
+    _NEEDED = gymnasium.register, gymnasium.spaces
 except (ImportError, AttributeError):
-    line = "jx.GymEnv and jx.GymVectorEnv need gymnasium 1.1 or later: pip install 'jexplore[gym]'"
+    line = "jx.GymEnv needs gymnasium 1.1 or later: pip install 'jexplore[gym]'"
     raise ImportError(line) from None
 
 ID = "jexplore/Exploration-v0"
-"""The name by which `gymnasium.make` and `make_vec` know it once `jx.GymEnv` or `jx.GymVectorEnv` has been used."""
+"""The name by which `gymnasium.make` and `make_vec` know it once `jx.GymEnv` has been used."""
 
 if ID not in gymnasium.registry:
-    gymnasium.register(
-        ID,
-        entry_point="jexplore.studies.gym.envs:GymEnv",
-        vector_entry_point="jexplore.studies.gym.envs:GymVectorEnv",
-    )
+    gymnasium.register(ID, entry_point="jexplore.studies.gym.envs:GymEnv")
