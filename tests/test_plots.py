@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from ref.figures import check_texts
 from ref.refusals import refused
-from test_aggregate import episodes, fail
+from test_over_worlds import episodes, fail
 from test_response import RANGE, sweep
 
 from jexplore.report.plots import compare, curves, looks, walks
