@@ -4,7 +4,6 @@ import dataclasses
 import math
 
 import numpy as np
-import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from ref.refusals import refused
@@ -21,11 +20,9 @@ from jexplore.studies.checks import prepare_jobs
 from jexplore.studies.comparison import compare
 from jexplore.studies.results import comparison
 from jexplore.studies.results.columns import COLUMNS
-from jexplore.studies.results.comparison import ComparisonResult, assemble
+from jexplore.studies.results.comparison import assemble
 from jexplore.studies.results.units import Ran, unit_table
 from jexplore.studies.statistics import by_world, coverage, league
-from jexplore.worlds.readers.ros import read_ros
-from jexplore.worlds.world import World
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
 
@@ -224,16 +221,6 @@ def test_a_building_in_other_cells_or_on_other_ground_is_another():
     checks.require_different_buildings([world, coarse, steep])
     with pytest.raises(InputError, match="'coarse' and 'again' are the same building, which would count twice"):
         checks.require_different_buildings([world, coarse, coarse.replace(name="again")])
-
-
-def test_maps_of_worlds_called_alike_are_files_of_their_own(tmp_path):
-    shapes = {"floor1/map.yaml": (3, 4), "floor2/map.yaml": (5, 2)}
-    worlds = [World(occupied=np.ones(shape, bool), name=name) for name, shape in shapes.items()]
-    maps = {(name, "closest"): np.ones((1, *shape), np.uint8) for name, shape in shapes.items()}
-    episodes = pd.DataFrame({"world": list(shapes), "strategy": "closest", "episode": 0})
-    files = ComparisonResult(episodes, tuple(worlds), {}, 0.0, 0.0, maps=maps).save_maps(tmp_path)
-    assert [file.name for file in files] == ["floor1_map.yaml-closest-0.yaml", "floor2_map.yaml-closest-0.yaml"]
-    assert [read_ros(file)[0].shape for file in files] == list(shapes.values())
 
 
 def test_what_does_not_fit_into_memory_is_refused(monkeypatch):

@@ -128,16 +128,6 @@ class ComparisonResult(ByStrategy):
         """Format the statistics over all worlds, and ratios at equal coverage, as Markdown tables."""
         return f"{standings_table(self.standings)}\n{coverage_text(self.at_coverage)}"
 
-    def save_maps(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write the last map of every episode as files of ROS's map_server, with `keep="maps"`; return the yaml files.
-
-        They are named world-strategy-episode.yaml, with a picture each: of a world's path as much as tells it from the
-        others. `jx.load_world` reads them, and their cells are those of the maps.
-        """
-        if not self.maps:
-            raise InputError('no maps were kept: compare(..., keep="maps")')
-        return saving.write_maps(self, Path(folder))
-
     def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False, report: bool = True) -> Path:
         """Write the folder that `jexplore compare` writes: tables, pictures, run.json, report.html; return its path.
 
@@ -145,7 +135,9 @@ class ComparisonResult(ByStrategy):
         `overwrite` replaces a run that is there. The `report` of a comparison that was loaded has no replays.
         """
         if "command" not in self.made.record:
-            raise InputError("only what jx.compare or jx.load returned can be saved; to_csv() writes the table alone")
+            raise InputError(
+                "only what jx.compare or jx.load returned can be saved: episodes.to_csv() writes the table"
+            )
         with saving.claimed_by_call(folder, overwrite=overwrite) as run:
             return saving.write_comparison(run, self, report=report)
 
