@@ -102,7 +102,7 @@ class GymEnv(gymnasium.Env):
         """Drive to a cell: `(observation, reward, terminated, truncated, info)`."""
         if self.state is None:
             raise InputError("there is no episode yet; call reset first")
-        action = int(_whole_numbers("action", action, (), 0, len(self._mask) - 1))
+        action = int(_whole_numbers("action", action, (), 0, int(self.action_space.n) - 1))
         target = divmod(action, self.environment.shape[1]) if self._mask[action] else (-1, -1)
         self.state, _, reward, _, known = self.environment.step(self._key(), self.state, target)
         self._decisions += 1
