@@ -11,6 +11,8 @@ from ref.refusals import refused
 from ref.worlds import two_rooms
 
 import jexplore as jx
+from jexplore.exploration.motion import LENGTHS
+from jexplore.exploration.state import Outcome
 from jexplore.rules import Lidar, Rules
 from jexplore.studies import environment
 from jexplore.worlds.starts import draw_starts
@@ -34,6 +36,36 @@ def keys(n):
 
 def starts_of(comparison):
     return jnp.asarray(comparison.episodes[["start_row", "start_col", "start_heading_deg"]].to_numpy(np.int32))
+
+
+@pytest.mark.slow
+def test_a_team_that_goes_to_the_nearest_frontier_is_closest():
+    """Two robots that differ and do not meet: ways and known area of `compare`; one that gets no target waits."""
+    world, starts = two_rooms(), [(5, 5, 0), (9, 12, 90)]
+    given = {"lidar": LIDAR, "rules": Rules(clearance_m=0.0), "members": ["pace=1", "pace=2,range=0.7"]}
+    found = jx.compare(world, "closest", episodes=1, seed=SEED, robots=2, team_starts=starts, **given).episodes.iloc[0]
+    env = jx.Environment(world, robots=2, **given)
+    state, view = env.reset(keys(1)[0], jnp.array(starts))
+    done, path_m = False, 0.0
+    while not done:
+        state, view, reward, done, info = env.step(keys(1)[0], state, jax.vmap(nearest)(view))
+        path_m -= float(reward)
+    assert path_m == pytest.approx(found["path_sum_m"], rel=1e-5)
+    assert float(info["path_m"]) == pytest.approx(found["path_sum_m"], rel=1e-5)
+    assert int(state.episode.robots.plans.sum()) == found["plans"]
+    state, _ = env.reset(keys(1)[0], jnp.array(starts))
+    after, _, _, done, info = env.step(keys(1)[0], state, jnp.array([[-1, -1], [0, 0]]))
+    assert not done
+    assert not info["valid"].any()
+    assert after.episode.waits.tolist() == [1, 1]
+    assert after.episode.clock.tolist() == [LENGTHS[0], 2 * LENGTHS[0]]
+    state, _ = env.reset(keys(1)[0], jnp.array(starts[:1] * 2))
+    _, _, _, done, info = env.step(keys(1)[0], state, jnp.zeros((2, 2), jnp.int32))
+    assert done
+    assert int(info["outcome"]) == Outcome.BAD_START
+    refused("of one robot", jx.Environment, world, robots=2, paths=True)
+    for n, text in ((1, "2 or more robots, got 2 for 1"), (3, "got 2 for 3")):
+        refused(text, jx.Environment, world, robots=n, **given)
 
 
 def test_the_nearest_frontier_at_every_step_is_closest_to_the_bit():

@@ -5,7 +5,7 @@ The rules are those of an episode: `exploration.environment`, one decision at a 
 
 import copy
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Self
 
 import jax
@@ -23,7 +23,10 @@ from jexplore.engine.runner import find_resources, require_32_bits
 from jexplore.exploration import environment
 from jexplore.exploration.metrics import values_of
 from jexplore.exploration.site import drive_for, prepare_site, unify_truths
-from jexplore.exploration.state import Numbers, Outcome, State, Truth, steps_m
+from jexplore.exploration.state import Numbers, Outcome, Truth, steps_m
+from jexplore.exploration.team import stepping
+from jexplore.exploration.team.state import TeamSetup, TeamState
+from jexplore.exploration.team.stepping import cell_inside
 from jexplore.exploration.trail import LOOKS, Trail
 from jexplore.planning import Field, View, choose, field, is_live, view_of
 from jexplore.policies.closest import closest
@@ -44,8 +47,8 @@ WORLD, START = 2, 3  # streams of random numbers besides those of an episode (`s
 class EnvState:
     """An episode under way, between two decisions; over before the first where `reset` says BAD_START."""
 
-    episode: State
-    reached: Field  # of its belief
+    episode: Any  # `State`, of a team `TeamState`
+    reached: Field  # of its belief; of a team, of every robot's
     world: Array  # int32, which of the environment's worlds it is in
     ring: Array | None  # int32, cells by which indices in its maps are larger than its world's; None: 0 in all worlds
     replace: ClassVar[Callable[..., Self]]
@@ -60,6 +63,7 @@ class _Bank:
     numbers: Numbers  # [M, ...]
     recheck: Array  # bool
     ring: Array | None  # [M] int32, see `EnvState`
+    paces: Array  # [N] int32, of a team
 
 
 @checked_names
@@ -87,7 +91,8 @@ class Environment:
     def __init__(
         self, worlds: Any, *, cell_m: float = 0.1, lidar: checks.LidarLike = checks.LIDAR,
         rules: checks.RulesLike = checks.RULES, pose: str | None = None, odometry: checks.OdometryLike = None,
-        recheck: bool = False, paths: bool = False, metrics: MetricsLike = None,
+        recheck: bool = False, paths: bool = False, metrics: MetricsLike = None, robots: int = 1,
+        members: str | Sequence[str] = (),
     ) -> None:  # fmt: skip
         """Load the worlds.
 
@@ -102,19 +107,22 @@ class Environment:
           recheck: give up a frontier cell as soon as it is no longer live.
           paths: keep the whole way in the state, for `path`: 8 bytes for every cell of the map, at least 160 kB.
           metrics: more entries of `info`: name -> function of an `EpisodeView`, see `metric`.
+          robots, members: a team that hears each other everywhere (`team.read_members`), without recheck, paths,
+            metrics. Views have a leading axis N, actions are `[N, 2]`, a step goes on until a robot needs a target.
         """
         lidar, rules = checks.ready_settings(lidar, rules, pose, odometry)
         if not isinstance(recheck, bool):
             raise InputError(f"recheck must be True or False, got {recheck!r}")
         if rules.return_home:
             raise InputError("rules.return_home must be False: whoever steps through an Environment drives home itself")
+        team = stepping.ready_team(robots, members, lidar, bool(recheck or paths or metrics) or not rules.on_lattice)
         use_compilation_cache()
         self._metrics = ready_metrics(metrics) | checks.measures_of(rules)
         self.worlds = tuple(checks.ready_worlds(worlds, cell_m))
         sizes = sorted({world.cell_m for world in self.worlds})
         if len(sizes) > 1:
             raise InputError(f"worlds must have cells of one size, got {sizes[0]:g} and {sizes[1]:g} m")
-        self.cell_m, self.rules = sizes[0], rules
+        self.cell_m, self.rules, self.robots = sizes[0], rules, len(team)
         rows, cols = (max(map(bucket, sides)) for sides in zip(*(ringed_shape(w.occupied) for w in self.worlds)))
         self.shape = rows, cols
         find_resources()  # starts JAX
@@ -128,10 +136,13 @@ class Environment:
             sites.append(prepare_site(world, lidar, rules, self.shape, native=native, metrics=own))
         capacity = max(site.setup.capacity for site in sites) if paths else 1
         self._setup: Any = sites[0].setup._replace(policy=closest(), capacity=capacity)  # which nobody asks
+        if robots > 1:
+            self._setup = stepping.setup_of(self._setup, robots, min(map(len, cells)))
         records = unify_truths([site.truth for site in sites]), [site.numbers for site in sites]
         scenes, numbers = (jax.tree.map(lambda *a: jnp.stack(a), *own) for own in records)
         ring = jnp.asarray([site.ring for site in sites], jnp.int32) if any(site.ring for site in sites) else None
-        self._bank = _Bank(sites[0].beams, scenes, numbers, jnp.bool_(recheck), ring)
+        beams, paces = stepping.equipped(team, sites[0].beams, lidar, self.cell_m)
+        self._bank = _Bank(beams, scenes, numbers, jnp.bool_(recheck), ring, paces)
         self._n_cells = jnp.asarray([len(own) for own in cells], jnp.int32)
         size = max(map(len, cells)), 2
         self._cells = jnp.asarray(np.stack([np.resize(own, size) for own in cells]), jnp.int32)
@@ -142,13 +153,13 @@ class Environment:
         Args:
           key: of the episode; draws the world, the start and the scanner's noise, each from a stream of its own. That
             of episode n of a comparison is `jax.random.fold_in(jax.random.key(seed), n)`.
-          start: int32 `[3]`, row, col, heading_deg (a multiple of 45); may be traced. Without it,
+          start: int32 `[3]`, row, col, heading_deg (a multiple of 45), of a team `[N, 3]`; may be traced. Without it,
             drawn uniformly from the cells that are clear. From an enclosed one the episode is over at once, as STUCK.
           world: int32, which of `worlds`; may be traced. Without it, drawn.
 
         A wrong start or world raises an error, but for a traced one, whose value is not known yet: a world's number
-        out of range, a start outside the map or in a wall, or a heading that is no multiple of 45 degrees end the
-        episode at once, as BAD_START.
+        out of range, a start outside the map or in a wall, a heading that is no multiple of 45 degrees, or two robots
+        in one cell end the episode at once, as BAD_START.
 
         Returns:
           `(state, view)`.
@@ -164,16 +175,19 @@ class Environment:
         else:
             world = jax.random.randint(jax.random.fold_in(key, WORLD), (), 0, len(self.worlds), jnp.int32)
         if start is not None:
-            start = checks.whole_array("start", start, (3,), "row, col, heading_deg")
+            start = checks.whole_array("start", start, (self.robots, 3)[self.robots == 1 :], "row, col, heading_deg")
             given, where = checks.concrete(start), checks.concrete(world)
             if given is not None and where is not None and not drawn:
-                check_start(self.worlds[int(where)], given, self.rules.clearance_m, self.rules.near_m)
+                for one in given.reshape(-1, 3):
+                    check_start(self.worlds[int(where)], one, self.rules.clearance_m, self.rules.near_m)
         else:
             which, turn = jax.random.split(jax.random.fold_in(key, START))
             n = self._n_cells[world]
             places = jax.random.randint(which, (), 0, n, jnp.int32)
-            heading = jax.random.randint(turn, (), 0, 8, jnp.int32)
-            start = jnp.append(self._cells[world, places], 45 * heading)
+            if self.robots > 1:
+                places = stepping.drawn(which, self._cells.shape[1], n, self.robots)
+            turns = jax.random.randint(turn, jnp.shape(places), 0, 8, jnp.int32)
+            start = jnp.concatenate([self._cells[world, places], 45 * turns[..., None]], axis=-1)
         return _reset(self._setup, self._bank, jax.random.clone(key), start.astype(jnp.int32), world)
 
     def step(self, key: Array, state: EnvState, action: Any) -> tuple[EnvState, View, Array, Array, dict[str, Array]]:
@@ -184,12 +198,13 @@ class Environment:
             same at every step, gives the noise of a comparison. Not consumed.
           state: `EnvState`.
           action: int32 `[2]`, row and col of a cell of finite `view.cost`. Any other moves nothing, and
-            `info["valid"]` is False.
+            `info["valid"]` is False. Of a team `[N, 2]`: robots under way keep their targets, and a robot that needs
+            one and gets none waits for the time of a straight step.
 
         Returns:
           state: `EnvState`; as it was once the episode is over.
           view: `View`.
-          reward: float32, minus the metres driven.
+          reward: float32, minus the metres driven, by all robots.
           done: bool, the episode is over: with the step that leaves no frontier, or at a limit of the rules.
           info: dict of `valid`, bool; `outcome`, int32, an `Outcome`; `path_m`, float32, metres driven since the start;
             `known_m2`, float32, known area; the present values of the metrics.
@@ -197,7 +212,7 @@ class Environment:
         require_32_bits()
         checks.require_key(key)
         self._require_one(state, "step")
-        action = checks.whole_array("action", action, (2,), "row, col")
+        action = checks.whole_array("action", action, (self.robots, 2)[self.robots == 1 :], "row, col")
         *seen, info, values = _step(self._setup, self._bank, jax.random.clone(key), state, action)
         return (*seen, info | dict(zip(self._metrics, values)))
 
@@ -231,8 +246,9 @@ class Environment:
         if jnp.ndim(state.world):
             many = f"{jnp.shape(state.world)[0]} or more"
             raise InputError(f"{taker} takes one state, got {many}; use jax.vmap(env.step), or take one of them")
-        own = state.episode
-        if own.trail.shape[-2] != self._setup.capacity + 1 or own.belief.driven.shape != self.shape:
+        own = getattr(state.episode, "robots", state.episode)
+        shape = (self.robots, *self.shape)[self.robots == 1 :]
+        if own.trail.shape[-2] != self._setup.capacity + 1 or own.belief.driven.shape != shape:
             raise InputError("state must be one of this environment: its maps or its path have another size")
 
     def __repr__(self) -> str:
@@ -241,7 +257,8 @@ class Environment:
 
 
 def _given(bank, key, world, start):
-    return Given(key, bank.beams, bank.scenes, world, jax.tree.map(lambda a: a[world], bank.numbers), start)
+    task = stepping.task_of(start, bank.paces) if start.ndim == 2 else start
+    return Given(key, bank.beams, bank.scenes, world, jax.tree.map(lambda a: a[world], bank.numbers), task)
 
 
 def _seen(setup, given, episode, ring):
@@ -258,6 +275,9 @@ def _seen(setup, given, episode, ring):
 
 def shown(state: EnvState) -> View:
     """Return the `View` of a state, in the cells of its world."""
+    if isinstance(state.episode, TeamState):
+        robots = state.episode.robots, state.reached
+        return jax.lax.map(lambda one: shown(EnvState(one[0], one[1], state.world, state.ring)), robots)
     view, ring = view_of(state.episode.belief, state.reached), state.ring
     if ring is None:
         return view
@@ -275,37 +295,45 @@ def shown(state: EnvState) -> View:
     )
 
 
-def _cell_inside(shape, row, col):
-    """Return whether a cell lies on the maps, and the cell; outside, (0, 0), which is a wall."""
-    inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
-    return inside, jnp.where(inside, row, 0), jnp.where(inside, col, 0)
-
-
 def _ringed(ring, row, col):
     """Convert a cell of a world to its maps."""
     return (row, col) if ring is None else (row + ring, col + ring)
 
 
 def _begun(setup, bank, key, start, world):
-    row, col, heading_deg = start
+    row, col, heading_deg = jnp.moveaxis(start, -1, 0)
     occupied = bank.scenes.occupied
     own = jnp.clip(world, 0, len(occupied) - 1)
     ring = None if bank.ring is None else bank.ring[own]
-    _, row, col = _cell_inside(occupied.shape[1:], *_ringed(ring, row, col))
+    _, row, col = cell_inside(occupied.shape[1:], *_ringed(ring, row, col))
     bad = occupied[own, row, col] | (heading_deg % 45 != 0) | (world != own)
     if bank.scenes.within is not None:
         bad |= ~bank.scenes.within[own, row, col]
-    given = _given(bank, key, own, jnp.stack([row, col, heading_deg // 45 % 8]))
+    given = _given(bank, key, own, jnp.stack([row, col, heading_deg // 45 % 8], axis=-1))
+    if isinstance(setup, TeamSetup):
+        team = stepping.begun(setup, given, jnp.any(bad))
+        state = EnvState(team, stepping.fields(team), own, ring)
+        return state, shown(state)
     state = _seen(setup, given, environment.begin(setup, given), ring)
     outcome = jnp.where(bad, Outcome.BAD_START, state.episode.outcome)
     state = state.replace(episode=state.episode.replace(outcome=outcome))
     return state, shown(state)
 
 
+def _driven_by_team(setup, bank, key, state, action):
+    given = _given(bank, key, state.world, state.episode.robots.belief.start)
+    cells = action if state.ring is None else action + state.ring
+    team, reward, info = stepping.play(setup, given, state.episode, cells)
+    state = EnvState(team, stepping.fields(team), state.world, state.ring)
+    return state, shown(state), reward, stepping.is_done(team), info, ()
+
+
 def _driven(setup, bank, key, state, action):
+    if isinstance(setup, TeamSetup):
+        return _driven_by_team(setup, bank, key, state, action)
     episode, known = state.episode, state.reached
     given = _given(bank, key, state.world, episode.belief.start)
-    inside, row, col = _cell_inside(known.cost.shape, *_ringed(state.ring, *action))
+    inside, row, col = cell_inside(known.cost.shape, *_ringed(state.ring, *action))
     valid = inside & (known.cost[row, col] < FAR) & (episode.outcome == Outcome.RUNNING)
 
     def drive(state):
