@@ -243,7 +243,6 @@ def test_a_comparison_beside_its_bounds(tmp_path, printed):
     assert "its bound_seconds is 1" in printed([*command, "--bounds", "--bound-seconds", "2", "--resume"], 2).err
     assert main.main([*command, "--overwrite", "--bounds", "--bound-seconds", "0"]) == 2
     assert "without noise" in printed([*command, "--overwrite", "--bounds", "--lidar.sigma-m", "0.1"], 2).err
-    assert "of one robot" in printed([*command, "--overwrite", "--bounds", "--robots", "2"], 2).err
     found = jx.bound(ROOMS, starts=1, lidar=NEAR, **floods)
     compared = jx.compare(ROOMS, "closest", episodes=2, lidar=NEAR)
     table = found.beside(compared)

@@ -22,6 +22,8 @@ from jexplore.policies import strategy
 from jexplore.reach import FAR, STRAIGHT
 from jexplore.report.page.replay import STATE
 from jexplore.rules import Lidar, Rules
+from jexplore.studies.bounds.scene import prepare_scene
+from jexplore.studies.bounds.teams import team_low
 from jexplore.studies.replays import replays_of
 from jexplore.studies.statistics import teams
 from jexplore.studies.sweeps.plan import SweepBlock, prepare_sweep
@@ -208,6 +210,38 @@ def test_robots_that_are_not_there_do_not_count():
     view = view.replace(there=jnp.array([True, False]), costs=view.costs.at[1].set(FAR))
     for name in ("minpos", "voronoi", "hungarian"):
         assert int(np.argmax(np.where(np.asarray(view.frontier), COORDINATIONS[name](view), -np.inf))) == 0
+
+
+def lowest(world, start, starts, lidar, every=1):
+    """Return `team_low` with some of the cells that must be seen as witnesses."""
+    scene = prepare_scene(world, start, lidar, Rules(clearance_m=0.0, near_m=0.0), 2)
+    return scene and team_low(scene, np.flatnonzero(scene.must_see)[::every], np.array(starts))
+
+
+@pytest.mark.jit
+def test_lower_bound_of_a_corridor():
+    """Of 21 cells robots see 2 each way: the tree from the middle to both ends has 16 steps, for two robots 8."""
+    corridor = World(np.pad(np.zeros((1, 21), bool), 1, constant_values=True), cell_m=0.1, name="corridor")
+    lidar = Lidar(range_m=0.25, n_beams=9, fov_deg=360.0)
+    for starts, expected in (([(1, 11)], 16), ([(1, 11), (1, 12)], 8), ([(1, 3), (1, 19)], 6)):
+        assert lowest(corridor, (1, starts[0][1], 0), starts, lidar) == expected * STRAIGHT
+
+
+@pytest.mark.jit
+def test_no_team_is_below_its_lower_bound():
+    ratios = []
+    for number in range(10):
+        case = oracle.draw_case(9, number, "independent", 2 + number % 2)
+        case = case._replace(rules=case.rules.replace(max_steps=None, max_plans=None))
+        team, log = oracle.simulate(case)
+        if {robot.ended for robot in team} == {"COMPLETE"}:
+            world = World(case.occupied, cell_m=case.cell_m, name="case")
+            low = lowest(world, case.starts[0], case.starts, case.lidar, 4)
+            time = oracle.when(log, [log[-1][0]])[0] / oracle.STRAIGHT
+            assert low / STRAIGHT <= time * (1 + 1e-5)
+            ratios += [low / STRAIGHT / time] if time else []
+    assert len(ratios) > 5
+    assert np.mean(ratios) > 0.2
 
 
 def test_starts_together_and_apart():

@@ -23,7 +23,6 @@ from jexplore.cli.options import (
 )
 from jexplore.cli.output.console import Out, note_if_slow, working
 from jexplore.cli.output.terminal import show_table
-from jexplore.config import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -100,8 +99,6 @@ class Compare(EngineOptions, ReportOptions, ResumeOptions, TrustOptions, SceneOp
 
             strategies = with_settings(strategies, self.tuned)
         self = dataclasses.replace(self, worlds=worlds, strategies=strategies)
-        if self.robots and self.bounds:
-            raise InputError("--bounds are of one robot: leave out --robots")
         with Out(self, "compare") as out:
             jobs = prepare_jobs(
                 worlds,

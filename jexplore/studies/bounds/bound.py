@@ -31,6 +31,7 @@ from jexplore.studies.bounds.beside import START, with_bound_ratios
 from jexplore.studies.bounds.floor import low_metres
 from jexplore.studies.bounds.scene import prepare_scene
 from jexplore.studies.bounds.search import Budget, SearchResult, search
+from jexplore.studies.bounds.teams import with_team_ratios
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import world_digest
 from jexplore.worlds.world import World
@@ -124,7 +125,10 @@ class BoundsResult:
         return bounds_table(self.table)
 
     def beside(self, comparison: Any) -> pd.DataFrame:
-        """Compare the episodes of a `ComparisonResult` of one robot with the bounds: `beside.with_bound_ratios`."""
+        """Compare the episodes of a `ComparisonResult` with the bounds: see `beside.with_bound_ratios`.
+
+        Those of teams are compared with bounds of the whole team: see `teams.with_team_ratios`.
+        """
         if not hasattr(comparison, "episodes") or not hasattr(comparison, "worlds"):
             raise InputError(f"expected a comparison, got {type(comparison).__name__}")
         if comparison.lidar is not None and comparison.rules is not None:
@@ -133,9 +137,8 @@ class BoundsResult:
                 if self.settings[name] != value:
                     raise InputError(f"the bounds are for {name} {self.settings[name]:g}, the episodes had {value:g}")
         digests = {os.fspath(world.name): world_digest(world) for world in comparison.worlds}
-        if "robots" in comparison.episodes:
-            raise InputError("bounds are of one robot, the comparison is of teams")
-        return with_bound_ratios(comparison.episodes, self.table, digests)
+        table = with_bound_ratios(comparison.episodes, self.table, digests)
+        return with_team_ratios(table, self, comparison.made.jobs) if "robots" in table else table
 
     def figure(self) -> "Figure":
         """Draw the walks and the witnesses of the first starts: a matplotlib `Figure`."""
