@@ -21,7 +21,9 @@ from jexplore.driving.local.sight import SeenPlace, SeenWay, look
 from jexplore.driving.local.window import CELL_M, SIDE, Fixed, Window
 from jexplore.driving.settings import ROBOTS
 from jexplore.engine.draws import random_key
+from jexplore.report.operator_view import page
 from jexplore.studies.traces.job import prepare_trace
+from jexplore.studies.traces.recording import record_run
 from jexplore.worlds.world import World
 
 CRAWLER = ROBOTS["kamui"]
@@ -485,6 +487,24 @@ def test_link_that_failed_from_either_end_is_blocked():
         trace = linked((0, 1, 2), (1, 0, 2), n=2)
         trace.nodes[failed].exits[0].fails = TRIES
         assert trace.to_btm(4, 4).blocked.tolist() == [True, False, False, False]
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+def test_recorded_run_is_the_run_and_its_page_shows_it():
+    plan = prepare_trace(cross(), start=(1.5, 6.0, 0.0), noise={"range_m": 0.01})
+    seen, found = record_run(plan), jx.btm.trace(cross(), start=(1.5, 6.0, 0.0), noise={"range_m": 0.01})
+    n = len(seen.pose)
+    assert n == found.table["steps"][0]
+    np.testing.assert_allclose(seen.pose, found.driven.truth + np.array([*plan.world.origin_m, 0]), atol=1e-5)
+    assert sorted((link.start, link.end) for link in seen.map.links) == sorted(
+        (link.start, link.end) for link in found.first.links
+    )
+    assert (np.diff(seen.n_links) >= 0).all()
+    assert (seen.n_links[-1], seen.n_nodes[-1]) == (len(seen.map.links), len(seen.map.nodes))
+    searched = [link.status == "searched" for link in seen.map.links]
+    assert [frame < n for frame in seen.link_searched_frame] == searched
+    assert "<html" in page(seen)
 
 
 @pytest.mark.jit

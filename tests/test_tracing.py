@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import io
 import json
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -11,11 +12,12 @@ import pytest
 from PIL import Image
 
 from jexplore.cli import main
+from jexplore.cli.tracemaps import trace
 from jexplore.config import InputError
 from jexplore.driving import batch
 from jexplore.engine.runner import Costs
-from jexplore.report import plot_traces, trace_tables
-from jexplore.studies.traces import job, tracing
+from jexplore.report import operator_view, plot_traces, trace_tables
+from jexplore.studies.traces import job, recording, tracing
 from jexplore.tracemap import corrected, json_form
 from jexplore.tracemap.merging.rigid import Move, moved_map
 from jexplore.tracemap.record import BtmMap, check_map
@@ -64,6 +66,56 @@ def test_files(ran):
         assert min(image.size) > 300
     route = json.loads((ran / "btm.geojson").read_text())
     assert sum(f["geometry"]["type"] == "Point" for f in route["features"]) == len(found.nodes)
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_the_page_shows_the_run_that_was_made(tmp_path, capsys):
+    options = ["--noise-m", "0.01", "--animate", "--max-steps", "1000", "--out", str(tmp_path / "new")]
+    assert main.main(["trace", *options]) == 0
+    assert recording._frame.__wrapped__._cache_size() == 1  # the page's steps are one program
+    page = (tmp_path / "new" / "btm.html").read_text(encoding="utf-8")
+    assert "kamui in course" in page
+    assert "branch selection" in page
+    assert len(page) > 200_000
+
+
+class Recorded(NamedTuple):
+    """The part of a `RunRecording` that is compared with the run."""
+
+    pose: np.ndarray
+
+
+def result_of(table, **changes):
+    """Return a result with a table and a run 0 of five steps at the origin; `changes` of the plan."""
+    plan = dataclasses.replace(job.prepare_trace("course"), **changes)
+    driven = batch.Driven(np.zeros((5, 3)), np.zeros((5, 3)), np.zeros(5), np.zeros(5))
+    return tracing.TraceResult(plan, table, BtmMap((), ()), driven, Costs())
+
+
+@pytest.mark.parametrize(
+    ("n", "off_m", "warns"), [(5, 0.0, False), (5, 0.005, False), (7, 0.0, True), (4, 0.0, True), (5, 0.25, True)]
+)
+def test_a_page_of_another_run_says_so(n, off_m, warns, tmp_path, monkeypatch, capsys):
+    """Run 0 had five steps; progress never goes beyond them."""
+
+    def record(plan, on_progress):
+        for done in range(1, n + 1):
+            on_progress(done)
+        pose = np.tile([7.0, 8.0, 0.0], (n, 1))
+        pose[2, 1] += off_m
+        return Recorded(pose)
+
+    monkeypatch.setattr(recording, "record_run", record)
+    monkeypatch.setattr(operator_view, "page", lambda seen: "a page")
+    counts = []
+    monkeypatch.setattr(trace, "working", lambda total, unit: contextlib.nullcontext(counts.append))
+    world = dataclasses.replace(job.prepare_trace("course").world, origin_m=(7.0, 8.0))
+    trace._write_view(result_of(pd.DataFrame(), world=world), tmp_path / "btm.html")
+    assert (tmp_path / "btm.html").read_text() == "a page"
+    assert max(counts) <= 5
+    said = capsys.readouterr().err
+    assert (f"it has {n} steps (run 0 has 5) and lies up to {off_m:.2f} m off" in said) == warns
 
 
 def test_files_text_and_picture_show_one_map(made):
@@ -172,13 +224,6 @@ def test_starts_are_drawn_and_a_run_is_held_against_a_topology_only_from_its_sta
     again = job.prepare_trace("course#3", starts=2, runs=5, seed=4)
     assert again.begins.tolist() == plan.begins[:2].tolist()
     assert again.runs == 5
-
-
-def result_of(table, **changes):
-    """Return a result with a table and a run 0 of five steps at the origin; `changes` of the plan."""
-    plan = dataclasses.replace(job.prepare_trace("course"), **changes)
-    driven = batch.Driven(np.zeros((5, 3)), np.zeros((5, 3)), np.zeros(5), np.zeros(5))
-    return tracing.TraceResult(plan, table, BtmMap((), ()), driven, Costs())
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+import sys
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
@@ -24,6 +25,8 @@ from jexplore.cli.tracemaps.team import trace_robots
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
 from jexplore.tracemap.merging.limits import TeamLimits
+
+SAME_WAY_M = 0.01  # two ways no farther apart than this are one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,6 +81,8 @@ class Trace(ResumeOptions):
     corrected: bool = False
     """Write the map of run 0 with places that fit the odometry along all its links: what has drifted until a place was
     met again is spread over the links (frame map)."""
+    animate: bool = False
+    """Also write btm.html, one file that replays without a network what the operator sees of run 0."""
     robots: Number = None
     """Let this number of robots, 1 to 16, drive at the same time, and merge their maps whenever two are in contact."""
     contact: ContactText = "all"
@@ -104,7 +109,7 @@ class Trace(ResumeOptions):
             raise InputError("--noise-m and --noise.range-m say the same: give one of them")
         with Out(self, "trace") as out:
             if self.robots is not None:
-                for given in given_of(self, ["runs", "starts", "sweep", "settings", "corrected", "resume"]):
+                for given in given_of(self, ["runs", "starts", "sweep", "settings", "corrected", "animate", "resume"]):
                     raise InputError(f"--robots takes no {given}: every robot makes one run")
                 return trace_robots(out, self, arguments)
             own = fields_of(
@@ -146,7 +151,31 @@ class Trace(ResumeOptions):
         files = {**exchanged(first), "runs.parquet": found.table}
         text = trace_tables.map_tables(first) + "\n" + "\n".join(trace_tables.summary(found))
         pictures: dict[str, Any] = {"btm.png": functools.partial(_draw, found, first)}
+        if self.animate and not costs.interrupted:
+            pictures["btm.html"] = functools.partial(_write_view, found)
         return out.finish(record, files, text, pictures, interrupted=costs.interrupted)
+
+
+def _write_view(found, path):
+    """Write the operator's page of run 0."""
+    import numpy as np
+
+    from jexplore.report import operator_view
+    from jexplore.studies.traces import recording
+
+    n = len(found.driven.truth)
+    with working(n, "steps") as on_progress:
+        seen = recording.record_run(found.plan, lambda done: on_progress(min(done, n)))
+    way_m = recording.in_world_frame(found.driven.truth, found.plan.world.origin_m)[:, :2]
+    m = min(n, len(seen.pose))
+    off_m = np.hypot(*(seen.pose[:m, :2] - way_m[:m]).T).max()
+    if len(seen.pose) != n or off_m > SAME_WAY_M:
+        print(
+            f"warning: {path.name} shows run 0 as it was driven once more, step by step: rounding differs, so that it "
+            f"has {len(seen.pose)} steps (run 0 has {n}) and lies up to {off_m:.2f} m off",
+            file=sys.stderr,
+        )
+    path.write_text(operator_view.page(seen), encoding="utf-8")
 
 
 def _draw(found, first):

@@ -4,6 +4,7 @@ import html
 import importlib.resources
 import json
 import re
+from collections.abc import Sequence
 from typing import Any
 
 
@@ -18,6 +19,25 @@ def script_data(found: Any) -> str:
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
     return text
+
+
+def map_page(kind: str, title: str, data: Any, scripts: Sequence[str], **parts: str) -> str:
+    """Return a page of Behavioral Trace Maps: one HTML file that needs no network, no server and no other file.
+
+    Args:
+      kind: "station" or "trace": names the body and the style.
+      data: for the scripts, plain JSON types.
+      scripts: names of files, in order; they follow replay.js and tracemap.js in one scope.
+      **parts: HTML of the body by name.
+    """
+    return assembled(
+        "map.html",
+        title=html_text(title),
+        own_style=assembled(f"{kind}.css"),
+        own_body=assembled(f"{kind}.html", **parts),
+        own_script="\n".join(map(assembled, scripts)),
+        data=script_data(data),
+    )
 
 
 def assembled(template: str, **parts: str) -> str:

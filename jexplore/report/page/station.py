@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from jexplore.report.page.assemble import assembled, html_text, script_data
+from jexplore.report.page.assemble import map_page
 from jexplore.tracemap import passable
 from jexplore.tracemap.merging.join import FROM
 from jexplore.tracemap.merging.notes import MERGED_FROM, sources_of
@@ -44,7 +44,7 @@ def station_page(
         "notes": list(notes),
         "panels": [_panel(panel, robots) for panel in panels],
     }
-    return assembled("station.html", title=html_text(title), own_style=assembled("station.css"), data=script_data(data))
+    return map_page("station", title, data, ("routes.js", "station.js", "station_side.js"))
 
 
 def _panel(panel: MapPanel, robots: Sequence[passable.RobotBody]) -> dict[str, Any]:

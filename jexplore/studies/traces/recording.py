@@ -1,19 +1,30 @@
-"""Scans along the way of a run of a plan, and the walls around it."""
+"""Runs of a plan once more: the scans along their way, and run 0 step by step as the operator would have seen it."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jexplore.driving import vehicle
-from jexplore.driving.batch import Driven
-from jexplore.driving.building.walls import segments
+from jexplore import btm
+from jexplore.driving import behaviour, events, mission, vehicle
+from jexplore.driving.batch import Driven, step_slots
+from jexplore.driving.building.walls import segments, walls_of
+from jexplore.driving.local.run import LocalRun
+from jexplore.driving.mission import RunOutcome
 from jexplore.driving.params.tree import using
 from jexplore.driving.records import RunMode
+from jexplore.driving.sensing import surround
 from jexplore.engine.draws import pinned_draws, random_key
+from jexplore.report.operator_view import RunRecording
 from jexplore.studies.traces.job import TraceJob
 from jexplore.worlds.readers.scans import ScanLog
+from jexplore.worlds.world import World
 
+TRIANGLES = 8  # most that are shown of a scan
 MODE_NAMES = tuple(mode.name.lower().replace("_", " ") for mode in RunMode)
 LOG_EVERY_STEPS = 5  # steps between two scans of a log: 0.2 m of way
 SCANS_A_CALL = 64  # scans that are made in one call
@@ -71,6 +82,11 @@ def in_world_frame(poses: ArrayLike, origin_m: tuple[float, float]) -> np.ndarra
     return np.asarray(poses) + np.array([*origin_m, 0.0], np.float32)
 
 
+def walls_in_frame(world: World) -> np.ndarray:
+    """Return the true walls in the world's frame: `[S, 4]`, metres."""
+    return segments(walls_of(world.occupied, world.cell_m)) + np.tile(np.asarray(world.origin_m), 2)
+
+
 def wall_lines(plan: TraceJob) -> np.ndarray:
     """Return the building's walls in the world's frame: `[S, 4]`, metres."""
     return segments(plan.building.walls) + np.tile(np.asarray(plan.world.origin_m), 2)
@@ -81,3 +97,127 @@ def beam_ends(log: ScanLog, poses: np.ndarray) -> np.ndarray:
     angle = poses[:, 2:] + log.angles_rad
     length = np.where(log.echo, log.ranges, 0)
     return poses[:, None, :2] + length[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+@pinned_draws()
+@jax.jit
+def _frame(key, building, settings, state):
+    """Make one step, and return its view."""
+    robot, tuning, noise, params = settings
+    with using(params):
+        draws = vehicle.draw_one(key, noise)
+        senses = vehicle.read_sensors(draws, building, robot, noise, state.body)
+        after = mission.make_step(draws, building, robot, tuning, noise, state)
+        walls = events.walls_of_scan(mission.smooth_senses(senses, robot)[0].ranges_m, tuning, robot)
+        found = events.triangles(*surround.known_points(after.around), walls.beside.min(), tuning)
+        best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
+        there = found.valid[best]
+        seen = {
+            "pose": state.body.pose,
+            "estimate": state.estimate,
+            "mode": after.mode,
+            "target": vehicle.to_odometry(state.estimate)(after.target),
+            "ranges_m": senses.ranges_m,
+            "triangles_m": jnp.where(there[:, None, None], found.corners[best], jnp.nan),
+            "chosen": jnp.where(there[0], 0, -1),
+            "pitch_deg": jnp.degrees(senses.pitch),
+            "roll_deg": jnp.degrees(senses.roll),
+            "n_nodes": after.writer.map.n_nodes,
+            "status": after.writer.map.status,
+            "votes": behaviour.votes(after.track),
+            "left_m": walls.region_sides[0],
+            "right_m": walls.region_sides[1],
+        }
+    return after, seen
+
+
+def record_run(plan: TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> RunRecording:
+    """Record the operator's view of run 0; `on_progress` is called with the number of finished steps."""
+    series, found = (_frames_by_map if plan.perception == "map" else _frames)(plan, on_progress)
+    origin, n = plan.world.origin_m, len(series["pose"])
+    goal = None if np.isnan(plan.building.goal).any() else tuple(np.asarray(plan.building.goal) + origin)
+    return RunRecording(
+        title=f"{plan.robot.name} in {plan.world.name}",
+        dt_s=vehicle.DT_S,
+        mode_names=MODE_NAMES,
+        walls_m=wall_lines(plan),
+        goal_m=goal,
+        angles_rad=vehicle.ANGLES_RAD,
+        time_s=vehicle.DT_S * np.arange(n),
+        target_m=series.pop("target") + np.asarray(origin),
+        pose=in_world_frame(series.pop("pose"), origin),
+        estimate=in_world_frame(series.pop("estimate"), origin),
+        map=found,
+        robot_m=(plan.robot.length_m, plan.robot.width_m),
+        **series,
+    )
+
+
+def _frames(plan, on_progress):
+    """Return the series of a run by triangles, step by step, and its map."""
+    settings, building = _setting(plan, 0), jax.device_put(plan.building)
+    setup = mission.Setup(step_slots(plan.max_steps), *plan.size)
+    key = jax.random.fold_in(random_key(np.uint32(plan.seed)), 0)
+    # With exactly the types that a step returns, not weak ones: else the second step would be compiled once more.
+    state = jax.tree.map(
+        lambda a: jnp.asarray(a, a.dtype), mission.initial_state(setup, building, settings[0], plan.begins[0])
+    )
+    frames, steps = [], 0
+    while int(state.outcome) == RunOutcome.RUNNING and steps < plan.max_steps:
+        state, seen = _frame(jax.random.fold_in(key, steps), building, settings, state)
+        frames.append(jax.device_get(seen))
+        steps += 1
+        on_progress(steps)
+    series = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
+    status = series.pop("status")
+    used = np.flatnonzero(status[-1] != btm.NONE)
+    there, searched = status[:, used] != btm.NONE, status[:, used] == btm.SEARCHED
+    series |= {"n_links": there.sum(axis=1)}
+    series["link_searched_frame"] = np.where(searched.any(axis=0), searched.argmax(axis=0), steps)
+    return series, btm.to_map(jax.device_get(state.writer.map), origin_m=plan.world.origin_m)
+
+
+def _frames_by_map(plan, on_progress):
+    """Return the series of a run by a local map, step by step, and its map with links in the order in which they came.
+
+    It has no triangles, votes and walls.
+    """
+    (task,) = plan.local_tasks(*(numbers[:1] for numbers in plan.all_runs()))
+    frames, first, ended, seen = [], {}, {}, None
+
+    def on_step(run):
+        nonlocal seen, ranges
+        n, (estimate, truth, mode) = len(frames), run.pilot.way[-1]
+        if run.seen is not seen:
+            seen = run.seen
+            for node in run.map.nodes:
+                first.setdefault(node, n)
+            for exit_ in (e for node in run.map.nodes for e in node.exits):
+                first.setdefault(exit_, n)
+                if exit_.to >= 0:
+                    ended.setdefault(exit_, n)
+                else:
+                    ended.pop(exit_, None)  # its end was no place
+        view = {"pose": truth, "estimate": estimate, "mode": int(mode), "target": run.pilot.target}
+        frames.append({**view, "ranges_m": ranges})
+        ranges = run.pilot.ranges_m
+        on_progress(n + 1)
+
+    run = LocalRun(task.fixed, task.start, task.tuning, plan.max_steps, on_step)
+    ranges = run.pilot.ranges_m
+    run.drive()
+    series = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
+    n, found = len(frames), btm.to_map(run.map.to_btm(*plan.size), origin_m=plan.world.origin_m)
+    pairs = [(exit_, back or exit_) for i, exit_, back in run.map.links() if max(i, exit_.to) < plan.size[0]]
+    pairs = pairs[: len(found.links)]
+    came, end = (np.array([min(of.get(e, n) for e in pair) for pair in pairs], int) for of in (first, ended))
+    order = np.argsort(came, kind="stable")
+    links = tuple(dataclasses.replace(found.links[i], id=k) for k, i in enumerate(order))
+    none = np.zeros(n)
+    series |= {"triangles_m": np.zeros((n, 0, 3, 2)), "chosen": np.full(n, -1), "votes": none.astype(int)}
+    series |= {"pitch_deg": none, "roll_deg": none, "left_m": none + np.inf, "right_m": none + np.inf}
+    nodes = [first.get(node, n) for node in run.map.nodes[: len(found.nodes)]]
+    counts = {"n_nodes": nodes, "n_links": came[order]}
+    series |= {name: np.searchsorted(at, np.arange(n), side="right") for name, at in counts.items()}
+    series |= {"link_searched_frame": end[order]}
+    return series, dataclasses.replace(found, links=links)
