@@ -30,6 +30,7 @@ from jexplore.studies.environment import EnvState as EnvState
 from jexplore.studies.explore import EpisodeResult as EpisodeResult
 from jexplore.studies.explore import explore as explore
 from jexplore.studies.gym.envs import GymEnv as GymEnv  # extra
+from jexplore.studies.gym.envs import GymVectorEnv as GymVectorEnv  # extra
 from jexplore.studies.reproduction import reproduce as reproduce
 from jexplore.studies.results.comparison import ComparisonResult as ComparisonResult
 from jexplore.studies.results.loading import load as load

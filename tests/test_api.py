@@ -42,7 +42,7 @@ def test_the_probe_sees_what_is_loaded():
 
 def test_every_name_exists_and_is_told():
     assert len(dir(jexplore)) == len({*dir(jexplore)}) <= 46
-    assert {*dir(jexplore)} - {*jexplore.__all__} == {*jexplore._LAZY.extras} == {"GymEnv"}
+    assert {*dir(jexplore)} - {*jexplore.__all__} == {*jexplore._LAZY.extras} == {"GymEnv", "GymVectorEnv"}
     for module, names in ((jexplore, jexplore.__all__), (btm, dir(btm))):
         for name in names:
             assert getattr(module, name) is not None
@@ -66,7 +66,7 @@ sys.modules["gymnasium"] = {gymnasium}
 import jexplore as jx
 from jexplore import *
 assert compare is jx.compare and "GymEnv" not in globals()
-assert not hasattr(jx, "GymEnv")
+assert not hasattr(jx, "GymEnv") and not hasattr(jx, "GymVectorEnv")
 assert "compare" in dict(inspect.getmembers(jx)) and "compare" in pydoc.render_doc(jx)
 try:
     jx.GymEnv

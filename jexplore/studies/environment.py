@@ -32,7 +32,6 @@ from jexplore.planning import Field, View, choose, field, is_live, view_of
 from jexplore.policies.closest import closest
 from jexplore.raycast import Beams
 from jexplore.reach import FAR
-from jexplore.rules import Rules
 from jexplore.studies import checks
 from jexplore.studies.metrics import MetricsLike, ready_metrics
 from jexplore.worlds.regions import warn_of_floor
@@ -85,8 +84,6 @@ class Environment:
     world."""
     cell_m: float
     """Edge of a cell, metres."""
-    rules: Rules
-    """Rules of its episodes."""
 
     def __init__(
         self, worlds: Any, *, cell_m: float = 0.1, lidar: checks.LidarLike = checks.LIDAR,
@@ -122,7 +119,7 @@ class Environment:
         sizes = sorted({world.cell_m for world in self.worlds})
         if len(sizes) > 1:
             raise InputError(f"worlds must have cells of one size, got {sizes[0]:g} and {sizes[1]:g} m")
-        self.cell_m, self.rules, self.robots = sizes[0], rules, len(team)
+        self.cell_m, self._rules, self.robots = sizes[0], rules, len(team)
         rows, cols = (max(map(bucket, sides)) for sides in zip(*(ringed_shape(w.occupied) for w in self.worlds)))
         self.shape = rows, cols
         find_resources()  # starts JAX
@@ -179,7 +176,7 @@ class Environment:
             given, where = checks.concrete(start), checks.concrete(world)
             if given is not None and where is not None and not drawn:
                 for one in given.reshape(-1, 3):
-                    check_start(self.worlds[int(where)], one, self.rules.clearance_m, self.rules.near_m)
+                    check_start(self.worlds[int(where)], one, self._rules.clearance_m, self._rules.near_m)
         else:
             which, turn = jax.random.split(jax.random.fold_in(key, START))
             n = self._n_cells[world]

@@ -1,11 +1,11 @@
-"""`jx.GymEnv`: an environment of gymnasium over `Environment`.
+"""Environments of gymnasium over `Environment`: a single one, and many in step.
 
 An action is the cell to drive to, as a flat index row * W + col; a step is the drive there. gymnasium is an extra:
 `pip install 'jexplore[gym]'`.
 
-    env = jx.GymEnv(["rooms#1", "rooms#2"])
-    seen, info = env.reset(seed=0)
-    seen, reward, terminated, truncated, info = env.step(env.action_space.sample(info["action_mask"]))
+    envs = jx.GymVectorEnv(["rooms#1", "rooms#2"], num_envs=8)
+    seen, info = envs.reset(seed=0)
+    seen, reward, terminated, truncated, info = envs.step(envs.action_space.sample(tuple(info["action_mask"])))
 
 An observation is a dict of arrays; H x W is `Environment.shape`, that of the largest world, padded:
 
@@ -20,15 +20,19 @@ last action was one of them; `outcome`, an `Outcome`; `path_m`, metres driven; `
 
 try:
     # Ignored type, in this folder: an extra that need not be installed.
-    import gymnasium  # type: ignore[import-not-found]
+    import gymnasium.vector  # type: ignore[import-not-found]
 
-    _NEEDED = gymnasium.register, gymnasium.spaces
+    _NEEDED = gymnasium.vector.AutoresetMode
 except (ImportError, AttributeError):
-    line = "jx.GymEnv needs gymnasium 1.1 or later: pip install 'jexplore[gym]'"
+    line = "jx.GymEnv and jx.GymVectorEnv need gymnasium 1.1 or later: pip install 'jexplore[gym]'"
     raise ImportError(line) from None
 
 ID = "jexplore/Exploration-v0"
-"""The name by which `gymnasium.make` and `make_vec` know it once `jx.GymEnv` has been used."""
+"""The name by which `gymnasium.make` and `make_vec` know it once `jx.GymEnv` or `jx.GymVectorEnv` has been used."""
 
 if ID not in gymnasium.registry:
-    gymnasium.register(ID, entry_point="jexplore.studies.gym.envs:GymEnv")
+    gymnasium.register(
+        ID,
+        entry_point="jexplore.studies.gym.envs:GymEnv",
+        vector_entry_point="jexplore.studies.gym.envs:GymVectorEnv",
+    )
