@@ -252,12 +252,19 @@ def test_a_rosbag_whose_transforms_tell_nothing_is_refused(tmp_path, ros):
 # --- errors
 
 
-def test_errors_of_relations_by_pencil():
+def test_errors_of_relations_by_pencil(tmp_path):
     poses = np.array([[0, 0, 0], [1, 0, np.pi / 2], [1, 1, np.pi]])
-    known = errors.Relations(np.array([[0, 1], [1, 2]]), np.array([[1, 0, np.pi / 2], [1.3, 0.4, np.pi / 2 - 0.5]]))
+    path = tmp_path / "a.relations"
+    lines = "# t1 t2 x", "100.0 101.04 1 0 0 0 0 1.5707963", "101 102 1.3 0.4 0 0 0 1.0707963", "1 2 0 0 0 0 0 0"
+    path.write_text("\n".join(lines))
+    known = errors.read_relations(path, np.array([0.0, 1.0, 2.0]), 100.0)
+    assert known.ends.tolist() == [[0, 1], [1, 2]]
     place, turn = errors.relation_errors(poses, known)
     np.testing.assert_allclose(place, [0, 0.5], atol=1e-6)
     np.testing.assert_allclose(turn, [0, 0.5], atol=1e-6)
+    refused(r"no relation is of two scans within 0.1 s", errors.read_relations, path, np.array([0.0, 1.0, 2.0]), 50.0)
+    path.write_text("1 2 3\n")
+    refused(r"line 1 must be t1 t2 x y z roll pitch yaw", errors.read_relations, path, np.zeros(1))
 
 
 def test_a_trajectory_that_is_turned_as_a_whole_has_no_error(log):

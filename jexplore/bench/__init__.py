@@ -8,7 +8,7 @@ import functools
 import itertools
 import os
 import statistics
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -40,7 +40,7 @@ class Agenda(NamedTuple):
 
     worlds: list[World]
     strategies: list[Strategy]
-    batches: dict[str, tuple[int, ...]]  # by engine
+    batches: Mapping[str, tuple[int, ...]]  # by engine
     repeat: int
 
 
@@ -62,7 +62,7 @@ def prepare_bench(
     given = None if batch_sizes is None else [require_setting("batch_sizes", size) for size in batch_sizes]
     if given is not None and (not given or len(set(given)) < len(given)):
         raise InputError(f"batch_sizes must be one or more different integers, got {given}")
-    repeat = require_setting("repeat", (QUICK_REPEAT if quick else REPEAT) if repeat is None else repeat)
+    turns: int = require_setting("repeat", (QUICK_REPEAT if quick else REPEAT) if repeat is None else repeat)
     ready = ready_strategies(STRATEGIES if strategies is None else strategies)
     names = (QUICK_WORLDS if quick else WORLDS) if worlds is None else worlds
     loaded = [with_ring(world) for world in ready_worlds(names, CELL_M)]
@@ -72,7 +72,7 @@ def prepare_bench(
     find_resources(in_lanes=False, workers=1)  # starts JAX; part is always measured on the CPU
     own = tuple(sorted(given)) if given else QUICK_BATCHES if quick else None
     batches = {name: own or (BATCHES_ACCELERATOR if has_lanes(name) else BATCHES) for name in engine or ENGINES}
-    return Agenda(loaded, ready, batches, repeat)
+    return Agenda(loaded, ready, batches, turns)
 
 
 @contextlib.contextmanager

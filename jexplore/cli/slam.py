@@ -32,6 +32,10 @@ class Slam(OutOptions):
     """Take the scans of a rosbag from this topic."""
     odometry_topic: Annotated[str | None, tyro.conf.arg(metavar="TOPIC", help_behavior_hint="")] = None
     """Take the odometry of a rosbag from this topic."""
+    relations: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """Also give the errors against this file of relations, lines of t1 t2 x y z roll pitch yaw."""
+    relations_offset_s: float = 0.0
+    """The times in that file have this much more than the log's, in seconds."""
     matching: SlamSettings = dataclasses.field(default_factory=SlamSettings)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
@@ -51,7 +55,7 @@ class Slam(OutOptions):
             with working(len(log.ranges), "scans") as on_progress:
                 found = slam(
                     log,
-                    **fields_of(self, "closing matching"),
+                    **fields_of(self, "closing matching relations relations_offset_s"),
                     on_progress=on_progress,
                 )
             drawn = found.map(self.cell_m)

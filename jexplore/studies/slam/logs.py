@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 
 from jexplore.arrays.poses import between, compose
-from jexplore.config import InputError, InputWarning, as_record, checked_names
+from jexplore.config import InputError, InputWarning, as_record, checked_names, require_number
 from jexplore.slam2d.mapping import Mapper
 from jexplore.slam2d.matching import Outcome
 from jexplore.slam2d.settings import SlamSettings
-from jexplore.studies.slam.errors import Relations, error_rows, relations_between, trajectory_error
+from jexplore.studies.slam.errors import Relations, error_rows, read_relations, relations_between, trajectory_error
 from jexplore.worlds.readers.carmen import read_carmen
 from jexplore.worlds.readers.laser_bags import is_bag, read_laser_bag
 from jexplore.worlds.readers.scans import ScanLog, ScanMap, fold_scans
@@ -48,7 +48,7 @@ class SlamResult:
     """The most points for which a map, remade now and then, had no room."""
     errors: pd.DataFrame
     """A row a kind of relation: `relations`, `pairs`, mean and standard deviation of `place_m` and `turn_deg`. Empty
-    for a log without corrected poses."""
+    for a log without corrected poses and relations."""
     ate_m: float
     """Root mean square distance from the log's corrected poses after alignment, metres; NaN without any."""
     interrupted: bool
@@ -108,6 +108,7 @@ def slam(
     log: str | os.PathLike[str] | ScanLog, *, closing: bool = True,
     matching: SlamSettings | Mapping[str, Any] | None = None, max_range_m: float | None = None,
     topic: str | None = None, odometry_topic: str | None = None,
+    relations: str | os.PathLike[str] | None = None, relations_offset_s: float = 0.0,
     on_progress: Callable[[int], Any] | None = None,
 ) -> SlamResult:  # fmt: skip
     """Find the poses of a recorded robot by its scans and its odometry; corrected poses of the log only judge them.
@@ -121,6 +122,7 @@ def slam(
       matching: `SlamSettings`, or a mapping of some of its fields.
       max_range_m: see `read_carmen`.
       topic, odometry_topic: of a rosbag, see `read_laser_bag`.
+      relations, relations_offset_s: see `read_relations`.
       on_progress: called with the number of scans taken in.
 
     Returns:
@@ -137,6 +139,9 @@ def slam(
         raise InputError("matching: gate_m must be at most 4 min_distance_m")
     log = in_order(log if isinstance(log, ScanLog) else read_log(log, max_range_m, topic, odometry_topic))
     known = relations_between(log.poses) if _is_corrected(log) else {}
+    if relations is not None:
+        require_number("relations_offset_s", relations_offset_s, low=-np.inf)
+        known |= {"given": read_relations(relations, log.times, relations_offset_s)}
     mapper, interrupted = Mapper(matching, log.angles_rad, log.max_range_m, closing=closing), False
     moved = between(log.odometry[:-1], log.odometry[1:])
     if len(moved) and (still := int((moved == 0).all(axis=1).sum())) > len(moved) // 2:
